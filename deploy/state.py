@@ -1,0 +1,142 @@
+"""What flows along the tick: one slotted record per arrow, every array (B, ...) with B robots.
+
+Joint vectors (B, n) follow `spec.joint_names`. SI units; temperatures in °C. Records are views of their
+stage's buffers and hold until that stage's next step: copy what must outlive the tick.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sample:
+    """What the robot's bus delivered: late, noisy, sometimes nothing.
+
+    Attributes:
+        t: (B,) s, when `q` was taken, on the runtime's clock.
+        fresh: (B,) whether a packet arrived since the last read; if not, `q` repeats the last one.
+        q: (B, n) rad, encoder angle.
+        current: (B, n) A, motor current.
+        temperature: (B, n) °C, motor housing.
+    """
+
+    t: Floats
+    fresh: Bools
+    q: Floats
+    current: Floats
+    temperature: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class State:
+    """The estimator's belief about now.
+
+    Attributes:
+        t: s, now.
+        q: (B, n) rad. qd: (B, n) rad/s.
+        q_var: (B, n) rad², variance of `q`.
+        age: (B,) s since the newest sample was taken.
+        innovation: (B, n) last innovation in standard deviations.
+        temperature: (B, n) °C, motor housing.
+    """
+
+    t: float
+    q: Floats
+    qd: Floats
+    q_var: Floats
+    age: Floats
+    innovation: Floats
+    temperature: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """Where the policy wants the joints, before any limit.
+
+    Attributes:
+        q: (B, n) rad, as requested: it may lie beyond the working range.
+        finite: (B,) whether the policy's action was finite; where not, `q` repeats the last one.
+    """
+
+    q: Floats
+    finite: Bools
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setpoint:
+    """A point of a jerk-limited trajectory.
+
+    Attributes:
+        q: (B, n) rad. qd: (B, n) rad/s. qdd: (B, n) rad/s².
+    """
+
+    q: Floats
+    qd: Floats
+    qdd: Floats
+
+
+class Reason(IntFlag):
+    """Why a setpoint is refused or a robot stopped; one bit each, several may hold."""
+
+    NONE = 0
+    POSITION = 1 << 0
+    VELOCITY = 1 << 1
+    TORQUE = 1 << 2
+    WORKSPACE = 1 << 3
+    COLLISION = 1 << 4
+    SINGULARITY = 1 << 5
+    TOOL_SPEED = 1 << 6
+    HEAT = 1 << 7
+    STALE = 1 << 8
+    LOST = 1 << 9
+    TRACKING = 1 << 10
+    NOT_FINITE = 1 << 11
+    OVERRUN = 1 << 12
+    OPERATOR = 1 << 13
+    ARMING = 1 << 14
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What safety thinks of one setpoint.
+
+    Attributes:
+        reason: (B,) int64 bit sets of `Reason`, 0 where the setpoint may be sent.
+        tau: (B, n) N·m, inverse-dynamics torque of the setpoint (nominal model).
+    """
+
+    reason: Ints
+    tau: Floats
+
+
+class Mode(IntEnum):
+    """The supervisor's states, in the order of a robot's shift."""
+
+    DISARMED = 0
+    ARMING = 1
+    RUNNING = 2
+    STOPPING = 3
+    HOLDING = 4
+    LATCHED = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Command:
+    """What is sent to the drives.
+
+    Attributes:
+        q: (B, n) rad. qd: (B, n) rad/s. tau: (B, n) N·m, feed-forward.
+        powered: (B,) drives on; where False the brakes hold and the rest is ignored.
+    """
+
+    q: Floats
+    qd: Floats
+    tau: Floats
+    powered: Bools

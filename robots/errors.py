@@ -1,0 +1,30 @@
+"""Every error that firstshift raises on purpose.
+
+    FirstshiftError              exit code 2: bad input, nothing moved, nothing overwritten
+    ├── RobotError               a robot folder that cannot be read or makes no sense
+    ├── ContractError            a policy that does not match its contract, its robot or its rates
+    ├── ConfigError              a settings file or an option out of bounds
+    └── OutputError              a place that cannot be written
+
+A message names the file, the field, the value found and the value or bound expected.
+"""
+
+
+class FirstshiftError(Exception):
+    """Base of all errors that a user can mend."""
+
+
+class RobotError(FirstshiftError):
+    """A robot folder that cannot be read or makes no sense."""
+
+
+class ContractError(FirstshiftError):
+    """A policy that does not match its contract, its robot or its rates."""
+
+
+class ConfigError(FirstshiftError):
+    """A settings file or an option out of bounds."""
+
+
+class OutputError(FirstshiftError):
+    """A place that cannot be written."""

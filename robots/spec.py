@@ -1,0 +1,233 @@
+"""What a robot is: `robot.toml` beside `model.xml`, read strictly.
+
+Geometry, inertia, mechanical joint range, torque range and motor constants live in model.xml; the rest is here.
+"""
+
+import hashlib
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from robots.errors import RobotError
+from robots.strict import Strict, read_toml
+
+ROBOTS = Path(__file__).parent
+
+Celsius = Annotated[float, Field(ge=-50, le=300)]
+Fraction = Annotated[float, Field(gt=0, le=1)]
+
+
+class Joint(Strict):
+    """Working limits of one joint, as an integrator sets them: inside the mechanical ones of model.xml.
+
+    Attributes:
+        q_min, q_max, q_home: rad.
+        qd_max: rad/s. qdd_max: rad/s². qddd_max: rad/s³.
+        motor: a name in `motors`.
+        source: where the numbers come from.
+    """
+
+    name: str
+    q_min: float
+    q_max: float
+    q_home: float
+    qd_max: PositiveFloat
+    qdd_max: PositiveFloat
+    qddd_max: PositiveFloat
+    motor: str
+    source: str
+
+    @model_validator(mode="after")
+    def _home_inside(self) -> Self:
+        if not self.q_min < self.q_home < self.q_max:
+            raise ValueError(
+                f"q_home of {self.name} is {self.q_home} rad, outside [{self.q_min}, {self.q_max}]"
+            )
+        return self
+
+
+class Motor(Strict):
+    """The housing node and the heat limits of a motor; its winding node is in model.xml.
+
+    Attributes:
+        housing_resistance_k_per_w: K/W, housing to ambient.
+        housing_capacity_j_per_k: J/K.
+        winding_soft_c, winding_max_c: °C, where warning begins and where damage begins.
+        housing_soft_c, housing_max_c: °C, what the housing sensor may show.
+        source: where the numbers come from.
+    """
+
+    housing_resistance_k_per_w: PositiveFloat
+    housing_capacity_j_per_k: PositiveFloat
+    winding_soft_c: Celsius
+    winding_max_c: Celsius
+    housing_soft_c: Celsius
+    housing_max_c: Celsius
+    source: str
+
+
+class Rates(Strict):
+    """Hz. Physics is a multiple of control."""
+
+    control_hz: PositiveInt
+    physics_hz: PositiveInt
+
+    @model_validator(mode="after")
+    def _divides(self) -> Self:
+        if self.physics_hz % self.control_hz:
+            raise ValueError(
+                f"physics_hz {self.physics_hz} is not a multiple of control_hz {self.control_hz}"
+            )
+        return self
+
+
+class Margins(Strict):
+    """How far from each limit the parts of the stack stay.
+
+    Attributes:
+        q_target_rad: targets are clamped this far inside the working range.
+        q_soft_rad: setpoints are refused, and the judge calls it soft, this far inside.
+        tau: setpoint torque by the nominal model, as a fraction of the torque range.
+        collision_m: clearance kept between capsules.
+        singularity: least |det J| of the tool Jacobian, m³ for a six-joint arm.
+        tracking_rad: setpoint minus estimate that stops the robot.
+    """
+
+    q_target_rad: PositiveFloat
+    q_soft_rad: PositiveFloat
+    tau: Fraction
+    collision_m: PositiveFloat
+    singularity: PositiveFloat
+    tracking_rad: PositiveFloat
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.q_soft_rad < self.q_target_rad:
+            raise ValueError(
+                f"q_soft_rad {self.q_soft_rad} is not below q_target_rad {self.q_target_rad}"
+            )
+        return self
+
+
+class Workspace(Strict):
+    """Where the tool may be, in the world frame.
+
+    Attributes:
+        z_min: m, above the table.
+        radius_max: m, from `centre`.
+        centre: m, (x, y, z).
+        tool_speed_max: m/s.
+    """
+
+    z_min: float
+    radius_max: PositiveFloat
+    centre: tuple[float, float, float]
+    tool_speed_max: PositiveFloat
+
+
+class Encoder(Strict):
+    """The joint encoder as its data sheet has it; draws.toml says how it may really be.
+
+    Attributes:
+        resolution_rad: rad per count at the joint.
+        noise_rad: rad, standard deviation of a sample.
+        delay_s: s, from taking to arriving.
+        source: where the numbers come from.
+    """
+
+    resolution_rad: PositiveFloat
+    noise_rad: PositiveFloat
+    delay_s: Annotated[float, Field(ge=0, lt=0.1)]
+    source: str
+
+
+class RobotSpec(Strict):
+    """One robot folder: the strict reading of robot.toml, plus the folder itself."""
+
+    folder: Path
+    name: str
+    tool: str
+    rates: Rates
+    margins: Margins
+    workspace: Workspace
+    encoder: Encoder
+    motors: dict[str, Motor]
+    joints: Annotated[tuple[Joint, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _motors_known(self) -> Self:
+        for joint in self.joints:
+            if joint.motor not in self.motors:
+                raise ValueError(
+                    f"joint {joint.name} names motor {joint.motor!r}; known: {', '.join(self.motors)}"
+                )
+        return self
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names in the order of every joint vector."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def dt(self) -> float:
+        """s, the control period."""
+        return 1.0 / self.rates.control_hz
+
+    @property
+    def model_path(self) -> Path:
+        """The model.xml that both libraries read."""
+        return self.folder / "model.xml"
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of what the numbers of both files say; layout and comments do not count."""
+        try:
+            xml = ET.canonicalize(from_file=str(self.model_path), strip_text=True)
+        except (OSError, ET.ParseError) as e:
+            raise RobotError(f"{self.model_path}: not readable as XML: {e}") from e
+        text = self.model_dump_json(exclude={"folder"}) + xml
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def joint_array(self, field: str) -> NDArray[np.float64]:
+        """(n,) one number of every joint, for example `qd_max`."""
+        return np.array([getattr(joint, field) for joint in self.joints])
+
+    def motor_array(self, field: str) -> NDArray[np.float64]:
+        """(n,) one number of every joint's motor, for example `winding_max_c`."""
+        return np.array([getattr(self.motors[joint.motor], field) for joint in self.joints])
+
+
+class _RobotFile(RobotSpec):
+    """robot.toml as it stands; the folder is where it was found, not a key."""
+
+    folder: Path = Field(default=Path(), exclude=True)
+
+
+def load_robot(robot: str | Path) -> RobotSpec:
+    """Read a robot by its name in `robots/` or by the path of its folder.
+
+    Raises:
+        RobotError: no such robot, or a file of it is unreadable, misspelt or out of bounds.
+    """
+    folder = Path(robot)
+    if not folder.is_dir():
+        folder = ROBOTS / str(robot)
+    if not (folder / "robot.toml").is_file():
+        raise RobotError(f"--robot {robot}: no such folder with a robot.toml; known: {_known()}")
+    file = read_toml(folder / "robot.toml", _RobotFile, RobotError)
+    if "folder" in file.model_fields_set:
+        raise RobotError(f"{folder / 'robot.toml'}: folder: unknown key")
+    return RobotSpec.model_construct(**{**dict(file), "folder": folder.resolve()})
+
+
+def _known() -> str:
+    return ", ".join(sorted(path.parent.name for path in ROBOTS.glob("*/robot.toml")))

@@ -1,0 +1,62 @@
+"""TOML read strictly: every key known, every key present, every value inside its bound."""
+
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from robots.errors import ConfigError, FirstshiftError
+
+
+class Strict(BaseModel):
+    """A frozen record from a file: no unknown keys, no coercion of kinds, no NaN."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+M = TypeVar("M", bound=Strict)
+
+
+def read_toml(path: Path, schema: type[M], error: type[FirstshiftError] = ConfigError) -> M:
+    """Read a TOML file into a strict record.
+
+    Args:
+        path: the file.
+        schema: the record to fill.
+        error: the class to raise.
+
+    Raises:
+        FirstshiftError: of class `error`, naming file, key, value and expectation.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as e:
+        raise error(f"{path}: cannot be read: {e.strerror}") from e
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+        raise error(f"{path}: not valid TOML: {e}") from e
+    return parse(data, schema, source=str(path), error=error)
+
+
+def parse(
+    data: object, schema: type[M], *, source: str, error: type[FirstshiftError] = ConfigError
+) -> M:
+    """Turn plain data into a strict record; `source` names its origin in messages.
+
+    Raises:
+        FirstshiftError: of class `error`, one line for each field that is wrong.
+    """
+    try:
+        return schema.model_validate(data)
+    except ValidationError as e:
+        raise error("\n".join(f"{source}: {line}" for line in _explain(e))) from e
+
+
+def _explain(complaint: ValidationError) -> Iterator[str]:
+    """Each complaint as `field: expectation, found value`."""
+    for item in complaint.errors():
+        field = ".".join(str(part) for part in item["loc"]) or "(whole file)"
+        found = item["input"]
+        shown = "" if isinstance(found, dict) else f", found {found!r:.80}"
+        yield f"{field}: {item['msg']}{shown}"
