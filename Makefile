@@ -1,0 +1,128 @@
+# Everything here runs inside .venv, which `make setup` builds from requirements.lock.
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+SHELL := /bin/sh
+
+PYTHON ?= python3
+VENV := .venv
+VENV_ROBOT := .venv-robot
+BIN := $(VENV)/bin
+
+POLICY ?= arm.pt
+OUT ?= out/$(basename $(notdir $(POLICY))).onnx
+HOURS ?= 1
+ROBOTS ?= 16
+SEED ?= 7
+WORKERS ?= 2
+ARGS ?=
+ARM := out/arm.onnx
+
+# rsl-rl imports GitPython, which refuses to load where there is no git.
+export GIT_PYTHON_REFRESH := quiet
+
+PIP_INSTALL := -m pip install --disable-pip-version-check
+# Hashes for everything, and wheels only: nothing unlocked is downloaded in order to build something.
+LOCKED := --require-hashes --only-binary :all:
+EDITABLE := --no-deps --no-build-isolation --editable .
+
+.PHONY: help
+help: ## list these targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+# ---- environments ---------------------------------------------------------------------------------------------
+
+.PHONY: setup setup-robot
+setup: $(VENV)/.installed ## make .venv with everything that is locked (PYTHON=python3)
+setup-robot: $(VENV_ROBOT)/.installed ## make .venv-robot: run, simulate, soak and test, without torch
+
+# One rule for both environments: `.locked` holds the libraries, `.installed` this project on top of them.
+define environment
+$(1)/.locked: $(2)
+	@command -v $$(PYTHON) >/dev/null || { echo "error: PYTHON=$$(PYTHON): not found; Python 3.11 to 3.14 is needed" >&2; exit 2; }
+	@$$(PYTHON) -c 'import sys; v = sys.version_info[:2]; (3, 11) <= v < (3, 15) or sys.exit("error: PYTHON=$$(PYTHON) is Python %d.%d, but 3.11 to 3.14 is needed: make $$(MAKECMDGOALS) PYTHON=python3.12" % v)'
+	$$(PYTHON) -m venv $(1) || { rm -rf $(1); exit 2; }
+	$(1)/bin/python $$(PIP_INSTALL) --quiet $$(LOCKED) --requirement $(2)
+	@touch $$@
+
+$(1)/.installed: $(1)/.locked pyproject.toml
+	$(1)/bin/python $$(PIP_INSTALL) --quiet $$(EDITABLE)
+	@touch $$@
+endef
+$(eval $(call environment,$(VENV),requirements.lock))
+$(eval $(call environment,$(VENV_ROBOT),requirements-robot.lock))
+
+# ---- the main job ---------------------------------------------------------------------------------------------
+
+.PHONY: demo export run soak nightly train bench
+demo: setup ## export the arm's policy, run it for 10 s, soak it for 3 simulated minutes
+	@mkdir -p out
+	$(BIN)/policy-export --policy arm.pt --out $(ARM)
+	$(BIN)/deploy-run --backend sim --policy $(ARM) --duration 10 --out out/run
+	@$(BIN)/soak-test --policy $(ARM) --hours 0.05 --robots 16 --seed 7 --workers 2 --out out/soak; \
+	status=$$?; echo "report: $(CURDIR)/out/soak/report.html"; exit $$status
+
+export: setup ## write one ONNX file with its contract: POLICY=arm.pt [OUT=file.onnx]
+	@mkdir -p out
+	$(BIN)/policy-export --policy "$(POLICY)" --out "$(OUT)"
+
+run: $(ARM) ## run the arm in simulation, in real time, until Ctrl-C (ARGS=...)
+	$(BIN)/deploy-run --backend sim --policy $(ARM) --out out/run $(ARGS)
+
+soak: $(ARM) ## soak the arm: HOURS=1 ROBOTS=16 SEED=7 WORKERS=2 (ARGS=...)
+	$(BIN)/soak-test --policy $(ARM) --hours $(HOURS) --robots $(ROBOTS) --seed $(SEED) --workers $(WORKERS) --out out/soak $(ARGS)
+
+nightly: $(ARM) ## the eight-hour shift of 16 arms, about an hour on 2 cores
+	$(BIN)/soak-test --policy $(ARM) --hours 8 --robots 16 --seed $(SEED) --workers $(WORKERS) --out out/nightly
+
+train: setup ## train the arm's policy from its recipe (ARGS=...)
+	$(BIN)/policy-train --out out/train $(ARGS)
+
+bench: $(ARM) ## measure the figures that the README quotes
+	$(BIN)/python -m eval.bench $(ARGS)
+
+$(ARM): policies/arm.pt robots/arm6/model.xml robots/arm6/robot.toml | setup
+	@mkdir -p out
+	$(BIN)/policy-export --policy arm.pt --out $@
+
+# ---- tests and checks -----------------------------------------------------------------------------------------
+
+.PHONY: test test-notorch cover check check-addresses
+test: setup ## run all tests (ARGS=...)
+	$(BIN)/python -m pytest -q $(ARGS)
+
+test-notorch: setup-robot ## run the tests that need no torch, where there is none
+	$(VENV_ROBOT)/bin/python -c 'import importlib.util as u, sys; sys.exit("error: torch is installed here" if u.find_spec("torch") else 0)'
+	$(VENV_ROBOT)/bin/python -m pytest -q $(ARGS)
+
+cover: setup ## run all tests and list the lines that none of them reached
+	$(BIN)/python -m coverage run -m pytest -q
+	$(BIN)/python -m coverage report
+
+check: setup check-addresses ## lint, format, types, import layers, addresses
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+check-addresses:
+	@! grep -nE '://|^ *-[a-z-]*(index|find-links)' requirements.lock requirements-robot.lock \
+		|| { echo "error: a lock file holds names, versions and hashes only" >&2; exit 1; }
+	@! git grep -nIE 'https?://[^ ]*/simple' \
+		|| { echo "error: a tracked file names a package registry" >&2; exit 1; }
+
+# ---- upkeep ---------------------------------------------------------------------------------------------------
+
+# Settings of this machine (another index, a folder of wheels) stay out: only the public registry is asked.
+UV := env -u UV_FIND_LINKS -u UV_INDEX -u UV_INDEX_URL -u UV_DEFAULT_INDEX -u UV_EXTRA_INDEX_URL $(BIN)/uv
+COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
+	--no-emit-index-url --no-emit-find-links pyproject.toml
+
+.PHONY: lock clean
+lock: setup ## renew requirements.lock and requirements-robot.lock (ARGS=--upgrade)
+	$(COMPILE) --all-extras $(ARGS) --output-file requirements.lock
+	$(COMPILE) --extra eval --extra test --constraint requirements.lock --output-file requirements-robot.lock
+	@$(MAKE) --no-print-directory check-addresses
+
+clean: ## remove both environments, caches and out/
+	rm -rf $(VENV) $(VENV_ROBOT) out build dist *.egg-info .coverage .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find robots deploy eval policies tests -name __pycache__ -type d -prune -exec rm -rf {} +
