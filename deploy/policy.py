@@ -1,0 +1,111 @@
+"""The policy: ONNX Runtime behind a contract that was checked before anything could move."""
+
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import onnxruntime as ort
+
+from deploy.contract import check_contract
+from deploy.policy_file import INPUT, OUTPUT, Float32s, PolicyFile, read_policy_file
+from robots.errors import ContractError
+from robots.spec import RobotSpec
+
+AGREEMENT = 1e-5  # absolute, in the unit of a raw action
+BATCHES = (1, 64)  # one robot, and a shard of a soak
+
+
+class Policy:
+    """One step for every robot. The same bits come out of the same observations at the same B.
+
+    An observation that is not finite spoils its own robot's action and no other.
+
+    Attributes:
+        contract: what the numbers mean.
+        digest: SHA-256 of the file.
+    """
+
+    def __init__(self, file: PolicyFile, source: str) -> None:
+        self.contract, self.digest, self._source = file.contract, file.digest, source
+        self._session = _session(file.data, source)
+        self._bind(1)
+
+    @classmethod
+    def load(cls, path: str | Path, spec: RobotSpec) -> Self:
+        """Read a policy for a robot and let it prove itself.
+
+        Raises:
+            ContractError: the file, its contract, or what it computes is not what this robot needs.
+        """
+        file = read_policy_file(Path(path))
+        check_contract(file.contract, spec, f"{path}: contract")
+        policy = cls(file, str(path))
+        for batch in BATCHES:
+            policy._prove(file, batch)
+        return policy
+
+    def step(self, observation: Float32s) -> Float32s:
+        """(B, N) observations to (B, A) raw actions: a view that holds until the next step.
+
+        Raises:
+            ContractError: the observation has another width than the contract says.
+        """
+        if observation.shape != self._observation.shape:
+            self._resize(observation.shape)
+        np.copyto(self._observation, observation)
+        self._session.run_with_iobinding(self._binding)
+        return self._action
+
+    def _resize(self, shape: tuple[int, ...]) -> None:
+        size = self.contract.observation_size
+        if len(shape) != 2 or shape[0] < 1 or shape[1] != size:
+            raise ContractError(f"{self._source}: observation: found shape {shape}, expected (B, {size})")
+        self._bind(shape[0])
+
+    def _bind(self, batch: int) -> None:
+        """Give ONNX Runtime fixed buffers, so that a step allocates nothing."""
+        self._observation = np.zeros((batch, self.contract.observation_size), np.float32)
+        self._action = np.zeros((batch, self.contract.action_size), np.float32)
+        self._binding = self._session.io_binding()
+        for bind, name, array in (
+            (self._binding.bind_input, INPUT, self._observation),
+            (self._binding.bind_output, OUTPUT, self._action),
+        ):
+            bind(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+
+    def _prove(self, file: PolicyFile, batch: int) -> None:
+        """Every golden pair once at this batch, the last batch filled up with the first pairs."""
+        rows = np.arange(-(-len(file.action) // batch) * batch) % len(file.action)
+        for chunk in rows.reshape(-1, batch):
+            worst = _deviation(self._try(file.observation[chunk]), file.action[chunk])
+            if not worst <= AGREEMENT:
+                raise ContractError(
+                    f"{self._source}: golden pairs: found a deviation of {worst:.3g} at batch {batch}, "
+                    f"expected at most {AGREEMENT:g}"
+                )
+
+    def _try(self, observation: Float32s) -> Float32s:
+        try:
+            return self.step(observation)
+        except Exception as e:  # ONNX Runtime's errors share no base
+            raise ContractError(
+                f"{self._source}: cannot be run at batch {len(observation)}: {_shortened(e)}"
+            ) from e
+
+
+def _session(data: bytes, source: str) -> ort.InferenceSession:
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # what goes wrong is raised, not logged
+    try:
+        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    except Exception as e:  # ONNX Runtime's errors share no base
+        raise ContractError(f"{source}: ONNX Runtime refuses it: {_shortened(e)}") from e
+
+
+def _deviation(found: Float32s, expected: Float32s) -> float:
+    return float(np.abs(found - expected).max())
+
+
+def _shortened(e: Exception) -> str:
+    return " ".join(str(e).split())[:300]

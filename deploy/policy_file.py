@@ -1,0 +1,186 @@
+"""What is inside a policy's ONNX file, checked before ONNX Runtime is asked to run it."""
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+import onnx
+from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+from onnx import AttributeProto, GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, numpy_helper
+from pydantic import Field, model_validator
+
+from deploy.contract import CONTRACT_KEY, Contract, Number, read_json
+from robots.errors import ContractError
+from robots.strict import Strict, parse
+
+GOLDEN_KEY = "firstshift.golden"
+INPUT, OUTPUT = "observation", "action"
+FILE_BYTES_MAX = 256 << 20
+GOLDEN_CHARACTERS_MAX = 16 << 20
+
+Rows = Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1, max_length=1024)]
+Float32s = NDArray[np.float32]
+
+
+class Golden(Strict):
+    """Pairs that the policy must reproduce before it may move anything.
+
+    Attributes:
+        observation: (G, N) float32 values. action: (G, A) float32 values, as torch computed them.
+    """
+
+    observation: Rows
+    action: Rows
+
+    @model_validator(mode="after")
+    def _paired(self) -> Self:
+        if len(self.observation) != len(self.action):
+            raise ValueError(f"{len(self.observation)} observations but {len(self.action)} actions")
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PolicyFile:
+    """A policy file that has passed every check that needs no robot.
+
+    Attributes:
+        data: the bytes that were checked, so that no other bytes are run.
+        digest: SHA-256 of `data`.
+        observation: (G, N) golden observations. action: (G, A) what must come out.
+    """
+
+    data: bytes
+    digest: str
+    contract: Contract
+    observation: Float32s
+    action: Float32s
+
+
+def read_policy_file(path: Path) -> PolicyFile:
+    """Read one policy file and check everything in it.
+
+    Raises:
+        ContractError: naming the file, the part of it, what was found and what was expected.
+    """
+    data = _read(path)
+    model = _model(data, path)
+    contract = Contract.from_json(_metadata(model, CONTRACT_KEY, path), f"{path}: {CONTRACT_KEY}")
+    _check_ends(model.graph, contract, path)
+    observation, action = _golden(model, contract, path)
+    digest = hashlib.sha256(data).hexdigest()
+    return PolicyFile(data=data, digest=digest, contract=contract, observation=observation, action=action)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        if path.stat().st_size > FILE_BYTES_MAX:
+            raise ContractError(f"{path}: {path.stat().st_size} bytes, at most {FILE_BYTES_MAX}")
+        return path.read_bytes()
+    except OSError as e:
+        raise ContractError(f"{path}: cannot be read: {e.strerror}, expected an ONNX policy") from e
+
+
+def _model(data: bytes, path: Path) -> ModelProto:
+    try:
+        model = onnx.load_model_from_string(data)
+    except DecodeError as e:
+        raise ContractError(f"{path}: not an ONNX file: its {len(data)} bytes cannot be decoded") from e
+    for complaint in _foreign(model):  # before the checker, which would follow external data
+        raise ContractError(f"{path}: {complaint}")
+    try:
+        onnx.checker.check_model(data)
+    except onnx.checker.ValidationError as e:
+        raise ContractError(f"{path}: not a valid ONNX model: {' '.join(str(e).split())[:300]}") from e
+    for tensor in _tensors(model.graph):
+        _check_finite(tensor, path)
+    return model
+
+
+def _foreign(model: ModelProto) -> Iterator[str]:
+    """What a policy may not hold: other files, own operators, steps of unknown cost."""
+    for tensor in _tensors(model.graph):
+        if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
+            yield f"tensor {tensor.name!r}: found external data, expected all weights in the one file"
+    for domain in [opset.domain for opset in model.opset_import] + [node.domain for node in model.graph.node]:
+        if domain not in ("", "ai.onnx"):
+            yield f"operator domain: found {domain!r}, expected only ai.onnx"
+    if model.functions or model.graph.sparse_initializer:
+        yield "found functions or sparse weights, expected plain nodes and dense weights"
+    for node, attribute in _attributes(model.graph):
+        if attribute.type in (AttributeProto.GRAPH, AttributeProto.GRAPHS):
+            yield f"node {node.name!r}: found {node.op_type} with a graph of its own, expected none"
+
+
+def _attributes(graph: GraphProto) -> Iterator[tuple[NodeProto, AttributeProto]]:
+    return ((node, attribute) for node in graph.node for attribute in node.attribute)
+
+
+def _tensors(graph: GraphProto) -> Iterator[TensorProto]:
+    yield from graph.initializer
+    for _, attribute in _attributes(graph):
+        yield from ([attribute.t] if attribute.HasField("t") else [])
+        yield from attribute.tensors
+
+
+def _check_finite(tensor: TensorProto, path: Path) -> None:
+    try:
+        values = numpy_helper.to_array(tensor)
+    except (ValueError, TypeError) as e:
+        raise ContractError(f"{path}: tensor {tensor.name!r}: cannot be read: {e!s:.200}") from e
+    if not np.issubdtype(values.dtype, np.floating):
+        return
+    if bad := int(values.size - np.isfinite(values).sum()):
+        what = f"found {bad} of {values.size} weights NaN or infinite, expected all finite"
+        raise ContractError(f"{path}: tensor {tensor.name!r}: {what}")
+
+
+def _metadata(model: ModelProto, key: str, path: Path) -> str:
+    for entry in model.metadata_props:
+        if entry.key == key:
+            return str(entry.value)
+    found = ", ".join(sorted(entry.key for entry in model.metadata_props)) or "none"
+    raise ContractError(
+        f"{path}: metadata {key}: missing, found keys: {found:.200}; expected a file written by policy-export"
+    )
+
+
+def _check_ends(graph: GraphProto, contract: Contract, path: Path) -> None:
+    weights = {tensor.name for tensor in graph.initializer}
+    inputs = [value for value in graph.input if value.name not in weights]
+    _check_end("input", inputs, INPUT, contract.observation_size, path)
+    _check_end("output", list(graph.output), OUTPUT, contract.action_size, path)
+
+
+def _check_end(
+    kind: Literal["input", "output"], found: list[ValueInfoProto], name: str, size: int, path: Path
+) -> None:
+    expected = f"expected one, {name!r} float32 (batch, {size}) with a batch of any size"
+    if [value.name for value in found] != [name]:
+        raise ContractError(f"{path}: {kind}: found {[value.name for value in found]!r:.200}, {expected}")
+    tensor = found[0].type.tensor_type
+    dims = [dim.dim_value if dim.HasField("dim_value") else dim.dim_param or "?" for dim in tensor.shape.dim]
+    fits = len(dims) == 2 and isinstance(dims[0], str) and dims[1] == size
+    if tensor.elem_type != TensorProto.FLOAT or not fits:
+        kind_found = TensorProto.DataType.Name(tensor.elem_type) if tensor.elem_type else "no tensor"
+        shape = ", ".join(map(str, dims))
+        raise ContractError(f"{path}: {kind} {name!r}: found {kind_found} ({shape:.100}), {expected}")
+
+
+def _golden(model: ModelProto, contract: Contract, path: Path) -> tuple[Float32s, Float32s]:
+    source = f"{path}: {GOLDEN_KEY}"
+    data = read_json(_metadata(model, GOLDEN_KEY, path), source, GOLDEN_CHARACTERS_MAX)
+    golden = parse(data, Golden, source=source, error=ContractError)
+    return (
+        _matrix(golden.observation, contract.observation_size, f"{source}: observation"),
+        _matrix(golden.action, contract.action_size, f"{source}: action"),
+    )
+
+
+def _matrix(rows: Rows, width: int, source: str) -> Float32s:
+    if widths := {len(row) for row in rows} - {width}:
+        raise ContractError(f"{source}: found a row of {widths.pop()} numbers, expected {width}")
+    return np.array(rows, dtype=np.float32)
