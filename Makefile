@@ -40,16 +40,17 @@ define environment
 $(1)/.locked: $(2)
 	@command -v $$(PYTHON) >/dev/null || { echo "error: PYTHON=$$(PYTHON): not found; Python 3.11 to 3.14 is needed" >&2; exit 2; }
 	@$$(PYTHON) -c 'import sys; v = sys.version_info[:2]; (3, 11) <= v < (3, 15) or sys.exit("error: PYTHON=$$(PYTHON) is Python %d.%d, but 3.11 to 3.14 is needed: make $$(MAKECMDGOALS) PYTHON=python3.12" % v)'
-	$$(PYTHON) -m venv $(1) || { rm -rf $(1); exit 2; }
-	$(1)/bin/python $$(PIP_INSTALL) --quiet $$(LOCKED) --requirement $(2)
+	@echo "$(1): installing what $(2) locks ($(3))"
+	@$$(PYTHON) -m venv $(1) || { rm -rf $(1); exit 2; }
+	@$(1)/bin/python $$(PIP_INSTALL) --quiet $$(LOCKED) --requirement $(2)
 	@touch $$@
 
 $(1)/.installed: $(1)/.locked pyproject.toml
-	$(1)/bin/python $$(PIP_INSTALL) --quiet $$(EDITABLE)
+	@$(1)/bin/python $$(PIP_INSTALL) --quiet $$(EDITABLE)
 	@touch $$@
 endef
-$(eval $(call environment,$(VENV),requirements.lock))
-$(eval $(call environment,$(VENV_ROBOT),requirements-robot.lock))
+$(eval $(call environment,$(VENV),requirements.lock,6.5 GB: a few minutes))
+$(eval $(call environment,$(VENV_ROBOT),requirements-robot.lock,1.1 GB: a minute))
 
 # ---- the main job ---------------------------------------------------------------------------------------------
 
