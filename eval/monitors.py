@@ -1,0 +1,223 @@
+"""The judge: decides from ground truth and from what was sent, and shares no code with what enforces.
+
+Everything is brought to a load, a fraction of its limit, in one array (B, C) and compared once. NaN is bad.
+Speed, acceleration and jerk of the commands are backward differences of the angles sent. On a continuous
+trajectory each is a mean of the true derivative, weighted by a B-spline, so it stays within what the
+trajectory keeps to. Source: de Boor, A Practical Guide to Splines (1978), ch. IX.
+"""
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.stage import Stage
+from deploy.state import Bools, Command, Floats, Ints, Mode, Target
+from eval.counts import JOINT_MONITORS, NAMES, REASONS, ROBOT_MONITORS, Counts
+from eval.truth import Truth
+from robots.spec import RobotSpec
+
+REARM_S = 0.5
+GOAL_M = 0.02
+GOAL_S = 4.0
+EVENTS_KEPT = 4
+MOVING = 0.01
+# Rounding, and the 1e-8 rad/s by which a planner may nudge its state: 2e-6 of the jerk limit at 200 Hz.
+SENT_TOLERANCE = 1e-4
+# A drive cannot exceed its range, it saturates at the end of it: that is the event.
+TORQUE_FULL = 0.999
+# The last joint monitors, which look at what was sent: the angle itself, then its differences by order.
+_TRACKING = NAMES.index("tracking")
+_DIFFERENCES = (_TRACKING + 1, _TRACKING + 2, _TRACKING + 3)
+_COUNTED = (
+    *("ticks", "invalid", "running", "moving", "stops", "reasons", "attempted", "reached"),
+    *("bad_ticks", "events", "worst", "log_start", "log_last", "log_worst"),
+)
+
+
+class Judge(Stage):
+    """Every monitor, on every tick, for every robot."""
+
+    carried: ClassVar[tuple[str, ...]] = (*_COUNTED, "last_bad", "powered_ticks", "sent", "mode", "goal")
+
+    def __init__(self, spec: RobotSpec, torque_max: Floats, robots: int, *, goal_s: float = GOAL_S) -> None:
+        """Allocate.
+
+        Args:
+            spec: limits and margins.
+            torque_max: (n,) N·m, each actuator's range at the joint.
+            robots: B.
+            goal_s: s that the task gives to a goal.
+        """
+        n, self._dt, self._joints, self._goal_s = spec.n, spec.dt, spec.joint_names, goal_s
+        self._middle = (spec.joint_array("q_max") + spec.joint_array("q_min")) / 2
+        self._limits = _limits(spec, torque_max)
+        self._to_load = 1.0 / _raw(self._limits, spec)
+        self._gap = round(REARM_S / spec.dt)
+        self._place = (np.array(spec.workspace.centre), spec.workspace.radius_max, spec.workspace.z_min)
+        self._allocate(robots, len(self._limits))
+        self.sent = np.zeros((robots, 3, n))
+        self._joint = self._load[:, : len(JOINT_MONITORS) * n].reshape(robots, len(JOINT_MONITORS), n)
+        self._robot = self._load[:, len(JOINT_MONITORS) * n :]
+        self._tool = np.zeros((robots, 2, 3))
+
+    def _allocate(self, robots: int, channels: int) -> None:
+        self.ticks, self.invalid, self.running, self.moving, self.stops, self.attempted, self.reached = (
+            np.zeros(robots, dtype=np.int64) for _ in range(7)
+        )
+        self.powered_ticks = np.zeros(robots, dtype=np.int64)
+        self.reasons = np.zeros((robots, len(REASONS)), dtype=np.int64)
+        self.mode = np.full(robots, Mode.DISARMED, dtype=np.int64)
+        self.goal = np.zeros((robots, 3))
+        self.bad_ticks, self.events = (np.zeros((robots, channels), dtype=np.int64) for _ in range(2))
+        self.last_bad = np.full((robots, channels), -self._gap - 1)
+        self.worst, self._load = (np.zeros((robots, channels)) for _ in range(2))
+        self._fine = np.ones((robots, channels), dtype=bool)
+        self.log_start, self.log_last = (np.full((robots, channels, EVENTS_KEPT), -1) for _ in range(2))
+        self.log_worst = np.zeros((robots, channels, EVENTS_KEPT))
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def step(
+        self,
+        *,
+        truth: Truth,
+        target: Target,
+        command: Command,
+        mode: NDArray[np.integer],
+        reason: Ints,
+        goal: Floats,
+        attempted: Ints,
+    ) -> None:
+        """Judge one tick.
+
+        Args:
+            truth: after the physics of this tick.
+            target: what the policy asked for.
+            command: what was sent in this tick.
+            mode: (B,) of `Mode`. reason: (B,) bit sets of `Reason`.
+            goal: (B, 3) m, the tool's present goal in the world.
+            attempted: (B,) goals over so far. Where it rises, the goal of the tick before is over.
+        """
+        self._measure_joints(truth, target, command)
+        self._measure_tool(truth)
+        self._forget(truth.valid, command.powered)
+        self._compare()
+        self._count_time(truth.valid, mode)
+        self._count_stops(mode, reason)
+        self._count_goals(truth, goal, attempted)
+
+    def counts(self) -> Counts:
+        """Copies of what was found so far."""
+        shared = {name: getattr(self, name).copy() for name in _COUNTED}
+        return Counts(
+            joints=self._joints, dt=self._dt, goal_s=self._goal_s, limits=self._limits.copy(), **shared
+        )
+
+    def _measure_joints(self, truth: Truth, target: Target, command: Command) -> None:
+        """Fill the channels of `JOINT_MONITORS`, in their order, with loads."""
+        to, sent = self._joint, self.sent
+        np.subtract(target.q, self._middle, out=to[:, 0])
+        np.subtract(truth.q, self._middle, out=to[:, 1])
+        to[:, 2] = to[:, 1]
+        to[:, 3] = truth.qd
+        to[:, 4] = truth.tau
+        to[:, 5:7] = truth.winding_c[:, None]
+        np.subtract(truth.q, command.q, out=to[:, _TRACKING])
+        now = command.q
+        for order, channel in enumerate(_DIFFERENCES):
+            np.subtract(now, sent[:, order], out=to[:, channel])
+            sent[:, order] = now
+            now = to[:, channel]
+
+    def _measure_tool(self, truth: Truth) -> None:
+        """Fill the channels of `ROBOT_MONITORS`, in their order, and bring all channels to loads."""
+        centre, radius_max, z_min = self._place
+        np.subtract(truth.tool_position, centre, out=self._tool[:, 0])
+        self._tool[:, 1] = truth.tool_velocity
+        self._robot[:, 0] = truth.self_collision
+        np.sqrt(np.einsum("bki,bki->bk", self._tool, self._tool), out=self._robot[:, 1:])
+        below = radius_max + z_min - truth.tool_position[:, 2]
+        np.maximum(self._robot[:, 1], below, out=self._robot[:, 1])
+        np.abs(self._load, out=self._load)
+        self._load *= self._to_load
+
+    def _forget(self, valid: Bools, powered: Bools) -> None:
+        """Drop the loads of diverged robots, and of differences that span ticks without power."""
+        if not valid.all():
+            self._load[~valid] = 0.0
+        self.powered_ticks += 1
+        self.powered_ticks *= powered & valid
+        if self.powered_ticks.min() < 4:
+            self._joint[:, _TRACKING:][self.powered_ticks[:, None] < (1, 2, 3, 4)] = 0.0
+
+    def _compare(self) -> None:
+        np.less_equal(self._load, 1.0, out=self._fine)
+        if not self._fine.all():
+            self._record(np.flatnonzero(~self._fine))
+        np.maximum(self.worst, self._load, out=self.worst)
+
+    def _record(self, bad: NDArray[np.intp]) -> None:
+        """Count bad channels (indices into B × C) and log the first events of each."""
+        tick, load = self.ticks[0], self._load.reshape(-1)
+        load[bad] = np.nan_to_num(load[bad], nan=np.inf, posinf=np.inf)
+        last, events = self.last_bad.reshape(-1), self.events.reshape(-1)
+        events[bad] += tick - last[bad] > self._gap
+        last[bad] = tick
+        self.bad_ticks.reshape(-1)[bad] += 1
+        slot = events[bad] - 1
+        kept = slot < EVENTS_KEPT
+        at = bad[kept] * EVENTS_KEPT + slot[kept]
+        start, worst = self.log_start.reshape(-1), self.log_worst.reshape(-1)
+        start[at] = np.where(start[at] < 0, tick, start[at])
+        self.log_last.reshape(-1)[at] = tick
+        worst[at] = np.maximum(worst[at], load[bad[kept]])
+
+    def _count_time(self, valid: Bools, mode: NDArray[np.integer]) -> None:
+        running = (mode == Mode.RUNNING) & valid
+        self.ticks += 1
+        self.invalid += ~valid
+        self.running += running
+        self.moving += running & (self._joint[:, _DIFFERENCES[0]].max(axis=1) > MOVING)
+
+    def _count_stops(self, mode: NDArray[np.integer], reason: Ints) -> None:
+        """A stop begins where STOPPING is entered, or where RUNNING is left for anything else."""
+        if (mode == self.mode).all():
+            return
+        left = (self.mode == Mode.RUNNING) & (mode != Mode.RUNNING)
+        stop = left | ((mode == Mode.STOPPING) & (self.mode != Mode.STOPPING))
+        self.stops += stop
+        self.reasons[:, 0] += stop & (reason == 0)
+        self.reasons[:, 1:] += stop[:, None] & (reason[:, None] >> np.arange(len(REASONS) - 1)) & 1
+        self.mode[:] = mode
+
+    def _count_goals(self, truth: Truth, goal: Floats, attempted: Ints) -> None:
+        """A goal is reached if the tool is there when its time is over, with the robot still at work."""
+        over = attempted > self.attempted
+        if over.any():
+            missed = np.linalg.norm(truth.tool_position - self.goal, axis=1)
+            self.reached += over & (missed <= GOAL_M) & (self.mode == Mode.RUNNING) & truth.valid
+            self.attempted[:] = attempted
+        self.goal[:] = goal
+
+
+def _limits(spec: RobotSpec, torque_max: Floats) -> Floats:
+    """(C,) in the units of the monitors; positions are from the middle of the working range."""
+    half = (spec.joint_array("q_max") - spec.joint_array("q_min")) / 2
+    speed = spec.joint_array("qd_max")
+    soft, hard = spec.motor_array("winding_soft_c"), spec.motor_array("winding_max_c")
+    tracking = np.full(spec.n, spec.margins.tracking_rad)
+    position = (half, half - spec.margins.q_soft_rad, half)
+    sent = (speed, spec.joint_array("qdd_max"), spec.joint_array("qddd_max"))
+    joint = (*position, speed, TORQUE_FULL * torque_max, soft, hard, tracking, *sent)
+    robot = (0.5, spec.workspace.radius_max, spec.workspace.tool_speed_max)
+    if (len(joint), len(robot)) != (len(JOINT_MONITORS), len(ROBOT_MONITORS)):
+        raise ValueError(f"limits: {len(joint)} + {len(robot)}, monitors: {JOINT_MONITORS + ROBOT_MONITORS}")
+    return np.concatenate([*joint, robot])
+
+
+def _raw(limits: Floats, spec: RobotSpec) -> Floats:
+    """(C,) limits of what is measured: of sent angles that is differences, not yet divided by dt."""
+    raw, n = limits.copy(), spec.n
+    for order, channel in enumerate(_DIFFERENCES, start=1):
+        raw[channel * n : (channel + 1) * n] *= spec.dt**order * (1 + SENT_TOLERANCE)
+    return raw

@@ -1,0 +1,41 @@
+"""What the judge must be told of the simulated world; the simulated robot's own record fits it."""
+
+from typing import Protocol
+
+from deploy.state import Bools, Floats
+
+
+class Truth(Protocol):
+    """What the simulation knows and the robot does not: arrays (B, ...), world frame."""
+
+    @property
+    def q(self) -> Floats:
+        """(B, n) rad."""
+
+    @property
+    def qd(self) -> Floats:
+        """(B, n) rad/s."""
+
+    @property
+    def tau(self) -> Floats:
+        """(B, n) N·m of the actuators, at the joint."""
+
+    @property
+    def winding_c(self) -> Floats:
+        """(B, n) °C."""
+
+    @property
+    def tool_position(self) -> Floats:
+        """(B, 3) m."""
+
+    @property
+    def tool_velocity(self) -> Floats:
+        """(B, 3) m/s."""
+
+    @property
+    def self_collision(self) -> Bools:
+        """(B,) whether two links of the robot touch."""
+
+    @property
+    def valid(self) -> Bools:
+        """(B,) False once the simulation diverged: the row says nothing any more."""

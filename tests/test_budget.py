@@ -1,0 +1,110 @@
+"""Budgets: the shipped one, every way of misspelling one, and what passes."""
+
+import dataclasses
+import tomllib
+
+import numpy as np
+import pytest
+
+from eval.budget import BUDGET, check, load_budget
+from eval.counts import MONITORS, NAMES
+from eval.monitors import Judge
+from robots.errors import ConfigError
+from robots.spec import load_robot
+
+
+def counts(events=(), *, hours=2.0, running=1.0, reached=1.0, invalid=0):
+    """Two robots' counts, with the monitors in `events` having fired on robot 0."""
+    found = Judge(load_robot("arm6"), np.full(6, 100.0), robots=2).counts()
+    ticks = round(hours / 2 * 3600 / found.dt)
+    goals = round(hours / 2 * 900)
+    found.ticks[:] = ticks
+    found.running[:] = round(running * ticks)
+    found.attempted[:] = goals
+    found.reached[:] = round(reached * goals)
+    found.invalid[1] = invalid
+    for name in events:
+        found.events[0, found.columns(name).start] += 1
+    return found
+
+
+def failed(*args, **kwargs):
+    return {finding.name for finding in check(load_budget(), counts(*args, **kwargs)) if not finding.passed}
+
+
+def test_clean_work_passes_and_every_limited_monitor_has_a_line():
+    assert failed() == set()
+    budget = load_budget()
+    lines = {finding.name for finding in check(budget, counts())}
+    assert lines == {"goal_success", "availability", "invalid", *NAMES} - set(budget.unlimited)
+
+
+@pytest.mark.parametrize("monitor", [m for m in MONITORS if m.hard], ids=lambda m: m.name)
+def test_one_hard_event_fails(monitor):
+    assert failed([monitor.name]) == {monitor.name}
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "lines"),
+    [
+        ({"running": 0.98}, {"availability"}),
+        ({"reached": 0.96}, {"goal_success"}),
+        ({"running": 0.0, "reached": 0.0}, {"availability", "goal_success"}),
+        ({"hours": 0.0}, {"availability", "goal_success"}),
+        ({"invalid": 1}, {"invalid"}),
+        ({"events": ["tracking"], "hours": 20.0}, set()),
+        ({"events": ["tracking"], "hours": 8.0}, {"tracking"}),
+        ({"events": ["tracking"], "hours": 0.0}, {"availability", "goal_success", "tracking"}),
+        ({"events": ["position_requested"] * 50}, set()),
+    ],
+)
+def test_each_line_fails_for_itself(kwargs, lines):
+    assert failed(**kwargs) == lines
+
+
+def test_a_number_that_is_none_does_not_pass():
+    line = check(load_budget(), counts())[0]
+    assert not dataclasses.replace(line, found=float("nan")).passed
+    assert not dataclasses.replace(line, found=float("nan"), at_least=False).passed
+
+
+TEXT = BUDGET.read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("availability_min", "availabilty_min", "availabilty_min: Extra inputs"),
+        (
+            "availability_min = 0.99",
+            "availability_min = 99",
+            "availability_min: .* less than or equal to 1, found 99",
+        ),
+        ("goal_success_min = 0.97", "goal_success_min = nan", "goal_success_min: .*finite"),
+        ("jerk = 0", "jerk = -1", r"events_max\.jerk: .* found -1"),
+        ("jerk = 0", "jerk = 0.5", r"events_max\.jerk: .* found 0\.5"),
+        ("jerk = 0", "jerks = 0", "unknown monitor 'jerks'; known: .*jerk"),
+        ("jerk = 0", "", "no line for jerk"),
+        ("jerk = 0", "jerk = 0\ntracking = 0", "monitor 'tracking' has 2 lines"),
+        ("invalid_ticks_max = 0", "", "invalid_ticks_max: Field required"),
+        ("[events_max]", "[events_max", "not valid TOML"),
+    ],
+)
+def test_a_wrong_budget_names_file_and_field(tmp_path, old, new, message):
+    path = tmp_path / "budget.toml"
+    assert old in TEXT
+    path.write_text(TEXT.replace(old, new, 1))
+    with pytest.raises(ConfigError, match=message) as caught:
+        load_budget(path)
+    assert str(path) in str(caught.value)
+
+
+def test_no_budget_file(tmp_path):
+    with pytest.raises(ConfigError, match=r"none\.toml: cannot be read: No such file"):
+        load_budget(tmp_path / "none.toml")
+
+
+def test_the_shipped_budget_holds_the_figures_of_the_project():
+    shipped = tomllib.loads(TEXT)
+    assert (shipped["goal_success_min"], shipped["availability_min"]) == (0.97, 0.99)
+    assert all(shipped["events_max"][monitor.name] == 0 for monitor in MONITORS if monitor.hard)

@@ -1,0 +1,77 @@
+"""Bounds against published figures, closed forms, and a simulation study of what they promise."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from eval import evidence
+
+
+def test_no_events_is_the_rule_of_three():
+    assert evidence.rate_upper(0, 8.0) == pytest.approx(-np.log(0.05) / 8)
+    assert evidence.rate_upper(0, 8.0) == pytest.approx(0.374, abs=5e-4)
+    assert evidence.rate_lower(0, 8.0) == 0
+
+
+@pytest.mark.parametrize(("events", "hours"), [(0, 3.00), (1, 4.74), (2, 6.30), (5, 10.5)])
+def test_hours_that_show_one_failure_an_hour(events, hours):
+    """The exposure factors that reliability tables print at 95 %."""
+    assert evidence.rate_upper(events, hours) == pytest.approx(1.0, abs=5e-3)
+
+
+@pytest.mark.parametrize("events", [1, 3, 20])
+def test_rate_bounds_are_where_the_poisson_tail_is_five_percent(events):
+    assert stats.poisson.cdf(events, evidence.rate_upper(events, 2.0) * 2.0) == pytest.approx(0.05)
+    assert stats.poisson.sf(events - 1, evidence.rate_lower(events, 2.0) * 2.0) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(("draws", "bound"), [(16, 0.17), (64, 0.046), (299, 0.01)])
+def test_no_bad_draw(draws, bound):
+    assert evidence.share_upper(0, draws) == pytest.approx(1 - 0.05 ** (1 / draws))
+    assert evidence.share_upper(0, draws) == pytest.approx(bound, abs=1e-3)
+
+
+@pytest.mark.parametrize(("hits", "trials"), [(1, 16), (5, 16), (900, 1000)])
+def test_share_bounds_are_where_the_binomial_tail_is_five_percent(hits, trials):
+    assert stats.binom.cdf(hits, trials, evidence.share_upper(hits, trials)) == pytest.approx(0.05)
+    assert stats.binom.sf(hits - 1, trials, evidence.share_lower(hits, trials)) == pytest.approx(0.05)
+
+
+def test_intervals_equal_scipys_own():
+    found = stats.binomtest(37, 40).proportion_ci(method="exact")
+    assert evidence.share_interval(37, 40) == pytest.approx((found.low, found.high))
+    low, high = evidence.rate_interval(4, 2.0)
+    assert (2 * low, 2 * high) == pytest.approx((1.0899, 10.2416), abs=1e-4)  # Garwood's table, 4 events
+
+
+def test_nothing_seen_allows_everything():
+    assert evidence.rate_interval(0, 0.0) == (0, np.inf)
+    assert evidence.share_interval(0, 0) == (0, 1)
+    assert evidence.share_upper(16, 16) == 1
+
+
+STUDY = 20_000
+
+
+@pytest.mark.parametrize(("rate", "hours"), [(0.02, 8), (0.3, 8), (0.3, 128), (2.0, 128)])
+def test_rates_cover_what_they_promise(rate, hours):
+    events = np.random.default_rng(1).poisson(rate * hours, size=STUDY)
+    low, high = evidence.rate_interval(events, hours)
+    assert np.mean((low <= rate) & (rate <= high)) >= 0.94
+    assert np.mean(rate <= evidence.rate_upper(events, hours)) >= 0.94
+    assert np.mean(evidence.rate_lower(events, hours) <= rate) >= 0.94
+
+
+@pytest.mark.parametrize(("share", "trials"), [(0.03, 16), (0.2, 64), (0.97, 900), (0.5, 20)])
+def test_shares_cover_what_they_promise(share, trials):
+    hits = np.random.default_rng(2).binomial(trials, share, size=STUDY)
+    low, high = evidence.share_interval(hits, trials)
+    assert np.mean((low <= share) & (share <= high)) >= 0.94
+    assert np.mean(share <= evidence.share_upper(hits, trials)) >= 0.94
+    assert np.mean(evidence.share_lower(hits, trials) <= share) >= 0.94
+
+
+@pytest.mark.parametrize("interval", [evidence.rate_interval, evidence.share_interval])
+def test_more_of_the_same_narrows_the_interval(interval):
+    widths = [high - low for low, high in (interval(k, 10 * k) for k in (1, 4, 16, 64))]
+    assert widths == sorted(widths, reverse=True)
