@@ -100,8 +100,6 @@ class Reason(IntFlag):
     NOT_FINITE = 1 << 11
     OVERRUN = 1 << 12
     OPERATOR = 1 << 13
-    ARMING = 1 << 14
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
@@ -110,10 +108,12 @@ class Verdict:
     Attributes:
         reason: (B,) int64 bit sets of `Reason`, 0 where the setpoint may be sent.
         tau: (B, n) N·m, inverse-dynamics torque of the setpoint (nominal model).
+        tau_ahead: (B, n) N·m, the same one step into a stop that would begin there.
     """
 
     reason: Ints
     tau: Floats
+    tau_ahead: Floats
 
 
 class Mode(IntEnum):

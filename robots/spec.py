@@ -95,6 +95,8 @@ class Margins(Strict):
         collision_m: clearance kept between capsules.
         singularity: least |det J| of the tool Jacobian, m³ for a six-joint arm.
         tracking_rad: setpoint minus estimate that stops the robot.
+        stale_s: age of the newest sample that makes the robot slow down and hold.
+        lost_s: age of the newest sample that makes it stop and cut power.
     """
 
     q_target_rad: PositiveFloat
@@ -103,6 +105,8 @@ class Margins(Strict):
     collision_m: PositiveFloat
     singularity: PositiveFloat
     tracking_rad: PositiveFloat
+    stale_s: PositiveFloat
+    lost_s: PositiveFloat
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -110,6 +114,8 @@ class Margins(Strict):
             raise ValueError(
                 f"q_soft_rad {self.q_soft_rad} is not below q_target_rad {self.q_target_rad}"
             )
+        if not self.stale_s < self.lost_s:
+            raise ValueError(f"stale_s {self.stale_s} is not below lost_s {self.lost_s}")
         return self
 
 
@@ -136,12 +142,14 @@ class Encoder(Strict):
         resolution_rad: rad per count at the joint.
         noise_rad: rad, standard deviation of a sample.
         delay_s: s, from taking to arriving.
+        acceleration_density: rad²/s³, how restless the estimator takes a joint to be between samples.
         source: where the numbers come from.
     """
 
     resolution_rad: PositiveFloat
     noise_rad: PositiveFloat
     delay_s: Annotated[float, Field(ge=0, lt=0.1)]
+    acceleration_density: PositiveFloat
     source: str
 
 

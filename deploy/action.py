@@ -1,0 +1,46 @@
+"""From the policy's numbers to joint targets, as the contract says."""
+
+import numpy as np
+
+from deploy.contract import ActionSpec
+from deploy.stage import Stage
+from deploy.state import Bools, Floats, Target
+
+
+class Action(Stage):
+    """Position increments: each action moves the target, on a leash around the trajectory."""
+
+    carried = ("q", "last", "finite")
+
+    def __init__(self, spec: ActionSpec, robots: int) -> None:
+        """Allocate for B robots."""
+        self._scale = np.array(spec.scale)
+        self._low, self._high = spec.clip
+        self._leash = spec.leash_rad
+        self.q = np.zeros((robots, spec.size))
+        self.last = np.zeros((robots, spec.size))
+        self.finite = np.ones(robots, dtype=bool)
+
+    def reset(self, ids: Bools, q: Floats) -> None:
+        """Targets (B, n) of robots where `ids` holds start at `q`; their last action is none."""
+        self.q[ids], self.last[ids], self.finite[ids] = q[ids], 0.0, True
+
+    def step(self, action: Floats, q_setpoint: Floats) -> Target:
+        """The new target.
+
+        Args:
+            action: (B, A) what the policy said; a row that is not finite changes nothing but `finite`.
+            q_setpoint: (B, n) rad, where the trajectory is.
+        """
+        np.isfinite(action).all(axis=1, out=self.finite)
+        use = self.finite[:, None]
+        np.copyto(self.last, np.clip(action, self._low, self._high), where=use)
+        moved = self.q + self._scale * self.last
+        leashed = np.clip(moved, q_setpoint - self._leash, q_setpoint + self._leash)
+        np.copyto(self.q, leashed, where=use)
+        return self.target
+
+    @property
+    def target(self) -> Target:
+        """The target as it stands."""
+        return Target(q=self.q, finite=self.finite)

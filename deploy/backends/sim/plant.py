@@ -1,0 +1,158 @@
+"""The physics of B robots as they really are: MuJoCo with every robot's own draw, and the heat of its motors."""
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+
+from deploy.backends.sim.truth import Truth
+from deploy.stage import Stage
+from deploy.state import Bools, Command, Floats
+from robots.draws import Draw
+from robots.model_mujoco import INPUTS, load_mujoco
+from robots.spec import RobotSpec
+
+_R, _K, _KP, _KD = 0, 1, 4, 6
+"""Places of resistance, motor constant and drive gains in a dcmotor's `gainprm`."""
+_RWH, _AMBIENT = 2, 4
+"""Places of winding-to-housing resistance and of ambient temperature in a dcmotor's `dynprm`."""
+_DIVERGED = [
+    int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    int(mujoco.mjtWarning.mjWARN_BADQACC),
+]
+
+
+class Plant(Stage):
+    """B simulations of one model.
+
+    MuJoCo's `dcmotor` holds the winding's node, as a rise over an ambient; that ambient is the housing, whose node
+    is integrated here.
+    """
+
+    carried = ("rows", "housing", "held", "braked", "tool", "tool_velocity", "valid")
+
+    def __init__(self, spec: RobotSpec, draw: Draw, *, threads: int = 1) -> None:
+        """Build the simulations at the home pose, brakes on.
+
+        Args:
+            spec: the robot as it should be.
+            draw: B robots as they are.
+            threads: for physics; results do not depend on it.
+        """
+        model = load_mujoco(spec)
+        # A diverged simulation must be seen, not silently put back to its start.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        robots, n = draw.mass.shape
+        self._batch = Batch(model, robots, nthread=threads)
+        self._substeps = spec.rates.physics_hz // spec.rates.control_hz
+        self._dt, self._gear = spec.dt, model.actuator_gear[:, 0].copy()
+        self._tool_site = model.site(spec.tool).id
+        self._apply(draw, model)
+        bind = self._batch.bind
+        self.rows, self.q, self.qd = self._batch.state, bind("qpos"), bind("qvel")
+        self._ctrl = bind("ctrl").reshape(robots, n, INPUTS)
+        self._rise = bind("act")
+        self._force, self._tau = bind("actuator_force"), bind("qfrc_actuator")
+        self._site, self._contacts = bind("site_xpos"), bind("ncon")
+        self._ambient = draw.ambient_c[:, None]
+        self._to_ambient = spec.motor_array("housing_resistance_k_per_w")
+        self._capacity = spec.motor_array("housing_capacity_j_per_k")
+        self.housing = self._ambient + draw.warm_start_k[:, None] + np.zeros((robots, n))
+        self._warm = self.housing.copy()
+        self.held, self.braked = np.zeros((robots, n)), np.ones(robots, dtype=bool)
+        self.tool, self.tool_velocity = np.zeros((robots, 3)), np.zeros((robots, 3))
+        self.valid = np.ones(robots, dtype=bool)
+        self.reset(np.ones(robots, dtype=bool), np.tile(spec.joint_array("q_home"), (robots, 1)))
+
+    def _apply(self, draw: Draw, model: mujoco.MjModel) -> None:
+        """Write every robot's own parameters; mass and inertia move together."""
+        expand, links = self._batch.expand, model.jnt_bodyid
+        expand("body_mass")[:, links] *= draw.mass
+        expand("body_inertia")[:, links] *= draw.mass[:, :, None]
+        expand("dof_frictionloss")[:] *= draw.friction
+        expand("dof_damping")[:] *= draw.damping
+        expand("dof_armature")[:] *= draw.armature
+        gain = expand("actuator_gainprm")
+        gain[:, :, _R] *= draw.resistance
+        gain[:, :, _K] *= draw.torque_constant
+        gain[:, :, _KP] *= draw.kp
+        gain[:, :, _KD] *= draw.kd
+        self._motor_constant = gain[:, :, _K].copy()
+        self._node = expand("actuator_dynprm")
+        self._to_housing = model.actuator_dynprm[:, _RWH].copy()
+        self._batch.set_const()
+
+    def reset(self, ids: Bools, q: Floats) -> None:
+        """Rest robots where `ids` (B,) holds at `q` (B, n) rad: motors as at the start of the shift, brakes on."""
+        rows = np.flatnonzero(ids)
+        self._batch.reset(rows)
+        self.q[rows], self.held[rows], self.braked[rows] = q[rows], q[rows], True
+        self.housing[rows] = self._warm[rows]
+        self._node[rows, :, _AMBIENT] = self.housing[rows]
+        self._hold(rows)
+        self._batch.forward(rows)
+        self.tool[rows], self.tool_velocity[rows] = self._site[rows, self._tool_site], 0.0
+        self.valid[rows] = True
+
+    def step(self, command: Command) -> None:
+        """One control period under a command."""
+        self._drive(command)
+        ids = None if self.valid.all() else np.flatnonzero(self.valid)
+        try:
+            self._batch.step(ids, nstep=self._substeps)
+        except SimulationError as e:
+            self.valid[e.ids] = False
+        self.valid &= ~self._batch.warning[:, _DIVERGED, 0].any(axis=1)
+        self._heat()
+        tool = self._site[:, self._tool_site]
+        np.subtract(tool, self.tool, out=self.tool_velocity)
+        self.tool_velocity /= self._dt
+        self.tool[:] = tool
+
+    def _drive(self, command: Command) -> None:
+        """Setpoints in motor space; brakes are the drive holding the pose they closed on."""
+        self._ctrl[:, :, 0] = command.q * self._gear
+        self._ctrl[:, :, 1] = command.qd * self._gear
+        self._ctrl[:, :, 2] = command.tau / self._gear
+        self.braked &= ~command.powered
+        if not command.powered.all():
+            self.brake(~command.powered)
+
+    def brake(self, ids: Bools) -> None:
+        """Close the brakes of robots where `ids` (B,) holds, on the pose they find."""
+        closing = ids & ~self.braked
+        self.held[closing] = self.q[closing]
+        self.braked |= ids
+        self._hold(np.flatnonzero(self.braked))
+
+    def _hold(self, rows: np.ndarray) -> None:
+        self._ctrl[rows, :, 0] = self.held[rows] * self._gear
+        self._ctrl[rows, :, 1:] = 0.0
+
+    def _heat(self) -> None:
+        """Housing node, Source: see `robots.motor`; the winding keeps its temperature when its ambient moves."""
+        flow = self._rise / self._to_housing - (self.housing - self._ambient) / self._to_ambient
+        warming = flow * (self._dt / self._capacity)
+        self.housing += warming
+        self._rise -= warming
+        self._node[:, :, _AMBIENT] = self.housing
+
+    @property
+    def current(self) -> Floats:
+        """(B, n) A, motor current."""
+        return self._force / self._motor_constant
+
+    def truth(self, t: float) -> Truth:
+        """What really holds at time `t`, s."""
+        return Truth(
+            t=t,
+            q=self.q,
+            qd=self.qd,
+            tau=self._tau,
+            tool_position=self.tool,
+            tool_velocity=self.tool_velocity,
+            self_collision=self._contacts > 0,
+            winding_c=self.housing + self._rise,
+            housing_c=self.housing,
+            valid=self.valid,
+        )

@@ -1,0 +1,34 @@
+"""What really happened, which no robot can know: for the judge and for rewards, never for the runtime."""
+
+from dataclasses import dataclass
+
+from deploy.state import Bools, Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """Ground truth at the end of a control period.
+
+    MuJoCo's derived fields describe the state one physics step (1 ms) before `q` and `qd`.
+
+    Attributes:
+        t: s.
+        q: (B, n) rad. qd: (B, n) rad/s.
+        tau: (B, n) N·m, actuator torque at the joint.
+        tool_position: (B, 3) m, world.
+        tool_velocity: (B, 3) m/s, world, mean over the last control period.
+        self_collision: (B,) any contact between links or with the table.
+        winding_c, housing_c: (B, n) °C.
+        valid: (B,) False from the moment the simulation of a robot diverged.
+    """
+
+    t: float
+    q: Floats
+    qd: Floats
+    tau: Floats
+    tool_position: Floats
+    tool_velocity: Floats
+    self_collision: Bools
+    winding_c: Floats
+    housing_c: Floats
+    valid: Bools

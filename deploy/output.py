@@ -1,0 +1,37 @@
+"""Files that are written whole or not at all."""
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from robots.errors import OutputError
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """An empty file beside `path`, to be filled; it takes the place of `path` when the block ends well.
+
+    Raises:
+        OutputError: the place cannot be written. What stood there stands there still.
+    """
+    partial = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
+    try:
+        _check_replaceable(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.open("xb").close()
+        try:
+            yield partial
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as e:
+        raise OutputError(f"--out {path}: cannot be written: {e.strerror}") from e
+
+
+def _check_replaceable(path: Path) -> None:
+    if path.exists() and not path.is_file():
+        raise OutputError(f"--out {path}: found something that is no file, expected a file or nothing")
+    if path.exists() and not os.access(path, os.W_OK):
+        raise OutputError(f"--out {path}: found a write-protected file, expected a writable one or nothing")

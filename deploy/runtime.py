@@ -1,0 +1,162 @@
+"""The tick, in order, and nothing else: on one robot or on five hundred, simulated or real, soaked or shipped."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.action import Action
+from deploy.backends.base import Robot
+from deploy.contract import Contract
+from deploy.estimator import Estimator
+from deploy.observation import Observation, Sources
+from deploy.policy import Policy
+from deploy.safety import Safety
+from deploy.smoother import Smoother
+from deploy.state import Bools, Command, Floats, Ints, Reason, Setpoint, State, Target, Verdict
+from deploy.supervisor import Supervisor
+from deploy.tasks.reach import Reach
+from robots.model_pinocchio import Fleet
+from robots.spec import RobotSpec
+
+
+class Runtime:
+    """B robots under one policy.
+
+    `sense` and `act` are the two halves of a tick; a policy, shipped or in training, sits between them. After a tick
+    every record of it can be read: `state`, `target`, `verdict`, `setpoint`, `command`.
+    """
+
+    state: State
+    verdict: Verdict
+    command: Command
+
+    def __init__(
+        self,
+        spec: RobotSpec,
+        contract: Contract,
+        robot: Robot,
+        seeds: Sequence[np.random.SeedSequence],
+        policy: Policy | None = None,
+    ) -> None:
+        """Build every stage; nothing moves until `arm`.
+
+        Args:
+            spec: the robot.
+            contract: what the policy was promised, checked against `spec` beforehand.
+            robot: the backend, B robots wide.
+            seeds: B seeds, from which each robot's goals follow.
+            policy: None where the caller puts its own between `sense` and `act`.
+        """
+        self.spec, self.contract, self.robot, self.policy = spec, contract, robot, policy
+        robots = robot.robots
+        self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
+        self.fleet = Fleet(spec, robots)
+        self.safety = Safety(spec, self.fleet)
+        self.estimator = Estimator(spec, robots)
+        self.action = Action(contract.action, robots)
+        self.smoother = Smoother(spec, robots)
+        self.supervisor = Supervisor(robots, spec.dt)
+        self.task = Reach(spec, seeds)
+        self.observation = Observation(contract, self._sources(), robots)
+        self.asked = np.zeros(robots, dtype=np.int64)
+        self._ahead, self._tau_ahead = self.smoother.sent, np.zeros((robots, spec.n))
+        self._tool = np.zeros((robots, 3))
+
+    def _sources(self) -> Sources:
+        return {
+            "joint_position": lambda: self.state.q,
+            "joint_velocity": lambda: self.state.qd,
+            "tool_position": lambda: self._tool,
+            "goal_from_tool": lambda: self.task.goal - self._tool,
+            "last_action": lambda: self.action.last,
+        }
+
+    @property
+    def t(self) -> float:
+        """s, when the coming tick is due."""
+        return self.ticks * self.spec.dt
+
+    @property
+    def target(self) -> Target:
+        """What the policy wants, before any limit."""
+        return self.action.target
+
+    @property
+    def setpoint(self) -> Setpoint:
+        """What was sent last."""
+        return self.smoother.sent
+
+    def tick(self) -> None:
+        """Sense, think when it is time to, act."""
+        observation = self.sense()
+        self.act(None if observation is None or self.policy is None else self.policy.step(observation))
+
+    def sense(self) -> NDArray[np.float32] | None:
+        """Read and estimate; the observation (B, N) when the policy is due, else None."""
+        self.state = self.estimator.step(self.t, self.robot.read())
+        if self.ticks % self.decimation:
+            return None
+        self.fleet.place(self.state.q)
+        self._tool[:] = self.fleet.tool_position
+        return self.observation.step()
+
+    def act(self, action: Floats | None) -> None:
+        """Plan, check, decide and send; `action` (B, A) where the policy has spoken, else None."""
+        if action is not None:
+            self.action.step(action, self.smoother.q)
+        planned = self.smoother.next(self.action.q, self.supervisor.stopping)
+        ahead, q_rest = self.smoother.brake(planned)
+        self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_rest)
+        obey = self.supervisor.step(self._reason(), self.smoother.at_rest)
+        self._send(obey, planned)
+        self._ahead, self._tau_ahead = ahead, self.verdict.tau_ahead
+        self.task.step(self._tool)
+        self.ticks += 1
+
+    def _reason(self) -> Ints:
+        silent = ~self.action.finite * np.int64(Reason.NOT_FINITE)
+        return self.verdict.reason | silent | self.asked
+
+    def _send(self, obey: Bools, planned: Setpoint) -> None:
+        """What was planned where it is obeyed; elsewhere the stop that the last tick prepared and checked."""
+        tau = self.verdict.tau
+        if not obey.all():
+            rows, stop = obey[:, None], self._ahead
+            planned = Setpoint(
+                q=np.where(rows, planned.q, stop.q),
+                qd=np.where(rows, planned.qd, stop.qd),
+                qdd=np.where(rows, planned.qdd, stop.qdd),
+            )
+            tau = np.where(rows, tau, self._tau_ahead)
+        self.smoother.commit(planned)
+        self.command = Command(q=planned.q, qd=planned.qd, tau=tau, powered=self.supervisor.powered)
+        self.robot.write(self.command)
+
+    def arm(self, ids: Bools) -> Ints:
+        """Power robots where `ids` holds and nothing speaks against it.
+
+        Returns:
+            (B,) reasons of those that were refused, 0 elsewhere.
+        """
+        here = Setpoint(q=self.state.q, qd=np.zeros_like(self.state.q), qdd=np.zeros_like(self.state.q))
+        verdict = self.safety.step(self.state, here, here, here, here.q)
+        reason = np.where(ids, verdict.reason, 0)
+        self.asked[ids] = 0
+        granted = ids & (reason == 0)
+        self.supervisor.arm(granted)
+        self.smoother.hold(granted, self.state.q)
+        self.action.reset(granted, self.state.q)
+        return reason
+
+    def stop(self, reason: Reason) -> None:
+        """Ask every robot for a controlled stop; arming takes it back."""
+        self.asked |= np.int64(reason)
+
+    def reset(self, ids: Bools) -> None:
+        """Robots where `ids` holds begin anew, disarmed: their backend has put them somewhere else."""
+        self.estimator.reset(ids)
+        self.observation.reset(ids)
+        self.supervisor.disarm(ids)
+        self.task.reset(ids)
+        self.asked[ids] = 0

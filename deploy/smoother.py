@@ -1,0 +1,137 @@
+"""Jerk-limited trajectories with Ruckig; a stop is one of them.
+
+One Ruckig instance serves B × n joints. `reset()` before every update makes each joint's result independent of its
+neighbours and of the past, so a resumed run repeats the same bits.
+"""
+
+import numpy as np
+from ruckig import ControlInterface, InputParameter, OutputParameter, Ruckig, RuckigError, Synchronization
+
+from deploy.stage import Stage
+from deploy.state import Bools, Floats, Setpoint
+from robots.spec import RobotSpec
+
+EDGE = 1e-8
+"""rad/s. Ruckig may replan badly when the speed it is bound to reach is this near the limit; the state is moved in."""
+
+
+class Smoother(Stage):
+    """The last SENT setpoint of B robots, and the first step of the ways on from there."""
+
+    carried = ("q", "qd", "qdd")
+
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        """Build both Ruckig instances: one for what comes next, one for stops."""
+        shape = (robots, spec.n)
+        self.q, self.qd, self.qdd = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        margin = spec.margins.q_target_rad
+        self._q_min = spec.joint_array("q_min") + margin
+        self._q_max = spec.joint_array("q_max") - margin
+        self._next, self._stop = _Planner(spec, robots), _Planner(spec, robots)
+        self._stop.brake(np.ones(robots, dtype=bool))
+
+    def next(self, q_target: Floats, stopping: Bools) -> Setpoint:
+        """One step from the last sent setpoint: towards a target, or towards rest.
+
+        Args:
+            q_target: (B, n) rad, clamped here to the working range less its margin.
+            stopping: (B,) robots that brake instead.
+        """
+        self._next.brake(stopping)
+        return self._next.step(self.q, self.qd, self.qdd, np.clip(q_target, self._q_min, self._q_max))
+
+    def brake(self, start: Setpoint) -> tuple[Setpoint, Floats]:
+        """A stop that would begin at `start`: its first step, and where (B, n) rad it would come to rest."""
+        first = self._stop.step(start.q, start.qd, start.qdd, start.q)
+        return first, self._stop.end()
+
+    def commit(self, sent: Setpoint) -> None:
+        """Remember what was sent."""
+        self.q[:], self.qd[:], self.qdd[:] = sent.q, sent.qd, sent.qdd
+
+    def hold(self, ids: Bools, q: Floats) -> None:
+        """Rest robots where `ids` (B,) holds at `q` (B, n) rad."""
+        self.q[ids], self.qd[ids], self.qdd[ids] = q[ids], 0.0, 0.0
+
+    @property
+    def sent(self) -> Setpoint:
+        """The last setpoint sent."""
+        return Setpoint(q=self.q, qd=self.qd, qdd=self.qdd)
+
+    @property
+    def at_rest(self) -> Bools:
+        """(B,) whether the last sent setpoint stands still."""
+        return ~(self.qd.any(axis=1) | self.qdd.any(axis=1))
+
+
+class _Planner:
+    """One Ruckig instance over B × n joints."""
+
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        self._shape, size = (robots, spec.n), robots * spec.n
+        self._otg, self._in, self._out = (
+            Ruckig(size, spec.dt),
+            InputParameter(size),
+            OutputParameter(size),
+        )
+        self._qd_max = np.tile(spec.joint_array("qd_max"), (robots, 1))
+        self._jerk = np.tile(spec.joint_array("qddd_max"), (robots, 1))
+        self._in.max_velocity = self._qd_max.ravel()
+        self._in.max_acceleration = np.tile(spec.joint_array("qdd_max"), robots)
+        self._in.max_jerk = self._jerk.ravel()
+        self._in.synchronization = Synchronization.No
+        self._braking = np.zeros(robots, dtype=bool)
+        self._solo = None if robots == 1 else _Planner(spec, 1)
+
+    def brake(self, braking: Bools) -> None:
+        """Choose for each robot: speed to zero, or position to a target."""
+        if np.array_equal(braking, self._braking) and self._in.per_dof_control_interface is not None:
+            return
+        self._braking = braking.copy()
+        kinds = [ControlInterface.Velocity if b else ControlInterface.Position for b in braking]
+        self._in.per_dof_control_interface = [kind for kind in kinds for _ in range(self._shape[1])]
+
+    def step(self, q: Floats, qd: Floats, qdd: Floats, target: Floats) -> Setpoint:
+        """One control period along the fastest trajectory; NaN in the rows that have none."""
+        self._in.current_position = q.ravel()
+        self._in.current_velocity = self._inside(qd, qdd).ravel()
+        self._in.current_acceleration = qdd.ravel()
+        self._in.target_position = target.ravel()
+        self._otg.reset()
+        try:
+            self._otg.update(self._in, self._out)
+        except RuckigError:
+            return self._one_by_one(q, qd, qdd, target)
+        return Setpoint(
+            q=np.array(self._out.new_position).reshape(self._shape),
+            qd=np.array(self._out.new_velocity).reshape(self._shape),
+            qdd=np.array(self._out.new_acceleration).reshape(self._shape),
+        )
+
+    def end(self) -> Floats:
+        """(B, n) rad, where the trajectories of the last `step` end."""
+        trajectory = self._out.trajectory
+        return np.array(trajectory.at_time(trajectory.duration)[0]).reshape(self._shape)
+
+    def _inside(self, qd: Floats, qdd: Floats) -> Floats:
+        bound = qd + qdd * np.abs(qdd) / (2 * self._jerk)
+        edge = np.abs(np.abs(bound) - self._qd_max) < EDGE
+        return np.where(edge, qd - np.sign(bound) * EDGE, qd)
+
+    def _one_by_one(self, q: Floats, qd: Floats, qdd: Floats, target: Floats) -> Setpoint:
+        """Ruckig fails for the whole call when one joint has no solution: find it, spare the others.
+
+        Rounding the acceleration cures the failures seen; a robot that stays without a plan gets NaN, which safety
+        refuses.
+        """
+        nan = Setpoint(q=np.full(q.shape, np.nan), qd=np.full(q.shape, np.nan), qdd=np.full(q.shape, np.nan))
+        if self._solo is None:
+            if np.array_equal(qdd, qdd.round(9)):
+                return nan
+            return self.step(q, qd, qdd.round(9), target)
+        for row in range(len(q)):
+            one = slice(row, row + 1)
+            self._solo.brake(self._braking[one])
+            plan = self._solo.step(q[one], qd[one], qdd[one], target[one])
+            nan.q[one], nan.qd[one], nan.qdd[one] = plan.q, plan.qd, plan.qdd
+        return nan

@@ -1,0 +1,116 @@
+"""Who may move, who must stop, and why: one ordered state machine for each robot.
+
+    DISARMED ─arm─▶ ARMING ──▶ RUNNING ──▶ STOPPING ─category 2─▶ HOLDING ──▶ RUNNING
+        ▲                                     │
+        └────────disarm─────── LATCHED ◀──category 1
+
+Category 2 (IEC 60204-1): a controlled stop, power kept; it clears by itself when the cause is gone.
+Category 1: a controlled stop, then power is cut; only an operator's `arm` clears it. The higher category wins.
+Nothing here depends on the policy.
+"""
+
+import numpy as np
+
+from deploy.stage import Stage
+from deploy.state import Bools, Ints, Mode, Reason
+
+CATEGORY_1 = Reason.LOST | Reason.NOT_FINITE | Reason.HEAT | Reason.TRACKING | Reason.OVERRUN | Reason.OPERATOR
+"""Reasons after which the robot may not go on by itself; every other reason is category 2."""
+
+WORDS = {
+    Reason.POSITION: "a joint would leave its working range",
+    Reason.VELOCITY: "a joint would exceed its speed",
+    Reason.TORQUE: "a joint would need more torque than it has",
+    Reason.WORKSPACE: "the tool would leave its workspace",
+    Reason.COLLISION: "links would come nearer than the collision margin",
+    Reason.SINGULARITY: "the arm would come too near a singularity",
+    Reason.TOOL_SPEED: "the tool would be too fast",
+    Reason.HEAT: "a motor housing is too hot",
+    Reason.STALE: "samples are missing",
+    Reason.LOST: "samples stay away",
+    Reason.TRACKING: "a joint does not follow its setpoint",
+    Reason.NOT_FINITE: "a number is not finite",
+    Reason.OVERRUN: "too many ticks came late",
+    Reason.OPERATOR: "the operator asked for it",
+}
+
+
+def words(reason: int) -> str:
+    """A bit set of reasons in words."""
+    return "; ".join(WORDS[bit] for bit in Reason(reason)) or "no reason"
+
+
+class Supervisor(Stage):
+    """Modes of B robots."""
+
+    carried = ("mode", "reason", "since")
+
+    def __init__(self, robots: int, dt: float, *, arming_s: float = 0.1, hold_s: float = 0.25) -> None:
+        """All robots disarmed.
+
+        Args:
+            robots: B.
+            dt: s, control period.
+            arming_s: s, powered at rest before running.
+            hold_s: s, at rest and without a cause before running again.
+        """
+        self.mode = np.full(robots, Mode.DISARMED, dtype=np.int8)
+        self.reason = np.zeros(robots, dtype=np.int64)
+        self.since = np.zeros(robots, dtype=np.int64)
+        self._arming, self._hold = round(arming_s / dt), round(hold_s / dt)
+
+    @property
+    def powered(self) -> Bools:
+        """(B,) whether drives are on."""
+        return (self.mode != Mode.DISARMED) & (self.mode != Mode.LATCHED)
+
+    @property
+    def stopping(self) -> Bools:
+        """(B,) whether the smoother brakes or rests instead of following the policy."""
+        return self.mode != Mode.RUNNING
+
+    def arm(self, ids: Bools) -> None:
+        """Power robots where `ids` holds; they run after the arming time."""
+        self._enter(ids & ~self.powered, Mode.ARMING)
+        self.reason[ids] = 0
+
+    def disarm(self, ids: Bools) -> None:
+        """Cut power at once: only for robots that rest, or when nothing else is left."""
+        self._enter(ids, Mode.DISARMED)
+
+    def step(self, reason: Ints, at_rest: Bools) -> Bools:
+        """Advance every robot; return (B,) whose setpoint may be sent (others take the planned stop).
+
+        Args:
+            reason: (B,) why the setpoint is refused, 0 where it is not.
+            at_rest: (B,) whether the last sent setpoint stands still.
+        """
+        self.since += 1
+        running = self.mode == Mode.RUNNING
+        refused = reason != 0
+        obey = ~(running & refused)
+        if not (running & ~refused).all():
+            self._others(reason, refused, running, at_rest)
+        return obey
+
+    def _others(self, reason: Ints, refused: Bools, running: Bools, at_rest: Bools) -> None:
+        """Every transition but staying in RUNNING; each robot takes at most one a tick."""
+        latches = (self.reason & CATEGORY_1) != 0
+        stopping, holding, arming = (
+            self.mode == m for m in (Mode.STOPPING, Mode.HOLDING, Mode.ARMING)
+        )
+        self.reason |= np.where(self.powered & ~(running & ~refused), reason, 0)
+        self.since[holding & refused] = 0
+        self._enter(arming & refused, Mode.STOPPING)
+        self._enter(arming & ~refused & (self.since >= self._arming), Mode.RUNNING)
+        self._enter(running & refused, Mode.STOPPING)
+        self._enter(stopping & at_rest & latches, Mode.LATCHED)
+        self._enter(stopping & at_rest & ~latches, Mode.HOLDING)
+        self._enter(holding & latches, Mode.LATCHED)
+        self._enter(holding & ~latches & ~refused & (self.since >= self._hold), Mode.RUNNING)
+
+    def _enter(self, ids: Bools, mode: Mode) -> None:
+        self.mode[ids] = mode
+        self.since[ids] = 0
+        if mode == Mode.RUNNING:
+            self.reason[ids] = 0

@@ -1,0 +1,126 @@
+"""Reach: bring the tool to a point, then to the next, for a whole shift.
+
+Goals are uniform in volume over what the arm can reach: every goal is the tool position of a joint configuration
+inside the working range that every safety check accepts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deploy.safety import Safety
+from deploy.stage import Stage
+from deploy.state import Bools, Floats
+from robots.model_pinocchio import BLOCK, Fleet
+from robots.randomness import keyed, keys
+from robots.spec import RobotSpec
+
+GOALS_SEED = 20_250_811
+"""One pool of goals for everybody: what a robot's seed chooses is the order."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReachConfig:
+    """The task.
+
+    Attributes:
+        radius_min, radius_max: m, the shell around the workspace's centre.
+        z_min: m, least height of a goal.
+        period_s: s for each goal. tolerance_m: m, how near counts.
+        candidates: joint configurations tried for the pool. cell_m: m, grid on which volume is counted.
+    """
+
+    radius_min: float = 0.25
+    radius_max: float = 0.80
+    z_min: float = 0.05
+    period_s: float = 4.0
+    tolerance_m: float = 0.02
+    candidates: int = 40_000
+    cell_m: float = 0.1
+
+
+class Reach(Stage):
+    """Goals of B robots, by the robot's own estimate: `reached` is what the runtime believes, not a proof."""
+
+    carried = ("goal", "elapsed", "number", "attempted", "reached", "ended", "ended_goal")
+
+    def __init__(
+        self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence], config: ReachConfig | None = None
+    ) -> None:
+        """Sample the pool and give every robot its first goal.
+
+        Args:
+            spec: the robot.
+            seeds: B seeds.
+            config: the task; the standard one by default.
+        """
+        self.config, robots = config or ReachConfig(), len(seeds)
+        self._keys = keys(seeds, purpose=0)
+        self._pool, self._chance = goal_pool(spec, self.config)
+        self._period = round(self.config.period_s / spec.dt)
+        self.goal, self.ended_goal = np.zeros((robots, 3)), np.zeros((robots, 3))
+        self.elapsed, self.number, self.attempted, self.reached = np.zeros((4, robots), dtype=np.int64)
+        self.ended = np.zeros(robots, dtype=bool)
+        self._choose(np.ones(robots, dtype=bool))
+
+    def reset(self, ids: Bools) -> None:
+        """A fresh goal and a full period for robots where `ids` (B,) holds."""
+        self.elapsed[ids] = 0
+        self._choose(ids)
+
+    def step(self, tool: Floats) -> None:
+        """Count one tick.
+
+        Args:
+            tool: (B, 3) m, where the robot believes its tool is.
+        """
+        self.elapsed += 1
+        np.greater_equal(self.elapsed, self._period, out=self.ended)
+        if not self.ended.any():
+            return
+        near = ((tool - self.goal) ** 2).sum(axis=1) <= self.config.tolerance_m**2
+        self.attempted += self.ended
+        self.reached += self.ended & near
+        self.ended_goal[self.ended] = self.goal[self.ended]
+        self.reset(self.ended)
+
+    def _choose(self, ids: Bools) -> None:
+        for robot in np.flatnonzero(ids):
+            u = keyed(self._keys[robot], int(self.number[robot])).random()
+            self.goal[robot] = self._pool[np.searchsorted(self._chance, u)]
+            self.number[robot] += 1
+
+
+def goal_pool(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Floats]:
+    """Points the arm can reach, and their cumulative chances.
+
+    Tool positions of uniform joint configurations crowd where the arm folds; weighting each by one over the number
+    of its cell makes the choice uniform in volume.
+
+    Returns:
+        points (K, 3) m, and (K,) cumulative chance, ending at 1.
+    """
+    tools = _safe_tools(spec, config)
+    radius = np.linalg.norm(tools - np.array(spec.workspace.centre), axis=1)
+    shell = (radius >= config.radius_min) & (radius <= config.radius_max) & (tools[:, 2] >= config.z_min)
+    points = tools[shell]
+    _, cell, count = np.unique(
+        np.floor(points / config.cell_m), axis=0, return_inverse=True, return_counts=True
+    )
+    weight = 1.0 / count[cell]
+    return points, np.cumsum(weight) / weight.sum()
+
+
+def _safe_tools(spec: RobotSpec, config: ReachConfig) -> Floats:
+    """(K, 3) m, tools of configurations at rest that no safety check refuses."""
+    rng = np.random.default_rng(GOALS_SEED)
+    low, high = (spec.joint_array(f"q_{end}") for end in ("min", "max"))
+    margin = 2 * spec.margins.q_target_rad
+    fleet = Fleet(spec, BLOCK)
+    safety, tools = Safety(spec, fleet), []
+    for q in rng.uniform(low + margin, high - margin, (config.candidates // BLOCK, BLOCK, spec.n)):
+        reason = np.zeros(BLOCK, dtype=np.int64)
+        safety.check_pose(q, reason)
+        tools.append(fleet.tool_position[reason == 0])
+    return np.concatenate(tools)

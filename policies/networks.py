@@ -1,0 +1,74 @@
+"""The export view of a policy: everything between a raw observation and a raw action, and nothing else."""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Self
+
+import torch
+from torch import Tensor, nn
+
+from robots.errors import ContractError
+
+if TYPE_CHECKING:
+    from rsl_rl.models import MLPModel
+
+
+class Actor(nn.Module):
+    """action = MLP((observation - mean) / divisor), ELU between the layers, no last activation.
+
+    Attributes:
+        mean: (N,) of the observations in training.
+        divisor: (N,) their standard deviation plus the learner's epsilon: one number, one rounding.
+    """
+
+    mean: Tensor
+    divisor: Tensor
+
+    def __init__(self, observation_size: int, action_size: int, layers: Sequence[int]) -> None:
+        super().__init__()
+        self.layers = tuple(layers)
+        self.register_buffer("mean", torch.zeros(observation_size))
+        self.register_buffer("divisor", torch.ones(observation_size))
+        widths = pairwise((observation_size, *layers, action_size))
+        parts = [part for width in widths for part in (nn.Linear(*width), nn.ELU())]
+        self.mlp = nn.Sequential(*parts[:-1])
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """(B, N) raw observations to (B, A) raw actions."""
+        return self.mlp((observation - self.mean) / self.divisor)
+
+    @classmethod
+    def from_rsl_rl(cls, model: "MLPModel") -> Self:
+        """Copy a trained actor of rsl_rl: its normalizer, its MLP, the mean of its distribution.
+
+        Raises:
+            ContractError: the model has a part that this view cannot express.
+        """
+        for complaint in _inexpressible(model):
+            raise ContractError(f"rsl_rl actor: {complaint}")
+        linear = [layer for layer in model.mlp if isinstance(layer, nn.Linear)]
+        actor = cls(model.obs_dim, linear[-1].out_features, [layer.out_features for layer in linear[:-1]])
+        actor.mlp.load_state_dict(model.mlp.state_dict())
+        if model.obs_normalization:
+            actor.mean.copy_(model.obs_normalizer.mean)
+            actor.divisor.copy_(model.obs_normalizer.std + model.obs_normalizer.eps)
+        return actor.eval().requires_grad_(False)
+
+
+def _inexpressible(model: "MLPModel") -> Iterator[str]:
+    # Imported here: an export from a checkpoint needs no learner.
+    from rsl_rl.models import MLPModel
+    from rsl_rl.modules import EmpiricalNormalization
+    from rsl_rl.modules.distribution import GaussianDistribution
+
+    # Exact types: a subclass may compute something else under the same attributes.
+    if type(model) is not MLPModel:
+        yield f"found {type(model).__name__}, expected MLPModel"
+    if model.obs_normalization and type(model.obs_normalizer) is not EmpiricalNormalization:
+        yield f"found normalizer {type(model.obs_normalizer).__name__}, expected EmpiricalNormalization"
+    if model.distribution is not None and type(model.distribution) is not GaussianDistribution:
+        yield f"found distribution {type(model.distribution).__name__}, expected GaussianDistribution"
+    found = [type(layer).__name__ for layer in model.mlp]
+    expected = ["Linear", "ELU"] * (len(found) // 2) + ["Linear"]
+    if found != expected:
+        yield f"found layers {', '.join(found)}, expected {', '.join(expected)}"

@@ -1,0 +1,1 @@
+"""What the arm policy is promised and how it is taught: every number of the recipe."""
