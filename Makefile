@@ -103,7 +103,7 @@ check: setup check-addresses ## lint, format, types, import layers, addresses
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports --no-logo
 
 check-addresses:
 	@! grep -nE '://|^ *-[a-z-]*(index|find-links)' requirements.lock requirements-robot.lock \
