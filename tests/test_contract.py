@@ -1,0 +1,244 @@
+import json
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deploy.contract import FRAME_AND_UNIT, TEXT_MAX, ActionSpec, Contract, Term, check_contract
+from robots.errors import ContractError
+from robots.spec import load_robot
+
+SPEC = load_robot("arm6")
+POSITIVE = st.floats(min_value=0, exclude_min=True, allow_infinity=False)
+BOUNDS = st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 2).filter(lambda c: c[0] < c[1])
+
+
+def term(source, size, **changes):
+    frame, unit = FRAME_AND_UNIT[source]
+    fields = {"name": source, "source": source, "frame": frame, "unit": unit, "size": size}
+    return Term(**{**fields, "scale": (1.5,) * size, **changes})
+
+
+def arm_contract(**changes):
+    """The contract that the arm's policy has; also for other test files."""
+    sizes = {
+        "joint_position": 6,
+        "joint_velocity": 6,
+        "tool_position": 3,
+        "goal_from_tool": 3,
+        "last_action": 6,
+    }
+    action = ActionSpec(mode="position_increment", size=6, scale=(0.05,) * 6, clip=(-1.0, 1.0), leash_rad=0.3)
+    fields = {
+        "robot": "arm6",
+        "robot_digest": SPEC.digest,
+        "joint_names": SPEC.joint_names,
+        "policy_hz": 50,
+        "control_hz": 200,
+        "task": "reach",
+        "observation": tuple(term(source, size) for source, size in sizes.items()),
+        "action": action,
+        "trained": {"recipe": "by hand"},
+    }
+    return Contract(**{**fields, **changes})
+
+
+@st.composite
+def terms(draw, name):
+    source = draw(st.sampled_from(sorted(FRAME_AND_UNIT)))
+    size = draw(st.integers(1, 8))
+    scale = draw(st.lists(POSITIVE, min_size=size, max_size=size).map(tuple))
+    clip, history = draw(st.none() | BOUNDS), draw(st.integers(1, 5))
+    return term(source, size, name=name, scale=scale, clip=clip, history=history)
+
+
+@st.composite
+def contracts(draw):
+    names = draw(st.lists(st.text(min_size=1, max_size=9), min_size=1, max_size=5, unique=True))
+    joints = tuple(draw(st.lists(st.text(min_size=1, max_size=20), min_size=1, max_size=8)))
+    action = ActionSpec(
+        mode="position_increment",
+        size=len(joints),
+        scale=draw(st.lists(POSITIVE, min_size=len(joints), max_size=len(joints)).map(tuple)),
+        clip=draw(BOUNDS),
+        leash_rad=draw(POSITIVE),
+    )
+    policy_hz, times = draw(st.integers(1, 500)), draw(st.integers(1, 20))
+    return arm_contract(
+        joint_names=joints,
+        observation=tuple(draw(terms(name)) for name in names),
+        action=action,
+        policy_hz=policy_hz,
+        control_hz=policy_hz * times,
+        trained=draw(st.dictionaries(st.text(min_size=1, max_size=9), st.text(), max_size=3)),
+    )
+
+
+@settings(max_examples=200, deadline=None)
+@given(contracts())
+def test_json_keeps_every_bit(contract):
+    back = Contract.from_json(contract.to_json(), "x.onnx")
+    assert back == contract
+    assert back.to_json() == contract.to_json()
+    assert back.observation_size == sum(len(t.scale) * t.history for t in contract.observation)
+
+
+def test_the_arms_contract_fits_the_arm():
+    contract = arm_contract()
+    assert (contract.observation_size, contract.action_size) == (24, 6)
+    check_contract(contract, SPEC, "x.onnx")
+
+
+def edited(path, value):
+    """The arm's contract as JSON with one value changed; `...` removes it."""
+    data = json.loads(arm_contract().to_json())
+    place = data
+    for key in path[:-1]:
+        place = place[key]
+    if value is ...:
+        del place[path[-1]]
+    else:
+        place[path[-1]] = value
+    return json.dumps(data)
+
+
+BAD_FIELDS = {
+    "unknown key": (["gains"], [1], "gains: Extra inputs are not permitted, found [1]"),
+    "missing key": (["task"], ..., "task: Field required"),
+    "other format": (["format"], 2, "format: Input should be 1, found 2"),
+    "number as text": (["policy_hz"], "50", "policy_hz: Input should be a valid integer, found '50'"),
+    "number as truth": (
+        ["action", "leash_rad"],
+        True,
+        "action.leash_rad: Input should be a valid number, found True",
+    ),
+    "rate of zero": (["policy_hz"], 0, "policy_hz: Input should be greater than or equal to 1, found 0"),
+    "rate no divisor": (["policy_hz"], 60, "policy_hz 60 does not divide control_hz 200"),
+    "scale of zero": (
+        ["observation", 0, "scale"],
+        [0.0] * 6,
+        "observation.0.scale.0: Input should be greater than 0",
+    ),
+    "scale too short": (
+        ["observation", 0, "scale"],
+        [1.0],
+        "'joint_position': scale has 1 numbers, size is 6",
+    ),
+    "scale NaN": (
+        ["action", "scale", 2],
+        math.nan,
+        "action.scale.2: Input should be a finite number, found nan",
+    ),
+    "scale infinite": (
+        ["action", "scale", 2],
+        math.inf,
+        "action.scale.2: Input should be a finite number, found inf",
+    ),
+    "action scale short": (["action", "scale"], [1.0], "action scale has 1 numbers, size is 6"),
+    "clip reversed": (["action", "clip"], [1.0, -1.0], "low 1.0 is not below high -1.0"),
+    "unknown mode": (
+        ["action", "mode"],
+        "torque",
+        "action.mode: Input should be 'position_increment', found 'torque'",
+    ),
+    "unknown source": (["observation", 3, "source"], "base_velocity", "found 'base_velocity'"),
+    "unit of another": (
+        ["observation", 1, "unit"],
+        "deg/s",
+        "are 'joint' and 'deg/s', expected 'joint' and 'rad/s'",
+    ),
+    "frame of another": (
+        ["observation", 3, "frame"],
+        "joint",
+        "are 'joint' and 'm', expected 'world' and 'm'",
+    ),
+    "term twice": (
+        ["observation", 1, "name"],
+        "joint_position",
+        "observation: terms named twice: joint_position",
+    ),
+    "no term": (["observation"], [], "observation: Tuple should have at least 1 item"),
+    "size too large": (
+        ["observation", 0, "size"],
+        10**9,
+        "observation.0.size: Input should be less than or equal to 4096",
+    ),
+    "history too long": (["observation", 0, "history"], 4096, "observation: 24594 numbers, at most 4096"),
+    "digest cut": (["robot_digest"], "abc", "robot_digest: String should match pattern"),
+    "robot is a path": (["robot"], "../arm6", "robot: String should match pattern"),
+}
+
+
+@pytest.mark.parametrize(("path", "value", "message"), BAD_FIELDS.values(), ids=BAD_FIELDS)
+def test_a_bad_field_is_named(path, value, message):
+    with pytest.raises(ContractError) as caught:
+        Contract.from_json(edited(path, value), "x.onnx")
+    assert str(caught.value).startswith("x.onnx: ")
+    assert message in str(caught.value)
+
+
+NOT_JSON = {
+    "empty": ("", "x.onnx: not valid JSON: Expecting value"),
+    "cut": ('{"format": 1', "x.onnx: not valid JSON: Expecting ',' delimiter"),
+    "too deep": ("[" * 100_000, "x.onnx: not valid JSON: "),
+    "huge integer": ("9" * 5000, "x.onnx: not valid JSON: Exceeds the limit"),
+    "too long": (" " * (TEXT_MAX + 1), f"x.onnx: {TEXT_MAX + 1} characters of JSON, at most {TEXT_MAX}"),
+    "a list": ("[]", "x.onnx: (whole file): Input should be a valid dictionary"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), NOT_JSON.values(), ids=NOT_JSON)
+def test_what_is_no_contract_is_refused(text, message):
+    with pytest.raises(ContractError) as caught:
+        Contract.from_json(text, "x.onnx")
+    assert str(caught.value).startswith(message)
+
+
+NAMES = SPEC.joint_names
+SWAPPED = (NAMES[1], NAMES[0], *NAMES[2:])
+OTHER = ("hip", *NAMES[1:])
+ESCAPES = ("\x1b[2J",) * 6  # what would clear the terminal is shown, not sent
+
+
+def misfits():
+    five = ActionSpec(mode="position_increment", size=5, scale=(0.05,) * 5, clip=(-1.0, 1.0), leash_rad=0.3)
+    yield {"robot": "planar3"}, ["robot: found 'planar3', expected 'arm6'"]
+    yield (
+        {"robot_digest": "0" * 64},
+        [f"robot_digest: found {'0' * 64}, expected {SPEC.digest} of {SPEC.folder}"],
+    )
+    yield {"control_hz": 100}, ["control_hz: found 100 Hz, expected 200 Hz"]
+    yield (
+        {"joint_names": SWAPPED},
+        [
+            "joint_names: the right joints in another order: "
+            f"found [{', '.join(SWAPPED)}], expected [{', '.join(NAMES)}]"
+        ],
+    )
+    yield {"joint_names": OTHER}, [f"joint_names: found [{', '.join(OTHER)}], expected [{', '.join(NAMES)}]"]
+    yield (
+        {"joint_names": ESCAPES},
+        [f"joint_names: found {ESCAPES!r}, expected [{', '.join(NAMES)}]"],
+    )
+    yield (
+        {"observation": (term("joint_position", 5), term("tool_position", 2))},
+        [
+            "observation.joint_position.size: found 5, expected 6 for joint_position",
+            "observation.tool_position.size: found 2, expected 3 for tool_position",
+        ],
+    )
+    yield (
+        {"action": five},
+        [
+            "observation.last_action.size: found 6, expected 5 for last_action",
+            "action.size: found 5, expected 6, one for each joint",
+        ],
+    )
+
+
+@pytest.mark.parametrize(("changes", "lines"), list(misfits()))
+def test_every_misfit_is_said_at_once(changes, lines):
+    with pytest.raises(ContractError) as caught:
+        check_contract(arm_contract(**changes), SPEC, "x.onnx")
+    assert str(caught.value) == "\n".join(f"x.onnx: {line}" for line in lines)
