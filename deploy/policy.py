@@ -7,7 +7,7 @@ import numpy as np
 import onnxruntime as ort
 
 from deploy.contract import check_contract
-from deploy.policy_file import INPUT, OUTPUT, Float32s, PolicyFile, read_policy_file
+from deploy.policy_file import INPUT, OUTPUT, Float32s, PolicyFile, read_policy_file, shortened
 from robots.errors import ContractError
 from robots.spec import RobotSpec
 
@@ -84,7 +84,7 @@ class Policy:
         try:
             action = self.replay(file.observation, batch)
         except Exception as e:  # ONNX Runtime's errors share no base
-            raise ContractError(f"{self._source}: cannot be run at batch {batch}: {_shortened(e)}") from e
+            raise ContractError(f"{self._source}: cannot be run at batch {batch}: {shortened(e)}") from e
         worst = float(np.abs(action - file.action).max())
         if not worst <= AGREEMENT:
             raise ContractError(
@@ -100,8 +100,4 @@ def _session(data: bytes, source: str) -> ort.InferenceSession:
     try:
         return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except Exception as e:  # ONNX Runtime's errors share no base
-        raise ContractError(f"{source}: ONNX Runtime refuses it: {_shortened(e)}") from e
-
-
-def _shortened(e: Exception) -> str:
-    return " ".join(str(e).split())[:300]
+        raise ContractError(f"{source}: ONNX Runtime refuses it: {shortened(e)}") from e

@@ -93,11 +93,16 @@ def _model(data: bytes, path: Path) -> ModelProto:
         raise ContractError(f"{path}: {complaint}")
     try:
         onnx.checker.check_model(data)
-    except onnx.checker.ValidationError as e:
-        raise ContractError(f"{path}: not a valid ONNX model: {' '.join(str(e).split())[:300]}") from e
+    except (onnx.checker.ValidationError, UnicodeDecodeError) as e:
+        raise ContractError(f"{path}: not a valid ONNX model: {shortened(e)}") from e
     for tensor in _tensors(model.graph):
         _check_finite(tensor, path)
     return model
+
+
+def shortened(error: Exception) -> str:
+    """What a library says about a file, on one line, and nothing in it that would upset a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in " ".join(str(error).split()))[:300]
 
 
 def _foreign(model: ModelProto) -> Iterator[str]:
@@ -129,8 +134,8 @@ def _tensors(graph: GraphProto) -> Iterator[TensorProto]:
 def _check_finite(tensor: TensorProto, path: Path) -> None:
     try:
         values = numpy_helper.to_array(tensor)
-    except (ValueError, TypeError) as e:
-        raise ContractError(f"{path}: tensor {tensor.name!r}: cannot be read: {e!s:.200}") from e
+    except (ValueError, TypeError, KeyError) as e:
+        raise ContractError(f"{path}: tensor {tensor.name!r}: cannot be read: {shortened(e)}") from e
     if not np.issubdtype(values.dtype, np.floating):
         return
     if bad := int(values.size - np.isfinite(values).sum()):
@@ -142,7 +147,7 @@ def _metadata(model: ModelProto, key: str, path: Path) -> str:
     for entry in model.metadata_props:
         if entry.key == key:
             return str(entry.value)
-    found = ", ".join(sorted(entry.key for entry in model.metadata_props)) or "none"
+    found = ", ".join(repr(entry.key) for entry in model.metadata_props) or "none"
     raise ContractError(
         f"{path}: metadata {key}: missing, found keys: {found:.200}; expected a file written by policy-export"
     )
@@ -165,9 +170,9 @@ def _check_end(
     dims = [dim.dim_value if dim.HasField("dim_value") else dim.dim_param or "?" for dim in tensor.shape.dim]
     fits = len(dims) == 2 and isinstance(dims[0], str) and dims[1] == size
     if tensor.elem_type != TensorProto.FLOAT or not fits:
-        kind_found = TensorProto.DataType.Name(tensor.elem_type) if tensor.elem_type else "no tensor"
-        shape = ", ".join(map(str, dims))
-        raise ContractError(f"{path}: {kind} {name!r}: found {kind_found} ({shape:.100}), {expected}")
+        kinds = dict(zip(TensorProto.DataType.values(), TensorProto.DataType.keys(), strict=True))
+        kind_found = kinds.get(tensor.elem_type, f"kind {tensor.elem_type}")
+        raise ContractError(f"{path}: {kind} {name!r}: found {kind_found} {dims!r:.100}, {expected}")
 
 
 def _golden(model: ModelProto, contract: Contract, path: Path) -> tuple[Float32s, Float32s]:
