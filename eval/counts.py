@@ -57,7 +57,7 @@ JOINT_MONITORS = (
     Monitor(name="jerk", unit="rad/s³", hard=True, meaning="3rd backward difference of angles sent"),
 )
 ROBOT_MONITORS = (
-    Monitor(name="self_collision", unit="", hard=True, meaning="two links of the robot touch"),
+    Monitor(name="self_collision", unit="", hard=True, meaning="the robot touches itself or its table"),
     Monitor(name="workspace", unit="m", hard=True, meaning="true tool position outside the workspace"),
     Monitor(name="tool_speed", unit="m/s", hard=True, meaning="true tool speed"),
 )

@@ -34,7 +34,7 @@ class Truth(Protocol):
 
     @property
     def self_collision(self) -> Bools:
-        """(B,) whether two links of the robot touch."""
+        """(B,) whether the robot touches itself or its table."""
 
     @property
     def valid(self) -> Bools:

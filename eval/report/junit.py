@@ -1,0 +1,31 @@
+"""junit.xml: one test case for each budget line."""
+
+from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
+
+from eval.report.data import Line, Report
+
+
+def junit(report: Report) -> str:
+    """The XML text; lines of an interrupted run that hold so far are marked as skipped."""
+    suite = TestSuite("soak-test")
+    suite.timestamp = report.run.started
+    suite.add_property("statement", report.statement)
+    suite.add_property("policy_digest", report.settings.policy_digest)
+    for line in report.budget:
+        case = TestCase(line.name, classname=f"soak.{report.settings.robot}", time=0)
+        if not line.passed:
+            case.result = [Failure(describe(line), "budget")]
+        elif report.run.interrupted:
+            case.result = [Skipped(f"interrupted after {report.run.hours:.3g} h; so far {describe(line)}")]
+        suite.add_testcase(case)
+    suite.time = report.run.wall_s
+    document = JUnitXml()
+    document.add_testsuite(suite)
+    return document.tostring().decode()
+
+
+def describe(line: Line) -> str:
+    """The line in words."""
+    found = "no number" if line.found is None else f"{line.found:.6g}"
+    most = "at least" if line.at_least else "at most"
+    return f"{line.name}: found {found} {line.unit}, allowed {most} {line.allowed:.6g}"

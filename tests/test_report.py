@@ -1,0 +1,283 @@
+"""The report: what it says, that it is whole, safe and self-contained, and how it is written."""
+
+import html.parser
+import re
+
+import numpy as np
+import pytest
+from junitparser import JUnitXml
+
+from eval.budget import load_budget
+from eval.counts import MONITORS, REASONS
+from eval.monitors import Judge
+from eval.report.build import HEAT_POINTS, build
+from eval.report.data import Report, Run, Settings, SoakResult
+from eval.report.html import render
+from eval.report.junit import junit
+from eval.report.write import claim, write
+from robots.errors import OutputError
+from robots.spec import load_robot
+
+SPEC = load_robot("arm6")
+ROBOTS, HOURS, TICKS = 16, 8.0, 8 * 3600 * 200
+
+
+def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.onnx"):
+    """A shift of 16 robots in which only `events` went wrong, on robot 3 and the monitor's first channel."""
+    counts = Judge(SPEC, np.full(6, 100.0), ROBOTS).counts()
+    counts.ticks[:] = counts.running[:] = ticks
+    counts.attempted[:] = counts.reached[:] = ticks // 800
+    for name in events:
+        channel = counts.columns(name).start
+        counts.events[3, channel] += 1
+        counts.worst[3, channel] = 1.25
+        counts.log_start[3, channel, 0], counts.log_last[3, channel, 0] = 720_000, 720_009
+        counts.log_worst[3, channel, 0] = 1.25
+    winding = np.linspace(25, 60, samples)[:, None, None] + np.zeros((samples, ROBOTS, 6))
+    winding[:, 5, 2] += 15
+    return SoakResult(
+        settings=Settings(
+            command="soak-test --seed 7",
+            robot="arm6",
+            robot_digest="a" * 64,
+            policy=policy,
+            policy_digest="b" * 64,
+            budget="budget.toml",
+            seed=7,
+            hours=HOURS,
+            robots=ROBOTS,
+            shard_width=16,
+            workers=2,
+            versions={"numpy": "2.4"},
+        ),
+        run=Run(
+            started="2026-01-02T03:04:05+00:00", wall_s=60.0, hours=ticks / 720_000, interrupted=interrupted
+        ),
+        counts=counts,
+        sample_h=np.linspace(0, HOURS, samples),
+        winding_c=winding,
+        winding_soft_c=SPEC.motor_array("winding_soft_c"),
+        winding_max_c=SPEC.motor_array("winding_max_c"),
+        goals_bin_h=1.0,
+        goals_attempted=np.full(8, 14_400),
+        goals_reached=np.array([14_400] * 7 + [14_000]),
+        unseen=("Backlash is not modelled.",),
+    )
+
+
+def report(*args, **kwargs):
+    return build(soak(*args, **kwargs), load_budget())
+
+
+def test_a_clean_night_passes_with_the_honest_sentence():
+    found = report()
+    assert found.verdict == "passed"
+    assert found.statement == (
+        "0 hard events in 128.0 hours under way over 16 draws: rate ≤ 0.023 per hour, P(bad draw) ≤ 0.17,"
+        " availability 100.00 %, goals reached 100.00 %."
+    )
+    assert found.exposure.evaluations == ROBOTS * TICKS
+    assert all(row.evaluations == ROBOTS * TICKS for row in found.monitors)
+
+
+@pytest.mark.parametrize("monitor", [m for m in MONITORS if m.hard], ids=lambda m: m.name)
+def test_a_hard_event_fails_and_is_found_everywhere(monitor):
+    found = report([monitor.name])
+    assert found.verdict == "failed"
+    assert (found.evidence.hard_events, found.evidence.bad_draws) == (1, 1)
+    assert [line.name for line in found.budget if not line.passed] == [monitor.name]
+    row = next(row for row in found.monitors if row.name == monitor.name)
+    assert (row.events, row.bad_draws, row.channels[0].worst) == (1, 1, 1.25)
+    assert [(e.monitor, e.robot, e.start_h, e.length_s) for e in found.events] == [
+        (monitor.name, 3, 1.0, 0.05)
+    ]
+
+
+def test_soft_events_are_shown_and_do_not_fail():
+    found = report(["position_requested", "heat_soft"])
+    assert found.verdict == "passed"
+    assert {event.monitor for event in found.events} == {"position_requested", "heat_soft"}
+    assert found.evidence.bad_draws == 0
+
+
+def test_heat_keeps_the_hottest_and_the_median():
+    found = report(samples=5 * HEAT_POINTS)
+    assert len(found.heat_h) == HEAT_POINTS
+    elbow = found.heat[2]
+    assert elbow.hottest_c[-1] == 75.0
+    assert elbow.median_c[0] == 25.0
+    assert (elbow.joint, elbow.soft_c, elbow.max_c) == ("elbow", 80.0, 110.0)
+
+
+def test_what_could_not_be_seen_follows_from_what_was_counted():
+    result = soak()
+    result.counts.worst[:] = 0.9
+    result.counts.worst[:, result.counts.columns("torque")] = 0.2
+    result.counts.invalid[4] = 12
+    text = " ".join(build(result, load_budget()).unseen)
+    assert "used to 50 %: torque." in text
+    assert "12 ticks of the 1 robots whose simulation diverged" in text
+    assert "0 of 16 draws bad, up to 17 % of all may be" in text
+    assert text.endswith("Backlash is not modelled.")
+
+
+def test_json_holds_everything_and_nothing_unknown(tmp_path):
+    found = report(["jerk"])
+    assert Report.model_validate_json(found.model_dump_json()) == found
+    write(found, tmp_path)
+    again = Report.model_validate_json((tmp_path / "report.json").read_text())
+    assert render(again) == (tmp_path / "report.html").read_text()
+
+
+class Page(html.parser.HTMLParser):
+    """Tags that are open, ids, and all that a browser would load."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.ids, self.loads, self.words = [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in {"meta", "link", "br", "path", "use", "rect", "circle", "line", "image"}:
+            self.open.append(tag)
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value)
+            if name in {"src", "href", "xlink:href", "data", "action"}:
+                self.loads.append(value)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if self.open and self.open[-1] == tag:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        if tag not in {"path", "use", "rect", "circle", "line", "image"}:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+@pytest.mark.parametrize("events", [(), ("jerk", "workspace", "position_requested")])
+def test_the_page_is_whole_small_and_loads_nothing(events):
+    text = render(report(events))
+    page = Page(text)
+    assert page.open == []
+    assert len(page.ids) == len(set(page.ids))
+    assert all(load.startswith(("#", "data:,")) for load in page.loads)
+    assert {load[1:] for load in page.loads if load.startswith("#")} <= set(page.ids)
+    assert not re.search(r"@import|url\((?!#)|<script|https?://(?!www\.w3\.org)", text)
+    assert text.count("<svg") == SPEC.n + 1
+    assert len(text) < 1_000_000
+    assert "prefers-color-scheme: dark" in text
+    assert not re.search(r"#0[1-6]0[1-6]0[1-6]", text)
+
+
+def test_the_page_says_what_the_report_says():
+    found = report(["velocity"])
+    words = " ".join("".join(Page(render(found)).words).split())
+    assert found.statement in words
+    assert "Failed" in words
+    assert "Over budget: velocity." in words
+    for row in found.monitors:
+        assert row.name in words
+        assert row.meaning in words
+    for said in (*SPEC.joint_names, *found.unseen, "92,160,000", "a" * 64, "b" * 64, "soak-test --seed 7"):
+        assert said in words
+
+
+def test_an_interrupted_run_says_so_everywhere():
+    found = report(["jerk"], interrupted=True, ticks=TICKS // 4)
+    words = " ".join("".join(Page(render(found)).words).split())
+    assert found.verdict == "interrupted"
+    assert "Interrupted after 2 of 8 hours" in words
+    assert "Over budget so far: jerk." in words
+    (suite,) = JUnitXml.fromstring(junit(found))
+    assert (suite.failures, suite.skipped, suite.tests) == (1, len(found.budget) - 1, len(found.budget))
+
+
+def test_a_hostile_name_stays_text():
+    text = render(report(policy="<script>alert(1)</script>"))
+    assert "<script" not in text
+    assert "&lt;script&gt;" in text
+
+
+@pytest.mark.parametrize(("ticks", "samples"), [(0, 0), (0, 1), (1, 1)])
+def test_a_run_that_hardly_began_has_a_report(ticks, samples):
+    result = soak(ticks=ticks, samples=samples, interrupted=True)
+    empty = np.zeros(0, dtype=np.int64)
+    object.__setattr__(result, "goals_attempted", empty)
+    object.__setattr__(result, "goals_reached", empty)
+    found = build(result, load_budget())
+    Page(render(found))
+    assert "no bound" in found.statement if ticks == 0 else "rate ≤" in found.statement
+
+
+def test_numbers_that_are_none():
+    result = soak(["velocity"])
+    result.counts.worst[3, result.counts.columns("velocity").start] = np.inf
+    result.winding_c[200:, 5] = np.nan
+    result.winding_c[300:] = np.nan
+    found = build(result, load_budget())
+    assert found.heat[2].hottest_c[-1] is None
+    assert found.heat[2].median_c[250] == pytest.approx(25 + 35 * 250 / 480, abs=0.2)
+    assert Report.model_validate_json(found.model_dump_json()) == found
+    assert "∞" in render(found)
+
+
+def test_stops_by_reason():
+    result = soak()
+    result.counts.stops[2] = 3
+    result.counts.reasons[2, REASONS.index("WORKSPACE")] = 2
+    result.counts.reasons[2, REASONS.index("NONE")] = 1
+    found = build(result, load_budget())
+    assert found.stops.total == 3
+    assert found.stops.reasons == {"NONE": 1, "WORKSPACE": 2}
+    assert "No robot stopped" in render(report())
+    assert "workspace" in render(found)
+
+
+def test_one_test_case_for_each_budget_line():
+    found = report(["tool_speed"])
+    (suite,) = JUnitXml.fromstring(junit(found))
+    assert [case.name for case in suite] == [line.name for line in found.budget]
+    failed = [case for case in suite if not case.is_passed]
+    assert [(case.name, case.result[0].message) for case in failed] == [
+        ("tool_speed", "tool_speed: found 1 events, allowed at most 0")
+    ]
+
+
+def test_an_older_report_is_replaced_and_nothing_is_left_over(tmp_path):
+    write(report(["jerk"]), tmp_path / "a" / "b")
+    write(report(), tmp_path / "a" / "b")
+    assert {path.name for path in (tmp_path / "a" / "b").iterdir()} == {
+        "report.json",
+        "report.html",
+        "junit.xml",
+    }
+    assert '"passed"' in (tmp_path / "a" / "b" / "report.json").read_text()
+
+
+@pytest.mark.parametrize("attempt", [claim, lambda out: write(report(), out)])
+def test_a_place_that_cannot_be_written(tmp_path, attempt):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError, match="file"):
+        attempt(tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_one_file_that_cannot_be_written_spoils_none(tmp_path):
+    write(report(["jerk"]), tmp_path)
+    before = (tmp_path / "report.json").read_text()
+    (tmp_path / "junit.xml").unlink()
+    (tmp_path / "junit.xml").mkdir()
+    with pytest.raises(OutputError, match=r"junit\.xml"):
+        write(report(), tmp_path)
+    assert (tmp_path / "report.json").read_text() == before
+    assert {path.name for path in tmp_path.iterdir()} == {"report.json", "report.html", "junit.xml"}
+
+
+def test_a_claim_leaves_only_the_folder(tmp_path):
+    claim(tmp_path / "new")
+    assert list((tmp_path / "new").iterdir()) == []
