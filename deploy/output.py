@@ -19,7 +19,8 @@ def replacing(path: Path) -> Iterator[Path]:
     partial = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
     try:
         _check_replaceable(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.parent.exists():
+            path.parent.mkdir(parents=True)
         partial.open("xb").close()
         try:
             yield partial

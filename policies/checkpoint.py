@@ -109,10 +109,9 @@ def _load(path: Path) -> object:
         # torch's own words are kept out: they recommend loading with weights_only=False.
         raise ContractError(f"{path}: weights_only: corrupt, torch stopped at a {type(e).__name__}") from e
     if code:
-        raise ContractError(
-            f"{path}: weights_only: found {', '.join(map(repr, code)):.300}, expected only tensors, numbers "
-            "and text; nothing of it was run"
-        )
+        found = ", ".join(map(repr, sorted(code)))
+        expected = "expected only tensors, numbers and text; nothing of it was run"
+        raise ContractError(f"{path}: weights_only: found {found:.300}, {expected}")
     return data
 
 

@@ -22,7 +22,7 @@ from deploy.policy_file import GOLDEN_KEY, INPUT, OUTPUT, Golden
 from policies.checkpoint import Checkpoint, load_checkpoint
 from policies.networks import Actor
 from robots.errors import ContractError
-from robots.spec import load_robot
+from robots.spec import RobotSpec, load_robot
 
 POLICIES = Path(__file__).parent
 GOLDEN_PAIRS = 16
@@ -66,7 +66,7 @@ def export(checkpoint_path: Path, out_path: Path, robot: str | Path | None = Non
     with replacing(out_path) as partial:
         data = _onnx(checkpoint)
         partial.write_bytes(data)
-        deviation = _compare(Policy.load(partial, spec), checkpoint, checkpoint_path)
+        deviation = _compare(_loaded(partial, spec, out_path), checkpoint, checkpoint_path)
     return Exported(
         path=out_path,
         file_bytes=len(data),
@@ -131,6 +131,14 @@ def _golden(checkpoint: Checkpoint) -> str:
     observation = checkpoint.rollout[torch.from_numpy(rows)]
     pairs = {"observation": observation.tolist(), "action": checkpoint.actor(observation).tolist()}
     return Golden.model_validate(pairs).model_dump_json()
+
+
+def _loaded(partial: Path, spec: RobotSpec, out_path: Path) -> Policy:
+    """The new file behind every check that it will meet on the robot."""
+    try:
+        return Policy.load(partial, spec)
+    except ContractError as e:
+        raise ContractError(str(e).replace(str(partial), f"{out_path} (not written)")) from e
 
 
 def _compare(policy: Policy, checkpoint: Checkpoint, source: Path) -> tuple[float, ...]:

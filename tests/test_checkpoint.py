@@ -1,0 +1,235 @@
+import os
+import pickle
+import zipfile
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from test_contract import arm_contract  # noqa: E402
+
+from policies.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
+from policies.networks import Actor  # noqa: E402
+from robots.errors import ContractError, OutputError  # noqa: E402
+
+LAYERS = (32, 16)
+
+
+def made_actor(seed=0):
+    """An untrained actor with a normalizer that matters; also for other test files."""
+    torch.manual_seed(seed)
+    actor = Actor(24, 6, LAYERS)
+    actor.mean.normal_()
+    actor.divisor.uniform_(0.1, 3.0)
+    return actor
+
+
+def saved(folder, *, actor=None, contract=None, spread=1.0, name="arm.pt"):
+    """A checkpoint file with a made-up rollout; also for other test files."""
+    actor = actor or made_actor()
+    rollout = torch.randn(1100, 24, generator=torch.Generator().manual_seed(9))
+    rollout[5] *= spread
+    path = folder / name
+    save_checkpoint(path, actor, contract or arm_contract(), rollout, seed=3, recipe="steps = 1\n")
+    return path
+
+
+def test_what_was_saved_is_loaded(tmp_path):
+    actor = made_actor()
+    found = load_checkpoint(saved(tmp_path, actor=actor))
+    assert (found.contract, found.seed, found.recipe) == (arm_contract(), 3, "steps = 1\n")
+    assert found.rollout.shape == (1100, 24)
+    assert torch.equal(found.actor(found.rollout), actor(found.rollout))
+
+
+def test_the_same_checkpoint_is_the_same_bytes(tmp_path):
+    assert saved(tmp_path, name="a.pt").read_bytes() == saved(tmp_path, name="b.pt").read_bytes()
+
+
+# ---- files that are not checkpoints ----
+
+
+class Evil:
+    def __init__(self, witness):
+        self.witness = witness
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.witness),)
+
+
+def refused(path):
+    with pytest.raises(ContractError) as caught:
+        load_checkpoint(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    return str(caught.value).removeprefix(f"{path}: ")
+
+
+def test_a_malicious_pickle_is_named_and_never_run(tmp_path):
+    witness, path = tmp_path / "witness", tmp_path / "evil.pt"
+    file = torch.load(saved(tmp_path), weights_only=True)
+    torch.save({**file, "recipe": Evil(witness)}, path)
+    message = refused(path)
+    assert message.startswith("weights_only: found 'posix.mkdir', expected only tensors, numbers and text")
+    assert "weights_only=False" not in message
+    assert not witness.exists()
+    torch.load(path, weights_only=False)  # the trap was armed
+    assert witness.exists()
+
+
+def test_a_bare_pickle_is_never_run(tmp_path):
+    witness, path = tmp_path / "witness", tmp_path / "evil.pt"
+    path.write_bytes(pickle.dumps(Evil(witness)))
+    assert refused(path) == "found no torch archive, expected a checkpoint of policy-train"
+    assert not witness.exists()
+
+
+def test_a_whole_module_is_refused(tmp_path):
+    torch.save(made_actor(), tmp_path / "x.pt")
+    assert refused(tmp_path / "x.pt").startswith("weights_only: found 'policies.networks.Actor', 'torch.nn")
+
+
+def zipped(path, **records):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in records.items():
+            archive.writestr(f"archive/{name}", data)
+
+
+def test_other_files_are_refused(tmp_path):
+    path = tmp_path / "x.pt"
+    assert refused(path).startswith("cannot be read: No such file or directory")
+    assert refused(tmp_path).startswith("cannot be read: Is a directory")
+    for data in (b"", b"junk" * 100, saved(tmp_path).read_bytes()[:-300]):
+        path.write_bytes(data)
+        assert refused(path) == "found no torch archive, expected a checkpoint of policy-train"
+    zipped(path, note="hello")
+    assert refused(path).startswith("weights_only: corrupt, torch stopped at a ")
+
+
+def test_a_bomb_is_not_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr("policies.checkpoint.FILE_BYTES_MAX", 10**6)
+    zipped(tmp_path / "x.pt", data=bytes(10**6 + 1))
+    assert (tmp_path / "x.pt").stat().st_size < 10**4
+    assert refused(tmp_path / "x.pt") == "found 1000001 bytes unpacked, expected at most 1000000"
+
+
+# ---- checkpoints with something wrong in them ----
+
+
+def edited(folder, change):
+    path = saved(folder)
+    file = torch.load(path, weights_only=True)
+    change(file)
+    torch.save(file, path)
+    return path
+
+
+def put(*keys, value):
+    def change(file):
+        for key in keys[:-1]:
+            file = file[key]
+        file[keys[-1]] = value
+
+    return change
+
+
+def spoil(key, index, value):
+    def change(file):
+        tensor = file["rollout"] if key == "rollout" else file["actor"][key]
+        tensor[index] = value
+
+    return change
+
+
+WEIGHT = "mlp.2.weight"
+BAD = {
+    "unknown key": (put("optimizer", value={}), "optimizer: Extra inputs are not permitted"),
+    "missing key": (lambda file: file.pop("rollout"), "rollout: Field required"),
+    "other format": (put("format", value=2), "format: Input should be 1, found 2"),
+    "other activation": (put("activation", value="relu"), "activation: Input should be 'elu', found 'relu'"),
+    "tensor for text": (put("contract", value=torch.zeros(2)), "contract: Input should be a valid string"),
+    "number for tensor": (
+        put("actor", WEIGHT, value=1.0),
+        f"actor.{WEIGHT}: Input should be an instance of Tensor",
+    ),
+    "no layers": (put("layers", value=[]), "layers: Tuple should have at least 1 item"),
+    "layer of a million": (
+        put("layers", value=[10**6]),
+        "layers.0: Input should be less than or equal to 4096",
+    ),
+    "other layers": (
+        put("layers", value=[32, 17]),
+        "actor.mlp.2.weight: found torch.float32 (16, 32) contiguous, expected torch.float32 (17, 32)",
+    ),
+    "more layers": (put("layers", value=[32, 16, 8]), "actor: found tensors divisor, mean, mlp.0.bias"),
+    "tensor missing": (lambda file: file["actor"].pop("mean"), "actor: found tensors divisor, mlp.0.bias"),
+    "double": (
+        put("actor", "mean", value=torch.zeros(24, dtype=torch.float64)),
+        "actor.mean: found torch.float64 (24,) contiguous, expected torch.float32 (24,) contiguous",
+    ),
+    "claims to be huge": (
+        put("rollout", value=torch.zeros(1).expand(10**12, 24)),
+        "rollout: found torch.float32 (1000000000000, 24) not plain, expected",
+    ),
+    "strided": (
+        put("actor", "mean", value=torch.zeros(24, 2)[:, 0]),
+        "actor.mean: found torch.float32 (24,) not",
+    ),
+    "weight NaN": (
+        spoil(WEIGHT, (0, 3), torch.nan),
+        f"actor.{WEIGHT}: found 1 values NaN or infinite, expected all",
+    ),
+    "mean infinite": (
+        spoil("mean", 3, -torch.inf),
+        "actor.mean: found 1 values NaN or infinite, expected all finite",
+    ),
+    "divisor of zero": (spoil("divisor", 3, 0.0), "actor.divisor: found 0, expected all above 0"),
+    "rollout NaN": (
+        spoil("rollout", (5, 3), torch.nan),
+        "rollout: found 1 values NaN or infinite, expected all",
+    ),
+    "rollout short": (
+        put("rollout", value=torch.zeros(999, 24)),
+        "rollout: found 999 observations, expected at least",
+    ),
+    "rollout narrow": (
+        put("rollout", value=torch.zeros(1000, 23)),
+        "rollout: found torch.float32 (1000, 23) contiguous, expected torch.float32 (1000, 24) contiguous",
+    ),
+    "rollout a number": (
+        put("rollout", value=torch.tensor(1.0)),
+        "rollout: found 0 observations, expected at least",
+    ),
+    "contract broken": (put("contract", value="{"), "contract: not valid JSON"),
+    "seed as text": (put("seed", value="3"), "seed: Input should be a valid integer, found '3'"),
+}
+
+
+@pytest.mark.parametrize(("change", "message"), BAD.values(), ids=BAD)
+def test_a_bad_key_is_named(tmp_path, change, message):
+    assert refused(edited(tmp_path, change)).startswith(message)
+
+
+def test_a_list_is_no_checkpoint(tmp_path):
+    torch.save([torch.zeros(2)], tmp_path / "x.pt")
+    assert refused(tmp_path / "x.pt").startswith("(whole file): Input should be a valid dictionary")
+
+
+# ---- what save refuses ----
+
+
+def test_what_could_not_be_loaded_is_not_saved(tmp_path):
+    path = saved(tmp_path)
+    before = path.read_bytes()
+    actor = made_actor(1)
+    actor.mean[0] = torch.nan
+    with pytest.raises(ContractError, match=r"actor\.mean: found 1 values NaN"):
+        saved(tmp_path, actor=actor)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["arm.pt"]
+
+
+def test_an_unwritable_place_is_named(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OutputError) as caught:
+        saved(tmp_path / "file")
+    assert str(caught.value) == f"--out {tmp_path / 'file' / 'arm.pt'}: cannot be written: Not a directory"
