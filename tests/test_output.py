@@ -15,13 +15,18 @@ def test_a_file_is_replaced_when_the_block_ends_well(tmp_path):
     assert os.listdir(path.parent) == ["x.bin"]
 
 
+def written_by_half(path, error):
+    with replacing(path) as partial:
+        partial.write_text("half")
+        raise error
+
+
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 def test_nothing_changes_when_it_does_not(tmp_path, error):
     path = tmp_path / "x.bin"
     path.write_text("older")
-    with pytest.raises(error), replacing(path) as partial:
-        partial.write_text("half")
-        raise error
+    with pytest.raises(error):
+        written_by_half(path, error)
     assert path.read_text() == "older"
     assert os.listdir(tmp_path) == ["x.bin"]
 
