@@ -87,6 +87,17 @@ class Runtime:
         """What was sent last."""
         return self.smoother.sent
 
+    def start(self) -> Ints:
+        """The first tick: look, and arm every robot; the policy is not asked yet.
+
+        Returns:
+            (B,) reasons of robots that were refused, 0 elsewhere.
+        """
+        self.sense()
+        refused = self.arm(np.ones(self.robot.robots, dtype=bool))
+        self.act(None)
+        return refused
+
     def tick(self) -> None:
         """Sense, think when it is time to, act."""
         observation = self.sense()

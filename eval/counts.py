@@ -5,7 +5,7 @@ within a monitor. Loads are fractions of the limit: above 1 is bad, so channels 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,6 +189,7 @@ class Counts:
 
 
 _SHARED = ("joints", "dt", "goal_s", "limits")
+_ROWS = tuple(field.name for field in fields(Counts) if field.name not in _SHARED)
 
 
 def merge(a: Counts, b: Counts) -> Counts:
@@ -200,11 +201,9 @@ def merge(a: Counts, b: Counts) -> Counts:
     for name in _SHARED:
         if not np.array_equal(getattr(a, name), getattr(b, name)):
             raise ConfigError(f"counts: {name}: {getattr(a, name)} and {getattr(b, name)} cannot be merged")
-    rows = [field.name for field in fields(Counts) if field.name not in _SHARED]
-    return Counts(
-        joints=a.joints,
-        dt=a.dt,
-        goal_s=a.goal_s,
-        limits=a.limits,
-        **{name: np.concatenate([getattr(a, name), getattr(b, name)]) for name in rows},
-    )
+    return replace(a, **{name: np.concatenate([getattr(a, name), getattr(b, name)]) for name in _ROWS})
+
+
+def first(counts: Counts, robots: int) -> Counts:
+    """Only the first robots."""
+    return replace(counts, **{name: getattr(counts, name)[:robots] for name in _ROWS})

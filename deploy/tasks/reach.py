@@ -57,7 +57,7 @@ class Reach(Stage):
         """
         self.config, robots = config or ReachConfig(), len(seeds)
         self._keys = keys(seeds, purpose=0)
-        self._pool, self._chance = goal_pool(spec, self.config)
+        self.pool = goal_pool(spec, self.config)
         self._period = round(self.config.period_s / spec.dt)
         self.goal, self.ended_goal = np.zeros((robots, 3)), np.zeros((robots, 3))
         self.elapsed, self.number, self.attempted, self.reached = np.zeros((4, robots), dtype=np.int64)
@@ -88,39 +88,48 @@ class Reach(Stage):
     def _choose(self, ids: Bools) -> None:
         for robot in np.flatnonzero(ids):
             u = keyed(self._keys[robot], int(self.number[robot])).random()
-            self.goal[robot] = self._pool[np.searchsorted(self._chance, u)]
+            self.goal[robot] = self.pool.tool[np.searchsorted(self.pool.chance, u)]
             self.number[robot] += 1
 
 
-def goal_pool(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Floats]:
-    """Points the arm can reach, and their cumulative chances.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GoalPool:
+    """Points the arm can reach.
+
+    Attributes:
+        q: (K, n) rad, a configuration that reaches each. tool: (K, 3) m. chance: (K,) cumulative, ends at 1.
+    """
+
+    q: Floats
+    tool: Floats
+    chance: Floats
+
+
+def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
+    """Sample the pool.
 
     Tool positions of uniform joint configurations crowd where the arm folds; weighting each by one over the number
     of its cell makes the choice uniform in volume.
-
-    Returns:
-        points (K, 3) m, and (K,) cumulative chance, ending at 1.
     """
-    tools = _safe_tools(spec, config)
-    radius = np.linalg.norm(tools - np.array(spec.workspace.centre), axis=1)
-    shell = (radius >= config.radius_min) & (radius <= config.radius_max) & (tools[:, 2] >= config.z_min)
-    points = tools[shell]
-    _, cell, count = np.unique(
-        np.floor(points / config.cell_m), axis=0, return_inverse=True, return_counts=True
-    )
+    q, tool = _safe_poses(spec, config)
+    radius = np.linalg.norm(tool - np.array(spec.workspace.centre), axis=1)
+    shell = (radius >= config.radius_min) & (radius <= config.radius_max) & (tool[:, 2] >= config.z_min)
+    q, tool = q[shell], tool[shell]
+    _, cell, count = np.unique(np.floor(tool / config.cell_m), axis=0, return_inverse=True, return_counts=True)
     weight = 1.0 / count[cell]
-    return points, np.cumsum(weight) / weight.sum()
+    return GoalPool(q=q, tool=tool, chance=np.cumsum(weight) / weight.sum())
 
 
-def _safe_tools(spec: RobotSpec, config: ReachConfig) -> Floats:
-    """(K, 3) m, tools of configurations at rest that no safety check refuses."""
+def _safe_poses(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Floats]:
+    """(K, n) rad and (K, 3) m: configurations that no safety check refuses, and their tools."""
     rng = np.random.default_rng(GOALS_SEED)
     low, high = (spec.joint_array(f"q_{end}") for end in ("min", "max"))
     margin = 2 * spec.margins.q_target_rad
     fleet = Fleet(spec, BLOCK)
-    safety, tools = Safety(spec, fleet), []
+    safety, poses, tools = Safety(spec, fleet), [], []
     for q in rng.uniform(low + margin, high - margin, (config.candidates // BLOCK, BLOCK, spec.n)):
         reason = np.zeros(BLOCK, dtype=np.int64)
         safety.check_pose(q, reason)
+        poses.append(q[reason == 0])
         tools.append(fleet.tool_position[reason == 0])
-    return np.concatenate(tools)
+    return np.concatenate(poses), np.concatenate(tools)

@@ -1,0 +1,137 @@
+"""A shard: a fixed number of robots that live their hours together in one process.
+
+Results are a function of seed, draw and `WIDTH` only: which process runs a shard, and when, changes nothing.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.backends.sim.robot import SimRobot
+from deploy.policy import Policy
+from deploy.runtime import Runtime
+from deploy.state import Mode
+from eval.counts import Counts, first
+from eval.monitors import Judge
+from robots.model_pinocchio import torque_max
+from robots.randomness import robot_seed
+from robots.spec import load_robot
+
+WIDTH = 8
+"""Robots in a shard, of which the last shard may count fewer: wide enough to share costs, narrow enough that 16
+robots keep two cores busy."""
+LOOK_S = 1.0
+"""s between two looks at progress, interruption and latched robots."""
+OPERATOR_S = 60.0
+"""s that a latched robot waits for its operator, who arms it again."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShardJob:
+    """What a worker is told.
+
+    Attributes:
+        robot: folder. policy: file. seed: of the soak.
+        first: index of the shard's first robot. robots: how many of its robots count.
+        ticks: control ticks to live. sample_ticks: ticks between two samples of heat and goals.
+    """
+
+    robot: Path
+    policy: Path
+    seed: int
+    first: int
+    robots: int
+    ticks: int
+    sample_ticks: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShardResult:
+    """What a shard lived through, of the robots that count (R).
+
+    Attributes:
+        counts: what the judge found.
+        winding_c: (T, R, n) °C, true winding temperature at each sample; NaN where the simulation diverged.
+        attempted, reached: (T,) goals up to each sample, all robots together.
+    """
+
+    counts: Counts
+    winding_c: NDArray[np.float64]
+    attempted: NDArray[np.int64]
+    reached: NDArray[np.int64]
+
+
+class Shard:
+    """Runtime, simulated robots and judge of one job."""
+
+    def __init__(self, job: ShardJob) -> None:
+        """Build everything; robots beyond those that count keep the width and are not reported."""
+        spec = load_robot(job.robot)
+        seeds = [robot_seed(job.seed, job.first + row) for row in range(WIDTH)]
+        policy = Policy.load(job.policy, spec)
+        self._job, self._robot = job, SimRobot(spec, seeds)
+        self.runtime = Runtime(spec, policy.contract, self._robot, seeds, policy)
+        goal_s = self.runtime.task.config.period_s
+        self._judge = Judge(spec, torque_max(spec), WIDTH, goal_s=goal_s)
+        self._look, self._operator = round(LOOK_S / spec.dt), round(OPERATOR_S / spec.dt)
+        self._samples: list[tuple[NDArray[np.float64], int, int]] = []
+
+    def run(self, progress: Callable[[int], None], stop: Callable[[], bool]) -> ShardResult:
+        """Live the hours.
+
+        Args:
+            progress: told the ticks done so far.
+            stop: whether to end now and report what there is.
+        """
+        self.runtime.start()
+        self._judge_tick()
+        for tick in range(1, self._job.ticks):
+            if tick % self._look == 0:
+                progress(tick)
+                self._rearm()
+                if stop():
+                    break
+            self.runtime.tick()
+            self._judge_tick()
+            if (tick + 1) % self._job.sample_ticks == 0:
+                self._sample()
+        progress(self.runtime.ticks)
+        return self._result()
+
+    def _judge_tick(self) -> None:
+        runtime = self.runtime
+        self._judge.step(
+            truth=self._robot.truth(),
+            target=runtime.target,
+            command=runtime.command,
+            mode=runtime.supervisor.mode,
+            reason=runtime.supervisor.reason,
+            goal=runtime.task.goal,
+            attempted=runtime.task.attempted,
+        )
+
+    def _rearm(self) -> None:
+        """The operator: arms latched robots after a while, and robots that were refused at the start."""
+        supervisor = self.runtime.supervisor
+        waiting = ~supervisor.powered & (supervisor.since >= self._operator)
+        if waiting.any():
+            self.runtime.arm(waiting)
+
+    def _sample(self) -> None:
+        truth, rows = self._robot.truth(), slice(0, self._job.robots)
+        winding = np.where(truth.valid[:, None], truth.winding_c, np.nan)[rows]
+        judge = self._judge
+        self._samples.append((winding, int(judge.attempted[rows].sum()), int(judge.reached[rows].sum())))
+
+    def _result(self) -> ShardResult:
+        winding, attempted, reached = zip(*self._samples, strict=True) if self._samples else ((), (), ())
+        shape = (len(winding), self._job.robots, self.runtime.spec.n)
+        return ShardResult(
+            counts=first(self._judge.counts(), self._job.robots),
+            winding_c=np.reshape(winding, shape),
+            attempted=np.array(attempted, dtype=np.int64),
+            reached=np.array(reached, dtype=np.int64),
+        )

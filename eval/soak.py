@@ -1,0 +1,256 @@
+"""soak-test: the shipped runtime on simulated robots, each its own draw, for contiguous hours."""
+
+import multiprocessing as mp
+import platform
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from datetime import datetime
+from functools import reduce
+from importlib.metadata import version
+from multiprocessing.sharedctypes import SynchronizedArray
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from deploy.cli import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.policy import Policy
+from eval.budget import BUDGET, load_budget
+from eval.counts import merge
+from eval.report.build import build
+from eval.report.data import Run, Settings, SoakResult
+from eval.report.write import claim, write
+from eval.shard import WIDTH, Shard, ShardJob, ShardResult
+from robots.errors import ConfigError
+from robots.spec import RobotSpec, load_robot
+
+SAMPLE_S = 60.0
+"""s between two samples of heat and goals, in a soak long enough for `SAMPLES` of them."""
+SAMPLES, GOAL_BINS = 64, 8
+LIBRARIES = ("mujoco", "pin", "ruckig", "filterpy", "onnxruntime", "numpy")
+UNSEEN = (
+    "Sensors lie by noise, quantization, delay and loss only: no drift, no bias, no failure.",
+    "Motors heat and their torque sags, but nothing wears: hour 8 has the friction of hour 0.",
+    "No payload, no cable, no push, no person: the arm moves in free air above its table.",
+    "Links are rigid and gears have no backlash; brakes are drives that hold.",
+    "The report counts what the simulation can show; a real robot has been nowhere in it.",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Soak:
+    """What was asked for."""
+
+    spec: RobotSpec
+    policy: Policy
+    policy_path: Path
+    budget: Path
+    hours: float
+    robots: int
+    seed: int
+    workers: int
+
+    @property
+    def ticks(self) -> int:
+        """Control ticks that each robot lives."""
+        return max(1, round(self.hours * 3600 / self.spec.dt))
+
+    @property
+    def sample_ticks(self) -> int:
+        """Control ticks between two samples."""
+        return max(1, min(round(SAMPLE_S / self.spec.dt), self.ticks // SAMPLES))
+
+    def jobs(self) -> list[ShardJob]:
+        """Shards of `WIDTH` robots; the last may count fewer."""
+        return [
+            ShardJob(
+                robot=self.spec.folder,
+                policy=self.policy_path,
+                seed=self.seed,
+                first=start,
+                robots=min(WIDTH, self.robots - start),
+                ticks=self.ticks,
+                sample_ticks=self.sample_ticks,
+            )
+            for start in range(0, self.robots, WIDTH)
+        ]
+
+
+# Of the worker process: set once, before its first shard.
+_progress: "SynchronizedArray[int]"
+_stop: Event
+
+
+def _prepare(progress: "SynchronizedArray[int]", stop: Event) -> None:
+    """A worker leaves Ctrl-C to its parent, which asks it to stop."""
+    global _progress, _stop
+    _progress, _stop = progress, stop
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _run(number: int, job: ShardJob) -> ShardResult | None:
+    """One shard in a worker; None if the soak was interrupted before it began."""
+    if _stop.is_set():
+        return None
+
+    def report(ticks: int) -> None:
+        _progress[number] = ticks
+
+    return Shard(job).run(report, _stop.is_set)
+
+
+def run_soak(soak: Soak, console: Console) -> tuple[list[ShardResult], bool]:
+    """Run every shard; return their results in order, and whether Ctrl-C cut them short."""
+    jobs, context = soak.jobs(), mp.get_context("spawn")
+    progress, stop = context.Array("q", len(jobs)), context.Event()
+    shared = (progress, stop)
+    with ProcessPoolExecutor(soak.workers, context, initializer=_prepare, initargs=shared) as pool:
+        futures = [pool.submit(_run, number, job) for number, job in enumerate(jobs)]
+        try:
+            _watch(futures, progress, soak.ticks * len(jobs), console)
+        except KeyboardInterrupt:
+            console.print("interrupted: the report will hold what was done so far")
+            stop.set()
+        results = [future.result() for future in futures]
+    return [result for result in results if result is not None], stop.is_set()
+
+
+def _watch(
+    futures: "Sequence[Future[ShardResult | None]]",
+    progress: "SynchronizedArray[int]",
+    total: int,
+    console: Console,
+) -> None:
+    """Show progress until every shard is done or one has failed."""
+    columns = (
+        TextColumn("soaking"),
+        BarColumn(),
+        TextColumn("{task.percentage:5.1f} %"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    with Progress(*columns, console=console) as bar:
+        task, pending = bar.add_task("", total=total), set(futures)
+        while pending:
+            done, pending = wait(pending, timeout=0.5)
+            bar.update(task, completed=sum(progress[:]))
+            for future in done:
+                future.result()
+
+
+def collect(soak: Soak, shards: Sequence[ShardResult], run: Run) -> SoakResult:
+    """Put shards side by side.
+
+    Heat that an interrupted shard did not reach is NaN; its goals stay as they stood.
+    """
+    samples = max(len(shard.winding_c) for shard in shards)
+    per_bin, sample_h = max(1, -(-samples // GOAL_BINS)), soak.sample_ticks * soak.spec.dt / 3600
+    winding = [
+        np.pad(s.winding_c, ((0, samples - len(s.winding_c)), (0, 0), (0, 0)), constant_values=np.nan)
+        for s in shards
+    ]
+    return SoakResult(
+        settings=_settings(soak),
+        run=run,
+        counts=reduce(merge, (shard.counts for shard in shards)),
+        sample_h=np.arange(1, samples + 1) * sample_h,
+        winding_c=np.concatenate(winding, axis=1),
+        winding_soft_c=soak.spec.motor_array("winding_soft_c"),
+        winding_max_c=soak.spec.motor_array("winding_max_c"),
+        goals_bin_h=per_bin * sample_h,
+        goals_attempted=_binned([shard.attempted for shard in shards], samples, per_bin),
+        goals_reached=_binned([shard.reached for shard in shards], samples, per_bin),
+        unseen=UNSEEN,
+    )
+
+
+def _binned(totals: Sequence[NDArray[np.int64]], samples: int, per_bin: int) -> NDArray[np.int64]:
+    """Running totals of shards to what came in each bin; the last bin may be shorter."""
+    total = sum(np.pad(np.concatenate(([0], t)), (0, samples - len(t)), "edge") for t in totals)
+    edges = [*range(0, samples, per_bin), samples]
+    return np.diff(np.asarray(total)[edges])
+
+
+def _settings(soak: Soak) -> Settings:
+    versions = {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}}
+    return Settings(
+        command=" ".join(["soak-test", *sys.argv[1:]]),
+        robot=soak.spec.name,
+        robot_digest=soak.spec.digest,
+        policy=str(soak.policy_path),
+        policy_digest=soak.policy.digest,
+        budget=str(soak.budget),
+        seed=soak.seed,
+        hours=soak.hours,
+        robots=soak.robots,
+        shard_width=WIDTH,
+        workers=soak.workers,
+        versions=versions,
+    )
+
+
+def soak_test(
+    policy: Annotated[Path, typer.Option(help="ONNX file that policy-export wrote.")] = Path("out/arm.onnx"),
+    robot: Annotated[str, typer.Option(help="Robot: a name or a folder.")] = "arm6",
+    hours: Annotated[float, typer.Option(help="Simulated hours of each robot.")] = 8.0,
+    robots: Annotated[int, typer.Option(help="Robots, each its own draw.")] = 16,
+    seed: Annotated[int, typer.Option(help="Decides every draw, noise and goal.")] = 7,
+    workers: Annotated[int, typer.Option(help="Processes; results do not depend on it.")] = 2,
+    budget: Annotated[Path, typer.Option(help="TOML of what the soak may cost.")] = BUDGET,
+    out: Annotated[Path, typer.Option(help="Folder for report.json, report.html, junit.xml.")] = Path("out/soak"),
+) -> int:
+    """Soak the shipped runtime in simulation and write a report; 1 if a budget was exceeded."""
+    _check_options(hours, robots, seed, workers)
+    limits, spec = load_budget(budget), load_robot(robot)
+    soak = Soak(
+        spec=spec,
+        policy=Policy.load(policy, spec),
+        policy_path=policy,
+        budget=budget,
+        hours=hours,
+        robots=robots,
+        seed=seed,
+        workers=workers,
+    )
+    claim(out)
+    console, began, clock = Console(), datetime.now().astimezone(), time.monotonic()
+    shards, interrupted = run_soak(soak, console)
+    if not shards:
+        return INTERRUPTED
+    run = Run(
+        started=began.isoformat(timespec="seconds"),
+        wall_s=round(time.monotonic() - clock, 1),
+        hours=float(np.mean([shard.counts.ticks.mean() for shard in shards])) * spec.dt / 3600,
+        interrupted=interrupted,
+    )
+    report = build(collect(soak, shards, run), limits)
+    write(report, out)
+    console.print(f"{report.verdict}: {report.statement}\nreport: {out / 'report.html'}", soft_wrap=True)
+    return {"passed": PASSED, "failed": BUDGET_EXCEEDED, "interrupted": INTERRUPTED}[report.verdict]
+
+
+def _check_options(hours: float, robots: int, seed: int, workers: int) -> None:
+    bounds = (
+        ("--hours", hours, 0 < hours <= 10_000, "above 0 and at most 10000"),
+        ("--robots", robots, 1 <= robots <= 100_000, "from 1 to 100000"),
+        ("--seed", seed, seed >= 0, "at least 0"),
+        ("--workers", workers, 1 <= workers <= 1024, "from 1 to 1024"),
+    )
+    for name, value, fine, expected in bounds:
+        if not fine:
+            raise ConfigError(f"{name}: found {value}, expected {expected}")
+
+
+def cli() -> None:
+    """Entry point of `soak-test`."""
+    main(soak_test)

@@ -1,0 +1,1 @@
+"""policy-train: PPO through the runtime that ships."""
