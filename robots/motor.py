@@ -3,17 +3,15 @@
     Cw dTw/dt = I² R0 (1 + α (Tw − T0)) − (Tw − Th)/Rwh
     Ch dTh/dt = (Tw − Th)/Rwh − (Th − Ta)/Rha
 
-Source: two-node lumped model as in PR2's ethercat_hardware motor_heating_model (2010). In simulation the winding
-node is MuJoCo's `dcmotor` and only `housing_step` runs; `temperatures` is the closed form that judges both.
+Source: two-node lumped model as in PR2's ethercat_hardware motor_heating_model (2010). At a constant current the
+copper loss is linear in the winding's temperature, so the whole system is linear and has a closed form: the judge of
+every simulation of it.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,3 +30,27 @@ class MotorHeat:
     housing_to_ambient: float
     winding_capacity: float
     housing_capacity: float
+
+
+def temperatures(heat: MotorHeat, current: float, ambient: float, t: float) -> tuple[float, float]:
+    """Winding and housing, °C, after a motor as cold as its room has carried a constant current.
+
+    Args:
+        heat: the motor.
+        current: A.
+        ambient: °C.
+        t: s.
+    """
+    loss = current**2 * heat.resistance
+    inner, outer = 1.0 / heat.winding_to_housing, 1.0 / heat.housing_to_ambient
+    # Rises above ambient, in W; the third row is the constant 1 that carries what does not depend on them.
+    power = np.array(
+        [
+            [loss * heat.alpha - inner, inner, loss * (1.0 + heat.alpha * (ambient - heat.reference_c))],
+            [inner, -inner - outer, 0.0],
+            [0.0, 0.0, 0.0],
+        ]
+    )
+    capacity = np.array([heat.winding_capacity, heat.housing_capacity, 1.0])
+    rise = expm(power / capacity[:, None] * t)[:2, 2]
+    return ambient + float(rise[0]), ambient + float(rise[1])

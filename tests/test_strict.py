@@ -1,0 +1,110 @@
+import pytest
+from pydantic import PositiveFloat, PositiveInt, ValidationError
+
+from robots.errors import ConfigError, FirstshiftError, RobotError
+from robots.strict import Strict, parse, read_toml
+
+
+class Leg(Strict):
+    length: PositiveFloat
+    name: str = "leg"
+
+
+class Animal(Strict):
+    legs: tuple[Leg, ...]
+    eyes: PositiveInt
+    tame: bool = False
+    places: tuple[float, float] = (0.0, 1.0)
+    parts: dict[str, Leg] = {}
+
+
+GOOD = "eyes = 2\nlegs = [{ length = 1.5 }, { length = 2, name = 'left' }]\n"
+
+
+def read(tmp_path, text, error=ConfigError):
+    path = tmp_path / "animal.toml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_toml(path, Animal, error)
+
+
+def test_reads_what_is_right(tmp_path):
+    animal = read(tmp_path, GOOD + "places = [3, 4.5]\n[parts.tail]\nlength = 1")
+    assert [leg.length for leg in animal.legs] == [1.5, 2.0]
+    assert (animal.eyes, animal.places, animal.parts["tail"].length) == (2, (3.0, 4.5), 1.0)
+    assert isinstance(animal.legs[1].length, float)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (GOOD + "wings = 2", ["wings", "Extra inputs", "2"]),
+        ("legs = []", ["eyes", "required"]),
+        (GOOD.replace("length = 1.5", "length = -1.5"), ["legs.0.length", "greater than 0", "-1.5"]),
+        (GOOD.replace("length = 1.5", "length = nan"), ["legs.0.length", "nan"]),
+        (GOOD.replace("length = 1.5", "length = inf"), ["legs.0.length", "inf"]),
+        (GOOD.replace("length = 1.5", "length = '1.5'"), ["legs.0.length", "number", "'1.5'"]),
+        (GOOD.replace("length = 1.5", "length = true"), ["legs.0.length", "number", "True"]),
+        (GOOD.replace("eyes = 2", "eyes = 2.0"), ["eyes", "integer", "2.0"]),
+        (GOOD.replace("eyes = 2", "eyes = '2'"), ["eyes", "integer", "'2'"]),
+        (GOOD.replace("eyes = 2", "eyes = true"), ["eyes", "integer", "True"]),
+        (GOOD.replace("eyes = 2", "eyes = 0"), ["eyes", "greater than 0", "0"]),
+        (GOOD.replace("'left'", "7"), ["legs.1.name", "string", "7"]),
+        (GOOD + "tame = 'yes'", ["tame", "boolean", "yes"]),
+        (GOOD + "tame = 1", ["tame", "boolean", "1"]),
+        (GOOD + "places = [1.0]", ["places"]),
+        (GOOD + "places = 3.0", ["places", "3.0"]),
+        (GOOD + "parts = [1]", ["parts"]),
+        (GOOD + "[parts.tail]\nlength = 0", ["parts.tail.length", "greater than 0"]),
+        ("legs = {}\neyes = 2", ["legs"]),
+        ("legs = [3]\neyes = 2", ["legs.0", "3"]),
+        ("eyes = = 2", ["not valid TOML"]),
+        ("eyes = 2\neyes = 3", ["not valid TOML"]),
+        (b"\xff\xfe", ["not valid TOML"]),
+    ],
+)
+def test_says_what_is_wrong(tmp_path, text, words):
+    with pytest.raises(ConfigError) as caught:
+        read(tmp_path, text)
+    message = str(caught.value)
+    assert message.startswith(str(tmp_path / "animal.toml"))
+    for word in words:
+        assert word in message
+
+
+def test_every_wrong_field_has_its_own_line(tmp_path):
+    with pytest.raises(ConfigError) as caught:
+        read(tmp_path, "eyes = -1\nwings = 2\nlegs = [{ length = 0 }, { length = 'x' }]")
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 4
+    assert all(line.startswith(str(tmp_path)) for line in lines)
+
+
+def test_a_huge_value_does_not_flood_the_message(tmp_path):
+    with pytest.raises(ConfigError) as caught:
+        read(tmp_path, GOOD.replace("eyes = 2", f"eyes = '{'x' * 10_000}'"))
+    assert len(str(caught.value)) < 500
+
+
+def test_missing_file_and_folder_in_its_place(tmp_path):
+    for path in (tmp_path / "none.toml", tmp_path):
+        with pytest.raises(RobotError, match="cannot be read"):
+            read_toml(path, Animal, RobotError)
+
+
+def test_raises_the_class_that_was_asked_for(tmp_path):
+    assert issubclass(RobotError, FirstshiftError)
+    with pytest.raises(RobotError):
+        read(tmp_path, "eyes = 0", RobotError)
+
+
+def test_parse_names_its_source():
+    with pytest.raises(ConfigError, match=r"^here: eyes: "):
+        parse({"legs": [], "eyes": 0}, Animal, source="here")
+    with pytest.raises(ConfigError, match="here: \\(whole file\\)"):
+        parse(7, Animal, source="here")
+
+
+def test_records_are_frozen(tmp_path):
+    animal = read(tmp_path, GOOD)
+    with pytest.raises(ValidationError):
+        animal.eyes = 3
