@@ -1,6 +1,7 @@
 """From the policy's numbers to joint targets, as the contract says."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deploy.contract import ActionSpec
 from deploy.stage import Stage
@@ -25,7 +26,7 @@ class Action(Stage):
         """Targets (B, n) of robots where `ids` holds start at `q`; their last action is none."""
         self.q[ids], self.last[ids], self.finite[ids] = q[ids], 0.0, True
 
-    def step(self, action: Floats, q_setpoint: Floats) -> Target:
+    def step(self, action: Floats | NDArray[np.float32], q_setpoint: Floats) -> Target:
         """The new target.
 
         Args:

@@ -19,6 +19,8 @@ from deploy.tasks.reach import Reach
 from robots.model_pinocchio import Fleet
 from robots.spec import RobotSpec
 
+Float32s = NDArray[np.float32]
+
 
 class Runtime:
     """B robots under one policy.
@@ -103,7 +105,7 @@ class Runtime:
         observation = self.sense()
         self.act(None if observation is None or self.policy is None else self.policy.step(observation))
 
-    def sense(self) -> NDArray[np.float32] | None:
+    def sense(self) -> Float32s | None:
         """Read and estimate; the observation (B, N) when the policy is due, else None."""
         self.state = self.estimator.step(self.t, self.robot.read())
         if self.ticks % self.decimation:
@@ -112,7 +114,7 @@ class Runtime:
         self._tool[:] = self.fleet.tool_position
         return self.observation.step()
 
-    def act(self, action: Floats | None) -> None:
+    def act(self, action: Floats | Float32s | None) -> None:
         """Plan, check, decide and send; `action` (B, A) where the policy has spoken, else None."""
         if action is not None:
             self.action.step(action, self.smoother.q)

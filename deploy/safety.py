@@ -7,7 +7,7 @@ it ends: a robot is only ever sent where a way to rest is open.
 
 import numpy as np
 
-from deploy.state import Floats, Ints, Reason, Setpoint, State, Verdict
+from deploy.state import Bools, Floats, Ints, Reason, Setpoint, State, Verdict
 from robots.model_pinocchio import Fleet, torque_max
 from robots.spec import RobotSpec
 
@@ -30,7 +30,7 @@ class Safety:
         self._centre = np.array(spec.workspace.centre)
         self._q_min = spec.joint_array("q_min") + margins.q_soft_rad
         self._q_max = spec.joint_array("q_max") - margins.q_soft_rad
-        self._qd_max = spec.joint_array("qd_max") * (1 + TOLERANCE)
+        self._qd_max = margins.speed * spec.joint_array("qd_max") * (1 + TOLERANCE)
         self._tau_max = margins.tau * torque_max(spec)
         self._housing_max = spec.motor_array("housing_max_c")
 
@@ -57,7 +57,7 @@ class Safety:
         """Reasons that lie in what is, not in what is asked."""
         finite = np.isfinite(state.q + state.qd).all(axis=1)
         error = np.abs(sent.q - state.q)
-        reason = np.where(finite, 0, int(Reason.NOT_FINITE))
+        reason = _if(~finite, Reason.NOT_FINITE)
         reason |= _if((error > self._margins.tracking_rad).any(axis=1), Reason.TRACKING)
         reason |= _if((state.temperature > self._housing_max).any(axis=1), Reason.HEAT)
         reason |= _if(state.age > self._margins.stale_s, Reason.STALE)
@@ -91,5 +91,5 @@ class Safety:
         reason |= _if(fleet.colliding(), Reason.COLLISION)
 
 
-def _if(condition: np.ndarray, reason: Reason) -> Ints:
-    return condition * np.int64(reason)
+def _if(condition: Bools | np.bool_, reason: Reason) -> Ints:
+    return np.asarray(condition * np.int64(reason))

@@ -61,7 +61,8 @@ class Smoother(Stage):
     @property
     def at_rest(self) -> Bools:
         """(B,) whether the last sent setpoint stands still."""
-        return ~(self.qd.any(axis=1) | self.qdd.any(axis=1))
+        moving = np.asarray(self.qd.any(axis=1) | self.qdd.any(axis=1))
+        return ~moving
 
 
 class _Planner:
@@ -74,7 +75,7 @@ class _Planner:
             InputParameter(size),
             OutputParameter(size),
         )
-        self._qd_max = np.tile(spec.joint_array("qd_max"), (robots, 1))
+        self._qd_max = np.tile(spec.margins.speed * spec.joint_array("qd_max"), (robots, 1))
         self._jerk = np.tile(spec.joint_array("qddd_max"), (robots, 1))
         self._in.max_velocity = self._qd_max.ravel()
         self._in.max_acceleration = np.tile(spec.joint_array("qdd_max"), robots)

@@ -101,6 +101,7 @@ class Reason(IntFlag):
     OVERRUN = 1 << 12
     OPERATOR = 1 << 13
 
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
     """What safety thinks of one setpoint.

@@ -14,7 +14,9 @@ import numpy as np
 from deploy.stage import Stage
 from deploy.state import Bools, Ints, Mode, Reason
 
-CATEGORY_1 = Reason.LOST | Reason.NOT_FINITE | Reason.HEAT | Reason.TRACKING | Reason.OVERRUN | Reason.OPERATOR
+CATEGORY_1 = (
+    Reason.LOST | Reason.NOT_FINITE | Reason.HEAT | Reason.TRACKING | Reason.OVERRUN | Reason.OPERATOR
+)
 """Reasons after which the robot may not go on by itself; every other reason is category 2."""
 
 WORDS = {
@@ -62,12 +64,14 @@ class Supervisor(Stage):
     @property
     def powered(self) -> Bools:
         """(B,) whether drives are on."""
-        return (self.mode != Mode.DISARMED) & (self.mode != Mode.LATCHED)
+        off: Bools = (self.mode == Mode.DISARMED) | (self.mode == Mode.LATCHED)
+        return ~off
 
     @property
     def stopping(self) -> Bools:
         """(B,) whether the smoother brakes or rests instead of following the policy."""
-        return self.mode != Mode.RUNNING
+        running: Bools = self.mode == Mode.RUNNING
+        return ~running
 
     def arm(self, ids: Bools) -> None:
         """Power robots where `ids` holds; they run after the arming time."""
@@ -86,8 +90,8 @@ class Supervisor(Stage):
             at_rest: (B,) whether the last sent setpoint stands still.
         """
         self.since += 1
-        running = self.mode == Mode.RUNNING
-        refused = reason != 0
+        running: Bools = self.mode == Mode.RUNNING
+        refused: Bools = reason != 0
         obey = ~(running & refused)
         if not (running & ~refused).all():
             self._others(reason, refused, running, at_rest)
@@ -96,9 +100,7 @@ class Supervisor(Stage):
     def _others(self, reason: Ints, refused: Bools, running: Bools, at_rest: Bools) -> None:
         """Every transition but staying in RUNNING; each robot takes at most one a tick."""
         latches = (self.reason & CATEGORY_1) != 0
-        stopping, holding, arming = (
-            self.mode == m for m in (Mode.STOPPING, Mode.HOLDING, Mode.ARMING)
-        )
+        stopping, holding, arming = (self.mode == m for m in (Mode.STOPPING, Mode.HOLDING, Mode.ARMING))
         self.reason |= np.where(self.powered & ~(running & ~refused), reason, 0)
         self.since[holding & refused] = 0
         self._enter(arming & refused, Mode.STOPPING)

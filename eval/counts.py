@@ -6,6 +6,7 @@ within a monitor. Loads are fractions of the limit: above 1 is bad, so channels 
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,9 +202,11 @@ def merge(a: Counts, b: Counts) -> Counts:
     for name in _SHARED:
         if not np.array_equal(getattr(a, name), getattr(b, name)):
             raise ConfigError(f"counts: {name}: {getattr(a, name)} and {getattr(b, name)} cannot be merged")
-    return replace(a, **{name: np.concatenate([getattr(a, name), getattr(b, name)]) for name in _ROWS})
+    rows: dict[str, Any] = {n: np.concatenate([getattr(a, n), getattr(b, n)]) for n in _ROWS}
+    return replace(a, **rows)
 
 
 def first(counts: Counts, robots: int) -> Counts:
     """Only the first robots."""
-    return replace(counts, **{name: getattr(counts, name)[:robots] for name in _ROWS})
+    rows: dict[str, Any] = {name: getattr(counts, name)[:robots] for name in _ROWS}
+    return replace(counts, **rows)

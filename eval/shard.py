@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from deploy.backends.sim.robot import SimRobot
 from deploy.policy import Policy
 from deploy.runtime import Runtime
-from deploy.state import Mode
 from eval.counts import Counts, first
 from eval.monitors import Judge
 from robots.model_pinocchio import torque_max

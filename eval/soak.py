@@ -163,7 +163,7 @@ def collect(soak: Soak, shards: Sequence[ShardResult], run: Run) -> SoakResult:
         settings=_settings(soak),
         run=run,
         counts=reduce(merge, (shard.counts for shard in shards)),
-        sample_h=np.arange(1, samples + 1) * sample_h,
+        sample_h=sample_h * np.arange(1, samples + 1, dtype=np.float64),
         winding_c=np.concatenate(winding, axis=1),
         winding_soft_c=soak.spec.motor_array("winding_soft_c"),
         winding_max_c=soak.spec.motor_array("winding_max_c"),
@@ -207,7 +207,9 @@ def soak_test(
     seed: Annotated[int, typer.Option(help="Decides every draw, noise and goal.")] = 7,
     workers: Annotated[int, typer.Option(help="Processes; results do not depend on it.")] = 2,
     budget: Annotated[Path, typer.Option(help="TOML of what the soak may cost.")] = BUDGET,
-    out: Annotated[Path, typer.Option(help="Folder for report.json, report.html, junit.xml.")] = Path("out/soak"),
+    out: Annotated[Path, typer.Option(help="Folder for report.json, report.html, junit.xml.")] = Path(
+        "out/soak"
+    ),
 ) -> int:
     """Soak the shipped runtime in simulation and write a report; 1 if a budget was exceeded."""
     _check_options(hours, robots, seed, workers)

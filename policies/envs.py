@@ -80,7 +80,12 @@ class RuntimeEnv(VecEnv):
             self._restart(done)
         self._observation = self._sense()
         extras = {"time_outs": torch.from_numpy(time_out & ~broken).float(), "log": log}
-        return self.get_observations(), torch.from_numpy(total).float(), torch.from_numpy(done).float(), extras
+        return (
+            self.get_observations(),
+            torch.from_numpy(total).float(),
+            torch.from_numpy(done).float(),
+            extras,
+        )
 
     def _live(self, action: np.ndarray) -> Step:
         """Act until the policy is due again; the last `sense` is left to the caller, after resets."""

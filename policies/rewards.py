@@ -53,7 +53,7 @@ class Limits:
 
 def reward(step: Step, limits: Limits, w: Reward) -> tuple[Floats, Bools]:
     """(B,) the reward proper, and (B,) whether a joint left its range, which ends the episode."""
-    broken = (limits.beyond(step.q) > 0).any(axis=1)
+    broken = np.asarray((limits.beyond(step.q) > 0).any(axis=1))
     power = np.abs(step.tau * step.qd).sum(axis=1)
     jerk = np.linalg.norm(step.qdd_change, axis=1) / step.dt
     total = w.success * step.reached + w.joint_limit * broken + w.near_limit * limits.near(step.q).sum(axis=1)
@@ -63,7 +63,9 @@ def reward(step: Step, limits: Limits, w: Reward) -> tuple[Floats, Bools]:
 def shaping(step: Step, limits: Limits, w: Shaping) -> Floats:
     """(B,) dense help."""
     d = step.distance
-    closeness = (1 - np.tanh(d / w.far_m)) + (1 - np.tanh(d / w.near_m)) + w.here * np.exp(-((d / w.here_m) ** 2))
+    closeness = (
+        (1 - np.tanh(d / w.far_m)) + (1 - np.tanh(d / w.near_m)) + w.here * np.exp(-((d / w.here_m) ** 2))
+    )
     change = w.action_change * (step.action_change**2).sum(axis=1)
     request = w.request * limits.beyond(step.q_target).sum(axis=1)
     return closeness * step.running + change + request + w.stop * step.stopped

@@ -60,9 +60,7 @@ def collision_pairs(model: pin.Model, geometry: pin.GeometryModel) -> list[tuple
         (a, b)
         for a in range(len(joints))
         for b in range(a + 1, len(joints))
-        if joints[a] != joints[b]
-        and parents[joints[a]] != joints[b]
-        and parents[joints[b]] != joints[a]
+        if joints[a] != joints[b] and parents[joints[a]] != joints[b] and parents[joints[b]] != joints[a]
     ]
 
 
@@ -129,9 +127,9 @@ class Fleet:
         Source: Yoshikawa, Manipulability of Robotic Mechanisms (1985), eq. 4.
         """
         if self.n == 6:
-            return np.abs(np.linalg.det(self._jacobian))
+            return np.asarray(np.abs(np.linalg.det(self._jacobian)))
         gram = self._jacobian.transpose(0, 2, 1) @ self._jacobian
-        return np.sqrt(np.maximum(np.linalg.det(gram), 0.0))
+        return np.asarray(np.sqrt(np.maximum(np.linalg.det(gram), 0.0)))
 
     def colliding(self) -> NDArray[np.bool_]:
         """(B,) whether any pair of shapes is nearer than the collision margin."""
@@ -168,9 +166,7 @@ def _block(model: pin.Model, geometry: pin.GeometryModel, spec: RobotSpec, rows:
         request.security_margin = spec.margins.collision_m
     pin.framesForwardKinematics(wide, data, np.zeros(wide.nq))
     tools = tuple(data.oMf[frame].translation for frame in frames)
-    return _Block(
-        rows=rows, model=wide, data=data, geometry=shapes, geometry_data=shapes_data, tools=tools
-    )
+    return _Block(rows=rows, model=wide, data=data, geometry=shapes, geometry_data=shapes_data, tools=tools)
 
 
 def _side_by_side(model: pin.Model, tool: pin.Frame, copies: int) -> tuple[pin.Model, list[int]]:
@@ -189,9 +185,7 @@ def _side_by_side(model: pin.Model, tool: pin.Frame, copies: int) -> tuple[pin.M
     return wide, frames
 
 
-def _shapes_side_by_side(
-    model: pin.Model, geometry: pin.GeometryModel, copies: int
-) -> pin.GeometryModel:
+def _shapes_side_by_side(model: pin.Model, geometry: pin.GeometryModel, copies: int) -> pin.GeometryModel:
     """Collision shapes of the copies; pairs only within a copy, ordered by copy."""
     wide, pairs, joints = pin.GeometryModel(), collision_pairs(model, geometry), model.njoints - 1
     for copy in range(copies):

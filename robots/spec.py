@@ -26,7 +26,7 @@ class Joint(Strict):
 
     Attributes:
         q_min, q_max, q_home: rad.
-        qd_max: rad/s. qdd_max: rad/s². qddd_max: rad/s³.
+        qd_max: rad/s, what the drive may do. qdd_max: rad/s², qddd_max: rad/s³, what it is asked to do.
         motor: a name in `motors`.
         source: where the numbers come from.
     """
@@ -91,6 +91,7 @@ class Margins(Strict):
     Attributes:
         q_target_rad: targets are clamped this far inside the working range.
         q_soft_rad: setpoints are refused, and the judge calls it soft, this far inside.
+        speed: setpoint speed, as a fraction of qd_max: what is left is for the drive's own ringing.
         tau: setpoint torque by the nominal model, as a fraction of the torque range.
         collision_m: clearance kept between capsules.
         singularity: least |det J| of the tool Jacobian, m³ for a six-joint arm.
@@ -101,6 +102,7 @@ class Margins(Strict):
 
     q_target_rad: PositiveFloat
     q_soft_rad: PositiveFloat
+    speed: Fraction
     tau: Fraction
     collision_m: PositiveFloat
     singularity: PositiveFloat
@@ -111,9 +113,7 @@ class Margins(Strict):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if not self.q_soft_rad < self.q_target_rad:
-            raise ValueError(
-                f"q_soft_rad {self.q_soft_rad} is not below q_target_rad {self.q_target_rad}"
-            )
+            raise ValueError(f"q_soft_rad {self.q_soft_rad} is not below q_target_rad {self.q_target_rad}")
         if not self.stale_s < self.lost_s:
             raise ValueError(f"stale_s {self.stale_s} is not below lost_s {self.lost_s}")
         return self

@@ -11,9 +11,9 @@ from robots.errors import ConfigError, FirstshiftError
 
 
 class Strict(BaseModel):
-    """A frozen record from a file: no unknown keys, no coercion of kinds, no NaN."""
+    """A frozen record from a file: no unknown keys, no text or truth for a number, no NaN."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 M = TypeVar("M", bound=Strict)
@@ -39,18 +39,23 @@ def read_toml(path: Path, schema: type[M], error: type[FirstshiftError] = Config
     return parse(data, schema, source=str(path), error=error)
 
 
-def parse(
-    data: object, schema: type[M], *, source: str, error: type[FirstshiftError] = ConfigError
-) -> M:
+def parse(data: object, schema: type[M], *, source: str, error: type[FirstshiftError] = ConfigError) -> M:
     """Turn plain data into a strict record; `source` names its origin in messages.
 
     Raises:
         FirstshiftError: of class `error`, one line for each field that is wrong.
     """
     try:
-        return schema.model_validate(data)
+        return schema.model_validate(_tuples(data))
     except ValidationError as e:
         raise error("\n".join(f"{source}: {line}" for line in _explain(e))) from e
+
+
+def _tuples(data: object) -> object:
+    """Records hold tuples; TOML and JSON know lists only."""
+    if isinstance(data, dict):
+        return {key: _tuples(value) for key, value in data.items()}
+    return tuple(_tuples(item) for item in data) if isinstance(data, list) else data
 
 
 def _explain(complaint: ValidationError) -> Iterator[str]:

@@ -115,7 +115,9 @@ def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
     radius = np.linalg.norm(tool - np.array(spec.workspace.centre), axis=1)
     shell = (radius >= config.radius_min) & (radius <= config.radius_max) & (tool[:, 2] >= config.z_min)
     q, tool = q[shell], tool[shell]
-    _, cell, count = np.unique(np.floor(tool / config.cell_m), axis=0, return_inverse=True, return_counts=True)
+    _, cell, count = np.unique(
+        np.floor(tool / config.cell_m), axis=0, return_inverse=True, return_counts=True
+    )
     weight = 1.0 / count[cell]
     return GoalPool(q=q, tool=tool, chance=np.cumsum(weight) / weight.sum())
 

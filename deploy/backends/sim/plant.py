@@ -140,7 +140,7 @@ class Plant(Stage):
     @property
     def current(self) -> Floats:
         """(B, n) A, motor current."""
-        return self._force / self._motor_constant
+        return np.asarray(self._force / self._motor_constant)
 
     def truth(self, t: float) -> Truth:
         """What really holds at time `t`, s."""

@@ -15,9 +15,7 @@ from robots.spec import RobotSpec
 class SimRobot:
     """Physics advances one control period with every `write`."""
 
-    def __init__(
-        self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence], *, threads: int = 1
-    ) -> None:
+    def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence], *, threads: int = 1) -> None:
         """Draw B robots and put them at home, brakes on.
 
         Args:
