@@ -1,5 +1,5 @@
 import pytest
-from pydantic import PositiveFloat, PositiveInt, ValidationError
+from pydantic import Field, PositiveFloat, PositiveInt, ValidationError
 
 from robots.errors import ConfigError, FirstshiftError, RobotError
 from robots.strict import Strict, parse, read_toml
@@ -15,7 +15,7 @@ class Animal(Strict):
     eyes: PositiveInt
     tame: bool = False
     places: tuple[float, float] = (0.0, 1.0)
-    parts: dict[str, Leg] = {}
+    parts: dict[str, Leg] = Field(default_factory=dict)
 
 
 GOOD = "eyes = 2\nlegs = [{ length = 1.5 }, { length = 2, name = 'left' }]\n"
