@@ -33,7 +33,7 @@ class Estimator(Stage):
         self.t_sample = np.zeros(robots)
         self.seeded = np.zeros(robots, dtype=bool)
         self._r = spec.encoder.noise_rad**2 + spec.encoder.resolution_rad**2 / 12
-        self._density = spec.encoder.acceleration_density
+        self._dt, self._density = spec.dt, spec.encoder.acceleration_density
         unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=self._density)
         self._growth = np.array([unit[0, 0], unit[0, 1], unit[1, 1]])
 
@@ -44,14 +44,17 @@ class Estimator(Stage):
     def step(self, t: float, sample: Sample) -> State:
         """Fuse what arrived and carry the belief to now.
 
+        A packet older than the last, or more than a period from the future, is left out: it would look fresh forever.
+
         Args:
             t: s, now.
             sample: the newest packets.
         """
-        seed = sample.fresh & ~self.seeded
+        arrived = sample.fresh & (sample.t <= t + self._dt)
+        seed = arrived & ~self.seeded
         if seed.any():
             self._seed(seed, sample)
-        use = sample.fresh & (sample.t > self.t_sample)
+        use = arrived & (sample.t > self.t_sample)
         dt = np.where(use, sample.t - self.t_sample, 0.0)[:, None]
         self._predict(dt)
         self._update(sample.q, use[:, None])

@@ -14,6 +14,9 @@ from robots.spec import RobotSpec
 EDGE = 1e-8
 """rad/s. Ruckig may replan badly when the speed it is bound to reach is this near the limit; the state is moved in."""
 
+NUDGE = 1e-9
+"""rad. How far a target is moved where Ruckig has no plan for the exact one."""
+
 
 class Smoother(Stage):
     """The last SENT setpoint of B robots, and the first step of the ways on from there."""
@@ -68,7 +71,7 @@ class Smoother(Stage):
 class _Planner:
     """One Ruckig instance over B × n joints."""
 
-    def __init__(self, spec: RobotSpec, robots: int) -> None:
+    def __init__(self, spec: RobotSpec, robots: int, *, alone: bool = False) -> None:
         self._shape, size = (robots, spec.n), robots * spec.n
         self._otg, self._in, self._out = (
             Ruckig(size, spec.dt),
@@ -82,7 +85,8 @@ class _Planner:
         self._in.max_jerk = self._jerk.ravel()
         self._in.synchronization = Synchronization.No
         self._braking = np.zeros(robots, dtype=bool)
-        self._solo = None if robots == 1 else _Planner(spec, 1)
+        self._solo = None if alone else _Planner(spec, 1, alone=True)
+        self._ends: Floats | None = None
 
     def brake(self, braking: Bools) -> None:
         """Choose for each robot: speed to zero, or position to a target."""
@@ -98,6 +102,7 @@ class _Planner:
         self._in.current_velocity = self._inside(qd, qdd).ravel()
         self._in.current_acceleration = qdd.ravel()
         self._in.target_position = target.ravel()
+        self._ends = None
         self._otg.reset()
         try:
             self._otg.update(self._in, self._out)
@@ -111,6 +116,8 @@ class _Planner:
 
     def end(self) -> Floats:
         """(B, n) rad, where the trajectories of the last `step` end."""
+        if self._ends is not None:
+            return self._ends
         trajectory = self._out.trajectory
         return np.array(trajectory.at_time(trajectory.duration)[0]).reshape(self._shape)
 
@@ -122,17 +129,18 @@ class _Planner:
     def _one_by_one(self, q: Floats, qd: Floats, qdd: Floats, target: Floats) -> Setpoint:
         """Ruckig fails for the whole call when one joint has no solution: find it, spare the others.
 
-        Rounding the acceleration cures the failures seen; a robot that stays without a plan gets NaN, which safety
+        Where two shapes of profile meet exactly, as at a distance of 2a³/j², it finds neither: a rounded acceleration
+        or a target next to it cures the failures seen. A robot that stays without a plan gets NaN, which safety
         refuses.
         """
         nan = Setpoint(q=np.full(q.shape, np.nan), qd=np.full(q.shape, np.nan), qdd=np.full(q.shape, np.nan))
-        if self._solo is None:
-            if np.array_equal(qdd, qdd.round(9)):
-                return nan
-            return self.step(q, qd, qdd.round(9), target)
-        for row in range(len(q)):
+        self._ends = np.full(q.shape, np.nan)
+        for row in range(len(q)) if self._solo else ():
             one = slice(row, row + 1)
             self._solo.brake(self._braking[one])
             plan = self._solo.step(q[one], qd[one], qdd[one], target[one])
+            if np.isnan(plan.q).any():
+                plan = self._solo.step(q[one], qd[one], qdd[one].round(9), target[one] + NUDGE)
             nan.q[one], nan.qd[one], nan.qdd[one] = plan.q, plan.qd, plan.qdd
+            self._ends[one] = self._solo.end()
         return nan
