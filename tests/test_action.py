@@ -1,0 +1,98 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from deploy.action import Action
+from deploy.contract import ActionSpec
+
+SCALE = (0.05, 0.05, 0.05, 0.1, 0.1, 0.2)
+LEASH = 0.3
+SPEC = ActionSpec(mode="position_increment", size=6, scale=SCALE, clip=(-1.0, 1.0), leash_rad=LEASH)
+EVERY = np.array([True, True])
+
+
+def started(q=0.0):
+    action = Action(SPEC, 2)
+    action.reset(EVERY, np.full((2, 6), q))
+    return action
+
+
+def test_moves_the_target_by_scaled_and_clipped_actions():
+    action = started(0.5)
+    target = action.step(np.array([[1.0, -1, 0.5, 0, 7, -7]] * 2), np.full((2, 6), 0.5))
+    np.testing.assert_allclose(target.q, [[0.55, 0.45, 0.525, 0.5, 0.6, 0.3]] * 2, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(action.last, [[1, -1, 0.5, 0, 1, -1]] * 2)
+    assert target.finite.all()
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    actions=arrays(float, (20, 2, 6), elements=st.floats(width=32)),
+    setpoints=arrays(float, (20, 2, 6), elements=st.floats(-3, 3)),
+)
+def test_never_beyond_the_leash_and_never_more_than_a_step(actions, setpoints):
+    action = started()
+    for raw, setpoint in zip(actions, setpoints, strict=True):
+        before = action.q.copy()
+        target = action.step(raw, setpoint)
+        assert np.isfinite(target.q).all()
+        assert (np.abs(action.last) <= 1).all()
+        finite = np.isfinite(raw).all(axis=1)
+        np.testing.assert_array_equal(target.finite, finite)
+        assert (np.abs(target.q - setpoint)[finite] <= LEASH + 1e-12).all()
+        np.testing.assert_array_equal(target.q[~finite], before[~finite])
+        step = before + np.array(SCALE) * action.last
+        np.testing.assert_array_equal(
+            target.q[finite], np.clip(step, setpoint - LEASH, setpoint + LEASH)[finite]
+        )
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_changes_nothing_and_is_said(bad):
+    action = started(0.2)
+    action.step(np.full((2, 6), 0.5), np.full((2, 6), 0.2))
+    before = action.save()
+    raw = np.full((2, 6), 0.5)
+    raw[1, 3] = bad
+    target = action.step(raw, np.full((2, 6), 0.2))
+    assert target.finite.tolist() == [True, False]
+    np.testing.assert_array_equal(target.q[1], before["q"][1])
+    np.testing.assert_array_equal(action.last[1], before["last"][1])
+    assert (target.q[0] != before["q"][0]).all()
+    assert action.step(np.zeros((2, 6)), np.full((2, 6), 0.2)).finite.all()
+
+
+def test_single_precision_is_taken_as_it_is():
+    raw = np.full((2, 6), 0.1, dtype=np.float32)
+    target = started().step(raw, np.zeros((2, 6)))
+    np.testing.assert_array_equal(target.q, [np.array(SCALE) * float(np.float32(0.1))] * 2)
+
+
+def test_the_request_may_lie_beyond_any_range():
+    """What the policy wants is kept as it is: who clips it must still be able to count it."""
+    action, setpoint = started(6.0), np.full((2, 6), 6.0)
+    assert (action.step(np.ones((2, 6)), setpoint).q > 6.0).all()
+
+
+def test_reset_of_a_subset():
+    action = started()
+    action.step(np.array([[0.5] * 6, [np.nan] * 6]), np.zeros((2, 6)))
+    before = action.save()
+    action.reset(np.array([False, True]), np.full((2, 6), 1.0))
+    np.testing.assert_array_equal(action.q, [before["q"][0], np.ones(6)])
+    np.testing.assert_array_equal(action.last[0], before["last"][0])
+    np.testing.assert_array_equal(action.last[1], 0.0)
+    assert action.finite.all()
+
+
+def test_saved_and_restored_goes_on_bit_for_bit():
+    rng, one, other = np.random.default_rng(0), started(), Action(SPEC, 2)
+    for k in range(30):
+        raw, setpoint = rng.normal(size=(2, 6)), rng.normal(size=(2, 6))
+        one.step(raw, setpoint)
+        if k == 10:
+            other.restore(one.save())
+        elif k > 10:
+            np.testing.assert_array_equal(other.step(raw, setpoint).q, one.q)

@@ -1,0 +1,265 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_spec import SPEC
+
+from deploy.smoother import Smoother
+from deploy.state import Setpoint
+
+N, DT = SPEC.n, SPEC.dt
+HOME = SPEC.joint_array("q_home")
+V = SPEC.margins.speed * SPEC.joint_array("qd_max")
+A, J = SPEC.joint_array("qdd_max"), SPEC.joint_array("qddd_max")
+LOW, HIGH = (SPEC.joint_array(f"q_{end}") for end in ("min", "max"))
+CLAMP_LOW, CLAMP_HIGH = LOW + SPEC.margins.q_target_rad, HIGH - SPEC.margins.q_target_rad
+
+
+def at_home(robots):
+    smoother = Smoother(SPEC, robots)
+    smoother.hold(np.ones(robots, dtype=bool), np.tile(HOME, (robots, 1)))
+    return smoother
+
+
+def ride(smoother, targets, stops):
+    """Every angle sent, from rest on; `targets` (T, B, n), `stops` (T, B)."""
+    sent = [smoother.q.copy()] * 4
+    for target, stopping in zip(targets, stops, strict=True):
+        smoother.commit(smoother.next(target, stopping))
+        sent.append(smoother.q.copy())
+    return np.array(sent)
+
+
+def assert_inside_limits(sent):
+    """By backward differences of what was sent, as a stranger would: nobody's word is taken for it."""
+    derivative = sent
+    for limit in (V, A, J):
+        derivative = np.diff(derivative, axis=0) / DT
+        excess = np.abs(derivative).max(axis=(0, 1)) / limit
+        assert (excess <= 1 + 1e-5).all(), excess
+
+
+def never(ticks, robots):
+    return np.zeros((ticks, robots), dtype=bool)
+
+
+def attack(kind, rng, ticks, robots):
+    """Targets that hurt."""
+    shape = (ticks, robots, N)
+    if kind == "random":
+        return rng.uniform(LOW - 2, HIGH + 2, shape)
+    if kind == "ends":
+        return np.where(rng.random(shape) < 0.5, LOW - 9, HIGH + 9)
+    if kind == "seldom":
+        return np.repeat(rng.uniform(LOW - 1, HIGH + 1, (ticks // 50, robots, N)), 50, axis=0)
+    if kind == "near":
+        return HOME + rng.normal(0, 1e-9, shape)
+    if kind == "square":
+        period = rng.integers(5, 200, (robots, N))
+        return np.where((np.arange(ticks)[:, None, None] // period) % 2, LOW, HIGH)
+    return HOME + np.cumsum(rng.uniform(-0.05, 0.05, shape), axis=0)  # walk
+
+
+@pytest.mark.parametrize("kind", ["random", "ends", "seldom", "near", "square", "walk"])
+def test_no_target_breaks_a_limit(kind):
+    ticks, robots = 1500, 8
+    sent = ride(at_home(robots), attack(kind, np.random.default_rng(1), ticks, robots), never(ticks, robots))
+    assert_inside_limits(sent)
+
+
+@pytest.mark.parametrize("kind", ["random", "ends", "seldom", "square", "walk"])
+def test_no_target_leaves_the_clamped_range(kind):
+    ticks, robots = 1500, 8
+    sent = ride(at_home(robots), attack(kind, np.random.default_rng(2), ticks, robots), never(ticks, robots))
+    assert (sent >= CLAMP_LOW - 1e-6).all()
+    assert (sent <= CLAMP_HIGH + 1e-6).all()
+
+
+def test_stops_and_starts_at_any_moment_break_no_limit():
+    rng, ticks, robots = np.random.default_rng(3), 3000, 8
+    stops = np.repeat(rng.random((ticks // 20, robots)) < 0.3, 20, axis=0)
+    sent = ride(at_home(robots), attack("seldom", rng, ticks, robots), stops)
+    assert_inside_limits(sent)
+    assert (sent >= LOW + SPEC.margins.q_soft_rad).all()
+    assert (sent <= HIGH - SPEC.margins.q_soft_rad).all()
+
+
+def test_reaches_a_target_and_rests_on_it():
+    smoother, target = at_home(2), np.stack((HOME + 0.2, HOME - 0.2))
+    sent = ride(smoother, np.tile(target, (400, 1, 1)), never(400, 2))
+    np.testing.assert_allclose(sent[-10:], np.tile(target, (10, 1, 1)), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(smoother.qd, 0.0, atol=1e-9)
+
+
+def test_full_speed_is_used():
+    """A limit that is never met would be a limit nobody asked for."""
+    ticks = 800
+    sent = ride(
+        at_home(4), attack("ends", np.random.default_rng(0), ticks, 4)[::400].repeat(400, 0), never(ticks, 4)
+    )
+    assert (np.abs(np.diff(sent, axis=0)).max(axis=(0, 1)) / DT > 0.5 * V).all()
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**31), before=st.integers(1, 150))
+def test_a_stop_ends_where_it_was_predicted(seed, before):
+    """And after a bounded time, exactly at rest, however the neighbours go on."""
+    rng, robots = np.random.default_rng(seed), 3
+    smoother = at_home(robots)
+    ride(
+        smoother,
+        np.repeat(attack("random", rng, 10, robots), before // 10 + 1, 0)[:before],
+        never(before, robots),
+    )
+    target, stopping = attack("random", rng, 1, robots)[0], np.array([True, False, True])
+    planned = smoother.next(target, np.zeros(robots, dtype=bool))
+    first, end = smoother.brake(planned)
+    smoother.commit(planned)
+    step = smoother.next(target, stopping)
+    np.testing.assert_allclose(step.q[stopping], first.q[stopping], rtol=0, atol=1e-9)
+    for _ in range(150):
+        smoother.commit(smoother.next(target, stopping))
+    assert smoother.at_rest[stopping].all()
+    np.testing.assert_allclose(smoother.q[stopping], end[stopping], rtol=0, atol=1e-6)
+
+
+def test_braking_is_planned_without_touching_what_comes_next():
+    one, other = at_home(2), at_home(2)
+    for target in attack("seldom", np.random.default_rng(4), 300, 2):
+        plan, plain = one.next(target, never(1, 2)[0]), other.next(target, never(1, 2)[0])
+        one.brake(plan)
+        np.testing.assert_array_equal(plan.q, plain.q)
+        one.commit(plan)
+        other.commit(plain)
+
+
+def test_neighbours_do_not_change_a_bit():
+    robots, ticks, rng = 5, 400, np.random.default_rng(5)
+    targets, stops = (
+        attack("seldom", rng, ticks, robots),
+        np.repeat(rng.random((40, robots)) < 0.2, 10, axis=0),
+    )
+    together = ride(at_home(robots), targets, stops)
+    for i in range(robots):
+        one = slice(i, i + 1)
+        np.testing.assert_array_equal(ride(at_home(1), targets[:, one], stops[:, one])[:, 0], together[:, i])
+
+
+def test_saved_and_restored_goes_on_bit_for_bit():
+    targets, stops = attack("seldom", np.random.default_rng(6), 300, 3), never(300, 3)
+    stops[120:160, 1] = True
+    one, other = at_home(3), Smoother(SPEC, 3)
+    ride(one, targets[:130], stops[:130])
+    other.restore(one.save())
+    np.testing.assert_array_equal(
+        ride(other, targets[130:], stops[130:]), ride(one, targets[130:], stops[130:])
+    )
+
+
+def moving(robots, seed=7):
+    smoother = at_home(robots)
+    ride(smoother, attack("walk", np.random.default_rng(seed), 60, robots), never(60, robots))
+    return smoother
+
+
+@pytest.mark.parametrize("field", ["q", "qd", "qdd"])
+@pytest.mark.parametrize("robots", [1, 4])
+def test_a_robot_without_a_plan_gets_nan_and_its_neighbours_theirs(robots, field):
+    """What Ruckig cannot plan must neither stop the others nor pass for a number."""
+    clean, broken = moving(robots), moving(robots)
+    getattr(broken, field)[robots // 2, 2] = np.nan
+    target, free = np.tile(HOME, (robots, 1)), np.zeros(robots, dtype=bool)
+    others = np.arange(robots) != robots // 2
+    plan, expected = broken.next(target, free), clean.next(target, free)
+    for name in ("q", "qd", "qdd"):
+        assert np.isnan(getattr(plan, name)[~others]).all()
+        np.testing.assert_array_equal(getattr(plan, name)[others], getattr(expected, name)[others])
+
+
+def test_where_neighbours_of_a_failure_would_rest_is_still_right():
+    """The rest pose is what safety judges: it must be this tick's, not the last's."""
+    clean, broken = moving(4), moving(4)
+    broken.brake(Setpoint(q=clean.q, qd=clean.qd * 0, qdd=clean.qdd * 0))
+    broken.qd[2, 1] = np.nan
+    first, end = broken.brake(broken.sent)
+    expected_first, expected_end = clean.brake(clean.sent)
+    others = np.arange(4) != 2
+    np.testing.assert_array_equal(first.q[others], expected_first.q[others])
+    np.testing.assert_allclose(end[others], expected_end[others], rtol=0, atol=1e-12)
+    assert np.isnan(end[2]).all()
+
+
+def test_where_two_shapes_of_profile_meet_there_is_a_plan():
+    """Found by the limit attack: Ruckig has no way from rest over exactly 2a³/j², and the robot would have latched."""
+    smoother = at_home(1)
+    smoother.q[0, 4], smoother.qd[0, 4] = -2.475, -5.204170427930421e-17
+    target = smoother.q.copy()
+    target[0, 4] = -2.5500000000000003
+    expected = smoother.q.copy()
+    expected[0, 4] -= J[4] * DT**3 / 6
+    np.testing.assert_allclose(smoother.next(target, np.array([False])).q, expected, rtol=0, atol=2e-9)
+
+
+@pytest.mark.parametrize("robots", [1, 32])
+def test_plans_around_every_such_distance(robots):
+    rng = np.random.default_rng(9)
+    for ulps in range(-8, 9):
+        smoother = at_home(robots)
+        smoother.q += rng.integers(-40, 40, (robots, N)) * 0.005
+        smoother.qd += rng.choice([0, 5e-17, -5e-17], (robots, N))
+        sign = rng.choice([-1, 1], (robots, N))
+        target = smoother.q + sign * 2 * A**3 / J**2
+        target += ulps * np.spacing(target)
+        plan = smoother.next(target, np.zeros(robots, dtype=bool))
+        np.testing.assert_allclose(
+            plan.qdd, np.sign(np.clip(target, CLAMP_LOW, CLAMP_HIGH) - smoother.q) * J * DT
+        )
+
+
+@pytest.mark.parametrize("scale", [1e-18, 1e-17, 1e-16, 1e-14, 1e-12, 1e-9, 1e-6])
+def test_every_state_next_to_rest_has_a_way_on_and_a_way_to_rest(scale):
+    rng, robots = np.random.default_rng(8), 64
+    for braking in (False, True):
+        for _ in range(10):
+            smoother = at_home(robots)
+            smoother.q += rng.uniform(-0.1, 0.1, (robots, N))
+            smoother.qd += scale * rng.choice([-1, 0, 1], (robots, N)) * rng.random((robots, N))
+            smoother.qdd += 100 * scale * rng.choice([-1, 0, 1], (robots, N)) * rng.random((robots, N))
+            target = smoother.q + rng.choice([-0.3, -0.075, 0, 1e-9, 0.1], (robots, N))
+            plan = smoother.next(target, np.full(robots, braking))
+            assert np.isfinite(plan.q + plan.qd + plan.qdd).all()
+    for _ in range(40):
+        smoother.commit(smoother.next(target, np.ones(robots, dtype=bool)))
+    assert smoother.at_rest.all()
+
+
+def test_hold_rests_only_the_robots_named():
+    smoother = moving(3)
+    before = smoother.save()
+    smoother.hold(np.array([False, True, False]), np.tile(HOME, (3, 1)))
+    assert smoother.at_rest.tolist() == [False, True, False]
+    np.testing.assert_array_equal(smoother.q[[0, 2]], before["q"][[0, 2]])
+    np.testing.assert_array_equal(smoother.q[1], HOME)
+
+
+def test_from_beyond_the_clamped_range_it_comes_back_inside():
+    """Armed within the soft range but beyond where targets may lie."""
+    smoother = Smoother(SPEC, 1)
+    start = (HIGH - SPEC.margins.q_soft_rad - 0.001)[None]
+    smoother.hold(np.array([True]), start)
+    sent = ride(smoother, np.tile(HIGH + 1, (300, 1, 1)), never(300, 1))
+    assert (sent <= start + 1e-9).all()
+    np.testing.assert_allclose(sent[-1, 0], CLAMP_HIGH, atol=1e-6)
+    assert_inside_limits(sent)
+
+
+def test_faster_than_allowed_it_brakes():
+    """A speed beyond the limit, as only a fault could bring, is reduced, not an error."""
+    smoother = at_home(1)
+    smoother.qd[0, 0] = 1.2 * V[0]
+    speeds = []
+    for _ in range(100):
+        smoother.commit(smoother.next(np.array([HIGH]), np.array([False])))
+        speeds.append(abs(smoother.qd[0, 0]))
+    assert np.isfinite(speeds).all()
+    assert speeds[-1] <= V[0] * (1 + 1e-6)
