@@ -135,7 +135,9 @@ class _Planner:
         """
         nan = Setpoint(q=np.full(q.shape, np.nan), qd=np.full(q.shape, np.nan), qdd=np.full(q.shape, np.nan))
         self._ends = np.full(q.shape, np.nan)
-        for row in range(len(q)) if self._solo else ():
+        if self._solo is None:
+            return nan
+        for row in range(len(q)):
             one = slice(row, row + 1)
             self._solo.brake(self._braking[one])
             plan = self._solo.step(q[one], qd[one], qdd[one], target[one])
