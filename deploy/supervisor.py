@@ -74,9 +74,10 @@ class Supervisor(Stage):
         return ~running
 
     def arm(self, ids: Bools) -> None:
-        """Power robots where `ids` holds; they run after the arming time."""
-        self._enter(ids & ~self.powered, Mode.ARMING)
-        self.reason[ids] = 0
+        """Power robots where `ids` holds and drives are off; they run after the arming time."""
+        off = ids & ~self.powered
+        self._enter(off, Mode.ARMING)
+        self.reason[off] = 0
 
     def disarm(self, ids: Bools) -> None:
         """Cut power at once: only for robots that rest, or when nothing else is left."""
