@@ -59,9 +59,10 @@ class Safety:
         error = np.abs(sent.q - state.q)
         reason = _if(~finite, Reason.NOT_FINITE)
         reason |= _if((error > self._margins.tracking_rad).any(axis=1), Reason.TRACKING)
-        reason |= _if((state.temperature > self._housing_max).any(axis=1), Reason.HEAT)
-        reason |= _if(state.age > self._margins.stale_s, Reason.STALE)
-        reason |= _if(state.age > self._margins.lost_s, Reason.LOST)
+        # Negated, so that a reading that is not a number counts as bad.
+        reason |= _if(~(state.temperature <= self._housing_max).all(axis=1), Reason.HEAT)
+        reason |= _if(~(state.age <= self._margins.stale_s), Reason.STALE)
+        reason |= _if(~(state.age <= self._margins.lost_s), Reason.LOST)
         return reason
 
     def _motion(self, s: Setpoint, reason: Ints) -> Floats:

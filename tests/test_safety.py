@@ -1,0 +1,242 @@
+import numpy as np
+import pytest
+from test_spec import SPEC
+
+from deploy.safety import Safety
+from deploy.state import Reason, Setpoint, State
+from robots.model_pinocchio import Fleet, torque_max
+
+N = SPEC.n
+HOME = SPEC.joint_array("q_home")
+LOW, HIGH = (SPEC.joint_array(f"q_{end}") for end in ("min", "max"))
+MARGINS, SPACE = SPEC.margins, SPEC.workspace
+TAU_MAX = MARGINS.tau * torque_max(SPEC)
+ZERO = np.zeros(N)
+HAIR = 1e-6
+
+
+def point(q=HOME, qd=ZERO, qdd=ZERO):
+    return Setpoint(q=np.atleast_2d(q).copy(), qd=np.atleast_2d(qd).copy(), qdd=np.atleast_2d(qdd).copy())
+
+
+def judge(
+    *, q_hat=None, qd_hat=ZERO, sent=None, age=0.0, temperature=30.0, setpoint=None, ahead=None, q_rest=None
+):
+    """The verdict on one robot, everything else being well."""
+    setpoint = setpoint or point()
+    q_hat = setpoint.q if q_hat is None else np.atleast_2d(q_hat)
+    state = State(
+        t=1.0,
+        q=q_hat,
+        qd=np.atleast_2d(qd_hat),
+        q_var=np.full((1, N), 1e-6),
+        age=np.array([age]),
+        innovation=np.zeros((1, N)),
+        temperature=np.broadcast_to(np.asarray(temperature, dtype=float), (1, N)),
+    )
+    fleet = Fleet(SPEC, 1)
+    ahead = setpoint if ahead is None else ahead
+    rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
+    return Safety(SPEC, fleet).step(
+        state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, ahead, rest
+    )
+
+
+def reasons(**situation):
+    return Reason(int(judge(**situation).reason[0]))
+
+
+def one(joint, value, base=ZERO):
+    array = np.array(base, dtype=float)
+    array[joint] = value
+    return array
+
+
+def test_at_home_nothing_speaks_against_moving():
+    verdict = judge()
+    assert verdict.reason.tolist() == [0]
+    np.testing.assert_array_equal(verdict.tau, verdict.tau_ahead)
+
+
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize("place", ["setpoint", "ahead", "q_rest"])
+def test_position(joint, place):
+    """The soft range, for what is sent, for the stop after it and for its end."""
+    for end, inwards in ((LOW[joint] + MARGINS.q_soft_rad, 1), (HIGH[joint] - MARGINS.q_soft_rad, -1)):
+        for beyond in (False, True):
+            q = one(joint, end + (-HAIR if beyond else HAIR) * inwards, HOME)
+            found = reasons(**{place: q if place == "q_rest" else point(q)}, q_hat=HOME)
+            assert (Reason.POSITION in found) == beyond
+
+
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_velocity(joint, sign):
+    limit = MARGINS.speed * SPEC.joints[joint].qd_max
+    for factor, beyond in ((1 - HAIR, False), (1.0, False), (1 + 3 * HAIR, True)):
+        fast = point(qd=one(joint, sign * factor * limit))
+        assert (Reason.VELOCITY in reasons(setpoint=fast)) == beyond
+        assert (Reason.VELOCITY in reasons(ahead=fast)) == beyond
+
+
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_torque(joint, sign):
+    """An acceleration that needs just less, or just more, than the joint may give."""
+    fleet = Fleet(SPEC, 1)
+    bias = fleet.torque(HOME[None], ZERO[None], ZERO[None])[0, joint].copy()
+    slope = fleet.torque(HOME[None], ZERO[None], one(joint, 1.0)[None])[0, joint] - bias
+    for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
+        qdd = (sign * factor * TAU_MAX[joint] - bias) / slope
+        hard = point(qdd=one(joint, qdd))
+        verdict = judge(setpoint=hard)
+        assert verdict.tau[0, joint] == pytest.approx(sign * factor * TAU_MAX[joint], rel=1e-9)
+        others = np.delete(np.abs(verdict.tau[0]) <= TAU_MAX, joint).all()
+        assert others
+        assert (Reason(int(verdict.reason[0])) == Reason.TORQUE) == beyond
+        assert (reasons(ahead=hard) == Reason.TORQUE) == beyond
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tool_speed(seed):
+    fleet, direction = Fleet(SPEC, 1), np.random.default_rng(seed).normal(size=N)
+    fleet.place(HOME[None])
+    direction /= np.linalg.norm(fleet.tool_velocity(direction[None]))
+    for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
+        fast = point(qd=direction * factor * SPACE.tool_speed_max)
+        assert (Reason.TOOL_SPEED in reasons(setpoint=fast)) == beyond
+
+
+@pytest.mark.parametrize("joint", range(N))
+def test_heat(joint):
+    limit = SPEC.motor_array("housing_max_c")[joint]
+    assert reasons(temperature=one(joint, limit, np.full(N, 20.0))) == 0
+    assert reasons(temperature=one(joint, limit + HAIR, np.full(N, 20.0))) == Reason.HEAT
+    assert reasons(temperature=one(joint, np.nan, np.full(N, 20.0))) == Reason.HEAT
+
+
+@pytest.mark.parametrize(
+    ("age", "expected"),
+    [
+        (0.0, 0),
+        (MARGINS.stale_s - HAIR, 0),
+        (MARGINS.stale_s + HAIR, Reason.STALE),
+        (MARGINS.lost_s - HAIR, Reason.STALE),
+        (MARGINS.lost_s + HAIR, Reason.STALE | Reason.LOST),
+        (np.inf, Reason.STALE | Reason.LOST),
+        (np.nan, Reason.STALE | Reason.LOST),
+    ],
+)
+def test_stale_and_lost(age, expected):
+    assert reasons(age=age) == expected
+
+
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_tracking_is_against_what_the_drives_follow_now(joint, sign):
+    for offset, expected in (
+        (MARGINS.tracking_rad - HAIR, 0),
+        (MARGINS.tracking_rad + HAIR, Reason.TRACKING),
+    ):
+        sent = point(one(joint, HOME[joint] + sign * offset, HOME))
+        assert reasons(sent=sent, q_hat=HOME) == expected
+        assert reasons(setpoint=sent, q_hat=HOME, q_rest=HOME, ahead=point()) & Reason.TRACKING == 0
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("joint", [0, 5])
+def test_not_finite_wherever_it_is(bad, joint):
+    for field in ("q", "qd", "qdd"):
+        broken = point(**{field: one(joint, bad, HOME if field == "q" else ZERO)})
+        for place in ("setpoint", "ahead"):
+            found = reasons(**{place: broken}, q_hat=HOME, q_rest=HOME)
+            assert Reason.NOT_FINITE in found, (place, field)
+    assert Reason.NOT_FINITE in reasons(q_hat=one(joint, bad, HOME), setpoint=point())
+    assert Reason.NOT_FINITE in reasons(qd_hat=one(joint, bad))
+    if np.isnan(bad):
+        assert reasons(q_rest=one(joint, bad, HOME)) != 0
+
+
+def by_mujoco(mujoco, poses):
+    """The oracle for poses: another library, other formulas. One row: height, radius, |det J|, nearest distance."""
+    from robots.model_mujoco import load_mujoco
+
+    model = load_mujoco(SPEC)
+    data, site = mujoco.MjData(model), model.site(SPEC.tool).id
+    bodies = model.geom_bodyid
+    pairs = [
+        (a, b)
+        for a in range(model.ngeom)
+        for b in range(a)
+        if max(bodies[a], bodies[b]) > 1 and abs(max(bodies[a], 1) - max(bodies[b], 1)) > 1
+    ]
+    rows, jacobian, fromto = [], np.zeros((6, N)), np.zeros(6)
+    for q in poses:
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
+        tool = data.site_xpos[site]
+        nearest = min(mujoco.mj_geomDistance(model, data, a, b, 0.1, fromto) for a, b in pairs)
+        rows.append((tool[2], np.linalg.norm(tool - SPACE.centre), abs(np.linalg.det(jacobian)), nearest))
+    return np.array(rows).T
+
+
+def test_poses_are_judged_as_another_library_judges_them():
+    """Workspace, singularity and collision of 3,000 random poses in the working range, each bit both ways."""
+    mujoco = pytest.importorskip("mujoco")
+    robots, width, rng = 3072, 64, np.random.default_rng(0)
+    q = rng.uniform(LOW, HIGH, (robots, N))
+    height, radius, manipulability, nearest = by_mujoco(mujoco, q)
+    singularity = 0.01  # more than the arm's own, so that enough poses lie on either side
+    spec = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"singularity": singularity})})
+    reason, safety = np.zeros(robots, dtype=np.int64), Safety(spec, Fleet(spec, width))
+    for rows in np.split(np.arange(robots), robots // width):
+        found = np.zeros(width, dtype=np.int64)
+        safety.check_pose(q[rows], found)
+        reason[rows] = found
+    soft = MARGINS.q_soft_rad
+    expected = {
+        Reason.POSITION: (((q < LOW + soft) | (q > HIGH - soft)).any(axis=1), np.ones(robots, dtype=bool)),
+        Reason.WORKSPACE: (
+            (height < SPACE.z_min) | (radius > SPACE.radius_max),
+            (np.abs(height - SPACE.z_min) > 1e-9) & (np.abs(radius - SPACE.radius_max) > 1e-9),
+        ),
+        Reason.SINGULARITY: (
+            manipulability < singularity,
+            np.abs(manipulability - singularity) > 1e-9,
+        ),
+        Reason.COLLISION: (nearest < MARGINS.collision_m, np.abs(nearest - MARGINS.collision_m) > 1e-4),
+    }
+    for bit, (refused, clear) in expected.items():
+        assert clear.sum() > 0.99 * robots
+        assert 10 < refused.sum() < robots - 10, bit
+        np.testing.assert_array_equal(((reason & int(bit)) != 0)[clear], refused[clear], err_msg=str(bit))
+    assert (reason & ~sum(int(bit) for bit in expected) == 0).all()
+
+
+def test_each_robot_is_judged_alone():
+    """Seven robots, each with another fault, and every verdict is that of its own fault."""
+    faults = {1: Reason.VELOCITY, 2: Reason.POSITION, 4: Reason.TORQUE, 5: Reason.TRACKING, 6: Reason.HEAT}
+    robots = 7
+    q, qd, qdd = np.tile(HOME, (robots, 1)), np.zeros((robots, N)), np.zeros((robots, N))
+    sent, temperature = q.copy(), np.full((robots, N), 30.0)
+    qd[1, 5], qdd[4, 1] = 4.0, 1000.0
+    rest = q.copy()
+    rest[2, 0], sent[5, 3], temperature[6, 2] = HIGH[0], HOME[3] + 0.2, 90.0
+    state = State(t=0.0, q=q, qd=qd, q_var=q, age=np.zeros(robots), innovation=q, temperature=temperature)
+    setpoint = Setpoint(q=q, qd=qd, qdd=qdd)
+    still = Setpoint(q=q, qd=qd * 0, qdd=qdd * 0)
+    verdict = Safety(SPEC, Fleet(SPEC, robots)).step(
+        state, Setpoint(q=sent, qd=qd, qdd=qdd), setpoint, still, rest
+    )
+    assert verdict.reason.tolist() == [int(faults.get(i, 0)) for i in range(robots)]
+
+
+def test_it_changes_none_of_its_inputs():
+    setpoint, rest = point(qd=one(0, 9.0)), np.tile(HIGH, (1, 1))
+    before = setpoint.q.copy(), setpoint.qd.copy(), rest.copy()
+    judge(setpoint=setpoint, q_rest=rest)
+    for array, old in zip((setpoint.q, setpoint.qd, rest), before, strict=True):
+        np.testing.assert_array_equal(array, old)
