@@ -89,6 +89,11 @@ class Runtime:
         """What was sent last."""
         return self.smoother.sent
 
+    @property
+    def tool(self) -> Floats:
+        """(B, 3) m, where the tool is believed to be in the world; renewed whenever the policy is due."""
+        return self._tool
+
     def start(self) -> Ints:
         """The first tick: look, and arm every robot; the policy is not asked yet.
 
