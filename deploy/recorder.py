@@ -1,0 +1,183 @@
+"""The robot's black box: a thinned stream of the whole run, and the last seconds in full when something happens."""
+
+import secrets
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.recording import Recording, row_type
+from deploy.runtime import Runtime
+from deploy.state import Mode, Reason
+from deploy.supervisor import words
+from robots.errors import OutputError
+from robots.spec import RobotSpec
+
+STREAM_HZ = 50
+RING_S = 2.0
+AFTER_S = 0.5
+"""How much of the ring comes after the event: the stop itself."""
+ROWS_PER_TICK = 4
+"""An event is written a few ticks at a time, so that no tick is late for it: 0.2 ms each."""
+EVENTS_MAX = 20
+
+Rows = NDArray[np.void]
+
+
+def check_folder(folder: Path) -> None:
+    """Make `folder` and see that files can be made in it.
+
+    Raises:
+        OutputError: they cannot.
+    """
+    probe = folder / f".{secrets.token_hex(4)}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as e:
+        raise OutputError(f"--out {folder}: cannot be written: {e.strerror}, expected a folder") from e
+
+
+class Ring:
+    """The last ticks of B robots at the full rate, in one preallocated array (T, B) of `row_type`."""
+
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        """Allocate for B robots."""
+        self.rows: Rows = np.zeros((round(RING_S / spec.dt), robots), dtype=row_type(spec.n))
+        self._ticks = 0
+        # A field of a structured array is looked up once, not every tick.
+        names = self.rows.dtype.names or ()
+        self._fields = {name: self.rows[name] for name in names}
+
+    def step(self, runtime: Runtime) -> Rows:
+        """Keep the tick that has just ended; return its row (B,)."""
+        self._ticks = runtime.ticks
+        at, fields = (self._ticks - 1) % len(self.rows), self._fields
+        state, sent, task, supervisor = runtime.state, runtime.setpoint, runtime.task, runtime.supervisor
+        fields["tick"][at] = self._ticks - 1
+        fields["mode"][at] = supervisor.mode
+        fields["reason"][at] = supervisor.reason
+        fields["reached"][at], fields["attempted"][at] = task.reached, task.attempted
+        fields["q"][at], fields["qd"][at], fields["housing_c"][at] = state.q, state.qd, state.temperature
+        fields["q_target"][at] = runtime.action.q
+        fields["q_sent"][at], fields["qd_sent"][at], fields["qdd_sent"][at] = sent.q, sent.qd, sent.qdd
+        fields["tau_sent"][at] = runtime.command.tau
+        fields["tool"][at], fields["goal"][at] = runtime.tool, task.goal
+        row: Rows = self.rows[at]
+        return row
+
+    def last(self) -> Rows:
+        """A copy (≤ T, B) in the order of time."""
+        count = min(self._ticks, len(self.rows))
+        return self.rows[np.arange(self._ticks - count, self._ticks) % len(self.rows)]
+
+
+class Recorder:
+    """Records robot 0 into `folder`: run.mcap, and event-<tick>.mcap for each of the first events.
+
+    A disk that fails before anything moves is an error; one that fails later is `lost`, and the robot goes on.
+
+    Attributes:
+        lost: what went wrong with the disk, in words.
+    """
+
+    def __init__(self, folder: Path, runtime: Runtime, *, start_ns: int, about: Mapping[str, str]) -> None:
+        """Replace the recording of a former run in `folder`.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        self._events: list[Recording] = []
+        self.lost: str | None = None
+        self._folder, self._spec, self._start_ns, self._about = folder, runtime.spec, start_ns, dict(about)
+        self._goal_m = runtime.task.config.tolerance_m
+        self._ring = Ring(runtime.spec, runtime.robot.robots)
+        self._every = max(1, runtime.spec.rates.control_hz // STREAM_HZ)
+        self._after = round(AFTER_S / runtime.spec.dt)
+        self._tick, self._mode, self._due = -1, int(Mode.DISARMED), -1
+        self._rows = self._ring.last()[:, 0]
+        self._stream = self._opened()
+
+    def _opened(self) -> Recording:
+        path = self._folder / "run.mcap"
+        try:
+            for former in (*self._folder.glob("event-*.mcap"), self._folder / "summary.json"):
+                former.unlink(missing_ok=True)
+        except OSError as e:
+            raise OutputError(f"--out {self._folder}: {former.name} cannot be removed: {e.strerror}") from e
+        stream = self._recording(path)
+        stream.settle()
+        if stream.error is not None:
+            raise OutputError(f"--out {path}: cannot be written: {stream.error.strerror}") from stream.error
+        return stream
+
+    def _recording(self, path: Path) -> Recording:
+        return Recording(path, self._spec, start_ns=self._start_ns, goal_m=self._goal_m, about=self._about)
+
+    @property
+    def path(self) -> Path:
+        """The stream."""
+        return self._stream.path
+
+    @property
+    def events(self) -> tuple[Path, ...]:
+        """Events written or being written."""
+        return tuple(event.path for event in self._events)
+
+    def step(self, runtime: Runtime) -> None:
+        """Record the tick that has just ended."""
+        row, self._tick = self._ring.step(runtime)[0], runtime.ticks - 1
+        if self.lost is not None:
+            return
+        if row["mode"] != self._mode:
+            self._changed(Mode(int(row["mode"])), int(row["reason"]))
+        if self._tick % self._every == 0:
+            self._stream.write(row)
+        if self._tick == self._due:
+            self._begin()
+        if len(self._rows):
+            self._write(ROWS_PER_TICK)
+        self._listen()
+
+    def _changed(self, mode: Mode, reason: int) -> None:
+        why = f": {words(reason)}" if reason else ""
+        self._stream.say(self._tick, f"{Mode(self._mode).name} → {mode.name}{why}", warning=bool(reason))
+        self._mode = int(mode)
+        if mode == Mode.STOPPING and reason != Reason.OPERATOR:
+            self.event()
+
+    def event(self) -> None:
+        """Something happened now: the ring will be kept, unless an event is at hand already."""
+        if self._due < 0 and not len(self._rows) and len(self._events) < EVENTS_MAX:
+            self._due = self._tick + self._after
+
+    def _begin(self) -> None:
+        path = self._folder / f"event-{self._due - self._after}.mcap"
+        self._events.append(self._recording(path))
+        self._due, self._rows = -1, self._ring.last()[:, 0]
+
+    def _write(self, count: int) -> None:
+        """The next rows of the last event."""
+        for row in self._rows[:count]:
+            self._events[-1].write(row)
+        self._rows = self._rows[count:]
+        if not len(self._rows):
+            self._events[-1].finish()
+
+    def _listen(self) -> None:
+        for recording in (self._stream, *self._events[-1:]):
+            if recording.error is not None:
+                self.lost = f"{recording.path}: cannot be written: {recording.error.strerror}"
+
+    def close(self) -> None:
+        """End every file; an event that waits for its end is written as it is."""
+        if self._due >= 0 and self.lost is None:
+            self._begin()
+        if len(self._rows):
+            self._write(len(self._rows))
+        self._stream.finish()
+        for recording in (self._stream, *self._events):
+            recording.wait()
+        self._listen()

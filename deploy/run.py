@@ -1,0 +1,142 @@
+"""deploy-run: a policy drives one robot at a fixed rate, from arming to rest."""
+
+import gc
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deploy.cli import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.clock import Unpaced, WallClock
+from deploy.pace import Every, Pace
+from deploy.policy import Policy
+from deploy.recorder import Recorder, check_folder
+from deploy.runtime import Runtime
+from deploy.screen import Show, snapshot
+from deploy.shift import Ending, Shift
+from deploy.summary import report
+from robots.errors import ConfigError
+from robots.randomness import robot_seed
+from robots.spec import RobotSpec, load_robot
+
+if TYPE_CHECKING:
+    from deploy.backends.sim.robot import SimRobot
+
+BACKENDS = ("sim",)
+SPEED_MAX = 1000.0
+SHOW_S, VIEW_S = 0.2, 1 / 30
+EXIT = {Ending.DONE: PASSED, Ending.INTERRUPTED: INTERRUPTED}
+
+
+def run(
+    policy: Annotated[Path, typer.Option(help="ONNX file that policy-export wrote", show_default=False)],
+    robot: Annotated[str, typer.Option(help="name in robots/, or a folder")] = "arm6",
+    backend: Annotated[str, typer.Option(help=f"what stands behind it: {', '.join(BACKENDS)}")] = "sim",
+    duration: Annotated[float, typer.Option(help="s of robot time; inf: until Ctrl-C")] = math.inf,
+    speed: Annotated[str, typer.Option(help="robot time by wall time: a factor, or max")] = "1",
+    seed: Annotated[int, typer.Option(help="of the simulated robot and of the goals")] = 7,
+    out: Annotated[Path, typer.Option(help="folder; a former run in it is replaced")] = Path("out/run"),
+    view: Annotated[bool, typer.Option("--view", help="open MuJoCo's viewer")] = False,
+) -> int:
+    """Drive one robot by a policy: arm, work, and come to rest.
+
+    Ctrl-C asks for a controlled stop, a second one cuts power. Exit codes: 0 done, 1 the robot stopped and could
+    not go on, 2 bad input and nothing moved, 130 interrupted.
+    """
+    factor = _factor(speed)
+    _check(backend, duration, seed)
+    spec = load_robot(robot)
+    brain = Policy.load(policy, spec)
+    check_folder(out)
+    body = _simulated(spec, seed)
+    view_step = _viewer(body) if view else None
+    runtime = Runtime(spec, brain.contract, body, [robot_seed(seed, 0)], brain)
+    about = {"robot": spec.name, "robot_digest": spec.digest, "policy": str(policy)}
+    about |= {"policy_digest": brain.digest, "backend": backend, "seed": str(seed), "speed": speed}
+    recorder = Recorder(out, runtime, start_ns=time.time_ns(), about=about)
+    watchers: list[Every[Shift]] = [Every(VIEW_S, view_step)] if view_step else []
+    return _lived(runtime, recorder, factor=factor, duration=duration, about=about, watchers=watchers)
+
+
+def _factor(speed: str) -> float:
+    """Robot time by wall time; infinite for `max`."""
+    if speed == "max":
+        return math.inf
+    try:
+        factor = float(speed)
+    except ValueError:
+        factor = math.nan
+    if not 0 < factor <= SPEED_MAX:
+        raise ConfigError(f"--speed {speed}: expected a factor above 0 and at most {SPEED_MAX:g}, or max")
+    return factor
+
+
+def _check(backend: str, duration: float, seed: int) -> None:
+    if backend not in BACKENDS:
+        raise ConfigError(f"--backend {backend}: unknown; known: {', '.join(BACKENDS)}")
+    if not duration > 0:
+        raise ConfigError(f"--duration {duration}: expected s above 0, or inf")
+    if seed < 0:
+        raise ConfigError(f"--seed {seed}: expected 0 or more")
+
+
+def _simulated(spec: RobotSpec, seed: int) -> "SimRobot":
+    try:
+        from deploy.backends.sim.robot import SimRobot
+    except ModuleNotFoundError as e:
+        raise ConfigError(f"--backend sim: needs {e.name}, which is not installed: firstshift[sim]") from e
+    return SimRobot(spec, [robot_seed(seed, 0)])
+
+
+def _viewer(robot: "SimRobot") -> Callable[[object], None]:
+    from deploy.backends.sim.view import View
+
+    return View(robot).step
+
+
+def _lived(
+    runtime: Runtime,
+    recorder: Recorder,
+    *,
+    factor: float,
+    duration: float,
+    about: dict[str, str],
+    watchers: list[Every[Shift]],
+) -> int:
+    """Everything from the first tick to the summary."""
+    hz = runtime.spec.rates.control_hz
+    asked = None if math.isinf(factor) else hz * factor
+    pace = Pace(Unpaced() if asked is None else WallClock(1 / asked), hz)
+    screen, title = Show(), f"{about['robot']}  {about['policy']}  {about['backend']}"
+
+    def show(shift: Shift) -> None:
+        notes, stops = [recorder.lost] if recorder.lost else [], list(shift.tally.last)
+        picture = snapshot(runtime, pace, title=title, left=shift.left, hz=asked, stops=stops, notes=notes)
+        screen.offer(picture)
+
+    shift = Shift(runtime, pace, recorder, duration=duration, watchers=[Every(SHOW_S, show), *watchers])
+    # What was made for good is not looked at again in the middle of a tick.
+    gc.collect()
+    gc.freeze()
+    try:
+        ending = shift.live()
+    finally:
+        gc.unfreeze()
+        if runtime.ticks:
+            show(shift)
+        screen.close()
+        recorder.close()
+        report(shift, about, recorder.path.parent / "summary.json")
+    return EXIT.get(ending, BUDGET_EXCEEDED)
+
+
+def cli() -> None:
+    """The command line."""
+    main(run)
+
+
+if __name__ == "__main__":
+    cli()

@@ -1,0 +1,192 @@
+"""One robot's shift: armed, at work, brought to rest. The one place that catches everything and stops the robot."""
+
+import signal
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from enum import Enum
+from types import FrameType
+
+import numpy as np
+
+from deploy.pace import Pace
+from deploy.recorder import Recorder
+from deploy.runtime import Runtime
+from deploy.state import Mode, Reason
+from deploy.supervisor import CATEGORY_1, words
+
+ARM_WITHIN_S = 1.0
+"""Robot time in which the checks before arming must all have passed."""
+STOP_WITHIN_S = 5.0
+"""Robot time in which a controlled stop must have ended; no stop that was planned takes as long."""
+STOPS_SHOWN = 4
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Ending(Enum):
+    """How a shift ended."""
+
+    DONE = "done"
+    INTERRUPTED = "interrupted"
+    STOPPED = "stopped"
+    REFUSED = "not armed"
+    FAILED = "failed"
+
+
+class Interrupts:
+    """Ctrl-C and termination, counted: the first is asked for by the tick, the second cuts through everything."""
+
+    def __init__(self) -> None:
+        """Nothing is asked yet."""
+        self.count = 0
+
+    def __call__(self, _signal: int, _frame: FrameType | None) -> None:
+        """Handle a signal."""
+        self.count += 1
+        if self.count == 2:
+            raise KeyboardInterrupt
+
+    @contextmanager
+    def caught(self) -> Iterator[None]:
+        """Handle signals for a while."""
+        before = [(which, signal.signal(which, self)) for which in SIGNALS]
+        try:
+            yield
+        finally:
+            for which, handler in before:
+                signal.signal(which, handler)
+
+
+@dataclass(slots=True, kw_only=True)
+class Tally:
+    """What the summary counts.
+
+    Attributes:
+        stops: stops by reason. last: the newest of them in words, with their time.
+        housing_max_c: °C, the hottest housing of all ticks; None before the first.
+    """
+
+    stops: Counter[str] = field(default_factory=Counter)
+    last: deque[str] = field(default_factory=lambda: deque(maxlen=STOPS_SHOWN))
+    housing_max_c: float | None = None
+    _mode: int = Mode.DISARMED
+
+    def step(self, runtime: Runtime) -> None:
+        """Count the tick that has just ended."""
+        hottest = float(runtime.state.temperature.max())
+        self.housing_max_c = hottest if self.housing_max_c is None else max(self.housing_max_c, hottest)
+        mode = int(runtime.supervisor.mode[0])
+        if mode == Mode.STOPPING != self._mode:
+            reason = int(runtime.supervisor.reason[0])
+            self.stops.update(bit.name.lower() for bit in Reason(reason) if bit.name)
+            self.last.append(f"{runtime.t:.2f} s: {words(reason)}")
+        self._mode = mode
+
+
+class Shift:
+    """Ticks robot 0 of a runtime from arming to rest."""
+
+    def __init__(
+        self,
+        runtime: Runtime,
+        pace: Pace,
+        recorder: Recorder,
+        *,
+        duration: float,
+        watchers: Sequence[Callable[["Shift"], None]] = (),
+    ) -> None:
+        """Nothing moves before `live`.
+
+        Args:
+            runtime: disarmed.
+            pace: of its ticks.
+            recorder: fed after each tick.
+            duration: s of robot time from arming to the stop; may be infinite.
+            watchers: called after each tick, when all of its work is done.
+        """
+        self.runtime, self.pace, self.recorder, self.tally = runtime, pace, recorder, Tally()
+        self.ending: Ending | None = None
+        self.interrupts = Interrupts()
+        self._all = np.ones(runtime.robot.robots, dtype=bool)
+        self._duration, self._t_end, self._t_rest = duration, np.inf, np.inf
+        self._watchers, self._refused = watchers, 0
+
+    @property
+    def left(self) -> float | None:
+        """Robot time until the stop at the end, s; None if there is no end."""
+        return max(0.0, self._t_end - self.runtime.t) if np.isfinite(self._t_end) else None
+
+    @property
+    def reason(self) -> str:
+        """Why the robot does not run, in words."""
+        reason = self._refused or int(self.runtime.supervisor.reason[0])
+        return words(reason) if reason else ""
+
+    def live(self) -> Ending:
+        """Arm, work, and come to rest, whatever happens."""
+        with self.interrupts.caught():
+            try:
+                if self._armed():
+                    self._work()
+            except BaseException:
+                self.runtime.robot.stop(self._all)
+                self.ending = Ending.FAILED
+                self.recorder.event()
+                raise
+        self.ending = self._ending()
+        return self.ending
+
+    def _ending(self) -> Ending:
+        """What was asked for, unless the robot had a reason of its own to latch."""
+        own = int(self.runtime.supervisor.reason[0]) & CATEGORY_1 & ~Reason.OPERATOR
+        if self.ending is None or (own and self.ending is Ending.DONE):
+            return Ending.STOPPED
+        return self.ending
+
+    def _armed(self) -> bool:
+        """Tick with brakes on until every check passes, or give up."""
+        t_last = self.runtime.t + ARM_WITHIN_S
+        while not self.interrupts.count:
+            self._tick()
+            refused = self.runtime.arm(self._all)
+            if not refused.any():
+                self._t_end = self.runtime.t + self._duration
+                return True
+            if self.runtime.t > t_last:
+                self.ending = Ending.REFUSED
+                self._refused = int(refused[0])
+                return False
+        self.ending = Ending.INTERRUPTED
+        return False
+
+    def _work(self) -> None:
+        while self.runtime.supervisor.powered.any():
+            self._decide()
+            self._tick()
+            if self.runtime.t > self._t_rest:
+                raise RuntimeError(f"no rest within {STOP_WITHIN_S} s of asking for a stop")
+
+    def _decide(self) -> None:
+        """Ask for a controlled stop when it is time for one."""
+        if self.interrupts.count and self.ending is not Ending.INTERRUPTED:
+            self._end(Ending.INTERRUPTED, Reason.OPERATOR)
+        elif self.ending is None and self.runtime.t >= self._t_end:
+            self._end(Ending.DONE, Reason.OPERATOR)
+        elif self.ending is None and self.pace.overrun:
+            self._end(Ending.STOPPED, Reason.OVERRUN)
+
+    def _end(self, ending: Ending, reason: Reason) -> None:
+        self.ending = ending
+        self._t_rest = min(self._t_rest, self.runtime.t + STOP_WITHIN_S)
+        self.runtime.stop(reason)
+        if ending is Ending.INTERRUPTED:
+            self.recorder.event()
+
+    def _tick(self) -> None:
+        self.pace.wait()
+        self.runtime.tick()
+        self.recorder.step(self.runtime)
+        self.tally.step(self.runtime)
+        for watch in self._watchers:
+            watch(self)

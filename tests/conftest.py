@@ -1,0 +1,33 @@
+import json
+
+import numpy as np
+import pytest
+from onnx import numpy_helper
+from test_policy import A, golden, metadata, policy_model, saved, tensor, weights
+
+from deploy.policy_file import GOLDEN_KEY
+from deploy.tasks import reach
+from robots.spec import load_robot
+
+
+@pytest.fixture(scope="session")
+def arm_policy(tmp_path_factory):
+    """A valid policy file for the arm that asks for nothing."""
+    model, still = policy_model(), golden(weights())
+    for name in ("w1", "b1"):
+        zeros = np.zeros_like(numpy_helper.to_array(tensor(model, name)))
+        tensor(model, name).CopyFrom(numpy_helper.from_array(zeros, name))
+    still["action"] = np.zeros((len(still["action"]), A)).tolist()
+    metadata(model, GOLDEN_KEY).value = json.dumps(still)
+    return saved(model, tmp_path_factory.mktemp("policy"))
+
+
+@pytest.fixture(scope="session")
+def _goals():
+    return reach.goal_pool(load_robot("arm6"), reach.ReachConfig())
+
+
+@pytest.fixture
+def quick_goals(monkeypatch, _goals):
+    """The pool of goals is the same for everybody: sample it once."""
+    monkeypatch.setattr(reach, "goal_pool", lambda spec, config: _goals)

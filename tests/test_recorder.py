@@ -1,0 +1,263 @@
+import json
+import resource
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from mcap.reader import make_reader
+
+from deploy.recorder import AFTER_S, EVENTS_MAX, RING_S, Recorder, Ring, check_folder
+from deploy.state import Mode, Reason
+from robots.errors import OutputError
+from robots.spec import load_robot
+
+SPEC = load_robot("arm6")
+START_NS = 1_700_000_000_000_000_000
+TICK_NS = 5_000_000
+DEPTH, AFTER = round(RING_S / SPEC.dt), round(AFTER_S / SPEC.dt)
+linux_only = pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full")
+
+
+class Scripted:
+    """What a recorder sees of a runtime; every number is a function of the tick, the robot and the joint."""
+
+    def __init__(self, robots=1):
+        self.spec, self.robot, self.ticks = SPEC, SimpleNamespace(robots=robots), 0
+        self.task = SimpleNamespace(config=SimpleNamespace(tolerance_m=0.02))
+        self.supervisor = SimpleNamespace(
+            mode=np.full(robots, Mode.RUNNING, np.int8), reason=np.zeros(robots, np.int64)
+        )
+
+    def numbers(self, tick, part, width=SPEC.n):
+        robot, joint = np.arange(self.robot.robots)[:, None], np.arange(width)
+        return tick + 1000.0 * robot + joint / 8 + part / 128
+
+    def tick(self):
+        joints = [self.numbers(self.ticks, part) for part in range(8)]
+        self.state = SimpleNamespace(q=joints[0], qd=joints[1], temperature=joints[2])
+        self.action = SimpleNamespace(q=joints[3])
+        self.setpoint = SimpleNamespace(q=joints[4], qd=joints[5], qdd=joints[6])
+        self.command = SimpleNamespace(tau=joints[7])
+        self.tool, self.task.goal = (self.numbers(self.ticks, part, 3) for part in (8, 9))
+        self.task.reached = np.full(self.robot.robots, self.ticks // 800)
+        self.task.attempted = np.full(self.robot.robots, self.ticks // 400)
+        self.ticks += 1
+
+
+def recorder(folder, runtime=None):
+    return Recorder(folder, runtime or Scripted(), start_ns=START_NS, about={"policy": "x.onnx"})
+
+
+def record(folder, ticks, *, stops=None):
+    """Record `ticks` ticks; `stops` maps a tick to the reason for which the robot starts to stop."""
+    runtime = Scripted()
+    writer = recorder(folder, runtime)
+    for tick in range(ticks):
+        reason = (stops or {}).get(tick, 0)
+        runtime.supervisor.mode[0] = Mode.STOPPING if reason else Mode.RUNNING
+        runtime.supervisor.reason[0] = reason
+        runtime.tick()
+        writer.step(runtime)
+    writer.close()
+    return writer
+
+
+def messages(path):
+    """Everything in a file by topic: (log time, schema name, decoded)."""
+    pool, found = descriptor_pool.DescriptorPool(), {}
+    with path.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            data = decoded(pool, schema, message.data)
+            found.setdefault(channel.topic, []).append((message.log_time, schema.name, data))
+    return found
+
+
+def decoded(pool, schema, data):
+    if schema.encoding == "jsonschema":
+        return json.loads(data)
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+        pool.AddSerializedFile(file.SerializeToString())
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name)).FromString(data)
+
+
+def test_the_stream_is_thinned_to_50_hz(tmp_path):
+    assert record(tmp_path, 401).events == ()
+    found = messages(tmp_path / "run.mcap")
+    names = {topic: {name for _, name, _ in items} for topic, items in found.items()}
+    assert names == {
+        "/measured": {"foxglove.JointStates"},
+        "/setpoint": {"foxglove.JointStates"},
+        "/scene": {"foxglove.SceneUpdate"},
+        "/log": {"foxglove.Log"},
+        "/state": {"firstshift.State"},
+    }
+    for topic in ("/measured", "/setpoint", "/scene", "/state"):
+        times = [time for time, _, _ in found[topic]]
+        assert times == [START_NS + tick * TICK_NS for tick in range(0, 401, 4)]
+
+
+def test_numbers_are_those_of_their_tick(tmp_path):
+    record(tmp_path, 41)
+    found, script = messages(tmp_path / "run.mcap"), Scripted()
+    for k, (time, _, measured) in enumerate(found["/measured"]):
+        tick = 4 * k
+        assert measured.timestamp.seconds * 10**9 + measured.timestamp.nanos == time
+        assert [joint.name for joint in measured.joints] == list(SPEC.joint_names)
+        assert [joint.position for joint in measured.joints] == script.numbers(tick, 0)[0].tolist()
+        assert [joint.velocity for joint in measured.joints] == script.numbers(tick, 1)[0].tolist()
+        setpoint = found["/setpoint"][k][2].joints
+        for part, field in enumerate(("position", "velocity", "acceleration", "effort"), start=4):
+            assert [getattr(joint, field) for joint in setpoint] == script.numbers(tick, part)[0].tolist()
+        spheres = {entity.id: entity.spheres[0] for entity in found["/scene"][k][2].entities}
+        for part, name in ((8, "tool"), (9, "goal")):
+            at, expected = spheres[name].pose.position, script.numbers(tick, part, 3)[0].tolist()
+            assert [at.x, at.y, at.z] == expected
+            assert found["/state"][k][2][name] == expected
+        assert spheres["goal"].size.x == 0.04
+        assert found["/state"][k][2]["housing_c"] == script.numbers(tick, 2)[0].tolist()
+        assert found["/state"][k][2]["q_target"] == script.numbers(tick, 3)[0].tolist()
+
+
+def test_changes_of_mode_are_said_with_their_reasons(tmp_path):
+    both = Reason.HEAT | Reason.TRACKING
+    record(tmp_path, 20, stops={11: both, 12: both})
+    found = messages(tmp_path / "run.mcap")
+    said = [((time - START_NS) // TICK_NS, log.message) for time, _, log in found["/log"]]
+    why = "a motor housing is too hot; a joint does not follow its setpoint"
+    assert said == [
+        (0, "DISARMED → RUNNING"),
+        (11, f"RUNNING → STOPPING: {why}"),
+        (13, "STOPPING → RUNNING"),
+    ]
+    state = found["/state"][3][2]  # tick 12
+    assert (state["mode"], state["reason"]) == ("STOPPING", why)
+
+
+def test_metadata_say_what_ran(tmp_path):
+    record(tmp_path, 1)
+    with (tmp_path / "run.mcap").open("rb") as file:
+        (found,) = make_reader(file).iter_metadata()
+    assert (found.name, found.metadata) == ("run", {"policy": "x.onnx"})
+
+
+def ticks(path):
+    return [(time - START_NS) / TICK_NS for time, _, _ in messages(path)["/measured"]]
+
+
+def test_an_event_keeps_every_tick_around_it(tmp_path):
+    writer = record(tmp_path, 1000, stops={500: Reason.COLLISION})
+    assert writer.events == (tmp_path / "event-500.mcap",)
+    last = 500 + AFTER
+    found, script = messages(writer.events[0]), Scripted()
+    assert ticks(writer.events[0]) == list(range(last - DEPTH + 1, last + 1))
+    for time, _, measured in found["/measured"]:
+        tick = (time - START_NS) // TICK_NS
+        assert [joint.position for joint in measured.joints] == script.numbers(tick, 0)[0].tolist()
+    modes = [state["mode"] for _, _, state in found["/state"]]
+    assert modes.index("STOPPING") == 500 - (last - DEPTH + 1)
+    assert modes.count("STOPPING") == 1
+
+
+@pytest.mark.parametrize(("stop", "end"), [(500, 510), (3, 8), (0, 1), (500, 500 + AFTER + 3)])
+def test_an_event_at_the_end_is_written_as_far_as_it_went(tmp_path, stop, end):
+    writer = record(tmp_path, end, stops={stop: Reason.COLLISION})
+    newest = min(end - 1, stop + AFTER)
+    assert ticks(writer.events[0]) == list(range(max(0, newest - DEPTH + 1), newest + 1))
+
+
+def test_stops_in_quick_succession_are_one_event(tmp_path):
+    writer = record(tmp_path, 900, stops={500: Reason.STALE, 510: Reason.STALE, 605: Reason.STALE})
+    assert [path.name for path in writer.events] == ["event-500.mcap"]
+
+
+def test_the_number_of_events_is_bounded(tmp_path):
+    stops = dict.fromkeys(range(0, 10_000, 250), Reason.STALE)
+    writer = record(tmp_path, 10_000, stops=stops)
+    assert len(writer.events) == EVENTS_MAX < len(stops)
+    assert sorted(tmp_path.glob("event-*.mcap")) == sorted(writer.events)
+
+
+def test_the_operators_stop_is_an_event_only_when_asked_for(tmp_path):
+    runtime = Scripted()
+    writer = recorder(tmp_path, runtime)
+    runtime.supervisor.mode[0], runtime.supervisor.reason[0] = Mode.STOPPING, Reason.OPERATOR
+    for _ in range(AFTER + 2):
+        runtime.tick()
+        writer.step(runtime)
+    assert writer.events == ()
+    writer.event()
+    writer.close()
+    assert [path.name for path in writer.events] == [f"event-{AFTER + 1}.mcap"]
+
+
+@pytest.mark.parametrize("robots", [1, 3])
+def test_the_ring_holds_the_last_ticks_of_every_robot(robots):
+    runtime = Scripted(robots)
+    ring = Ring(SPEC, robots)
+    assert ring.last().shape == (0, robots)
+    for count in range(1, 3 * DEPTH):
+        runtime.tick()
+        row = ring.step(runtime)
+        if count in (1, 7, DEPTH, DEPTH + 1, 3 * DEPTH - 1):
+            rows = ring.last()
+            assert rows.shape == (min(count, DEPTH), robots)
+            np.testing.assert_array_equal(rows["tick"][:, 0], np.arange(max(0, count - DEPTH), count))
+            for k in (0, -1):
+                np.testing.assert_array_equal(rows["q"][k], runtime.numbers(rows["tick"][k, 0], 0))
+                np.testing.assert_array_equal(rows["goal"][k], runtime.numbers(rows["tick"][k, 0], 9, 3))
+            np.testing.assert_array_equal(row, rows[-1])
+
+
+def test_a_former_run_is_replaced_and_nothing_else(tmp_path):
+    record(tmp_path, 700, stops={10: Reason.STALE, 400: Reason.STALE})
+    (tmp_path / "notes.txt").write_text("mine")
+    writer = record(tmp_path, 700, stops={20: Reason.STALE})
+    assert {path.name for path in tmp_path.iterdir()} == {"run.mcap", "event-20.mcap", "notes.txt"}
+    assert len(messages(writer.path)["/measured"]) == 175
+
+
+# ---- disks that fail ----
+
+
+def test_a_folder_that_is_a_file_is_refused(tmp_path):
+    (tmp_path / "out").write_text("mine")
+    for folder in (tmp_path / "out", tmp_path / "out" / "deeper"):
+        with pytest.raises(OutputError, match=f"--out {folder}: cannot be written: .+, expected a folder"):
+            check_folder(folder)
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_a_good_folder_is_left_as_it_was(tmp_path):
+    check_folder(tmp_path / "a" / "b")
+    assert list((tmp_path / "a" / "b").iterdir()) == []
+
+
+def test_a_recording_that_cannot_be_opened_is_refused(tmp_path):
+    (tmp_path / "run.mcap").mkdir()
+    with pytest.raises(OutputError, match=r"run.mcap: cannot be written: Is a directory"):
+        recorder(tmp_path)
+
+
+@linux_only
+def test_a_full_disk_is_noticed_before_anything_moves(tmp_path):
+    (tmp_path / "run.mcap").symlink_to("/dev/full")
+    with pytest.raises(OutputError, match=r"run.mcap: cannot be written: No space left on device"):
+        recorder(tmp_path)
+
+
+@pytest.fixture
+def small_disk():
+    """No file may grow beyond 100 kB."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.usefixtures("small_disk")
+def test_a_disk_that_fills_up_in_flight_is_said_once_and_stops_no_tick(tmp_path, caplog, capfd):
+    writer = record(tmp_path, 8000)
+    assert writer.lost == f"{tmp_path / 'run.mcap'}: cannot be written: File too large"
+    assert (caplog.text, *capfd.readouterr()) == ("", "", "")
