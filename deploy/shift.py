@@ -21,7 +21,7 @@ ARM_WITHIN_S = 1.0
 STOP_WITHIN_S = 5.0
 """Robot time in which a controlled stop must have ended; no stop that was planned takes as long."""
 STOPS_SHOWN = 4
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Ending(Enum):
@@ -35,7 +35,7 @@ class Ending(Enum):
 
 
 class Interrupts:
-    """Ctrl-C and termination, counted: the first is asked for by the tick, the second cuts through everything."""
+    """Ctrl-C, termination, a lost terminal, counted: the first waits for the tick, the second cuts through."""
 
     def __init__(self) -> None:
         """Nothing is asked yet."""

@@ -16,18 +16,18 @@ from robots.errors import OutputError
 
 
 def report(shift: Shift, about: Mapping[str, str], path: Path) -> None:
-    """Print the summary of a run that is over, and write it to `path`.
+    """Write the summary of a run that is over to `path`, and print it.
 
     A disk that fails now is said and not raised: the exit code is about the robot.
     """
     summary = _summary(shift, about)
-    Console().print(_table(summary))
     lost = [shift.recorder.lost] if shift.recorder.lost else []
     try:
         with replacing(path) as partial:
             partial.write_text(json.dumps(summary, indent=2) + "\n")
     except OutputError as e:
         lost.append(str(e))
+    Console().print(_table(summary))
     for what in lost:
         print(f"warning: {what}", file=sys.stderr)
 

@@ -1,3 +1,4 @@
+import contextlib
 import json
 import os
 import signal
@@ -140,7 +141,7 @@ def test_numbers_that_are_none_stop_the_robot_and_are_never_sent(bench, monkeypa
     assert b.robot.cut == 0
 
 
-@pytest.mark.parametrize("which", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("which", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_the_first_interrupt_is_a_controlled_stop(bench, monkeypatch, which):
     b = bench(duration=60.0)
     moves(b, monkeypatch)
@@ -391,6 +392,39 @@ def test_the_real_thing_needs_no_torch_and_speaks_in_lines(arm_policy, tmp_path)
 # ---- the picture ----
 
 
+class Window:
+    """Stands in for MuJoCo's viewer."""
+
+    def __init__(self, model, data):
+        self.data, self.synced, self.open = data, [], True
+
+    def is_running(self):
+        return self.open
+
+    def lock(self):
+        return contextlib.nullcontext()
+
+    def sync(self):
+        self.synced.append(self.data.qpos.copy())
+
+
+def test_the_view_follows_the_true_pose_until_it_is_closed(monkeypatch):
+    from deploy.backends.sim import view
+
+    windows = []
+    monkeypatch.setattr(view, "_check_display", lambda: None)
+    monkeypatch.setattr(
+        view.mujoco.viewer, "launch_passive", lambda *args: windows.append(Window(*args)) or windows[0]
+    )
+    robot = SimRobot(SPEC, [robot_seed(7, 0)])
+    seen, pose = view.View(robot), SPEC.joint_array("q_home") + 0.1
+    robot.reset(np.ones(1, dtype=bool), pose[None])
+    seen.step()
+    windows[0].open = False
+    seen.step()
+    np.testing.assert_array_equal(windows[0].synced, [pose])
+
+
 SNAPSHOT = {
     "title": "arm6",
     "t": 12.34,
@@ -441,7 +475,7 @@ def test_lines_come_once_a_second_and_with_news():
 
 def test_a_screen_that_is_not_read_holds_nothing_up_and_tears_no_line():
     reading, writing = os.pipe()
-    screen, text = Screen(writing), {"x": "y" * 900}
+    screen, text = Screen(writing), {"x": "y" * 5000}  # longer than what a pipe takes whole
     for k in range(1000):  # far more than a pipe takes
         screen.offer({"k": k, **text})
     received = os.read(reading, 1 << 20)
