@@ -1,8 +1,11 @@
 """The physics of B robots as they really are: MuJoCo with every robot's own draw, and the heat of its motors."""
 
+from collections.abc import Mapping
+
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
+from numpy.typing import NDArray
 
 from deploy.backends.sim.truth import Truth
 from deploy.stage import Stage
@@ -20,6 +23,8 @@ _DIVERGED = [
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
     int(mujoco.mjtWarning.mjWARN_BADQACC),
 ]
+_NUMBER = 1
+"""Place of the count in MuJoCo's warning statistics; place 0 is the last index that was warned of."""
 
 
 class Plant(Stage):
@@ -43,13 +48,13 @@ class Plant(Stage):
         # A diverged simulation must be seen, not silently put back to its start.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         robots, n = draw.mass.shape
-        self._batch = Batch(model, robots, nthread=threads)
+        self.batch = Batch(model, robots, nthread=threads)
         self._substeps = spec.rates.physics_hz // spec.rates.control_hz
         self._dt, self._gear = spec.dt, model.actuator_gear[:, 0].copy()
         self._tool_site = model.site(spec.tool).id
         self._apply(draw, model)
-        bind = self._batch.bind
-        self.rows, self.q, self.qd = self._batch.state, bind("qpos"), bind("qvel")
+        bind = self.batch.bind
+        self.rows, self.q, self.qd = self.batch.state, bind("qpos"), bind("qvel")
         self._ctrl = bind("ctrl").reshape(robots, n, INPUTS)
         self._rise = bind("act")
         self._force, self._tau = bind("actuator_force"), bind("qfrc_actuator")
@@ -66,7 +71,7 @@ class Plant(Stage):
 
     def _apply(self, draw: Draw, model: mujoco.MjModel) -> None:
         """Write every robot's own parameters; mass and inertia move together."""
-        expand, links = self._batch.expand, model.jnt_bodyid
+        expand, links = self.batch.expand, model.jnt_bodyid
         expand("body_mass")[:, links] *= draw.mass
         expand("body_inertia")[:, links] *= draw.mass[:, :, None]
         expand("dof_frictionloss")[:] *= draw.friction
@@ -80,29 +85,34 @@ class Plant(Stage):
         self._motor_constant = gain[:, :, _K].copy()
         self._node = expand("actuator_dynprm")
         self._to_housing = model.actuator_dynprm[:, _RWH].copy()
-        self._batch.set_const()
+        self.batch.set_const()
 
     def reset(self, ids: Bools, q: Floats) -> None:
         """Rest robots where `ids` (B,) holds at `q` (B, n) rad: motors as at the start of the shift, brakes on."""
         rows = np.flatnonzero(ids)
-        self._batch.reset(rows)
+        self.batch.reset(rows)
         self.q[rows], self.held[rows], self.braked[rows] = q[rows], q[rows], True
         self.housing[rows] = self._warm[rows]
         self._node[rows, :, _AMBIENT] = self.housing[rows]
         self._hold(rows)
-        self._batch.forward(rows)
+        self.batch.forward(rows)
         self.tool[rows], self.tool_velocity[rows] = self._site[rows, self._tool_site], 0.0
         self.valid[rows] = True
+
+    def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Put saved arrays back, bit for bit; torque, current and contacts read zero until the next step."""
+        super().restore(arrays)
+        self._node[:, :, _AMBIENT] = self.housing
 
     def step(self, command: Command) -> None:
         """One control period under a command."""
         self._drive(command)
         ids = None if self.valid.all() else np.flatnonzero(self.valid)
         try:
-            self._batch.step(ids, nstep=self._substeps)
+            self.batch.step(ids, nstep=self._substeps)
         except SimulationError as e:
             self.valid[e.ids] = False
-        self.valid &= ~self._batch.warning[:, _DIVERGED, 0].any(axis=1)
+        self.valid &= ~self.batch.warning[:, _DIVERGED, _NUMBER].any(axis=1)
         self._heat()
         tool = self._site[:, self._tool_site]
         np.subtract(tool, self.tool, out=self.tool_velocity)
