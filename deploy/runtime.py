@@ -127,7 +127,8 @@ class Runtime:
         ahead, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_rest)
         obey = self.supervisor.step(self._reason(), self.smoother.at_rest)
-        self._send(obey, planned)
+        # A robot that stops already has nothing refused; a stop without a number is still not sent.
+        self._send(obey & np.isfinite(planned.q).all(axis=1), planned)
         self._ahead, self._tau_ahead = ahead, self.verdict.tau_ahead
         self.task.step(self._tool)
         self.ticks += 1
@@ -152,11 +153,12 @@ class Runtime:
         self.robot.write(self.command)
 
     def arm(self, ids: Bools) -> Ints:
-        """Power robots where `ids` holds and nothing speaks against it.
+        """Power robots where `ids` holds, drives are off and nothing speaks against it.
 
         Returns:
             (B,) reasons of those that were refused, 0 elsewhere.
         """
+        ids = ids & ~self.supervisor.powered
         here = Setpoint(q=self.state.q, qd=np.zeros_like(self.state.q), qdd=np.zeros_like(self.state.q))
         verdict = self.safety.step(self.state, here, here, here, here.q)
         reason = np.where(ids, verdict.reason, 0)
