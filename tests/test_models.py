@@ -140,9 +140,10 @@ def test_fleet_keeps_the_collision_margin(both):
     _, _, arm, arm_data, _ = both
     shapes = with_pairs(arm)
     shapes_data, q = shapes.createData(), random_states(5, 512)[0]
-    fleet, margin = Fleet(SPEC, 512), SPEC.margins.collision_m
-    fleet.place(q)
-    found, counted = fleet.colliding(), 0
+    fleet, margin, found, counted = Fleet(SPEC, 32), SPEC.margins.collision_m, [], 0
+    for block in np.split(q, 16):
+        fleet.place(block)
+        found.extend(fleet.colliding())
     for i in range(512):
         pin.computeDistances(arm, arm_data, shapes, shapes_data, q[i])
         nearest = min(result.min_distance for result in shapes_data.distanceResults)
