@@ -23,6 +23,7 @@ from policies.checkpoint import Checkpoint, load_checkpoint
 from policies.networks import Actor
 from robots.errors import ContractError
 from robots.spec import RobotSpec, load_robot
+from robots.strict import parse
 
 POLICIES = Path(__file__).parent
 GOLDEN_PAIRS = 16
@@ -130,7 +131,7 @@ def _golden(checkpoint: Checkpoint) -> str:
     rows = np.linspace(0, len(checkpoint.rollout) - 1, GOLDEN_PAIRS).round().astype(int)
     observation = checkpoint.rollout[torch.from_numpy(rows)]
     pairs = {"observation": observation.tolist(), "action": checkpoint.actor(observation).tolist()}
-    return Golden.model_validate(pairs).model_dump_json()
+    return parse(pairs, Golden, source="golden pairs").model_dump_json()
 
 
 def _loaded(partial: Path, spec: RobotSpec, out_path: Path) -> Policy:
