@@ -18,12 +18,15 @@ CONTRACT_KEY = "firstshift.contract"
 SIZE_MAX = 4096  # numbers in one observation: a bound on memory, far above any policy here
 TEXT_MAX = 1 << 20  # characters of JSON
 
-Source = Literal["joint_position", "joint_velocity", "tool_position", "goal_from_tool", "last_action"]
+Source = Literal[
+    "joint_position", "joint_velocity", "tool_position", "goal_from_tool", "goal_torque", "last_action"
+]
 FRAME_AND_UNIT: dict[Source, tuple[str, str]] = {
     "joint_position": ("joint", "rad"),
     "joint_velocity": ("joint", "rad/s"),
     "tool_position": ("world", "m"),
     "goal_from_tool": ("world", "m"),
+    "goal_torque": ("joint", "N·m"),
     "last_action": ("joint", "1"),
 }
 

@@ -71,6 +71,7 @@ class Runtime:
             "joint_velocity": lambda: self.state.qd,
             "tool_position": lambda: self._tool,
             "goal_from_tool": lambda: self.task.goal - self._tool,
+            "goal_torque": lambda: self.fleet.tool_pull(self.task.goal - self._tool),
             "last_action": lambda: self.action.last,
         }
 

@@ -26,8 +26,12 @@ class Safety:
             fleet: its nominal model, B robots wide.
         """
         self._fleet, margins = fleet, spec.margins
-        self._margins, self._workspace = margins, spec.workspace
+        self._margins = margins
         self._centre = np.array(spec.workspace.centre)
+        self._radius_max = spec.workspace.radius_max - margins.workspace_m
+        self._z_min = spec.workspace.z_min + margins.workspace_m
+        self._tool_speed_max = margins.speed * spec.workspace.tool_speed_max
+        self._twice_jerk = 2 * spec.joint_array("qddd_max")
         self._q_min = spec.joint_array("q_min") + margins.q_soft_rad
         self._q_max = spec.joint_array("q_max") - margins.q_soft_rad
         self._qd_max = margins.speed * spec.joint_array("qd_max") * (1 + TOLERANCE)
@@ -49,7 +53,7 @@ class Safety:
         reason = self._state(state, sent)
         tau = self._motion(setpoint, reason)
         tau_ahead = self._motion(ahead, reason)
-        self._tool_speed(setpoint, reason)
+        self._tool(setpoint, reason)
         self.check_pose(q_rest, reason)
         return Verdict(reason=reason, tau=tau, tau_ahead=tau_ahead)
 
@@ -75,21 +79,27 @@ class Safety:
         reason |= _if((np.abs(tau) > self._tau_max).any(axis=1), Reason.TORQUE)
         return tau
 
-    def _tool_speed(self, s: Setpoint, reason: Ints) -> None:
+    def _tool(self, s: Setpoint, reason: Ints) -> None:
+        """Where the tool would be, and how fast: a stop first lets the acceleration run out, and that speed counts."""
         self._fleet.place(s.q)
-        speed = (self._fleet.tool_velocity(s.qd) ** 2).sum(axis=1)
-        reason |= _if(speed > self._workspace.tool_speed_max**2, Reason.TOOL_SPEED)
+        self._inside(self._fleet.tool_position, reason)
+        qd_peak = s.qd + s.qdd * np.abs(s.qdd) / self._twice_jerk
+        for qd in (s.qd, qd_peak):
+            speed = (self._fleet.tool_velocity(qd) ** 2).sum(axis=1)
+            reason |= _if(speed > self._tool_speed_max**2, Reason.TOOL_SPEED)
 
     def check_pose(self, q: Floats, reason: Ints) -> None:
         """Add to `reason` (B,) what speaks against resting at `q` (B, n) rad."""
-        fleet, space = self._fleet, self._workspace
+        fleet = self._fleet
         fleet.place(q)
-        tool = fleet.tool_position
-        outside = ((tool - self._centre) ** 2).sum(axis=1) > space.radius_max**2
+        self._inside(fleet.tool_position, reason)
         reason |= _if(((q < self._q_min) | (q > self._q_max)).any(axis=1), Reason.POSITION)
-        reason |= _if(outside | (tool[:, 2] < space.z_min), Reason.WORKSPACE)
         reason |= _if(fleet.manipulability() < self._margins.singularity, Reason.SINGULARITY)
         reason |= _if(fleet.colliding(), Reason.COLLISION)
+
+    def _inside(self, tool: Floats, reason: Ints) -> None:
+        far = ((tool - self._centre) ** 2).sum(axis=1) > self._radius_max**2
+        reason |= _if(far | (tool[:, 2] < self._z_min), Reason.WORKSPACE)
 
 
 def _if(condition: Bools | np.bool_, reason: Reason) -> Ints:

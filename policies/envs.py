@@ -44,6 +44,10 @@ class RuntimeEnv(VecEnv):
         self._violations = {name: np.zeros(self.num_envs) for name in ("requested", "happened")}
         self._last_action = np.zeros((self.num_envs, spec.n))
         self._restart(np.ones(self.num_envs, dtype=bool))
+        # Out of step from the start: goals that change for all robots at once make every batch a different world.
+
+        self.runtime.task.elapsed[:] = self._rng.integers(period, size=self.num_envs)
+        self.runtime.task.elapsed *= self.runtime.decimation
         self._observation = self._sense()
 
     def get_observations(self) -> TensorDict:
@@ -75,6 +79,7 @@ class RuntimeEnv(VecEnv):
         self.episode_length_buf += 1
         time_out = (self.episode_length_buf >= self.max_episode_length).numpy()
         done = broken | time_out | ~self._robot.truth().valid
+        self.reached = int(step.reached.sum())
         log = self._log(step, broken, done)
         if done.any():
             self._restart(done)
@@ -146,6 +151,8 @@ class RuntimeEnv(VecEnv):
         self._violations["requested"] += (self._limits.beyond(step.q_target) > 0).any(axis=1)
         self._violations["happened"] += broken
         log = {"Task/stops_per_step": float(step.stopped.mean()), "Task/running": float(step.running.mean())}
+        if (due := int(self.runtime.task.ended.sum())) > 0:
+            log["Task/success"] = self.reached / due
         if done.any():
             log |= {
                 f"joint_limit_violations/{name}": float(count[done].mean())

@@ -1,7 +1,7 @@
 """How a policy is taught: a recipe file, read strictly, and the contract that follows from it."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
@@ -76,27 +76,37 @@ class Shaping(Strict):
     stop: Penalty
 
 
+class LearnerStage(Strict):
+    """Some iterations at one learning rate."""
+
+    iterations: PositiveInt
+    learning_rate: PositiveFloat
+
+
 class Learner(Strict):
     """PPO of rsl-rl-lib. Source: Schulman et al. (2017); names as in rsl_rl."""
 
-    iterations: PositiveInt
+    stages: Annotated[tuple[LearnerStage, ...], Field(min_length=1)]
     num_steps_per_env: PositiveInt
     hidden: tuple[PositiveInt, ...]
     init_std: PositiveFloat
     gamma: Share
     lam: Share
-    learning_rate: PositiveFloat
-    desired_kl: PositiveFloat
     entropy_coef: Annotated[float, Field(ge=0)]
     num_learning_epochs: PositiveInt
     num_mini_batches: PositiveInt
+    clip_param: Share
+    value_loss_coef: PositiveFloat
+    use_clipped_value_loss: bool
+    max_grad_norm: PositiveFloat
 
 
 class Recipe(Strict):
     """Everything that makes a checkpoint."""
 
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
     robot: str
-    task: str
+    task: Literal["reach"]
     seed: Annotated[int, Field(ge=0)]
     promise: Promise
     environment: Environment
@@ -105,15 +115,25 @@ class Recipe(Strict):
     learner: Learner
 
 
-def load_recipe(recipe: str | Path) -> Recipe:
-    """Read a recipe by its name in `policies/` or by its path.
+def find_recipe(recipe: str) -> Path:
+    """The file of that path, or of that name among the shipped recipes.
+
+    Raises:
+        ConfigError: neither is there.
+    """
+    for path in (Path(recipe), RECIPES / f"{recipe}.toml"):
+        if path.is_file():
+            return path
+    known = ", ".join(sorted(path.stem for path in RECIPES.glob("*.toml")))
+    raise ConfigError(f"--recipe {recipe}: no such file, expected a path or one of policies/: {known}")
+
+
+def load_recipe(path: Path) -> Recipe:
+    """Read a recipe.
 
     Raises:
         ConfigError: unreadable, misspelt or out of bounds.
     """
-    path = Path(recipe)
-    if not path.is_file():
-        path = RECIPES / f"{recipe}.toml"
     return read_toml(path, Recipe, ConfigError)
 
 
@@ -139,6 +159,7 @@ def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Con
             _term("joint_velocity", spec.joint_array("qd_max").tolist()),
             _term("tool_position", [promise.reach_m] * 3),
             _term("goal_from_tool", [promise.reach_m] * 3),
+            _term("goal_torque", [promise.reach_m**2] * n),
             _term("last_action", [1.0] * n),
         ),
         action=ActionSpec(
@@ -156,5 +177,12 @@ def _term(source: Source, scale: list[float]) -> Term:
     """A term without clip or history, divided by its physical maximum."""
     frame, unit = FRAME_AND_UNIT[source]
     return Term.model_validate(
-        {"name": source, "source": source, "frame": frame, "unit": unit, "size": len(scale), "scale": scale}
+        {
+            "name": source,
+            "source": source,
+            "frame": frame,
+            "unit": unit,
+            "size": len(scale),
+            "scale": tuple(scale),
+        }
     )

@@ -121,15 +121,26 @@ class Fleet:
         w, p = twist[:, 3:], self._tool
         return twist[:, :3] + w[:, _YZX] * p[:, _ZXY] - w[:, _ZXY] * p[:, _YZX]
 
+    def tool_pull(self, force: Floats) -> Floats:
+        """(B, n) N·m, joint torques equal to a force (B, 3) N on the tool: Jᵀf."""
+        p = self._tool
+        moment = p[:, _YZX] * force[:, _ZXY] - p[:, _ZXY] * force[:, _YZX]
+        wrench = np.concatenate((force, moment), axis=1)
+        return np.asarray((wrench[:, None] @ self._jacobian)[:, 0])
+
     def manipulability(self) -> Floats:
         """(B,) √det(JᵀJ), which is |det J| for six joints: 0 in a singularity.
 
         Source: Yoshikawa, Manipulability of Robotic Mechanisms (1985), eq. 4.
         """
         if self.n == 6:
-            return np.asarray(np.abs(np.linalg.det(self._jacobian)))
+            return np.abs(self.determinant())
         gram = self._jacobian.transpose(0, 2, 1) @ self._jacobian
         return np.asarray(np.sqrt(np.maximum(np.linalg.det(gram), 0.0)))
+
+    def determinant(self) -> Floats:
+        """(B,) det J of a six-joint robot: its sign can only change in a singularity."""
+        return np.asarray(np.linalg.det(self._jacobian))
 
     def colliding(self) -> NDArray[np.bool_]:
         """(B,) whether any pair of shapes is nearer than the collision margin."""

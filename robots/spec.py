@@ -91,9 +91,10 @@ class Margins(Strict):
     Attributes:
         q_target_rad: targets are clamped this far inside the working range.
         q_soft_rad: setpoints are refused, and the judge calls it soft, this far inside.
-        speed: setpoint speed, as a fraction of qd_max: what is left is for the drive's own ringing.
+        speed: setpoint speed, as a fraction of qd_max and of tool_speed_max: the rest is for the drive's own ringing.
         tau: setpoint torque by the nominal model, as a fraction of the torque range.
         collision_m: clearance kept between capsules.
+        workspace_m: how far inside the workspace setpoints stay.
         singularity: least |det J| of the tool Jacobian, m³ for a six-joint arm.
         tracking_rad: setpoint minus estimate that stops the robot.
         stale_s: age of the newest sample that makes the robot slow down and hold.
@@ -105,6 +106,7 @@ class Margins(Strict):
     speed: Fraction
     tau: Fraction
     collision_m: PositiveFloat
+    workspace_m: PositiveFloat
     singularity: PositiveFloat
     tracking_rad: PositiveFloat
     stale_s: PositiveFloat

@@ -37,7 +37,7 @@ class ReachConfig:
     period_s: float = 4.0
     tolerance_m: float = 0.02
     candidates: int = 40_000
-    cell_m: float = 0.1
+    cell_m: float = 0.05
 
 
 class Reach(Stage):
@@ -123,15 +123,22 @@ def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
 
 
 def _safe_poses(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Floats]:
-    """(K, n) rad and (K, 3) m: configurations that no safety check refuses, and their tools."""
+    """(K, n) rad and (K, 3) m: configurations that no safety check refuses, and their tools.
+
+    Beyond a singularity lies another branch of the arm, and the singularity check lets nobody through: only
+    configurations on the home pose's branch count.
+    """
     rng = np.random.default_rng(GOALS_SEED)
     low, high = (spec.joint_array(f"q_{end}") for end in ("min", "max"))
     margin = 2 * spec.margins.q_target_rad
     fleet = Fleet(spec, BLOCK)
     safety, poses, tools = Safety(spec, fleet), [], []
+    fleet.place(np.tile(spec.joint_array("q_home"), (BLOCK, 1)))
+    branch = np.sign(fleet.determinant()[0])
     for q in rng.uniform(low + margin, high - margin, (config.candidates // BLOCK, BLOCK, spec.n)):
         reason = np.zeros(BLOCK, dtype=np.int64)
         safety.check_pose(q, reason)
-        poses.append(q[reason == 0])
-        tools.append(fleet.tool_position[reason == 0])
+        fine = (reason == 0) & (np.sign(fleet.determinant()) == branch)
+        poses.append(q[fine])
+        tools.append(fleet.tool_position[fine])
     return np.concatenate(poses), np.concatenate(tools)

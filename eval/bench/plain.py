@@ -1,0 +1,108 @@
+"""The plain composition: what one writes first, as a measure of what the runtime's arrays are worth.
+
+One robot, one filterpy filter a joint, one Ruckig, a policy called with `run`, Pinocchio called robot by robot,
+`mj_step` in a loop. No supervisor, no judge, no recorder: it does less than the runtime.
+"""
+
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import onnxruntime as ort
+import pinocchio as pin
+from filterpy.common import Q_continuous_white_noise
+from filterpy.kalman import KalmanFilter
+from ruckig import InputParameter, OutputParameter, Ruckig
+
+from deploy.contract import Contract
+from robots.model_mujoco import load_mujoco
+from robots.model_pinocchio import collision_pairs, load_pinocchio
+from robots.spec import RobotSpec
+
+
+class PlainRobot:
+    """One robot and its stack, of library calls only."""
+
+    def __init__(self, spec: RobotSpec, contract: Contract, policy: Path) -> None:
+        """Build it at the home pose."""
+        self._spec, self._decimation = spec, contract.control_hz // contract.policy_hz
+        self._model = load_mujoco(spec)
+        self._data, self._rng = mujoco.MjData(self._model), np.random.default_rng(0)
+        self._home = spec.joint_array("q_home")
+        self._data.qpos[:] = self._home
+        self._gear = self._model.actuator_gear[:, 0]
+        self._pin, self._shapes = load_pinocchio(spec)
+        for a, b in collision_pairs(self._pin, self._shapes):
+            self._shapes.addCollisionPair(pin.CollisionPair(a, b))
+        self._pin_data, self._shapes_data = self._pin.createData(), self._shapes.createData()
+        self._filters = [_filter(spec, angle) for angle in self._home]
+        self._session = ort.InferenceSession(str(policy), providers=["CPUExecutionProvider"])
+        self._observation = np.zeros((1, contract.observation_size), dtype=np.float32)
+        self._otg, self._in, self._out = (
+            Ruckig(spec.n, spec.dt),
+            InputParameter(spec.n),
+            OutputParameter(spec.n),
+        )
+        self._in.current_position = self._home
+        self._in.max_velocity = spec.margins.speed * spec.joint_array("qd_max")
+        self._in.max_acceleration, self._in.max_jerk = (
+            spec.joint_array("qdd_max"),
+            spec.joint_array("qddd_max"),
+        )
+        self._target = self._home.copy()
+
+    def tick(self, number: int) -> None:
+        """Sense, think, check, command, live."""
+        noise = self._rng.normal(0.0, self._spec.encoder.noise_rad, self._spec.n)
+        for joint, angle in zip(self._filters, self._data.qpos + noise, strict=True):
+            joint.predict()
+            joint.update(angle)
+        q = np.array([joint.x[0, 0] for joint in self._filters])
+        if number % self._decimation == 0:
+            self._think(q)
+        self._in.target_position = self._target
+        self._otg.update(self._in, self._out)
+        self._out.pass_to_input(self._in)
+        self._check_and_send()
+        for _ in range(self._spec.rates.physics_hz // self._spec.rates.control_hz):
+            mujoco.mj_step(self._model, self._data)
+
+    def _think(self, q: np.ndarray) -> None:
+        pin.framesForwardKinematics(self._pin, self._pin_data, q)
+        self._observation[0, : self._spec.n] = q
+        action = self._session.run(None, {"observation": self._observation})[0][0]
+        self._target = self._home + 0.3 * np.tanh(action)
+
+    def _check_and_send(self) -> None:
+        q, qd, qdd = (
+            np.array(part)
+            for part in (self._out.new_position, self._out.new_velocity, self._out.new_acceleration)
+        )
+        tau = pin.rnea(self._pin, self._pin_data, q, qd, qdd)
+        jacobian = pin.computeJointJacobians(self._pin, self._pin_data, q)
+        np.linalg.det(jacobian)
+        pin.computeCollisions(self._pin, self._pin_data, self._shapes, self._shapes_data, q, False)
+        control = np.stack([q * self._gear, qd * self._gear, tau / self._gear], axis=1)
+        self._data.ctrl[:] = control.ravel()
+
+
+def _filter(spec: RobotSpec, angle: float) -> KalmanFilter:
+    joint = KalmanFilter(dim_x=2, dim_z=1)
+    joint.x = np.array([[angle], [0.0]])
+    joint.F = np.array([[1.0, spec.dt], [0.0, 1.0]])
+    joint.H = np.array([[1.0, 0.0]])
+    joint.R *= spec.encoder.noise_rad**2
+    joint.Q = Q_continuous_white_noise(2, spec.dt, spec.encoder.acceleration_density)
+    return joint
+
+
+def plain_rate(spec: RobotSpec, contract: Contract, policy: Path, ticks: int) -> float:
+    """Robot-seconds per core-second of the plain composition."""
+    robot = PlainRobot(spec, contract, policy)
+    for number in range(20):
+        robot.tick(number)
+    began = time.perf_counter()
+    for number in range(ticks):
+        robot.tick(number)
+    return ticks * spec.dt / (time.perf_counter() - began)
