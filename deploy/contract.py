@@ -214,7 +214,8 @@ def _listed(names: tuple[str, ...]) -> str:
 
 
 def _sizes(contract: Contract, spec: RobotSpec) -> Iterator[str]:
-    size = {"joint_position": spec.n, "joint_velocity": spec.n, "last_action": contract.action_size}
+    joints = ("joint_position", "joint_velocity", "goal_torque")
+    size = {"last_action": contract.action_size, **dict.fromkeys(joints, spec.n)}
     for term in contract.observation:
         if term.size != (expected := size.get(term.source, 3)):
             yield f"observation.{term.name}.size: found {term.size}, expected {expected} for {term.source}"

@@ -44,13 +44,14 @@ class Estimator(Stage):
     def step(self, t: float, sample: Sample) -> State:
         """Fuse what arrived and carry the belief to now.
 
-        A packet older than the last, or more than a period from the future, is left out: it would look fresh forever.
+        A packet older than the last, more than a period from the future (it would look fresh forever), or with an
+        angle that is not finite is left out, as if it had never arrived.
 
         Args:
             t: s, now.
             sample: the newest packets.
         """
-        arrived = sample.fresh & (sample.t <= t + self._dt)
+        arrived = sample.fresh & (sample.t <= t + self._dt) & np.isfinite(sample.q).all(axis=1)
         seed = arrived & ~self.seeded
         if seed.any():
             self._seed(seed, sample)
@@ -76,7 +77,7 @@ class Estimator(Stage):
 
     def _update(self, z: Floats, use: Bools) -> None:
         p00, p01, p11 = self.cov[:, 0], self.cov[:, 1], self.cov[:, 2]
-        residual = z - self.q
+        residual = np.where(use, z - self.q, 0.0)
         variance = p00 + self._r
         k0, k1 = use * (p00 / variance), use * (p01 / variance)
         self.q += k0 * residual

@@ -148,10 +148,25 @@ class Runtime:
                 qd=np.where(rows, planned.qd, stop.qd),
                 qdd=np.where(rows, planned.qdd, stop.qdd),
             )
-            tau = np.where(rows, tau, self._tau_ahead)
+            tau = np.nan_to_num(np.where(rows, tau, self._tau_ahead))
+            planned = self._finite(planned)
         self.smoother.commit(planned)
         self.command = Command(q=planned.q, qd=planned.qd, tau=tau, powered=self.supervisor.powered)
         self.robot.write(self.command)
+
+    def _finite(self, planned: Setpoint) -> Setpoint:
+        """Robots left without any plan rest where they were sent last, and lose their power."""
+        lost = ~np.isfinite(planned.q + planned.qd + planned.qdd).all(axis=1)
+        if not lost.any():
+            return planned
+        self.supervisor.latch(lost & self.supervisor.powered, Reason.NOT_FINITE)
+        self.smoother.hold(lost, self.smoother.q)
+        rows, rest = lost[:, None], self.smoother.sent
+        return Setpoint(
+            q=np.where(rows, rest.q, planned.q),
+            qd=np.where(rows, rest.qd, planned.qd),
+            qdd=np.where(rows, rest.qdd, planned.qdd),
+        )
 
     def arm(self, ids: Bools) -> Ints:
         """Power robots where `ids` holds, drives are off and nothing speaks against it.

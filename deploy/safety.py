@@ -38,6 +38,8 @@ class Safety:
         self._tau_max = margins.tau * torque_max(spec)
         self._housing_max = spec.motor_array("housing_max_c")
 
+    # A setpoint without a number is refused by its own check; the others need not complain.
+    @np.errstate(invalid="ignore")
     def step(
         self, state: State, sent: Setpoint, setpoint: Setpoint, ahead: Setpoint, q_rest: Floats
     ) -> Verdict:

@@ -83,6 +83,11 @@ class Supervisor(Stage):
         """Cut power at once: only for robots that rest, or when nothing else is left."""
         self._enter(ids, Mode.DISARMED)
 
+    def latch(self, ids: Bools, reason: Reason) -> None:
+        """Category 0: cut power now, where `ids` (B,) holds, until an operator arms again."""
+        self._enter(ids, Mode.LATCHED)
+        self.reason[ids] |= np.int64(reason)
+
     def step(self, reason: Ints, at_rest: Bools) -> Bools:
         """Advance every robot; return (B,) whose setpoint may be sent (others take the planned stop).
 

@@ -18,7 +18,7 @@ LAYERS = (32, 16)
 def made_actor(seed=0):
     """An untrained actor with a normalizer that matters; also for other test files."""
     torch.manual_seed(seed)
-    actor = Actor(24, 6, LAYERS)
+    actor = Actor(30, 6, LAYERS)
     actor.mean.normal_()
     actor.divisor.uniform_(0.1, 3.0)
     return actor
@@ -27,7 +27,7 @@ def made_actor(seed=0):
 def saved(folder, *, actor=None, contract=None, spread=1.0, name="arm.pt"):
     """A checkpoint file with a made-up rollout; also for other test files."""
     actor = actor or made_actor()
-    rollout = torch.randn(1100, 24, generator=torch.Generator().manual_seed(9))
+    rollout = torch.randn(1100, 30, generator=torch.Generator().manual_seed(9))
     rollout[5] *= spread
     path = folder / name
     save_checkpoint(path, actor, contract or arm_contract(), rollout, seed=3, recipe="steps = 1\n")
@@ -38,7 +38,7 @@ def test_what_was_saved_is_loaded(tmp_path):
     actor = made_actor()
     found = load_checkpoint(saved(tmp_path, actor=actor))
     assert (found.contract, found.seed, found.recipe) == (arm_contract(), 3, "steps = 1\n")
-    assert found.rollout.shape == (1100, 24)
+    assert found.rollout.shape == (1100, 30)
     assert torch.equal(found.actor(found.rollout), actor(found.rollout))
 
 
@@ -163,16 +163,16 @@ BAD = {
     "more layers": (put("layers", value=[32, 16, 8]), "actor: found tensors divisor, mean, mlp.0.bias"),
     "tensor missing": (lambda file: file["actor"].pop("mean"), "actor: found tensors divisor, mlp.0.bias"),
     "double": (
-        put("actor", "mean", value=torch.zeros(24, dtype=torch.float64)),
-        "actor.mean: found torch.float64 (24,) contiguous, expected torch.float32 (24,) contiguous",
+        put("actor", "mean", value=torch.zeros(30, dtype=torch.float64)),
+        "actor.mean: found torch.float64 (30,) contiguous, expected torch.float32 (30,) contiguous",
     ),
     "claims to be huge": (
-        put("rollout", value=torch.zeros(1).expand(10**12, 24)),
-        "rollout: found torch.float32 (1000000000000, 24) not plain, expected",
+        put("rollout", value=torch.zeros(1).expand(10**12, 30)),
+        "rollout: found torch.float32 (1000000000000, 30) not plain, expected",
     ),
     "strided": (
-        put("actor", "mean", value=torch.zeros(24, 2)[:, 0]),
-        "actor.mean: found torch.float32 (24,) not",
+        put("actor", "mean", value=torch.zeros(30, 2)[:, 0]),
+        "actor.mean: found torch.float32 (30,) not",
     ),
     "weight NaN": (
         spoil(WEIGHT, (0, 3), torch.nan),
@@ -188,12 +188,12 @@ BAD = {
         "rollout: found 1 values NaN or infinite, expected all",
     ),
     "rollout short": (
-        put("rollout", value=torch.zeros(999, 24)),
+        put("rollout", value=torch.zeros(999, 30)),
         "rollout: found 999 observations, expected at least",
     ),
     "rollout narrow": (
-        put("rollout", value=torch.zeros(1000, 23)),
-        "rollout: found torch.float32 (1000, 23) contiguous, expected torch.float32 (1000, 24) contiguous",
+        put("rollout", value=torch.zeros(1000, 29)),
+        "rollout: found torch.float32 (1000, 29) contiguous, expected torch.float32 (1000, 30) contiguous",
     ),
     "rollout a number": (
         put("rollout", value=torch.tensor(1.0)),

@@ -27,6 +27,7 @@ def arm_contract(**changes):
         "joint_velocity": 6,
         "tool_position": 3,
         "goal_from_tool": 3,
+        "goal_torque": 6,
         "last_action": 6,
     }
     action = ActionSpec(mode="position_increment", size=6, scale=(0.05,) * 6, clip=(-1.0, 1.0), leash_rad=0.3)
@@ -86,7 +87,7 @@ def test_json_keeps_every_bit(contract):
 
 def test_the_arms_contract_fits_the_arm():
     contract = arm_contract()
-    assert (contract.observation_size, contract.action_size) == (24, 6)
+    assert (contract.observation_size, contract.action_size) == (30, 6)
     check_contract(contract, SPEC, "x.onnx")
 
 
@@ -104,7 +105,7 @@ def edited(path, value):
 
 
 BAD_FIELDS = {
-    "unknown key": (["gains"], [1], "gains: Extra inputs are not permitted, found [1]"),
+    "unknown key": (["gains"], 1, "gains: Extra inputs are not permitted, found 1"),
     "missing key": (["task"], ..., "task: Field required"),
     "other format": (["format"], 2, "format: Input should be 1, found 2"),
     "number as text": (["policy_hz"], "50", "policy_hz: Input should be a valid integer, found '50'"),
@@ -164,7 +165,7 @@ BAD_FIELDS = {
         10**9,
         "observation.0.size: Input should be less than or equal to 4096",
     ),
-    "history too long": (["observation", 0, "history"], 4096, "observation: 24594 numbers, at most 4096"),
+    "history too long": (["observation", 0, "history"], 4096, "observation: 24600 numbers, at most 4096"),
     "digest cut": (["robot_digest"], "abc", "robot_digest: String should match pattern"),
     "robot is a path": (["robot"], "../arm6", "robot: String should match pattern"),
 }

@@ -34,7 +34,7 @@ def test_the_file_agrees_with_torch_on_other_observations(done):
     checkpoint, exported = done
     policy = Policy.load(exported.path, SPEC)
     actor = load_checkpoint(checkpoint).actor
-    observation = torch.randn(2000, 24, generator=torch.Generator().manual_seed(1))
+    observation = torch.randn(2000, 30, generator=torch.Generator().manual_seed(1))
     for batch in (1, 7, 64):
         found = policy.replay(observation.numpy(), batch)
         np.testing.assert_allclose(found, actor(observation).numpy(), rtol=0, atol=1e-5)
@@ -55,7 +55,7 @@ def test_the_normalizer_is_in_the_graph(done):
     raw = onnxruntime.InferenceSession(exported.path, providers=["CPUExecutionProvider"])
     mean = actor.mean.numpy()[None]
     found = raw.run(None, {"observation": mean})[0]
-    np.testing.assert_allclose(found, actor.mlp(torch.zeros(1, 24)).numpy(), rtol=0, atol=1e-5)
+    np.testing.assert_allclose(found, actor.mlp(torch.zeros(1, 30)).numpy(), rtol=0, atol=1e-5)
 
 
 def test_the_metadata_are_the_contract_and_spread_golden_pairs(done):

@@ -16,7 +16,7 @@ from deploy.policy import Policy
 from deploy.policy_file import GOLDEN_KEY
 from robots.errors import ContractError
 
-N, A, HIDDEN = 24, 6, 32
+N, A, HIDDEN = 30, 6, 32
 
 
 def weights(seed=0):
@@ -120,7 +120,7 @@ def test_an_observation_of_another_shape_is_refused(tmp_path, shape):
     policy = loaded(tmp_path)
     with pytest.raises(ContractError) as caught:
         policy.step(np.zeros(shape, np.float32))
-    assert str(caught.value).endswith(f"policy.onnx: observation: found shape {shape}, expected (B, 24)")
+    assert str(caught.value).endswith(f"policy.onnx: observation: found shape {shape}, expected (B, 30)")
 
 
 def test_replay_pads_the_last_batch(tmp_path):
@@ -322,10 +322,10 @@ def contract_edit(**changes):
     return edit
 
 
-ONE_INPUT = "expected one, 'observation' float32 (batch, 24) with a batch of any size"
+ONE_INPUT = "expected one, 'observation' float32 (batch, 30) with a batch of any size"
 ONE_OUTPUT = "expected one, 'action' float32 (batch, 6) with a batch of any size"
 BAD_POLICIES = [
-    (nan_weight, "tensor 'w0': found 1 of 768 weights NaN or infinite, expected all finite"),
+    (nan_weight, "tensor 'w0': found 1 of 960 weights NaN or infinite, expected all finite"),
     (infinite_weight, "tensor 'b1': found 2 of 6 weights NaN or infinite, expected all finite"),
     (nan_constant, "tensor 'hidden': found 6 of 6 weights NaN or infinite, expected all finite"),
     (changed_weight, "golden pairs: found a deviation of 0.001 at batch 1, expected at most 1e-05"),
@@ -337,10 +337,10 @@ BAD_POLICIES = [
     (control_flow, "node 'spin': found Loop with a graph of its own, expected none"),
     (escapes, "not a valid ONNX model: No Op registered for ?[2J"),
     (cut_tensor, "not a valid ONNX model: "),
-    (fixed_batch, f"input 'observation': found FLOAT [1, 24], {ONE_INPUT}"),
+    (fixed_batch, f"input 'observation': found FLOAT [1, 30], {ONE_INPUT}"),
     (secretly_fixed_batch, "cannot be run at batch 64: "),
-    (other_dtype, f"input 'observation': found DOUBLE ['batch', 24], {ONE_INPUT}"),
-    (unknown_dtype, f"input 'observation': found kind 99 ['batch', 24], {ONE_INPUT}"),
+    (other_dtype, f"input 'observation': found DOUBLE ['batch', 30], {ONE_INPUT}"),
+    (unknown_dtype, f"input 'observation': found kind 99 ['batch', 30], {ONE_INPUT}"),
     (unknown_weights, "tensor 'w0': cannot be read: "),
     (other_width, f"input 'observation': found FLOAT ['batch', 23], {ONE_INPUT}"),
     (no_type, "not a valid ONNX model: "),
@@ -365,7 +365,7 @@ BAD_POLICIES = [
     ),
     (
         golden_edit(lambda d: d["observation"][3].append(0.0)),
-        f"{GOLDEN_KEY}: observation: found a row of 25 numbers, expected 24",
+        f"{GOLDEN_KEY}: observation: found a row of 31 numbers, expected 30",
     ),
     (
         golden_edit(lambda d: d["action"][3].__setitem__(0, float("nan"))),
@@ -373,7 +373,7 @@ BAD_POLICIES = [
     ),
     (
         golden_edit(lambda d: d["action"][15].__setitem__(0, 1e3)),
-        "golden pairs: found a deviation of 1e+03 at batch 1, expected at most 1e-05",
+        "golden pairs: found a deviation of 999 at batch 1, expected at most 1e-05",
     ),
     (contract_edit(robot="planar3"), "contract: robot: found 'planar3', expected 'arm6'"),
     (

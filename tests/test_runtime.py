@@ -325,7 +325,7 @@ def test_silence_latches_after_a_stop_on_the_planned_way(monkeypatch):
     assert (play(runtime, 40)[1] == Mode.RUNNING).any(axis=0).all()
 
 
-def test_an_encoder_that_says_nan_stops_its_robot(monkeypatch):
+def test_an_encoder_that_says_nan_is_an_encoder_that_is_silent(monkeypatch):
     runtime = running(3)
     before, _ = play(runtime, 40)
     sensors, read = runtime.robot.sensors, runtime.robot.sensors.read
@@ -336,13 +336,40 @@ def test_an_encoder_that_says_nan_stops_its_robot(monkeypatch):
         sample.q[1, 3] = np.nan
         return sample
 
+    only = np.array([False, True, False])
     monkeypatch.setattr(sensors, "read", broken)
-    with np.errstate(invalid="ignore"):
-        q, modes = play(runtime, 200)
-        assert modes[-1, 1] == Mode.LATCHED
-        assert (modes[:, [0, 2]] != Mode.LATCHED).all()
-        assert_within_limits(np.concatenate((before, q)))
-        assert Reason.NOT_FINITE in Reason(int(runtime.arm(np.array([False, True, False]))[1]))
+    q, modes = play(runtime, 200)
+    assert modes[-1, 1] == Mode.LATCHED
+    assert (modes[:, [0, 2]] != Mode.LATCHED).all()
+    assert_within_limits(np.concatenate((before, q)))
+    assert Reason.LOST in Reason(int(runtime.arm(only)[1]))
+    monkeypatch.setattr(sensors, "read", read)
+    play(runtime, 20)
+    assert not runtime.arm(only).any()
+
+
+def test_no_plan_at_all_cuts_power_and_sends_no_nan(monkeypatch):
+    runtime = running(3)
+    play(runtime, 40)
+    smoother, here = runtime.smoother, runtime.command.q[1].copy()
+
+    def without(call):
+        def planless(*args):
+            plan = call(*args)
+            setpoint = plan[0] if isinstance(plan, tuple) else plan
+            for part in (setpoint.q, setpoint.qd, setpoint.qdd):
+                part[1] = np.nan
+            return plan
+
+        return planless
+
+    monkeypatch.setattr(smoother, "next", without(smoother.next))
+    monkeypatch.setattr(smoother, "brake", without(smoother.brake))
+    q, modes = play(runtime, 20)
+    assert modes[-1, 1] == Mode.LATCHED
+    assert (modes[:, [0, 2]] != Mode.LATCHED).all()
+    assert runtime.supervisor.reason[1] & Reason.NOT_FINITE
+    assert np.abs(q[:, 1] - here).max() < 0.05
 
 
 def test_a_hot_housing_stops_its_robot():
