@@ -19,7 +19,13 @@ SIZE_MAX = 4096  # numbers in one observation: a bound on memory, far above any 
 TEXT_MAX = 1 << 20  # characters of JSON
 
 Source = Literal[
-    "joint_position", "joint_velocity", "tool_position", "goal_from_tool", "goal_torque", "last_action"
+    "joint_position",
+    "joint_velocity",
+    "tool_position",
+    "goal_from_tool",
+    "goal_torque",
+    "target_offset",
+    "last_action",
 ]
 FRAME_AND_UNIT: dict[Source, tuple[str, str]] = {
     "joint_position": ("joint", "rad"),
@@ -27,6 +33,7 @@ FRAME_AND_UNIT: dict[Source, tuple[str, str]] = {
     "tool_position": ("world", "m"),
     "goal_from_tool": ("world", "m"),
     "goal_torque": ("joint", "N·m"),
+    "target_offset": ("joint", "rad"),
     "last_action": ("joint", "1"),
 }
 
@@ -214,7 +221,7 @@ def _listed(names: tuple[str, ...]) -> str:
 
 
 def _sizes(contract: Contract, spec: RobotSpec) -> Iterator[str]:
-    joints = ("joint_position", "joint_velocity", "goal_torque")
+    joints = ("joint_position", "joint_velocity", "goal_torque", "target_offset")
     size = {"last_action": contract.action_size, **dict.fromkeys(joints, spec.n)}
     for term in contract.observation:
         if term.size != (expected := size.get(term.source, 3)):

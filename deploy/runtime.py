@@ -72,6 +72,7 @@ class Runtime:
             "tool_position": lambda: self._tool,
             "goal_from_tool": lambda: self.task.goal - self._tool,
             "goal_torque": lambda: self.fleet.tool_pull(self.task.goal - self._tool),
+            "target_offset": lambda: self.action.q - self.state.q,
             "last_action": lambda: self.action.last,
         }
 
@@ -118,6 +119,9 @@ class Runtime:
             return None
         self.fleet.place(self.state.q)
         self._tool[:] = self.fleet.tool_position
+        off = ~self.supervisor.powered
+        if off.any():  # a robot without power wants to be where it stands
+            self.action.reset(off, self.state.q)
         return self.observation.step()
 
     def act(self, action: Floats | Float32s | None) -> None:
@@ -156,7 +160,7 @@ class Runtime:
 
     def _finite(self, planned: Setpoint) -> Setpoint:
         """Robots left without any plan rest where they were sent last, and lose their power."""
-        lost = ~np.isfinite(planned.q + planned.qd + planned.qdd).all(axis=1)
+        lost = np.asarray(~np.isfinite(planned.q + planned.qd + planned.qdd).all(axis=1))
         if not lost.any():
             return planned
         self.supervisor.latch(lost & self.supervisor.powered, Reason.NOT_FINITE)

@@ -160,6 +160,7 @@ def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Con
             _term("tool_position", [promise.reach_m] * 3),
             _term("goal_from_tool", [promise.reach_m] * 3),
             _term("goal_torque", [promise.reach_m**2] * n),
+            _term("target_offset", [promise.leash_rad] * n),
             _term("last_action", [1.0] * n),
         ),
         action=ActionSpec(

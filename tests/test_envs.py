@@ -130,7 +130,9 @@ def test_the_reward_is_the_recipes(changes, expected):
 
 
 def test_shaping_grows_towards_the_goal_and_is_lost_by_stopping():
-    nearer = [shaping(step_of(distance=np.array([d])), LIMITS, RECIPE.shaping)[0] for d in (0.8, 0.2, 0.02, 0.0)]
+    nearer = [
+        shaping(step_of(distance=np.array([d])), LIMITS, RECIPE.shaping)[0] for d in (0.8, 0.2, 0.02, 0.0)
+    ]
     assert nearer == sorted(nearer)
     stopped = step_of(distance=np.array([0.0]), running=np.array([False]), stopped=np.array([True]))
     assert shaping(stopped, LIMITS, RECIPE.shaping)[0] == RECIPE.shaping.stop

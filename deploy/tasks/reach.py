@@ -33,7 +33,7 @@ class ReachConfig:
 
     radius_min: float = 0.25
     radius_max: float = 0.80
-    z_min: float = 0.05
+    z_min: float = 0.10
     period_s: float = 4.0
     tolerance_m: float = 0.02
     candidates: int = 40_000

@@ -35,6 +35,8 @@ from robots.randomness import robot_seed
 from robots.spec import RobotSpec, load_robot
 
 WARM_S, ROUNDS = 2.0, 5
+ROUND = {64: 100, 16: 300, 1: 2000}
+"""Ticks of a round by number of robots."""
 SEED = 7
 PHYSICS = "physics (Batch.step)"
 console = Console(width=100)
@@ -99,10 +101,8 @@ class Bench:
 
 def stages(spec: RobotSpec, policy: Path) -> None:
     """Everything beside physics, stage by stage; the best of some rounds, since other work only adds time."""
-    benches = {robots: Bench(spec, policy, robots) for robots in (64, 16, 1)}
-    tables = {
-        robots: _best_round(bench, ticks) for (robots, bench), ticks in zip(benches.items(), (100, 300, 2000))
-    }
+    benches = {robots: Bench(spec, policy, robots) for robots in ROUND}
+    tables = {robots: _best_round(bench, ROUND[robots]) for robots, bench in benches.items()}
     table = Table(
         "stage, µs per robot-tick", *(f"B = {robots}" for robots in tables), title="one process, one thread"
     )

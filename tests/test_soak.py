@@ -1,0 +1,203 @@
+import json
+import subprocess
+import sys
+from concurrent.futures import wait
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from rich.console import Console
+from test_spec import SPEC
+
+pytest.importorskip("mujoco")
+
+from deploy.policy import Policy
+from eval import soak as command
+from eval.budget import BUDGET
+from eval.report.data import Run
+from eval.shard import WIDTH, Shard, ShardJob
+from eval.soak import Soak, collect, run_soak
+
+CONSOLE = Console(quiet=True)
+RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, interrupted=False)
+
+
+@pytest.fixture
+def asked(arm_policy):
+    """A soak of 2.2 s of 10 robots, which is two shards, the second not full."""
+
+    def build(**changes):
+        wanted = {"hours": 0.0006, "robots": 10, "seed": 3, "workers": 1, **changes}
+        return Soak(
+            spec=SPEC, policy=Policy.load(arm_policy, SPEC), policy_path=arm_policy, budget=BUDGET, **wanted
+        )
+
+    return build
+
+
+def assert_same(a, b):
+    """Two results of shards, bit for bit."""
+    for one, other in zip(a, b, strict=True):
+        for field in fields(one.counts):
+            np.testing.assert_array_equal(getattr(one.counts, field.name), getattr(other.counts, field.name))
+        for name in ("winding_c", "attempted", "reached"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_results_do_not_depend_on_workers(asked):
+    one, _ = run_soak(asked(workers=1), CONSOLE)
+    two, _ = run_soak(asked(workers=2), CONSOLE)
+    assert_same(one, two)
+    assert [shard.counts.robots for shard in one] == [WIDTH, 10 - WIDTH]
+    assert one[0].counts.running.min() > 0.9 * one[0].counts.ticks.max()
+    assert (one[0].winding_c[-1] > one[0].winding_c[0]).mean() > 0.3
+
+
+def job(policy, **changes):
+    wanted = {"seed": 3, "first": 0, "robots": WIDTH, "ticks": 900, "sample_ticks": 100, **changes}
+    return ShardJob(robot=SPEC.folder, policy=policy, **wanted)
+
+
+def lived(shard_job, stop_at=None):
+    seen = []
+    result = Shard(shard_job).run(seen.append, lambda: stop_at is not None and seen[-1] >= stop_at)
+    return result, seen
+
+
+def test_robots_that_do_not_count_change_nothing(arm_policy, quick_goals):
+    all_of_them, _ = lived(job(arm_policy))
+    some, _ = lived(job(arm_policy, robots=3))
+    assert some.counts.robots == 3
+    np.testing.assert_array_equal(some.counts.worst, all_of_them.counts.worst[:3])
+    np.testing.assert_array_equal(some.winding_c, all_of_them.winding_c[:, :3])
+    assert some.attempted[-1] == 3
+
+
+def test_a_stopped_shard_reports_what_was_done(arm_policy, quick_goals):
+    result, seen = lived(job(arm_policy), stop_at=400)
+    assert seen == [200, 400, 400]
+    assert (result.counts.ticks == 400).all()
+    assert len(result.winding_c) == 4
+    whole, _ = lived(job(arm_policy))
+    np.testing.assert_array_equal(result.winding_c, whole.winding_c[:4])
+
+
+def test_the_operator_comes_to_latched_robots(arm_policy, quick_goals):
+    shard = Shard(job(arm_policy, ticks=13_000))
+    housing = shard.runtime.robot.plant.housing
+    housing[2, 1] = 85.0
+    result = shard.run(
+        lambda ticks: housing.__setitem__((2, 1), 30.0) if ticks == 2000 else None, lambda: False
+    )
+    assert (result.counts.running > 12_900).tolist() == [row != 2 for row in range(WIDTH)]
+    assert 0 < result.counts.running[2] < 2000
+
+
+def test_goals_fall_into_bins_and_shards_side_by_side(asked):
+    soak = asked(hours=0.0013)
+    shards, _ = run_soak(soak, CONSOLE)
+    result = collect(soak, shards, RUN)
+    assert result.winding_c.shape == (len(result.sample_h), 10, SPEC.n)
+    assert np.isfinite(result.winding_c).all()
+    assert result.sample_h[-1] == pytest.approx(soak.hours, rel=0.05)
+    assert result.goals_attempted.sum() == result.counts.attempted.sum() == 10
+    assert (result.goals_reached <= result.goals_attempted).all()
+    assert len(result.goals_attempted) <= 8
+
+
+def test_a_shard_cut_short_leaves_its_heat_unknown(arm_policy, asked, quick_goals):
+    short, _ = lived(job(arm_policy, ticks=1000, first=8), stop_at=400)
+    whole, _ = lived(job(arm_policy, ticks=1000))
+    result = collect(asked(), [whole, short], RUN)
+    assert np.isnan(result.winding_c[4:, WIDTH:]).all()
+    assert np.isfinite(result.winding_c[:4]).all()
+    assert result.goals_attempted.sum() == whole.attempted[-1] + short.attempted[-1]
+
+
+def soak_test(*options):
+    script = "from eval.soak import cli; cli()"
+    return [sys.executable, "-c", script, *map(str, options)]
+
+
+def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
+    options = (
+        "--policy",
+        arm_policy,
+        "--hours",
+        0.004,
+        "--robots",
+        8,
+        "--workers",
+        1,
+        "--out",
+        tmp_path / "out",
+    )
+    done = subprocess.run(soak_test(*options), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["verdict"] == "failed"
+    assert report["goals"]["success"] < 0.1
+    assert [line["name"] for line in report["budget"] if not line["passed"]] == ["goal_success"]
+    assert report["exposure"]["evaluations"] == 8 * 2880
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json", "report.html", "junit.xml"}
+
+
+def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
+    def impatient(futures, progress, total, console):
+        """Somebody who presses Ctrl-C as soon as anything is done."""
+        while not sum(progress[:]):
+            wait(futures, timeout=0.1)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "_watch", impatient)
+    options = (
+        "--policy",
+        arm_policy,
+        "--hours",
+        100,
+        "--robots",
+        24,
+        "--workers",
+        1,
+        "--out",
+        tmp_path / "out",
+    )
+    monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, options)])
+    with pytest.raises(SystemExit) as caught:
+        command.cli()
+    assert caught.value.code == 130
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["verdict"] == "interrupted"
+    assert report["exposure"]["draws"] == WIDTH
+    assert 0 < report["run"]["hours"] < 100
+
+
+BAD = {
+    "hours": (("--hours", 0), "--hours: found 0.0, expected above 0"),
+    "robots": (("--robots", 0), "--robots: found 0, expected from 1"),
+    "seed": (("--seed", -1), "--seed: found -1, expected at least 0"),
+    "workers": (("--workers", 0), "--workers: found 0, expected from 1"),
+    "robot": (("--robot", "hexapod"), "--robot hexapod: no such folder with a robot.toml; known: arm6"),
+    "policy": (("--policy", "nothing.onnx"), "nothing.onnx: cannot be read"),
+    "budget": (("--budget", "nothing.toml"), "nothing.toml: cannot be read"),
+    "out": (("--out", "/dev/null/soak"), "--out /dev/null/soak"),
+}
+
+
+@pytest.mark.parametrize(("options", "message"), BAD.values(), ids=BAD)
+def test_bad_input_says_what_was_expected(arm_policy, tmp_path, monkeypatch, capsys, options, message):
+    given = [
+        "--policy",
+        str(arm_policy),
+        "--hours",
+        "0.001",
+        "--out",
+        str(tmp_path / "out"),
+        *map(str, options),
+    ]
+    monkeypatch.setattr(sys, "argv", ["soak-test", *given])
+    with pytest.raises(SystemExit) as caught:
+        command.cli()
+    assert caught.value.code == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.glob("out/*"))
