@@ -26,6 +26,10 @@ class Action(Stage):
         """Targets (B, n) of robots where `ids` holds start at `q`; their last action is none."""
         self.q[ids], self.last[ids], self.finite[ids] = q[ids], 0.0, True
 
+    def hold(self, ids: Bools, q: Floats) -> None:
+        """Targets (B, n) of robots where `ids` holds stay with the robot: what it may not follow piles up nowhere."""
+        self.q[ids] = q[ids]
+
     def step(self, action: Floats | NDArray[np.float32], q_setpoint: Floats) -> Target:
         """The new target.
 

@@ -128,6 +128,7 @@ class Runtime:
         """Plan, check, decide and send; `action` (B, A) where the policy has spoken, else None."""
         if action is not None:
             self.action.step(action, self.smoother.q)
+        self.action.hold(self.supervisor.stopping, self.smoother.q)
         planned = self.smoother.next(self.action.q, self.supervisor.stopping)
         ahead, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_rest)

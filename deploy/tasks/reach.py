@@ -27,6 +27,8 @@ class ReachConfig:
     Attributes:
         radius_min, radius_max: m, the shell around the workspace's centre.
         z_min: m, least height of a goal.
+        manipulability_min: least |det J|, m³, of the configuration that reaches a goal, so that the way there need not
+            brush a singularity.
         period_s: s for each goal. tolerance_m: m, how near counts.
         candidates: joint configurations tried for the pool. cell_m: m, grid on which volume is counted.
     """
@@ -36,6 +38,7 @@ class ReachConfig:
     z_min: float = 0.10
     period_s: float = 4.0
     tolerance_m: float = 0.02
+    manipulability_min: float = 0.004
     candidates: int = 40_000
     cell_m: float = 0.05
 
@@ -138,7 +141,7 @@ def _safe_poses(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Floats]:
     for q in rng.uniform(low + margin, high - margin, (config.candidates // BLOCK, BLOCK, spec.n)):
         reason = np.zeros(BLOCK, dtype=np.int64)
         safety.check_pose(q, reason)
-        fine = (reason == 0) & (np.sign(fleet.determinant()) == branch)
+        fine = (reason == 0) & (branch * fleet.determinant() >= config.manipulability_min)
         poses.append(q[fine])
         tools.append(fleet.tool_position[fine])
     return np.concatenate(poses), np.concatenate(tools)
