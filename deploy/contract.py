@@ -27,6 +27,7 @@ Source = Literal[
     "target_offset",
     "last_action",
 ]
+# goal_torque: joint torques of a spring of 1 N/m that pulls the tool to the goal.
 FRAME_AND_UNIT: dict[Source, tuple[str, str]] = {
     "joint_position": ("joint", "rad"),
     "joint_velocity": ("joint", "rad/s"),
@@ -128,7 +129,7 @@ class Contract(Strict):
     joint_names: Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
     policy_hz: Hertz
     control_hz: Hertz
-    task: Name
+    task: Literal["reach"]
     observation: Annotated[tuple[Term, ...], Field(min_length=1, max_length=SIZE_MAX)]
     action: ActionSpec
     trained: Annotated[dict[Name, str], Field(max_length=100)]

@@ -51,7 +51,8 @@ class Estimator(Stage):
             t: s, now.
             sample: the newest packets.
         """
-        arrived = sample.fresh & (sample.t <= t + self._dt) & np.isfinite(sample.q).all(axis=1)
+        whole = np.isfinite(sample.t) & np.isfinite(sample.q).all(axis=1)
+        arrived = sample.fresh & whole & (sample.t <= t + self._dt)
         seed = arrived & ~self.seeded
         if seed.any():
             self._seed(seed, sample)

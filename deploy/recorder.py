@@ -144,8 +144,9 @@ class Recorder:
     def _changed(self, mode: Mode, reason: int) -> None:
         why = f": {words(reason)}" if reason else ""
         self._stream.say(self._tick, f"{Mode(self._mode).name} → {mode.name}{why}", warning=bool(reason))
+        cut = mode == Mode.LATCHED and self._mode not in (Mode.STOPPING, Mode.HOLDING)
         self._mode = int(mode)
-        if mode == Mode.STOPPING and reason != Reason.OPERATOR:
+        if (mode == Mode.STOPPING and reason != Reason.OPERATOR) or cut:
             self.event()
 
     def event(self) -> None:

@@ -32,7 +32,7 @@ EXIT = {Ending.DONE: PASSED, Ending.INTERRUPTED: INTERRUPTED}
 
 
 def run(
-    policy: Annotated[Path, typer.Option(help="ONNX file that policy-export wrote", show_default=False)],
+    policy: Annotated[Path, typer.Option(help="ONNX file that policy-export wrote")] = Path("out/arm.onnx"),
     robot: Annotated[str, typer.Option(help="name in robots/, or a folder")] = "arm6",
     backend: Annotated[str, typer.Option(help=f"what stands behind it: {', '.join(BACKENDS)}")] = "sim",
     duration: Annotated[float, typer.Option(help="s of robot time; inf: until Ctrl-C")] = math.inf,
@@ -127,8 +127,8 @@ def _lived(
         gc.unfreeze()
         if runtime.ticks:
             show(shift)
-        screen.close()
         recorder.close()
+        screen.close()
         report(shift, about, recorder.path.parent / "summary.json")
     return EXIT.get(ending, BUDGET_EXCEEDED)
 

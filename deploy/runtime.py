@@ -62,7 +62,8 @@ class Runtime:
         self.task = Reach(spec, seeds)
         self.observation = Observation(contract, self._sources(), robots)
         self.asked = np.zeros(robots, dtype=np.int64)
-        self._ahead, self._tau_ahead = self.smoother.sent, np.zeros((robots, spec.n))
+        rest = np.zeros((robots, spec.n))
+        self._ahead, self._tau_ahead = Setpoint(q=rest, qd=rest, qdd=rest), rest
         self._tool = np.zeros((robots, 3))
 
     def _sources(self) -> Sources:
@@ -96,17 +97,6 @@ class Runtime:
         """(B, 3) m, where the tool is believed to be in the world; renewed whenever the policy is due."""
         return self._tool
 
-    def start(self) -> Ints:
-        """The first tick: look, and arm every robot; the policy is not asked yet.
-
-        Returns:
-            (B,) reasons of robots that were refused, 0 elsewhere.
-        """
-        self.sense()
-        refused = self.arm(np.ones(self.robot.robots, dtype=bool))
-        self.act(None)
-        return refused
-
     def tick(self) -> None:
         """Sense, think when it is time to, act."""
         observation = self.sense()
@@ -135,7 +125,7 @@ class Runtime:
         obey = self.supervisor.step(self._reason(), self.smoother.at_rest)
         # A robot that stops already has nothing refused; a stop without a number is still not sent.
         self._send(obey & np.isfinite(planned.q).all(axis=1), planned)
-        self._ahead, self._tau_ahead = ahead, self.verdict.tau_ahead
+        self._ahead, self._tau_ahead = _where(obey, ahead), self.verdict.tau_ahead
         self.task.step(self._tool)
         self.ticks += 1
 
@@ -147,13 +137,8 @@ class Runtime:
         """What was planned where it is obeyed; elsewhere the stop that the last tick prepared and checked."""
         tau = self.verdict.tau
         if not obey.all():
-            rows, stop = obey[:, None], self._ahead
-            planned = Setpoint(
-                q=np.where(rows, planned.q, stop.q),
-                qd=np.where(rows, planned.qd, stop.qd),
-                qdd=np.where(rows, planned.qdd, stop.qdd),
-            )
-            tau = np.nan_to_num(np.where(rows, tau, self._tau_ahead))
+            planned = _where(obey, planned, self._ahead)
+            tau = np.nan_to_num(np.where(obey[:, None], tau, self._tau_ahead))
             planned = self._finite(planned)
         self.smoother.commit(planned)
         self.command = Command(q=planned.q, qd=planned.qd, tau=tau, powered=self.supervisor.powered)
@@ -166,12 +151,7 @@ class Runtime:
             return planned
         self.supervisor.latch(lost & self.supervisor.powered, Reason.NOT_FINITE)
         self.smoother.hold(lost, self.smoother.q)
-        rows, rest = lost[:, None], self.smoother.sent
-        return Setpoint(
-            q=np.where(rows, rest.q, planned.q),
-            qd=np.where(rows, rest.qd, planned.qd),
-            qdd=np.where(rows, rest.qdd, planned.qdd),
-        )
+        return _where(~lost, planned, self.smoother.sent)
 
     def arm(self, ids: Bools) -> Ints:
         """Power robots where `ids` holds, drives are off and nothing speaks against it.
@@ -187,6 +167,7 @@ class Runtime:
         granted = ids & (reason == 0)
         self.supervisor.arm(granted)
         self.smoother.hold(granted, self.state.q)
+        self._ahead = _where(~granted, self._ahead, here)
         self.action.reset(granted, self.state.q)
         return reason
 
@@ -201,3 +182,18 @@ class Runtime:
         self.supervisor.disarm(ids)
         self.task.reset(ids)
         self.asked[ids] = 0
+
+
+_NOWHERE = Setpoint(q=np.array(np.nan), qd=np.array(np.nan), qdd=np.array(np.nan))
+
+
+def _where(rows: Bools, here: Setpoint, elsewhere: Setpoint = _NOWHERE) -> Setpoint:
+    """One setpoint where `rows` (B,) holds, another elsewhere; by default none, which is never sent."""
+    if rows.all():
+        return here
+    pick = rows[:, None]
+    return Setpoint(
+        q=np.where(pick, here.q, elsewhere.q),
+        qd=np.where(pick, here.qd, elsewhere.qd),
+        qdd=np.where(pick, here.qdd, elsewhere.qdd),
+    )

@@ -2,7 +2,7 @@
 
 Pure: (state, setpoint) → verdict, by the nominal model in Pinocchio. It never edits a number and knows neither
 policy nor smoother. Beside the setpoint it checks the stop that would begin there, its first step and the pose where
-it ends: a robot is only ever sent where a way to rest is open.
+it ends. What lies between those two is not looked at: the margins are for that.
 """
 
 import numpy as np
@@ -32,8 +32,11 @@ class Safety:
         self._z_min = spec.workspace.z_min + margins.workspace_m
         self._tool_speed_max = margins.speed * spec.workspace.tool_speed_max
         self._twice_jerk = 2 * spec.joint_array("qddd_max")
-        self._q_min = spec.joint_array("q_min") + margins.q_soft_rad
-        self._q_max = spec.joint_array("q_max") - margins.q_soft_rad
+        self._working_min, self._working_max = spec.joint_array("q_min"), spec.joint_array("q_max")
+        self._q_min = self._working_min + margins.q_soft_rad
+        self._q_max = self._working_max - margins.q_soft_rad
+        # Ages are whole ticks but for rounding: half a tick keeps a limit that is one of them in its place.
+        self._stale_s, self._lost_s = margins.stale_s + spec.dt / 2, margins.lost_s + spec.dt / 2
         self._qd_max = margins.speed * spec.joint_array("qd_max") * (1 + TOLERANCE)
         self._tau_max = margins.tau * torque_max(spec)
         self._housing_max = spec.motor_array("housing_max_c")
@@ -64,11 +67,13 @@ class Safety:
         finite = np.isfinite(state.q + state.qd).all(axis=1)
         error = np.abs(sent.q - state.q)
         reason = _if(~finite, Reason.NOT_FINITE)
+        outside = ((state.q < self._working_min) | (state.q > self._working_max)).any(axis=1)
         reason |= _if((error > self._margins.tracking_rad).any(axis=1), Reason.TRACKING)
+        reason |= _if(outside, Reason.OUTSIDE)
         # Negated, so that a reading that is not a number counts as bad.
         reason |= _if(~(state.temperature <= self._housing_max).all(axis=1), Reason.HEAT)
-        reason |= _if(~(state.age <= self._margins.stale_s), Reason.STALE)
-        reason |= _if(~(state.age <= self._margins.lost_s), Reason.LOST)
+        reason |= _if(~(state.age <= self._stale_s), Reason.STALE)
+        reason |= _if(~(state.age <= self._lost_s), Reason.LOST)
         return reason
 
     def _motion(self, s: Setpoint, reason: Ints) -> Floats:
@@ -83,8 +88,7 @@ class Safety:
 
     def _tool(self, s: Setpoint, reason: Ints) -> None:
         """Where the tool would be, and how fast: a stop first lets the acceleration run out, and that speed counts."""
-        self._fleet.place(s.q)
-        self._inside(self._fleet.tool_position, reason)
+        self._place(s.q, reason)
         qd_peak = s.qd + s.qdd * np.abs(s.qdd) / self._twice_jerk
         for qd in (s.qd, qd_peak):
             speed = (self._fleet.tool_velocity(qd) ** 2).sum(axis=1)
@@ -92,14 +96,16 @@ class Safety:
 
     def check_pose(self, q: Floats, reason: Ints) -> None:
         """Add to `reason` (B,) what speaks against resting at `q` (B, n) rad."""
+        reason |= _if(((q < self._q_min) | (q > self._q_max)).any(axis=1), Reason.POSITION)
+        self._place(q, reason)
+
+    def _place(self, q: Floats, reason: Ints) -> None:
+        """Place the fleet at `q` and add what speaks against being there."""
         fleet = self._fleet
         fleet.place(q)
-        self._inside(fleet.tool_position, reason)
-        reason |= _if(((q < self._q_min) | (q > self._q_max)).any(axis=1), Reason.POSITION)
         reason |= _if(fleet.manipulability() < self._margins.singularity, Reason.SINGULARITY)
         reason |= _if(fleet.colliding(), Reason.COLLISION)
-
-    def _inside(self, tool: Floats, reason: Ints) -> None:
+        tool = fleet.tool_position
         far = ((tool - self._centre) ** 2).sum(axis=1) > self._radius_max**2
         reason |= _if(far | (tool[:, 2] < self._z_min), Reason.WORKSPACE)
 

@@ -100,6 +100,7 @@ class Reason(IntFlag):
     NOT_FINITE = 1 << 11
     OVERRUN = 1 << 12
     OPERATOR = 1 << 13
+    OUTSIDE = 1 << 14
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,13 @@ from deploy.stage import Stage
 from deploy.state import Bools, Ints, Mode, Reason
 
 CATEGORY_1 = (
-    Reason.LOST | Reason.NOT_FINITE | Reason.HEAT | Reason.TRACKING | Reason.OVERRUN | Reason.OPERATOR
+    Reason.LOST
+    | Reason.NOT_FINITE
+    | Reason.HEAT
+    | Reason.TRACKING
+    | Reason.OUTSIDE
+    | Reason.OVERRUN
+    | Reason.OPERATOR
 )
 """Reasons after which the robot may not go on by itself; every other reason is category 2."""
 
@@ -34,6 +40,7 @@ WORDS = {
     Reason.NOT_FINITE: "a number is not finite",
     Reason.OVERRUN: "too many ticks came late",
     Reason.OPERATOR: "the operator asked for it",
+    Reason.OUTSIDE: "a joint is outside its working range",
 }
 
 

@@ -39,7 +39,7 @@ JOINT_MONITORS = (
         name="position_requested",
         unit="rad",
         hard=False,
-        meaning="the policy's target, before any clipping, beyond the working range",
+        meaning="the policy's target, before it is clamped, beyond the working range",
     ),
     Monitor(
         name="position_soft",
@@ -168,9 +168,11 @@ class Counts:
         return int(self.events[:, self.columns(monitor)].sum())
 
     def bad_draws(self, monitor: str | None = None) -> int:
-        """Robots with an event of `monitor`, or of any hard one."""
+        """Robots with an event of `monitor`; without one, of any hard one, and those whose simulation diverged."""
         names = [monitor] if monitor else [m.name for m in MONITORS if m.hard]
         bad = [self.events[:, self.columns(name)].any(axis=1) for name in names]
+        if monitor is None:
+            bad.append(self.invalid > 0)
         return int(np.any(bad, axis=0).sum())
 
     def log(self) -> Iterator[Event]:

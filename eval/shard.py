@@ -15,6 +15,7 @@ from deploy.policy import Policy
 from deploy.runtime import Runtime
 from eval.counts import Counts, first
 from eval.monitors import Judge
+from robots.errors import ConfigError
 from robots.model_pinocchio import torque_max
 from robots.randomness import robot_seed
 from robots.spec import load_robot
@@ -33,13 +34,16 @@ class ShardJob:
     """What a worker is told.
 
     Attributes:
-        robot: folder. policy: file. seed: of the soak.
+        robot: folder. policy: file. robot_digest, policy_digest: of what they were when the soak began.
+        seed: of the soak.
         first: index of the shard's first robot. robots: how many of its robots count.
         ticks: control ticks to live. sample_ticks: ticks between two samples of heat and goals.
     """
 
     robot: Path
     policy: Path
+    robot_digest: str
+    policy_digest: str
     seed: int
     first: int
     robots: int
@@ -63,14 +67,23 @@ class ShardResult:
     reached: NDArray[np.int64]
 
 
+def _same(expected: str, found: str, path: Path) -> None:
+    if found != expected:
+        raise ConfigError(
+            f"{path}: changed during the soak: digest found {found:.12}, expected {expected:.12}"
+        )
+
+
 class Shard:
     """Runtime, simulated robots and judge of one job."""
 
     def __init__(self, job: ShardJob) -> None:
         """Build everything; robots beyond those that count keep the width and are not reported."""
         spec = load_robot(job.robot)
+        _same(job.robot_digest, spec.digest, job.robot)
         seeds = [robot_seed(job.seed, job.first + row) for row in range(WIDTH)]
         policy = Policy.load(job.policy, spec)
+        _same(job.policy_digest, policy.digest, job.policy)
         self._job, self._robot = job, SimRobot(spec, seeds)
         self.runtime = Runtime(spec, policy.contract, self._robot, seeds, policy)
         goal_s = self.runtime.task.config.period_s
@@ -85,10 +98,10 @@ class Shard:
             progress: told the ticks done so far.
             stop: whether to end now and report what there is.
         """
-        self.runtime.start()
-        self._judge_tick()
-        for tick in range(1, self._job.ticks):
-            if tick % self._look == 0:
+        for tick in range(self._job.ticks):
+            if tick == 1:
+                self.runtime.arm(np.ones(WIDTH, dtype=bool))
+            if tick and tick % self._look == 0:
                 progress(tick)
                 self._rearm()
                 if stop():

@@ -5,8 +5,9 @@ import platform
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from functools import reduce
@@ -14,7 +15,7 @@ from importlib.metadata import version
 from multiprocessing.sharedctypes import SynchronizedArray
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -30,17 +31,20 @@ from eval.report.build import build
 from eval.report.data import Run, Settings, SoakResult
 from eval.report.write import claim, write
 from eval.shard import WIDTH, Shard, ShardJob, ShardResult
+from robots.draws import load_distributions
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 
 SAMPLE_S = 60.0
 """s between two samples of heat and goals, in a soak long enough for `SAMPLES` of them."""
 SAMPLES, GOAL_BINS = 64, 8
-LIBRARIES = ("mujoco", "pin", "ruckig", "filterpy", "onnxruntime", "numpy")
+LIBRARIES = ("mujoco", "pin", "ruckig", "filterpy", "onnxruntime", "numpy", "scipy")
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 UNSEEN = (
     "Sensors lie by noise, quantization, delay and loss only: no drift, no bias, no failure.",
     "Motors heat and their torque sags, but nothing wears: hour 8 has the friction of hour 0.",
     "No payload, no cable, no push, no person: the arm moves in free air above its table.",
+    "An operator comes a minute after a robot latched and arms it again; nobody asks why it did.",
     "Links are rigid and gears have no backlash; brakes are drives that hold.",
     "The report counts what the simulation can show; a real robot has been nowhere in it.",
 )
@@ -75,6 +79,8 @@ class Soak:
             ShardJob(
                 robot=self.spec.folder,
                 policy=self.policy_path,
+                robot_digest=self.spec.digest,
+                policy_digest=self.policy.digest,
                 seed=self.seed,
                 first=start,
                 robots=min(WIDTH, self.robots - start),
@@ -91,10 +97,9 @@ _stop: Event
 
 
 def _prepare(progress: "SynchronizedArray[int]", stop: Event) -> None:
-    """A worker leaves Ctrl-C to its parent, which asks it to stop."""
+    """Keep what the worker shares with its parent."""
     global _progress, _stop
     _progress, _stop = progress, stop
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _run(number: int, job: ShardJob) -> ShardResult | None:
@@ -108,20 +113,39 @@ def _run(number: int, job: ShardJob) -> ShardResult | None:
     return Shard(job).run(report, _stop.is_set)
 
 
-def run_soak(soak: Soak, console: Console) -> tuple[list[ShardResult], bool]:
-    """Run every shard; return their results in order, and whether Ctrl-C cut them short."""
+def run_soak(soak: Soak, console: Console) -> list[ShardResult]:
+    """Run every shard and return their results in order; after Ctrl-C, what there is of them."""
     jobs, context = soak.jobs(), mp.get_context("spawn")
     progress, stop = context.Array("q", len(jobs)), context.Event()
-    shared = (progress, stop)
-    with ProcessPoolExecutor(soak.workers, context, initializer=_prepare, initargs=shared) as pool:
-        futures = [pool.submit(_run, number, job) for number, job in enumerate(jobs)]
+    workers = min(soak.workers, len(jobs))
+    with ProcessPoolExecutor(workers, context, initializer=_prepare, initargs=(progress, stop)) as pool:
+        with _signals(signal.SIG_IGN):  # which the workers inherit: only their parent hears Ctrl-C
+            futures = [pool.submit(_run, number, job) for number, job in enumerate(jobs)]
         try:
-            _watch(futures, progress, soak.ticks * len(jobs), console)
+            with _signals(_interrupt):
+                _watch(futures, progress, soak.ticks * len(jobs), console)
         except KeyboardInterrupt:
             console.print("interrupted: the report will hold what was done so far")
+        finally:
             stop.set()
-        results = [future.result() for future in futures]
-    return [result for result in results if result is not None], stop.is_set()
+        with _signals(signal.SIG_IGN):
+            results = [future.result() for future in futures]
+    return [result for result in results if result is not None]
+
+
+@contextmanager
+def _signals(handler: Any) -> Iterator[None]:
+    """Ctrl-C, termination and a lost terminal mean the same for a while."""
+    before = [(which, signal.signal(which, handler)) for which in SIGNALS]
+    try:
+        yield
+    finally:
+        for which, former in before:
+            signal.signal(which, former)
+
+
+def _interrupt(_signal: int, _frame: object) -> None:
+    raise KeyboardInterrupt
 
 
 def _watch(
@@ -187,9 +211,10 @@ def _settings(soak: Soak) -> Settings:
         command=" ".join(["soak-test", *sys.argv[1:]]),
         robot=soak.spec.name,
         robot_digest=soak.spec.digest,
-        policy=str(soak.policy_path),
+        draws_digest=load_distributions(soak.spec).digest,
+        policy=_shown(soak.policy_path),
         policy_digest=soak.policy.digest,
-        budget=str(soak.budget),
+        budget=_shown(soak.budget),
         seed=soak.seed,
         hours=soak.hours,
         robots=soak.robots,
@@ -197,6 +222,12 @@ def _settings(soak: Soak) -> Settings:
         workers=soak.workers,
         versions=versions,
     )
+
+
+def _shown(path: Path) -> str:
+    """As a reader of the report knows it: from the folder the soak was started in, if it lies there."""
+    here = Path.cwd()
+    return str(path.resolve().relative_to(here) if path.resolve().is_relative_to(here) else path)
 
 
 def soak_test(
@@ -226,14 +257,15 @@ def soak_test(
     )
     claim(out)
     console, began, clock = Console(), datetime.now().astimezone(), time.monotonic()
-    shards, interrupted = run_soak(soak, console)
+    shards = run_soak(soak, console)
     if not shards:
         return INTERRUPTED
+    lived = sum(int(shard.counts.ticks.sum()) for shard in shards) / soak.robots
     run = Run(
         started=began.isoformat(timespec="seconds"),
         wall_s=round(time.monotonic() - clock, 1),
-        hours=float(np.mean([shard.counts.ticks.mean() for shard in shards])) * spec.dt / 3600,
-        interrupted=interrupted,
+        hours=lived * spec.dt / 3600,
+        interrupted=lived < soak.ticks,
     )
     report = build(collect(soak, shards, run), limits)
     write(report, out)

@@ -13,7 +13,7 @@ from deploy.runtime import Runtime
 from deploy.state import Bools, Mode
 from policies.recipe import Recipe, contract_of
 from policies.rewards import Limits, Step, reward, shaping
-from robots.randomness import robot_seed
+from robots.randomness import training_seed
 from robots.spec import RobotSpec
 
 
@@ -33,7 +33,7 @@ class RuntimeEnv(VecEnv):
         """
         self.num_envs, self.num_actions, self.device = recipe.environment.robots, spec.n, "cpu"
         self.cfg = recipe.model_dump()
-        seeds = [robot_seed(recipe.seed, robot) for robot in range(self.num_envs)]
+        seeds = [training_seed(recipe.seed, robot) for robot in range(self.num_envs)]
         self._recipe, self._spec, self._robot = recipe, spec, SimRobot(spec, seeds, threads=threads)
         self.runtime = Runtime(spec, contract_of(recipe, spec, {}), self._robot, seeds)
         self._limits = Limits(spec, recipe.reward.near_share)
@@ -77,8 +77,10 @@ class RuntimeEnv(VecEnv):
         total, broken = reward(step, self._limits, self._recipe.reward)
         total += shaping(step, self._limits, self._recipe.shaping)
         self.episode_length_buf += 1
+        valid = self._robot.truth().valid
+        total = np.where(valid, total, self._recipe.reward.joint_limit)
         time_out = (self.episode_length_buf >= self.max_episode_length).numpy()
-        done = broken | time_out | ~self._robot.truth().valid
+        done = broken | time_out | ~valid
         self.reached = int(step.reached.sum())
         log = self._log(step, broken, done)
         if done.any():

@@ -17,6 +17,7 @@ from policies.curves import draw_curves
 from policies.envs import RuntimeEnv
 from policies.networks import Actor
 from policies.recipe import Learner, Recipe, contract_of, find_recipe, load_recipe
+from robots.errors import ConfigError
 from robots.spec import load_robot
 
 SAVE_INTERVAL = 200
@@ -34,7 +35,12 @@ def train(recipe: Recipe, text: str, out: Path, *, threads: int) -> Path:
 
     Returns:
         The checkpoint's path.
+
+    Raises:
+        ConfigError: `out` holds another training.
     """
+    if any(out.glob("events.*")):
+        raise ConfigError(f"--out {out}: holds another training, whose curves would mix with this one's")
     torch.manual_seed(recipe.seed)
     torch.set_num_threads(threads)
     spec = load_robot(recipe.robot)

@@ -3,6 +3,7 @@
 A draw is plain data: stored, it re-creates its robot exactly. The runtime in `deploy` never sees one.
 """
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Self
@@ -88,6 +89,11 @@ class Distributions(Strict):
     factors: Factors
     sensors: Sensors
     climate: Climate
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the numbers."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -36,6 +36,12 @@ def load_pinocchio(spec: RobotSpec) -> tuple[pin.Model, pin.GeometryModel]:
         raise RobotError(f"{path}: joints are {found}; robot.toml lists {spec.joint_names}")
     if not model.existFrame(spec.tool):
         raise RobotError(f"{path}: no site named {spec.tool!r}, which robot.toml calls the tool")
+    for joint, low, high in zip(spec.joints, model.lowerPositionLimit, model.upperPositionLimit, strict=True):
+        if not low <= joint.q_min < joint.q_max <= high:
+            raise RobotError(
+                f"{spec.folder / 'robot.toml'}: joints.{joint.name}: working range [{joint.q_min}, {joint.q_max}]"
+                f" is not inside the mechanical [{low:.4f}, {high:.4f}] of model.xml"
+            )
     return model, geometry
 
 

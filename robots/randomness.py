@@ -8,8 +8,17 @@ from numpy.typing import NDArray
 Keys = NDArray[np.uint64]
 
 
+SHIFT = 2**31
+"""Apart from the number of any robot in training: with equal seeds, no robot at work repeats one trained on."""
+
+
 def robot_seed(seed: int, robot: int) -> np.random.SeedSequence:
-    """The seed of one robot: independent of every other robot and of how robots are grouped."""
+    """The seed of one robot at work: independent of every other robot and of how robots are grouped."""
+    return np.random.SeedSequence(seed, spawn_key=(SHIFT, robot))
+
+
+def training_seed(seed: int, robot: int) -> np.random.SeedSequence:
+    """The seed of one robot in training."""
     return np.random.SeedSequence(seed, spawn_key=(robot,))
 
 

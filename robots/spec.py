@@ -177,6 +177,15 @@ class RobotSpec(Strict):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _margins_fit(self) -> Self:
+        for joint in self.joints:
+            if joint.q_max - joint.q_min <= 2 * self.margins.q_target_rad:
+                raise ValueError(
+                    f"margins.q_target_rad {self.margins.q_target_rad} leaves nothing of the range of {joint.name}"
+                )
+        return self
+
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names in the order of every joint vector."""

@@ -2,6 +2,7 @@ import sys
 
 import numpy as np
 import pytest
+from test_policy import N, policy_model, saved
 from test_spec import SPEC
 
 pytest.importorskip("mujoco")
@@ -9,6 +10,7 @@ pytest.importorskip("mujoco")
 from deploy.policy import Policy
 from eval.bench import __main__ as command
 from eval.bench import stopwatch
+from eval.bench.idle import make_idle
 from eval.bench.plain import PlainRobot
 from eval.bench.stopwatch import Stopwatch
 
@@ -68,9 +70,17 @@ def test_the_plain_composition_moves_its_robot(arm_policy):
     np.testing.assert_allclose(robot._data.qpos, robot._target, atol=0.01)
 
 
+def test_an_idle_policy_loads_and_asks_for_nothing(tmp_path):
+    working = saved(policy_model(), tmp_path)
+    idle = Policy.load(make_idle(working, tmp_path / "idle.onnx"), SPEC)
+    observation = np.random.default_rng(0).normal(size=(3, N)).astype(np.float32)
+    assert not idle.step(observation).any()
+    assert Policy.load(working, SPEC).step(observation).any()
+
+
 def test_an_unknown_bench_is_refused(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["bench", "nothing"])
     with pytest.raises(SystemExit) as caught:
         command.main(command.bench)
     assert caught.value.code == 2
-    assert "found 'nothing', expected one of stages, start, memory or all" in capsys.readouterr().err
+    assert "found 'nothing', expected one of stages, start, memory, work or all" in capsys.readouterr().err

@@ -12,7 +12,7 @@ from deploy.state import Mode
 from policies.envs import RuntimeEnv
 from policies.recipe import contract_of, find_recipe, load_recipe
 from policies.rewards import Limits, Step, reward, shaping
-from robots.randomness import robot_seed
+from robots.randomness import training_seed
 
 RECIPE = load_recipe(find_recipe("arm"))
 N = SPEC.n
@@ -36,7 +36,7 @@ class Learner:
 def test_training_is_the_shipped_tick():
     """A learner between the halves of the tick sends, bit for bit, what the runtime sends with it as its policy."""
     env, robots = env_of(3), 3
-    seeds = [robot_seed(1, robot) for robot in range(robots)]
+    seeds = [training_seed(1, robot) for robot in range(robots)]
     contract = contract_of(RECIPE, SPEC, {})
     learner = Learner(contract.observation_size)
     robot = SimRobot(SPEC, seeds)

@@ -40,6 +40,7 @@ def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.
             command="soak-test --seed 7",
             robot="arm6",
             robot_digest="a" * 64,
+            draws_digest="d" * 64,
             policy=policy,
             policy_digest="b" * 64,
             budget="budget.toml",
@@ -73,8 +74,8 @@ def test_a_clean_night_passes_with_the_honest_sentence():
     found = report()
     assert found.verdict == "passed"
     assert found.statement == (
-        "0 hard events in 128.0 hours under way over 16 draws: rate ≤ 0.023 per hour, P(bad draw) ≤ 0.17,"
-        " availability 100.00 %, goals reached 100.00 %."
+        "0 hard events in 128.0 hours under way over 16 draws: rate ≤ 0.023 per hour, P(bad draw) ≤ 0.17"
+        " (each with 95 %), availability 100.00 %, goals reached 100.00 %."
     )
     assert found.exposure.evaluations == ROBOTS * TICKS
     assert all(row.evaluations == ROBOTS * TICKS for row in found.monitors)

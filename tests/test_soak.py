@@ -17,6 +17,7 @@ from eval.budget import BUDGET
 from eval.report.data import Run
 from eval.shard import WIDTH, Shard, ShardJob
 from eval.soak import Soak, collect, run_soak
+from robots.errors import ConfigError
 
 CONSOLE = Console(quiet=True)
 RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, interrupted=False)
@@ -45,8 +46,7 @@ def assert_same(a, b):
 
 
 def test_results_do_not_depend_on_workers(asked):
-    one, _ = run_soak(asked(workers=1), CONSOLE)
-    two, _ = run_soak(asked(workers=2), CONSOLE)
+    one, two = (run_soak(asked(workers=workers), CONSOLE) for workers in (1, 2))
     assert_same(one, two)
     assert [shard.counts.robots for shard in one] == [WIDTH, 10 - WIDTH]
     assert one[0].counts.running.min() > 0.9 * one[0].counts.ticks.max()
@@ -54,7 +54,8 @@ def test_results_do_not_depend_on_workers(asked):
 
 
 def job(policy, **changes):
-    wanted = {"seed": 3, "first": 0, "robots": WIDTH, "ticks": 900, "sample_ticks": 100, **changes}
+    digests = {"robot_digest": SPEC.digest, "policy_digest": Policy.load(policy, SPEC).digest}
+    wanted = {"seed": 3, "first": 0, "robots": WIDTH, "ticks": 900, "sample_ticks": 100, **digests, **changes}
     return ShardJob(robot=SPEC.folder, policy=policy, **wanted)
 
 
@@ -95,7 +96,7 @@ def test_the_operator_comes_to_latched_robots(arm_policy, quick_goals):
 
 def test_goals_fall_into_bins_and_shards_side_by_side(asked):
     soak = asked(hours=0.0013)
-    shards, _ = run_soak(soak, CONSOLE)
+    shards = run_soak(soak, CONSOLE)
     result = collect(soak, shards, RUN)
     assert result.winding_c.shape == (len(result.sample_h), 10, SPEC.n)
     assert np.isfinite(result.winding_c).all()
@@ -170,6 +171,11 @@ def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
     assert report["verdict"] == "interrupted"
     assert report["exposure"]["draws"] == WIDTH
     assert 0 < report["run"]["hours"] < 100
+
+
+def test_a_policy_that_changes_meanwhile_is_seen(arm_policy):
+    with pytest.raises(ConfigError, match=r"changed during the soak: digest found \w{12}, expected 0{12}"):
+        Shard(job(arm_policy, policy_digest="0" * 64))
 
 
 BAD = {

@@ -122,7 +122,7 @@ def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
         np.floor(tool / config.cell_m), axis=0, return_inverse=True, return_counts=True
     )
     weight = 1.0 / count[cell]
-    return GoalPool(q=q, tool=tool, chance=np.cumsum(weight) / weight.sum())
+    return GoalPool(q=q, tool=tool, chance=np.cumsum(weight) / np.cumsum(weight)[-1])
 
 
 def _safe_poses(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Floats]:

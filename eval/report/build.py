@@ -198,7 +198,7 @@ def _statement(exposure: Exposure, evidence: Evidence, goals: Goals) -> str:
     return (
         f"{evidence.hard_events} hard event{'s' if evidence.hard_events != 1 else ''} in"
         f" {exposure.running_hours:.1f} hours under way over {exposure.draws} draws:"
-        f" {bound}, P(bad draw) ≤ {evidence.bad_draw_upper:.2g}, availability"
+        f" {bound}, P(bad draw) ≤ {evidence.bad_draw_upper:.2g} (each with {100 * CONFIDENCE:.0f} %), availability"
         f" {100 * exposure.availability:.2f} %, goals reached {100 * goals.success:.2f} %."
     )
 

@@ -20,17 +20,19 @@ Verdict = Literal["passed", "failed", "interrupted"]
 
 
 class Settings(Strict):
-    """On what the results depend, and on nothing else but the code; `workers` changes only the time it takes.
+    """On what the results depend, the code apart; `workers` changes only the time it takes.
 
     Attributes:
         hours: h that each robot was to run.
         policy, policy_digest: the file and its SHA-256. robot, robot_digest: the name and its SHA-256.
+        draws_digest: SHA-256 of the distributions that robots were drawn from.
         budget: the file. versions: of Python and of the libraries, by name.
     """
 
     command: str
     robot: str
     robot_digest: str
+    draws_digest: str
     policy: str
     policy_digest: str
     budget: str
@@ -47,7 +49,7 @@ class Run(Strict):
 
     Attributes:
         started: ISO 8601 with zone. wall_s: s of real time.
-        hours: h that each robot did run.
+        hours: h that each robot did run, on average; robots that never began count as 0.
     """
 
     started: str

@@ -22,6 +22,7 @@ _DIVERGED = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
     int(mujoco.mjtWarning.mjWARN_BADQACC),
+    int(mujoco.mjtWarning.mjWARN_BADCTRL),
 ]
 _NUMBER = 1
 """Place of the count in MuJoCo's warning statistics; place 0 is the last index that was warned of."""
