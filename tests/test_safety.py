@@ -94,7 +94,7 @@ def test_torque(joint, sign):
         assert verdict.tau[0, joint] == pytest.approx(sign * factor * TAU_MAX[joint], rel=1e-9)
         others = np.delete(np.abs(verdict.tau[0]) <= TAU_MAX, joint).all()
         assert others
-        assert (Reason(int(verdict.reason[0])) == Reason.TORQUE) == beyond
+        assert (Reason.TORQUE in Reason(int(verdict.reason[0]))) == beyond
         assert (reasons(ahead=hard) == Reason.TORQUE) == beyond
 
 
@@ -104,8 +104,43 @@ def test_tool_speed(seed):
     fleet.place(HOME[None])
     direction /= np.linalg.norm(fleet.tool_velocity(direction[None]))
     for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
-        fast = point(qd=direction * factor * SPACE.tool_speed_max)
-        assert (Reason.TOOL_SPEED in reasons(setpoint=fast)) == beyond
+        limit = direction * factor * MARGINS.speed * SPACE.tool_speed_max
+        assert (Reason.TOOL_SPEED in reasons(setpoint=point(qd=limit))) == beyond
+
+
+@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_tool_speed_that_a_stop_would_still_gain(joint, sign):
+    """A stop first brings the acceleration to rest at full jerk, and the speed grows by its square over twice that."""
+    fleet, jerk = Fleet(SPEC, 1), SPEC.joint_array("qddd_max")[joint]
+    fleet.place(HOME[None])
+    per_speed = np.linalg.norm(fleet.tool_velocity(one(joint, 1.0)[None]))
+    limit, qdd = MARGINS.speed * SPACE.tool_speed_max / per_speed, 8.0
+    for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
+        qd = factor * limit - qdd**2 / (2 * jerk)
+        rushing = point(qd=one(joint, sign * qd), qdd=one(joint, sign * qdd))
+        assert (Reason.TOOL_SPEED in reasons(setpoint=rushing)) == beyond
+        easing = point(qd=one(joint, sign * qd), qdd=one(joint, -sign * qdd))
+        assert Reason.TOOL_SPEED not in reasons(setpoint=easing)
+
+
+def test_the_setpoint_itself_is_placed_too():
+    """Not only where the stop ends: a setpoint in the table, or in a singularity, is refused though its rest is not."""
+    low = one(1, -0.35, one(2, 1.2, HOME))
+    found = reasons(setpoint=point(low), ahead=point(), q_hat=HOME, q_rest=HOME)
+    assert Reason.COLLISION in found
+    assert Reason.WORKSPACE in found
+    straight = one(4, 0.0, HOME)
+    assert Reason.SINGULARITY in reasons(setpoint=point(straight), ahead=point(), q_hat=HOME, q_rest=HOME)
+
+
+@pytest.mark.parametrize("joint", range(N))
+def test_a_joint_found_outside_its_range_is_category_1(joint):
+    for end, outwards in ((LOW[joint], -1), (HIGH[joint], 1)):
+        for factor, beyond in ((-HAIR, False), (HAIR, True)):
+            q_hat = one(joint, end + outwards * factor, HOME)
+            assert (Reason.OUTSIDE in reasons(q_hat=q_hat)) == beyond
+    assert Reason.OUTSIDE & CATEGORY_1
 
 
 @pytest.mark.parametrize("joint", range(N))
@@ -121,9 +156,10 @@ def test_heat(joint):
     [
         (0.0, 0),
         (MARGINS.stale_s - HAIR, 0),
-        (MARGINS.stale_s + HAIR, Reason.STALE),
-        (MARGINS.lost_s - HAIR, Reason.STALE),
-        (MARGINS.lost_s + HAIR, Reason.STALE | Reason.LOST),
+        (MARGINS.stale_s + HAIR, 0),
+        (MARGINS.stale_s + SPEC.dt - HAIR, Reason.STALE),
+        (MARGINS.lost_s + HAIR, Reason.STALE),
+        (MARGINS.lost_s + SPEC.dt - HAIR, Reason.STALE | Reason.LOST),
         (np.inf, Reason.STALE | Reason.LOST),
         (np.nan, Reason.STALE | Reason.LOST),
     ],
@@ -198,11 +234,12 @@ def test_poses_are_judged_as_another_library_judges_them():
         safety.check_pose(q[rows], found)
         reason[rows] = found
     soft = MARGINS.q_soft_rad
+    z_min, radius_max = SPACE.z_min + MARGINS.workspace_m, SPACE.radius_max - MARGINS.workspace_m
     expected = {
         Reason.POSITION: (((q < LOW + soft) | (q > HIGH - soft)).any(axis=1), np.ones(robots, dtype=bool)),
         Reason.WORKSPACE: (
-            (height < SPACE.z_min) | (radius > SPACE.radius_max),
-            (np.abs(height - SPACE.z_min) > 1e-9) & (np.abs(radius - SPACE.radius_max) > 1e-9),
+            (height < z_min) | (radius > radius_max),
+            (np.abs(height - z_min) > 1e-9) & (np.abs(radius - radius_max) > 1e-9),
         ),
         Reason.SINGULARITY: (
             manipulability < singularity,
@@ -223,7 +260,7 @@ def test_each_robot_is_judged_alone():
     robots = 7
     q, qd, qdd = np.tile(HOME, (robots, 1)), np.zeros((robots, N)), np.zeros((robots, N))
     sent, temperature = q.copy(), np.full((robots, N), 30.0)
-    qd[1, 5], qdd[4, 1] = 4.0, 1000.0
+    qd[1, 5], qdd[4, 5] = 4.0, 1000.0
     rest = q.copy()
     rest[2, 0], sent[5, 3], temperature[6, 2] = HIGH[0], HOME[3] + 0.2, 90.0
     state = State(t=0.0, q=q, qd=qd, q_var=q, age=np.zeros(robots), innovation=q, temperature=temperature)
