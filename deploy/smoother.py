@@ -18,6 +18,10 @@ NUDGE = 1e-9
 """rad. How far a target is moved where Ruckig has no plan for the exact one."""
 
 
+REST = 1e-6
+"""rad/s and rad/s². What is left below is rounding, which Ruckig may take many periods to bring to nothing."""
+
+
 class Smoother(Stage):
     """The last SENT setpoint of B robots, and the first step of the ways on from there."""
 
@@ -64,8 +68,7 @@ class Smoother(Stage):
     @property
     def at_rest(self) -> Bools:
         """(B,) whether the last sent setpoint stands still."""
-        moving = np.asarray(self.qd.any(axis=1) | self.qdd.any(axis=1))
-        return ~moving
+        return np.asarray(((np.abs(self.qd) < REST) & (np.abs(self.qdd) < REST)).all(axis=1))
 
 
 class _Planner:

@@ -343,10 +343,11 @@ def test_a_bad_option_is_exit_2_and_nothing_is_made(command, arm_policy, tmp_pat
     assert not out.exists()
 
 
-def test_a_missing_policy_option_is_exit_2(command):
+def test_without_an_option_the_policy_is_the_one_that_make_export_writes(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     code, _, complaint = command()
     assert code == 2
-    assert "Missing option '--policy'" in complaint
+    assert "out/arm.onnx: cannot be read" in complaint
 
 
 def test_a_place_that_cannot_be_written_is_exit_2_and_left_alone(command, arm_policy, tmp_path):
