@@ -135,14 +135,14 @@ def test_refuses_to_arm_with_reasons():
     for _ in range(3):
         runtime.tick()
     outside = np.tile(SPEC.joint_array("q_home"), (4, 1))
-    outside[1, 0] = SPEC.joint_array("q_max")[0]
+    outside[1, 0] = SPEC.joint_array("q_max")[0] + 0.02
     runtime.robot.reset(every(runtime), outside)
     runtime.reset(every(runtime))
     runtime.sense()
     runtime.state.temperature[2, 4] = 95.0
     runtime.state.age[3] = 1.0
     refused = [Reason(int(r)) for r in runtime.arm(every(runtime))]
-    assert refused == [Reason.NONE, Reason.POSITION, Reason.HEAT, Reason.STALE | Reason.LOST]
+    assert refused == [Reason.NONE, Reason.POSITION | Reason.OUTSIDE, Reason.HEAT, Reason.STALE | Reason.LOST]
     assert runtime.supervisor.powered.tolist() == [True, False, False, False]
 
 
