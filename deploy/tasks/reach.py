@@ -27,6 +27,8 @@ class ReachConfig:
     Attributes:
         radius_min, radius_max: m, the shell around the workspace's centre.
         z_min: m, least height of a goal.
+        axis_min: m, least distance from the world's z axis: the vendor warns of the cylinder above and below the base,
+            where the shoulder is near its singularity. Source: Universal Robots, UR5e User Manual, Workspace.
         manipulability_min: least |det J|, m³, of the configuration that reaches a goal, so that the way there need not
             brush a singularity.
         period_s: s for each goal. tolerance_m: m, how near counts.
@@ -36,6 +38,7 @@ class ReachConfig:
     radius_min: float = 0.25
     radius_max: float = 0.80
     z_min: float = 0.10
+    axis_min: float = 0.25
     period_s: float = 4.0
     tolerance_m: float = 0.02
     manipulability_min: float = 0.004
@@ -117,6 +120,7 @@ def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
     q, tool = _safe_poses(spec, config)
     radius = np.linalg.norm(tool - np.array(spec.workspace.centre), axis=1)
     shell = (radius >= config.radius_min) & (radius <= config.radius_max) & (tool[:, 2] >= config.z_min)
+    shell &= np.hypot(tool[:, 0], tool[:, 1]) >= config.axis_min
     q, tool = q[shell], tool[shell]
     _, cell, count = np.unique(
         np.floor(tool / config.cell_m), axis=0, return_inverse=True, return_counts=True
