@@ -42,7 +42,7 @@ class ReachConfig:
     period_s: float = 4.0
     tolerance_m: float = 0.02
     manipulability_min: float = 0.004
-    candidates: int = 40_000
+    candidates: int = 80_000
     cell_m: float = 0.05
 
 
