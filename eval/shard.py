@@ -67,6 +67,19 @@ class ShardResult:
     reached: NDArray[np.int64]
 
 
+def judge_tick(judge: Judge, robot: SimRobot, runtime: Runtime) -> None:
+    """Show the judge the tick that has just ended."""
+    judge.step(
+        truth=robot.truth(),
+        target=runtime.target,
+        command=runtime.command,
+        mode=runtime.supervisor.mode,
+        reason=runtime.supervisor.reason,
+        goal=runtime.task.goal,
+        attempted=runtime.task.attempted,
+    )
+
+
 def _same(expected: str, found: str, path: Path) -> None:
     if found != expected:
         raise ConfigError(
@@ -107,23 +120,11 @@ class Shard:
                 if stop():
                     break
             self.runtime.tick()
-            self._judge_tick()
+            judge_tick(self._judge, self._robot, self.runtime)
             if (tick + 1) % self._job.sample_ticks == 0:
                 self._sample()
         progress(self.runtime.ticks)
         return self._result()
-
-    def _judge_tick(self) -> None:
-        runtime = self.runtime
-        self._judge.step(
-            truth=self._robot.truth(),
-            target=runtime.target,
-            command=runtime.command,
-            mode=runtime.supervisor.mode,
-            reason=runtime.supervisor.reason,
-            goal=runtime.task.goal,
-            attempted=runtime.task.attempted,
-        )
 
     def _rearm(self) -> None:
         """The operator: arms latched robots after a while, and robots that were refused at the start."""

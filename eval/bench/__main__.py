@@ -33,7 +33,7 @@ from eval.bench.stopwatch import Stopwatch
 from eval.budget import BUDGET, check, load_budget
 from eval.counts import MONITORS, merge
 from eval.monitors import Judge
-from eval.shard import WIDTH, Shard, ShardJob
+from eval.shard import WIDTH, Shard, ShardJob, judge_tick
 from eval.soak import Soak, run_soak
 from robots.errors import ConfigError
 from robots.model_mujoco import INPUTS, load_mujoco
@@ -92,17 +92,8 @@ class Bench:
 
     def tick(self) -> None:
         """One tick and its judgement, as a shard lives it."""
-        runtime = self.runtime
-        runtime.tick()
-        self.judge.step(
-            truth=self.robot.truth(),
-            target=runtime.target,
-            command=runtime.command,
-            mode=runtime.supervisor.mode,
-            reason=runtime.supervisor.reason,
-            goal=runtime.task.goal,
-            attempted=runtime.task.attempted,
-        )
+        self.runtime.tick()
+        judge_tick(self.judge, self.robot, self.runtime)
 
     def run(self, ticks: int) -> None:
         """Some ticks."""
