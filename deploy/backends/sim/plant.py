@@ -50,7 +50,8 @@ class Plant(Stage):
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         robots, n = draw.mass.shape
         self.batch = Batch(model, robots, nthread=threads)
-        self._substeps = spec.rates.physics_hz // spec.rates.control_hz
+        substeps = spec.rates.physics_hz // spec.rates.control_hz
+        self._way = np.arange(1, substeps + 1)[:, None, None] / substeps
         self._dt, self._gear = spec.dt, model.actuator_gear[:, 0].copy()
         self._tool_site = model.site(spec.tool).id
         self._apply(draw, model)
@@ -107,10 +108,16 @@ class Plant(Stage):
 
     def step(self, command: Command) -> None:
         """One control period under a command."""
-        self._drive(command)
+        drives = self._drive(command)
         ids = None if self.valid.all() else np.flatnonzero(self.valid)
         try:
-            self.batch.step(ids, nstep=self._substeps)
+            self.batch.rollout(
+                len(self._way),
+                control=drives if ids is None else drives[ids],
+                control_spec=mujoco.mjtState.mjSTATE_CTRL,
+                record=(),
+                ids=ids,
+            )
         except SimulationError as e:
             self.valid[e.ids] = False
         self.valid &= ~self.batch.warning[:, _DIVERGED, _NUMBER].any(axis=1)
@@ -120,14 +127,21 @@ class Plant(Stage):
         self.tool_velocity /= self._dt
         self.tool[:] = tool
 
-    def _drive(self, command: Command) -> None:
-        """Setpoints in motor space; brakes are the drive holding the pose they closed on."""
-        self._ctrl[:, :, 0] = command.q * self._gear
-        self._ctrl[:, :, 1] = command.qd * self._gear
-        self._ctrl[:, :, 2] = command.tau / self._gear
-        self.braked &= ~command.powered
-        if not command.powered.all():
-            self.brake(~command.powered)
+    def _drive(self, command: Command) -> Floats:
+        """(B, substeps, controls), motor side: what the drives follow, in straight lines from the last command to this.
+
+        Drives interpolate what a bus sends; taken as steps it would saturate the motors at every tick. Brakes are the
+        drive holding the pose that they closed on.
+        """
+        powered = command.powered
+        self.braked &= ~powered
+        if not powered.all():
+            self.brake(~powered)
+        last = self._ctrl.copy()
+        motor_side = command.q * self._gear, command.qd * self._gear, command.tau / self._gear
+        np.copyto(self._ctrl, np.stack(motor_side, axis=2), where=powered[:, None, None])
+        lines = last[:, None] + self._way * (self._ctrl - last)[:, None]
+        return np.asarray(lines.reshape(len(last), len(self._way), -1))
 
     def brake(self, ids: Bools) -> None:
         """Close the brakes of robots where `ids` (B,) holds, on the pose they find."""
