@@ -81,7 +81,8 @@ class RuntimeEnv(VecEnv):
         total = np.where(valid, total, self._recipe.reward.joint_limit)
         time_out = (self.episode_length_buf >= self.max_episode_length).numpy()
         done = broken | time_out | ~valid
-        self.reached = int(step.reached.sum())
+        # A goal whose episode is cut off counts as missed.
+        self.due, self.reached = int((self.runtime.task.ended | broken).sum()), int(step.reached.sum())
         log = self._log(step, broken, done)
         if done.any():
             self._restart(done)
@@ -153,8 +154,8 @@ class RuntimeEnv(VecEnv):
         self._violations["requested"] += (self._limits.beyond(step.q_target) > 0).any(axis=1)
         self._violations["happened"] += broken
         log = {"Task/stops_per_step": float(step.stopped.mean()), "Task/running": float(step.running.mean())}
-        if (due := int(self.runtime.task.ended.sum())) > 0:
-            log["Task/success"] = self.reached / due
+        if self.due > 0:
+            log["Task/success"] = self.reached / self.due
         if done.any():
             log |= {
                 f"joint_limit_violations/{name}": float(count[done].mean())

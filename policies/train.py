@@ -73,14 +73,13 @@ def roll_out(env: RuntimeEnv, policy: MLPModel) -> tuple[Tensor, float]:
     Returns:
         (ROLLOUT, N) observations spread over it, in time order, and the share of goals reached.
     """
-    task, seen = env.runtime.task, []
-    due = reached = 0
+    seen, due, reached = [], 0, 0
     with torch.inference_mode():
         for _ in range(env.max_episode_length):
             observation = env.get_observations()
             seen.append(observation["actor"])
             env.step(policy(observation))
-            due += int(task.ended.sum())
+            due += env.due
             reached += env.reached
     rows = np.linspace(0, len(seen) * env.num_envs - 1, ROLLOUT).round().astype(int)
     return torch.cat(seen)[torch.from_numpy(rows)], reached / max(1, due)

@@ -45,7 +45,7 @@ WARM_S, ROUNDS = 2.0, 5
 ROUND = {64: 200, 16: 400, WIDTH: 800, 1: 2000}
 """Ticks of a round by number of robots."""
 SEED = 7
-PHYSICS = "physics (Batch.step)"
+PHYSICS = "physics (Batch.rollout)"
 console = Console(width=100)
 
 
@@ -72,7 +72,7 @@ class Bench:
         runtime, plant = self.runtime, self.robot.plant
         stages: tuple[tuple[str, object, str], ...] = (
             ("whole tick", self, "tick"),
-            (PHYSICS, plant.batch, "step"),
+            (PHYSICS, plant.batch, "rollout"),
             ("plant: command, heat, truth", plant, "step"),
             ("sensors: take", self.robot.sensors, "take"),
             ("sensors: read", self.robot.sensors, "read"),
