@@ -16,9 +16,9 @@ SPEED_STD = 1.0
 
 
 class Estimator(Stage):
-    """Angle and speed of B × n joints."""
+    """Angle and speed of B × n joints; `p00`, `p01` and `p11` (B, n) are their covariance."""
 
-    carried = ("q", "qd", "cov", "t_sample", "innovation", "seeded")
+    carried = ("q", "qd", "p00", "p01", "p11", "t_sample", "innovation", "seeded")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Allocate.
@@ -28,14 +28,15 @@ class Estimator(Stage):
             robots: B.
         """
         shape = (robots, spec.n)
-        self.q, self.qd, self.innovation = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-        self.cov = np.zeros((robots, 3, spec.n))
+        self.q, self.qd, self.innovation = np.zeros((3, *shape))
+        self.p00, self.p01, self.p11 = np.zeros((3, *shape))
         self.t_sample = np.zeros(robots)
         self.seeded = np.zeros(robots, dtype=bool)
-        self._r = spec.encoder.noise_rad**2 + spec.encoder.resolution_rad**2 / 12
-        self._dt, self._density = spec.dt, spec.encoder.acceleration_density
-        unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=self._density)
-        self._growth = np.array([unit[0, 0], unit[0, 1], unit[1, 1]])
+        self._dt = spec.dt
+        # numpy is quickest where every shape is the same.
+        self._r = np.full(shape, spec.encoder.noise_rad**2 + spec.encoder.resolution_rad**2 / 12)
+        unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=spec.encoder.acceleration_density)
+        self._g00, self._g01, self._g11 = (np.full(shape, unit[place]) for place in ((0, 0), (0, 1), (1, 1)))
 
     def reset(self, ids: Bools) -> None:
         """Forget robots where `ids` (B,) holds; their next sample seeds them."""
@@ -51,53 +52,61 @@ class Estimator(Stage):
             t: s, now.
             sample: the newest packets.
         """
-        whole = np.isfinite(sample.t) & np.isfinite(sample.q).all(axis=1)
-        arrived = sample.fresh & whole & (sample.t <= t + self._dt)
-        seed = arrived & ~self.seeded
-        if seed.any():
-            self._seed(seed, sample)
-        use = arrived & (sample.t > self.t_sample)
-        dt = np.where(use, sample.t - self.t_sample, 0.0)[:, None]
-        self._predict(dt)
-        self._update(sample.q, use[:, None])
-        self.t_sample += dt[:, 0]
+        arrived = sample.fresh & (sample.t <= t + self._dt) & np.isfinite(sample.q).all(axis=1)
+        if not self.seeded.all():
+            self._seed(arrived & ~self.seeded & np.isfinite(sample.t), sample)
+        missing = ~(arrived & (sample.t > self.t_sample))
+        dt = sample.t - self.t_sample
+        np.copyto(dt, 0.0, where=missing)
+        self.t_sample += dt
+        self._predict(self._each_joint(dt))
+        self._update(sample.q, missing[:, None])
         return self._now(t, sample)
 
     def _seed(self, ids: Bools, sample: Sample) -> None:
         self.q[ids], self.qd[ids], self.innovation[ids] = sample.q[ids], 0.0, 0.0
-        self.cov[ids] = np.array([self._r, 0.0, SPEED_STD**2])[:, None]
+        self.p00[ids], self.p01[ids], self.p11[ids] = self._r[ids], 0.0, SPEED_STD**2
         self.t_sample[ids], self.seeded[ids] = sample.t[ids], True
 
-    def _predict(self, dt: Floats) -> None:
-        p00, p01, p11 = self.cov[:, 0], self.cov[:, 1], self.cov[:, 2]
-        g00, g01, g11 = self._growth
-        self.q += self.qd * dt
-        p00 += dt * (2.0 * p01 + dt * (p11 + g00 * dt))
-        p01 += dt * (p11 + g01 * dt)
-        p11 += g11 * dt
+    def _each_joint(self, robots: Floats) -> Floats:
+        """(B, n) of (B,)."""
+        joints = np.empty_like(self.q)
+        joints[:] = robots[:, None]
+        return joints
 
-    def _update(self, z: Floats, use: Bools) -> None:
-        p00, p01, p11 = self.cov[:, 0], self.cov[:, 1], self.cov[:, 2]
-        residual = np.where(use, z - self.q, 0.0)
-        variance = p00 + self._r
-        k0, k1 = use * (p00 / variance), use * (p01 / variance)
+    def _predict(self, dt: Floats) -> None:
+        self.q += self.qd * dt
+        self.p00[:] = self._q_var(dt)
+        self.p01 += dt * (self.p11 + self._g01 * dt)
+        self.p11 += self._g11 * dt
+
+    def _q_var(self, dt: Floats) -> Floats:
+        """(B, n) rad², variance of the angle after `dt` (B, n) s without a sample."""
+        return self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._g00 * dt))
+
+    def _update(self, z: Floats, missing: Bools) -> None:
+        """A missing sample counts as the expected one with infinite variance, which changes nothing."""
+        residual, variance = z - self.q, self.p00 + self._r
+        np.copyto(residual, 0.0, where=missing)
+        np.copyto(variance, np.inf, where=missing)
+        k0, k1 = self.p00 / variance, self.p01 / variance
         self.q += k0 * residual
         self.qd += k1 * residual
-        p11 -= k1 * p01
-        p01 -= k0 * p01
-        p00 -= k0 * p00
-        np.copyto(self.innovation, residual / np.sqrt(variance), where=use)
+        self.p11 -= k1 * self.p01
+        self.p01 -= k0 * self.p01
+        self.p00 -= k0 * self.p00
+        np.copyto(self.innovation, residual / np.sqrt(variance), where=~missing)
 
     def _now(self, t: float, sample: Sample) -> State:
         age = t - self.t_sample
-        lag = age[:, None]
-        p00, p01, p11 = self.cov[:, 0], self.cov[:, 1], self.cov[:, 2]
+        lag = self._each_joint(age)
+        np.copyto(age, np.inf, where=~self.seeded)
         return State(
             t=t,
             q=self.q + self.qd * lag,
             qd=self.qd.copy(),
-            q_var=p00 + lag * (2.0 * p01 + lag * (p11 + self._growth[0] * lag)),
-            age=np.where(self.seeded, age, np.inf),
+            q_var=self._q_var(lag),
+            age=age,
             innovation=self.innovation,
             temperature=sample.temperature,
         )

@@ -54,7 +54,7 @@ class Runtime:
         robots = robot.robots
         self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
         self.fleet = Fleet(spec, robots)
-        self.safety = Safety(spec, self.fleet)
+        self.safety = Safety(spec, Fleet(spec, 2 * robots))
         self.estimator = Estimator(spec, robots)
         self.action = Action(contract.action, robots)
         self.smoother = Smoother(spec, robots)
@@ -118,13 +118,18 @@ class Runtime:
         """Plan, check, decide and send; `action` (B, A) where the policy has spoken, else None."""
         if action is not None:
             self.action.step(action, self.smoother.q)
-        self.action.hold(self.supervisor.stopping, self.smoother.q)
-        planned = self.smoother.next(self.action.q, self.supervisor.stopping)
+        stopping = self.supervisor.stopping
+        self.action.hold(stopping, self.smoother.q)
+        planned = self.smoother.next(self.action.q, stopping)
         ahead, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_rest)
-        obey = self.supervisor.step(self._reason(), self.smoother.at_rest)
-        # A robot that stops already has nothing refused; a stop without a number is still not sent.
-        self._send(obey & np.isfinite(planned.q).all(axis=1), planned)
+        reason = self._reason()
+        obey = self.supervisor.step(reason, self.smoother.at_rest)
+        if reason.any():
+            # A robot that stops already has nothing refused; a stop without a number is still not sent.
+            self._send(*self._instead(obey & np.isfinite(planned.q).all(axis=1), planned))
+        else:
+            self._send(planned, self.verdict.tau)
         self._ahead, self._tau_ahead = _where(obey, ahead), self.verdict.tau_ahead
         self.task.step(self._tool)
         self.ticks += 1
@@ -133,15 +138,14 @@ class Runtime:
         silent = ~self.action.finite * np.int64(Reason.NOT_FINITE)
         return self.verdict.reason | silent | self.asked
 
-    def _send(self, obey: Bools, planned: Setpoint) -> None:
+    def _instead(self, obey: Bools, planned: Setpoint) -> tuple[Setpoint, Floats]:
         """What was planned where it is obeyed; elsewhere the stop that the last tick prepared and checked."""
-        tau = self.verdict.tau
-        if not obey.all():
-            planned = _where(obey, planned, self._ahead)
-            tau = np.nan_to_num(np.where(obey[:, None], tau, self._tau_ahead))
-            planned = self._finite(planned)
-        self.smoother.commit(planned)
-        self.command = Command(q=planned.q, qd=planned.qd, tau=tau, powered=self.supervisor.powered)
+        tau = np.nan_to_num(np.where(obey[:, None], self.verdict.tau, self._tau_ahead))
+        return self._finite(_where(obey, planned, self._ahead)), tau
+
+    def _send(self, setpoint: Setpoint, tau: Floats) -> None:
+        self.smoother.commit(setpoint)
+        self.command = Command(q=setpoint.q, qd=setpoint.qd, tau=tau, powered=self.supervisor.powered)
         self.robot.write(self.command)
 
     def _finite(self, planned: Setpoint) -> Setpoint:

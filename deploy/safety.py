@@ -7,42 +7,61 @@ it ends. What lies between those two is not looked at: the margins are for that.
 
 import numpy as np
 
-from deploy.state import Bools, Floats, Ints, Reason, Setpoint, State, Verdict
+from deploy.state import Floats, Ints, Reason, Setpoint, State, Verdict
 from robots.model_pinocchio import Fleet, torque_max
 from robots.spec import RobotSpec
 
 TOLERANCE = 1e-6
 """Relative slack on speed: Ruckig meets its limits exactly, up to rounding."""
 
+ANY = float(np.finfo(np.float64).max)
+"""Beyond every number that is finite."""
+
 
 class Safety:
-    """Every check on every tick for every robot."""
+    """Every check on every tick for every robot, two points of each in one call."""
 
     def __init__(self, spec: RobotSpec, fleet: Fleet) -> None:
         """Read the limits.
 
         Args:
             spec: the robot.
-            fleet: its nominal model, B robots wide.
+            fleet: its nominal model, 2B robots wide.
         """
-        self._fleet, margins = fleet, spec.margins
-        self._margins = margins
-        self._centre = np.array(spec.workspace.centre)
-        self._radius_max = spec.workspace.radius_max - margins.workspace_m
-        self._z_min = spec.workspace.z_min + margins.workspace_m
-        self._tool_speed_max = margins.speed * spec.workspace.tool_speed_max
+        self._fleet, margins, space = fleet, spec.margins, spec.workspace
+        self._centre = np.array(space.centre)
         self._twice_jerk = 2 * spec.joint_array("qddd_max")
-        self._working_min, self._working_max = spec.joint_array("q_min"), spec.joint_array("q_max")
-        self._q_min = self._working_min + margins.q_soft_rad
-        self._q_max = self._working_max - margins.q_soft_rad
+        low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
+        soft = low + margins.q_soft_rad, high - margins.q_soft_rad
+        qd_max = margins.speed * spec.joint_array("qd_max") * (1 + TOLERANCE)
+        tau_max = margins.tau * torque_max(spec)
         # Ages are whole ticks but for rounding: half a tick keeps a limit that is one of them in its place.
-        self._stale_s, self._lost_s = margins.stale_s + spec.dt / 2, margins.lost_s + spec.dt / 2
-        self._qd_max = margins.speed * spec.joint_array("qd_max") * (1 + TOLERANCE)
-        self._tau_max = margins.tau * torque_max(spec)
-        self._housing_max = spec.motor_array("housing_max_c")
+        stale_s, lost_s = margins.stale_s + spec.dt / 2, margins.lost_s + spec.dt / 2
+        anything = np.full(spec.n, ANY)
+        self._state = _Bounds(
+            (low, high, Reason.OUTSIDE),
+            (-anything, anything, Reason.NOT_FINITE),
+            (*_within(np.full(spec.n, margins.tracking_rad)), Reason.TRACKING),
+            (-anything, spec.motor_array("housing_max_c"), Reason.HEAT),
+            (-ANY, stale_s, Reason.STALE),
+            (-ANY, lost_s, Reason.LOST),
+        )
+        self._motion = _Bounds(
+            (*soft, Reason.POSITION),
+            (*_within(qd_max), Reason.VELOCITY),
+            (*_within(tau_max), Reason.TORQUE),
+        )
+        self._speed = _Bounds((0.0, (margins.speed * space.tool_speed_max) ** 2, Reason.TOOL_SPEED))
+        self._pose = _Bounds(
+            (*soft, Reason.POSITION),
+            (margins.singularity, ANY, Reason.SINGULARITY),
+            (0.0, 0.0, Reason.COLLISION),
+            (space.z_min + margins.workspace_m, ANY, Reason.WORKSPACE),
+            (0.0, (space.radius_max - margins.workspace_m) ** 2, Reason.WORKSPACE),
+        )
 
-    # A setpoint without a number is refused by its own check; the others need not complain.
-    @np.errstate(invalid="ignore")
+    # A setpoint without a number is refused by its own check; nobody else need complain.
+    @np.errstate(invalid="ignore", over="ignore")
     def step(
         self, state: State, sent: Setpoint, setpoint: Setpoint, ahead: Setpoint, q_rest: Floats
     ) -> Verdict:
@@ -55,60 +74,51 @@ class Safety:
             ahead: the first step of the stop that would begin at `setpoint`.
             q_rest: (B, n) rad, where that stop would end.
         """
-        reason = self._state(state, sent)
-        tau = self._motion(setpoint, reason)
-        tau_ahead = self._motion(ahead, reason)
-        self._tool(setpoint, reason)
-        self.check_pose(q_rest, reason)
-        return Verdict(reason=reason, tau=tau, tau_ahead=tau_ahead)
+        robots, age = len(q_rest), state.age[:, None]
+        q, qd, qdd = (
+            np.concatenate(pair)
+            for pair in ((setpoint.q, ahead.q), (setpoint.qd, ahead.qd), (setpoint.qdd, ahead.qdd))
+        )
+        tau = self._fleet.torque(q, qd, qdd).copy()
+        poses = self.check_poses(np.concatenate((setpoint.q, q_rest)))
+        # A stop first lets the acceleration run out, and the speed that it gains until then counts.
+        qd_peak = setpoint.qd + setpoint.qdd * np.abs(setpoint.qdd) / self._twice_jerk
+        speeds = self._fleet.tool_velocity(np.concatenate((setpoint.qd, qd_peak)), of=slice(0, robots))
+        both = poses | self._motion.reasons(q, qd, tau)
+        both |= self._speed.reasons((speeds**2).sum(axis=1, keepdims=True))
+        reason = self._state.reasons(state.q, state.qd, sent.q - state.q, state.temperature, age, age)
+        reason |= both[:robots] | both[robots:]
+        return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:])
 
-    def _state(self, state: State, sent: Setpoint) -> Ints:
-        """Reasons that lie in what is, not in what is asked."""
-        finite = np.isfinite(state.q + state.qd).all(axis=1)
-        error = np.abs(sent.q - state.q)
-        reason = _if(~finite, Reason.NOT_FINITE)
-        outside = ((state.q < self._working_min) | (state.q > self._working_max)).any(axis=1)
-        reason |= _if((error > self._margins.tracking_rad).any(axis=1), Reason.TRACKING)
-        reason |= _if(outside, Reason.OUTSIDE)
-        # Negated, so that a reading that is not a number counts as bad.
-        reason |= _if(~(state.temperature <= self._housing_max).all(axis=1), Reason.HEAT)
-        reason |= _if(~(state.age <= self._stale_s), Reason.STALE)
-        reason |= _if(~(state.age <= self._lost_s), Reason.LOST)
-        return reason
-
-    def _motion(self, s: Setpoint, reason: Ints) -> Floats:
-        """Add the reasons of one step to `reason`; return its torque (B, n) N·m."""
-        finite = np.isfinite(s.q + s.qd + s.qdd).all(axis=1)
-        reason |= _if(~finite, Reason.NOT_FINITE)
-        tau = self._fleet.torque(s.q, s.qd, s.qdd).copy()
-        reason |= _if(((s.q < self._q_min) | (s.q > self._q_max)).any(axis=1), Reason.POSITION)
-        reason |= _if((np.abs(s.qd) > self._qd_max).any(axis=1), Reason.VELOCITY)
-        reason |= _if((np.abs(tau) > self._tau_max).any(axis=1), Reason.TORQUE)
-        return tau
-
-    def _tool(self, s: Setpoint, reason: Ints) -> None:
-        """Where the tool would be, and how fast: a stop first lets the acceleration run out, and that speed counts."""
-        self._place(s.q, reason)
-        qd_peak = s.qd + s.qdd * np.abs(s.qdd) / self._twice_jerk
-        for qd in (s.qd, qd_peak):
-            speed = (self._fleet.tool_velocity(qd) ** 2).sum(axis=1)
-            reason |= _if(speed > self._tool_speed_max**2, Reason.TOOL_SPEED)
-
-    def check_pose(self, q: Floats, reason: Ints) -> None:
-        """Add to `reason` (B,) what speaks against resting at `q` (B, n) rad."""
-        reason |= _if(((q < self._q_min) | (q > self._q_max)).any(axis=1), Reason.POSITION)
-        self._place(q, reason)
-
-    def _place(self, q: Floats, reason: Ints) -> None:
-        """Place the fleet at `q` and add what speaks against being there."""
+    def check_poses(self, q: Floats) -> Ints:
+        """(2B,) what speaks against being at `q` (2B, n) rad."""
         fleet = self._fleet
         fleet.place(q)
-        reason |= _if(fleet.manipulability() < self._margins.singularity, Reason.SINGULARITY)
-        reason |= _if(fleet.colliding(), Reason.COLLISION)
         tool = fleet.tool_position
-        far = ((tool - self._centre) ** 2).sum(axis=1) > self._radius_max**2
-        reason |= _if(far | (tool[:, 2] < self._z_min), Reason.WORKSPACE)
+        radius2 = ((tool - self._centre) ** 2).sum(axis=1)
+        row = fleet.manipulability(), fleet.colliding(), tool[:, 2], radius2
+        return self._pose.reasons(q, np.stack(row, axis=1))
 
 
-def _if(condition: Bools | np.bool_, reason: Reason) -> Ints:
-    return np.asarray(condition * np.int64(reason))
+class _Bounds:
+    """Numbers in columns, each with the range that it must be in and the reason for which it is refused outside."""
+
+    def __init__(self, *columns: tuple[Floats | float, Floats | float, Reason]) -> None:
+        rows = [np.broadcast_arrays(*(np.atleast_1d(value) for value in column)) for column in columns]
+        self._low, self._high, self._reason = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+        # A reading that is no number is as bad as one beyond its bound; elsewhere it is a fault of its own.
+        reading = self._reason & (Reason.HEAT | Reason.STALE | Reason.LOST) != 0
+        self._unknown = np.where(reading, self._reason, Reason.NOT_FINITE)
+
+    def reasons(self, *values: Floats) -> Ints:
+        """(R,) what speaks against each row of values (R, ...), side by side in the order of the columns."""
+        x = np.concatenate(values, axis=1)
+        inside = (x >= self._low) & (x <= self._high)
+        if inside.all():
+            return np.zeros(len(x), dtype=np.int64)
+        reason = np.where(np.isfinite(x), self._reason, self._unknown)
+        return np.asarray(np.bitwise_or.reduce(np.where(inside, 0, reason), axis=1))
+
+
+def _within(limit: Floats) -> tuple[Floats, Floats]:
+    return -limit, limit

@@ -45,7 +45,8 @@ class Smoother(Stage):
             stopping: (B,) robots that brake instead.
         """
         self._next.brake(stopping)
-        return self._next.step(self.q, self.qd, self.qdd, np.clip(q_target, self._q_min, self._q_max))
+        target = np.minimum(np.maximum(q_target, self._q_min), self._q_max)
+        return self._next.step(self.q, self.qd, self.qdd, target)
 
     def brake(self, start: Setpoint) -> tuple[Setpoint, Floats]:
         """A stop that would begin at `start`: its first step, and where (B, n) rad it would come to rest."""
@@ -68,7 +69,7 @@ class Smoother(Stage):
     @property
     def at_rest(self) -> Bools:
         """(B,) whether the last sent setpoint stands still."""
-        return np.asarray(((np.abs(self.qd) < REST) & (np.abs(self.qdd) < REST)).all(axis=1))
+        return np.asarray(np.maximum(np.abs(self.qd), np.abs(self.qdd)).max(axis=1) < REST)
 
 
 class _Planner:
@@ -82,10 +83,10 @@ class _Planner:
             OutputParameter(size),
         )
         self._qd_max = np.tile(spec.margins.speed * spec.joint_array("qd_max"), (robots, 1))
-        self._jerk = np.tile(spec.joint_array("qddd_max"), (robots, 1))
+        self._twice_jerk = np.tile(2 * spec.joint_array("qddd_max"), (robots, 1))
         self._in.max_velocity = self._qd_max.ravel()
         self._in.max_acceleration = np.tile(spec.joint_array("qdd_max"), robots)
-        self._in.max_jerk = self._jerk.ravel()
+        self._in.max_jerk = self._twice_jerk.ravel() / 2
         self._in.synchronization = Synchronization.No
         self._braking = np.zeros(robots, dtype=bool)
         self._solo = None if alone else _Planner(spec, 1, alone=True)
@@ -101,21 +102,20 @@ class _Planner:
 
     def step(self, q: Floats, qd: Floats, qdd: Floats, target: Floats) -> Setpoint:
         """One control period along the fastest trajectory; NaN in the rows that have none."""
-        self._in.current_position = q.ravel()
-        self._in.current_velocity = self._inside(qd, qdd).ravel()
-        self._in.current_acceleration = qdd.ravel()
-        self._in.target_position = target.ravel()
+        # As lists: Ruckig's binding reads an array number by number, in three times the time.
+        self._in.current_position = q.ravel().tolist()
+        self._in.current_velocity = self._inside(qd, qdd).ravel().tolist()
+        self._in.current_acceleration = qdd.ravel().tolist()
+        self._in.target_position = target.ravel().tolist()
         self._ends = None
         self._otg.reset()
         try:
             self._otg.update(self._in, self._out)
         except RuckigError:
             return self._one_by_one(q, qd, qdd, target)
-        return Setpoint(
-            q=np.array(self._out.new_position).reshape(self._shape),
-            qd=np.array(self._out.new_velocity).reshape(self._shape),
-            qdd=np.array(self._out.new_acceleration).reshape(self._shape),
-        )
+        out = np.array((self._out.new_position, self._out.new_velocity, self._out.new_acceleration))
+        q, qd, qdd = out.reshape(3, *self._shape)
+        return Setpoint(q=q, qd=qd, qdd=qdd)
 
     def end(self) -> Floats:
         """(B, n) rad, where the trajectories of the last `step` end."""
@@ -125,9 +125,12 @@ class _Planner:
         return np.array(trajectory.at_time(trajectory.duration)[0]).reshape(self._shape)
 
     def _inside(self, qd: Floats, qdd: Floats) -> Floats:
-        bound = qd + qdd * np.abs(qdd) / (2 * self._jerk)
-        edge = np.abs(np.abs(bound) - self._qd_max) < EDGE
-        return np.where(edge, qd - np.sign(bound) * EDGE, qd)
+        """Speeds moved off the limit where a target is followed; a stop knows no limit of speed."""
+        if self._braking.all():
+            return qd
+        bound = qd + qdd * np.abs(qdd) / self._twice_jerk
+        edge = (np.abs(np.abs(bound) - self._qd_max) < EDGE) & ~self._braking[:, None]
+        return np.where(edge, qd - np.sign(bound) * EDGE, qd) if edge.any() else qd
 
     def _one_by_one(self, q: Floats, qd: Floats, qdd: Floats, target: Floats) -> Setpoint:
         """Ruckig fails for the whole call when one joint has no solution: find it, spare the others.

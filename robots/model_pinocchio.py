@@ -115,24 +115,28 @@ class Fleet:
             pin.updateFramePlacements(b.model, b.data)
             self._jacobian[b.rows] = jacobian.reshape(6, -1, self.n).transpose(1, 0, 2)
             self._tool[b.rows] = b.tools
+        # Pinocchio's columns are the velocity of the world's origin: w × p moves it to the tool.
+        crossing = (self._tool @ _CROSS).reshape(-1, 3, 3)
+        self._jacobian[:, :3] += crossing @ self._jacobian[:, 3:]
 
     @property
     def tool_position(self) -> Floats:
         """(B, 3) m, the tool in the world."""
         return self._tool
 
-    def tool_velocity(self, qd: Floats) -> Floats:
-        """(B, 3) m/s, the tool in the world, for joint speeds (B, n) rad/s."""
-        twist = (self._jacobian @ qd[:, :, None])[:, :, 0]
-        w, p = twist[:, 3:], self._tool
-        return twist[:, :3] + w[:, _YZX] * p[:, _ZXY] - w[:, _ZXY] * p[:, _YZX]
+    def tool_velocity(self, qd: Floats, of: slice = slice(None)) -> Floats:
+        """(R, 3) m/s, the tool in the world, for joint speeds (R, n) rad/s.
+
+        Args:
+            qd: joint speeds, a whole number of times as many rows as robots are chosen.
+            of: the robots.
+        """
+        linear = self._jacobian[of, :3]
+        return np.asarray((linear @ qd.reshape(-1, len(linear), self.n, 1)).reshape(-1, 3))
 
     def tool_pull(self, force: Floats) -> Floats:
         """(B, n) N·m, joint torques equal to a force (B, 3) N on the tool: Jᵀf."""
-        p = self._tool
-        moment = p[:, _YZX] * force[:, _ZXY] - p[:, _ZXY] * force[:, _YZX]
-        wrench = np.concatenate((force, moment), axis=1)
-        return np.asarray((wrench[:, None] @ self._jacobian)[:, 0])
+        return np.asarray((force[:, None] @ self._jacobian[:, :3])[:, 0])
 
     def manipulability(self) -> Floats:
         """(B,) √det(JᵀJ), which is |det J| for six joints: 0 in a singularity.
@@ -159,7 +163,11 @@ class Fleet:
         return self._colliding
 
 
-_YZX, _ZXY = [1, 2, 0], [2, 0, 1]
+_CROSS = np.array(
+    [[0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]],
+    dtype=np.float64,
+)
+"""p @ _CROSS, in rows of three, is the matrix M of w × p = M w."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

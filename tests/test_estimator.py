@@ -101,7 +101,7 @@ def test_covariance_stays_positive_and_state_finite(seed, loss):
     estimator = Estimator(SPEC, 4)
     for t, s in packets(np.random.default_rng(seed), 4, 250, loss):
         state = estimator.step(t, s)
-        p00, p01, p11 = (estimator.cov[estimator.seeded, i] for i in range(3))
+        p00, p01, p11 = (p[estimator.seeded] for p in (estimator.p00, estimator.p01, estimator.p11))
         assert (p00 > 0).all()
         assert (p11 > 0).all()
         assert (p00 * p11 > p01**2).all()

@@ -43,10 +43,9 @@ def test_every_goal_is_in_the_shell_above_the_table_and_accepted_by_safety():
     assert POOL.tool[:, 2].min() >= CONFIG.z_min
     safety, fleet = Safety(SPEC, Fleet(SPEC, BLOCK)), Fleet(SPEC, BLOCK)
     for start in range(0, 2000, BLOCK):
-        q, reason = POOL.q[start : start + BLOCK], np.zeros(BLOCK, dtype=np.int64)
-        safety.check_pose(q, reason)
+        q = POOL.q[start : start + BLOCK]
         fleet.place(q)
-        assert not reason.any()
+        assert not safety.check_poses(q).any()
         np.testing.assert_array_equal(fleet.tool_position, POOL.tool[start : start + BLOCK])
 
 

@@ -35,7 +35,7 @@ def judge(
         innovation=np.zeros((1, N)),
         temperature=np.broadcast_to(np.asarray(temperature, dtype=float), (1, N)),
     )
-    fleet = Fleet(SPEC, 1)
+    fleet = Fleet(SPEC, 2)
     ahead = setpoint if ahead is None else ahead
     rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
     return Safety(SPEC, fleet).step(
@@ -230,9 +230,7 @@ def test_poses_are_judged_as_another_library_judges_them():
     spec = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"singularity": singularity})})
     reason, safety = np.zeros(robots, dtype=np.int64), Safety(spec, Fleet(spec, width))
     for rows in np.split(np.arange(robots), robots // width):
-        found = np.zeros(width, dtype=np.int64)
-        safety.check_pose(q[rows], found)
-        reason[rows] = found
+        reason[rows] = safety.check_poses(q[rows])
     soft = MARGINS.q_soft_rad
     z_min, radius_max = SPACE.z_min + MARGINS.workspace_m, SPACE.radius_max - MARGINS.workspace_m
     expected = {
@@ -266,7 +264,7 @@ def test_each_robot_is_judged_alone():
     state = State(t=0.0, q=q, qd=qd, q_var=q, age=np.zeros(robots), innovation=q, temperature=temperature)
     setpoint = Setpoint(q=q, qd=qd, qdd=qdd)
     still = Setpoint(q=q, qd=qd * 0, qdd=qdd * 0)
-    verdict = Safety(SPEC, Fleet(SPEC, robots)).step(
+    verdict = Safety(SPEC, Fleet(SPEC, 2 * robots)).step(
         state, Setpoint(q=sent, qd=qd, qdd=qdd), setpoint, still, rest
     )
     assert verdict.reason.tolist() == [int(faults.get(i, 0)) for i in range(robots)]

@@ -143,9 +143,7 @@ def _safe_poses(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Floats]:
     fleet.place(np.tile(spec.joint_array("q_home"), (BLOCK, 1)))
     branch = np.sign(fleet.determinant()[0])
     for q in rng.uniform(low + margin, high - margin, (config.candidates // BLOCK, BLOCK, spec.n)):
-        reason = np.zeros(BLOCK, dtype=np.int64)
-        safety.check_pose(q, reason)
-        fine = (reason == 0) & (branch * fleet.determinant() >= config.manipulability_min)
+        fine = (safety.check_poses(q) == 0) & (branch * fleet.determinant() >= config.manipulability_min)
         poses.append(q[fine])
         tools.append(fleet.tool_position[fine])
     return np.concatenate(poses), np.concatenate(tools)
