@@ -7,7 +7,7 @@ it ends. What lies between those two is not looked at: the margins are for that.
 
 import numpy as np
 
-from deploy.state import Floats, Ints, Reason, Setpoint, State, Verdict
+from deploy.state import Bools, Floats, Ints, Reason, Setpoint, State, Verdict
 from robots.model_pinocchio import Fleet, torque_max
 from robots.spec import RobotSpec
 
@@ -46,18 +46,20 @@ class Safety:
             (-ANY, stale_s, Reason.STALE),
             (-ANY, lost_s, Reason.LOST),
         )
-        self._motion = _Bounds(
-            (*soft, Reason.POSITION),
-            (*_within(qd_max), Reason.VELOCITY),
-            (*_within(tau_max), Reason.TORQUE),
-        )
-        self._speed = _Bounds((0.0, (margins.speed * space.tool_speed_max) ** 2, Reason.TOOL_SPEED))
-        self._pose = _Bounds(
+        pose = (
             (*soft, Reason.POSITION),
             (margins.singularity, ANY, Reason.SINGULARITY),
             (0.0, 0.0, Reason.COLLISION),
             (space.z_min + margins.workspace_m, ANY, Reason.WORKSPACE),
             (0.0, (space.radius_max - margins.workspace_m) ** 2, Reason.WORKSPACE),
+        )
+        self._pose = _Bounds(*pose)
+        self._plan = _Bounds(
+            (*soft, Reason.POSITION),
+            (*_within(qd_max), Reason.VELOCITY),
+            (*_within(tau_max), Reason.TORQUE),
+            *pose,
+            (0.0, (margins.speed * space.tool_speed_max) ** 2, Reason.TOOL_SPEED),
         )
 
     # A setpoint without a number is refused by its own check; nobody else need complain.
@@ -75,29 +77,28 @@ class Safety:
             q_rest: (B, n) rad, where that stop would end.
         """
         robots, age = len(q_rest), state.age[:, None]
-        q, qd, qdd = (
-            np.concatenate(pair)
-            for pair in ((setpoint.q, ahead.q), (setpoint.qd, ahead.qd), (setpoint.qdd, ahead.qdd))
-        )
-        tau = self._fleet.torque(q, qd, qdd).copy()
-        poses = self.check_poses(np.concatenate((setpoint.q, q_rest)))
+        q, qd = np.concatenate((setpoint.q, ahead.q)), np.concatenate((setpoint.qd, ahead.qd))
+        tau = self._fleet.torque(q, qd, np.concatenate((setpoint.qdd, ahead.qdd))).copy()
+        poses = self._place(np.concatenate((setpoint.q, q_rest)))
         # A stop first lets the acceleration run out, and the speed that it gains until then counts.
         qd_peak = setpoint.qd + setpoint.qdd * np.abs(setpoint.qdd) / self._twice_jerk
         speeds = self._fleet.tool_velocity(np.concatenate((setpoint.qd, qd_peak)), of=slice(0, robots))
-        both = poses | self._motion.reasons(q, qd, tau)
-        both |= self._speed.reasons((speeds**2).sum(axis=1, keepdims=True))
+        points = self._plan.reasons(q, qd, tau, *poses, (speeds**2).sum(axis=1, keepdims=True))
         reason = self._state.reasons(state.q, state.qd, sent.q - state.q, state.temperature, age, age)
-        reason |= both[:robots] | both[robots:]
+        reason |= points[:robots] | points[robots:]
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:])
 
     def check_poses(self, q: Floats) -> Ints:
         """(2B,) what speaks against being at `q` (2B, n) rad."""
+        return self._pose.reasons(*self._place(q))
+
+    def _place(self, q: Floats) -> tuple[Floats | Bools, ...]:
+        """Place the fleet at `q` and read the columns of a pose."""
         fleet = self._fleet
         fleet.place(q)
         tool = fleet.tool_position
-        radius2 = ((tool - self._centre) ** 2).sum(axis=1)
-        row = fleet.manipulability(), fleet.colliding(), tool[:, 2], radius2
-        return self._pose.reasons(q, np.stack(row, axis=1))
+        radius2 = ((tool - self._centre) ** 2).sum(axis=1, keepdims=True)
+        return q, fleet.manipulability()[:, None], fleet.colliding()[:, None], tool[:, 2:], radius2
 
 
 class _Bounds:
@@ -110,7 +111,7 @@ class _Bounds:
         reading = self._reason & (Reason.HEAT | Reason.STALE | Reason.LOST) != 0
         self._unknown = np.where(reading, self._reason, Reason.NOT_FINITE)
 
-    def reasons(self, *values: Floats) -> Ints:
+    def reasons(self, *values: Floats | Bools) -> Ints:
         """(R,) what speaks against each row of values (R, ...), side by side in the order of the columns."""
         x = np.concatenate(values, axis=1)
         inside = (x >= self._low) & (x <= self._high)

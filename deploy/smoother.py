@@ -88,13 +88,14 @@ class _Planner:
         self._in.max_acceleration = np.tile(spec.joint_array("qdd_max"), robots)
         self._in.max_jerk = self._twice_jerk.ravel() / 2
         self._in.synchronization = Synchronization.No
+        self._in.per_dof_control_interface = [ControlInterface.Position] * size
         self._braking = np.zeros(robots, dtype=bool)
         self._solo = None if alone else _Planner(spec, 1, alone=True)
         self._ends: Floats | None = None
 
     def brake(self, braking: Bools) -> None:
         """Choose for each robot: speed to zero, or position to a target."""
-        if np.array_equal(braking, self._braking) and self._in.per_dof_control_interface is not None:
+        if (braking == self._braking).all():
             return
         self._braking = braking.copy()
         kinds = [ControlInterface.Velocity if b else ControlInterface.Position for b in braking]

@@ -26,9 +26,11 @@ MOVING = 0.01
 SENT_TOLERANCE = 1e-4
 # A drive cannot exceed its range, it saturates at the end of it: that is the event.
 TORQUE_FULL = 0.999
-# The last joint monitors, which look at what was sent: the angle itself, then its differences by order.
-_TRACKING = NAMES.index("tracking")
-_DIFFERENCES = (_TRACKING + 1, _TRACKING + 2, _TRACKING + 3)
+# Of what was sent, by order. With tracking before them they look at 1, 2, 3 and 4 ticks, all with power.
+_DIFFERENCES = ("velocity_sent", "acceleration", "jerk")
+_LOOKS_AT = np.array([1, 2, 3, 4])
+# Numpy compares with a number five times as fast as with an enum.
+_RUNNING, _STOPPING = int(Mode.RUNNING), int(Mode.STOPPING)
 _COUNTED = (
     *("ticks", "invalid", "running", "moving", "stops", "reasons", "attempted", "reached"),
     *("bad_ticks", "events", "worst", "log_start", "log_last", "log_worst"),
@@ -38,7 +40,7 @@ _COUNTED = (
 class Judge(Stage):
     """Every monitor, on every tick, for every robot."""
 
-    carried: ClassVar[tuple[str, ...]] = (*_COUNTED, "last_bad", "powered_ticks", "sent", "mode", "goal")
+    carried: ClassVar[tuple[str, ...]] = (*_COUNTED, "last_bad", "blind", "sent", "mode", "goal")
 
     def __init__(self, spec: RobotSpec, torque_max: Floats, robots: int, *, goal_s: float = GOAL_S) -> None:
         """Allocate.
@@ -49,32 +51,44 @@ class Judge(Stage):
             robots: B.
             goal_s: s that the task gives to a goal.
         """
-        n, self._dt, self._joints, self._goal_s = spec.n, spec.dt, spec.joint_names, goal_s
+        self._dt, self._joints, self._goal_s, self._robots = spec.dt, spec.joint_names, goal_s, robots
         self._middle = (spec.joint_array("q_max") + spec.joint_array("q_min")) / 2
         self._limits = _limits(spec, torque_max)
         self._to_load = 1.0 / _raw(self._limits, spec)
         self._gap = round(REARM_S / spec.dt)
-        self._place = (np.array(spec.workspace.centre), spec.workspace.radius_max, spec.workspace.z_min)
+        self._centre, self._depth = np.array(spec.workspace.centre), spec.workspace.radius_max + spec.workspace.z_min
         self._allocate(robots, len(self._limits))
-        self.sent = np.zeros((robots, 3, n))
-        self._joint = self._load[:, : len(JOINT_MONITORS) * n].reshape(robots, len(JOINT_MONITORS), n)
-        self._robot = self._load[:, len(JOINT_MONITORS) * n :]
-        self._tool = np.zeros((robots, 2, 3))
+        self._view(robots, spec.n)
 
     def _allocate(self, robots: int, channels: int) -> None:
-        self.ticks, self.invalid, self.running, self.moving, self.stops, self.attempted, self.reached = (
-            np.zeros(robots, dtype=np.int64) for _ in range(7)
-        )
-        self.powered_ticks = np.zeros(robots, dtype=np.int64)
+        self.invalid, self.stops, self.attempted, self.reached = np.zeros((4, robots), dtype=np.int64)
+        self._tally, self._now = np.zeros((2, robots, 3), dtype=np.int64)
+        self._now[:, 0] = 1
+        self.ticks, self.running, self.moving = self._tally.T
         self.reasons = np.zeros((robots, len(REASONS)), dtype=np.int64)
-        self.mode = np.full(robots, Mode.DISARMED, dtype=np.int64)
+        self.blind = np.full(robots, len(_LOOKS_AT))
+        self.mode = np.full(robots, Mode.DISARMED, dtype=np.int8)
         self.goal = np.zeros((robots, 3))
-        self.bad_ticks, self.events = (np.zeros((robots, channels), dtype=np.int64) for _ in range(2))
+        self.bad_ticks, self.events = np.zeros((2, robots, channels), dtype=np.int64)
         self.last_bad = np.full((robots, channels), -self._gap - 1)
-        self.worst, self._load = (np.zeros((robots, channels)) for _ in range(2))
+        self.worst, self._load = np.zeros((2, robots, channels))
         self._fine = np.ones((robots, channels), dtype=bool)
-        self.log_start, self.log_last = (np.full((robots, channels, EVENTS_KEPT), -1) for _ in range(2))
+        self.log_start, self.log_last = np.full((2, robots, channels, EVENTS_KEPT), -1)
         self.log_worst = np.zeros((robots, channels, EVENTS_KEPT))
+
+    def _view(self, robots: int, n: int) -> None:
+        """Look up once where what goes in the load: to slice takes as long as to subtract."""
+        many = len(JOINT_MONITORS)
+        joint = self._load[:, : many * n].reshape(robots, many, n)
+        at = {monitor.name: joint[:, place] for place, monitor in enumerate(JOINT_MONITORS)}
+        self._requested, self._velocity, self._torque = at["position_requested"], at["velocity"], at["torque"]
+        self._position, self._heat = joint[:, 1:3], joint[:, 5:7]
+        self._tracking, self._speed_sent = at["tracking"], at["velocity_sent"]
+        self._of_sent = joint[:, -len(_LOOKS_AT) :]
+        self.sent = np.zeros((robots, len(_DIFFERENCES), n))
+        self._ladder = [(self.sent[:, order], at[name]) for order, name in enumerate(_DIFFERENCES)]
+        self._collision, self._tool_load = self._load[:, -3], self._load[:, -2:]
+        self._tool = np.zeros((robots, 2, 3))
 
     @np.errstate(over="ignore", invalid="ignore")
     def step(
@@ -114,45 +128,44 @@ class Judge(Stage):
         )
 
     def _measure_joints(self, truth: Truth, target: Target, command: Command) -> None:
-        """Fill the channels of `JOINT_MONITORS`, in their order, with loads."""
-        to, sent = self._joint, self.sent
-        np.subtract(target.q, self._middle, out=to[:, 0])
-        np.subtract(truth.q, self._middle, out=to[:, 1])
-        to[:, 2] = to[:, 1]
-        to[:, 3] = truth.qd
-        to[:, 4] = truth.tau
-        to[:, 5:7] = truth.winding_c[:, None]
-        np.subtract(truth.q, command.q, out=to[:, _TRACKING])
+        """Fill the channels of `JOINT_MONITORS`."""
+        np.subtract(target.q, self._middle, out=self._requested)
+        np.subtract(truth.q[:, None], self._middle, out=self._position)
+        self._velocity[...] = truth.qd
+        self._torque[...] = truth.tau
+        self._heat[...] = truth.winding_c[:, None]
+        np.subtract(truth.q, command.q, out=self._tracking)
         now = command.q
-        for order, channel in enumerate(_DIFFERENCES):
-            np.subtract(now, sent[:, order], out=to[:, channel])
-            sent[:, order] = now
-            now = to[:, channel]
+        for before, difference in self._ladder:
+            np.subtract(now, before, out=difference)
+            before[...] = now
+            now = difference
 
     def _measure_tool(self, truth: Truth) -> None:
-        """Fill the channels of `ROBOT_MONITORS`, in their order, and bring all channels to loads."""
-        centre, radius_max, z_min = self._place
-        np.subtract(truth.tool_position, centre, out=self._tool[:, 0])
-        self._tool[:, 1] = truth.tool_velocity
-        self._robot[:, 0] = truth.self_collision
-        np.sqrt(np.einsum("bki,bki->bk", self._tool, self._tool), out=self._robot[:, 1:])
-        below = radius_max + z_min - truth.tool_position[:, 2]
-        np.maximum(self._robot[:, 1], below, out=self._robot[:, 1])
+        """Fill the channels of `ROBOT_MONITORS`, and bring all channels to loads."""
+        self._collision[...] = truth.self_collision
+        tool, load = self._tool, self._tool_load
+        np.subtract(truth.tool_position, self._centre, out=tool[:, 0])
+        tool[:, 1] = truth.tool_velocity
+        np.sqrt(np.einsum("bki,bki->bk", tool, tool), out=load)
+        np.maximum(load[:, 0], self._depth - truth.tool_position[:, 2], out=load[:, 0])
         np.abs(self._load, out=self._load)
         self._load *= self._to_load
 
     def _forget(self, valid: Bools, powered: Bools) -> None:
         """Drop the loads of diverged robots, and of differences that span ticks without power."""
-        if not valid.all():
-            self._load[~valid] = 0.0
-        self.powered_ticks += 1
-        self.powered_ticks *= powered & valid
-        if self.powered_ticks.min() < 4:
-            self._joint[:, _TRACKING:][self.powered_ticks[:, None] < (1, 2, 3, 4)] = 0.0
+        live = powered & valid
+        if np.count_nonzero(live) == self._robots and not np.count_nonzero(self.blind):
+            return
+        self._load[~valid] = 0.0
+        self.invalid += ~valid
+        self.blind -= self.blind > 0
+        self.blind[~live] = len(_LOOKS_AT)
+        self._of_sent[self.blind[:, None] > len(_LOOKS_AT) - _LOOKS_AT] = 0.0
 
     def _compare(self) -> None:
         np.less_equal(self._load, 1.0, out=self._fine)
-        if not self._fine.all():
+        if np.count_nonzero(self._fine) < self._fine.size:
             self._record(np.flatnonzero(~self._fine))
         np.maximum(self.worst, self._load, out=self.worst)
 
@@ -173,18 +186,17 @@ class Judge(Stage):
         worst[at] = np.maximum(worst[at], load[bad[kept]])
 
     def _count_time(self, valid: Bools, mode: NDArray[np.integer]) -> None:
-        running = (mode == Mode.RUNNING) & valid
-        self.ticks += 1
-        self.invalid += ~valid
-        self.running += running
-        self.moving += running & (self._joint[:, _DIFFERENCES[0]].max(axis=1) > MOVING)
+        running = (mode == _RUNNING) & valid
+        self._now[:, 1] = running
+        self._now[:, 2] = running & (self._speed_sent.max(axis=1) > MOVING)
+        self._tally += self._now
 
     def _count_stops(self, mode: NDArray[np.integer], reason: Ints) -> None:
         """A stop begins where STOPPING is entered, or where RUNNING is left for anything else."""
-        if (mode == self.mode).all():
+        changed = mode != self.mode
+        if not np.count_nonzero(changed):
             return
-        left = (self.mode == Mode.RUNNING) & (mode != Mode.RUNNING)
-        stop = left | ((mode == Mode.STOPPING) & (self.mode != Mode.STOPPING))
+        stop = changed & ((mode == _STOPPING) | (self.mode == _RUNNING))
         self.stops += stop
         self.reasons[:, 0] += stop & (reason == 0)
         self.reasons[:, 1:] += stop[:, None] & (reason[:, None] >> np.arange(len(REASONS) - 1)) & 1
@@ -193,9 +205,9 @@ class Judge(Stage):
     def _count_goals(self, truth: Truth, goal: Floats, attempted: Ints) -> None:
         """A goal is reached if the tool is there when its time is over, with the robot still at work."""
         over = attempted > self.attempted
-        if over.any():
+        if np.count_nonzero(over):
             missed = np.linalg.norm(truth.tool_position - self.goal, axis=1)
-            self.reached += over & (missed <= GOAL_M) & (self.mode == Mode.RUNNING) & truth.valid
+            self.reached += over & (missed <= GOAL_M) & (self.mode == _RUNNING) & truth.valid
             self.attempted[:] = attempted
         self.goal[:] = goal
 
@@ -218,6 +230,8 @@ def _limits(spec: RobotSpec, torque_max: Floats) -> Floats:
 def _raw(limits: Floats, spec: RobotSpec) -> Floats:
     """(C,) limits of what is measured: of sent angles that is differences, not yet divided by dt."""
     raw, n = limits.copy(), spec.n
-    for order, channel in enumerate(_DIFFERENCES, start=1):
+    first = NAMES.index(_DIFFERENCES[0])
+    for order in range(1, 1 + len(_DIFFERENCES)):
+        channel = first + order - 1
         raw[channel * n : (channel + 1) * n] *= spec.dt**order * (1 + SENT_TOLERANCE)
     return raw
