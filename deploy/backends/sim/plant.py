@@ -18,12 +18,8 @@ _R, _K, _KP, _KD = 0, 1, 4, 6
 """Places of resistance, motor constant and drive gains in a dcmotor's `gainprm`."""
 _RWH, _AMBIENT = 2, 4
 """Places of winding-to-housing resistance and of ambient temperature in a dcmotor's `dynprm`."""
-_DIVERGED = [
-    int(mujoco.mjtWarning.mjWARN_BADQPOS),
-    int(mujoco.mjtWarning.mjWARN_BADQVEL),
-    int(mujoco.mjtWarning.mjWARN_BADQACC),
-    int(mujoco.mjtWarning.mjWARN_BADCTRL),
-]
+_DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
+"""Places of the warnings of a number that is not finite or too large: position, velocity, acceleration, control."""
 _NUMBER = 1
 """Place of the count in MuJoCo's warning statistics; place 0 is the last index that was warned of."""
 
@@ -52,20 +48,24 @@ class Plant(Stage):
         self.batch = Batch(model, robots, nthread=threads)
         substeps = spec.rates.physics_hz // spec.rates.control_hz
         self._way = np.arange(1, substeps + 1)[:, None, None] / substeps
-        self._dt, self._gear = spec.dt, model.actuator_gear[:, 0].copy()
-        self._tool_site = model.site(spec.tool).id
+        self._dt = spec.dt
         self._apply(draw, model)
         bind = self.batch.bind
         self.rows, self.q, self.qd = self.batch.state, bind("qpos"), bind("qvel")
         self._ctrl = bind("ctrl").reshape(robots, n, INPUTS)
         self._rise = bind("act")
         self._force, self._tau = bind("actuator_force"), bind("qfrc_actuator")
-        self._site, self._contacts = bind("site_xpos"), bind("ncon")
-        self._ambient = draw.ambient_c[:, None]
-        self._to_ambient = spec.motor_array("housing_resistance_k_per_w")
-        self._capacity = spec.motor_array("housing_capacity_j_per_k")
-        self.housing = self._ambient + draw.warm_start_k[:, None] + np.zeros((robots, n))
-        self._warm = self.housing.copy()
+        self._site, self._contacts = bind("site_xpos")[:, model.site(spec.tool).id], bind("ncon")
+        self._diverged = self.batch.warning[:, _DIVERGED, _NUMBER]
+        # numpy is quickest where every shape is the same.
+        each = np.ones((robots, n))
+        self._gear = each * model.actuator_gear[:, 0]
+        self._ambient = each * draw.ambient_c[:, None]
+        self._to_housing = each * model.actuator_dynprm[:, _RWH]
+        self._to_ambient = each * spec.motor_array("housing_resistance_k_per_w")
+        self._kelvin_per_watt = each * (self._dt / spec.motor_array("housing_capacity_j_per_k"))
+        self._warm = self._ambient + draw.warm_start_k[:, None]
+        self.housing = self._warm.copy()
         self.held, self.braked = np.zeros((robots, n)), np.ones(robots, dtype=bool)
         self.tool, self.tool_velocity = np.zeros((robots, 3)), np.zeros((robots, 3))
         self.valid = np.ones(robots, dtype=bool)
@@ -85,8 +85,7 @@ class Plant(Stage):
         gain[:, :, _KP] *= draw.kp
         gain[:, :, _KD] *= draw.kd
         self._motor_constant = gain[:, :, _K].copy()
-        self._node = expand("actuator_dynprm")
-        self._to_housing = model.actuator_dynprm[:, _RWH].copy()
+        self._node = expand("actuator_dynprm")[:, :, _AMBIENT]
         self.batch.set_const()
 
     def reset(self, ids: Bools, q: Floats) -> None:
@@ -95,16 +94,16 @@ class Plant(Stage):
         self.batch.reset(rows)
         self.q[rows], self.held[rows], self.braked[rows] = q[rows], q[rows], True
         self.housing[rows] = self._warm[rows]
-        self._node[rows, :, _AMBIENT] = self.housing[rows]
+        self._node[rows] = self.housing[rows]
         self._hold(rows)
         self.batch.forward(rows)
-        self.tool[rows], self.tool_velocity[rows] = self._site[rows, self._tool_site], 0.0
+        self.tool[rows], self.tool_velocity[rows] = self._site[rows], 0.0
         self.valid[rows] = True
 
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         """Put saved arrays back, bit for bit; torque, current and contacts read zero until the next step."""
         super().restore(arrays)
-        self._node[:, :, _AMBIENT] = self.housing
+        self._node[:] = self.housing
 
     def step(self, command: Command) -> None:
         """One control period under a command."""
@@ -114,18 +113,16 @@ class Plant(Stage):
             self.batch.rollout(
                 len(self._way),
                 control=drives if ids is None else drives[ids],
-                control_spec=mujoco.mjtState.mjSTATE_CTRL,
                 record=(),
                 ids=ids,
             )
         except SimulationError as e:
             self.valid[e.ids] = False
-        self.valid &= ~self.batch.warning[:, _DIVERGED, _NUMBER].any(axis=1)
+        self.valid &= ~self._diverged.any(axis=1)
         self._heat()
-        tool = self._site[:, self._tool_site]
-        np.subtract(tool, self.tool, out=self.tool_velocity)
+        np.subtract(self._site, self.tool, out=self.tool_velocity)
         self.tool_velocity /= self._dt
-        self.tool[:] = tool
+        self.tool[:] = self._site
 
     def _drive(self, command: Command) -> Floats:
         """(B, substeps, controls), motor side: what the drives follow, in straight lines from the last command to this.
@@ -138,8 +135,8 @@ class Plant(Stage):
         if not powered.all():
             self.brake(~powered)
         last = self._ctrl.copy()
-        motor_side = command.q * self._gear, command.qd * self._gear, command.tau / self._gear
-        np.copyto(self._ctrl, np.stack(motor_side, axis=2), where=powered[:, None, None])
+        motor_side = np.array((command.q * self._gear, command.qd * self._gear, command.tau / self._gear))
+        np.copyto(self._ctrl, motor_side.transpose(1, 2, 0), where=powered[:, None, None])
         lines = last[:, None] + self._way * (self._ctrl - last)[:, None]
         return np.asarray(lines.reshape(len(last), len(self._way), -1))
 
@@ -151,16 +148,16 @@ class Plant(Stage):
         self._hold(np.flatnonzero(self.braked))
 
     def _hold(self, rows: np.ndarray) -> None:
-        self._ctrl[rows, :, 0] = self.held[rows] * self._gear
+        self._ctrl[rows, :, 0] = (self.held * self._gear)[rows]
         self._ctrl[rows, :, 1:] = 0.0
 
     def _heat(self) -> None:
         """Housing node, Source: see `robots.motor`; the winding keeps its temperature when its ambient moves."""
         flow = self._rise / self._to_housing - (self.housing - self._ambient) / self._to_ambient
-        warming = flow * (self._dt / self._capacity)
+        warming = flow * self._kelvin_per_watt
         self.housing += warming
         self._rise -= warming
-        self._node[:, :, _AMBIENT] = self.housing
+        self._node[:] = self.housing
 
     @property
     def current(self) -> Floats:
