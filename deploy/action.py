@@ -15,7 +15,7 @@ class Action(Stage):
 
     def __init__(self, spec: ActionSpec, robots: int) -> None:
         """Allocate for B robots."""
-        self._scale = np.array(spec.scale)
+        self._scale = np.tile(spec.scale, (robots, 1))
         self._low, self._high = spec.clip
         self._leash = spec.leash_rad
         self.q = np.zeros((robots, spec.size))
@@ -28,7 +28,7 @@ class Action(Stage):
 
     def hold(self, ids: Bools, q: Floats) -> None:
         """Targets (B, n) of robots where `ids` holds stay with the robot: what it may not follow piles up nowhere."""
-        self.q[ids] = q[ids]
+        np.copyto(self.q, q, where=ids[:, None])
 
     def step(self, action: Floats | NDArray[np.float32], q_setpoint: Floats) -> Target:
         """The new target.
@@ -39,9 +39,9 @@ class Action(Stage):
         """
         np.isfinite(action).all(axis=1, out=self.finite)
         use = self.finite[:, None]
-        np.copyto(self.last, np.clip(action, self._low, self._high), where=use)
+        np.copyto(self.last, np.minimum(np.maximum(action, self._low), self._high), where=use)
         moved = self.q + self._scale * self.last
-        leashed = np.clip(moved, q_setpoint - self._leash, q_setpoint + self._leash)
+        leashed = np.minimum(np.maximum(moved, q_setpoint - self._leash), q_setpoint + self._leash)
         np.copyto(self.q, leashed, where=use)
         return self.target
 
