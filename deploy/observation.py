@@ -1,13 +1,13 @@
 """The only place where an observation is assembled, from the contract's terms."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.contract import Contract, Term
 from deploy.stage import Stage
-from deploy.state import Bools, Floats
+from deploy.state import Bools, Floats, Ints
 
 Sources = Mapping[str, Callable[[], Floats]]
 """For each source a contract may name: a reading (B, size), SI units."""
@@ -26,13 +26,14 @@ class Observation(Stage):
             sources: where they come from.
             robots: B.
         """
+        terms = contract.observation
         self.frames = np.zeros((robots, contract.observation_size), dtype=np.float32)
         self.started = np.zeros(robots, dtype=bool)
-        self._parts, start = [], 0
-        for term in contract.observation:
-            stop = start + term.size * term.history
-            self._parts.append((term, slice(start, stop), np.array(term.scale), sources[term.source]))
-            start = stop
+        self._sources = [sources[term.source] for term in terms]
+        self._scale = np.tile(np.concatenate([term.scale for term in terms]), (robots, 1))
+        bounds = [term.clip or (-np.inf, np.inf) for term in terms for _ in range(term.size)]
+        self._low, self._high = (np.tile(bound, (robots, 1)) for bound in zip(*bounds, strict=True))
+        self._filled, self._pushed = _columns(terms)
 
     def reset(self, ids: Bools) -> None:
         """Forget the history of robots where `ids` (B,) holds."""
@@ -40,21 +41,29 @@ class Observation(Stage):
 
     def step(self) -> NDArray[np.float32]:
         """Assemble one observation for each robot."""
-        for term, part, scale, source in self._parts:
-            _push(self.frames[:, part], _scaled(term, scale, source()), ~self.started)
-        self.started[:] = True
+        newest = np.concatenate([source() for source in self._sources], axis=1)
+        newest /= self._scale
+        newest = np.minimum(np.maximum(newest, self._low), self._high)
+        if not self.started.all():
+            first = ~self.started
+            self.frames[first] = newest[first].take(self._filled, axis=1)
+            self.started[:] = True
+        both = np.concatenate((self.frames, newest), axis=1, dtype=np.float32)
+        both.take(self._pushed, axis=1, out=self.frames)
         return self.frames
 
 
-def _scaled(term: Term, scale: Floats, reading: Floats) -> Floats:
-    value = reading / scale
-    return value if term.clip is None else np.clip(value, *term.clip)
+def _columns(terms: Sequence[Term]) -> tuple[Ints, Ints]:
+    """Where each column of the frames comes from.
 
-
-def _push(frames: NDArray[np.float32], newest: Floats, first: Bools) -> None:
-    """Move a term's history on by one frame, in place; where `first` holds, every frame is the newest."""
-    size = newest.shape[1]
-    frames[:, :-size] = frames[:, size:]
-    frames[:, -size:] = newest
-    if first.any() and frames.shape[1] > size:
-        frames[first] = np.tile(newest[first], frames.shape[1] // size)
+    Returns:
+        For a first frame, columns of the newest readings; for any other, columns of the old frames and the newest
+        readings side by side: a term's newest frame is its reading, every other is the one that followed it.
+    """
+    ends = np.cumsum([term.size for term in terms])
+    reading = [np.arange(end - term.size, end) for term, end in zip(terms, ends, strict=True)]
+    filled = np.concatenate([np.tile(r, term.history) for term, r in zip(terms, reading, strict=True)])
+    size = np.concatenate([np.full(term.size * term.history, term.size) for term in terms])
+    to_go = np.concatenate([np.arange(term.size * term.history)[::-1] for term in terms])
+    columns = np.arange(len(filled))
+    return filled, np.where(to_go < size, len(filled) + filled, columns + size)
