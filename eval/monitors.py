@@ -29,8 +29,9 @@ TORQUE_FULL = 0.999
 # Of what was sent, by order. With tracking before them they look at 1, 2, 3 and 4 ticks, all with power.
 _DIFFERENCES = ("velocity_sent", "acceleration", "jerk")
 _LOOKS_AT = np.array([1, 2, 3, 4])
-# Numpy compares with a number five times as fast as with an enum.
-_RUNNING, _STOPPING = int(Mode.RUNNING), int(Mode.STOPPING)
+# Numpy compares with an array of the same type ten times as fast as with an enum, twice as fast as with a number.
+_RUNNING, _STOPPING = (np.array(mode, dtype=np.int8) for mode in (Mode.RUNNING, Mode.STOPPING))
+_ALLOWED, _MOVING = np.array(1.0), np.array(MOVING)
 _COUNTED = (
     *("ticks", "invalid", "running", "moving", "stops", "reasons", "attempted", "reached"),
     *("bad_ticks", "events", "worst", "log_start", "log_last", "log_worst"),
@@ -51,21 +52,26 @@ class Judge(Stage):
             robots: B.
             goal_s: s that the task gives to a goal.
         """
-        self._dt, self._joints, self._goal_s, self._robots = spec.dt, spec.joint_names, goal_s, robots
-        self._middle = (spec.joint_array("q_max") + spec.joint_array("q_min")) / 2
+        self._dt, self._joints, self._goal_s = spec.dt, spec.joint_names, goal_s
         self._limits = _limits(spec, torque_max)
-        self._to_load = 1.0 / _raw(self._limits, spec)
         self._gap = round(REARM_S / spec.dt)
-        self._centre, self._depth = np.array(spec.workspace.centre), spec.workspace.radius_max + spec.workspace.z_min
         self._allocate(robots, len(self._limits))
-        self._view(robots, spec.n)
+        self._measured(robots, spec.n)
+        middle = (spec.joint_array("q_max") + spec.joint_array("q_min")) / 2
+        # Numpy takes three times as long where operands differ in shape.
+        self._to_load = np.tile(1.0 / _raw(self._limits, spec), (robots, 1))
+        self._middle = np.tile(middle, (robots, 1))
+        self._centre = np.tile(spec.workspace.centre, (robots, 1))
+        self._depth = np.full(robots, spec.workspace.radius_max + spec.workspace.z_min)
 
     def _allocate(self, robots: int, channels: int) -> None:
         self.invalid, self.stops, self.attempted, self.reached = np.zeros((4, robots), dtype=np.int64)
         self._tally, self._now = np.zeros((2, robots, 3), dtype=np.int64)
         self._now[:, 0] = 1
         self.ticks, self.running, self.moving = self._tally.T
+        _, self._running, self._moving = self._now.T
         self.reasons = np.zeros((robots, len(REASONS)), dtype=np.int64)
+        # Ticks that have yet to pass before every difference lies within ticks with power.
         self.blind = np.full(robots, len(_LOOKS_AT))
         self.mode = np.full(robots, Mode.DISARMED, dtype=np.int8)
         self.goal = np.zeros((robots, 3))
@@ -76,19 +82,19 @@ class Judge(Stage):
         self.log_start, self.log_last = np.full((2, robots, channels, EVENTS_KEPT), -1)
         self.log_worst = np.zeros((robots, channels, EVENTS_KEPT))
 
-    def _view(self, robots: int, n: int) -> None:
-        """Look up once where what goes in the load: to slice takes as long as to subtract."""
+    def _measured(self, robots: int, n: int) -> None:
+        """What is measured, monitor by monitor (K, B, ...); loads are robot by robot (B, C)."""
         many = len(JOINT_MONITORS)
-        joint = self._load[:, : many * n].reshape(robots, many, n)
-        at = {monitor.name: joint[:, place] for place, monitor in enumerate(JOINT_MONITORS)}
-        self._requested, self._velocity, self._torque = at["position_requested"], at["velocity"], at["torque"]
-        self._position, self._heat = joint[:, 1:3], joint[:, 5:7]
-        self._tracking, self._speed_sent = at["tracking"], at["velocity_sent"]
-        self._of_sent = joint[:, -len(_LOOKS_AT) :]
-        self.sent = np.zeros((robots, len(_DIFFERENCES), n))
-        self._ladder = [(self.sent[:, order], at[name]) for order, name in enumerate(_DIFFERENCES)]
-        self._collision, self._tool_load = self._load[:, -3], self._load[:, -2:]
-        self._tool = np.zeros((robots, 2, 3))
+        self._value, self._tool = np.zeros((many, robots, n)), np.zeros((2, robots, 3))
+        self._at = {monitor.name: value for monitor, value in zip(JOINT_MONITORS, self._value, strict=True)}
+        before = np.zeros((len(_DIFFERENCES), robots, n))
+        self.sent = before.transpose(1, 0, 2)
+        self._ladder = [(last, self._at[name]) for last, name in zip(before, _DIFFERENCES, strict=True)]
+        self._joint = self._load[:, : many * n].reshape(robots, many, n)
+        self._collision, self._place, _ = self._load[:, many * n :].T
+        self._tool_load = self._load[:, many * n + 1 :]
+        self._of_sent = self._joint[:, NAMES.index("tracking") :]
+        self._speed_sent = self._joint[:, NAMES.index("velocity_sent")]
 
     @np.errstate(over="ignore", invalid="ignore")
     def step(
@@ -128,34 +134,36 @@ class Judge(Stage):
         )
 
     def _measure_joints(self, truth: Truth, target: Target, command: Command) -> None:
-        """Fill the channels of `JOINT_MONITORS`."""
-        np.subtract(target.q, self._middle, out=self._requested)
-        np.subtract(truth.q[:, None], self._middle, out=self._position)
-        self._velocity[...] = truth.qd
-        self._torque[...] = truth.tau
-        self._heat[...] = truth.winding_c[:, None]
-        np.subtract(truth.q, command.q, out=self._tracking)
+        at = self._at
+        np.subtract(target.q, self._middle, out=at["position_requested"])
+        np.subtract(truth.q, self._middle, out=at["position_soft"])
+        at["position_hard"][...] = at["position_soft"]
+        at["velocity"][...] = truth.qd
+        at["torque"][...] = truth.tau
+        at["heat_soft"][...] = at["heat_hard"][...] = truth.winding_c
+        np.subtract(truth.q, command.q, out=at["tracking"])
         now = command.q
         for before, difference in self._ladder:
             np.subtract(now, before, out=difference)
             before[...] = now
             now = difference
+        np.abs(self._value, out=self._value)
+        self._joint[...] = self._value.transpose(1, 0, 2)
 
     def _measure_tool(self, truth: Truth) -> None:
-        """Fill the channels of `ROBOT_MONITORS`, and bring all channels to loads."""
+        """Fill the channels of `ROBOT_MONITORS`, in their order; then bring all channels to loads."""
+        tool = self._tool
+        np.subtract(truth.tool_position, self._centre, out=tool[0])
+        tool[1] = truth.tool_velocity
         self._collision[...] = truth.self_collision
-        tool, load = self._tool, self._tool_load
-        np.subtract(truth.tool_position, self._centre, out=tool[:, 0])
-        tool[:, 1] = truth.tool_velocity
-        np.sqrt(np.einsum("bki,bki->bk", tool, tool), out=load)
-        np.maximum(load[:, 0], self._depth - truth.tool_position[:, 2], out=load[:, 0])
-        np.abs(self._load, out=self._load)
+        self._tool_load[...] = np.sqrt(np.einsum("kbi,kbi->bk", tool, tool))
+        self._place[...] = np.maximum(self._place, self._depth - truth.tool_position[:, 2])
         self._load *= self._to_load
 
     def _forget(self, valid: Bools, powered: Bools) -> None:
-        """Drop the loads of diverged robots, and of differences that span ticks without power."""
+        """Drop the loads of diverged robots, and of what looks at ticks without power."""
         live = powered & valid
-        if np.count_nonzero(live) == self._robots and not np.count_nonzero(self.blind):
+        if np.count_nonzero(live) == live.size and not np.count_nonzero(self.blind):
             return
         self._load[~valid] = 0.0
         self.invalid += ~valid
@@ -164,7 +172,7 @@ class Judge(Stage):
         self._of_sent[self.blind[:, None] > len(_LOOKS_AT) - _LOOKS_AT] = 0.0
 
     def _compare(self) -> None:
-        np.less_equal(self._load, 1.0, out=self._fine)
+        np.less_equal(self._load, _ALLOWED, out=self._fine)
         if np.count_nonzero(self._fine) < self._fine.size:
             self._record(np.flatnonzero(~self._fine))
         np.maximum(self.worst, self._load, out=self.worst)
@@ -187,8 +195,8 @@ class Judge(Stage):
 
     def _count_time(self, valid: Bools, mode: NDArray[np.integer]) -> None:
         running = (mode == _RUNNING) & valid
-        self._now[:, 1] = running
-        self._now[:, 2] = running & (self._speed_sent.max(axis=1) > MOVING)
+        self._running[...] = running
+        self._moving[...] = running & (self._speed_sent > _MOVING).any(axis=1)
         self._tally += self._now
 
     def _count_stops(self, mode: NDArray[np.integer], reason: Ints) -> None:
@@ -230,8 +238,7 @@ def _limits(spec: RobotSpec, torque_max: Floats) -> Floats:
 def _raw(limits: Floats, spec: RobotSpec) -> Floats:
     """(C,) limits of what is measured: of sent angles that is differences, not yet divided by dt."""
     raw, n = limits.copy(), spec.n
-    first = NAMES.index(_DIFFERENCES[0])
-    for order in range(1, 1 + len(_DIFFERENCES)):
-        channel = first + order - 1
+    for order, name in enumerate(_DIFFERENCES, start=1):
+        channel = NAMES.index(name)
         raw[channel * n : (channel + 1) * n] *= spec.dt**order * (1 + SENT_TOLERANCE)
     return raw
