@@ -44,22 +44,31 @@ from robots.spec import RobotSpec, load_robot
 WARM_S, ROUNDS = 2.0, 5
 ROUND = {64: 200, 16: 400, WIDTH: 800, 1: 2000}
 """Ticks of a round by number of robots."""
+TICKS = 10_000
+"""Ticks of the distribution at one robot, which is the last of `ROUND`."""
 SEED = 7
-PHYSICS = "physics (Batch.rollout)"
+PHYSICS, TICK, JUDGE = "physics (Batch.rollout)", "rest of the tick", "judge"
 console = Console(width=100)
 
 
 class Bench:
-    """Runtime, simulated robots and judge in one process and one thread, every stage under a stopwatch."""
+    """Runtime, simulated robots and judge in one process and one thread, under a stopwatch."""
 
-    def __init__(self, spec: RobotSpec, policy: Path, robots: int) -> None:
-        """Arm B robots and let them work a while."""
+    def __init__(self, spec: RobotSpec, policy: Path, robots: int, *, every_stage: bool) -> None:
+        """Arm B robots and let them work a while.
+
+        Args:
+            spec: the robot.
+            policy: ONNX file.
+            robots: B.
+            every_stage: a stopwatch on each stage, which slows the tick; else on physics, tick and judge only.
+        """
         seeds = [robot_seed(SEED, robot) for robot in range(robots)]
         brain = Policy.load(policy, spec)
         self.robot = SimRobot(spec, seeds, threads=1)
         self.runtime = Runtime(spec, brain.contract, self.robot, seeds, brain)
         self.judge, self.watch, self.robots = Judge(spec, torque_max(spec), robots), Stopwatch(), robots
-        self._watch(brain)
+        self._watch(brain if every_stage else None)
         self.tick()
         self.runtime.arm(np.ones(robots, dtype=bool))
         # Goals out of step, as in any hour of a shift but the first: or all would rest at once.
@@ -68,11 +77,14 @@ class Bench:
         self.run(round(WARM_S / spec.dt))
         self.watch.clear()
 
-    def _watch(self, brain: Policy) -> None:
+    def _watch(self, brain: Policy | None) -> None:
         runtime, plant = self.runtime, self.robot.plant
+        self.watch.watch(JUDGE, self, "tick")
+        self.watch.watch(TICK, runtime, "tick")
+        self.watch.watch(PHYSICS, plant.batch, "rollout")
+        if brain is None:
+            return
         stages: tuple[tuple[str, object, str], ...] = (
-            ("whole tick", self, "tick"),
-            (PHYSICS, plant.batch, "rollout"),
             ("plant: command, heat, truth", plant, "step"),
             ("sensors: take", self.robot.sensors, "take"),
             ("sensors: read", self.robot.sensors, "read"),
@@ -85,7 +97,6 @@ class Bench:
             ("safety", runtime.safety, "step"),
             ("supervisor", runtime.supervisor, "step"),
             ("task", runtime.task, "step"),
-            ("judge", self.judge, "step"),
         )
         for stage in stages:
             self.watch.watch(*stage)
@@ -102,20 +113,25 @@ class Bench:
 
 
 def stages(spec: RobotSpec, policy: Path) -> None:
-    """Everything beside physics, stage by stage; of some rounds the one with the median total."""
-    benches = {robots: Bench(spec, policy, robots) for robots in ROUND}
-    tables = {robots: _median_round(bench, ROUND[robots]) for robots, bench in benches.items()}
+    """Everything beside physics, and where it goes; of some rounds the one with the median total."""
+    whole, parts = {}, {}
+    for robots, ticks in ROUND.items():
+        bench = Bench(spec, policy, robots, every_stage=False)
+        whole[robots] = _median_round(bench, ticks)
+        parts[robots] = _median_round(Bench(spec, policy, robots, every_stage=True), ticks)
+        beside = whole[robots][TICK] + whole[robots][JUDGE]
+        console.print(
+            f"B = {robots}: everything but physics ÷ physics = {beside / whole[robots][PHYSICS]:.3f}"
+            f" ({beside:.1f} ÷ {whole[robots][PHYSICS]:.1f} µs per robot-tick)"
+        )
+    _tick_without_physics(bench)
     table = Table(
-        "stage, µs per robot-tick", *(f"B = {robots}" for robots in tables), title="one process, one thread"
+        "stage, µs per robot-tick", *(f"B = {robots}" for robots in parts), title="one process, one thread"
     )
-    for name in tables[64]:
-        table.add_row(name, *(f"{column[name]:.2f}" for column in tables.values()))
-    for robots, column in tables.items():
-        beside = sum(column.values()) - column[PHYSICS]
-        console.print(f"B = {robots}: everything but physics ÷ physics = {beside / column[PHYSICS]:.3f}")
+    for name in parts[1]:
+        table.add_row(name, *(f"{column[name]:.2f}" for column in parts.values()))
     console.print(table)
-    _tick_without_physics(benches[1])
-    _rates(spec, policy, tables)
+    _rates(spec, policy, whole)
 
 
 def _median_round(bench: Bench, ticks: int) -> dict[str, float]:
@@ -131,15 +147,9 @@ def _median_round(bench: Bench, ticks: int) -> dict[str, float]:
 
 def _tick_without_physics(bench: Bench) -> None:
     bench.watch.clear()
-    began, whole = time.perf_counter, []
-    physics = bench.watch.samples[PHYSICS]
-    for _ in range(10_000):
-        start = began()
-        bench.tick()
-        whole.append(began() - start)
-    beside = 1e6 * (np.array(whole) - np.array(physics))
-    median, p99 = np.percentile(beside, (50, 99))
-    console.print(f"tick without physics at B = 1, judge included: median {median:.0f} µs, p99 {p99:.0f} µs")
+    bench.run(TICKS)
+    median, p99 = 1e6 * np.percentile(bench.watch.samples[TICK], (50, 99))
+    console.print(f"tick without physics at B = {bench.robots}: median {median:.0f} µs, p99 {p99:.0f} µs")
 
 
 def _rates(spec: RobotSpec, policy: Path, tables: dict[int, dict[str, float]]) -> None:
