@@ -4,10 +4,12 @@ Goals are uniform in volume over what the arm can reach: every goal is the tool 
 inside the working range that every safety check accepts.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deploy.safety import Safety
 from deploy.stage import Stage
@@ -15,6 +17,8 @@ from deploy.state import Bools, Floats
 from robots.model_pinocchio import BLOCK, Fleet
 from robots.randomness import keyed, keys
 from robots.spec import RobotSpec
+
+T = TypeVar("T", bound=np.generic)
 
 GOALS_SEED = 20_250_811
 """One pool of goals for everybody: what a robot's seed chooses is the order."""
@@ -117,11 +121,10 @@ def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
     Tool positions of uniform joint configurations crowd where the arm folds; weighting each by one over the number
     of its cell makes the choice uniform in volume.
     """
-    q, tool = _safe_poses(spec, config)
-    radius = np.linalg.norm(tool - np.array(spec.workspace.centre), axis=1)
-    shell = (radius >= config.radius_min) & (radius <= config.radius_max) & (tool[:, 2] >= config.z_min)
-    shell &= np.hypot(tool[:, 0], tool[:, 1]) >= config.axis_min
-    q, tool = q[shell], tool[shell]
+    fleet = Fleet(spec, BLOCK)
+    q, tool = _poses_in_shell(spec, config, fleet)
+    safe = _by_block(Safety(spec, fleet).check_poses, q) == 0
+    q, tool = q[safe], tool[safe]
     _, cell, count = np.unique(
         np.floor(tool / config.cell_m), axis=0, return_inverse=True, return_counts=True
     )
@@ -129,21 +132,30 @@ def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
     return GoalPool(q=q, tool=tool, chance=np.cumsum(weight) / np.cumsum(weight)[-1])
 
 
-def _safe_poses(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Floats]:
-    """(K, n) rad and (K, 3) m: configurations that no safety check refuses, and their tools.
+def _poses_in_shell(spec: RobotSpec, config: ReachConfig, fleet: Fleet) -> tuple[Floats, Floats]:
+    """(K, n) rad and (K, 3) m: configurations with their tool where goals may be; whether they are safe costs more.
 
     Beyond a singularity lies another branch of the arm, and the singularity check lets nobody through: only
     configurations on the home pose's branch count.
     """
-    rng = np.random.default_rng(GOALS_SEED)
+
+    def place(q: Floats) -> Floats:
+        fleet.place(q)
+        return np.column_stack((fleet.tool_position, fleet.determinant()))
+
     low, high = (spec.joint_array(f"q_{end}") for end in ("min", "max"))
     margin = 2 * spec.margins.q_target_rad
-    fleet = Fleet(spec, BLOCK)
-    safety, poses, tools = Safety(spec, fleet), [], []
-    fleet.place(np.tile(spec.joint_array("q_home"), (BLOCK, 1)))
-    branch = np.sign(fleet.determinant()[0])
-    for q in rng.uniform(low + margin, high - margin, (config.candidates // BLOCK, BLOCK, spec.n)):
-        fine = (safety.check_poses(q) == 0) & (branch * fleet.determinant() >= config.manipulability_min)
-        poses.append(q[fine])
-        tools.append(fleet.tool_position[fine])
-    return np.concatenate(poses), np.concatenate(tools)
+    q = np.random.default_rng(GOALS_SEED).uniform(low + margin, high - margin, (config.candidates, spec.n))
+    placed = _by_block(place, q)
+    tool, branch = placed[:, :3], np.sign(_by_block(place, spec.joint_array("q_home")[None])[0, 3])
+    radius = np.linalg.norm(tool - np.array(spec.workspace.centre), axis=1)
+    fine = (radius >= config.radius_min) & (radius <= config.radius_max) & (tool[:, 2] >= config.z_min)
+    fine &= np.hypot(tool[:, 0], tool[:, 1]) >= config.axis_min
+    fine &= branch * placed[:, 3] >= config.manipulability_min
+    return q[fine], tool[fine]
+
+
+def _by_block(call: Callable[[Floats], NDArray[T]], q: Floats) -> NDArray[T]:
+    """What `call` says of each row of `q`, asked `BLOCK` rows at a time; the last block is filled up with the first."""
+    rows = np.resize(np.arange(len(q)), (-(-len(q) // BLOCK), BLOCK))
+    return np.concatenate([call(q[block]) for block in rows])[: len(q)]
