@@ -57,7 +57,7 @@ class Estimator(Stage):
             self._seed(arrived & ~self.seeded & np.isfinite(sample.t), sample)
         missing = ~(arrived & (sample.t > self.t_sample))
         dt = sample.t - self.t_sample
-        np.copyto(dt, 0.0, where=missing)
+        dt[missing] = 0.0
         self.t_sample += dt
         self._predict(self._each_joint(dt))
         self._update(sample.q, missing[:, None])
@@ -100,7 +100,7 @@ class Estimator(Stage):
     def _now(self, t: float, sample: Sample) -> State:
         age = t - self.t_sample
         lag = self._each_joint(age)
-        np.copyto(age, np.inf, where=~self.seeded)
+        age[~self.seeded] = np.inf
         return State(
             t=t,
             q=self.q + self.qd * lag,
