@@ -32,8 +32,8 @@ class Smoother(Stage):
         shape = (robots, spec.n)
         self.q, self.qd, self.qdd = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         margin = spec.margins.q_target_rad
-        self._q_min = spec.joint_array("q_min") + margin
-        self._q_max = spec.joint_array("q_max") - margin
+        self._q_min = np.tile(spec.joint_array("q_min") + margin, (robots, 1))
+        self._q_max = np.tile(spec.joint_array("q_max") - margin, (robots, 1))
         self._next, self._stop = _Planner(spec, robots), _Planner(spec, robots)
         self._stop.brake(np.ones(robots, dtype=bool))
 
@@ -89,7 +89,7 @@ class _Planner:
         self._in.max_jerk = self._twice_jerk.ravel() / 2
         self._in.synchronization = Synchronization.No
         self._in.per_dof_control_interface = [ControlInterface.Position] * size
-        self._braking = np.zeros(robots, dtype=bool)
+        self._braking, self._following = np.zeros(robots, dtype=bool), np.ones(self._shape, dtype=bool)
         self._solo = None if alone else _Planner(spec, 1, alone=True)
         self._ends: Floats | None = None
 
@@ -97,7 +97,8 @@ class _Planner:
         """Choose for each robot: speed to zero, or position to a target."""
         if (braking == self._braking).all():
             return
-        self._braking = braking.copy()
+        self._braking[:] = braking
+        self._following[:] = ~braking[:, None]
         kinds = [ControlInterface.Velocity if b else ControlInterface.Position for b in braking]
         self._in.per_dof_control_interface = [kind for kind in kinds for _ in range(self._shape[1])]
 
@@ -130,8 +131,8 @@ class _Planner:
         if self._braking.all():
             return qd
         bound = qd + qdd * np.abs(qdd) / self._twice_jerk
-        edge = (np.abs(np.abs(bound) - self._qd_max) < EDGE) & ~self._braking[:, None]
-        return np.where(edge, qd - np.sign(bound) * EDGE, qd) if edge.any() else qd
+        edge = (np.abs(np.abs(bound) - self._qd_max) < EDGE) & self._following
+        return np.where(edge, qd - np.sign(bound) * EDGE, qd) if np.count_nonzero(edge) else qd
 
     def _one_by_one(self, q: Floats, qd: Floats, qdd: Floats, target: Floats) -> Setpoint:
         """Ruckig fails for the whole call when one joint has no solution: find it, spare the others.
