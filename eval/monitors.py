@@ -1,19 +1,22 @@
 """The judge: decides from ground truth and from what was sent, and shares no code with what enforces.
 
-Everything is brought to a load, a fraction of its limit, in one array (B, C) and compared once. NaN is bad.
+Ticks are written down as they come and judged some at a time, which changes nothing but the cost. Everything is
+brought to a load, a fraction of its limit, in one array (T, B, C) and compared once. NaN is bad.
 Speed, acceleration and jerk of the commands are backward differences of the angles sent. On a continuous
 trajectory each is a mean of the true derivative, weighted by a B-spline, so it stays within what the
 trajectory keeps to. Source: de Boor, A Practical Guide to Splines (1978), ch. IX.
 """
 
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.stage import Stage
-from deploy.state import Bools, Command, Floats, Ints, Mode, Target
+from deploy.stage import Arrays, Stage
+from deploy.state import Command, Floats, Ints, Mode, Target
 from eval.counts import JOINT_MONITORS, NAMES, REASONS, ROBOT_MONITORS, Counts
+from eval.seen import TOGETHER, Seen
 from eval.truth import Truth
 from robots.spec import RobotSpec
 
@@ -26,12 +29,7 @@ MOVING = 0.01
 SENT_TOLERANCE = 1e-4
 # A drive cannot exceed its range, it saturates at the end of it: that is the event.
 TORQUE_FULL = 0.999
-# Of what was sent, by order. With tracking before them they look at 1, 2, 3 and 4 ticks, all with power.
 _DIFFERENCES = ("velocity_sent", "acceleration", "jerk")
-_LOOKS_AT = np.array([1, 2, 3, 4])
-# Numpy compares with an array of the same type ten times as fast as with an enum, twice as fast as with a number.
-_RUNNING, _STOPPING = (np.array(mode, dtype=np.int8) for mode in (Mode.RUNNING, Mode.STOPPING))
-_ALLOWED, _MOVING = np.array(1.0), np.array(MOVING)
 _COUNTED = (
     *("ticks", "invalid", "running", "moving", "stops", "reasons", "attempted", "reached"),
     *("bad_ticks", "events", "worst", "log_start", "log_last", "log_worst"),
@@ -41,7 +39,7 @@ _COUNTED = (
 class Judge(Stage):
     """Every monitor, on every tick, for every robot."""
 
-    carried: ClassVar[tuple[str, ...]] = (*_COUNTED, "last_bad", "blind", "sent", "mode", "goal")
+    carried: ClassVar[tuple[str, ...]] = (*_COUNTED, "last_bad", "sent", "live", "mode", "goal")
 
     def __init__(self, spec: RobotSpec, torque_max: Floats, robots: int, *, goal_s: float = GOAL_S) -> None:
         """Allocate.
@@ -54,49 +52,29 @@ class Judge(Stage):
         """
         self._dt, self._joints, self._goal_s = spec.dt, spec.joint_names, goal_s
         self._limits = _limits(spec, torque_max)
+        self._to_load = 1.0 / _raw(self._limits, spec)
+        self._middle = (spec.joint_array("q_max") + spec.joint_array("q_min")) / 2
+        self._centre = np.array(spec.workspace.centre)
+        self._depth = spec.workspace.radius_max + spec.workspace.z_min
         self._gap = round(REARM_S / spec.dt)
         self._allocate(robots, len(self._limits))
-        self._measured(robots, spec.n)
-        middle = (spec.joint_array("q_max") + spec.joint_array("q_min")) / 2
-        # Numpy takes three times as long where operands differ in shape.
-        self._to_load = np.tile(1.0 / _raw(self._limits, spec), (robots, 1))
-        self._middle = np.tile(middle, (robots, 1))
-        self._centre = np.tile(spec.workspace.centre, (robots, 1))
-        self._depth = np.full(robots, spec.workspace.radius_max + spec.workspace.z_min)
+        self._seen, self._waiting = Seen.room(robots, spec.n), 0
+        self._places = self._seen.arrays()
+        self.sent = np.zeros((robots, len(_DIFFERENCES), spec.n))
+        self.live = np.zeros((robots, len(_DIFFERENCES)), dtype=bool)
 
     def _allocate(self, robots: int, channels: int) -> None:
-        self.invalid, self.stops, self.attempted, self.reached = np.zeros((4, robots), dtype=np.int64)
-        self._tally, self._now = np.zeros((2, robots, 3), dtype=np.int64)
-        self._now[:, 0] = 1
-        self.ticks, self.running, self.moving = self._tally.T
-        _, self._running, self._moving = self._now.T
+        self.ticks, self.invalid, self.running, self.moving = np.zeros((4, robots), dtype=np.int64)
+        self.stops, self.attempted, self.reached = np.zeros((3, robots), dtype=np.int64)
         self.reasons = np.zeros((robots, len(REASONS)), dtype=np.int64)
-        # Ticks that have yet to pass before every difference lies within ticks with power.
-        self.blind = np.full(robots, len(_LOOKS_AT))
-        self.mode = np.full(robots, Mode.DISARMED, dtype=np.int8)
+        self.mode = np.full(robots, Mode.DISARMED, dtype=np.int64)
         self.goal = np.zeros((robots, 3))
         self.bad_ticks, self.events = np.zeros((2, robots, channels), dtype=np.int64)
         self.last_bad = np.full((robots, channels), -self._gap - 1)
-        self.worst, self._load = np.zeros((2, robots, channels))
-        self._fine = np.ones((robots, channels), dtype=bool)
+        self.worst = np.zeros((robots, channels))
         self.log_start, self.log_last = np.full((2, robots, channels, EVENTS_KEPT), -1)
         self.log_worst = np.zeros((robots, channels, EVENTS_KEPT))
 
-    def _measured(self, robots: int, n: int) -> None:
-        """What is measured, monitor by monitor (K, B, ...); loads are robot by robot (B, C)."""
-        many = len(JOINT_MONITORS)
-        self._value, self._tool = np.zeros((many, robots, n)), np.zeros((2, robots, 3))
-        self._at = {monitor.name: value for monitor, value in zip(JOINT_MONITORS, self._value, strict=True)}
-        before = np.zeros((len(_DIFFERENCES), robots, n))
-        self.sent = before.transpose(1, 0, 2)
-        self._ladder = [(last, self._at[name]) for last, name in zip(before, _DIFFERENCES, strict=True)]
-        self._joint = self._load[:, : many * n].reshape(robots, many, n)
-        self._collision, self._place, _ = self._load[:, many * n :].T
-        self._tool_load = self._load[:, many * n + 1 :]
-        self._of_sent = self._joint[:, NAMES.index("tracking") :]
-        self._speed_sent = self._joint[:, NAMES.index("velocity_sent")]
-
-    @np.errstate(over="ignore", invalid="ignore")
     def step(
         self,
         *,
@@ -108,7 +86,7 @@ class Judge(Stage):
         goal: Floats,
         attempted: Ints,
     ) -> None:
-        """Judge one tick.
+        """Judge one tick, soon; `counts` and `save` leave none waiting.
 
         Args:
             truth: after the physics of this tick.
@@ -118,68 +96,97 @@ class Judge(Stage):
             goal: (B, 3) m, the tool's present goal in the world.
             attempted: (B,) goals over so far. Where it rises, the goal of the tick before is over.
         """
-        self._measure_joints(truth, target, command)
-        self._measure_tool(truth)
-        self._forget(truth.valid, command.powered)
-        self._compare()
-        self._count_time(truth.valid, mode)
-        self._count_stops(mode, reason)
-        self._count_goals(truth, goal, attempted)
+        # In the order of `Seen`.
+        now: tuple[Any, ...] = (
+            *(target.q, truth.q, truth.qd, truth.tau, truth.winding_c, command.q),
+            *(truth.tool_position, truth.tool_velocity, goal),
+            *(command.powered, truth.self_collision, truth.valid, mode, reason, attempted),
+        )
+        for place, value in zip(self._places, now, strict=True):
+            place[self._waiting] = value
+        self._waiting += 1
+        if self._waiting == TOGETHER:
+            self._judge()
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def _judge(self) -> None:
+        """Judge the ticks that wait."""
+        if not self._waiting:
+            return
+        seen = self._seen.first(self._waiting)
+        load = self._loads(seen)
+        self._compare(load)
+        self._count_time(seen, load)
+        self._count_stops(seen)
+        self._count_goals(seen)
+        self._waiting = 0
 
     def counts(self) -> Counts:
         """Copies of what was found so far."""
+        self._judge()
         shared = {name: getattr(self, name).copy() for name in _COUNTED}
         return Counts(
             joints=self._joints, dt=self._dt, goal_s=self._goal_s, limits=self._limits.copy(), **shared
         )
 
-    def _measure_joints(self, truth: Truth, target: Target, command: Command) -> None:
-        at = self._at
-        np.subtract(target.q, self._middle, out=at["position_requested"])
-        np.subtract(truth.q, self._middle, out=at["position_soft"])
-        at["position_hard"][...] = at["position_soft"]
-        at["velocity"][...] = truth.qd
-        at["torque"][...] = truth.tau
-        at["heat_soft"][...] = at["heat_hard"][...] = truth.winding_c
-        np.subtract(truth.q, command.q, out=at["tracking"])
-        now = command.q
-        for before, difference in self._ladder:
-            np.subtract(now, before, out=difference)
-            before[...] = now
-            now = difference
-        np.abs(self._value, out=self._value)
-        self._joint[...] = self._value.transpose(1, 0, 2)
+    def save(self) -> Arrays:
+        """Copies of every carried array."""
+        self._judge()
+        return super().save()
 
-    def _measure_tool(self, truth: Truth) -> None:
-        """Fill the channels of `ROBOT_MONITORS`, in their order; then bring all channels to loads."""
-        tool = self._tool
-        np.subtract(truth.tool_position, self._centre, out=tool[0])
-        tool[1] = truth.tool_velocity
-        self._collision[...] = truth.self_collision
-        self._tool_load[...] = np.sqrt(np.einsum("kbi,kbi->bk", tool, tool))
-        self._place[...] = np.maximum(self._place, self._depth - truth.tool_position[:, 2])
-        self._load *= self._to_load
+    def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Put saved arrays back, bit for bit; what waited is forgotten."""
+        self._waiting = 0
+        super().restore(arrays)
 
-    def _forget(self, valid: Bools, powered: Bools) -> None:
-        """Drop the loads of diverged robots, and of what looks at ticks without power."""
-        live = powered & valid
-        if np.count_nonzero(live) == live.size and not np.count_nonzero(self.blind):
-            return
-        self._load[~valid] = 0.0
-        self.invalid += ~valid
-        self.blind -= self.blind > 0
-        self.blind[~live] = len(_LOOKS_AT)
-        self._of_sent[self.blind[:, None] > len(_LOOKS_AT) - _LOOKS_AT] = 0.0
+    def _loads(self, seen: Seen) -> Floats:
+        """(T, B, C) fractions of the limit, 0 where a channel cannot tell."""
+        ticks, robots, n = seen.q.shape
+        load, many = np.empty((ticks, robots, len(self._limits))), len(JOINT_MONITORS)
+        self._joint_values(seen, load[:, :, : many * n].reshape(ticks, robots, many, n))
+        tool = np.stack((seen.tool_position - self._centre, seen.tool_velocity), axis=2)
+        load[:, :, -3] = seen.self_collision
+        load[:, :, -2:] = np.sqrt(np.einsum("tbki,tbki->tbk", tool, tool))
+        load[:, :, -2] = np.maximum(load[:, :, -2], self._depth - seen.tool_position[:, :, 2])
+        np.abs(load, out=load)
+        load *= self._to_load
+        load[~seen.valid] = 0.0
+        return load
 
-    def _compare(self) -> None:
-        np.less_equal(self._load, _ALLOWED, out=self._fine)
-        if np.count_nonzero(self._fine) < self._fine.size:
-            self._record(np.flatnonzero(~self._fine))
-        np.maximum(self.worst, self._load, out=self.worst)
+    def _joint_values(self, seen: Seen, to: Floats) -> None:
+        """Fill the channels of `JOINT_MONITORS` (T, B, K, n), in their order."""
+        measured = (
+            *(seen.target - self._middle, seen.q - self._middle, seen.q - self._middle),
+            *(seen.qd, seen.tau, seen.winding_c, seen.winding_c),
+        )
+        for place, value in enumerate(measured):
+            to[:, :, place] = value
+        self._of_sent(seen, to[:, :, len(measured) :])
 
-    def _record(self, bad: NDArray[np.intp]) -> None:
+    def _of_sent(self, seen: Seen, to: Floats) -> None:
+        """Tracking and the differences of what was sent (T, B, 4, n); 0 where one looks at a tick without power."""
+        ticks = len(seen.q)
+        sent = np.concatenate((self.sent.swapaxes(0, 1), seen.sent))
+        live = np.concatenate((self.live.T, seen.powered & seen.valid))
+        to[:, :, 0] = seen.q - seen.sent
+        to[:, :, 0][~live[-ticks:]] = 0.0
+        difference, whole = sent, live
+        for order in range(1, 1 + len(_DIFFERENCES)):
+            difference, whole = np.diff(difference, axis=0), whole[1:] & whole[:-1]
+            to[:, :, order] = difference[-ticks:]
+            to[:, :, order][~whole[-ticks:]] = 0.0
+        self.sent[:] = sent[-len(_DIFFERENCES) :].swapaxes(0, 1)
+        self.live[:] = live[-len(_DIFFERENCES) :].T
+
+    def _compare(self, load: Floats) -> None:
+        fine = load <= 1.0
+        if not fine.all():
+            for tick in np.flatnonzero(~fine.all(axis=(1, 2))):
+                self._record(self.ticks[0] + tick, load[tick].reshape(-1), np.flatnonzero(~fine[tick]))
+        np.maximum(self.worst, load.max(axis=0), out=self.worst)
+
+    def _record(self, tick: int, load: Floats, bad: NDArray[np.intp]) -> None:
         """Count bad channels (indices into B × C) and log the first events of each."""
-        tick, load = self.ticks[0], self._load.reshape(-1)
         load[bad] = np.nan_to_num(load[bad], nan=np.inf, posinf=np.inf)
         last, events = self.last_bad.reshape(-1), self.events.reshape(-1)
         events[bad] += tick - last[bad] > self._gap
@@ -193,31 +200,37 @@ class Judge(Stage):
         self.log_last.reshape(-1)[at] = tick
         worst[at] = np.maximum(worst[at], load[bad[kept]])
 
-    def _count_time(self, valid: Bools, mode: NDArray[np.integer]) -> None:
-        running = (mode == _RUNNING) & valid
-        self._running[...] = running
-        self._moving[...] = running & (self._speed_sent > _MOVING).any(axis=1)
-        self._tally += self._now
+    def _count_time(self, seen: Seen, load: Floats) -> None:
+        running = (seen.mode == int(Mode.RUNNING)) & seen.valid
+        n, place = len(self._joints), NAMES.index("velocity_sent")
+        moving = running & (load[:, :, place * n : (place + 1) * n] > MOVING).any(axis=2)
+        self.ticks += len(running)
+        self.invalid += (~seen.valid).sum(axis=0)
+        self.running += running.sum(axis=0)
+        self.moving += moving.sum(axis=0)
 
-    def _count_stops(self, mode: NDArray[np.integer], reason: Ints) -> None:
+    def _count_stops(self, seen: Seen) -> None:
         """A stop begins where STOPPING is entered, or where RUNNING is left for anything else."""
-        changed = mode != self.mode
-        if not np.count_nonzero(changed):
-            return
-        stop = changed & ((mode == _STOPPING) | (self.mode == _RUNNING))
-        self.stops += stop
-        self.reasons[:, 0] += stop & (reason == 0)
-        self.reasons[:, 1:] += stop[:, None] & (reason[:, None] >> np.arange(len(REASONS) - 1)) & 1
-        self.mode[:] = mode
+        mode = np.concatenate((self.mode[None], seen.mode))
+        before, now = mode[:-1], mode[1:]
+        stop = (now != before) & ((now == int(Mode.STOPPING)) | (before == int(Mode.RUNNING)))
+        self.mode[:] = mode[-1]
+        for tick in np.flatnonzero(stop.any(axis=1)):
+            reason = seen.reason[tick]
+            self.stops += stop[tick]
+            self.reasons[:, 0] += stop[tick] & (reason == 0)
+            self.reasons[:, 1:] += stop[tick][:, None] & (reason[:, None] >> np.arange(len(REASONS) - 1)) & 1
 
-    def _count_goals(self, truth: Truth, goal: Floats, attempted: Ints) -> None:
+    def _count_goals(self, seen: Seen) -> None:
         """A goal is reached if the tool is there when its time is over, with the robot still at work."""
-        over = attempted > self.attempted
-        if np.count_nonzero(over):
-            missed = np.linalg.norm(truth.tool_position - self.goal, axis=1)
-            self.reached += over & (missed <= GOAL_M) & (self.mode == _RUNNING) & truth.valid
-            self.attempted[:] = attempted
-        self.goal[:] = goal
+        attempted = np.concatenate((self.attempted[None], seen.attempted))
+        goal = np.concatenate((self.goal[None], seen.goal))[:-1]
+        over = attempted[1:] > attempted[:-1]
+        if over.any():
+            missed = np.linalg.norm(seen.tool_position - goal, axis=2)
+            at_work = (seen.mode == int(Mode.RUNNING)) & seen.valid
+            self.reached += (over & (missed <= GOAL_M) & at_work).sum(axis=0)
+        self.attempted[:], self.goal[:] = attempted[-1], seen.goal[-1]
 
 
 def _limits(spec: RobotSpec, torque_max: Floats) -> Floats:

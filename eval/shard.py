@@ -136,8 +136,8 @@ class Shard:
     def _sample(self) -> None:
         truth, rows = self._robot.truth(), slice(0, self._job.robots)
         winding = np.where(truth.valid[:, None], truth.winding_c, np.nan)[rows]
-        judge = self._judge
-        self._samples.append((winding, int(judge.attempted[rows].sum()), int(judge.reached[rows].sum())))
+        counts = self._judge.counts()
+        self._samples.append((winding, int(counts.attempted[rows].sum()), int(counts.reached[rows].sum())))
 
     def _result(self) -> ShardResult:
         winding, attempted, reached = zip(*self._samples, strict=True) if self._samples else ((), (), ())

@@ -408,6 +408,21 @@ def test_resumed_and_split_runs_give_the_same_counts():
         np.testing.assert_array_equal(getattr(merged, field.name), wanted)
 
 
+def test_asking_in_between_changes_nothing():
+    """Ticks wait to be judged together; whoever asks for counts makes the judge look at what waits."""
+    ticks = 150
+    series = random_series(ticks, 2, seed=6)
+    asked, left = Judge(SPEC, TORQUE_MAX, 2), Judge(SPEC, TORQUE_MAX, 2)
+    feed(left, series, range(ticks))
+    for tick in range(ticks):
+        feed(asked, series, [tick])
+        assert asked.counts().ticks.tolist() == [tick + 1] * 2
+    for field in fields(Counts):
+        np.testing.assert_array_equal(
+            getattr(asked.counts(), field.name), getattr(left.counts(), field.name), strict=True
+        )
+
+
 def test_counts_by_other_limits_do_not_merge():
     other = Judge(SPEC, 2 * TORQUE_MAX, 1).counts()
     with pytest.raises(ConfigError, match="limits"):
