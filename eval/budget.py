@@ -20,6 +20,7 @@ class Budget(Strict):
     Attributes:
         goal_success_min: goals reached ÷ goals due. availability_min: ticks under way ÷ ticks.
         invalid_ticks_max: ticks that nobody judged because the simulation had diverged.
+        latches_max: times that a robot lost its power and waited for its operator.
         unlimited: monitors that are counted only.
         events_max: events in the whole run by monitor.
         events_per_hour_max: events per hour under way by monitor.
@@ -28,6 +29,7 @@ class Budget(Strict):
     goal_success_min: Share
     availability_min: Share
     invalid_ticks_max: NonNegativeInt
+    latches_max: NonNegativeInt
     unlimited: tuple[str, ...]
     events_max: dict[str, NonNegativeInt]
     events_per_hour_max: dict[str, NonNegativeFloat]
@@ -85,6 +87,7 @@ def check(budget: Budget, counts: Counts) -> list[Finding]:
         _line("goal_success", budget.goal_success_min, counts.goal_success, "share", at_least=True),
         _line("availability", budget.availability_min, counts.availability, "share", at_least=True),
         _line("invalid", budget.invalid_ticks_max, float(counts.invalid.sum()), "ticks"),
+        _line("latches", budget.latches_max, float(counts.latches.sum()), "times"),
         *(_line(name, most, counts.total(name), "events") for name, most in budget.events_max.items()),
         *(
             _line(name, most, _per_hour(counts.total(name), hours), "events/h")

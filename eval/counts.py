@@ -95,6 +95,7 @@ class Counts:
         ticks: (R,) lived through; invalid: (R,) of them with a diverged simulation, not judged;
         running, moving: (R,) of them under way, and under way with a joint in motion.
         stops: (R,) times that the robot left its work; reasons: (R, len(REASONS)) why, several may hold.
+        latches: (R,) times that it lost its power, to wait for its operator.
         attempted, reached: (R,) goals, reached by ground truth.
         bad_ticks, events: (R, C); worst: (R, C) highest load, bad or not.
         log_start, log_last: (R, C, E) ticks, -1 where empty; log_worst: (R, C, E) load.
@@ -110,6 +111,7 @@ class Counts:
     moving: Ints
     stops: Ints
     reasons: Ints
+    latches: Ints
     attempted: Ints
     reached: Ints
     bad_ticks: Ints

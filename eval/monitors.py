@@ -31,7 +31,7 @@ SENT_TOLERANCE = 1e-4
 TORQUE_FULL = 0.999
 _DIFFERENCES = ("velocity_sent", "acceleration", "jerk")
 _COUNTED = (
-    *("ticks", "invalid", "running", "moving", "stops", "reasons", "attempted", "reached"),
+    *("ticks", "invalid", "running", "moving", "stops", "reasons", "latches", "attempted", "reached"),
     *("bad_ticks", "events", "worst", "log_start", "log_last", "log_worst"),
 )
 
@@ -65,7 +65,7 @@ class Judge(Stage):
 
     def _allocate(self, robots: int, channels: int) -> None:
         self.ticks, self.invalid, self.running, self.moving = np.zeros((4, robots), dtype=np.int64)
-        self.stops, self.attempted, self.reached = np.zeros((3, robots), dtype=np.int64)
+        self.stops, self.latches, self.attempted, self.reached = np.zeros((4, robots), dtype=np.int64)
         self.reasons = np.zeros((robots, len(REASONS)), dtype=np.int64)
         self.mode = np.full(robots, Mode.DISARMED, dtype=np.int64)
         self.goal = np.zeros((robots, 3))
@@ -161,6 +161,7 @@ class Judge(Stage):
         )
         for place, value in enumerate(measured):
             to[:, :, place] = value
+        to[:, :, 0][~seen.powered] = 0.0  # nobody asks anything of a robot without power
         self._of_sent(seen, to[:, :, len(measured) :])
 
     def _of_sent(self, seen: Seen, to: Floats) -> None:
@@ -214,6 +215,7 @@ class Judge(Stage):
         mode = np.concatenate((self.mode[None], seen.mode))
         before, now = mode[:-1], mode[1:]
         stop = (now != before) & ((now == int(Mode.STOPPING)) | (before == int(Mode.RUNNING)))
+        self.latches += ((now != before) & (now == int(Mode.LATCHED))).sum(axis=0)
         self.mode[:] = mode[-1]
         for tick in np.flatnonzero(stop.any(axis=1)):
             reason = seen.reason[tick]

@@ -13,7 +13,7 @@ from robots.errors import ConfigError
 from robots.spec import load_robot
 
 
-def counts(events=(), *, hours=2.0, running=1.0, reached=1.0, invalid=0):
+def counts(events=(), *, hours=2.0, running=1.0, reached=1.0, invalid=0, latches=0):
     """Two robots' counts, with the monitors in `events` having fired on robot 0."""
     found = Judge(load_robot("arm6"), np.full(6, 100.0), robots=2).counts()
     ticks = round(hours / 2 * 3600 / found.dt)
@@ -23,6 +23,7 @@ def counts(events=(), *, hours=2.0, running=1.0, reached=1.0, invalid=0):
     found.attempted[:] = goals
     found.reached[:] = round(reached * goals)
     found.invalid[1] = invalid
+    found.latches[1] = latches
     for name in events:
         found.events[0, found.columns(name).start] += 1
     return found
@@ -36,7 +37,7 @@ def test_clean_work_passes_and_every_limited_monitor_has_a_line():
     assert failed() == set()
     budget = load_budget()
     lines = {finding.name for finding in check(budget, counts())}
-    assert lines == {"goal_success", "availability", "invalid", *NAMES} - set(budget.unlimited)
+    assert lines == {"goal_success", "availability", "invalid", "latches", *NAMES} - set(budget.unlimited)
 
 
 @pytest.mark.parametrize("monitor", [m for m in MONITORS if m.hard], ids=lambda m: m.name)
@@ -52,6 +53,7 @@ def test_one_hard_event_fails(monitor):
         ({"running": 0.0, "reached": 0.0}, {"availability", "goal_success"}),
         ({"hours": 0.0}, {"availability", "goal_success"}),
         ({"invalid": 1}, {"invalid"}),
+        ({"latches": 1}, {"latches"}),
         ({"events": ["tracking"], "hours": 20.0}, set()),
         ({"events": ["tracking"], "hours": 8.0}, {"tracking"}),
         ({"events": ["tracking"], "hours": 0.0}, {"availability", "goal_success", "tracking"}),

@@ -271,7 +271,7 @@ def random_series(ticks, robots, seed):
         "target": middle + half * 0.7 * wide[4],
         "sent": sent,
         "powered": rng.random((ticks, robots)) > 0.1,
-        "mode": rng.choice([1, 2, 2, 2, 3, 4], size=(ticks, robots)).astype(np.int8),
+        "mode": rng.choice([1, 2, 2, 2, 3, 4, 5], size=(ticks, robots)).astype(np.int8),
         "reason": rng.integers(0, 1 << 15, size=(ticks, robots)) * (rng.random((ticks, robots)) > 0.2),
         "goal": CENTRE + 0.4 * rng.normal(size=(ticks, robots, 3)),
         "attempted": np.cumsum(rng.random((ticks, robots)) < 0.05, axis=0),
@@ -312,7 +312,7 @@ def reference_loads(series, robot, joint, t):
 
     middle, half = (Q_MIN[joint] + Q_MAX[joint]) / 2, (Q_MAX[joint] - Q_MIN[joint]) / 2
     loads = {
-        "position_requested": abs(at("target") - middle) / half,
+        "position_requested": abs(at("target") - middle) / half if series["powered"][t, robot] else 0.0,
         "position_soft": abs(at("q") - middle) / (half - SOFT),
         "position_hard": abs(at("q") - middle) / half,
         "velocity": abs(at("qd")) / joint_spec.qd_max,
@@ -370,7 +370,7 @@ def test_stops_and_goals_equal_a_slow_reference():
     series = random_series(ticks, robots, seed=4)
     judge = Judge(SPEC, TORQUE_MAX, robots)
     feed(judge, series, range(ticks))
-    stops, reached, reasons = np.zeros(robots), np.zeros(robots), np.zeros((robots, len(REASONS)))
+    stops, latches, reached, reasons = *np.zeros((3, robots)), np.zeros((robots, len(REASONS)))
     before = [Mode.DISARMED] * robots
     for t, r in np.ndindex(ticks, robots):
         mode, reason = series["mode"][t, r], Reason(int(series["reason"][t, r]))
@@ -378,12 +378,14 @@ def test_stops_and_goals_equal_a_slow_reference():
             stops[r] += 1
             for k, name in enumerate(REASONS):
                 reasons[r, k] += reason == Reason.NONE if k == 0 else Reason[name] in reason
+        latches[r] += mode == Mode.LATCHED != before[r]
         before[r] = mode
         if t and series["attempted"][t, r] > series["attempted"][t - 1, r]:
             missed = np.linalg.norm(series["tool_position"][t, r] - series["goal"][t - 1, r])
             reached[r] += missed <= 0.02 and mode == Mode.RUNNING and series["valid"][t, r]
     counts = judge.counts()
-    assert counts.stops.tolist() == stops.tolist()
+    assert (counts.stops.tolist(), counts.latches.tolist()) == (stops.tolist(), latches.tolist())
+    assert (counts.latches > 10).all()
     assert counts.reasons.tolist() == reasons.tolist()
     assert counts.reached.tolist() == reached.tolist()
     assert (counts.reached > 10).all()

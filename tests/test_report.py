@@ -229,11 +229,11 @@ def test_numbers_that_are_none():
 
 def test_stops_by_reason():
     result = soak()
-    result.counts.stops[2] = 3
+    result.counts.stops[2], result.counts.latches[2] = 3, 1
     result.counts.reasons[2, REASONS.index("WORKSPACE")] = 2
     result.counts.reasons[2, REASONS.index("NONE")] = 1
     found = build(result, load_budget())
-    assert found.stops.total == 3
+    assert (found.stops.total, found.stops.latches) == (3, 1)
     assert found.stops.reasons == {"NONE": 1, "WORKSPACE": 2}
     assert "No robot stopped" in render(report())
     assert "workspace" in render(found)

@@ -121,7 +121,11 @@ def _goals(result: SoakResult) -> Goals:
 
 def _stops(counts: Counts) -> Stops:
     why = zip(REASONS, counts.reasons.sum(axis=0).tolist(), strict=True)
-    return Stops(total=int(counts.stops.sum()), reasons={name: times for name, times in why if times})
+    return Stops(
+        total=int(counts.stops.sum()),
+        latches=int(counts.latches.sum()),
+        reasons={name: times for name, times in why if times},
+    )
 
 
 def _monitor(counts: Counts, monitor: Monitor) -> MonitorRow:

@@ -189,9 +189,10 @@ class Goals(Strict):
 
 
 class Stops(Strict):
-    """Times that robots left their work, and why; several reasons may hold at once."""
+    """Times that robots left their work, and why; several reasons may hold at once. After a latch they lost power."""
 
     total: Count
+    latches: Count
     reasons: dict[str, Count]
 
 
