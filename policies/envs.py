@@ -121,6 +121,7 @@ class RuntimeEnv(VecEnv):
             reached=reached & running,
             q_target=runtime.target.q,
             action_change=change,
+            action_excess=action - np.clip(action, *runtime.contract.action.clip),
             running=running,
             stopped=stopped,
         )

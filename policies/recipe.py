@@ -63,6 +63,8 @@ class Shaping(Strict):
     Attributes:
         far_m, near_m: m, widths of 1 − tanh(d/width). here_m, here: m and weight of exp(−(d/here_m)²).
         action_change: for each squared unit of action change.
+        action_excess: for each squared unit of action beyond its clip: out there exploring changes nothing, so
+            nothing would be learned.
         request: for each rad that a target asks beyond the working range.
         stop: for a safety stop.
     """
@@ -72,6 +74,7 @@ class Shaping(Strict):
     here_m: PositiveFloat
     here: PositiveFloat
     action_change: Penalty
+    action_excess: Penalty
     request: Penalty
     stop: Penalty
 

@@ -17,7 +17,7 @@ class Step:
         q, qd: (B, n) rad, rad/s, true. tau: (B, n) N·m, true.
         qdd_change: (B, n) rad/s², of the sent setpoint over the step. dt: s, the step.
         distance: (B,) m, true tool to goal. reached: (B,) a goal ended, and was reached.
-        q_target: (B, n) rad, as requested. action_change: (B, n).
+        q_target: (B, n) rad, as requested. action_change: (B, n). action_excess: (B, n) beyond the action's clip.
         running, stopped: (B,) may move; was stopped in this step.
     """
 
@@ -30,6 +30,7 @@ class Step:
     reached: Bools
     q_target: Floats
     action_change: Floats
+    action_excess: Floats
     running: Bools
     stopped: Bools
 
@@ -67,5 +68,6 @@ def shaping(step: Step, limits: Limits, w: Shaping) -> Floats:
         (1 - np.tanh(d / w.far_m)) + (1 - np.tanh(d / w.near_m)) + w.here * np.exp(-((d / w.here_m) ** 2))
     )
     change = w.action_change * (step.action_change**2).sum(axis=1)
+    change += w.action_excess * (step.action_excess**2).sum(axis=1)
     request = w.request * limits.beyond(step.q_target).sum(axis=1)
     return closeness * step.running + change + request + w.stop * step.stopped

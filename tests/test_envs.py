@@ -98,6 +98,7 @@ def step_of(**changes):
         "reached": np.array([False]),
         "q_target": SPEC.joint_array("q_home")[None],
         "action_change": rest,
+        "action_excess": rest,
         "running": np.array([True]),
         "stopped": np.array([False]),
     }
@@ -138,3 +139,7 @@ def test_shaping_grows_towards_the_goal_and_is_lost_by_stopping():
     assert shaping(stopped, LIMITS, RECIPE.shaping)[0] == RECIPE.shaping.stop
     asked = shaping(step_of(q_target=at(0, BEYOND)), LIMITS, RECIPE.shaping)
     assert asked[0] < shaping(step_of(), LIMITS, RECIPE.shaping)[0]
+    shouted = shaping(step_of(action_excess=np.full((1, N), -2.0)), LIMITS, RECIPE.shaping)
+    assert shouted[0] == pytest.approx(
+        shaping(step_of(), LIMITS, RECIPE.shaping)[0] + 4 * N * RECIPE.shaping.action_excess
+    )
