@@ -7,6 +7,7 @@ python -m eval.bench work       an hour of 16 robots by the shipped budget, and 
 python -m eval.bench            all of them
 """
 
+import gc
 import resource
 import subprocess
 import sys
@@ -76,6 +77,8 @@ class Bench:
         self.runtime.task.elapsed[:] = np.arange(robots) * period // robots
         self.run(round(WARM_S / spec.dt))
         self.watch.clear()
+        gc.collect()
+        gc.freeze()  # as deploy-run
 
     def _watch(self, brain: Policy | None) -> None:
         runtime, plant = self.runtime, self.robot.plant
