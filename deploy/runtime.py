@@ -125,7 +125,7 @@ class Runtime:
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_rest)
         reason = self._reason()
         obey = self.supervisor.step(reason, self.smoother.at_rest)
-        if np.count_nonzero(reason):
+        if np.count_nonzero(reason) or not np.isfinite(planned.q).all():
             # A robot that stops already has nothing refused; a stop without a number is still not sent.
             self._send(*self._instead(obey & np.isfinite(planned.q).all(axis=1), planned))
         else:

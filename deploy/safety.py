@@ -15,7 +15,7 @@ TOLERANCE = 1e-6
 """Relative slack on speed: Ruckig meets its limits exactly, up to rounding."""
 
 ANY = float(np.finfo(np.float64).max)
-"""Beyond every number that is finite."""
+"""The largest finite number: as a bound it refuses only what is not finite."""
 
 
 class Safety:
@@ -91,7 +91,7 @@ class Safety:
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:])
 
     def check_poses(self, q: Floats) -> Ints:
-        """(2B,) what speaks against being at `q` (2B, n) rad."""
+        """(R,) what speaks against being at `q` (R, n) rad; R is the width of the fleet."""
         return self._pose.reasons(*self._place(q))
 
     def _place(self, q: Floats) -> tuple[Floats | Bools, ...]:

@@ -44,7 +44,7 @@ UNSEEN = (
     "Sensors lie by noise, quantization, delay and loss only: no drift, no bias, no failure.",
     "Motors heat and their torque sags, but nothing wears: hour 8 has the friction of hour 0.",
     "No payload, no cable, no push, no person: the arm moves in free air above its table.",
-    "An operator comes a minute after a robot latched and arms it again; nobody asks why it did.",
+    "An operator comes a minute after a robot latched and arms it again, without looking for the cause.",
     "Links are rigid and gears have no backlash; brakes are drives that hold.",
     "The report counts what the simulation can show; a real robot has been nowhere in it.",
 )

@@ -81,8 +81,9 @@ class RuntimeEnv(VecEnv):
         total = np.where(valid, total, self._recipe.reward.joint_limit)
         time_out = (self.episode_length_buf >= self.max_episode_length).numpy()
         done = broken | time_out | ~valid
-        # A goal whose episode is cut off counts as missed.
-        self.due, self.reached = int((self.runtime.task.ended | broken).sum()), int(step.reached.sum())
+        # A goal that a broken limit or a diverged simulation cuts off counts as missed.
+        self.due = int((self.runtime.task.ended | broken | ~valid).sum())
+        self.reached = int(step.reached.sum())
         log = self._log(step, broken, done)
         if done.any():
             self._restart(done)
@@ -121,10 +122,15 @@ class RuntimeEnv(VecEnv):
             reached=reached & running,
             q_target=runtime.target.q,
             action_change=change,
-            action_excess=action - np.clip(action, *runtime.contract.action.clip),
+            action_excess=self._excess(action),
             running=running,
             stopped=stopped,
         )
+
+    def _excess(self, action: np.ndarray) -> np.ndarray:
+        """Beyond the contract's clip; what is no number has its price already: it stops the robot."""
+        excess = action - np.clip(action, *self.runtime.contract.action.clip)
+        return np.where(np.isfinite(action), excess, 0.0)
 
     def _distance(self, goal: np.ndarray) -> np.ndarray:
         return np.linalg.norm(self._robot.truth().tool_position - goal, axis=1)

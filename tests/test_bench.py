@@ -9,7 +9,7 @@ pytest.importorskip("mujoco")
 
 from deploy.policy import Policy
 from eval.bench import __main__ as command
-from eval.bench import stopwatch
+from eval.bench import stages, stopwatch
 from eval.bench.idle import make_idle
 from eval.bench.plain import PlainRobot
 from eval.bench.stopwatch import Stopwatch
@@ -51,8 +51,8 @@ def test_time_is_counted_once_where_it_was_spent(monkeypatch):
 
 
 def test_a_bench_watches_every_stage_and_leaves_the_results_alone(arm_policy, quick_goals, monkeypatch):
-    monkeypatch.setattr(command, "WARM_S", 0.25)
-    bench = command.Bench(SPEC, arm_policy, 2, every_stage=True)
+    monkeypatch.setattr(stages, "WARM_S", 0.25)
+    bench = stages.Bench(SPEC, arm_policy, 2, every_stage=True)
     bench.run(8)
     calls = {name: len(samples) for name, samples in bench.watch.samples.items()}
     assert calls.pop("observation") == calls.pop("policy") == 2

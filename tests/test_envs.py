@@ -86,6 +86,28 @@ def test_the_actor_sees_no_truth():
     assert (after["privileged"] != observation["privileged"]).any()
 
 
+def test_an_action_that_is_no_number_costs_a_stop_and_poisons_nothing():
+    env = env_of(3)
+    actions = torch.zeros(3, N)
+    actions[1, 2] = torch.nan
+    for _ in range(8):  # arming first
+        _, total, _, _ = env.step(actions)
+        assert torch.isfinite(total).all()
+    assert env.runtime.supervisor.stopping.tolist() == [False, True, False]
+
+
+def test_goals_are_due_at_their_end_and_where_a_broken_limit_ends_them():
+    env = env_of(3)
+    env.runtime.task.elapsed[:] = 0
+    env.step(torch.zeros(3, N))
+    assert env.due == 0
+    last = round(env.runtime.task.config.period_s / SPEC.dt) - env.runtime.decimation
+    env.runtime.task.elapsed[:] = [last, 0, 0]
+    env._robot.plant.q[1, 0] = SPEC.joint_array("q_max")[0] + 0.1
+    env.step(torch.zeros(3, N))
+    assert env.due == 2
+
+
 def step_of(**changes):
     rest = np.zeros((1, N))
     fields = {

@@ -102,6 +102,36 @@ def test_drive_tracks_a_ramp_within_10_mrad(speed):
     assert np.abs(plant.q - start).min() > 0.05
 
 
+def test_drives_go_in_straight_lines_from_setpoint_to_setpoint():
+    """As MuJoCo alone goes when it is led there step by step; taken at once, each would saturate the motor."""
+    plant, model = Plant(SPEC, exact(mass=1.0)), load_mujoco(SPEC)
+    data, gear = mujoco.MjData(model), model.actuator_gear[:, 0]
+    data.qpos[:] = HOME
+    last, qd, worst = np.array((HOME, HOME * 0, HOME * 0)), np.zeros(N), 0.0
+    for k in range(60):
+        qd[0] = 2.5 * min(1.0, k / 40)
+        now = np.array((last[0] + qd * DT, qd, holding_torque()))
+        plant.step(command(now[0], now[1], now[2]))
+        for part in np.arange(1, 6) / 5:
+            q, v, tau = last + part * (now - last)
+            data.ctrl[:] = np.stack((q * gear, v * gear, tau / gear), axis=1).ravel()
+            mujoco.mj_step(model, data)
+        last = now
+        np.testing.assert_allclose(plant.q[0], data.qpos, rtol=0, atol=1e-6)
+        worst = max(worst, np.abs(plant.truth(0.0).tau[0, 0]))
+    assert worst < 75.0
+
+
+def test_a_simulation_that_is_warned_of_anything_no_longer_counts(tmp_path):
+    """It stops in the middle of a rollout, so it lives less than the others: here for want of room for contacts."""
+    small = [(r"<option timestep", '<size memory="8K"/><option timestep')]
+    plant, folded = Plant(load_robot(copy_of_arm(tmp_path, xml=small)), exact(2)), HOME.copy()
+    folded[2], folded[3] = 3.0, 1.0
+    plant.reset(np.array([False, True]), np.tile(folded, (2, 1)))
+    plant.step(command(plant.q.copy()))
+    assert plant.truth(0.0).valid.tolist() == [True, False]
+
+
 def test_mass_and_inertia_scale_together_and_everything_derived_follows():
     plant, links = Plant(SPEC, drawn(3)), slice(2, None)
     batch, model = plant.batch, load_mujoco(SPEC)
@@ -177,13 +207,16 @@ def test_a_robot_alone_is_the_robot_in_a_group():
 
 
 def test_saved_and_restored_goes_on_bit_for_bit():
-    """Into a plant that has lived another life."""
+    """Into a plant that has lived another life, in which one robot diverged."""
     rng = np.random.default_rng(2)
     path = HOME + np.cumsum(rng.normal(0, 0.01, (300, 3, N)), axis=0)
     one, other = Plant(SPEC, drawn(3)), Plant(SPEC, drawn(3))
     for k in range(150):
         one.step(command(path[k], tau=20.0))
         other.step(command(path[-k - 1], tau=-20.0, powered=k < 100))
+    other.qd[1] = np.nan
+    other.step(command(path[0]))
+    assert not other.valid.all()
     other.restore(one.save())
     for k in range(150, 300):
         one.step(command(path[k]))
@@ -193,6 +226,7 @@ def test_saved_and_restored_goes_on_bit_for_bit():
             np.testing.assert_array_equal(
                 getattr(other.truth(0.0), name), expected, err_msg=f"{name}, tick {k}"
             )
+    assert other.valid.all()
 
 
 def test_reset_of_a_subset_leaves_the_others_alone():

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_contract import arm_contract
@@ -416,6 +418,31 @@ def test_a_setpoint_without_a_plan_is_never_sent(stopping_for, monkeypatch):
     assert modes[-1, 1] == Mode.LATCHED
     assert not runtime.command.powered[1]
     assert (modes[-1, [0, 2]] == Mode.LATCHED).all() == bool(stopping_for)
+
+
+def test_even_blind_checks_let_no_nan_through(monkeypatch):
+    """The last barrier before the bus asks nobody."""
+    runtime = running(3)
+    play(runtime, 40)
+    planned, judged = runtime.smoother.next, runtime.safety.step
+
+    def planless(q_target, stopping):
+        setpoint = planned(q_target, stopping)
+        setpoint.q[1], setpoint.qd[1], setpoint.qdd[1] = np.nan, np.nan, np.nan
+        return setpoint
+
+    def blind(*asked):
+        return replace(judged(*asked), reason=np.zeros(3, dtype=np.int64))
+
+    monkeypatch.setattr(runtime.smoother, "next", planless)
+    monkeypatch.setattr(runtime.safety, "step", blind)
+    for _ in range(5):
+        runtime.tick()
+        command = runtime.command
+        assert np.isfinite(command.q).all()
+        assert np.isfinite(command.qd).all()
+        assert np.isfinite(command.tau).all()
+    assert runtime.robot.truth().valid.all()
 
 
 def test_a_diverged_simulation_stops_its_robot_only():

@@ -18,8 +18,6 @@ _R, _K, _KP, _KD = 0, 1, 4, 6
 """Places of resistance, motor constant and drive gains in a dcmotor's `gainprm`."""
 _RWH, _AMBIENT = 2, 4
 """Places of winding-to-housing resistance and of ambient temperature in a dcmotor's `dynprm`."""
-_DIVERGED = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADCTRL) + 1)
-"""Places of the warnings of a number that is not finite or too large: position, velocity, acceleration, control."""
 _NUMBER = 1
 """Place of the count in MuJoCo's warning statistics; place 0 is the last index that was warned of."""
 
@@ -56,7 +54,9 @@ class Plant(Stage):
         self._rise = bind("act")
         self._force, self._tau = bind("actuator_force"), bind("qfrc_actuator")
         self._site, self._contacts = bind("site_xpos")[:, model.site(spec.tool).id], bind("ncon")
-        self._diverged = self.batch.warning[:, _DIVERGED, _NUMBER]
+        # Of any kind: a simulation that is warned stops in the middle of a rollout, be it for a number that is not
+        # finite or for contacts that found no room.
+        self._warned = self.batch.warning[:, :, _NUMBER]
         # numpy is quickest where every shape is the same.
         each = np.ones((robots, n))
         self._gear = each * model.actuator_gear[:, 0]
@@ -104,6 +104,7 @@ class Plant(Stage):
         """Put saved arrays back, bit for bit; torque, current and contacts read zero until the next step."""
         super().restore(arrays)
         self._node[:] = self.housing
+        self._warned[:] = 0
 
     def step(self, command: Command) -> None:
         """One control period under a command."""
@@ -118,7 +119,7 @@ class Plant(Stage):
             )
         except SimulationError as e:
             self.valid[e.ids] = False
-        self.valid &= ~self._diverged.any(axis=1)
+        self.valid &= ~self._warned.any(axis=1)
         self._heat()
         np.subtract(self._site, self.tool, out=self.tool_velocity)
         self.tool_velocity /= self._dt
