@@ -256,20 +256,21 @@ def test_each_robot_is_judged_alone():
     """Eleven robots, each with another fault, and every verdict is that of its own fault."""
     faults = {
         **{1: Reason.VELOCITY, 2: Reason.POSITION, 4: Reason.TORQUE, 5: Reason.TRACKING, 6: Reason.HEAT},
-        **{7: Reason.TOOL_SPEED, 8: Reason.VELOCITY, 9: Reason.SINGULARITY, 10: Reason.SINGULARITY},
+        **{7: Reason.TOOL_SPEED, 8: Reason.VELOCITY},
+        **dict.fromkeys((9, 10), Reason.SINGULARITY | Reason.POSITION),
     }
     robots, straight = 11, one(4, 0.0, HOME)
     q, qd, qdd = np.tile(HOME, (robots, 1)), np.zeros((robots, N)), np.zeros((robots, N))
+    q_hat, sent, temperature = q.copy(), q.copy(), np.full((robots, N), 30.0)
     q[9] = straight
-    sent, temperature = q.copy(), np.full((robots, N), 30.0)
     qd[1, 5], qdd[4, 5] = 4.0, 1000.0
     # Only together: the speed that the acceleration will still add counts, and none of the others'.
     qd[7, 1:3], qdd[7, 1:3] = -2.3, -8.0
-    rest = q.copy()
+    rest = q_hat.copy()
     rest[2, 0], rest[10], sent[5, 3], temperature[6, 2] = HIGH[0], straight, HOME[3] + 0.2, 90.0
-    state = State(t=0.0, q=q, qd=qd, q_var=q, age=np.zeros(robots), innovation=q, temperature=temperature)
+    state = State(t=0.0, q=q_hat, qd=qd, q_var=q, age=np.zeros(robots), innovation=q, temperature=temperature)
     setpoint = Setpoint(q=q, qd=qd, qdd=qdd)
-    ahead = Setpoint(q=q, qd=qd * 0, qdd=qdd * 0)
+    ahead = Setpoint(q=q_hat, qd=qd * 0, qdd=qdd * 0)
     ahead.qd[8, 3] = 4.0
     verdict = Safety(SPEC, Fleet(SPEC, 2 * robots)).step(
         state, Setpoint(q=sent, qd=qd, qdd=qdd), setpoint, ahead, rest
