@@ -13,6 +13,7 @@ from deploy.runtime import Runtime
 from deploy.state import Bools, Mode
 from policies.recipe import Recipe, contract_of
 from policies.rewards import Limits, Step, reward, shaping
+from robots.model_pinocchio import Fleet
 from robots.randomness import training_seed
 from robots.spec import RobotSpec
 
@@ -36,6 +37,7 @@ class RuntimeEnv(VecEnv):
         seeds = [training_seed(recipe.seed, robot) for robot in range(self.num_envs)]
         self._recipe, self._spec, self._robot = recipe, spec, SimRobot(spec, seeds, threads=threads)
         self.runtime = Runtime(spec, contract_of(recipe, spec, {}), self._robot, seeds)
+        self._fleet = Fleet(spec, self.num_envs)
         self._limits = Limits(spec, recipe.reward.near_share)
         self._rng = np.random.default_rng(recipe.seed)
         period = round(self.runtime.task.config.period_s * recipe.promise.policy_hz)
@@ -110,6 +112,7 @@ class RuntimeEnv(VecEnv):
             stopped |= running & (runtime.supervisor.mode == Mode.STOPPING)
             reached |= task.ended & (self._distance(task.ended_goal) <= task.config.tolerance_m)
         truth, change = self._robot.truth(), runtime.action.last - self._last_action
+        self._fleet.place(truth.q)
         self._last_action[:] = runtime.action.last
         running = runtime.supervisor.mode == Mode.RUNNING
         return Step(
@@ -123,6 +126,7 @@ class RuntimeEnv(VecEnv):
             q_target=runtime.target.q,
             action_change=change,
             action_excess=self._excess(action),
+            manipulability=self._fleet.manipulability(),
             running=running,
             stopped=stopped,
         )

@@ -66,6 +66,7 @@ class Shaping(Strict):
         action_excess: for each squared unit of action beyond its clip: out there exploring changes nothing, so
             nothing would be learned.
         request: for each rad that a target asks beyond the working range.
+        singular_below, singular: manipulability below which it costs, and how much it costs at none.
         stop: for a safety stop.
     """
 
@@ -76,6 +77,8 @@ class Shaping(Strict):
     action_change: Penalty
     action_excess: Penalty
     request: Penalty
+    singular_below: PositiveFloat
+    singular: Penalty
     stop: Penalty
 
 

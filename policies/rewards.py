@@ -18,6 +18,7 @@ class Step:
         qdd_change: (B, n) rad/s², of the sent setpoint over the step. dt: s, the step.
         distance: (B,) m, true tool to goal. reached: (B,) a goal ended, and was reached.
         q_target: (B, n) rad, as requested. action_change: (B, n). action_excess: (B, n) beyond the action's clip.
+        manipulability: (B,) √det(JᵀJ) at the true angles.
         running, stopped: (B,) may move; was stopped in this step.
     """
 
@@ -31,6 +32,7 @@ class Step:
     q_target: Floats
     action_change: Floats
     action_excess: Floats
+    manipulability: Floats
     running: Bools
     stopped: Bools
 
@@ -70,4 +72,5 @@ def shaping(step: Step, limits: Limits, w: Shaping) -> Floats:
     change = w.action_change * (step.action_change**2).sum(axis=1)
     change += w.action_excess * (step.action_excess**2).sum(axis=1)
     request = w.request * limits.beyond(step.q_target).sum(axis=1)
-    return closeness * step.running + change + request + w.stop * step.stopped
+    singular = w.singular * np.maximum(1 - step.manipulability / w.singular_below, 0.0)
+    return closeness * step.running + change + request + singular + w.stop * step.stopped

@@ -121,6 +121,7 @@ def step_of(**changes):
         "q_target": SPEC.joint_array("q_home")[None],
         "action_change": rest,
         "action_excess": rest,
+        "manipulability": np.array([0.08]),
         "running": np.array([True]),
         "stopped": np.array([False]),
     }
@@ -161,6 +162,10 @@ def test_shaping_grows_towards_the_goal_and_is_lost_by_stopping():
     assert shaping(stopped, LIMITS, RECIPE.shaping)[0] == RECIPE.shaping.stop
     asked = shaping(step_of(q_target=at(0, BEYOND)), LIMITS, RECIPE.shaping)
     assert asked[0] < shaping(step_of(), LIMITS, RECIPE.shaping)[0]
+    singular = shaping(step_of(manipulability=np.array([0.002])), LIMITS, RECIPE.shaping)
+    assert singular[0] == pytest.approx(
+        shaping(step_of(), LIMITS, RECIPE.shaping)[0] + 0.75 * RECIPE.shaping.singular
+    )
     shouted = shaping(step_of(action_excess=np.full((1, N), -2.0)), LIMITS, RECIPE.shaping)
     assert shouted[0] == pytest.approx(
         shaping(step_of(), LIMITS, RECIPE.shaping)[0] + 4 * N * RECIPE.shaping.action_excess
