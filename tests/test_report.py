@@ -279,6 +279,12 @@ def test_one_file_that_cannot_be_written_spoils_none(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"report.json", "report.html", "junit.xml"}
 
 
+def test_a_folder_in_a_reports_place_is_found_before_the_hours(tmp_path):
+    (tmp_path / "report.html").mkdir()
+    with pytest.raises(OutputError, match=r"report\.html is a folder"):
+        claim(tmp_path)
+
+
 def test_a_claim_leaves_only_the_folder(tmp_path):
     claim(tmp_path / "new")
     assert list((tmp_path / "new").iterdir()) == []

@@ -7,6 +7,7 @@ from deploy.output import replacing
 from eval.report.data import Report
 from eval.report.html import render
 from eval.report.junit import junit
+from robots.errors import OutputError
 
 FILES = {
     "report.json": lambda report: report.model_dump_json(indent=1),
@@ -25,6 +26,9 @@ def claim(out: Path) -> None:
     with replacing(probe):
         pass
     probe.unlink()
+    for name in FILES:
+        if (out / name).is_dir():
+            raise OutputError(f"--out {out}: {name} is a folder, expected a file or nothing of that name")
 
 
 def write(report: Report, out: Path) -> None:
