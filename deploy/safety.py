@@ -97,10 +97,10 @@ class Safety:
     def _place(self, q: Floats) -> tuple[Floats | Bools, ...]:
         """Place the fleet at `q` and read the columns of a pose."""
         fleet = self._fleet
-        fleet.place(q)
+        fleet.place(q, collisions=True)
         tool = fleet.tool_position
         radius2 = ((tool - self._centre) ** 2).sum(axis=1, keepdims=True)
-        return q, fleet.manipulability()[:, None], fleet.colliding()[:, None], tool[:, 2:], radius2
+        return q, fleet.manipulability()[:, None], fleet.colliding[:, None], tool[:, 2:], radius2
 
 
 class _Bounds:

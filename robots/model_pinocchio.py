@@ -1,8 +1,9 @@
 """Pinocchio's model of a robot, and many robots in one model.
 
-`Fleet` puts copies of the robot side by side in one Pinocchio model, `BLOCK` to a model, so one C++ call serves a
-whole block: 0.7 µs of inverse dynamics per six-joint robot against 4 µs for a call each. Wider blocks lose:
-building `pinocchio.Data` costs the fourth power of the joints in time and the third in memory.
+`Fleet` puts `BLOCK` copies of the robot side by side in one Pinocchio model, so one C++ call serves that many: 0.7 µs
+of inverse dynamics per six-joint robot against 4 µs for a call each. More robots take their turns in the same model,
+whose data stay in the cache. Wider blocks lose: building `pinocchio.Data` costs the fourth power of the joints in time
+and the third in memory.
 """
 
 from dataclasses import dataclass
@@ -73,8 +74,8 @@ def collision_pairs(model: pin.Model, geometry: pin.GeometryModel) -> list[tuple
 class Fleet:
     """Kinematics and dynamics of B equal robots by the nominal model; arrays (B, ...), world frame.
 
-    `place` computes everything that depends on joint angles only; the readings after it are of those angles and
-    are overwritten by the next `place`.
+    `place` computes what depends on joint angles only; the readings after it are of those angles and are overwritten
+    by the next `place`.
     """
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
@@ -89,10 +90,10 @@ class Fleet:
         """
         model, geometry = load_pinocchio(spec)
         self.robots, self.n = robots, spec.n
-        self._blocks = tuple(
-            _block(model, geometry, spec, slice(start, min(start + BLOCK, robots)))
-            for start in range(0, robots, BLOCK)
-        )
+        width = min(BLOCK, robots)
+        self._block = _block(model, geometry, spec, width)
+        # The last turn may repeat robots of the one before: they get the same bits again.
+        self._turns = [slice(i, i + width) for i in (*range(0, robots - width, width), robots - width)]
         self._tau = np.zeros((robots, spec.n))
         self._tool = np.zeros((robots, 3))
         self._jacobian = np.zeros((robots, 6, spec.n))
@@ -103,18 +104,22 @@ class Fleet:
 
         Source: Featherstone, Rigid Body Dynamics Algorithms (2008), table 5.1.
         """
-        for b in self._blocks:
-            tau = pin.rnea(b.model, b.data, q[b.rows].ravel(), qd[b.rows].ravel(), qdd[b.rows].ravel())
-            self._tau[b.rows] = tau.reshape(-1, self.n)
+        b = self._block
+        for rows in self._turns:
+            tau = pin.rnea(b.model, b.data, q[rows].ravel(), qd[rows].ravel(), qdd[rows].ravel())
+            self._tau[rows] = tau.reshape(-1, self.n)
         return self._tau
 
-    def place(self, q: Floats) -> None:
-        """Forward kinematics, tool Jacobian and collision placement at joint angles (B, n) rad."""
-        for b in self._blocks:
-            jacobian = pin.computeJointJacobians(b.model, b.data, q[b.rows].ravel())
+    def place(self, q: Floats, *, collisions: bool = False) -> None:
+        """Forward kinematics and tool Jacobian, and where asked for, collisions, at joint angles (B, n) rad."""
+        b = self._block
+        for rows in self._turns:
+            jacobian = pin.computeJointJacobians(b.model, b.data, q[rows].ravel())
             pin.updateFramePlacements(b.model, b.data)
-            self._jacobian[b.rows] = jacobian.reshape(6, -1, self.n).transpose(1, 0, 2)
-            self._tool[b.rows] = b.tools
+            self._jacobian[rows] = jacobian.reshape(6, -1, self.n).transpose(1, 0, 2)
+            self._tool[rows] = b.tools
+            if collisions:
+                self._colliding[rows] = b.colliding()
         # Pinocchio's columns are the velocity of the world's origin: w × p moves it to the tool.
         crossing = (self._tool @ _CROSS).reshape(-1, 3, 3)
         self._jacobian[:, :3] += crossing @ self._jacobian[:, 3:]
@@ -152,14 +157,9 @@ class Fleet:
         """(B,) det J of a six-joint robot: its sign can only change in a singularity."""
         return np.asarray(np.linalg.det(self._jacobian))
 
+    @property
     def colliding(self) -> NDArray[np.bool_]:
-        """(B,) whether any pair of shapes is nearer than the collision margin."""
-        self._colliding[:] = False
-        for b in self._blocks:
-            pin.updateGeometryPlacements(b.model, b.data, b.geometry, b.geometry_data)
-            if pin.computeCollisions(b.geometry, b.geometry_data, False):
-                hits = [result.isCollision() for result in b.geometry_data.collisionResults]
-                self._colliding[b.rows] = np.reshape(hits, (b.rows.stop - b.rows.start, -1)).any(axis=1)
+        """(B,) whether any pair of shapes is nearer than the collision margin, where `place` last looked."""
         return self._colliding
 
 
@@ -174,16 +174,22 @@ _CROSS = np.array(
 class _Block:
     """Some robots side by side in one model; `tools` are live views into `data`."""
 
-    rows: slice
     model: pin.Model
     data: pin.Data
     geometry: pin.GeometryModel
     geometry_data: pin.GeometryData
     tools: tuple[Floats, ...]
 
+    def colliding(self) -> NDArray[np.bool_] | bool:
+        """(copies,) whether shapes are too near where `data` has the robots; one answer if none are."""
+        pin.updateGeometryPlacements(self.model, self.data, self.geometry, self.geometry_data)
+        if not pin.computeCollisions(self.geometry, self.geometry_data, False):
+            return False
+        hits = [result.isCollision() for result in self.geometry_data.collisionResults]
+        return np.asarray(np.reshape(hits, (len(self.tools), -1)).any(axis=1))
 
-def _block(model: pin.Model, geometry: pin.GeometryModel, spec: RobotSpec, rows: slice) -> _Block:
-    copies = rows.stop - rows.start
+
+def _block(model: pin.Model, geometry: pin.GeometryModel, spec: RobotSpec, copies: int) -> _Block:
     wide, frames = _side_by_side(model, model.frames[model.getFrameId(spec.tool)], copies)
     shapes = _shapes_side_by_side(model, geometry, copies)
     data, shapes_data = wide.createData(), shapes.createData()
@@ -191,7 +197,7 @@ def _block(model: pin.Model, geometry: pin.GeometryModel, spec: RobotSpec, rows:
         request.security_margin = spec.margins.collision_m
     pin.framesForwardKinematics(wide, data, np.zeros(wide.nq))
     tools = tuple(data.oMf[frame].translation for frame in frames)
-    return _Block(rows=rows, model=wide, data=data, geometry=shapes, geometry_data=shapes_data, tools=tools)
+    return _Block(model=wide, data=data, geometry=shapes, geometry_data=shapes_data, tools=tools)
 
 
 def _side_by_side(model: pin.Model, tool: pin.Frame, copies: int) -> tuple[pin.Model, list[int]]:

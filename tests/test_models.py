@@ -6,7 +6,7 @@ import pytest
 from test_spec import SPEC, copy_of_arm
 
 from robots.errors import RobotError
-from robots.model_pinocchio import Fleet, collision_pairs, load_pinocchio, torque_max
+from robots.model_pinocchio import BLOCK, Fleet, collision_pairs, load_pinocchio, torque_max
 from robots.spec import load_robot
 
 mujoco = pytest.importorskip("mujoco")
@@ -142,8 +142,8 @@ def test_fleet_keeps_the_collision_margin(both):
     shapes_data, q = shapes.createData(), random_states(5, 512)[0]
     fleet, margin, found, counted = Fleet(SPEC, 32), SPEC.margins.collision_m, [], 0
     for block in np.split(q, 16):
-        fleet.place(block)
-        found.extend(fleet.colliding())
+        fleet.place(block, collisions=True)
+        found.extend(fleet.colliding)
     for i in range(512):
         pin.computeDistances(arm, arm_data, shapes, shapes_data, q[i])
         nearest = min(result.min_distance for result in shapes_data.distanceResults)
@@ -189,30 +189,33 @@ def test_a_fleet_is_so_many_single_robots(robots):
 
 
 def test_neighbours_do_not_change_a_bit():
-    rng, fleet, alone = np.random.default_rng(0), Fleet(SPEC, 20), Fleet(SPEC, 1)
-    q, qd = rng.uniform(LOW, HIGH, (20, N)), rng.normal(0, 1, (20, N))
+    """Nor do those that took the same model before."""
+    robots = 2 * BLOCK + 4
+    rng, fleet, alone = np.random.default_rng(0), Fleet(SPEC, robots), Fleet(SPEC, 1)
+    q, qd = rng.uniform(LOW, HIGH, (robots, N)), rng.normal(0, 1, (robots, N))
     tau = fleet.torque(q, qd, qd).copy()
-    fleet.place(q)
-    for i in range(20):
+    fleet.place(q, collisions=True)
+    for i in range(robots):
         one = slice(i, i + 1)
         np.testing.assert_array_equal(alone.torque(q[one], qd[one], qd[one])[0], tau[i])
-        alone.place(q[one])
+        alone.place(q[one], collisions=True)
         np.testing.assert_array_equal(alone.tool_position[0], fleet.tool_position[i])
         np.testing.assert_array_equal(alone.tool_velocity(qd[one])[0], fleet.tool_velocity(qd)[i])
-        assert alone.colliding()[0] == fleet.colliding()[i]
+        assert alone.colliding[0] == fleet.colliding[i]
+    assert 0 < fleet.colliding.sum() < robots
 
 
 def test_a_robot_of_nan_spoils_no_neighbour():
     q = np.tile(SPEC.joint_array("q_home"), (18, 1))
     fleet = Fleet(SPEC, 18)
-    fleet.place(q)
-    clean = fleet.tool_position.copy(), fleet.torque(q, q, q).copy(), fleet.colliding().copy()
+    fleet.place(q, collisions=True)
+    clean = fleet.tool_position.copy(), fleet.torque(q, q, q).copy(), fleet.colliding.copy()
     q[[0, 5, 17]] = np.nan
-    fleet.place(q)
+    fleet.place(q, collisions=True)
     others = np.isfinite(q).all(axis=1)
     np.testing.assert_array_equal(fleet.tool_position[others], clean[0][others])
     np.testing.assert_array_equal(fleet.torque(q, q, q)[others], clean[1][others])
-    np.testing.assert_array_equal(fleet.colliding()[others], clean[2][others])
+    np.testing.assert_array_equal(fleet.colliding[others], clean[2][others])
     assert np.isnan(fleet.tool_position[~others]).all()
 
 

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from ruckig import InputParameter, Ruckig, Synchronization, Trajectory
 from test_spec import SPEC
 
-from deploy.smoother import Smoother
+from deploy.smoother import BLOCK, Smoother
 from deploy.state import Setpoint
 
 N, DT = SPEC.n, SPEC.dt
@@ -135,7 +135,7 @@ def test_braking_is_planned_without_touching_what_comes_next():
 
 
 def test_neighbours_do_not_change_a_bit():
-    robots, ticks, rng = 5, 400, np.random.default_rng(5)
+    robots, ticks, rng = BLOCK + 5, 400, np.random.default_rng(5)
     targets, stops = (
         attack("seldom", rng, ticks, robots),
         np.repeat(rng.random((40, robots)) < 0.2, 10, axis=0),
@@ -164,7 +164,7 @@ def moving(robots, seed=7):
 
 
 @pytest.mark.parametrize("field", ["q", "qd", "qdd"])
-@pytest.mark.parametrize("robots", [1, 4])
+@pytest.mark.parametrize("robots", [1, 4, BLOCK + 2])
 def test_a_robot_without_a_plan_gets_nan_and_its_neighbours_theirs(robots, field):
     """What Ruckig cannot plan must neither stop the others nor pass for a number."""
     clean, broken = moving(robots), moving(robots)
