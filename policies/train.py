@@ -31,7 +31,7 @@ def train(recipe: Recipe, text: str, out: Path, *, threads: int) -> Path:
     Args:
         recipe: the settings. text: of the recipe, kept in the checkpoint.
         out: folder for TensorBoard's events, the curves and the checkpoint.
-        threads: for physics and learning.
+        threads: for physics; results do not depend on it.
 
     Returns:
         The checkpoint's path.
@@ -42,7 +42,8 @@ def train(recipe: Recipe, text: str, out: Path, *, threads: int) -> Path:
     if any(out.glob("events.*")):
         raise ConfigError(f"--out {out}: holds another training, whose curves would mix with this one's")
     torch.manual_seed(recipe.seed)
-    torch.set_num_threads(threads)
+    # One thread: torch's sums depend on how many share them, and a policy would depend on the machine.
+    torch.set_num_threads(1)
     spec = load_robot(recipe.robot)
     env = RuntimeEnv(recipe, spec, threads=threads)
     runner = OnPolicyRunner(env, _settings(recipe.learner), log_dir=str(out), device="cpu")
@@ -116,7 +117,7 @@ def policy_train(
     out: Annotated[Path, typer.Option(help="Folder for checkpoint, curves and TensorBoard events.")] = Path(
         "out/train"
     ),
-    threads: Annotated[int, typer.Option(help="Threads for physics and learning.", min=1)] = 2,
+    threads: Annotated[int, typer.Option(help="Threads for physics; results do not depend on it.", min=1)] = 2,
 ) -> int:
     """Train a policy by a recipe; the checkpoint is <out>/<recipe>.pt."""
     path = find_recipe(recipe)
