@@ -58,6 +58,7 @@ $(eval $(call environment,$(VENV_ROBOT),requirements-robot.lock,1.1 GB: a minute
 demo: setup ## export the arm's policy, run it for 10 s, soak it for 3 simulated minutes
 	@mkdir -p out
 	$(BIN)/policy-export --policy arm.pt --out $(ARM)
+	@sync # a fresh installation is still being written to the disk, and ticks would come late for it
 	$(BIN)/deploy-run --backend sim --policy $(ARM) --duration 10 --out out/run
 	@$(BIN)/soak-test --policy $(ARM) --hours 0.05 --robots 16 --seed 7 --workers 2 --out out/soak; \
 	status=$$?; echo "report: $(CURDIR)/out/soak/report.html"; exit $$status
