@@ -117,7 +117,9 @@ def policy_train(
     out: Annotated[Path, typer.Option(help="Folder for checkpoint, curves and TensorBoard events.")] = Path(
         "out/train"
     ),
-    threads: Annotated[int, typer.Option(help="Threads for physics; results do not depend on it.", min=1)] = 2,
+    threads: Annotated[
+        int, typer.Option(help="Threads for physics; results do not depend on it.", min=1)
+    ] = 2,
 ) -> int:
     """Train a policy by a recipe; the checkpoint is <out>/<recipe>.pt."""
     path = find_recipe(recipe)
