@@ -1,9 +1,7 @@
 """One robot's shift: armed, at work, brought to rest. The one place that catches everything and stops the robot."""
 
-import signal
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from types import FrameType
@@ -13,6 +11,7 @@ import numpy as np
 from deploy.pace import Pace
 from deploy.recorder import Recorder
 from deploy.runtime import Runtime
+from deploy.signals import handled
 from deploy.state import Mode, Reason
 from deploy.supervisor import CATEGORY_1, words
 
@@ -21,7 +20,6 @@ ARM_WITHIN_S = 1.0
 STOP_WITHIN_S = 5.0
 """Robot time in which a controlled stop must have ended; no stop that was planned takes as long."""
 STOPS_SHOWN = 4
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Ending(Enum):
@@ -46,16 +44,6 @@ class Interrupts:
         self.count += 1
         if self.count == 2:
             raise KeyboardInterrupt
-
-    @contextmanager
-    def caught(self) -> Iterator[None]:
-        """Handle signals for a while."""
-        before = [(which, signal.signal(which, self)) for which in SIGNALS]
-        try:
-            yield
-        finally:
-            for which, handler in before:
-                signal.signal(which, handler)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -125,7 +113,7 @@ class Shift:
 
     def live(self) -> Ending:
         """Arm, work, and come to rest, whatever happens."""
-        with self.interrupts.caught():
+        with handled(self.interrupts):
             try:
                 if self._armed():
                     self._work()

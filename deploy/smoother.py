@@ -10,6 +10,7 @@ from ruckig import ControlInterface, InputParameter, OutputParameter, Ruckig, Ru
 
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Setpoint
+from robots.blocks import turns
 from robots.spec import RobotSpec
 
 EDGE = 1e-8
@@ -17,9 +18,6 @@ EDGE = 1e-8
 
 NUDGE = 1e-9
 """rad. How far a target is moved where Ruckig has no plan for the exact one."""
-
-BLOCK = 16
-"""Robots in one call of Ruckig."""
 
 REST = 1e-6
 """rad/s and rad/s². What is left below is rounding, which Ruckig may take many periods to bring to nothing."""
@@ -79,10 +77,8 @@ class _Planner:
     """One Ruckig instance."""
 
     def __init__(self, spec: RobotSpec, robots: int, *, alone: bool = False) -> None:
-        width = min(BLOCK, robots)
-        # The last turn may repeat robots of the one before: they get the same bits again.
-        starts = (*range(0, robots - width, width), robots - width)
-        self._turns = [slice(start, start + width) for start in starts]
+        self._turns = turns(robots)
+        width = self._turns[0].stop
         self._shape, size = (width, spec.n), width * spec.n
         self._otg, self._in, self._out = (
             Ruckig(size, spec.dt),

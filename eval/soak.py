@@ -5,9 +5,8 @@ import platform
 import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from functools import reduce
@@ -15,7 +14,7 @@ from importlib.metadata import version
 from multiprocessing.sharedctypes import SynchronizedArray
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -25,6 +24,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from deploy.cli import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
 from deploy.policy import Policy
+from deploy.signals import handled
 from eval.budget import BUDGET, load_budget
 from eval.counts import merge
 from eval.report.build import build
@@ -39,7 +39,6 @@ SAMPLE_S = 60.0
 """s between two samples of heat and goals, in a soak long enough for `SAMPLES` of them."""
 SAMPLES, GOAL_BINS = 64, 8
 LIBRARIES = ("mujoco", "pin", "ruckig", "filterpy", "onnxruntime", "numpy", "scipy")
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 UNSEEN = (
     "Sensors lie by noise, quantization, delay and loss only: no drift, no bias, no failure.",
     "Motors heat and their torque sags, but nothing wears: hour 8 has the friction of hour 0.",
@@ -119,29 +118,18 @@ def run_soak(soak: Soak, console: Console) -> list[ShardResult]:
     progress, stop = context.Array("q", len(jobs)), context.Event()
     workers = min(soak.workers, len(jobs))
     with ProcessPoolExecutor(workers, context, initializer=_prepare, initargs=(progress, stop)) as pool:
-        with _signals(signal.SIG_IGN):  # which the workers inherit: only their parent hears Ctrl-C
+        with handled(signal.SIG_IGN):  # which the workers inherit: only their parent hears Ctrl-C
             futures = [pool.submit(_run, number, job) for number, job in enumerate(jobs)]
         try:
-            with _signals(_interrupt):
+            with handled(_interrupt):
                 _watch(futures, progress, soak.ticks * len(jobs), console)
         except KeyboardInterrupt:
             console.print("interrupted: the report will hold what was done so far")
         finally:
             stop.set()
-        with _signals(signal.SIG_IGN):
+        with handled(signal.SIG_IGN):
             results = [future.result() for future in futures]
     return [result for result in results if result is not None]
-
-
-@contextmanager
-def _signals(handler: Any) -> Iterator[None]:
-    """Ctrl-C, termination and a lost terminal mean the same for a while."""
-    before = [(which, signal.signal(which, handler)) for which in SIGNALS]
-    try:
-        yield
-    finally:
-        for which, former in before:
-            signal.signal(which, former)
 
 
 def _interrupt(_signal: int, _frame: object) -> None:

@@ -12,10 +12,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from robots.blocks import turns
 from robots.errors import RobotError
 from robots.spec import RobotSpec
-
-BLOCK = 16
 
 Floats = NDArray[np.float64]
 
@@ -90,10 +89,8 @@ class Fleet:
         """
         model, geometry = load_pinocchio(spec)
         self.robots, self.n = robots, spec.n
-        width = min(BLOCK, robots)
-        self._block = _block(model, geometry, spec, width)
-        # The last turn may repeat robots of the one before: they get the same bits again.
-        self._turns = [slice(i, i + width) for i in (*range(0, robots - width, width), robots - width)]
+        self._turns = turns(robots)
+        self._block = _block(model, geometry, spec, self._turns[0].stop)
         self._tau = np.zeros((robots, spec.n))
         self._tool = np.zeros((robots, 3))
         self._jacobian = np.zeros((robots, 6, spec.n))

@@ -5,8 +5,9 @@ import pinocchio as pin
 import pytest
 from test_spec import SPEC, copy_of_arm
 
+from robots.blocks import BLOCK
 from robots.errors import RobotError
-from robots.model_pinocchio import BLOCK, Fleet, collision_pairs, load_pinocchio, torque_max
+from robots.model_pinocchio import Fleet, collision_pairs, load_pinocchio, torque_max
 from robots.spec import load_robot
 
 mujoco = pytest.importorskip("mujoco")

@@ -7,7 +7,8 @@ from test_spec import SPEC
 from deploy.safety import Safety
 from deploy.tasks import reach
 from deploy.tasks.reach import Reach, ReachConfig, goal_pool
-from robots.model_pinocchio import BLOCK, Fleet
+from robots.blocks import BLOCK
+from robots.model_pinocchio import Fleet
 from robots.randomness import robot_seed
 
 CONFIG = ReachConfig()

@@ -4,21 +4,17 @@ Goals are uniform in volume over what the arm can reach: every goal is the tool 
 inside the working range that every safety check accepts.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deploy.safety import Safety
 from deploy.stage import Stage
 from deploy.state import Bools, Floats
-from robots.model_pinocchio import BLOCK, Fleet
+from robots.model_pinocchio import Fleet
 from robots.randomness import keyed, keys
 from robots.spec import RobotSpec
-
-T = TypeVar("T", bound=np.generic)
 
 GOALS_SEED = 20_250_811
 """One pool of goals for everybody: what a robot's seed chooses is the order."""
@@ -121,9 +117,8 @@ def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
     Tool positions of uniform joint configurations crowd where the arm folds; weighting each by one over the number
     of its cell makes the choice uniform in volume.
     """
-    fleet = Fleet(spec, BLOCK)
-    q, tool = _poses_in_shell(spec, config, fleet)
-    safe = _by_block(Safety(spec, fleet).check_poses, q) == 0
+    q, tool = _poses_in_shell(spec, config)
+    safe = Safety(spec, Fleet(spec, len(q))).check_poses(q) == 0
     q, tool = q[safe], tool[safe]
     _, cell, count = np.unique(
         np.floor(tool / config.cell_m), axis=0, return_inverse=True, return_counts=True
@@ -132,30 +127,21 @@ def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
     return GoalPool(q=q, tool=tool, chance=np.cumsum(weight) / np.cumsum(weight)[-1])
 
 
-def _poses_in_shell(spec: RobotSpec, config: ReachConfig, fleet: Fleet) -> tuple[Floats, Floats]:
+def _poses_in_shell(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Floats]:
     """(K, n) rad and (K, 3) m: configurations with their tool where goals may be; whether they are safe costs more.
 
     Beyond a singularity lies another branch of the arm, and the singularity check lets nobody through: only
     configurations on the home pose's branch count.
     """
-
-    def place(q: Floats) -> Floats:
-        fleet.place(q)
-        return np.column_stack((fleet.tool_position, fleet.determinant()))
-
     low, high = (spec.joint_array(f"q_{end}") for end in ("min", "max"))
     margin = 2 * spec.margins.q_target_rad
     q = np.random.default_rng(GOALS_SEED).uniform(low + margin, high - margin, (config.candidates, spec.n))
-    placed = _by_block(place, q)
-    tool, branch = placed[:, :3], np.sign(_by_block(place, spec.joint_array("q_home")[None])[0, 3])
+    home, fleet = Fleet(spec, 1), Fleet(spec, len(q))
+    home.place(spec.joint_array("q_home")[None])
+    fleet.place(q)
+    tool = fleet.tool_position
     radius = np.linalg.norm(tool - np.array(spec.workspace.centre), axis=1)
     fine = (radius >= config.radius_min) & (radius <= config.radius_max) & (tool[:, 2] >= config.z_min)
     fine &= np.hypot(tool[:, 0], tool[:, 1]) >= config.axis_min
-    fine &= branch * placed[:, 3] >= config.manipulability_min
+    fine &= np.sign(home.determinant()) * fleet.determinant() >= config.manipulability_min
     return q[fine], tool[fine]
-
-
-def _by_block(call: Callable[[Floats], NDArray[T]], q: Floats) -> NDArray[T]:
-    """What `call` says of each row of `q`, asked `BLOCK` rows at a time; the last block is filled up with the first."""
-    rows = np.resize(np.arange(len(q)), (-(-len(q) // BLOCK), BLOCK))
-    return np.concatenate([call(q[block]) for block in rows])[: len(q)]

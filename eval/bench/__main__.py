@@ -24,7 +24,7 @@ from rich.console import Console
 from deploy.cli import PASSED, main
 from deploy.policy import Policy
 from eval.bench.idle import make_idle
-from eval.bench.stages import stages
+from eval.bench.stages import ROUNDS, SEED, stages
 from eval.budget import BUDGET, check, load_budget
 from eval.counts import MONITORS, merge
 from eval.shard import WIDTH, Shard, ShardJob
@@ -32,7 +32,6 @@ from eval.soak import Soak, run_soak
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 
-ROUNDS, SEED = 5, 7
 console = Console(width=100)
 
 
