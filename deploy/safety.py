@@ -1,8 +1,8 @@
 """Whether a setpoint may be sent: the last word before the supervisor.
 
 Pure: (state, setpoint) → verdict, by the nominal model in Pinocchio. It never edits a number and knows neither
-policy nor smoother. Beside the setpoint it checks the stop that would begin there, its first step and the pose where
-it ends. What lies between those two is not looked at: the margins are for that.
+policy nor smoother. Beside the setpoint it checks the stop that would begin there: its first step, the pose where it
+ends, and the tool half way. What lies between is not looked at: the margins are for that.
 """
 
 import numpy as np
@@ -67,7 +67,13 @@ class Safety:
     # A setpoint without a number is refused by its own check; nobody else need complain.
     @np.errstate(invalid="ignore", over="ignore")
     def step(
-        self, state: State, sent: Setpoint, setpoint: Setpoint, ahead: Setpoint, q_rest: Floats
+        self,
+        state: State,
+        sent: Setpoint,
+        setpoint: Setpoint,
+        ahead: Setpoint,
+        tool_midway: Floats,
+        q_rest: Floats,
     ) -> Verdict:
         """Judge one setpoint for each robot.
 
@@ -76,12 +82,13 @@ class Safety:
             sent: the last setpoint sent, which the drives follow now.
             setpoint: what would be sent next.
             ahead: the first step of the stop that would begin at `setpoint`.
-            q_rest: (B, n) rad, where that stop would end.
+            tool_midway: (B, 3) m, where the tool would be half way of that stop.
+            q_rest: (B, n) rad, where it would end.
         """
         robots, age = len(q_rest), state.age[:, None]
         q, qd = np.concatenate((setpoint.q, ahead.q)), np.concatenate((setpoint.qd, ahead.qd))
         tau = self._fleet.torque(q, qd, np.concatenate((setpoint.qdd, ahead.qdd))).copy()
-        poses = self._place(np.concatenate((setpoint.q, q_rest)))
+        poses = self._place(np.concatenate((setpoint.q, q_rest)), tool_midway)
         # A stop first lets the acceleration run out, and the speed that it gains until then counts.
         qd_peak = setpoint.qd + setpoint.qdd * np.abs(setpoint.qdd) / self._twice_jerk
         speeds = self._fleet.tool_velocity(np.concatenate((setpoint.qd, qd_peak)), of=slice(0, robots))
@@ -92,15 +99,24 @@ class Safety:
 
     def check_poses(self, q: Floats) -> Ints:
         """(R,) what speaks against being at `q` (R, n) rad; R is the width of the fleet."""
-        return self._pose.reasons(*self._place(q))
+        return self._pose.reasons(*self._place(q, np.empty((0, 3))))
 
-    def _place(self, q: Floats) -> tuple[Floats | Bools, ...]:
-        """Place the fleet at `q` and read the columns of a pose."""
-        fleet = self._fleet
+    def _place(self, q: Floats, tool_midway: Floats) -> tuple[Floats | Bools, ...]:
+        """Place the fleet at `q` and read the columns of a pose.
+
+        Args:
+            q: (R, n) rad.
+            tool_midway: (M, 3) m, where the tools of the last M robots would be on their way there: the worse counts.
+        """
+        fleet, robots, midway = self._fleet, len(q), len(tool_midway)
         fleet.place(q, collisions=True)
-        tool = fleet.tool_position
-        radius2 = ((tool - self._centre) ** 2).sum(axis=1, keepdims=True)
-        return q, fleet.manipulability()[:, None], fleet.colliding[:, None], tool[:, 2:], radius2
+        tool = np.concatenate((fleet.tool_position, tool_midway))
+        z, radius2 = tool[:, 2:], ((tool - self._centre) ** 2).sum(axis=1, keepdims=True)
+        last = slice(robots - midway, robots)
+        np.minimum(z[last], z[robots:], out=z[last])
+        np.maximum(radius2[last], radius2[robots:], out=radius2[last])
+        manipulability, colliding = fleet.manipulability()[:, None], fleet.colliding[:, None]
+        return q, manipulability, colliding, z[:robots], radius2[:robots]
 
 
 class _Bounds:

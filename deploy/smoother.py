@@ -1,20 +1,25 @@
 """Jerk-limited trajectories with Ruckig; a stop is one of them.
 
-One Ruckig instance serves the joints of `BLOCK` robots in one call; more robots take their turns in it, and what it
-works with stays in the cache. `reset()` before every update makes each joint's result independent of its neighbours
-and of the past, so a resumed run repeats the same bits.
+One Ruckig instance plans the joints of `BLOCK` robots in one call; more robots take their turns in it, and what it
+works with stays in the cache. A robot that does what was planned, for a target that has not changed, stays on its
+trajectory; any other gets a new one. A joint's trajectory depends on neither its neighbours nor the past, so a resumed
+run repeats the same bits.
 """
 
+from collections.abc import Callable, Iterable, Mapping
+from itertools import chain
+
 import numpy as np
-from ruckig import ControlInterface, InputParameter, OutputParameter, Ruckig, RuckigError, Synchronization
+from numpy.typing import NDArray
+from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Setpoint
+from deploy.state import Bools, Floats, Ints, Setpoint
 from robots.blocks import turns
 from robots.spec import RobotSpec
 
 EDGE = 1e-8
-"""rad/s. Ruckig may replan badly when the speed it is bound to reach is this near the limit; the state is moved in."""
+"""rad/s. Ruckig may plan badly when the speed it is bound to reach is this near the limit; the state is moved in."""
 
 NUDGE = 1e-9
 """rad. How far a target is moved where Ruckig has no plan for the exact one."""
@@ -22,37 +27,67 @@ NUDGE = 1e-9
 REST = 1e-6
 """rad/s and rad/s². What is left below is rounding, which Ruckig may take many periods to bring to nothing."""
 
+RENEW_S = 1.0
+"""s. No trajectory is used for longer: its end is at rest but for rounding, and rounding times hours is a way."""
+
 
 class Smoother(Stage):
-    """The last SENT setpoint of B robots, and the first step of the ways on from there."""
+    """The last SENT setpoint of B robots, the trajectories that they are on, and the stops that could begin.
 
-    carried = ("q", "qd", "qdd")
+    Attributes:
+        q, qd, qdd: (B, n) rad, rad/s, rad/s², the last setpoint sent.
+        origin: (B, 4n + 1) where each robot's trajectory began and what was asked then: q, qd, qdd, target, stopping.
+        expected: (B, 4n + 1) the same of now, if all went as planned: who differs gets a new trajectory.
+        age: (B,) ticks since `origin`.
+    """
+
+    carried = ("q", "qd", "qdd", "origin", "expected", "age")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Build both Ruckig instances: one for what comes next, one for stops."""
+        """Build the planners: one for what comes next, one for stops."""
         shape = (robots, spec.n)
         self.q, self.qd, self.qdd = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self.origin = np.full((robots, 4 * spec.n + 1), np.nan)
+        self.expected, self.age = self.origin.copy(), np.zeros(robots, dtype=np.int64)
         margin = spec.margins.q_target_rad
         self._q_min = np.tile(spec.joint_array("q_min") + margin, (robots, 1))
         self._q_max = np.tile(spec.joint_array("q_max") - margin, (robots, 1))
-        self._next, self._stop = _Planner(spec, robots), _Planner(spec, robots)
-        self._everybody = np.ones(robots, dtype=bool)
+        self._ways, self._stops = _Ways(spec, robots), _Ways(spec, robots)
+        self._renew, self._midway = round(RENEW_S / spec.dt), _midway(spec)
+        self._everybody = np.ones((robots, 1), dtype=bool)
 
     def next(self, q_target: Floats, stopping: Bools) -> Setpoint:
-        """One step from the last sent setpoint: towards a target, or towards rest.
+        """One step from the last sent setpoint: towards a target, or towards rest; NaN where Ruckig has no plan.
 
         Args:
             q_target: (B, n) rad, clamped here to the working range less its margin.
-            stopping: (B,) robots that brake instead.
+            stopping: (B,) robots that brake, wherever that ends soonest, instead.
         """
-        return self._next.step(
-            self.sent, np.minimum(np.maximum(q_target, self._q_min), self._q_max), stopping
-        )
+        target, stops = np.minimum(np.maximum(q_target, self._q_min), self._q_max), stopping[:, None]
+        if np.count_nonzero(stopping):
+            target[stopping] = 0.0  # no matter: it must not count as asked anew
+            self.age -= stopping & self.at_rest  # or rounding would creep on
+        self.age += 1
+        self._plan(np.concatenate((self.q, self.qd, self.qdd, target, stops), axis=1))
+        planned = self._ways.after(self.age)
+        self.expected[:, : planned[0].size] = planned.reshape(len(planned), -1)
+        return _setpoint(planned)
 
-    def brake(self, start: Setpoint) -> tuple[Setpoint, Floats]:
-        """A stop that would begin at `start`: its first step, and where (B, n) rad it would come to rest."""
-        rest = np.empty_like(start.q)
-        return self._stop.step(start, start.q, self._everybody, rest=rest), rest
+    def _plan(self, now: Floats) -> None:
+        """Give a new trajectory to whom is not where he was expected, is asked something else, or was long on one."""
+        as_expected = now == self.expected
+        if np.count_nonzero(as_expected) == now.size and self.age.max() < self._renew:
+            return
+        left = ~as_expected.all(axis=1) | (self.age >= self._renew)
+        self.origin[left], self.age[left] = now[left], 1
+        self.expected[:] = now
+        self._ways.plan(self.origin, left)
+
+    def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
+        """A stop that would begin at `start`: its first step, and (B, n) rad half way of it and where it would end."""
+        self._stops.plan(np.concatenate((start.q, start.qd, start.qdd, start.q, self._everybody), axis=1))
+        stop = self._stops.stop(self._midway)
+        return _setpoint(stop), stop[:, 3], stop[:, 4]
 
     def commit(self, sent: Setpoint) -> None:
         """Remember what was sent."""
@@ -61,6 +96,11 @@ class Smoother(Stage):
     def hold(self, ids: Bools, q: Floats) -> None:
         """Rest robots where `ids` (B,) holds at `q` (B, n) rad."""
         self.q[ids], self.qd[ids], self.qdd[ids] = q[ids], 0.0, 0.0
+
+    def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Put saved arrays back and plan the trajectories that they stand for."""
+        super().restore(arrays)
+        self._ways.plan(self.origin)
 
     @property
     def sent(self) -> Setpoint:
@@ -73,102 +113,141 @@ class Smoother(Stage):
         return np.asarray(np.maximum(np.abs(self.qd), np.abs(self.qdd)).max(axis=1) < REST)
 
 
-class _Planner:
-    """One Ruckig instance."""
+class _Ways:
+    """Trajectories of B robots: one for each block, or one for each robot of a block that Ruckig cannot plan as one."""
 
-    def __init__(self, spec: RobotSpec, robots: int, *, alone: bool = False) -> None:
-        self._turns = turns(robots)
-        width = self._turns[0].stop
-        self._shape, size = (width, spec.n), width * spec.n
-        self._otg, self._in, self._out = (
-            Ruckig(size, spec.dt),
-            InputParameter(size),
-            OutputParameter(size),
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        self._turns, self._n, self._robots, self._dt = turns(robots), spec.n, robots, spec.dt
+        self._block, self._solo = _Planner(spec, self._turns[0].stop), _Planner(spec, 1)
+        self._whole = [Trajectory(self._turns[0].stop * spec.n) for _ in self._turns]
+        self._ways: list[list[tuple[slice, Trajectory | None]]] = [[] for _ in self._turns]
+
+    def plan(self, origin: Floats, whom: Bools | None = None) -> None:
+        """Plan again for every block that holds a robot of `whom` (B,): the others there get what they have.
+
+        Args:
+            origin: (B, 4n + 1) q, qd, qdd where the trajectories begin, target, and whether to brake instead.
+            whom: robots whose origin has changed; by default all.
+        """
+        for turn, rows in enumerate(self._turns):
+            if whom is not None and not np.count_nonzero(whom[rows]):
+                continue
+            whole = self._whole[turn]
+            if self._block.plan(origin[rows], whole):
+                self._ways[turn] = [(rows, whole)]
+            else:
+                self._ways[turn] = [(one, self._alone(origin[one])) for one in _each(rows)]
+
+    def after(self, ticks: Ints) -> Floats:
+        """(B, 3, n), where each robot is so many ticks (B,) on; NaN where there is no plan."""
+        ages = set(ticks.tolist())
+        out = self.at(ages.pop() * self._dt)
+        for age in ages:
+            np.copyto(out, self.at(age * self._dt), where=(ticks == age)[:, None, None])
+        return out
+
+    def at(self, t: float) -> Floats:
+        """(B, 3, n), where all robots are after `t` s; NaN where there is no plan."""
+        return self._read(3, lambda way: way.at_time(t))
+
+    def stop(self, midway: float) -> Floats:
+        """(B, 5, n), of stops: q, qd, qdd after one tick, q after `midway` s, q at the end; NaN where is no plan."""
+        return self._read(
+            5, lambda way: (*way.at_time(self._dt), way.at_time(midway)[0], way.at_time(way.duration)[0])
         )
-        self._qd_max = np.tile(spec.margins.speed * spec.joint_array("qd_max"), (width, 1))
-        self._twice_jerk = np.tile(2 * spec.joint_array("qddd_max"), (width, 1))
+
+    def _read(self, parts: int, look: Callable[[Trajectory], Iterable[list[float]]]) -> Floats:
+        out = np.empty((self._robots, parts, self._n))
+        for rows, way in chain.from_iterable(self._ways):
+            if way is None:
+                out[rows] = np.nan
+            else:
+                # In two thirds of the time that `np.array` takes.
+                x = np.fromiter(
+                    chain.from_iterable(look(way)), float, parts * self._n * (rows.stop - rows.start)
+                )
+                out[rows] = x.reshape(parts, -1, self._n).swapaxes(0, 1)
+        return out
+
+    def _alone(self, origin: Floats) -> Trajectory | None:
+        """Ruckig fails for a whole block when one joint has no solution: find it, spare the others.
+
+        Where two shapes of profile meet exactly, as at a distance of 2a³/j², it finds neither: a rounded acceleration
+        or a target next to it cures the failures seen. A robot that stays without a plan gets NaN, which safety
+        refuses.
+        """
+        way, n = Trajectory(self._n), self._n
+        if self._solo.plan(origin, way):
+            return way
+        near = origin.copy()
+        near[:, 2 * n : 3 * n] = near[:, 2 * n : 3 * n].round(9)
+        near[:, 3 * n : 4 * n] += NUDGE
+        return way if self._solo.plan(near, way) else None
+
+
+class _Planner:
+    """One Ruckig instance for some robots."""
+
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        self._n, size = spec.n, robots * spec.n
+        self._otg, self._in = Ruckig(size, spec.dt), InputParameter(size)
+        self._qd_max = np.tile(spec.margins.speed * spec.joint_array("qd_max"), (robots, 1))
+        self._twice_jerk = np.tile(2 * spec.joint_array("qddd_max"), (robots, 1))
         self._in.max_velocity = self._qd_max.ravel()
-        self._in.max_acceleration = np.tile(spec.joint_array("qdd_max"), width)
+        self._in.max_acceleration = np.tile(spec.joint_array("qdd_max"), robots)
         self._in.max_jerk = self._twice_jerk.ravel() / 2
         self._in.synchronization = Synchronization.No
         self._in.per_dof_control_interface = [ControlInterface.Position] * size
-        self._braking, self._following = np.zeros(width, dtype=bool), np.ones(self._shape, dtype=bool)
-        self._solo = None if alone else _Planner(spec, 1, alone=True)
+        self._braking = np.zeros(robots, dtype=bool)
 
-    def step(
-        self, start: Setpoint, target: Floats, braking: Bools, *, rest: Floats | None = None
-    ) -> Setpoint:
-        """One control period along the fastest trajectories; NaN in the rows that have none.
-
-        Args:
-            start: where they begin.
-            target: (B, n) rad, where they end at rest.
-            braking: (B,) robots that come to rest wherever that is soonest instead.
-            rest: (B, n), filled with where all of them end.
-        """
-        x = np.empty((3, *start.q.shape))
-        for rows in self._turns:
-            self._brake(braking[rows])
-            x[:, rows], ends = self._turn(start.q[rows], start.qd[rows], start.qdd[rows], target[rows])
-            if rest is not None:
-                rest[rows] = self._ends() if ends is None else ends
-        return Setpoint(q=x[0], qd=x[1], qdd=x[2])
+    def plan(self, origin: Floats, way: Trajectory) -> bool:
+        """Fill `way` for these robots, `origin` as in `_Ways.plan`; whether Ruckig could."""
+        q, qd, qdd, target = origin[:, :-1].reshape(len(origin), 4, self._n).swapaxes(0, 1)
+        self._brake(origin[:, -1] != 0)
+        # As lists: Ruckig's binding reads an array number by number, in three times the time.
+        self._in.current_position = q.ravel().tolist()
+        self._in.current_velocity = self._inside(qd, qdd).ravel().tolist()
+        self._in.current_acceleration = qdd.ravel().tolist()
+        self._in.target_position = target.ravel().tolist()
+        try:
+            self._otg.calculate(self._in, way)
+        except RuckigError:
+            return False
+        return True
 
     def _brake(self, braking: Bools) -> None:
         """Choose for each robot: speed to zero, or position to a target."""
         if (braking == self._braking).all():
             return
         self._braking[:] = braking
-        self._following[:] = ~braking[:, None]
         kinds = [ControlInterface.Velocity if b else ControlInterface.Position for b in braking]
-        self._in.per_dof_control_interface = [kind for kind in kinds for _ in range(self._shape[1])]
-
-    def _turn(self, q: Floats, qd: Floats, qdd: Floats, target: Floats) -> tuple[Floats, Floats | None]:
-        """Angles, speeds and accelerations (3, width, n) after one period, and the ends where Ruckig has none."""
-        # As lists: Ruckig's binding reads an array number by number, in three times the time.
-        self._in.current_position = q.ravel().tolist()
-        self._in.current_velocity = self._inside(qd, qdd).ravel().tolist()
-        self._in.current_acceleration = qdd.ravel().tolist()
-        self._in.target_position = target.ravel().tolist()
-        self._otg.reset()
-        try:
-            self._otg.update(self._in, self._out)
-        except RuckigError:
-            return self._one_by_one(q, qd, qdd, target)
-        out = np.array((self._out.new_position, self._out.new_velocity, self._out.new_acceleration))
-        return out.reshape(3, *self._shape), None
-
-    def _ends(self) -> Floats:
-        """(width, n) rad, where the trajectories of the last turn end."""
-        trajectory = self._out.trajectory
-        return np.array(trajectory.at_time(trajectory.duration)[0]).reshape(self._shape)
+        self._in.per_dof_control_interface = [kind for kind in kinds for _ in range(self._n)]
 
     def _inside(self, qd: Floats, qdd: Floats) -> Floats:
         """Speeds moved off the limit where a target is followed; a stop knows no limit of speed."""
         if self._braking.all():
             return qd
         bound = qd + qdd * np.abs(qdd) / self._twice_jerk
-        edge = (np.abs(np.abs(bound) - self._qd_max) < EDGE) & self._following
+        edge = (np.abs(np.abs(bound) - self._qd_max) < EDGE) & ~self._braking[:, None]
         return np.where(edge, qd - np.sign(bound) * EDGE, qd) if np.count_nonzero(edge) else qd
 
-    def _one_by_one(self, q: Floats, qd: Floats, qdd: Floats, target: Floats) -> tuple[Floats, Floats]:
-        """Ruckig fails for the whole call when one joint has no solution: find it, spare the others.
 
-        Where two shapes of profile meet exactly, as at a distance of 2a³/j², it finds neither: a rounded acceleration
-        or a target next to it cures the failures seen. A robot that stays without a plan gets NaN, which safety
-        refuses.
-        """
-        x, ends = np.full((3, *q.shape), np.nan), np.full(q.shape, np.nan)
-        if self._solo is None:
-            return x, ends
-        for row in range(len(q)):
-            one = slice(row, row + 1)
-            braking, end = self._braking[one], ends[one]
-            plan = self._solo.step(
-                Setpoint(q=q[one], qd=qd[one], qdd=qdd[one]), target[one], braking, rest=end
-            )
-            if np.isnan(plan.q).any():
-                start = Setpoint(q=q[one], qd=qd[one], qdd=qdd[one].round(9))
-                plan = self._solo.step(start, target[one] + NUDGE, braking, rest=end)
-            x[0, one], x[1, one], x[2, one] = plan.q, plan.qd, plan.qdd
-        return x, ends
+def _midway(spec: RobotSpec) -> float:
+    """s, when a stop from half the speed has half its way behind it: after a third of its time, of the slowest joint.
+
+    A stop from less is at its end by then. There a stop is farthest from both ends, as joints come to rest one after
+    another.
+    """
+    qdd_max = spec.joint_array("qdd_max")
+    whole = spec.margins.speed * spec.joint_array("qd_max") / 2 / qdd_max + qdd_max / spec.joint_array(
+        "qddd_max"
+    )
+    return float(whole.max() / 3)
+
+
+def _setpoint(x: Floats) -> Setpoint:
+    return Setpoint(q=x[:, 0], qd=x[:, 1], qdd=x[:, 2])
+
+
+def _each(rows: slice) -> list[slice]:
+    return [slice(row, row + 1) for row in range(rows.start, rows.stop)]

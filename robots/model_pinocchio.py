@@ -117,9 +117,15 @@ class Fleet:
             self._tool[rows] = b.tools
             if collisions:
                 self._colliding[rows] = b.colliding()
-        # Pinocchio's columns are the velocity of the world's origin: w × p moves it to the tool.
-        crossing = (self._tool @ _CROSS).reshape(-1, 3, 3)
-        self._jacobian[:, :3] += crossing @ self._jacobian[:, 3:]
+
+    def tools(self, q: Floats) -> Floats:
+        """(B, 3) m, the tool in the world at joint angles (B, n) rad; what `place` found stays."""
+        tools, b = np.empty((self.robots, 3)), self._block
+        for rows in self._turns:
+            pin.forwardKinematics(b.model, b.data, q[rows].ravel())
+            pin.updateFramePlacements(b.model, b.data)
+            tools[rows] = b.tools
+        return tools
 
     @property
     def tool_position(self) -> Floats:
@@ -133,12 +139,14 @@ class Fleet:
             qd: joint speeds, a whole number of times as many rows as robots are chosen.
             of: the robots.
         """
-        linear = self._jacobian[of, :3]
-        return np.asarray((linear @ qd.reshape(-1, len(linear), self.n, 1)).reshape(-1, 3))
+        jacobian, crossing = self._jacobian[of], self._crossing(self._tool[of])
+        twist = jacobian @ qd.reshape(-1, len(jacobian), self.n, 1)
+        return np.asarray((twist[..., :3, :] + crossing @ twist[..., 3:, :]).reshape(-1, 3))
 
     def tool_pull(self, force: Floats) -> Floats:
         """(B, n) N·m, joint torques equal to a force (B, 3) N on the tool: Jᵀf."""
-        return np.asarray((force[:, None] @ self._jacobian[:, :3])[:, 0])
+        wrench = np.concatenate((force[:, None], force[:, None] @ self._crossing(self._tool)), axis=2)
+        return np.asarray((wrench @ self._jacobian)[:, 0])
 
     def manipulability(self) -> Floats:
         """(B,) √det(JᵀJ), which is |det J| for six joints: 0 in a singularity.
@@ -147,12 +155,24 @@ class Fleet:
         """
         if self.n == 6:
             return np.abs(self.determinant())
-        gram = self._jacobian.transpose(0, 2, 1) @ self._jacobian
+        jacobian = self._jacobian.copy()
+        jacobian[:, :3] += self._crossing(self._tool) @ jacobian[:, 3:]
+        gram = jacobian.transpose(0, 2, 1) @ jacobian
         return np.asarray(np.sqrt(np.maximum(np.linalg.det(gram), 0.0)))
 
     def determinant(self) -> Floats:
-        """(B,) det J of a six-joint robot: its sign can only change in a singularity."""
+        """(B,) det J of a six-joint robot: its sign can only change in a singularity.
+
+        It is the same for every point that moves with the tool.
+        """
         return np.asarray(np.linalg.det(self._jacobian))
+
+    def _crossing(self, tool: Floats) -> Floats:
+        """(R, 3, 3), M of w × p = M w at tool positions p (R, 3).
+
+        Pinocchio's Jacobian tells the velocity of the point at the world's origin: w × p moves it to the tool.
+        """
+        return (tool @ _CROSS).reshape(-1, 3, 3)
 
     @property
     def colliding(self) -> NDArray[np.bool_]:

@@ -21,7 +21,16 @@ def point(q=HOME, qd=ZERO, qdd=ZERO):
 
 
 def judge(
-    *, q_hat=None, qd_hat=ZERO, sent=None, age=0.0, temperature=30.0, setpoint=None, ahead=None, q_rest=None
+    *,
+    q_hat=None,
+    qd_hat=ZERO,
+    sent=None,
+    age=0.0,
+    temperature=30.0,
+    setpoint=None,
+    ahead=None,
+    midway=None,
+    q_rest=None,
 ):
     """The verdict on one robot, everything else being well."""
     setpoint = setpoint or point()
@@ -38,8 +47,9 @@ def judge(
     fleet = Fleet(SPEC, 2)
     ahead = setpoint if ahead is None else ahead
     rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
+    tool_midway = Fleet(SPEC, 1).tools(HOME[None]) if midway is None else np.atleast_2d(midway)
     return Safety(SPEC, fleet).step(
-        state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, ahead, rest
+        state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, ahead, tool_midway, rest
     )
 
 
@@ -273,7 +283,7 @@ def test_each_robot_is_judged_alone():
     ahead = Setpoint(q=q_hat, qd=qd * 0, qdd=qdd * 0)
     ahead.qd[8, 3] = 4.0
     verdict = Safety(SPEC, Fleet(SPEC, 2 * robots)).step(
-        state, Setpoint(q=sent, qd=qd, qdd=qdd), setpoint, ahead, rest
+        state, Setpoint(q=sent, qd=qd, qdd=qdd), setpoint, ahead, Fleet(SPEC, robots).tools(q), rest
     )
     assert verdict.reason.tolist() == [int(faults.get(i, 0)) for i in range(robots)]
 

@@ -115,7 +115,7 @@ def test_a_stop_ends_where_it_was_predicted(seed, before):
     )
     target, stopping = attack("random", rng, 1, robots)[0], np.array([True, False, True])
     planned = smoother.next(target, np.zeros(robots, dtype=bool))
-    first, end = smoother.brake(planned)
+    first, _, end = smoother.brake(planned)
     smoother.commit(planned)
     step = smoother.next(target, stopping)
     np.testing.assert_allclose(step.q[stopping], first.q[stopping], rtol=0, atol=1e-9)
@@ -183,8 +183,8 @@ def test_where_neighbours_of_a_failure_would_rest_is_still_right():
     clean, broken = moving(4), moving(4)
     broken.brake(Setpoint(q=clean.q, qd=clean.qd * 0, qdd=clean.qdd * 0))
     broken.qd[2, 1] = np.nan
-    first, end = broken.brake(broken.sent)
-    expected_first, expected_end = clean.brake(clean.sent)
+    first, _, end = broken.brake(broken.sent)
+    expected_first, _, expected_end = clean.brake(clean.sent)
     others = np.arange(4) != 2
     np.testing.assert_array_equal(first.q[others], expected_first.q[others])
     np.testing.assert_allclose(end[others], expected_end[others], rtol=0, atol=1e-12)
@@ -284,7 +284,7 @@ def test_replanning_every_tick_is_as_fast_as_one_plan():
     one.calculate(plan, path)
     free, fast = np.zeros(robots, dtype=bool), 0.0
     for tick in range(1, 500):
-        smoother.commit(smoother.next(target, free))
+        smoother.commit(smoother.next(target + tick % 2 * 1e-12, free))  # or it would stay on its way
         planned = np.reshape(path.at_time(tick * DT)[0], (robots, N))
         np.testing.assert_allclose(smoother.q, planned, rtol=0, atol=1e-5)
         fast = max(fast, np.abs(smoother.qd / V).max())
