@@ -92,7 +92,7 @@ class Safety:
         # A stop first lets the acceleration run out, and the speed that it gains until then counts.
         qd_peak = setpoint.qd + setpoint.qdd * np.abs(setpoint.qdd) / self._twice_jerk
         speeds = self._fleet.tool_velocity(np.concatenate((setpoint.qd, qd_peak)), of=slice(0, robots))
-        points = self._plan.reasons(q, qd, tau, *poses, (speeds**2).sum(axis=1, keepdims=True))
+        points = self._plan.reasons(q, qd, tau, *poses, np.vecdot(speeds, speeds)[:, None])
         reason = self._state.reasons(state.q, state.qd, sent.q - state.q, state.temperature, age, age)
         reason |= points[:robots] | points[robots:]
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:])
@@ -111,7 +111,8 @@ class Safety:
         fleet, robots, midway = self._fleet, len(q), len(tool_midway)
         fleet.place(q, collisions=True)
         tool = np.concatenate((fleet.tool_position, tool_midway))
-        z, radius2 = tool[:, 2:], ((tool - self._centre) ** 2).sum(axis=1, keepdims=True)
+        arm = tool - self._centre
+        z, radius2 = tool[:, 2:], np.vecdot(arm, arm)[:, None]
         last = slice(robots - midway, robots)
         np.minimum(z[last], z[robots:], out=z[last])
         np.maximum(radius2[last], radius2[robots:], out=radius2[last])

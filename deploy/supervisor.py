@@ -37,7 +37,7 @@ WORDS = {
     Reason.TORQUE: "a joint would need more torque than it has",
     Reason.WORKSPACE: "the tool would leave its workspace",
     Reason.COLLISION: "links would come nearer than the collision margin",
-    Reason.SINGULARITY: "the arm would come too near a singularity",
+    Reason.SINGULARITY: "the arm would come too near a singularity, or pass it",
     Reason.TOOL_SPEED: "the tool would be too fast",
     Reason.HEAT: "a motor housing is too hot",
     Reason.STALE: "samples are missing",

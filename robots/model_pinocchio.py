@@ -95,6 +95,10 @@ class Fleet:
         self._tool = np.zeros((robots, 3))
         self._jacobian = np.zeros((robots, 6, spec.n))
         self._colliding = np.zeros(robots, dtype=bool)
+        home = pin.computeJointJacobians(
+            self._block.model, self._block.data, np.tile(spec.joint_array("q_home"), self._turns[0].stop)
+        )
+        self._side = float(np.sign(np.linalg.det(home[:, :6]))) if self.n == 6 else 1.0
 
     def torque(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """(B, n) N·m by recursive Newton-Euler, rotor inertia included, friction not.
@@ -149,23 +153,20 @@ class Fleet:
         return np.asarray((wrench @ self._jacobian)[:, 0])
 
     def manipulability(self) -> Floats:
-        """(B,) √det(JᵀJ), which is |det J| for six joints: 0 in a singularity.
+        """(B,) √det(JᵀJ): 0 in a singularity, and below 0 beyond one.
+
+        For six joints it is |det J|, the same for every point that moves with the tool; det J changes its sign only
+        in a singularity, so the home pose's sign tells on which side of all of them the robot is. For other numbers
+        of joints there is no such sign.
 
         Source: Yoshikawa, Manipulability of Robotic Mechanisms (1985), eq. 4.
         """
         if self.n == 6:
-            return np.abs(self.determinant())
+            return np.asarray(self._side * np.linalg.det(self._jacobian))
         jacobian = self._jacobian.copy()
         jacobian[:, :3] += self._crossing(self._tool) @ jacobian[:, 3:]
         gram = jacobian.transpose(0, 2, 1) @ jacobian
         return np.asarray(np.sqrt(np.maximum(np.linalg.det(gram), 0.0)))
-
-    def determinant(self) -> Floats:
-        """(B,) det J of a six-joint robot: its sign can only change in a singularity.
-
-        It is the same for every point that moves with the tool.
-        """
-        return np.asarray(np.linalg.det(self._jacobian))
 
     def _crossing(self, tool: Floats) -> Floats:
         """(R, 3, 3), M of w × p = M w at tool positions p (R, 3).

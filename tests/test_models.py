@@ -186,7 +186,7 @@ def test_a_fleet_is_so_many_single_robots(robots):
             )
             np.testing.assert_allclose(velocity[i], jacobian[:3] @ qd[i], rtol=0, atol=1e-12)
             expected = np.sqrt(max(0.0, np.linalg.det(jacobian @ jacobian.T)))
-            np.testing.assert_allclose(manipulability[i], expected, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(np.abs(manipulability[i]), expected, rtol=0, atol=1e-9)
 
 
 def test_neighbours_do_not_change_a_bit():
@@ -239,9 +239,20 @@ def test_manipulability_vanishes_where_the_arm_is_singular():
     fleet = Fleet(SPEC, 3)
     fleet.place(np.stack((wrist, elbow, home)))
     lost_wrist, lost_elbow, free = fleet.manipulability()
-    assert lost_wrist < 1e-12
-    assert lost_elbow < 1e-12
+    assert abs(lost_wrist) < 1e-12
+    assert abs(lost_elbow) < 1e-12
     assert free > 10 * SPEC.margins.singularity
+
+
+def test_manipulability_is_negative_beyond_a_singularity(joint):
+    """A step from one side to the other, however far from zero it lands, is seen."""
+    home, fleet = SPEC.joint_array("q_home"), Fleet(SPEC, 2)
+    beyond = home.copy()
+    beyond[4] *= -1  # wrist 2, singular at 0
+    fleet.place(np.stack((home, beyond)))
+    here, there = fleet.manipulability()
+    assert here > 10 * SPEC.margins.singularity
+    assert there < -10 * SPEC.margins.singularity
 
 
 WRIST_3 = r'(?s)<joint name="wrist_3" class="size1"/>'

@@ -144,6 +144,21 @@ def test_the_setpoint_itself_is_placed_too():
     assert Reason.SINGULARITY in reasons(setpoint=point(straight), ahead=point(), q_hat=HOME, q_rest=HOME)
 
 
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_the_tool_half_way_of_a_stop_stays_in_the_workspace(axis, sign):
+    """Though where the stop begins and ends is well inside."""
+    inner, centre = SPACE.radius_max - MARGINS.workspace_m, np.array(SPACE.centre)
+    for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
+        away = one(axis, sign * factor * inner, np.zeros(3))
+        floored = sign < 0 and axis == 2  # the table is nearer
+        if not floored:
+            assert (Reason.WORKSPACE in reasons(midway=centre + away)) == beyond
+        low = centre * [1, 1, 0] + [0.4, 0, SPACE.z_min + MARGINS.workspace_m - (factor - 1)]
+        assert (reasons(midway=low) == Reason.WORKSPACE) == beyond
+    assert reasons(midway=np.full(3, np.nan)) == Reason.NOT_FINITE
+
+
 @pytest.mark.parametrize("joint", range(N))
 def test_a_joint_found_outside_its_range_is_category_1(joint):
     for end, outwards in ((LOW[joint], -1), (HIGH[joint], 1)):
@@ -226,7 +241,7 @@ def by_mujoco(mujoco, poses):
         mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
         tool = data.site_xpos[site]
         nearest = min(mujoco.mj_geomDistance(model, data, a, b, 0.1, fromto) for a, b in pairs)
-        rows.append((tool[2], np.linalg.norm(tool - SPACE.centre), abs(np.linalg.det(jacobian)), nearest))
+        rows.append((tool[2], np.linalg.norm(tool - SPACE.centre), np.linalg.det(jacobian), nearest))
     return np.array(rows).T
 
 
@@ -235,7 +250,9 @@ def test_poses_are_judged_as_another_library_judges_them():
     mujoco = pytest.importorskip("mujoco")
     robots, width, rng = 3072, 64, np.random.default_rng(0)
     q = rng.uniform(LOW, HIGH, (robots, N))
-    height, radius, manipulability, nearest = by_mujoco(mujoco, q)
+    _, _, home_side, _ = np.sign(by_mujoco(mujoco, HOME[None]))
+    height, radius, determinant, nearest = by_mujoco(mujoco, q)
+    manipulability = home_side * determinant
     singularity = 0.01  # more than the arm's own, so that enough poses lie on either side
     spec = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"singularity": singularity})})
     reason, safety = np.zeros(robots, dtype=np.int64), Safety(spec, Fleet(spec, width))
@@ -332,8 +349,12 @@ def test_no_policy_can_hurt_the_arm():
     assert (q >= LOW).all()
     assert (q <= HIGH).all()
     assert (np.abs(tau) <= torque_max(SPEC) * (1 + 1e-9)).all()
-    assert tool[..., 2].min() > SPACE.z_min - 0.002
-    assert np.linalg.norm(tool - SPACE.centre, axis=-1).max() < SPACE.radius_max + 0.002
+    assert tool[..., 2].min() > SPACE.z_min
+    assert np.linalg.norm(tool - SPACE.centre, axis=-1).max() < SPACE.radius_max
+    fleet = Fleet(SPEC, 16)
+    for pose in q[::4]:
+        fleet.place(pose)
+        assert (fleet.manipulability() > 0).all()  # no singularity was passed
     assert not (modes == Mode.LATCHED).any()
     assert Reason.WORKSPACE | Reason.COLLISION in reasons
     assert reasons & CATEGORY_1 == 0

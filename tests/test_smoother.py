@@ -158,6 +158,67 @@ def test_saved_and_restored_goes_on_bit_for_bit():
     )
 
 
+def test_who_does_what_was_planned_stays_on_the_trajectory():
+    """To the bit, as one who plans once would ride it: no tick in between is a plan of its own."""
+    smoother, target, ticks = moving(2), np.stack((HOME + 0.4, HOME - 0.3)), 60
+    plan, path = InputParameter(2 * N), Trajectory(2 * N)
+    plan.max_velocity, plan.max_acceleration, plan.max_jerk = (np.tile(limit, 2) for limit in (V, A, J))
+    plan.current_position, plan.current_velocity = smoother.q.ravel(), smoother.qd.ravel()
+    plan.current_acceleration, plan.target_position = smoother.qdd.ravel(), target.ravel()
+    plan.synchronization = Synchronization.No
+    Ruckig(2 * N).calculate(plan, path)
+    ridden = ride(smoother, np.tile(target, (ticks, 1, 1)), never(ticks, 2))[4:]
+    expected = [np.reshape(path.at_time(tick * DT)[0], (2, N)) for tick in range(1, ticks + 1)]
+    np.testing.assert_array_equal(ridden, expected)
+
+
+def test_who_is_put_elsewhere_leaves_the_trajectory():
+    smoother, target = moving(3), np.tile(HOME + 0.4, (3, 1))
+    ride(smoother, np.tile(target, (5, 1, 1)), never(5, 3))
+    smoother.hold(np.array([False, True, False]), np.tile(HOME, (3, 1)))
+    fresh = at_home(1)
+    for _ in range(5):
+        smoother.commit(smoother.next(target, np.zeros(3, dtype=bool)))
+        fresh.commit(fresh.next(target[1:2], np.zeros(1, dtype=bool)))
+        np.testing.assert_array_equal(smoother.q[1], fresh.q[0])
+
+
+def test_a_neighbour_without_a_plan_changes_no_bit():
+    """Where Ruckig fails for the block, each robot gets a trajectory of its own, as old as the one that it had."""
+    clean, broken, target = moving(4), moving(4), np.tile(HOME + 0.4, (4, 1))
+    others, free = np.arange(4) != 2, np.zeros(4, dtype=bool)
+    for tick in range(60):
+        if tick == 7:
+            broken.qd[2, 1] = np.nan
+        for smoother in (clean, broken):
+            plan = smoother.next(target + tick // 20 * 0.1, free)
+            smoother.commit(plan)
+        np.testing.assert_array_equal(broken.q[others], clean.q[others])
+    assert np.isnan(broken.q[2]).any()
+
+
+@pytest.mark.parametrize("braking", [False, True])
+def test_at_rest_for_long_nothing_creeps(braking):
+    ticks = 3000
+    smoother, target = moving(2), np.stack((HOME + 0.4, HOME - 0.3))
+    sent = ride(smoother, np.tile(target, (ticks, 1, 1)), np.full((ticks, 2), braking))
+    assert smoother.at_rest.all()
+    assert np.abs(np.diff(sent[500:], axis=0)).max() <= (0 if braking else 1e-15)
+    np.testing.assert_allclose(sent[-1], sent[500], rtol=0, atol=1e-14)
+
+
+def test_half_way_of_a_stop_is_on_its_way():
+    smoother = moving(3)
+    _, midway, end = smoother.brake(smoother.sent)
+    way = ride(smoother, np.tile(HOME, (100, 3, 1)), np.ones((100, 3), dtype=bool))[3:]
+    nearest = np.abs(way - midway).max(axis=(1, 2)).argmin()
+    assert 0 < nearest < 99
+    low, high = np.minimum(way[nearest - 1], way[nearest + 1]), np.maximum(way[nearest - 1], way[nearest + 1])
+    assert ((midway >= low - 1e-9) & (midway <= high + 1e-9)).all()
+    assert (np.abs(midway - smoother.q) < np.abs(way[0] - smoother.q)).mean() > 0.7
+    np.testing.assert_allclose(smoother.q, end, rtol=0, atol=1e-6)
+
+
 def moving(robots, seed=7):
     smoother = at_home(robots)
     ride(smoother, attack("walk", np.random.default_rng(seed), 60, robots), never(60, robots))
