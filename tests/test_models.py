@@ -244,7 +244,7 @@ def test_manipulability_vanishes_where_the_arm_is_singular():
     assert free > 10 * SPEC.margins.singularity
 
 
-def test_manipulability_is_negative_beyond_a_singularity(joint):
+def test_manipulability_is_negative_beyond_a_singularity():
     """A step from one side to the other, however far from zero it lands, is seen."""
     home, fleet = SPEC.joint_array("q_home"), Fleet(SPEC, 2)
     beyond = home.copy()
