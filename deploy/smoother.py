@@ -6,7 +6,7 @@ trajectory; any other gets a new one. A joint's trajectory depends on neither it
 run repeats the same bits.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from itertools import chain
 
 import numpy as np
@@ -86,7 +86,7 @@ class Smoother(Stage):
     def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
         """A stop that would begin at `start`: its first step, and (B, n) rad half way of it and where it would end."""
         self._stops.plan(np.concatenate((start.q, start.qd, start.qdd, start.q, self._everybody), axis=1))
-        stop = self._stops.stop(self._midway)
+        stop = self._stops.along(self._midway)
         return _setpoint(stop), stop[:, 3], stop[:, 4]
 
     def commit(self, sent: Setpoint) -> None:
@@ -139,35 +139,30 @@ class _Ways:
                 self._ways[turn] = [(one, self._alone(origin[one])) for one in _each(rows)]
 
     def after(self, ticks: Ints) -> Floats:
-        """(B, 3, n), where each robot is so many ticks (B,) on; NaN where there is no plan."""
-        ages = set(ticks.tolist())
-        out = self.at(ages.pop() * self._dt)
-        for age in ages:
-            np.copyto(out, self.at(age * self._dt), where=(ticks == age)[:, None, None])
-        return out
-
-    def at(self, t: float) -> Floats:
-        """(B, 3, n), where all robots are after `t` s; NaN where there is no plan."""
-        return self._read(3, lambda way: way.at_time(t))
-
-    def stop(self, midway: float) -> Floats:
-        """(B, 5, n), of stops: q, qd, qdd after one tick, q after `midway` s, q at the end; NaN where is no plan."""
-        return self._read(
-            5, lambda way: (*way.at_time(self._dt), way.at_time(midway)[0], way.at_time(way.duration)[0])
-        )
-
-    def _read(self, parts: int, look: Callable[[Trajectory], Iterable[list[float]]]) -> Floats:
-        out = np.empty((self._robots, parts, self._n))
+        """(B, 3, n) q, qd, qdd, so many ticks (B,) on; NaN where there is no plan."""
+        out = np.full((self._robots, 3, self._n), np.nan)
         for rows, way in chain.from_iterable(self._ways):
             if way is None:
-                out[rows] = np.nan
-            else:
-                # In two thirds of the time that `np.array` takes.
-                x = np.fromiter(
-                    chain.from_iterable(look(way)), float, parts * self._n * (rows.stop - rows.start)
-                )
-                out[rows] = x.reshape(parts, -1, self._n).swapaxes(0, 1)
+                continue
+            ages = set(ticks[rows].tolist())
+            for age in ages:
+                here = True if len(ages) == 1 else (ticks[rows] == age)[:, None, None]
+                np.copyto(out[rows], self._numbers(way.at_time(age * self._dt)), where=here)
         return out
+
+    def along(self, midway: float) -> Floats:
+        """(B, 5, n) q, qd, qdd one tick on, q after `midway` s, and q at the end; NaN where there is no plan."""
+        out = np.full((self._robots, 5, self._n), np.nan)
+        for rows, way in chain.from_iterable(self._ways):
+            if way:
+                q_midway, q_end = way.at_time(midway)[0], way.at_time(way.duration)[0]
+                out[rows] = self._numbers((*way.at_time(self._dt), q_midway, q_end))
+        return out
+
+    def _numbers(self, parts: tuple[list[float], ...]) -> Floats:
+        """(rows, parts, n), in two thirds of the time that `np.array` takes."""
+        flat = np.fromiter(chain.from_iterable(parts), float, len(parts) * len(parts[0]))
+        return flat.reshape(len(parts), -1, self._n).swapaxes(0, 1)
 
     def _alone(self, origin: Floats) -> Trajectory | None:
         """Ruckig fails for a whole block when one joint has no solution: find it, spare the others.
