@@ -54,7 +54,7 @@ class Runtime:
         robots = robot.robots
         self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
         self.fleet = Fleet(spec, robots)
-        self.safety = Safety(spec, Fleet(spec, 2 * robots))
+        self.safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True))
         self.estimator = Estimator(spec, robots)
         self.action = Action(contract.action, robots)
         self.smoother = Smoother(spec, robots)

@@ -26,7 +26,7 @@ class Safety:
 
         Args:
             spec: the robot.
-            fleet: its nominal model, 2B robots wide.
+            fleet: its nominal model, 2B robots wide, with collisions.
         """
         self._fleet, margins, space = fleet, spec.margins, spec.workspace
         self._centre = np.array(space.centre)
@@ -109,7 +109,7 @@ class Safety:
             tool_midway: (M, 3) m, where the tools of the last M robots would be on their way there: the worse counts.
         """
         fleet, robots, midway = self._fleet, len(q), len(tool_midway)
-        fleet.place(q, collisions=True)
+        fleet.place(q)
         tool = np.concatenate((fleet.tool_position, tool_midway))
         arm = tool - self._centre
         z, radius2 = tool[:, 2:], np.vecdot(arm, arm)[:, None]

@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from robots.blocks import turns
+from robots.clearance import Pairs, can_meet
 from robots.errors import RobotError
 from robots.spec import RobotSpec
 
@@ -58,7 +59,7 @@ def torque_max(spec: RobotSpec) -> Floats:
     return limit
 
 
-def collision_pairs(model: pin.Model, geometry: pin.GeometryModel) -> list[tuple[int, int]]:
+def collision_pairs(model: pin.Model, geometry: pin.GeometryModel) -> Pairs:
     """Pairs of shapes on links that are neither the same nor parent and child."""
     parents = list(model.parents)
     joints = [shape.parentJoint for shape in geometry.geometryObjects]
@@ -77,20 +78,22 @@ class Fleet:
     by the next `place`.
     """
 
-    def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Build the blocks.
+    def __init__(self, spec: RobotSpec, robots: int, *, collisions: bool = False) -> None:
+        """Build the block.
 
         Args:
             spec: the robot.
             robots: B.
+            collisions: whether `place` looks for them.
 
         Raises:
             RobotError: as `load_pinocchio`.
         """
         model, geometry = load_pinocchio(spec)
+        pairs = can_meet(spec, model, geometry, collision_pairs(model, geometry)) if collisions else []
         self.robots, self.n = robots, spec.n
         self._turns = turns(robots)
-        self._block = _block(model, geometry, spec, self._turns[0].stop)
+        self._block = _block(model, geometry, pairs, spec, self._turns[0].stop)
         self._tau = np.zeros((robots, spec.n))
         self._tool = np.zeros((robots, 3))
         self._jacobian = np.zeros((robots, 6, spec.n))
@@ -111,15 +114,15 @@ class Fleet:
             self._tau[rows] = tau.reshape(-1, self.n)
         return self._tau
 
-    def place(self, q: Floats, *, collisions: bool = False) -> None:
-        """Forward kinematics and tool Jacobian, and where asked for, collisions, at joint angles (B, n) rad."""
+    def place(self, q: Floats) -> None:
+        """Forward kinematics, tool Jacobian and collisions at joint angles (B, n) rad."""
         b = self._block
         for rows in self._turns:
             jacobian = pin.computeJointJacobians(b.model, b.data, q[rows].ravel())
             pin.updateFramePlacements(b.model, b.data)
             self._jacobian[rows] = jacobian.reshape(6, -1, self.n).transpose(1, 0, 2)
             self._tool[rows] = b.tools
-            if collisions:
+            if b.geometry.collisionPairs:
                 self._colliding[rows] = b.colliding()
 
     def tools(self, q: Floats) -> Floats:
@@ -177,7 +180,7 @@ class Fleet:
 
     @property
     def colliding(self) -> NDArray[np.bool_]:
-        """(B,) whether any pair of shapes is nearer than the collision margin, where `place` last looked."""
+        """(B,) whether any pair of shapes is nearer than the collision margin; q must be inside the working ranges."""
         return self._colliding
 
 
@@ -207,9 +210,11 @@ class _Block:
         return np.asarray(np.reshape(hits, (len(self.tools), -1)).any(axis=1))
 
 
-def _block(model: pin.Model, geometry: pin.GeometryModel, spec: RobotSpec, copies: int) -> _Block:
+def _block(
+    model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs, spec: RobotSpec, copies: int
+) -> _Block:
     wide, frames = _side_by_side(model, model.frames[model.getFrameId(spec.tool)], copies)
-    shapes = _shapes_side_by_side(model, geometry, copies)
+    shapes = _shapes_side_by_side(model, geometry, pairs, copies)
     data, shapes_data = wide.createData(), shapes.createData()
     for request in shapes_data.collisionRequests:
         request.security_margin = spec.margins.collision_m
@@ -234,9 +239,11 @@ def _side_by_side(model: pin.Model, tool: pin.Frame, copies: int) -> tuple[pin.M
     return wide, frames
 
 
-def _shapes_side_by_side(model: pin.Model, geometry: pin.GeometryModel, copies: int) -> pin.GeometryModel:
+def _shapes_side_by_side(
+    model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs, copies: int
+) -> pin.GeometryModel:
     """Collision shapes of the copies; pairs only within a copy, ordered by copy."""
-    wide, pairs, joints = pin.GeometryModel(), collision_pairs(model, geometry), model.njoints - 1
+    wide, joints = pin.GeometryModel(), model.njoints - 1
     for copy in range(copies):
         for shape in geometry.geometryObjects:
             parent = shape.parentJoint and shape.parentJoint + copy * joints

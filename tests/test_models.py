@@ -1,3 +1,4 @@
+import itertools
 import re
 
 import numpy as np
@@ -6,6 +7,7 @@ import pytest
 from test_spec import SPEC, copy_of_arm
 
 from robots.blocks import BLOCK
+from robots.clearance import can_meet
 from robots.errors import RobotError
 from robots.model_pinocchio import Fleet, collision_pairs, load_pinocchio, torque_max
 from robots.spec import load_robot
@@ -140,10 +142,10 @@ def test_collisions_are_seen_alike(both):
 def test_fleet_keeps_the_collision_margin(both):
     _, _, arm, arm_data, _ = both
     shapes = with_pairs(arm)
-    shapes_data, q = shapes.createData(), random_states(5, 512)[0]
-    fleet, margin, found, counted = Fleet(SPEC, 32), SPEC.margins.collision_m, [], 0
+    shapes_data, q = shapes.createData(), np.random.default_rng(5).uniform(LOW, HIGH, (512, N))
+    fleet, margin, found, counted = Fleet(SPEC, 32, collisions=True), SPEC.margins.collision_m, [], 0
     for block in np.split(q, 16):
-        fleet.place(block, collisions=True)
+        fleet.place(block)
         found.extend(fleet.colliding)
     for i in range(512):
         pin.computeDistances(arm, arm_data, shapes, shapes_data, q[i])
@@ -161,6 +163,39 @@ def test_no_pair_of_neighbours_and_no_pair_left_out(both):
     expected = {frozenset((a, b)) for i, a in enumerate(chain) for b in chain[i + 2 :]}
     expected |= {frozenset((fixed, link)) for fixed in ("table", "base") for link in chain[1:]}
     assert pairs == expected
+
+
+def names_of(shapes, pairs):
+    return {tuple(shapes.geometryObjects[i].name for i in pair) for pair in pairs}
+
+
+def test_pairs_that_are_not_checked_cannot_meet(both):
+    """Proven for every pose of the working ranges; looked at here in its corners and in 5,000 poses."""
+    _, _, arm, arm_data, shapes = both
+    pairs = collision_pairs(arm, shapes)
+    idle = [pair for pair in pairs if pair not in can_meet(SPEC, arm, shapes, pairs)]
+    assert names_of(shapes, idle) == {
+        *{("table", "upper_arm"), ("shoulder", "forearm"), ("shoulder", "wrist_1"), ("upper_arm", "wrist_1")},
+        *{("forearm", "wrist_2"), ("wrist_1", "wrist_3")},
+    }
+    alone = shapes.copy()
+    for pair in idle:
+        alone.addCollisionPair(pin.CollisionPair(*pair))
+    places, rng = alone.createData(), np.random.default_rng(0)
+    corners = np.array(list(itertools.product(*zip(LOW, HIGH, strict=True))))
+    for q in np.concatenate((corners, rng.uniform(LOW, HIGH, (5000, N)))):
+        pin.computeDistances(arm, arm_data, alone, places, q)
+        assert min(found.min_distance for found in places.distanceResults) > SPEC.margins.collision_m
+
+
+def test_pairs_nearer_than_the_margin_are_checked(both):
+    """wrist_1 and wrist_3 pass each other at 26 mm."""
+    _, _, arm, _, shapes = both
+    pairs = collision_pairs(arm, shapes)
+    for margin, kept in ((0.015, False), (0.028, True)):
+        spec = SPEC.model_copy(update={"margins": SPEC.margins.model_copy(update={"collision_m": margin})})
+        found = names_of(shapes, can_meet(spec, arm, shapes, pairs))
+        assert (("wrist_1", "wrist_3") in found) == kept
 
 
 @pytest.mark.parametrize("robots", [1, 16, 17, 64])
@@ -192,14 +227,18 @@ def test_a_fleet_is_so_many_single_robots(robots):
 def test_neighbours_do_not_change_a_bit():
     """Nor do those that took the same model before."""
     robots = 2 * BLOCK + 4
-    rng, fleet, alone = np.random.default_rng(0), Fleet(SPEC, robots), Fleet(SPEC, 1)
+    rng, fleet, alone = (
+        np.random.default_rng(0),
+        Fleet(SPEC, robots, collisions=True),
+        Fleet(SPEC, 1, collisions=True),
+    )
     q, qd = rng.uniform(LOW, HIGH, (robots, N)), rng.normal(0, 1, (robots, N))
     tau = fleet.torque(q, qd, qd).copy()
-    fleet.place(q, collisions=True)
+    fleet.place(q)
     for i in range(robots):
         one = slice(i, i + 1)
         np.testing.assert_array_equal(alone.torque(q[one], qd[one], qd[one])[0], tau[i])
-        alone.place(q[one], collisions=True)
+        alone.place(q[one])
         np.testing.assert_array_equal(alone.tool_position[0], fleet.tool_position[i])
         np.testing.assert_array_equal(alone.tool_velocity(qd[one])[0], fleet.tool_velocity(qd)[i])
         assert alone.colliding[0] == fleet.colliding[i]
@@ -208,11 +247,11 @@ def test_neighbours_do_not_change_a_bit():
 
 def test_a_robot_of_nan_spoils_no_neighbour():
     q = np.tile(SPEC.joint_array("q_home"), (18, 1))
-    fleet = Fleet(SPEC, 18)
-    fleet.place(q, collisions=True)
+    fleet = Fleet(SPEC, 18, collisions=True)
+    fleet.place(q)
     clean = fleet.tool_position.copy(), fleet.torque(q, q, q).copy(), fleet.colliding.copy()
     q[[0, 5, 17]] = np.nan
-    fleet.place(q, collisions=True)
+    fleet.place(q)
     others = np.isfinite(q).all(axis=1)
     np.testing.assert_array_equal(fleet.tool_position[others], clean[0][others])
     np.testing.assert_array_equal(fleet.torque(q, q, q)[others], clean[1][others])

@@ -42,7 +42,7 @@ def test_every_goal_is_in_the_shell_above_the_table_and_accepted_by_safety():
     assert CONFIG.radius_min <= radius.min()
     assert radius.max() <= CONFIG.radius_max
     assert POOL.tool[:, 2].min() >= CONFIG.z_min
-    safety, fleet = Safety(SPEC, Fleet(SPEC, BLOCK)), Fleet(SPEC, BLOCK)
+    safety, fleet = Safety(SPEC, Fleet(SPEC, BLOCK, collisions=True)), Fleet(SPEC, BLOCK)
     for start in range(0, 2000, BLOCK):
         q = POOL.q[start : start + BLOCK]
         fleet.place(q)

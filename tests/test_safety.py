@@ -44,7 +44,7 @@ def judge(
         innovation=np.zeros((1, N)),
         temperature=np.broadcast_to(np.asarray(temperature, dtype=float), (1, N)),
     )
-    fleet = Fleet(SPEC, 2)
+    fleet = Fleet(SPEC, 2, collisions=True)
     ahead = setpoint if ahead is None else ahead
     rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
     tool_midway = Fleet(SPEC, 1).tools(HOME[None]) if midway is None else np.atleast_2d(midway)
@@ -255,7 +255,7 @@ def test_poses_are_judged_as_another_library_judges_them():
     manipulability = home_side * determinant
     singularity = 0.01  # more than the arm's own, so that enough poses lie on either side
     spec = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"singularity": singularity})})
-    reason, safety = np.zeros(robots, dtype=np.int64), Safety(spec, Fleet(spec, width))
+    reason, safety = np.zeros(robots, dtype=np.int64), Safety(spec, Fleet(spec, width, collisions=True))
     for rows in np.split(np.arange(robots), robots // width):
         reason[rows] = safety.check_poses(q[rows])
     soft = MARGINS.q_soft_rad
@@ -299,7 +299,7 @@ def test_each_robot_is_judged_alone():
     setpoint = Setpoint(q=q, qd=qd, qdd=qdd)
     ahead = Setpoint(q=q_hat, qd=qd * 0, qdd=qdd * 0)
     ahead.qd[8, 3] = 4.0
-    verdict = Safety(SPEC, Fleet(SPEC, 2 * robots)).step(
+    verdict = Safety(SPEC, Fleet(SPEC, 2 * robots, collisions=True)).step(
         state, Setpoint(q=sent, qd=qd, qdd=qdd), setpoint, ahead, Fleet(SPEC, robots).tools(q), rest
     )
     assert verdict.reason.tolist() == [int(faults.get(i, 0)) for i in range(robots)]

@@ -118,7 +118,7 @@ def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
     of its cell makes the choice uniform in volume.
     """
     q, tool = _poses_in_shell(spec, config)
-    safe = Safety(spec, Fleet(spec, len(q))).check_poses(q) == 0
+    safe = Safety(spec, Fleet(spec, len(q), collisions=True)).check_poses(q) == 0
     q, tool = q[safe], tool[safe]
     _, cell, count = np.unique(
         np.floor(tool / config.cell_m), axis=0, return_inverse=True, return_counts=True

@@ -1,0 +1,74 @@
+"""Which pairs of shapes can meet inside the working ranges: the others need no check on every tick.
+
+No sampling: a box of joint angles is clear if the distance at its middle is more than any pose of the box can close.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from robots.spec import RobotSpec
+
+Floats = NDArray[np.float64]
+Pairs = list[tuple[int, int]]
+
+BOXES = 2000
+"""Boxes looked at for a pair; one that needs more stays a pair to check."""
+
+
+def can_meet(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs) -> Pairs:
+    """Those of the pairs that are not proven to stay farther apart than the collision margin.
+
+    Args:
+        spec: the robot, of which working ranges and margin count.
+        model, geometry: as `load_pinocchio`; without pairs of their own.
+        pairs: indices of shapes, the one nearer to the base first.
+    """
+    data, alone = model.createData(), geometry.copy()
+    for a, b in pairs:
+        alone.addCollisionPair(pin.CollisionPair(a, b))
+    places = alone.createData()
+    low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
+
+    def clear(number: int) -> bool:
+        reach = _reach(model, *(geometry.geometryObjects[shape] for shape in pairs[number]))
+        boxes = [(low, high)]
+        for _ in range(BOXES):
+            if not boxes:
+                return True
+            least, most = boxes.pop()
+            middle, half = (least + most) / 2, (most - least) / 2
+            pin.updateGeometryPlacements(model, data, alone, places, middle)
+            distance = pin.computeDistance(alone, places, number).min_distance - spec.margins.collision_m
+            if distance <= 0:
+                return False
+            closing = reach * half
+            if distance <= closing.sum():
+                boxes.extend(_halves(least, most, int(closing.argmax())))
+        return False
+
+    return [pair for number, pair in enumerate(pairs) if not clear(number)]
+
+
+def _reach(model: pin.Model, near: pin.GeometryObject, far: pin.GeometryObject) -> Floats:
+    """(n,) m/rad, how much nearer two shapes can come for each joint between them, whatever the others do.
+
+    The joint's axis passes through its origin, and no point of the far shape is farther from there than all the links
+    after it and the shape itself, end to end.
+    """
+    reach = np.zeros(model.njoints - 1)
+    between: Sequence[int] = [j for j in model.supports[far.parentJoint] if j > near.parentJoint]
+    far.geometry.computeLocalAABB()
+    length = float(np.linalg.norm(far.placement.act(far.geometry.aabb_center))) + far.geometry.aabb_radius
+    for joint in reversed(between):
+        reach[joint - 1] = length
+        length += float(np.linalg.norm(model.jointPlacements[joint].translation))
+    return reach
+
+
+def _halves(least: Floats, most: Floats, joint: int) -> list[tuple[Floats, Floats]]:
+    below, above = most.copy(), least.copy()
+    below[joint] = above[joint] = (least[joint] + most[joint]) / 2
+    return [(least, below), (above, most)]
