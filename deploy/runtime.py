@@ -121,10 +121,8 @@ class Runtime:
         stopping = self.supervisor.stopping
         self.action.hold(stopping, self.smoother.q)
         planned = self.smoother.next(self.action.q, stopping)
-        ahead, q_midway, q_rest = self.smoother.brake(planned)
-        self.verdict = self.safety.step(
-            self.state, self.smoother.sent, planned, ahead, self.fleet.tools(q_midway), q_rest
-        )
+        ahead, q_midst, q_rest = self.smoother.brake(planned)
+        self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_midst, q_rest)
         reason = self._reason()
         obey = self.supervisor.step(reason, self.smoother.at_rest)
         if np.count_nonzero(reason) or not np.isfinite(planned.q).all():
@@ -167,7 +165,7 @@ class Runtime:
         """
         ids = ids & ~self.supervisor.powered
         here = Setpoint(q=self.state.q, qd=np.zeros_like(self.state.q), qdd=np.zeros_like(self.state.q))
-        verdict = self.safety.step(self.state, here, here, here, self.fleet.tools(here.q), here.q)
+        verdict = self.safety.step(self.state, here, here, here, here.q, here.q)
         reason = np.where(ids, verdict.reason, 0)
         self.asked[ids] = 0
         granted = ids & (reason == 0)

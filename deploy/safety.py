@@ -2,7 +2,7 @@
 
 Pure: (state, setpoint) → verdict, by the nominal model in Pinocchio. It never edits a number and knows neither
 policy nor smoother. Beside the setpoint it checks the stop that would begin there: its first step, the pose where it
-ends, and the tool half way. What lies between is not looked at: the margins are for that.
+ends, and the tool's place in its midst. What lies between is not looked at: the margins are for that.
 """
 
 import numpy as np
@@ -72,7 +72,7 @@ class Safety:
         sent: Setpoint,
         setpoint: Setpoint,
         ahead: Setpoint,
-        tool_midway: Floats,
+        q_midst: Floats,
         q_rest: Floats,
     ) -> Verdict:
         """Judge one setpoint for each robot.
@@ -82,13 +82,13 @@ class Safety:
             sent: the last setpoint sent, which the drives follow now.
             setpoint: what would be sent next.
             ahead: the first step of the stop that would begin at `setpoint`.
-            tool_midway: (B, 3) m, where the tool would be half way of that stop.
+            q_midst: (B, n) rad, a pose in the midst of that stop.
             q_rest: (B, n) rad, where it would end.
         """
         robots, age = len(q_rest), state.age[:, None]
         q, qd = np.concatenate((setpoint.q, ahead.q)), np.concatenate((setpoint.qd, ahead.qd))
         tau = self._fleet.torque(q, qd, np.concatenate((setpoint.qdd, ahead.qdd))).copy()
-        poses = self._place(np.concatenate((setpoint.q, q_rest)), tool_midway)
+        poses = self._place(np.concatenate((setpoint.q, q_rest)), q_midst)
         # A stop first lets the acceleration run out, and the speed that it gains until then counts.
         qd_peak = setpoint.qd + setpoint.qdd * np.abs(setpoint.qdd) / self._twice_jerk
         speeds = self._fleet.tool_velocity(np.concatenate((setpoint.qd, qd_peak)), of=slice(0, robots))
@@ -99,25 +99,28 @@ class Safety:
 
     def check_poses(self, q: Floats) -> Ints:
         """(R,) what speaks against being at `q` (R, n) rad; R is the width of the fleet."""
-        return self._pose.reasons(*self._place(q, np.empty((0, 3))))
+        return self._pose.reasons(*self._place(q, q[:0]))
 
-    def _place(self, q: Floats, tool_midway: Floats) -> tuple[Floats | Bools, ...]:
-        """Place the fleet at `q` and read the columns of a pose.
+    def _place(self, q: Floats, q_midst: Floats) -> tuple[Floats | Bools, ...]:
+        """Place the fleet and read the columns of a pose.
 
         Args:
             q: (R, n) rad.
-            tool_midway: (M, 3) m, where the tools of the last M robots would be on their way there: the worse counts.
+            q_midst: (M, n) rad, on the way to the last M of them: of the tool's two places there, the worse counts.
         """
-        fleet, robots, midway = self._fleet, len(q), len(tool_midway)
+        fleet, rows = self._fleet, len(q)
         fleet.place(q)
-        tool = np.concatenate((fleet.tool_position, tool_midway))
+        tool = (
+            fleet.tool_position
+            if not len(q_midst)
+            else np.concatenate((fleet.tool_position, fleet.tools(q_midst)))
+        )
         arm = tool - self._centre
-        z, radius2 = tool[:, 2:], np.vecdot(arm, arm)[:, None]
-        last = slice(robots - midway, robots)
-        np.minimum(z[last], z[robots:], out=z[last])
-        np.maximum(radius2[last], radius2[robots:], out=radius2[last])
-        manipulability, colliding = fleet.manipulability()[:, None], fleet.colliding[:, None]
-        return q, manipulability, colliding, z[:robots], radius2[:robots]
+        z, radius2 = tool[:rows, 2:].copy(), np.vecdot(arm, arm)[:, None]
+        last = slice(rows - len(q_midst), rows)
+        z[last] = np.minimum(z[last], tool[rows:, 2:])
+        radius2[last] = np.maximum(radius2[last], radius2[rows:])
+        return q, fleet.manipulability()[:, None], fleet.colliding[:, None], z, radius2[:rows]
 
 
 class _Bounds:

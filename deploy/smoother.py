@@ -2,8 +2,8 @@
 
 One Ruckig instance plans the joints of `BLOCK` robots in one call; more robots take their turns in it, and what it
 works with stays in the cache. A robot that does what was planned, for a target that has not changed, stays on its
-trajectory; any other gets a new one. A joint's trajectory depends on neither its neighbours nor the past, so a resumed
-run repeats the same bits.
+trajectory; any other gets a new one. Ruckig plans each joint for itself and remembers nothing between plans, so a
+robot's bits depend on no neighbour, and a resumed run repeats them.
 """
 
 from collections.abc import Mapping
@@ -28,7 +28,8 @@ REST = 1e-6
 """rad/s and rad/s². What is left below is rounding, which Ruckig may take many periods to bring to nothing."""
 
 RENEW_S = 1.0
-"""s. No trajectory is used for longer: its end is at rest but for rounding, and rounding times hours is a way."""
+"""s. No trajectory is read later than this, so that rounding at its end cannot add up to a drift. By then every stop
+is over."""
 
 
 class Smoother(Stage):
@@ -37,8 +38,8 @@ class Smoother(Stage):
     Attributes:
         q, qd, qdd: (B, n) rad, rad/s, rad/s², the last setpoint sent.
         origin: (B, 4n + 1) where each robot's trajectory began and what was asked then: q, qd, qdd, target, stopping.
-        expected: (B, 4n + 1) the same of now, if all went as planned: who differs gets a new trajectory.
-        age: (B,) ticks since `origin`.
+        expected: (B, 4n + 1) the same of now, if all went as planned: a robot that differs gets a new trajectory.
+        age: (B,) ticks since `origin`, less those at rest after a stop.
     """
 
     carried = ("q", "qd", "qdd", "origin", "expected", "age")
@@ -52,8 +53,8 @@ class Smoother(Stage):
         margin = spec.margins.q_target_rad
         self._q_min = np.tile(spec.joint_array("q_min") + margin, (robots, 1))
         self._q_max = np.tile(spec.joint_array("q_max") - margin, (robots, 1))
-        self._ways, self._stops = _Ways(spec, robots), _Ways(spec, robots)
-        self._renew, self._midway = round(RENEW_S / spec.dt), _midway(spec)
+        self._ways, self._stops = _Trajectories(spec, robots), _Trajectories(spec, robots)
+        self._renew, self._midst = round(RENEW_S / spec.dt), _midst(spec)
         self._everybody = np.ones((robots, 1), dtype=bool)
 
     def next(self, q_target: Floats, stopping: Bools) -> Setpoint:
@@ -61,7 +62,7 @@ class Smoother(Stage):
 
         Args:
             q_target: (B, n) rad, clamped here to the working range less its margin.
-            stopping: (B,) robots that brake, wherever that ends soonest, instead.
+            stopping: (B,) robots that brake to rest instead.
         """
         target, stops = np.minimum(np.maximum(q_target, self._q_min), self._q_max), stopping[:, None]
         if np.count_nonzero(stopping):
@@ -69,12 +70,12 @@ class Smoother(Stage):
             self.age -= stopping & self.at_rest  # or rounding would creep on
         self.age += 1
         self._plan(np.concatenate((self.q, self.qd, self.qdd, target, stops), axis=1))
-        planned = self._ways.after(self.age)
+        planned = self._ways.at(self.age)
         self.expected[:, : planned[0].size] = planned.reshape(len(planned), -1)
         return _setpoint(planned)
 
     def _plan(self, now: Floats) -> None:
-        """Give a new trajectory to whom is not where he was expected, is asked something else, or was long on one."""
+        """A new trajectory for every robot that is not where it was expected, is asked anew, or was long on one."""
         as_expected = now == self.expected
         if np.count_nonzero(as_expected) == now.size and self.age.max() < self._renew:
             return
@@ -84,9 +85,9 @@ class Smoother(Stage):
         self._ways.plan(self.origin, left)
 
     def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
-        """A stop that would begin at `start`: its first step, and (B, n) rad half way of it and where it would end."""
+        """A stop that would begin at `start`: its first step, and (B, n) rad in its midst and where it would end."""
         self._stops.plan(np.concatenate((start.q, start.qd, start.qdd, start.q, self._everybody), axis=1))
-        stop = self._stops.along(self._midway)
+        stop = self._stops.stop_points(self._midst)
         return _setpoint(stop), stop[:, 3], stop[:, 4]
 
     def commit(self, sent: Setpoint) -> None:
@@ -113,56 +114,56 @@ class Smoother(Stage):
         return np.asarray(np.maximum(np.abs(self.qd), np.abs(self.qdd)).max(axis=1) < REST)
 
 
-class _Ways:
+class _Trajectories:
     """Trajectories of B robots: one for each block, or one for each robot of a block that Ruckig cannot plan as one."""
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         self._turns, self._n, self._robots, self._dt = turns(robots), spec.n, robots, spec.dt
         self._block, self._solo = _Planner(spec, self._turns[0].stop), _Planner(spec, 1)
-        self._whole = [Trajectory(self._turns[0].stop * spec.n) for _ in self._turns]
-        self._ways: list[list[tuple[slice, Trajectory | None]]] = [[] for _ in self._turns]
+        self._common = [self._block.room() for _ in self._turns]
+        self._planned: list[list[tuple[slice, Trajectory | None]]] = [[] for _ in self._turns]
 
-    def plan(self, origin: Floats, whom: Bools | None = None) -> None:
-        """Plan again for every block that holds a robot of `whom` (B,): the others there get what they have.
+    def plan(self, origin: Floats, changed: Bools | None = None) -> None:
+        """Plan again for every block that holds a robot of `changed` (B,): the others there get what they have.
 
         Args:
             origin: (B, 4n + 1) q, qd, qdd where the trajectories begin, target, and whether to brake instead.
-            whom: robots whose origin has changed; by default all.
+            changed: robots with another origin than before; by default all.
         """
         for turn, rows in enumerate(self._turns):
-            if whom is not None and not np.count_nonzero(whom[rows]):
+            if changed is not None and not np.count_nonzero(changed[rows]):
                 continue
-            whole = self._whole[turn]
-            if self._block.plan(origin[rows], whole):
-                self._ways[turn] = [(rows, whole)]
+            common = self._common[turn]
+            if self._block.plan(origin[rows], common):
+                self._planned[turn] = [(rows, common)]
             else:
-                self._ways[turn] = [(one, self._alone(origin[one])) for one in _each(rows)]
+                self._planned[turn] = [(one, self._alone(origin[one])) for one in _each(rows)]
 
-    def after(self, ticks: Ints) -> Floats:
+    def at(self, ticks: Ints) -> Floats:
         """(B, 3, n) q, qd, qdd, so many ticks (B,) on; NaN where there is no plan."""
         out = np.full((self._robots, 3, self._n), np.nan)
-        for rows, way in chain.from_iterable(self._ways):
-            if way is None:
+        for rows, trajectory in chain.from_iterable(self._planned):
+            if trajectory is None:
                 continue
             ages = set(ticks[rows].tolist())
             for age in ages:
                 here = True if len(ages) == 1 else (ticks[rows] == age)[:, None, None]
-                np.copyto(out[rows], self._numbers(way.at_time(age * self._dt)), where=here)
+                np.copyto(out[rows], self._numbers(trajectory.at_time(age * self._dt)), where=here)
         return out
 
-    def along(self, midway: float) -> Floats:
-        """(B, 5, n) q, qd, qdd one tick on, q after `midway` s, and q at the end; NaN where there is no plan."""
+    def stop_points(self, midst: float) -> Floats:
+        """(B, 5, n) q, qd, qdd one tick on, q after `midst` s, and q at the end; NaN where there is no plan."""
         out = np.full((self._robots, 5, self._n), np.nan)
-        for rows, way in chain.from_iterable(self._ways):
-            if way:
-                q_midway, q_end = way.at_time(midway)[0], way.at_time(way.duration)[0]
-                out[rows] = self._numbers((*way.at_time(self._dt), q_midway, q_end))
+        for rows, trajectory in chain.from_iterable(self._planned):
+            if trajectory:
+                q_midst, q_end = trajectory.at_time(midst)[0], trajectory.at_time(RENEW_S)[0]
+                out[rows] = self._numbers((*trajectory.at_time(self._dt), q_midst, q_end))
         return out
 
     def _numbers(self, parts: tuple[list[float], ...]) -> Floats:
         """(rows, parts, n), in two thirds of the time that `np.array` takes."""
         flat = np.fromiter(chain.from_iterable(parts), float, len(parts) * len(parts[0]))
-        return flat.reshape(len(parts), -1, self._n).swapaxes(0, 1)
+        return flat.reshape(len(parts), -1)[:, :-1].reshape(len(parts), -1, self._n).swapaxes(0, 1)
 
     def _alone(self, origin: Floats) -> Trajectory | None:
         """Ruckig fails for a whole block when one joint has no solution: find it, spare the others.
@@ -171,41 +172,50 @@ class _Ways:
         or a target next to it cures the failures seen. A robot that stays without a plan gets NaN, which safety
         refuses.
         """
-        way, n = Trajectory(self._n), self._n
-        if self._solo.plan(origin, way):
-            return way
+        trajectory, n = self._solo.room(), self._n
+        if self._solo.plan(origin, trajectory):
+            return trajectory
         near = origin.copy()
         near[:, 2 * n : 3 * n] = near[:, 2 * n : 3 * n].round(9)
         near[:, 3 * n : 4 * n] += NUDGE
-        return way if self._solo.plan(near, way) else None
+        return trajectory if self._solo.plan(near, trajectory) else None
 
 
 class _Planner:
-    """One Ruckig instance for some robots."""
+    """One Ruckig instance for some robots.
+
+    After the joints of the robots comes a clock: a joint that is on its way for longer than any trajectory is read.
+    Beyond the end of the last joint Ruckig computes in another order, with other last bits; this way that never comes,
+    and nobody's bits depend on when the neighbours arrive.
+    """
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        self._n, size = spec.n, robots * spec.n
-        self._otg, self._in = Ruckig(size, spec.dt), InputParameter(size)
+        self._n, self._size = spec.n, robots * spec.n + 1
+        self._otg, self._in = Ruckig(self._size, spec.dt), InputParameter(self._size)
         self._qd_max = np.tile(spec.margins.speed * spec.joint_array("qd_max"), (robots, 1))
         self._twice_jerk = np.tile(2 * spec.joint_array("qddd_max"), (robots, 1))
-        self._in.max_velocity = self._qd_max.ravel()
-        self._in.max_acceleration = np.tile(spec.joint_array("qdd_max"), robots)
-        self._in.max_jerk = self._twice_jerk.ravel() / 2
+        self._in.max_velocity = [*self._qd_max.ravel(), 1.0]
+        self._in.max_acceleration = [*np.tile(spec.joint_array("qdd_max"), robots), 1.0]
+        self._in.max_jerk = [*self._twice_jerk.ravel() / 2, 1.0]
         self._in.synchronization = Synchronization.No
-        self._in.per_dof_control_interface = [ControlInterface.Position] * size
+        self._in.per_dof_control_interface = [ControlInterface.Position] * self._size
         self._braking = np.zeros(robots, dtype=bool)
 
-    def plan(self, origin: Floats, way: Trajectory) -> bool:
-        """Fill `way` for these robots, `origin` as in `_Ways.plan`; whether Ruckig could."""
+    def room(self) -> Trajectory:
+        """An empty trajectory for these robots and the clock."""
+        return Trajectory(self._size)
+
+    def plan(self, origin: Floats, trajectory: Trajectory) -> bool:
+        """Fill `trajectory` for these robots, `origin` as in `_Trajectories.plan`; whether Ruckig could."""
         q, qd, qdd, target = origin[:, :-1].reshape(len(origin), 4, self._n).swapaxes(0, 1)
         self._brake(origin[:, -1] != 0)
         # As lists: Ruckig's binding reads an array number by number, in three times the time.
-        self._in.current_position = q.ravel().tolist()
-        self._in.current_velocity = self._inside(qd, qdd).ravel().tolist()
-        self._in.current_acceleration = qdd.ravel().tolist()
-        self._in.target_position = target.ravel().tolist()
+        self._in.current_position = [*q.ravel().tolist(), 0.0]
+        self._in.current_velocity = [*self._inside(qd, qdd).ravel().tolist(), 0.0]
+        self._in.current_acceleration = [*qdd.ravel().tolist(), 0.0]
+        self._in.target_position = [*target.ravel().tolist(), 2 * RENEW_S]
         try:
-            self._otg.calculate(self._in, way)
+            self._otg.calculate(self._in, trajectory)
         except RuckigError:
             return False
         return True
@@ -216,7 +226,8 @@ class _Planner:
             return
         self._braking[:] = braking
         kinds = [ControlInterface.Velocity if b else ControlInterface.Position for b in braking]
-        self._in.per_dof_control_interface = [kind for kind in kinds for _ in range(self._n)]
+        of_joints = [kind for kind in kinds for _ in range(self._n)]
+        self._in.per_dof_control_interface = [*of_joints, ControlInterface.Position]
 
     def _inside(self, qd: Floats, qdd: Floats) -> Floats:
         """Speeds moved off the limit where a target is followed; a stop knows no limit of speed."""
@@ -227,17 +238,15 @@ class _Planner:
         return np.where(edge, qd - np.sign(bound) * EDGE, qd) if np.count_nonzero(edge) else qd
 
 
-def _midway(spec: RobotSpec) -> float:
-    """s, when a stop from half the speed has half its way behind it: after a third of its time, of the slowest joint.
+def _midst(spec: RobotSpec) -> float:
+    """How many s into a stop: a third of the time that the slowest joint needs from half its speed.
 
-    A stop from less is at its end by then. There a stop is farthest from both ends, as joints come to rest one after
-    another.
+    The tool's path bends where joints come to rest one after another. Of 40,000 random stops of arm6 the lowest point
+    was up to 16 mm below both ends, and up to 6 mm below the lowest of the ends and this point.
     """
     qdd_max = spec.joint_array("qdd_max")
-    whole = spec.margins.speed * spec.joint_array("qd_max") / 2 / qdd_max + qdd_max / spec.joint_array(
-        "qddd_max"
-    )
-    return float(whole.max() / 3)
+    whole = spec.margins.speed * spec.joint_array("qd_max") / 2 / qdd_max
+    return float((whole + qdd_max / spec.joint_array("qddd_max")).max() / 3)
 
 
 def _setpoint(x: Floats) -> Setpoint:

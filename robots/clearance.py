@@ -3,8 +3,6 @@
 No sampling: a box of joint angles is clear if the distance at its middle is more than any pose of the box can close.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -23,8 +21,8 @@ def can_meet(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pai
 
     Args:
         spec: the robot, of which working ranges and margin count.
-        model, geometry: as `load_pinocchio`; without pairs of their own.
-        pairs: indices of shapes, the one nearer to the base first.
+        model, geometry: as `load_pinocchio`, all joints hinges; without pairs of their own.
+        pairs: indices of shapes.
     """
     data, alone = model.createData(), geometry.copy()
     for a, b in pairs:
@@ -33,18 +31,18 @@ def can_meet(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pai
     low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
 
     def clear(number: int) -> bool:
-        reach = _reach(model, *(geometry.geometryObjects[shape] for shape in pairs[number]))
+        a, b = (geometry.geometryObjects[shape] for shape in pairs[number])
+        reach = _reach(model, a, b.parentJoint) + _reach(model, b, a.parentJoint)
         boxes = [(low, high)]
         for _ in range(BOXES):
             if not boxes:
                 return True
             least, most = boxes.pop()
-            middle, half = (least + most) / 2, (most - least) / 2
-            pin.updateGeometryPlacements(model, data, alone, places, middle)
+            pin.updateGeometryPlacements(model, data, alone, places, (least + most) / 2)
             distance = pin.computeDistance(alone, places, number).min_distance - spec.margins.collision_m
             if distance <= 0:
                 return False
-            closing = reach * half
+            closing = reach * (most - least) / 2
             if distance <= closing.sum():
                 boxes.extend(_halves(least, most, int(closing.argmax())))
         return False
@@ -52,17 +50,17 @@ def can_meet(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pai
     return [pair for number, pair in enumerate(pairs) if not clear(number)]
 
 
-def _reach(model: pin.Model, near: pin.GeometryObject, far: pin.GeometryObject) -> Floats:
-    """(n,) m/rad, how much nearer two shapes can come for each joint between them, whatever the others do.
+def _reach(model: pin.Model, shape: pin.GeometryObject, other: int) -> Floats:
+    """(n,) m/rad, how fast any point of a shape can move for each hinge that carries it and not joint `other`.
 
-    The joint's axis passes through its origin, and no point of the far shape is farther from there than all the links
+    The axis passes through the hinge's origin, and no point of the shape is farther from there than all the links
     after it and the shape itself, end to end.
     """
     reach = np.zeros(model.njoints - 1)
-    between: Sequence[int] = [j for j in model.supports[far.parentJoint] if j > near.parentJoint]
-    far.geometry.computeLocalAABB()
-    length = float(np.linalg.norm(far.placement.act(far.geometry.aabb_center))) + far.geometry.aabb_radius
-    for joint in reversed(between):
+    shape.geometry.computeLocalAABB()
+    centre, radius = shape.placement.act(shape.geometry.aabb_center), shape.geometry.aabb_radius
+    length = float(np.linalg.norm(centre)) + radius
+    for joint in reversed([j for j in model.supports[shape.parentJoint] if j not in model.supports[other]]):
         reach[joint - 1] = length
         length += float(np.linalg.norm(model.jointPlacements[joint].translation))
     return reach

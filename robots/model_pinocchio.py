@@ -7,6 +7,7 @@ and the third in memory.
 """
 
 from dataclasses import dataclass
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -19,12 +20,16 @@ from robots.spec import RobotSpec
 
 Floats = NDArray[np.float64]
 
+HINGES = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
+"""What Pinocchio calls a hinge, by its axis."""
+
 
 def load_pinocchio(spec: RobotSpec) -> tuple[pin.Model, pin.GeometryModel]:
     """Build model and collision geometry from model.xml.
 
     Raises:
-        RobotError: Pinocchio cannot read the file, or its joints or tool are not those of robot.toml.
+        RobotError: Pinocchio cannot read the file or would leave a part of it out; a joint is no hinge; joints or tool
+            are not those of robot.toml.
     """
     path = str(spec.model_path)
     try:
@@ -32,11 +37,7 @@ def load_pinocchio(spec: RobotSpec) -> tuple[pin.Model, pin.GeometryModel]:
         geometry = pin.buildGeomFromMJCF(model, path, pin.GeometryType.COLLISION)
     except (ValueError, RuntimeError) as e:
         raise RobotError(f"{path}: Pinocchio cannot read it: {e!s:.300}") from e
-    found = tuple(model.names[1:])
-    if found != spec.joint_names:
-        raise RobotError(f"{path}: joints are {found}; robot.toml lists {spec.joint_names}")
-    if not model.existFrame(spec.tool):
-        raise RobotError(f"{path}: no site named {spec.tool!r}, which robot.toml calls the tool")
+    _check_parts(spec, model)
     for joint, low, high in zip(spec.joints, model.lowerPositionLimit, model.upperPositionLimit, strict=True):
         if not low <= joint.q_min < joint.q_max <= high:
             raise RobotError(
@@ -44,6 +45,25 @@ def load_pinocchio(spec: RobotSpec) -> tuple[pin.Model, pin.GeometryModel]:
                 f" is not inside the mechanical [{low:.4f}, {high:.4f}] of model.xml"
             )
     return model, geometry
+
+
+def _check_parts(spec: RobotSpec, model: pin.Model) -> None:
+    path = str(spec.model_path)
+    links = len(ElementTree.parse(path).findall("./worldbody/body"))
+    if links != 1:
+        raise RobotError(
+            f"{path}: worldbody holds {links} bodies, expected 1: Pinocchio would leave the others out"
+        )
+    found = tuple(model.names[1:])
+    if found != spec.joint_names:
+        raise RobotError(f"{path}: joints are {found}; robot.toml lists {spec.joint_names}")
+    for joint in model.joints[1:]:
+        if joint.shortname() not in HINGES:
+            raise RobotError(
+                f"{path}: joint {model.names[joint.id]!r} is {joint.shortname()}, expected a hinge"
+            )
+    if not model.existFrame(spec.tool):
+        raise RobotError(f"{path}: no site named {spec.tool!r}, which robot.toml calls the tool")
 
 
 def torque_max(spec: RobotSpec) -> Floats:
@@ -87,7 +107,7 @@ class Fleet:
             collisions: whether `place` looks for them.
 
         Raises:
-            RobotError: as `load_pinocchio`.
+            RobotError: as `load_pinocchio`, or the home pose is too near a singularity.
         """
         model, geometry = load_pinocchio(spec)
         pairs = can_meet(spec, model, geometry, collision_pairs(model, geometry)) if collisions else []
@@ -97,11 +117,8 @@ class Fleet:
         self._tau = np.zeros((robots, spec.n))
         self._tool = np.zeros((robots, 3))
         self._jacobian = np.zeros((robots, 6, spec.n))
-        self._colliding = np.zeros(robots, dtype=bool)
-        home = pin.computeJointJacobians(
-            self._block.model, self._block.data, np.tile(spec.joint_array("q_home"), self._turns[0].stop)
-        )
-        self._side = float(np.sign(np.linalg.det(home[:, :6]))) if self.n == 6 else 1.0
+        self._looks, self._colliding = collisions, np.zeros(robots, dtype=bool)
+        self._side = np.sign(_home(spec, model))
 
     def torque(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """(B, n) N·m by recursive Newton-Euler, rotor inertia included, friction not.
@@ -122,17 +139,19 @@ class Fleet:
             pin.updateFramePlacements(b.model, b.data)
             self._jacobian[rows] = jacobian.reshape(6, -1, self.n).transpose(1, 0, 2)
             self._tool[rows] = b.tools
-            if b.geometry.collisionPairs:
+            if self._looks:
                 self._colliding[rows] = b.colliding()
 
     def tools(self, q: Floats) -> Floats:
-        """(B, 3) m, the tool in the world at joint angles (B, n) rad; what `place` found stays."""
-        tools, b = np.empty((self.robots, 3)), self._block
-        for rows in self._turns:
-            pin.forwardKinematics(b.model, b.data, q[rows].ravel())
+        """(R, 3) m, the tool in the world at joint angles (R, n) rad, however many; what `place` found stays."""
+        b, width = self._block, self._turns[0].stop
+        padded = q if len(q) >= width else np.resize(q, (width, self.n))
+        tools = np.empty((len(padded), 3))
+        for rows in turns(len(padded), width):
+            pin.forwardKinematics(b.model, b.data, padded[rows].ravel())
             pin.updateFramePlacements(b.model, b.data)
             tools[rows] = b.tools
-        return tools
+        return tools[: len(q)]
 
     @property
     def tool_position(self) -> Floats:
@@ -156,20 +175,18 @@ class Fleet:
         return np.asarray((wrench @ self._jacobian)[:, 0])
 
     def manipulability(self) -> Floats:
-        """(B,) √det(JᵀJ): 0 in a singularity, and below 0 beyond one.
+        """(B,) √det(JᵀJ), or √det(JJᵀ) for more than six joints: 0 in a singularity.
 
-        For six joints it is |det J|, the same for every point that moves with the tool; det J changes its sign only
-        in a singularity, so the home pose's sign tells on which side of all of them the robot is. For other numbers
-        of joints there is no such sign.
+        For six joints it is det J with the sign that makes the home pose's positive. That sign changes in a singularity
+        only, so below 0 the robot is beyond one. It is the same for every point that moves with the tool.
 
         Source: Yoshikawa, Manipulability of Robotic Mechanisms (1985), eq. 4.
         """
-        if self.n == 6:
-            return np.asarray(self._side * np.linalg.det(self._jacobian))
-        jacobian = self._jacobian.copy()
-        jacobian[:, :3] += self._crossing(self._tool) @ jacobian[:, 3:]
-        gram = jacobian.transpose(0, 2, 1) @ jacobian
-        return np.asarray(np.sqrt(np.maximum(np.linalg.det(gram), 0.0)))
+        jacobian = self._jacobian
+        if self.n != 6:
+            jacobian = jacobian.copy()
+            jacobian[:, :3] += self._crossing(self._tool) @ jacobian[:, 3:]
+        return np.asarray(self._side * _measure(jacobian))
 
     def _crossing(self, tool: Floats) -> Floats:
         """(R, 3, 3), M of w × p = M w at tool positions p (R, 3).
@@ -180,8 +197,37 @@ class Fleet:
 
     @property
     def colliding(self) -> NDArray[np.bool_]:
-        """(B,) whether any pair of shapes is nearer than the collision margin; q must be inside the working ranges."""
+        """(B,) whether any pair of shapes is nearer than the collision margin; q must be inside the working ranges.
+
+        Raises:
+            RuntimeError: this fleet was not built to look.
+        """
+        if not self._looks:
+            raise RuntimeError("a fleet without collisions was asked for them")
         return self._colliding
+
+
+def _measure(jacobian: Floats) -> Floats:
+    """(R,) of tool Jacobians (R, 6, n): det J of six joints, Yoshikawa's measure of others."""
+    n = jacobian.shape[2]
+    if n == 6:
+        return np.asarray(np.linalg.det(jacobian))
+    turned = jacobian.transpose(0, 2, 1)
+    gram = turned @ jacobian if n < 6 else jacobian @ turned
+    return np.asarray(np.sqrt(np.maximum(np.linalg.det(gram), 0.0)))
+
+
+def _home(spec: RobotSpec, model: pin.Model) -> float:
+    """`_measure` of the home pose, which must not be singular."""
+    frame, q = model.getFrameId(spec.tool), spec.joint_array("q_home")
+    jacobian = pin.computeFrameJacobian(model, model.createData(), q, frame, pin.LOCAL_WORLD_ALIGNED)
+    found = float(_measure(jacobian[None])[0])
+    if abs(found) < spec.margins.singularity:
+        raise RobotError(
+            f"{spec.folder / 'robot.toml'}: joints: q_home: manipulability there is {abs(found):.2g}, expected at least"
+            f" margins.singularity, {spec.margins.singularity}"
+        )
+    return found
 
 
 _CROSS = np.array(

@@ -95,7 +95,7 @@ class Margins(Strict):
         tau: setpoint torque by the nominal model, as a fraction of the torque range.
         collision_m: clearance kept between capsules.
         workspace_m: how far inside the workspace setpoints stay.
-        singularity: least √det(JᵀJ) of the tool Jacobian, m³ for a six-joint arm, on the home pose's side of zero.
+        singularity: least manipulability (`Fleet.manipulability`), m³ for a six-joint arm.
         tracking_rad: setpoint minus estimate that stops the robot.
         stale_s: age of the newest sample that makes the robot slow down and hold.
         lost_s: age of the newest sample that makes it stop and cut power.

@@ -6,6 +6,7 @@ import pinocchio as pin
 import pytest
 from test_spec import SPEC, copy_of_arm
 
+from robots import model_pinocchio
 from robots.blocks import BLOCK
 from robots.clearance import can_meet
 from robots.errors import RobotError
@@ -198,6 +199,67 @@ def test_pairs_nearer_than_the_margin_are_checked(both):
         assert (("wrist_1", "wrist_3") in found) == kept
 
 
+POST = (
+    '<body name="post" pos="-0.55 -0.15 0.3">'
+    '<geom name="post" type="capsule" fromto="0 0 -0.2 0 0 0.2" size="0.05"/>'
+)
+
+
+def test_a_post_on_the_base_is_checked_whatever_its_place_in_the_file(tmp_path):
+    """It is welded to the world as the base is, and comes last: its pairs name the moving link first."""
+    xml = [(r"</body>\s*</body>\s*</worldbody>", rf"</body>{POST}</body></body></worldbody>")]
+    spec = load_robot(copy_of_arm(tmp_path, xml=xml))
+    arm, shapes = load_pinocchio(spec)
+    pairs = collision_pairs(arm, shapes)
+    kept = names_of(shapes, can_meet(spec, arm, shapes, pairs))
+    assert {("forearm", "post"), ("wrist_3", "post")} <= kept
+    fleet, rng, hits = Fleet(spec, 16, collisions=True), np.random.default_rng(0), 0
+    data, alone = arm.createData(), shapes.copy()
+    for pair in pairs:
+        alone.addCollisionPair(pin.CollisionPair(*pair))
+    places = alone.createData()
+    for q in rng.uniform(LOW, HIGH, (40, 16, N)):
+        fleet.place(q)
+        for i in range(16):
+            pin.computeDistances(arm, data, alone, places, q[i])
+            nearest = min(found.min_distance for found in places.distanceResults) - spec.margins.collision_m
+            assert fleet.colliding[i] == (nearest < 0) or abs(nearest) < 1e-4
+            hits += nearest < 0
+    assert hits > 30
+
+
+def test_shapes_on_different_branches_of_a_robot_can_meet(tmp_path):
+    """Neither carries the other: both move."""
+    arm, shapes = load_pinocchio(SPEC)
+    joint = arm.addJoint(1, pin.JointModelRZ(), pin.SE3(np.eye(3), np.array([0.3, -0.13, 0.2])), "other")
+    ball = pin.GeometryObject(
+        "ball", joint, pin.SE3(np.eye(3), np.array([0.2, 0, 0])), shapes.geometryObjects[1].geometry
+    )
+    number, forearm = shapes.addGeometryObject(ball), shapes.getGeometryId("forearm")
+    joints = (*SPEC.joints, SPEC.joints[0].model_copy(update={"name": "other"}))
+    spec = SPEC.model_copy(update={"joints": joints})
+    for pair in ((forearm, number), (number, forearm)):
+        assert can_meet(spec, arm, shapes, [pair]) == [pair]
+
+
+def test_a_fleet_that_does_not_look_says_so():
+    fleet = Fleet(SPEC, 1)
+    fleet.place(SPEC.joint_array("q_home")[None])
+    with pytest.raises(RuntimeError, match="without collisions"):
+        _ = fleet.colliding
+
+
+@pytest.mark.parametrize("rows", [1, 5, 16, 17, 40])
+def test_tools_of_any_number_of_poses(rows):
+    fleet, q = Fleet(SPEC, 16), np.random.default_rng(rows).uniform(LOW, HIGH, (rows, N))
+    whole = Fleet(SPEC, rows)
+    whole.place(q)
+    fleet.place(np.tile(SPEC.joint_array("q_home"), (16, 1)))
+    before = fleet.tool_position.copy()
+    np.testing.assert_array_equal(fleet.tools(q), whole.tool_position)
+    np.testing.assert_array_equal(fleet.tool_position, before)
+
+
 @pytest.mark.parametrize("robots", [1, 16, 17, 64])
 def test_a_fleet_is_so_many_single_robots(robots):
     arm, _ = load_pinocchio(SPEC)
@@ -294,6 +356,31 @@ def test_manipulability_is_negative_beyond_a_singularity():
     assert there < -10 * SPEC.margins.singularity
 
 
+def test_the_home_pose_says_which_side_of_a_singularity_is_home(tmp_path):
+    """An arm that lives with its wrist turned is free there, and beyond a singularity where arm6 lives."""
+    ends = ("q_min = -2.6\nq_max = -0.5\nq_home = -1.5708", "q_min = 0.5\nq_max = 2.6\nq_home = 1.5708")
+    turned = load_robot(copy_of_arm(tmp_path, toml=[ends]))
+    fleet = Fleet(turned, 2)
+    fleet.place(np.stack((turned.joint_array("q_home"), SPEC.joint_array("q_home"))))
+    here, there = fleet.manipulability()
+    assert here > 10 * SPEC.margins.singularity
+    assert there < -10 * SPEC.margins.singularity
+
+
+def test_a_home_pose_in_a_singularity_is_refused(tmp_path):
+    ends = ("q_min = -2.6\nq_max = -0.5\nq_home = -1.5708", "q_min = -2.6\nq_max = 0.5\nq_home = 0.0")
+    with pytest.raises(RobotError, match=r"q_home.*expected at least margins\.singularity, 0\.0005"):
+        Fleet(load_robot(copy_of_arm(tmp_path, toml=[ends])), 1)
+
+
+@pytest.mark.parametrize("n", [2, 5, 7])
+def test_manipulability_of_other_numbers_of_joints(n):
+    """The product of the singular values, however many columns there are."""
+    jacobians = np.random.default_rng(n).normal(size=(4, 6, n))
+    expected = [np.prod(np.linalg.svd(jacobian, compute_uv=False)) for jacobian in jacobians]
+    np.testing.assert_allclose(model_pinocchio._measure(jacobians), expected, rtol=1e-9)
+
+
 WRIST_3 = r'(?s)<joint name="wrist_3" class="size1"/>'
 
 
@@ -306,6 +393,9 @@ WRIST_3 = r'(?s)<joint name="wrist_3" class="size1"/>'
         ("both", [], [('<site name="tool"', '<site name="tip"')], ["no site named 'tool'"]),
         ("both", [], [(WRIST_3, '<joint name="wrist_4" class="size1"/>'), ('joint="wrist_3"', 'joint="wrist_4"')],
          ["wrist_4", "robot.toml lists"]),
+        ("pinocchio", [], [("</worldbody>", POST + "</body></worldbody>")], ["2 bodies", "expected 1"]),
+        ("pinocchio", [], [(WRIST_3, '<joint name="wrist_3" class="size1" type="slide"/>')],
+         ["'wrist_3' is JointModelPZ", "expected a hinge"]),
         ("mujoco", [], [(r'<dcmotor name="wrist_3" joint="wrist_3" class="size1"/>', "")], ["drives", "wrist_3"]),
         ("mujoco", [], [('(?s)(<dcmotor name="wrist_2".*?/>)(.*?)(<dcmotor name="wrist_3".*?/>)', r"\3\2\1")],
          ["drives move", "wrist_3', 'wrist_2"]),
@@ -316,7 +406,12 @@ WRIST_3 = r'(?s)<joint name="wrist_3" class="size1"/>'
 )  # fmt: skip
 def test_a_wrong_model_is_one_clear_error(tmp_path, load, toml, xml, words):
     spec = load_robot(copy_of_arm(tmp_path, toml=toml, xml=xml))
-    loaders = {"both": (load_mujoco, load_pinocchio), "mujoco": (load_mujoco,), "torque": (torque_max,)}
+    loaders = {
+        "both": (load_mujoco, load_pinocchio),
+        "pinocchio": (load_pinocchio,),
+        "mujoco": (load_mujoco,),
+        "torque": (torque_max,),
+    }
     for loader in loaders[load]:
         with pytest.raises(RobotError, match=re.escape(str(spec.model_path))) as caught:
             loader(spec)

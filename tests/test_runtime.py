@@ -6,6 +6,7 @@ from test_contract import arm_contract
 from test_spec import SPEC
 
 from deploy.runtime import Runtime
+from deploy.smoother import Smoother
 from deploy.state import Mode, Reason
 from deploy.tasks import reach
 from deploy.tasks.reach import ReachConfig, goal_pool
@@ -443,6 +444,27 @@ def test_even_blind_checks_let_no_nan_through(monkeypatch):
         assert np.isfinite(command.qd).all()
         assert np.isfinite(command.tau).all()
     assert runtime.robot.truth().valid.all()
+
+
+def test_what_is_judged_is_the_stop_that_would_begin_at_the_setpoint(monkeypatch):
+    """Its first step, a pose in its midst, and where it ends."""
+    runtime, asked = running(2), []
+    judged = runtime.safety.step
+
+    def listen(*what):
+        asked.append([np.copy(pose) for pose in (what[2].q, what[3].q, what[4], what[5])])
+        planned, stop = what[2], Smoother(SPEC, 2).brake(what[2])
+        np.testing.assert_array_equal(what[3].q, stop[0].q)
+        np.testing.assert_array_equal(what[4], stop[1])
+        np.testing.assert_array_equal(what[5], stop[2])
+        assert planned is not what[1]
+        return judged(*what)
+
+    monkeypatch.setattr(runtime.safety, "step", listen)
+    play(runtime, 60)
+    setpoint, ahead, midst, rest = np.array(asked).swapaxes(0, 1)
+    for one, other in ((setpoint, ahead), (ahead, midst), (midst, rest)):
+        assert (np.abs(one - other).max(axis=(1, 2)) > 1e-6).sum() > 20
 
 
 def test_a_diverged_simulation_stops_its_robot_only():

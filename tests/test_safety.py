@@ -3,6 +3,7 @@ import pytest
 from test_spec import SPEC
 
 from deploy.safety import Safety
+from deploy.smoother import Smoother
 from deploy.state import Mode, Reason, Setpoint, State
 from deploy.supervisor import CATEGORY_1
 from robots.model_pinocchio import Fleet, torque_max
@@ -13,6 +14,7 @@ LOW, HIGH = (SPEC.joint_array(f"q_{end}") for end in ("min", "max"))
 MARGINS, SPACE = SPEC.margins, SPEC.workspace
 TAU_MAX = MARGINS.tau * torque_max(SPEC)
 ZERO = np.zeros(N)
+SAFETY = Safety(SPEC, Fleet(SPEC, 2, collisions=True))
 HAIR = 1e-6
 
 
@@ -29,7 +31,7 @@ def judge(
     temperature=30.0,
     setpoint=None,
     ahead=None,
-    midway=None,
+    q_midst=None,
     q_rest=None,
 ):
     """The verdict on one robot, everything else being well."""
@@ -44,12 +46,11 @@ def judge(
         innovation=np.zeros((1, N)),
         temperature=np.broadcast_to(np.asarray(temperature, dtype=float), (1, N)),
     )
-    fleet = Fleet(SPEC, 2, collisions=True)
     ahead = setpoint if ahead is None else ahead
     rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
-    tool_midway = Fleet(SPEC, 1).tools(HOME[None]) if midway is None else np.atleast_2d(midway)
-    return Safety(SPEC, fleet).step(
-        state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, ahead, tool_midway, rest
+    midst = HOME[None] if q_midst is None else np.atleast_2d(q_midst)
+    return SAFETY.step(
+        state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, ahead, midst, rest
     )
 
 
@@ -144,19 +145,58 @@ def test_the_setpoint_itself_is_placed_too():
     assert Reason.SINGULARITY in reasons(setpoint=point(straight), ahead=point(), q_hat=HOME, q_rest=HOME)
 
 
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("sign", [-1, 1])
-def test_the_tool_half_way_of_a_stop_stays_in_the_workspace(axis, sign):
-    """Though where the stop begins and ends is well inside."""
-    inner, centre = SPACE.radius_max - MARGINS.workspace_m, np.array(SPACE.centre)
-    for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
-        away = one(axis, sign * factor * inner, np.zeros(3))
-        floored = sign < 0 and axis == 2  # the table is nearer
-        if not floored:
-            assert (Reason.WORKSPACE in reasons(midway=centre + away)) == beyond
-        low = centre * [1, 1, 0] + [0.4, 0, SPACE.z_min + MARGINS.workspace_m - (factor - 1)]
-        assert (reasons(midway=low) == Reason.WORKSPACE) == beyond
-    assert reasons(midway=np.full(3, np.nan)) == Reason.NOT_FINITE
+@pytest.mark.parametrize("limit", ["z_min", "radius_max"])
+def test_the_tool_in_the_midst_of_a_stop_stays_in_the_workspace(limit):
+    """Though where the stop begins and ends is well inside: the arm is let down, or stretched, until it is refused."""
+    fleet, reach = Fleet(SPEC, 1), MARGINS.workspace_m
+    far = (
+        one(1, -0.35, one(2, 1.2, HOME))
+        if limit == "z_min"
+        else one(1, -2.27, one(2, 0.4, one(3, -2.72, HOME)))
+    )
+    verdicts = []
+    for share in np.linspace(0, 1, 200):
+        q = HOME + share * (far - HOME)
+        (tool,) = fleet.tools(q[None])
+        height, radius = tool[2] - SPACE.z_min, SPACE.radius_max - np.linalg.norm(tool - SPACE.centre)
+        nearest = height if limit == "z_min" else radius
+        found = reasons(q_midst=q)
+        verdicts.append(Reason.WORKSPACE in found)
+        assert verdicts[-1] == (min(height, radius) < reach), nearest
+        assert found & ~Reason.WORKSPACE == 0
+    assert 0 < sum(verdicts) < 200
+    assert Reason.NOT_FINITE in reasons(q_midst=np.full(N, np.nan))
+
+
+def test_stops_that_are_allowed_stay_in_the_workspace_all_the_way():
+    """Four hundred of them near its edge, every 20 ms of each."""
+    robots, rng, smoother = 64, np.random.default_rng(3), Smoother(SPEC, 64)
+    safety, fleet = Safety(SPEC, Fleet(SPEC, 2 * robots, collisions=True)), Fleet(SPEC, robots)
+    qd_max, qdd_max = SPEC.joint_array("qd_max"), SPEC.joint_array("qdd_max")
+    accepted = 0
+    while accepted < 400:
+        q, qd = rng.uniform(LOW, HIGH, (robots, N)), rng.uniform(-0.5, 0.5, (robots, N)) * qd_max
+        start = Setpoint(q=q, qd=qd, qdd=rng.uniform(-0.4, 0.4, (robots, N)) * qdd_max)
+        ahead, q_midst, q_rest = smoother.brake(start)
+        here = State(
+            t=0.0, q=q, qd=qd, q_var=q * 0, age=np.zeros(robots), innovation=q * 0, temperature=q * 0 + 30
+        )
+        fine = safety.step(here, start, start, ahead, q_midst, q_rest).reason & Reason.WORKSPACE == 0
+        edge = near_the_edge(fleet, q_rest) | near_the_edge(fleet, q_midst)
+        smoother.commit(start)
+        for tick in range(80):
+            smoother.commit(smoother.next(q, np.ones(robots, dtype=bool)))
+            if tick % 4 == 0:
+                tool = fleet.tools(smoother.q)[fine]
+                assert (tool[:, 2] > SPACE.z_min).all()
+                assert (np.linalg.norm(tool - SPACE.centre, axis=1) < SPACE.radius_max).all()
+        accepted += (fine & edge).sum()
+
+
+def near_the_edge(fleet, q):
+    tool = fleet.tools(q)
+    radius = np.linalg.norm(tool - SPACE.centre, axis=1)
+    return (tool[:, 2] < SPACE.z_min + 0.05) | (radius > SPACE.radius_max - 0.03)
 
 
 @pytest.mark.parametrize("joint", range(N))
@@ -300,7 +340,7 @@ def test_each_robot_is_judged_alone():
     ahead = Setpoint(q=q_hat, qd=qd * 0, qdd=qdd * 0)
     ahead.qd[8, 3] = 4.0
     verdict = Safety(SPEC, Fleet(SPEC, 2 * robots, collisions=True)).step(
-        state, Setpoint(q=sent, qd=qd, qdd=qdd), setpoint, ahead, Fleet(SPEC, robots).tools(q), rest
+        state, Setpoint(q=sent, qd=qd, qdd=qdd), setpoint, ahead, q_hat, rest
     )
     assert verdict.reason.tolist() == [int(faults.get(i, 0)) for i in range(robots)]
 

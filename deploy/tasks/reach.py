@@ -29,8 +29,8 @@ class ReachConfig:
         z_min: m, least height of a goal.
         axis_min: m, least distance from the world's z axis: the vendor warns of the cylinder above and below the base,
             where the shoulder is near its singularity. Source: Universal Robots, UR5e User Manual, Workspace.
-        manipulability_min: least |det J|, m³, of the configuration that reaches a goal, so that the way there need not
-            brush a singularity.
+        manipulability_min: least manipulability, m³, of the configuration that reaches a goal, so that the way there
+            need not brush a singularity.
         period_s: s for each goal. tolerance_m: m, how near counts.
         candidates: joint configurations tried for the pool. cell_m: m, grid on which volume is counted.
     """
