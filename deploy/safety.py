@@ -110,11 +110,7 @@ class Safety:
         """
         fleet, rows = self._fleet, len(q)
         fleet.place(q)
-        tool = (
-            fleet.tool_position
-            if not len(q_midst)
-            else np.concatenate((fleet.tool_position, fleet.tools(q_midst)))
-        )
+        tool = np.concatenate((fleet.tool_position, fleet.tools(q_midst)))
         arm = tool - self._centre
         z, radius2 = tool[:rows, 2:].copy(), np.vecdot(arm, arm)[:, None]
         last = slice(rows - len(q_midst), rows)

@@ -143,7 +143,7 @@ class Fleet:
                 self._colliding[rows] = b.colliding()
 
     def tools(self, q: Floats) -> Floats:
-        """(R, 3) m, the tool in the world at joint angles (R, n) rad, however many; what `place` found stays."""
+        """(R, 3) m, the tool in the world at joint angles (R, n) rad, for any R; what `place` found stays."""
         b, width = self._block, self._turns[0].stop
         padded = q if len(q) >= width else np.resize(q, (width, self.n))
         tools = np.empty((len(padded), 3))
