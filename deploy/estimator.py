@@ -7,6 +7,7 @@ that belief carried forward to now. filterpy gives the process noise and is the 
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
 
+from deploy.flags import every
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Sample, State
 from robots.spec import RobotSpec
@@ -34,6 +35,7 @@ class Estimator(Stage):
         self.seeded = np.zeros(robots, dtype=bool)
         self._dt = spec.dt
         # numpy is quickest where every shape is the same.
+        self._ones = np.ones(shape)
         self._r = np.full(shape, spec.encoder.noise_rad**2 + spec.encoder.resolution_rad**2 / 12)
         unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=spec.encoder.acceleration_density)
         self._g00, self._g01, self._g11 = (np.full(shape, unit[place]) for place in ((0, 0), (0, 1), (1, 1)))
@@ -52,15 +54,18 @@ class Estimator(Stage):
             t: s, now.
             sample: the newest packets.
         """
-        arrived = sample.fresh & (sample.t <= t + self._dt) & np.isfinite(sample.q).all(axis=1)
-        if not self.seeded.all():
+        arrived = sample.fresh & (sample.t <= t + self._dt)
+        finite = np.isfinite(sample.q)
+        if not every(finite):
+            arrived &= finite.all(axis=1)
+        if not every(self.seeded):
             self._seed(arrived & ~self.seeded & np.isfinite(sample.t), sample)
-        missing = ~(arrived & (sample.t > self.t_sample))
+        fused = arrived & (sample.t > self.t_sample)
         dt = sample.t - self.t_sample
-        dt[missing] = 0.0
+        dt[~fused] = 0.0
         self.t_sample += dt
         self._predict(self._each_joint(dt))
-        self._update(sample.q, missing[:, None])
+        self._update(sample.q, fused[:, None])
         return self._now(t, sample)
 
     def _seed(self, ids: Bools, sample: Sample) -> None:
@@ -70,9 +75,7 @@ class Estimator(Stage):
 
     def _each_joint(self, robots: Floats) -> Floats:
         """(B, n) of (B,)."""
-        joints = np.empty_like(self.q)
-        joints[:] = robots[:, None]
-        return joints
+        return np.asarray(self._ones * robots[:, None])
 
     def _predict(self, dt: Floats) -> None:
         self.q += self.qd * dt
@@ -84,23 +87,24 @@ class Estimator(Stage):
         """(B, n) rad², variance of the angle after `dt` (B, n) s without a sample."""
         return self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._g00 * dt))
 
-    def _update(self, z: Floats, missing: Bools) -> None:
+    def _update(self, z: Floats, fused: Bools) -> None:
         """A missing sample counts as the expected one with infinite variance, which changes nothing."""
         residual, variance = z - self.q, self.p00 + self._r
-        np.copyto(residual, 0.0, where=missing)
-        np.copyto(variance, np.inf, where=missing)
+        if not every(fused):
+            np.copyto(residual, 0.0, where=~fused)
+            np.copyto(variance, np.inf, where=~fused)
         k0, k1 = self.p00 / variance, self.p01 / variance
         self.q += k0 * residual
         self.qd += k1 * residual
         self.p11 -= k1 * self.p01
         self.p01 -= k0 * self.p01
         self.p00 -= k0 * self.p00
-        np.copyto(self.innovation, residual / np.sqrt(variance), where=~missing)
+        np.divide(residual, np.sqrt(variance), out=self.innovation, where=fused)
 
     def _now(self, t: float, sample: Sample) -> State:
         age = t - self.t_sample
         lag = self._each_joint(age)
-        age[~self.seeded] = np.inf
+        np.copyto(age, np.inf, where=~self.seeded)
         return State(
             t=t,
             q=self.q + self.qd * lag,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.contract import Contract, Term
+from deploy.flags import every
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Ints
 
@@ -44,7 +45,7 @@ class Observation(Stage):
         newest = np.concatenate([source() for source in self._sources], axis=1)
         newest /= self._scale
         newest = np.minimum(np.maximum(newest, self._low), self._high)
-        if not self.started.all():
+        if not every(self.started):
             first = ~self.started
             self.frames[first] = newest[first].take(self._filled, axis=1)
             self.started[:] = True

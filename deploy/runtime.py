@@ -9,6 +9,7 @@ from deploy.action import Action
 from deploy.backends.base import Robot
 from deploy.contract import Contract
 from deploy.estimator import Estimator
+from deploy.flags import every, some
 from deploy.observation import Observation, Sources
 from deploy.policy import Policy
 from deploy.safety import Safety
@@ -110,7 +111,7 @@ class Runtime:
         self.fleet.place(self.state.q)
         self._tool[:] = self.fleet.tool_position
         off = ~self.supervisor.powered
-        if off.any():  # a robot without power wants to be where it stands
+        if some(off):  # a robot without power wants to be where it stands
             self.action.reset(off, self.state.q)
         return self.observation.step()
 
@@ -124,8 +125,9 @@ class Runtime:
         ahead, q_midst, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_midst, q_rest)
         reason = self._reason()
-        obey = self.supervisor.step(reason, self.smoother.at_rest)
-        if np.count_nonzero(reason) or not np.isfinite(planned.q).all():
+        at_rest = self.smoother.at_rest if some(stopping) else stopping  # only robots that stop are asked
+        obey = self.supervisor.step(reason, at_rest)
+        if some(reason) or not every(np.isfinite(planned.q)):
             # A robot that stops already has nothing refused; a stop without a number is still not sent.
             self._send(*self._instead(obey & np.isfinite(planned.q).all(axis=1), planned))
         else:
@@ -135,8 +137,9 @@ class Runtime:
         self.ticks += 1
 
     def _reason(self) -> Ints:
-        silent = ~self.action.finite * np.int64(Reason.NOT_FINITE)
-        return self.verdict.reason | silent | self.asked
+        reason = self.verdict.reason | self.asked
+        reason[~self.action.finite] |= _NOT_FINITE
+        return reason
 
     def _instead(self, obey: Bools, planned: Setpoint) -> tuple[Setpoint, Floats]:
         """What was planned where it is obeyed; elsewhere the stop that the last tick prepared and checked."""
@@ -151,7 +154,7 @@ class Runtime:
     def _finite(self, planned: Setpoint) -> Setpoint:
         """Robots left without any plan rest where they were sent last, and lose their power."""
         lost = np.asarray(~np.isfinite(planned.q + planned.qd + planned.qdd).all(axis=1))
-        if not lost.any():
+        if not some(lost):
             return planned
         self.supervisor.latch(lost & self.supervisor.powered, Reason.NOT_FINITE)
         self.smoother.hold(lost, self.smoother.q)
@@ -188,12 +191,14 @@ class Runtime:
         self.asked[ids] = 0
 
 
+_NOT_FINITE = np.int64(Reason.NOT_FINITE)
+"""As numpy's own number, which is five times as fast as an enumeration's."""
 _NOWHERE = Setpoint(q=np.array(np.nan), qd=np.array(np.nan), qdd=np.array(np.nan))
 
 
 def _where(rows: Bools, here: Setpoint, elsewhere: Setpoint = _NOWHERE) -> Setpoint:
     """One setpoint where `rows` (B,) holds, another elsewhere; by default none, which is never sent."""
-    if rows.all():
+    if every(rows):
         return here
     pick = rows[:, None]
     return Setpoint(

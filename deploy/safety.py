@@ -7,6 +7,7 @@ ends, and the tool's place in its midst. What lies between is not looked at: the
 
 import numpy as np
 
+from deploy.flags import every
 from deploy.state import Bools, Floats, Ints, Reason, Setpoint, State, Verdict
 from robots.model_pinocchio import Fleet, torque_max
 from robots.spec import RobotSpec
@@ -134,7 +135,7 @@ class _Bounds:
         """(R,) what speaks against each row of values (R, ...), side by side in the order of the columns."""
         x = np.concatenate(values, axis=1)
         inside = (x >= self._low) & (x <= self._high)
-        if np.count_nonzero(inside) == inside.size:  # in a quarter of the time of `all`
+        if every(inside):
             return np.zeros(len(x), dtype=np.int64)
         reason = np.where(np.isfinite(x), self._reason, self._unknown)
         return np.asarray(np.bitwise_or.reduce(np.where(inside, 0, reason), axis=1))

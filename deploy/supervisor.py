@@ -11,6 +11,7 @@ Nothing here depends on the policy.
 
 import numpy as np
 
+from deploy.flags import every, some
 from deploy.stage import Stage
 from deploy.state import Bools, Ints, Mode, Reason
 
@@ -109,7 +110,7 @@ class Supervisor(Stage):
         self.since += 1
         running: Bools = self.mode == _RUNNING
         refused: Bools = reason != 0
-        if not (running & ~refused).all():
+        if not every(running) or some(refused):
             self._others(reason, refused, running, at_rest)
         return ~(running & refused)
 

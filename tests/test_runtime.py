@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from test_contract import arm_contract
@@ -7,7 +5,7 @@ from test_spec import SPEC
 
 from deploy.runtime import Runtime
 from deploy.smoother import Smoother
-from deploy.state import Mode, Reason
+from deploy.state import Mode, Reason, Setpoint
 from deploy.tasks import reach
 from deploy.tasks.reach import ReachConfig, goal_pool
 from robots.randomness import robot_seed
@@ -359,7 +357,7 @@ def test_no_plan_at_all_cuts_power_and_sends_no_nan(monkeypatch):
     def without(call):
         def planless(*args):
             plan = call(*args)
-            setpoint = plan[0] if isinstance(plan, tuple) else plan
+            setpoint = plan if isinstance(plan, Setpoint) else plan[0]
             for part in (setpoint.q, setpoint.qd, setpoint.qdd):
                 part[1] = np.nan
             return plan
@@ -433,7 +431,7 @@ def test_even_blind_checks_let_no_nan_through(monkeypatch):
         return setpoint
 
     def blind(*asked):
-        return replace(judged(*asked), reason=np.zeros(3, dtype=np.int64))
+        return judged(*asked)._replace(reason=np.zeros(3, dtype=np.int64))
 
     monkeypatch.setattr(runtime.smoother, "next", planless)
     monkeypatch.setattr(runtime.safety, "step", blind)

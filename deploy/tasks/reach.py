@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deploy.flags import some
 from deploy.safety import Safety
 from deploy.stage import Stage
 from deploy.state import Bools, Floats
@@ -83,7 +84,7 @@ class Reach(Stage):
         """
         self.elapsed += 1
         np.greater_equal(self.elapsed, self._period, out=self.ended)
-        if not self.ended.any():
+        if not some(self.ended):
             return
         near = ((tool - self.goal) ** 2).sum(axis=1) <= self.config.tolerance_m**2
         self.attempted += self.ended

@@ -8,6 +8,7 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from deploy.backends.sim.truth import Truth
+from deploy.flags import every, some
 from deploy.stage import Stage
 from deploy.state import Bools, Command, Floats
 from robots.draws import Draw
@@ -45,12 +46,13 @@ class Plant(Stage):
         robots, n = draw.mass.shape
         self.batch = Batch(model, robots, nthread=threads)
         substeps = spec.rates.physics_hz // spec.rates.control_hz
-        self._way = np.arange(1, substeps + 1)[:, None, None] / substeps
+        self._way = np.arange(1, substeps + 1)[:, None] / substeps
         self._dt = spec.dt
         self._apply(draw, model)
         bind = self.batch.bind
         self.rows, self.q, self.qd = self.batch.state, bind("qpos"), bind("qvel")
-        self._ctrl = bind("ctrl").reshape(robots, n, INPUTS)
+        self._ctrl = bind("ctrl")
+        self._q, self._qd, self._feed = self._ctrl.reshape(robots, n, INPUTS).transpose(2, 0, 1)
         self._rise = bind("act")
         self._force, self._tau = bind("actuator_force"), bind("qfrc_actuator")
         self._site, self._contacts = bind("site_xpos")[:, model.site(spec.tool).id], bind("ncon")
@@ -109,7 +111,7 @@ class Plant(Stage):
     def step(self, command: Command) -> None:
         """One control period under a command."""
         drives = self._drive(command)
-        ids = None if self.valid.all() else np.flatnonzero(self.valid)
+        ids = None if every(self.valid) else np.flatnonzero(self.valid)
         try:
             self.batch.rollout(
                 len(self._way),
@@ -119,7 +121,8 @@ class Plant(Stage):
             )
         except SimulationError as e:
             self.valid[e.ids] = False
-        self.valid &= ~self._warned.any(axis=1)
+        if some(self._warned):
+            self.valid &= ~self._warned.any(axis=1)
         self._heat()
         np.subtract(self._site, self.tool, out=self.tool_velocity)
         self.tool_velocity /= self._dt
@@ -131,15 +134,18 @@ class Plant(Stage):
         Drives interpolate what a bus sends; taken as steps it would saturate the motors at every tick. Brakes are the
         drive holding the pose that they closed on.
         """
-        powered = command.powered
-        self.braked &= ~powered
-        if not powered.all():
-            self.brake(~powered)
         last = self._ctrl.copy()
-        motor_side = np.array((command.q * self._gear, command.qd * self._gear, command.tau / self._gear))
-        np.copyto(self._ctrl, motor_side.transpose(1, 2, 0), where=powered[:, None, None])
-        lines = last[:, None] + self._way * (self._ctrl - last)[:, None]
-        return np.asarray(lines.reshape(len(last), len(self._way), -1))
+        np.multiply(command.q, self._gear, out=self._q)
+        np.multiply(command.qd, self._gear, out=self._qd)
+        np.divide(command.tau, self._gear, out=self._feed)
+        off = ~command.powered
+        self.braked &= off
+        if some(off):
+            self.brake(off)
+            last[off] = self._ctrl[off]
+        lines = self._way * (self._ctrl - last)[:, None]
+        lines += last[:, None]
+        return np.asarray(lines)
 
     def brake(self, ids: Bools) -> None:
         """Close the brakes of robots where `ids` (B,) holds, on the pose they find."""
@@ -149,8 +155,8 @@ class Plant(Stage):
         self._hold(np.flatnonzero(self.braked))
 
     def _hold(self, rows: np.ndarray) -> None:
-        self._ctrl[rows, :, 0] = (self.held * self._gear)[rows]
-        self._ctrl[rows, :, 1:] = 0.0
+        self._q[rows] = (self.held * self._gear)[rows]
+        self._qd[rows] = self._feed[rows] = 0.0
 
     def _heat(self) -> None:
         """Housing node, Source: see `robots.motor`; the winding keeps its temperature when its ambient moves."""

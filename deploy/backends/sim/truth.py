@@ -1,12 +1,11 @@
 """What really happened, which no robot can know: for the judge and for rewards, never for the runtime."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from deploy.state import Bools, Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Truth:
+class Truth(NamedTuple):
     """Ground truth at the end of a control period.
 
     MuJoCo's derived fields describe the state one physics step (1 ms) before `q` and `qd`.
