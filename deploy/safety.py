@@ -2,7 +2,7 @@
 
 Pure: (state, setpoint) → verdict, by the nominal model in Pinocchio. It never edits a number and knows neither
 policy nor smoother. Beside the setpoint it checks the stop that would begin there: its first step, the pose where it
-ends, and the tool's place in its midst. What lies between is not looked at: the margins are for that.
+ends, and tool and collisions in its midst. What lies between is not looked at: the margins are for that.
 """
 
 import numpy as np
@@ -107,17 +107,20 @@ class Safety:
 
         Args:
             q: (R, n) rad.
-            q_midst: (M, n) rad, on the way to the last M of them: of the tool's two places there, the worse counts.
+            q_midst: (M, n) rad, on the way to the last M of them: of tool and collisions there, the worse counts.
         """
         fleet, rows = self._fleet, len(q)
         fleet.place(q)
-        tool = np.concatenate((fleet.tool_position, fleet.tools(q_midst)))
+        tools, hits = fleet.glance(q_midst)
+        tool = np.concatenate((fleet.tool_position, tools))
         arm = tool - self._centre
         z, radius2 = tool[:rows, 2:].copy(), np.vecdot(arm, arm)[:, None]
         last = slice(rows - len(q_midst), rows)
         z[last] = np.minimum(z[last], tool[rows:, 2:])
         radius2[last] = np.maximum(radius2[last], radius2[rows:])
-        return q, fleet.manipulability()[:, None], fleet.colliding[:, None], z, radius2[:rows]
+        colliding = fleet.colliding.copy()
+        colliding[last] |= hits
+        return q, fleet.manipulability()[:, None], colliding[:, None], z, radius2[:rows]
 
 
 class _Bounds:

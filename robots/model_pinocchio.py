@@ -142,16 +142,24 @@ class Fleet:
             if self._looks:
                 self._colliding[rows] = b.colliding()
 
-    def tools(self, q: Floats) -> Floats:
-        """(R, 3) m, the tool in the world at joint angles (R, n) rad, for any R; what `place` found stays."""
+    def glance(self, q: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Tool and collisions at joint angles (R, n) rad, for any R; what `place` found stays.
+
+        Returns:
+            (R, 3) m, the tool in the world, and (R,) as `colliding`.
+
+        Raises:
+            RuntimeError: this fleet was not built to look.
+        """
+        self._must_look()
         b, width = self._block, self._turns[0].stop
         padded = q if len(q) >= width else np.resize(q, (width, self.n))
-        tools = np.empty((len(padded), 3))
+        tools, colliding = np.empty((len(padded), 3)), np.empty(len(padded), dtype=bool)
         for rows in turns(len(padded), width):
             pin.forwardKinematics(b.model, b.data, padded[rows].ravel())
             pin.updateFramePlacements(b.model, b.data)
-            tools[rows] = b.tools
-        return tools[: len(q)]
+            tools[rows], colliding[rows] = b.tools, b.colliding()
+        return tools[: len(q)], colliding[: len(q)]
 
     @property
     def tool_position(self) -> Floats:
@@ -202,9 +210,12 @@ class Fleet:
         Raises:
             RuntimeError: this fleet was not built to look.
         """
+        self._must_look()
+        return self._colliding
+
+    def _must_look(self) -> None:
         if not self._looks:
             raise RuntimeError("a fleet without collisions was asked for them")
-        return self._colliding
 
 
 def _measure(jacobian: Floats) -> Floats:

@@ -171,20 +171,25 @@ def test_a_fleet_that_does_not_look_says_so():
     fleet.place(SPEC.joint_array("q_home")[None])
     with pytest.raises(RuntimeError, match="without collisions"):
         _ = fleet.colliding
+    with pytest.raises(RuntimeError, match="without collisions"):
+        fleet.glance(SPEC.joint_array("q_home")[None])
 
 
 @pytest.mark.parametrize("rows", [0, 1, 5, 16, 17, 40])
-def test_tools_of_any_number_of_poses(rows):
-    fleet, q = Fleet(SPEC, 16), np.random.default_rng(rows).uniform(LOW, HIGH, (rows, N))
-    alone = Fleet(SPEC, 1)
+def test_a_glance_at_any_number_of_poses(rows):
+    fleet, alone = Fleet(SPEC, 16, collisions=True), Fleet(SPEC, 1, collisions=True)
+    q = np.random.default_rng(rows).uniform(LOW, HIGH, (rows, N))
     fleet.place(np.tile(SPEC.joint_array("q_home"), (16, 1)))
     before = fleet.tool_position.copy()
-    tools = fleet.tools(q)
-    assert tools.shape == (rows, 3)
-    for pose, tool in zip(q, tools, strict=True):
+    tools, colliding = fleet.glance(q)
+    assert (tools.shape, colliding.shape) == ((rows, 3), (rows,))
+    for pose, tool, hit in zip(q, tools, colliding, strict=True):
         alone.place(pose[None])
         np.testing.assert_array_equal(tool, alone.tool_position[0])
+        assert hit == alone.colliding[0]
+    assert rows < 16 or 0 < colliding.sum() < rows
     np.testing.assert_array_equal(fleet.tool_position, before)
+    assert not fleet.colliding.any()
 
 
 @pytest.mark.parametrize("robots", [1, 16, 17, 64])

@@ -148,7 +148,7 @@ def test_the_setpoint_itself_is_placed_too():
 @pytest.mark.parametrize("limit", ["z_min", "radius_max"])
 def test_the_tool_in_the_midst_of_a_stop_stays_in_the_workspace(limit):
     """Though where the stop begins and ends is well inside: the arm is let down, or stretched, until it is refused."""
-    fleet, reach = Fleet(SPEC, 1), MARGINS.workspace_m
+    fleet, reach = Fleet(SPEC, 1, collisions=True), MARGINS.workspace_m
     far = (
         one(1, -0.35, one(2, 1.2, HOME))
         if limit == "z_min"
@@ -157,7 +157,7 @@ def test_the_tool_in_the_midst_of_a_stop_stays_in_the_workspace(limit):
     verdicts = []
     for share in np.linspace(0, 1, 200):
         q = HOME + share * (far - HOME)
-        (tool,) = fleet.tools(q[None])
+        (tool,), _ = fleet.glance(q[None])
         height, radius = tool[2] - SPACE.z_min, SPACE.radius_max - np.linalg.norm(tool - SPACE.centre)
         found = reasons(q_midst=q)
         verdicts.append(Reason.WORKSPACE in found)
