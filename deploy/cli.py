@@ -2,20 +2,22 @@
 
 import functools
 import sys
+import traceback
 from collections.abc import Callable
 
 import typer
 
 from robots.errors import FirstshiftError
 
-PASSED, BUDGET_EXCEEDED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+PASSED, BUDGET_EXCEEDED, BAD_INPUT, BROKEN, INTERRUPTED = 0, 1, 2, 70, 130
 
 
 def main(command: Callable[..., int]) -> None:
     """Run one command line: the function's result, or its error, becomes the exit code.
 
     `command` has typer's annotations and returns an exit code. An option that typer refuses and a `FirstshiftError`
-    are said on standard error and exit with 2; Ctrl-C that the command did not handle itself exits with 130.
+    are said on standard error and exit with 2; Ctrl-C that the command did not handle itself exits with 130; any other
+    exception is a defect, shown with its traceback, and exits with 70, which is no verdict.
     """
 
     @functools.wraps(command)
@@ -35,3 +37,6 @@ def _exit_code(call: Callable[[], int]) -> int:
         return BAD_INPUT
     except KeyboardInterrupt:
         return INTERRUPTED
+    except Exception as e:
+        traceback.print_exc()
+        raise typer.Exit(BROKEN) from e

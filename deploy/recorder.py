@@ -137,8 +137,7 @@ class Recorder:
             self._stream.write(row)
         if self._tick == self._due:
             self._begin()
-        if len(self._rows):
-            self._write(ROWS_PER_TICK)
+        self._write(ROWS_PER_TICK)
         self._listen()
 
     def _changed(self, mode: Mode, reason: int) -> None:
@@ -150,17 +149,20 @@ class Recorder:
             self.event()
 
     def event(self) -> None:
-        """Something happened now: the ring will be kept, unless an event is at hand already."""
-        if self._due < 0 and not len(self._rows) and len(self._events) < EVENTS_MAX:
+        """Something happened now: the ring will be kept, with what an event that is due already does not hold."""
+        if self._due < 0 and len(self._events) < EVENTS_MAX:
             self._due = self._tick + self._after
 
     def _begin(self) -> None:
+        self._write(len(self._rows))
         path = self._folder / f"event-{self._due - self._after}.mcap"
         self._events.append(self._recording(path))
         self._due, self._rows = -1, self._ring.last()[:, 0]
 
     def _write(self, count: int) -> None:
-        """The next rows of the last event."""
+        """The next rows of the last event, if any are left."""
+        if not len(self._rows):
+            return
         for row in self._rows[:count]:
             self._events[-1].write(row)
         self._rows = self._rows[count:]
@@ -176,8 +178,7 @@ class Recorder:
         """End every file; an event that waits for its end is written as it is."""
         if self._due >= 0 and self.lost is None:
             self._begin()
-        if len(self._rows):
-            self._write(len(self._rows))
+        self._write(len(self._rows))
         self._stream.finish()
         for recording in (self._stream, *self._events):
             recording.wait()

@@ -133,7 +133,7 @@ class Runtime:
         else:
             self._send(planned, self.verdict.tau)
         self._ahead, self._tau_ahead = _where(obey, ahead), self.verdict.tau_ahead
-        self.task.step(self._tool)
+        self.task.step(self._tool, self.supervisor.running)
         self.ticks += 1
 
     def _reason(self) -> Ints:

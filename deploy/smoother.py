@@ -30,8 +30,8 @@ REST = 1e-6
 """rad/s and rad/s². What is left below is rounding, which Ruckig may take many periods to bring to nothing."""
 
 RENEW_S = 1.0
-"""s. No trajectory is read later than this, so that rounding at its end cannot add up to a drift. By then every stop
-is over."""
+"""s. No trajectory is read later than this, so that rounding at its end cannot add up to a drift; only where a stop
+may take longer than this, it is that long."""
 
 
 class Smoother(Stage):
@@ -56,7 +56,7 @@ class Smoother(Stage):
         self._q_min = np.tile(spec.joint_array("q_min") + margin, (robots, 1))
         self._q_max = np.tile(spec.joint_array("q_max") - margin, (robots, 1))
         self._ways, self._stops = _Trajectories(spec, robots), _Trajectories(spec, robots)
-        self._renew, self._midst = round(RENEW_S / spec.dt), _midst(spec)
+        self._renew, self._midst = round(_longest(spec) / spec.dt), _midst(spec)
         self._everybody = np.ones((robots, 1), dtype=bool)
 
     def next(self, q_target: Floats, stopping: Bools) -> Setpoint:
@@ -121,7 +121,8 @@ class _Trajectories:
     """Trajectories of B robots: one for each block, or one for each robot of a block that Ruckig cannot plan as one."""
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        self._turns, self._n, self._robots, self._dt = turns(robots), spec.n, robots, spec.dt
+        self._turns, self._n, self._robots = turns(robots), spec.n, robots
+        self._dt, self._longest = spec.dt, _longest(spec)
         self._block, self._solo = _Planner(spec, self._turns[0].stop), _Planner(spec, 1)
         self._common = [self._block.room() for _ in self._turns]
         self._planned: list[list[tuple[slice, Trajectory | None]]] = [[] for _ in self._turns]
@@ -159,7 +160,7 @@ class _Trajectories:
         out = np.full((self._robots, 5, self._n), np.nan)
         for rows, trajectory in chain.from_iterable(self._planned):
             if trajectory:
-                q_midst, q_end = trajectory.at_time(midst)[0], trajectory.at_time(RENEW_S)[0]
+                q_midst, q_end = trajectory.at_time(midst)[0], trajectory.at_time(self._longest)[0]
                 out[rows] = self._numbers((*trajectory.at_time(self._dt), q_midst, q_end))
         return out
 
@@ -194,7 +195,7 @@ class _Planner:
     """
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        self._n, self._size = spec.n, robots * spec.n + 1
+        self._n, self._size, self._longest = spec.n, robots * spec.n + 1, _longest(spec)
         self._otg, self._in = Ruckig(self._size, spec.dt), InputParameter(self._size)
         self._qd_max = np.tile(spec.margins.speed * spec.joint_array("qd_max"), (robots, 1))
         self._twice_jerk = np.tile(2 * spec.joint_array("qddd_max"), (robots, 1))
@@ -217,7 +218,7 @@ class _Planner:
         self._in.current_position = [*q.ravel().tolist(), 0.0]
         self._in.current_velocity = [*self._inside(qd, qdd).ravel().tolist(), 0.0]
         self._in.current_acceleration = [*qdd.ravel().tolist(), 0.0]
-        self._in.target_position = [*target.ravel().tolist(), 2 * RENEW_S]
+        self._in.target_position = [*target.ravel().tolist(), 2 * self._longest]
         try:
             self._otg.calculate(self._in, trajectory)
         except RuckigError:
@@ -240,6 +241,10 @@ class _Planner:
         bound = qd + qdd * np.abs(qdd) / self._twice_jerk
         edge = (np.abs(np.abs(bound) - self._qd_max) < EDGE) & ~self._braking[:, None]
         return np.where(edge, qd - np.sign(bound) * EDGE, qd) if some(edge) else qd
+
+
+def _longest(spec: RobotSpec) -> float:
+    return max(RENEW_S, spec.stop_s)
 
 
 def _midst(spec: RobotSpec) -> float:

@@ -81,6 +81,11 @@ class Supervisor(Stage):
         return _POWERED.take(self.mode)
 
     @property
+    def running(self) -> Bools:
+        """(B,) whether the policy is followed."""
+        return np.equal(self.mode, _RUNNING)
+
+    @property
     def stopping(self) -> Bools:
         """(B,) whether the smoother brakes or rests instead of following the policy."""
         return np.not_equal(self.mode, _RUNNING)

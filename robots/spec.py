@@ -202,6 +202,15 @@ class RobotSpec(Strict):
         return 1.0 / self.rates.control_hz
 
     @property
+    def stop_s(self) -> float:
+        """s, the longest that a jerk-limited stop can take: from full speed, still at full acceleration.
+
+        First the acceleration runs out, in a/j, adding a²/2j to the speed; losing v takes v/a + a/j.
+        """
+        qd, qdd, qddd = (self.joint_array(f"{name}_max") for name in ("qd", "qdd", "qddd"))
+        return float((qd / qdd + 2.5 * qdd / qddd).max())
+
+    @property
     def model_path(self) -> Path:
         """The model.xml that both libraries read."""
         return self.folder / "model.xml"

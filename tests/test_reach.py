@@ -8,6 +8,7 @@ from deploy.safety import Safety
 from deploy.tasks import reach
 from deploy.tasks.reach import Reach, ReachConfig, goal_pool
 from robots.blocks import BLOCK
+from robots.errors import RobotError
 from robots.model_pinocchio import Fleet
 from robots.randomness import robot_seed
 
@@ -94,7 +95,7 @@ def test_a_goal_lasts_its_period_and_is_counted_once():
     each = task(range(3))
     first = each.goal.copy()
     for tick in range(1, 2 * PERIOD + 1):
-        each.step(np.zeros((3, 3)))
+        each.step(np.zeros((3, 3)), np.ones(3, dtype=bool))
         assert each.attempted.tolist() == [tick // PERIOD] * 3
         assert each.ended.all() == (tick % PERIOD == 0)
         assert (each.goal[0] != first[0]).any() == (tick >= PERIOD)
@@ -107,7 +108,7 @@ def test_reached_is_within_tolerance_at_the_end(distance, counts):
     direction = np.array([0.6, 0.0, 0.8])
     goal = each.goal.copy()
     for tick in range(PERIOD):
-        each.step(goal + distance * direction if tick == PERIOD - 1 else goal + 5.0)
+        each.step(goal + distance * direction if tick == PERIOD - 1 else goal + 5.0, np.ones(2, dtype=bool))
     assert each.reached.tolist() == [counts] * 2
     np.testing.assert_array_equal(each.ended_goal, goal)
 
@@ -116,14 +117,30 @@ def test_having_been_there_before_the_end_does_not_count():
     each = task()
     goal = each.goal.copy()
     for tick in range(PERIOD):
-        each.step(goal if tick < PERIOD - 1 else goal + 0.1)
+        each.step(goal if tick < PERIOD - 1 else goal + 0.1, np.ones(1, dtype=bool))
     assert (each.attempted[0], each.reached[0]) == (1, 0)
+
+
+def test_a_stopped_robot_reaches_nothing():
+    each = task(range(2))
+    for _ in range(PERIOD):
+        each.step(each.goal.copy(), np.array([True, False]))
+    assert (each.attempted.tolist(), each.reached.tolist()) == ([1, 1], [1, 0])
+
+
+@pytest.mark.parametrize(
+    "config",
+    [{"radius_min": 2.0, "radius_max": 3.0}, {"radius_min": 0.945, "radius_max": 1.2, "candidates": 2000}],
+)
+def test_a_task_without_a_goal_is_an_error(config):
+    with pytest.raises(RobotError, match=r"robot\.toml: of \d+ poses .* no goal can be set"):
+        goal_pool(SPEC, ReachConfig(**config))
 
 
 def test_nowhere_is_not_near():
     each = task()
     for _ in range(PERIOD):
-        each.step(np.full((1, 3), np.nan))
+        each.step(np.full((1, 3), np.nan), np.ones(1, dtype=bool))
     assert (each.attempted[0], each.reached[0]) == (1, 0)
 
 
@@ -143,7 +160,7 @@ def test_goals_differ_from_robot_to_robot_and_from_time_to_time():
 def test_reset_of_a_subset():
     each, ids = task(range(3)), np.array([False, True, False])
     for _ in range(100):
-        each.step(np.zeros((3, 3)))
+        each.step(np.zeros((3, 3)), np.ones(3, dtype=bool))
     before = each.save()
     each.reset(ids)
     assert each.elapsed.tolist() == [100, 0, 100]

@@ -168,8 +168,17 @@ def test_an_event_at_the_end_is_written_as_far_as_it_went(tmp_path, stop, end):
 
 
 def test_stops_in_quick_succession_are_one_event(tmp_path):
-    writer = record(tmp_path, 900, stops={500: Reason.STALE, 510: Reason.STALE, 605: Reason.STALE})
+    writer = record(tmp_path, 900, stops={500: Reason.STALE, 510: Reason.STALE})
     assert [path.name for path in writer.events] == ["event-500.mcap"]
+
+
+@pytest.mark.parametrize("second", [601, 605, 699, 700, 701])
+def test_a_stop_while_an_event_is_written_is_an_event_of_its_own(tmp_path, second):
+    writer = record(tmp_path, 900, stops={500: Reason.STALE, second: Reason.STALE})
+    assert [path.name for path in writer.events] == ["event-500.mcap", f"event-{second}.mcap"]
+    for path, last in zip(writer.events, (600, second + AFTER), strict=True):
+        times = [time for time, _, _ in messages(path)["/state"]]
+        assert times == [START_NS + tick * TICK_NS for tick in range(last - DEPTH + 1, last + 1)]
 
 
 def test_the_number_of_events_is_bounded(tmp_path):

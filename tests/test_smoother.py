@@ -248,6 +248,20 @@ def test_in_the_midst_of_a_stop():
     np.testing.assert_array_equal(midst[0, 1:], HOME[1:])
 
 
+def test_a_slow_robot_is_told_where_its_stop_really_ends():
+    """Two seconds and a half on its way, which is longer than trajectories are read otherwise."""
+    slow = tuple(joint.model_copy(update={"qdd_max": 1.5, "qddd_max": 15.0}) for joint in SPEC.joints)
+    smoother = Smoother(SPEC.model_copy(update={"joints": slow}), 1)
+    smoother.commit(Setpoint(q=HOME[None], qd=V[None] * 0.9, qdd=np.full((1, N), 1.4)))
+    _, _, end = smoother.brake(smoother.sent)
+    ticks = 0
+    while not smoother.at_rest[0]:
+        smoother.commit(smoother.next(smoother.q, np.ones(1, dtype=bool)))
+        ticks += 1
+    assert 1.0 < ticks * SPEC.dt <= SPEC.model_copy(update={"joints": slow}).stop_s
+    np.testing.assert_allclose(smoother.q, end, rtol=0, atol=1e-9)
+
+
 def test_a_stop_goes_on_whatever_is_asked_meanwhile():
     """On one trajectory: its age counts the ticks."""
     smoother, rng = moving(1), np.random.default_rng(0)

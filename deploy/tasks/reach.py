@@ -13,6 +13,7 @@ from deploy.flags import some
 from deploy.safety import Safety
 from deploy.stage import Stage
 from deploy.state import Bools, Floats
+from robots.errors import RobotError
 from robots.model_pinocchio import Fleet
 from robots.randomness import keyed, keys
 from robots.spec import RobotSpec
@@ -76,11 +77,12 @@ class Reach(Stage):
         self.elapsed[ids] = 0
         self._choose(ids)
 
-    def step(self, tool: Floats) -> None:
+    def step(self, tool: Floats, running: Bools) -> None:
         """Count one tick.
 
         Args:
             tool: (B, 3) m, where the robot believes its tool is.
+            running: (B,) whether it is at work: a robot that is stopped reaches nothing.
         """
         self.elapsed += 1
         np.greater_equal(self.elapsed, self._period, out=self.ended)
@@ -88,7 +90,7 @@ class Reach(Stage):
             return
         near = ((tool - self.goal) ** 2).sum(axis=1) <= self.config.tolerance_m**2
         self.attempted += self.ended
-        self.reached += self.ended & near
+        self.reached += self.ended & near & running
         self.ended_goal[self.ended] = self.goal[self.ended]
         self.reset(self.ended)
 
@@ -117,9 +119,23 @@ def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
 
     Tool positions of uniform joint configurations crowd where the arm folds; weighting each by one over the number
     of its cell makes the choice uniform in volume.
+
+    Raises:
+        RobotError: there is none.
     """
     q, tool = _poses_in_shell(spec, config)
-    safe = Safety(spec, Fleet(spec, len(q), collisions=True)).check_poses(q) == 0
+    safe = (
+        Safety(spec, Fleet(spec, len(q), collisions=True)).check_poses(q) == 0
+        if len(q)
+        else np.zeros(0, bool)
+    )
+    if not safe.any():
+        raise RobotError(
+            f"{spec.folder / 'robot.toml'}: of {config.candidates} poses inside the working ranges {len(q)} have the"
+            f" tool where goals may be ({config.radius_min} to {config.radius_max} m from workspace.centre,"
+            f" {config.z_min} m above the table, {config.axis_min} m from the z axis), and none of them is safe:"
+            " no goal can be set, expected at least 1"
+        )
     q, tool = q[safe], tool[safe]
     _, cell, count = np.unique(
         np.floor(tool / config.cell_m), axis=0, return_inverse=True, return_counts=True
