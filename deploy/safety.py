@@ -29,7 +29,8 @@ class Safety:
             spec: the robot.
             fleet: its nominal model, 2B robots wide, with collisions.
         """
-        self._fleet, margins, space = fleet, spec.margins, spec.workspace
+        self._fleet, self._on_the_way = fleet, Fleet(spec, -(-fleet.robots // 2), collisions=True)
+        margins, space = spec.margins, spec.workspace
         self._centre = np.array(space.centre)
         self._twice_jerk = 2 * spec.joint_array("qddd_max")
         low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
@@ -48,14 +49,13 @@ class Safety:
             (-ANY, stale_s, Reason.STALE),
             (-ANY, lost_s, Reason.LOST),
         )
-        pose = (
-            (*soft, Reason.POSITION),
-            (margins.singularity, ANY, Reason.SINGULARITY),
+        clear = (
             (0.0, 0.0, Reason.COLLISION),
             (space.z_min + margins.workspace_m, ANY, Reason.WORKSPACE),
             (0.0, (space.radius_max - margins.workspace_m) ** 2, Reason.WORKSPACE),
         )
-        self._pose = _Bounds(fleet.robots, *pose)
+        pose = (*soft, Reason.POSITION), (margins.singularity, ANY, Reason.SINGULARITY), *clear
+        self._midst, self._pose = _Bounds(self._on_the_way.robots, *clear), _Bounds(fleet.robots, *pose)
         self._plan = _Bounds(
             fleet.robots,
             (*soft, Reason.POSITION),
@@ -89,38 +89,30 @@ class Safety:
         robots, age = len(q_rest), state.age[:, None]
         q, qd = np.concatenate((setpoint.q, ahead.q)), np.concatenate((setpoint.qd, ahead.qd))
         tau = self._fleet.torque(q, qd, np.concatenate((setpoint.qdd, ahead.qdd))).copy()
-        poses = self._place(np.concatenate((setpoint.q, q_rest)), q_midst)
+        poses = self._place(np.concatenate((setpoint.q, q_rest)))
+        self._on_the_way.glance(q_midst)
         # A stop first lets the acceleration run out, and the speed that it gains until then counts.
         qd_peak = setpoint.qd + setpoint.qdd * np.abs(setpoint.qdd) / self._twice_jerk
         speeds = self._fleet.tool_velocity(np.concatenate((setpoint.qd, qd_peak)), of=slice(0, robots))
         points = self._plan.reasons(q, qd, tau, *poses, np.vecdot(speeds, speeds)[:, None])
         reason = self._state.reasons(state.q, state.qd, sent.q - state.q, state.temperature, age, age)
-        reason |= points[:robots] | points[robots:]
+        reason |= points[:robots] | points[robots:] | self._midst.reasons(*self._clear(self._on_the_way))
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:])
 
     def check_poses(self, q: Floats) -> Ints:
         """(R,) what speaks against being at `q` (R, n) rad; R is the width of the fleet."""
-        return self._pose.reasons(*self._place(q, q[:0]))
+        return self._pose.reasons(*self._place(q))
 
-    def _place(self, q: Floats, q_midst: Floats) -> tuple[Floats | Bools, ...]:
-        """Place the fleet and read the columns of a pose.
+    def _place(self, q: Floats) -> tuple[Floats | Bools, ...]:
+        """Place the fleet at (R, n) rad and read the columns of a pose."""
+        self._fleet.place(q)
+        return q, self._fleet.manipulability()[:, None], *self._clear(self._fleet)
 
-        Args:
-            q: (R, n) rad.
-            q_midst: (M, n) rad, on the way to the last M of them: of tool and collisions there, the worse counts.
-        """
-        fleet, rows = self._fleet, len(q)
-        fleet.place(q)
-        tools, hits = fleet.glance(q_midst)
-        tool = np.concatenate((fleet.tool_position, tools))
+    def _clear(self, fleet: Fleet) -> tuple[Floats | Bools, ...]:
+        """Columns of where a fleet is: collision, m above the world's origin, m² from the workspace's centre."""
+        tool = fleet.tool_position
         arm = tool - self._centre
-        z, radius2 = tool[:rows, 2:].copy(), np.vecdot(arm, arm)[:, None]
-        last = slice(rows - len(q_midst), rows)
-        z[last] = np.minimum(z[last], tool[rows:, 2:])
-        radius2[last] = np.maximum(radius2[last], radius2[rows:])
-        colliding = fleet.colliding.copy()
-        colliding[last] |= hits
-        return q, fleet.manipulability()[:, None], colliding[:, None], z, radius2[:rows]
+        return fleet.colliding[:, None], tool[:, 2:], np.vecdot(arm, arm)[:, None]
 
 
 class _Bounds:

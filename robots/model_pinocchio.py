@@ -138,28 +138,20 @@ class Fleet:
             jacobian = pin.computeJointJacobians(b.model, b.data, q[rows].ravel())
             pin.updateFramePlacements(b.model, b.data)
             self._jacobian[rows] = jacobian.reshape(6, -1, self.n).transpose(1, 0, 2)
-            self._tool[rows] = b.tools
-            if self._looks:
-                self._colliding[rows] = b.colliding()
+            self._see(rows)
 
-    def glance(self, q: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Tool and collisions at joint angles (R, n) rad, for any R; what `place` found stays.
+    def _see(self, rows: slice) -> None:
+        self._tool[rows] = self._block.tools
+        if self._looks:
+            self._colliding[rows] = self._block.colliding()
 
-        Returns:
-            (R, 3) m, the tool in the world, and (R,) as `colliding`.
-
-        Raises:
-            RuntimeError: this fleet was not built to look.
-        """
-        self._must_look()
-        b, width = self._block, self._turns[0].stop
-        padded = q if len(q) >= width else np.resize(q, (width, self.n))
-        tools, colliding = np.empty((len(padded), 3)), np.empty(len(padded), dtype=bool)
-        for rows in turns(len(padded), width):
-            pin.forwardKinematics(b.model, b.data, padded[rows].ravel())
+    def glance(self, q: Floats) -> None:
+        """`place` without the Jacobian, of which what reads it knows the former pose."""
+        b = self._block
+        for rows in self._turns:
+            pin.forwardKinematics(b.model, b.data, q[rows].ravel())
             pin.updateFramePlacements(b.model, b.data)
-            tools[rows], colliding[rows] = b.tools, b.colliding()
-        return tools[: len(q)], colliding[: len(q)]
+            self._see(rows)
 
     @property
     def tool_position(self) -> Floats:
@@ -210,12 +202,9 @@ class Fleet:
         Raises:
             RuntimeError: this fleet was not built to look.
         """
-        self._must_look()
-        return self._colliding
-
-    def _must_look(self) -> None:
         if not self._looks:
             raise RuntimeError("a fleet without collisions was asked for them")
+        return self._colliding
 
 
 def _measure(jacobian: Floats) -> Floats:

@@ -148,7 +148,7 @@ def test_the_setpoint_itself_is_placed_too():
 @pytest.mark.parametrize("limit", ["z_min", "radius_max"])
 def test_the_tool_in_the_midst_of_a_stop_stays_in_the_workspace(limit):
     """Though where the stop begins and ends is well inside: the arm is let down, or stretched, until it is refused."""
-    fleet, reach = Fleet(SPEC, 1, collisions=True), MARGINS.workspace_m
+    fleet, reach = Fleet(SPEC, 1), MARGINS.workspace_m
     far = (
         one(1, -0.35, one(2, 1.2, HOME))
         if limit == "z_min"
@@ -157,7 +157,8 @@ def test_the_tool_in_the_midst_of_a_stop_stays_in_the_workspace(limit):
     verdicts = []
     for share in np.linspace(0, 1, 200):
         q = HOME + share * (far - HOME)
-        (tool,), _ = fleet.glance(q[None])
+        fleet.place(q[None])
+        (tool,) = fleet.tool_position
         height, radius = tool[2] - SPACE.z_min, SPACE.radius_max - np.linalg.norm(tool - SPACE.centre)
         found = reasons(q_midst=q)
         verdicts.append(Reason.WORKSPACE in found)
@@ -168,10 +169,11 @@ def test_the_tool_in_the_midst_of_a_stop_stays_in_the_workspace(limit):
 
 
 def touching(fleet, q):
-    """Where shapes touch, poses (B, n), whatever the margin that `fleet` keeps."""
-    tool, colliding = fleet.glance(q)
+    """(B,) where shapes touch, or the tool is outside, at poses (B, n)."""
+    fleet.glance(q)
+    tool = fleet.tool_position
     return (
-        colliding
+        fleet.colliding
         | (tool[:, 2] < SPACE.z_min)
         | (np.linalg.norm(tool - SPACE.centre, axis=1) > SPACE.radius_max)
     )
@@ -182,11 +184,12 @@ def test_stops_that_are_allowed_hurt_nothing_all_the_way(share):
     """A hundred and fifty at up to this share of full speed, on their way to a forbidden place, every 20 ms of each."""
     robots, rng, smoother = 64, np.random.default_rng(3), Smoother(SPEC, 64)
     bare = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"collision_m": 1e-9})})
-    safety, fleet = Safety(SPEC, Fleet(SPEC, 2 * robots, collisions=True)), Fleet(bare, 16, collisions=True)
+    safety = Safety(SPEC, Fleet(SPEC, 2 * robots, collisions=True))
+    fleet, crowd = (Fleet(bare, many, collisions=True) for many in (robots, 40 * robots))
     stopping, accepted, blocked = np.ones(robots, dtype=bool), 0, 0
     while accepted < 150:
         ahead = rng.uniform(LOW, HIGH, (40 * robots, N))
-        ahead = ahead[touching(fleet, ahead)][:robots]
+        ahead = ahead[touching(crowd, ahead)][:robots]
         qd = rng.uniform(-share, share, (robots, N)) * SPEC.joint_array("qd_max")
         q = np.clip(ahead - qd * rng.uniform(0.02, 0.2, (robots, 1)), LOW + 0.03, HIGH - 0.03)
         start = Setpoint(q=q, qd=qd, qdd=q * 0)
