@@ -145,10 +145,9 @@ class _Trajectories:
 
     def at(self, ticks: Ints) -> Floats:
         """(B, 3, n) q, qd, qdd, so many ticks (B,) on; NaN where there is no plan."""
-        out = np.empty((self._robots, 3, self._n))
+        out = np.full((self._robots, 3, self._n), np.nan)
         for rows, trajectory in chain.from_iterable(self._planned):
             if trajectory is None:
-                out[rows] = np.nan
                 continue
             ages = set(ticks[rows].tolist())
             for age in ages:
@@ -158,13 +157,11 @@ class _Trajectories:
 
     def stop_points(self, midst: float) -> Floats:
         """(B, 5, n) q, qd, qdd one tick on, q after `midst` s, and q at the end; NaN where there is no plan."""
-        out = np.empty((self._robots, 5, self._n))
+        out = np.full((self._robots, 5, self._n), np.nan)
         for rows, trajectory in chain.from_iterable(self._planned):
-            if trajectory is None:
-                out[rows] = np.nan
-                continue
-            q_midst, q_end = trajectory.at_time(midst)[0], trajectory.at_time(self._longest)[0]
-            out[rows] = self._numbers((*trajectory.at_time(self._dt), q_midst, q_end))
+            if trajectory:
+                q_midst, q_end = trajectory.at_time(midst)[0], trajectory.at_time(self._longest)[0]
+                out[rows] = self._numbers((*trajectory.at_time(self._dt), q_midst, q_end))
         return out
 
     def _numbers(self, parts: tuple[list[float], ...]) -> Floats:
