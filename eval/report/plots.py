@@ -84,8 +84,10 @@ def goals_plot(bins: Sequence[GoalBin], wanted: float) -> str:
 def _canvas(width: float, height: float) -> tuple[Figure, Axes]:
     """A figure of some inches and its axes, with room for tick labels and units."""
     figure = Figure(figsize=(width, height))
-    left, bottom = 0.5 / width, 0.42 / height
-    return figure, figure.add_axes((left, bottom, 1 - left - 0.06 / width, 1 - bottom - 0.05 / height))
+    left, bottom, right = 0.5 / width, 0.42 / height, 0.16 / width
+    axes = figure.add_axes((left, bottom, 1 - left - right, 1 - bottom - 0.05 / height))
+    axes.xaxis.set_major_formatter("{x:g}")
+    return figure, axes
 
 
 def _limit(axes: Axes, value: float, colour: str, text: str, *, below: bool = False) -> None:
