@@ -79,8 +79,8 @@ class Pace:
         """Whether too many slots of the last second were skipped."""
         return sum(missed for _, missed in self._missed) > self._budget
 
-    def wait(self) -> int:
-        """Block until the next slot; return how many were skipped for it."""
+    def wait(self) -> None:
+        """Block until the next slot."""
         before = self._clock.skipped
         late = self._clock.wait()
         if self.ticks == 0:
@@ -93,7 +93,6 @@ class Pace:
             self._missed.append((slot, missed))
         while self._missed and self._missed[0][0] <= slot - self._hz:
             self._missed.popleft()
-        return missed
 
     @property
     def lateness(self) -> Lateness:

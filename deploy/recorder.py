@@ -46,17 +46,17 @@ class Ring:
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Allocate for B robots."""
         self.rows: Rows = np.zeros((round(RING_S / spec.dt), robots), dtype=row_type(spec.n))
-        self._kept = 0
+        self._ticks = 0
         # A field of a structured array is looked up once, not every tick.
         names = self.rows.dtype.names or ()
         self._fields = {name: self.rows[name] for name in names}
 
     def step(self, runtime: Runtime) -> Rows:
         """Keep the tick that has just ended; return its row (B,)."""
-        at, fields = self._kept % len(self.rows), self._fields
-        self._kept += 1
+        self._ticks = runtime.ticks
+        at, fields = (self._ticks - 1) % len(self.rows), self._fields
         state, sent, task, supervisor = runtime.state, runtime.setpoint, runtime.task, runtime.supervisor
-        fields["tick"][at] = runtime.ticks - 1
+        fields["tick"][at] = self._ticks - 1
         fields["mode"][at] = supervisor.mode
         fields["reason"][at] = supervisor.reason
         fields["reached"][at], fields["attempted"][at] = task.reached, task.attempted
@@ -70,8 +70,8 @@ class Ring:
 
     def last(self) -> Rows:
         """A copy (≤ T, B) in the order of time."""
-        count = min(self._kept, len(self.rows))
-        return self.rows[np.arange(self._kept - count, self._kept) % len(self.rows)]
+        count = min(self._ticks, len(self.rows))
+        return self.rows[np.arange(self._ticks - count, self._ticks) % len(self.rows)]
 
 
 class Recorder:
@@ -135,7 +135,7 @@ class Recorder:
             self._changed(Mode(int(row["mode"])), int(row["reason"]))
         if self._tick % self._every == 0:
             self._stream.write(row)
-        if 0 <= self._due <= self._tick:  # the tick itself may have been skipped
+        if self._tick == self._due:
             self._begin()
         self._write(ROWS_PER_TICK)
         self._listen()

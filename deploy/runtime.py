@@ -54,7 +54,6 @@ class Runtime:
         self.spec, self.contract, self.robot, self.policy = spec, contract, robot, policy
         robots = robot.robots
         self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
-        self._overdue = False
         self.fleet = Fleet(spec, robots)
         self.safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True))
         self.estimator = Estimator(spec, robots)
@@ -84,14 +83,6 @@ class Runtime:
         """s, when the coming tick is due."""
         return self.ticks * self.spec.dt
 
-    def skip(self, ticks: int) -> None:
-        """So many ticks came too late and never will: time went on without them.
-
-        Trajectories did not, so nothing jumps. A policy that was due in between is due now.
-        """
-        self._overdue |= -self.ticks % self.decimation < ticks
-        self.ticks += ticks
-
     @property
     def target(self) -> Target:
         """What the policy wants, before any limit."""
@@ -114,10 +105,9 @@ class Runtime:
 
     def sense(self) -> Float32s | None:
         """Read and estimate; the observation (B, N) when the policy is due, else None."""
-        self.state = self.estimator.step(self.t, self.robot.read(self.t))
-        if self.ticks % self.decimation and not self._overdue:
+        self.state = self.estimator.step(self.t, self.robot.read())
+        if self.ticks % self.decimation:
             return None
-        self._overdue = False
         self.fleet.place(self.state.q)
         self._tool[:] = self.fleet.tool_position
         off = ~self.supervisor.powered

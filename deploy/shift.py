@@ -178,7 +178,7 @@ class Shift:
             self.recorder.event()
 
     def _tick(self) -> None:
-        self.runtime.skip(self.pace.wait())
+        self.pace.wait()
         self.runtime.tick()
         self.recorder.step(self.runtime)
         self.tally.step(self.runtime)

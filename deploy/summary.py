@@ -38,7 +38,7 @@ def _summary(shift: Shift, about: Mapping[str, str]) -> dict[str, Any]:
         "ended": shift.ending.value if shift.ending else None,
         "reason": shift.reason,
         **about,
-        "ticks": pace.ticks,
+        "ticks": shift.runtime.ticks,
         "time_s": shift.runtime.t,
         "wall_s": pace.elapsed,
         "rate_hz": pace.rate,

@@ -214,32 +214,7 @@ def test_too_many_late_ticks_stop_the_robot(bench, lost_s, ending):
     assert b.live() is ending
     assert comes_to_rest(b)
     assert b.pace.skipped == round(lost_s / SPEC.dt)
-    assert b.runtime.ticks == b.pace.ticks + b.pace.skipped == b.robot.sensors.tick[0]
     assert ("overrun" in b.shift.tally.stops) is (ending is Ending.STOPPED)
-
-
-@pytest.mark.parametrize("slots", [1, 2, 3, 4, 7])
-def test_a_late_tick_finds_the_robot_where_it_would_be(bench, monkeypatch, slots):
-    """On a moving arm, time and again: the clock of the packets and that of the runtime stay together."""
-    b = bench(duration=4.0)
-    thought, ages, say = [], [], np.zeros((1, SPEC.n), np.float32)
-
-    def step(observation):
-        thought.append(b.runtime.ticks)
-        say[0, 0] = np.sin(b.runtime.t * 3)
-        return say
-
-    monkeypatch.setattr(b.policy, "step", step)
-    b.at |= dict.fromkeys(range(50, 700, 101), lambda: b.time.sleep((slots + 0.5) * SPEC.dt))
-    b.shift._watchers = [lambda shift: ages.append(float(shift.runtime.state.age[0]))]
-    assert b.live() is Ending.DONE
-    assert comes_to_rest(b)
-    assert b.shift.tally.stops == {"operator": 1}
-    assert b.pace.skipped == 7 * slots
-    assert np.median(ages[-50:]) == pytest.approx(np.median(ages[:40]))
-    assert max(ages) <= SPEC.margins.stale_s
-    assert (np.diff(thought) <= 4 + slots).all()
-    assert (np.diff(thought) == 4).mean() > 0.9
 
 
 def test_a_robot_that_is_too_hot_is_not_armed(bench):

@@ -10,12 +10,8 @@ class Robot(Protocol):
 
     robots: int
 
-    def read(self, t: float) -> Sample:
-        """The newest packets that have arrived; never blocks longer than a control period.
-
-        Args:
-            t: s, now: the clock that `Sample.t` is on.
-        """
+    def read(self) -> Sample:
+        """The newest packets that have arrived; never blocks longer than a control period."""
         ...
 
     def write(self, command: Command) -> None:

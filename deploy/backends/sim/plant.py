@@ -110,14 +110,7 @@ class Plant(Stage):
 
     def step(self, command: Command) -> None:
         """One control period under a command."""
-        self._live(self._drive(command))
-
-    def coast(self) -> None:
-        """One control period in which no command comes: drives stay with the last."""
-        self._live(np.repeat(self._ctrl[:, None], len(self._way), axis=1))
-
-    def _live(self, drives: Floats) -> None:
-        """One control period, its controls given for each step of physics, as `_drive` does."""
+        drives = self._drive(command)
         ids = None if every(self.valid) else np.flatnonzero(self.valid)
         try:
             self.batch.rollout(

@@ -13,7 +13,7 @@ from robots.spec import RobotSpec
 
 
 class SimRobot:
-    """Physics advances one control period with every `write`, and with every period that nobody wrote in."""
+    """Physics advances one control period with every `write`."""
 
     def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence], *, threads: int = 1) -> None:
         """Draw B robots and put them at home, brakes on.
@@ -29,11 +29,8 @@ class SimRobot:
         self.sensors = Sensors(spec, self.draw, seeds)
         self.sensors.reset(np.ones(self.robots, dtype=bool), self.plant.q)
 
-    def read(self, t: float) -> Sample:
-        """The newest packets at time `t`, s; until then drives do what they were told last."""
-        for _ in range(int(self.sensors.tick[0]), round(t / self.spec.dt)):
-            self.plant.coast()
-            self.sensors.take(self.plant.q)
+    def read(self) -> Sample:
+        """The newest packets."""
         return self.sensors.read(self.plant.current, self.plant.housing)
 
     def write(self, command: Command) -> None:
