@@ -17,7 +17,7 @@ def main(command: Callable[..., int]) -> None:
 
     `command` has typer's annotations and returns an exit code. An option that typer refuses and a `FirstshiftError`
     are said on standard error and exit with 2; Ctrl-C that the command did not handle itself exits with 130; any other
-    exception is a defect, shown with its traceback, and exits with 70, which is no verdict.
+    exception, of firstshift or of a robot's bus, is shown with its traceback and exits with 70, which is no verdict.
     """
 
     @functools.wraps(command)

@@ -96,7 +96,7 @@ class Recorder:
         self._ring = Ring(runtime.spec, runtime.robot.robots)
         self._every = max(1, runtime.spec.rates.control_hz // STREAM_HZ)
         self._after = round(AFTER_S / runtime.spec.dt)
-        self._tick, self._mode, self._due = -1, int(Mode.DISARMED), -1
+        self._tick, self._mode, self._due, self._newest = -1, int(Mode.DISARMED), -1, -1
         self._rows = self._ring.last()[:, 0]
         self._stream = self._opened()
 
@@ -149,15 +149,22 @@ class Recorder:
             self.event()
 
     def event(self) -> None:
-        """Something happened now: the ring will be kept, with what an event that is due already does not hold."""
-        if self._due < 0 and len(self._events) < EVENTS_MAX:
-            self._due = self._tick + self._after
+        """Something happened now: the ring will be kept once it holds what follows."""
+        self._newest = self._tick
+        if self._due < 0:
+            self._await()
+
+    def _await(self) -> None:
+        if len(self._events) < EVENTS_MAX:
+            self._due = self._newest + self._after
 
     def _begin(self) -> None:
         self._write(len(self._rows))
-        path = self._folder / f"event-{self._due - self._after}.mcap"
-        self._events.append(self._recording(path))
+        happened = self._due - self._after
+        self._events.append(self._recording(self._folder / f"event-{happened}.mcap"))
         self._due, self._rows = -1, self._ring.last()[:, 0]
+        if self._newest > happened:
+            self._await()
 
     def _write(self, count: int) -> None:
         """The next rows of the last event, if any are left."""

@@ -44,7 +44,7 @@ def run(
     """Drive one robot by a policy: arm, work, and come to rest.
 
     Ctrl-C asks for a controlled stop, a second one cuts power. Exit codes: 0 done, 1 the robot stopped and could
-    not go on, 2 bad input and nothing moved, 130 interrupted.
+    not go on, 2 bad input and nothing moved, 70 something broke, 130 interrupted.
     """
     factor = _factor(speed)
     _check(backend, duration, seed)

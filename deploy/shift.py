@@ -1,6 +1,7 @@
 """One robot's shift: armed, at work, brought to rest. The one place that catches everything and stops the robot."""
 
 import signal
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -20,6 +21,8 @@ ARM_WITHIN_S = 1.0
 """Robot time in which the checks before arming must all have passed."""
 STOP_SLACK_S = 4.0
 """Robot time in which a controlled stop must have ended, beyond what the longest one takes."""
+ECHO_S = 0.5
+"""Wall time after a signal in which another is no new wish, unless it is a Ctrl-C."""
 STOPS_SHOWN = 4
 
 
@@ -34,19 +37,25 @@ class Ending(Enum):
 
 
 class Interrupts:
-    """Ctrl-C, termination, a lost terminal, counted: the first waits for the tick, a Ctrl-C after it cuts through.
+    """Ctrl-C, termination, a lost terminal, counted: the first waits for the tick, one that follows cuts through.
 
-    Nothing else does: a terminal that closes may say so twice in the same millisecond.
+    A terminal that closes may say so twice in the same millisecond: that counts as one.
     """
 
-    def __init__(self) -> None:
-        """Nothing is asked yet."""
-        self.count, self._cut = 0, False
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        """Nothing is asked yet.
+
+        Args:
+            now: s, a monotonic clock.
+        """
+        self.count, self._now, self._first, self._cut = 0, now, np.inf, False
 
     def __call__(self, which: int, _frame: FrameType | None) -> None:
         """Handle a signal."""
         self.count += 1
-        if which == signal.SIGINT and self.count > 1 and not self._cut:
+        self._first = min(self._first, self._now())
+        meant = self.count > 1 and (which == signal.SIGINT or self._now() > self._first + ECHO_S)
+        if meant and not self._cut:
             self._cut = True
             raise KeyboardInterrupt
 

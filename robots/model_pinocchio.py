@@ -146,7 +146,7 @@ class Fleet:
             self._colliding[rows] = self._block.colliding()
 
     def glance(self, q: Floats) -> None:
-        """`place` without the Jacobian, of which what reads it knows the former pose."""
+        """`place` for tool position and collisions only: nothing else may be read until the next `place`."""
         b = self._block
         for rows in self._turns:
             pin.forwardKinematics(b.model, b.data, q[rows].ravel())

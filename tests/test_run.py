@@ -172,6 +172,18 @@ def test_an_interrupt_while_arming_moves_nothing(bench):
     assert b.runtime.ticks < 12
 
 
+def test_whoever_asks_again_later_is_heard(bench, monkeypatch):
+    """A service manager knows no Ctrl-C."""
+    b = bench(duration=60.0)
+    moves(b, monkeypatch)
+    monkeypatch.setattr(b.shift.interrupts, "_now", b.time.now)
+    b.at[100] = lambda: signal.raise_signal(signal.SIGTERM)
+    b.at[103] = lambda: (b.time.sleep(0.6), signal.raise_signal(signal.SIGTERM))
+    with pytest.raises(KeyboardInterrupt):
+        b.live()
+    assert (b.robot.cut, b.shift.ending) == (1, Ending.FAILED)
+
+
 @pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
 def test_a_second_interrupt_cuts_power(bench, monkeypatch, first):
     b = bench(duration=60.0)

@@ -132,9 +132,10 @@ def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
     if not safe.any():
         raise RobotError(
             f"{spec.folder / 'robot.toml'}: of {config.candidates} poses inside the working ranges {len(q)} have the"
-            f" tool where goals may be ({config.radius_min} to {config.radius_max} m from workspace.centre,"
-            f" {config.z_min} m above the table, {config.axis_min} m from the z axis), and none of them is safe:"
-            " no goal can be set, expected at least 1"
+            f" tool where goals may be ({config.radius_min} to {config.radius_max} m from workspace.centre, z at least"
+            f" {config.z_min} m, {config.axis_min} m from the z axis) and a manipulability of at least"
+            f" {config.manipulability_min} with the sign of the home pose's; none of them is safe: no goal can be set,"
+            " expected at least 1"
         )
     q, tool = q[safe], tool[safe]
     _, cell, count = np.unique(
