@@ -205,6 +205,7 @@ class _Planner:
         self._in.synchronization = Synchronization.No
         self._in.per_dof_control_interface = [ControlInterface.Position] * self._size
         self._braking = np.zeros(robots, dtype=bool)
+        self._aim([0.0] * (robots * spec.n))
 
     def room(self) -> Trajectory:
         """An empty trajectory for these robots and the clock."""
@@ -218,12 +219,16 @@ class _Planner:
         self._in.current_position = [*q.ravel().tolist(), 0.0]
         self._in.current_velocity = [*self._inside(qd, qdd).ravel().tolist(), 0.0]
         self._in.current_acceleration = [*qdd.ravel().tolist(), 0.0]
-        self._in.target_position = [*target.ravel().tolist(), 2 * self._longest]
+        if not every(self._braking):  # a stop has no target
+            self._aim(target.ravel().tolist())
         try:
             self._otg.calculate(self._in, trajectory)
         except RuckigError:
             return False
         return True
+
+    def _aim(self, target: list[float]) -> None:
+        self._in.target_position = [*target, 2 * self._longest]
 
     def _brake(self, braking: Bools) -> None:
         """Choose for each robot: speed to zero, or position to a target."""
