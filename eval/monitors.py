@@ -182,24 +182,36 @@ class Judge(Stage):
     def _compare(self, load: Floats) -> None:
         fine = load <= 1.0
         if not fine.all():
-            for tick in np.flatnonzero(~fine.all(axis=(1, 2))):
-                self._record(self.ticks[0] + tick, load[tick].reshape(-1), np.flatnonzero(~fine[tick]))
+            load[~fine] = np.nan_to_num(load[~fine], nan=np.inf, posinf=np.inf)
+            self._record(load.reshape(len(load), -1), ~fine.reshape(len(load), -1))
         np.maximum(self.worst, load.max(axis=0), out=self.worst)
 
-    def _record(self, tick: int, load: Floats, bad: NDArray[np.intp]) -> None:
-        """Count bad channels (indices into B × C) and log the first events of each."""
-        load[bad] = np.nan_to_num(load[bad], nan=np.inf, posinf=np.inf)
+    def _record(self, load: Floats, bad: NDArray[np.bool_]) -> None:
+        """Count bad ticks of channels (T, B × C) and log the first events of each."""
+        where = np.flatnonzero(bad)
+        channel = where % bad.shape[1]
+        order = np.argsort(channel, kind="stable")  # one channel after the other, each in the order of time
+        where, channel = where[order], channel[order]
+        tick = where // bad.shape[1] + self.ticks[0]
+        begins, event = self._events(channel, tick)
+        kept = event < EVENTS_KEPT
+        at = channel[kept] * EVENTS_KEPT + event[kept]
+        self.log_start.reshape(-1)[at[begins[kept]]] = tick[kept & begins]
+        np.maximum.at(self.log_last.reshape(-1), at, tick[kept])
+        np.maximum.at(self.log_worst.reshape(-1), at, load.reshape(-1)[where[kept]])
+
+    def _events(self, channel: Ints, tick: Ints) -> tuple[NDArray[np.bool_], Ints]:
+        """Count bad ticks, in order; whether each begins an event of its channel, and the index of its event."""
+        here, first, many = np.unique(channel, return_index=True, return_counts=True)
         last, events = self.last_bad.reshape(-1), self.events.reshape(-1)
-        events[bad] += tick - last[bad] > self._gap
-        last[bad] = tick
-        self.bad_ticks.reshape(-1)[bad] += 1
-        slot = events[bad] - 1
-        kept = slot < EVENTS_KEPT
-        at = bad[kept] * EVENTS_KEPT + slot[kept]
-        start, worst = self.log_start.reshape(-1), self.log_worst.reshape(-1)
-        start[at] = np.where(start[at] < 0, tick, start[at])
-        self.log_last.reshape(-1)[at] = tick
-        worst[at] = np.maximum(worst[at], load[bad[kept]])
+        before, end = np.roll(tick, 1), first + many - 1
+        before[first] = last[here]
+        begins = tick - before > self._gap
+        so_far = np.cumsum(begins)
+        number = so_far + np.repeat(events[here] - so_far[first] + begins[first], many)
+        last[here], events[here] = tick[end], number[end]
+        self.bad_ticks.reshape(-1)[here] += many
+        return begins, number - 1
 
     def _count_time(self, seen: Seen, load: Floats) -> None:
         running = (seen.mode == int(Mode.RUNNING)) & seen.valid
