@@ -88,7 +88,7 @@ class Supervisor(Stage):
     @property
     def stopping(self) -> Bools:
         """(B,) whether the smoother brakes or rests instead of following the policy."""
-        return np.not_equal(self.mode, _RUNNING)
+        return ~self.running
 
     def arm(self, ids: Bools) -> None:
         """Power robots where `ids` holds and drives are off; they run after the arming time."""
@@ -113,7 +113,7 @@ class Supervisor(Stage):
             at_rest: (B,) whether the last sent setpoint stands still.
         """
         self.since += 1
-        running: Bools = self.mode == _RUNNING
+        running = self.running
         refused: Bools = reason != 0
         if not every(running) or some(refused):
             self._others(reason, refused, running, at_rest)

@@ -51,6 +51,15 @@ def test_every_goal_is_in_the_shell_above_the_table_and_accepted_by_safety():
         np.testing.assert_array_equal(fleet.tool_position, POOL.tool[start : start + BLOCK])
 
 
+def test_a_fifth_of_what_the_arm_could_reach_is_left_out():
+    """Which the README says: cells near the table and around the base's axis."""
+    all_of_it = goal_pool(SPEC, ReachConfig(z_min=SPEC.workspace.z_min, axis_min=0.0))
+    chosen, reachable = (
+        len(np.unique(np.floor(pool.tool / CONFIG.cell_m), axis=0)) for pool in (POOL, all_of_it)
+    )
+    assert 1 - chosen / reachable == pytest.approx(0.2, abs=0.02)
+
+
 def test_the_pool_is_the_same_for_everybody():
     small = ReachConfig(candidates=1600)
     again = goal_pool(SPEC, small)
