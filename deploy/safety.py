@@ -29,7 +29,7 @@ class Safety:
             spec: the robot.
             fleet: its nominal model, 2B robots wide, with collisions.
         """
-        self._fleet, self._on_the_way = fleet, Fleet(spec, -(-fleet.robots // 2), collisions=True)
+        self._fleet, self._on_the_way = fleet, fleet.of(-(-fleet.robots // 2))
         margins, space = spec.margins, spec.workspace
         self._centre = np.array(space.centre)
         self._twice_jerk = 2 * spec.joint_array("qddd_max")

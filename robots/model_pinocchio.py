@@ -6,6 +6,7 @@ whose data stay in the cache. Wider blocks lose: building `pinocchio.Data` costs
 and the third in memory.
 """
 
+import copy
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -13,8 +14,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from robots.blocks import turns
-from robots.clearance import Pairs, can_meet
+from robots.blocks import lined_up, turns
+from robots.clearance import can_meet
+from robots.collisions import Collisions, collision_pairs
 from robots.errors import RobotError
 from robots.spec import RobotSpec
 
@@ -79,18 +81,6 @@ def torque_max(spec: RobotSpec) -> Floats:
     return limit
 
 
-def collision_pairs(model: pin.Model, geometry: pin.GeometryModel) -> Pairs:
-    """Pairs of shapes on links that are neither the same nor parent and child."""
-    parents = list(model.parents)
-    joints = [shape.parentJoint for shape in geometry.geometryObjects]
-    return [
-        (a, b)
-        for a in range(len(joints))
-        for b in range(a + 1, len(joints))
-        if joints[a] != joints[b] and parents[joints[a]] != joints[b] and parents[joints[b]] != joints[a]
-    ]
-
-
 class Fleet:
     """Kinematics and dynamics of B equal robots by the nominal model; arrays (B, ...), world frame.
 
@@ -109,16 +99,22 @@ class Fleet:
         Raises:
             RobotError: as `load_pinocchio`, or the home pose is too near a singularity.
         """
-        model, geometry = load_pinocchio(spec)
-        pairs = can_meet(spec, model, geometry, collision_pairs(model, geometry)) if collisions else []
-        self.robots, self.n = robots, spec.n
-        self._turns = turns(robots)
-        self._block = _block(model, geometry, pairs, spec, self._turns[0].stop)
-        self._tau = np.zeros((robots, spec.n))
-        self._tool = np.zeros((robots, 3))
-        self._jacobian = np.zeros((robots, 6, spec.n))
-        self._looks, self._colliding = collisions, np.zeros(robots, dtype=bool)
-        self._side = np.sign(_home(spec, model))
+        self.n, self._looks = spec.n, collisions
+        self._blocks = _Blocks(spec, collisions=collisions)
+        self._side = np.sign(_home(spec, self._blocks.model))
+        self._hold(robots)
+
+    def of(self, robots: int) -> "Fleet":
+        """A fleet of another size; both take their turns in the same data, which stay in the cache."""
+        other = copy.copy(self)
+        other._hold(robots)
+        return other
+
+    def _hold(self, robots: int) -> None:
+        self.robots, self._turns = robots, turns(robots)
+        self._block = self._blocks.of(self._turns[0].stop)
+        self._tau, self._tool = np.zeros((robots, self.n)), np.zeros((robots, 3))
+        self._jacobian, self._colliding = np.zeros((robots, 6, self.n)), np.zeros(robots, dtype=bool)
 
     def torque(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """(B, n) N·m by recursive Newton-Euler, rotor inertia included, friction not.
@@ -141,9 +137,10 @@ class Fleet:
             self._see(rows)
 
     def _see(self, rows: slice) -> None:
-        self._tool[rows] = self._block.tools
+        b = self._block
+        self._tool[rows] = b.tools
         if self._looks:
-            self._colliding[rows] = self._block.colliding()
+            self._colliding[rows] = b.collisions.look(b.model, b.data)
 
     def glance(self, q: Floats) -> None:
         """`place` for tool position and collisions only: nothing else may be read until the next `place`."""
@@ -237,77 +234,52 @@ _CROSS = np.array(
 """p @ _CROSS, in rows of three, is the matrix M of w × p = M w."""
 
 
+class _Blocks:
+    """Some copies of the robot in one model, for any number of copies; what is built once is built once."""
+
+    def __init__(self, spec: RobotSpec, *, collisions: bool) -> None:
+        self.model, self._geometry = load_pinocchio(spec)
+        self._tool, self._margin = self.model.getFrameId(spec.tool), spec.margins.collision_m
+        every = collision_pairs(self.model, self._geometry) if collisions else []
+        self._pairs = can_meet(spec, self.model, self._geometry, every)
+        self._built: dict[int, _Block] = {}
+
+    def of(self, copies: int) -> "_Block":
+        """The block of so many."""
+        if copies not in self._built:
+            wide, frames = _side_by_side(self.model, self.model.frames[self._tool], copies)
+            data = wide.createData()
+            pin.framesForwardKinematics(wide, data, np.zeros(wide.nq))
+            self._built[copies] = _Block(
+                model=wide,
+                data=data,
+                tools=lined_up([data.oMf[frame].translation for frame in frames]),
+                collisions=Collisions(self.model, self._geometry, self._pairs, copies, self._margin),
+            )
+        return self._built[copies]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Block:
     """Some robots side by side in one model; `tools` (copies, 3) is a live view into `data`."""
 
     model: pin.Model
     data: pin.Data
-    geometry: pin.GeometryModel
-    geometry_data: pin.GeometryData
     tools: Floats
-
-    def colliding(self) -> NDArray[np.bool_] | bool:
-        """(copies,) whether shapes are too near where `data` has the robots; one answer if none are."""
-        pin.updateGeometryPlacements(self.model, self.data, self.geometry, self.geometry_data)
-        if not pin.computeCollisions(self.geometry, self.geometry_data, False):
-            return False
-        hits = [result.isCollision() for result in self.geometry_data.collisionResults]
-        return np.asarray(np.reshape(hits, (len(self.tools), -1)).any(axis=1))
-
-
-def _block(
-    model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs, spec: RobotSpec, copies: int
-) -> _Block:
-    wide, frames = _side_by_side(model, model.frames[model.getFrameId(spec.tool)], copies)
-    shapes = _shapes_side_by_side(model, geometry, pairs, copies)
-    data, shapes_data = wide.createData(), shapes.createData()
-    for request in shapes_data.collisionRequests:
-        request.security_margin = spec.margins.collision_m
-    pin.framesForwardKinematics(wide, data, np.zeros(wide.nq))
-    return _Block(
-        model=wide, data=data, geometry=shapes, geometry_data=shapes_data, tools=_translations(data, frames)
-    )
-
-
-def _translations(data: pin.Data, frames: list[int]) -> Floats:
-    """(F, 3) m, where consecutive frames are in the world: a live view, read in a seventh of the time of F views."""
-    views = [data.oMf[frame].translation for frame in frames]
-    address = [view.ctypes.data for view in views]
-    stride = address[-1] - address[-2] if len(frames) > 1 else 0
-    if address != [address[0] + stride * place for place in range(len(frames))]:
-        raise RuntimeError("Pinocchio does not keep its frames side by side")
-    return np.lib.stride_tricks.as_strided(views[0], (len(frames), 3), (stride, views[0].itemsize))
+    collisions: Collisions
 
 
 def _side_by_side(model: pin.Model, tool: pin.Frame, copies: int) -> tuple[pin.Model, list[int]]:
     """A model of several copies of the robot on the same spot, and the frame of each one's tool."""
     wide, frames = pin.Model(), []
     wide.gravity = model.gravity
-    for copy in range(copies):
+    for number in range(copies):
         ids = [0]
         for j in range(1, model.njoints):
-            placement, name = model.jointPlacements[j], f"{copy}/{model.names[j]}"
+            placement, name = model.jointPlacements[j], f"{number}/{model.names[j]}"
             ids.append(wide.addJoint(ids[model.parents[j]], model.joints[j], placement, name))
             wide.appendBodyToJoint(ids[j], model.inertias[j], pin.SE3.Identity())
-        frame = pin.Frame(f"{copy}/tool", ids[tool.parentJoint], 0, tool.placement, pin.FrameType.OP_FRAME)
+        frame = pin.Frame(f"{number}/tool", ids[tool.parentJoint], 0, tool.placement, pin.FrameType.OP_FRAME)
         frames.append(wide.addFrame(frame, False))
     wide.armature = np.tile(model.armature, copies)
     return wide, frames
-
-
-def _shapes_side_by_side(
-    model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs, copies: int
-) -> pin.GeometryModel:
-    """Collision shapes of the copies; pairs only within a copy, ordered by copy."""
-    wide, joints = pin.GeometryModel(), model.njoints - 1
-    for copy in range(copies):
-        for shape in geometry.geometryObjects:
-            parent = shape.parentJoint and shape.parentJoint + copy * joints
-            wide.addGeometryObject(
-                pin.GeometryObject(f"{copy}/{shape.name}", parent, shape.placement, shape.geometry)
-            )
-        for a, b in pairs:
-            offset = copy * geometry.ngeoms
-            wide.addCollisionPair(pin.CollisionPair(a + offset, b + offset))
-    return wide

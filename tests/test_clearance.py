@@ -5,7 +5,8 @@ import pinocchio as pin
 from test_spec import SPEC, copy_of_arm
 
 from robots.clearance import can_meet
-from robots.model_pinocchio import Fleet, collision_pairs, load_pinocchio
+from robots.collisions import collision_pairs
+from robots.model_pinocchio import Fleet, load_pinocchio
 from robots.spec import load_robot
 
 N = SPEC.n

@@ -8,8 +8,9 @@ from test_spec import SPEC, copy_of_arm
 
 from robots import model_pinocchio
 from robots.blocks import BLOCK
+from robots.collisions import collision_pairs
 from robots.errors import RobotError
-from robots.model_pinocchio import Fleet, collision_pairs, load_pinocchio, torque_max
+from robots.model_pinocchio import Fleet, load_pinocchio, torque_max
 from robots.spec import load_robot
 
 mujoco = pytest.importorskip("mujoco")

@@ -16,8 +16,9 @@ from filterpy.kalman import KalmanFilter
 from ruckig import InputParameter, OutputParameter, Ruckig
 
 from deploy.contract import Contract
+from robots.collisions import collision_pairs
 from robots.model_mujoco import load_mujoco
-from robots.model_pinocchio import collision_pairs, load_pinocchio
+from robots.model_pinocchio import load_pinocchio
 from robots.spec import RobotSpec
 
 

@@ -1,0 +1,120 @@
+"""Collisions of robots that stand side by side in one Pinocchio model, each with itself and its surroundings."""
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from robots.blocks import lined_up
+from robots.clearance import Pairs
+
+Bools = NDArray[np.bool_]
+
+SLACK = 1e-3
+"""m. A capsule must be this much higher than need be to be spared: far more than the rounding of an exact answer."""
+
+
+class Collisions:
+    """Which copies of a robot have shapes nearer to each other than the margin.
+
+    A capsule and a table cost three times two capsules, and mostly nobody need ask: what is higher than the table's
+    highest point by more than the margin does not touch it.
+    """
+
+    def __init__(
+        self, model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs, copies: int, margin: float
+    ) -> None:
+        """Put the shapes side by side.
+
+        Args:
+            model, geometry: one robot; the shapes of the world come with each copy.
+            pairs: indices of shapes that may meet.
+            copies: how many robots.
+            margin: m.
+        """
+        shapes = list(geometry.geometryObjects)
+        pairs = [
+            (b, a) if shapes[b].parentJoint == 0 else (a, b) for a, b in pairs
+        ]  # what is fixed comes first
+        tables = [(a, b) for a, b in pairs if _stands(shapes[a]) and _capsule(shapes[b])]
+        others = [pair for pair in pairs if pair not in tables]
+        self._others = _Shapes(model, shapes, others, copies, margin)
+        self._tables = _Shapes(model, shapes, tables, copies, margin)
+        spared = np.full(len(shapes), -np.inf)
+        for a, b in tables:
+            spared[b] = max(spared[b], _top(shapes[a]) + margin + shapes[b].geometry.radius + SLACK)
+        half = [shape.geometry.halfLength if _capsule(shape) else 0.0 for shape in shapes]
+        self._spared, self._half = np.tile(spared, copies), np.tile(half, copies)
+        places = self._others.places.oMg
+        self._height = lined_up([place.translation for place in places])[:, 2]
+        self._steepness = lined_up([place.rotation for place in places])[:, 2, 2]
+
+    def look(self, model: pin.Model, data: pin.Data) -> Bools | bool:
+        """(copies,) whether shapes are too near where `data` of all the copies' `model` has them.
+
+        One answer if none are.
+        """
+        hits = self._others.look(model, data)
+        lowest = self._height - self._half * np.abs(self._steepness)
+        if np.count_nonzero(lowest > self._spared) == lowest.size:
+            return hits
+        return hits | self._tables.look(model, data)
+
+
+class _Shapes:
+    """The shapes of all copies, and some pairs of them; `places` is where they were at the last look."""
+
+    def __init__(
+        self, model: pin.Model, shapes: list[pin.GeometryObject], pairs: Pairs, copies: int, margin: float
+    ) -> None:
+        self._geometry, self._copies = pin.GeometryModel(), copies
+        joints = model.njoints - 1
+        for copy in range(copies):
+            for shape in shapes:
+                parent = shape.parentJoint and shape.parentJoint + copy * joints
+                self._geometry.addGeometryObject(
+                    pin.GeometryObject(f"{copy}/{shape.name}", parent, shape.placement, shape.geometry)
+                )
+            for a, b in pairs:
+                offset = copy * len(shapes)
+                self._geometry.addCollisionPair(pin.CollisionPair(a + offset, b + offset))
+        self.places = self._geometry.createData()
+        for request in self.places.collisionRequests:
+            request.security_margin = margin
+
+    def look(self, model: pin.Model, data: pin.Data) -> Bools | bool:
+        """As `Collisions.look`, for these pairs; ordered by copy, as the pairs are."""
+        pin.updateGeometryPlacements(model, data, self._geometry, self.places)
+        if not pin.computeCollisions(self._geometry, self.places, False):
+            return False
+        hits = [result.isCollision() for result in self.places.collisionResults]
+        return np.asarray(np.reshape(hits, (self._copies, -1)).any(axis=1))
+
+
+def collision_pairs(model: pin.Model, geometry: pin.GeometryModel) -> Pairs:
+    """Pairs of shapes on links that are neither the same nor parent and child."""
+    parents = list(model.parents)
+    joints = [shape.parentJoint for shape in geometry.geometryObjects]
+    return [
+        (a, b)
+        for a in range(len(joints))
+        for b in range(a + 1, len(joints))
+        if joints[a] != joints[b] and parents[joints[a]] != joints[b] and parents[joints[b]] != joints[a]
+    ]
+
+
+def _capsule(shape: pin.GeometryObject) -> bool:
+    return isinstance(shape.geometry, coal.Capsule)
+
+
+def _stands(shape: pin.GeometryObject) -> bool:
+    """Whether a shape is fixed to the world and no capsule: a pair of capsules is quick as it is."""
+    return shape.parentJoint == 0 and not _capsule(shape)
+
+
+def _top(shape: pin.GeometryObject) -> float:
+    """m, a height above which a fixed shape has no point."""
+    shape.geometry.computeLocalAABB()
+    box = shape.geometry.aabb_local
+    half = (box.max_ - box.min_) / 2
+    return float(shape.placement.act(box.min_ + half)[2] + np.abs(shape.placement.rotation[2]) @ half)
