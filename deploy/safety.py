@@ -40,22 +40,23 @@ class Safety:
         # Ages are whole ticks but for rounding: half a tick keeps a limit that is one of them in its place.
         stale_s, lost_s = margins.stale_s + spec.dt / 2, margins.lost_s + spec.dt / 2
         anything = np.full(spec.n, ANY)
-        self._state = _Bounds(
-            fleet.robots // 2,
+        clear = (
+            (0.0, 0.0, Reason.COLLISION),
+            (space.z_min + margins.workspace_m, ANY, Reason.WORKSPACE),
+            (0.0, (space.radius_max - margins.workspace_m) ** 2, Reason.WORKSPACE),
+        )
+        self._now = _Bounds(
+            self._on_the_way.robots,
             (low, high, Reason.OUTSIDE),
             (-anything, anything, Reason.NOT_FINITE),
             (*_within(np.full(spec.n, margins.tracking_rad)), Reason.TRACKING),
             (-anything, spec.motor_array("housing_max_c"), Reason.HEAT),
             (-ANY, stale_s, Reason.STALE),
             (-ANY, lost_s, Reason.LOST),
-        )
-        clear = (
-            (0.0, 0.0, Reason.COLLISION),
-            (space.z_min + margins.workspace_m, ANY, Reason.WORKSPACE),
-            (0.0, (space.radius_max - margins.workspace_m) ** 2, Reason.WORKSPACE),
+            *clear,
         )
         pose = (*soft, Reason.POSITION), (margins.singularity, ANY, Reason.SINGULARITY), *clear
-        self._midst, self._pose = _Bounds(self._on_the_way.robots, *clear), _Bounds(fleet.robots, *pose)
+        self._pose = _Bounds(fleet.robots, *pose)
         self._plan = _Bounds(
             fleet.robots,
             (*soft, Reason.POSITION),
@@ -95,8 +96,9 @@ class Safety:
         qd_peak = setpoint.qd + setpoint.qdd * np.abs(setpoint.qdd) / self._twice_jerk
         speeds = self._fleet.tool_velocity(np.concatenate((setpoint.qd, qd_peak)), of=slice(0, robots))
         points = self._plan.reasons(q, qd, tau, *poses, np.vecdot(speeds, speeds)[:, None])
-        reason = self._state.reasons(state.q, state.qd, sent.q - state.q, state.temperature, age, age)
-        reason |= points[:robots] | points[robots:] | self._midst.reasons(*self._clear(self._on_the_way))
+        midst, lag = self._clear(self._on_the_way), sent.q - state.q
+        reason = self._now.reasons(state.q, state.qd, lag, state.temperature, age, age, *midst)
+        reason |= points[:robots] | points[robots:]
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:])
 
     def check_poses(self, q: Floats) -> Ints:
