@@ -24,13 +24,15 @@ from rich.console import Console
 from deploy.cli import PASSED, main
 from deploy.policy import Policy
 from eval.bench.idle import make_idle
-from eval.bench.stages import ROUNDS, SEED, stages
+from eval.bench.stages import SEED, stages
 from eval.budget import BUDGET, check, load_budget
 from eval.counts import MONITORS, merge
 from eval.shard import WIDTH, Shard, ShardJob
 from eval.soak import Soak, run_soak
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
+
+STARTS = 5
 
 console = Console(width=100)
 
@@ -48,10 +50,10 @@ def start(spec: RobotSpec, policy: Path) -> None:
     )
     with tempfile.TemporaryDirectory() as out:
         options = ["--robot", str(spec.folder), "--policy", str(policy), "--duration", "1", "--out", out]
-        starts = [_first_tick([sys.executable, "-c", script, *options]) for _ in range(ROUNDS)]
+        starts = [_first_tick([sys.executable, "-c", script, *options]) for _ in range(STARTS)]
     times, torch = zip(*starts, strict=True)
     console.print(
-        f"deploy-run: first tick after {np.median(times):.2f} s (median of {ROUNDS}, at most 3);"
+        f"deploy-run: first tick after {np.median(times):.2f} s (median of {STARTS}, at most 3);"
         f" torch imported: {'yes' if any(torch) else 'no'}"
     )
 

@@ -21,8 +21,8 @@ from robots.model_pinocchio import torque_max
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
-WARM_S, ROUNDS = 2.0, 5
-ROUND = {64: 200, 16: 400, WIDTH: 800, 1: 2000}
+WARM_S, ROUNDS = 2.0, 15
+ROUND = {64: 100, 16: 200, WIDTH: 400, 1: 1000}
 """Ticks of a round by number of robots."""
 TICKS = 10_000
 """Ticks of the distribution at one robot, which is the last of `ROUND`."""
@@ -55,8 +55,6 @@ class Bench:
         self.runtime.task.elapsed[:] = np.arange(robots) * period // robots
         self.run(round(WARM_S / spec.dt))
         self.watch.clear()
-        gc.collect()
-        gc.freeze()  # as deploy-run
 
     def _watch(self, brain: Policy | None) -> None:
         runtime, plant = self.runtime, self.robot.plant
@@ -88,18 +86,21 @@ class Bench:
         judge_tick(self.judge, self.robot, self.runtime)
 
     def run(self, ticks: int) -> None:
-        """Some ticks."""
+        """Some ticks, with what was built before them out of the garbage collector's sight, as in deploy-run."""
+        gc.collect()
+        gc.freeze()
         for _ in range(ticks):
             self.tick()
+        gc.unfreeze()
 
 
 def stages(spec: RobotSpec, policy: Path, console: Console) -> None:
-    """Everything beside physics, and where it goes; of some rounds the one with the median total."""
+    """Everything beside physics, and where it goes."""
     whole, parts = {}, {}
     for robots, ticks in ROUND.items():
         bench = Bench(spec, policy, robots, every_stage=False)
-        whole[robots] = _median_round(bench, ticks)
-        parts[robots] = _median_round(Bench(spec, policy, robots, every_stage=True), ticks)
+        whole[robots] = _medians(bench, ticks)
+        parts[robots] = _medians(Bench(spec, policy, robots, every_stage=True), ticks)
         beside = whole[robots][TICK] + whole[robots][JUDGE]
         console.print(
             f"B = {robots}: everything but physics ÷ physics = {beside / whole[robots][PHYSICS]:.3f}"
@@ -115,15 +116,15 @@ def stages(spec: RobotSpec, policy: Path, console: Console) -> None:
     _rates(spec, policy, whole, console)
 
 
-def _median_round(bench: Bench, ticks: int) -> dict[str, float]:
-    """µs per robot-tick of each stage in the round with the median total."""
+def _medians(bench: Bench, ticks: int) -> dict[str, float]:
+    """µs per robot-tick of each stage: the median of some rounds, since other work may share the machine."""
     rounds = []
     for _ in range(ROUNDS):
         bench.watch.clear()
         bench.run(ticks)
-        scale = 1e6 / ticks / bench.robots
-        rounds.append({name: bench.watch.total(name) * scale for name in bench.watch.samples})
-    return sorted(rounds, key=lambda spent: sum(spent.values()))[ROUNDS // 2]
+        rounds.append([bench.watch.total(name) for name in bench.watch.samples])
+    medians = np.median(rounds, axis=0) * 1e6 / ticks / bench.robots
+    return dict(zip(bench.watch.samples, medians.tolist(), strict=True))
 
 
 def _tick_without_physics(bench: Bench, console: Console) -> None:
