@@ -138,7 +138,8 @@ class Runtime:
 
     def _reason(self) -> Ints:
         reason = self.verdict.reason | self.asked
-        reason[~self.action.finite] |= _NOT_FINITE
+        if not every(self.action.finite):
+            reason[~self.action.finite] |= _NOT_FINITE
         return reason
 
     def _instead(self, obey: Bools, planned: Setpoint) -> tuple[Setpoint, Floats]:

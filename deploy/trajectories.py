@@ -126,7 +126,7 @@ class _Planner:
     """
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        self._n, self._size, self._longest = spec.n, robots * spec.n + 1, longest(spec)
+        self._n, self._size = spec.n, robots * spec.n + 1
         self._otg, self._in = Ruckig(self._size, spec.dt), InputParameter(self._size)
         self._qd_max = np.tile(spec.margins.speed * spec.joint_array("qd_max"), (robots, 1))
         self._twice_jerk = np.tile(2 * spec.joint_array("qddd_max"), (robots, 1))
@@ -136,7 +136,10 @@ class _Planner:
         self._in.synchronization = Synchronization.No
         self._in.per_dof_control_interface = [ControlInterface.Position] * self._size
         self._braking = np.zeros(robots, dtype=bool)
-        self._aim([0.0] * (robots * spec.n))
+        # What Ruckig is told, q, qd, qdd and target, with the clock at the end of each.
+        self._told = np.zeros((4, self._size))
+        self._told[3, -1] = 2 * longest(spec)
+        self._joints = self._told[:, :-1].reshape(4, robots, spec.n)
 
     def room(self) -> Trajectory:
         """An empty trajectory for these robots and the clock."""
@@ -144,22 +147,19 @@ class _Planner:
 
     def plan(self, origin: Floats, trajectory: Trajectory) -> bool:
         """Fill `trajectory` for these robots, `origin` as in `Ways.plan`; whether Ruckig could."""
-        q, qd, qdd, target = origin[:, :-1].reshape(len(origin), 4, self._n).swapaxes(0, 1)
         self._brake(origin[:, -1] != 0)
+        self._joints[:] = origin[:, :-1].reshape(len(origin), 4, self._n).swapaxes(0, 1)
+        if not every(self._braking):  # a stop knows no limit of speed
+            self._move_inside()
         # As lists: Ruckig's binding reads an array number by number, in three times the time.
-        self._in.current_position = [*q.ravel().tolist(), 0.0]
-        self._in.current_velocity = [*self._inside(qd, qdd).ravel().tolist(), 0.0]
-        self._in.current_acceleration = [*qdd.ravel().tolist(), 0.0]
-        if not every(self._braking):  # a stop has no target
-            self._aim(target.ravel().tolist())
+        q, qd, qdd, target = self._told.tolist()
+        self._in.current_position, self._in.current_velocity, self._in.current_acceleration = q, qd, qdd
+        self._in.target_position = target
         try:
             self._otg.calculate(self._in, trajectory)
         except RuckigError:
             return False
         return True
-
-    def _aim(self, target: list[float]) -> None:
-        self._in.target_position = [*target, 2 * self._longest]
 
     def _brake(self, braking: Bools) -> None:
         """Choose for each robot: speed to zero, or position to a target."""
@@ -170,13 +170,13 @@ class _Planner:
         of_joints = [kind for kind in kinds for _ in range(self._n)]
         self._in.per_dof_control_interface = [*of_joints, ControlInterface.Position]
 
-    def _inside(self, qd: Floats, qdd: Floats) -> Floats:
-        """Speeds moved off the limit where a target is followed; a stop knows no limit of speed."""
-        if every(self._braking):
-            return qd
+    def _move_inside(self) -> None:
+        """Move speeds off the limit where a target is followed."""
+        _, qd, qdd, _ = self._joints
         bound = qd + qdd * np.abs(qdd) / self._twice_jerk
         edge = (np.abs(np.abs(bound) - self._qd_max) < EDGE) & ~self._braking[:, None]
-        return np.where(edge, qd - np.sign(bound) * EDGE, qd) if some(edge) else qd
+        if some(edge):
+            qd -= np.where(edge, np.sign(bound) * EDGE, 0.0)
 
 
 def longest(spec: RobotSpec) -> float:
