@@ -1,4 +1,7 @@
-"""`any` and `all` for the tick: bytes tell in a tenth of the time that an array's own methods take."""
+"""`any` and `all` for the tick: of few flags, bytes tell in a tenth of the time that an array's own methods take.
+
+For truth values, and `some` for whole numbers: of any other type the answers are wrong.
+"""
 
 import numpy as np
 from numpy.typing import NDArray

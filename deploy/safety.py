@@ -45,7 +45,7 @@ class Safety:
             (space.z_min + margins.workspace_m, ANY, Reason.WORKSPACE),
             (0.0, (space.radius_max - margins.workspace_m) ** 2, Reason.WORKSPACE),
         )
-        self._now = _Bounds(
+        self._state_and_midst = _Bounds(
             self._on_the_way.robots,
             (low, high, Reason.OUTSIDE),
             (-anything, anything, Reason.NOT_FINITE),
@@ -97,7 +97,7 @@ class Safety:
         speeds = self._fleet.tool_velocity(np.concatenate((setpoint.qd, qd_peak)), of=slice(0, robots))
         points = self._plan.reasons(q, qd, tau, *poses, np.vecdot(speeds, speeds)[:, None])
         midst, lag = self._clear(self._on_the_way), sent.q - state.q
-        reason = self._now.reasons(state.q, state.qd, lag, state.temperature, age, age, *midst)
+        reason = self._state_and_midst.reasons(state.q, state.qd, lag, state.temperature, age, age, *midst)
         reason |= points[:robots] | points[robots:]
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:])
 

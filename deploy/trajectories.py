@@ -71,7 +71,7 @@ class Ways(_Plans):
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         super().__init__(spec, robots)
         self._rooms = [self._block.room() for _ in self._turns]
-        self._planned: list[list[tuple[slice, Trajectory | None]]] = [[] for _ in self._turns]
+        self._planned: list[list[tuple[slice, Trajectory | None]]] = [[(rows, None)] for rows in self._turns]
 
     def plan(self, origin: Floats, changed: Bools | None = None) -> None:
         """Plan again for every block that holds a robot of `changed` (B,): the others there get what they have.

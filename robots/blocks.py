@@ -17,7 +17,7 @@ def turns(robots: int) -> list[slice]:
 
 
 def lined_up(views: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """One live view (V, ...) of V views (...) that lie at equal distances, read in a seventh of their time.
+    """One live view (V, ...) of V ≥ 1 views (...) that lie at equal distances, read in a seventh of their time.
 
     Raises:
         RuntimeError: they do not.

@@ -57,10 +57,13 @@ def _reach(model: pin.Model, shape: pin.GeometryObject, other: int) -> Floats:
     after it and the shape itself, end to end.
     """
     reach = np.zeros(model.njoints - 1)
+    joints = [j for j in model.supports[shape.parentJoint] if j not in model.supports[other]]
+    if not joints:  # fixed to the world, where a plane has no end
+        return reach
     shape.geometry.computeLocalAABB()
     centre, radius = shape.placement.act(shape.geometry.aabb_center), shape.geometry.aabb_radius
     length = float(np.linalg.norm(centre)) + radius
-    for joint in reversed([j for j in model.supports[shape.parentJoint] if j not in model.supports[other]]):
+    for joint in reversed(joints):
         reach[joint - 1] = length
         length += float(np.linalg.norm(model.jointPlacements[joint].translation))
     return reach

@@ -13,12 +13,16 @@ Bools = NDArray[np.bool_]
 SLACK = 1e-3
 """m. A capsule must be this much higher than need be to be spared: far more than the rounding of an exact answer."""
 
+FAR = 1e6
+"""m. What reaches beyond this has no end."""
+
 
 class Collisions:
     """Which copies of a robot have shapes nearer to each other than the margin.
 
-    A capsule and a table cost three times two capsules, and mostly nobody need ask: what is higher than the table's
-    highest point by more than the margin does not touch it.
+    A capsule and a table (a box, a wall: whatever is fixed and no capsule) cost three times two capsules, and mostly
+    nobody need ask: what is higher than the table's highest point by more than the margin does not touch it. One robot
+    that is lower makes all copies ask.
     """
 
     def __init__(
@@ -33,18 +37,18 @@ class Collisions:
             margin: m.
         """
         shapes = list(geometry.geometryObjects)
-        pairs = [
-            (b, a) if shapes[b].parentJoint == 0 else (a, b) for a, b in pairs
-        ]  # what is fixed comes first
+        # What is fixed comes first.
+        pairs = [(b, a) if shapes[b].parentJoint == 0 else (a, b) for a, b in pairs]
         tables = [(a, b) for a, b in pairs if _stands(shapes[a]) and _capsule(shapes[b])]
         others = [pair for pair in pairs if pair not in tables]
         self._others = _Shapes(model, shapes, others, copies, margin)
         self._tables = _Shapes(model, shapes, tables, copies, margin)
-        spared = np.full(len(shapes), -np.inf)
+        spared_above = np.full(len(shapes), -np.inf)
         for a, b in tables:
-            spared[b] = max(spared[b], _top(shapes[a]) + margin + shapes[b].geometry.radius + SLACK)
+            height = _top(shapes[a]) + margin + shapes[b].geometry.radius + SLACK
+            spared_above[b] = np.maximum(spared_above[b], height)
         half = [shape.geometry.halfLength if _capsule(shape) else 0.0 for shape in shapes]
-        self._spared, self._half = np.tile(spared, copies), np.tile(half, copies)
+        self._spared_above, self._half = np.tile(spared_above, copies), np.tile(half, copies)
         places = self._others.places.oMg
         self._height = lined_up([place.translation for place in places])[:, 2]
         self._steepness = lined_up([place.rotation for place in places])[:, 2, 2]
@@ -56,7 +60,7 @@ class Collisions:
         """
         hits = self._others.look(model, data)
         lowest = self._height - self._half * np.abs(self._steepness)
-        if np.count_nonzero(lowest > self._spared) == lowest.size:
+        if np.count_nonzero(lowest > self._spared_above) == lowest.size:
             return hits
         return hits | self._tables.look(model, data)
 
@@ -113,8 +117,10 @@ def _stands(shape: pin.GeometryObject) -> bool:
 
 
 def _top(shape: pin.GeometryObject) -> float:
-    """m, a height above which a fixed shape has no point."""
+    """m, a height above which a fixed shape has no point; infinite for one that has no end, as a plane."""
     shape.geometry.computeLocalAABB()
     box = shape.geometry.aabb_local
+    if np.abs((box.min_, box.max_)).max() > FAR:
+        return np.inf
     half = (box.max_ - box.min_) / 2
     return float(shape.placement.act(box.min_ + half)[2] + np.abs(shape.placement.rotation[2]) @ half)

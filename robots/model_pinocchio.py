@@ -102,15 +102,18 @@ class Fleet:
         self.n, self._looks = spec.n, collisions
         self._blocks = _Blocks(spec, collisions=collisions)
         self._side = np.sign(_home(spec, self._blocks.model))
-        self._hold(robots)
+        self._resize(robots)
 
     def of(self, robots: int) -> "Fleet":
-        """A fleet of another size; both take their turns in the same data, which stay in the cache."""
+        """A fleet of another size. Where their blocks are as wide, both work in the same one, which stays in the cache.
+
+        Nothing that can be read is shared, but two such fleets must not be used from two threads.
+        """
         other = copy.copy(self)
-        other._hold(robots)
+        other._resize(robots)
         return other
 
-    def _hold(self, robots: int) -> None:
+    def _resize(self, robots: int) -> None:
         self.robots, self._turns = robots, turns(robots)
         self._block = self._blocks.of(self._turns[0].stop)
         self._tau, self._tool = np.zeros((robots, self.n)), np.zeros((robots, 3))
@@ -139,7 +142,7 @@ class Fleet:
     def _see(self, rows: slice) -> None:
         b = self._block
         self._tool[rows] = b.tools
-        if self._looks:
+        if b.collisions:
             self._colliding[rows] = b.collisions.look(b.model, b.data)
 
     def glance(self, q: Floats) -> None:
@@ -235,13 +238,13 @@ _CROSS = np.array(
 
 
 class _Blocks:
-    """Some copies of the robot in one model, for any number of copies; what is built once is built once."""
+    """Blocks of one robot by number of copies, each built when it is first asked for."""
 
     def __init__(self, spec: RobotSpec, *, collisions: bool) -> None:
         self.model, self._geometry = load_pinocchio(spec)
         self._tool, self._margin = self.model.getFrameId(spec.tool), spec.margins.collision_m
-        every = collision_pairs(self.model, self._geometry) if collisions else []
-        self._pairs = can_meet(spec, self.model, self._geometry, every)
+        pairs = collision_pairs(self.model, self._geometry) if collisions else []
+        self._pairs = can_meet(spec, self.model, self._geometry, pairs)
         self._built: dict[int, _Block] = {}
 
     def of(self, copies: int) -> "_Block":
@@ -254,19 +257,27 @@ class _Blocks:
                 model=wide,
                 data=data,
                 tools=lined_up([data.oMf[frame].translation for frame in frames]),
-                collisions=Collisions(self.model, self._geometry, self._pairs, copies, self._margin),
+                collisions=self._collisions(copies),
             )
         return self._built[copies]
+
+    def _collisions(self, copies: int) -> Collisions | None:
+        if not self._pairs:
+            return None
+        return Collisions(self.model, self._geometry, self._pairs, copies, self._margin)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Block:
-    """Some robots side by side in one model; `tools` (copies, 3) is a live view into `data`."""
+    """Some robots side by side in one model; `tools` (copies, 3) is a live view into `data`.
+
+    Nothing can collide, or nobody looks, where `collisions` is None.
+    """
 
     model: pin.Model
     data: pin.Data
     tools: Floats
-    collisions: Collisions
+    collisions: Collisions | None
 
 
 def _side_by_side(model: pin.Model, tool: pin.Frame, copies: int) -> tuple[pin.Model, list[int]]:

@@ -89,9 +89,11 @@ class Bench:
         """Some ticks, with what was built before them out of the garbage collector's sight, as in deploy-run."""
         gc.collect()
         gc.freeze()
-        for _ in range(ticks):
-            self.tick()
-        gc.unfreeze()
+        try:
+            for _ in range(ticks):
+                self.tick()
+        finally:
+            gc.unfreeze()
 
 
 def stages(spec: RobotSpec, policy: Path, console: Console) -> None:
