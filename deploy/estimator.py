@@ -1,4 +1,4 @@
-"""Joint state from late, noisy, missing encoder samples: one Kalman filter per joint, all in one pass.
+"""Joint state from late, noisy, missing samples: one Kalman filter per joint, all in one pass, and heat beside it.
 
 Each filter holds angle and speed at the time its newest sample was TAKEN, under white-noise acceleration; `State` is
 that belief carried forward to now. filterpy gives the process noise and is the oracle of the tests.
@@ -8,6 +8,7 @@ import numpy as np
 from filterpy.common import Q_continuous_white_noise
 
 from deploy.flags import every
+from deploy.heat import Heat
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Sample, State
 from robots.spec import RobotSpec
@@ -17,9 +18,12 @@ SPEED_STD = 1.0
 
 
 class Estimator(Stage):
-    """Angle and speed of B × n joints; `p00`, `p01` and `p11` (B, n) are their covariance."""
+    """Angle and speed of B × n joints; `p00`, `p01` and `p11` (B, n) are their covariance; `heat` knows the motors."""
 
-    carried = ("q", "qd", "p00", "p01", "p11", "t_sample", "innovation", "seeded")
+    carried = (
+        *("q", "qd", "p00", "p01", "p11", "t_sample", "innovation", "seeded"),
+        *(f"heat.{name}" for name in Heat.carried),
+    )
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Allocate.
@@ -33,7 +37,7 @@ class Estimator(Stage):
         self.p00, self.p01, self.p11 = np.zeros((3, *shape))
         self.t_sample = np.zeros(robots)
         self.seeded = np.zeros(robots, dtype=bool)
-        self._dt = spec.dt
+        self.heat, self._dt = Heat(spec, robots), spec.dt
         # numpy is quickest where every shape is the same.
         self._ones = np.ones(shape)
         self._r = np.full(shape, spec.encoder.noise_rad**2 + spec.encoder.resolution_rad**2 / 12)
@@ -43,6 +47,7 @@ class Estimator(Stage):
     def reset(self, ids: Bools) -> None:
         """Forget robots where `ids` (B,) holds; their next sample seeds them."""
         self.seeded[ids] = False
+        self.heat.reset(ids)
 
     def step(self, t: float, sample: Sample) -> State:
         """Fuse what arrived and carry the belief to now.
@@ -66,6 +71,7 @@ class Estimator(Stage):
         self.t_sample += dt
         self._predict(self._each_joint(dt))
         self._update(sample.q, fused[:, None])
+        self.heat.step(sample)
         return self._now(t, sample)
 
     def _seed(self, ids: Bools, sample: Sample) -> None:
@@ -113,4 +119,5 @@ class Estimator(Stage):
             age=age,
             innovation=self.innovation,
             temperature=sample.temperature,
+            winding=self.heat.winding,
         )

@@ -60,7 +60,8 @@ class Ring:
         fields["mode"][at] = supervisor.mode
         fields["reason"][at] = supervisor.reason
         fields["reached"][at], fields["attempted"][at] = task.reached, task.attempted
-        fields["q"][at], fields["qd"][at], fields["housing_c"][at] = state.q, state.qd, state.temperature
+        fields["q"][at], fields["qd"][at] = state.q, state.qd
+        fields["housing_c"][at], fields["winding_c"][at] = state.temperature, state.winding
         fields["q_target"][at] = runtime.action.q
         fields["q_sent"][at], fields["qd_sent"][at], fields["qdd_sent"][at] = sent.q, sent.qd, sent.qdd
         fields["tau_sent"][at] = runtime.command.tau

@@ -3,6 +3,7 @@
 import errno
 import os
 from collections.abc import Mapping
+from math import isfinite
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Event, Thread
@@ -38,7 +39,7 @@ BACKLOG = 256
 WAIT_S = 5.0
 BLUE, GREEN = Color(r=0.1, g=0.4, b=1.0, a=1.0), Color(r=0.1, g=0.8, b=0.3, a=0.4)
 TOOL_M = 0.02
-_NUMBERS = {"type": "array", "items": {"type": "number"}}
+_NUMBERS = {"type": "array", "items": {"type": ["number", "null"]}}
 STATE_SCHEMA = {
     "title": "firstshift.State",
     "type": "object",
@@ -49,6 +50,7 @@ STATE_SCHEMA = {
         "attempted": {"type": "integer"},
         "q_target": _NUMBERS,
         "housing_c": _NUMBERS,
+        "winding_c": _NUMBERS,
         "tool": _NUMBERS,
         "goal": _NUMBERS,
     },
@@ -57,8 +59,11 @@ STATE_SCHEMA = {
 
 def row_type(joints: int) -> np.dtype[np.void]:
     """One tick of one robot: what `Recording.write` takes. SI units, joint vectors in the robot's order."""
-    whole, numbers = ("tick", "mode", "reason", "reached", "attempted"), ("q", "qd", "housing_c", "q_target")
-    sent = ("q_sent", "qd_sent", "qdd_sent", "tau_sent")
+    whole = ("tick", "mode", "reason", "reached", "attempted")
+    numbers, sent = (
+        ("q", "qd", "housing_c", "winding_c", "q_target"),
+        ("q_sent", "qd_sent", "qdd_sent", "tau_sent"),
+    )
     return np.dtype(
         [(name, np.int64) for name in whole]
         + [(name, np.float64, joints) for name in numbers + sent]
@@ -168,7 +173,9 @@ class Recording:
 
 
 def _state(row: Any) -> dict[str, object]:
-    numbers = {name: row[name].tolist() for name in ("q_target", "housing_c", "tool", "goal")}
+    names = ("q_target", "housing_c", "winding_c", "tool", "goal")
+    # JSON has no word for what is no number.
+    numbers = {name: [x if isfinite(x) else None for x in row[name].tolist()] for name in names}
     counts = {name: int(row[name]) for name in ("reached", "attempted")}
     reason = int(row["reason"])
     return {

@@ -11,6 +11,8 @@ import typer
 
 from deploy.cli import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
 from deploy.clock import Unpaced, WallClock
+from deploy.heat_file import PERIOD_S as HEAT_S
+from deploy.heat_file import HeatFile
 from deploy.pace import Every, Pace
 from deploy.policy import Policy
 from deploy.recorder import Recorder, check_folder
@@ -38,7 +40,9 @@ def run(
     duration: Annotated[float, typer.Option(help="s of robot time; inf: until Ctrl-C")] = math.inf,
     speed: Annotated[str, typer.Option(help="robot time by wall time: a factor, or max")] = "1",
     seed: Annotated[int, typer.Option(help="of the simulated robot and of the goals")] = 7,
-    out: Annotated[Path, typer.Option(help="folder; a former run in it is replaced")] = Path("out/run"),
+    out: Annotated[
+        Path, typer.Option(help="folder; a former run in it is replaced, its motors stay warm")
+    ] = Path("out/run"),
     view: Annotated[bool, typer.Option("--view", help="open MuJoCo's viewer")] = False,
 ) -> int:
     """Drive one robot by a policy: arm, work, and come to rest.
@@ -56,9 +60,14 @@ def run(
     runtime = Runtime(spec, brain.contract, body, [robot_seed(seed, 0)], brain)
     about = {"robot": spec.name, "robot_digest": spec.digest, "policy": str(policy)}
     about |= {"policy_digest": brain.digest, "backend": backend, "seed": str(seed), "speed": speed}
+    heat_file = HeatFile(out / "heat.json", runtime)
     recorder = Recorder(out, runtime, start_ns=time.time_ns(), about=about)
-    watchers: list[Every[Shift]] = [Every(VIEW_S, view_step)] if view_step else []
-    return _lived(runtime, recorder, factor=factor, duration=duration, about=about, watchers=watchers)
+    watchers: list[Every[Shift]] = [Every(HEAT_S, heat_file.offer)]
+    if view_step:
+        watchers.append(Every(VIEW_S, view_step))
+    return _lived(
+        runtime, recorder, heat_file, factor=factor, duration=duration, about=about, watchers=watchers
+    )
 
 
 def _factor(speed: str) -> float:
@@ -100,6 +109,7 @@ def _viewer(robot: "SimRobot") -> Callable[[object], None]:
 def _lived(
     runtime: Runtime,
     recorder: Recorder,
+    heat_file: HeatFile,
     *,
     factor: float,
     duration: float,
@@ -113,7 +123,7 @@ def _lived(
     screen, title = Show(), f"{about['robot']}  {about['policy']}  {about['backend']}"
 
     def show(shift: Shift) -> None:
-        notes, stops = [recorder.lost] if recorder.lost else [], list(shift.tally.last)
+        notes, stops = [lost for lost in (recorder.lost, heat_file.lost) if lost], list(shift.tally.last)
         picture = snapshot(runtime, pace, title=title, left=shift.left, hz=asked, stops=stops, notes=notes)
         screen.offer(picture)
 
@@ -128,8 +138,9 @@ def _lived(
         if runtime.ticks:
             show(shift)
         recorder.close()
+        heat_file.close()
         screen.close()
-        report(shift, about, recorder.path.parent / "summary.json")
+        report(shift, about, recorder.path.parent / "summary.json", lost=heat_file.lost)
     return EXIT.get(ending, BUDGET_EXCEEDED)
 
 

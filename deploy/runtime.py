@@ -121,6 +121,7 @@ class Runtime:
             self.action.step(action, self.smoother.q)
         stopping = self.supervisor.stopping
         self.action.hold(stopping, self.smoother.q)
+        self.smoother.pace[:] = self.estimator.heat.pace
         planned = self.smoother.next(self.action.q, stopping)
         ahead, q_midst, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_midst, q_rest)
@@ -149,7 +150,13 @@ class Runtime:
 
     def _send(self, setpoint: Setpoint, tau: Floats) -> None:
         self.smoother.commit(setpoint)
-        self.command = Command(q=setpoint.q, qd=setpoint.qd, tau=tau, powered=self.supervisor.powered)
+        self.command = Command(
+            q=setpoint.q,
+            qd=setpoint.qd,
+            tau=tau,
+            powered=self.supervisor.powered,
+            current=self.estimator.heat.fold,
+        )
         self.robot.write(self.command)
 
     def _finite(self, planned: Setpoint) -> Setpoint:

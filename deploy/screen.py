@@ -111,14 +111,14 @@ def snapshot(
 
 
 def _joints(runtime: Runtime) -> list[list[Any]]:
-    state, sent = runtime.state, runtime.setpoint
+    state, sent, spec = runtime.state, runtime.setpoint, runtime.spec
     numbers = (
         state.q[0],
         state.qd[0],
         sent.q[0] - state.q[0],
         runtime.command.tau[0],
-        state.temperature[0],
-        runtime.spec.motor_array("housing_max_c"),
+        *(state.temperature[0], spec.motor_array("housing_soft_c"), spec.motor_array("housing_max_c")),
+        *(state.winding[0], spec.motor_array("winding_soft_c"), spec.motor_array("winding_max_c")),
     )
     columns = [[round(float(x), 4) for x in column] for column in numbers]
-    return [list(row) for row in zip(runtime.spec.joint_names, *columns, strict=True)]
+    return [list(row) for row in zip(spec.joint_names, *columns, strict=True)]

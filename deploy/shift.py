@@ -14,7 +14,7 @@ from deploy.pace import Pace
 from deploy.recorder import Recorder
 from deploy.runtime import Runtime
 from deploy.signals import handled
-from deploy.state import Mode, Reason
+from deploy.state import Floats, Mode, Reason
 from deploy.supervisor import CATEGORY_1, words
 
 ARM_WITHIN_S = 1.0
@@ -66,18 +66,19 @@ class Tally:
 
     Attributes:
         stops: stops by reason. last: the newest of them in words, with their time.
-        housing_max_c: °C, the hottest housing of all ticks; None before the first.
+        housing_max_c, winding_max_c: °C, the hottest motor of all ticks, as believed; None before the first.
     """
 
     stops: Counter[str] = field(default_factory=Counter)
     last: deque[str] = field(default_factory=lambda: deque(maxlen=STOPS_SHOWN))
     housing_max_c: float | None = None
+    winding_max_c: float | None = None
     _mode: int = Mode.DISARMED
 
     def step(self, runtime: Runtime) -> None:
         """Count the tick that has just ended."""
-        hottest = float(runtime.state.temperature.max())
-        self.housing_max_c = hottest if self.housing_max_c is None else max(self.housing_max_c, hottest)
+        self.housing_max_c = _hotter(self.housing_max_c, runtime.state.temperature)
+        self.winding_max_c = _hotter(self.winding_max_c, runtime.state.winding)
         mode = int(runtime.supervisor.mode[0])
         cut = mode == Mode.LATCHED and self._mode == Mode.RUNNING
         if mode == Mode.STOPPING != self._mode or cut:
@@ -85,6 +86,11 @@ class Tally:
             self.stops.update(bit.name.lower() for bit in Reason(reason) if bit.name)
             self.last.append(f"{runtime.t:.2f} s: {words(reason)}")
         self._mode = mode
+
+
+def _hotter(so_far: float | None, now: Floats) -> float:
+    hottest = float(now.max())
+    return hottest if so_far is None else max(so_far, hottest)
 
 
 class Shift:

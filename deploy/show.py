@@ -17,7 +17,7 @@ from rich.text import Text
 
 Snapshot = dict[str, Any]
 COLOURS = {"RUNNING": "green", "STOPPING": "yellow", "HOLDING": "yellow", "LATCHED": "red"}
-COLUMNS = ("joint", "q rad", "qd rad/s", "error mrad", "torque N·m", "housing °C", "limit °C")
+COLUMNS = ("joint", "q rad", "qd rad/s", "error mrad", "torque N·m", "housing °C", "winding °C")
 
 
 def table(s: Snapshot) -> RenderableType:
@@ -28,9 +28,9 @@ def table(s: Snapshot) -> RenderableType:
     joints = Table(title=s["title"], title_justify="left")
     for column in COLUMNS:
         joints.add_column(column, justify="left" if column == "joint" else "right")
-    for name, q, qd, error, tau, housing, limit in s["joints"]:
+    for name, q, qd, error, tau, *heat in s["joints"]:
         numbers = (f"{q:+.3f}", f"{qd:+.3f}", f"{error * 1e3:+.1f}", f"{tau:+.1f}")
-        joints.add_row(name, *numbers, Text(f"{housing:.0f}", style=_heat(housing, limit)), f"{limit:.0f}")
+        joints.add_row(name, *numbers, _heat(*heat[:3]), _heat(*heat[3:]))
     return Group(joints, head)
 
 
@@ -47,8 +47,9 @@ def _head(s: Snapshot) -> Iterable[tuple[str, Text]]:
         yield "note", Text(note, style="red")
 
 
-def _heat(housing: float, limit: float) -> str:
-    return "red" if housing >= limit else "yellow" if housing >= limit - 20 else ""
+def _heat(celsius: float, soft: float, limit: float) -> Text:
+    style = "red" if celsius >= limit else "yellow" if celsius >= soft else ""
+    return Text(f"{celsius:.0f} of {limit:.0f}", style=style)
 
 
 def _left(s: Snapshot) -> str:

@@ -24,25 +24,27 @@ class Smoother(Stage):
 
     Attributes:
         q, qd, qdd: (B, n) rad, rad/s, rad/s², the last setpoint sent.
-        origin: (B, 4n + 1) where each robot's trajectory began and what was asked then: q, qd, qdd, target, stopping.
-        expected: (B, 4n + 1) the same of now, if all went as planned: a robot that differs gets a new trajectory.
+        origin: (B, 4n + 2) where each robot's trajectory began and what was asked then: q, qd, qdd, target, pace,
+            stopping.
+        expected: (B, 4n + 2) the same of now, if all went as planned: a robot that differs gets a new trajectory.
+        pace: (B,) share of the limits of speed and acceleration that a robot may use to follow a target.
         age: (B,) ticks since `origin`, less those at rest after a stop.
     """
 
-    carried = ("q", "qd", "qdd", "origin", "expected", "age")
+    carried = ("q", "qd", "qdd", "pace", "origin", "expected", "age")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Build the planners: one for what comes next, one for stops."""
         shape = (robots, spec.n)
         self.q, self.qd, self.qdd = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-        self.origin = np.full((robots, 4 * spec.n + 1), np.nan)
+        self.origin = np.full((robots, 4 * spec.n + 2), np.nan)
         self.expected, self.age = self.origin.copy(), np.zeros(robots, dtype=np.int64)
         margin = spec.margins.q_target_rad
         self._q_min = np.tile(spec.joint_array("q_min") + margin, (robots, 1))
         self._q_max = np.tile(spec.joint_array("q_max") - margin, (robots, 1))
         self._ways, self._stops = Ways(spec, robots), Stops(spec, robots)
         self._renew = round(longest(spec) / spec.dt)
-        self._everybody = np.ones((robots, 1), dtype=bool)
+        self.pace, self._whole = np.ones(robots), np.ones((robots, 1))
 
     def next(self, q_target: Floats, stopping: Bools) -> Setpoint:
         """One step from the last sent setpoint: towards a target, or towards rest; NaN where Ruckig has no plan.
@@ -52,11 +54,13 @@ class Smoother(Stage):
             stopping: (B,) robots that brake to rest instead.
         """
         target, stops = np.minimum(np.maximum(q_target, self._q_min), self._q_max), stopping[:, None]
+        pace = self.pace
         if some(stopping):
             target[stopping] = 0.0  # no matter: it must not count as asked anew
             self.age -= stopping & self.at_rest  # or rounding would creep on
+            pace = np.where(stopping, 1.0, pace)  # a stop has all of its limits, as it was checked
         self.age += 1
-        self._plan(np.concatenate((self.q, self.qd, self.qdd, target, stops), axis=1))
+        self._plan(np.concatenate((self.q, self.qd, self.qdd, target, pace[:, None], stops), axis=1))
         planned = self._ways.at(self.age)
         self.expected[:, : planned[0].size] = planned.reshape(len(planned), -1)
         return _setpoint(planned)
@@ -75,7 +79,7 @@ class Smoother(Stage):
     def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
         """A stop that would begin at `start`: its first step, and (B, n) rad in its midst and where it would end."""
         stop = self._stops.points(
-            np.concatenate((start.q, start.qd, start.qdd, start.q, self._everybody), axis=1)
+            np.concatenate((start.q, start.qd, start.qdd, start.q, self._whole, self._whole), axis=1)
         )
         return _setpoint(stop), stop[:, 3], stop[:, 4]
 

@@ -44,6 +44,7 @@ class State(NamedTuple):
         age: (B,) s since the newest sample was taken.
         innovation: (B, n) last innovation in standard deviations.
         temperature: (B, n) °C, motor housing.
+        winding: (B, n) °C, as `Heat` has it.
     """
 
     t: float
@@ -53,6 +54,7 @@ class State(NamedTuple):
     age: Floats
     innovation: Floats
     temperature: Floats
+    winding: Floats
 
 
 class Target(NamedTuple):
@@ -131,9 +133,11 @@ class Command(NamedTuple):
     Attributes:
         q: (B, n) rad. qd: (B, n) rad/s. tau: (B, n) N·m, feed-forward.
         powered: (B,) drives on; where False the brakes hold and the rest is ignored.
+        current: (B, n) share of its current limit that a drive may use.
     """
 
     q: Floats
     qd: Floats
     tau: Floats
     powered: Bools
+    current: Floats

@@ -15,20 +15,20 @@ from deploy.shift import Shift
 from robots.errors import OutputError
 
 
-def report(shift: Shift, about: Mapping[str, str], path: Path) -> None:
-    """Write the summary of a run that is over to `path`, and print it.
+def report(shift: Shift, about: Mapping[str, str], path: Path, *, lost: str | None = None) -> None:
+    """Write the summary of a run that is over to `path`, and print it, with what else was lost to the disk.
 
     A disk that fails now is said and not raised: the exit code is about the robot.
     """
     summary = _summary(shift, about)
-    lost = [shift.recorder.lost] if shift.recorder.lost else []
+    warnings = [what for what in (shift.recorder.lost, lost) if what]
     try:
         with replacing(path) as partial:
             partial.write_text(json.dumps(summary, indent=2) + "\n")
     except OutputError as e:
-        lost.append(str(e))
+        warnings.append(str(e))
     Console().print(_table(summary))
-    for what in lost:
+    for what in warnings:
         print(f"warning: {what}", file=sys.stderr)
 
 
@@ -47,10 +47,19 @@ def _summary(shift: Shift, about: Mapping[str, str]) -> dict[str, Any]:
         "stops": dict(tally.stops),
         "goals": {"reached": int(task.reached[0]), "attempted": int(task.attempted[0])},
         "housing_max_c": tally.housing_max_c,
+        "winding_max_c": tally.winding_max_c,
         "recording": str(recorder.path),
         "recording_lost": recorder.lost,
         "events": [str(event) for event in recorder.events],
     }
+
+
+def _heat(housing: float | None, winding: float | None) -> str:
+    return (
+        ""
+        if housing is None
+        else f"housings at most {housing:.0f} °C, windings {winding:.0f} °C, as believed"
+    )
 
 
 def _table(s: dict[str, Any]) -> Table:
@@ -63,7 +72,7 @@ def _table(s: dict[str, Any]) -> Table:
         "late": f"p50 {late['p50_us']:.0f} µs, p99 {late['p99_us']:.0f} µs, max {late['max_us']:.0f} µs",
         "stops": ", ".join(f"{name} {count}" for name, count in s["stops"].items()) or "none",
         "goals": f"{goals['reached']} of {goals['attempted']} reached, by the robot's own estimate",
-        "housing": "" if s["housing_max_c"] is None else f"at most {s['housing_max_c']:.0f} °C",
+        "heat": _heat(s["housing_max_c"], s["winding_max_c"]),
         "recording": " ".join([s["recording"], *s["events"]]),
     }
     table = Table.grid(padding=(0, 2))

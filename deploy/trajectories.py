@@ -77,7 +77,7 @@ class Ways(_Plans):
         """Plan again for every block that holds a robot of `changed` (B,): the others there get what they have.
 
         Args:
-            origin: (B, 4n + 1) q, qd, qdd where the trajectories begin, target, and whether to brake instead.
+            origin: (B, 4n + 2) q, qd, qdd where the trajectories begin, target, pace, and whether to brake instead.
             changed: robots with another origin than before; by default all.
         """
         for turn, rows in enumerate(self._turns):
@@ -130,12 +130,12 @@ class _Planner:
         self._otg, self._in = Ruckig(self._size, spec.dt), InputParameter(self._size)
         self._qd_max = np.tile(spec.margins.speed * spec.joint_array("qd_max"), (robots, 1))
         self._twice_jerk = np.tile(2 * spec.joint_array("qddd_max"), (robots, 1))
-        self._in.max_velocity = [*self._qd_max.ravel(), 1.0]
-        self._in.max_acceleration = [*np.tile(spec.joint_array("qdd_max"), robots), 1.0]
+        self._qdd_max = np.tile(spec.joint_array("qdd_max"), (robots, 1))
         self._in.max_jerk = [*self._twice_jerk.ravel() / 2, 1.0]
         self._in.synchronization = Synchronization.No
         self._in.per_dof_control_interface = [ControlInterface.Position] * self._size
         self._braking = np.zeros(robots, dtype=bool)
+        self._limit(np.ones(robots))
         # What Ruckig is told, q, qd, qdd and target, with the clock at the end of each.
         self._told = np.zeros((4, self._size))
         self._told[3, -1] = 2 * longest(spec)
@@ -148,7 +148,9 @@ class _Planner:
     def plan(self, origin: Floats, trajectory: Trajectory) -> bool:
         """Fill `trajectory` for these robots, `origin` as in `Ways.plan`; whether Ruckig could."""
         self._brake(origin[:, -1] != 0)
-        self._joints[:] = origin[:, :-1].reshape(len(origin), 4, self._n).swapaxes(0, 1)
+        if not every(origin[:, -2] == self._pace):
+            self._limit(origin[:, -2])
+        self._joints[:] = origin[:, :-2].reshape(len(origin), 4, self._n).swapaxes(0, 1)
         if not every(self._braking):  # a stop knows no limit of speed
             self._move_inside()
         # As lists: Ruckig's binding reads an array number by number, in three times the time.
@@ -170,11 +172,18 @@ class _Planner:
         of_joints = [kind for kind in kinds for _ in range(self._n)]
         self._in.per_dof_control_interface = [*of_joints, ControlInterface.Position]
 
+    def _limit(self, pace: Floats) -> None:
+        """Bound speed and acceleration of each robot to its share (R,)."""
+        self._pace = pace.copy()
+        self._speed = self._qd_max * pace[:, None]
+        self._in.max_velocity = [*self._speed.ravel().tolist(), 1.0]
+        self._in.max_acceleration = [*(self._qdd_max * pace[:, None]).ravel().tolist(), 1.0]
+
     def _move_inside(self) -> None:
         """Move speeds off the limit where a target is followed."""
         _, qd, qdd, _ = self._joints
         bound = qd + qdd * np.abs(qdd) / self._twice_jerk
-        edge = (np.abs(np.abs(bound) - self._qd_max) < EDGE) & ~self._braking[:, None]
+        edge = (np.abs(np.abs(bound) - self._speed) < EDGE) & ~self._braking[:, None]
         if some(edge):
             qd -= np.where(edge, np.sign(bound) * EDGE, 0.0)
 

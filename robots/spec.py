@@ -99,6 +99,9 @@ class Margins(Strict):
         tracking_rad: setpoint minus estimate that stops the robot.
         stale_s: age of the newest sample that makes the robot slow down and hold.
         lost_s: age of the newest sample that makes it stop and cut power.
+        winding_k: how far below winding_max_c the estimate of a winding may come: at that the robot stops for good.
+        fold_min: share of its current that a motor keeps there, enough to hold the arm. From winding_soft_c on it falls
+            to this share, and with it the speed and the acceleration that the robot is asked for.
     """
 
     q_target_rad: PositiveFloat
@@ -111,6 +114,8 @@ class Margins(Strict):
     tracking_rad: PositiveFloat
     stale_s: PositiveFloat
     lost_s: PositiveFloat
+    winding_k: PositiveFloat
+    fold_min: Fraction
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -183,6 +188,16 @@ class RobotSpec(Strict):
             if joint.q_max - joint.q_min <= 2 * self.margins.q_target_rad:
                 raise ValueError(
                     f"margins.q_target_rad {self.margins.q_target_rad} leaves nothing of the range of {joint.name}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _heat_ordered(self) -> Self:
+        for name, motor in self.motors.items():
+            if not motor.winding_soft_c < motor.winding_max_c - self.margins.winding_k:
+                raise ValueError(
+                    f"motors.{name}: winding_soft_c {motor.winding_soft_c} is not below winding_max_c"
+                    f" {motor.winding_max_c} less margins.winding_k {self.margins.winding_k}"
                 )
         return self
 

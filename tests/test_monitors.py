@@ -58,7 +58,9 @@ class Bench:
         self.attempted = np.zeros(robots, dtype=np.int64)
 
     def step(self, ticks=1):
-        command = Command(q=self.sent, qd=self.sent * 0, tau=self.sent * 0, powered=self.powered)
+        command = Command(
+            q=self.sent, qd=self.sent * 0, tau=self.sent * 0, powered=self.powered, current=self.sent
+        )
         for _ in range(ticks):
             self.judge.step(
                 truth=self.truth,
@@ -290,7 +292,9 @@ def feed(judge, series, ticks, rows=slice(None)):
         judge.step(
             truth=truth,
             target=Target(q=at["target"], finite=at["powered"]),
-            command=Command(q=at["sent"], qd=at["sent"], tau=at["sent"], powered=at["powered"]),
+            command=Command(
+                q=at["sent"], qd=at["sent"], tau=at["sent"], powered=at["powered"], current=at["sent"]
+            ),
             mode=at["mode"],
             reason=at["reason"],
             goal=at["goal"],

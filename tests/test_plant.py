@@ -30,13 +30,14 @@ def exact(robots=1, **changes):
     return drawn(robots, **{**plain, **changes})
 
 
-def command(q, qd=0.0, tau=0.0, powered=True):
+def command(q, qd=0.0, tau=0.0, powered=True, current=1.0):
     q = np.atleast_2d(q)
     return Command(
         q=q,
         qd=np.broadcast_to(qd, q.shape),
         tau=np.broadcast_to(tau, q.shape),
         powered=np.broadcast_to(powered, len(q)),
+        current=np.broadcast_to(current, q.shape),
     )
 
 
@@ -76,6 +77,18 @@ def test_brakes_close_on_the_pose_they_find():
     assert np.abs(plant.q[0] - closed[0]).max() < 0.02
     np.testing.assert_allclose(plant.q[1], HOME + 0.5 * 160 * DT, atol=0.02)
     np.testing.assert_array_equal(plant.held[0], closed[0])
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_a_drive_keeps_to_its_share_of_current(share):
+    """A torque that is far too large for it, on one joint; its neighbour has all of its current."""
+    plant, tau, current = Plant(SPEC, exact()), np.zeros(N), np.ones(N)
+    tau[5], tau[4], current[5] = 1000.0, 1000.0, share
+    for _ in range(2):
+        plant.step(command(HOME, tau=tau, current=current))
+    most = 28.0 / 101 / 0.1
+    assert plant.current[0, 5] == pytest.approx(share * most, rel=0.02)
+    assert plant.current[0, 4] == pytest.approx(most, rel=0.02)
 
 
 def test_category_0_needs_no_command():

@@ -35,8 +35,8 @@ class Scripted:
         return tick + 1000.0 * robot + joint / 8 + part / 128
 
     def tick(self):
-        joints = [self.numbers(self.ticks, part) for part in range(8)]
-        self.state = SimpleNamespace(q=joints[0], qd=joints[1], temperature=joints[2])
+        joints = [self.numbers(self.ticks, part) for part in (*range(8), 10)]
+        self.state = SimpleNamespace(q=joints[0], qd=joints[1], temperature=joints[2], winding=joints[8])
         self.action = SimpleNamespace(q=joints[3])
         self.setpoint = SimpleNamespace(q=joints[4], qd=joints[5], qdd=joints[6])
         self.command = SimpleNamespace(tau=joints[7])
@@ -117,6 +117,7 @@ def test_numbers_are_those_of_their_tick(tmp_path):
             assert found["/state"][k][2][name] == expected
         assert spheres["goal"].size.x == 0.04
         assert found["/state"][k][2]["housing_c"] == script.numbers(tick, 2)[0].tolist()
+        assert found["/state"][k][2]["winding_c"] == script.numbers(tick, 10)[0].tolist()
         assert found["/state"][k][2]["q_target"] == script.numbers(tick, 3)[0].tolist()
 
 
@@ -125,7 +126,7 @@ def test_changes_of_mode_are_said_with_their_reasons(tmp_path):
     record(tmp_path, 20, stops={11: both, 12: both})
     found = messages(tmp_path / "run.mcap")
     said = [((time - START_NS) // TICK_NS, log.message) for time, _, log in found["/log"]]
-    why = "a motor housing is too hot; a joint does not follow its setpoint"
+    why = "a motor is too hot; a joint does not follow its setpoint"
     assert said == [
         (0, "DISARMED → RUNNING"),
         (11, f"RUNNING → STOPPING: {why}"),

@@ -56,8 +56,9 @@ def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):
     assert summary["goals"]["attempted"] == 1
     assert 900 <= summary["ticks"] <= 906
     assert 15 < summary["housing_max_c"] < 60
+    assert 0 <= summary["winding_max_c"] - summary["housing_max_c"] < 10
     assert "0 of 1 reached" in said
-    assert {path.name for path in out.iterdir()} == {"run.mcap", "summary.json"}
+    assert {path.name for path in out.iterdir()} == {"run.mcap", "summary.json", "heat.json"}
 
 
 @pytest.mark.usefixtures("quick_goals")
@@ -70,7 +71,7 @@ def test_a_robot_that_is_not_armed_is_exit_1(command, arm_policy, tmp_path, monk
     monkeypatch.setattr("deploy.backends.sim.robot.SimRobot", Hot)
     code, said, _ = command("--policy", arm_policy, "--speed", "max", "--out", tmp_path)
     assert code == 1
-    assert "not armed: a motor housing is too hot" in said
+    assert "not armed: a motor is too hot" in said
     assert json.loads((tmp_path / "summary.json").read_text())["ended"] == "not armed"
 
 

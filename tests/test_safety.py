@@ -28,6 +28,7 @@ def judge(
     sent=None,
     age=0.0,
     temperature=30.0,
+    winding=40.0,
     setpoint=None,
     ahead=None,
     q_midst=None,
@@ -44,6 +45,7 @@ def judge(
         age=np.array([age]),
         innovation=np.zeros((1, N)),
         temperature=np.broadcast_to(np.asarray(temperature, dtype=float), (1, N)),
+        winding=np.broadcast_to(np.asarray(winding, dtype=float), (1, N)),
     )
     ahead = setpoint if ahead is None else ahead
     rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
@@ -161,6 +163,14 @@ def test_heat(joint):
     assert reasons(temperature=one(joint, np.nan, np.full(N, 20.0))) == Reason.HEAT
 
 
+@pytest.mark.parametrize("joint", range(N))
+def test_a_winding_near_its_limit_stops_the_robot(joint):
+    limit = SPEC.motor_array("winding_max_c")[joint] - MARGINS.winding_k
+    assert reasons(winding=one(joint, limit, np.full(N, 20.0))) == 0
+    assert reasons(winding=one(joint, limit + HAIR, np.full(N, 20.0))) == Reason.HEAT
+    assert reasons(winding=one(joint, np.nan, np.full(N, 20.0))) == Reason.HEAT
+
+
 @pytest.mark.parametrize(
     ("age", "expected"),
     [
@@ -273,14 +283,23 @@ def test_each_robot_is_judged_alone():
     }
     robots, straight = 11, one(4, 0.0, HOME)
     q, qd, qdd = np.tile(HOME, (robots, 1)), np.zeros((robots, N)), np.zeros((robots, N))
-    q_hat, sent, temperature = q.copy(), q.copy(), np.full((robots, N), 30.0)
+    q_hat, sent, temperature, winding = q.copy(), q.copy(), *np.full((2, robots, N), 30.0)
     q[9] = straight
     qd[1, 5], qdd[4, 5] = 4.0, 1000.0
     # Only together: the speed that the acceleration will still add counts, and none of the others'.
     qd[7, 1:3], qdd[7, 1:3] = -2.3, -8.0
     rest = q_hat.copy()
     rest[2, 0], rest[10], sent[5, 3], temperature[6, 2] = HIGH[0], straight, HOME[3] + 0.2, 90.0
-    state = State(t=0.0, q=q_hat, qd=qd, q_var=q, age=np.zeros(robots), innovation=q, temperature=temperature)
+    state = State(
+        t=0.0,
+        q=q_hat,
+        qd=qd,
+        q_var=q,
+        age=np.zeros(robots),
+        innovation=q,
+        temperature=temperature,
+        winding=winding,
+    )
     setpoint = Setpoint(q=q, qd=qd, qdd=qdd)
     ahead = Setpoint(q=q_hat, qd=qd * 0, qdd=qdd * 0)
     ahead.qd[8, 3] = 4.0

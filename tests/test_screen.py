@@ -62,7 +62,10 @@ SNAPSHOT = {
     "attempted": 3,
     "stops": ["11.20 s: samples are missing"],
     "notes": ["run.mcap: cannot be written: No space left on device"],
-    "joints": [["elbow", 1.5, -0.25, 0.0012, 33.3, 61.0, 80.0], ["wrist_1", 0.1, 0, 0, 0, 24.0, 80.0]],
+    "joints": [
+        ["elbow", 1.5, -0.25, 0.0012, 33.3, 61.0, 60.0, 80.0, 111.0, 80.0, 110.0],
+        ["wrist_1", 0.1, 0, 0, 0, 24.0, 60.0, 80.0, 25.0, 80.0, 110.0],
+    ],
 }
 
 
@@ -78,7 +81,7 @@ def test_the_table_shows_everything():
     for part in (
         *("HOLDING samples are missing", "12.3 s, 7.7 s left", "200 Hz of 200, 3 slots skipped"),
         *("p50 55 µs, p99 410 µs, max 2100 µs", "2 of 3 reached", "11.20 s: samples are missing"),
-        *("elbow", "+1.500", "-0.250", "+1.2", "+33.3", "61", "80", "No space left on device"),
+        *("elbow", "+1.500", "-0.250", "+1.2", "+33.3", "61 of 80", "111 of 110", "No space left on device"),
     ):
         assert part in text
 

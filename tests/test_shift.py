@@ -218,5 +218,5 @@ def test_a_robot_that_is_too_hot_is_not_armed(bench):
     b = bench()
     b.robot.plant.housing[:] = 95.0
     assert b.live() is Ending.REFUSED
-    assert b.shift.reason == "a motor housing is too hot"
+    assert b.shift.reason == "a motor is too hot"
     assert not any(powered for powered, _ in b.robot.sent)

@@ -58,7 +58,14 @@ def test_stops_that_are_allowed_hurt_nothing_all_the_way(share):
         q = np.clip(ahead - qd * rng.uniform(0.02, 0.2, (robots, 1)), LOW + 0.03, HIGH - 0.03)
         start = Setpoint(q=q, qd=qd, qdd=q * 0)
         here = State(
-            t=0.0, q=q, qd=qd, q_var=q * 0, age=np.zeros(robots), innovation=q * 0, temperature=q * 0 + 30
+            t=0.0,
+            q=q,
+            qd=qd,
+            q_var=q * 0,
+            age=np.zeros(robots),
+            innovation=q * 0,
+            temperature=q * 0 + 30,
+            winding=q * 0 + 30,
         )
         fine = safety.step(here, start, start, *smoother.brake(start)).reason == 0
         smoother.commit(start)

@@ -49,6 +49,7 @@ class Plant(Stage):
         self._way = np.arange(1, substeps + 1)[:, None] / substeps
         self._dt = spec.dt
         self._apply(draw, model)
+        self._range, self._current = self.batch.expand("actuator_forcerange"), np.ones((robots, n))
         bind = self.batch.bind
         self.rows, self.q, self.qd = self.batch.state, bind("qpos"), bind("qvel")
         self._ctrl = bind("ctrl")
@@ -138,6 +139,9 @@ class Plant(Stage):
         np.multiply(command.q, self._gear, out=self._q)
         np.multiply(command.qd, self._gear, out=self._qd)
         np.divide(command.tau, self._gear, out=self._feed)
+        if not every(command.current == self._current):
+            self._current[:] = command.current
+            self._range[:] = self.batch.model.actuator_forcerange * self._current[:, :, None]
         off = ~command.powered
         self.braked &= off
         if some(off):

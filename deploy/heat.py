@@ -1,0 +1,110 @@
+"""How hot the windings are: nobody measures that, but current and housing are, and the motor's constants are known.
+
+    Cw dTw/dt = I² R (1 + α (Tw − T0)) − (Tw − Th)/Rwh
+
+The winding's node of `robots.motor`, with the measured housing Th around it. Heat is slow: current is squared on every
+tick, the rest is done ten times a second.
+"""
+
+import numpy as np
+
+from deploy.flags import some
+from deploy.stage import Stage
+from deploy.state import Bools, Floats, Sample
+from robots.spec import RobotSpec
+from robots.windings import nominal_windings
+
+PERIOD_S = 0.1
+"""s between two temperatures: windings have time constants of tens of seconds."""
+
+STEPS = 20
+"""Steps of the foldback between nothing and all: each new one costs a new trajectory."""
+
+
+class Heat(Stage):
+    """Observer of B × n windings, and how far each motor is folded back.
+
+    Attributes:
+        winding: (B, n) °C.
+        fold: (B, n) share of its current that a motor may still draw: 1 up to the soft limit, from there in a straight
+            line to `margins.fold_min` where the robot stops, `margins.winding_k` below the hard limit.
+        pace: (B,) share of its speed and acceleration that a robot is still asked for: that of its hottest motor.
+    """
+
+    carried = ("winding", "fold", "pace", "rise", "current", "housing", "square", "ticks", "unknown")
+
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        """Nothing is known before the first sample.
+
+        Raises:
+            RobotError: a motor's winding is not described in model.xml.
+        """
+        shape, nominal = (robots, spec.n), nominal_windings(spec)
+        self.winding, self.current, self.housing = np.full((3, *shape), np.nan)
+        (self.square, self.rise), self.fold, self.pace = (
+            np.zeros((2, *shape)),
+            np.ones(shape),
+            np.ones(robots),
+        )
+        self.ticks, self.unknown = np.zeros(robots, dtype=np.int64), np.ones(robots, dtype=bool)
+        self._every = round(PERIOD_S / spec.dt)
+        self._resistance, self._alpha, self._reference = (
+            nominal.resistance,
+            nominal.alpha,
+            nominal.reference_c,
+        )
+        self._to_housing, self._tau = nominal.to_housing, nominal.to_housing * nominal.capacity
+        self._soft, self._fold_min = spec.motor_array("winding_soft_c"), spec.margins.fold_min
+        self._band = spec.motor_array("winding_max_c") - spec.margins.winding_k - self._soft
+        self._dt = spec.dt
+
+    def resume(self, rise: Floats, off_s: float) -> None:
+        """Windings were (B, n) K above their housings when the power went, so many s ago."""
+        self.rise[:] = rise * np.exp(-off_s / self._tau)
+
+    def reset(self, ids: Bools) -> None:
+        """Forget robots where `ids` (B,) holds: at their next sample they have been at rest for long."""
+        self.unknown[ids], self.rise[ids] = True, 0.0
+
+    def step(self, sample: Sample) -> None:
+        """Live through a tick. Without any current yet no winding is known: NaN.
+
+        Args:
+            sample: the newest packets; what is no number in them counts as the last one that was.
+        """
+        np.copyto(self.current, sample.current, where=np.isfinite(sample.current))
+        self.square += self.current * self.current
+        self.ticks += 1
+        if some(self.unknown):
+            self._begin(sample.temperature)
+        if self.ticks[0] % self._every == 0:
+            self._warm(sample.temperature)
+
+    def _begin(self, housing: Floats) -> None:
+        ids = self.unknown[:, None]
+        np.copyto(self.housing, housing, where=ids)
+        np.copyto(self.winding, housing + self.rise, where=ids)
+        np.copyto(self.square, 0.0, where=ids)
+        self.unknown[:] = False
+        self._fold_back()
+
+    def _warm(self, housing: Floats) -> None:
+        """Live through the ticks since the last time with their mean I²."""
+        np.copyto(self.housing, housing, where=np.isfinite(housing))
+        loss = (
+            self.square
+            / self._every
+            * self._resistance
+            * (1 + self._alpha * (self.winding - self._reference))
+        )
+        self.winding += (loss * self._to_housing - (self.winding - self.housing)) * (
+            self._every * self._dt / self._tau
+        )
+        self.square[:] = 0.0
+        self._fold_back()
+
+    def _fold_back(self) -> None:
+        share = 1 - (1 - self._fold_min) * (self.winding - self._soft) / self._band
+        stepped = np.ceil(np.nan_to_num(share, nan=0.0) * STEPS) / STEPS
+        self.fold[:] = np.clip(stepped, self._fold_min, 1.0)
+        self.fold.min(axis=1, out=self.pace)

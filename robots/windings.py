@@ -1,0 +1,100 @@
+"""The nominal windings of a robot's motors, read from the drives of model.xml: what a runtime may know of them."""
+
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robots.errors import RobotError
+from robots.spec import RobotSpec
+
+Floats = NDArray[np.float64]
+Attributes = dict[str, str]
+
+MAIN = "main"
+"""The class of everything that names none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Windings:
+    """One number for each joint's motor (n,).
+
+    Attributes:
+        resistance: ohm at `reference_c`. alpha: 1/K. reference_c: °C.
+        to_housing: K/W. capacity: J/K.
+    """
+
+    resistance: Floats
+    alpha: Floats
+    reference_c: Floats
+    to_housing: Floats
+    capacity: Floats
+
+
+def nominal_windings(spec: RobotSpec) -> Windings:
+    """Read them in the order of the joints.
+
+    Raises:
+        RobotError: a joint has no `dcmotor`, or one whose `resistance` or `thermal` is missing or makes no sense.
+    """
+    motors = _dcmotors(spec)
+    rows = np.array([_winding(spec, name, motors) for name in spec.joint_names]).T
+    resistance, alpha, reference_c, to_housing, capacity = rows
+    return Windings(
+        resistance=resistance, alpha=alpha, reference_c=reference_c, to_housing=to_housing, capacity=capacity
+    )
+
+
+def _winding(spec: RobotSpec, joint: str, motors: dict[str, Attributes]) -> tuple[float, ...]:
+    if joint not in motors:
+        raise RobotError(f"{spec.model_path}: actuator: no dcmotor on joint {joint!r}")
+    where = f"{spec.model_path}: actuator: dcmotor of joint {joint!r}"
+    resistance = _numbers(motors[joint], "resistance", 1, where)[0]
+    to_housing, capacity, constant, alpha, reference_c, _ = _numbers(motors[joint], "thermal", 6, where)
+    # Two of the first three are given; of all three the capacity is not read. Source: MuJoCo, XML reference.
+    if constant > 0 and to_housing > 0:
+        capacity = constant / to_housing
+    elif constant > 0 and capacity > 0:
+        to_housing = constant / capacity
+    if not (resistance > 0 and to_housing > 0 and capacity > 0 and alpha >= 0):
+        raise RobotError(
+            f"{where}: found resistance {resistance:g} ohm, thermal {motors[joint]['thermal']!r}, expected a resistance"
+            " and two of K/W, J/K and s above 0, and a coefficient of at least 0 /K"
+        )
+    return resistance, alpha, reference_c, to_housing, capacity
+
+
+def _numbers(motor: Attributes, key: str, many: int, where: str) -> list[float]:
+    """Numbers of an attribute; those left out at its end are 0."""
+    try:
+        numbers = [float(word) for word in motor[key].split()]
+    except (KeyError, ValueError):
+        numbers = []
+    if not 0 < len(numbers) <= many or not np.isfinite(numbers).all():
+        raise RobotError(f"{where}: {key}: found {motor.get(key)!r}, expected up to {many} numbers")
+    return numbers + [0.0] * (many - len(numbers))
+
+
+def _dcmotors(spec: RobotSpec) -> dict[str, Attributes]:
+    """Attributes of each joint's dcmotor, with what its class and the classes around that give."""
+    try:
+        root = ElementTree.parse(spec.model_path).getroot()
+    except (OSError, ElementTree.ParseError) as e:
+        raise RobotError(f"{spec.model_path}: not readable as XML: {e}") from e
+    classes: dict[str, Attributes] = {MAIN: {}}
+    for top in root.findall("default"):
+        _read_class(top, {}, classes)
+    found = [
+        classes.get(motor.get("class", MAIN), {}) | motor.attrib for motor in root.findall("actuator/dcmotor")
+    ]
+    return {motor["joint"]: motor for motor in found if "joint" in motor}
+
+
+def _read_class(element: ElementTree.Element, inherited: Attributes, classes: dict[str, Attributes]) -> None:
+    own = inherited.copy()
+    for motor in element.findall("dcmotor"):
+        own |= motor.attrib
+    classes[element.get("class", MAIN)] = own
+    for inner in element.findall("default"):
+        _read_class(inner, own, classes)

@@ -1,0 +1,269 @@
+"""Windings as the runtime believes them, and what it does when they get hot."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from test_contract import arm_contract
+from test_runtime import Saying
+from test_spec import SPEC, copy_of_arm
+
+from deploy.heat import PERIOD_S, STEPS, Heat
+from deploy.runtime import Runtime
+from deploy.smoother import Smoother
+from deploy.state import Mode, Reason, Sample
+from robots.errors import RobotError
+from robots.randomness import robot_seed
+from robots.spec import load_robot
+from robots.windings import nominal_windings
+
+N, DT = SPEC.n, SPEC.dt
+SOFT, HARD = SPEC.motor_array("winding_soft_c"), SPEC.motor_array("winding_max_c")
+LIMIT, FOLD_MIN = HARD - SPEC.margins.winding_k, SPEC.margins.fold_min
+NOMINAL = nominal_windings(SPEC)
+THERMAL = (r'thermal="1.0 40 0 0.0039 25 25"', r'thermal="2.0 12 0 0.0039 25 25"')
+
+
+def sample(current, housing, robots=1):
+    return Sample(
+        t=np.zeros(robots),
+        fresh=np.ones(robots, dtype=bool),
+        q=np.zeros((robots, N)),
+        current=np.broadcast_to(np.asarray(current, dtype=float), (robots, N)),
+        temperature=np.broadcast_to(np.asarray(housing, dtype=float), (robots, N)),
+    )
+
+
+def at(winding):
+    """An observer that has just come to believe in windings of so many °C, under no current."""
+    heat = Heat(SPEC, 1)
+    heat.step(sample(0.0, 30.0))
+    heat.winding[:] = winding
+    heat.housing[:] = winding  # nothing flows
+    for _ in range(round(PERIOD_S / DT)):
+        heat.step(sample(0.0, heat.housing))
+    return heat
+
+
+def test_windings_are_those_that_mujoco_compiles():
+    """Another reader of the same file."""
+    model = pytest.importorskip("robots.model_mujoco").load_mujoco(SPEC)
+    np.testing.assert_allclose(NOMINAL.resistance, model.actuator_gainprm[:, 0])
+    np.testing.assert_allclose(NOMINAL.alpha, model.actuator_gainprm[:, 2])
+    np.testing.assert_allclose(NOMINAL.reference_c, model.actuator_gainprm[:, 3])
+    np.testing.assert_allclose(NOMINAL.to_housing, model.actuator_dynprm[:, 2])
+    np.testing.assert_allclose(NOMINAL.capacity, model.actuator_dynprm[:, 3])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "found"),
+    [
+        (THERMAL[1], 'thermal="2.0 0 24 0.0039 25 25"', (2.0, 12.0)),
+        (THERMAL[1], 'thermal="0 12 24 0.0039 25 25"', (2.0, 12.0)),
+        (THERMAL[1], 'thermal="2.0 99 24 0.0039 25"', (2.0, 12.0)),
+        (
+            r'joint="wrist_3" class="size1"/>',
+            'joint="wrist_3" class="size1" thermal="3 9 0 0.004"/>',
+            (3.0, 9.0),
+        ),
+    ],
+)
+def test_windings_are_read_however_they_are_written(tmp_path, old, new, found):
+    windings = nominal_windings(load_robot(copy_of_arm(tmp_path, xml=[(old, new)])))
+    assert (windings.to_housing[5], windings.capacity[5]) == pytest.approx(found)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (THERMAL[1], "", r"joint 'wrist_1': thermal: found None, expected up to 6 numbers"),
+        (THERMAL[1], 'thermal="2 warm"', r"thermal: found '2 warm', expected up to 6 numbers"),
+        (THERMAL[1], 'thermal="2 12 0 nan"', r"thermal: found '2 12 0 nan', expected"),
+        (
+            THERMAL[1],
+            'thermal="2 0 0 0.0039 25 25"',
+            r"found resistance 3 ohm, thermal '2 0 0 .*J/K and s above 0",
+        ),
+        (THERMAL[0], 'thermal="1.0 40 0 -0.1 25 25"', r"at least 0 /K"),
+        (r'resistance="3.0"', 'resistance="-3"', r"found resistance -3 ohm"),
+        (r'<dcmotor name="wrist_3" joint="wrist_3" class="size1"/>', "", r"no dcmotor on joint 'wrist_3'"),
+    ],
+)
+def test_motors_whose_heat_cannot_be_known_are_refused(tmp_path, old, new, words):
+    spec = load_robot(copy_of_arm(tmp_path, xml=[(old, new)]))
+    with pytest.raises(RobotError, match=words) as caught:
+        Heat(spec, 1)
+    assert "model.xml" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["winding_soft_c", "winding_k"])
+def test_a_guard_without_room_is_refused(tmp_path, name):
+    old, new = {
+        "winding_soft_c": ("winding_soft_c = 80.0", "winding_soft_c = 100.0"),
+        "winding_k": ("winding_k = 10.0", "winding_k = 30.0"),
+    }[name]
+    with pytest.raises(RobotError, match=r"robot\.toml: .*motors\.size\d: winding_soft_c .* is not below"):
+        load_robot(copy_of_arm(tmp_path, toml=[(old, new)]))
+
+
+def test_follows_the_equation_through_changing_current_and_housing():
+    """To a tenth of a kelvin: the housing is measured, the current is not constant."""
+    heat = Heat(SPEC, 1)
+
+    def current(t):
+        return (0.5 + 0.4 * np.sin(2 * t) + (int(t) % 20 < 4)) * np.sqrt(
+            60 / NOMINAL.resistance / NOMINAL.to_housing
+        )
+
+    def housing(t):
+        return 30.0 + 10.0 * (1 - np.exp(-t / 60.0))
+
+    def slope(t, winding):
+        loss = current(t) ** 2 * NOMINAL.resistance * (1 + NOMINAL.alpha * (winding - NOMINAL.reference_c))
+        return (loss - (winding - housing(t)) / NOMINAL.to_housing) / NOMINAL.capacity
+
+    times = np.arange(round(120 / DT)) * DT
+    found = []
+    for t in times:
+        heat.step(sample(current(t), housing(t)))
+        found.append(heat.winding[0].copy())
+    ends = times[19::20]
+    expected = solve_ivp(
+        slope, (0, times[-1] + DT), housing(0) * np.ones(N), t_eval=ends, max_step=0.02, rtol=1e-8
+    )
+    warmest = expected.y.max()
+    assert warmest > 60
+    np.testing.assert_allclose(np.array(found)[19::20], expected.y.T, rtol=0, atol=0.2)
+
+
+def test_what_is_no_number_counts_as_the_last_one():
+    heat, clean, rng, current = Heat(SPEC, 1), Heat(SPEC, 1), np.random.default_rng(0), np.zeros(N)
+    for tick in range(400):
+        lost, housing = tick % 7 == 3, 30.0 + tick // 100
+        current = current if lost else rng.uniform(0, 9, N)
+        clean.step(sample(current, housing))
+        heat.step(sample(np.nan if lost else current, np.nan if lost else housing))
+    np.testing.assert_array_equal(heat.winding, clean.winding)
+    assert (heat.winding > 30).all()
+
+
+def test_without_any_current_nothing_is_known_and_nothing_is_asked():
+    heat = Heat(SPEC, 1)
+    for _ in range(40):
+        heat.step(sample(np.nan, 30.0))
+    assert np.isnan(heat.winding).all()
+    np.testing.assert_array_equal(heat.fold, FOLD_MIN)
+
+
+@pytest.mark.parametrize("share", [-0.5, 0.0, 0.24, 0.5, 0.99, 1.0, 1.5])
+def test_folds_back_in_a_straight_line(share):
+    heat = at(SOFT + share * (LIMIT - SOFT))
+    line = np.clip(1 - (1 - FOLD_MIN) * share, FOLD_MIN, 1)
+    assert (heat.fold >= line - 1e-9).all()
+    assert (heat.fold <= np.minimum(line + 1 / STEPS, 1) + 1e-9).all()
+    np.testing.assert_array_equal(heat.pace, heat.fold.min(axis=1))
+
+
+def test_the_pace_is_that_of_the_hottest_motor():
+    winding = SOFT - 20.0
+    winding[3] = LIMIT[3]
+    heat = at(winding)
+    assert heat.pace[0] == FOLD_MIN == heat.fold[0, 3]
+    np.testing.assert_array_equal(np.delete(heat.fold[0], 3), 1.0)
+
+
+def test_begins_with_what_was_left_of_the_last_run():
+    """A winding that was 50 K above its housing is 50/e K above it after its time constant without power."""
+    heat = Heat(SPEC, 2)
+    tau = NOMINAL.to_housing * NOMINAL.capacity
+    heat.resume(np.full((2, N), 50.0), off_s=tau[0])
+    heat.step(sample(0.0, [[35.0], [28.0]], 2))
+    expected = np.array([[35.0], [28.0]]) + 50.0 * np.exp(-tau[0] / tau)
+    np.testing.assert_allclose(heat.winding, expected)
+
+
+def test_reset_of_a_subset():
+    heat = Heat(SPEC, 3)
+    for _ in range(200):
+        heat.step(sample(9.0, 30.0, 3))
+    before = heat.winding.copy()
+    heat.reset(np.array([False, True, False]))
+    heat.step(sample(0.0, 25.0, 3))
+    np.testing.assert_array_equal(heat.winding[1], 25.0)
+    np.testing.assert_array_equal(heat.winding[[0, 2]], before[[0, 2]])
+
+
+def test_saved_and_restored_goes_on_bit_for_bit():
+    heat, other, rng = Heat(SPEC, 2), Heat(SPEC, 2), np.random.default_rng(1)
+    for _ in range(123):
+        heat.step(sample(rng.uniform(0, 12, (2, N)), 30.0, 2))
+    saved = heat.save()
+    rest = [sample(rng.uniform(0, 12, (2, N)), 31.0, 2) for _ in range(200)]
+    other.restore(saved)
+    for one in rest:
+        heat.step(one)
+        other.step(one)
+    for name in Heat.carried:
+        np.testing.assert_array_equal(getattr(other, name), getattr(heat, name))
+
+
+def test_a_slower_pace_is_kept_and_a_stop_has_all_of_its_limits():
+    """Differences of what was sent, at half the pace; the stop in between is as quick as ever."""
+    smoother, whole = Smoother(SPEC, 2), Smoother(SPEC, 2)
+    home = np.tile(SPEC.joint_array("q_home"), (2, 1))
+    for one in (smoother, whole):
+        one.hold(np.ones(2, dtype=bool), home)
+    smoother.pace[1] = 0.5
+    far = home + np.array([1.0, -0.6, 0.8, 1.2, -0.8, 2.0])
+    sent = [smoother.q.copy()]
+    for tick in range(300):
+        stopping = np.full(2, 60 <= tick < 130)
+        for one in (smoother, whole):
+            one.commit(one.next(far, stopping))
+        sent.append(smoother.q.copy())
+    speed = np.diff(sent, axis=0) / DT
+    gain = np.diff(speed, axis=0) / DT
+    limit = SPEC.margins.speed * SPEC.joint_array("qd_max"), SPEC.joint_array("qdd_max")
+    asked = np.r_[0:59, 131:298]
+    for value, most in zip((speed, gain), limit, strict=True):
+        peak = np.abs(value[asked, 1]).max(axis=0)
+        assert (peak <= 0.5 * most * (1 + 1e-5)).all()
+        assert (peak > 0.45 * most).any()
+    assert (np.abs(gain[60:130, 1]).max(axis=0) > 0.7 * limit[1]).any()
+    np.testing.assert_array_equal(smoother.q[0], whole.q[0])
+
+
+def hot_arm(tmp_path, **limits):
+    """An arm whose shoulder and elbow cannot carry their own weight for long: half a minute."""
+    changes = [(f"{name} = [0-9.]+", f"{name} = {value}") for name, value in limits.items()]
+    return load_robot(
+        copy_of_arm(tmp_path, xml=[(THERMAL[0], 'thermal="25 0.4 0 0.0039 25 25"')], toml=changes)
+    )
+
+
+def lived(spec, seconds):
+    """(T,) °C, the hottest winding in truth, and the runtime, at home under power for as long as it is left on."""
+    backend = pytest.importorskip("deploy.backends.sim.robot")
+    seeds, hottest = [robot_seed(3, 0)], []
+    robot = backend.SimRobot(spec, seeds)
+    runtime = Runtime(spec, arm_contract(), robot, seeds, Saying(1))
+    runtime.tick()
+    assert runtime.arm(np.ones(1, dtype=bool))[0] == 0
+    for _ in range(round(seconds / spec.dt)):
+        runtime.tick()
+        if not runtime.supervisor.powered[0]:
+            break
+        hottest.append(robot.truth().winding_c.max())
+    return np.array(hottest), runtime
+
+
+@pytest.mark.usefixtures("quick_goals")
+def test_no_winding_passes_its_hard_limit_under_the_guard(tmp_path):
+    """It passes it without: the same arm, whose robot.toml says that its windings stand 300 °C."""
+    unguarded, _ = lived(hot_arm(tmp_path / "off", winding_max_c=300.0, winding_soft_c=250.0), 40.0)
+    assert unguarded.max() > HARD[0] + 10
+    hottest, runtime = lived(hot_arm(tmp_path / "on"), 40.0)
+    assert SOFT[0] < hottest.max() < HARD[0]
+    assert runtime.supervisor.mode[0] == Mode.LATCHED
+    assert Reason(int(runtime.supervisor.reason[0])) == Reason.HEAT
+    assert runtime.estimator.heat.pace[0] == FOLD_MIN
+    np.testing.assert_allclose(runtime.state.winding.max(), hottest[-1], atol=8)
