@@ -9,10 +9,12 @@ pytest.importorskip("mujoco")
 
 from deploy.policy import Policy
 from eval.bench import __main__ as command
-from eval.bench import stages, stopwatch
+from eval.bench import estimate, stages, stopwatch
 from eval.bench.idle import make_idle
 from eval.bench.plain import PlainRobot
 from eval.bench.stopwatch import Stopwatch
+from robots.draws import draw, load_distributions
+from robots.randomness import robot_seed
 
 
 class Clock:
@@ -70,6 +72,29 @@ def test_the_plain_composition_moves_its_robot(arm_policy):
     np.testing.assert_allclose(robot._data.qpos, robot._target, atol=0.01)
 
 
+def test_the_worth_of_the_estimator_is_measured_against_what_really_happened(monkeypatch):
+    """On a motion and a delay that are known: raw angles are two ticks old, estimates are not."""
+    monkeypatch.setattr(estimate, "SHARD", 4)
+    seeds = [robot_seed(2, robot) for robot in range(4)]
+    drawn = draw(load_distributions(SPEC), SPEC.n, seeds)
+    drawn.delay_s[:], drawn.loss[:] = 0.008, 0.0
+    t = SPEC.dt * np.arange(1, 1001)[:, None, None] + np.arange(4)[:, None] + np.arange(SPEC.n) / 2
+    motion = estimate.Motion(q=0.2 * np.sin(2 * t), qd=0.4 * np.cos(2 * t), draw=drawn, seeds=seeds)
+    raw, q, differenced, qd, ratio, late, left = (
+        float(word.split()[0]) for word in estimate._errors(SPEC, [motion], 0.001)
+    )
+    assert late == pytest.approx(10.0, abs=0.2)
+    assert abs(left) < 1.0
+    assert raw == pytest.approx(np.hypot(1e3 * 0.010 * 0.4 / np.sqrt(2), 1.0), rel=0.03)
+    assert q < raw / 2
+    assert differenced == pytest.approx(
+        np.sqrt(2) * np.hypot(1.0, SPEC.encoder.resolution_rad * 1e3 / np.sqrt(12)) / SPEC.dt, rel=0.05
+    )
+    assert ratio == pytest.approx(qd / differenced, abs=0.001)
+    assert estimate._outage(SPEC, motion).startswith("100 ms without a packet: error up to ")
+    assert "mean NEES" in estimate._consistency(SPEC, [motion])
+
+
 def test_an_idle_policy_loads_and_asks_for_nothing(tmp_path):
     working = saved(policy_model(), tmp_path)
     idle = Policy.load(make_idle(working, tmp_path / "idle.onnx"), SPEC)
@@ -83,4 +108,4 @@ def test_an_unknown_bench_is_refused(monkeypatch, capsys):
     with pytest.raises(SystemExit) as caught:
         command.main(command.bench)
     assert caught.value.code == 2
-    assert "found 'nothing', expected one of stages, start, memory, work or all" in capsys.readouterr().err
+    assert "found 'nothing', expected one of stages, estimate, start, memory, work or all" in capsys.readouterr().err

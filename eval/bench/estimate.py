@@ -1,0 +1,202 @@
+"""What the estimator is worth: the same motions, heard through the same bus, with it and without.
+
+Robots really move under the policy; what they did is kept, and played again through encoders of any noise. Raw is the
+newest packet as it is; differenced is the difference of the last two that arrived, over the time between them.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy import stats
+
+from deploy.backends.sim.robot import SimRobot
+from deploy.backends.sim.sensors import Sensors
+from deploy.estimator import Estimator
+from deploy.policy import Policy
+from deploy.runtime import Runtime
+from deploy.state import Sample, State
+from robots.draws import Draw
+from robots.randomness import robot_seed
+from robots.spec import RobotSpec
+
+Floats = NDArray[np.float64]
+
+SEED, ROBOTS, SHARD = 11, 1024, 64
+MOVED_S, SETTLED_S = 5.0, 1.0
+NOISES = (None, 0.0005, 0.001, 0.002, 0.005, 0.01)
+"""rad, the same for all robots; None: each as it was drawn."""
+APART_S = 0.5
+"""s between two looks at one robot's error: far longer than it remembers."""
+OUTAGE_S = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """What B robots really did: q, qd (T, B, n) at the ticks of the runtime, and whose encoders watched."""
+
+    q: Floats
+    qd: Floats
+    draw: Draw
+    seeds: list[np.random.SeedSequence]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heard:
+    """What was made of it (T, B, n): rad and rad/s, `nees` and `variance` of the estimate of the angle."""
+
+    raw: Floats
+    differenced: Floats
+    q: Floats
+    qd: Floats
+    nees: Floats
+    variance: Floats
+
+
+def estimate(spec: RobotSpec, policy: Path, console: Console) -> None:
+    """Errors over a table of noises, consistency over many draws, an outage, and the cost."""
+    motions = [_move(spec, policy, first) for first in range(0, ROBOTS, SHARD)]
+    some = motions[: 256 // SHARD]
+    table = Table(
+        *(
+            "encoder noise",
+            "q: raw",
+            "estimated",
+            "qd: differenced",
+            "estimated",
+            "÷",
+            "delay left in q: raw",
+            "estimated",
+        ),
+        title=f"RMSE of {len(some) * SHARD} robots, mrad and mrad/s; 4 to 10 ms late",
+    )
+    for noise in NOISES:
+        table.add_row("as drawn" if noise is None else f"{1e3 * noise:g} mrad", *_errors(spec, some, noise))
+    console.print(table)
+    console.print(_consistency(spec, motions))
+    console.print(_outage(spec, some[0]))
+    console.print(_cost(spec, some[0]))
+
+
+def _move(spec: RobotSpec, policy: Path, first: int) -> Motion:
+    seeds = [robot_seed(SEED, robot) for robot in range(first, first + SHARD)]
+    brain, robot = Policy.load(policy, spec), SimRobot(spec, seeds)
+    runtime = Runtime(spec, brain.contract, robot, seeds, brain)
+    runtime.tick()
+    runtime.arm(np.ones(SHARD, dtype=bool))
+    q, qd = [], []
+    for _ in range(round(MOVED_S / spec.dt)):
+        runtime.tick()
+        q.append(robot.plant.q.copy())
+        qd.append(robot.plant.qd.copy())
+    return Motion(q=np.array(q), qd=np.array(qd), draw=robot.draw, seeds=seeds)
+
+
+def _samples(spec: RobotSpec, motion: Motion, noise: float | None) -> Iterator[Sample]:
+    """What the bus delivers at each tick."""
+    draw = motion.draw if noise is None else replace(motion.draw, noise_rad=np.full(SHARD, noise))
+    sensors, rest = Sensors(spec, draw, motion.seeds), np.zeros((SHARD, spec.n))
+    sensors.reset(np.ones(SHARD, dtype=bool), motion.q[0])
+    for q in motion.q:
+        sensors.take(q)
+        yield sensors.read(rest, rest)
+
+
+def _hear(spec: RobotSpec, motion: Motion, noise: float | None) -> Heard:
+    estimator, rows = Estimator(spec, SHARD), []
+    t_last, q_last = np.full(SHARD, -np.inf), motion.q[0]
+    differenced = np.zeros((SHARD, spec.n))
+    for tick, sample in enumerate(_samples(spec, motion, noise), start=1):
+        state = estimator.step(tick * spec.dt, sample)
+        new = sample.t > t_last
+        step = np.where(new, sample.t - t_last, 1.0)[:, None]
+        differenced = np.where(new[:, None], (sample.q - q_last) / step, differenced)
+        t_last, q_last = np.where(new, sample.t, t_last), np.where(new[:, None], sample.q, q_last)
+        error = state.q - motion.q[tick - 1], state.qd - motion.qd[tick - 1]
+        nees = _nees(spec, estimator, state, *error)
+        rows.append((sample.q.copy(), differenced, state.q, state.qd, nees, state.q_var))
+    raw, differences, q, qd, nees, variance = (np.array(column) for column in zip(*rows, strict=True))
+    return Heard(raw=raw, differenced=differences, q=q, qd=qd, nees=nees, variance=variance)
+
+
+@np.errstate(invalid="ignore")  # before its first packet an estimate is infinitely old
+def _nees(spec: RobotSpec, estimator: Estimator, state: State, q: Floats, qd: Floats) -> Floats:
+    """(B, n) squared errors of angle and speed by their joint covariance now: 2 on average if it is true.
+
+    Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sec. 5.4.
+    """
+    lag, density = state.age[:, None], spec.encoder.acceleration_density
+    p00, p11 = state.q_var, estimator.p11 + density * lag
+    p01 = estimator.p01 + lag * estimator.p11 + density * lag**2 / 2
+    return np.asarray((p11 * q**2 - 2 * p01 * q * qd + p00 * qd**2) / (p00 * p11 - p01**2))
+
+
+def _errors(spec: RobotSpec, motions: list[Motion], noise: float | None) -> list[str]:
+    """A row of the table."""
+    settled = round(SETTLED_S / spec.dt)
+    heard = [_hear(spec, motion, noise) for motion in motions]
+    q, qd = (
+        np.concatenate([getattr(motion, name)[settled:] for motion in motions], axis=1)
+        for name in ("q", "qd")
+    )
+    raw, differenced, q_hat, qd_hat = (
+        np.concatenate([getattr(one, name)[settled:] for one in heard], axis=1)
+        for name in ("raw", "differenced", "q", "qd")
+    )
+    rmse = [
+        1e3 * np.sqrt(np.mean((a - b) ** 2))
+        for a, b in ((raw, q), (q_hat, q), (differenced, qd), (qd_hat, qd))
+    ]
+    # A late angle is wrong in proportion to the speed: the slope of error over speed is the delay that is left.
+    left = [1e3 * np.sum((q - a) * qd) / np.sum(qd**2) for a in (raw, q_hat)]
+    return [*(f"{value:.2f}" for value in rmse), f"{rmse[3] / rmse[2]:.3f}", *(f"{ms:.2f} ms" for ms in left)]
+
+
+def _consistency(spec: RobotSpec, motions: list[Motion]) -> str:
+    """NEES of every draw, at moments that know nothing of each other and fall on any part of a motion."""
+    apart, settled = round(APART_S / spec.dt), round(SETTLED_S / spec.dt)
+    ticks = (
+        np.arange(settled, round(MOVED_S / spec.dt) - apart, apart)[:, None]
+        + np.arange(SHARD) * apart // SHARD
+    )
+    nees = np.concatenate(
+        [_hear(spec, motion, None).nees[ticks, np.arange(SHARD)] for motion in motions], axis=1
+    )
+    band = np.array(stats.chi2.interval(0.95, 2 * nees.size)) / nees.size
+    found = nees.mean()
+    place = "inside" if band[0] <= found <= band[1] else "outside"
+    return (
+        f"consistency over {nees.shape[1]} draws: mean NEES {found:.3f}, {place} its 95 % band"
+        f" {band[0]:.3f} to {band[1]:.3f}"
+    )
+
+
+def _outage(spec: RobotSpec, motion: Motion) -> str:
+    """How long after 100 ms without a packet the error is what it would have been."""
+    begins, silent = round(2.0 / spec.dt), round(OUTAGE_S / spec.dt)
+    cut, whole, errors = Estimator(spec, SHARD), Estimator(spec, SHARD), []
+    for tick, sample in enumerate(_samples(spec, motion, None)):
+        heard = sample._replace(fresh=sample.fresh & (not begins <= tick < begins + silent))
+        found, usual = cut.step((tick + 1) * spec.dt, heard).q, whole.step((tick + 1) * spec.dt, sample).q
+        errors.append([np.sqrt(np.mean((x - motion.q[tick]) ** 2)) for x in (found, usual)])
+    after = np.array(errors)[begins + silent :]
+    worst = np.array(errors)[begins : begins + silent, 0].max()
+    recovered = np.flatnonzero(after[:, 0] <= 1.1 * after[:, 1])[0]
+    return (
+        f"100 ms without a packet: error up to {1e3 * worst:.1f} mrad, as without it (within 10 %)"
+        f" {1e3 * recovered * spec.dt:.0f} ms after packets are back"
+    )
+
+
+def _cost(spec: RobotSpec, motion: Motion) -> str:
+    estimator, samples = Estimator(spec, SHARD), list(_samples(spec, motion, None))
+    began = time.perf_counter()
+    for tick, sample in enumerate(samples):
+        estimator.step((tick + 1) * spec.dt, sample)
+    spent = time.perf_counter() - began
+    return f"cost: {1e6 * spent / len(samples) / SHARD:.2f} µs per robot-tick, heat of the windings included"
