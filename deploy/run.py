@@ -2,11 +2,13 @@
 
 import gc
 import math
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from deploy.cli import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from deploy.backends.sim.robot import SimRobot
 
 BACKENDS = ("sim",)
+SEED = 7
 SPEED_MAX = 1000.0
 SHOW_S, VIEW_S = 0.2, 1 / 30
 EXIT = {Ending.DONE: PASSED, Ending.INTERRUPTED: INTERRUPTED}
@@ -39,7 +42,10 @@ def run(
     backend: Annotated[str, typer.Option(help=f"what stands behind it: {', '.join(BACKENDS)}")] = "sim",
     duration: Annotated[float, typer.Option(help="s of robot time; inf: until Ctrl-C")] = math.inf,
     speed: Annotated[str, typer.Option(help="robot time by wall time: a factor, or max")] = "1",
-    seed: Annotated[int, typer.Option(help="of the simulated robot and of the goals")] = 7,
+    seed: Annotated[int, typer.Option(help="of the goals, and of the simulated robot")] = SEED,
+    draw: Annotated[
+        str | None, typer.Option(help="SEED:ROBOT, a robot of a soak as it was, with its noise and its goals")
+    ] = None,
     out: Annotated[
         Path, typer.Option(help="folder; a former run in it is replaced, its motors stay warm")
     ] = Path("out/run"),
@@ -52,14 +58,15 @@ def run(
     """
     factor = _factor(speed)
     _check(backend, duration, seed)
+    source = _source(seed, draw)
     spec = load_robot(robot)
     brain = Policy.load(policy, spec)
     check_folder(out)
-    body = _simulated(spec, seed)
+    body = _simulated(spec, source)
     view_step = _viewer(body) if view else None
-    runtime = Runtime(spec, brain.contract, body, [robot_seed(seed, 0)], brain)
+    runtime = Runtime(spec, brain.contract, body, [source], brain)
     about = {"robot": spec.name, "robot_digest": spec.digest, "policy": str(policy)}
-    about |= {"policy_digest": brain.digest, "backend": backend, "seed": str(seed), "speed": speed}
+    about |= {"policy_digest": brain.digest, "backend": backend, "seed": draw or str(seed), "speed": speed}
     heat_file = HeatFile(out / "heat.json", runtime)
     recorder = Recorder(out, runtime, start_ns=time.time_ns(), about=about)
     watchers: list[Every[Shift]] = [Every(HEAT_S, heat_file.offer)]
@@ -92,12 +99,24 @@ def _check(backend: str, duration: float, seed: int) -> None:
         raise ConfigError(f"--seed {seed}: expected 0 or more")
 
 
-def _simulated(spec: RobotSpec, seed: int) -> "SimRobot":
+def _source(seed: int, draw: str | None) -> np.random.SeedSequence:
+    """All that is random about the robot: the first of a seed, or one of a soak."""
+    if draw is None:
+        return robot_seed(seed, 0)
+    match = re.fullmatch(r"(\d{1,18}):(\d{1,9})", draw)
+    if not match or seed != SEED:
+        raise ConfigError(
+            f"--draw {draw}: expected SEED:ROBOT, two whole numbers of at least 0, and no --seed beside it"
+        )
+    return robot_seed(int(match[1]), int(match[2]))
+
+
+def _simulated(spec: RobotSpec, source: np.random.SeedSequence) -> "SimRobot":
     try:
         from deploy.backends.sim.robot import SimRobot
     except ModuleNotFoundError as e:
         raise ConfigError(f"--backend sim: needs {e.name}, which is not installed: firstshift[sim]") from e
-    return SimRobot(spec, [robot_seed(seed, 0)])
+    return SimRobot(spec, [source])
 
 
 def _viewer(robot: "SimRobot") -> Callable[[object], None]:

@@ -108,4 +108,7 @@ def test_an_unknown_bench_is_refused(monkeypatch, capsys):
     with pytest.raises(SystemExit) as caught:
         command.main(command.bench)
     assert caught.value.code == 2
-    assert "found 'nothing', expected one of stages, estimate, start, memory, work or all" in capsys.readouterr().err
+    assert (
+        "found 'nothing', expected one of stages, estimate, start, memory, work or all"
+        in capsys.readouterr().err
+    )

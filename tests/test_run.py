@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from test_contract import SWAPPED, arm_contract
 from test_policy import policy_model, saved
@@ -12,6 +13,7 @@ import deploy.run
 from deploy.backends.sim.robot import SimRobot
 from deploy.policy import Policy
 from deploy.runtime import Runtime
+from robots.randomness import robot_seed
 from robots.spec import load_robot
 
 SPEC = load_robot("arm6")
@@ -59,6 +61,28 @@ def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):
     assert 0 <= summary["winding_max_c"] - summary["housing_max_c"] < 10
     assert "0 of 1 reached" in said
     assert {path.name for path in out.iterdir()} == {"run.mcap", "summary.json", "heat.json"}
+
+
+@pytest.mark.usefixtures("quick_goals")
+def test_a_robot_of_a_soak_comes_with_its_draw_its_noise_and_its_goals(
+    command, arm_policy, tmp_path, monkeypatch
+):
+    made = []
+
+    class Seen(SimRobot):
+        def __init__(self, *args):
+            super().__init__(*args)
+            made.append(self)
+
+    monkeypatch.setattr("deploy.backends.sim.robot.SimRobot", Seen)
+    code, *_ = command(
+        "--policy", arm_policy, "--speed", "max", "--duration", 0.5, "--out", tmp_path, "--draw", "5:3"
+    )
+    assert code == 0
+    assert json.loads((tmp_path / "summary.json").read_text())["seed"] == "5:3"
+    soaked = SimRobot(SPEC, [robot_seed(5, robot) for robot in range(4)])
+    np.testing.assert_array_equal(made[0].draw.mass[0], soaked.draw.mass[3])
+    np.testing.assert_array_equal(made[0].sensors._keys[0], soaked.sensors._keys[3])
 
 
 @pytest.mark.usefixtures("quick_goals")
@@ -146,6 +170,12 @@ def test_a_bad_policy_is_exit_2_and_nothing_is_made(command, tmp_path, policy, m
         (("--duration", "nan"), "error: --duration nan: expected s above 0, or inf"),
         (("--duration", "long"), "Invalid value for '--duration'"),
         (("--seed", "-3"), "error: --seed -3: expected 0 or more"),
+        (("--draw", "7"), "error: --draw 7: expected SEED:ROBOT, two whole numbers"),
+        (("--draw", "7:-1"), "error: --draw 7:-1: expected SEED:ROBOT"),
+        (
+            ("--draw", "7:1", "--seed", "8"),
+            "error: --draw 7:1: expected SEED:ROBOT, two whole numbers of at least 0, and no",
+        ),
         (("--sped", "2"), "No such option: --sped"),
     ],
 )
