@@ -96,7 +96,10 @@ class Estimator(Stage):
     def _update(self, z: Floats, fused: Bools) -> None:
         """A missing sample counts as the expected one with infinite variance, which changes nothing."""
         residual, variance = z - self.q, self.p00 + self._r
-        if not every(fused):
+        if every(fused):
+            np.divide(residual, np.sqrt(variance), out=self.innovation)
+        else:
+            np.divide(residual, np.sqrt(variance), out=self.innovation, where=fused)
             np.copyto(residual, 0.0, where=~fused)
             np.copyto(variance, np.inf, where=~fused)
         k0, k1 = self.p00 / variance, self.p01 / variance
@@ -105,7 +108,6 @@ class Estimator(Stage):
         self.p11 -= k1 * self.p01
         self.p01 -= k0 * self.p01
         self.p00 -= k0 * self.p00
-        np.divide(residual, np.sqrt(variance), out=self.innovation, where=fused)
 
     def _now(self, t: float, sample: Sample) -> State:
         age = t - self.t_sample

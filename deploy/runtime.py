@@ -121,7 +121,7 @@ class Runtime:
             self.action.step(action, self.smoother.q)
         stopping = self.supervisor.stopping
         self.action.hold(stopping, self.smoother.q)
-        self.smoother.pace[:] = self.estimator.heat.pace
+        self.smoother.pace = self.estimator.heat.pace
         planned = self.smoother.next(self.action.q, stopping)
         ahead, q_midst, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_midst, q_rest)

@@ -27,11 +27,11 @@ class Smoother(Stage):
         origin: (B, 4n + 2) where each robot's trajectory began and what was asked then: q, qd, qdd, target, pace,
             stopping.
         expected: (B, 4n + 2) the same of now, if all went as planned: a robot that differs gets a new trajectory.
-        pace: (B,) share of the limits of speed and acceleration that a robot may use to follow a target.
+        pace: (B,) share of the limits of speed and acceleration that a robot may use to follow a target; an input.
         age: (B,) ticks since `origin`, less those at rest after a stop.
     """
 
-    carried = ("q", "qd", "qdd", "pace", "origin", "expected", "age")
+    carried = ("q", "qd", "qdd", "origin", "expected", "age")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Build the planners: one for what comes next, one for stops."""

@@ -49,6 +49,7 @@ class Collisions:
             spared_above[b] = np.maximum(spared_above[b], height)
         half = [shape.geometry.halfLength if _capsule(shape) else 0.0 for shape in shapes]
         self._spared_above, self._half = np.tile(spared_above, copies), np.tile(half, copies)
+        self._lowest, self._above = np.zeros_like(self._half), np.zeros(self._half.shape, dtype=bool)
         places = self._others.places.oMg
         self._height = lined_up([place.translation for place in places])[:, 2]
         self._steepness = lined_up([place.rotation for place in places])[:, 2, 2]
@@ -59,8 +60,11 @@ class Collisions:
         One answer if none are.
         """
         hits = self._others.look(model, data)
-        lowest = self._height - self._half * np.abs(self._steepness)
-        if np.count_nonzero(lowest > self._spared_above) == lowest.size:
+        np.abs(self._steepness, out=self._lowest)
+        np.multiply(self._lowest, self._half, out=self._lowest)
+        np.subtract(self._height, self._lowest, out=self._lowest)
+        np.greater(self._lowest, self._spared_above, out=self._above)
+        if 0 not in self._above.tobytes():
             return hits
         return hits | self._tables.look(model, data)
 

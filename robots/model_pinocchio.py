@@ -166,8 +166,8 @@ class Fleet:
             of: the robots.
         """
         jacobian, crossing = self._jacobian[of], self._crossing(self._tool[of])
-        twist = jacobian @ qd.reshape(-1, len(jacobian), self.n, 1)
-        return np.asarray((twist[..., :3, :] + crossing @ twist[..., 3:, :]).reshape(-1, 3))
+        twist = np.matvec(jacobian, qd.reshape(-1, len(jacobian), self.n))
+        return np.asarray((twist[..., :3] + np.matvec(crossing, twist[..., 3:])).reshape(-1, 3))
 
     def tool_pull(self, force: Floats) -> Floats:
         """(B, n) N·m, joint torques equal to a force (B, 3) N on the tool: Jᵀf."""

@@ -52,7 +52,7 @@ class Plant(Stage):
         self._range, self._current = self.batch.expand("actuator_forcerange"), np.ones((robots, n))
         bind = self.batch.bind
         self.rows, self.q, self.qd = self.batch.state, bind("qpos"), bind("qvel")
-        self._ctrl = bind("ctrl")
+        self._ctrl, self._lines = bind("ctrl"), np.zeros((robots, substeps, n * INPUTS))
         self._q, self._qd, self._feed = self._ctrl.reshape(robots, n, INPUTS).transpose(2, 0, 1)
         self._rise = bind("act")
         self._force, self._tau = bind("actuator_force"), bind("qfrc_actuator")
@@ -147,9 +147,9 @@ class Plant(Stage):
         if some(off):
             self.brake(off)
             last[off] = self._ctrl[off]
-        lines = self._way * (self._ctrl - last)[:, None]
-        lines += last[:, None]
-        return np.asarray(lines)
+        np.multiply(self._way, (self._ctrl - last)[:, None], out=self._lines)
+        self._lines += last[:, None]
+        return self._lines
 
     def brake(self, ids: Bools) -> None:
         """Close the brakes of robots where `ids` (B,) holds, on the pose they find."""
