@@ -39,7 +39,7 @@ class Estimator(Stage):
         self.seeded = np.zeros(robots, dtype=bool)
         self.heat, self._dt = Heat(spec, robots), spec.dt
         # numpy is quickest where every shape is the same.
-        self._ones = np.ones(shape)
+        self._wide = np.zeros(shape)
         self._r = np.full(shape, spec.encoder.noise_rad**2 + spec.encoder.resolution_rad**2 / 12)
         unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=spec.encoder.acceleration_density)
         self._g00, self._g01, self._g11 = (np.full(shape, unit[place]) for place in ((0, 0), (0, 1), (1, 1)))
@@ -80,8 +80,9 @@ class Estimator(Stage):
         self.t_sample[ids], self.seeded[ids] = sample.t[ids], True
 
     def _each_joint(self, robots: Floats) -> Floats:
-        """(B, n) of (B,)."""
-        return np.asarray(self._ones * robots[:, None])
+        """(B, n) of (B,), until the next call."""
+        np.copyto(self._wide, robots[:, None])
+        return self._wide
 
     def _predict(self, dt: Floats) -> None:
         self.q += self.qd * dt

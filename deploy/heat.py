@@ -8,7 +8,7 @@ tick, the rest is done ten times a second.
 
 import numpy as np
 
-from deploy.flags import some
+from deploy.flags import every, some
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Sample
 from robots.spec import RobotSpec
@@ -31,7 +31,7 @@ class Heat(Stage):
         pace: (B,) share of its speed and acceleration that a robot is still asked for: that of its hottest motor.
     """
 
-    carried = ("winding", "fold", "pace", "rise", "current", "housing", "square", "ticks", "unknown")
+    carried = ("winding", "fold", "pace", "rise", "last", "housing", "square", "ticks", "unknown")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Nothing is known before the first sample.
@@ -40,7 +40,7 @@ class Heat(Stage):
             RobotError: a motor's winding is not described in model.xml.
         """
         shape, nominal = (robots, spec.n), nominal_windings(spec)
-        self.winding, self.current, self.housing = np.full((3, *shape), np.nan)
+        self.winding, self.last, self.housing = np.full((3, *shape), np.nan)
         (self.square, self.rise), self.fold, self.pace = (
             np.zeros((2, *shape)),
             np.ones(shape),
@@ -72,8 +72,12 @@ class Heat(Stage):
         Args:
             sample: the newest packets; what is no number in them counts as the last one that was.
         """
-        np.copyto(self.current, sample.current, where=np.isfinite(sample.current))
-        self.square += self.current * self.current
+        square = sample.current * sample.current
+        finite = np.isfinite(square)
+        if not every(finite):
+            np.copyto(square, self.last, where=~finite)
+        self.last = square
+        self.square += square
         self.ticks += 1
         if some(self.unknown):
             self._begin(sample.temperature)
@@ -105,6 +109,6 @@ class Heat(Stage):
 
     def _fold_back(self) -> None:
         share = 1 - (1 - self._fold_min) * (self.winding - self._soft) / self._band
-        stepped = np.ceil(np.nan_to_num(share, nan=0.0) * STEPS) / STEPS
-        self.fold[:] = np.clip(stepped, self._fold_min, 1.0)
+        stepped = np.fmax(np.ceil(share * STEPS) / STEPS, self._fold_min)  # also where nothing is known
+        np.minimum(stepped, 1.0, out=self.fold)
         self.fold.min(axis=1, out=self.pace)
