@@ -134,6 +134,8 @@ class Supervisor(Stage):
         self._enter(holding & ~latches & ~refused & (self.since >= self._hold), _RUNNING)
 
     def _enter(self, ids: Bools, mode: np.int8) -> None:
+        if not some(ids):
+            return
         self.mode[ids] = mode
         self.since[ids] = 0
         if mode == _RUNNING:
