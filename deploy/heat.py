@@ -26,7 +26,7 @@ class Heat(Stage):
 
     Attributes:
         winding: (B, n) °C.
-        fold: (B, n) share of its current that a motor may still draw: 1 up to the soft limit, from there in a straight
+        fold: (B, n) share of its current that a motor at work may still draw: 1 up to the soft limit, from there in a straight
             line to `margins.fold_min` where the robot stops, `margins.winding_k` below the hard limit.
         pace: (B,) share of its speed and acceleration that a robot is still asked for: that of its hottest motor.
     """
@@ -63,11 +63,11 @@ class Heat(Stage):
         self.rise[:] = rise * np.exp(-off_s / self._tau)
 
     def reset(self, ids: Bools) -> None:
-        """Forget robots where `ids` (B,) holds: at their next sample they have been at rest for long."""
-        self.unknown[ids], self.rise[ids] = True, 0.0
+        """Forget robots where `ids` (B,) holds: at their next whole sample they have been at rest for long."""
+        self.unknown[ids], self.rise[ids], self.winding[ids], self.last[ids] = True, 0.0, np.nan, np.nan
 
     def step(self, sample: Sample) -> None:
-        """Live through a tick. Without any current yet no winding is known: NaN.
+        """Live through a tick. Before the first sample with every current and housing no winding is known: NaN.
 
         Args:
             sample: the newest packets; what is no number in them counts as the last one that was.
@@ -80,16 +80,18 @@ class Heat(Stage):
         self.square += square
         self.ticks += 1
         if some(self.unknown):
-            self._begin(sample.temperature)
+            self._begin(sample.temperature, square)
         if self.ticks[0] % self._every == 0:
             self._warm(sample.temperature)
 
-    def _begin(self, housing: Floats) -> None:
-        ids = self.unknown[:, None]
+    def _begin(self, housing: Floats, square: Floats) -> None:
+        """Start with what is measured, where every joint of a robot is."""
+        ready = self.unknown & np.isfinite(housing + square).all(axis=1)
+        ids = ready[:, None]
         np.copyto(self.housing, housing, where=ids)
         np.copyto(self.winding, housing + self.rise, where=ids)
         np.copyto(self.square, 0.0, where=ids)
-        self.unknown[:] = False
+        self.unknown &= ~ready
         self._fold_back()
 
     def _warm(self, housing: Floats) -> None:

@@ -19,6 +19,9 @@ from robots.strict import Strict, parse
 PERIOD_S = 5.0
 """s between two writings: windings have time constants of tens of seconds."""
 
+RISE_K = (-200.0, 500.0)
+"""K. Beyond this no winding is: a sensor was wrong."""
+
 
 class Temperatures(Strict):
     """What the file holds.
@@ -31,7 +34,7 @@ class Temperatures(Strict):
     robot: str
     joints: tuple[str, ...]
     unix_s: Annotated[float, Field(ge=0)]
-    rise_k: tuple[Annotated[float, Field(ge=-200, le=500)], ...]
+    rise_k: tuple[Annotated[float, Field(ge=RISE_K[0], le=RISE_K[1])], ...]
 
     @model_validator(mode="after")
     def _one_each(self) -> Self:
@@ -90,7 +93,7 @@ class HeatFile:
         return former
 
     def _temperatures(self, rise: Floats) -> Temperatures:
-        rise_k = tuple(rise.round(2).tolist())
+        rise_k = tuple(np.clip(rise, *RISE_K).round(2).tolist())
         return Temperatures(robot=self._robot, joints=self._joints, unix_s=self._now(), rise_k=rise_k)
 
     def _write(self, temperatures: Temperatures) -> None:

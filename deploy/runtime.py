@@ -155,9 +155,14 @@ class Runtime:
             qd=setpoint.qd,
             tau=tau,
             powered=self.supervisor.powered,
-            current=self.estimator.heat.fold,
+            current=self._current(),
         )
         self.robot.write(self.command)
+
+    def _current(self) -> Floats:
+        """(B, n) share of each drive's current: all of it for a stop, which was checked with it."""
+        fold, running = self.estimator.heat.fold, self.supervisor.running
+        return fold if every(running) else np.where(running[:, None], fold, 1.0)
 
     def _finite(self, planned: Setpoint) -> Setpoint:
         """Robots left without any plan rest where they were sent last, and lose their power."""

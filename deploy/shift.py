@@ -88,8 +88,10 @@ class Tally:
         self._mode = mode
 
 
-def _hotter(so_far: float | None, now: Floats) -> float:
+def _hotter(so_far: float | None, now: Floats) -> float | None:
     hottest = float(now.max())
+    if not np.isfinite(hottest):  # nobody knows yet
+        return so_far
     return hottest if so_far is None else max(so_far, hottest)
 
 

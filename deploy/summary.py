@@ -55,11 +55,9 @@ def _summary(shift: Shift, about: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _heat(housing: float | None, winding: float | None) -> str:
-    return (
-        ""
-        if housing is None
-        else f"housings at most {housing:.0f} °C, windings {winding:.0f} °C, as believed"
-    )
+    if housing is None or winding is None:
+        return ""
+    return f"housings at most {housing:.0f} °C, windings {winding:.0f} °C, as believed"
 
 
 def _table(s: dict[str, Any]) -> Table:

@@ -151,7 +151,20 @@ def test_without_any_current_nothing_is_known_and_nothing_is_asked():
     for _ in range(40):
         heat.step(sample(np.nan, 30.0))
     assert np.isnan(heat.winding).all()
-    np.testing.assert_array_equal(heat.fold, FOLD_MIN)
+
+
+@pytest.mark.parametrize(("current", "housing"), [(np.nan, 30.0), (2.0, np.nan), (np.nan, np.nan)])
+def test_begins_with_the_first_sample_that_is_whole(current, housing):
+    """A bus whose packets come one after the other must not keep the robot from its shift."""
+    heat, clean = Heat(SPEC, 1), Heat(SPEC, 1)
+    for _ in range(60):
+        heat.step(sample(current, housing))
+    assert np.isnan(heat.winding).all()
+    for _ in range(600):
+        heat.step(sample(5.0, 31.0))
+        clean.step(sample(5.0, 31.0))
+    np.testing.assert_array_equal(heat.winding, clean.winding)
+    assert (heat.winding > 31).all()
 
 
 @pytest.mark.parametrize("share", [-0.5, 0.0, 0.24, 0.5, 0.99, 1.0, 1.5])
@@ -267,3 +280,21 @@ def test_no_winding_passes_its_hard_limit_under_the_guard(tmp_path):
     assert Reason(int(runtime.supervisor.reason[0])) == Reason.HEAT
     assert runtime.estimator.heat.pace[0] == FOLD_MIN
     np.testing.assert_allclose(runtime.state.winding.max(), hottest[-1], atol=8)
+
+
+@pytest.mark.usefixtures("quick_goals")
+def test_a_robot_that_stops_has_all_of_its_current(tmp_path):
+    """The stop was checked with it; a robot at work keeps to its share."""
+    spec = hot_arm(tmp_path)
+    backend = pytest.importorskip("deploy.backends.sim.robot")
+    seeds = [robot_seed(3, robot) for robot in range(2)]
+    runtime = Runtime(spec, arm_contract(), backend.SimRobot(spec, seeds), seeds, Saying(2))
+    runtime.tick()
+    runtime.arm(np.ones(2, dtype=bool))
+    for _ in range(103):
+        runtime.tick()
+    runtime.estimator.heat.fold[:] = 0.7
+    runtime.asked[1] = int(Reason.OPERATOR)
+    runtime.tick()
+    assert runtime.supervisor.mode.tolist() == [Mode.RUNNING, Mode.STOPPING]
+    np.testing.assert_array_equal(runtime.command.current, np.repeat([[0.7], [1.0]], N, axis=1))

@@ -46,6 +46,16 @@ def test_a_winding_stays_warm_through_a_restart_and_cools_while_it_is_off(tmp_pa
         np.testing.assert_allclose(later.winding[0], expected, atol=0.01)
 
 
+def test_what_no_winding_can_be_is_cut_and_stops_no_tick(tmp_path):
+    file, heat = opened(tmp_path / "heat.json")
+    heat.step(sample(0.0, 40.0))
+    heat.winding[:] = 1e6
+    file.offer()
+    file.close()
+    assert file.lost is None
+    assert json.loads((tmp_path / "heat.json").read_text())["rise_k"] == [500.0] * N
+
+
 def test_a_clock_that_was_put_back_cools_nothing(tmp_path):
     path = tmp_path / "heat.json"
     path.write_text(json.dumps(GOOD))
