@@ -26,8 +26,8 @@ class Heat(Stage):
 
     Attributes:
         winding: (B, n) °C.
-        fold: (B, n) share of its current that a motor at work may still draw: 1 up to the soft limit, from there in a straight
-            line to `margins.fold_min` where the robot stops, `margins.winding_k` below the hard limit.
+        fold: (B, n) share of its current that a motor at work may still draw: 1 up to the soft limit, from there in a
+            straight line to `margins.fold_min` where the robot stops, `margins.winding_k` below the hard limit.
         pace: (B,) share of its speed and acceleration that a robot is still asked for: that of its hottest motor.
     """
 
