@@ -3,7 +3,6 @@
 The side that consumes it owns it: `policies` writes it, `deploy` moves nothing without it.
 """
 
-import json
 from collections import Counter
 from collections.abc import Iterator
 from typing import Annotated, Literal, Self
@@ -12,7 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from robots.errors import ContractError
 from robots.spec import RobotSpec
-from robots.strict import Strict, parse
+from robots.strict import Strict, parse, read_json
 
 CONTRACT_KEY = "firstshift.contract"
 SIZE_MAX = 4096  # numbers in one observation: a bound on memory, far above any policy here
@@ -166,21 +165,9 @@ class Contract(Strict):
         Raises:
             ContractError: one line for each field that is wrong.
         """
-        return parse(read_json(text, source, TEXT_MAX), cls, source=source, error=ContractError)
-
-
-def read_json(text: str, source: str, characters_max: int) -> object:
-    """Plain data from JSON of a bounded length.
-
-    Raises:
-        ContractError: too long, nested too deeply, or not JSON.
-    """
-    if len(text) > characters_max:
-        raise ContractError(f"{source}: {len(text)} characters of JSON, at most {characters_max}")
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as e:
-        raise ContractError(f"{source}: not valid JSON: {e!s:.100}, found {text!r:.40}") from e
+        return parse(
+            read_json(text, source, TEXT_MAX, ContractError), cls, source=source, error=ContractError
+        )
 
 
 def check_contract(contract: Contract, spec: RobotSpec, source: str) -> None:

@@ -8,7 +8,7 @@ tick, the rest is done ten times a second.
 
 import numpy as np
 
-from deploy.flags import every, some
+from deploy.flags import some
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Sample
 from robots.spec import RobotSpec
@@ -39,21 +39,14 @@ class Heat(Stage):
         Raises:
             RobotError: a motor's winding is not described in model.xml.
         """
-        shape, nominal = (robots, spec.n), nominal_windings(spec)
+        shape = robots, spec.n
         self.winding, self.last, self.housing = np.full((3, *shape), np.nan)
-        (self.square, self.rise), self.fold, self.pace = (
-            np.zeros((2, *shape)),
-            np.ones(shape),
-            np.ones(robots),
-        )
+        self.square, self.rise = np.zeros((2, *shape))
+        self.fold, self.pace = np.ones(shape), np.ones(robots)
         self.ticks, self.unknown = np.zeros(robots, dtype=np.int64), np.ones(robots, dtype=bool)
         self._every = round(PERIOD_S / spec.dt)
-        self._resistance, self._alpha, self._reference = (
-            nominal.resistance,
-            nominal.alpha,
-            nominal.reference_c,
-        )
-        self._to_housing, self._tau = nominal.to_housing, nominal.to_housing * nominal.capacity
+        self._motors = nominal_windings(spec)
+        self._tau = self._motors.to_housing * self._motors.capacity
         self._soft, self._fold_min = spec.motor_array("winding_soft_c"), spec.margins.fold_min
         self._band = spec.motor_array("winding_max_c") - spec.margins.winding_k - self._soft
         self._dt = spec.dt
@@ -73,20 +66,17 @@ class Heat(Stage):
             sample: the newest packets; what is no number in them counts as the last one that was.
         """
         square = sample.current * sample.current
-        finite = np.isfinite(square)
-        if not every(finite):
-            np.copyto(square, self.last, where=~finite)
-        self.last = square
-        self.square += square
+        np.copyto(self.last, square, where=np.isfinite(square))
+        self.square += self.last
         self.ticks += 1
         if some(self.unknown):
-            self._begin(sample.temperature, square)
+            self._begin(sample.temperature)
         if self.ticks[0] % self._every == 0:
             self._warm(sample.temperature)
 
-    def _begin(self, housing: Floats, square: Floats) -> None:
+    def _begin(self, housing: Floats) -> None:
         """Start with what is measured, where every joint of a robot is."""
-        ready = self.unknown & np.isfinite(housing + square).all(axis=1)
+        ready = self.unknown & np.isfinite(housing + self.last).all(axis=1)
         ids = ready[:, None]
         np.copyto(self.housing, housing, where=ids)
         np.copyto(self.winding, housing + self.rise, where=ids)
@@ -97,15 +87,9 @@ class Heat(Stage):
     def _warm(self, housing: Floats) -> None:
         """Live through the ticks since the last time with their mean I²."""
         np.copyto(self.housing, housing, where=np.isfinite(housing))
-        loss = (
-            self.square
-            / self._every
-            * self._resistance
-            * (1 + self._alpha * (self.winding - self._reference))
-        )
-        self.winding += (loss * self._to_housing - (self.winding - self.housing)) * (
-            self._every * self._dt / self._tau
-        )
+        m, share = self._motors, self._every * self._dt / self._tau
+        loss = self.square / self._every * m.resistance * (1 + m.alpha * (self.winding - m.reference_c))
+        self.winding += share * (loss * m.to_housing - (self.winding - self.housing))
         self.square[:] = 0.0
         self._fold_back()
 

@@ -1,6 +1,5 @@
 """Temperatures that survive the runtime: a winding that was hot when the power went is still warm minutes later."""
 
-import json
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,13 +13,15 @@ from deploy.output import replacing
 from deploy.runtime import Runtime
 from deploy.state import Floats
 from robots.errors import ConfigError
-from robots.strict import Strict, parse
+from robots.strict import Strict, parse, read_json
 
 PERIOD_S = 5.0
 """s between two writings: windings have time constants of tens of seconds."""
 
 RISE_K = (-200.0, 500.0)
 """K. Beyond this no winding is: a sensor was wrong."""
+
+CHARACTERS_MAX = 1 << 16
 
 
 class Temperatures(Strict):
@@ -79,17 +80,12 @@ class HeatFile:
             return None
         except (OSError, UnicodeDecodeError) as e:
             raise ConfigError(f"--out {self._path}: cannot be read: {e}") from e
-        try:
-            data = json.loads(text)
-        except json.JSONDecodeError as e:
-            raise ConfigError(f"--out {self._path}: not valid JSON: {e}") from e
-        former = parse(data, Temperatures, source=f"--out {self._path}")
-        for name, found, expected in (
-            ("robot", former.robot, self._robot),
-            ("joints", former.joints, self._joints),
-        ):
+        source = f"--out {self._path}"
+        former = parse(read_json(text, source, CHARACTERS_MAX), Temperatures, source=source)
+        for name, expected in (("robot", self._robot), ("joints", self._joints)):
+            found = getattr(former, name)
             if found != expected:
-                raise ConfigError(f"--out {self._path}: {name}: found {found!r}, expected {expected!r}")
+                raise ConfigError(f"{source}: {name}: found {found!r}, expected {expected!r}")
         return former
 
     def _temperatures(self, rise: Floats) -> Temperatures:

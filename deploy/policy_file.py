@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from onnx import AttributeProto, GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, numpy_helper
 from pydantic import Field, model_validator
 
-from deploy.contract import CONTRACT_KEY, Contract, Number, read_json
+from deploy.contract import CONTRACT_KEY, Contract, Number
 from robots.errors import ContractError
-from robots.strict import Strict, parse
+from robots.strict import Strict, parse, read_json
 
 GOLDEN_KEY = "firstshift.golden"
 INPUT, OUTPUT = "observation", "action"
@@ -177,7 +177,7 @@ def _check_end(
 
 def _golden(model: ModelProto, contract: Contract, path: Path) -> tuple[Float32s, Float32s]:
     source = f"{path}: {GOLDEN_KEY}"
-    data = read_json(_metadata(model, GOLDEN_KEY, path), source, GOLDEN_CHARACTERS_MAX)
+    data = read_json(_metadata(model, GOLDEN_KEY, path), source, GOLDEN_CHARACTERS_MAX, ContractError)
     golden = parse(data, Golden, source=source, error=ContractError)
     return (
         _matrix(golden.observation, contract.observation_size, f"{source}: observation"),

@@ -42,7 +42,9 @@ def run(
     backend: Annotated[str, typer.Option(help=f"what stands behind it: {', '.join(BACKENDS)}")] = "sim",
     duration: Annotated[float, typer.Option(help="s of robot time; inf: until Ctrl-C")] = math.inf,
     speed: Annotated[str, typer.Option(help="robot time by wall time: a factor, or max")] = "1",
-    seed: Annotated[int, typer.Option(help="of the goals, and of the simulated robot")] = SEED,
+    seed: Annotated[
+        int | None, typer.Option(help=f"of the goals, and of the simulated robot  [{SEED}]")
+    ] = None,
     draw: Annotated[
         str | None, typer.Option(help="SEED:ROBOT, a robot of a soak as it was, with its noise and its goals")
     ] = None,
@@ -57,8 +59,8 @@ def run(
     not go on, 2 bad input and nothing moved, 70 something broke, 130 interrupted.
     """
     factor = _factor(speed)
-    _check(backend, duration, seed)
-    source = _source(seed, draw)
+    _check(backend, duration)
+    origin, source = _source(seed, draw)
     spec = load_robot(robot)
     brain = Policy.load(policy, spec)
     check_folder(out)
@@ -66,7 +68,7 @@ def run(
     view_step = _viewer(body) if view else None
     runtime = Runtime(spec, brain.contract, body, [source], brain)
     about = {"robot": spec.name, "robot_digest": spec.digest, "policy": str(policy)}
-    about |= {"policy_digest": brain.digest, "backend": backend, "seed": draw or str(seed), "speed": speed}
+    about |= {"policy_digest": brain.digest, "backend": backend, "seed": origin, "speed": speed}
     heat_file = HeatFile(out / "heat.json", runtime)
     recorder = Recorder(out, runtime, start_ns=time.time_ns(), about=about)
     watchers: list[Every[Shift]] = [Every(HEAT_S, heat_file.offer)]
@@ -90,25 +92,26 @@ def _factor(speed: str) -> float:
     return factor
 
 
-def _check(backend: str, duration: float, seed: int) -> None:
+def _check(backend: str, duration: float) -> None:
     if backend not in BACKENDS:
         raise ConfigError(f"--backend {backend}: unknown; known: {', '.join(BACKENDS)}")
     if not duration > 0:
         raise ConfigError(f"--duration {duration}: expected s above 0, or inf")
-    if seed < 0:
-        raise ConfigError(f"--seed {seed}: expected 0 or more")
 
 
-def _source(seed: int, draw: str | None) -> np.random.SeedSequence:
-    """All that is random about the robot: the first of a seed, or one of a soak."""
+def _source(seed: int | None, draw: str | None) -> tuple[str, np.random.SeedSequence]:
+    """All that is random about the robot, in words and as it is: the first of a seed, or one of a soak."""
     if draw is None:
-        return robot_seed(seed, 0)
+        number = SEED if seed is None else seed
+        if number < 0:
+            raise ConfigError(f"--seed {number}: expected 0 or more")
+        return str(number), robot_seed(number, 0)
     match = re.fullmatch(r"(\d{1,18}):(\d{1,9})", draw)
-    if not match or seed != SEED:
-        raise ConfigError(
-            f"--draw {draw}: expected SEED:ROBOT, two whole numbers of at least 0, and no --seed beside it"
-        )
-    return robot_seed(int(match[1]), int(match[2]))
+    if not match:
+        raise ConfigError(f"--draw {draw}: expected SEED:ROBOT, two whole numbers of at least 0")
+    if seed is not None:
+        raise ConfigError(f"--draw {draw}: found --seed {seed} beside it, expected one of them")
+    return draw, robot_seed(int(match[1]), int(match[2]))
 
 
 def _simulated(spec: RobotSpec, source: np.random.SeedSequence) -> "SimRobot":

@@ -1,5 +1,6 @@
-"""TOML read strictly: every key known, every key present, every value inside its bound."""
+"""Files read strictly: every key known, every key present, every value inside its bound."""
 
+import json
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -37,6 +38,22 @@ def read_toml(path: Path, schema: type[M], error: type[FirstshiftError] = Config
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
         raise error(f"{path}: not valid TOML: {e}") from e
     return parse(data, schema, source=str(path), error=error)
+
+
+def read_json(
+    text: str, source: str, characters_max: int, error: type[FirstshiftError] = ConfigError
+) -> object:
+    """Plain data from JSON of a bounded length; `source` names its origin in messages.
+
+    Raises:
+        FirstshiftError: of class `error`: too long, nested too deeply, or not JSON.
+    """
+    if len(text) > characters_max:
+        raise error(f"{source}: {len(text)} characters of JSON, at most {characters_max}")
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as e:
+        raise error(f"{source}: not valid JSON: {e!s:.100}, found {text!r:.40}") from e
 
 
 def parse(data: object, schema: type[M], *, source: str, error: type[FirstshiftError] = ConfigError) -> M:

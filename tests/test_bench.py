@@ -72,9 +72,8 @@ def test_the_plain_composition_moves_its_robot(arm_policy):
     np.testing.assert_allclose(robot._data.qpos, robot._target, atol=0.01)
 
 
-def test_the_worth_of_the_estimator_is_measured_against_what_really_happened(monkeypatch):
+def test_the_worth_of_the_estimator_is_measured_against_what_really_happened():
     """On a motion and a delay that are known: raw angles are two ticks old, estimates are not."""
-    monkeypatch.setattr(estimate, "SHARD", 4)
     seeds = [robot_seed(2, robot) for robot in range(4)]
     drawn = draw(load_distributions(SPEC), SPEC.n, seeds)
     drawn.delay_s[:], drawn.loss[:] = 0.008, 0.0

@@ -92,7 +92,9 @@ def test_a_file_that_is_not_ours_is_refused_and_stays(tmp_path, change, words):
     assert path.read_text() == text
 
 
-@pytest.mark.parametrize("content", [b"{", b"\xff\xfe", b'{"unix_s": NaN}', b"[]"])
+@pytest.mark.parametrize(
+    "content", [b"{", b"\xff\xfe", b'{"unix_s": NaN}', b"[]", b"[" * 50_000, b" " * 100_000]
+)
 def test_what_is_no_json_of_ours_is_refused(tmp_path, content):
     path = tmp_path / "heat.json"
     path.write_bytes(content)

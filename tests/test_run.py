@@ -173,8 +173,8 @@ def test_a_bad_policy_is_exit_2_and_nothing_is_made(command, tmp_path, policy, m
         (("--draw", "7"), "error: --draw 7: expected SEED:ROBOT, two whole numbers"),
         (("--draw", "7:-1"), "error: --draw 7:-1: expected SEED:ROBOT"),
         (
-            ("--draw", "7:1", "--seed", "8"),
-            "error: --draw 7:1: expected SEED:ROBOT, two whole numbers of at least 0, and no",
+            ("--draw", "7:1", "--seed", "7"),
+            "error: --draw 7:1: found --seed 7 beside it, expected one of them",
         ),
         (("--sped", "2"), "No such option: --sped"),
     ],

@@ -45,17 +45,21 @@ class Motion:
     draw: Draw
     seeds: list[np.random.SeedSequence]
 
+    @property
+    def robots(self) -> int:
+        """B."""
+        return len(self.seeds)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heard:
-    """What was made of it (T, B, n): rad and rad/s, `nees` and `variance` of the estimate of the angle."""
+    """What was made of it (T, B, n): rad and rad/s, and the estimate's `nees`."""
 
     raw: Floats
     differenced: Floats
     q: Floats
     qd: Floats
     nees: Floats
-    variance: Floats
 
 
 def estimate(spec: RobotSpec, policy: Path, console: Console) -> None:
@@ -73,7 +77,7 @@ def estimate(spec: RobotSpec, policy: Path, console: Console) -> None:
             "delay left in q: raw",
             "estimated",
         ),
-        title=f"RMSE of {len(some) * SHARD} robots, mrad and mrad/s; 4 to 10 ms late",
+        title=f"RMSE of {len(some) * SHARD} robots, mrad and mrad/s; late and lost as drawn",
     )
     for noise in NOISES:
         table.add_row("as drawn" if noise is None else f"{1e3 * noise:g} mrad", *_errors(spec, some, noise))
@@ -99,18 +103,18 @@ def _move(spec: RobotSpec, policy: Path, first: int) -> Motion:
 
 def _samples(spec: RobotSpec, motion: Motion, noise: float | None) -> Iterator[Sample]:
     """What the bus delivers at each tick."""
-    draw = motion.draw if noise is None else replace(motion.draw, noise_rad=np.full(SHARD, noise))
-    sensors, rest = Sensors(spec, draw, motion.seeds), np.zeros((SHARD, spec.n))
-    sensors.reset(np.ones(SHARD, dtype=bool), motion.q[0])
+    draw = motion.draw if noise is None else replace(motion.draw, noise_rad=np.full(motion.robots, noise))
+    sensors, rest = Sensors(spec, draw, motion.seeds), np.zeros((motion.robots, spec.n))
+    sensors.reset(np.ones(motion.robots, dtype=bool), motion.q[0])
     for q in motion.q:
         sensors.take(q)
         yield sensors.read(rest, rest)
 
 
 def _hear(spec: RobotSpec, motion: Motion, noise: float | None) -> Heard:
-    estimator, rows = Estimator(spec, SHARD), []
-    t_last, q_last = np.full(SHARD, -np.inf), motion.q[0]
-    differenced = np.zeros((SHARD, spec.n))
+    estimator, rows = Estimator(spec, motion.robots), []
+    t_last, q_last = np.full(motion.robots, -np.inf), motion.q[0]
+    differenced = np.zeros((motion.robots, spec.n))
     for tick, sample in enumerate(_samples(spec, motion, noise), start=1):
         state = estimator.step(tick * spec.dt, sample)
         new = sample.t > t_last
@@ -119,9 +123,9 @@ def _hear(spec: RobotSpec, motion: Motion, noise: float | None) -> Heard:
         t_last, q_last = np.where(new, sample.t, t_last), np.where(new[:, None], sample.q, q_last)
         error = state.q - motion.q[tick - 1], state.qd - motion.qd[tick - 1]
         nees = _nees(spec, estimator, state, *error)
-        rows.append((sample.q.copy(), differenced, state.q, state.qd, nees, state.q_var))
-    raw, differences, q, qd, nees, variance = (np.array(column) for column in zip(*rows, strict=True))
-    return Heard(raw=raw, differenced=differences, q=q, qd=qd, nees=nees, variance=variance)
+        rows.append((sample.q.copy(), differenced, state.q, state.qd, nees))
+    raw, differences, q, qd, nees = (np.array(column) for column in zip(*rows, strict=True))
+    return Heard(raw=raw, differenced=differences, q=q, qd=qd, nees=nees)
 
 
 @np.errstate(invalid="ignore")  # before its first packet an estimate is infinitely old
@@ -160,13 +164,9 @@ def _errors(spec: RobotSpec, motions: list[Motion], noise: float | None) -> list
 def _consistency(spec: RobotSpec, motions: list[Motion]) -> str:
     """NEES of every draw, at moments that know nothing of each other and fall on any part of a motion."""
     apart, settled = round(APART_S / spec.dt), round(SETTLED_S / spec.dt)
-    ticks = (
-        np.arange(settled, round(MOVED_S / spec.dt) - apart, apart)[:, None]
-        + np.arange(SHARD) * apart // SHARD
-    )
-    nees = np.concatenate(
-        [_hear(spec, motion, None).nees[ticks, np.arange(SHARD)] for motion in motions], axis=1
-    )
+    robots, ticks = np.arange(motions[0].robots), np.arange(settled, round(MOVED_S / spec.dt) - apart, apart)
+    moments = ticks[:, None] + robots * apart // len(robots)
+    nees = np.concatenate([_hear(spec, motion, None).nees[moments, robots] for motion in motions], axis=1)
     band = np.array(stats.chi2.interval(0.95, 2 * nees.size)) / nees.size
     found = nees.mean()
     place = "inside" if band[0] <= found <= band[1] else "outside"
@@ -179,7 +179,7 @@ def _consistency(spec: RobotSpec, motions: list[Motion]) -> str:
 def _outage(spec: RobotSpec, motion: Motion) -> str:
     """How long after 100 ms without a packet the error is what it would have been."""
     begins, silent = round(2.0 / spec.dt), round(OUTAGE_S / spec.dt)
-    cut, whole, errors = Estimator(spec, SHARD), Estimator(spec, SHARD), []
+    cut, whole, errors = Estimator(spec, motion.robots), Estimator(spec, motion.robots), []
     for tick, sample in enumerate(_samples(spec, motion, None)):
         heard = sample._replace(fresh=sample.fresh & (not begins <= tick < begins + silent))
         found, usual = cut.step((tick + 1) * spec.dt, heard).q, whole.step((tick + 1) * spec.dt, sample).q
@@ -194,9 +194,9 @@ def _outage(spec: RobotSpec, motion: Motion) -> str:
 
 
 def _cost(spec: RobotSpec, motion: Motion) -> str:
-    estimator, samples = Estimator(spec, SHARD), list(_samples(spec, motion, None))
+    estimator, samples = Estimator(spec, motion.robots), list(_samples(spec, motion, None))
     began = time.perf_counter()
     for tick, sample in enumerate(samples):
         estimator.step((tick + 1) * spec.dt, sample)
     spent = time.perf_counter() - began
-    return f"cost: {1e6 * spent / len(samples) / SHARD:.2f} µs per robot-tick, heat of the windings included"
+    return f"cost: {1e6 * spent / len(samples) / motion.robots:.2f} µs per robot-tick, heat of the windings included"
