@@ -4,19 +4,26 @@ A draw is plain data: stored, it re-creates its robot exactly. The runtime in `d
 """
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Self
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from robots.errors import ConfigError
+from robots.sensors import BUFFER_S
 from robots.spec import RobotSpec
-from robots.strict import Strict, read_toml
+from robots.strict import Strict, read_json, read_toml
 
 Floats = NDArray[np.float64]
+
+FILE_MAX = 1 << 26
+"""Characters of a stored draw: thousands of robots."""
 
 
 class Span(Strict):
@@ -34,116 +41,299 @@ class Span(Strict):
             raise ValueError(f"low {self.low} of a logarithmic span is not above 0")
         return self
 
-    def sample(self, rng: np.random.Generator, size: int) -> Floats:
-        """(size,) numbers."""
+    def sample(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
+        """Numbers of a shape."""
         if self.log:
-            return np.exp(rng.uniform(np.log(self.low), np.log(self.high), size))
-        return rng.uniform(self.low, self.high, size)
+            return np.exp(rng.uniform(np.log(self.low), np.log(self.high), shape))
+        return rng.uniform(self.low, self.high, shape)
 
 
-def _inside(low: float, high: float) -> AfterValidator:
-    """What physics allows: a span that leaves [low, high] cannot be expressed."""
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """Something that differs from robot to robot.
 
-    def check(span: Span) -> Span:
-        if not low <= span.low <= span.high <= high:
-            raise ValueError(f"[{span.low}, {span.high}] is not inside [{low}, {high}]")
+    Attributes:
+        low, high: what physics allows: a span or a draw that leaves it cannot be expressed.
+        each: what of a robot has a number of its own: "joint", "sensor", "channel" (of its sensors), "axis" (of each
+            joint's link), "direction" (x, y, z); "" for the robot as a whole.
+    """
+
+    low: float
+    high: float
+    each: str
+
+    def check(self, span: Span) -> Span:
+        """Refuse a span that leaves what physics allows."""
+        if not self.low <= span.low <= span.high <= self.high:
+            raise ValueError(f"[{span.low}, {span.high}] is not inside [{self.low}, {self.high}]")
         return span
 
-    return AfterValidator(check)
+
+def _drawn(low: float, high: float, each: str = "") -> tuple[AfterValidator, Quantity]:
+    quantity = Quantity(low, high, each)
+    return AfterValidator(quantity.check), quantity
 
 
-Factor = Annotated[Span, _inside(0.05, 20.0)]
+class Links(Strict):
+    """Of each moving link: mass and inertia together, the way to the next joint, and where its mass sits.
+
+    Inertia about the centre of mass is scaled, never drawn, so none of these leaves what a rigid body can have.
+    """
+
+    mass: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    length: Annotated[Span, *_drawn(0.5, 2.0, "joint")]
+    com_m: Annotated[Span, *_drawn(-0.2, 0.2, "axis")]
 
 
-class Factors(Strict):
-    """Multiples of the nominal value, one draw per joint (mass and inertia: per moving link)."""
+class Joints(Strict):
+    """Of each joint: factors, and the play of its gear."""
 
-    mass: Factor
-    friction: Factor
-    damping: Factor
-    armature: Factor
-    kp: Factor
-    kd: Factor
-    torque_constant: Factor
-    resistance: Factor
+    friction: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    damping: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    armature: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    backlash_rad: Annotated[Span, *_drawn(0.0, 0.05, "joint")]
 
 
-class Sensors(Strict):
-    """What the encoder bus does, one draw per robot."""
+class Drives(Strict):
+    """Of each drive: factors. Of all: supply voltage as a factor, what the supply's lines resist, commands late."""
 
-    noise_rad: Annotated[Span, _inside(0.0, 0.2)]
-    delay_s: Annotated[Span, _inside(0.0, 0.1)]
-    loss: Annotated[Span, _inside(0.0, 0.5)]
+    kp: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    kd: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    torque_constant: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    resistance: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    iron_loss: Annotated[Span, *_drawn(0.0, 20.0, "joint")]
+    voltage: Annotated[Span, *_drawn(0.2, 2.0)]
+    supply_ohm: Annotated[Span, *_drawn(0.0, 5.0)]
+    delay_s: Annotated[Span, *_drawn(0.0, 0.005)]
+
+
+class Mounting(Strict):
+    """How it stands: out of plumb about x and y, and what its links slide on."""
+
+    tilt_rad: Annotated[Span, *_drawn(-0.5, 0.5, "direction")]
+    contact_friction: Annotated[Span, *_drawn(0.05, 20.0)]
+
+
+class Payload(Strict):
+    """What the tool picks up, carries and drops, again and again."""
+
+    mass_kg: Annotated[Span, *_drawn(0.0, 50.0)]
+    com_m: Annotated[Span, *_drawn(-0.5, 0.5, "direction")]
+    carried_s: Annotated[Span, *_drawn(0.1, 1e6)]
+    free_s: Annotated[Span, *_drawn(0.1, 1e6)]
+
+
+class Cable(Strict):
+    """A power cable: a spring that only pulls, from an anchor in the world to a link of the robot.
+
+    Attributes:
+        link: a body of model.xml. above_m: m, what the anchor is drawn around, above the world's origin.
+    """
+
+    link: str
+    above_m: float
+    stiffness_n_per_m: Annotated[Span, *_drawn(0.0, 1e4)]
+    length_m: Annotated[Span, *_drawn(0.0, 10.0)]
+    anchor_m: Annotated[Span, *_drawn(-10.0, 10.0, "direction")]
+
+
+class Push(Strict):
+    """Somebody bumps into a link: now and then, a force from anywhere."""
+
+    force_n: Annotated[Span, *_drawn(0.0, 1e4)]
+    lasts_s: Annotated[Span, *_drawn(0.005, 10.0)]
+    every_s: Annotated[Span, *_drawn(1.0, 1e6)]
+
+
+class Wear(Strict):
+    """What a joint has changed by when it has lived its life once: growth of factors, of play, of the encoder's error.
+
+    Attributes:
+        life_rad: rad that a joint travels in its life at `life_c` of its winding; each 10 K more take it twice as
+            fast, each 10 K less half as fast.
+    """
+
+    life_rad: Annotated[float, Field(gt=0)]
+    life_c: float
+    friction: Annotated[Span, *_drawn(0.0, 20.0, "joint")]
+    backlash_rad: Annotated[Span, *_drawn(0.0, 0.05, "joint")]
+    encoder_rad: Annotated[Span, *_drawn(-0.1, 0.1, "joint")]
+    torque_constant: Annotated[Span, *_drawn(-0.9, 0.0, "joint")]
 
 
 class Climate(Strict):
-    """Where the robot stands, one draw per robot."""
+    """Where the robot stands."""
 
-    ambient_c: Annotated[Span, _inside(-40.0, 80.0)]
-    warm_start_k: Annotated[Span, _inside(0.0, 100.0)]
+    ambient_c: Annotated[Span, *_drawn(-40.0, 80.0)]
+    warm_start_k: Annotated[Span, *_drawn(0.0, 100.0)]
+
+
+class Lies(Strict):
+    """How each sensor differs from its data sheet: factors of what robot.toml says, and how its packets travel.
+
+    Attributes:
+        noise, bias, drift, loss: factors. delay: factor, the least delay. jitter: what is added to it at most, as a
+            factor too. hold: probability that a packet takes as long as the one before. burst: packets lost in a row,
+            mean. repeat: share of packets that come twice.
+    """
+
+    noise: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
+    bias: Annotated[Span, *_drawn(-20.0, 20.0, "channel")]
+    drift: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
+    delay: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
+    jitter: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
+    hold: Annotated[Span, *_drawn(0.0, 1.0, "sensor")]
+    loss: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
+    burst: Annotated[Span, *_drawn(1.0, 50.0, "sensor")]
+    repeat: Annotated[Span, *_drawn(0.0, 0.5, "sensor")]
 
 
 class Distributions(Strict):
     """draws.toml."""
 
-    factors: Factors
-    sensors: Sensors
+    links: Links
+    joints: Joints
+    drives: Drives
+    mounting: Mounting
+    payload: Payload
+    cable: Cable
+    push: Push
+    wear: Wear
     climate: Climate
+    sensors: Lies
 
     @property
     def digest(self) -> str:
         """SHA-256 of the numbers."""
         return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
+    def spans(self) -> Iterator[tuple[str, Quantity, Span]]:
+        """Everything that is drawn: its name as in "links.mass", what it is, and how."""
+        for group, table in self:
+            for field, info in type(table).model_fields.items():
+                for quantity in info.metadata:
+                    if isinstance(quantity, Quantity):
+                        yield f"{group}.{field}", quantity, getattr(table, field)
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Draw:
-    """B robots as they really are.
 
-    Attributes:
-        mass, friction, damping, armature, kp, kd, torque_constant, resistance: (B, n) factors.
-        noise_rad: (B,) rad. delay_s: (B,) s. loss: (B,) share of packets.
-        ambient_c: (B,) °C. warm_start_k: (B,) K, housing above ambient at the start.
-    """
+class Draw(Mapping[str, Floats]):
+    """B robots as they really are: (B, ...) numbers by name, as in `draw["links.mass"]`."""
 
-    mass: Floats
-    friction: Floats
-    damping: Floats
-    armature: Floats
-    kp: Floats
-    kd: Floats
-    torque_constant: Floats
-    resistance: Floats
-    noise_rad: Floats
-    delay_s: Floats
-    loss: Floats
-    ambient_c: Floats
-    warm_start_k: Floats
+    def __init__(self, values: Mapping[str, Floats]) -> None:
+        """Take the numbers; see `draw` and `load_draw` for where they come from."""
+        self._values = dict(values)
+
+    def __getitem__(self, name: str) -> Floats:
+        """(B, ...) numbers; the shape behind B is that of the quantity's `each`."""
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Names."""
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        """How many quantities."""
+        return len(self._values)
+
+    @property
+    def robots(self) -> int:
+        """B."""
+        return len(self["climate.ambient_c"])
+
+    def replaced(self, values: Mapping[str, Floats | float]) -> "Draw":
+        """The same robots but for some numbers, which numpy broadcasts."""
+        new = {name: np.array(np.broadcast_to(x, self[name].shape), dtype=float) for name, x in values.items()}
+        return Draw(dict(self) | new)
+
+    def to_json(self) -> str:
+        """All of it, exactly."""
+        return json.dumps({name: values.tolist() for name, values in self.items()})
 
 
 def load_distributions(spec: RobotSpec) -> Distributions:
     """Read the robot's draws.toml.
 
     Raises:
-        ConfigError: unreadable, misspelt, or outside what physics allows.
+        ConfigError: unreadable, misspelt, outside what physics allows, or packets that travel longer than the buffer.
     """
-    return read_toml(spec.folder / "draws.toml", Distributions, ConfigError)
+    path = spec.folder / "draws.toml"
+    distributions = read_toml(path, Distributions, ConfigError)
+    lies = distributions.sensors
+    for kind, sensor in spec.sensors.items():
+        slowest = sensor.delay_s * (lies.delay.high + lies.jitter.high)
+        if slowest > BUFFER_S:
+            raise ConfigError(
+                f"{path}: sensors.delay and sensors.jitter: {kind} would take {slowest:g} s, at most {BUFFER_S} s"
+            )
+    return distributions
 
 
-def draw(distributions: Distributions, n: int, seeds: Sequence[np.random.SeedSequence]) -> Draw:
-    """One robot for each seed.
+def draw(distributions: Distributions, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> Draw:
+    """One robot for each seed. Every quantity has a stream of its own: a new one leaves the others as they were.
 
     Args:
         distributions: the spans.
-        n: joints.
+        spec: how many joints and sensors there are.
         seeds: B seeds, as `robots.randomness.robot_seed` gives them.
     """
-    robots = [_one(distributions, n, np.random.default_rng(seed)) for seed in seeds]
-    return Draw(**{field.name: np.stack([robot[field.name] for robot in robots]) for field in fields(Draw)})
+    return Draw(
+        {
+            name: np.stack([span.sample(_stream(seed, name), shape(quantity, spec)) for seed in seeds])
+            for name, quantity, span in distributions.spans()
+        }
+    )
 
 
-def _one(distributions: Distributions, n: int, rng: np.random.Generator) -> dict[str, Floats]:
-    sampled = {name: span.sample(rng, n) for name, span in distributions.factors}
-    for group in (distributions.sensors, distributions.climate):
-        sampled |= {name: span.sample(rng, 1)[0] for name, span in group}
-    return sampled
+def load_draw(path: Path, distributions: Distributions, spec: RobotSpec) -> Draw:
+    """Robots that `Draw.to_json` stored.
+
+    Raises:
+        ConfigError: unreadable, another robot's, or outside what physics allows.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as e:
+        raise ConfigError(f"{path}: cannot be read: {e}") from e
+    data = read_json(text, str(path), FILE_MAX)
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}: found {type(data).__name__}, expected a table of quantities")
+    quantities = {name: quantity for name, quantity, _ in distributions.spans()}
+    for name in sorted(data.keys() ^ quantities.keys()):
+        raise ConfigError(f"{path}: {name}: {'unknown' if name in data else 'missing'}")
+    values = {name: _numbers(data[name], q, spec, f"{path}: {name}") for name, q in quantities.items()}
+    robots = {name: len(numbers) for name, numbers in values.items()}
+    if len(set(robots.values())) > 1:
+        raise ConfigError(f"{path}: found {robots} robots, expected the same for every quantity")
+    return Draw(values)
+
+
+def _numbers(data: object, quantity: Quantity, spec: RobotSpec, where: str) -> Floats:
+    try:
+        values = np.array(data, dtype=np.float64)
+    except (TypeError, ValueError) as e:
+        raise ConfigError(f"{where}: not an array of numbers: {data!r:.40}") from e
+    expected = shape(quantity, spec)
+    if values.shape[1:] != expected or not len(values):
+        raise ConfigError(f"{where}: found shape {values.shape}, expected (B, {', '.join(map(str, expected))})")
+    beyond = values[~((values >= quantity.low) & (values <= quantity.high))]
+    if beyond.size:
+        raise ConfigError(f"{where}: found {beyond[0]:g}, expected [{quantity.low:g}, {quantity.high:g}]")
+    return values
+
+
+def shape(quantity: Quantity, spec: RobotSpec) -> tuple[int, ...]:
+    """Of one robot's numbers."""
+    shapes: dict[str, tuple[int, ...]] = {
+        "": (),
+        "direction": (3,),
+        "joint": (spec.n,),
+        "axis": (spec.n, 3),
+        "sensor": (len(spec.sensors),),
+        "channel": (sum(spec.channels.values()),),
+    }
+    return shapes[quantity.each]
+
+
+def _stream(seed: np.random.SeedSequence, name: str) -> np.random.Generator:
+    child = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, crc32(name.encode())))
+    return np.random.default_rng(child)

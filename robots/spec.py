@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from robots.errors import RobotError
+from robots.sensors import Kind, Sensors, channels, check_sensors
 from robots.strict import Strict, read_toml
 
 ROBOTS = Path(__file__).parent
@@ -56,6 +57,7 @@ class Motor(Strict):
     Attributes:
         housing_resistance_k_per_w: K/W, housing to ambient.
         housing_capacity_j_per_k: J/K.
+        iron_w_s2: W/(rad/s)² of the motor's shaft, eddy currents: what turning alone makes of heat.
         winding_soft_c, winding_max_c: °C, where warning begins and where damage begins.
         housing_soft_c, housing_max_c: °C, what the housing sensor may show.
         source: where the numbers come from.
@@ -63,6 +65,7 @@ class Motor(Strict):
 
     housing_resistance_k_per_w: PositiveFloat
     housing_capacity_j_per_k: PositiveFloat
+    iron_w_s2: Annotated[float, Field(ge=0)]
     winding_soft_c: Celsius
     winding_max_c: Celsius
     housing_soft_c: Celsius
@@ -142,22 +145,14 @@ class Workspace(Strict):
     tool_speed_max: PositiveFloat
 
 
-class Encoder(Strict):
-    """The joint encoder as its data sheet has it; draws.toml says how it may really be.
+class Filter(Strict):
+    """What the estimator takes for granted.
 
     Attributes:
-        resolution_rad: rad per count at the joint.
-        noise_rad: rad, standard deviation of a sample.
-        delay_s: s, from taking to arriving.
-        acceleration_density: rad²/s³, how restless the estimator takes a joint to be between samples.
-        source: where the numbers come from.
+        acceleration_density: rad²/s³, how restless it takes a joint to be between samples.
     """
 
-    resolution_rad: PositiveFloat
-    noise_rad: PositiveFloat
-    delay_s: Annotated[float, Field(ge=0, lt=0.1)]
     acceleration_density: PositiveFloat
-    source: str
 
 
 class RobotSpec(Strict):
@@ -169,9 +164,15 @@ class RobotSpec(Strict):
     rates: Rates
     margins: Margins
     workspace: Workspace
-    encoder: Encoder
+    filter: Filter
+    sensors: Sensors
     motors: dict[str, Motor]
     joints: Annotated[tuple[Joint, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _sensors_fit(self) -> Self:
+        check_sensors(self.sensors, self.rates.control_hz)
+        return self
 
     @model_validator(mode="after")
     def _motors_known(self) -> Self:
@@ -210,6 +211,11 @@ class RobotSpec(Strict):
     def n(self) -> int:
         """Number of joints."""
         return len(self.joints)
+
+    @property
+    def channels(self) -> dict[Kind, int]:
+        """How many channels each sensor has, in the order of robot.toml."""
+        return {kind: channels(kind, sensor, self.n) for kind, sensor in self.sensors.items()}
 
     @property
     def dt(self) -> float:

@@ -1,0 +1,131 @@
+"""What a robot feels: each sensor as its data sheet has it, a table in robot.toml.
+
+A sensor delivers packets: all of its channels, taken at one time. How it may really be is a matter of draws.toml.
+"""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from robots.strict import Strict
+
+Kind = Literal[
+    "encoder",
+    "velocity",
+    "current",
+    "temperature",
+    "gyro",
+    "accelerometer",
+    "orientation",
+    "force",
+    "torque",
+    "contact",
+    "goal",
+]
+
+UNITS: dict[Kind, str] = {
+    "encoder": "rad",
+    "velocity": "rad/s",
+    "current": "A",
+    "temperature": "degC",
+    "gyro": "rad/s",
+    "accelerometer": "m/s^2",
+    "orientation": "quat_wxyz",
+    "force": "N",
+    "torque": "N*m",
+    "contact": "N",
+    "goal": "m",
+}
+"""What each kind is measured in."""
+
+AT_JOINTS: tuple[Kind, ...] = ("encoder", "velocity", "current", "temperature")
+"""One channel for each joint."""
+AT_ONE_SITE: tuple[Kind, ...] = ("gyro", "accelerometer", "orientation", "force", "torque")
+"""In the frame of a site of model.xml: three channels, four for an orientation."""
+NEEDED: tuple[Kind, ...] = ("encoder", "current", "temperature")
+"""No robot is run without these: state, and heat."""
+
+BUFFER_S = 0.25
+"""s, the longest that a packet may be under way in simulation."""
+
+NotNegative = Annotated[float, Field(ge=0)]
+Delay = Annotated[float, Field(ge=0, lt=BUFFER_S)]
+Loss = Annotated[float, Field(ge=0, le=0.5)]
+
+
+class Sensor(Strict):
+    """The data sheet of one sensor.
+
+    Attributes:
+        unit: of what it measures, and of the numbers below.
+        sites: of model.xml, where it sits: one for inertial sensors, force and torque, one for each foot for contact,
+            none for the others.
+        rate_hz: packets in a second.
+        resolution: the step between two readings.
+        range: the largest reading, either way: what is beyond reads as this.
+        noise: standard deviation of a reading.
+        bias: the largest constant error.
+        drift: what a bias walks in an hour, standard deviation.
+        drift_per_k: what a bias moves for each K that the housing nearest to it has warmed.
+        delay_s: s, from taking to arriving.
+        loss: share of packets that never arrive.
+        source: where the numbers come from, or "estimate".
+    """
+
+    unit: str
+    sites: tuple[str, ...] = ()
+    rate_hz: PositiveInt
+    resolution: PositiveFloat
+    range: PositiveFloat
+    noise: NotNegative
+    bias: NotNegative
+    drift: NotNegative
+    drift_per_k: NotNegative
+    delay_s: Delay
+    loss: Loss
+    source: str
+
+    @model_validator(mode="after")
+    def _range_above_resolution(self) -> Self:
+        if self.resolution >= self.range:
+            raise ValueError(f"resolution {self.resolution} is not below range {self.range}")
+        return self
+
+    @property
+    def variance(self) -> float:
+        """Of one reading, by its noise and its steps. Source: Widrow and Kollár, Quantization Noise (2008), ch. 4."""
+        return self.noise**2 + self.resolution**2 / 12.0
+
+
+Sensors = dict[Kind, Sensor]
+"""By kind, in the order of robot.toml: the order of their channels."""
+
+
+def channels(kind: Kind, sensor: Sensor, joints: int) -> int:
+    """How many numbers one packet holds."""
+    if kind in AT_JOINTS:
+        return joints
+    if kind == "contact":
+        return len(sensor.sites)
+    return 4 if kind == "orientation" else 3
+
+
+def check_sensors(sensors: Sensors, control_hz: int) -> Sensors:
+    """What holds between the sensors of a robot.
+
+    Raises:
+        ValueError: one is missing, in another unit, at no site or at too many, or faster than the runtime looks.
+    """
+    for kind in NEEDED:
+        if kind not in sensors:
+            raise ValueError(f"no {kind}; found {', '.join(sensors) or 'none'}")
+    for kind, sensor in sensors.items():
+        sites = len(sensor.sites)
+        if sensor.unit != UNITS[kind]:
+            raise ValueError(f"{kind}.unit: found {sensor.unit!r}, expected {UNITS[kind]!r}")
+        if sites != (kind in AT_ONE_SITE) if kind != "contact" else not sites:
+            expected = "at least one" if kind == "contact" else "one" if kind in AT_ONE_SITE else "none"
+            raise ValueError(f"{kind}.sites: found {list(sensor.sites)}, expected {expected}")
+        if sensor.rate_hz > control_hz:
+            raise ValueError(f"{kind}.rate_hz: found {sensor.rate_hz}, expected at most control_hz {control_hz}")
+    return sensors
