@@ -1,27 +1,47 @@
 """Joint state from late, noisy, missing samples: one Kalman filter per joint, all in one pass, and heat beside it.
 
-Each filter holds angle and speed at the time its newest sample was TAKEN, under white-noise acceleration; `State` is
-that belief carried forward to now. filterpy gives the process noise and is the oracle of the tests.
+What is estimated is how far each joint is from where it was SENT, which changes far less than where it is: angle and
+speed of that deviation, under white-noise acceleration, at the time its newest sample was TAKEN. `State` is what was
+sent by now plus the deviation carried forward to now. The same filter with the setpoint's motion as its known input.
+filterpy gives the process noise and is the oracle of the tests.
 """
 
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
 
-from deploy.flags import every
+from deploy.flags import every, some
 from deploy.heat import Heat
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Sample, State
+from deploy.state import Bools, Floats, Ints, Packet, Reason, Sample, Setpoint, State
 from robots.spec import RobotSpec
 
 SPEED_STD = 1.0
 """rad/s, how unsure the speed is when a filter is seeded from one sample."""
+REMEMBERED_S = 0.2
+"""s of setpoints kept: a sample that is older says nothing any more."""
+GATE = 8.0
+"""Standard deviations of an innovation beyond which a sample is left out: a gross error, not noise."""
+STUCK_S, STUCK_STD = 0.1, 10.0
+"""A sensor that says the very same for so long, in which it was sent away by so many standard deviations, is stuck."""
+MEMORY, DIVERGED = 50.0, 9.0
+"""Samples of the running mean of squared innovations, and the mean above which a filter does not know what it does."""
 
 
 class Estimator(Stage):
-    """Angle and speed of B × n joints; `p00`, `p01` and `p11` (B, n) are their covariance; `heat` knows the motors."""
+    """Deviation and its speed of B × n joints.
+
+    Attributes:
+        e, ed: (B, n) rad and rad/s, and p00, p01, p11 (B, n) their covariance, at t_sample (B, n) s.
+        innovation: (B, n) the last one, in standard deviations. nis: (B, n) running mean of its square.
+        sent: (B, ticks, 2n) setpoints remembered, angles and speeds.
+        said: (B, n) rad, the last sample. moved: (B, n) rad, the setpoint when it was first said. same: (B, n) how
+            often since.
+        heat: what knows the motors.
+    """
 
     carried = (
-        *("q", "qd", "p00", "p01", "p11", "t_sample", "innovation", "seeded"),
+        *("e", "ed", "p00", "p01", "p11", "t_sample", "innovation", "nis", "seeded"),
+        *("sent", "said", "moved", "same"),
         *(f"heat.{name}" for name in Heat.carried),
     )
 
@@ -32,16 +52,21 @@ class Estimator(Stage):
             spec: encoder noise and joint restlessness.
             robots: B.
         """
-        shape = (robots, spec.n)
-        self.q, self.qd, self.innovation = np.zeros((3, *shape))
+        shape, encoder = (robots, spec.n), spec.sensors["encoder"]
+        self.e, self.ed, self.innovation, self.nis, self.said, self.moved = np.zeros((6, *shape))
         self.p00, self.p01, self.p11 = np.zeros((3, *shape))
-        self.t_sample = np.zeros(robots)
-        self.seeded = np.zeros(robots, dtype=bool)
-        self.heat, self._dt = Heat(spec, robots), spec.dt
+        self.t_sample, self.seeded = np.zeros(shape), np.zeros(robots, dtype=bool)
+        self.same = np.zeros(shape, dtype=np.int64)
+        self.heat, self._dt, self._depth = Heat(spec, robots), spec.dt, round(REMEMBERED_S / spec.dt)
+        self.sent = np.zeros((robots, self._depth, 2 * spec.n))
+        self._row, self._n = np.arange(robots) * self._depth, spec.n
         # numpy is quickest where every shape is the same.
-        self._wide = np.zeros(shape)
-        self._r = np.full(shape, spec.encoder.noise_rad**2 + spec.encoder.resolution_rad**2 / 12)
-        unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=spec.encoder.acceleration_density)
+        self._wide, self._r = np.zeros(shape), np.full(shape, encoder.variance)
+        # A constant error that nobody can see: uniform in ± bias.
+        self._bias_var = encoder.bias**2 / 3.0
+        self._stuck_rad = STUCK_STD * np.sqrt(encoder.variance)
+        self._stuck_many = round(STUCK_S * encoder.rate_hz)
+        unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=spec.filter.acceleration_density)
         self._g00, self._g01, self._g11 = (np.full(shape, unit[place]) for place in ((0, 0), (0, 1), (1, 1)))
 
     def reset(self, ids: Bools) -> None:
@@ -49,35 +74,83 @@ class Estimator(Stage):
         self.seeded[ids] = False
         self.heat.reset(ids)
 
-    def step(self, t: float, sample: Sample) -> State:
+    def follow(self, ids: Bools, sent: Setpoint) -> None:
+        """Robots where `ids` (B,) holds are sent somewhere else from now on, and have not moved for that."""
+        now = self.sent[ids, self._place]
+        new = np.concatenate((sent.q, sent.qd), axis=1)[ids]
+        self.e[ids] += (now - new)[:, : self._n]
+        self.ed[ids] += (now - new)[:, self._n :]
+        self.sent[ids], self.moved[ids] = new[:, None], new[:, : self._n]
+
+    def step(self, t: float, sample: Sample, sent: Setpoint) -> State:
         """Fuse what arrived and carry the belief to now.
 
-        A packet older than the last, more than a period from the future (it would look fresh forever), or with an
-        angle that is not finite is left out, as if it had never arrived.
+        A packet from the future by more than a period (it would look fresh for ever) or older than is remembered, and
+        an angle that is not finite or older than the last, is left out, as if it had never arrived. So is one beyond
+        the gate.
 
         Args:
-            t: s, now.
+            t: s, now, a whole number of periods.
             sample: the newest packets.
+            sent: the setpoint that the drives should have reached by now.
         """
-        arrived = sample.fresh & (sample.t <= t + self._dt)
-        finite = np.isfinite(sample.q)
-        if not every(finite):
-            arrived &= finite.all(axis=1)
+        self._place = round(t / self._dt) % self._depth
+        now = self.sent[:, self._place]
+        now[:, : self._n], now[:, self._n :] = sent.q, sent.qd
+        packet = sample["encoder"]
+        there = self._there(t, packet)
+        reference = self._sent_at(packet.t, there)
+        deviation, finite = packet.value - reference, np.isfinite(packet.value)
         if not every(self.seeded):
-            self._seed(arrived & ~self.seeded & np.isfinite(sample.t), sample)
-        fused = arrived & (sample.t > self.t_sample)
-        dt = sample.t - self.t_sample
-        dt[~fused] = 0.0
-        self.t_sample += dt
-        self._predict(self._each_joint(dt))
-        self._update(sample.q, fused[:, None])
+            self._seed(~self.seeded & there & finite.all(axis=1), packet, deviation)
+        new = (packet.t[:, None] > self.t_sample) & (there & self.seeded)[:, None] & finite
+        fused = self._fuse(packet, deviation, new)
+        self._listen(packet.value, reference, fused)
         self.heat.step(sample)
-        return self._now(t, sample)
+        return self._now(t, sample, sent)
 
-    def _seed(self, ids: Bools, sample: Sample) -> None:
-        self.q[ids], self.qd[ids], self.innovation[ids] = sample.q[ids], 0.0, 0.0
+    def _there(self, t: float, packet: Packet) -> Bools:
+        """(B,) whether a packet arrived that may count."""
+        return packet.fresh & (packet.t <= t + self._dt) & (packet.t > t + self._dt - self._depth * self._dt)
+
+    def _sent_at(self, t: Floats, there: Bools) -> Floats:
+        """(B, n) rad, where the joints were sent for the times t (B,)."""
+        ticks = np.where(there, t, 0.0) / self._dt
+        whole = np.rint(ticks)
+        place = self._row + whole.astype(np.int64) % self._depth
+        sent = self.sent.reshape(-1, 2 * self._n).take(place, axis=0)
+        return sent[:, : self._n] + sent[:, self._n :] * ((ticks - whole) * self._dt)[:, None]
+
+    def _seed(self, ids: Bools, packet: Packet, deviation: Floats) -> None:
+        self.e[ids], self.ed[ids], self.innovation[ids], self.nis[ids] = deviation[ids], 0.0, 0.0, 1.0
         self.p00[ids], self.p01[ids], self.p11[ids] = self._r[ids], 0.0, SPEED_STD**2
-        self.t_sample[ids], self.seeded[ids] = sample.t[ids], True
+        self.t_sample[ids], self.seeded[ids], self.same[ids] = packet.t[ids, None], True, 0
+
+    def _fuse(self, packet: Packet, deviation: Floats, new: Bools) -> Bools:
+        """Predict to the packet and correct; a sample left out counts as the expected one with infinite variance."""
+        dt = self._each_joint(packet.t) - self.t_sample
+        if not every(new):
+            dt[~new] = 0.0
+        residual = deviation - (self.e + self.ed * dt)
+        variance = self._q_var(dt) + self._r
+        square = residual * residual / variance
+        fused = new & (square <= GATE**2)
+        if every(fused):
+            self._count(residual, variance, square, None)
+        else:
+            self._count(residual, variance, square, new)
+            missing = ~fused
+            dt[missing], residual[missing], variance[missing] = 0.0, 0.0, np.inf
+        np.copyto(self.t_sample, packet.t[:, None], where=fused)
+        self._predict(dt)
+        self._correct(residual, variance)
+        return fused
+
+    def _count(self, residual: Floats, variance: Floats, square: Floats, new: Bools | None) -> None:
+        """How well the samples were expected."""
+        where = True if new is None else new
+        np.divide(residual, np.sqrt(variance), out=self.innovation, where=where)
+        np.add(self.nis, (np.minimum(square, GATE**2) - self.nis) / MEMORY, out=self.nis, where=where)
 
     def _each_joint(self, robots: Floats) -> Floats:
         """(B, n) of (B,), until the next call."""
@@ -85,7 +158,7 @@ class Estimator(Stage):
         return self._wide
 
     def _predict(self, dt: Floats) -> None:
-        self.q += self.qd * dt
+        self.e += self.ed * dt
         self.p00[:] = self._q_var(dt)
         self.p01 += dt * (self.p11 + self._g01 * dt)
         self.p11 += self._g11 * dt
@@ -94,33 +167,46 @@ class Estimator(Stage):
         """(B, n) rad², variance of the angle after `dt` (B, n) s without a sample."""
         return self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._g00 * dt))
 
-    def _update(self, z: Floats, fused: Bools) -> None:
-        """A missing sample counts as the expected one with infinite variance, which changes nothing."""
-        residual, variance = z - self.q, self.p00 + self._r
-        if every(fused):
-            np.divide(residual, np.sqrt(variance), out=self.innovation)
-        else:
-            np.divide(residual, np.sqrt(variance), out=self.innovation, where=fused)
-            np.copyto(residual, 0.0, where=~fused)
-            np.copyto(variance, np.inf, where=~fused)
+    def _correct(self, residual: Floats, variance: Floats) -> None:
         k0, k1 = self.p00 / variance, self.p01 / variance
-        self.q += k0 * residual
-        self.qd += k1 * residual
+        self.e += k0 * residual
+        self.ed += k1 * residual
         self.p11 -= k1 * self.p01
         self.p01 -= k0 * self.p01
         self.p00 -= k0 * self.p00
 
-    def _now(self, t: float, sample: Sample) -> State:
-        age = t - self.t_sample
-        lag = self._each_joint(age)
+    def _listen(self, said: Floats, reference: Floats, fused: Bools) -> None:
+        """Count how often each sensor has said the very same."""
+        other = fused & (said != self.said)
+        np.copyto(self.said, said, where=other)
+        np.copyto(self.moved, reference, where=other)
+        self.same += fused
+        np.copyto(self.same, 0, where=other)
+
+    def _fault(self) -> Ints:
+        """(B,) reasons to doubt the estimate."""
+        stuck = self.same >= self._stuck_many
+        reason = np.zeros(len(self.seeded), dtype=np.int64)
+        if some(stuck):
+            away = np.abs(self.sent[:, self._place, : self._n] - self.moved) > self._stuck_rad
+            reason[(stuck & away).any(axis=1)] |= np.int64(Reason.STUCK)
+        sure = (self.nis <= DIVERGED) & np.isfinite(self.p00 + self.p11)
+        if not every(sure):
+            reason[~sure.all(axis=1) & self.seeded] |= np.int64(Reason.DIVERGED)
+        return reason
+
+    def _now(self, t: float, sample: Sample, sent: Setpoint) -> State:
+        lag = t - self.t_sample
+        age = lag.max(axis=1)
         np.copyto(age, np.inf, where=~self.seeded)
         return State(
             t=t,
-            q=self.q + self.qd * lag,
-            qd=self.qd.copy(),
-            q_var=self._q_var(lag),
+            q=sent.q + (self.e + self.ed * lag),
+            qd=sent.qd + self.ed,
+            q_var=self._q_var(lag) + self._bias_var,
             age=age,
             innovation=self.innovation,
-            temperature=sample.temperature,
+            temperature=sample["temperature"].value,
             winding=self.heat.winding,
+            fault=self._fault(),
         )

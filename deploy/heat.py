@@ -65,14 +65,15 @@ class Heat(Stage):
         Args:
             sample: the newest packets; what is no number in them counts as the last one that was.
         """
-        square = sample.current * sample.current
+        current, housing = sample["current"].value, sample["temperature"].value
+        square = current * current
         np.copyto(self.last, square, where=np.isfinite(square))
         self.square += self.last
         self.ticks += 1
         if some(self.unknown):
-            self._begin(sample.temperature)
+            self._begin(housing)
         if self.ticks[0] % self._every == 0:
-            self._warm(sample.temperature)
+            self._warm(housing)
 
     def _begin(self, housing: Floats) -> None:
         """Start with what is measured, where every joint of a robot is."""

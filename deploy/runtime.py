@@ -65,15 +65,15 @@ class Runtime:
         self.asked = np.zeros(robots, dtype=np.int64)
         rest = np.zeros((robots, spec.n))
         self._ahead, self._tau_ahead = Setpoint(q=rest, qd=rest, qdd=rest), rest
-        self._tool = np.zeros((robots, 3))
+        self._tool, self._goal = np.zeros((2, robots, 3))
 
     def _sources(self) -> Sources:
         return {
             "joint_position": lambda: self.state.q,
             "joint_velocity": lambda: self.state.qd,
             "tool_position": lambda: self._tool,
-            "goal_from_tool": lambda: self.task.goal - self._tool,
-            "goal_torque": lambda: self.fleet.tool_pull(self.task.goal - self._tool),
+            "goal_from_tool": lambda: self._goal - self._tool,
+            "goal_torque": lambda: self.fleet.tool_pull(self._goal - self._tool),
             "target_offset": lambda: self.action.q - self.state.q,
             "last_action": lambda: self.action.last,
         }
@@ -105,11 +105,15 @@ class Runtime:
 
     def sense(self) -> Float32s | None:
         """Read and estimate; the observation (B, N) when the policy is due, else None."""
-        self.state = self.estimator.step(self.t, self.robot.read())
+        self.robot.show(self.task.goal)
+        sample = self.robot.read()
+        self.state = self.estimator.step(self.t, sample, self.smoother.sent)
         if self.ticks % self.decimation:
             return None
         self.fleet.place(self.state.q)
         self._tool[:] = self.fleet.tool_position
+        seen = sample["goal"].value
+        self._goal[:] = np.where(np.isfinite(seen), seen, self._tool)  # who sees no goal stays where it is
         off = ~self.supervisor.powered
         if some(off):  # a robot without power wants to be where it stands
             self.action.reset(off, self.state.q)
@@ -138,7 +142,7 @@ class Runtime:
         self.ticks += 1
 
     def _reason(self) -> Ints:
-        reason = self.verdict.reason | self.asked
+        reason = self.verdict.reason | self.state.fault | self.asked
         if not every(self.action.finite):
             reason[~self.action.finite] |= _NOT_FINITE
         return reason
@@ -182,10 +186,11 @@ class Runtime:
         ids = ids & ~self.supervisor.powered
         here = Setpoint(q=self.state.q, qd=np.zeros_like(self.state.q), qdd=np.zeros_like(self.state.q))
         verdict = self.safety.step(self.state, here, here, here, here.q, here.q)
-        reason = np.where(ids, verdict.reason, 0)
+        reason = np.where(ids, verdict.reason | self.state.fault, 0)
         self.asked[ids] = 0
         granted = ids & (reason == 0)
         self.supervisor.arm(granted)
+        self.estimator.follow(granted, here)
         self.smoother.hold(granted, self.state.q)
         self._ahead = _where(~granted, self._ahead, here)
         self.action.reset(granted, self.state.q)

@@ -5,33 +5,36 @@ stage's buffers and hold until that stage's next step: copy what must outlive th
 some are made on every tick: a frozen dataclass takes three times as long to make.
 """
 
+from collections.abc import Mapping
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robots.sensors import Kind
+
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 
-class Sample(NamedTuple):
-    """What the robot's bus delivered: late, noisy, sometimes nothing.
+class Packet(NamedTuple):
+    """The newest packet of one sensor: late, noisy, sometimes an old one again.
 
     Attributes:
-        t: (B,) s, when `q` was taken, on the runtime's clock.
-        fresh: (B,) whether a packet arrived since the last read; if not, `q` repeats the last one.
-        q: (B, n) rad, encoder angle.
-        current: (B, n) A, motor current.
-        temperature: (B, n) °C, motor housing.
+        t: (B,) s, when it was taken, on the runtime's clock.
+        fresh: (B,) whether a packet arrived since the last read; if not, `value` repeats the last one.
+        value: (B, channels) in the unit of the sensor; NaN where a channel says nothing.
     """
 
     t: Floats
     fresh: Bools
-    q: Floats
-    current: Floats
-    temperature: Floats
+    value: Floats
+
+
+Sample = Mapping[Kind, Packet]
+"""What the robot's bus delivered, by sensor."""
 
 
 class State(NamedTuple):
@@ -45,6 +48,7 @@ class State(NamedTuple):
         innovation: (B, n) last innovation in standard deviations.
         temperature: (B, n) °C, motor housing.
         winding: (B, n) °C, as `Heat` has it.
+        fault: (B,) int64 bit sets of `Reason`, why the estimate is not to be trusted; 0 where it is.
     """
 
     t: float
@@ -55,6 +59,7 @@ class State(NamedTuple):
     innovation: Floats
     temperature: Floats
     winding: Floats
+    fault: Ints
 
 
 class Target(NamedTuple):
@@ -100,6 +105,8 @@ class Reason(IntFlag):
     OVERRUN = 1 << 12
     OPERATOR = 1 << 13
     OUTSIDE = 1 << 14
+    STUCK = 1 << 15
+    DIVERGED = 1 << 16
 
 
 class Verdict(NamedTuple):

@@ -21,6 +21,8 @@ CATEGORY_1 = (
     | Reason.HEAT
     | Reason.TRACKING
     | Reason.OUTSIDE
+    | Reason.STUCK
+    | Reason.DIVERGED
     | Reason.OVERRUN
     | Reason.OPERATOR
 )
@@ -48,6 +50,8 @@ WORDS = {
     Reason.OVERRUN: "too many ticks came late",
     Reason.OPERATOR: "the operator asked for it",
     Reason.OUTSIDE: "a joint is outside its working range",
+    Reason.STUCK: "an encoder says the same, again and again",
+    Reason.DIVERGED: "an estimate does not fit what is measured",
 }
 
 

@@ -242,7 +242,9 @@ class Draw(Mapping[str, Floats]):
 
     def replaced(self, values: Mapping[str, Floats | float]) -> "Draw":
         """The same robots but for some numbers, which numpy broadcasts."""
-        new = {name: np.array(np.broadcast_to(x, self[name].shape), dtype=float) for name, x in values.items()}
+        new = {
+            name: np.array(np.broadcast_to(x, self[name].shape), dtype=float) for name, x in values.items()
+        }
         return Draw(dict(self) | new)
 
     def to_json(self) -> str:
@@ -314,7 +316,9 @@ def _numbers(data: object, quantity: Quantity, spec: RobotSpec, where: str) -> F
         raise ConfigError(f"{where}: not an array of numbers: {data!r:.40}") from e
     expected = shape(quantity, spec)
     if values.shape[1:] != expected or not len(values):
-        raise ConfigError(f"{where}: found shape {values.shape}, expected (B, {', '.join(map(str, expected))})")
+        raise ConfigError(
+            f"{where}: found shape {values.shape}, expected (B, {', '.join(map(str, expected))})"
+        )
     beyond = values[~((values >= quantity.low) & (values <= quantity.high))]
     if beyond.size:
         raise ConfigError(f"{where}: found {beyond[0]:g}, expected [{quantity.low:g}, {quantity.high:g}]")

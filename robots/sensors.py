@@ -127,5 +127,7 @@ def check_sensors(sensors: Sensors, control_hz: int) -> Sensors:
             expected = "at least one" if kind == "contact" else "one" if kind in AT_ONE_SITE else "none"
             raise ValueError(f"{kind}.sites: found {list(sensor.sites)}, expected {expected}")
         if sensor.rate_hz > control_hz:
-            raise ValueError(f"{kind}.rate_hz: found {sensor.rate_hz}, expected at most control_hz {control_hz}")
+            raise ValueError(
+                f"{kind}.rate_hz: found {sensor.rate_hz}, expected at most control_hz {control_hz}"
+            )
     return sensors

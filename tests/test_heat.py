@@ -10,7 +10,7 @@ from test_spec import SPEC, copy_of_arm
 from deploy.heat import PERIOD_S, STEPS, Heat
 from deploy.runtime import Runtime
 from deploy.smoother import Smoother
-from deploy.state import Mode, Reason, Sample
+from deploy.state import Mode, Packet, Reason
 from robots.errors import RobotError
 from robots.randomness import robot_seed
 from robots.spec import load_robot
@@ -24,13 +24,9 @@ THERMAL = (r'thermal="1.0 40 0 0.0039 25 25"', r'thermal="2.0 12 0 0.0039 25 25"
 
 
 def sample(current, housing, robots=1):
-    return Sample(
-        t=np.zeros(robots),
-        fresh=np.ones(robots, dtype=bool),
-        q=np.zeros((robots, N)),
-        current=np.broadcast_to(np.asarray(current, dtype=float), (robots, N)),
-        temperature=np.broadcast_to(np.asarray(housing, dtype=float), (robots, N)),
-    )
+    t, fresh, rest = np.zeros(robots), np.ones(robots, dtype=bool), np.zeros((robots, N))
+    values = {"encoder": rest, "current": rest + current, "temperature": rest + housing}
+    return {kind: Packet(t=t, fresh=fresh, value=value) for kind, value in values.items()}
 
 
 def at(winding):

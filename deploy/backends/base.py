@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from deploy.state import Bools, Command, Sample
+from deploy.state import Bools, Command, Floats, Sample
 
 
 class Robot(Protocol):
@@ -11,7 +11,11 @@ class Robot(Protocol):
     robots: int
 
     def read(self) -> Sample:
-        """The newest packets that have arrived; never blocks longer than a control period."""
+        """The newest packet of every sensor; never blocks longer than a control period."""
+        ...
+
+    def show(self, goal: Floats) -> None:
+        """Told on every tick where the goals are, (B, 3) m in the world; a real robot has cameras of its own."""
         ...
 
     def write(self, command: Command) -> None:

@@ -4,39 +4,64 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from deploy.backends.sim.packets import Fault
 from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.sensors import Sensors
 from deploy.backends.sim.truth import Truth
 from deploy.state import Bools, Command, Floats, Sample
-from robots.draws import draw, load_distributions
+from robots.draws import Draw, draw, load_distributions
 from robots.spec import RobotSpec
 
 
 class SimRobot:
     """Physics advances one control period with every `write`."""
 
-    def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence], *, threads: int = 1) -> None:
+    def __init__(
+        self,
+        spec: RobotSpec,
+        seeds: Sequence[np.random.SeedSequence],
+        *,
+        given: Draw | None = None,
+        faults: Sequence[Fault] = (),
+        threads: int = 1,
+    ) -> None:
         """Draw B robots and put them at home, brakes on.
 
         Args:
             spec: the robot as it should be.
             seeds: B seeds: one draw, one stream of noise each.
+            given: B robots as they are, in the place of those that the seeds would draw.
+            faults: of their sensors.
             threads: for physics; results do not depend on it.
         """
         self.spec, self.robots = spec, len(seeds)
-        self.draw = draw(load_distributions(spec), spec.n, seeds)
-        self.plant = Plant(spec, self.draw, threads=threads)
-        self.sensors = Sensors(spec, self.draw, seeds)
-        self.sensors.reset(np.ones(self.robots, dtype=bool), self.plant.q)
+        self.draw = given or draw(load_distributions(spec), spec, seeds)
+        self.plant = Plant(spec, self.draw, seeds, threads=threads)
+        self.sensors = Sensors(spec, self.draw, seeds, faults)
+        self.goal = np.full((self.robots, 3), np.nan)
+        self._settle(np.ones(self.robots, dtype=bool))
 
     def read(self) -> Sample:
         """The newest packets."""
-        return self.sensors.read(self.plant.current, self.plant.housing)
+        return self.sensors.read()
+
+    def show(self, goal: Floats) -> None:
+        """Put goals (B, 3), m in the world, where the cameras can see them."""
+        self.goal[:] = goal
 
     def write(self, command: Command) -> None:
         """Command every robot for one control period and live through it."""
         self.plant.step(command)
-        self.sensors.take(self.plant.q)
+        self.sensors.take(self._readings())
+
+    def _readings(self) -> Floats:
+        """(B, C) what is true where each sensor sits."""
+        return np.concatenate(
+            [self.goal if kind == "goal" else self.plant.reading(kind) for kind in self.spec.sensors], axis=1
+        )
+
+    def _settle(self, ids: Bools) -> None:
+        self.sensors.reset(ids, self._readings())
 
     def stop(self, ids: Bools) -> None:
         """Category 0: brakes close now on the pose they find."""
@@ -45,7 +70,7 @@ class SimRobot:
     def reset(self, ids: Bools, q: Floats) -> None:
         """Rest robots where `ids` holds at `q` (B, n) rad, motors as at the start of the shift."""
         self.plant.reset(ids, q)
-        self.sensors.reset(ids, q)
+        self._settle(ids)
 
     def truth(self) -> Truth:
         """What really holds now: not for the runtime."""

@@ -1,75 +1,169 @@
-"""What the simulated bus delivers: encoders that are noisy, coarse, late, and sometimes silent."""
+"""What the simulated bus delivers: readings that are noisy, coarse and off, in packets that are late or lost."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from deploy.backends.sim.packets import CHUNK, NEVER, WRONG, Failure, Fault, Packets, silent
+from deploy.flags import every
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Sample
+from deploy.state import Bools, Floats, Ints, Packet, Sample
 from robots.draws import Draw
 from robots.randomness import keyed, keys
+from robots.sensors import AT_JOINTS, Kind
 from robots.spec import RobotSpec
 
-CHUNK = 256
-"""Ticks of noise made at once; noise is a function of seed, robot and tick."""
+NOISE, TRAVEL, GARBAGE = 1, 4, 5
+"""Purposes of the streams of random numbers."""
 
 
 class Sensors(Stage):
-    """Encoder packets of B robots: taken every tick, arriving whole ticks later, or never."""
+    """Every sensor of B robots: C channels side by side, in the order of `spec.sensors`.
 
-    carried = ("taken", "q", "t", "tick")
+    Attributes:
+        ring: (B, depth, C) readings on their way. value: (B, C) those that arrived last. taken: (B, G) ticks when.
+        told: (B, G) whether the packet that was there at a reset has been read.
+        walk: (B, C) what biases have walked. cold: (B, C) °C at a reset. shift: (B, C) all constant error of a chunk.
+        held: (B, C) what a stuck channel goes on saying.
+    """
 
-    def __init__(self, spec: RobotSpec, draw: Draw, seeds: Sequence[np.random.SeedSequence]) -> None:
-        """Read the lies each robot's draw tells."""
-        robots = len(seeds)
-        self._dt = spec.dt
-        self._resolution: Floats = np.full((robots, spec.n), spec.encoder.resolution_rad)
-        self._sigma, self._loss, self._keys = draw.noise_rad, draw.loss, keys(seeds, purpose=1)
-        # The runtime looks once a tick: a packet is seen at the first tick after it has arrived.
-        self._lag = np.ceil(draw.delay_s / spec.dt - 1e-9).astype(np.int64)
-        self._depth = int(self._lag.max()) + 1
-        self.taken = np.zeros((robots, self._depth, spec.n))
-        self._packets = self.taken.reshape(-1, spec.n)
-        # For each place in the ring that the present may have: the packets that arrive then.
-        present = np.arange(self._depth)[:, None]
-        self._arriving = np.arange(robots) * self._depth + (present - self._lag) % self._depth
-        self.q, self.t = np.zeros((robots, spec.n)), np.zeros(robots)
-        self.tick = np.zeros(1, dtype=np.int64)
-        self._noise = np.zeros((CHUNK, robots, spec.n))
-        self._kept = np.zeros((CHUNK, robots), dtype=bool)
-        self._chunk = -1
+    carried = ("ring", "value", "taken", "told", "walk", "cold", "shift", "held", "tick")
 
-    def reset(self, ids: Bools, q: Floats) -> None:
-        """Robots where `ids` holds have stood at `q` (B, n) rad for a while."""
-        self.taken[ids] = self._quantized(q)[ids, None, :]
+    def __init__(
+        self,
+        spec: RobotSpec,
+        draw: Draw,
+        seeds: Sequence[np.random.SeedSequence],
+        faults: Sequence[Fault] = (),
+    ) -> None:
+        """Read the lies that each robot's draw tells.
 
-    def take(self, q: Floats) -> None:
-        """Move on one tick and put the true angles `q` (B, n) rad on the bus."""
+        Raises:
+            ConfigError: a fault of a sensor that the robot lacks.
+        """
+        robots, sheet, sizes = len(seeds), list(spec.sensors.values()), list(spec.channels.values())
+        self._dt, self._faults = spec.dt, faults
+        self._noise_keys, self._garbage_keys = keys(seeds, NOISE), keys(seeds, GARBAGE)
+        self._packets = Packets(spec, draw, keys(seeds, TRAVEL), faults)
+        self._sensor = np.repeat(np.arange(len(sheet)), sizes)
+        ends = np.cumsum(sizes)
+        self.columns: dict[Kind, slice] = {
+            kind: slice(end - size, end) for kind, end, size in zip(spec.sensors, ends, sizes, strict=True)
+        }
+        self._resolution, self._range = (
+            np.tile(self._each(spec, f), (robots, 1)) for f in ("resolution", "range")
+        )
+        self._sigma = self._each(spec, "noise") * draw["sensors.noise"][:, self._sensor]
+        self._bias = self._each(spec, "bias") * draw["sensors.bias"]
+        an_hour = self._each(spec, "drift") * draw["sensors.drift"][:, self._sensor]
+        self._step = an_hour * np.sqrt(CHUNK * self._dt / 3600)
+        self._per_k, self._housing = self._each(spec, "drift_per_k"), self._nearest_housing(spec)
+        width, depth = len(self._sensor), self._packets.depth
+        self.ring = np.zeros((robots, depth, width))
+        self.value, self.walk, self.cold, self.shift, self.held = np.full((5, robots, width), np.nan)
+        self.taken = np.zeros((robots, len(sheet)), dtype=np.int64)
+        self.told, self.tick = np.zeros(self.taken.shape, dtype=bool), np.zeros(1, dtype=np.int64)
+        self._row = np.arange(robots)[:, None] * depth
+        self._chunk = NEVER
+
+    def _each(self, spec: RobotSpec, field: str) -> Floats:
+        """(C,) one number of every channel's sensor."""
+        return np.array([getattr(sensor, field) for sensor in spec.sensors.values()])[self._sensor]
+
+    def _nearest_housing(self, spec: RobotSpec) -> Ints:
+        """(C,) for each channel, the channel of the housing next to it: its own joint's, or the last joint's."""
+        housing = np.arange(self.columns["temperature"].start, self.columns["temperature"].stop)
+        parts = [
+            housing if kind in AT_JOINTS else np.full(size, housing[-1])
+            for kind, size in spec.channels.items()
+        ]
+        return np.concatenate(parts)
+
+    def reset(self, ids: Bools, truth: Floats) -> None:
+        """Robots where `ids` (B,) holds have been as `truth` (B, C) says for a while, and are read at once."""
+        self.walk[ids], self.shift[ids] = 0.0, self._bias[ids]
+        self.cold[ids] = truth[ids][:, self._housing]
+        reading = self._quantized(truth + self.shift)
+        self.ring[ids], self.value[ids], self.held[ids] = reading[ids, None, :], reading[ids], reading[ids]
+        self.taken[ids], self.told[ids] = self._packets.last_taken(int(self.tick[0]))[ids], False
+
+    def take(self, truth: Floats) -> None:
+        """Move on one tick and put what is true now, (B, C), on the bus."""
         self.tick += 1
+        self.told[:] = True
         tick = int(self.tick[0])
-        self._need(tick)
-        self.taken[:, tick % self._depth] = self._quantized(q + self._noise[tick % CHUNK])
+        if tick % CHUNK == 0:
+            self._drift_on(tick // CHUNK, truth)
+        self._need(tick // CHUNK)
+        reading = self._quantized(truth + self._noise[tick % CHUNK] + self.shift)
+        for fault in self._faults:
+            self._fail(fault, tick, reading)
+        self.ring[:, tick % self._packets.depth] = reading
 
-    def read(self, current: Floats, temperature: Floats) -> Sample:
-        """The newest packet that has arrived; motor readings ride along undelayed, temperature in whole °C."""
+    def read(self) -> Sample:
+        """The newest packet of every sensor."""
         tick = int(self.tick[0])
-        self._need(tick)
-        fresh = self._kept[tick % CHUNK].copy()
-        newest = self._packets.take(self._arriving[tick % self._depth], axis=0)
-        np.copyto(self.q, newest, where=fresh[:, None])
-        np.copyto(self.t, (tick - self._lag) * self._dt, where=fresh)
-        return Sample(t=self.t, fresh=fresh, q=self.q, current=current, temperature=np.rint(temperature))
+        self._need(tick // CHUNK)
+        place = tick % CHUNK
+        arrived = self._arrived[place]
+        fresh = arrived if every(self.told) else arrived | ~self.told
+        np.copyto(self.taken, self._taken[place], where=arrived)
+        np.copyto(self.value, self.ring.take(self._source[place]), where=self._wide[place])
+        t = self.taken * self._dt
+        return {
+            kind: Packet(t=t[:, g], fresh=fresh[:, g], value=self.value[:, columns])
+            for g, (kind, columns) in enumerate(self.columns.items())
+        }
 
-    def _quantized(self, q: Floats) -> Floats:
-        return np.rint(q / self._resolution) * self._resolution
+    def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Put saved arrays back, bit for bit."""
+        super().restore(arrays)
+        self._chunk = NEVER
 
-    def _need(self, tick: int) -> None:
-        """Make the noise of the chunk that `tick` is in."""
-        chunk = tick // CHUNK
+    def _quantized(self, x: Floats) -> Floats:
+        inside = np.minimum(np.maximum(x, -self._range), self._range)
+        inside /= self._resolution
+        np.rint(inside, out=inside)
+        inside *= self._resolution
+        return inside
+
+    def _drift_on(self, chunk: int, truth: Floats) -> None:
+        """Biases walk a step and follow the warmth."""
+        for robot, key in enumerate(self._noise_keys):
+            self.walk[robot] += self._step[robot] * keyed(key, 2 * chunk + 1).standard_normal(
+                self.walk.shape[1]
+            )
+        warmed = truth[:, self._housing] - self.cold
+        self.shift[:] = self._bias + self.walk + self._per_k * warmed
+
+    def _need(self, chunk: int) -> None:
+        """Make noise and arrivals of a chunk."""
         if chunk == self._chunk:
             return
-        self._chunk = chunk
-        for robot, key in enumerate(self._keys):
-            rng = keyed(key, chunk)
-            self._noise[:, robot] = self._sigma[robot] * rng.standard_normal((CHUNK, self.q.shape[1]))
-            self._kept[:, robot] = rng.random(CHUNK) >= self._loss[robot]
+        self._chunk, width = chunk, len(self._sensor)
+        noise = [keyed(key, 2 * chunk).standard_normal((CHUNK, width)) for key in self._noise_keys]
+        self._noise = np.stack(noise, axis=1) * self._sigma
+        arriving = self._packets.arriving(chunk)
+        self._arrived = arriving != NEVER
+        self._taken, self._wide = arriving, self._arrived[:, :, self._sensor]
+        row = self._row + arriving % self._packets.depth
+        self._source = row[:, :, self._sensor] * width + np.arange(width)
+
+    def _fail(self, fault: Fault, tick: int, reading: Floats) -> None:
+        """What a fault does to a reading; `held` is what a channel said before it got stuck."""
+        columns = self.columns[fault.sensor]
+        if fault.channel is not None:
+            columns = slice(columns.start + fault.channel, columns.start + fault.channel + 1)
+        mine, held = reading[fault.robot, columns], self.held[fault.robot, columns]
+        if not fault.begins <= tick < fault.ends:
+            held[:] = mine
+        elif fault.what == Failure.STUCK:
+            mine[:] = held
+        elif fault.what == Failure.GARBAGE:
+            rng = keyed(self._garbage_keys[fault.robot], tick)
+            mine[:] = rng.uniform(-1.0, 1.0, mine.shape) * self._range[fault.robot, columns]
+        elif fault.what == Failure.WRONG:
+            mine += WRONG * self._range[fault.robot, columns]
+        elif fault.channel is not None and silent(fault, np.array([tick]), self._dt)[0]:
+            mine[:] = np.nan

@@ -1,0 +1,172 @@
+"""How packets travel: late by a time that changes, lost in bursts, twice, and after ones that were taken later.
+
+All of it is a function of seed, robot and tick, worked out for many ticks at once: for each tick, when the packet that
+arrives was taken. Nothing has to be saved.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from deploy.state import Bools, Floats, Ints
+from robots.draws import Draw
+from robots.errors import ConfigError
+from robots.randomness import Keys, keyed
+from robots.sensors import BUFFER_S, Kind
+from robots.spec import RobotSpec
+
+CHUNK = 128
+"""Ticks worked out at once."""
+NEVER = np.iinfo(np.int64).min
+"""In the place of the tick at which a packet was taken: none arrived."""
+SLOW, LATE_S, BLINK_S = 10, 0.1, 0.2
+"""A slow sensor sends one packet of so many; a delayed one so much later; an intermittent one is on and off so long."""
+WRONG = 0.1
+"""A wrong channel is off by this share of its range."""
+
+
+class Failure(StrEnum):
+    """Seven ways in which a sensor fails. Source: PX4 Autopilot, failure injection."""
+
+    OFF = "off"
+    STUCK = "stuck"
+    GARBAGE = "garbage"
+    WRONG = "wrong"
+    SLOW = "slow"
+    DELAYED = "delayed"
+    INTERMITTENT = "intermittent"
+
+
+ON_THE_WAY = (Failure.SLOW, Failure.DELAYED)
+"""They happen to packets, so to all channels of a sensor."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fault:
+    """A sensor of one robot fails for a while.
+
+    Attributes:
+        robot: row. sensor: kind. what: how.
+        channel: one of its channels; None for all.
+        begins, ends: control ticks; it holds from the first to just before the last.
+    """
+
+    robot: int
+    sensor: Kind
+    what: Failure
+    channel: int | None = None
+    begins: int
+    ends: int
+
+
+class Packets:
+    """When packets of B robots' G sensors arrive, in the order of `spec.sensors`."""
+
+    def __init__(self, spec: RobotSpec, draw: Draw, keys: Keys, faults: Sequence[Fault] = ()) -> None:
+        """Take each robot's delays and losses.
+
+        Raises:
+            ConfigError: a fault of a sensor or channel that the robot lacks, or of one channel where all must fail.
+        """
+        sheet = list(spec.sensors.values())
+        self._keys, self._dt, self._control_hz = keys, spec.dt, spec.rates.control_hz
+        self._rates = np.array([sensor.rate_hz for sensor in sheet])
+        delay, loss = np.array([s.delay_s for s in sheet]), np.array([s.loss for s in sheet])
+        self._least, self._most = draw["sensors.delay"] * delay, draw["sensors.jitter"] * delay
+        self._hold, self._repeat, self._burst = (
+            draw[f"sensors.{name}"] for name in ("hold", "repeat", "burst")
+        )
+        self._begins = np.minimum(loss * draw["sensors.loss"], 0.5) / self._burst
+        self.robots, self.sensors = self._hold.shape
+        self.depth = round(BUFFER_S / spec.dt) + 1
+        self._faults = [(list(spec.sensors).index(f.sensor), f) for f in _checked(faults, spec, self.robots)]
+
+    def arriving(self, chunk: int) -> Ints:
+        """(CHUNK, B, G) for each tick of a chunk, the tick at which the packet that arrives then was taken."""
+        arrivals = np.maximum(self._sent(chunk)[:CHUNK], self._spilled(chunk - 1))
+        again = self._uniform(chunk)[:, :, :, 4] < self._repeat
+        again[0] = False
+        before = np.concatenate((arrivals[:1], arrivals[:-1]))
+        return np.where(again, before, arrivals)
+
+    def due(self, ticks: Ints) -> Bools:
+        """(T, G) whether a sensor takes a packet at each of some ticks (T,)."""
+        counts = ticks[:, None] * self._rates // self._control_hz
+        return np.asarray(counts != (ticks[:, None] - 1) * self._rates // self._control_hz)
+
+    def last_taken(self, tick: int) -> Ints:
+        """(B, G) the newest packet of each sensor, had it always stood still and lost nothing."""
+        count = (tick - np.ceil(self._least / self._dt).astype(np.int64)) * self._rates // self._control_hz
+        return -(-count * self._control_hz // self._rates)
+
+    def _spilled(self, chunk: int) -> Ints:
+        """What was sent in a chunk and arrives in the next, at its place there."""
+        tail = self._sent(chunk)[CHUNK:]
+        rest = np.full((CHUNK - len(tail), *tail.shape[1:]), NEVER)
+        return np.concatenate((tail, rest))
+
+    def _sent(self, chunk: int) -> Ints:
+        """(CHUNK + depth, B, G) packets taken in a chunk, each at the tick of its arrival; the latest taken wins."""
+        ticks = chunk * CHUNK + np.arange(CHUNK)
+        u = self._uniform(chunk)
+        late = np.ceil(self._delay(u) / self._dt - 1e-9).astype(np.int64)
+        goes = self.due(ticks)[:, None, :] & ~self._lost(u)
+        self._fail(ticks, goes, late)
+        arrivals = np.full((CHUNK + self.depth, self.robots, self.sensors), NEVER)
+        place, robot, sensor = np.nonzero(goes)
+        np.maximum.at(arrivals, (place + late[goes], robot, sensor), ticks[place])
+        return arrivals
+
+    def _uniform(self, chunk: int) -> Floats:
+        """(CHUNK, B, G, 5) in [0, 1)."""
+        shape = (CHUNK, self.sensors, 5)
+        return np.stack([keyed(key, chunk + 1).random(shape) for key in self._keys], axis=1)
+
+    def _delay(self, u: Floats) -> Floats:
+        """(CHUNK, B, G) s. A chunk begins with a delay of its own; after that each holds with its probability."""
+        new = u[..., 0] >= self._hold
+        new[0] = True
+        since = np.maximum.accumulate(np.where(new, np.arange(CHUNK)[:, None, None], 0), axis=0)
+        return self._least + self._most * np.take_along_axis(u[..., 1], since, axis=0)
+
+    def _lost(self, u: Floats) -> Bools:
+        """(CHUNK, B, G) Packets lost in bursts of geometric length. Source: Gilbert (1960), without its good losses."""
+        place = np.arange(CHUNK)[:, None, None]
+        with np.errstate(divide="ignore"):  # bursts of one packet: the logarithm of 0
+            length = 1 + np.floor(np.log1p(-u[..., 3]) / np.log1p(-1 / self._burst))
+        until = np.where(u[..., 2] < self._begins, place + length, 0)
+        return np.asarray(np.maximum.accumulate(until, axis=0) > place)
+
+    def _fail(self, ticks: Ints, goes: Bools, late: Ints) -> None:
+        """What faults do to packets on their way."""
+        for sensor, fault in self._faults:
+            now = (ticks >= fault.begins) & (ticks < fault.ends)
+            if fault.what == Failure.SLOW:
+                goes[now & (ticks % SLOW != 0), fault.robot, sensor] = False
+            elif fault.what == Failure.DELAYED:
+                late[now, fault.robot, sensor] += round(LATE_S / self._dt)
+            elif fault.channel is None and fault.what in (Failure.OFF, Failure.INTERMITTENT):
+                goes[silent(fault, ticks, self._dt), fault.robot, sensor] = False
+        np.minimum(late, self.depth - 1, out=late)
+
+
+def silent(fault: Fault, ticks: Ints, dt: float) -> Bools:
+    """(T,) whether a sensor that is off, or off and on, says nothing at each of some ticks."""
+    now = (ticks >= fault.begins) & (ticks < fault.ends)
+    if fault.what == Failure.INTERMITTENT:
+        now &= (ticks - fault.begins) // round(BLINK_S / dt) % 2 == 0
+    return np.asarray(now)
+
+
+def _checked(faults: Sequence[Fault], spec: RobotSpec, robots: int) -> Sequence[Fault]:
+    for fault in faults:
+        known = spec.channels
+        if fault.sensor not in known:
+            raise ConfigError(f"{fault}: sensor {fault.sensor}: unknown; known: {', '.join(known)}")
+        if not 0 <= fault.robot < robots or not 0 <= (fault.channel or 0) < known[fault.sensor]:
+            raise ConfigError(f"{fault}: found {robots} robots and {known[fault.sensor]} channels")
+        if fault.what in ON_THE_WAY and fault.channel is not None:
+            raise ConfigError(f"{fault}: {fault.what} happens to all channels of a sensor")
+    return faults
