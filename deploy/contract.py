@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from robots.errors import ContractError
+from robots.sensors import Kind
 from robots.spec import RobotSpec
 from robots.strict import Strict, parse, read_json
 
@@ -36,6 +37,10 @@ FRAME_AND_UNIT: dict[Source, tuple[str, str]] = {
     "target_offset": ("joint", "rad"),
     "last_action": ("joint", "1"),
 }
+
+
+SENSED: dict[Source, Kind] = {"goal_from_tool": "goal", "goal_torque": "goal"}
+"""Which sensor a source needs beyond those that every robot has."""
 
 
 def _ordered(clip: tuple[float, float]) -> tuple[float, float]:
@@ -189,7 +194,7 @@ def _mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
         yield f"robot_digest: found {contract.robot_digest}, expected {spec.digest} of {spec.folder}"
     if contract.control_hz != spec.rates.control_hz:
         yield f"control_hz: found {contract.control_hz} Hz, expected {spec.rates.control_hz} Hz"
-    yield from _sizes(contract, spec)
+    yield from _terms(contract, spec)
 
 
 def _joints(found: tuple[str, ...], spec: RobotSpec) -> Iterator[str]:
@@ -208,11 +213,16 @@ def _listed(names: tuple[str, ...]) -> str:
     )
 
 
-def _sizes(contract: Contract, spec: RobotSpec) -> Iterator[str]:
+def _terms(contract: Contract, spec: RobotSpec) -> Iterator[str]:
     joints = ("joint_position", "joint_velocity", "goal_torque", "target_offset")
     size = {"last_action": contract.action_size, **dict.fromkeys(joints, spec.n)}
     for term in contract.observation:
         if term.size != (expected := size.get(term.source, 3)):
             yield f"observation.{term.name}.size: found {term.size}, expected {expected} for {term.source}"
+        if (sensor := SENSED.get(term.source, "encoder")) not in spec.sensors:
+            yield (
+                f"observation.{term.name}.source: {term.source} needs a sensor of kind {sensor}; {spec.name} has"
+                f" {', '.join(spec.sensors)}"
+            )
     if contract.action_size != spec.n:
         yield f"action.size: found {contract.action_size}, expected {spec.n}, one for each joint"

@@ -112,8 +112,11 @@ class Runtime:
             return None
         self.fleet.place(self.state.q)
         self._tool[:] = self.fleet.tool_position
-        seen = sample["goal"].value
-        self._goal[:] = np.where(np.isfinite(seen), seen, self._tool)  # who sees no goal stays where it is
+        if "goal" in sample:
+            seen = sample["goal"].value
+            self._goal[:] = np.where(
+                np.isfinite(seen), seen, self._tool
+            )  # who sees no goal stays where it is
         off = ~self.supervisor.powered
         if some(off):  # a robot without power wants to be where it stands
             self.action.reset(off, self.state.q)

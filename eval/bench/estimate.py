@@ -6,7 +6,7 @@ newest packet as it is; differenced is the difference of the last two that arriv
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from deploy.backends.sim.sensors import Sensors
 from deploy.estimator import Estimator
 from deploy.policy import Policy
 from deploy.runtime import Runtime
-from deploy.state import Sample, State
+from deploy.state import Sample, Setpoint, State
 from robots.draws import Draw
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
@@ -31,17 +31,23 @@ SEED, ROBOTS, SHARD = 11, 1024, 64
 MOVED_S, SETTLED_S = 5.0, 1.0
 NOISES = (None, 0.0005, 0.001, 0.002, 0.005, 0.01)
 """rad, the same for all robots; None: each as it was drawn."""
-APART_S = 0.5
-"""s between two looks at one robot's error: far longer than it remembers."""
 OUTAGE_S = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """What B robots really did: q, qd (T, B, n) at the ticks of the runtime, and whose encoders watched."""
+    """What B robots really did and what their encoders saw of it, at the ticks of the runtime.
+
+    Attributes:
+        q, qd: (T, B, n) rad and rad/s. seen: (T, B, n) rad, where the encoders sit.
+        sent: (T, B, 2n) setpoints that the drives should have reached.
+        draw, seeds: whose encoders watched.
+    """
 
     q: Floats
     qd: Floats
+    seen: Floats
+    sent: Floats
     draw: Draw
     seeds: list[np.random.SeedSequence]
 
@@ -93,37 +99,45 @@ def _move(spec: RobotSpec, policy: Path, first: int) -> Motion:
     runtime = Runtime(spec, brain.contract, robot, seeds, brain)
     runtime.tick()
     runtime.arm(np.ones(SHARD, dtype=bool))
-    q, qd = [], []
+    rows = []
     for _ in range(round(MOVED_S / spec.dt)):
         runtime.tick()
-        q.append(robot.plant.q.copy())
-        qd.append(robot.plant.qd.copy())
-    return Motion(q=np.array(q), qd=np.array(qd), draw=robot.draw, seeds=seeds)
+        truth, sent = robot.truth(), runtime.setpoint
+        rows.append(
+            [np.copy(x) for x in (truth.q, truth.qd, robot.plant.reading("encoder"))] + [np.hstack(sent[:2])]
+        )
+    q, qd, seen, sent = (np.array(column) for column in zip(*rows, strict=True))
+    return Motion(q=q, qd=qd, seen=seen, sent=sent, draw=robot.draw, seeds=seeds)
 
 
-def _samples(spec: RobotSpec, motion: Motion, noise: float | None) -> Iterator[Sample]:
-    """What the bus delivers at each tick."""
-    draw = motion.draw if noise is None else replace(motion.draw, noise_rad=np.full(motion.robots, noise))
-    sensors, rest = Sensors(spec, draw, motion.seeds), np.zeros((motion.robots, spec.n))
-    sensors.reset(np.ones(motion.robots, dtype=bool), motion.q[0])
-    for q in motion.q:
-        sensors.take(q)
-        yield sensors.read(rest, rest)
+def _samples(spec: RobotSpec, motion: Motion, noise: float | None) -> Iterator[tuple[int, Sample, Setpoint]]:
+    """Each tick from 1 on: what the bus delivers, and what was sent."""
+    nominal, draw = spec.sensors["encoder"].noise, motion.draw
+    if noise is not None:
+        draw = draw.replaced({"sensors.noise": noise / nominal})
+    sensors = Sensors(spec, draw, motion.seeds)
+    truth, columns = np.zeros(sensors.value.shape), sensors.columns["encoder"]
+    truth[:, columns] = motion.seen[0]
+    sensors.reset(np.ones(motion.robots, dtype=bool), truth)
+    for tick, (seen, sent) in enumerate(zip(motion.seen, motion.sent, strict=True), start=1):
+        truth[:, columns] = seen
+        sensors.take(truth)
+        yield tick, sensors.read(), Setpoint(q=sent[:, : spec.n], qd=sent[:, spec.n :], qdd=sent[:, spec.n :])
 
 
 def _hear(spec: RobotSpec, motion: Motion, noise: float | None) -> Heard:
     estimator, rows = Estimator(spec, motion.robots), []
     t_last, q_last = np.full(motion.robots, -np.inf), motion.q[0]
     differenced = np.zeros((motion.robots, spec.n))
-    for tick, sample in enumerate(_samples(spec, motion, noise), start=1):
-        state = estimator.step(tick * spec.dt, sample)
-        new = sample.t > t_last
-        step = np.where(new, sample.t - t_last, 1.0)[:, None]
-        differenced = np.where(new[:, None], (sample.q - q_last) / step, differenced)
-        t_last, q_last = np.where(new, sample.t, t_last), np.where(new[:, None], sample.q, q_last)
+    for tick, sample, sent in _samples(spec, motion, noise):
+        state, packet = estimator.step(tick * spec.dt, sample, sent), sample["encoder"]
+        new = packet.t > t_last
+        step = np.where(new, packet.t - t_last, 1.0)[:, None]
+        differenced = np.where(new[:, None], (packet.value - q_last) / step, differenced)
+        t_last, q_last = np.where(new, packet.t, t_last), np.where(new[:, None], packet.value, q_last)
         error = state.q - motion.q[tick - 1], state.qd - motion.qd[tick - 1]
         nees = _nees(spec, estimator, state, *error)
-        rows.append((sample.q.copy(), differenced, state.q, state.qd, nees))
+        rows.append((packet.value.copy(), differenced, state.q, state.qd, nees))
     raw, differences, q, qd, nees = (np.array(column) for column in zip(*rows, strict=True))
     return Heard(raw=raw, differenced=differences, q=q, qd=qd, nees=nees)
 
@@ -134,7 +148,7 @@ def _nees(spec: RobotSpec, estimator: Estimator, state: State, q: Floats, qd: Fl
 
     Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sec. 5.4.
     """
-    lag, density = state.age[:, None], spec.encoder.acceleration_density
+    lag, density = state.t - estimator.t_sample, spec.filter.acceleration_density
     p00, p11 = state.q_var, estimator.p11 + density * lag
     p01 = estimator.p01 + lag * estimator.p11 + density * lag**2 / 2
     return np.asarray((p11 * q**2 - 2 * p01 * q * qd + p00 * qd**2) / (p00 * p11 - p01**2))
@@ -162,16 +176,15 @@ def _errors(spec: RobotSpec, motions: list[Motion], noise: float | None) -> list
 
 
 def _consistency(spec: RobotSpec, motions: list[Motion]) -> str:
-    """NEES of every draw, at moments that know nothing of each other and fall on any part of a motion."""
-    apart, settled = round(APART_S / spec.dt), round(SETTLED_S / spec.dt)
-    robots, ticks = np.arange(motions[0].robots), np.arange(settled, round(MOVED_S / spec.dt) - apart, apart)
-    moments = ticks[:, None] + robots * apart // len(robots)
-    nees = np.concatenate([_hear(spec, motion, None).nees[moments, robots] for motion in motions], axis=1)
+    """NEES of every draw at one moment, which falls on any part of a motion: a bias stays, so more would not be new."""
+    settled, robots = round(SETTLED_S / spec.dt), np.arange(motions[0].robots)
+    moments = settled + robots * (round(MOVED_S / spec.dt) - settled) // len(robots)
+    nees = np.concatenate([_hear(spec, motion, None).nees[moments, robots] for motion in motions])
     band = np.array(stats.chi2.interval(0.95, 2 * nees.size)) / nees.size
     found = nees.mean()
     place = "inside" if band[0] <= found <= band[1] else "outside"
     return (
-        f"consistency over {nees.shape[1]} draws: mean NEES {found:.3f}, {place} its 95 % band"
+        f"consistency over {len(nees)} draws: mean NEES {found:.3f}, {place} its 95 % band"
         f" {band[0]:.3f} to {band[1]:.3f}"
     )
 
@@ -180,10 +193,11 @@ def _outage(spec: RobotSpec, motion: Motion) -> str:
     """How long after 100 ms without a packet the error is what it would have been."""
     begins, silent = round(2.0 / spec.dt), round(OUTAGE_S / spec.dt)
     cut, whole, errors = Estimator(spec, motion.robots), Estimator(spec, motion.robots), []
-    for tick, sample in enumerate(_samples(spec, motion, None)):
-        heard = sample._replace(fresh=sample.fresh & (not begins <= tick < begins + silent))
-        found, usual = cut.step((tick + 1) * spec.dt, heard).q, whole.step((tick + 1) * spec.dt, sample).q
-        errors.append([np.sqrt(np.mean((x - motion.q[tick]) ** 2)) for x in (found, usual)])
+    for tick, sample, sent in _samples(spec, motion, None):
+        heard = {**sample, "encoder": sample["encoder"]._replace(fresh=np.zeros(motion.robots, dtype=bool))}
+        now, gone = tick * spec.dt, begins < tick <= begins + silent
+        found, usual = cut.step(now, heard if gone else sample, sent).q, whole.step(now, sample, sent).q
+        errors.append([np.sqrt(np.mean((x - motion.q[tick - 1]) ** 2)) for x in (found, usual)])
     after = np.array(errors)[begins + silent :]
     worst = np.array(errors)[begins : begins + silent, 0].max()
     recovered = np.flatnonzero(after[:, 0] <= 1.1 * after[:, 1])[0]
@@ -196,7 +210,7 @@ def _outage(spec: RobotSpec, motion: Motion) -> str:
 def _cost(spec: RobotSpec, motion: Motion) -> str:
     estimator, samples = Estimator(spec, motion.robots), list(_samples(spec, motion, None))
     began = time.perf_counter()
-    for tick, sample in enumerate(samples):
-        estimator.step((tick + 1) * spec.dt, sample)
+    for tick, sample, sent in samples:
+        estimator.step(tick * spec.dt, sample, sent)
     spent = time.perf_counter() - began
     return f"cost: {1e6 * spent / len(samples) / motion.robots:.2f} µs per robot-tick, heat of the windings included"

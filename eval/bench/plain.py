@@ -55,7 +55,7 @@ class PlainRobot:
 
     def tick(self, number: int) -> None:
         """Sense, think, check, command, live."""
-        noise = self._rng.normal(0.0, self._spec.encoder.noise_rad, self._spec.n)
+        noise = self._rng.normal(0.0, self._spec.sensors["encoder"].noise, self._spec.n)
         for joint, angle in zip(self._filters, self._data.qpos + noise, strict=True):
             joint.predict()
             joint.update(angle)
@@ -93,8 +93,8 @@ def _filter(spec: RobotSpec, angle: float) -> KalmanFilter:
     joint.x = np.array([[angle], [0.0]])
     joint.F = np.array([[1.0, spec.dt], [0.0, 1.0]])
     joint.H = np.array([[1.0, 0.0]])
-    joint.R *= spec.encoder.noise_rad**2
-    joint.Q = Q_continuous_white_noise(2, spec.dt, spec.encoder.acceleration_density)
+    joint.R *= spec.sensors["encoder"].noise ** 2
+    joint.Q = Q_continuous_white_noise(2, spec.dt, spec.filter.acceleration_density)
     return joint
 
 

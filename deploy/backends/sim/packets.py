@@ -81,12 +81,19 @@ class Packets:
         self._begins = np.minimum(loss * draw["sensors.loss"], 0.5) / self._burst
         self.robots, self.sensors = self._hold.shape
         self.depth = round(BUFFER_S / spec.dt) + 1
+        self._next = NEVER  # the chunk that the tail of the last one leads into
         self._faults = [(list(spec.sensors).index(f.sensor), f) for f in _checked(faults, spec, self.robots)]
 
     def arriving(self, chunk: int) -> Ints:
         """(CHUNK, B, G) for each tick of a chunk, the tick at which the packet that arrives then was taken."""
-        arrivals = np.maximum(self._sent(chunk)[:CHUNK], self._spilled(chunk - 1))
-        again = self._uniform(chunk)[:, :, :, 4] < self._repeat
+        if chunk != self._next:
+            self._tail = self._sent(chunk - 1, self._uniform(chunk - 1))[CHUNK:]
+        u = self._uniform(chunk)
+        sent = self._sent(chunk, u)
+        arrivals = sent[:CHUNK]
+        np.maximum(arrivals[: self.depth], self._tail, out=arrivals[: self.depth])
+        self._tail, self._next = sent[CHUNK:], chunk + 1
+        again = u[..., 4] < self._repeat
         again[0] = False
         before = np.concatenate((arrivals[:1], arrivals[:-1]))
         return np.where(again, before, arrivals)
@@ -101,16 +108,9 @@ class Packets:
         count = (tick - np.ceil(self._least / self._dt).astype(np.int64)) * self._rates // self._control_hz
         return -(-count * self._control_hz // self._rates)
 
-    def _spilled(self, chunk: int) -> Ints:
-        """What was sent in a chunk and arrives in the next, at its place there."""
-        tail = self._sent(chunk)[CHUNK:]
-        rest = np.full((CHUNK - len(tail), *tail.shape[1:]), NEVER)
-        return np.concatenate((tail, rest))
-
-    def _sent(self, chunk: int) -> Ints:
+    def _sent(self, chunk: int, u: Floats) -> Ints:
         """(CHUNK + depth, B, G) packets taken in a chunk, each at the tick of its arrival; the latest taken wins."""
         ticks = chunk * CHUNK + np.arange(CHUNK)
-        u = self._uniform(chunk)
         late = np.ceil(self._delay(u) / self._dt - 1e-9).astype(np.int64)
         goes = self.due(ticks)[:, None, :] & ~self._lost(u)
         self._fail(ticks, goes, late)

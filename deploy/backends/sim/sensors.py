@@ -64,6 +64,7 @@ class Sensors(Stage):
         self.value, self.walk, self.cold, self.shift, self.held = np.full((5, robots, width), np.nan)
         self.taken = np.zeros((robots, len(sheet)), dtype=np.int64)
         self.told, self.tick = np.zeros(self.taken.shape, dtype=bool), np.zeros(1, dtype=np.int64)
+        self._noise = np.zeros((robots, CHUNK, width))
         self._row = np.arange(robots)[:, None] * depth
         self._chunk = NEVER
 
@@ -96,7 +97,7 @@ class Sensors(Stage):
         if tick % CHUNK == 0:
             self._drift_on(tick // CHUNK, truth)
         self._need(tick // CHUNK)
-        reading = self._quantized(truth + self._noise[tick % CHUNK] + self.shift)
+        reading = self._quantized(truth + self._noise[:, tick % CHUNK] + self.shift)
         for fault in self._faults:
             self._fail(fault, tick, reading)
         self.ring[:, tick % self._packets.depth] = reading
@@ -142,8 +143,9 @@ class Sensors(Stage):
         if chunk == self._chunk:
             return
         self._chunk, width = chunk, len(self._sensor)
-        noise = [keyed(key, 2 * chunk).standard_normal((CHUNK, width)) for key in self._noise_keys]
-        self._noise = np.stack(noise, axis=1) * self._sigma
+        for noise, key in zip(self._noise, self._noise_keys, strict=True):
+            keyed(key, 2 * chunk).standard_normal(out=noise)
+        self._noise *= self._sigma[:, None]
         arriving = self._packets.arriving(chunk)
         self._arrived = arriving != NEVER
         self._taken, self._wide = arriving, self._arrived[:, :, self._sensor]
