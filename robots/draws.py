@@ -55,7 +55,7 @@ class Quantity:
     Attributes:
         low, high: what physics allows: a span or a draw that leaves it cannot be expressed.
         each: what of a robot has a number of its own: "joint", "sensor", "channel" (of its sensors), "axis" (of each
-            joint's link), "direction" (x, y, z); "" for the robot as a whole.
+            joint's link), "direction" (x, y, z), "horizontal" (x, y); "" for the robot as a whole.
     """
 
     low: float
@@ -95,7 +95,10 @@ class Joints(Strict):
 
 
 class Drives(Strict):
-    """Of each drive: factors. Of all: supply voltage as a factor, what the supply's lines resist, commands late."""
+    """Of each drive: factors. Of all: supply voltage as a factor, what the supply's lines resist, commands late.
+
+    `delay_s` is taken as whole periods of physics.
+    """
 
     kp: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
     kd: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
@@ -108,14 +111,14 @@ class Drives(Strict):
 
 
 class Mounting(Strict):
-    """How it stands: out of plumb about x and y, and what its links slide on."""
+    """How it stands: out of plumb about x and y, and by what factor what touches it is rougher."""
 
-    tilt_rad: Annotated[Span, *_drawn(-0.5, 0.5, "direction")]
+    tilt_rad: Annotated[Span, *_drawn(-0.5, 0.5, "horizontal")]
     contact_friction: Annotated[Span, *_drawn(0.05, 20.0)]
 
 
 class Payload(Strict):
-    """What the tool picks up, carries and drops, again and again."""
+    """What the tool picks up, carries and drops, again and again: a ball, its centre of mass off the tool by `com_m`."""
 
     mass_kg: Annotated[Span, *_drawn(0.0, 50.0)]
     com_m: Annotated[Span, *_drawn(-0.5, 0.5, "direction")]
@@ -124,7 +127,7 @@ class Payload(Strict):
 
 
 class Cable(Strict):
-    """A power cable: a spring that only pulls, from an anchor in the world to a link of the robot.
+    """A power cable: a spring that only pulls, from an anchor in the world to a link's centre of mass.
 
     Attributes:
         link: a body of model.xml. above_m: m, what the anchor is drawn around, above the world's origin.
@@ -138,7 +141,10 @@ class Cable(Strict):
 
 
 class Push(Strict):
-    """Somebody bumps into a link: now and then, a force from anywhere."""
+    """Somebody bumps into a link, any of them: a force from anywhere at its centre of mass.
+
+    `every_s` is the mean of the pause between two of them, which is exponential.
+    """
 
     force_n: Annotated[Span, *_drawn(0.0, 1e4)]
     lasts_s: Annotated[Span, *_drawn(0.005, 10.0)]
@@ -147,6 +153,8 @@ class Push(Strict):
 
 class Wear(Strict):
     """What a joint has changed by when it has lived its life once: growth of factors, of play, of the encoder's error.
+
+    In proportion to the life lived, which goes on beyond one.
 
     Attributes:
         life_rad: rad that a joint travels in its life at `life_c` of its winding; each 10 K more take it twice as
@@ -330,6 +338,7 @@ def shape(quantity: Quantity, spec: RobotSpec) -> tuple[int, ...]:
     shapes: dict[str, tuple[int, ...]] = {
         "": (),
         "direction": (3,),
+        "horizontal": (2,),
         "joint": (spec.n,),
         "axis": (spec.n, 3),
         "sensor": (len(spec.sensors),),

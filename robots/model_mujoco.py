@@ -9,17 +9,31 @@ INPUTS = 3
 """Controls of one `dcmotor` with `input="pos vel ff"`: motor angle, motor speed, motor torque."""
 
 
+def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
+    """Read model.xml at the robot's physics rate, to compile or to add to.
+
+    Raises:
+        RobotError: MuJoCo cannot read it.
+    """
+    try:
+        mjcf = mujoco.MjSpec.from_file(str(spec.model_path))
+    except (ValueError, mujoco.FatalError) as e:
+        raise _unreadable(spec, e) from e
+    mjcf.option.timestep = 1.0 / spec.rates.physics_hz
+    return mjcf
+
+
 def load_mujoco(spec: RobotSpec) -> mujoco.MjModel:
     """Compile model.xml at the robot's physics rate.
 
     Raises:
         RobotError: MuJoCo cannot read it, or its joints, drives or tool are not those of robot.toml.
     """
-    path = spec.model_path
+    path, mjcf = spec.model_path, read_mjcf(spec)
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        model = mjcf.compile()
     except (ValueError, mujoco.FatalError) as e:
-        raise RobotError(f"{path}: MuJoCo cannot read it: {e!s:.300}") from e
+        raise _unreadable(spec, e) from e
     joints = tuple(model.joint(i).name for i in range(model.njnt))
     if joints != spec.joint_names:
         raise RobotError(f"{path}: joints are {joints}; robot.toml lists {spec.joint_names}")
@@ -31,5 +45,8 @@ def load_mujoco(spec: RobotSpec) -> mujoco.MjModel:
         )
     if spec.tool not in {model.site(i).name for i in range(model.nsite)}:
         raise RobotError(f"{path}: no site named {spec.tool!r}, which robot.toml calls the tool")
-    model.opt.timestep = 1.0 / spec.rates.physics_hz
     return model
+
+
+def _unreadable(spec: RobotSpec, why: Exception) -> RobotError:
+    return RobotError(f"{spec.model_path}: MuJoCo cannot read it: {why!s:.300}")

@@ -1,24 +1,29 @@
-"""The physics of B robots as they really are: MuJoCo with every robot's own draw, and the heat of its motors."""
+"""The physics of B robots as they really are: MuJoCo with every robot's own draw, and what MuJoCo leaves out."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
+from deploy.backends.sim import drawn
+from deploy.backends.sim.anatomy import Anatomy, build
+from deploy.backends.sim.disturbances import Payload, Pushes
+from deploy.backends.sim.drives import Drives, Supply
+from deploy.backends.sim.heat import Housings
+from deploy.backends.sim.motion import Motion
 from deploy.backends.sim.truth import Truth
+from deploy.backends.sim.wear import Wear, Worn
 from deploy.flags import every, some
 from deploy.stage import Stage
 from deploy.state import Bools, Command, Floats
-from robots.draws import Draw
-from robots.model_mujoco import INPUTS, load_mujoco
+from robots.draws import Distributions, Draw
+from robots.sensors import Kind
 from robots.spec import RobotSpec
 
-_R, _K, _KP, _KD = 0, 1, 4, 6
-"""Places of resistance, motor constant and drive gains in a dcmotor's `gainprm`."""
-_RWH, _AMBIENT = 2, 4
-"""Places of winding-to-housing resistance and of ambient temperature in a dcmotor's `dynprm`."""
+SLOW_S = 1.0
+"""s, how often housings warm and joints age: they take minutes to months, so that this step is as good as none."""
+
 _NUMBER = 1
 """Place of the count in MuJoCo's warning statistics; place 0 is the last index that was warned of."""
 
@@ -26,154 +31,185 @@ _NUMBER = 1
 class Plant(Stage):
     """B simulations of one model.
 
-    MuJoCo's `dcmotor` holds the winding's node, as a rise over an ambient; that ambient is the housing, whose node
-    is integrated here.
+    MuJoCo's derived fields are one physics step behind after a step and zero after a restore: those that are read are
+    copied after each step, and carried.
     """
 
-    carried = ("rows", "housing", "held", "braked", "tool", "tool_velocity", "valid")
+    carried = (
+        *("rows", "tick", "valid", "current", "sensed", "tool", "tool_velocity", "travel", "turned"),
+        *("drives.lines", "drives.held", "drives.braked", "housings.celsius", "wear.life"),
+        *("payload.turn", "payload.until", "pushes.turn", "pushes.until"),
+    )
 
-    def __init__(self, spec: RobotSpec, draw: Draw, *, threads: int = 1) -> None:
+    def __init__(
+        self,
+        spec: RobotSpec,
+        distributions: Distributions,
+        draw: Draw,
+        seeds: Sequence[np.random.SeedSequence],
+        *,
+        threads: int = 1,
+    ) -> None:
         """Build the simulations at the home pose, brakes on.
 
         Args:
             spec: the robot as it should be.
+            distributions: of the draw: what its cable is plugged into, and how long a joint lives.
             draw: B robots as they are.
+            seeds: B seeds: when each is pushed, and where in its cycle of loads it begins.
             threads: for physics; results do not depend on it.
         """
-        model = load_mujoco(spec)
-        # A diverged simulation must be seen, not silently put back to its start.
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        robots, n = draw.mass.shape
-        self.batch = Batch(model, robots, nthread=threads)
-        substeps = spec.rates.physics_hz // spec.rates.control_hz
-        self._way = np.arange(1, substeps + 1)[:, None] / substeps
-        self._dt = spec.dt
-        self._apply(draw, model)
-        self._range, self._current = self.batch.expand("actuator_forcerange"), np.ones((robots, n))
-        bind = self.batch.bind
-        self.rows, self.q, self.qd = self.batch.state, bind("qpos"), bind("qvel")
-        self._ctrl, self._lines = bind("ctrl"), np.zeros((robots, substeps, n * INPUTS))
-        self._q, self._qd, self._feed = self._ctrl.reshape(robots, n, INPUTS).transpose(2, 0, 1)
-        self._rise = bind("act")
+        anatomy = build(spec, distributions.cable)
+        self.batch = Batch(anatomy.model, draw.robots, nthread=threads)
+        drawn.embody(self.batch, anatomy, draw)
+        self.motion = Motion(self.batch, anatomy)
+        self.drives = Drives(spec, self.batch, draw)
+        self._supply = Supply(self.batch, draw, self.drives.gear)
+        self.housings = Housings(spec, self.batch, draw)
+        self.wear = Wear(distributions.wear, self.batch, anatomy, draw)
+        self.payload = Payload(self.batch, anatomy, draw, seeds, spec.dt)
+        self.pushes = Pushes(self.batch, anatomy, draw, seeds, spec.dt)
+        self._dt, self._slow = spec.dt, max(1, round(SLOW_S * spec.rates.control_hz))
+        self._bind(anatomy)
+        self._allocate(draw.robots, spec.n)
+        self._readings: dict[Kind, Floats] = {
+            "encoder": self._encoder,
+            "velocity": self.motion.motor_qd,
+            "current": self.current,
+            "temperature": self.housings.celsius,
+        }
+        self._readings |= {kind: self.sensed[:, places] for kind, places in anatomy.sensed.items()}
+        self.reset(self.valid.copy(), np.tile(spec.joint_array("q_home"), (draw.robots, 1)))
+
+    def _bind(self, anatomy: Anatomy) -> None:
+        bind, self._dofs = self.batch.bind, anatomy.dofs
+        self.rows, self._ctrl, self._rise = self.batch.state, bind("ctrl"), bind("act")
         self._force, self._tau = bind("actuator_force"), bind("qfrc_actuator")
-        self._site, self._contacts = bind("site_xpos")[:, model.site(spec.tool).id], bind("ncon")
+        self._site, self._contacts = bind("site_xpos")[:, anatomy.tool], bind("ncon")
+        self._sensordata = bind("sensordata")
+        self._damping = self.batch.expand("dof_damping")[:, self._dofs]
         # Of any kind: a simulation that is warned stops in the middle of a rollout, be it for a number that is not
         # finite or for contacts that found no room.
         self._warned = self.batch.warning[:, :, _NUMBER]
-        # numpy is quickest where every shape is the same.
-        each = np.ones((robots, n))
-        self._gear = each * model.actuator_gear[:, 0]
-        self._ambient = each * draw.ambient_c[:, None]
-        self._to_housing = each * model.actuator_dynprm[:, _RWH]
-        self._to_ambient = each * spec.motor_array("housing_resistance_k_per_w")
-        self._kelvin_per_watt = each * (self._dt / spec.motor_array("housing_capacity_j_per_k"))
-        self._warm = self._ambient + draw.warm_start_k[:, None]
-        self.housing = self._warm.copy()
-        self.held, self.braked = np.zeros((robots, n)), np.ones(robots, dtype=bool)
-        self.tool, self.tool_velocity = np.zeros((robots, 3)), np.zeros((robots, 3))
-        self.valid = np.ones(robots, dtype=bool)
-        self.reset(np.ones(robots, dtype=bool), np.tile(spec.joint_array("q_home"), (robots, 1)))
 
-    def _apply(self, draw: Draw, model: mujoco.MjModel) -> None:
-        """Write every robot's own parameters; mass and inertia move together."""
-        expand, links = self.batch.expand, model.jnt_bodyid
-        expand("body_mass")[:, links] *= draw.mass
-        expand("body_inertia")[:, links] *= draw.mass[:, :, None]
-        expand("dof_frictionloss")[:] *= draw.friction
-        expand("dof_damping")[:] *= draw.damping
-        expand("dof_armature")[:] *= draw.armature
-        gain = expand("actuator_gainprm")
-        gain[:, :, _R] *= draw.resistance
-        gain[:, :, _K] *= draw.torque_constant
-        gain[:, :, _KP] *= draw.kp
-        gain[:, :, _KD] *= draw.kd
-        self._motor_constant = gain[:, :, _K].copy()
-        self._node = expand("actuator_dynprm")[:, :, _AMBIENT]
-        self.batch.set_const()
+    def _allocate(self, robots: int, n: int) -> None:
+        self.tick, self.valid = np.zeros(1, dtype=np.int64), np.ones(robots, dtype=bool)
+        self.current, self.sensed = np.zeros((robots, n)), np.zeros(self._sensordata.shape)
+        self.tool, self.tool_velocity = np.zeros((robots, 3)), np.zeros((robots, 3))
+        self.travel, self.turned = np.zeros((robots, n)), np.zeros((robots, n))
+        self._encoder, self._speed = np.zeros((robots, n)), np.zeros((robots, n))
+
+    @property
+    def q(self) -> Floats:
+        """(B, n) rad, the links' angles."""
+        return self.motion.q
+
+    @property
+    def qd(self) -> Floats:
+        """(B, n) rad/s, the links' speeds."""
+        return self.motion.qd
+
+    @property
+    def braked(self) -> Bools:
+        """(B,) brakes on."""
+        return self.drives.braked
+
+    @property
+    def housing(self) -> Floats:
+        """(B, n) °C."""
+        return self.housings.celsius
+
+    def reading(self, kind: Kind) -> Floats:
+        """(B, channels) what a sensor of `kind` is exposed to; encoders sit on the motor's side and wear."""
+        return self._readings[kind]
+
+    def worn(self) -> Worn:
+        """What the joints have become."""
+        return self.wear.worn()
 
     def reset(self, ids: Bools, q: Floats) -> None:
-        """Rest robots where `ids` (B,) holds at `q` (B, n) rad: motors as at the start of the shift, brakes on."""
+        """Rest robots where `ids` (B,) holds at `q` (B, n) rad, brakes on: motors and joints as at the shift's start.
+
+        Loads and pushes go on as they come: they wait for no episode.
+        """
         rows = np.flatnonzero(ids)
         self.batch.reset(rows)
-        self.q[rows], self.held[rows], self.braked[rows] = q[rows], q[rows], True
-        self.housing[rows] = self._warm[rows]
-        self._node[rows] = self.housing[rows]
-        self._hold(rows)
+        self.motion.place(rows, q)
+        self.drives.rest(rows, q)
+        self._ctrl[rows] = self.drives.goal[rows]
+        self.housings.reset(rows)
+        self.wear.reset(rows)
+        self.pushes.apply(rows)
+        self.travel[rows] = self.turned[rows] = 0.0
         self.batch.forward(rows)
-        self.tool[rows], self.tool_velocity[rows] = self._site[rows], 0.0
         self.valid[rows] = True
+        self.current[rows] = self._force[rows] / self.wear.constant[rows]
+        self.sensed[rows] = self._sensordata[rows]
+        self.tool[rows], self.tool_velocity[rows] = self._site[rows], 0.0
+        self._observe()
 
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-        """Put saved arrays back, bit for bit; torque, current and contacts read zero until the next step."""
+        """Put saved arrays back, bit for bit; torque and contacts read zero until the next step."""
         super().restore(arrays)
-        self._node[:] = self.housing
+        self.housings.apply()
+        self.wear.apply()
+        self.payload.follow()
+        self.pushes.follow()
         self._warned[:] = 0
+        self._observe()
 
+    @np.errstate(over="ignore", invalid="ignore")  # of simulations that have diverged
     def step(self, command: Command) -> None:
         """One control period under a command."""
-        drives = self._drive(command)
+        self.payload.step(int(self.tick[0]))
+        self.pushes.step(int(self.tick[0]))
+        self._supply.sink(self.current, self.motion.motor_qd, self.wear.constant)
+        self._roll(self.drives.follow(command, self.motion.motor_q))
+        self.tick += 1
+        self._settle()
+        if int(self.tick[0]) % self._slow == 0:
+            self._settle_slowly()
+
+    def brake(self, ids: Bools) -> None:
+        """Close the brakes of robots where `ids` (B,) holds, on the pose they find."""
+        self.drives.brake(ids, self.motion.motor_q)
+
+    def _roll(self, control: Floats) -> None:
         ids = None if every(self.valid) else np.flatnonzero(self.valid)
         try:
             self.batch.rollout(
-                len(self._way),
-                control=drives if ids is None else drives[ids],
-                record=(),
-                ids=ids,
+                control.shape[1], control=control if ids is None else control[ids], record=(), ids=ids
             )
         except SimulationError as e:
             self.valid[e.ids] = False
         if some(self._warned):
             self.valid &= ~self._warned.any(axis=1)
-        self._heat()
+
+    def _settle(self) -> None:
+        """Read what the physics left."""
+        self._observe()
+        np.divide(self._force, self.wear.constant, out=self.current)
+        self.sensed[:] = self._sensordata
         np.subtract(self._site, self.tool, out=self.tool_velocity)
         self.tool_velocity /= self._dt
         self.tool[:] = self._site
+        np.abs(self.motion.motor_qd, out=self._speed)
+        self.travel += self._speed
+        self._speed *= self._speed
+        self.turned += self._speed
 
-    def _drive(self, command: Command) -> Floats:
-        """(B, substeps, controls), motor side: what the drives follow, in straight lines from the last command to this.
+    def _settle_slowly(self) -> None:
+        """Heat and age, for all ticks since the last time."""
+        self.travel *= self._dt
+        self.turned *= self._dt
+        rubbed = self.wear.friction * self.travel + self._damping * self.turned
+        self.housings.warm(self._rise, rubbed, self.turned, self._slow * self._dt)
+        self.wear.age(self.travel, self.housing + self._rise)
+        self.travel[:] = self.turned[:] = 0.0
 
-        Drives interpolate what a bus sends; taken as steps it would saturate the motors at every tick. Brakes are the
-        drive holding the pose that they closed on.
-        """
-        last = self._ctrl.copy()
-        np.multiply(command.q, self._gear, out=self._q)
-        np.multiply(command.qd, self._gear, out=self._qd)
-        np.divide(command.tau, self._gear, out=self._feed)
-        if not every(command.current == self._current):
-            self._current[:] = command.current
-            self._range[:] = self.batch.model.actuator_forcerange * self._current[:, :, None]
-        off = ~command.powered
-        self.braked &= off
-        if some(off):
-            self.brake(off)
-            last[off] = self._ctrl[off]
-        np.multiply(self._way, (self._ctrl - last)[:, None], out=self._lines)
-        self._lines += last[:, None]
-        return self._lines
-
-    def brake(self, ids: Bools) -> None:
-        """Close the brakes of robots where `ids` (B,) holds, on the pose they find."""
-        closing = ids & ~self.braked
-        self.held[closing] = self.q[closing]
-        self.braked |= ids
-        self._hold(np.flatnonzero(self.braked))
-
-    def _hold(self, rows: np.ndarray) -> None:
-        self._q[rows] = (self.held * self._gear)[rows]
-        self._qd[rows] = self._feed[rows] = 0.0
-
-    def _heat(self) -> None:
-        """Housing node, Source: see `robots.motor`; the winding keeps its temperature when its ambient moves."""
-        flow = self._rise / self._to_housing - (self.housing - self._ambient) / self._to_ambient
-        warming = flow * self._kelvin_per_watt
-        self.housing += warming
-        self._rise -= warming
-        self._node[:] = self.housing
-
-    @property
-    def current(self) -> Floats:
-        """(B, n) A, motor current."""
-        return np.asarray(self._force / self._motor_constant)
+    def _observe(self) -> None:
+        self.motion.observe()
+        np.add(self.motion.motor_q, self.wear.encoder_rad, out=self._encoder)
 
     def truth(self, t: float) -> Truth:
         """What really holds at time `t`, s."""
@@ -181,7 +217,7 @@ class Plant(Stage):
             t=t,
             q=self.q,
             qd=self.qd,
-            tau=self._tau,
+            tau=self._tau.take(self._dofs, axis=1),
             tool_position=self.tool,
             tool_velocity=self.tool_velocity,
             self_collision=self._contacts > 0,

@@ -12,7 +12,7 @@ class Truth(NamedTuple):
 
     Attributes:
         t: s.
-        q: (B, n) rad. qd: (B, n) rad/s.
+        q: (B, n) rad. qd: (B, n) rad/s. Of the links, beyond the play of their gears.
         tau: (B, n) N·m, actuator torque at the joint.
         tool_position: (B, 3) m, world.
         tool_velocity: (B, 3) m/s, world, mean over the last control period.

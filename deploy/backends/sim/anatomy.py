@@ -1,0 +1,169 @@
+"""What only the plant has: play in its gears, a payload, a cable, sensors. Added to model.xml, neutral until drawn."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from deploy.state import Ints
+from robots.draws import Cable
+from robots.errors import ConfigError, RobotError
+from robots.model_mujoco import load_mujoco, read_mjcf
+from robots.sensors import Kind
+from robots.spec import RobotSpec
+
+PLAY, PAYLOAD, CABLE, ANCHOR = "play", "firstshift/payload", "firstshift/cable", "firstshift/anchor"
+"""Names of what is added; a joint's play is called as the joint and this."""
+
+SENSORS = {
+    "gyro": mujoco.mjtSensor.mjSENS_GYRO,
+    "accelerometer": mujoco.mjtSensor.mjSENS_ACCELEROMETER,
+    "orientation": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
+    "force": mujoco.mjtSensor.mjSENS_FORCE,
+    "torque": mujoco.mjtSensor.mjSENS_TORQUE,
+    "contact": mujoco.mjtSensor.mjSENS_TOUCH,
+}
+"""Kinds that sit at sites. Force and torque are what the site's body and all that it carries put on its parent."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Anatomy:
+    """The plant's model and where its parts are.
+
+    Attributes:
+        model: of every simulation.
+        joints, play: (n,) joint ids: on the motor's side, and what is left between gear and link.
+        bodies: (n,) body ids of the links that the joints move.
+        link: (bodies,) the joint that moves a body, rigidly attached ones included; -1 for what does not move.
+        payload: body id. cable: tendon id. anchor: site id. tool: site id.
+        sensed: where in `sensordata` each kind of sensor is.
+    """
+
+    model: mujoco.MjModel
+    joints: Ints
+    play: Ints
+    bodies: Ints
+    link: Ints
+    payload: int
+    cable: int
+    anchor: int
+    tool: int
+    sensed: dict[Kind, slice]
+
+    @property
+    def addresses(self) -> Ints:
+        """(2, 2, n) of [joints, play]: places in [`qpos`, `qvel`]."""
+        ids = np.stack((self.joints, self.play))
+        return np.stack((self.model.jnt_qposadr[ids], self.model.jnt_dofadr[ids]), axis=1).astype(np.int64)
+
+    @property
+    def dofs(self) -> Ints:
+        """(n,) places of the joints in `qvel`."""
+        return self.model.jnt_dofadr[self.joints].astype(np.int64)
+
+
+def build(spec: RobotSpec, cable: Cable) -> Anatomy:
+    """Add to model.xml and compile.
+
+    Raises:
+        RobotError: model.xml or a sensor's site makes no sense. ConfigError: the cable's link is not in model.xml.
+    """
+    nominal, mjcf = load_mujoco(spec), read_mjcf(spec)
+    _allow(mjcf)
+    for name in spec.joint_names:
+        _add_play(mjcf.joint(name))
+    tool = mjcf.site(spec.tool)
+    payload = tool.parent.add_body(name=PAYLOAD, pos=tool.pos)
+    payload.explicitinertial, payload.mass, payload.inertia = True, 0.0, np.zeros(3)
+    _add_cable(mjcf, nominal, cable, spec)
+    for kind in spec.sensors:
+        if kind in SENSORS:
+            _add_sensor(mjcf, nominal, kind, spec)
+    model = mjcf.compile()
+    # A diverged simulation must be seen, not silently put back to its start.
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    return _find(model, spec)
+
+
+def _allow(mjcf: mujoco.MjSpec) -> None:
+    """Undo what would get in the way of the additions."""
+    for key in list(mjcf.keys):
+        mjcf.delete(key)  # of another size than the state now has
+    mjcf.compiler.fusestatic = False  # the payload stays a body of its own
+    for geom in mjcf.geoms:
+        geom.condim = max(geom.condim, 3)  # whatever model.xml leaves out, what touches also rubs
+
+
+def _add_play(joint: mujoco.MjsJoint) -> None:
+    """A second joint about the same axis, behind the gear, that runs free between two soft stops.
+
+    Source: Isaac Lab's BAM actuators (2025): backlash as a passive hinge. Its stops are as stiff as 1 kHz bears; its
+    inertia and damping are those of a gear's last wheel, so small that they only keep it calm: both estimates.
+    """
+    play = joint.parent.add_joint(name=f"{joint.name}/{PLAY}", type=joint.type, axis=joint.axis, pos=joint.pos)
+    if joint.frame is not None:
+        play.set_frame(joint.frame)
+    play.limited, play.range, play.margin, play.ref = True, [-1.0, 1.0], 0.0, 0.0
+    play.solref_limit, play.solimp_limit = [0.004, 1.0], [0.95, 0.99, 0.0005, 0.5, 2.0]
+    play.armature, play.frictionloss, play.springref, play.springdamper = 1e-3, 0.0, 0.0, [0.0, 0.0]
+    play.damping, play.stiffness = [0.5, 0.0, 0.0], [0.0, 0.0, 0.0]
+    play.actfrclimited, play.actgravcomp = False, False
+
+
+def _add_cable(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, cable: Cable, spec: RobotSpec) -> None:
+    names = [nominal.body(i).name for i in range(nominal.nbody)]
+    if cable.link not in names:
+        known = ", ".join(filter(None, names))
+        raise ConfigError(
+            f"{spec.folder / 'draws.toml'}: cable.link: found {cable.link!r}, expected a body of model.xml: {known}"
+        )
+    mjcf.worldbody.add_site(name=ANCHOR, pos=[0.0, 0.0, cable.above_m])
+    plug = mjcf.body(cable.link).add_site(
+        name=f"{CABLE}/plug", pos=nominal.body_ipos[names.index(cable.link)]
+    )
+    tendon = mjcf.add_tendon(name=CABLE)
+    tendon.wrap_site(ANCHOR)
+    tendon.wrap_site(plug.name)
+    # No force between the two lengths: it pulls, and never pushes.
+    tendon.springlength, tendon.stiffness = [0.0, 1.0], [1.0, 0.0, 0.0]
+
+
+def _add_sensor(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, kind: Kind, spec: RobotSpec) -> None:
+    names = [nominal.site(i).name for i in range(nominal.nsite)]
+    for site in spec.sensors[kind].sites:
+        if site not in names:
+            raise RobotError(
+                f"{spec.folder / 'robot.toml'}: sensors.{kind}.sites: found {site!r}, expected sites of model.xml:"
+                f" {', '.join(filter(None, names))}"
+            )
+        mjcf.add_sensor(
+            name=f"firstshift/{kind}/{site}",
+            type=SENSORS[kind],
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=site,
+        )
+
+
+def _find(model: mujoco.MjModel, spec: RobotSpec) -> Anatomy:
+    joints = np.array([model.joint(name).id for name in spec.joint_names])
+    bodies = model.jnt_bodyid[joints].astype(np.int64)
+    link = np.full(model.nbody, -1)
+    for joint, body in enumerate(bodies):
+        link[model.body_weldid == body] = joint
+    return Anatomy(
+        model=model,
+        joints=joints,
+        play=np.array([model.joint(f"{name}/{PLAY}").id for name in spec.joint_names]),
+        bodies=bodies,
+        link=link,
+        payload=model.body(PAYLOAD).id,
+        cable=model.tendon(CABLE).id,
+        anchor=model.site(ANCHOR).id,
+        tool=model.site(spec.tool).id,
+        sensed={kind: _places(model, kind, spec) for kind in spec.sensors if kind in SENSORS},
+    )
+
+
+def _places(model: mujoco.MjModel, kind: Kind, spec: RobotSpec) -> slice:
+    sensors = [model.sensor(f"firstshift/{kind}/{site}") for site in spec.sensors[kind].sites]
+    return slice(int(sensors[0].adr[0]), int(sensors[-1].adr[0] + sensors[-1].dim[0]))

@@ -1,0 +1,58 @@
+"""The housings of B robots' motors: the node that MuJoCo's motors do not have."""
+
+import numpy as np
+from mujoco.batch import Batch
+
+from deploy.backends.sim import drawn
+from deploy.stage import Stage
+from deploy.state import Floats
+from robots.draws import Draw
+from robots.spec import RobotSpec
+
+
+class Housings(Stage):
+    """MuJoCo's `dcmotor` holds the winding's node, as a rise over an ambient; that ambient is the housing.
+
+    Source: see `robots.motor`. Iron loss, iron (gear qd)², and what the joint's friction and damping turn into heat
+    warm the housing, where rotor, gear and bearings sit.
+    """
+
+    carried = ("celsius",)
+
+    def __init__(self, spec: RobotSpec, batch: Batch, draw: Draw) -> None:
+        """Read the motors; every housing begins as warm as drawn."""
+        each = np.ones((draw.robots, spec.n))
+        self._ambient = each * draw["climate.ambient_c"][:, None]
+        self._warm = self._ambient + draw["climate.warm_start_k"][:, None]
+        dynamics = batch.expand("actuator_dynprm")
+        self._node, self._to_housing = dynamics[:, :, drawn.AMBIENT], dynamics[:, :, drawn.RWH].copy()
+        self._to_ambient = each * spec.motor_array("housing_resistance_k_per_w")
+        self._capacity = each * spec.motor_array("housing_capacity_j_per_k")
+        gear = batch.model.actuator_gear[:, 0]
+        self._iron = draw["drives.iron_loss"] * spec.motor_array("iron_w_s2") * gear**2
+        self.celsius = self._warm.copy()
+        self.apply()
+
+    def reset(self, rows: np.ndarray) -> None:
+        """As at the start of the shift."""
+        self.celsius[rows] = self._warm[rows]
+        self.apply()
+
+    def apply(self) -> None:
+        """Tell MuJoCo's windings what they lie in."""
+        self._node[:] = self.celsius
+
+    def warm(self, rise: Floats, rubbed: Floats, turned: Floats, dt: float) -> None:
+        """Let `dt` s pass; the windings keep their temperature when their ambient moves.
+
+        Args:
+            rise: (B, n) K, windings over housings, written.
+            rubbed: (B, n) J, by friction.
+            turned: (B, n) rad²/s, the joints' squared speed over that time.
+            dt: s, far below the housings' minutes.
+        """
+        watts = rise / self._to_housing - (self.celsius - self._ambient) / self._to_ambient
+        warming = (watts * dt + rubbed + self._iron * turned) / self._capacity
+        self.celsius += warming
+        rise -= warming
+        self.apply()

@@ -1,0 +1,41 @@
+"""Angles and speeds on both sides of every gear."""
+
+import numpy as np
+from mujoco.batch import Batch
+
+from deploy.backends.sim.anatomy import Anatomy
+from deploy.state import Floats
+
+
+class Motion:
+    """The motor's side is the joint of model.xml; the link is beyond its play.
+
+    Attributes:
+        q, qd: (B, n) rad and rad/s of the links, by joint.
+        motor_q, motor_qd: (B, n) of the motors, behind their gears: joint angles and speeds too.
+    """
+
+    def __init__(self, batch: Batch, anatomy: Anatomy) -> None:
+        """Find the joints in the state of every simulation."""
+        self._qpos, self._play = batch.bind("qpos"), anatomy.model.jnt_qposadr[anatomy.play]
+        self._joints = anatomy.model.jnt_qposadr[anatomy.joints]
+        self._rows = batch.state.reshape(-1)
+        # One gather finds all: (side, angle or speed, robot, joint).
+        addresses = anatomy.addresses[:, :, None, :] + np.arange(batch.nsim)[:, None] * batch.nstate
+        for kind, name in enumerate(("qpos", "qvel")):
+            offset = batch.bind(name).ctypes.data - batch.state.ctypes.data
+            addresses[:, kind] += offset // batch.state.itemsize
+        self._addresses = addresses
+        self._sides = np.zeros(addresses.shape)
+        self._links = np.zeros(addresses.shape[1:])
+        (self.q, self.qd), (self.motor_q, self.motor_qd) = self._links, self._sides[0]
+
+    def observe(self) -> None:
+        """Read the state."""
+        self._rows.take(self._addresses, out=self._sides, mode="clip")
+        np.add(self._sides[0], self._sides[1], out=self._links)
+
+    def place(self, rows: np.ndarray, q: Floats) -> None:
+        """Put robots `rows` at `q` (B, n) rad, in the middle of their play."""
+        self._qpos[rows[:, None], self._joints] = q[rows]
+        self._qpos[rows[:, None], self._play] = 0.0
