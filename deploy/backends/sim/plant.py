@@ -21,6 +21,8 @@ from robots.draws import Distributions, Draw
 from robots.sensors import Kind
 from robots.spec import RobotSpec
 
+BUS_S = 0.02
+"""s, how often the supply's voltage follows what is drawn: its capacitors bridge less."""
 SLOW_S = 1.0
 """s, how often housings warm and joints age: they take minutes to months, so that this step is as good as none."""
 
@@ -37,7 +39,7 @@ class Plant(Stage):
 
     carried = (
         *("rows", "tick", "valid", "current", "sensed", "tool", "tool_velocity", "travel", "turned"),
-        *("drives.lines", "drives.held", "drives.braked", "housings.celsius", "wear.life"),
+        *("drives.lines", "drives.held", "drives.braked", "supply.limit", "housings.celsius", "wear.life"),
         *("payload.turn", "payload.until", "pushes.turn", "pushes.until"),
     )
 
@@ -64,12 +66,13 @@ class Plant(Stage):
         drawn.embody(self.batch, anatomy, draw)
         self.motion = Motion(self.batch, anatomy)
         self.drives = Drives(spec, self.batch, draw)
-        self._supply = Supply(self.batch, draw, self.drives.gear)
+        self.supply = Supply(self.batch, draw, self.drives.gear)
         self.housings = Housings(spec, self.batch, draw)
         self.wear = Wear(distributions.wear, self.batch, anatomy, draw)
         self.payload = Payload(self.batch, anatomy, draw, seeds, spec.dt)
         self.pushes = Pushes(self.batch, anatomy, draw, seeds, spec.dt)
-        self._dt, self._slow = spec.dt, max(1, round(SLOW_S * spec.rates.control_hz))
+        self._dt = spec.dt
+        self._bus, self._slow = (max(1, round(s * spec.rates.control_hz)) for s in (BUS_S, SLOW_S))
         self._bind(anatomy)
         self._allocate(draw.robots, spec.n)
         self._readings: dict[Kind, Floats] = {
@@ -137,6 +140,7 @@ class Plant(Stage):
         self.motion.place(rows, q)
         self.drives.rest(rows, q)
         self._ctrl[rows] = self.drives.goal[rows]
+        self.supply.rest(rows)
         self.housings.reset(rows)
         self.wear.reset(rows)
         self.pushes.apply(rows)
@@ -161,13 +165,15 @@ class Plant(Stage):
     @np.errstate(over="ignore", invalid="ignore")  # of simulations that have diverged
     def step(self, command: Command) -> None:
         """One control period under a command."""
-        self.payload.step(int(self.tick[0]))
-        self.pushes.step(int(self.tick[0]))
-        self._supply.sink(self.current, self.motion.motor_qd, self.wear.constant)
+        tick = int(self.tick[0])
+        self.payload.step(tick)
+        self.pushes.step(tick)
         self._roll(self.drives.follow(command, self.motion.motor_q))
-        self.tick += 1
+        self.tick[0] = tick = tick + 1
         self._settle()
-        if int(self.tick[0]) % self._slow == 0:
+        if tick % self._bus == 0:
+            self.supply.sink(self.current, self.motion.motor_qd, self.wear.constant)
+        if tick % self._slow == 0:
             self._settle_slowly()
 
     def brake(self, ids: Bools) -> None:
