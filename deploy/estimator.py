@@ -25,6 +25,8 @@ STUCK_S, STUCK_STD = 0.1, 10.0
 """A sensor that says the very same for so long, in which it was sent away by so many standard deviations, is stuck."""
 MEMORY, DIVERGED = 50.0, 9.0
 """Samples of the running mean of squared innovations, and the mean above which a filter does not know what it does."""
+REFUSED_S = 0.1
+"""s without a sample inside the gate, while others come, after which a filter begins anew with the next."""
 
 
 class Estimator(Stage):
@@ -74,13 +76,12 @@ class Estimator(Stage):
         self.seeded[ids] = False
         self.heat.reset(ids)
 
-    def follow(self, ids: Bools, sent: Setpoint) -> None:
-        """Robots where `ids` (B,) holds are sent somewhere else from now on, and have not moved for that."""
-        now = self.sent[ids, self._place]
-        new = np.concatenate((sent.q, sent.qd), axis=1)[ids]
-        self.e[ids] += (now - new)[:, : self._n]
-        self.ed[ids] += (now - new)[:, self._n :]
-        self.sent[ids], self.moved[ids] = new[:, None], new[:, : self._n]
+    def follow(self, ids: Bools, old: Setpoint, new: Setpoint) -> None:
+        """Robots where `ids` (B,) holds are sent elsewhere from now on, and have not moved for that."""
+        here = np.concatenate((new.q, new.qd), axis=1)[ids]
+        self.e[ids] += (old.q - new.q)[ids]
+        self.ed[ids] += (old.qd - new.qd)[ids]
+        self.sent[ids], self.moved[ids] = here[:, None], new.q[ids]
 
     def step(self, t: float, sample: Sample, sent: Setpoint) -> State:
         """Fuse what arrived and carry the belief to now.
@@ -95,8 +96,7 @@ class Estimator(Stage):
             sent: the setpoint that the drives should have reached by now.
         """
         self._place = round(t / self._dt) % self._depth
-        now = self.sent[:, self._place]
-        now[:, : self._n], now[:, self._n :] = sent.q, sent.qd
+        self.sent[:, self._place] = np.concatenate((sent.q, sent.qd), axis=1)
         packet = sample["encoder"]
         there = self._there(t, packet)
         reference = self._sent_at(packet.t, there)
@@ -111,7 +111,7 @@ class Estimator(Stage):
 
     def _there(self, t: float, packet: Packet) -> Bools:
         """(B,) whether a packet arrived that may count."""
-        return packet.fresh & (packet.t <= t + self._dt) & (packet.t > t + self._dt - self._depth * self._dt)
+        return packet.fresh & (packet.t <= t + self._dt) & (packet.t > t - (self._depth - 1) * self._dt)
 
     def _sent_at(self, t: Floats, there: Bools) -> Floats:
         """(B, n) rad, where the joints were sent for the times t (B,)."""
@@ -122,9 +122,17 @@ class Estimator(Stage):
         return sent[:, : self._n] + sent[:, self._n :] * ((ticks - whole) * self._dt)[:, None]
 
     def _seed(self, ids: Bools, packet: Packet, deviation: Floats) -> None:
-        self.e[ids], self.ed[ids], self.innovation[ids], self.nis[ids] = deviation[ids], 0.0, 0.0, 1.0
-        self.p00[ids], self.p01[ids], self.p11[ids] = self._r[ids], 0.0, SPEED_STD**2
-        self.t_sample[ids], self.seeded[ids], self.same[ids] = packet.t[ids, None], True, 0
+        """Begin robots `ids` (B,) with their first packet."""
+        self._begin_anew(np.repeat(ids[:, None], self._n, axis=1), packet, deviation)
+        self.seeded[ids], self.innovation[ids], self.nis[ids], self.same[ids] = True, 0.0, 1.0, 0
+
+    def _begin_anew(self, joints: Bools, packet: Packet, deviation: Floats) -> None:
+        """Believe the sample of `joints` (B, n), at the speed that was sent."""
+        if not some(joints):
+            return
+        self.e[joints], self.ed[joints] = deviation[joints], 0.0
+        self.p00[joints], self.p01[joints], self.p11[joints] = self._r[joints], 0.0, SPEED_STD**2
+        np.copyto(self.t_sample, packet.t[:, None], where=joints)
 
     def _fuse(self, packet: Packet, deviation: Floats, new: Bools) -> Bools:
         """Predict to the packet and correct; a sample left out counts as the expected one with infinite variance."""
@@ -139,6 +147,7 @@ class Estimator(Stage):
             self._count(residual, variance, square, None)
         else:
             self._count(residual, variance, square, new)
+            self._begin_anew(new & ~fused & (dt > REFUSED_S), packet, deviation)
             missing = ~fused
             dt[missing], residual[missing], variance[missing] = 0.0, 0.0, np.inf
         np.copyto(self.t_sample, packet.t[:, None], where=fused)

@@ -193,7 +193,7 @@ class Runtime:
         self.asked[ids] = 0
         granted = ids & (reason == 0)
         self.supervisor.arm(granted)
-        self.estimator.follow(granted, here)
+        self.estimator.follow(granted, self.smoother.sent, here)
         self.smoother.hold(granted, self.state.q)
         self._ahead = _where(~granted, self._ahead, here)
         self.action.reset(granted, self.state.q)

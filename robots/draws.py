@@ -118,7 +118,7 @@ class Mounting(Strict):
 
 
 class Payload(Strict):
-    """What the tool picks up, carries and drops, again and again: a ball, its centre of mass off the tool by `com_m`."""
+    """What the tool picks up, carries and drops, again and again: a ball, its centre `com_m` off the tool."""
 
     mass_kg: Annotated[Span, *_drawn(0.0, 50.0)]
     com_m: Annotated[Span, *_drawn(-0.5, 0.5, "direction")]

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_spec import SPEC
 
-from deploy.estimator import DIVERGED, GATE, REMEMBERED_S, SPEED_STD, STUCK_S, Estimator
+from deploy.estimator import DIVERGED, GATE, REFUSED_S, REMEMBERED_S, SPEED_STD, STUCK_S, Estimator
 from deploy.state import Packet, Reason, Setpoint
 
 N, DT = SPEC.n, SPEC.dt
@@ -260,6 +260,21 @@ def test_a_gross_error_is_a_packet_that_never_came():
     assert 1.0 < estimator.nis[0, 3] < DIVERGED
 
 
+def test_a_joint_that_really_jumped_is_found_again_and_the_jump_is_told():
+    """A filter that refused all samples for ever would be blind, one that took them at once would believe anything."""
+    estimator, faults, errors = Estimator(SPEC, 1), [], []
+    for tick in range(400):
+        z = np.full((1, N), 0.0 if tick < 100 else 0.4)
+        state = estimator.step(tick * DT, sample([tick * DT], [True], z), still(1))
+        faults.append(bool(state.fault[0] & Reason.DIVERGED))
+        errors.append(np.abs(state.q - z).max())
+    refused = 100 + round(REFUSED_S / DT)
+    assert min(errors[100:refused]) > 0.39
+    assert max(errors[refused + 2 :]) < 1e-3
+    assert all(faults[refused - 5 : refused + 20])
+    assert not any(faults[:100] + faults[300:])
+
+
 @pytest.mark.parametrize("standard_deviations", [0.5 * GATE, 2.0 * GATE])
 def test_the_gate_stands_where_it_says(standard_deviations):
     estimator, rng = Estimator(SPEC, 1), np.random.default_rng(10)
@@ -323,7 +338,7 @@ def test_another_setpoint_moves_nobody():
     for tick in range(100):
         before = estimator.step(tick * DT, sample([tick * DT] * 2, [True] * 2, q), still(2))
     there = still(2, before.q)
-    estimator.follow(np.array([True, False]), there)
+    estimator.follow(np.array([True, False]), still(2), there)
     now = still(2)
     now.q[0] = there.q[0]
     after = estimator.step(100 * DT, sample([99 * DT] * 2, [True] * 2, q), now)

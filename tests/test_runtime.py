@@ -14,7 +14,7 @@ SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
 N, DT = SPEC.n, SPEC.dt
 POOL = goal_pool(SPEC, ReachConfig())
 STAGES = ("estimator", "action", "smoother", "supervisor", "task", "observation")
-OWN = ("asked", "_tau_ahead", "_tool")
+OWN = ("asked", "_tau_ahead", "_tool", "_goal")
 
 
 @pytest.fixture(autouse=True)
@@ -47,11 +47,11 @@ class Saying:
         return self.action
 
 
-def built(robots=2, seed=5, *, policy=None, threads=1, only=None, contract=None):
+def built(robots=2, seed=5, *, policy=None, threads=1, only=None, contract=None, faults=()):
     """A runtime on simulated robots, not yet armed; also for other test files."""
     contract = contract or arm_contract()
     seeds = [robot_seed(seed, robot) for robot in (range(robots) if only is None else only)]
-    robot = SimRobot(SPEC, seeds, threads=threads)
+    robot = SimRobot(SPEC, seeds, threads=threads, faults=faults)
     return Runtime(SPEC, contract, robot, seeds, policy or Wandering(contract))
 
 

@@ -125,8 +125,16 @@ def _samples(spec: RobotSpec, motion: Motion, noise: float | None) -> Iterator[t
         yield tick, sensors.read(), Setpoint(q=sent[:, : spec.n], qd=sent[:, spec.n :], qdd=sent[:, spec.n :])
 
 
+def _estimator(spec: RobotSpec, motion: Motion) -> Estimator:
+    """One that knows where its robots were sent at first."""
+    estimator, rest = Estimator(spec, motion.robots), np.zeros((motion.robots, spec.n))
+    nowhere, q = Setpoint(q=rest, qd=rest, qdd=rest), motion.sent[0, :, : spec.n]
+    estimator.follow(np.ones(motion.robots, dtype=bool), nowhere, Setpoint(q=q, qd=rest, qdd=rest))
+    return estimator
+
+
 def _hear(spec: RobotSpec, motion: Motion, noise: float | None) -> Heard:
-    estimator, rows = Estimator(spec, motion.robots), []
+    estimator, rows = _estimator(spec, motion), []
     t_last, q_last = np.full(motion.robots, -np.inf), motion.q[0]
     differenced = np.zeros((motion.robots, spec.n))
     for tick, sample, sent in _samples(spec, motion, noise):
@@ -192,7 +200,7 @@ def _consistency(spec: RobotSpec, motions: list[Motion]) -> str:
 def _outage(spec: RobotSpec, motion: Motion) -> str:
     """How long after 100 ms without a packet the error is what it would have been."""
     begins, silent = round(2.0 / spec.dt), round(OUTAGE_S / spec.dt)
-    cut, whole, errors = Estimator(spec, motion.robots), Estimator(spec, motion.robots), []
+    cut, whole, errors = _estimator(spec, motion), _estimator(spec, motion), []
     for tick, sample, sent in _samples(spec, motion, None):
         heard = {**sample, "encoder": sample["encoder"]._replace(fresh=np.zeros(motion.robots, dtype=bool))}
         now, gone = tick * spec.dt, begins < tick <= begins + silent
@@ -208,7 +216,7 @@ def _outage(spec: RobotSpec, motion: Motion) -> str:
 
 
 def _cost(spec: RobotSpec, motion: Motion) -> str:
-    estimator, samples = Estimator(spec, motion.robots), list(_samples(spec, motion, None))
+    estimator, samples = _estimator(spec, motion), list(_samples(spec, motion, None))
     began = time.perf_counter()
     for tick, sample, sent in samples:
         estimator.step(tick * spec.dt, sample, sent)

@@ -100,7 +100,9 @@ def _add_play(joint: mujoco.MjsJoint) -> None:
     Source: Isaac Lab's BAM actuators (2025): backlash as a passive hinge. Its stops are as stiff as 1 kHz bears; its
     inertia and damping are those of a gear's last wheel, so small that they only keep it calm: both estimates.
     """
-    play = joint.parent.add_joint(name=f"{joint.name}/{PLAY}", type=joint.type, axis=joint.axis, pos=joint.pos)
+    play = joint.parent.add_joint(
+        name=f"{joint.name}/{PLAY}", type=joint.type, axis=joint.axis, pos=joint.pos
+    )
     if joint.frame is not None:
         play.set_frame(joint.frame)
     play.limited, play.range, play.margin, play.ref = True, [-1.0, 1.0], 0.0, 0.0

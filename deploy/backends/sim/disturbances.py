@@ -88,6 +88,7 @@ class Payload(Turns):
         cycle = self._durations.sum(axis=0)
         begun = [self.rng(robot).random() * cycle[robot] for robot in range(len(cycle))]
         self.until -= np.rint(np.array(begun) / dt).astype(np.int64)
+        self._next = 0
         self.step(0)
 
     def seconds(self, robot: int) -> float:
@@ -110,7 +111,9 @@ class Pushes(Turns):
     def __init__(self, batch: Batch, anatomy: Anatomy, draw: Draw, seeds: Seeds, dt: float) -> None:
         """Read the draw."""
         self._applied, self._bodies = batch.bind("xfrc_applied"), anatomy.bodies
-        self._force, self._every, self._lasts = (draw[f"push.{name}"] for name in ("force_n", "every_s", "lasts_s"))
+        self._force, self._every, self._lasts = (
+            draw[f"push.{name}"] for name in ("force_n", "every_s", "lasts_s")
+        )
         super().__init__(seeds, dt)
 
     def seconds(self, robot: int) -> float:
@@ -125,4 +128,6 @@ class Pushes(Turns):
         for robot in rows[self.on[rows]]:
             rng = self.rng(robot)
             way = rng.standard_normal(3)
-            self._applied[robot, rng.choice(self._bodies), :3] = self._force[robot] * way / np.linalg.norm(way)
+            self._applied[robot, rng.choice(self._bodies), :3] = (
+                self._force[robot] * way / np.linalg.norm(way)
+            )

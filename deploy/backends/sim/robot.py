@@ -35,8 +35,9 @@ class SimRobot:
             threads: for physics; results do not depend on it.
         """
         self.spec, self.robots = spec, len(seeds)
-        self.draw = given or draw(load_distributions(spec), spec, seeds)
-        self.plant = Plant(spec, self.draw, seeds, threads=threads)
+        distributions = load_distributions(spec)
+        self.draw = given or draw(distributions, spec, seeds)
+        self.plant = Plant(spec, distributions, self.draw, seeds, threads=threads)
         self.sensors = Sensors(spec, self.draw, seeds, faults)
         self.goal = np.full((self.robots, 3), np.nan)
         self._settle(np.ones(self.robots, dtype=bool))
