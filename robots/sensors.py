@@ -118,16 +118,16 @@ def check_sensors(sensors: Sensors, control_hz: int) -> Sensors:
     """
     for kind in NEEDED:
         if kind not in sensors:
-            raise ValueError(f"no {kind}; found {', '.join(sensors) or 'none'}")
+            raise ValueError(f"sensors: no {kind}; found {', '.join(sensors) or 'none'}")
     for kind, sensor in sensors.items():
         sites = len(sensor.sites)
         if sensor.unit != UNITS[kind]:
-            raise ValueError(f"{kind}.unit: found {sensor.unit!r}, expected {UNITS[kind]!r}")
+            raise ValueError(f"sensors.{kind}.unit: found {sensor.unit!r}, expected {UNITS[kind]!r}")
         if sites != (kind in AT_ONE_SITE) if kind != "contact" else not sites:
             expected = "at least one" if kind == "contact" else "one" if kind in AT_ONE_SITE else "none"
-            raise ValueError(f"{kind}.sites: found {list(sensor.sites)}, expected {expected}")
+            raise ValueError(f"sensors.{kind}.sites: found {list(sensor.sites)}, expected {expected}")
         if sensor.rate_hz > control_hz:
             raise ValueError(
-                f"{kind}.rate_hz: found {sensor.rate_hz}, expected at most control_hz {control_hz}"
+                f"sensors.{kind}.rate_hz: found {sensor.rate_hz}, expected at most control_hz {control_hz}"
             )
     return sensors

@@ -75,10 +75,12 @@ def test_the_plain_composition_moves_its_robot(arm_policy):
 def test_the_worth_of_the_estimator_is_measured_against_what_really_happened():
     """On a motion and a delay that are known: raw angles are two ticks old, estimates are not."""
     seeds = [robot_seed(2, robot) for robot in range(4)]
-    drawn = draw(load_distributions(SPEC), SPEC.n, seeds)
-    drawn.delay_s[:], drawn.loss[:] = 0.008, 0.0
+    plain = {f"sensors.{name}": 0.0 for name in ("bias", "drift", "jitter", "loss", "repeat")}
+    drawn = draw(load_distributions(SPEC), SPEC, seeds).replaced({**plain, "sensors.delay": 1.0})
     t = SPEC.dt * np.arange(1, 1001)[:, None, None] + np.arange(4)[:, None] + np.arange(SPEC.n) / 2
-    motion = estimate.Motion(q=0.2 * np.sin(2 * t), qd=0.4 * np.cos(2 * t), draw=drawn, seeds=seeds)
+    q, qd = 0.2 * np.sin(2 * t), 0.4 * np.cos(2 * t)
+    sent = np.concatenate((q + 0.01, qd), axis=2)  # a steady error of what was sent
+    motion = estimate.Motion(q=q, qd=qd, seen=q, sent=sent, draw=drawn, seeds=seeds)
     raw, q, differenced, qd, ratio, late, left = (
         float(word.split()[0]) for word in estimate._errors(SPEC, [motion], 0.001)
     )
@@ -87,7 +89,7 @@ def test_the_worth_of_the_estimator_is_measured_against_what_really_happened():
     assert raw == pytest.approx(np.hypot(1e3 * 0.010 * 0.4 / np.sqrt(2), 1.0), rel=0.03)
     assert q < raw / 2
     assert differenced == pytest.approx(
-        np.sqrt(2) * np.hypot(1.0, SPEC.encoder.resolution_rad * 1e3 / np.sqrt(12)) / SPEC.dt, rel=0.05
+        np.sqrt(2) * np.hypot(1.0, SPEC.sensors["encoder"].resolution * 1e3 / np.sqrt(12)) / SPEC.dt, rel=0.05
     )
     assert ratio == pytest.approx(qd / differenced, abs=0.001)
     assert estimate._outage(SPEC, motion).startswith("100 ms without a packet: error up to ")

@@ -1,6 +1,6 @@
+import json
 import re
 import shutil
-from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -8,28 +8,40 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_spec import ARM, SPEC, copy_of_arm
 
-from robots.draws import Draw, Span, draw, load_distributions
+from robots.draws import Span, draw, load_distributions, load_draw, shape
 from robots.errors import ConfigError
 from robots.randomness import keyed, keys, robot_seed
 from robots.spec import load_robot
 
-NAMES = [field.name for field in fields(Draw)]
+DISTRIBUTIONS = load_distributions(SPEC)
+QUANTITIES = {name: (quantity, span) for name, quantity, span in DISTRIBUTIONS.spans()}
 
 
 def drawn(seed, robots):
-    return draw(load_distributions(SPEC), SPEC.n, [robot_seed(seed, robot) for robot in robots])
+    return draw(DISTRIBUTIONS, SPEC, [robot_seed(seed, robot) for robot in robots])
 
 
-def test_shapes():
+def assert_same(one, other):
+    assert list(one) == list(other)
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name])
+
+
+def test_everything_that_is_declared_is_drawn():
     d = drawn(0, range(5))
-    per_robot = {"noise_rad", "delay_s", "loss", "ambient_c", "warm_start_k"}
-    for name in NAMES:
-        assert getattr(d, name).shape == ((5,) if name in per_robot else (5, SPEC.n))
+    assert set(d) == set(QUANTITIES)
+    assert d.robots == 5
+    for name, values in d.items():
+        assert values.shape == (5, *shape(QUANTITIES[name][0], SPEC))
+    assert d["links.mass"].shape == (5, SPEC.n)
+    assert d["links.com_m"].shape == (5, SPEC.n, 3)
+    assert d["sensors.noise"].shape == (5, len(SPEC.sensors))
+    assert d["sensors.bias"].shape == (5, sum(SPEC.channels.values()))
+    assert d["climate.ambient_c"].shape == (5,)
 
 
 def test_same_seed_same_robots():
-    for name in NAMES:
-        np.testing.assert_array_equal(getattr(drawn(7, range(20)), name), getattr(drawn(7, range(20)), name))
+    assert_same(drawn(7, range(20)), drawn(7, range(20)))
 
 
 @settings(max_examples=20, deadline=None, derandomize=True)
@@ -37,32 +49,39 @@ def test_same_seed_same_robots():
 def test_a_robot_does_not_depend_on_its_group(seed, robots):
     together = drawn(seed, robots)
     for place, robot in enumerate(robots):
-        alone = drawn(seed, [robot])
-        for name in NAMES:
-            np.testing.assert_array_equal(getattr(together, name)[place], getattr(alone, name)[0])
+        for name, values in drawn(seed, [robot]).items():
+            np.testing.assert_array_equal(together[name][place], values[0])
 
 
-def test_robots_and_seeds_differ():
+def test_a_quantity_does_not_depend_on_the_others(tmp_path):
+    """One that is drawn otherwise, or is new, leaves every other number of every robot as it was."""
+    path = copy_of_arm(tmp_path) / "draws.toml"
+    path.write_text(path.read_text().replace("mass = { low = 0.8,", "mass = { low = 0.7,"))
+    spec = load_robot(path.parent)
+    changed = draw(load_distributions(spec), spec, [robot_seed(3, robot) for robot in range(4)])
+    for name, values in drawn(3, range(4)).items():
+        assert np.array_equal(values, changed[name]) == (name != "links.mass"), name
+
+
+def test_robots_seeds_and_quantities_differ():
     a, b = drawn(1, range(200)), drawn(2, range(200))
-    for name in NAMES:
-        assert len(np.unique(getattr(a, name))) == getattr(a, name).size
-        assert not np.isin(getattr(a, name), getattr(b, name)).any()
+    for name, values in a.items():
+        assert len(np.unique(values)) == values.size
+        assert not np.isin(values, b[name]).any()
+    shares = {name: (a[name].ravel()[:200] - s.low) / (s.high - s.low) for name, (_, s) in QUANTITIES.items()}
+    assert len({share[0] for share in shares.values()}) == len(shares)
 
 
 def test_no_robot_is_the_nominal_one():
-    """Not one parameter of 500 robots is what `deploy` computes with."""
-    d = drawn(0, range(500))
-    nominal = {"noise_rad": SPEC.encoder.noise_rad, "delay_s": SPEC.encoder.delay_s}
-    for name in NAMES:
-        assert not np.isin(nominal.get(name, 1.0), getattr(d, name))
+    """Not one parameter of 500 robots is what `deploy` computes with: factors of 1, errors of 0."""
+    for name, values in drawn(0, range(500)).items():
+        assert not np.isin([0.0, 1.0], values).any(), name
 
 
 def test_inside_and_filling_their_spans():
-    distributions, d = load_distributions(SPEC), drawn(3, range(2000))
-    spans = {**dict(distributions.factors), **dict(distributions.sensors), **dict(distributions.climate)}
-    assert sorted(spans) == sorted(NAMES)
-    for name, span in spans.items():
-        values = np.sort(getattr(d, name).ravel())
+    d = drawn(3, range(2000))
+    for name, (_, span) in QUANTITIES.items():
+        values = np.sort(d[name].ravel())
         assert span.low <= values[0] <= values[-1] <= span.high
         to = np.log if span.log else np.asarray
         share = (to(values) - to(span.low)) / (to(span.high) - to(span.low))
@@ -71,23 +90,78 @@ def test_inside_and_filling_their_spans():
 
 
 def test_a_span_of_one_value_gives_that_value():
-    assert Span(low=2.0, high=2.0).sample(np.random.default_rng(0), 3).tolist() == [2.0] * 3
+    assert Span(low=2.0, high=2.0).sample(np.random.default_rng(0), (3,)).tolist() == [2.0] * 3
+
+
+def test_a_stored_draw_is_the_same_robots(tmp_path):
+    path, d = tmp_path / "draw.json", drawn(5, range(7))
+    path.write_text(d.to_json())
+    assert_same(load_draw(path, DISTRIBUTIONS, SPEC), d)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"links.mass": None}, ["links.mass: missing"]),
+        ({"links.colour": [[1.0]]}, ["links.colour: unknown"]),
+        ({"links.mass": [[1.0] * 5] * 2}, ["links.mass", "found shape (2, 5)", "(B, 6)"]),
+        ({"links.mass": [[1.0] * 6] * 3}, ["robots", "same for every quantity"]),
+        ({"links.mass": [[1.0] * 5 + [0.01]] * 2}, ["links.mass", "found 0.01", "[0.05, 20]"]),
+        ({"links.mass": [[1.0] * 5 + [float("nan")]] * 2}, ["links.mass", "found nan"]),
+        ({"sensors.noise": [[-1.0] * 5] * 2}, ["sensors.noise", "found -1", "[0, 20]"]),
+        ({"links.mass": [["heavy"] * 6] * 2}, ["links.mass", "not an array of numbers"]),
+        ({"links.mass": [[1.0] * 6, [1.0]]}, ["links.mass", "not an array of numbers"]),
+        ({"climate.ambient_c": []}, ["climate.ambient_c", "found shape (0,)"]),
+    ],
+)
+def test_a_stored_draw_that_no_robot_can_be_is_refused(tmp_path, change, words):
+    path, data = tmp_path / "draw.json", json.loads(drawn(5, range(2)).to_json()) | change
+    path.write_text(json.dumps({name: values for name, values in data.items() if values is not None}))
+    with pytest.raises(ConfigError) as caught:
+        load_draw(path, DISTRIBUTIONS, SPEC)
+    for word in [str(path), *words]:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 50_000])
+def test_a_stored_draw_that_is_no_draw_is_refused(tmp_path, text):
+    path = tmp_path / "draw.json"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=re.escape(str(path))):
+        load_draw(path, DISTRIBUTIONS, SPEC)
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_draw(tmp_path / "nothing", DISTRIBUTIONS, SPEC)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("mass = .*", "mass = { low = 1.2, high = 0.8 }", ["factors.mass", "low 1.2 is above high 0.8"]),
-        ("mass = .*", "mass = { low = 0.0, high = 0.8 }", ["factors.mass", "[0.0, 0.8]", "[0.05, 20.0]"]),
-        ("mass = .*", "mass = { low = 0.8, high = 30.0 }", ["factors.mass", "30.0", "20.0"]),
-        ("mass = .*", "mass = { low = 0.8 }", ["factors.mass.high", "required"]),
-        ("mass = .*", "mass = 1.0", ["factors.mass", "1.0"]),
-        ("mass = .*", "mas = { low = 1, high = 1 }", ["factors.mas", "factors.mass"]),
-        ("mass = .*", "mass = { low = 0.8, high = 1.2, log = 1 }", ["factors.mass.log", "boolean"]),
+        ("mass = .*", "mass = { low = 1.2, high = 0.8 }", ["links.mass", "low 1.2 is above high 0.8"]),
+        ("mass = .*", "mass = { low = 0.0, high = 0.8 }", ["links.mass", "[0.0, 0.8]", "[0.05, 20.0]"]),
+        ("mass = .*", "mass = { low = 0.8, high = 30.0 }", ["links.mass", "30.0", "20.0"]),
+        ("mass = .*", "mass = { low = 0.8 }", ["links.mass.high", "required"]),
+        ("mass = .*", "mass = 1.0", ["links.mass", "1.0"]),
+        ("mass = .*", "mas = { low = 1, high = 1 }", ["links.mas", "links.mass"]),
+        ("mass = .*", "mass = { low = 0.8, high = 1.2, log = 1 }", ["links.mass.log", "boolean"]),
         ("mass = .*", "mass = { low = -1.0, high = 1.2, log = true }", ["logarithmic", "-1.0"]),
-        ("loss = .*", "loss = { low = 0.0, high = 1.0 }", ["sensors.loss", "[0.0, 1.0]", "[0.0, 0.5]"]),
-        ("delay_s = .*", "delay_s = { low = -0.01, high = 0.01 }", ["sensors.delay_s", "-0.01"]),
-        ("noise_rad = .*", "noise_rad = { low = 0.0, high = 3.0 }", ["sensors.noise_rad", "3.0", "0.2"]),
+        ("hold = .*", "hold = { low = 0.0, high = 1.1 }", ["sensors.hold", "[0.0, 1.1]", "[0.0, 1.0]"]),
+        ("delay = .*", "delay = { low = -0.01, high = 0.01 }", ["sensors.delay", "-0.01"]),
+        ("noise = .*", "noise = { low = -0.5, high = 2.0 }", ["sensors.noise", "-0.5", "[0.0, 20.0]"]),
+        ("noise = .*", "noise = { low = 0.5, high = 30.0 }", ["sensors.noise", "30.0", "20.0"]),
+        ("delay_s = .*", "delay_s = { low = 0.0, high = 0.01 }", ["drives.delay_s", "0.01", "0.005"]),
+        (
+            "jitter = .*",
+            "jitter = { low = 0.0, high = 9.0 }",
+            ["sensors.delay and sensors.jitter", "temperature", "0.25"],
+        ),
+        ("tilt_rad = .*", "tilt_rad = { low = -1.0, high = 1.0 }", ["mounting.tilt_rad", "[-0.5, 0.5]"]),
+        (
+            "torque_constant = { low = -.*",
+            "torque_constant = { low = -1.0, high = 0 }",
+            ["wear.torque_constant", "-0.9"],
+        ),
+        ("life_rad = .*", "life_rad = 0.0", ["wear.life_rad", "greater than 0"]),
+        ("above_m = .*", "above_m = '1'", ["cable.above_m", "'1'"]),
         ("ambient_c = .*", "ambient_c = { low = nan, high = 35.0 }", ["climate.ambient_c.low", "nan"]),
         (r"\[climate\]", "[weather]", ["climate", "weather"]),
     ],
@@ -130,7 +204,7 @@ def test_streams_of_keys_do_not_meet():
 def test_draw_and_streams_share_no_state():
     """Making keys, drawing, spawning: each robot's seed gives the same draw whatever was done with it before."""
     seed = robot_seed(4, 2)
-    before = draw(load_distributions(SPEC), SPEC.n, [seed])
+    before = draw(DISTRIBUTIONS, SPEC, [seed])
     keys([seed], 0)
     seed.spawn(3)
-    np.testing.assert_array_equal(draw(load_distributions(SPEC), SPEC.n, [seed]).mass, before.mass)
+    assert_same(draw(DISTRIBUTIONS, SPEC, [seed]), before)

@@ -58,7 +58,7 @@ def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):
     assert summary["goals"]["attempted"] == 1
     assert 900 <= summary["ticks"] <= 906
     assert 15 < summary["housing_max_c"] < 60
-    assert 0 <= summary["winding_max_c"] - summary["housing_max_c"] < 10
+    assert -2 <= summary["winding_max_c"] - summary["housing_max_c"] < 10  # the sensor's noise and steps
     assert "0 of 1 reached" in said
     assert {path.name for path in out.iterdir()} == {"run.mcap", "summary.json", "heat.json"}
 
@@ -81,8 +81,8 @@ def test_a_robot_of_a_soak_comes_with_its_draw_its_noise_and_its_goals(
     assert code == 0
     assert json.loads((tmp_path / "summary.json").read_text())["seed"] == "5:3"
     soaked = SimRobot(SPEC, [robot_seed(5, robot) for robot in range(4)])
-    np.testing.assert_array_equal(made[0].draw.mass[0], soaked.draw.mass[3])
-    np.testing.assert_array_equal(made[0].sensors._keys[0], soaked.sensors._keys[3])
+    np.testing.assert_array_equal(made[0].draw["links.mass"][0], soaked.draw["links.mass"][3])
+    np.testing.assert_array_equal(made[0].sensors._noise_keys[0], soaked.sensors._noise_keys[3])
 
 
 @pytest.mark.usefixtures("quick_goals")
@@ -91,6 +91,7 @@ def test_a_robot_that_is_not_armed_is_exit_1(command, arm_policy, tmp_path, monk
         def __init__(self, *args):
             super().__init__(*args)
             self.plant.housing[:] = 95.0
+            self._settle(np.ones(1, dtype=bool))
 
     monkeypatch.setattr("deploy.backends.sim.robot.SimRobot", Hot)
     code, said, _ = command("--policy", arm_policy, "--speed", "max", "--out", tmp_path)

@@ -46,6 +46,7 @@ def judge(
         innovation=np.zeros((1, N)),
         temperature=np.broadcast_to(np.asarray(temperature, dtype=float), (1, N)),
         winding=np.broadcast_to(np.asarray(winding, dtype=float), (1, N)),
+        fault=np.zeros(1, dtype=np.int64),
     )
     ahead = setpoint if ahead is None else ahead
     rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
@@ -299,6 +300,7 @@ def test_each_robot_is_judged_alone():
         innovation=q,
         temperature=temperature,
         winding=winding,
+        fault=np.zeros(robots, dtype=np.int64),
     )
     setpoint = Setpoint(q=q, qd=qd, qdd=qdd)
     ahead = Setpoint(q=q_hat, qd=qd * 0, qdd=qdd * 0)

@@ -217,6 +217,7 @@ def test_too_many_late_ticks_stop_the_robot(bench, lost_s, ending):
 def test_a_robot_that_is_too_hot_is_not_armed(bench):
     b = bench()
     b.robot.plant.housing[:] = 95.0
+    b.robot._settle(np.ones(1, dtype=bool))
     assert b.live() is Ending.REFUSED
     assert b.shift.reason == "a motor is too hot"
     assert not any(powered for powered, _ in b.robot.sent)

@@ -99,13 +99,12 @@ def _move(spec: RobotSpec, policy: Path, first: int) -> Motion:
     runtime = Runtime(spec, brain.contract, robot, seeds, brain)
     runtime.tick()
     runtime.arm(np.ones(SHARD, dtype=bool))
-    rows = []
+    rows: list[tuple[Floats, ...]] = []
     for _ in range(round(MOVED_S / spec.dt)):
         runtime.tick()
-        truth, sent = robot.truth(), runtime.setpoint
-        rows.append(
-            [np.copy(x) for x in (truth.q, truth.qd, robot.plant.reading("encoder"))] + [np.hstack(sent[:2])]
-        )
+        truth, setpoint = robot.truth(), runtime.setpoint
+        seen = robot.plant.reading("encoder").copy()
+        rows.append((truth.q.copy(), truth.qd.copy(), seen, np.hstack((setpoint.q, setpoint.qd))))
     q, qd, seen, sent = (np.array(column) for column in zip(*rows, strict=True))
     return Motion(q=q, qd=qd, seen=seen, sent=sent, draw=robot.draw, seeds=seeds)
 

@@ -96,7 +96,7 @@ class Packets:
         again = u[..., 4] < self._repeat
         again[0] = False
         before = np.concatenate((arrivals[:1], arrivals[:-1]))
-        return np.where(again, before, arrivals)
+        return np.asarray(np.where(again, before, arrivals))
 
     def due(self, ticks: Ints) -> Bools:
         """(T, G) whether a sensor takes a packet at each of some ticks (T,)."""
@@ -106,7 +106,7 @@ class Packets:
     def last_taken(self, tick: int) -> Ints:
         """(B, G) the newest packet of each sensor, had it always stood still and lost nothing."""
         count = (tick - np.ceil(self._least / self._dt).astype(np.int64)) * self._rates // self._control_hz
-        return -(-count * self._control_hz // self._rates)
+        return np.asarray(-(-count * self._control_hz // self._rates))
 
     def _sent(self, chunk: int, u: Floats) -> Ints:
         """(CHUNK + depth, B, G) packets taken in a chunk, each at the tick of its arrival; the latest taken wins."""
@@ -129,7 +129,7 @@ class Packets:
         new = u[..., 0] >= self._hold
         new[0] = True
         since = np.maximum.accumulate(np.where(new, np.arange(CHUNK)[:, None, None], 0), axis=0)
-        return self._least + self._most * np.take_along_axis(u[..., 1], since, axis=0)
+        return np.asarray(self._least + self._most * np.take_along_axis(u[..., 1], since, axis=0))
 
     def _lost(self, u: Floats) -> Bools:
         """(CHUNK, B, G) Packets lost in bursts of geometric length. Source: Gilbert (1960), without its good losses."""

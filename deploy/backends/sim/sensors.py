@@ -111,7 +111,7 @@ class Sensors(Stage):
         fresh = arrived if every(self.told) else arrived | ~self.told
         np.copyto(self.taken, self._taken[place], where=arrived)
         np.copyto(self.value, self.ring.take(self._source[place]), where=self._wide[place])
-        t = self.taken * self._dt
+        t: Floats = np.multiply(self.taken, self._dt, dtype=np.float64)
         return {
             kind: Packet(t=t[:, g], fresh=fresh[:, g], value=self.value[:, columns])
             for g, (kind, columns) in enumerate(self.columns.items())
