@@ -22,6 +22,8 @@ from robots.strict import Strict, read_json, read_toml
 
 Floats = NDArray[np.float64]
 
+COMMAND_DELAY_S = 0.005
+"""s, the longest that a command may be under way to a drive."""
 FILE_MAX = 1 << 26
 """Characters of a stored draw: thousands of robots."""
 
@@ -107,7 +109,7 @@ class Drives(Strict):
     iron_loss: Annotated[Span, *_drawn(0.0, 20.0, "joint")]
     voltage: Annotated[Span, *_drawn(0.2, 2.0)]
     supply_ohm: Annotated[Span, *_drawn(0.0, 5.0)]
-    delay_s: Annotated[Span, *_drawn(0.0, 0.005)]
+    delay_s: Annotated[Span, *_drawn(0.0, COMMAND_DELAY_S)]
 
 
 class Mounting(Strict):
@@ -118,7 +120,7 @@ class Mounting(Strict):
 
 
 class Payload(Strict):
-    """What the tool picks up, carries and drops, again and again: a ball, its centre of mass off the tool by `com_m`."""
+    """What the tool picks up, carries and drops, again and again: a ball, `com_m` from the tool."""
 
     mass_kg: Annotated[Span, *_drawn(0.0, 50.0)]
     com_m: Annotated[Span, *_drawn(-0.5, 0.5, "direction")]
@@ -250,7 +252,9 @@ class Draw(Mapping[str, Floats]):
 
     def replaced(self, values: Mapping[str, Floats | float]) -> "Draw":
         """The same robots but for some numbers, which numpy broadcasts."""
-        new = {name: np.array(np.broadcast_to(x, self[name].shape), dtype=float) for name, x in values.items()}
+        new = {
+            name: np.array(np.broadcast_to(x, self[name].shape), dtype=float) for name, x in values.items()
+        }
         return Draw(dict(self) | new)
 
     def to_json(self) -> str:
@@ -322,7 +326,9 @@ def _numbers(data: object, quantity: Quantity, spec: RobotSpec, where: str) -> F
         raise ConfigError(f"{where}: not an array of numbers: {data!r:.40}") from e
     expected = shape(quantity, spec)
     if values.shape[1:] != expected or not len(values):
-        raise ConfigError(f"{where}: found shape {values.shape}, expected (B, {', '.join(map(str, expected))})")
+        raise ConfigError(
+            f"{where}: found shape {values.shape}, expected (B, {', '.join(map(str, expected))})"
+        )
     beyond = values[~((values >= quantity.low) & (values <= quantity.high))]
     if beyond.size:
         raise ConfigError(f"{where}: found {beyond[0]:g}, expected [{quantity.low:g}, {quantity.high:g}]")

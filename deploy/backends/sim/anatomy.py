@@ -54,12 +54,13 @@ class Anatomy:
     def addresses(self) -> Ints:
         """(2, 2, n) of [joints, play]: places in [`qpos`, `qvel`]."""
         ids = np.stack((self.joints, self.play))
-        return np.stack((self.model.jnt_qposadr[ids], self.model.jnt_dofadr[ids]), axis=1).astype(np.int64)
+        places = np.stack((self.model.jnt_qposadr[ids], self.model.jnt_dofadr[ids]), axis=1)
+        return np.asarray(places, dtype=np.int64)
 
     @property
     def dofs(self) -> Ints:
         """(n,) places of the joints in `qvel`."""
-        return self.model.jnt_dofadr[self.joints].astype(np.int64)
+        return np.asarray(self.model.jnt_dofadr[self.joints], dtype=np.int64)
 
 
 def build(spec: RobotSpec, cable: Cable) -> Anatomy:
@@ -100,7 +101,9 @@ def _add_play(joint: mujoco.MjsJoint) -> None:
     Source: Isaac Lab's BAM actuators (2025): backlash as a passive hinge. Its stops are as stiff as 1 kHz bears; its
     inertia and damping are those of a gear's last wheel, so small that they only keep it calm: both estimates.
     """
-    play = joint.parent.add_joint(name=f"{joint.name}/{PLAY}", type=joint.type, axis=joint.axis, pos=joint.pos)
+    play = joint.parent.add_joint(
+        name=f"{joint.name}/{PLAY}", type=joint.type, axis=joint.axis, pos=joint.pos
+    )
     if joint.frame is not None:
         play.set_frame(joint.frame)
     play.limited, play.range, play.margin, play.ref = True, [-1.0, 1.0], 0.0, 0.0

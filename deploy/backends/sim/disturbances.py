@@ -45,7 +45,7 @@ class Turns(Stage, ABC):
     @property
     def on(self) -> Bools:
         """(B,) whether it is there."""
-        return self.turn % 2 == 1
+        return np.asarray(self.turn % 2 == 1)
 
     def step(self, tick: int) -> None:
         """Let turns that are over at `tick` be followed by the next."""
@@ -89,6 +89,7 @@ class Payload(Turns):
         begun = [self.rng(robot).random() * cycle[robot] for robot in range(len(cycle))]
         self.until -= np.rint(np.array(begun) / dt).astype(np.int64)
         self.step(0)
+        self.apply(np.arange(len(cycle)))
 
     def seconds(self, robot: int) -> float:
         """As drawn."""
@@ -110,14 +111,16 @@ class Pushes(Turns):
     def __init__(self, batch: Batch, anatomy: Anatomy, draw: Draw, seeds: Seeds, dt: float) -> None:
         """Read the draw."""
         self._applied, self._bodies = batch.bind("xfrc_applied"), anatomy.bodies
-        self._force, self._every, self._lasts = (draw[f"push.{name}"] for name in ("force_n", "every_s", "lasts_s"))
+        self._force, self._every, self._lasts = (
+            draw[f"push.{name}"] for name in ("force_n", "every_s", "lasts_s")
+        )
         super().__init__(seeds, dt)
 
     def seconds(self, robot: int) -> float:
         """As drawn, or an exponential pause."""
         if self.turn[robot] % 2:
             return float(self._lasts[robot])
-        return self.rng(robot).exponential(self._every[robot])
+        return float(self.rng(robot).exponential(self._every[robot]))
 
     def apply(self, rows: Ints) -> None:
         """From anywhere, on any link."""
@@ -125,4 +128,6 @@ class Pushes(Turns):
         for robot in rows[self.on[rows]]:
             rng = self.rng(robot)
             way = rng.standard_normal(3)
-            self._applied[robot, rng.choice(self._bodies), :3] = self._force[robot] * way / np.linalg.norm(way)
+            self._applied[robot, rng.choice(self._bodies), :3] = (
+                self._force[robot] * way / np.linalg.norm(way)
+            )

@@ -145,8 +145,11 @@ class Plant(Stage):
         self.wear.reset(rows)
         self.pushes.apply(rows)
         self.travel[rows] = self.turned[rows] = 0.0
-        self.batch.forward(rows)
         self.valid[rows] = True
+        try:
+            self.batch.forward(rows)
+        except SimulationError as e:
+            self.valid[e.ids] = False
         self.current[rows] = self._force[rows] / self.wear.constant[rows]
         self.sensed[rows] = self._sensordata[rows]
         self.tool[rows], self.tool_velocity[rows] = self._site[rows], 0.0
