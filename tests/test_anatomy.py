@@ -182,7 +182,7 @@ def test_an_encoder_on_the_motor_does_not_see_the_play():
 
 
 def test_sensors_of_every_kind_read_their_sites(tmp_path):
-    """At rest: gravity up, no turning, the weight of what hangs behind the site, the tool's attitude; nobody touches."""
+    """At rest: gravity up, no turning, the weight behind the site, the tool's attitude; nobody touches."""
     kinds = {
         "velocity": "rad/s",
         "gyro": "rad/s",

@@ -347,25 +347,12 @@ def test_heat_follows_the_closed_form_within_1_k(tmp_path, minutes, hz):
     assert truth.winding_c[0, 4] == pytest.approx(ambient, abs=0.5)
 
 
-def test_starts_as_warm_as_drawn_and_cools_to_its_room():
-    plant = exact(1, {"climate.ambient_c": 18.0, "climate.warm_start_k": 12.0})
-    truth = plant.truth(0.0)
-    np.testing.assert_array_equal(truth.housing_c, 30.0)
-    np.testing.assert_array_equal(truth.winding_c, 30.0)
-    for _ in range(400):
-        plant.step(command(HOME))
-    idle = plant.truth(0.0).housing_c[0, 0]  # no load on the vertical axis
-    expected = 18.0 + 12.0 * np.exp(-400 * DT / (1.5 * 1200.0))
-    assert idle == pytest.approx(expected, abs=0.01)
-
-
-def test_the_winding_keeps_its_temperature_when_its_housing_warms():
-    """Energy: what leaves the winding enters the housing; the change of ambient itself heats nothing."""
-    plant = exact()
-    plant._rise[:] = 40.0
-    before = plant.truth(0.0).winding_c.copy()
-    plant.step(command(HOME))
-    after = plant.truth(0.0).winding_c
-    lost = 40.0 / np.array([1.0] * 3 + [2.0] * 3) * DT
-    capacity = np.array([40.0] * 3 + [12.0] * 3)
-    np.testing.assert_allclose((before - after)[0, [0, 4, 5]], (lost / capacity)[[0, 4, 5]], rtol=0.2)
+def test_a_commanded_torque_sags_as_the_winding_heats(tmp_path):
+    """The drive takes its winding for cold: of the current it asks for, it gets R0 / R(T)."""
+    plant, tau = exact(spec=re40_arm(tmp_path, 50)), np.zeros(N)
+    tau[5] = 4.0 * 0.0603 * 101
+    for _ in range(60 * 50):
+        plant.step(command(HOME, tau=tau))
+    warmer = plant.truth(0.0).winding_c[0, 5] - 25.0
+    assert warmer > 20.0
+    assert plant.current[0, 5] == pytest.approx(4.0 / (1.0 + 0.0039 * warmer), rel=1e-3)

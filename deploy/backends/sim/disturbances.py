@@ -88,8 +88,8 @@ class Payload(Turns):
         cycle = self._durations.sum(axis=0)
         begun = [self.rng(robot).random() * cycle[robot] for robot in range(len(cycle))]
         self.until -= np.rint(np.array(begun) / dt).astype(np.int64)
+        self.follow()
         self.step(0)
-        self.apply(np.arange(len(cycle)))
 
     def seconds(self, robot: int) -> float:
         """As drawn."""
