@@ -120,7 +120,7 @@ class Mounting(Strict):
 
 
 class Payload(Strict):
-    """What the tool picks up, carries and drops, again and again: a ball, `com_m` from the tool."""
+    """What the tool picks up, carries and drops, again and again: a ball, `com_m` off the tool in its frame."""
 
     mass_kg: Annotated[Span, *_drawn(0.0, 50.0)]
     com_m: Annotated[Span, *_drawn(-0.5, 0.5, "direction")]

@@ -258,3 +258,23 @@ def test_what_stands_in_the_way_in_model_xml_does_not_stop_the_plant(tmp_path):
     assert (model.dof_frictionloss[anatomy.dofs] > 0).all()
     assert model.jnt_limited[play].all()
     assert PLAIN["joints.backlash_rad"] == 0.0
+
+
+def test_frames_in_model_xml_turn_what_is_added_with_them(tmp_path):
+    """The same robot, its last joint and its tool written inside a turned frame."""
+    inside = r'(<joint name="wrist_3" class="size1"/>)'
+    folder = copy_of_arm(
+        tmp_path,
+        xml=[
+            (inside, r'<frame pos="0 0 0.01" euler="0 0.5 0"><joint name="wrist_3" class="size1"/></frame>'),
+            (r'(<site name="tool".*?/>)', r'<frame pos="0 0 0.01" euler="0.3 0 0">\1</frame>'),
+        ],
+    )
+    anatomy = build(load_robot(folder), DISTRIBUTIONS.cable)
+    model, last = anatomy.model, N - 1
+    joint, play = anatomy.joints[last], anatomy.play[last]
+    assert abs(model.jnt_axis[joint][0]) > 0.4
+    np.testing.assert_array_equal(model.jnt_axis[play], model.jnt_axis[joint])
+    np.testing.assert_array_equal(model.jnt_pos[play], model.jnt_pos[joint])
+    np.testing.assert_allclose(model.body_pos[anatomy.payload], model.site_pos[anatomy.tool], atol=1e-12)
+    np.testing.assert_allclose(model.body_quat[anatomy.payload], model.site_quat[anatomy.tool], atol=1e-12)

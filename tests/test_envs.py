@@ -103,7 +103,7 @@ def test_goals_are_due_at_their_end_and_where_a_broken_limit_ends_them():
     assert env.due == 0
     last = round(env.runtime.task.config.period_s / SPEC.dt) - env.runtime.decimation
     env.runtime.task.elapsed[:] = [last, 0, 0]
-    env._robot.plant.q[1, 0] = SPEC.joint_array("q_max")[0] + 0.1
+    env._robot.plant.batch.bind("qpos")[1, 0] = SPEC.joint_array("q_max")[0] + 0.1
     env.step(torch.zeros(3, N))
     assert env.due == 2
 

@@ -182,7 +182,7 @@ def test_a_hot_housing_stops_its_robot():
 def test_a_joint_that_does_not_follow_stops_its_robot():
     runtime = running(2)
     play(runtime, 20)
-    runtime.robot.plant.batch.expand("dof_frictionloss")[1, 0] = 1e5
+    runtime.robot.plant.batch.expand("dof_armature")[1, 0] = 1e9
     policy = Saying(2)
     policy.action[:, 0] = 1.0
     runtime.policy = policy
@@ -265,7 +265,7 @@ def test_what_is_judged_is_the_stop_that_would_begin_at_the_setpoint(monkeypatch
 
 def test_a_diverged_simulation_stops_its_robot_only():
     clean, broken = running(3), running(3)
-    broken.robot.plant.qd[1] = np.nan
+    broken.robot.plant.batch.bind("qvel")[1] = np.nan
     with np.errstate(invalid="ignore"):
         for _ in range(100):
             clean.tick()

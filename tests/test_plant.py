@@ -259,12 +259,13 @@ def test_a_diverged_simulation_is_seen_and_stays_seen(how):
         twin.step(still)
         assert plant.truth(0.0).valid.tolist() == [True, False, True]
     np.testing.assert_array_equal(plant.rows[[0, 2]], twin.rows[[0, 2]])
+    assert np.isfinite(plant.housing).all()
+    assert np.isfinite(plant.wear.life).all()
     plant.reset(np.array([False, True, False]), np.tile(HOME, (3, 1)))
     for _ in range(220):
         plant.step(still)
     assert plant.truth(0.0).valid.all()
     assert np.abs(plant.q[1] - HOME).max() < 0.05
-    assert np.isfinite(plant.wear.life).all()
 
 
 def test_contact_with_itself_and_with_the_table_is_true():

@@ -208,7 +208,10 @@ class Plant(Stage):
         self.turned += self._speed
 
     def _settle_slowly(self) -> None:
-        """Heat and age, for all ticks since the last time."""
+        """Heat and age, for all ticks since the last time; what a diverged simulation says of itself does not count."""
+        lost = ~self.valid
+        if some(lost):
+            self.travel[lost] = self.turned[lost] = self._rise[lost] = 0.0
         self.travel *= self._dt
         self.turned *= self._dt
         rubbed = self.wear.friction * self.travel + self._damping * self.turned
