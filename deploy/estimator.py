@@ -111,8 +111,8 @@ class Estimator(Stage):
 
     def _there(self, t: float, packet: Packet) -> Bools:
         """(B,) whether a packet arrived that may count."""
-        recent = (packet.t <= t + self._dt) & (packet.t > t - (self._depth - 1) * self._dt)
-        return np.asarray(packet.fresh & recent)
+        recent: Bools = (packet.t <= t + self._dt) & (packet.t > t - (self._depth - 1) * self._dt)
+        return packet.fresh & recent
 
     def _sent_at(self, t: Floats, there: Bools) -> Floats:
         """(B, n) rad, where the joints were sent for the times t (B,)."""

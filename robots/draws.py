@@ -22,6 +22,8 @@ from robots.strict import Strict, read_json, read_toml
 
 Floats = NDArray[np.float64]
 
+COMMAND_DELAY_S = 0.005
+"""s, the longest that a command may be under way to a drive."""
 FILE_MAX = 1 << 26
 """Characters of a stored draw: thousands of robots."""
 
@@ -107,7 +109,7 @@ class Drives(Strict):
     iron_loss: Annotated[Span, *_drawn(0.0, 20.0, "joint")]
     voltage: Annotated[Span, *_drawn(0.2, 2.0)]
     supply_ohm: Annotated[Span, *_drawn(0.0, 5.0)]
-    delay_s: Annotated[Span, *_drawn(0.0, 0.005)]
+    delay_s: Annotated[Span, *_drawn(0.0, COMMAND_DELAY_S)]
 
 
 class Mounting(Strict):
@@ -118,7 +120,7 @@ class Mounting(Strict):
 
 
 class Payload(Strict):
-    """What the tool picks up, carries and drops, again and again: a ball, its centre `com_m` off the tool."""
+    """What the tool picks up, carries and drops, again and again: a ball, `com_m` off the tool in its frame."""
 
     mass_kg: Annotated[Span, *_drawn(0.0, 50.0)]
     com_m: Annotated[Span, *_drawn(-0.5, 0.5, "direction")]

@@ -54,12 +54,13 @@ class Anatomy:
     def addresses(self) -> Ints:
         """(2, 2, n) of [joints, play]: places in [`qpos`, `qvel`]."""
         ids = np.stack((self.joints, self.play))
-        return np.stack((self.model.jnt_qposadr[ids], self.model.jnt_dofadr[ids]), axis=1).astype(np.int64)
+        places = np.stack((self.model.jnt_qposadr[ids], self.model.jnt_dofadr[ids]), axis=1)
+        return np.asarray(places, dtype=np.int64)
 
     @property
     def dofs(self) -> Ints:
         """(n,) places of the joints in `qvel`."""
-        return self.model.jnt_dofadr[self.joints].astype(np.int64)
+        return np.asarray(self.model.jnt_dofadr[self.joints], dtype=np.int64)
 
 
 def build(spec: RobotSpec, cable: Cable) -> Anatomy:
@@ -71,9 +72,9 @@ def build(spec: RobotSpec, cable: Cable) -> Anatomy:
     nominal, mjcf = load_mujoco(spec), read_mjcf(spec)
     _allow(mjcf)
     for name in spec.joint_names:
-        _add_play(mjcf.joint(name))
-    tool = mjcf.site(spec.tool)
-    payload = tool.parent.add_body(name=PAYLOAD, pos=tool.pos)
+        _add_play(mjcf.joint(name), nominal)
+    tool = nominal.site(spec.tool)
+    payload = mjcf.site(spec.tool).parent.add_body(name=PAYLOAD, pos=tool.pos, quat=tool.quat)
     payload.explicitinertial, payload.mass, payload.inertia = True, 0.0, np.zeros(3)
     _add_cable(mjcf, nominal, cable, spec)
     for kind in spec.sensors:
@@ -94,17 +95,14 @@ def _allow(mjcf: mujoco.MjSpec) -> None:
         geom.condim = max(geom.condim, 3)  # whatever model.xml leaves out, what touches also rubs
 
 
-def _add_play(joint: mujoco.MjsJoint) -> None:
+def _add_play(joint: mujoco.MjsJoint, nominal: mujoco.MjModel) -> None:
     """A second joint about the same axis, behind the gear, that runs free between two soft stops.
 
     Source: Isaac Lab's BAM actuators (2025): backlash as a passive hinge. Its stops are as stiff as 1 kHz bears; its
     inertia and damping are those of a gear's last wheel, so small that they only keep it calm: both estimates.
     """
-    play = joint.parent.add_joint(
-        name=f"{joint.name}/{PLAY}", type=joint.type, axis=joint.axis, pos=joint.pos
-    )
-    if joint.frame is not None:
-        play.set_frame(joint.frame)
+    same = nominal.joint(joint.name)
+    play = joint.parent.add_joint(name=f"{joint.name}/{PLAY}", type=joint.type, axis=same.axis, pos=same.pos)
     play.limited, play.range, play.margin, play.ref = True, [-1.0, 1.0], 0.0, 0.0
     play.solref_limit, play.solimp_limit = [0.004, 1.0], [0.95, 0.99, 0.0005, 0.5, 2.0]
     play.armature, play.frictionloss, play.springref, play.springdamper = 1e-3, 0.0, 0.0, [0.0, 0.0]

@@ -45,7 +45,7 @@ class Turns(Stage, ABC):
     @property
     def on(self) -> Bools:
         """(B,) whether it is there."""
-        return self.turn % 2 == 1
+        return np.asarray(self.turn % 2 == 1)
 
     def step(self, tick: int) -> None:
         """Let turns that are over at `tick` be followed by the next."""
@@ -88,7 +88,7 @@ class Payload(Turns):
         cycle = self._durations.sum(axis=0)
         begun = [self.rng(robot).random() * cycle[robot] for robot in range(len(cycle))]
         self.until -= np.rint(np.array(begun) / dt).astype(np.int64)
-        self._next = 0
+        self.follow()
         self.step(0)
 
     def seconds(self, robot: int) -> float:
@@ -120,7 +120,7 @@ class Pushes(Turns):
         """As drawn, or an exponential pause."""
         if self.turn[robot] % 2:
             return float(self._lasts[robot])
-        return self.rng(robot).exponential(self._every[robot])
+        return float(self.rng(robot).exponential(self._every[robot]))
 
     def apply(self, rows: Ints) -> None:
         """From anywhere, on any link."""

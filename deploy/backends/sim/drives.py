@@ -1,15 +1,17 @@
 """The drives of B robots: what they follow and how late, their brakes, their current, and the supply they share."""
 
+import math
+
 import numpy as np
 from mujoco.batch import Batch
 
 from deploy.backends.sim import drawn
 from deploy.flags import every, some
 from deploy.stage import Stage
-from deploy.state import Bools, Command, Floats, Ints
-from robots.draws import Draw
+from deploy.state import Bools, Command, Floats
+from robots.draws import COMMAND_DELAY_S, Draw
 from robots.model_mujoco import INPUTS
-from robots.spec import RobotSpec
+from robots.spec import Rates, RobotSpec
 
 
 class Drives(Stage):
@@ -30,20 +32,21 @@ class Drives(Stage):
         self.held, self.braked = np.zeros((robots, n)), np.ones(robots, dtype=bool)
         self._limit, self._nominal = batch.expand("actuator_forcerange"), batch.model.actuator_forcerange
         self._share = np.ones((robots, n))
-        late = np.rint(draw["drives.delay_s"] * spec.rates.physics_hz).astype(np.int64)
-        self._lay_out(spec.rates.physics_hz // spec.rates.control_hz, late)
+        self._lay_out(spec.rates, draw["drives.delay_s"])
 
-    def _lay_out(self, substeps: int, late: Ints) -> None:
-        """As many periods of control as the latest drive needs. In memory time comes first: numpy is quicker so."""
+    def _lay_out(self, rates: Rates, delay_s: Floats) -> None:
+        """As many periods of control as the slowest bus needs. In memory time comes first: numpy is quicker so."""
         robots, controls = self.goal.shape
-        periods = 1 + -(-int(late.max()) // substeps)
-        course = np.zeros((periods * substeps, robots, controls))
+        substeps = rates.physics_hz // rates.control_hz
+        late = np.rint(delay_s * rates.physics_hz).astype(np.int64)
+        length = substeps * (1 + math.ceil(COMMAND_DELAY_S * rates.control_hz))
+        course = np.zeros((length, robots, controls))
         self.lines = course.transpose(1, 0, 2)
         self._old, self._later = course[:-substeps], course[substeps:]
         self._new, self._last = course[-substeps:], course[-1]
         self._to_go = np.arange(1 - substeps, 1)[:, None, None] / substeps
         self._rows = course.reshape(-1, controls)
-        place = len(course) - substeps + np.arange(substeps) - late[:, None]
+        place = length - substeps + np.arange(substeps) - late[:, None]
         self._places = place * robots + np.arange(robots)[:, None]
         self._control = np.zeros((robots, substeps, controls))
 

@@ -28,7 +28,10 @@ class Motion:
         self._addresses = addresses
         self._sides = np.zeros(addresses.shape)
         self._links = np.zeros(addresses.shape[1:])
-        (self.q, self.qd), (self.motor_q, self.motor_qd) = self._links, self._sides[0]
+        self.q: Floats = self._links[0]
+        self.qd: Floats = self._links[1]
+        self.motor_q: Floats = self._sides[0, 0]
+        self.motor_qd: Floats = self._sides[0, 1]
 
     def observe(self) -> None:
         """Read the state."""

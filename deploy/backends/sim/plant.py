@@ -145,8 +145,11 @@ class Plant(Stage):
         self.wear.reset(rows)
         self.pushes.apply(rows)
         self.travel[rows] = self.turned[rows] = 0.0
-        self.batch.forward(rows)
         self.valid[rows] = True
+        try:
+            self.batch.forward(rows)
+        except SimulationError as e:
+            self.valid[e.ids] = False
         self.current[rows] = self._force[rows] / self.wear.constant[rows]
         self.sensed[rows] = self._sensordata[rows]
         self.tool[rows], self.tool_velocity[rows] = self._site[rows], 0.0
@@ -205,7 +208,10 @@ class Plant(Stage):
         self.turned += self._speed
 
     def _settle_slowly(self) -> None:
-        """Heat and age, for all ticks since the last time."""
+        """Heat and age, for all ticks since the last time; what a diverged simulation says of itself does not count."""
+        lost = ~self.valid
+        if some(lost):
+            self.travel[lost] = self.turned[lost] = self._rise[lost] = 0.0
         self.travel *= self._dt
         self.turned *= self._dt
         rubbed = self.wear.friction * self.travel + self._damping * self.turned
