@@ -106,7 +106,7 @@ class Estimator(Stage):
         new = (packet.t[:, None] > self.t_sample) & (there & self.seeded)[:, None] & finite
         fused = self._fuse(packet, deviation, new)
         self._listen(packet.value, reference, fused)
-        self.heat.step(sample)
+        self.heat.step(t, sample)
         return self._now(t, sample, sent)
 
     def _there(self, t: float, packet: Packet) -> Bools:
@@ -218,5 +218,6 @@ class Estimator(Stage):
             innovation=self.innovation,
             temperature=sample["temperature"].value,
             winding=self.heat.winding,
+            fold=self.heat.fold,
             fault=self._fault(),
         )

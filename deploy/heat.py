@@ -17,8 +17,12 @@ from robots.windings import nominal_windings
 PERIOD_S = 0.1
 """s between two temperatures: windings have time constants of tens of seconds."""
 
-STEPS = 20
-"""Steps of the foldback between nothing and all: each new one costs a new trajectory."""
+STEPS, BACK = 20, 1.5
+"""Steps of the foldback between nothing and all, each of which costs a new trajectory; and how many of them a motor
+must have cooled before it gets one back, or it would go to and fro at every edge."""
+
+DEAF_S = 2.0
+"""s without a whole packet of currents or housings after which nothing is known of a robot's windings any more."""
 
 
 class Heat(Stage):
@@ -28,10 +32,10 @@ class Heat(Stage):
         winding: (B, n) °C.
         fold: (B, n) share of its current that a motor at work may still draw: 1 up to the soft limit, from there in a
             straight line to `margins.fold_min` where the robot stops, `margins.winding_k` below the hard limit.
-        pace: (B,) share of its speed and acceleration that a robot is still asked for: that of its hottest motor.
+        pace: (B,) share of its speed that a robot is still asked for: that of its hottest motor.
     """
 
-    carried = ("winding", "fold", "pace", "rise", "last", "housing", "square", "ticks", "unknown")
+    carried = ("winding", "fold", "pace", "rise", "last", "housing", "heard", "square", "ticks", "unknown")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Nothing is known before the first sample.
@@ -42,6 +46,7 @@ class Heat(Stage):
         shape = robots, spec.n
         self.winding, self.last, self.housing = np.full((3, *shape), np.nan)
         self.square, self.rise = np.zeros((2, *shape))
+        self.heard = np.zeros(robots)
         self.fold, self.pace = np.ones(shape), np.ones(robots)
         self.ticks, self.unknown = np.zeros(robots, dtype=np.int64), np.ones(robots, dtype=bool)
         self._every = round(PERIOD_S / spec.dt)
@@ -59,10 +64,11 @@ class Heat(Stage):
         """Forget robots where `ids` (B,) holds: at their next whole sample they have been at rest for long."""
         self.unknown[ids], self.rise[ids], self.winding[ids], self.last[ids] = True, 0.0, np.nan, np.nan
 
-    def step(self, sample: Sample) -> None:
+    def step(self, t: float, sample: Sample) -> None:
         """Live through a tick. Before the first sample with every current and housing no winding is known: NaN.
 
         Args:
+            t: s, now.
             sample: the newest packets; what is no number in them counts as the last one that was.
         """
         current, housing = sample["current"].value, sample["temperature"].value
@@ -71,17 +77,31 @@ class Heat(Stage):
         self.square += self.last
         self.ticks += 1
         if some(self.unknown):
-            self._begin(housing)
+            self._begin(t, housing)
         if self.ticks[0] % self._every == 0:
             self._warm(housing)
+            self._listen(t, sample)
 
-    def _begin(self, housing: Floats) -> None:
+    def _listen(self, t: float, sample: Sample) -> None:
+        """Who has not been heard for long knows nothing; the rise is kept for when it is heard again."""
+        whole = [
+            (t - packet.t < DEAF_S) & np.isfinite(packet.value).all(axis=1)
+            for packet in (sample["current"], sample["temperature"])
+        ]
+        np.copyto(self.heard, t, where=whole[0] & whole[1])
+        deaf = (t - self.heard > DEAF_S) & ~self.unknown
+        if some(deaf):
+            self.rise[deaf] = (self.winding - self.housing)[deaf]
+            self.winding[deaf], self.unknown[deaf] = np.nan, True
+
+    def _begin(self, t: float, housing: Floats) -> None:
         """Start with what is measured, where every joint of a robot is."""
         ready = self.unknown & np.isfinite(housing + self.last).all(axis=1)
         ids = ready[:, None]
         np.copyto(self.housing, housing, where=ids)
         np.copyto(self.winding, housing + self.rise, where=ids)
         np.copyto(self.square, 0.0, where=ids)
+        self.heard[ready] = t
         self.unknown &= ~ready
         self._fold_back()
 
@@ -95,7 +115,10 @@ class Heat(Stage):
         self._fold_back()
 
     def _fold_back(self) -> None:
+        """Down by whole steps at once, up only by more than one."""
         share = 1 - (1 - self._fold_min) * (self.winding - self._soft) / self._band
         stepped = np.fmax(np.ceil(share * STEPS) / STEPS, self._fold_min)  # also where nothing is known
-        np.minimum(stepped, 1.0, out=self.fold)
+        np.minimum(stepped, 1.0, out=stepped)
+        cooled = (share >= self.fold + BACK / STEPS) | (share >= 1 + (BACK - 1) / STEPS)
+        np.copyto(self.fold, stepped, where=(stepped < self.fold) | cooled)
         self.fold.min(axis=1, out=self.pace)

@@ -91,12 +91,14 @@ class Safety:
         robots, age = len(q_rest), state.age[:, None]
         q, qd = np.concatenate((setpoint.q, ahead.q)), np.concatenate((setpoint.qd, ahead.qd))
         tau = self._fleet.torque(q, qd, np.concatenate((setpoint.qdd, ahead.qdd))).copy()
+        # A drive that is folded back has less to give than its range.
+        asked = tau if every(state.fold == 1.0) else np.concatenate((tau[:robots] / state.fold, tau[robots:]))
         poses = self._place(np.concatenate((setpoint.q, q_rest)))
         self._on_the_way.glance(q_midst)
         # A stop first lets the acceleration run out, and the speed that it gains until then counts.
         qd_peak = setpoint.qd + setpoint.qdd * np.abs(setpoint.qdd) / self._twice_jerk
         speeds = self._fleet.tool_velocity(np.concatenate((setpoint.qd, qd_peak)), of=slice(0, robots))
-        points = self._plan.reasons(q, qd, tau, *poses, np.vecdot(speeds, speeds)[:, None])
+        points = self._plan.reasons(q, qd, asked, *poses, np.vecdot(speeds, speeds)[:, None])
         midst, lag, heat = self._clear(self._on_the_way), sent.q - state.q, (state.temperature, state.winding)
         reason = self._state_and_midst.reasons(state.q, state.qd, lag, *heat, age, age, *midst)
         reason |= points[:robots] | points[robots:]

@@ -47,7 +47,7 @@ class State(NamedTuple):
         age: (B,) s since the newest sample was taken.
         innovation: (B, n) last innovation in standard deviations.
         temperature: (B, n) °C, motor housing.
-        winding: (B, n) °C, as `Heat` has it.
+        winding: (B, n) °C, and fold: (B, n) share of its current that a drive may use at work, as `Heat` has them.
         fault: (B,) int64 bit sets of `Reason`, why the estimate is not to be trusted; 0 where it is.
     """
 
@@ -59,6 +59,7 @@ class State(NamedTuple):
     innovation: Floats
     temperature: Floats
     winding: Floats
+    fold: Floats
     fault: Ints
 
 

@@ -7,7 +7,7 @@ from test_contract import arm_contract
 from test_runtime import Saying
 from test_spec import SPEC, copy_of_arm
 
-from deploy.heat import PERIOD_S, STEPS, Heat
+from deploy.heat import DEAF_S, PERIOD_S, STEPS, Heat
 from deploy.runtime import Runtime
 from deploy.smoother import Smoother
 from deploy.state import Mode, Packet, Reason
@@ -29,14 +29,20 @@ def sample(current, housing, robots=1):
     return {kind: Packet(t=t, fresh=fresh, value=value) for kind, value in values.items()}
 
 
+def live(heat, packets):
+    """One tick, at which the packets were taken."""
+    t = float(heat.ticks[0] * DT)
+    heat.step(t, {kind: packet._replace(t=packet.t + t) for kind, packet in packets.items()})
+
+
 def at(winding):
     """An observer that has just come to believe in windings of so many °C, under no current."""
     heat = Heat(SPEC, 1)
-    heat.step(sample(0.0, 30.0))
+    live(heat, sample(0.0, 30.0))
     heat.winding[:] = winding
     heat.housing[:] = winding  # nothing flows
     for _ in range(round(PERIOD_S / DT)):
-        heat.step(sample(0.0, heat.housing))
+        live(heat, sample(0.0, heat.housing))
     return heat
 
 
@@ -120,7 +126,7 @@ def test_follows_the_equation_through_changing_current_and_housing():
     times = np.arange(round(120 / DT)) * DT
     found = []
     for t in times:
-        heat.step(sample(current(t), housing(t)))
+        live(heat, sample(current(t), housing(t)))
         found.append(heat.winding[0].copy())
     ends = times[19::20]
     expected = solve_ivp(
@@ -136,8 +142,8 @@ def test_what_is_no_number_counts_as_the_last_one():
     for tick in range(400):
         lost, housing = tick % 7 == 3, 30.0 + tick // 100
         current = current if lost else rng.uniform(0, 9, N)
-        clean.step(sample(current, housing))
-        heat.step(sample(np.nan if lost else current, np.nan if lost else housing))
+        live(clean, sample(current, housing))
+        live(heat, sample(np.nan if lost else current, np.nan if lost else housing))
     np.testing.assert_array_equal(heat.winding, clean.winding)
     assert (heat.winding > 30).all()
 
@@ -145,7 +151,7 @@ def test_what_is_no_number_counts_as_the_last_one():
 def test_without_any_current_nothing_is_known_and_nothing_is_asked():
     heat = Heat(SPEC, 1)
     for _ in range(40):
-        heat.step(sample(np.nan, 30.0))
+        live(heat, sample(np.nan, 30.0))
     assert np.isnan(heat.winding).all()
 
 
@@ -154,11 +160,11 @@ def test_begins_with_the_first_sample_that_is_whole(current, housing):
     """A bus whose packets come one after the other must not keep the robot from its shift."""
     heat, clean = Heat(SPEC, 1), Heat(SPEC, 1)
     for _ in range(60):
-        heat.step(sample(current, housing))
+        live(heat, sample(current, housing))
     assert np.isnan(heat.winding).all()
     for _ in range(600):
-        heat.step(sample(5.0, 31.0))
-        clean.step(sample(5.0, 31.0))
+        live(heat, sample(5.0, 31.0))
+        live(clean, sample(5.0, 31.0))
     np.testing.assert_array_equal(heat.winding, clean.winding)
     assert (heat.winding > 31).all()
 
@@ -170,6 +176,56 @@ def test_folds_back_in_a_straight_line(share):
     assert (heat.fold >= line - 1e-9).all()
     assert (heat.fold <= np.minimum(line + 1 / STEPS, 1) + 1e-9).all()
     np.testing.assert_array_equal(heat.pace, heat.fold.min(axis=1))
+
+
+def test_gives_back_only_what_has_cooled_for_more_than_a_step():
+    """A reading that goes to and fro by a kelvin changes nothing, however near to an edge it is."""
+    heat, band = at(SOFT + 0.5 * (LIMIT - SOFT)), LIMIT - SOFT
+    step = band / (1 - FOLD_MIN) / STEPS
+    for middle in np.linspace(0.4, 0.6, 21):
+        folds = set()
+        for noise in (0.45, -0.45) * 4:
+            heat.winding[:] = SOFT + middle * band + noise * step
+            heat._fold_back()
+            folds.add(heat.fold[0, 0])
+        assert len(folds) <= 2
+        assert list(folds)[-1] == heat.fold[0, 0]
+    heat.winding[:] = SOFT - 0.6 * step
+    heat._fold_back()
+    np.testing.assert_array_equal(heat.fold, 1.0)
+
+
+@pytest.mark.parametrize("kind", ["current", "temperature"])
+@pytest.mark.parametrize("how", ["late", "nan"])
+def test_a_robot_that_is_not_heard_for_long_does_not_know_its_windings(kind, how):
+    """And believes in no cooler ones when it is heard again."""
+    heat = at(SOFT - 5.0)
+    t = float(heat.ticks[0] * DT)
+    for tick in range(round((DEAF_S + 0.3) / DT)):
+        packets = sample(6.0, SOFT - 20.0)
+        if how == "nan":
+            packets[kind].value[0, 2] = np.nan
+        stamps = {k: t if k == kind and how == "late" else t + tick * DT for k in packets}
+        late = {k: packet._replace(t=packet.t + stamps[k]) for k, packet in packets.items()}
+        known = heat.winding.copy() if np.isfinite(heat.winding).all() else known
+        heat.step(t + tick * DT, late)
+        assert np.isfinite(heat.winding).all() or tick * DT > DEAF_S - 0.2
+    assert np.isnan(heat.winding).all()
+    assert heat.pace[0] == FOLD_MIN
+    live(heat, sample(6.0, SOFT - 20.0))
+    np.testing.assert_allclose(heat.winding, known, rtol=0, atol=0.1)
+
+
+def test_a_pace_that_falls_while_a_robot_brakes_carries_it_beyond_nothing():
+    smoother = Smoother(SPEC, 1)
+    home = SPEC.joint_array("q_home")[None]
+    smoother.hold(np.ones(1, dtype=bool), home)
+    far, still = home + 0.8, np.zeros(1, dtype=bool)
+    for tick in range(400):
+        smoother.pace[:] = max(FOLD_MIN, 1.0 - 0.05 * max(0, tick - 40) / 5)
+        smoother.commit(smoother.next(far, still))
+        assert (smoother.q <= far + 1e-9).all()
+    np.testing.assert_allclose(smoother.q, far, atol=1e-6)
 
 
 def test_the_pace_is_that_of_the_hottest_motor():
@@ -185,7 +241,7 @@ def test_begins_with_what_was_left_of_the_last_run():
     heat = Heat(SPEC, 2)
     tau = NOMINAL.to_housing * NOMINAL.capacity
     heat.resume(np.full((2, N), 50.0), off_s=tau[0])
-    heat.step(sample(0.0, [[35.0], [28.0]], 2))
+    live(heat, sample(0.0, [[35.0], [28.0]], 2))
     expected = np.array([[35.0], [28.0]]) + 50.0 * np.exp(-tau[0] / tau)
     np.testing.assert_allclose(heat.winding, expected)
 
@@ -193,10 +249,10 @@ def test_begins_with_what_was_left_of_the_last_run():
 def test_reset_of_a_subset():
     heat = Heat(SPEC, 3)
     for _ in range(200):
-        heat.step(sample(9.0, 30.0, 3))
+        live(heat, sample(9.0, 30.0, 3))
     before = heat.winding.copy()
     heat.reset(np.array([False, True, False]))
-    heat.step(sample(0.0, 25.0, 3))
+    live(heat, sample(0.0, 25.0, 3))
     np.testing.assert_array_equal(heat.winding[1], 25.0)
     np.testing.assert_array_equal(heat.winding[[0, 2]], before[[0, 2]])
 
@@ -204,13 +260,13 @@ def test_reset_of_a_subset():
 def test_saved_and_restored_goes_on_bit_for_bit():
     heat, other, rng = Heat(SPEC, 2), Heat(SPEC, 2), np.random.default_rng(1)
     for _ in range(123):
-        heat.step(sample(rng.uniform(0, 12, (2, N)), 30.0, 2))
+        live(heat, sample(rng.uniform(0, 12, (2, N)), 30.0, 2))
     saved = heat.save()
     rest = [sample(rng.uniform(0, 12, (2, N)), 31.0, 2) for _ in range(200)]
     other.restore(saved)
     for one in rest:
-        heat.step(one)
-        other.step(one)
+        live(heat, one)
+        live(other, one)
     for name in Heat.carried:
         np.testing.assert_array_equal(getattr(other, name), getattr(heat, name))
 
@@ -233,10 +289,9 @@ def test_a_slower_pace_is_kept_and_a_stop_has_all_of_its_limits():
     gain = np.diff(speed, axis=0) / DT
     limit = SPEC.margins.speed * SPEC.joint_array("qd_max"), SPEC.joint_array("qdd_max")
     asked = np.r_[0:59, 131:298]
-    for value, most in zip((speed, gain), limit, strict=True):
-        peak = np.abs(value[asked, 1]).max(axis=0)
-        assert (peak <= 0.5 * most * (1 + 1e-5)).all()
-        assert (peak > 0.45 * most).any()
+    peak = np.abs(speed[asked, 1]).max(axis=0)
+    assert (peak <= 0.5 * limit[0] * (1 + 1e-5)).all()
+    assert (peak > 0.45 * limit[0]).any()
     assert (np.abs(gain[60:130, 1]).max(axis=0) > 0.7 * limit[1]).any()
     np.testing.assert_array_equal(smoother.q[0], whole.q[0])
 
@@ -269,7 +324,7 @@ def lived(spec, seconds):
 def test_no_winding_passes_its_hard_limit_under_the_guard(tmp_path):
     """It passes it without: the same arm, whose robot.toml says that its windings stand 300 °C."""
     unguarded, _ = lived(hot_arm(tmp_path / "off", winding_max_c=300.0, winding_soft_c=250.0), 40.0)
-    assert unguarded.max() > HARD[0] + 10
+    assert unguarded.max() > HARD[0] + 3
     hottest, runtime = lived(hot_arm(tmp_path / "on"), 40.0)
     assert SOFT[0] < hottest.max() < HARD[0]
     assert runtime.supervisor.mode[0] == Mode.LATCHED

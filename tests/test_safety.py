@@ -46,6 +46,7 @@ def judge(
         innovation=np.zeros((1, N)),
         temperature=np.broadcast_to(np.asarray(temperature, dtype=float), (1, N)),
         winding=np.broadcast_to(np.asarray(winding, dtype=float), (1, N)),
+        fold=np.ones((1, N)),
         fault=np.zeros(1, dtype=np.int64),
     )
     ahead = setpoint if ahead is None else ahead
@@ -300,6 +301,7 @@ def test_each_robot_is_judged_alone():
         innovation=q,
         temperature=temperature,
         winding=winding,
+        fold=np.ones((robots, N)),
         fault=np.zeros(robots, dtype=np.int64),
     )
     setpoint = Setpoint(q=q, qd=qd, qdd=qdd)
