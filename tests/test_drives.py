@@ -77,6 +77,16 @@ def test_braking_drives_do_not_lift_the_bus_and_overload_halves_it():
     np.testing.assert_array_equal(volts(15.0, 3.0, 5.0), 24.0)
 
 
+def test_a_bus_is_saved_and_reset_with_its_robot():
+    plant, other = (exact(2, {"drives.supply_ohm": 1.0}) for _ in range(2))
+    plant.supply.sink(np.full((2, N), 3.0), np.ones((2, N)), plant.wear.constant)
+    other.restore(plant.save())
+    np.testing.assert_array_equal(other.supply.limit, plant.supply.limit)
+    other.reset(np.array([False, True]), np.tile(HOME, (2, 1)))
+    assert (other.supply.limit[0] < 47.0).all()
+    np.testing.assert_array_equal(other.supply.limit[1], 48.0)
+
+
 def test_a_sinking_bus_takes_speed_from_the_arm():
     """A supply behind 5 ohm cannot follow what a stiff one can."""
     plants = [exact(1, {"drives.supply_ohm": ohm, "drives.voltage": 0.75}) for ohm in (0.0, 5.0)]

@@ -116,11 +116,15 @@ def test_a_drive_keeps_to_its_share_of_current(share):
 
 
 def test_category_0_needs_no_command():
-    plant = exact(2)
-    plant.step(command(np.tile(HOME, (2, 1))))
+    plant = exact(2, {"joints.backlash_rad": 0.004})
+    for _ in range(40):
+        plant.step(command(np.tile(HOME, (2, 1))))
     assert not plant.braked.any()
     plant.brake(np.array([False, True]))
     assert plant.braked.tolist() == [False, True]
+    motor = plant.reading("encoder")[1]  # brakes sit where the motor is
+    np.testing.assert_array_equal(plant.drives.held[1], motor)
+    assert np.abs(motor - plant.q[1]).max() > 0.001
 
 
 @pytest.mark.parametrize("speed", [-1.0, 0.3])
@@ -221,6 +225,8 @@ def test_saved_and_restored_goes_on_bit_for_bit():
     assert not other.valid.all()
     assert (other.payload.on != one.payload.on).any()
     other.restore(one.save())
+    for kind in SPEC.channels.keys() - {"goal"}:
+        np.testing.assert_array_equal(other.reading(kind), one.reading(kind), err_msg=kind)
     for k in range(430, 700):
         one.step(command(path[k]))
         other.step(command(path[k]))
@@ -241,6 +247,7 @@ def test_reset_of_a_subset_leaves_the_others_alone():
     np.testing.assert_array_equal(plant.qd[1], 0.0)
     np.testing.assert_array_equal(plant.truth(0.0).winding_c[1], plant.housing[1])
     np.testing.assert_array_equal(plant.worn().friction[1], 1.0)
+    np.testing.assert_allclose(plant.reading("current")[1], 0.0, atol=1e-6)
     for _ in range(250):
         for each in (plant, twin):
             each.step(command(np.tile(HOME, (3, 1)), powered=~one))

@@ -22,7 +22,7 @@ from robots.sensors import Kind
 from robots.spec import RobotSpec
 
 BUS_S = 0.02
-"""s, how often the supply's voltage follows what is drawn: its capacitors bridge less."""
+"""s, how often the supply's voltage follows what is drawn: about what its capacitors bridge."""
 SLOW_S = 1.0
 """s, how often housings warm and joints age: they take minutes to months, so that this step is as good as none."""
 
