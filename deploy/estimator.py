@@ -71,9 +71,10 @@ class Estimator(Stage):
         unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=spec.filter.acceleration_density)
         self._g00, self._g01, self._g11 = (np.full(shape, unit[place]) for place in ((0, 0), (0, 1), (1, 1)))
 
-    def reset(self, ids: Bools) -> None:
-        """Forget robots where `ids` (B,) holds; their next sample seeds them."""
+    def reset(self, ids: Bools, sent: Setpoint) -> None:
+        """Forget robots where `ids` (B,) holds, sent to rest at `sent` for long; their next sample seeds them."""
         self.seeded[ids] = False
+        self.follow(ids, sent, sent)
         self.heat.reset(ids)
 
     def follow(self, ids: Bools, old: Setpoint, new: Setpoint) -> None:
@@ -111,8 +112,8 @@ class Estimator(Stage):
 
     def _there(self, t: float, packet: Packet) -> Bools:
         """(B,) whether a packet arrived that may count."""
-        recent: Bools = (packet.t <= t + self._dt) & (packet.t > t - (self._depth - 1) * self._dt)
-        return packet.fresh & recent
+        recent = (packet.t <= t + self._dt) & (packet.t > t - (self._depth - 1) * self._dt)
+        return np.asarray(packet.fresh & recent)
 
     def _sent_at(self, t: Floats, there: Bools) -> Floats:
         """(B, n) rad, where the joints were sent for the times t (B,)."""
@@ -143,7 +144,7 @@ class Estimator(Stage):
         residual = deviation - (self.e + self.ed * dt)
         variance = self._q_var(dt) + self._r
         square = residual * residual / variance
-        fused = new & (square <= GATE**2)
+        fused: Bools = np.asarray(new & (square <= GATE**2))
         if every(fused):
             self._count(residual, variance, square, None)
         else:

@@ -10,7 +10,7 @@ import numpy as np
 
 from deploy.flags import some
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Sample
+from deploy.state import Bools, Floats, Packet, Sample
 from robots.spec import RobotSpec
 from robots.windings import nominal_windings
 
@@ -46,7 +46,7 @@ class Heat(Stage):
         shape = robots, spec.n
         self.winding, self.last, self.housing = np.full((3, *shape), np.nan)
         self.square, self.rise = np.zeros((2, *shape))
-        self.heard = np.zeros(robots)
+        self.heard = np.full(robots, -np.inf)
         self.fold, self.pace = np.ones(shape), np.ones(robots)
         self.ticks, self.unknown = np.zeros(robots, dtype=np.int64), np.ones(robots, dtype=bool)
         self._every = round(PERIOD_S / spec.dt)
@@ -62,7 +62,8 @@ class Heat(Stage):
 
     def reset(self, ids: Bools) -> None:
         """Forget robots where `ids` (B,) holds: at their next whole sample they have been at rest for long."""
-        self.unknown[ids], self.rise[ids], self.winding[ids], self.last[ids] = True, 0.0, np.nan, np.nan
+        self.unknown[ids], self.heard[ids], self.rise[ids] = True, -np.inf, 0.0
+        self.winding[ids], self.last[ids] = np.nan, np.nan
 
     def step(self, t: float, sample: Sample) -> None:
         """Live through a tick. Before the first sample with every current and housing no winding is known: NaN.
@@ -71,39 +72,40 @@ class Heat(Stage):
             t: s, now.
             sample: the newest packets; what is no number in them counts as the last one that was.
         """
-        current, housing = sample["current"].value, sample["temperature"].value
-        square = current * current
+        current, housing = sample["current"], sample["temperature"]
+        square = current.value * current.value
         np.copyto(self.last, square, where=np.isfinite(square))
         self.square += self.last
         self.ticks += 1
         if some(self.unknown):
-            self._begin(t, housing)
+            self._begin(t, current, housing)
         if self.ticks[0] % self._every == 0:
-            self._warm(housing)
-            self._listen(t, sample)
+            self._warm(housing.value)
+            self._listen(t, current, housing)
 
-    def _listen(self, t: float, sample: Sample) -> None:
+    def _hear(self, current: Packet, housing: Packet) -> None:
+        """When each robot's newest whole pair of packets was taken."""
+        whole = np.isfinite(current.value + housing.value).all(axis=1)
+        np.copyto(self.heard, np.minimum(current.t, housing.t), where=whole)
+
+    def _begin(self, t: float, current: Packet, housing: Packet) -> None:
+        """Start with what is measured, where every joint of a robot is heard."""
+        self._hear(current, housing)
+        ready = self.unknown & (t - self.heard <= DEAF_S)
+        ids = ready[:, None]
+        np.copyto(self.housing, housing.value, where=ids)
+        np.copyto(self.winding, housing.value + self.rise, where=ids)
+        np.copyto(self.square, 0.0, where=ids)
+        self.unknown &= ~ready
+        self._fold_back()
+
+    def _listen(self, t: float, current: Packet, housing: Packet) -> None:
         """Who has not been heard for long knows nothing; the rise is kept for when it is heard again."""
-        whole = [
-            (t - packet.t < DEAF_S) & np.isfinite(packet.value).all(axis=1)
-            for packet in (sample["current"], sample["temperature"])
-        ]
-        np.copyto(self.heard, t, where=whole[0] & whole[1])
+        self._hear(current, housing)
         deaf = (t - self.heard > DEAF_S) & ~self.unknown
         if some(deaf):
             self.rise[deaf] = (self.winding - self.housing)[deaf]
-            self.winding[deaf], self.unknown[deaf] = np.nan, True
-
-    def _begin(self, t: float, housing: Floats) -> None:
-        """Start with what is measured, where every joint of a robot is."""
-        ready = self.unknown & np.isfinite(housing + self.last).all(axis=1)
-        ids = ready[:, None]
-        np.copyto(self.housing, housing, where=ids)
-        np.copyto(self.winding, housing + self.rise, where=ids)
-        np.copyto(self.square, 0.0, where=ids)
-        self.heard[ready] = t
-        self.unknown &= ~ready
-        self._fold_back()
+            self.winding[deaf], self.unknown[deaf], self.heard[deaf] = np.nan, True, -np.inf
 
     def _warm(self, housing: Floats) -> None:
         """Live through the ticks since the last time with their mean I²."""

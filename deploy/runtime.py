@@ -205,7 +205,8 @@ class Runtime:
 
     def reset(self, ids: Bools) -> None:
         """Robots where `ids` holds begin anew, disarmed: their backend has put them somewhere else."""
-        self.estimator.reset(ids)
+        self.smoother.hold(ids, self.smoother.q)
+        self.estimator.reset(ids, self.smoother.sent)
         self.observation.reset(ids)
         self.supervisor.disarm(ids)
         self.task.reset(ids)

@@ -321,7 +321,7 @@ def test_reset_of_a_subset():
     estimator, q = Estimator(SPEC, 3), np.full((3, N), 2.0)
     for tick in range(200):
         before = estimator.step(tick * DT, sample([tick * DT] * 3, [True] * 3, np.zeros((3, N))), still(3))
-    estimator.reset(np.array([False, True, False]))
+    estimator.reset(np.array([False, True, False]), still(3))
     t = 200 * DT
     after = estimator.step(t, sample([0, t, 0], [False, False, False], q), still(3))
     assert np.isinf(after.age).tolist() == [False, True, False]

@@ -200,20 +200,20 @@ def test_gives_back_only_what_has_cooled_for_more_than_a_step():
 def test_a_robot_that_is_not_heard_for_long_does_not_know_its_windings(kind, how):
     """And believes in no cooler ones when it is heard again."""
     heat = at(SOFT - 5.0)
-    t = float(heat.ticks[0] * DT)
+    t, known = float(heat.ticks[0] * DT), heat.winding.copy()
     for tick in range(round((DEAF_S + 0.3) / DT)):
         packets = sample(6.0, SOFT - 20.0)
         if how == "nan":
             packets[kind].value[0, 2] = np.nan
         stamps = {k: t if k == kind and how == "late" else t + tick * DT for k in packets}
         late = {k: packet._replace(t=packet.t + stamps[k]) for k, packet in packets.items()}
-        known = heat.winding.copy() if np.isfinite(heat.winding).all() else known
+        known = np.where(np.isfinite(heat.winding), heat.winding, known)
         heat.step(t + tick * DT, late)
         assert np.isfinite(heat.winding).all() or tick * DT > DEAF_S - 0.2
     assert np.isnan(heat.winding).all()
     assert heat.pace[0] == FOLD_MIN
     live(heat, sample(6.0, SOFT - 20.0))
-    np.testing.assert_allclose(heat.winding, known, rtol=0, atol=0.1)
+    np.testing.assert_allclose(heat.winding, known, rtol=0, atol=1.5)  # a period of warming
 
 
 def test_a_pace_that_falls_while_a_robot_brakes_carries_it_beyond_nothing():

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_heat import NOMINAL, sample
+from test_heat import NOMINAL, live, sample
 from test_spec import SPEC
 
 from deploy.heat import Heat
@@ -32,7 +32,7 @@ def opened(path, at=THEN):
 def test_a_winding_stays_warm_through_a_restart_and_cools_while_it_is_off(tmp_path):
     path = tmp_path / "heat.json"
     file, heat = opened(path)
-    heat.step(sample(0.0, 40.0))
+    live(heat, sample(0.0, 40.0))
     heat.winding[:] = 40.0 + np.array(GOOD["rise_k"])
     file.offer()
     file.close()
@@ -41,14 +41,14 @@ def test_a_winding_stays_warm_through_a_restart_and_cools_while_it_is_off(tmp_pa
     for off in (0.0, 30.0, 86_400.0):
         _, later = opened(path, THEN + off)
         path.write_text(json.dumps(GOOD))
-        later.step(sample(0.0, 33.0))
+        live(later, sample(0.0, 33.0))
         expected = 33.0 + np.array(GOOD["rise_k"]) * np.exp(-off / TAU)
         np.testing.assert_allclose(later.winding[0], expected, atol=0.01)
 
 
 def test_what_no_winding_can_be_is_cut_and_stops_no_tick(tmp_path):
     file, heat = opened(tmp_path / "heat.json")
-    heat.step(sample(0.0, 40.0))
+    live(heat, sample(0.0, 40.0))
     heat.winding[:] = 1e6
     file.offer()
     file.close()
@@ -111,7 +111,7 @@ def test_a_place_that_cannot_be_written_is_an_error_before_anything_moves(tmp_pa
 def test_a_disk_that_fails_later_is_said_and_holds_nothing_up(tmp_path):
     folder = tmp_path / "disk"
     file, heat = opened(folder / "heat.json")
-    heat.step(sample(0.0, 40.0))
+    live(heat, sample(0.0, 40.0))
     (folder / "heat.json").unlink()
     folder.rmdir()
     folder.write_text("")

@@ -90,6 +90,20 @@ def test_brakes_hold_whatever_the_command():
     assert np.abs(plant.qd).max() < 0.01
 
 
+def test_a_closed_brake_takes_no_current_and_warms_nothing():
+    plant = drawn(3)
+    for _ in range(400):
+        plant.step(command(np.tile(HOME, (3, 1))))
+    warm = plant.truth(0.0).winding_c.copy()
+    assert (np.abs(plant.current) > 0.5).any(axis=1).all()
+    for _ in range(2000):
+        plant.step(command(np.tile(HOME, (3, 1)), powered=False))
+        assert not plant.current.any()
+    assert (plant.truth(0.0).winding_c <= warm).all()
+    plant.step(command(np.tile(HOME, (3, 1))))
+    assert (np.abs(plant.current) > 0.5).any(axis=1).all()
+
+
 def test_brakes_close_on_the_pose_they_find():
     plant = exact(2)
     for k in range(60):

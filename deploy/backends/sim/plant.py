@@ -150,7 +150,7 @@ class Plant(Stage):
             self.batch.forward(rows)
         except SimulationError as e:
             self.valid[e.ids] = False
-        self.current[rows] = self._force[rows] / self.wear.constant[rows]
+        self.current[rows] = 0.0
         self.sensed[rows] = self._sensordata[rows]
         self.tool[rows], self.tool_velocity[rows] = self._site[rows], 0.0
         self._observe()
@@ -160,6 +160,7 @@ class Plant(Stage):
         super().restore(arrays)
         self.housings.apply()
         self.wear.apply()
+        self.drives.apply()
         self.payload.follow()
         self.pushes.follow()
         self._warned[:] = 0
@@ -198,6 +199,8 @@ class Plant(Stage):
         """Read what the physics left."""
         self._observe()
         np.divide(self._force, self.wear.constant, out=self.current)
+        if some(self.braked):
+            self.current[self.braked] = 0.0
         self.sensed[:] = self._sensordata
         np.subtract(self._site, self.tool, out=self.tool_velocity)
         self.tool_velocity /= self._dt
