@@ -104,7 +104,7 @@ class FloatingBase(Stage):
             feet: at the times of these packets.
         """
         arrived = imu.fresh & np.isfinite(imu.t) & (imu.t <= t + self._dt)
-        arrived &= _credible(imu.gyro) & _credible(imu.accelerometer)
+        arrived &= _credible(imu.gyro, imu.accelerometer)
         newer = arrived & self.seeded & (imu.t > self.t_sample)
         if some(arrived & ~self.seeded):
             self._seed(arrived & ~self.seeded, imu)
@@ -199,7 +199,7 @@ class FloatingBase(Stage):
 
         Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sec. 7.2.
         """
-        stands = feet.stance & fused[:, None] & _credible(feet.position) & _credible(feet.velocity)
+        stands = feet.stance & fused[:, None] & _credible(feet.position, feet.velocity)
         rows, arm = stands[..., None], self._H[..., 3:]
         arm[:] = skew(np.where(rows, feet.position, 0.0))
         moved = np.where(rows, feet.velocity, 0.0) - times(arm, (self.gyro - self.gyro_bias)[:, None])
@@ -272,9 +272,9 @@ def _diagonal(matrices: Floats) -> Floats:
     return np.asarray(np.einsum("bii->bi", matrices))
 
 
-def _credible(readings: Floats) -> Bools:
-    """Whether all three of (..., 3) are numbers that a sensor can give."""
-    return np.asarray((np.abs(readings) <= RANGE).all(axis=-1))
+def _credible(*readings: Floats) -> Bools:
+    """Whether all of (..., 3) are numbers that a sensor can give."""
+    return np.asarray((np.abs(np.concatenate(readings, axis=-1)) <= RANGE).all(axis=-1))
 
 
 def _whiten(S: Floats, y: Floats) -> Floats:

@@ -44,11 +44,11 @@ def floating(console: Console) -> None:
     # Who trots has its feet in the air for a good part of the time.
     trots = np.mean(truth.force > CONTACT_N, axis=(0, 2)) < 0.8
     table = Table(
-        *("", "tilt, mrad", "velocity, mm/s", "angular velocity, mrad/s", "mean NEES of roll, pitch, velocity (5)"),
-        title=f"RMSE of {DRAWS} draws on {MOTIONS} motions of a quadruped, 1 to {MOVED_S:g} s after the start",
+        *("", "tilt, mrad", "velocity, mm/s", "angular velocity, mrad/s", "mean NEES"),
+        title=f"RMSE of {DRAWS} draws on {MOTIONS} motions of a quadruped, 1 to {MOVED_S:g} s after the start; NEES of 5",
     )
     for name, robots in (("stands, sways, crouches", ~trots), ("trots", trots)):
-        for label, found in ((name, with_feet), (f"{name}: IMU alone", without)):
+        for label, found in ((name, with_feet), ("the same, IMU alone", without)):
             table.add_row(label, *_figures(found, robots))
     console.print(table)
     refused = np.mean([one.refused for one in with_feet])

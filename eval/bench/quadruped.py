@@ -26,7 +26,7 @@ STAND = np.tile([0.0, 0.7, -1.4], FEET)
 LEFT, FRONT, DIAGONAL = np.array([1, -1, 1, -1]), np.array([1, 1, -1, -1]), np.array([0.0, 1.0, 1.0, 0.0])
 SETTLED_S = 0.5
 """s to fall on its feet."""
-FOOT_STD, FOOT_SPEED_STD, CONTACT_N = 0.001, 0.02, 2.0
+FOOT_STD, FOOT_SPEED_STD, CONTACT_N = 0.001, 0.02, 10.0
 """m, m/s: errors of feet by encoders; N: above it a foot is said to stand."""
 LAG_MAX, LOSS, FALSE_CONTACT = 2, 0.02, 0.002
 """Samples; shares of packets and of feet."""
@@ -151,12 +151,12 @@ def watch(
         )
 
 
-def _errors(
-    rngs: list[np.random.Generator], ticks: int, density: float, walk: float, bias: float
-) -> Floats:
+def _errors(rngs: list[np.random.Generator], ticks: int, density: float, walk: float, bias: float) -> Floats:
     """(T, B, 3): bias that walks, and white noise."""
     rows = []
     for rng in rngs:
-        walked = bias * rng.standard_normal(3) + walk * np.sqrt(DT) * np.cumsum(rng.standard_normal((ticks, 3)), axis=0)
+        walked = bias * rng.standard_normal(3) + walk * np.sqrt(DT) * np.cumsum(
+            rng.standard_normal((ticks, 3)), axis=0
+        )
         rows.append(walked + density / np.sqrt(DT) * rng.standard_normal((ticks, 3)))
     return np.stack(rows, axis=1)
