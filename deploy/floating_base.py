@@ -4,8 +4,6 @@ Each robot's belief is orientation R, velocity v in the base frame, and the bias
 time its newest IMU sample was TAKEN; `BaseState` is that belief carried forward to now. The IMU predicts; a foot that
 stands does not move in the world, so v + ω × p + ṗ = 0 up to slip.
 
-    errors (12): orientation φ in the world, R_true = exp(φ) R; velocity; gyro bias; accelerometer bias
-
 With velocity in the base frame the feet are linear in the errors and know nothing of φ, and gravity does not see a turn
 about itself: yaw is unobservable in the equations as it is in the world, and no linearization can pretend otherwise.
 
@@ -14,18 +12,15 @@ Quaternion kinematics for the error-state Kalman filter (2017), sections 5 to 7,
 discrete time. filterpy is the oracle of the tests.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
+from deploy.base_model import ACC, GYRO, PHI, Belief, G, V, diagonal, move, variance, whiten
 from deploy.base_state import BaseNoise, BaseState, Feet, Imu
 from deploy.flags import some
 from deploy.rotations import exp, matrix, norm, product, skew, times, upright
 from deploy.stage import Stage
 from deploy.state import Bools, Floats
 
-G = 9.81
-"""m/s²."""
 RANGE = 1e4
 """rad/s, m/s² or m: a reading beyond it is no reading."""
 GATE = 16.27
@@ -41,31 +36,28 @@ NIS_SAMPLES, NIS_MAX = 100, 4 * GATE
 TILT_STD_MAX, SPEED_STD_MAX = 0.5, 2.0
 """rad, m/s: who knows less has lost the base."""
 
-PHI, V, GYRO, ACC = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 SEEN = slice(3, 9)
 """The errors that a foot sees."""
-
-
-class _Motion(NamedTuple):
-    """Where a belief gets to: R (B, 3, 3) of `quat_wxyz`; its errors go by F (B, 6, 12) and Q (B, 6, 6)."""
-
-    quat_wxyz: Floats
-    R: Floats
-    velocity: Floats
-    F: Floats
-    Q: Floats
 
 
 class FloatingBase(Stage):
     """Orientation and velocity of B bases; `P` (B, 12, 12) is the covariance of their errors.
 
-    A foot whose innovation is beyond `GATE` is left out. A filter has diverged where its tilt or speed is unknown beyond
-    `TILT_STD_MAX` or `SPEED_STD_MAX`, is not finite, or even the best of its feet is on average beyond the gate.
+    A foot whose innovation is beyond `GATE` is left out. A filter has diverged where its tilt or speed is unknown
+    beyond `TILT_STD_MAX` or `SPEED_STD_MAX`, is not finite, or even the best of its feet is on average beyond the gate.
     """
 
     carried = (
-        *("quat_wxyz", "velocity", "gyro_bias", "accelerometer_bias", "P", "gyro", "accelerometer"),
-        *("t_sample", "seeded", "repeats", "innovation", "nis"),
+        "quat_wxyz",
+        "velocity",
+        "bias",
+        "P",
+        "reading",
+        "t_sample",
+        "seeded",
+        "repeats",
+        "innovation",
+        "nis",
     )
 
     def __init__(self, noise: BaseNoise, dt: float, robots: int, feet: int) -> None:
@@ -77,13 +69,13 @@ class FloatingBase(Stage):
             robots: B.
             feet: F.
         """
-        self.quat_wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (robots, 1))
-        self.velocity, self.gyro_bias, self.accelerometer_bias = np.zeros((3, robots, 3))
-        self.gyro, self.accelerometer = np.zeros((2, robots, 3))
+        self.quat_wxyz, self.velocity = np.tile([1.0, 0.0, 0.0, 0.0], (robots, 1)), np.zeros((robots, 3))
+        self.bias, self.reading = np.zeros((2, robots, 6))  # gyro, accelerometer
         self.P, self.innovation = np.zeros((robots, 12, 12)), np.zeros((robots, feet, 3))
         self.t_sample, self.nis = np.zeros(robots), np.zeros(robots)
         self.seeded, self.repeats = np.zeros(robots, dtype=bool), np.zeros((robots, 2), dtype=np.int64)
         self._noise, self._dt = noise, dt
+        self._belief = Belief(self.quat_wxyz, self.velocity, self.bias)
         self._walk = np.repeat([noise.gyro_walk**2, noise.accelerometer_walk**2], 3)
         self._foot_var = noise.slip**2 / dt
         self._H = np.tile(np.eye(3, 6), (robots, feet, 1, 1))
@@ -103,93 +95,57 @@ class FloatingBase(Stage):
             imu: the newest packets.
             feet: at the times of these packets.
         """
-        arrived = imu.fresh & np.isfinite(imu.t) & (imu.t <= t + self._dt)
-        arrived &= _credible(imu.gyro, imu.accelerometer)
+        reading = np.concatenate([imu.gyro, imu.accelerometer], axis=1)
+        arrived = imu.fresh & np.isfinite(imu.t) & (imu.t <= t + self._dt) & _credible(reading)
         newer = arrived & self.seeded & (imu.t > self.t_sample)
         if some(arrived & ~self.seeded):
-            self._seed(arrived & ~self.seeded, imu)
-        self._count_repeats(newer, imu)
+            self._seed(arrived & ~self.seeded, imu.t, reading)
+        self._count_repeats(newer, reading)
         fused = newer & ~self._stuck()
-        self._predict(fused, imu)
+        self._predict(fused, imu.t, reading)
         self._update(fused, feet)
         return self._now(t)
 
-    def _seed(self, ids: Bools, imu: Imu) -> None:
+    def _seed(self, ids: Bools, t: Floats, reading: Floats) -> None:
         """The first sample is a measurement of tilt by gravity, as wrong as the accelerometer's unknown bias."""
-        force = norm(imu.accelerometer)[:, 0]
+        force = norm(reading[:, 3:])[:, 0]
         ids = ids & (force >= REST_BAND[0] * G) & (force <= REST_BAND[1] * G)
         noise, n = self._noise, np.count_nonzero(ids)
-        quat_wxyz = upright(imu.accelerometer[ids])
+        quat_wxyz = upright(reading[ids, 3:])
         bias_var = noise.accelerometer_bias**2
         tilt_var = (bias_var + SEED_ACCELERATION_STD**2) / G**2
         P = np.zeros((n, 12, 12))
-        _diagonal(P)[:] = np.repeat([tilt_var, SEED_SPEED_STD**2, noise.gyro_bias**2, bias_var], 3)
+        diagonal(P)[:] = np.repeat([tilt_var, SEED_SPEED_STD**2, noise.gyro_bias**2, bias_var], 3)
         P[:, 2, 2] = 0.0  # yaw is counted from here
         tilt_by_bias = skew(np.array([0.0, 0.0, bias_var / G])) @ matrix(quat_wxyz)
         P[:, PHI, ACC], P[:, ACC, PHI] = tilt_by_bias, tilt_by_bias.swapaxes(1, 2)
         self.P[ids], self.quat_wxyz[ids] = P, quat_wxyz
-        self.velocity[ids], self.gyro_bias[ids], self.accelerometer_bias[ids] = 0.0, 0.0, 0.0
-        self.gyro[ids], self.accelerometer[ids] = imu.gyro[ids], imu.accelerometer[ids]
+        self.velocity[ids], self.bias[ids], self.reading[ids] = 0.0, 0.0, reading[ids]
         self.innovation[ids], self.nis[ids], self.repeats[ids] = 0.0, 0.0, 0
-        self.t_sample[ids], self.seeded[ids] = imu.t[ids], True
+        self.t_sample[ids], self.seeded[ids] = t[ids], True
 
-    def _count_repeats(self, newer: Bools, imu: Imu) -> None:
+    def _count_repeats(self, newer: Bools, reading: Floats) -> None:
         """Gyro and accelerometer each, for one of them may hang alone."""
-        pairs = ((imu.gyro, self.gyro), (imu.accelerometer, self.accelerometer))
-        same = np.stack([(new == last).all(axis=1) for new, last in pairs], axis=1)
-        np.copyto(self.repeats, np.where(same, self.repeats + 1, 0), where=newer[:, None])
+        same = (reading == self.reading).reshape(-1, 2, 3).all(axis=2)
+        np.copyto(self.repeats, (self.repeats + 1) * same, where=newer[:, None])
 
     def _stuck(self) -> Bools:
         return np.asarray((self.repeats >= STUCK_SAMPLES - 1).any(axis=1))
 
-    def _predict(self, fused: Bools, imu: Imu) -> None:
+    def _predict(self, fused: Bools, t: Floats, reading: Floats) -> None:
         """From the last sample to this one, with what the IMU measured at both ends."""
         rows = fused[:, None]
-        dt = np.where(fused, imu.t - self.t_sample, 0.0)
-        gyro, force = (
-            np.where(rows, imu.gyro, self.gyro),
-            np.where(rows, imu.accelerometer, self.accelerometer),
-        )
-        missing = np.maximum(dt - self._dt, 0.0) ** 3 / 12  # a random walk between two known ends
-        motion = self._move(dt, 0.5 * (self.gyro + gyro), force, missing)
+        dt, reading = np.where(fused, t - self.t_sample, 0.0), np.where(rows, reading, self.reading)
+        unseen = np.maximum(dt - self._dt, 0.0) ** 3 / 12  # between two ends that are known
+        motion = move(self._belief, self._noise, dt, self.reading, reading, unseen)
         FP, P = motion.F @ self.P, self.P
         P[:, :6, 6:] = FP[:, :, 6:]
         P[:, 6:, :6] = FP[:, :, 6:].swapaxes(1, 2)
         P[:, :6, :6] = FP @ motion.F.swapaxes(1, 2) + motion.Q
-        _diagonal(P[:, 6:, 6:])[:] += self._walk * dt[:, None]
+        diagonal(P[:, 6:, 6:])[:] += self._walk * dt[:, None]
         np.copyto(self.quat_wxyz, motion.quat_wxyz, where=rows)
-        self.velocity[:], self.gyro[:], self.accelerometer[:] = motion.velocity, gyro, force
+        self.velocity[:], self.reading[:] = motion.velocity, reading
         self.t_sample += dt
-
-    def _move(self, dt: Floats, gyro: Floats, force: Floats, missing: Floats) -> _Motion:
-        """The belief `dt` (B,) s on, and to first order in dt what its errors become; exact where they turn.
-
-        Args:
-            dt: s.
-            gyro: (B, 3) rad/s as measured, mean over dt.
-            force: (B, 3) m/s² as measured at the end of dt.
-            missing: (B,) s³, integral of the variance of motion that nobody saw.
-        """
-        lag, noise = dt[:, None], self._noise
-        turn = exp((gyro - self.gyro_bias) * lag)
-        quat_wxyz = product(self.quat_wxyz, turn)
-        R, back = matrix(quat_wxyz), matrix(turn).swapaxes(1, 2)
-        before, after = (0.5 * lag * (f - self.accelerometer_bias) for f in (self.accelerometer, force))
-        carried = times(back, self.velocity + before) - G * lag * R[:, 2]
-        by_gyro = np.concatenate(
-            [R, skew(carried)], axis=1
-        )  # what an error of the gyro does in 1 s, but for its sign
-        F = np.zeros((len(dt), 6, 12))
-        _diagonal(F[:, PHI, PHI])[:] = 1.0
-        F[:, V, 0], F[:, V, 1] = R[:, 1] * (-G * lag), R[:, 0] * (G * lag)
-        F[:, V, V] = back
-        np.multiply(by_gyro, -lag[..., None], out=F[:, :, GYRO])
-        _diagonal(F[:, V, ACC])[:] = -lag
-        turned = noise.gyro**2 * dt + noise.angular_acceleration**2 * missing
-        pushed = noise.accelerometer**2 * dt + noise.jerk**2 * missing
-        Q = turned[:, None, None] * (by_gyro @ by_gyro.swapaxes(1, 2))
-        _diagonal(Q[:, V, V])[:] += pushed[:, None]
-        return _Motion(quat_wxyz, R, carried + after, F, Q)
 
     def _update(self, fused: Bools, feet: Feet) -> None:
         """All feet at once, in the six errors that they see; a foot that is left out weighs nothing.
@@ -197,12 +153,13 @@ class FloatingBase(Stage):
         The sum of their information instead of the inverse of their covariance: the same filter, with a matrix of six
         rows however many feet there are.
 
-        Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sec. 7.2.
+        Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), on the
+        information filter.
         """
         stands = feet.stance & fused[:, None] & _credible(feet.position, feet.velocity)
         rows, arm = stands[..., None], self._H[..., 3:]
         arm[:] = skew(np.where(rows, feet.position, 0.0))
-        moved = np.where(rows, feet.velocity, 0.0) - times(arm, (self.gyro - self.gyro_bias)[:, None])
+        moved = np.where(rows, feet.velocity, 0.0) - times(arm, (self.reading - self.bias)[:, None, :3])
         residual = -(self.velocity[:, None] + moved)
         used = self._gate(fused, stands, residual)
         robots, n = stands.shape
@@ -220,7 +177,7 @@ class FloatingBase(Stage):
         H = self._H
         HP = (H.reshape(len(H), -1, 6) @ self.P[:, SEEN, SEEN]).reshape(H.shape)
         S = HP @ H.swapaxes(2, 3) + self._foot_var * np.eye(3)
-        white = np.where(stands[..., None], _whiten(S, residual), 0.0)
+        white = np.where(stands[..., None], whiten(S, residual), 0.0)
         np.copyto(self.innovation, white, where=fused[:, None, None])
         nis = (white * white).sum(axis=2)
         best = np.where(stands, nis, NIS_MAX).min(axis=1)
@@ -229,37 +186,36 @@ class FloatingBase(Stage):
 
     def _correct(self, error: Floats) -> None:
         """Put the errors (B, 12) into the belief, which leaves them 0."""
-        moved = error.any(axis=1)[:, None]
+        moved = error[:, PHI].any(axis=1, keepdims=True)
         np.copyto(self.quat_wxyz, product(exp(error[:, PHI]), self.quat_wxyz), where=moved)
         self.velocity += error[:, V]
-        self.gyro_bias += error[:, GYRO]
-        self.accelerometer_bias += error[:, ACC]
+        self.bias += error[:, 6:]
 
     def _now(self, t: float) -> BaseState:
         noise = self._noise
         age = np.where(self.seeded, t - self.t_sample, np.inf)
         lag = np.where(self.seeded, np.maximum(age, 0.0), 0.0)
-        quat_wxyz, R, velocity, F, Q = self._move(lag, self.gyro, self.accelerometer, lag**3 / 3)
+        quat_wxyz, R, velocity, F, Q = move(self._belief, noise, lag, self.reading, self.reading, lag**3 / 3)
         P = F @ self.P @ F.swapaxes(1, 2) + Q
         velocity_in_world = times(R, velocity)
         to_world = np.concatenate([-skew(velocity_in_world), R], axis=2)
         to_gravity = -R.swapaxes(1, 2) @ skew(np.array([0.0, 0.0, 1.0]))
-        var = _diagonal(P)
+        var = diagonal(P)
         tilt_var, speed_var = var[:, :2].sum(axis=1), var[:, V].max(axis=1)
         known = (tilt_var <= TILT_STD_MAX**2) & (speed_var <= SPEED_STD_MAX**2) & (self.nis <= GATE)
-        gyro_var = noise.gyro**2 / self._dt + noise.angular_acceleration**2 * lag + self._walk[0] * lag
+        gyro_var = noise.gyro**2 / self._dt + (noise.angular_acceleration**2 + noise.gyro_walk**2) * lag
         return BaseState(
             t=t,
             quat_wxyz=quat_wxyz,
-            angular_velocity=self.gyro - self.gyro_bias,
+            angular_velocity=(self.reading - self.bias)[:, :3],
             velocity_in_world=velocity_in_world,
             velocity_in_base=velocity,
             gravity=-R[:, 2],
             orientation_var=var[:, PHI],
-            angular_velocity_var=_diagonal(self.P[:, GYRO, GYRO]) + gyro_var[:, None],
-            velocity_in_world_var=_variance(to_world, P),
+            angular_velocity_var=diagonal(self.P[:, GYRO, GYRO]) + gyro_var[:, None],
+            velocity_in_world_var=variance(to_world, P),
             velocity_in_base_var=var[:, V],
-            gravity_var=_variance(to_gravity, P[:, PHI, PHI]),
+            gravity_var=variance(to_gravity, P[:, PHI, PHI]),
             age=age,
             innovation=self.innovation,
             stuck=self._stuck(),
@@ -267,28 +223,6 @@ class FloatingBase(Stage):
         )
 
 
-def _diagonal(matrices: Floats) -> Floats:
-    """A view of the diagonals (B, n) of (B, n, n)."""
-    return np.asarray(np.einsum("bii->bi", matrices))
-
-
 def _credible(*readings: Floats) -> Bools:
-    """Whether all of (..., 3) are numbers that a sensor can give."""
+    """Whether all along the last axis are numbers that a sensor can give."""
     return np.asarray((np.abs(np.concatenate(readings, axis=-1)) <= RANGE).all(axis=-1))
-
-
-def _whiten(S: Floats, y: Floats) -> Floats:
-    """L⁻¹ y (..., 3) of S = L Lᵀ (..., 3, 3): of unit covariance if S is that of y."""
-    l00 = np.sqrt(S[..., 0, 0])
-    l10, l20 = S[..., 1, 0] / l00, S[..., 2, 0] / l00
-    l11 = np.sqrt(S[..., 1, 1] - l10 * l10)
-    l21 = (S[..., 2, 1] - l20 * l10) / l11
-    l22 = np.sqrt(S[..., 2, 2] - l20 * l20 - l21 * l21)
-    w0 = y[..., 0] / l00
-    w1 = (y[..., 1] - l10 * w0) / l11
-    return np.stack([w0, w1, (y[..., 2] - l20 * w0 - l21 * w1) / l22], axis=-1)
-
-
-def _variance(J: Floats, P: Floats) -> Floats:
-    """(B, m) diagonals of J P Jᵀ."""
-    return np.asarray(((J @ P) * J).sum(axis=2))

@@ -4,7 +4,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-mujoco = pytest.importorskip("mujoco")
+pytest.importorskip("mujoco")
+
+import mujoco
 
 from deploy.rotations import exp
 from eval.bench import floating

@@ -70,8 +70,8 @@ def move(seeds: list[np.random.SeedSequence], seconds: float) -> Truth:
 def split(readings: Floats) -> Truth:
     """The sensors of quadruped.xml (T, M, 41) by name."""
     feet = readings[..., 13:].reshape(*readings.shape[:2], FEET, 7)
-    base = np.split(readings[..., :13], (3, 6, 10), axis=-1)
-    return Truth(*base, feet[..., :3], feet[..., 3:6], feet[..., 6])
+    gyro, force, quat_wxyz, velocity = np.split(readings[..., :13], (3, 6, 10), axis=-1)
+    return Truth(gyro, force, quat_wxyz, velocity, feet[..., :3], feet[..., 3:6], feet[..., 6])
 
 
 def _sensors(rng: np.random.Generator, seconds: float) -> Floats:
