@@ -157,10 +157,10 @@ class FloatingBase(Stage):
         information filter.
         """
         stands = feet.stance & fused[:, None] & _credible(feet.position, feet.velocity)
-        rows, arm = stands[..., None], self._H[..., 3:]
-        arm[:] = skew(np.where(rows, feet.position, 0.0))
-        moved = np.where(rows, feet.velocity, 0.0) - times(arm, (self.reading - self.bias)[:, None, :3])
-        residual = -(self.velocity[:, None] + moved)
+        position, velocity = (np.where(stands[..., None], x, 0.0) for x in (feet.position, feet.velocity))
+        self._H[..., 3:] = skew(position)
+        turning = position @ skew((self.reading - self.bias)[:, :3])  # rows of p × ω
+        residual = turning - velocity - self.velocity[:, None]
         used = self._gate(fused, stands, residual)
         robots, n = stands.shape
         H, z = self._H.reshape(robots, 3 * n, 6), residual.reshape(robots, 3 * n, 1)
@@ -199,7 +199,7 @@ class FloatingBase(Stage):
         P = F @ self.P @ F.swapaxes(1, 2) + Q
         velocity_in_world = times(R, velocity)
         to_world = np.concatenate([-skew(velocity_in_world), R], axis=2)
-        to_gravity = -R.swapaxes(1, 2) @ skew(np.array([0.0, 0.0, 1.0]))
+        to_gravity = np.stack([-R[:, 1], R[:, 0]], axis=2)
         var = diagonal(P)
         tilt_var, speed_var = var[:, :2].sum(axis=1), var[:, V].max(axis=1)
         known = (tilt_var <= TILT_STD_MAX**2) & (speed_var <= SPEED_STD_MAX**2) & (self.nis <= GATE)
@@ -215,7 +215,7 @@ class FloatingBase(Stage):
             angular_velocity_var=diagonal(self.P[:, GYRO, GYRO]) + gyro_var[:, None],
             velocity_in_world_var=variance(to_world, P),
             velocity_in_base_var=var[:, V],
-            gravity_var=variance(to_gravity, P[:, PHI, PHI]),
+            gravity_var=variance(to_gravity, P[:, :2, :2]),
             age=age,
             innovation=self.innovation,
             stuck=self._stuck(),
