@@ -184,16 +184,15 @@ def test_equals_filterpy(seed, loss, slipping):
     base, oracles, refused = FloatingBase(NOISE, DT, robots, F), [None] * robots, 0
     for t, imu, feet in World(seed, robots, 260).packets(loss, lag_max=3, slipping=slipping):
         state = base.step(t, imu, feet)
-        for robot, oracle in enumerate(oracles):
-            packet = one(imu, robot)
-            if oracle is None:
-                if packet.fresh:
-                    oracles[robot] = ByFilterpy(packet.t, packet.gyro, packet.accelerometer)
-                continue
-            if packet.fresh and packet.t > oracle.t:
+        for robot in range(robots):
+            oracle, packet = oracles[robot], one(imu, robot)
+            if oracle is None and packet.fresh:
+                oracle = oracles[robot] = ByFilterpy(packet.t, packet.gyro, packet.accelerometer)
+            elif packet.fresh and packet.t > oracle.t:
                 oracle.fuse(packet.t, packet.gyro, packet.accelerometer, one(feet, robot))
                 refused += np.count_nonzero((oracle.innovation**2).sum(axis=1) > GATE)
-            assert_equal(base, one(state._replace(t=np.full(robots, t)), robot), robot, oracle)
+            if oracle is not None:
+                assert_equal(base, one(state._replace(t=np.full(robots, t)), robot), robot, oracle)
     assert all(oracles)
     assert (refused > 10) == (slipping > 0)
 
@@ -367,6 +366,7 @@ def test_saved_and_restored_goes_on_bit_for_bit():
     saved = base.save()
     expected = [base.step(*packets) for packets in stream][-1]
     other = FloatingBase(NOISE, DT, 2, F)
+    assert set(base.carried) == {name for name in vars(base) if not name.startswith("_")}
     other.restore(saved)
     state = [other.step(*packets) for packets in stream][-1]
     for name in FIELDS:
@@ -377,8 +377,12 @@ def test_a_look_at_now_leaves_the_belief_alone():
     base, stream = settled()
     other = settled()[0]
     t, imu, feet = stream[0]
-    for late in np.linspace(-DT, 0.3, 20):
-        base.step(t + late, imu._replace(fresh=np.zeros(2, dtype=bool)), feet)
+    nothing = imu._replace(fresh=np.zeros(2, dtype=bool))
+    early = base.step(t - 2 * DT, nothing, feet)
+    np.testing.assert_array_equal(early.velocity_in_base, base.velocity)
+    np.testing.assert_array_equal(early.orientation_var, base.P[:, range(3), range(3)])
+    for late in np.linspace(0.0, 0.3, 20):
+        base.step(t + late, nothing, feet)
     for name, values in other.save().items():
         np.testing.assert_array_equal(values, base.save()[name], err_msg=name)
 
@@ -501,7 +505,22 @@ def test_a_filter_whose_feet_all_contradict_it_has_diverged():
     assert np.array(told)[NIS_SAMPLES:, 0].all()
 
 
-def test_a_filter_that_knows_too_little_has_diverged():
+@pytest.mark.parametrize(
+    ("error", "std_max"), [(0, 0.5), (1, 0.5), (3, 2.0), (4, 2.0), (5, 2.0), (2, np.inf)]
+)
+def test_a_filter_that_knows_too_little_has_diverged(error, std_max):
+    """Of tilt or speed; yaw, which nothing tells, is not asked."""
+    for share in (0.99, 1.01):
+        base, stream = settled()
+        t, imu, feet = stream[0]
+        base.P[0, error, :] = base.P[0, :, error] = 0.0
+        base.P[0, error, error] = share * min(std_max, 1e3) ** 2
+        base.P[0, 1 - error, 1 - error] *= error > 1  # tilt counts as a whole
+        state = base.step(t - DT, imu._replace(fresh=np.zeros(2, dtype=bool)), feet)
+        assert state.diverged.tolist() == [share * min(std_max, 1e3) > std_max, False]
+
+
+def test_a_filter_in_silence_says_when_it_has_lost_the_base():
     base, stream = settled()
     t, imu, feet = stream[0]
     silent = imu._replace(fresh=np.zeros(2, dtype=bool))
@@ -520,6 +539,7 @@ def test_a_belief_that_is_no_number_says_so_until_it_is_reset(name):
         np.testing.assert_array_equal(state.velocity_in_base[1], expected.velocity_in_base[1])
     base.reset(np.array([True, False]))
     t, imu, feet = stream[20]
+    assert not base.step(t - DT, imu._replace(fresh=np.zeros(2, dtype=bool)), feet).diverged.any()
     still = imu._replace(accelerometer=np.tile([0.0, 0.0, G], (2, 1)))
     state = base.step(t, still, feet)
     assert not state.diverged.any()
@@ -559,12 +579,14 @@ def test_gravity_seeds_the_tilt_and_nothing_else(up):
     assert state.orientation_var[0, 2] == 0.0
 
 
-def test_nobody_is_seeded_in_free_fall():
-    base = FloatingBase(NOISE, DT, 3, F)
-    feet = Feet(np.zeros((3, F), dtype=bool), *np.zeros((2, 3, F, 3)))
-    force = np.array([[0.0, 0.0, 0.1 * G], [0.0, 0.0, 2 * G], [0.0, 0.0, G]])
-    state = base.step(0.0, Imu(np.zeros(3), np.ones(3, dtype=bool), np.zeros((3, 3)), force), feet)
-    assert np.isinf(state.age).tolist() == [True, True, False]
+def test_nobody_is_seeded_in_free_fall_or_before_time_began():
+    base = FloatingBase(NOISE, DT, 4, F)
+    feet = Feet(np.zeros((4, F), dtype=bool), *np.zeros((2, 4, F, 3)))
+    force = np.outer([0.1, 2.0, 1.0, 1.0], [0.0, 0.0, G])
+    t = np.array([0.0, 0.0, 0.0, -np.inf])
+    state = base.step(0.0, Imu(t, np.ones(4, dtype=bool), np.zeros((4, 3)), force), feet)
+    assert np.isinf(state.age).tolist() == [True, True, False, True]
+    assert not base.seeded[3]
     assert not state.diverged.any()
 
 
