@@ -84,6 +84,7 @@ class FloatingBase(Stage):
         """Forget robots where `ids` (B,) holds; their next sample at rest seeds them."""
         self.seeded[ids] = False
 
+    @np.errstate(all="ignore")  # where numbers run out `diverged` says so
     def step(self, t: float, imu: Imu, feet: Feet) -> BaseState:
         """Fuse what arrived and carry the belief to now.
 

@@ -545,6 +545,30 @@ def test_a_belief_that_is_no_number_says_so_until_it_is_reset(name):
     assert all(np.isfinite(getattr(state, field)).all() for field in FIELDS)
 
 
+GARBAGE = np.array([0.0, 1.0, -1e4, 9e3, 1e300, 1e-300, np.inf, -np.inf, np.nan])
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_garbage_neither_raises_nor_reaches_the_neighbour(seed):
+    """In packets, and in the belief itself; where the estimate is no number, it says so."""
+    rng, base, clean = (
+        np.random.default_rng(seed),
+        FloatingBase(NOISE, DT, 2, F),
+        FloatingBase(NOISE, DT, 1, F),
+    )
+    for t, imu, feet in World(8, 2, 80).packets():
+        imu.t[0] = rng.choice([t, t, t, t - 1e6, t - 1e300, np.nan])
+        beliefs = (base.P, base.velocity) if rng.random() < 0.03 else ()
+        for values in (imu.gyro, imu.accelerometer, feet.position, feet.velocity, *beliefs):
+            hit = rng.random(values[0].shape) < rng.choice([0.0, 0.1, 1.0], p=[0.8, 0.1, 0.1])
+            values[0] = np.where(hit, rng.choice(GARBAGE, hit.shape), values[0])
+        state = base.step(t, imu, feet)
+        expected = clean.step(t, one(imu, slice(1, 2)), one(feet, slice(1, 2)))
+        for name in FIELDS:
+            np.testing.assert_array_equal(getattr(state, name)[1], getattr(expected, name)[0])
+            assert state.diverged[0] or not base.seeded[0] or np.isfinite(getattr(state, name)[0]).all()
+
+
 def test_reset_of_a_subset():
     base, stream = settled()
     kept = settled()[0]
