@@ -4,8 +4,9 @@ Each robot's belief is orientation R, velocity v in the base frame, and the bias
 time its newest IMU sample was TAKEN; `BaseState` is that belief carried forward to now. The IMU predicts; a foot that
 stands does not move in the world, so v + ω × p + ṗ = 0 up to slip.
 
-With velocity in the base frame the feet are linear in the errors and know nothing of φ, and gravity does not see a turn
-about itself: yaw is unobservable in the equations as it is in the world, and no linearization can pretend otherwise.
+With the velocity in the base frame and the error of orientation in the world's, feet are linear in the errors and do
+not see that of orientation, and gravity does not see a turn about itself: yaw is unobservable in the equations as it
+is in the world, and no linearization can pretend otherwise.
 
 Source: Bloesch et al., State estimation for legged robots: consistent fusion of leg kinematics and IMU (2012); Solà,
 Quaternion kinematics for the error-state Kalman filter (2017), sections 5 to 7, for the errors in continuous and

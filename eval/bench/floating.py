@@ -38,8 +38,8 @@ def floating(console: Console) -> None:
     """Errors with and without feet, consistency over many draws, and the cost."""
     truth = move([robot_seed(SEED, robot) for robot in range(MOTIONS)], MOVED_S)
     with_feet, without = (
-        [follow(truth, first, MOTIONS, feet=feet) for first in range(0, draws, MOTIONS)]
-        for feet, draws in ((True, DRAWS), (False, 4 * MOTIONS))
+        [follow(truth, first, MOTIONS, feet=feet) for first in range(0, DRAWS, MOTIONS)]
+        for feet in (True, False)
     )
     # Who trots has its feet in the air for a good part of the time.
     trots = np.mean(truth.force > CONTACT_N, axis=(0, 2)) < 0.8
