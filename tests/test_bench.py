@@ -110,6 +110,6 @@ def test_an_unknown_bench_is_refused(monkeypatch, capsys):
         command.main(command.bench)
     assert caught.value.code == 2
     assert (
-        "found 'nothing', expected one of stages, estimate, start, memory, work or all"
+        "found 'nothing', expected one of stages, estimate, floating, start, memory, work or all"
         in capsys.readouterr().err
     )

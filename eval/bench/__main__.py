@@ -2,6 +2,7 @@
 
 python -m eval.bench stages     what a tick costs beside physics, at several B, stage by stage
 python -m eval.bench estimate   errors with and without the estimator, its consistency, an outage
+python -m eval.bench floating   errors of a floating base with and without its feet, consistency, cost
 python -m eval.bench start      how soon deploy-run ticks, and what it imports
 python -m eval.bench memory     whether a soak grows
 python -m eval.bench work       an hour of 16 robots by the shipped budget, and an idle policy that fails it
@@ -25,6 +26,7 @@ from rich.console import Console
 from deploy.cli import PASSED, main
 from deploy.policy import Policy
 from eval.bench.estimate import estimate
+from eval.bench.floating import floating
 from eval.bench.idle import make_idle
 from eval.bench.stages import SEED, stages
 from eval.budget import BUDGET, check, load_budget
@@ -136,6 +138,7 @@ def work(spec: RobotSpec, policy: Path) -> None:
 BENCHES: dict[str, Callable[[RobotSpec, Path], None]] = {
     "stages": lambda spec, policy: stages(spec, policy, console),
     "estimate": lambda spec, policy: estimate(spec, policy, console),
+    "floating": lambda spec, policy: floating(console),
     "start": start,
     "memory": memory,
     "work": work,

@@ -1,0 +1,435 @@
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from deploy import floating_base
+from deploy.base_model import G
+from deploy.base_state import BaseNoise, Feet, Imu
+from deploy.floating_base import GATE, NIS_SAMPLES, RANGE, STUCK_SAMPLES, FloatingBase
+
+DT, F = 0.005, 4
+NOISE = BaseNoise(
+    gyro=5e-4,
+    accelerometer=5e-3,
+    gyro_walk=1e-4,
+    accelerometer_walk=1e-3,
+    gyro_bias=0.01,
+    accelerometer_bias=0.1,
+    slip=0.004,
+    angular_acceleration=2.0,
+    jerk=20.0,
+)
+FIELDS = floating_base.BaseState._fields[1:]
+DOWN = np.array([0.0, 0.0, -G])
+
+
+def cross(v):
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+class World:
+    """Robots that turn and accelerate smoothly, seen by IMUs as bad as NOISE says: `R`, `v` in the base, biases."""
+
+    def __init__(self, seed, robots, ticks):
+        rng = self.rng = np.random.default_rng(seed)
+        t = DT * np.arange(ticks)[:, None, None]
+        speed, phase = rng.uniform(2, 8, (2, robots, 3)), rng.uniform(0, 6, (2, robots, 3))
+        self.w = 0.5 * np.sin(speed[0] * t + phase[0])
+        a = (
+            np.minimum(1.0, 5 * t) * 2.0 * np.sin(speed[1] * t + phase[1])
+        )  # of the base, in the world; first none
+        self.R, v = np.empty((ticks, robots, 3, 3)), np.zeros((ticks, robots, 3))
+        self.R[0] = Rotation.from_rotvec(rng.normal(0, 0.05, (robots, 3)) * [1, 1, 0]).as_matrix()
+        for k in range(1, ticks):
+            turn = Rotation.from_rotvec(DT * (self.w[k - 1] + self.w[k]) / 2).as_matrix()
+            self.R[k] = self.R[k - 1] @ turn
+            v[k] = v[k - 1] + DT * (a[k - 1] + a[k]) / 2
+        v += rng.normal(0, 0.3, (robots, 3))
+        into_base = self.R.swapaxes(2, 3)
+        self.v, self.f = (into_base @ v[..., None])[..., 0], (into_base @ (a - DOWN)[..., None])[..., 0]
+        self.gyro_bias, self.force_bias = (
+            bias * rng.standard_normal((robots, 3))
+            + walk * np.sqrt(DT) * np.cumsum(rng.standard_normal((ticks, robots, 3)), axis=0)
+            for bias, walk in (
+                (NOISE.gyro_bias, NOISE.gyro_walk),
+                (NOISE.accelerometer_bias, NOISE.accelerometer_walk),
+            )
+        )
+        self.gyro, self.force = (
+            value + bias + density / np.sqrt(DT) * rng.standard_normal(value.shape)
+            for value, bias, density in (
+                (self.w, self.gyro_bias, NOISE.gyro),
+                (self.f, self.force_bias, NOISE.accelerometer),
+            )
+        )
+
+    def feet(self, at, slipping=0.0):
+        """Of the moments `at` (B,), some in the air, and some on ice."""
+        rng, row = self.rng, np.arange(len(at))
+        p = rng.uniform(-0.4, 0.4, (len(at), F, 3))
+        slip = NOISE.slip / np.sqrt(DT) * rng.standard_normal(p.shape)
+        slip += (rng.random((len(at), F, 1)) < slipping) * rng.normal(0, 1.0, p.shape)
+        velocity = slip - self.v[at, row][:, None] - np.cross(self.w[at, row][:, None], p)
+        return Feet(stance=rng.random((len(at), F)) < 0.7, position=p, velocity=velocity)
+
+    def packets(self, loss=0.0, lag_max=0, slipping=0.0):
+        """What an unkind bus delivers: each robot its own delay, losses, and old packets that come again."""
+        rng, robots = self.rng, self.v.shape[1]
+        lag, row = rng.integers(0, lag_max + 1, robots), np.arange(robots)
+        for tick in range(lag_max + 3, len(self.v)):
+            at = tick - lag - 3 * (rng.random(robots) < 0.05 * (lag_max > 0))
+            fresh = rng.random(robots) >= loss
+            if loss and tick % 150 > 130:
+                fresh[0] = False  # and long outages
+            imu = Imu(t=DT * at, fresh=fresh, gyro=self.gyro[at, row], accelerometer=self.force[at, row])
+            yield DT * tick, imu, self.feet(at, slipping)
+
+
+def one(record, robot):
+    """The robot's own row."""
+    return type(record)(*(values[robot] for values in record))
+
+
+@cache
+def worked():
+    """What two robots carry in the middle of their work, and what comes next."""
+    stream, base = list(World(3, 2, 460).packets()), FloatingBase(NOISE, DT, 2, F)
+    for packets in stream[:200]:
+        base.step(*packets)
+    return base.save(), stream[200:]
+
+
+def settled():
+    """An estimator of two robots in the middle of its work, and what comes next."""
+    base, (carried, stream) = FloatingBase(NOISE, DT, 2, F), worked()
+    base.restore(carried)
+    return base, stream
+
+
+def test_feet_and_gravity_say_nothing_about_yaw():
+    """Who knows less of it goes on knowing exactly as much less, and of all the rest the same."""
+    base, stream = settled()
+    other, less = settled()[0], np.zeros((12, 12))
+    less[2, 2] = 0.5
+    other.P += less
+    for packets in stream:
+        base.step(*packets)
+        state = other.step(*packets)
+    np.testing.assert_allclose(other.P - base.P, [less, less], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(other.quat_wxyz, base.quat_wxyz, rtol=0, atol=1e-12)
+    assert not state.diverged.any()
+
+
+def test_yaw_is_less_and_less_known():
+    base, stream = settled()
+    before = base.P[:, 2, 2].copy()
+    for packets in stream:
+        state = base.step(*packets)
+    assert (state.orientation_var[:, 2] > before + len(stream) * DT * NOISE.gyro**2).all()
+
+
+def test_nothing_but_the_heading_depends_on_where_north_is():
+    base, stream = settled()
+    other, turn = settled()[0], Rotation.from_rotvec([0, 0, 2.0])
+    other.quat_wxyz[:] = (turn * Rotation.from_quat(other.quat_wxyz, scalar_first=True)).as_quat(
+        scalar_first=True
+    )
+    T = np.kron(np.diag([1, 0, 0, 0]), turn.as_matrix()) + np.diag([0] * 3 + [1] * 9)
+    other.P[:] = T @ other.P @ T.T
+    for packets in stream:
+        state, turned = base.step(*packets), other.step(*packets)
+    for name in ("velocity_in_base", "gravity", "angular_velocity", "velocity_in_base_var", "gravity_var"):
+        np.testing.assert_allclose(getattr(turned, name), getattr(state, name), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(turned.velocity_in_world, turn.apply(state.velocity_in_world), atol=1e-9)
+
+
+def test_robots_do_not_touch_each_other():
+    """The row of 64 equals the row alone, bit for bit."""
+    robots, some = 64, (0, 1, 30, 63)
+    together, alone = FloatingBase(NOISE, DT, robots, F), {i: FloatingBase(NOISE, DT, 1, F) for i in some}
+    for t, imu, feet in World(6, robots, 230).packets(loss=0.2, lag_max=2, slipping=0.1):
+        state = together.step(t, imu, feet)
+        for i, base in alone.items():
+            single = base.step(t, one(imu, slice(i, i + 1)), one(feet, slice(i, i + 1)))
+            for name in FIELDS:
+                np.testing.assert_array_equal(getattr(single, name)[0], getattr(state, name)[i], err_msg=name)
+    for i, base in alone.items():
+        np.testing.assert_array_equal(base.P[0], together.P[i])
+
+
+def test_saved_and_restored_goes_on_bit_for_bit():
+    base, stream = settled()
+    saved = base.save()
+    expected = [base.step(*packets) for packets in stream][-1]
+    other = FloatingBase(NOISE, DT, 2, F)
+    assert set(base.carried) == {name for name in vars(base) if not name.startswith("_")}
+    other.restore(saved)
+    state = [other.step(*packets) for packets in stream][-1]
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(state, name), getattr(expected, name))
+
+
+def test_a_look_at_now_leaves_the_belief_alone():
+    base, stream = settled()
+    other = settled()[0]
+    t, imu, feet = stream[0]
+    nothing = imu._replace(fresh=np.zeros(2, dtype=bool))
+    early = base.step(t - 2 * DT, nothing, feet)
+    np.testing.assert_array_equal(early.velocity_in_base, base.velocity)
+    np.testing.assert_array_equal(early.orientation_var, base.P[:, range(3), range(3)])
+    for late in np.linspace(0.0, 0.3, 20):
+        base.step(t + late, nothing, feet)
+    for name, values in other.save().items():
+        np.testing.assert_array_equal(values, base.save()[name], err_msg=name)
+
+
+BAD = {
+    "old": lambda imu: imu._replace(t=imu.t - 0.1),
+    "from the future": lambda imu: imu._replace(t=imu.t + 2.5 * DT),
+    "at no time": lambda imu: imu._replace(t=imu.t + np.nan),
+    "at minus infinity": lambda imu: imu._replace(t=imu.t - np.inf),
+    "not a number": lambda imu: imu._replace(gyro=imu.gyro * np.nan),
+    "infinite": lambda imu: imu._replace(accelerometer=imu.accelerometer + np.inf),
+    "beyond any sensor": lambda imu: imu._replace(gyro=imu.gyro + 1.1 * RANGE),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_a_bad_packet_is_a_packet_that_never_came(kind):
+    base, stream = settled()
+    clean = settled()[0]
+    for tick, (t, imu, feet) in enumerate(stream):
+        hit = np.array([False, 20 <= tick < 40])
+        bad = Imu(
+            *(
+                np.where(hit.reshape(2, *[1] * (x.ndim - 1)), y, x)
+                for x, y in zip(imu, BAD[kind](imu), strict=True)
+            )
+        )
+        state = base.step(t, bad, feet)
+        expected = clean.step(t, imu._replace(fresh=imu.fresh & ~hit), feet)
+        for name in FIELDS:
+            np.testing.assert_array_equal(getattr(state, name), getattr(expected, name), err_msg=name)
+
+
+def test_a_foot_of_nan_is_a_foot_in_the_air():
+    base, stream = settled()
+    clean = settled()[0]
+    for t, imu, feet in stream:
+        position, velocity = feet.position.copy(), feet.velocity.copy()
+        position[0, 1, 2], velocity[1, 3, 0] = np.nan, np.inf
+        stance = feet.stance.copy()
+        stance[0, 1] = stance[1, 3] = False
+        state = base.step(t, imu, Feet(stance=feet.stance, position=position, velocity=velocity))
+        expected = clean.step(t, imu, feet._replace(stance=stance))
+        for name in FIELDS:
+            np.testing.assert_array_equal(getattr(state, name), getattr(expected, name), err_msg=name)
+
+
+def test_a_foot_that_slips_grossly_changes_nothing():
+    base, stream = settled()
+    clean = settled()[0]
+    for t, imu, feet in stream:
+        slips, stance = feet.velocity.copy(), feet.stance.copy()
+        slips[:, 0] += [2.0, -1.0, 0.0]
+        stance[:, 0] = False
+        state = base.step(t, imu, feet._replace(velocity=slips))
+        expected = clean.step(t, imu, feet._replace(stance=stance))
+        np.testing.assert_allclose(state.velocity_in_base, expected.velocity_in_base, rtol=0, atol=1e-12)
+        refused = (state.innovation[:, 0] ** 2).sum(axis=1) > GATE
+        np.testing.assert_array_equal(refused, feet.stance[:, 0])
+        assert not state.diverged.any()
+
+
+def test_the_gate_refuses_one_good_foot_of_a_thousand():
+    assert stats.chi2.sf(GATE, 3) == pytest.approx(1e-3, rel=0.01)
+
+
+def test_silence_widens_everything_and_one_packet_mends_it():
+    base, stream = settled()
+    widths = []
+    for tick, (t, imu, feet) in enumerate(stream[:60]):
+        quiet = 10 <= tick < 50
+        state = base.step(t, imu._replace(fresh=imu.fresh & (not quiet)), feet)
+        parts = [getattr(state, name) for name in FIELDS if name.endswith("_var")]
+        widths.append(np.concatenate([*parts, state.age[:, None]], axis=1))
+    widths = np.array(widths)
+    assert (np.diff(widths[9:50], axis=0)[..., :-1] > 0).mean() > 0.95
+    assert (widths[49] > 2 * widths[9])[:, 3:].all()
+    assert state.age == pytest.approx(0.0, abs=1e-12)
+    assert (widths[50][:, 3:6] < 0.5 * widths[49][:, 3:6]).all()
+
+
+def test_a_gap_is_integrated():
+    """A known turn and push while nobody listened: both ends of the gap tell."""
+    base = FloatingBase(NOISE, DT, 1, F)
+    feet = Feet(
+        stance=np.zeros((1, F), dtype=bool), position=np.zeros((1, F, 3)), velocity=np.zeros((1, F, 3))
+    )
+    yes, up = np.ones(1, dtype=bool), np.array([[0.0, 0.0, G]])
+    turning = np.array([[0.0, 0.0, 0.5]])
+    base.step(0.0, Imu(np.zeros(1), yes, turning, up), feet)
+    state = base.step(0.1, Imu(np.full(1, 0.1), yes, turning, up + np.eye(1, 3)), feet)
+    angle = Rotation.from_quat(state.quat_wxyz[0], scalar_first=True).as_rotvec()
+    np.testing.assert_allclose(angle, [0, 0, 0.05], atol=1e-12)
+    np.testing.assert_allclose(state.velocity_in_base, [[0.05, 0, 0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("which", ["gyro", "accelerometer"])
+def test_a_sensor_that_repeats_itself_is_stuck_and_left_out(which):
+    base, stream = settled()
+    held = getattr(stream[4][1], which)
+    for tick, (t, imu, feet) in enumerate(stream[:40]):
+        values = getattr(imu, which).copy()
+        if 4 <= tick < 30:
+            values[0] = held[0]
+        state = base.step(t, imu._replace(**{which: values}), feet)
+        assert state.stuck.tolist() == [4 + STUCK_SAMPLES - 1 <= tick < 30, False]
+        if tick == 29:
+            assert state.age[0] == pytest.approx((26 - STUCK_SAMPLES + 1) * DT)
+    assert state.age[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_filter_whose_feet_all_contradict_it_has_diverged():
+    base, stream = settled()
+    told = []
+    for t, imu, feet in stream[: 3 * NIS_SAMPLES]:
+        wrong = feet.velocity.copy()
+        wrong[0] += [3.0, 0.0, 0.0]
+        told.append(base.step(t, imu, feet._replace(velocity=wrong)).diverged)
+    assert not np.array(told)[:, 1].any()
+    assert np.array(told)[NIS_SAMPLES:, 0].all()
+
+
+@pytest.mark.parametrize(
+    ("errors", "std_max"), [([0, 1], 0.5), ([3], 2.0), ([4], 2.0), ([5], 2.0), ([2], np.inf)]
+)
+def test_a_filter_that_knows_too_little_has_diverged(errors, std_max):
+    """Of tilt, both ways together, or of speed; yaw, which nothing tells, is not asked."""
+    for share in (0.99, 1.01):
+        base, stream = settled()
+        t, imu, feet = stream[0]
+        base.P[0, errors, :] = base.P[0, :, errors] = 0.0
+        base.P[0, errors, errors] = share * min(std_max, 1e3) ** 2 / len(errors)
+        state = base.step(t - DT, imu._replace(fresh=np.zeros(2, dtype=bool)), feet)
+        assert state.diverged.tolist() == [share > 1 and std_max < 1e3, False]
+
+
+def test_a_filter_in_silence_says_when_it_has_lost_the_base():
+    base, stream = settled()
+    t, imu, feet = stream[0]
+    silent = imu._replace(fresh=np.zeros(2, dtype=bool))
+    told = [base.step(t + late, silent, feet).diverged.all() for late in (0.0, 0.1, 1.0, 3.0)]
+    assert told == [False, False, True, True]
+
+
+@pytest.mark.parametrize("name", ["P", "velocity", "bias", "quat_wxyz"])
+def test_a_belief_that_is_no_number_says_so_until_it_is_reset(name):
+    base, stream = settled()
+    clean = settled()[0]
+    getattr(base, name)[0] = np.nan
+    for packets in stream[:20]:
+        state, expected = base.step(*packets), clean.step(*packets)
+        assert state.diverged.tolist() == [True, False]
+        np.testing.assert_array_equal(state.velocity_in_base[1], expected.velocity_in_base[1])
+    base.reset(np.array([True, False]))
+    t, imu, feet = stream[20]
+    assert not base.step(t - DT, imu._replace(fresh=np.zeros(2, dtype=bool)), feet).diverged.any()
+    still = imu._replace(accelerometer=np.tile([0.0, 0.0, G], (2, 1)))
+    state = base.step(t, still, feet)
+    assert not state.diverged.any()
+    assert all(np.isfinite(getattr(state, field)).all() for field in FIELDS)
+
+
+GARBAGE = np.array([0.0, 1.0, -1e4, 9e3, 1e300, 1e-300, np.inf, -np.inf, np.nan])
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_garbage_neither_raises_nor_reaches_the_neighbour(seed):
+    """In packets, and in the belief itself; where the estimate is no number, it says so."""
+    rng, base, clean = (
+        np.random.default_rng(seed),
+        FloatingBase(NOISE, DT, 2, F),
+        FloatingBase(NOISE, DT, 1, F),
+    )
+    for t, imu, feet in World(8, 2, 80).packets():
+        imu.t[0] = rng.choice([t, t, t, t - 1e6, t - 1e300, np.nan])
+        beliefs = (base.P, base.velocity) if rng.random() < 0.03 else ()
+        for values in (imu.gyro, imu.accelerometer, feet.position, feet.velocity, *beliefs):
+            hit = rng.random(values[0].shape) < rng.choice([0.0, 0.1, 1.0], p=[0.8, 0.1, 0.1])
+            values[0] = np.where(hit, rng.choice(GARBAGE, hit.shape), values[0])
+        state = base.step(t, imu, feet)
+        expected = clean.step(t, one(imu, slice(1, 2)), one(feet, slice(1, 2)))
+        for name in FIELDS:
+            np.testing.assert_array_equal(getattr(state, name)[1], getattr(expected, name)[0])
+            assert state.diverged[0] or not base.seeded[0] or np.isfinite(getattr(state, name)[0]).all()
+
+
+def test_reset_of_a_subset():
+    base, stream = settled()
+    kept = settled()[0]
+    base.reset(np.array([True, False]))
+    t, imu, feet = stream[0]
+    state, expected = (
+        base.step(t, imu._replace(fresh=np.zeros(2, dtype=bool)), feet),
+        kept.step(t, imu._replace(fresh=np.zeros(2, dtype=bool)), feet),
+    )
+    assert np.isinf(state.age).tolist() == [True, False]
+    np.testing.assert_array_equal(state.velocity_in_base[1], expected.velocity_in_base[1])
+    still = np.array([[0.0, 0.0, G], [0.0, 0.0, G]])
+    state = base.step(t + DT, imu._replace(t=imu.t + DT, accelerometer=still), feet)
+    np.testing.assert_allclose(state.gravity[0], [0, 0, -1], atol=1e-12)
+    np.testing.assert_array_equal(state.velocity_in_base[0], 0.0)
+    np.testing.assert_array_equal(state.innovation[0], 0.0)
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
+@given(up=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda up: np.linalg.norm(up) > 0.1))
+def test_gravity_seeds_the_tilt_and_nothing_else(up):
+    up = np.array(up) / np.linalg.norm(up)
+    base = FloatingBase(NOISE, DT, 1, F)
+    feet = Feet(stance=np.ones((1, F), dtype=bool), position=np.ones((1, F, 3)), velocity=np.ones((1, F, 3)))
+    state = base.step(0.0, Imu(np.zeros(1), np.ones(1, dtype=bool), np.ones((1, 3)), G * up[None]), feet)
+    np.testing.assert_allclose(state.gravity[0], -up, atol=1e-12)
+    ahead = Rotation.from_quat(state.quat_wxyz[0], scalar_first=True).apply([1.0, 0.0, 0.0])
+    assert ahead[1] == pytest.approx(0.0, abs=1e-12)
+    assert ahead[0] > -1e-12
+    np.testing.assert_array_equal(state.velocity_in_base, 0.0)
+    assert state.orientation_var[0, 2] == 0.0
+
+
+def test_nobody_is_seeded_in_free_fall_or_before_time_began():
+    base = FloatingBase(NOISE, DT, 4, F)
+    feet = Feet(np.zeros((4, F), dtype=bool), *np.zeros((2, 4, F, 3)))
+    force = np.outer([0.1, 2.0, 1.0, 1.0], [0.0, 0.0, G])
+    t = np.array([0.0, 0.0, 0.0, -np.inf])
+    state = base.step(0.0, Imu(t, np.ones(4, dtype=bool), np.zeros((4, 3)), force), feet)
+    assert np.isinf(state.age).tolist() == [True, True, False, True]
+    assert not base.seeded[3]
+    assert not state.diverged.any()
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**31), loss=st.floats(0, 0.95))
+def test_covariance_stays_that_of_something(seed, loss):
+    base = FloatingBase(NOISE, DT, 4, F)
+    for t, imu, feet in World(seed, 4, 250).packets(loss, lag_max=2, slipping=0.1):
+        state = base.step(t, imu, feet)
+    np.testing.assert_array_equal(base.P, base.P.swapaxes(1, 2))
+    assert (np.linalg.eigvalsh(base.P) > -1e-12).all()
+    np.testing.assert_allclose(np.linalg.norm(state.quat_wxyz, axis=1), 1.0, atol=1e-14)
+    assert all(np.isfinite(getattr(state, name)).all() for name in FIELDS)
+
+
+def test_more_noise_is_less_certainty():
+    stream = list(World(9, 2, 150).packets())
+    quiet, loud = FloatingBase(NOISE, DT, 2, F), FloatingBase(replace(NOISE, slip=2 * NOISE.slip), DT, 2, F)
+    for packets in stream:
+        states = quiet.step(*packets), loud.step(*packets)
+    assert (states[1].velocity_in_base_var > states[0].velocity_in_base_var).all()
