@@ -13,7 +13,6 @@ from robots.draws import COMMAND_DELAY_S, Draw
 from robots.model_mujoco import INPUTS
 from robots.spec import Rates, RobotSpec
 
-
 BRAKED = 1e-6
 """Factor of a winding's resistance while its brake holds."""
 
