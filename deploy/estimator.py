@@ -34,6 +34,7 @@ class Estimator(Stage):
 
     Attributes:
         e, ed: (B, n) rad and rad/s, and p00, p01, p11 (B, n) their covariance, at t_sample (B, n) s.
+        t_speed: (B,) s, when the last measured speeds were taken.
         innovation: (B, n) the last one, in standard deviations. nis: (B, n) running mean of its square.
         sent: (B, ticks, 2n) setpoints remembered, angles and speeds.
         said: (B, n) rad, the last sample. moved: (B, n) rad, the setpoint when it was first said. same: (B, n) how
@@ -42,7 +43,7 @@ class Estimator(Stage):
     """
 
     carried = (
-        *("e", "ed", "p00", "p01", "p11", "t_sample", "innovation", "nis", "seeded"),
+        *("e", "ed", "p00", "p01", "p11", "t_sample", "innovation", "nis", "t_speed", "seeded"),
         *("sent", "said", "moved", "same"),
         *(f"heat.{name}" for name in Heat.carried),
     )
@@ -57,13 +58,15 @@ class Estimator(Stage):
         shape, encoder = (robots, spec.n), spec.sensors["encoder"]
         self.e, self.ed, self.innovation, self.nis, self.said, self.moved = np.zeros((6, *shape))
         self.p00, self.p01, self.p11 = np.zeros((3, *shape))
-        self.t_sample, self.seeded = np.zeros(shape), np.zeros(robots, dtype=bool)
+        self.t_sample, self.t_speed = np.zeros(shape), np.full(robots, -np.inf)
+        self.seeded = np.zeros(robots, dtype=bool)
         self.same = np.zeros(shape, dtype=np.int64)
         self.heat, self._dt, self._depth = Heat(spec, robots), spec.dt, round(REMEMBERED_S / spec.dt)
         self.sent = np.zeros((robots, self._depth, 2 * spec.n))
         self._row, self._n = np.arange(robots) * self._depth, spec.n
         # numpy is quickest where every shape is the same.
         self._wide, self._r = np.zeros(shape), np.full(shape, encoder.variance)
+        self._r_speed = spec.sensors["velocity"].variance if "velocity" in spec.sensors else np.inf
         # A constant error that nobody can see: uniform in ± bias.
         self._bias_var = encoder.bias**2 / 3.0
         self._stuck_rad = STUCK_STD * np.sqrt(encoder.variance)
@@ -100,12 +103,14 @@ class Estimator(Stage):
         self.sent[:, self._place] = np.concatenate((sent.q, sent.qd), axis=1)
         packet = sample["encoder"]
         there = self._there(t, packet)
-        reference = self._sent_at(packet.t, there)
+        reference, _ = self._sent_at(packet.t, there)
         deviation, finite = packet.value - reference, np.isfinite(packet.value)
         if not every(self.seeded):
             self._seed(~self.seeded & there & finite.all(axis=1), packet, deviation)
         new = (packet.t[:, None] > self.t_sample) & (there & self.seeded)[:, None] & finite
         fused = self._fuse(packet, deviation, new)
+        if "velocity" in sample:
+            self._fuse_speed(t, sample["velocity"])
         self._listen(packet.value, reference, fused)
         self.heat.step(t, sample)
         return self._now(t, sample, sent)
@@ -115,13 +120,14 @@ class Estimator(Stage):
         recent = (packet.t <= t + self._dt) & (packet.t > t - (self._depth - 1) * self._dt)
         return np.asarray(packet.fresh & recent)
 
-    def _sent_at(self, t: Floats, there: Bools) -> Floats:
-        """(B, n) rad, where the joints were sent for the times t (B,)."""
+    def _sent_at(self, t: Floats, there: Bools) -> tuple[Floats, Floats]:
+        """(B, n) rad and rad/s, where the joints were sent for the times t (B,), and how fast."""
         ticks = np.where(there, t, 0.0) / self._dt
         whole = np.rint(ticks)
         place = self._row + whole.astype(np.int64) % self._depth
         sent = self.sent.reshape(-1, 2 * self._n).take(place, axis=0)
-        return sent[:, : self._n] + sent[:, self._n :] * ((ticks - whole) * self._dt)[:, None]
+        q, qd = sent[:, : self._n], sent[:, self._n :]
+        return q + qd * ((ticks - whole) * self._dt)[:, None], qd
 
     def _seed(self, ids: Bools, packet: Packet, deviation: Floats) -> None:
         """Begin robots `ids` (B,) with their first packet."""
@@ -156,6 +162,26 @@ class Estimator(Stage):
         self._predict(dt)
         self._correct(residual, variance)
         return fused
+
+    def _fuse_speed(self, t: float, packet: Packet) -> None:
+        """Correct by measured speeds, where the robot has any, each once.
+
+        One that was not taken with the belief's own sample counts with the variance that lies between the two times.
+        """
+        there = self._there(t, packet) & (packet.t > self.t_speed) & self.seeded
+        residual = packet.value - self._sent_at(packet.t, there)[1] - self.ed
+        apart = np.abs(self._each_joint(packet.t) - self.t_sample)
+        variance = self.p11 + self._r_speed + self._g11 * apart
+        fused = there[:, None] & (residual * residual <= GATE**2 * variance)
+        np.copyto(self.t_speed, packet.t, where=there)
+        np.copyto(residual, 0.0, where=~fused)
+        np.copyto(variance, np.inf, where=~fused)
+        k0, k1 = self.p01 / variance, self.p11 / variance
+        self.e += k0 * residual
+        self.ed += k1 * residual
+        self.p00 -= k0 * self.p01
+        self.p01 -= k0 * self.p11
+        self.p11 -= k1 * self.p11
 
     def _count(self, residual: Floats, variance: Floats, square: Floats, new: Bools | None) -> None:
         """How well the samples were expected."""

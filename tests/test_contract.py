@@ -4,6 +4,7 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_spec import copy_of_arm
 
 from deploy.contract import FRAME_AND_UNIT, TEXT_MAX, ActionSpec, Contract, Term, check_contract
 from robots.errors import ContractError
@@ -243,3 +244,17 @@ def test_every_misfit_is_said_at_once(changes, lines):
     with pytest.raises(ContractError) as caught:
         check_contract(arm_contract(**changes), SPEC, "x.onnx")
     assert str(caught.value) == "\n".join(f"x.onnx: {line}" for line in lines)
+
+
+def test_a_sensor_that_the_policy_needs_and_the_robot_lacks(tmp_path):
+    """Each term that needs it is named."""
+    folder = copy_of_arm(tmp_path, toml=[(r"(?s)\[sensors\.goal\].*?(?=# Drives)", "")])
+    blind = load_robot(folder)
+    assert "goal" not in blind.sensors
+    with pytest.raises(ContractError) as caught:
+        check_contract(arm_contract(robot_digest=blind.digest), blind, "policy.onnx")
+    assert str(caught.value).splitlines() == [
+        f"policy.onnx: observation.{name}.source: {name} needs a sensor of kind goal; arm6 has encoder, current,"
+        " temperature, force"
+        for name in ("goal_from_tool", "goal_torque")
+    ]

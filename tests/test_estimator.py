@@ -4,14 +4,16 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_spec import SPEC
+from test_spec import SPEC, copy_of_arm
 
 from deploy.estimator import DIVERGED, GATE, REFUSED_S, REMEMBERED_S, SPEED_STD, STUCK_S, Estimator
 from deploy.state import Packet, Reason, Setpoint
+from robots.spec import load_robot
 
 N, DT = SPEC.n, SPEC.dt
 ENCODER, DENSITY = SPEC.sensors["encoder"], SPEC.filter.acceleration_density
 NOISE = np.sqrt(ENCODER.noise**2 + ENCODER.resolution**2 / 12)
+SPEED_NOISE = 0.005
 NAMES = ("q", "qd", "q_var", "age", "innovation", "fault")
 
 
@@ -215,6 +217,77 @@ def test_packets_taken_between_ticks_are_compared_with_what_was_sent_then():
         t, now = (tick - 0.4) * DT, still(1, speed * tick * DT)._replace(qd=np.full((1, N), speed))
         state = estimator.step(tick * DT, sample([t], [True], np.full((1, N), speed * t)), now)
     np.testing.assert_allclose(state.q, speed * 199 * DT, rtol=0, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def with_speed(tmp_path_factory):
+    """The arm with drives that measure their speed."""
+    table = f"""
+[sensors.velocity]
+unit = "rad/s"
+rate_hz = 200
+resolution = 0.001
+range = 10.0
+noise = {SPEED_NOISE}
+bias = 0.0
+drift = 0.0
+drift_per_k = 0.0
+delay_s = 0.008
+loss = 0.0
+source = "a test"
+
+[sensors.current]"""
+    folder = copy_of_arm(tmp_path_factory.mktemp("arm"), toml=[(r"\[sensors\.current\]", table)])
+    return load_robot(folder)
+
+
+def test_measured_speed_equals_filterpys_second_update(with_speed):
+    """Angle and speed in one packet: one textbook filter that is told both, one after the other."""
+    estimator, rng = Estimator(with_speed, 1), np.random.default_rng(12)
+    kf = [KalmanFilter(dim_x=2, dim_z=1) for _ in range(N)]
+    r_speed = with_speed.sensors["velocity"].variance
+    for tick in range(250):
+        heard, lost = rng.random() > 0.3, rng.random() < 0.3
+        z, w = rng.normal(0, NOISE, (1, N)), rng.normal(0, SPEED_NOISE, (1, N))
+        packets = sample([tick * DT], [heard or not tick], z)
+        packets["velocity"] = packets["encoder"]._replace(
+            value=w, fresh=np.array([(heard and not lost) or not tick])
+        )
+        state = estimator.step(tick * DT, packets, still(1))
+        for joint in range(N):
+            if tick == 0:
+                kf[joint].x, kf[joint].P = np.array([[z[0, joint]], [0.0]]), np.diag([NOISE**2, SPEED_STD**2])
+            else:
+                kf[joint].F, kf[joint].Q = _model(DT)
+                kf[joint].predict()
+            if heard and tick:
+                kf[joint].update(z[0, joint], R=NOISE**2, H=np.array([[1.0, 0.0]]))
+            if (heard and not lost) or not tick:
+                kf[joint].update(w[0, joint], R=r_speed, H=np.array([[0.0, 1.0]]))
+        np.testing.assert_allclose(state.q[0], [k.x[0, 0] for k in kf], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(state.qd[0], [k.x[1, 0] for k in kf], rtol=0, atol=1e-9)
+        expected = [k.P[0, 0] + ENCODER.bias**2 / 3 for k in kf]
+        np.testing.assert_allclose(state.q_var[0], expected, rtol=1e-8)
+
+
+def test_measured_speed_helps_and_one_that_is_late_hurts_nothing(with_speed):
+    errors = {}
+    for how in ("none", "with", "late"):
+        rng, estimator, found = np.random.default_rng(13), Estimator(with_speed, 40), []
+        for tick in range(200):
+            setpoint = sent(tick, 40)
+            packets = sample([tick * DT] * 40, [True] * 40, setpoint.q + rng.normal(0, NOISE, (40, N)))
+            late = 2 if how == "late" else 0
+            speed = sent(tick - late, 40).qd + rng.normal(0, SPEED_NOISE, (40, N))
+            stamp = np.full(40, (tick - late) * DT)
+            if how == "none":
+                speed[:] = np.nan
+            packets["velocity"] = Packet(t=stamp, fresh=np.ones(40, dtype=bool), value=speed)
+            state = estimator.step(tick * DT, packets, setpoint)
+            found.append(state.qd - setpoint.qd)
+        errors[how] = np.sqrt(np.mean(np.square(found[50:])))
+    assert errors["with"] < 0.7 * errors["none"]
+    assert errors["late"] < 0.8 * errors["none"]
 
 
 def test_robots_do_not_touch_each_other():
