@@ -22,6 +22,7 @@ from deploy.runtime import Runtime
 from deploy.screen import Show, snapshot
 from deploy.shift import Ending, Shift
 from deploy.summary import report
+from robots.draws import Draw, load_distributions, load_draw
 from robots.errors import ConfigError
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec, load_robot
@@ -46,7 +47,10 @@ def run(
         int | None, typer.Option(help=f"of the goals, and of the simulated robot  [{SEED}]")
     ] = None,
     draw: Annotated[
-        str | None, typer.Option(help="SEED:ROBOT, a robot of a soak as it was, with its noise and its goals")
+        str | None,
+        typer.Option(
+            help="SEED:ROBOT, or FILE:ROBOT with a soak's draws.json: a robot of it, its noise, its goals"
+        ),
     ] = None,
     out: Annotated[
         Path, typer.Option(help="folder; a former run in it is replaced, its motors stay warm")
@@ -60,11 +64,11 @@ def run(
     """
     factor = _factor(speed)
     _check(backend, duration)
-    origin, source = _source(seed, draw)
     spec = load_robot(robot)
+    origin, source, given = _source(spec, seed, draw)
     brain = Policy.load(policy, spec)
     check_folder(out)
-    body = _simulated(spec, source)
+    body = _simulated(spec, source, given)
     view_step = _viewer(body) if view else None
     runtime = Runtime(spec, brain.contract, body, [source], brain)
     about = {"robot": spec.name, "robot_digest": spec.digest, "policy": str(policy)}
@@ -99,27 +103,37 @@ def _check(backend: str, duration: float) -> None:
         raise ConfigError(f"--duration {duration}: expected s above 0, or inf")
 
 
-def _source(seed: int | None, draw: str | None) -> tuple[str, np.random.SeedSequence]:
+def _source(
+    spec: RobotSpec, seed: int | None, draw: str | None
+) -> tuple[str, np.random.SeedSequence, Draw | None]:
     """All that is random about the robot, in words and as it is: the first of a seed, or one of a soak."""
     if draw is None:
         number = SEED if seed is None else seed
         if number < 0:
             raise ConfigError(f"--seed {number}: expected 0 or more")
-        return str(number), robot_seed(number, 0)
-    match = re.fullmatch(r"(\d{1,18}):(\d{1,9})", draw)
+        return str(number), robot_seed(number, 0), None
+    match = re.fullmatch(r"(.+):(\d{1,9})", draw)
     if not match:
-        raise ConfigError(f"--draw {draw}: expected SEED:ROBOT, two whole numbers of at least 0")
+        raise ConfigError(f"--draw {draw}: expected SEED:ROBOT, or FILE:ROBOT of a soak's draws.json")
     if seed is not None:
         raise ConfigError(f"--draw {draw}: found --seed {seed} beside it, expected one of them")
-    return draw, robot_seed(int(match[1]), int(match[2]))
+    robot = int(match[2])
+    if re.fullmatch(r"\d{1,18}", match[1]):
+        return draw, robot_seed(int(match[1]), robot), None
+    number, robots = load_draw(Path(match[1]), load_distributions(spec), spec)
+    if robot >= robots.robots:
+        raise ConfigError(
+            f"--draw {draw}: found robot {robot}, expected one of the {robots.robots} from 0 on"
+        )
+    return draw, robot_seed(number, robot), robots.robot(robot)
 
 
-def _simulated(spec: RobotSpec, source: np.random.SeedSequence) -> "SimRobot":
+def _simulated(spec: RobotSpec, source: np.random.SeedSequence, given: Draw | None) -> "SimRobot":
     try:
         from deploy.backends.sim.robot import SimRobot
     except ModuleNotFoundError as e:
         raise ConfigError(f"--backend sim: needs {e.name}, which is not installed: firstshift[sim]") from e
-    return SimRobot(spec, [source])
+    return SimRobot(spec, [source], given=given)
 
 
 def _viewer(robot: "SimRobot") -> Callable[[object], None]:

@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from deploy.cli import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.output import replacing
 from deploy.policy import Policy
 from deploy.signals import handled
 from eval.budget import BUDGET, load_budget
@@ -31,8 +32,9 @@ from eval.report.build import build
 from eval.report.data import Run, Settings, SoakResult
 from eval.report.write import claim, write
 from eval.shard import WIDTH, Shard, ShardJob, ShardResult
-from robots.draws import load_distributions
+from robots.draws import draw, load_distributions
 from robots.errors import ConfigError
+from robots.randomness import robot_seed
 from robots.spec import RobotSpec, load_robot
 
 SAMPLE_S = 60.0
@@ -226,9 +228,9 @@ def soak_test(
     seed: Annotated[int, typer.Option(help="Decides every draw, noise and goal.")] = 7,
     workers: Annotated[int, typer.Option(help="Processes; results do not depend on it.")] = 2,
     budget: Annotated[Path, typer.Option(help="TOML of what the soak may cost.")] = BUDGET,
-    out: Annotated[Path, typer.Option(help="Folder for report.json, report.html, junit.xml.")] = Path(
-        "out/soak"
-    ),
+    out: Annotated[
+        Path, typer.Option(help="Folder for report.json, report.html, junit.xml, draws.json.")
+    ] = Path("out/soak"),
 ) -> int:
     """Soak the shipped runtime in simulation and write a report; 1 if a budget was exceeded."""
     _check_options(hours, robots, seed, workers)
@@ -244,6 +246,7 @@ def soak_test(
         workers=workers,
     )
     claim(out)
+    _store_draws(soak, out / "draws.json")
     console, began, clock = Console(), datetime.now().astimezone(), time.monotonic()
     shards = run_soak(soak, console)
     if not shards:
@@ -259,6 +262,14 @@ def soak_test(
     write(report, out)
     console.print(f"{report.verdict}: {report.statement}\nreport: {out / 'report.html'}", soft_wrap=True)
     return {"passed": PASSED, "failed": BUDGET_EXCEEDED, "interrupted": INTERRUPTED}[report.verdict]
+
+
+def _store_draws(soak: Soak, path: Path) -> None:
+    """Every robot as it is, so that it can be lived again whatever becomes of draws.toml."""
+    seeds = [robot_seed(soak.seed, robot) for robot in range(soak.robots)]
+    robots = draw(load_distributions(soak.spec), soak.spec, seeds)
+    with replacing(path) as file:
+        file.write_text(robots.to_json(soak.seed), encoding="utf-8")
 
 
 def _check_options(hours: float, robots: int, seed: int, workers: int) -> None:

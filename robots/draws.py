@@ -8,7 +8,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 from zlib import crc32
 
 import numpy as np
@@ -18,7 +18,7 @@ from pydantic import AfterValidator, Field, model_validator
 from robots.errors import ConfigError
 from robots.sensors import BUFFER_S
 from robots.spec import RobotSpec
-from robots.strict import Strict, read_json, read_toml
+from robots.strict import Strict, parse, read_json, read_toml
 
 Floats = NDArray[np.float64]
 
@@ -257,9 +257,13 @@ class Draw(Mapping[str, Floats]):
         }
         return Draw(dict(self) | new)
 
-    def to_json(self) -> str:
-        """All of it, exactly."""
-        return json.dumps({name: values.tolist() for name, values in self.items()})
+    def robot(self, row: int) -> "Draw":
+        """One of them alone."""
+        return Draw({name: values[row : row + 1] for name, values in self.items()})
+
+    def to_json(self, seed: int) -> str:
+        """All of it, exactly, and the seed of everything else that is random about these robots."""
+        return json.dumps({"seed": seed, "draw": {name: values.tolist() for name, values in self.items()}})
 
 
 def load_distributions(spec: RobotSpec) -> Distributions:
@@ -296,8 +300,8 @@ def draw(distributions: Distributions, spec: RobotSpec, seeds: Sequence[np.rando
     )
 
 
-def load_draw(path: Path, distributions: Distributions, spec: RobotSpec) -> Draw:
-    """Robots that `Draw.to_json` stored.
+def load_draw(path: Path, distributions: Distributions, spec: RobotSpec) -> tuple[int, Draw]:
+    """The seed and the robots that `Draw.to_json` stored.
 
     Raises:
         ConfigError: unreadable, another robot's, or outside what physics allows.
@@ -306,17 +310,22 @@ def load_draw(path: Path, distributions: Distributions, spec: RobotSpec) -> Draw
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as e:
         raise ConfigError(f"{path}: cannot be read: {e}") from e
-    data = read_json(text, str(path), FILE_MAX)
-    if not isinstance(data, dict):
-        raise ConfigError(f"{path}: found {type(data).__name__}, expected a table of quantities")
+    stored = parse(read_json(text, str(path), FILE_MAX), _Stored, source=str(path))
     quantities = {name: quantity for name, quantity, _ in distributions.spans()}
-    for name in sorted(data.keys() ^ quantities.keys()):
-        raise ConfigError(f"{path}: {name}: {'unknown' if name in data else 'missing'}")
-    values = {name: _numbers(data[name], q, spec, f"{path}: {name}") for name, q in quantities.items()}
+    for name in sorted(stored.draw.keys() ^ quantities.keys()):
+        raise ConfigError(f"{path}: {name}: {'unknown' if name in stored.draw else 'missing'}")
+    values = {name: _numbers(stored.draw[name], q, spec, f"{path}: {name}") for name, q in quantities.items()}
     robots = {name: len(numbers) for name, numbers in values.items()}
     if len(set(robots.values())) > 1:
         raise ConfigError(f"{path}: found {robots} robots, expected the same for every quantity")
-    return Draw(values)
+    return stored.seed, Draw(values)
+
+
+class _Stored(Strict):
+    """A stored draw; its arrays are looked at one by one."""
+
+    seed: Annotated[int, Field(ge=0)]
+    draw: dict[str, Any]
 
 
 def _numbers(data: object, quantity: Quantity, spec: RobotSpec, where: str) -> Floats:

@@ -95,14 +95,18 @@ def test_a_span_of_one_value_gives_that_value():
 
 def test_a_stored_draw_is_the_same_robots(tmp_path):
     path, d = tmp_path / "draw.json", drawn(5, range(7))
-    path.write_text(d.to_json())
-    assert_same(load_draw(path, DISTRIBUTIONS, SPEC), d)
+    path.write_text(d.to_json(5))
+    seed, found = load_draw(path, DISTRIBUTIONS, SPEC)
+    assert seed == 5
+    assert_same(found, d)
+    assert_same(found.robot(3), drawn(5, [3]))
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"links.mass": None}, ["links.mass: missing"]),
+        ({"seed": -1}, ["seed", "greater than or equal to 0", "-1"]),
         ({"links.colour": [[1.0]]}, ["links.colour: unknown"]),
         ({"links.mass": [[1.0] * 5] * 2}, ["links.mass", "found shape (2, 5)", "(B, 6)"]),
         ({"links.mass": [[1.0] * 6] * 3}, ["robots", "same for every quantity"]),
@@ -115,8 +119,9 @@ def test_a_stored_draw_is_the_same_robots(tmp_path):
     ],
 )
 def test_a_stored_draw_that_no_robot_can_be_is_refused(tmp_path, change, words):
-    path, data = tmp_path / "draw.json", json.loads(drawn(5, range(2)).to_json()) | change
-    path.write_text(json.dumps({name: values for name, values in data.items() if values is not None}))
+    path, data = tmp_path / "draw.json", json.loads(drawn(5, range(2)).to_json(5))
+    numbers = {name: values for name, values in (data["draw"] | change).items() if values is not None}
+    path.write_text(json.dumps({"seed": change.get("seed", 5), "draw": numbers}))
     with pytest.raises(ConfigError) as caught:
         load_draw(path, DISTRIBUTIONS, SPEC)
     for word in [str(path), *words]:

@@ -63,33 +63,38 @@ def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):
     assert {path.name for path in out.iterdir()} == {"run.mcap", "summary.json", "heat.json"}
 
 
+@pytest.mark.parametrize("stored", [False, True])
 @pytest.mark.usefixtures("quick_goals")
 def test_a_robot_of_a_soak_comes_with_its_draw_its_noise_and_its_goals(
-    command, arm_policy, tmp_path, monkeypatch
+    command, arm_policy, tmp_path, monkeypatch, stored
 ):
-    made = []
+    """By its number, or from what the soak stored of it."""
+    made, soaked = [], SimRobot(SPEC, [robot_seed(5, robot) for robot in range(4)])
+    if stored:
+        (tmp_path / "draws.json").write_text(soaked.draw.to_json(5))
+    which = f"{tmp_path / 'draws.json'}:3" if stored else "5:3"
 
     class Seen(SimRobot):
-        def __init__(self, *args):
-            super().__init__(*args)
+        def __init__(self, *args, **how):
+            super().__init__(*args, **how)
             made.append(self)
 
     monkeypatch.setattr("deploy.backends.sim.robot.SimRobot", Seen)
     code, *_ = command(
-        "--policy", arm_policy, "--speed", "max", "--duration", 0.5, "--out", tmp_path, "--draw", "5:3"
+        "--policy", arm_policy, "--speed", "max", "--duration", 0.5, "--out", tmp_path, "--draw", which
     )
     assert code == 0
-    assert json.loads((tmp_path / "summary.json").read_text())["seed"] == "5:3"
-    soaked = SimRobot(SPEC, [robot_seed(5, robot) for robot in range(4)])
-    np.testing.assert_array_equal(made[0].draw["links.mass"][0], soaked.draw["links.mass"][3])
+    assert json.loads((tmp_path / "summary.json").read_text())["seed"] == which
+    for name, values in made[0].draw.items():
+        np.testing.assert_array_equal(values[0], soaked.draw[name][3])
     np.testing.assert_array_equal(made[0].sensors._noise_keys[0], soaked.sensors._noise_keys[3])
 
 
 @pytest.mark.usefixtures("quick_goals")
 def test_a_robot_that_is_not_armed_is_exit_1(command, arm_policy, tmp_path, monkeypatch):
     class Hot(SimRobot):
-        def __init__(self, *args):
-            super().__init__(*args)
+        def __init__(self, *args, **how):
+            super().__init__(*args, **how)
             self.plant.housing[:] = 95.0
             self._settle(np.ones(1, dtype=bool))
 
@@ -171,7 +176,8 @@ def test_a_bad_policy_is_exit_2_and_nothing_is_made(command, tmp_path, policy, m
         (("--duration", "nan"), "error: --duration nan: expected s above 0, or inf"),
         (("--duration", "long"), "Invalid value for '--duration'"),
         (("--seed", "-3"), "error: --seed -3: expected 0 or more"),
-        (("--draw", "7"), "error: --draw 7: expected SEED:ROBOT, two whole numbers"),
+        (("--draw", "7"), "error: --draw 7: expected SEED:ROBOT, or FILE:ROBOT of a soak's draws.json"),
+        (("--draw", "nothing.json:1"), "error: nothing.json: cannot be read"),
         (("--draw", "7:-1"), "error: --draw 7:-1: expected SEED:ROBOT"),
         (
             ("--draw", "7:1", "--seed", "7"),

@@ -23,6 +23,8 @@ from robots.errors import ConfigError
 CONSOLE = Console(quiet=True)
 RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, interrupted=False)
 
+FILES = {"report.json", "report.html", "junit.xml", "draws.json"}
+
 
 @pytest.fixture
 def asked(arm_policy):
@@ -147,7 +149,7 @@ def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
     assert report["goals"]["success"] < 0.1
     assert [line["name"] for line in report["budget"] if not line["passed"]] == ["goal_success"]
     assert report["exposure"]["evaluations"] == 8 * 2880
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json", "report.html", "junit.xml"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 
 
 def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
