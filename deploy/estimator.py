@@ -147,8 +147,8 @@ class Estimator(Stage):
         dt = self._each_joint(packet.t) - self.t_sample
         if not every(new):
             dt[~new] = 0.0
-        residual = deviation - (self.e + self.ed * dt)
-        variance = self._q_var(dt) + self._r
+        e, p00 = self.e + self.ed * dt, self._q_var(dt)
+        residual, variance = deviation - e, p00 + self._r
         square = residual * residual / variance
         fused: Bools = np.asarray(new & (square <= GATE**2))
         if every(fused):
@@ -157,9 +157,12 @@ class Estimator(Stage):
             self._count(residual, variance, square, new)
             self._begin_anew(new & ~fused & (dt > REFUSED_S), packet, deviation)
             missing = ~fused
+            e[missing], p00[missing] = self.e[missing], self.p00[missing]
             dt[missing], residual[missing], variance[missing] = 0.0, 0.0, np.inf
         np.copyto(self.t_sample, packet.t[:, None], where=fused)
-        self._predict(dt)
+        self.e[:], self.p00[:] = e, p00
+        self.p01 += dt * (self.p11 + self._g01 * dt)
+        self.p11 += self._g11 * dt
         self._correct(residual, variance)
         return fused
 
@@ -193,12 +196,6 @@ class Estimator(Stage):
         """(B, n) of (B,), until the next call."""
         np.copyto(self._wide, robots[:, None])
         return self._wide
-
-    def _predict(self, dt: Floats) -> None:
-        self.e += self.ed * dt
-        self.p00[:] = self._q_var(dt)
-        self.p01 += dt * (self.p11 + self._g01 * dt)
-        self.p11 += self._g11 * dt
 
     def _q_var(self, dt: Floats) -> Floats:
         """(B, n) rad², variance of the angle after `dt` (B, n) s without a sample."""
