@@ -70,7 +70,7 @@ class Heard:
 
 def estimate(spec: RobotSpec, policy: Path, console: Console) -> None:
     """Errors over a table of noises, consistency over many draws, an outage, and the cost."""
-    motions = [_move(spec, policy, first) for first in range(0, ROBOTS, SHARD)]
+    motions = [move(spec, policy, first) for first in range(0, ROBOTS, SHARD)]
     some = motions[: 256 // SHARD]
     table = Table(
         *(
@@ -93,7 +93,8 @@ def estimate(spec: RobotSpec, policy: Path, console: Console) -> None:
     console.print(_cost(spec, some[0]))
 
 
-def _move(spec: RobotSpec, policy: Path, first: int) -> Motion:
+def move(spec: RobotSpec, policy: Path, first: int) -> Motion:
+    """Robots `first` and after, at work."""
     seeds = [robot_seed(SEED, robot) for robot in range(first, first + SHARD)]
     brain, robot = Policy.load(policy, spec), SimRobot(spec, seeds)
     runtime = Runtime(spec, brain.contract, robot, seeds, brain)
@@ -132,7 +133,8 @@ def _estimator(spec: RobotSpec, motion: Motion) -> Estimator:
     return estimator
 
 
-def _hear(spec: RobotSpec, motion: Motion, noise: float | None) -> Heard:
+def hear(spec: RobotSpec, motion: Motion, noise: float | None) -> Heard:
+    """What bus, differences and estimator make of a motion; `noise` rad of the encoders, None as drawn."""
     estimator, rows = _estimator(spec, motion), []
     t_last, q_last = np.full(motion.robots, -np.inf), motion.q[0]
     differenced = np.zeros((motion.robots, spec.n))
@@ -164,7 +166,7 @@ def _nees(spec: RobotSpec, estimator: Estimator, state: State, q: Floats, qd: Fl
 def _errors(spec: RobotSpec, motions: list[Motion], noise: float | None) -> list[str]:
     """A row of the table."""
     settled = round(SETTLED_S / spec.dt)
-    heard = [_hear(spec, motion, noise) for motion in motions]
+    heard = [hear(spec, motion, noise) for motion in motions]
     q, qd = (
         np.concatenate([getattr(motion, name)[settled:] for motion in motions], axis=1)
         for name in ("q", "qd")
@@ -186,7 +188,7 @@ def _consistency(spec: RobotSpec, motions: list[Motion]) -> str:
     """NEES of every draw at one moment, which falls on any part of a motion: a bias stays, so more would not be new."""
     settled, robots = round(SETTLED_S / spec.dt), np.arange(motions[0].robots)
     moments = settled + robots * (round(MOVED_S / spec.dt) - settled) // len(robots)
-    nees = np.concatenate([_hear(spec, motion, None).nees[moments, robots] for motion in motions])
+    nees = np.concatenate([hear(spec, motion, None).nees[moments, robots] for motion in motions])
     band = np.array(stats.chi2.interval(0.95, 2 * nees.size)) / nees.size
     found = nees.mean()
     place = "inside" if band[0] <= found <= band[1] else "outside"
