@@ -12,7 +12,7 @@ from filterpy.common import Q_continuous_white_noise
 from deploy.flags import every, some
 from deploy.heat import Heat
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Ints, Packet, Reason, Sample, Setpoint, State
+from deploy.state import Bools, Floats, Packet, Reason, Sample, Setpoint, State
 from robots.spec import RobotSpec
 
 SPEED_STD = 1.0
@@ -23,6 +23,8 @@ GATE = 8.0
 """Standard deviations of an innovation beyond which a sample is left out: a gross error, not noise."""
 STUCK_S, STUCK_STD = 0.1, 10.0
 """A sensor that says the very same for so long, in which it was sent away by so many standard deviations, is stuck."""
+LOOK_S = 0.02
+"""s between two looks at what the sensors and the filters have been saying."""
 MEMORY, DIVERGED = 50.0, 9.0
 """Samples of the running mean of squared innovations, and the mean above which a filter does not know what it does."""
 REFUSED_S = 0.1
@@ -35,16 +37,16 @@ class Estimator(Stage):
     Attributes:
         e, ed: (B, n) rad and rad/s, and p00, p01, p11 (B, n) their covariance, at t_sample (B, n) s.
         t_speed: (B,) s, when the last measured speeds were taken.
-        innovation: (B, n) the last one, in standard deviations. nis: (B, n) running mean of its square.
+        nis: (B, n) running mean of the squared innovations, in variances: 1 if they are as large as they should be.
         sent: (B, ticks, 2n) setpoints remembered, angles and speeds.
-        said: (B, n) rad, the last sample. moved: (B, n) rad, the setpoint when it was first said. same: (B, n) how
-            often since.
+        said: (B, n) rad, the sample at the last look. moved: (B, n) rad, the setpoint when it was first said.
+            same: (B, n) looks since. fault: (B,) what was found at the last look.
         heat: what knows the motors.
     """
 
     carried = (
-        *("e", "ed", "p00", "p01", "p11", "t_sample", "innovation", "nis", "t_speed", "seeded"),
-        *("sent", "said", "moved", "same"),
+        *("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "nis", "seeded"),
+        *("sent", "said", "moved", "same", "fault"),
         *(f"heat.{name}" for name in Heat.carried),
     )
 
@@ -56,11 +58,11 @@ class Estimator(Stage):
             robots: B.
         """
         shape, encoder = (robots, spec.n), spec.sensors["encoder"]
-        self.e, self.ed, self.innovation, self.nis, self.said, self.moved = np.zeros((6, *shape))
+        self.e, self.ed, self.nis, self.said, self.moved = np.zeros((5, *shape))
         self.p00, self.p01, self.p11 = np.zeros((3, *shape))
         self.t_sample, self.t_speed = np.zeros(shape), np.full(robots, -np.inf)
         self.seeded = np.zeros(robots, dtype=bool)
-        self.same = np.zeros(shape, dtype=np.int64)
+        self.same, self.fault = np.zeros(shape, dtype=np.int64), np.zeros(robots, dtype=np.int64)
         self.heat, self._dt, self._depth = Heat(spec, robots), spec.dt, round(REMEMBERED_S / spec.dt)
         self.sent = np.zeros((robots, self._depth, 2 * spec.n))
         self._row, self._n = np.arange(robots) * self._depth, spec.n
@@ -70,7 +72,7 @@ class Estimator(Stage):
         # A constant error that nobody can see: uniform in ± bias.
         self._bias_var = encoder.bias**2 / 3.0
         self._stuck_rad = STUCK_STD * np.sqrt(encoder.variance)
-        self._stuck_many = round(STUCK_S * encoder.rate_hz)
+        self._look, self._stuck_many = max(1, round(LOOK_S / spec.dt)), round(STUCK_S / LOOK_S)
         unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=spec.filter.acceleration_density)
         self._g00, self._g01, self._g11 = (np.full(shape, unit[place]) for place in ((0, 0), (0, 1), (1, 1)))
 
@@ -99,7 +101,8 @@ class Estimator(Stage):
             sample: the newest packets.
             sent: the setpoint that the drives should have reached by now.
         """
-        self._place = round(t / self._dt) % self._depth
+        tick = round(t / self._dt)
+        self._place = tick % self._depth
         self.sent[:, self._place] = np.concatenate((sent.q, sent.qd), axis=1)
         packet = sample["encoder"]
         there = self._there(t, packet)
@@ -111,7 +114,8 @@ class Estimator(Stage):
         fused = self._fuse(packet, deviation, new)
         if "velocity" in sample:
             self._fuse_speed(t, sample["velocity"])
-        self._listen(packet.value, reference, fused)
+        if tick % self._look == 0:
+            self._listen(packet.value, reference, fused)
         self.heat.step(t, sample)
         return self._now(t, sample, sent)
 
@@ -122,7 +126,7 @@ class Estimator(Stage):
 
     def _sent_at(self, t: Floats, there: Bools) -> tuple[Floats, Floats]:
         """(B, n) rad and rad/s, where the joints were sent for the times t (B,), and how fast."""
-        ticks = np.where(there, t, 0.0) / self._dt
+        ticks = (t if every(there) else np.where(there, t, 0.0)) / self._dt
         whole = np.rint(ticks)
         place = self._row + whole.astype(np.int64) % self._depth
         sent = self.sent.reshape(-1, 2 * self._n).take(place, axis=0)
@@ -132,7 +136,7 @@ class Estimator(Stage):
     def _seed(self, ids: Bools, packet: Packet, deviation: Floats) -> None:
         """Begin robots `ids` (B,) with their first packet."""
         self._begin_anew(np.repeat(ids[:, None], self._n, axis=1), packet, deviation)
-        self.seeded[ids], self.innovation[ids], self.nis[ids], self.same[ids] = True, 0.0, 1.0, 0
+        self.seeded[ids], self.nis[ids], self.same[ids], self.fault[ids] = True, 1.0, 0, 0
 
     def _begin_anew(self, joints: Bools, packet: Packet, deviation: Floats) -> None:
         """Believe the sample of `joints` (B, n), at the speed that was sent."""
@@ -152,9 +156,10 @@ class Estimator(Stage):
         square = residual * residual / variance
         fused: Bools = np.asarray(new & (square <= GATE**2))
         if every(fused):
-            self._count(residual, variance, square, None)
+            self.nis += (square - self.nis) / MEMORY
         else:
-            self._count(residual, variance, square, new)
+            surprise = np.minimum(square, GATE**2) - self.nis
+            np.add(self.nis, surprise / MEMORY, out=self.nis, where=new)
             self._begin_anew(new & ~fused & (dt > REFUSED_S), packet, deviation)
             missing = ~fused
             e[missing], p00[missing] = self.e[missing], self.p00[missing]
@@ -186,12 +191,6 @@ class Estimator(Stage):
         self.p01 -= k0 * self.p11
         self.p11 -= k1 * self.p11
 
-    def _count(self, residual: Floats, variance: Floats, square: Floats, new: Bools | None) -> None:
-        """How well the samples were expected."""
-        where = True if new is None else new
-        np.divide(residual, np.sqrt(variance), out=self.innovation, where=where)
-        np.add(self.nis, (np.minimum(square, GATE**2) - self.nis) / MEMORY, out=self.nis, where=where)
-
     def _each_joint(self, robots: Floats) -> Floats:
         """(B, n) of (B,), until the next call."""
         np.copyto(self._wide, robots[:, None])
@@ -210,24 +209,20 @@ class Estimator(Stage):
         self.p00 -= k0 * self.p00
 
     def _listen(self, said: Floats, reference: Floats, fused: Bools) -> None:
-        """Count how often each sensor has said the very same."""
+        """Look for encoders that say the very same again and again, and for filters that do not know what they do."""
         other = fused & (said != self.said)
         np.copyto(self.said, said, where=other)
         np.copyto(self.moved, reference, where=other)
         self.same += fused
         np.copyto(self.same, 0, where=other)
-
-    def _fault(self) -> Ints:
-        """(B,) reasons to doubt the estimate."""
+        self.fault[:] = 0
         stuck = self.same >= self._stuck_many
-        reason = np.zeros(len(self.seeded), dtype=np.int64)
         if some(stuck):
-            away = np.abs(self.sent[:, self._place, : self._n] - self.moved) > self._stuck_rad
-            reason[(stuck & away).any(axis=1)] |= np.int64(Reason.STUCK)
+            stuck &= np.abs(self.sent[:, self._place, : self._n] - self.moved) > self._stuck_rad
+            self.fault[stuck.any(axis=1)] |= np.int64(Reason.STUCK)
         sure = (self.nis <= DIVERGED) & np.isfinite(self.p00 + self.p11)
         if not every(sure):
-            reason[~sure.all(axis=1) & self.seeded] |= np.int64(Reason.DIVERGED)
-        return reason
+            self.fault[~sure.all(axis=1) & self.seeded] |= np.int64(Reason.DIVERGED)
 
     def _now(self, t: float, sample: Sample, sent: Setpoint) -> State:
         lag = t - self.t_sample
@@ -239,9 +234,9 @@ class Estimator(Stage):
             qd=sent.qd + self.ed,
             q_var=self._q_var(lag) + self._bias_var,
             age=age,
-            innovation=self.innovation,
+            nis=self.nis,
             temperature=sample["temperature"].value,
             winding=self.heat.winding,
             fold=self.heat.fold,
-            fault=self._fault(),
+            fault=self.fault,
         )

@@ -45,7 +45,7 @@ class State(NamedTuple):
         q: (B, n) rad. qd: (B, n) rad/s.
         q_var: (B, n) rad², variance of `q`.
         age: (B,) s since the newest sample was taken.
-        innovation: (B, n) last innovation in standard deviations.
+        nis: (B, n) running mean of squared innovations, in variances: far above 1 where the filter does not fit.
         temperature: (B, n) °C, motor housing.
         winding: (B, n) °C, and fold: (B, n) share of its current that a drive may use at work, as `Heat` has them.
         fault: (B,) int64 bit sets of `Reason`, why the estimate is not to be trusted; 0 where it is.
@@ -56,7 +56,7 @@ class State(NamedTuple):
     qd: Floats
     q_var: Floats
     age: Floats
-    innovation: Floats
+    nis: Floats
     temperature: Floats
     winding: Floats
     fold: Floats

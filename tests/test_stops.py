@@ -63,7 +63,7 @@ def test_stops_that_are_allowed_hurt_nothing_all_the_way(share):
             qd=qd,
             q_var=q * 0,
             age=np.zeros(robots),
-            innovation=q * 0,
+            nis=q * 0,
             temperature=q * 0 + 30,
             winding=q * 0 + 30,
             fold=np.ones(q.shape),
