@@ -71,7 +71,7 @@ def wear_plot(hours: Sequence[float], wear: Wear) -> str:
         figure, axes = _canvas(2.7, 1.8)
         axes.update_datalim([(0.0, bound) for bound in WEAR_SHOWN[wear.name]])
         _curves(axes, hours, wear.median, wear.most_worn)
-        axes.set_ylabel(wear.unit)
+        axes.locator_params(nbins=4)
         return _svg(figure, f"wear-{wear.name}", f"{wear.name.capitalize()} over time")
 
 
