@@ -37,7 +37,7 @@ class ShardJob:
         robot: folder. policy: file. robot_digest, policy_digest: of what they were when the soak began.
         seed: of the soak.
         first: index of the shard's first robot. robots: how many of its robots count.
-        ticks: control ticks to live. sample_ticks: ticks between two samples of heat and goals.
+        ticks: control ticks to live. sample_ticks: ticks between two samples of heat, wear and goals.
     """
 
     robot: Path
@@ -57,12 +57,15 @@ class ShardResult:
 
     Attributes:
         counts: what the judge found.
-        winding_c: (T, R, n) °C, true winding temperature at each sample; NaN where the simulation diverged.
-        attempted, reached: (T,) goals up to each sample, all robots together.
+        winding_c: (T, R, n) °C, true winding temperature at the start and at each sample; NaN where the simulation
+            diverged, as in `worn`.
+        worn: (T, 4, R, n) what the joints had become by then, in the order of `Worn`.
+        attempted, reached: (T,) goals up to then, all robots together.
     """
 
     counts: Counts
     winding_c: NDArray[np.float64]
+    worn: NDArray[np.float64]
     attempted: NDArray[np.int64]
     reached: NDArray[np.int64]
 
@@ -102,7 +105,7 @@ class Shard:
         goal_s = self.runtime.task.config.period_s
         self._judge = Judge(spec, torque_max(spec), WIDTH, goal_s=goal_s)
         self._look, self._operator = round(LOOK_S / spec.dt), round(OPERATOR_S / spec.dt)
-        self._samples: list[tuple[NDArray[np.float64], int, int]] = []
+        self._samples: list[tuple[NDArray[np.float64], NDArray[np.float64], int, int]] = []
 
     def run(self, progress: Callable[[int], None], stop: Callable[[], bool]) -> ShardResult:
         """Live the hours.
@@ -111,6 +114,7 @@ class Shard:
             progress: told the ticks done so far.
             stop: whether to end now and report what there is.
         """
+        self._sample()
         for tick in range(self._job.ticks):
             if tick == 1:
                 self.runtime.arm(np.ones(WIDTH, dtype=bool))
@@ -134,17 +138,19 @@ class Shard:
             self.runtime.arm(waiting)
 
     def _sample(self) -> None:
-        truth, rows = self._robot.truth(), slice(0, self._job.robots)
-        winding = np.where(truth.valid[:, None], truth.winding_c, np.nan)[rows]
-        counts = self._judge.counts()
-        self._samples.append((winding, int(counts.attempted[rows].sum()), int(counts.reached[rows].sum())))
+        truth, counts, rows = self._robot.truth(), self._judge.counts(), slice(0, self._job.robots)
+        known = truth.valid[:, None]
+        winding = np.where(known, truth.winding_c, np.nan)[rows]
+        worn = np.where(known, np.stack(self._robot.plant.worn()), np.nan)[:, rows]
+        goals = int(counts.attempted[rows].sum()), int(counts.reached[rows].sum())
+        self._samples.append((winding, worn, *goals))
 
     def _result(self) -> ShardResult:
-        winding, attempted, reached = zip(*self._samples, strict=True) if self._samples else ((), (), ())
-        shape = (len(winding), self._job.robots, self.runtime.spec.n)
+        winding, worn, attempted, reached = zip(*self._samples, strict=True)
         return ShardResult(
             counts=first(self._judge.counts(), self._job.robots),
-            winding_c=np.reshape(winding, shape),
+            winding_c=np.stack(winding),
+            worn=np.stack(worn),
             attempted=np.array(attempted, dtype=np.int64),
             reached=np.array(reached, dtype=np.int64),
         )

@@ -10,16 +10,23 @@ from junitparser import JUnitXml
 from eval.budget import load_budget
 from eval.counts import MONITORS, REASONS
 from eval.monitors import Judge
-from eval.report.build import HEAT_POINTS, build
+from eval.report.build import POINTS, build
 from eval.report.data import Report, Run, Settings, SoakResult
-from eval.report.html import render
+from eval.report.html import fixed, render
 from eval.report.junit import junit
+from eval.report.plots import wear_plot
 from eval.report.write import claim, write
 from robots.errors import OutputError
 from robots.spec import load_robot
 
 SPEC = load_robot("arm6")
 ROBOTS, HOURS, TICKS = 16, 8.0, 8 * 3600 * 200
+
+
+def wearing(hours):
+    """Joint j of robot i at (i + j) times 1 % friction, 0.01 mrad, -0.1 mrad and -0.1 % by the end; play from 0.3."""
+    life = hours[:, None, None] / HOURS * np.add.outer(np.arange(ROBOTS), np.arange(6))
+    return np.stack((1.0 + 0.01 * life, 3e-4 + 1e-5 * life, -1e-4 * life, 1.0 - 0.001 * life), axis=1)
 
 
 def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.onnx"):
@@ -35,6 +42,7 @@ def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.
         counts.log_worst[3, channel, 0] = 1.25
     winding = np.linspace(25, 60, samples)[:, None, None] + np.zeros((samples, ROBOTS, 6))
     winding[:, 5, 2] += 15
+    hours = np.linspace(0, HOURS, samples)
     return SoakResult(
         settings=Settings(
             command="soak-test --seed 7",
@@ -55,14 +63,15 @@ def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.
             started="2026-01-02T03:04:05+00:00", wall_s=60.0, hours=ticks / 720_000, interrupted=interrupted
         ),
         counts=counts,
-        sample_h=np.linspace(0, HOURS, samples),
+        sample_h=hours,
         winding_c=winding,
+        worn=wearing(hours),
         winding_soft_c=SPEC.motor_array("winding_soft_c"),
         winding_max_c=SPEC.motor_array("winding_max_c"),
         goals_bin_h=1.0,
         goals_attempted=np.full(8, 14_400),
         goals_reached=np.array([14_400] * 7 + [14_000]),
-        unseen=("Backlash is not modelled.",),
+        unseen=("Links are rigid.",),
     )
 
 
@@ -102,8 +111,8 @@ def test_soft_events_are_shown_and_do_not_fail():
 
 
 def test_heat_keeps_the_hottest_and_the_median():
-    found = report(samples=5 * HEAT_POINTS)
-    assert len(found.heat_h) == HEAT_POINTS
+    found = report(samples=5 * POINTS)
+    assert len(found.sample_h) == POINTS
     elbow = found.heat[2]
     assert elbow.hottest_c[-1] == 75.0
     assert elbow.median_c[0] == 25.0
@@ -119,7 +128,7 @@ def test_what_could_not_be_seen_follows_from_what_was_counted():
     assert "used to 50 %: torque." in text
     assert "12 ticks of the 1 robots whose simulation diverged" in text
     assert "1 of 16 draws bad, up to 26 % of all may be" in text
-    assert text.endswith("Backlash is not modelled.")
+    assert text.endswith("Links are rigid.")
 
 
 def test_json_holds_everything_and_nothing_unknown(tmp_path):
@@ -169,7 +178,7 @@ def test_the_page_is_whole_small_and_loads_nothing(events):
     assert all(load.startswith(("#", "data:,")) for load in page.loads)
     assert {load[1:] for load in page.loads if load.startswith("#")} <= set(page.ids)
     assert not re.search(r"@import|url\((?!#)|<script|https?://(?!www\.w3\.org)", text)
-    assert text.count("<svg") == SPEC.n + 1
+    assert text.count("<svg") == SPEC.n + 4 + 1
     assert len(text) < 1_000_000
     assert "prefers-color-scheme: dark" in text
     assert not re.search(r"#0[1-6]0[1-6]0[1-6]", text)
@@ -204,7 +213,7 @@ def test_a_hostile_name_stays_text():
     assert "&lt;script&gt;" in text
 
 
-@pytest.mark.parametrize(("ticks", "samples"), [(0, 0), (0, 1), (1, 1)])
+@pytest.mark.parametrize(("ticks", "samples"), [(0, 1), (1, 1), (1, 2)])
 def test_a_run_that_hardly_began_has_a_report(ticks, samples):
     result = soak(ticks=ticks, samples=samples, interrupted=True)
     empty = np.zeros(0, dtype=np.int64)
@@ -223,8 +232,101 @@ def test_numbers_that_are_none():
     found = build(result, load_budget())
     assert found.heat[2].hottest_c[-1] is None
     assert found.heat[2].median_c[250] == pytest.approx(25 + 35 * 250 / 480, abs=0.2)
-    assert Report.model_validate_json(found.model_dump_json()) == found
-    assert "∞" in render(found)
+    result.worn[:] = np.nan
+    worthless = build(result, load_budget())
+    assert worthless.wear[0].median[-1] is worthless.wear[0].joints[3].median[1] is None
+    for each in (found, worthless):
+        assert Report.model_validate_json(each.model_dump_json()) == each
+        assert "∞" in render(each)
+
+
+def test_wear_by_quantity_and_joint():
+    result = soak()
+    result.worn[:, :, 15, 5] = result.worn[:, :, 0, 0]
+    found = {row.name: row for row in build(result, load_budget()).wear}
+    ends = {name: (row.unit, row.median[0], row.median[-1], row.most_worn[-1]) for name, row in found.items()}
+    assert ends == {
+        "friction": ("%", 100.0, 110.0, 119.0),
+        "backlash": ("mrad", 0.3, 0.4, 0.49),
+        "encoder error": ("mrad", 0.0, 1.0, 1.9),
+        "torque constant": ("%", 100.0, 99.0, 98.1),
+    }
+    for row in found.values():
+        assert (row.robot, row.joint) == (14, "wrist_3")
+        assert row.most_worn[240] == pytest.approx((row.most_worn[0] + row.most_worn[-1]) / 2, abs=1e-3)
+        assert [each.joint for each in row.joints] == list(SPEC.joint_names)
+        assert [each.robot for each in row.joints] == [15, 15, 15, 15, 15, 14]
+    elbow = found["torque constant"].joints[2]
+    assert (elbow.median, elbow.most_worn) == ((100.0, 99.05), (100.0, 98.3))
+
+
+def test_the_most_worn_joint_is_the_one_that_moved_furthest_and_is_known_at_the_end():
+    result = soak()
+    result.worn[:, 1, 3] += 0.005
+    result.worn[300:, :, 15] = np.nan
+    found = {row.name: row for row in build(result, load_budget()).wear}
+    assert {(row.robot, row.joint) for row in found.values()} == {(14, "wrist_3")}
+    assert found["friction"].joints[0].median == (100.0, 107.0)
+    assert found["friction"].median[0] == 100.0
+
+
+def test_the_page_shows_the_wear():
+    found = report()
+    words = " ".join("".join(Page(render(found)).words).split())
+    assert found.goals.change in words
+    for row in found.wear:
+        assert f"{row.name.capitalize()}, {row.unit}" in words
+        assert row.meaning in words
+        for each in row.joints:
+            for start, end in (each.median, each.most_worn):
+                assert f"{fixed(start, row.unit)} → {fixed(end, row.unit)}" in words
+    assert "100.0 → 107.5 100.0 → 115.0 0.30 → 0.38 0.30 → 0.45 0.00 → 0.75" in words
+    for name in ("Friction", "Backlash", "Encoder error", "Torque constant"):
+        assert f'aria-label="{name} over time"' in render(found)
+
+
+def test_next_to_no_wear_looks_like_none():
+    friction = report().wear[0]
+    hardly = friction.model_copy(update={"median": (100.0, 100.001), "most_worn": (100.0, 100.002)})
+    ticks = re.findall(r">([\d.]+)</text>", wear_plot((0.0, 8.0), hardly))
+    assert {"100", "101"} <= set(ticks)
+
+
+def changed(reached, attempted=1000, hours=HOURS):
+    result, bins = soak(samples=round(60 * hours) + 1), len(reached)
+    object.__setattr__(result, "sample_h", np.linspace(0, hours, round(60 * hours) + 1))
+    object.__setattr__(result, "goals_attempted", np.broadcast_to(np.int64(attempted), bins).copy())
+    object.__setattr__(result, "goals_reached", np.array(reached, dtype=np.int64))
+    return build(result, load_budget()).goals
+
+
+@pytest.mark.parametrize(
+    ("reached", "verdict"),
+    [
+        ([990, 0, 990], "overlap: no change is shown."),
+        ([990, 990, 980], "overlap: no change is shown."),
+        ([980, 990, 990], "overlap: no change is shown."),
+        ([990, 990, 960], "lie apart: the end is worse than the start."),
+        ([960, 990, 990], "lie apart: the end is better than the start."),
+    ],
+)
+def test_the_end_is_compared_with_the_start_as_far_as_chance_lets_it(reached, verdict):
+    assert changed(reached).change.endswith(f". The 95 % intervals {verdict}")
+
+
+def test_the_comparison_names_its_hours_and_leaves_bins_without_goals_out():
+    found = changed([0, 990, 0, 495, 0], attempted=[0, 1000, 0, 500, 0], hours=4.5)
+    assert found.change.startswith(
+        "Goals reached from hour 1 to 2: 99.00 % (98.17 to 99.52 %) of 1,000;"
+        " from hour 3 to 4: 99.00 % (97.68 to 99.67 %) of 500."
+    )
+    assert (found.bins[1].low, found.bins[1].high) == pytest.approx((0.9817, 0.9952), abs=1e-4)
+    assert (found.bins[-1].start_h, found.bins[-1].end_h) == (4.0, 4.5)
+
+
+@pytest.mark.parametrize("reached", [[], [990]])
+def test_one_bin_cannot_be_compared(reached):
+    assert changed(reached).change.startswith("Goals came in one part of the run at most")
 
 
 def test_stops_by_reason():

@@ -43,7 +43,7 @@ def assert_same(a, b):
     for one, other in zip(a, b, strict=True):
         for field in fields(one.counts):
             np.testing.assert_array_equal(getattr(one.counts, field.name), getattr(other.counts, field.name))
-        for name in ("winding_c", "attempted", "reached"):
+        for name in ("winding_c", "worn", "attempted", "reached"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
@@ -60,6 +60,11 @@ def test_results_do_not_depend_on_workers(asked, tmp_path):
         assert (each.attempted == 1).all()
     assert sum(each.stops.sum() for each in counts) > 10
     assert (one[0].winding_c[-1] > one[0].winding_c[0]).mean() > 0.3
+    friction, backlash, encoder, constant = one[0].worn[-1] - one[0].worn[0]
+    assert (friction > 0).all()
+    assert (backlash > 0).all()
+    assert (encoder != 0).all()
+    assert (constant < 0).all()
 
 
 def job(policy, **changes):
@@ -80,6 +85,7 @@ def test_robots_that_do_not_count_change_nothing(arm_policy, quick_goals):
     assert some.counts.robots == 3
     np.testing.assert_array_equal(some.counts.worst, all_of_them.counts.worst[:3])
     np.testing.assert_array_equal(some.winding_c, all_of_them.winding_c[:, :3])
+    np.testing.assert_array_equal(some.worn, all_of_them.worn[:, :, :3])
     assert some.attempted[-1] == 3
 
 
@@ -87,9 +93,31 @@ def test_a_stopped_shard_reports_what_was_done(arm_policy, quick_goals):
     result, seen = lived(job(arm_policy), stop_at=400)
     assert seen == [200, 400, 400]
     assert (result.counts.ticks == 400).all()
-    assert len(result.winding_c) == 4
+    assert len(result.winding_c) == 5
     whole, _ = lived(job(arm_policy))
-    np.testing.assert_array_equal(result.winding_c, whole.winding_c[:4])
+    np.testing.assert_array_equal(result.winding_c, whole.winding_c[:5])
+    np.testing.assert_array_equal(result.worn, whole.worn[:5])
+
+
+def test_robots_begin_new(arm_policy):
+    shard = Shard(job(arm_policy, ticks=1))
+    friction, backlash, encoder, constant = shard.run(lambda ticks: None, lambda: False).worn[0]
+    np.testing.assert_array_equal(friction, 1.0)
+    np.testing.assert_array_equal(backlash, shard.runtime.robot.draw["joints.backlash_rad"])
+    np.testing.assert_array_equal(encoder, 0.0)
+    np.testing.assert_array_equal(constant, 1.0)
+
+
+def test_wear_is_sampled_as_it_is_and_unknown_where_the_simulation_diverged(arm_policy):
+    shard = Shard(job(arm_policy, ticks=1))
+    plant = shard.runtime.robot.plant
+    plant.wear.life[:] = np.linspace(0.1, 2.0, WIDTH)[:, None]
+    plant.valid[2] = False
+    expected = np.stack(plant.worn())
+    expected[:, 2] = np.nan
+    found = shard.run(lambda ticks: None, lambda: False)
+    np.testing.assert_array_equal(found.worn[0], expected)
+    assert np.isnan(found.winding_c[0]).all(axis=1).tolist() == [row == 2 for row in range(WIDTH)]
 
 
 def test_the_operator_comes_to_latched_robots(arm_policy, quick_goals):
@@ -108,7 +136,10 @@ def test_goals_fall_into_bins_and_shards_side_by_side(asked):
     shards = run_soak(soak, CONSOLE)
     result = collect(soak, shards, RUN)
     assert result.winding_c.shape == (len(result.sample_h), 10, SPEC.n)
+    assert result.worn.shape == (len(result.sample_h), 4, 10, SPEC.n)
     assert np.isfinite(result.winding_c).all()
+    np.testing.assert_array_equal(result.worn[:, :, WIDTH:], shards[1].worn)
+    assert result.sample_h[0] == 0.0
     assert result.sample_h[-1] == pytest.approx(soak.hours, rel=0.05)
     assert result.goals_attempted.sum() == result.counts.attempted.sum() == 10
     assert (result.goals_reached <= result.goals_attempted).all()
@@ -119,8 +150,12 @@ def test_a_shard_cut_short_leaves_its_heat_unknown(arm_policy, asked, quick_goal
     short, _ = lived(job(arm_policy, ticks=1000, first=8), stop_at=400)
     whole, _ = lived(job(arm_policy, ticks=1000))
     result = collect(asked(), [whole, short], RUN)
-    assert np.isnan(result.winding_c[4:, WIDTH:]).all()
-    assert np.isfinite(result.winding_c[:4]).all()
+    for unknown in (result.winding_c[5:, WIDTH:], result.worn[5:, :, WIDTH:]):
+        assert unknown.size
+        assert np.isnan(unknown).all()
+    assert np.isfinite(result.winding_c[:5]).all()
+    assert np.isfinite(result.worn[:, :, :WIDTH]).all()
+    assert np.isfinite(result.worn[:5]).all()
     assert result.goals_attempted.sum() == whole.attempted[-1] + short.attempted[-1]
 
 

@@ -1,6 +1,5 @@
 """From what a soak hands over to what report.json says."""
 
-import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -13,20 +12,23 @@ from eval.report.data import (
     EventRow,
     Evidence,
     Exposure,
-    Floats,
     GoalBin,
     Goals,
     Heat,
+    Ints,
     Line,
     MonitorRow,
     Report,
     SoakResult,
     Stops,
     Verdict,
+    number,
+    series,
 )
+from eval.report.wear import wear
 
 EVENTS_LISTED = 500
-HEAT_POINTS = 500
+POINTS = 500
 FAR = 0.5
 
 
@@ -39,13 +41,13 @@ def build(result: SoakResult, budget: Budget) -> Report:
             unit=finding.unit,
             at_least=finding.at_least,
             allowed=finding.allowed,
-            found=_number(finding.found),
+            found=number(finding.found),
             passed=finding.passed,
         )
         for finding in check(budget, counts)
     )
     exposure, evidence, goals = _exposure(counts), _evidence(counts), _goals(result)
-    heat_h, heat = _heat(result)
+    at = np.arange(0, len(result.sample_h), -(-len(result.sample_h) // POINTS))
     return Report(
         format=1,
         verdict=_verdict(result, lines),
@@ -59,8 +61,9 @@ def build(result: SoakResult, budget: Budget) -> Report:
         stops=_stops(counts),
         monitors=tuple(_monitor(counts, monitor) for monitor in MONITORS),
         events=_events(counts),
-        heat_h=heat_h,
-        heat=heat,
+        sample_h=tuple(round(float(hour), 4) for hour in result.sample_h[at]),
+        heat=_heat(result, at),
+        wear=tuple(wear(result, at)),
         unseen=(*_unseen(counts, evidence), *result.unseen),
     )
 
@@ -69,10 +72,6 @@ def _verdict(result: SoakResult, lines: Sequence[Line]) -> Verdict:
     if result.run.interrupted:
         return "interrupted"
     return "passed" if all(line.passed for line in lines) else "failed"
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _exposure(counts: Counts) -> Exposure:
@@ -95,27 +94,61 @@ def _evidence(counts: Counts) -> Evidence:
         confidence=CONFIDENCE,
         hard_events=hard,
         hard_rate=hard / hours if hours else None,
-        hard_rate_upper=_number(float(rate_upper(hard, hours))),
+        hard_rate_upper=number(float(rate_upper(hard, hours))),
         bad_draws=bad,
         bad_draw_upper=float(share_upper(bad, counts.robots)),
     )
 
 
 def _goals(result: SoakResult) -> Goals:
-    counts, width = result.counts, result.goals_bin_h
+    counts = result.counts
     due, reached = counts.goals_due, int(counts.reached.sum())
     low, high = share_interval(reached, due)
-    bins = zip(result.goals_attempted.tolist(), result.goals_reached.tolist(), strict=True)
+    bins = tuple(_bins(result))
     return Goals(
         due=due,
         reached=reached,
         success=counts.goal_success,
         low=float(low),
         high=float(high),
-        bins=tuple(
-            GoalBin(start_h=k * width, end_h=(k + 1) * width, attempted=attempted, reached=hit)
-            for k, (attempted, hit) in enumerate(bins)
-        ),
+        bins=bins,
+        change=_change([each for each in bins if each.attempted]),
+    )
+
+
+def _bins(result: SoakResult) -> Iterator[GoalBin]:
+    width, end = result.goals_bin_h, float(result.sample_h[-1])
+    found = zip(result.goals_attempted.tolist(), result.goals_reached.tolist(), strict=True)
+    for k, (attempted, reached) in enumerate(found):
+        low, high = share_interval(reached, attempted)
+        yield GoalBin(
+            start_h=k * width,
+            end_h=min((k + 1) * width, end),
+            attempted=attempted,
+            reached=reached,
+            low=float(low),
+            high=float(high),
+        )
+
+
+def _change(bins: Sequence[GoalBin]) -> str:
+    """What bins with goals tell about the end of the run against its start, as far as chance lets them."""
+    if len(bins) < 2:
+        return "Goals came in one part of the run at most: there is no later one to compare it with."
+    first, last = bins[0], bins[-1]
+    verdict = "overlap: no change is shown"
+    if last.high < first.low:
+        verdict = "lie apart: the end is worse than the start"
+    elif last.low > first.high:
+        verdict = "lie apart: the end is better than the start"
+    return f"Goals reached {_said(first)}; {_said(last)}. The 95 % intervals {verdict}."
+
+
+def _said(b: GoalBin) -> str:
+    success, low, high = (100 * share for share in (b.reached / b.attempted, b.low, b.high))
+    return (
+        f"from hour {b.start_h:.3g} to {b.end_h:.3g}: {success:.2f} % ({low:.2f} to {high:.2f} %)"
+        f" of {b.attempted:,}"
     )
 
 
@@ -141,14 +174,14 @@ def _monitor(counts: Counts, monitor: Monitor) -> MonitorRow:
         evaluations=counts.evaluations,
         events=events,
         bad_draws=counts.bad_draws(monitor.name),
-        rate_upper=_number(float(rate_upper(events, counts.running_hours))),
+        rate_upper=number(float(rate_upper(events, counts.running_hours))),
         channels=tuple(
             Channel(
                 joint=joint,
                 limit=float(counts.limits[channel]),
                 events=int(counts.events[:, channel].sum()),
                 bad_ticks=int(counts.bad_ticks[:, channel].sum()),
-                worst=_number(float(counts.worst[:, channel].max(initial=0.0))),
+                worst=number(float(counts.worst[:, channel].max(initial=0.0))),
             )
             for joint, channel in channels
         ),
@@ -165,34 +198,26 @@ def _events(counts: Counts) -> tuple[EventRow, ...]:
             hard=event.monitor.hard,
             start_h=event.start * counts.dt / 3600,
             length_s=event.ticks * counts.dt,
-            worst=_number(event.worst),
+            worst=number(event.worst),
         )
         for event in log[:EVENTS_LISTED]
     )
 
 
-def _heat(result: SoakResult) -> tuple[tuple[float, ...], tuple[Heat, ...]]:
-    """At most `HEAT_POINTS` times; between them the hottest is kept, not the last."""
-    starts = np.arange(0, len(result.sample_h), max(1, math.ceil(len(result.sample_h) / HEAT_POINTS)))
-    if not len(starts):
-        return (), ()
-    hottest = np.fmax.reduceat(np.fmax.reduce(result.winding_c, axis=1), starts, axis=0)
-    median = np.ma.median(np.ma.masked_invalid(result.winding_c[starts]), axis=1).filled(np.nan)
-    heat = tuple(
+def _heat(result: SoakResult, at: Ints) -> tuple[Heat, ...]:
+    """Between samples `at` and their next the hottest is kept, not the last."""
+    hottest = np.fmax.reduceat(np.fmax.reduce(result.winding_c, axis=1), at, axis=0)
+    median = np.ma.median(np.ma.masked_invalid(result.winding_c[at]), axis=1).filled(np.nan)
+    return tuple(
         Heat(
             joint=joint,
             soft_c=float(result.winding_soft_c[k]),
             max_c=float(result.winding_max_c[k]),
-            median_c=_series(median[:, k]),
-            hottest_c=_series(hottest[:, k]),
+            median_c=series(median[:, k], 2),
+            hottest_c=series(hottest[:, k], 2),
         )
         for k, joint in enumerate(result.counts.joints)
     )
-    return tuple(round(float(hour), 4) for hour in result.sample_h[starts]), heat
-
-
-def _series(values: Floats) -> tuple[float | None, ...]:
-    return tuple(_number(round(float(value), 2)) for value in values)
 
 
 def _statement(exposure: Exposure, evidence: Evidence, goals: Goals) -> str:

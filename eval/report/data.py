@@ -1,5 +1,6 @@
 """What a soak hands over, and the schema of report.json."""
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -17,6 +18,16 @@ Share = Annotated[float, Field(ge=0, le=1)]
 # None stands for a number that is none: no exposure, a NaN, a diverged simulation.
 Number = float | None
 Verdict = Literal["passed", "failed", "interrupted"]
+
+
+def number(value: float, digits: int | None = None) -> Number:
+    """A finite number, rounded if `digits` says so; None for any other."""
+    return (float(value) if digits is None else round(float(value), digits)) if math.isfinite(value) else None
+
+
+def series(values: Floats, digits: int) -> tuple[Number, ...]:
+    """`number` of each of (T,)."""
+    return tuple(number(value, digits) for value in values)
 
 
 class Settings(Strict):
@@ -64,8 +75,10 @@ class SoakResult:
 
     Attributes:
         counts: what the judge found.
-        sample_h: (T,) h, when `winding_c` was taken, once a simulated minute or so.
+        sample_h: (T,) h, when `winding_c` and `worn` were taken: at 0, then once a simulated minute or so.
         winding_c: (T, R, n) °C, true winding temperature; NaN once a robot's simulation diverged.
+        worn: (T, 4, R, n) what the joints had become: friction as a factor of the new joint's, backlash and encoder
+            error in rad, torque constant as a factor; NaN as `winding_c`.
         winding_soft_c, winding_max_c: (n,) °C.
         goals_bin_h: h, width of the bins of `goals_attempted` and `goals_reached`, (H,) all robots together.
         unseen: sentences on what the plant does not model.
@@ -76,6 +89,7 @@ class SoakResult:
     counts: Counts
     sample_h: Floats
     winding_c: Floats
+    worn: Floats
     winding_soft_c: Floats
     winding_max_c: Floats
     goals_bin_h: float
@@ -159,7 +173,7 @@ class EventRow(Strict):
 
 
 class Heat(Strict):
-    """True winding temperature of a joint at `Report.heat_h`, °C: median robot, and hottest each time."""
+    """True winding temperature of a joint at `Report.sample_h`, °C: median robot, and hottest each time."""
 
     joint: str
     soft_c: float
@@ -168,17 +182,50 @@ class Heat(Strict):
     hottest_c: tuple[Number, ...]
 
 
+class WornJoint(Strict):
+    """A quantity of one joint at the start and at the end: median robot, and the `robot` that moved furthest."""
+
+    joint: str
+    median: tuple[Number, Number]
+    robot: Count
+    most_worn: tuple[Number, Number]
+
+
+class Wear(Strict):
+    """A quantity that wears, by size, in `unit`, at `Report.sample_h`: median of all joints of all robots, and one.
+
+    Attributes:
+        meaning: for the reader. median, most_worn: curves; the latter of the joint that moved furthest by the end:
+        robot, joint: which one that is.
+        joints: one by one.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    median: tuple[Number, ...]
+    most_worn: tuple[Number, ...]
+    robot: Count
+    joint: str
+    joints: tuple[WornJoint, ...]
+
+
 class GoalBin(Strict):
-    """Goals whose time was over between two times, h."""
+    """Goals whose time was over between two times, h; `low` and `high` as in `Goals`."""
 
     start_h: float
     end_h: float
     attempted: Count
     reached: Count
+    low: Share
+    high: Share
 
 
 class Goals(Strict):
-    """The work: `success` is reached ÷ due, `low` and `high` its 95 % interval if goals were independent."""
+    """The work: `success` is reached ÷ due, `low` and `high` its 95 % interval if goals were independent.
+
+    `change` is a sentence on the first and the last bin.
+    """
 
     due: Count
     reached: Count
@@ -186,6 +233,7 @@ class Goals(Strict):
     low: Share
     high: Share
     bins: tuple[GoalBin, ...]
+    change: str
 
 
 class Stops(Strict):
@@ -211,6 +259,7 @@ class Report(Strict):
     stops: Stops
     monitors: tuple[MonitorRow, ...]
     events: tuple[EventRow, ...]
-    heat_h: tuple[float, ...]
+    sample_h: tuple[float, ...]
     heat: tuple[Heat, ...]
+    wear: tuple[Wear, ...]
     unseen: tuple[str, ...]
