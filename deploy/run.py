@@ -22,7 +22,8 @@ from deploy.runtime import Runtime
 from deploy.screen import Show, snapshot
 from deploy.shift import Ending, Shift
 from deploy.summary import report
-from robots.draws import Draw, load_distributions, load_draw
+from robots.distributions import load_distributions
+from robots.draws import Draw, load_draw
 from robots.errors import ConfigError
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec, load_robot

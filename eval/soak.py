@@ -32,7 +32,8 @@ from eval.report.build import build
 from eval.report.data import Run, Settings, SoakResult
 from eval.report.write import claim, write
 from eval.shard import WIDTH, Shard, ShardJob, ShardResult
-from robots.draws import draw, load_distributions
+from robots.distributions import load_distributions
+from robots.draws import draw
 from robots.errors import ConfigError
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec, load_robot

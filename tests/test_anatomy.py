@@ -9,7 +9,8 @@ from test_spec import copy_of_arm
 
 from deploy.backends.sim.anatomy import build
 from deploy.backends.sim.plant import Plant
-from robots.draws import Draw, draw, load_distributions
+from robots.distributions import load_distributions
+from robots.draws import Draw, draw
 from robots.errors import ConfigError, RobotError
 from robots.model_mujoco import load_mujoco
 from robots.randomness import robot_seed

@@ -13,7 +13,8 @@ from eval.bench import estimate, stages, stopwatch
 from eval.bench.idle import make_idle
 from eval.bench.plain import PlainRobot
 from eval.bench.stopwatch import Stopwatch
-from robots.draws import draw, load_distributions
+from robots.distributions import load_distributions
+from robots.draws import draw
 from robots.randomness import robot_seed
 
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_spec import ARM, SPEC, copy_of_arm
 
-from robots.draws import Span, draw, load_distributions, load_draw, shape
+from robots.distributions import Span, load_distributions
+from robots.draws import draw, load_draw, shape
 from robots.errors import ConfigError
 from robots.randomness import keyed, keys, robot_seed
 from robots.spec import load_robot

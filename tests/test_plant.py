@@ -5,7 +5,8 @@ import pytest
 from test_spec import SPEC, copy_of_arm
 
 from deploy.state import Command
-from robots.draws import Draw, draw, load_distributions
+from robots.distributions import load_distributions
+from robots.draws import Draw, draw
 from robots.motor import MotorHeat, temperatures
 from robots.randomness import robot_seed
 from robots.spec import load_robot

@@ -6,7 +6,8 @@ pytest.importorskip("mujoco")
 
 from deploy.backends.sim.packets import BLINK_S, CHUNK, LATE_S, SLOW, WRONG, Failure, Fault
 from deploy.backends.sim.sensors import Sensors
-from robots.draws import draw, load_distributions
+from robots.distributions import load_distributions
+from robots.draws import draw
 from robots.errors import ConfigError
 from robots.randomness import robot_seed
 

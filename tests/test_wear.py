@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from test_plant import ANATOMY, DT, HOME, SPEC, N, command, drawn, exact
 
-from robots.draws import load_distributions
+from robots.distributions import load_distributions
 
 pytest.importorskip("mujoco")
 WEAR = load_distributions(SPEC).wear

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from deploy.state import Ints
-from robots.draws import Cable
+from robots.distributions import Cable
 from robots.errors import ConfigError, RobotError
 from robots.model_mujoco import load_mujoco, read_mjcf
 from robots.sensors import Kind

@@ -9,7 +9,8 @@ from deploy.backends.sim import drawn
 from deploy.flags import every, some
 from deploy.stage import Stage
 from deploy.state import Bools, Command, Floats
-from robots.draws import COMMAND_DELAY_S, Draw
+from robots.distributions import COMMAND_DELAY_S
+from robots.draws import Draw
 from robots.model_mujoco import INPUTS
 from robots.spec import Rates, RobotSpec
 

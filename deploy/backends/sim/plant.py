@@ -17,7 +17,8 @@ from deploy.backends.sim.wear import Wear, Worn
 from deploy.flags import every, some
 from deploy.stage import Stage
 from deploy.state import Bools, Command, Floats
-from robots.draws import Distributions, Draw
+from robots.distributions import Distributions
+from robots.draws import Draw
 from robots.sensors import Kind
 from robots.spec import RobotSpec
 

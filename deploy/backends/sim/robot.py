@@ -9,7 +9,8 @@ from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.sensors import Sensors
 from deploy.backends.sim.truth import Truth
 from deploy.state import Bools, Command, Floats, Sample
-from robots.draws import Draw, draw, load_distributions
+from robots.distributions import load_distributions
+from robots.draws import Draw, draw
 from robots.spec import RobotSpec
 
 

@@ -9,7 +9,7 @@ from deploy.backends.sim import drawn
 from deploy.backends.sim.anatomy import Anatomy
 from deploy.stage import Stage
 from deploy.state import Floats
-from robots import draws
+from robots import distributions
 from robots.draws import Draw
 
 TWICE_K = 10.0
@@ -35,7 +35,7 @@ class Wear(Stage):
 
     carried = ("life",)
 
-    def __init__(self, wear: draws.Wear, batch: Batch, anatomy: Anatomy, draw: Draw) -> None:
+    def __init__(self, wear: distributions.Wear, batch: Batch, anatomy: Anatomy, draw: Draw) -> None:
         """Read what wears; every joint begins new."""
         self._wear, self._draw = wear, draw
         self._dofs, self._play = anatomy.dofs, anatomy.play
