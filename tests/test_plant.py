@@ -332,7 +332,7 @@ def re40_arm(tmp_path, hz):
             *[("rate_hz = (200|30)", "rate_hz = 10")] * 4,
             ("control_hz = 200", f"control_hz = {hz}"),
             ("physics_hz = 1000", f"physics_hz = {hz}"),
-            ("housing_resistance_k_per_w = 3.0", f"housing_resistance_k_per_w = {RE40.housing_to_ambient}"),
+            ("housing_resistance_k_per_w = 7.0", f"housing_resistance_k_per_w = {RE40.housing_to_ambient}"),
             ("housing_capacity_j_per_k = 400.0", f"housing_capacity_j_per_k = {RE40.housing_capacity}"),
         ],
         xml=[
