@@ -63,7 +63,7 @@ class Heat(Stage):
     def reset(self, ids: Bools) -> None:
         """Forget robots where `ids` (B,) holds: at their next whole sample they have been at rest for long."""
         self.unknown[ids], self.heard[ids], self.rise[ids] = True, -np.inf, 0.0
-        self.winding[ids], self.last[ids] = np.nan, np.nan
+        self.winding[ids], self.last[ids], self.housing[ids] = np.nan, np.nan, np.nan
 
     def step(self, t: float, sample: Sample) -> None:
         """Live through a tick. Before the first sample with every current and housing no winding is known: NaN.
@@ -93,8 +93,9 @@ class Heat(Stage):
         self._hear(current, housing)
         ready = self.unknown & (t - self.heard <= DEAF_S)
         ids = ready[:, None]
+        # A housing that was not heard meanwhile may have cooled, but nobody saw its winding cool.
+        np.copyto(self.winding, np.fmax(self.housing, housing.value) + self.rise, where=ids)
         np.copyto(self.housing, housing.value, where=ids)
-        np.copyto(self.winding, housing.value + self.rise, where=ids)
         np.copyto(self.square, 0.0, where=ids)
         self.unknown &= ~ready
         self._fold_back()
