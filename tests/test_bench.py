@@ -1,4 +1,5 @@
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -110,6 +111,19 @@ def test_an_unknown_bench_is_refused(monkeypatch, capsys):
         command.main(command.bench)
     assert caught.value.code == 2
     assert (
-        "found 'nothing', expected one of stages, estimate, floating, start, memory, work or all"
+        "found 'nothing', expected one of stages, estimate, floating, ablation, hot, start, memory, work or all"
         in capsys.readouterr().err
     )
+
+
+def test_a_picture_is_of_the_ablation_alone(monkeypatch, capsys):
+    seen = []
+    monkeypatch.setitem(command.BENCHES, "ablation", lambda spec, policy, picture: seen.append(picture))
+    codes = []
+    for which in ("ablation", "start"):
+        monkeypatch.setattr(sys, "argv", ["bench", which, "--picture", "worth.png"])
+        with pytest.raises(SystemExit) as caught:
+            command.main(command.bench)
+        codes.append(caught.value.code)
+    assert (codes, seen) == ([0, 2], [Path("worth.png")])
+    assert "--picture worth.png: found 'start', expected ablation" in capsys.readouterr().err
