@@ -83,6 +83,14 @@ def judge_tick(judge: Judge, robot: SimRobot, runtime: Runtime) -> None:
     )
 
 
+def rearm(runtime: Runtime) -> None:
+    """The operator: arms latched robots after a while, and robots that were refused at the start."""
+    supervisor = runtime.supervisor
+    waiting = ~supervisor.powered & (supervisor.since >= round(OPERATOR_S / runtime.spec.dt))
+    if waiting.any():
+        runtime.arm(waiting)
+
+
 def _same(expected: str, found: str, path: Path) -> None:
     if found != expected:
         raise ConfigError(
@@ -104,7 +112,7 @@ class Shard:
         self.runtime = Runtime(spec, policy.contract, self._robot, seeds, policy)
         goal_s = self.runtime.task.config.period_s
         self._judge = Judge(spec, torque_max(spec), WIDTH, goal_s=goal_s)
-        self._look, self._operator = round(LOOK_S / spec.dt), round(OPERATOR_S / spec.dt)
+        self._look = round(LOOK_S / spec.dt)
         self._samples: list[tuple[NDArray[np.float64], NDArray[np.float64], int, int]] = []
 
     def run(self, progress: Callable[[int], None], stop: Callable[[], bool]) -> ShardResult:
@@ -120,7 +128,7 @@ class Shard:
                 self.runtime.arm(np.ones(WIDTH, dtype=bool))
             if tick and tick % self._look == 0:
                 progress(tick)
-                self._rearm()
+                rearm(self.runtime)
                 if stop():
                     break
             self.runtime.tick()
@@ -129,13 +137,6 @@ class Shard:
                 self._sample()
         progress(self.runtime.ticks)
         return self._result()
-
-    def _rearm(self) -> None:
-        """The operator: arms latched robots after a while, and robots that were refused at the start."""
-        supervisor = self.runtime.supervisor
-        waiting = ~supervisor.powered & (supervisor.since >= self._operator)
-        if waiting.any():
-            self.runtime.arm(waiting)
 
     def _sample(self) -> None:
         truth, counts, rows = self._robot.truth(), self._judge.counts(), slice(0, self._job.robots)

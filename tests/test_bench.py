@@ -1,4 +1,5 @@
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ pytest.importorskip("mujoco")
 from deploy.policy import Policy
 from eval.bench import __main__ as command
 from eval.bench import estimate, stages, stopwatch
+from eval.bench.heard import Motion
 from eval.bench.idle import make_idle
 from eval.bench.plain import PlainRobot
 from eval.bench.stopwatch import Stopwatch
@@ -81,7 +83,7 @@ def test_the_worth_of_the_estimator_is_measured_against_what_really_happened():
     t = SPEC.dt * np.arange(1, 1001)[:, None, None] + np.arange(4)[:, None] + np.arange(SPEC.n) / 2
     q, qd = 0.2 * np.sin(2 * t), 0.4 * np.cos(2 * t)
     sent = np.concatenate((q + 0.01, qd), axis=2)  # a steady error of what was sent
-    motion = estimate.Motion(q=q, qd=qd, seen=q, sent=sent, draw=drawn, seeds=seeds)
+    motion = Motion(q=q, qd=qd, seen=q, sent=sent, draw=drawn, seeds=seeds)
     raw, q, differenced, qd, ratio, late, left = (
         float(word.split()[0]) for word in estimate._errors(SPEC, [motion], 0.001)
     )
@@ -111,6 +113,19 @@ def test_an_unknown_bench_is_refused(monkeypatch, capsys):
         command.main(command.bench)
     assert caught.value.code == 2
     assert (
-        "found 'nothing', expected one of stages, estimate, floating, start, memory, work or all"
+        "found 'nothing', expected one of stages, estimate, floating, ablation, hot, start, memory, work or all"
         in capsys.readouterr().err
     )
+
+
+def test_a_picture_is_of_the_ablation_alone(monkeypatch, capsys):
+    seen = []
+    monkeypatch.setitem(command.BENCHES, "ablation", lambda spec, policy, picture: seen.append(picture))
+    codes = []
+    for which in ("ablation", "start"):
+        monkeypatch.setattr(sys, "argv", ["bench", which, "--picture", "worth.png"])
+        with pytest.raises(SystemExit) as caught:
+            command.main(command.bench)
+        codes.append(caught.value.code)
+    assert (codes, seen) == ([0, 2], [Path("worth.png")])
+    assert "--picture worth.png: found 'start', expected ablation" in capsys.readouterr().err

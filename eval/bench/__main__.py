@@ -3,6 +3,8 @@
 python -m eval.bench stages     what a tick costs beside physics, at several B, stage by stage
 python -m eval.bench estimate   errors with and without the estimator, its consistency, an outage
 python -m eval.bench floating   errors of a floating base with and without its feet, consistency, cost
+python -m eval.bench ablation   what each stage of the stack is worth: the same shift with one stage swapped
+python -m eval.bench hot        the hottest motors in the hottest rooms, with the heat guard and without
 python -m eval.bench start      how soon deploy-run ticks, and what it imports
 python -m eval.bench memory     whether a soak grows
 python -m eval.bench work       an hour of 16 robots by the shipped budget, and an idle policy that fails it
@@ -25,8 +27,10 @@ from rich.console import Console
 
 from deploy.cli import PASSED, main
 from deploy.policy import Policy
+from eval.bench.ablation import ablation
 from eval.bench.estimate import estimate
 from eval.bench.floating import floating
+from eval.bench.hot import hot
 from eval.bench.idle import make_idle
 from eval.bench.stages import SEED, stages
 from eval.budget import BUDGET, check, load_budget
@@ -135,28 +139,34 @@ def work(spec: RobotSpec, policy: Path) -> None:
             )
 
 
-BENCHES: dict[str, Callable[[RobotSpec, Path], None]] = {
-    "stages": lambda spec, policy: stages(spec, policy, console),
-    "estimate": lambda spec, policy: estimate(spec, policy, console),
-    "floating": lambda spec, policy: floating(console),
-    "start": start,
-    "memory": memory,
-    "work": work,
+BENCHES: dict[str, Callable[[RobotSpec, Path, Path | None], None]] = {
+    "stages": lambda spec, policy, _: stages(spec, policy, console),
+    "estimate": lambda spec, policy, picture: estimate(spec, policy, console, picture),
+    "floating": lambda spec, policy, _: floating(console),
+    "ablation": lambda spec, policy, picture: ablation(spec, policy, console, picture),
+    "hot": lambda spec, policy, _: hot(spec, policy, console),
+    "start": lambda spec, policy, _: start(spec, policy),
+    "memory": lambda spec, policy, _: memory(spec, policy),
+    "work": lambda spec, policy, _: work(spec, policy),
 }
+PICTURED = ("estimate", "ablation")
 
 
 def bench(
     which: Annotated[str, typer.Argument(help=f"One of {', '.join(BENCHES)}, or all.")] = "all",
     policy: Annotated[Path, typer.Option(help="ONNX file that policy-export wrote.")] = Path("out/arm.onnx"),
     robot: Annotated[str, typer.Option(help="Robot: a name or a folder.")] = "arm6",
+    picture: Annotated[Path | None, typer.Option(help=f"PNG to draw, of {' or '.join(PICTURED)}.")] = None,
 ) -> int:
     """Measure the figures that the project promises."""
     if which not in (*BENCHES, "all"):
         raise ConfigError(f"bench: found {which!r}, expected one of {', '.join(BENCHES)} or all")
+    if picture is not None and which not in PICTURED:
+        raise ConfigError(f"bench: --picture {picture}: found {which!r}, expected {' or '.join(PICTURED)}")
     spec = load_robot(robot)
     for name, measure in BENCHES.items():
         if which in (name, "all"):
-            measure(spec, policy)
+            measure(spec, policy, picture)
     return PASSED
 
 

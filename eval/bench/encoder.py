@@ -7,17 +7,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.bench.estimate import Floats, hear, move
+from eval.bench.heard import Floats, Heard, Motion
 from robots.spec import RobotSpec
 
 WINDOW_S = 0.6
 TRUTH, SAMPLES, ESTIMATE = "#222222", "#d9822b", "#2f6fb2"
 
 
-def encoder_picture(spec: RobotSpec, policy: Path, file: Path) -> None:
-    """Draw the fastest joint of one robot around its fastest moment: angle, error of the angle, and speed."""
-    motion = move(spec, policy, 0)
-    heard = hear(spec, motion, None)
+def draw_encoder(spec: RobotSpec, motion: Motion, heard: Heard, file: Path) -> None:
+    """Draw the fastest joint of all around its fastest moment as a PNG: angle, error of the angle, and speed."""
     ticks = round(WINDOW_S / spec.dt)
     tick, robot, joint = np.unravel_index(
         np.abs(motion.qd[ticks:-ticks]).argmax(), motion.qd[ticks:-ticks].shape
@@ -42,7 +40,7 @@ def encoder_picture(spec: RobotSpec, policy: Path, file: Path) -> None:
         angle.set_title(
             f"{spec.joint_names[joint]} of one robot, as drawn: noise, late packets, lost ones", loc="left"
         )
-        figure.savefig(file, dpi=110)
+        figure.savefig(file, dpi=110, format="png")
 
 
 def _lines(

@@ -6,11 +6,9 @@ newest packet as it is; differenced is the difference of the last two that arriv
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy import stats
@@ -18,14 +16,14 @@ from scipy import stats
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.sensors import Sensors
 from deploy.estimator import Estimator
+from deploy.output import replacing
 from deploy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.state import Sample, Setpoint, State
-from robots.draws import Draw
+from eval.bench.encoder import draw_encoder
+from eval.bench.heard import Floats, Heard, Motion
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
-
-Floats = NDArray[np.float64]
 
 SEED, ROBOTS, SHARD = 11, 1024, 64
 MOVED_S, SETTLED_S = 5.0, 1.0
@@ -34,42 +32,8 @@ NOISES = (None, 0.0005, 0.001, 0.002, 0.005, 0.01)
 OUTAGE_S = 0.1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
-    """What B robots really did and what their encoders saw of it, at the ticks of the runtime.
-
-    Attributes:
-        q, qd: (T, B, n) rad and rad/s. seen: (T, B, n) rad, where the encoders sit.
-        sent: (T, B, 2n) setpoints that the drives should have reached.
-        draw, seeds: whose encoders watched.
-    """
-
-    q: Floats
-    qd: Floats
-    seen: Floats
-    sent: Floats
-    draw: Draw
-    seeds: list[np.random.SeedSequence]
-
-    @property
-    def robots(self) -> int:
-        """B."""
-        return len(self.seeds)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Heard:
-    """What was made of it (T, B, n): rad and rad/s, and the estimate's `nees`."""
-
-    raw: Floats
-    differenced: Floats
-    q: Floats
-    qd: Floats
-    nees: Floats
-
-
-def estimate(spec: RobotSpec, policy: Path, console: Console) -> None:
-    """Errors over a table of noises, consistency over many draws, an outage, and the cost."""
+def estimate(spec: RobotSpec, policy: Path, console: Console, picture: Path | None = None) -> None:
+    """Errors over a table of noises, consistency over many draws, an outage, the cost; a picture if asked for."""
     motions = [move(spec, policy, first) for first in range(0, ROBOTS, SHARD)]
     some = motions[: 256 // SHARD]
     table = Table(
@@ -91,6 +55,9 @@ def estimate(spec: RobotSpec, policy: Path, console: Console) -> None:
     console.print(_consistency(spec, motions))
     console.print(_outage(spec, some[0]))
     console.print(_cost(spec, some[0]))
+    if picture is not None:
+        with replacing(picture) as file:
+            draw_encoder(spec, some[0], hear(spec, some[0], None), file)
 
 
 def move(spec: RobotSpec, policy: Path, first: int) -> Motion:
