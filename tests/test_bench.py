@@ -118,7 +118,7 @@ def test_an_unknown_bench_is_refused(monkeypatch, capsys):
     )
 
 
-def test_a_picture_is_of_the_ablation_alone(monkeypatch, capsys):
+def test_a_picture_is_of_what_can_be_drawn(monkeypatch, capsys):
     seen = []
     monkeypatch.setitem(command.BENCHES, "ablation", lambda spec, policy, picture: seen.append(picture))
     codes = []
@@ -128,4 +128,4 @@ def test_a_picture_is_of_the_ablation_alone(monkeypatch, capsys):
             command.main(command.bench)
         codes.append(caught.value.code)
     assert (codes, seen) == ([0, 2], [Path("worth.png")])
-    assert "--picture worth.png: found 'start', expected ablation" in capsys.readouterr().err
+    assert "--picture worth.png: found 'start', expected estimate or ablation" in capsys.readouterr().err
