@@ -18,7 +18,7 @@ PERIOD_S = 0.1
 """s between two temperatures: windings have time constants of tens of seconds."""
 
 STEPS, BACK = 20, 1.5
-"""Steps of the foldback between nothing and all, each of which costs a new trajectory; and how many of them a motor
+"""Steps of the foldback from nothing to all of it, each of which costs a new trajectory; and how many of them a motor
 must have cooled before it gets one back, or it would go to and fro at every edge."""
 
 DEAF_S = 2.0
@@ -30,12 +30,27 @@ class Heat(Stage):
 
     Attributes:
         winding: (B, n) °C.
-        fold: (B, n) share of its current that a motor at work may still draw: 1 up to the soft limit, from there in a
-            straight line to `margins.fold_min` where the robot stops, `margins.winding_k` below the hard limit.
-        pace: (B,) share of its speed that a robot is still asked for: that of its hottest motor.
+        folded: (B, n) how far each motor is folded back: 0 up to the soft limit, from there in a straight line to 1
+            where the robot stops, `margins.winding_k` below the hard limit.
+        fold: (B, n) share of its current that a motor at work may still draw: down to `margins.fold_min`.
+        pace: (B,) share of its speed and acceleration that a robot is still asked for, by its hottest motor: it falls
+            to `margins.pace_min` as the current falls to `fold_min`, and lower, so that what is left of the current is
+            enough for what is left of the motion.
     """
 
-    carried = ("winding", "fold", "pace", "rise", "last", "housing", "heard", "square", "ticks", "unknown")
+    carried = (
+        "winding",
+        "folded",
+        "fold",
+        "pace",
+        "rise",
+        "last",
+        "housing",
+        "heard",
+        "square",
+        "ticks",
+        "unknown",
+    )
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Nothing is known before the first sample.
@@ -47,12 +62,13 @@ class Heat(Stage):
         self.winding, self.last, self.housing = np.full((3, *shape), np.nan)
         self.square, self.rise = np.zeros((2, *shape))
         self.heard = np.full(robots, -np.inf)
-        self.fold, self.pace = np.ones(shape), np.ones(robots)
+        self.folded, self.fold, self.pace = np.zeros(shape), np.ones(shape), np.ones(robots)
         self.ticks, self.unknown = np.zeros(robots, dtype=np.int64), np.ones(robots, dtype=bool)
         self._every = round(PERIOD_S / spec.dt)
         self._motors = nominal_windings(spec)
         self._tau = self._motors.to_housing * self._motors.capacity
-        self._soft, self._fold_min = spec.motor_array("winding_soft_c"), spec.margins.fold_min
+        self._soft = spec.motor_array("winding_soft_c")
+        self._fold_min, self._pace_min = spec.margins.fold_min, spec.margins.pace_min
         self._band = spec.motor_array("winding_max_c") - spec.margins.winding_k - self._soft
         self._dt = spec.dt
 
@@ -118,10 +134,11 @@ class Heat(Stage):
         self._fold_back()
 
     def _fold_back(self) -> None:
-        """Down by whole steps at once, up only by more than one."""
-        share = 1 - (1 - self._fold_min) * (self.winding - self._soft) / self._band
-        stepped = np.fmax(np.ceil(share * STEPS) / STEPS, self._fold_min)  # also where nothing is known
-        np.minimum(stepped, 1.0, out=stepped)
-        cooled = (share >= self.fold + BACK / STEPS) | (share >= 1 + (BACK - 1) / STEPS)
-        np.copyto(self.fold, stepped, where=(stepped < self.fold) | cooled)
-        self.fold.min(axis=1, out=self.pace)
+        """On by whole steps at once, back only by more than one."""
+        share = (self.winding - self._soft) / self._band
+        stepped = np.floor(np.clip(share, 0.0, 1.0) * STEPS) / STEPS
+        stepped[np.isnan(share)] = 1.0
+        cooled = share <= self.folded - BACK / STEPS
+        np.copyto(self.folded, stepped, where=(stepped > self.folded) | cooled)
+        np.subtract(1.0, (1.0 - self._fold_min) * self.folded, out=self.fold)
+        np.subtract(1.0, (1.0 - self._pace_min) * self.folded.max(axis=1), out=self.pace)

@@ -27,8 +27,8 @@ class Smoother(Stage):
         origin: (B, 4n + 2) where each robot's trajectory began and what was asked then: q, qd, qdd, target, pace,
             stopping.
         expected: (B, 4n + 2) the same of now, if all went as planned: a robot that differs gets a new trajectory.
-        pace: (B,) share of its speed that a robot may use to follow a target; an input. It may brake as hard as ever,
-            or a share that falls while it brakes would carry it beyond its target.
+        pace: (B,) share of its speed and acceleration that a robot may use to follow a target; an input. One that falls
+            while the robot brakes carries it beyond its target: it should fall in small steps.
         age: (B,) ticks since `origin`, less those at rest after a stop.
     """
 

@@ -130,7 +130,7 @@ class _Planner:
         self._otg, self._in = Ruckig(self._size, spec.dt), InputParameter(self._size)
         self._qd_max = np.tile(spec.margins.speed * spec.joint_array("qd_max"), (robots, 1))
         self._twice_jerk = np.tile(2 * spec.joint_array("qddd_max"), (robots, 1))
-        self._in.max_acceleration = [*np.tile(spec.joint_array("qdd_max"), robots), 1.0]
+        self._qdd_max = np.tile(spec.joint_array("qdd_max"), (robots, 1))
         self._in.max_jerk = [*self._twice_jerk.ravel() / 2, 1.0]
         self._in.synchronization = Synchronization.No
         self._in.per_dof_control_interface = [ControlInterface.Position] * self._size
@@ -173,10 +173,11 @@ class _Planner:
         self._in.per_dof_control_interface = [*of_joints, ControlInterface.Position]
 
     def _limit(self, pace: Floats) -> None:
-        """Bound the speed of each robot to its share (R,)."""
+        """Bound speed and acceleration of each robot to its share (R,)."""
         self._pace = pace.copy()
         self._speed = self._qd_max * pace[:, None]
         self._in.max_velocity = [*self._speed.ravel().tolist(), 1.0]
+        self._in.max_acceleration = [*(self._qdd_max * pace[:, None]).ravel().tolist(), 1.0]
 
     def _move_inside(self) -> None:
         """Move speeds off the limit where a target is followed."""

@@ -103,8 +103,9 @@ class Margins(Strict):
         stale_s: age of the newest sample that makes the robot slow down and hold.
         lost_s: age of the newest sample that makes it stop and cut power.
         winding_k: how far below winding_max_c the estimate of a winding may come: at that the robot stops for good.
-        fold_min: share of its current that a motor keeps there, enough to hold the arm. From winding_soft_c on it falls
-            to this share, and with it the speed and the acceleration that the robot is asked for.
+        fold_min: share of its current that a motor keeps there. From winding_soft_c on it falls to this share.
+        pace_min: share of speed and acceleration that the robot is still asked for there: low enough for the motion
+            to need no more current than is left, gravity included.
     """
 
     q_target_rad: PositiveFloat
@@ -119,6 +120,7 @@ class Margins(Strict):
     lost_s: PositiveFloat
     winding_k: PositiveFloat
     fold_min: Fraction
+    pace_min: Fraction
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

@@ -200,7 +200,7 @@ def test_no_plan_at_all_cuts_power_and_sends_no_nan(monkeypatch):
 
 def test_a_hot_housing_stops_its_robot():
     runtime = running(2)
-    runtime.robot.plant.housing[1, 2] = 85.0
+    runtime.robot.plant.housing[1, 2] = 95.0
     _, modes = play(runtime, 150)
     assert (modes[-1] == Mode.LATCHED).tolist() == [False, True]
     assert runtime.supervisor.reason[1] & Reason.HEAT

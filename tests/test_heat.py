@@ -18,7 +18,7 @@ from robots.windings import nominal_windings
 
 N, DT = SPEC.n, SPEC.dt
 SOFT, HARD = SPEC.motor_array("winding_soft_c"), SPEC.motor_array("winding_max_c")
-LIMIT, FOLD_MIN = HARD - SPEC.margins.winding_k, SPEC.margins.fold_min
+LIMIT, FOLD_MIN, PACE_MIN = HARD - SPEC.margins.winding_k, SPEC.margins.fold_min, SPEC.margins.pace_min
 NOMINAL = nominal_windings(SPEC)
 THERMAL = (r'thermal="1.0 40 0 0.0039 25 25"', r'thermal="2.0 12 0 0.0039 25 25"')
 
@@ -172,16 +172,16 @@ def test_begins_with_the_first_sample_that_is_whole(current, housing):
 @pytest.mark.parametrize("share", [-0.5, 0.0, 0.24, 0.5, 0.99, 1.0, 1.5])
 def test_folds_back_in_a_straight_line(share):
     heat = at(SOFT + share * (LIMIT - SOFT))
-    line = np.clip(1 - (1 - FOLD_MIN) * share, FOLD_MIN, 1)
-    assert (heat.fold >= line - 1e-9).all()
-    assert (heat.fold <= np.minimum(line + 1 / STEPS, 1) + 1e-9).all()
-    np.testing.assert_array_equal(heat.pace, heat.fold.min(axis=1))
+    for found, least in ((heat.fold, FOLD_MIN), (heat.pace, PACE_MIN)):
+        line = np.clip(1 - (1 - least) * share, least, 1)
+        assert (found >= line - 1e-9).all()
+        assert (found <= np.minimum(line + (1 - least) / STEPS, 1) + 1e-9).all()
 
 
 def test_gives_back_only_what_has_cooled_for_more_than_a_step():
     """A reading that goes to and fro by a kelvin changes nothing, however near to an edge it is."""
     heat, band = at(SOFT + 0.5 * (LIMIT - SOFT)), LIMIT - SOFT
-    step = band / (1 - FOLD_MIN) / STEPS
+    step = band / STEPS
     for middle in np.linspace(0.4, 0.6, 21):
         folds = set()
         for noise in (0.45, -0.45) * 4:
@@ -211,28 +211,32 @@ def test_a_robot_that_is_not_heard_for_long_does_not_know_its_windings(kind, how
         heat.step(t + tick * DT, late)
         assert np.isfinite(heat.winding).all() or tick * DT > DEAF_S - 0.2
     assert np.isnan(heat.winding).all()
-    assert heat.pace[0] == FOLD_MIN
+    assert heat.pace[0] == PACE_MIN
     live(heat, sample(6.0, SOFT - 20.0))
     np.testing.assert_allclose(heat.winding, known, rtol=0, atol=1.5)  # a period of warming
 
 
-def test_a_pace_that_falls_while_a_robot_brakes_carries_it_beyond_nothing():
-    smoother = Smoother(SPEC, 1)
-    home = SPEC.joint_array("q_home")[None]
-    smoother.hold(np.ones(1, dtype=bool), home)
-    far, still = home + 0.8, np.zeros(1, dtype=bool)
+def test_a_pace_that_falls_by_a_step_while_a_robot_brakes_leaves_it_inside_its_range():
+    """From full speed towards the end of the working range, at any moment of the braking."""
+    room = SPEC.margins.q_target_rad - SPEC.margins.q_soft_rad
+    home, still = SPEC.joint_array("q_home")[None], np.zeros(40, dtype=bool)
+    smoother, far = Smoother(SPEC, 40), np.repeat(home + 1.2, 40, axis=0)
+    smoother.hold(np.ones(40, dtype=bool), np.repeat(home, 40, axis=0))
+    beyond = 0.0
+    target = np.minimum(far, SPEC.joint_array("q_max") - SPEC.margins.q_target_rad)
     for tick in range(400):
-        smoother.pace[:] = max(FOLD_MIN, 1.0 - 0.05 * max(0, tick - 40) / 5)
+        smoother.pace[tick >= 40 + 3 * np.arange(40)] = 1.0 - (1.0 - PACE_MIN) / STEPS
         smoother.commit(smoother.next(far, still))
-        assert (smoother.q <= far + 1e-9).all()
-    np.testing.assert_allclose(smoother.q, far, atol=1e-6)
+        beyond = max(beyond, (smoother.q - target).max())
+    assert 0.0 < beyond < room
+    np.testing.assert_allclose(smoother.q, target, atol=1e-6)
 
 
 def test_the_pace_is_that_of_the_hottest_motor():
     winding = SOFT - 20.0
     winding[3] = LIMIT[3]
     heat = at(winding)
-    assert heat.pace[0] == FOLD_MIN == heat.fold[0, 3]
+    assert (heat.pace[0], heat.fold[0, 3]) == (PACE_MIN, FOLD_MIN)
     np.testing.assert_array_equal(np.delete(heat.fold[0], 3), 1.0)
 
 
@@ -289,9 +293,10 @@ def test_a_slower_pace_is_kept_and_a_stop_has_all_of_its_limits():
     gain = np.diff(speed, axis=0) / DT
     limit = SPEC.margins.speed * SPEC.joint_array("qd_max"), SPEC.joint_array("qdd_max")
     asked = np.r_[0:59, 131:298]
-    peak = np.abs(speed[asked, 1]).max(axis=0)
-    assert (peak <= 0.5 * limit[0] * (1 + 1e-5)).all()
-    assert (peak > 0.45 * limit[0]).any()
+    for value, most in zip((speed, gain), limit, strict=True):
+        peak = np.abs(value[asked, 1]).max(axis=0)
+        assert (peak <= 0.5 * most * (1 + 1e-5)).all()
+        assert (peak > 0.45 * most).any()
     assert (np.abs(gain[60:130, 1]).max(axis=0) > 0.7 * limit[1]).any()
     np.testing.assert_array_equal(smoother.q[0], whole.q[0])
 
@@ -329,7 +334,7 @@ def test_no_winding_passes_its_hard_limit_under_the_guard(tmp_path):
     assert SOFT[0] < hottest.max() < HARD[0]
     assert runtime.supervisor.mode[0] == Mode.LATCHED
     assert Reason(int(runtime.supervisor.reason[0])) == Reason.HEAT
-    assert runtime.estimator.heat.pace[0] == FOLD_MIN
+    assert runtime.estimator.heat.pace[0] == PACE_MIN
     np.testing.assert_allclose(runtime.state.winding.max(), hottest[-1], atol=8)
 
 

@@ -95,12 +95,15 @@ def test_a_closed_brake_takes_no_current_and_warms_nothing():
     plant = drawn(3)
     for _ in range(400):
         plant.step(command(np.tile(HOME, (3, 1))))
-    warm = plant.truth(0.0).winding_c.copy()
     assert (np.abs(plant.current) > 0.5).any(axis=1).all()
+    for k in range(60):
+        plant.step(command(np.tile(HOME + 0.8 * k * DT, (3, 1)), 0.8))
+    rise = plant.truth(0.0).winding_c - plant.housing
     for _ in range(2000):
-        plant.step(command(np.tile(HOME, (3, 1)), powered=False))
+        plant.step(command(np.tile(HOME, (3, 1)), powered=False))  # in the midst of a motion
         assert not plant.current.any()
-    assert (plant.truth(0.0).winding_c <= warm).all()
+    cooled = plant.truth(0.0).winding_c - plant.housing
+    np.testing.assert_allclose(cooled, rise * np.exp(-2000 * DT / np.repeat([40.0, 24.0], 3)), atol=0.2)
     plant.step(command(np.tile(HOME, (3, 1))))
     assert (np.abs(plant.current) > 0.5).any(axis=1).all()
 

@@ -10,8 +10,8 @@ from robots.draws import Draw
 
 R, K, KP, KD, VOLTS = 0, 1, 4, 6, 7
 """Places of resistance, motor constant, drive gains and voltage limit in a dcmotor's `gainprm`."""
-RWH, AMBIENT = 2, 4
-"""Places of winding-to-housing resistance and of ambient temperature in a dcmotor's `dynprm`."""
+RWH, CW, AMBIENT = 2, 3, 4
+"""Places of winding-to-housing resistance, of the winding's capacity and of ambient temperature in `dynprm`."""
 
 _LONG = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 """Shapes with a half-length, `size[1]`, that grows with the link; the others keep their size and only move."""

@@ -14,9 +14,6 @@ from robots.draws import Draw
 from robots.model_mujoco import INPUTS
 from robots.spec import Rates, RobotSpec
 
-BRAKED = 1e-6
-"""Factor of a winding's resistance while its brake holds."""
-
 
 class Drives(Stage):
     """Drives interpolate what a bus sends: taken as steps it would saturate the motors at every tick.
@@ -24,8 +21,8 @@ class Drives(Stage):
     `lines` (B, periods of physics, controls), newest last, is what they follow, on the motor's side: straight from
     command to command. Each robot's drives are at a place of it that lies `drives.delay_s` back.
 
-    MuJoCo has no brakes: where they are closed the drive holds the pose that they closed on, with all of its torque and
-    next to no resistance, so that its winding does not warm, and nobody reads a current.
+    MuJoCo has no brakes: where they are closed the drive holds the pose that they closed on. That costs no current: the
+    plant takes back what it would warm the winding by, and nobody reads one.
     """
 
     carried = ("lines", "held", "braked")
@@ -39,8 +36,6 @@ class Drives(Stage):
         self.held, self.braked = np.zeros((robots, n)), np.ones(robots, dtype=bool)
         self._limit, self._nominal = batch.expand("actuator_forcerange"), batch.model.actuator_forcerange
         self._share = np.ones((robots, n))
-        self._ohm = batch.expand("actuator_gainprm")[:, :, drawn.R]
-        self._wound = self._ohm.copy()
         self._lay_out(spec.rates, draw["drives.delay_s"])
 
     def _lay_out(self, rates: Rates, delay_s: Floats) -> None:
@@ -72,9 +67,7 @@ class Drives(Stage):
             self._share[:] = command.current
             self._limit[:] = self._nominal * self._share[:, :, None]
         off = ~command.powered
-        if some(self.braked & ~off):
-            self.braked &= off
-            self.apply()
+        self.braked &= off
         if some(off):
             self.brake(off, q)
         return self._rows.take(self._places, axis=0, out=self._control, mode="clip")
@@ -82,22 +75,14 @@ class Drives(Stage):
     def brake(self, ids: Bools, q: Floats) -> None:
         """Close the brakes of robots where `ids` (B,) holds on the motors' angles `q` (B, n) rad, at once."""
         closing = ids & ~self.braked
-        if some(closing):
-            self.held[closing] = q[closing]
-            self.braked |= ids
-            self.apply()
+        self.held[closing] = q[closing]
+        self.braked |= ids
         self._hold(np.flatnonzero(self.braked))
 
     def rest(self, rows: np.ndarray, q: Floats) -> None:
         """Robots `rows` have stood at `q` (B, n) rad for a while, brakes on."""
         self.held[rows], self.braked[rows] = q[rows], True
-        self.apply()
         self._hold(rows)
-
-    def apply(self) -> None:
-        """Write into the model whose brakes are closed."""
-        np.copyto(self._ohm, self._wound)
-        np.multiply(self._ohm, BRAKED, out=self._ohm, where=self.braked[:, None])
 
     def _hold(self, rows: np.ndarray) -> None:
         self._q[rows] = (self.held * self.gear)[rows]

@@ -92,6 +92,8 @@ class Plant(Stage):
         self._site, self._contacts = bind("site_xpos")[:, anatomy.tool], bind("ncon")
         self._sensordata = bind("sensordata")
         self._damping = self.batch.expand("dof_damping")[:, self._dofs]
+        motors = self.batch.model.actuator_dynprm
+        self._cooling = np.exp(-self._dt / (motors[:, drawn.RWH] * motors[:, drawn.CW]))
         # Of any kind: a simulation that is warned stops in the middle of a rollout, be it for a number that is not
         # finite or for contacts that found no room.
         self._warned = self.batch.warning[:, :, _NUMBER]
@@ -161,7 +163,6 @@ class Plant(Stage):
         super().restore(arrays)
         self.housings.apply()
         self.wear.apply()
-        self.drives.apply()
         self.payload.follow()
         self.pushes.follow()
         self._warned[:] = 0
@@ -173,7 +174,11 @@ class Plant(Stage):
         tick = int(self.tick[0])
         self.payload.step(tick)
         self.pushes.step(tick)
-        self._roll(self.drives.follow(command, self.motion.motor_q))
+        control, held = self.drives.follow(command, self.motion.motor_q), np.flatnonzero(self.braked)
+        warm = self._rise[held]
+        self._roll(control)
+        if len(held):
+            self._rise[held] = warm * self._cooling  # a closed brake takes no current
         self.tick[0] = tick = tick + 1
         self._settle()
         if tick % self._bus == 0:
