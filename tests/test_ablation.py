@@ -214,7 +214,7 @@ def test_a_careless_robot_neither_folds_back_nor_stops_for_heat():
 
 
 def test_the_hot_shift_of_robots_that_stand_still(arm_policy, quick_goals, monkeypatch):
-    """Windings that warm by the current that flowed: the simulation's, and ours beside it."""
+    """A row for each robot and variant; what it lacks of the limit is what its winding has not reached."""
     small = {"TRIED": 3, "TRIED_S": 1.0, "ROBOTS": 2, "LIVED_S": 3.0}
     for name, value in small.items():
         monkeypatch.setattr(hot, name, value)
@@ -226,6 +226,5 @@ def test_the_hot_shift_of_robots_that_stand_still(arm_policy, quick_goals, monke
     ]
     assert [row[2] for row in rows] == ["with the guard", "without"] * 2
     for row in rows:
-        assert float(row[3]) == pytest.approx(float(row[4]), abs=0.11)
-        assert float(row[3]) + float(row[5]) == pytest.approx(110.0, abs=0.11)
+        assert float(row[3]) + float(row[4]) == pytest.approx(110.0, abs=0.11)
     assert "windings beyond their hard limit: 0 robots with the guard, 0 without" in text

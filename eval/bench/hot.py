@@ -58,13 +58,12 @@ class Heated:
     """What B robots went through.
 
     Attributes:
-        winding, flowed: (B,) °C, the hottest true winding, and the hottest that the current which really flowed makes.
+        winding: (B,) °C, the hottest true winding.
         margin: (B,) K, the least that a true winding stayed below its hard limit.
         folded: (B,) share of the time. reached, attempted, stops: (B,) goals, and times that the work was left.
     """
 
     winding: Floats
-    flowed: Floats
     margin: Floats
     folded: Floats
     reached: NDArray[np.int64]
@@ -73,10 +72,10 @@ class Heated:
 
     def row(self, robot: int) -> tuple[str, ...]:
         """One robot, in words of the table."""
-        warm = (self.winding, self.flowed, self.margin, 100 * self.folded)
-        winding, flowed, margin, folded = (f"{values[robot]:.1f}" for values in warm)
+        warm = (self.winding, self.margin, 100 * self.folded)
+        winding, margin, folded = (f"{values[robot]:.1f}" for values in warm)
         goals = f"{self.reached[robot]} of {self.attempted[robot]}"
-        return winding, flowed, margin, goals, folded, str(self.stops[robot])
+        return winding, margin, goals, folded, str(self.stops[robot])
 
 
 def hot(spec: RobotSpec, policy: Path, console: Console) -> None:
@@ -86,7 +85,7 @@ def hot(spec: RobotSpec, policy: Path, console: Console) -> None:
     given = _warmed(spec, hot_draw(spec, who), housing[who].max(axis=1))
     found = {name: _work(spec, policy, who, given, swap) for name, swap in VARIANTS.items()}
     table = Table(
-        *("robot", "steady, °C", "", "hottest winding, °C", "by its current", "below its limit, K"),
+        *("robot", "steady, °C", "", "hottest winding, °C", "below its limit, K"),
         *("goals", "folded back, %", "stops"),
         title=f"The {ROBOTS} hottest of {TRIED}, {HOTTER_K:g} K warmer, loads x {HEAVIER:g}: {LIVED_S / 60:g} min each",
     )
@@ -163,20 +162,15 @@ def _work(
     spec: RobotSpec, policy: Path, who: NDArray[np.int64], given: Draw, swap: Callable[[Runtime], None]
 ) -> Heated:
     """A hot shift."""
-    trial, motors = Trial(spec, policy, _seeds(who), given=given), nominal_windings(spec)
+    trial = Trial(spec, policy, _seeds(who), given=given)
     swap(trial.runtime)
-    hottest, flowed = np.full((2, len(who), spec.n), -np.inf)
-    rise, folded = np.zeros((len(who), spec.n)), np.zeros(len(who), dtype=np.int64)
+    hottest, folded = np.full((len(who), spec.n), -np.inf), np.zeros(len(who), dtype=np.int64)
     for _ in trial.live(LIVED_S):
-        truth = trial.robot.truth()
-        rise += spec.dt * (trial.copper_w() - rise / motors.to_housing) / motors.capacity
-        np.maximum(hottest, truth.winding_c, out=hottest)
-        np.maximum(flowed, truth.housing_c + rise, out=flowed)
+        np.maximum(hottest, trial.robot.truth().winding_c, out=hottest)
         folded += (trial.runtime.command.current < 1.0).any(axis=1)
     counts = trial.judge.counts()
     return Heated(
         winding=hottest.max(axis=1),
-        flowed=flowed.max(axis=1),
         margin=(spec.motor_array("winding_max_c") - hottest).min(axis=1),
         folded=np.asarray(folded * spec.dt / LIVED_S),
         reached=counts.reached,
