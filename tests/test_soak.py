@@ -14,10 +14,12 @@ pytest.importorskip("mujoco")
 
 from deploy.policy import Policy
 from eval import soak as command
+from eval.asked import Soak
 from eval.budget import BUDGET
+from eval.collect import collect
 from eval.report.data import Run
 from eval.shard import WIDTH, Shard, ShardJob
-from eval.soak import Soak, collect, run_soak
+from eval.soak import run_soak
 from robots.errors import ConfigError
 
 CONSOLE = Console(quiet=True)
@@ -123,7 +125,7 @@ def test_wear_is_sampled_as_it_is_and_unknown_where_the_simulation_diverged(arm_
 def test_the_operator_comes_to_latched_robots(arm_policy, quick_goals):
     shard = Shard(job(arm_policy, ticks=13_000))
     housing = shard.runtime.robot.plant.housing
-    housing[2, 1] = 85.0
+    housing[2, 1] = 95.0
     result = shard.run(
         lambda ticks: housing.__setitem__((2, 1), 30.0) if ticks == 2000 else None, lambda: False
     )

@@ -27,6 +27,7 @@ from rich.console import Console
 
 from deploy.cli import PASSED, main
 from deploy.policy import Policy
+from eval.asked import Soak
 from eval.bench.ablation import ablation
 from eval.bench.estimate import estimate
 from eval.bench.floating import floating
@@ -36,7 +37,7 @@ from eval.bench.stages import SEED, stages
 from eval.budget import BUDGET, check, load_budget
 from eval.counts import MONITORS, merge
 from eval.shard import WIDTH, Shard, ShardJob
-from eval.soak import Soak, run_soak
+from eval.soak import run_soak
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 

@@ -1,0 +1,53 @@
+"""What a soak is asked for, and the jobs that this makes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from deploy.policy import Policy
+from eval.shard import WIDTH, ShardJob
+from robots.spec import RobotSpec
+
+SAMPLE_S = 60.0
+"""s between two samples of heat, wear and goals, in a soak long enough for `SAMPLES` of them."""
+SAMPLES = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Soak:
+    """What was asked for."""
+
+    spec: RobotSpec
+    policy: Policy
+    policy_path: Path
+    budget: Path
+    hours: float
+    robots: int
+    seed: int
+    workers: int
+
+    @property
+    def ticks(self) -> int:
+        """Control ticks that each robot lives."""
+        return max(1, round(self.hours * 3600 / self.spec.dt))
+
+    @property
+    def sample_ticks(self) -> int:
+        """Control ticks between two samples."""
+        return max(1, min(round(SAMPLE_S / self.spec.dt), self.ticks // SAMPLES))
+
+    def jobs(self) -> list[ShardJob]:
+        """Shards of `WIDTH` robots; the last may count fewer."""
+        return [
+            ShardJob(
+                robot=self.spec.folder,
+                policy=self.policy_path,
+                robot_digest=self.spec.digest,
+                policy_digest=self.policy.digest,
+                seed=self.seed,
+                first=start,
+                robots=min(WIDTH, self.robots - start),
+                ticks=self.ticks,
+                sample_ticks=self.sample_ticks,
+            )
+            for start in range(0, self.robots, WIDTH)
+        ]
