@@ -29,7 +29,7 @@ from robots.spec import RobotSpec
 SEED, ROBOTS, LIVED_S = 11, 64, 60.0
 JERK = 3
 """Order of the backward difference of an angle."""
-BASE, SWAPPED = "#1f5f8b", "#c9743a"
+WHOLE, SWAPPED, IDLE = "#1f5f8b", "#c9743a", "#e8cfbd"
 
 
 class Newest(Estimator):
@@ -248,10 +248,12 @@ def draw_worth(found: Mapping[str, Worth], file: Path) -> None:
     """A panel for each column, a bar for each variant; PNG, made to be shown 800 px wide."""
     with mpl.rc_context({"font.size": 8.5, "axes.spines.top": False, "axes.spines.right": False}):
         figure = Figure(figsize=(8.0, 3.6), dpi=200, facecolor="white", layout="constrained")
+        figure.supxlabel("pale: a robot that stands still most of the time", fontsize=8.5)
+        colours = [WHOLE, *(SWAPPED if worth.running > 50 else IDLE for worth in list(found.values())[1:])]
         panels = figure.subplots(2, len(COLUMNS) // 2, sharey=True)
         for axes, (field, title) in zip(panels.flat, COLUMNS.items(), strict=True):
             values = [getattr(worth, field) for worth in found.values()]
-            bars = axes.barh(list(found), values, color=[BASE, *[SWAPPED] * (len(found) - 1)], height=0.7)
+            bars = axes.barh(list(found), values, color=colours, height=0.7)
             axes.bar_label(bars, [_figure(value) for value in values], padding=2)
             axes.set_title(title, fontsize=8.5, loc="left")
             axes.set_xlim(0, 1.35 * max(values) or 1.0)
