@@ -78,3 +78,16 @@ def test_published_course_of_an_re40_in_steps_of_a_second():
         if k % 20 == 19:
             housing += 1.0 / RE40.housing_capacity * ((winding - housing) * inner - (housing - 25.0) * outer)
     assert (winding, housing) == pytest.approx(temperatures(RE40, 3.12, 25.0, 600.0), abs=0.2)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.6])
+def test_a_saturated_motor_warms_by_the_current_that_its_limit_lets_through(share):
+    """Not by the one that its voltage would drive: that would be forty times the heat."""
+    plant, tau, current = exact(1, {"joints.armature": 20.0}), np.zeros(N), np.ones(N)
+    tau[5], current[5] = 1000.0, share
+    for _ in range(40):
+        plant.step(command(HOME, tau=tau, current=current))
+    amperes = share * 28.0 / 101 / 0.1
+    assert plant.current[0, 5] == pytest.approx(amperes, rel=0.01)
+    rise = plant.truth(0.0).winding_c[0, 5] - plant.housing[0, 5]
+    assert rise == pytest.approx(amperes**2 * 3.0 * 40 * DT / 12.0, rel=0.03)

@@ -8,8 +8,9 @@ from deploy.backends.sim.anatomy import Anatomy
 from deploy.state import Floats
 from robots.draws import Draw
 
-R, K, KP, KD, VOLTS = 0, 1, 4, 6, 7
-"""Places of resistance, motor constant, drive gains and voltage limit in a dcmotor's `gainprm`."""
+R, K, ALPHA, COLD, KP, KD, VOLTS = 0, 1, 2, 3, 4, 6, 7
+"""Places in a dcmotor's `gainprm` of resistance, motor constant, the resistance's coefficient of temperature and the
+temperature that it is of, drive gains and voltage limit."""
 RWH, CW, AMBIENT = 2, 3, 4
 """Places of winding-to-housing resistance, of the winding's capacity and of ambient temperature in `dynprm`."""
 

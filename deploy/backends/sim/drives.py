@@ -21,8 +21,8 @@ class Drives(Stage):
     `lines` (B, periods of physics, controls), newest last, is what they follow, on the motor's side: straight from
     command to command. Each robot's drives are at a place of it that lies `drives.delay_s` back.
 
-    MuJoCo has no brakes: where they are closed the drive holds the pose that they closed on. That costs no current: the
-    plant takes back what it would warm the winding by, and nobody reads one.
+    MuJoCo has no brakes: where they are closed the drive holds the pose that they closed on, and the plant says that it
+    takes no current for that.
     """
 
     carried = ("lines", "held", "braked")

@@ -1,4 +1,4 @@
-"""The housings of B robots' motors: the node that MuJoCo's motors do not have."""
+"""How B robots' motors warm: the windings, whose resistance MuJoCo's motors know, and the housings, which they lack."""
 
 import numpy as np
 from mujoco.batch import Batch
@@ -9,9 +9,43 @@ from deploy.state import Floats
 from robots.draws import Draw
 from robots.spec import RobotSpec
 
+STILL = 1e12
+"""J/K: the capacity by which MuJoCo's own winding does not warm."""
+
+
+class Windings(Stage):
+    """The winding's node is MuJoCo's activation, a rise over the housing, which its resistance follows.
+
+    It is integrated here: MuJoCo heats a saturated motor by the current that its voltage would drive, not by the one
+    that its limit of torque lets through. `square` (B, n) A² are the squared currents of the ticks since the last time.
+    """
+
+    carried = ("square",)
+
+    def __init__(self, batch: Batch, draw: Draw) -> None:
+        """Read the motors, and keep MuJoCo from warming them."""
+        gain, dynamics = batch.expand("actuator_gainprm"), batch.expand("actuator_dynprm")
+        self._ohm, self._alpha, self._cold = (
+            gain[:, :, place].copy() for place in (drawn.R, drawn.ALPHA, drawn.COLD)
+        )
+        self._to_housing, self._capacity = (dynamics[:, :, place].copy() for place in (drawn.RWH, drawn.CW))
+        dynamics[:, :, drawn.CW] = STILL
+        self.square = np.zeros((draw.robots, self._ohm.shape[1]))
+
+    def warm(self, rise: Floats, housing: Floats, ticks: int, dt: float) -> None:
+        """Live through some ticks of `dt` s. Source: see `robots.motor`; steps are far below the windings' seconds.
+
+        Args:
+            rise: (B, n) K, written. housing: (B, n) °C.
+            ticks: how many `square` is of. dt: s.
+        """
+        loss = self.square * self._ohm * (1.0 + self._alpha * (housing + rise - self._cold))
+        rise += dt / self._capacity * (loss - ticks * rise / self._to_housing)
+        self.square[:] = 0.0
+
 
 class Housings(Stage):
-    """MuJoCo's `dcmotor` holds the winding's node, as a rise over an ambient; that ambient is the housing.
+    """What the windings lie in, and what MuJoCo's motors take for their ambient.
 
     Source: see `robots.motor`. Iron loss, iron (gear qd)², and what the joint's friction and damping turn into heat
     warm the housing, where rotor, gear and bearings sit.

@@ -10,7 +10,7 @@ from deploy.backends.sim import drawn
 from deploy.backends.sim.anatomy import Anatomy, build
 from deploy.backends.sim.disturbances import Payload, Pushes
 from deploy.backends.sim.drives import Drives, Supply
-from deploy.backends.sim.heat import Housings
+from deploy.backends.sim.heat import Housings, Windings
 from deploy.backends.sim.motion import Motion
 from deploy.backends.sim.truth import Truth
 from deploy.backends.sim.wear import Wear, Worn
@@ -40,7 +40,15 @@ class Plant(Stage):
 
     carried = (
         *("rows", "tick", "valid", "current", "sensed", "tool", "tool_velocity", "travel", "turned"),
-        *("drives.lines", "drives.held", "drives.braked", "supply.limit", "housings.celsius", "wear.life"),
+        *(
+            "drives.lines",
+            "drives.held",
+            "drives.braked",
+            "supply.limit",
+            "housings.celsius",
+            "windings.square",
+            "wear.life",
+        ),
         *("payload.turn", "payload.until", "pushes.turn", "pushes.until"),
     )
 
@@ -68,7 +76,7 @@ class Plant(Stage):
         self.motion = Motion(self.batch, anatomy)
         self.drives = Drives(spec, self.batch, draw)
         self.supply = Supply(self.batch, draw, self.drives.gear)
-        self.housings = Housings(spec, self.batch, draw)
+        self.windings, self.housings = Windings(self.batch, draw), Housings(spec, self.batch, draw)
         self.wear = Wear(distributions.wear, self.batch, anatomy, draw)
         self.payload = Payload(self.batch, anatomy, draw, seeds, spec.dt)
         self.pushes = Pushes(self.batch, anatomy, draw, seeds, spec.dt)
@@ -92,8 +100,6 @@ class Plant(Stage):
         self._site, self._contacts = bind("site_xpos")[:, anatomy.tool], bind("ncon")
         self._sensordata = bind("sensordata")
         self._damping = self.batch.expand("dof_damping")[:, self._dofs]
-        motors = self.batch.model.actuator_dynprm
-        self._cooling = np.exp(-self._dt / (motors[:, drawn.RWH] * motors[:, drawn.CW]))
         # Of any kind: a simulation that is warned stops in the middle of a rollout, be it for a number that is not
         # finite or for contacts that found no room.
         self._warned = self.batch.warning[:, :, _NUMBER]
@@ -145,6 +151,7 @@ class Plant(Stage):
         self._ctrl[rows] = self.drives.goal[rows]
         self.supply.rest(rows)
         self.housings.reset(rows)
+        self.windings.square[rows] = 0.0
         self.wear.reset(rows)
         self.pushes.apply(rows)
         self.travel[rows] = self.turned[rows] = 0.0
@@ -174,14 +181,11 @@ class Plant(Stage):
         tick = int(self.tick[0])
         self.payload.step(tick)
         self.pushes.step(tick)
-        control, held = self.drives.follow(command, self.motion.motor_q), np.flatnonzero(self.braked)
-        warm = self._rise[held]
-        self._roll(control)
-        if len(held):
-            self._rise[held] = warm * self._cooling  # a closed brake takes no current
+        self._roll(self.drives.follow(command, self.motion.motor_q))
         self.tick[0] = tick = tick + 1
         self._settle()
         if tick % self._bus == 0:
+            self.windings.warm(self._rise, self.housing, self._bus, self._dt)
             self.supply.sink(self.current, self.motion.motor_qd, self.wear.constant)
         if tick % self._slow == 0:
             self._settle_slowly()
@@ -207,6 +211,7 @@ class Plant(Stage):
         np.divide(self._force, self.wear.constant, out=self.current)
         if some(self.braked):
             self.current[self.braked] = 0.0
+        self.windings.square += self.current * self.current
         self.sensed[:] = self._sensordata
         np.subtract(self._site, self.tool, out=self.tool_velocity)
         self.tool_velocity /= self._dt
@@ -220,7 +225,7 @@ class Plant(Stage):
         """Heat and age, for all ticks since the last time; what a diverged simulation says of itself does not count."""
         lost = ~self.valid
         if some(lost):
-            self.travel[lost] = self.turned[lost] = self._rise[lost] = 0.0
+            self.travel[lost] = self.turned[lost] = self.windings.square[lost] = self._rise[lost] = 0.0
         self.travel *= self._dt
         self.turned *= self._dt
         rubbed = self.wear.friction * self.travel + self._damping * self.turned
