@@ -11,6 +11,7 @@ pytest.importorskip("mujoco")
 from deploy.policy import Policy
 from eval.bench import __main__ as command
 from eval.bench import estimate, stages, stopwatch
+from eval.bench.encoder import draw_encoder
 from eval.bench.heard import Motion
 from eval.bench.idle import make_idle
 from eval.bench.plain import PlainRobot
@@ -75,7 +76,7 @@ def test_the_plain_composition_moves_its_robot(arm_policy):
     np.testing.assert_allclose(robot._data.qpos, robot._target, atol=0.01)
 
 
-def test_the_worth_of_the_estimator_is_measured_against_what_really_happened():
+def test_the_worth_of_the_estimator_is_measured_against_what_really_happened(tmp_path):
     """On a motion and a delay that are known: raw angles are two ticks old, estimates are not."""
     seeds = [robot_seed(2, robot) for robot in range(4)]
     plain = {f"sensors.{name}": 0.0 for name in ("bias", "drift", "jitter", "loss", "repeat")}
@@ -97,6 +98,8 @@ def test_the_worth_of_the_estimator_is_measured_against_what_really_happened():
     assert ratio == pytest.approx(qd / differenced, abs=0.001)
     assert estimate._outage(SPEC, motion).startswith("100 ms without a packet: error up to ")
     assert "mean NEES" in estimate._consistency(SPEC, [motion])
+    draw_encoder(SPEC, motion, estimate.hear(SPEC, motion, None), tmp_path / "encoder.png")
+    assert (tmp_path / "encoder.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_an_idle_policy_loads_and_asks_for_nothing(tmp_path):
