@@ -165,10 +165,13 @@ class Estimator(Stage):
             e[missing], p00[missing] = self.e[missing], self.p00[missing]
             dt[missing], residual[missing], variance[missing] = 0.0, 0.0, np.inf
         np.copyto(self.t_sample, packet.t[:, None], where=fused)
-        self.e[:], self.p00[:] = e, p00
-        self.p01 += dt * (self.p11 + self._g01 * dt)
-        self.p11 += self._g11 * dt
-        self._correct(residual, variance)
+        p01, p11 = self.p01 + dt * (self.p11 + self._g01 * dt), self.p11 + self._g11 * dt
+        k0, k1 = p00 / variance, p01 / variance
+        np.add(e, k0 * residual, out=self.e)
+        self.ed += k1 * residual
+        np.subtract(p00, k0 * p00, out=self.p00)
+        np.subtract(p01, k0 * p01, out=self.p01)
+        np.subtract(p11, k1 * p01, out=self.p11)
         return fused
 
     def _fuse_speed(self, t: float, packet: Packet) -> None:
@@ -200,14 +203,6 @@ class Estimator(Stage):
         """(B, n) rad², variance of the angle after `dt` (B, n) s without a sample."""
         return self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._g00 * dt))
 
-    def _correct(self, residual: Floats, variance: Floats) -> None:
-        k0, k1 = self.p00 / variance, self.p01 / variance
-        self.e += k0 * residual
-        self.ed += k1 * residual
-        self.p11 -= k1 * self.p01
-        self.p01 -= k0 * self.p01
-        self.p00 -= k0 * self.p00
-
     def _listen(self, said: Floats, reference: Floats, fused: Bools) -> None:
         """Look for encoders that say the very same again and again, and for filters that do not know what they do."""
         other = fused & (said != self.said)
@@ -227,7 +222,8 @@ class Estimator(Stage):
     def _now(self, t: float, sample: Sample, sent: Setpoint) -> State:
         lag = t - self.t_sample
         age = lag.max(axis=1)
-        np.copyto(age, np.inf, where=~self.seeded)
+        if not every(self.seeded):
+            age[~self.seeded] = np.inf
         return State(
             t=t,
             q=sent.q + (self.e + self.ed * lag),
