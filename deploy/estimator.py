@@ -27,8 +27,11 @@ LOOK_S = 0.02
 """s between two looks at what the sensors and the filters have been saying."""
 MEMORY, DIVERGED = 50.0, 9.0
 """Samples of the running mean of squared innovations, and the mean above which a filter does not know what it does."""
-REFUSED_S = 0.1
-"""s without a sample inside the gate, while others come, after which a filter begins anew with the next."""
+CONFIRMED, REFUSED = 10, 20
+"""Samples within the gate, from the first on, until which a filter is not believed: before that one beyond the gate
+takes the place of the first. And samples in a row beyond the gate after which a filter begins anew."""
+RESTS = 0.05
+"""rad/s below which a joint may be said to rest."""
 
 
 class Estimator(Stage):
@@ -38,6 +41,7 @@ class Estimator(Stage):
         e, ed: (B, n) rad and rad/s, and p00, p01, p11 (B, n) their covariance, at t_sample (B, n) s.
         t_speed: (B,) s, when the last measured speeds were taken.
         nis: (B, n) running mean of the squared innovations, in variances: 1 if they are as large as they should be.
+        many, refused: (B, n) samples fused since the filter began, and samples in a row beyond the gate.
         sent: (B, ticks, 2n) setpoints remembered, angles and speeds.
         said: (B, n) rad, the sample at the last look. moved: (B, n) rad, the setpoint when it was first said.
             same: (B, n) looks since. fault: (B,) what was found at the last look.
@@ -45,7 +49,7 @@ class Estimator(Stage):
     """
 
     carried = (
-        *("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "nis", "seeded"),
+        *("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "nis", "many", "refused", "seeded"),
         *("sent", "said", "moved", "same", "fault"),
         *(f"heat.{name}" for name in Heat.carried),
     )
@@ -62,7 +66,8 @@ class Estimator(Stage):
         self.p00, self.p01, self.p11 = np.zeros((3, *shape))
         self.t_sample, self.t_speed = np.zeros(shape), np.full(robots, -np.inf)
         self.seeded = np.zeros(robots, dtype=bool)
-        self.same, self.fault = np.zeros(shape, dtype=np.int64), np.zeros(robots, dtype=np.int64)
+        self.same, self.many, self.refused = np.zeros((3, *shape), dtype=np.int64)
+        self.fault = np.zeros(robots, dtype=np.int64)
         self.heat, self._dt, self._depth = Heat(spec, robots), spec.dt, round(REMEMBERED_S / spec.dt)
         self.sent = np.zeros((robots, self._depth, 2 * spec.n))
         self._row, self._n = np.arange(robots) * self._depth, spec.n
@@ -78,7 +83,7 @@ class Estimator(Stage):
 
     def reset(self, ids: Bools, sent: Setpoint) -> None:
         """Forget robots where `ids` (B,) holds, sent to rest at `sent` for long; their next sample seeds them."""
-        self.seeded[ids] = False
+        self.seeded[ids], self.many[ids] = False, 0
         self.follow(ids, sent, sent)
         self.heat.reset(ids)
 
@@ -94,7 +99,7 @@ class Estimator(Stage):
 
         A packet from the future by more than a period (it would look fresh for ever) or older than is remembered, and
         an angle that is not finite or older than the last, is left out, as if it had never arrived. So is one beyond
-        the gate.
+        the gate. A robot is infinitely stale until every joint's filter is confirmed.
 
         Args:
             t: s, now, a whole number of periods.
@@ -106,28 +111,33 @@ class Estimator(Stage):
         self.sent[:, self._place] = np.concatenate((sent.q, sent.qd), axis=1)
         packet = sample["encoder"]
         there = self._there(t, packet)
-        reference, _ = self._sent_at(packet.t, there)
+        reference, _ = self._sent_at(packet.t, there, tick)
         deviation, finite = packet.value - reference, np.isfinite(packet.value)
         if not every(self.seeded):
             self._seed(~self.seeded & there & finite.all(axis=1), packet, deviation)
         new = (packet.t[:, None] > self.t_sample) & (there & self.seeded)[:, None] & finite
         fused = self._fuse(packet, deviation, new)
         if "velocity" in sample:
-            self._fuse_speed(t, sample["velocity"])
+            self._fuse_speed(t, sample["velocity"], tick)
         if tick % self._look == 0:
             self._listen(packet.value, reference, fused)
         self.heat.step(t, sample)
         return self._now(t, sample, sent)
+
+    @property
+    def moving(self) -> Bools:
+        """(B,) whether a joint strays from its setpoint by more than the estimate's own doubt."""
+        return np.asarray((np.abs(self.ed) > RESTS + 3.0 * np.sqrt(self.p11)).any(axis=1))
 
     def _there(self, t: float, packet: Packet) -> Bools:
         """(B,) whether a packet arrived that may count."""
         recent = (packet.t <= t + self._dt) & (packet.t > t - (self._depth - 1) * self._dt)
         return np.asarray(packet.fresh & recent)
 
-    def _sent_at(self, t: Floats, there: Bools) -> tuple[Floats, Floats]:
-        """(B, n) rad and rad/s, where the joints were sent for the times t (B,), and how fast."""
+    def _sent_at(self, t: Floats, there: Bools, tick: int) -> tuple[Floats, Floats]:
+        """(B, n) rad and rad/s, where the joints were sent for the times t (B,), and how fast; now is `tick`."""
         ticks = (t if every(there) else np.where(there, t, 0.0)) / self._dt
-        whole = np.rint(ticks)
+        whole = np.minimum(np.rint(ticks), tick)
         place = self._row + whole.astype(np.int64) % self._depth
         sent = self.sent.reshape(-1, 2 * self._n).take(place, axis=0)
         q, qd = sent[:, : self._n], sent[:, self._n :]
@@ -144,6 +154,7 @@ class Estimator(Stage):
             return
         self.e[joints], self.ed[joints] = deviation[joints], 0.0
         self.p00[joints], self.p01[joints], self.p11[joints] = self._r[joints], 0.0, SPEED_STD**2
+        self.many[joints], self.refused[joints] = 1, 0
         np.copyto(self.t_sample, packet.t[:, None], where=joints)
 
     def _fuse(self, packet: Packet, deviation: Floats, new: Bools) -> Bools:
@@ -155,13 +166,15 @@ class Estimator(Stage):
         residual, variance = deviation - e, p00 + self._r
         square = residual * residual / variance
         fused: Bools = np.asarray(new & (square <= GATE**2))
+        self.many += fused
         if every(fused):
             self.nis += (square - self.nis) / MEMORY
+            self.refused[:] = 0
         else:
             surprise = np.minimum(square, GATE**2) - self.nis
             np.add(self.nis, surprise / MEMORY, out=self.nis, where=new)
-            self._begin_anew(new & ~fused & (dt > REFUSED_S), packet, deviation)
             missing = ~fused
+            self._refuse(new & missing, fused, packet, deviation)
             e[missing], p00[missing] = self.e[missing], self.p00[missing]
             dt[missing], residual[missing], variance[missing] = 0.0, 0.0, np.inf
         np.copyto(self.t_sample, packet.t[:, None], where=fused)
@@ -174,13 +187,20 @@ class Estimator(Stage):
         np.subtract(p11, k1 * p01, out=self.p11)
         return fused
 
-    def _fuse_speed(self, t: float, packet: Packet) -> None:
+    def _refuse(self, beyond: Bools, fused: Bools, packet: Packet, deviation: Floats) -> None:
+        """Count samples beyond the gate; a filter that nobody has confirmed, or that refuses all, begins anew."""
+        self.refused += beyond
+        self.refused[fused] = 0
+        lost = (self.many < CONFIRMED) | (self.refused >= REFUSED)
+        self._begin_anew(beyond & lost, packet, deviation)
+
+    def _fuse_speed(self, t: float, packet: Packet, tick: int) -> None:
         """Correct by measured speeds, where the robot has any, each once.
 
         One that was not taken with the belief's own sample counts with the variance that lies between the two times.
         """
         there = self._there(t, packet) & (packet.t > self.t_speed) & self.seeded
-        residual = packet.value - self._sent_at(packet.t, there)[1] - self.ed
+        residual = packet.value - self._sent_at(packet.t, there, tick)[1] - self.ed
         apart = np.abs(self._each_joint(packet.t) - self.t_sample)
         variance = self.p11 + self._r_speed + self._g11 * apart
         fused = there[:, None] & (residual * residual <= GATE**2 * variance)
@@ -222,8 +242,9 @@ class Estimator(Stage):
     def _now(self, t: float, sample: Sample, sent: Setpoint) -> State:
         lag = t - self.t_sample
         age = lag.max(axis=1)
-        if not every(self.seeded):
-            age[~self.seeded] = np.inf
+        confirmed = self.many >= CONFIRMED
+        if not every(confirmed):
+            age[~(confirmed.all(axis=1) & self.seeded)] = np.inf
         return State(
             t=t,
             q=sent.q + (self.e + self.ed * lag),

@@ -182,7 +182,7 @@ class FloatingBase(Stage):
         white = np.where(stands[..., None], whiten(S, residual), 0.0)
         np.copyto(self.innovation, white, where=fused[:, None, None])
         nis = (white * white).sum(axis=2)
-        best = np.where(stands, nis, NIS_MAX).min(axis=1)
+        best = np.where(stands, np.minimum(nis, NIS_MAX), NIS_MAX).min(axis=1)
         self.nis += np.where(stands.any(axis=1), (best - self.nis) / NIS_SAMPLES, 0.0)
         return np.asarray(stands & (nis <= GATE))
 

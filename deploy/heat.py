@@ -99,14 +99,15 @@ class Heat(Stage):
             self._warm(housing.value)
             self._listen(t, current, housing)
 
-    def _hear(self, current: Packet, housing: Packet) -> None:
-        """When each robot's newest whole pair of packets was taken."""
-        whole = np.isfinite(current.value + housing.value).all(axis=1)
-        np.copyto(self.heard, np.minimum(current.t, housing.t), where=whole)
+    def _hear(self, t: float, current: Packet, housing: Packet) -> None:
+        """When each robot's newest whole pair of packets was taken; none is believed to come from the future."""
+        taken, latest = np.minimum(current.t, housing.t), np.maximum(current.t, housing.t)
+        whole = np.isfinite(current.value + housing.value).all(axis=1) & (latest <= t + self._dt)
+        np.copyto(self.heard, taken, where=whole)
 
     def _begin(self, t: float, current: Packet, housing: Packet) -> None:
         """Start with what is measured, where every joint of a robot is heard."""
-        self._hear(current, housing)
+        self._hear(t, current, housing)
         ready = self.unknown & (t - self.heard <= DEAF_S)
         ids = ready[:, None]
         # A housing that was not heard meanwhile may have cooled, but nobody saw its winding cool.
@@ -118,7 +119,7 @@ class Heat(Stage):
 
     def _listen(self, t: float, current: Packet, housing: Packet) -> None:
         """Who has not been heard for long knows nothing; the rise is kept for when it is heard again."""
-        self._hear(current, housing)
+        self._hear(t, current, housing)
         deaf = (t - self.heard > DEAF_S) & ~self.unknown
         if some(deaf):
             self.rise[deaf] = (self.winding - self.housing)[deaf]

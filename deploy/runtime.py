@@ -181,7 +181,7 @@ class Runtime:
         return _where(~lost, planned, self.smoother.sent)
 
     def arm(self, ids: Bools) -> Ints:
-        """Power robots where `ids` holds, drives are off and nothing speaks against it.
+        """Power robots where `ids` holds, drives are off, joints rest and nothing speaks against it.
 
         Returns:
             (B,) reasons of those that were refused, 0 elsewhere.
@@ -190,6 +190,7 @@ class Runtime:
         here = Setpoint(q=self.state.q, qd=np.zeros_like(self.state.q), qdd=np.zeros_like(self.state.q))
         verdict = self.safety.step(self.state, here, here, here, here.q, here.q)
         reason = np.where(ids, verdict.reason | self.state.fault, 0)
+        reason[ids & self.estimator.moving] |= _VELOCITY
         self.asked[ids] = 0
         granted = ids & (reason == 0)
         self.supervisor.arm(granted)
@@ -213,8 +214,8 @@ class Runtime:
         self.asked[ids] = 0
 
 
-_NOT_FINITE = np.int64(Reason.NOT_FINITE)
-"""As numpy's own number, which is five times as fast as an enumeration's."""
+_NOT_FINITE, _VELOCITY = np.int64(Reason.NOT_FINITE), np.int64(Reason.VELOCITY)
+"""As numpy's own numbers, which are five times as fast as an enumeration's."""
 _NOWHERE = Setpoint(q=np.array(np.nan), qd=np.array(np.nan), qdd=np.array(np.nan))
 
 

@@ -44,7 +44,8 @@ class State(NamedTuple):
         t: s, now.
         q: (B, n) rad. qd: (B, n) rad/s.
         q_var: (B, n) rad², variance of `q`.
-        age: (B,) s since the newest sample was taken.
+        age: (B,) s since the newest sample that was believed was taken, of the joint whose is oldest; infinite where a
+            filter is not confirmed yet.
         nis: (B, n) running mean of squared innovations, in variances: far above 1 where the filter does not fit.
         temperature: (B, n) °C, motor housing.
         winding: (B, n) °C, and fold: (B, n) share of its current that a drive may use at work, as `Heat` has them.

@@ -27,7 +27,8 @@ UNSEEN = (
     " scheduled. Nothing interferes with cables, and no encoder's error depends on the angle.",
     "Drives are ideal: current follows at once, and their software has no limits, filters or faults of its own."
     " Commands reach a drive late, always by the same time, and are never lost.",
-    "The supply sags and never fails. Brakes are drives that hold.",
+    "The supply sags and never fails. Brakes are drives that hold. Currents are looked at once a control tick, by the"
+    " simulated windings as by the observer that guards them: what lies between warms neither.",
     "A payload appears at the tool and vanishes, a push is a force on one link, the cable a spring without weight:"
     " nothing is gripped, nobody is clamped, and there is nothing to bump into but the robot and its model's scene.",
     "The computer keeps every period: simulated time waits for it.",

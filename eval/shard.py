@@ -23,6 +23,8 @@ from robots.spec import load_robot
 WIDTH = 8
 """Robots in a shard, of which the last shard may count fewer: wide enough to share costs, narrow enough that 16
 robots keep two cores busy."""
+ARM_S = 0.2
+"""s after which robots are armed for the first time: until then their estimators have not heard enough."""
 LOOK_S = 1.0
 """s between two looks at progress, interruption and latched robots."""
 OPERATOR_S = 60.0
@@ -124,7 +126,7 @@ class Shard:
         """
         self._sample()
         for tick in range(self._job.ticks):
-            if tick == 1:
+            if tick == round(ARM_S / self.runtime.spec.dt):
                 self.runtime.arm(np.ones(WIDTH, dtype=bool))
             if tick and tick % self._look == 0:
                 progress(tick)

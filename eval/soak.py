@@ -147,11 +147,12 @@ def soak_test(
 
 
 def _store_draws(soak: Soak, path: Path) -> None:
-    """Every robot as it is, so that it can be lived again whatever becomes of draws.toml."""
+    """Every robot as it is, so that it can be lived again whatever the spans of draws.toml become."""
     seeds = [robot_seed(soak.seed, robot) for robot in range(soak.robots)]
-    robots = draw(load_distributions(soak.spec), soak.spec, seeds)
+    distributions = load_distributions(soak.spec)
+    robots = draw(distributions, soak.spec, seeds)
     with replacing(path) as file:
-        file.write_text(robots.to_json(soak.seed), encoding="utf-8")
+        file.write_text(robots.to_json(soak.seed, distributions, soak.spec), encoding="utf-8")
 
 
 def _check_options(hours: float, robots: int, seed: int, workers: int) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from robots.errors import ConfigError
-from robots.sensors import BUFFER_S
+from robots.sensors import BUFFER_S, LOSS_MAX, Kind, Sensor
 from robots.spec import RobotSpec
 from robots.strict import Strict, read_toml
 
@@ -71,11 +71,13 @@ def _drawn(low: float, high: float, each: str = "") -> tuple[AfterValidator, Qua
 class Links(Strict):
     """Of each moving link: mass and inertia together, the way to the next joint, and where its mass sits.
 
+    A longer link keeps its inertia about its centre of mass, so lengths stay near 1.
+
     Inertia about the centre of mass is scaled, never drawn, so none of these leaves what a rigid body can have.
     """
 
     mass: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
-    length: Annotated[Span, *_drawn(0.5, 2.0, "joint")]
+    length: Annotated[Span, *_drawn(0.9, 1.1, "joint")]
     com_m: Annotated[Span, *_drawn(-0.2, 0.2, "axis")]
 
 
@@ -175,8 +177,9 @@ class Lies(Strict):
 
     Attributes:
         noise, bias, drift, loss: factors. delay: factor, the least delay. jitter: what is added to it at most, as a
-            factor too. hold: probability that a packet takes as long as the one before. burst: packets lost in a row,
-            mean. repeat: share of packets that come twice.
+            factor too. hold: probability, at each control tick, that the delay stays as it is. burst: control ticks in
+            a row in which packets are lost, mean. repeat: share of ticks at which the last packet comes again, in
+            the place of the one that is due.
     """
 
     noise: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
@@ -209,6 +212,16 @@ class Distributions(Strict):
         """SHA-256 of the numbers."""
         return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
+    @property
+    def fixed(self) -> dict[str, float | str]:
+        """What is the same for every robot, by name as in "cable.link"."""
+        return {
+            f"{group}.{field}": value
+            for group, table in self
+            for field, value in table
+            if not isinstance(value, Span)
+        }
+
     def spans(self) -> Iterator[tuple[str, Quantity, Span]]:
         """Everything that is drawn: its name as in "links.mass", what it is, and how."""
         for group, table in self:
@@ -228,9 +241,22 @@ def load_distributions(spec: RobotSpec) -> Distributions:
     distributions = read_toml(path, Distributions, ConfigError)
     lies = distributions.sensors
     for kind, sensor in spec.sensors.items():
-        slowest = sensor.delay_s * (lies.delay.high + lies.jitter.high)
-        if slowest > BUFFER_S:
-            raise ConfigError(
-                f"{path}: sensors.delay and sensors.jitter: {kind} would take {slowest:g} s, at most {BUFFER_S} s"
-            )
+        check_journey(kind, sensor, lies.delay.high + lies.jitter.high, lies.loss.high, str(path))
     return distributions
+
+
+def check_journey(kind: Kind, sensor: Sensor, delay: float, loss: float, source: str) -> None:
+    """Refuse factors of a sensor's delay and loss that the simulated bus cannot live.
+
+    Raises:
+        ConfigError: packets would travel longer than the buffer is, or more than half of them would be lost.
+    """
+    if sensor.delay_s * delay > BUFFER_S:
+        raise ConfigError(
+            f"{source}: sensors.delay and sensors.jitter: {kind} would take {sensor.delay_s * delay:g} s, at most"
+            f" {BUFFER_S} s"
+        )
+    if sensor.loss * loss > LOSS_MAX:
+        raise ConfigError(
+            f"{source}: sensors.loss: {kind} would lose {sensor.loss * loss:g}, at most {LOSS_MAX}"
+        )

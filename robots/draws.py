@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from robots.distributions import Distributions, Quantity
+from robots.distributions import Distributions, Quantity, check_journey
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
 from robots.strict import Strict, parse, read_json
 
 Floats = NDArray[np.float64]
 
-FILE_MAX = 1 << 26
-"""Characters of a stored draw: thousands of robots."""
+FILE_MAX = 1 << 29
+"""Characters of a stored draw: more than a soak may have robots."""
 
 
 class Draw(Mapping[str, Floats]):
@@ -59,9 +59,10 @@ class Draw(Mapping[str, Floats]):
         """One of them alone."""
         return Draw({name: values[row : row + 1] for name, values in self.items()})
 
-    def to_json(self, seed: int) -> str:
-        """All of it, exactly, and the seed of everything else that is random about these robots."""
-        return json.dumps({"seed": seed, "draw": {name: values.tolist() for name, values in self.items()}})
+    def to_json(self, seed: int, distributions: Distributions, spec: RobotSpec) -> str:
+        """All of it, exactly, with the seed of everything else that is random, and what is the same for all."""
+        draw = {name: values.tolist() for name, values in self.items()}
+        return json.dumps({"seed": seed, "robot": spec.digest, "fixed": distributions.fixed, "draw": draw})
 
 
 def draw(distributions: Distributions, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> Draw:
@@ -91,6 +92,14 @@ def load_draw(path: Path, distributions: Distributions, spec: RobotSpec) -> tupl
     except (OSError, UnicodeDecodeError) as e:
         raise ConfigError(f"{path}: cannot be read: {e}") from e
     stored = parse(read_json(text, str(path), FILE_MAX), _Stored, source=str(path))
+    for field, found, expected in (
+        ("robot", stored.robot, spec.digest),
+        *((f"fixed.{name}", stored.fixed.get(name), value) for name, value in distributions.fixed.items()),
+    ):
+        if found != expected:
+            raise ConfigError(
+                f"{path}: {field}: found {found!r:.80}, expected {expected!r:.80} of {spec.folder}"
+            )
     quantities = {name: quantity for name, quantity, _ in distributions.spans()}
     for name in sorted(stored.draw.keys() ^ quantities.keys()):
         raise ConfigError(f"{path}: {name}: {'unknown' if name in stored.draw else 'missing'}")
@@ -98,6 +107,10 @@ def load_draw(path: Path, distributions: Distributions, spec: RobotSpec) -> tupl
     robots = {name: len(numbers) for name, numbers in values.items()}
     if len(set(robots.values())) > 1:
         raise ConfigError(f"{path}: found {robots} robots, expected the same for every quantity")
+    for place, (kind, sensor) in enumerate(spec.sensors.items()):
+        slowest = values["sensors.delay"][:, place] + values["sensors.jitter"][:, place]
+        loss = float(values["sensors.loss"][:, place].max())
+        check_journey(kind, sensor, float(slowest.max()), loss, str(path))
     return stored.seed, Draw(values)
 
 
@@ -105,6 +118,8 @@ class _Stored(Strict):
     """A stored draw; its arrays are looked at one by one."""
 
     seed: Annotated[int, Field(ge=0)]
+    robot: str
+    fixed: dict[str, float | str]
     draw: dict[str, Any]
 
 

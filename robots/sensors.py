@@ -50,7 +50,9 @@ BUFFER_S = 0.25
 
 NotNegative = Annotated[float, Field(ge=0)]
 Delay = Annotated[float, Field(ge=0, lt=BUFFER_S)]
-Loss = Annotated[float, Field(ge=0, le=0.5)]
+LOSS_MAX = 0.5
+"""The largest share of packets that may be lost in simulation."""
+Loss = Annotated[float, Field(ge=0, le=LOSS_MAX)]
 
 
 class Sensor(Strict):

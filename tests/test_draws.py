@@ -96,7 +96,7 @@ def test_a_span_of_one_value_gives_that_value():
 
 def test_a_stored_draw_is_the_same_robots(tmp_path):
     path, d = tmp_path / "draw.json", drawn(5, range(7))
-    path.write_text(d.to_json(5))
+    path.write_text(d.to_json(5, DISTRIBUTIONS, SPEC))
     seed, found = load_draw(path, DISTRIBUTIONS, SPEC)
     assert seed == 5
     assert_same(found, d)
@@ -108,6 +108,14 @@ def test_a_stored_draw_is_the_same_robots(tmp_path):
     [
         ({"links.mass": None}, ["links.mass: missing"]),
         ({"seed": -1}, ["seed", "greater than or equal to 0", "-1"]),
+        ({"robot": "f" * 64}, ["robot", "'ffff", "expected"]),
+        (
+            {"fixed": {**DISTRIBUTIONS.fixed, "wear.life_rad": 15.0}},
+            ["fixed.wear.life_rad", "found 15.0", "15000.0"],
+        ),
+        ({"fixed": {"cable.link": "base"}}, ["fixed.cable.link", "found 'base'", "forearm_link"]),
+        ({"sensors.delay": [[5.0] * 5] * 2}, ["sensors.delay and sensors.jitter", "temperature", "0.25"]),
+        ({"sensors.loss": [[20.0] * 4 + [60.0]] * 2}, ["sensors.loss", "found 60", "[0, 20]"]),
         ({"links.colour": [[1.0]]}, ["links.colour: unknown"]),
         ({"links.mass": [[1.0] * 5] * 2}, ["links.mass", "found shape (2, 5)", "(B, 6)"]),
         ({"links.mass": [[1.0] * 6] * 3}, ["robots", "same for every quantity"]),
@@ -120,9 +128,10 @@ def test_a_stored_draw_is_the_same_robots(tmp_path):
     ],
 )
 def test_a_stored_draw_that_no_robot_can_be_is_refused(tmp_path, change, words):
-    path, data = tmp_path / "draw.json", json.loads(drawn(5, range(2)).to_json(5))
+    path, data = tmp_path / "draw.json", json.loads(drawn(5, range(2)).to_json(5, DISTRIBUTIONS, SPEC))
     numbers = {name: values for name, values in (data["draw"] | change).items() if values is not None}
-    path.write_text(json.dumps({"seed": change.get("seed", 5), "draw": numbers}))
+    data |= {name: value for name, value in change.items() if name in data}
+    path.write_text(json.dumps({**data, "draw": {n: v for n, v in numbers.items() if n not in data}}))
     with pytest.raises(ConfigError) as caught:
         load_draw(path, DISTRIBUTIONS, SPEC)
     for word in [str(path), *words]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from test_contract import arm_contract
-from test_runtime import Saying
+from test_runtime import Saying, heard
 from test_spec import SPEC, copy_of_arm
 
 from deploy.heat import DEAF_S, PERIOD_S, STEPS, Heat
@@ -196,7 +196,7 @@ def test_gives_back_only_what_has_cooled_for_more_than_a_step():
 
 
 @pytest.mark.parametrize("kind", ["current", "temperature"])
-@pytest.mark.parametrize("how", ["late", "nan"])
+@pytest.mark.parametrize("how", ["late", "nan", "future", "timeless"])
 def test_a_robot_that_is_not_heard_for_long_does_not_know_its_windings(kind, how):
     """And believes in no cooler ones when it is heard again."""
     heat = at(SOFT - 5.0)
@@ -205,7 +205,8 @@ def test_a_robot_that_is_not_heard_for_long_does_not_know_its_windings(kind, how
         packets = sample(6.0, SOFT - 20.0)
         if how == "nan":
             packets[kind].value[0, 2] = np.nan
-        stamps = {k: t if k == kind and how == "late" else t + tick * DT for k in packets}
+        odd = {"late": t, "future": t + 1e4, "timeless": np.nan}
+        stamps = {k: odd.get(how, t + tick * DT) if k == kind else t + tick * DT for k in packets}
         late = {k: packet._replace(t=packet.t + stamps[k]) for k, packet in packets.items()}
         known = np.where(np.isfinite(heat.winding), heat.winding, known)
         heat.step(t + tick * DT, late)
@@ -315,7 +316,7 @@ def lived(spec, seconds):
     seeds, hottest = [robot_seed(3, 0)], []
     robot = backend.SimRobot(spec, seeds)
     runtime = Runtime(spec, arm_contract(), robot, seeds, Saying(1))
-    runtime.tick()
+    heard(runtime)
     assert runtime.arm(np.ones(1, dtype=bool))[0] == 0
     for _ in range(round(seconds / spec.dt)):
         runtime.tick()
@@ -345,7 +346,7 @@ def test_a_robot_that_stops_has_all_of_its_current(tmp_path):
     backend = pytest.importorskip("deploy.backends.sim.robot")
     seeds = [robot_seed(3, robot) for robot in range(2)]
     runtime = Runtime(spec, arm_contract(), backend.SimRobot(spec, seeds), seeds, Saying(2))
-    runtime.tick()
+    heard(runtime)
     runtime.arm(np.ones(2, dtype=bool))
     for _ in range(103):
         runtime.tick()

@@ -10,6 +10,7 @@ from deploy.tasks.reach import ReachConfig, goal_pool
 from robots.randomness import robot_seed
 
 SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
+ARM_S = pytest.importorskip("eval.shard").ARM_S
 
 N, DT = SPEC.n, SPEC.dt
 POOL = goal_pool(SPEC, ReachConfig())
@@ -59,13 +60,18 @@ def every(runtime, value=True):
     return np.full(runtime.robot.robots, value)
 
 
+def heard(runtime):
+    """Ticks until the estimators are confirmed; also for other test files."""
+    for _ in range(round(ARM_S / DT)):
+        runtime.tick()
+
+
 def running(robots=2, seed=5, **how):
     """The same, armed and under way."""
     runtime = built(robots, seed, **how)
-    runtime.sense()
+    heard(runtime)
     assert not runtime.arm(every(runtime)).any()
-    runtime.act(None)
-    for _ in range(24):
+    for _ in range(25):
         runtime.tick()
     assert (runtime.supervisor.mode == Mode.RUNNING).all()
     return runtime

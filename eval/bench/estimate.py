@@ -22,6 +22,7 @@ from deploy.runtime import Runtime
 from deploy.state import Sample, Setpoint, State
 from eval.bench.encoder import draw_encoder
 from eval.bench.heard import Floats, Heard, Motion
+from eval.shard import ARM_S
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
@@ -65,7 +66,8 @@ def move(spec: RobotSpec, policy: Path, first: int) -> Motion:
     seeds = [robot_seed(SEED, robot) for robot in range(first, first + SHARD)]
     brain, robot = Policy.load(policy, spec), SimRobot(spec, seeds)
     runtime = Runtime(spec, brain.contract, robot, seeds, brain)
-    runtime.tick()
+    for _ in range(round(ARM_S / spec.dt)):
+        runtime.tick()
     runtime.arm(np.ones(SHARD, dtype=bool))
     rows: list[tuple[Floats, ...]] = []
     for _ in range(round(MOVED_S / spec.dt)):

@@ -17,7 +17,7 @@ from deploy.base_state import BaseNoise, Feet, Imu
 
 Floats = NDArray[np.float64]
 
-MODEL = Path(__file__).parents[2] / "tests" / "data" / "quadruped.xml"
+MODEL = Path(__file__).with_name("quadruped.xml")
 DT = 0.005
 """s between two IMU samples."""
 FEET = 4

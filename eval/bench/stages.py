@@ -15,7 +15,7 @@ from deploy.runtime import Runtime
 from eval.bench.plain import plain_rate
 from eval.bench.stopwatch import Stopwatch
 from eval.monitors import Judge
-from eval.shard import WIDTH, judge_tick
+from eval.shard import ARM_S, WIDTH, judge_tick
 from robots.model_mujoco import INPUTS, load_mujoco
 from robots.model_pinocchio import torque_max
 from robots.randomness import robot_seed
@@ -48,7 +48,7 @@ class Bench:
         self.runtime = Runtime(spec, brain.contract, self.robot, seeds, brain)
         self.judge, self.watch, self.robots = Judge(spec, torque_max(spec), robots), Stopwatch(), robots
         self._watch(brain if every_stage else None)
-        self.tick()
+        self.run(round(ARM_S / spec.dt))
         self.runtime.arm(np.ones(robots, dtype=bool))
         # Goals out of step, as in any hour of a shift but the first: or all would rest at once.
         period = round(self.runtime.task.config.period_s / spec.dt)

@@ -10,7 +10,7 @@ from deploy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.state import Floats
 from eval.monitors import Judge
-from eval.shard import LOOK_S, judge_tick, rearm
+from eval.shard import ARM_S, LOOK_S, judge_tick, rearm
 from robots.draws import Draw
 from robots.model_pinocchio import torque_max
 from robots.spec import RobotSpec
@@ -49,7 +49,7 @@ class Trial:
         spec = self.runtime.spec
         look = round(LOOK_S / spec.dt)
         for tick in range(round(seconds / spec.dt)):
-            if tick == 1:
+            if tick == round(ARM_S / spec.dt):
                 self.runtime.arm(np.ones(self.robot.robots, dtype=bool))
             if tick % look == 0:
                 rearm(self.runtime)

@@ -78,9 +78,9 @@ class Packets:
         self._hold, self._repeat, self._burst = (
             draw[f"sensors.{name}"] for name in ("hold", "repeat", "burst")
         )
-        self._begins = np.minimum(loss * draw["sensors.loss"], 0.5) / self._burst
+        self._begins = loss * draw["sensors.loss"] / self._burst
         self.robots, self.sensors = self._hold.shape
-        self.depth = round(BUFFER_S / spec.dt) + 1
+        self.depth = round(BUFFER_S / spec.dt) + 2  # one that comes again is a tick older still
         self._next = NEVER  # the chunk that the tail of the last one leads into
         self._faults = [(list(spec.sensors).index(f.sensor), f) for f in _checked(faults, spec, self.robots)]
 
@@ -149,7 +149,7 @@ class Packets:
                 late[now, fault.robot, sensor] += round(LATE_S / self._dt)
             elif fault.channel is None and fault.what in (Failure.OFF, Failure.INTERMITTENT):
                 goes[silent(fault, ticks, self._dt), fault.robot, sensor] = False
-        np.minimum(late, self.depth - 1, out=late)
+        np.minimum(late, self.depth - 2, out=late)
 
 
 def silent(fault: Fault, ticks: Ints, dt: float) -> Bools:
