@@ -159,7 +159,7 @@ def test_every_failure_of_an_encoder_stops_the_robot_before_it_errs(what):
     assert reasons & STOPS[what]
     assert (np.array(modes)[:, 0] == Mode.RUNNING).all()
     assert (np.array(modes)[:, 1] != Mode.RUNNING).any()
-    assert max(errors) < SPEC.margins.q_soft_rad
+    assert max(errors) < SPEC.margins.tracking_rad
     assert_within_limits(np.array(q))
 
 

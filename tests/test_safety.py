@@ -291,7 +291,7 @@ def test_each_robot_is_judged_alone():
     # Only together: the speed that the acceleration will still add counts, and none of the others'.
     qd[7, 1:3], qdd[7, 1:3] = -2.3, -8.0
     rest = q_hat.copy()
-    rest[2, 0], rest[10], sent[5, 3], temperature[6, 2] = HIGH[0], straight, HOME[3] + 0.2, 90.0
+    rest[2, 0], rest[10], sent[5, 3], temperature[6, 2] = HIGH[0], straight, HOME[3] + 0.2, 95.0
     state = State(
         t=0.0,
         q=q_hat,

@@ -151,10 +151,10 @@ def test_a_terminal_that_closes_twice_is_still_a_controlled_stop(bench, monkeypa
 
 def test_an_interrupt_while_arming_moves_nothing(bench):
     b = bench(duration=60.0)
-    b.at[5] = lambda: signal.raise_signal(signal.SIGINT)
+    b.at[20] = lambda: signal.raise_signal(signal.SIGINT)
     assert b.live() is Ending.INTERRUPTED
     assert np.ptp(b.planned(), axis=0).max() == 0.0
-    assert b.runtime.ticks < 12
+    assert b.runtime.ticks < 30
 
 
 def test_whoever_asks_again_later_is_heard(bench, monkeypatch):

@@ -184,7 +184,11 @@ def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["verdict"] == "failed"
     assert report["goals"]["success"] < 0.1
-    assert [line["name"] for line in report["budget"] if not line["passed"]] == ["goal_success"]
+    exceeded = [line["name"] for line in report["budget"] if not line["passed"]]
+    assert exceeded == [
+        "goal_success",
+        "availability",
+    ]  # of a soak so short, arming alone takes more than 1 %
     assert report["exposure"]["evaluations"] == 8 * 2880
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 

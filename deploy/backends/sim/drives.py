@@ -95,7 +95,8 @@ class Supply(Stage):
 
     Drives are converters: each takes the power u I of its motor from the bus, whatever current that is, so that the bus
     settles where V = V0 - R P / V. What one brakes with feeds the others, what all brake with goes to a resistor.
-    Source: Erickson and Maksimovic, Fundamentals of Power Electronics (2001), ch. 3: an ideal converter as a DC transformer.
+    Source: Erickson and Maksimovic, Fundamentals of Power Electronics (2001), ch. 3: an ideal converter as a DC
+    transformer.
 
     `limit` (B, n) V is what MuJoCo's drives may put on their motors.
     """
