@@ -73,7 +73,7 @@ run: $(ARM) ## run the arm in simulation, in real time, until Ctrl-C (ARGS=...)
 soak: $(ARM) ## soak the arm: HOURS=1 ROBOTS=16 SEED=7 WORKERS=2 (ARGS=...)
 	$(BIN)/soak-test --policy $(ARM) --hours $(HOURS) --robots $(ROBOTS) --seed $(SEED) --workers $(WORKERS) --out out/soak $(ARGS)
 
-nightly: $(ARM) ## the eight-hour shift of 16 arms, eighty minutes on 2 cores
+nightly: $(ARM) ## the eight-hour shift of 16 arms, an hour and a half on 2 cores
 	$(BIN)/soak-test --policy $(ARM) --hours 8 --robots 16 --seed $(SEED) --workers $(WORKERS) --out out/nightly
 
 train: setup ## train the arm's policy from its recipe (ARGS=...)

@@ -48,7 +48,6 @@ class Heat(Stage):
         "housing",
         "heard",
         "square",
-        "ticks",
         "unknown",
     )
 
@@ -63,7 +62,7 @@ class Heat(Stage):
         self.square, self.rise = np.zeros((2, *shape))
         self.heard = np.full(robots, -np.inf)
         self.folded, self.fold, self.pace = np.zeros(shape), np.ones(shape), np.ones(robots)
-        self.ticks, self.unknown = np.zeros(robots, dtype=np.int64), np.ones(robots, dtype=bool)
+        self.unknown = np.ones(robots, dtype=bool)
         self._every = round(PERIOD_S / spec.dt)
         self._motors = nominal_windings(spec)
         self._tau = self._motors.to_housing * self._motors.capacity
@@ -92,10 +91,9 @@ class Heat(Stage):
         square = current.value * current.value
         np.copyto(self.last, square, where=np.isfinite(square))
         self.square += self.last
-        self.ticks += 1
         if some(self.unknown):
             self._begin(t, current, housing)
-        if self.ticks[0] % self._every == 0:
+        if (round(t / self._dt) + 1) % self._every == 0:
             self._warm(housing.value)
             self._listen(t, current, housing)
 

@@ -112,11 +112,9 @@ class Runtime:
             return None
         self.fleet.place(self.state.q)
         self._tool[:] = self.fleet.tool_position
-        if "goal" in sample:
+        if "goal" in sample:  # who sees none stays where it is
             seen = sample["goal"].value
-            self._goal[:] = np.where(
-                np.isfinite(seen), seen, self._tool
-            )  # who sees no goal stays where it is
+            self._goal[:] = np.where(np.isfinite(seen), seen, self._tool)
         off = ~self.supervisor.powered
         if some(off):  # a robot without power wants to be where it stands
             self.action.reset(off, self.state.q)
@@ -190,7 +188,7 @@ class Runtime:
         here = Setpoint(q=self.state.q, qd=np.zeros_like(self.state.q), qdd=np.zeros_like(self.state.q))
         verdict = self.safety.step(self.state, here, here, here, here.q, here.q)
         reason = np.where(ids, verdict.reason | self.state.fault, 0)
-        reason[ids & self.estimator.moving] |= _VELOCITY
+        reason[ids & self.estimator.moving] |= _MOVING
         self.asked[ids] = 0
         granted = ids & (reason == 0)
         self.supervisor.arm(granted)
@@ -214,7 +212,7 @@ class Runtime:
         self.asked[ids] = 0
 
 
-_NOT_FINITE, _VELOCITY = np.int64(Reason.NOT_FINITE), np.int64(Reason.VELOCITY)
+_NOT_FINITE, _MOVING = np.int64(Reason.NOT_FINITE), np.int64(Reason.MOVING)
 """As numpy's own numbers, which are five times as fast as an enumeration's."""
 _NOWHERE = Setpoint(q=np.array(np.nan), qd=np.array(np.nan), qdd=np.array(np.nan))
 

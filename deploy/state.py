@@ -109,6 +109,7 @@ class Reason(IntFlag):
     OUTSIDE = 1 << 14
     STUCK = 1 << 15
     DIVERGED = 1 << 16
+    MOVING = 1 << 17
 
 
 class Verdict(NamedTuple):

@@ -51,6 +51,7 @@ WORDS = {
     Reason.OPERATOR: "the operator asked for it",
     Reason.OUTSIDE: "a joint is outside its working range",
     Reason.STUCK: "an encoder says the same, again and again",
+    Reason.MOVING: "a joint moves while the drives are off",
     Reason.DIVERGED: "an estimate does not fit what is measured",
 }
 

@@ -114,7 +114,7 @@ class Shard:
         self.runtime = Runtime(spec, policy.contract, self._robot, seeds, policy)
         goal_s = self.runtime.task.config.period_s
         self._judge = Judge(spec, torque_max(spec), WIDTH, goal_s=goal_s)
-        self._look = round(LOOK_S / spec.dt)
+        self._look, self._arm = round(LOOK_S / spec.dt), round(ARM_S / spec.dt)
         self._samples: list[tuple[NDArray[np.float64], NDArray[np.float64], int, int]] = []
 
     def run(self, progress: Callable[[int], None], stop: Callable[[], bool]) -> ShardResult:
@@ -126,7 +126,7 @@ class Shard:
         """
         self._sample()
         for tick in range(self._job.ticks):
-            if tick == round(ARM_S / self.runtime.spec.dt):
+            if tick == self._arm:
                 self.runtime.arm(np.ones(WIDTH, dtype=bool))
             if tick and tick % self._look == 0:
                 progress(tick)

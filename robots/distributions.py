@@ -71,9 +71,8 @@ def _drawn(low: float, high: float, each: str = "") -> tuple[AfterValidator, Qua
 class Links(Strict):
     """Of each moving link: mass and inertia together, the way to the next joint, and where its mass sits.
 
-    A longer link keeps its inertia about its centre of mass, so lengths stay near 1.
-
-    Inertia about the centre of mass is scaled, never drawn, so none of these leaves what a rigid body can have.
+    Inertia about the centre of mass is scaled with the mass, never drawn, so none of these leaves what a rigid body can
+    have; a longer link keeps it, so lengths stay near 1.
     """
 
     mass: Annotated[Span, *_drawn(0.05, 20.0, "joint")]

@@ -3,6 +3,7 @@
 A sensor delivers packets: all of its channels, taken at one time. How it may really be is a matter of draws.toml.
 """
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
@@ -112,7 +113,7 @@ def channels(kind: Kind, sensor: Sensor, joints: int) -> int:
     return 4 if kind == "orientation" else 3
 
 
-def check_sensors(sensors: Sensors, control_hz: int) -> Sensors:
+def check_sensors(sensors: Sensors, control_hz: int) -> None:
     """What holds between the sensors of a robot.
 
     Raises:
@@ -122,14 +123,19 @@ def check_sensors(sensors: Sensors, control_hz: int) -> Sensors:
         if kind not in sensors:
             raise ValueError(f"sensors: no {kind}; found {', '.join(sensors) or 'none'}")
     for kind, sensor in sensors.items():
-        sites = len(sensor.sites)
         if sensor.unit != UNITS[kind]:
             raise ValueError(f"sensors.{kind}.unit: found {sensor.unit!r}, expected {UNITS[kind]!r}")
-        if sites != (kind in AT_ONE_SITE) if kind != "contact" else not sites:
-            expected = "at least one" if kind == "contact" else "one" if kind in AT_ONE_SITE else "none"
+        least, most, expected = _sites(kind)
+        if not least <= len(sensor.sites) <= most:
             raise ValueError(f"sensors.{kind}.sites: found {list(sensor.sites)}, expected {expected}")
         if sensor.rate_hz > control_hz:
             raise ValueError(
                 f"sensors.{kind}.rate_hz: found {sensor.rate_hz}, expected at most control_hz {control_hz}"
             )
-    return sensors
+
+
+def _sites(kind: Kind) -> tuple[float, float, str]:
+    """How many sites a sensor sits at: least, most, and that in words."""
+    if kind == "contact":
+        return 1, math.inf, "at least one"
+    return (1, 1, "one") if kind in AT_ONE_SITE else (0, 0, "none")

@@ -69,6 +69,6 @@ def test_without_safety_the_same_policy_does_hurt_it():
         return verdict
 
     runtime.safety.step = blind
-    _, _, _, (_, _, collision, tool) = hostile(runtime, 1000)
+    _, _, _, (_, _, collision, tool) = hostile(runtime, 2000)
     assert collision.any(axis=0).sum() >= 4
-    assert tool[..., 2].min() < SPACE.z_min - 0.01
+    assert tool[..., 2].min() < SPACE.z_min - 0.02

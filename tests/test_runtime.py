@@ -160,6 +160,16 @@ def test_refuses_to_arm_with_reasons():
     assert runtime.supervisor.powered.tolist() == [True, False, False, False]
 
 
+def test_a_robot_that_moves_is_not_armed():
+    """Somebody leads it by hand, say, or its brake slips."""
+    runtime = built(2)
+    heard(runtime)
+    runtime.estimator.ed[1, 2] = 0.5
+    refused = [Reason(int(r)) for r in runtime.arm(every(runtime))]
+    assert refused == [Reason.NONE, Reason.MOVING]
+    assert runtime.supervisor.powered.tolist() == [True, False]
+
+
 def test_act_policy_sense_is_tick():
     """Training is no twin: a policy between the two halves moves the robot bit for bit as the shipped one does."""
     shipped, trained = running(3), running(3)

@@ -171,7 +171,7 @@ def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
         "--policy",
         arm_policy,
         "--hours",
-        0.004,
+        0.012,
         "--robots",
         8,
         "--workers",
@@ -184,12 +184,8 @@ def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["verdict"] == "failed"
     assert report["goals"]["success"] < 0.1
-    exceeded = [line["name"] for line in report["budget"] if not line["passed"]]
-    assert exceeded == [
-        "goal_success",
-        "availability",
-    ]  # of a soak so short, arming alone takes more than 1 %
-    assert report["exposure"]["evaluations"] == 8 * 2880
+    assert [line["name"] for line in report["budget"] if not line["passed"]] == ["goal_success"]
+    assert report["exposure"]["evaluations"] == 8 * 8640
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.bench.heard import Floats, Heard, Motion
+from deploy.state import Floats
+from eval.bench.heard import Heard, Motion
 from robots.spec import RobotSpec
 
 WINDOW_S = 0.6

@@ -19,9 +19,9 @@ from deploy.estimator import Estimator
 from deploy.output import replacing
 from deploy.policy import Policy
 from deploy.runtime import Runtime
-from deploy.state import Sample, Setpoint, State
+from deploy.state import Floats, Sample, Setpoint, State
 from eval.bench.encoder import draw_encoder
-from eval.bench.heard import Floats, Heard, Motion
+from eval.bench.heard import Heard, Motion
 from eval.shard import ARM_S
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
@@ -91,7 +91,11 @@ def _samples(spec: RobotSpec, motion: Motion, noise: float | None) -> Iterator[t
     for tick, (seen, sent) in enumerate(zip(motion.seen, motion.sent, strict=True), start=1):
         truth[:, columns] = seen
         sensors.take(truth)
-        yield tick, sensors.read(), Setpoint(q=sent[:, : spec.n], qd=sent[:, spec.n :], qdd=sent[:, spec.n :])
+        yield (
+            tick,
+            sensors.read(),
+            Setpoint(q=sent[:, : spec.n], qd=sent[:, spec.n :], qdd=np.zeros_like(seen)),
+        )
 
 
 def _estimator(spec: RobotSpec, motion: Motion) -> Estimator:

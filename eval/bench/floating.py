@@ -4,17 +4,15 @@ import time
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from deploy.base_state import BaseState
 from deploy.floating_base import GATE, FloatingBase
 from deploy.rotations import matrix, times
+from deploy.state import Bools, Floats
 from eval.bench.quadruped import CONTACT_N, DT, FEET, NOISE, Truth, move, watch
 from robots.randomness import robot_seed
-
-Floats = NDArray[np.float64]
 
 SEED, MOTIONS, DRAWS, MOVED_S, SETTLED_S = 11, 64, 1024, 5.0, 1.0
 WATCHERS = SEED + 1
@@ -92,7 +90,7 @@ def _refused(state: BaseState) -> float:
     return float((nis > GATE).sum() / max(1, (nis > 0).sum()))
 
 
-def _figures(found: list[Followed], robots: NDArray[np.bool_]) -> list[str]:
+def _figures(found: list[Followed], robots: Bools) -> list[str]:
     """A row of the table."""
     errors = ([getattr(one, name)[:, robots] for one in found] for name in Followed._fields[:3])
     rmse = (1e3 * rms(np.concatenate(error, axis=1)) for error in errors)

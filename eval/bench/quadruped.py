@@ -11,11 +11,9 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from deploy.base_state import BaseNoise, Feet, Imu
-
-Floats = NDArray[np.float64]
+from deploy.state import Floats
 
 MODEL = Path(__file__).with_name("quadruped.xml")
 DT = 0.005

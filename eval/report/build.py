@@ -22,6 +22,7 @@ from eval.report.data import (
     SoakResult,
     Stops,
     Verdict,
+    median,
     number,
     series,
 )
@@ -207,13 +208,13 @@ def _events(counts: Counts) -> tuple[EventRow, ...]:
 def _heat(result: SoakResult, at: Ints) -> tuple[Heat, ...]:
     """Between samples `at` and their next the hottest is kept, not the last."""
     hottest = np.fmax.reduceat(np.fmax.reduce(result.winding_c, axis=1), at, axis=0)
-    median = np.ma.median(np.ma.masked_invalid(result.winding_c[at]), axis=1).filled(np.nan)
+    usual = median(result.winding_c[at])
     return tuple(
         Heat(
             joint=joint,
             soft_c=float(result.winding_soft_c[k]),
             max_c=float(result.winding_max_c[k]),
-            median_c=series(median[:, k], 2),
+            median_c=series(usual[:, k], 2),
             hottest_c=series(hottest[:, k], 2),
         )
         for k, joint in enumerate(result.counts.joints)

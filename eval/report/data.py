@@ -30,6 +30,11 @@ def series(values: Floats, digits: int) -> tuple[Number, ...]:
     return tuple(number(value, digits) for value in values)
 
 
+def median(values: Floats) -> Floats:
+    """(T, ...) of what is known of the robots of (T, N, ...), NaN for nothing."""
+    return np.asarray(np.ma.median(np.ma.masked_invalid(values), axis=1).filled(np.nan))
+
+
 class Settings(Strict):
     """On what the results depend, the code apart; `workers` changes only the time it takes.
 

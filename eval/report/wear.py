@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eval.report.data import Floats, Ints, SoakResult, Wear, WornJoint, number, series
+from eval.report.data import Floats, Ints, SoakResult, Wear, WornJoint, median, number, series
 
 DIGITS = 4
 
@@ -39,7 +39,7 @@ def wear(result: SoakResult, at: Ints) -> Iterator[Wear]:
             name=quantity.name,
             unit=quantity.unit,
             meaning=quantity.meaning,
-            median=series(_median(worn[at].reshape(len(at), -1)), DIGITS),
+            median=series(median(worn[at].reshape(len(at), -1)), DIGITS),
             most_worn=series(worn[at, robot, joint], DIGITS),
             robot=int(robot),
             joint=names[joint],
@@ -51,16 +51,10 @@ def wear(result: SoakResult, at: Ints) -> Iterator[Wear]:
 
 def _joint(name: str, worn: Floats, robot: int) -> WornJoint:
     """Of (2, R) at the start and at the end."""
-    (start, end), (first, last) = _median(worn), worn[:, robot]
+    (start, end), (first, last) = median(worn), worn[:, robot]
     return WornJoint(
         joint=name,
         median=(number(start, DIGITS), number(end, DIGITS)),
         robot=robot,
         most_worn=(number(first, DIGITS), number(last, DIGITS)),
     )
-
-
-def _median(values: Floats) -> Floats:
-    """(T,) of what is known of (T, N), NaN for nothing."""
-    known = np.ma.masked_invalid(values)
-    return np.asarray(np.ma.median(known, axis=1).filled(np.nan))

@@ -47,11 +47,10 @@ def _links(batch: Batch, anatomy: Anatomy, draw: Draw) -> None:
 
 
 def _joints(batch: Batch, anatomy: Anatomy, draw: Draw) -> None:
+    """All but their play, which grows: see `Wear`."""
     dofs = anatomy.dofs
     for field, name in (("frictionloss", "friction"), ("damping", "damping"), ("armature", "armature")):
         batch.expand(f"dof_{field}")[:, dofs] *= draw[f"joints.{name}"]
-    play = 0.5 * draw["joints.backlash_rad"]
-    batch.expand("jnt_range")[:, anatomy.play] = np.stack((-play, play), axis=-1)
 
 
 def _drives(batch: Batch, draw: Draw) -> None:
