@@ -29,6 +29,12 @@ FIELDS = floating_base.BaseState._fields[1:]
 DOWN = np.array([0.0, 0.0, -G])
 
 
+def assert_same(one, other):
+    """Two states, bit for bit."""
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
 def cross(v):
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
@@ -214,8 +220,7 @@ def test_a_bad_packet_is_a_packet_that_never_came(kind):
         )
         state = base.step(t, bad, feet)
         expected = clean.step(t, imu._replace(fresh=imu.fresh & ~hit), feet)
-        for name in FIELDS:
-            np.testing.assert_array_equal(getattr(state, name), getattr(expected, name), err_msg=name)
+        assert_same(state, expected)
 
 
 def test_a_foot_of_nan_is_a_foot_in_the_air():
@@ -228,8 +233,7 @@ def test_a_foot_of_nan_is_a_foot_in_the_air():
         stance[0, 1] = stance[1, 3] = False
         state = base.step(t, imu, Feet(stance=feet.stance, position=position, velocity=velocity))
         expected = clean.step(t, imu, feet._replace(stance=stance))
-        for name in FIELDS:
-            np.testing.assert_array_equal(getattr(state, name), getattr(expected, name), err_msg=name)
+        assert_same(state, expected)
 
 
 def test_a_foot_that_slips_grossly_changes_nothing():
