@@ -6,6 +6,8 @@ sent by now plus the deviation carried forward to now. The same filter with the 
 filterpy gives the process noise and is the oracle of the tests.
 """
 
+from typing import ClassVar
+
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
 
@@ -48,11 +50,11 @@ class Estimator(Stage):
         heat: what knows the motors.
     """
 
-    carried = (
+    carried: ClassVar[tuple[str, ...]] = (
         *("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "nis", "many", "refused", "seeded"),
         *("sent", "said", "moved", "same", "fault"),
-        *(f"heat.{name}" for name in Heat.carried),
     )
+    parts = ("heat",)
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Allocate.

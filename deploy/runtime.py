@@ -1,6 +1,6 @@
 """The tick, in order, and nothing else: on one robot or on five hundred, simulated or real, soaked or shipped."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from deploy.observation import Observation, Sources
 from deploy.policy import Policy
 from deploy.safety import Safety
 from deploy.smoother import Smoother
+from deploy.stage import Arrays, Stage
 from deploy.state import Bools, Command, Floats, Ints, Reason, Setpoint, State, Target, Verdict
 from deploy.supervisor import Supervisor
 from deploy.tasks.reach import Reach
@@ -23,12 +24,16 @@ from robots.spec import RobotSpec
 Float32s = NDArray[np.float32]
 
 
-class Runtime:
+class Runtime(Stage):
     """B robots under one policy.
 
     `sense` and `act` are the two halves of a tick; a policy, shipped or in training, sits between them. After a tick
-    every record of it can be read: `state`, `target`, `verdict`, `setpoint`, `command`.
+    every record of it can be read: `state`, `target`, `verdict`, `setpoint`, `command`; after a restore only once it
+    has ticked. What is saved is what decides the next tick, without the robot's own.
     """
+
+    carried = ("asked", "_tool", "_goal")
+    parts = ("estimator", "action", "smoother", "supervisor", "task", "observation")
 
     state: State
     verdict: Verdict
@@ -66,6 +71,21 @@ class Runtime:
         rest = np.zeros((robots, spec.n))
         self._ahead, self._tau_ahead = Setpoint(q=rest, qd=rest, qdd=rest), rest
         self._tool, self._goal = np.zeros((2, robots, 3))
+
+    def save(self) -> Arrays:
+        """Copies of what every stage carries, of the stop that is prepared, and of the number of ticks."""
+        ahead = {"q": self._ahead.q, "qd": self._ahead.qd, "qdd": self._ahead.qdd, "tau": self._tau_ahead}
+        stop: Arrays = {f"ahead.{name}": array.copy() for name, array in ahead.items()}
+        return super().save() | stop | {"ticks": np.array(self.ticks)}
+
+    def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Put saved arrays back, bit for bit."""
+        super().restore(arrays)
+        q, qd, qdd, tau = (
+            np.array(arrays[f"ahead.{name}"], dtype=float) for name in ("q", "qd", "qdd", "tau")
+        )
+        self._ahead, self._tau_ahead = Setpoint(q=q, qd=qd, qdd=qdd), tau
+        self.ticks = int(arrays["ticks"])
 
     def _sources(self) -> Sources:
         return {

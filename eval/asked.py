@@ -1,10 +1,13 @@
-"""What a soak is asked for, and the jobs that this makes."""
+"""What a soak is asked for, the jobs that this makes, and where each keeps what it lived through."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.policy import Policy
+from eval.checkpoint import SUFFIX, Checkpoint
+from eval.identity import code_digest, versions
 from eval.shard import WIDTH, ShardJob
+from robots.distributions import load_distributions
 from robots.spec import RobotSpec
 
 SAMPLE_S = 60.0
@@ -51,3 +54,19 @@ class Soak:
             )
             for start in range(0, self.robots, WIDTH)
         ]
+
+    def checkpoint(self, number: int, folder: Path) -> Checkpoint:
+        """Where the shard of job `number` is kept: everything that decides its results is in its identity."""
+        identity: dict[str, str | int] = {
+            "robot_digest": self.spec.digest,
+            "draws_digest": load_distributions(self.spec).digest,
+            "policy_digest": self.policy.digest,
+            "code_digest": code_digest(),
+            **versions(),
+            "seed": self.seed,
+            "robots": self.robots,
+            "ticks": self.ticks,
+            "sample_ticks": self.sample_ticks,
+            "first": number * WIDTH,
+        }
+        return Checkpoint(folder / f"shard-{number:04}{SUFFIX}", identity)

@@ -1,10 +1,8 @@
 """From what shards lived through to what the report is built from."""
 
-import platform
 import sys
 from collections.abc import Sequence
 from functools import reduce
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +10,12 @@ from numpy.typing import NDArray
 
 from eval.asked import Soak
 from eval.counts import merge
+from eval.identity import code_digest, versions
 from eval.report.data import Run, Settings, SoakResult
 from eval.shard import WIDTH, ShardResult
 from robots.distributions import load_distributions
 
 GOAL_BINS = 8
-LIBRARIES = ("mujoco", "pin", "ruckig", "filterpy", "onnxruntime", "numpy", "scipy")
 UNSEEN = (
     "Links, gears and ground are rigid: nothing bends, rings, shakes or grows with its warmth.",
     "Friction depends on neither load nor warmth, and motors turn without cogging or ripple. Iron losses only warm:"
@@ -77,7 +75,6 @@ def _binned(totals: Sequence[NDArray[np.int64]], per_bin: int) -> NDArray[np.int
 
 
 def _settings(soak: Soak) -> Settings:
-    versions = {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}}
     return Settings(
         command=" ".join(["soak-test", *sys.argv[1:]]),
         robot=soak.spec.name,
@@ -85,13 +82,14 @@ def _settings(soak: Soak) -> Settings:
         draws_digest=load_distributions(soak.spec).digest,
         policy=_shown(soak.policy_path),
         policy_digest=soak.policy.digest,
+        code_digest=code_digest(),
         budget=_shown(soak.budget),
         seed=soak.seed,
         hours=soak.hours,
         robots=soak.robots,
         shard_width=WIDTH,
         workers=soak.workers,
-        versions=versions,
+        versions=versions(),
     )
 
 

@@ -3,9 +3,10 @@
 Results are a function of seed, draw and `WIDTH` only: which process runs a shard, and when, changes nothing.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from deploy.backends.sim.robot import SimRobot
 from deploy.policy import Policy
 from deploy.runtime import Runtime
+from deploy.stage import Arrays, Stage
 from eval.counts import Counts, first
 from eval.monitors import Judge
 from robots.errors import ConfigError
@@ -29,6 +31,8 @@ LOOK_S = 1.0
 """s between two looks at progress, interruption and latched robots."""
 OPERATOR_S = 60.0
 """s that a latched robot waits for its operator, who arms it again."""
+KEEP_S = 300.0
+"""s between two times that what was lived through is kept: about a minute of real time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,8 +104,13 @@ def _same(expected: str, found: str, path: Path) -> None:
         )
 
 
-class Shard:
-    """Runtime, simulated robots and judge of one job."""
+_SAMPLED = ("winding_c", "worn", "attempted", "reached")
+
+
+class Shard(Stage):
+    """Runtime, simulated robots and judge of one job. What is saved is all that it lived through."""
+
+    parts = ("runtime", "robot", "judge")
 
     def __init__(self, job: ShardJob) -> None:
         """Build everything; robots beyond those that count keep the width and are not reported."""
@@ -110,50 +119,72 @@ class Shard:
         seeds = [robot_seed(job.seed, job.first + row) for row in range(WIDTH)]
         policy = Policy.load(job.policy, spec)
         _same(job.policy_digest, policy.digest, job.policy)
-        self._job, self._robot = job, SimRobot(spec, seeds)
-        self.runtime = Runtime(spec, policy.contract, self._robot, seeds, policy)
+        self._job, self.robot = job, SimRobot(spec, seeds)
+        self.runtime = Runtime(spec, policy.contract, self.robot, seeds, policy)
         goal_s = self.runtime.task.config.period_s
-        self._judge = Judge(spec, torque_max(spec), WIDTH, goal_s=goal_s)
-        self._look, self._arm = round(LOOK_S / spec.dt), round(ARM_S / spec.dt)
-        self._samples: list[tuple[NDArray[np.float64], NDArray[np.float64], int, int]] = []
+        self.judge = Judge(spec, torque_max(spec), WIDTH, goal_s=goal_s)
+        self._look, self._arm, self._keep = (round(s / spec.dt) for s in (LOOK_S, ARM_S, KEEP_S))
+        self._samples: list[tuple[NDArray[np.generic], ...]] = []
 
-    def run(self, progress: Callable[[int], None], stop: Callable[[], bool]) -> ShardResult:
-        """Live the hours.
+    def run(
+        self,
+        progress: Callable[[int], None],
+        stop: Callable[[], bool],
+        keep: Callable[[], None] = lambda: None,
+    ) -> ShardResult:
+        """Live the hours, or what is left of them.
 
         Args:
             progress: told the ticks done so far.
             stop: whether to end now and report what there is.
+            keep: called now and then, and at the end, to save what was lived through.
         """
-        self._sample()
-        for tick in range(self._job.ticks):
+        begin = self.runtime.ticks
+        progress(begin)
+        if not self._samples:
+            self._sample()
+        for tick in range(begin, self._job.ticks):
             if tick == self._arm:
                 self.runtime.arm(np.ones(WIDTH, dtype=bool))
-            if tick and tick % self._look == 0:
-                progress(tick)
-                rearm(self.runtime)
-                if stop():
-                    break
+            if tick > begin and tick % self._look == 0 and self._looked(tick, progress, stop, keep):
+                break
             self.runtime.tick()
-            judge_tick(self._judge, self._robot, self.runtime)
+            judge_tick(self.judge, self.robot, self.runtime)
             if (tick + 1) % self._job.sample_ticks == 0:
                 self._sample()
+        keep()
         progress(self.runtime.ticks)
         return self._result()
 
+    def _looked(
+        self, tick: int, progress: Callable[[int], None], stop: Callable[[], bool], keep: Callable[[], None]
+    ) -> bool:
+        """Whether to end before `tick`. What is kept has its operator's visit behind it."""
+        progress(tick)
+        rearm(self.runtime)
+        if tick % self._keep == 0:
+            keep()
+        return stop()
+
+    def save(self) -> Arrays:
+        """Copies of everything, to go on from."""
+        return super().save() | {f"sampled.{name}": values for name, values in self._sampled().items()}
+
+    def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Put saved arrays back, bit for bit."""
+        super().restore(arrays)
+        self._samples = list(zip(*(arrays[f"sampled.{name}"] for name in _SAMPLED), strict=True))
+
     def _sample(self) -> None:
-        truth, counts, rows = self._robot.truth(), self._judge.counts(), slice(0, self._job.robots)
+        truth, counts, rows = self.robot.truth(), self.judge.counts(), slice(0, self._job.robots)
         known = truth.valid[:, None]
         winding = np.where(known, truth.winding_c, np.nan)[rows]
-        worn = np.where(known, np.stack(self._robot.plant.worn()), np.nan)[:, rows]
-        goals = int(counts.attempted[rows].sum()), int(counts.reached[rows].sum())
-        self._samples.append((winding, worn, *goals))
+        worn = np.where(known, np.stack(self.robot.plant.worn()), np.nan)[:, rows]
+        self._samples.append((winding, worn, counts.attempted[rows].sum(), counts.reached[rows].sum()))
 
     def _result(self) -> ShardResult:
-        winding, worn, attempted, reached = zip(*self._samples, strict=True)
-        return ShardResult(
-            counts=first(self._judge.counts(), self._job.robots),
-            winding_c=np.stack(winding),
-            worn=np.stack(worn),
-            attempted=np.array(attempted, dtype=np.int64),
-            reached=np.array(reached, dtype=np.int64),
-        )
+        return ShardResult(counts=first(self.judge.counts(), self._job.robots), **self._sampled())
+
+    def _sampled(self) -> dict[str, Any]:
+        columns = zip(*self._samples, strict=True)
+        return {name: np.stack(values) for name, values in zip(_SAMPLED, columns, strict=True)}

@@ -49,6 +49,7 @@ def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.
             robot="arm6",
             robot_digest="a" * 64,
             draws_digest="d" * 64,
+            code_digest="e" * 64,
             policy=policy,
             policy_digest="b" * 64,
             budget="budget.toml",
@@ -60,7 +61,11 @@ def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.
             versions={"numpy": "2.4"},
         ),
         run=Run(
-            started="2026-01-02T03:04:05+00:00", wall_s=60.0, hours=ticks / 720_000, interrupted=interrupted
+            started="2026-01-02T03:04:05+00:00",
+            wall_s=60.0,
+            hours=ticks / 720_000,
+            resumed_hours=0.0,
+            interrupted=interrupted,
         ),
         counts=counts,
         sample_h=hours,

@@ -14,8 +14,6 @@ ARM_S = pytest.importorskip("eval.shard").ARM_S
 
 N, DT = SPEC.n, SPEC.dt
 POOL = goal_pool(SPEC, ReachConfig())
-STAGES = ("estimator", "action", "smoother", "supervisor", "task", "observation")
-OWN = ("asked", "_tau_ahead", "_tool", "_goal")
 
 
 @pytest.fixture(autouse=True)
@@ -232,22 +230,13 @@ def test_neither_a_broken_policy_nor_a_stopped_robot_disturbs_its_neighbours():
 
 def save(runtime):
     """What a checkpoint must hold."""
-    stages = {name: getattr(runtime, name).save() for name in STAGES}
-    own = {name: getattr(runtime, name).copy() for name in OWN}
-    ahead = {name: getattr(runtime._ahead, name).copy() for name in ("q", "qd", "qdd")}
-    backend = runtime.robot.plant.save(), runtime.robot.sensors.save()
-    return stages, own, ahead, backend, runtime.ticks
+    return runtime.save(), runtime.robot.save()
 
 
 def restore(runtime, saved):
-    stages, own, ahead, backend, runtime.ticks = saved
-    for name, arrays in stages.items():
-        getattr(runtime, name).restore(arrays)
-    for name, array in own.items():
-        getattr(runtime, name)[...] = array
-    runtime._ahead = type(runtime.smoother.sent)(**ahead)
-    runtime.robot.plant.restore(backend[0])
-    runtime.robot.sensors.restore(backend[1])
+    own, backend = saved
+    runtime.restore(own)
+    runtime.robot.restore(backend)
 
 
 @pytest.mark.parametrize("at", [50, 133])
@@ -274,10 +263,10 @@ def test_without_the_prepared_stop_a_restored_runtime_would_stop_elsewhere():
     complete = save(one)
     for each in (one, other):
         each.stop(Reason.OPERATOR)
-    stages, own, _, backend, ticks = complete
+    own, backend = complete
     own["asked"][:] = int(Reason.OPERATOR)
-    still = {name: getattr(other._ahead, name).copy() for name in ("q", "qd", "qdd")}
-    restore(other, (stages, own, still, backend, ticks))
+    still = {f"ahead.{name}": getattr(other._ahead, name).copy() for name in ("q", "qd", "qdd")}
+    restore(other, (own | still, backend))
     one.tick()
     other.tick()
     assert (one.command.q != other.command.q).any()

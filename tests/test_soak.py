@@ -14,16 +14,17 @@ pytest.importorskip("mujoco")
 
 from deploy.policy import Policy
 from eval import soak as command
+from eval import workers
 from eval.asked import Soak
 from eval.budget import BUDGET
 from eval.collect import collect
 from eval.report.data import Run
 from eval.shard import WIDTH, Shard, ShardJob
-from eval.soak import run_soak
+from eval.workers import run_soak
 from robots.errors import ConfigError
 
 CONSOLE = Console(quiet=True)
-RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, interrupted=False)
+RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, resumed_hours=0.0, interrupted=False)
 
 FILES = {"report.json", "report.html", "junit.xml", "draws.json"}
 
@@ -53,7 +54,10 @@ def test_results_do_not_depend_on_workers(asked, tmp_path):
     """Five seconds of a policy that throws the arms about."""
     path = saved(policy_model(), tmp_path)
     policy = {"policy": Policy.load(path, SPEC), "policy_path": path}
-    one, two = (run_soak(asked(workers=workers, hours=0.0013, **policy), CONSOLE) for workers in (1, 2))
+    one, two = (
+        run_soak(asked(workers=workers, hours=0.0013, **policy), tmp_path / str(workers), CONSOLE)
+        for workers in (1, 2)
+    )
     assert_same(one, two)
     counts = [shard.counts for shard in one]
     assert [each.robots for each in counts] == [WIDTH, 10 - WIDTH]
@@ -93,7 +97,7 @@ def test_robots_that_do_not_count_change_nothing(arm_policy, quick_goals):
 
 def test_a_stopped_shard_reports_what_was_done(arm_policy, quick_goals):
     result, seen = lived(job(arm_policy), stop_at=400)
-    assert seen == [200, 400, 400]
+    assert seen == [0, 200, 400, 400]
     assert (result.counts.ticks == 400).all()
     assert len(result.winding_c) == 5
     whole, _ = lived(job(arm_policy))
@@ -133,9 +137,9 @@ def test_the_operator_comes_to_latched_robots(arm_policy, quick_goals):
     assert 0 < result.counts.running[2] < 2000
 
 
-def test_goals_fall_into_bins_and_shards_side_by_side(asked):
+def test_goals_fall_into_bins_and_shards_side_by_side(asked, tmp_path):
     soak = asked(hours=0.0013)
-    shards = run_soak(soak, CONSOLE)
+    shards = run_soak(soak, tmp_path, CONSOLE)
     result = collect(soak, shards, RUN)
     assert result.winding_c.shape == (len(result.sample_h), 10, SPEC.n)
     assert result.worn.shape == (len(result.sample_h), 4, 10, SPEC.n)
@@ -190,13 +194,13 @@ def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
 
 
 def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
-    def impatient(futures, progress, total, console):
+    def impatient(crew, futures):
         """Somebody who presses Ctrl-C as soon as anything is done."""
-        while not sum(progress[:]):
+        while not sum(crew.progress):
             wait(futures, timeout=0.1)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "_watch", impatient)
+    monkeypatch.setattr(workers._Crew, "_watch", impatient)
     options = (
         "--policy",
         arm_policy,

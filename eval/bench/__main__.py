@@ -37,7 +37,7 @@ from eval.bench.stages import SEED, stages
 from eval.budget import BUDGET, check, load_budget
 from eval.counts import MONITORS, merge
 from eval.shard import WIDTH, Shard, ShardJob
-from eval.soak import run_soak
+from eval.workers import run_soak
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 
@@ -130,7 +130,9 @@ def work(spec: RobotSpec, policy: Path) -> None:
                 seed=SEED,
                 workers=2,
             )
-            counts = reduce(merge, (shard.counts for shard in run_soak(soak, console)))
+            counts = reduce(
+                merge, (shard.counts for shard in run_soak(soak, Path(folder, path.stem), console))
+            )
             broken = ", ".join(line.name for line in check(load_budget(), counts) if not line.passed)
             hard = sum(counts.total(monitor.name) for monitor in MONITORS if monitor.hard)
             console.print(

@@ -36,12 +36,12 @@ def median(values: Floats) -> Floats:
 
 
 class Settings(Strict):
-    """On what the results depend, the code apart; `workers` changes only the time it takes.
+    """On what the results depend; `workers` changes only the time it takes.
 
     Attributes:
         hours: h that each robot was to run.
         policy, policy_digest: the file and its SHA-256. robot, robot_digest: the name and its SHA-256.
-        draws_digest: SHA-256 of the distributions that robots were drawn from.
+        draws_digest: SHA-256 of the distributions that robots were drawn from. code_digest: of what ran.
         budget: the file. versions: of Python and of the libraries, by name.
     """
 
@@ -51,6 +51,7 @@ class Settings(Strict):
     draws_digest: str
     policy: str
     policy_digest: str
+    code_digest: str
     budget: str
     seed: int
     hours: float
@@ -64,13 +65,15 @@ class Run(Strict):
     """How it went this time.
 
     Attributes:
-        started: ISO 8601 with zone. wall_s: s of real time.
+        started: ISO 8601 with zone. wall_s: s of real time since then.
         hours: h that each robot did run, on average; robots that never began count as 0.
+        resumed_hours: h of these that an earlier start had left behind.
     """
 
     started: str
     wall_s: float
     hours: float
+    resumed_hours: float
     interrupted: bool
 
 

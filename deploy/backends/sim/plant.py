@@ -38,19 +38,8 @@ class Plant(Stage):
     copied after each step, and carried.
     """
 
-    carried = (
-        *("rows", "tick", "valid", "current", "sensed", "tool", "tool_velocity", "travel", "turned"),
-        *(
-            "drives.lines",
-            "drives.held",
-            "drives.braked",
-            "supply.limit",
-            "housings.celsius",
-            "windings.square",
-            "wear.life",
-        ),
-        *("payload.turn", "payload.until", "pushes.turn", "pushes.until"),
-    )
+    carried = ("rows", "tick", "valid", "current", "sensed", "tool", "tool_velocity", "travel", "turned")
+    parts = ("drives", "supply", "housings", "windings", "wear", "payload", "pushes")
 
     def __init__(
         self,

@@ -8,14 +8,18 @@ from deploy.backends.sim.packets import Fault
 from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.sensors import Sensors
 from deploy.backends.sim.truth import Truth
+from deploy.stage import Stage
 from deploy.state import Bools, Command, Floats, Sample
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
 from robots.spec import RobotSpec
 
 
-class SimRobot:
+class SimRobot(Stage):
     """Physics advances one control period with every `write`."""
+
+    carried = ("goal",)
+    parts = ("plant", "sensors")
 
     def __init__(
         self,

@@ -1,0 +1,32 @@
+"""On what the results of a soak depend: two runs with the same identity and seed are the same run."""
+
+import hashlib
+import platform
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+import deploy
+import eval as judged
+import robots
+
+LIBRARIES = ("mujoco", "pin", "ruckig", "filterpy", "onnxruntime", "numpy", "scipy")
+PACKAGES = (robots, deploy, judged)
+
+
+def versions() -> dict[str, str]:
+    """Of Python and of the libraries, by name."""
+    return {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}}
+
+
+@cache
+def code_digest() -> str:
+    """SHA-256 of the names and texts of every module that a soak runs."""
+    digest = hashlib.sha256()
+    for package in PACKAGES:
+        (folder,) = map(Path, package.__path__)
+        for file in sorted(folder.rglob("*.py")):
+            text = file.read_bytes()
+            digest.update(f"{package.__name__}/{file.relative_to(folder).as_posix()} {len(text)}\n".encode())
+            digest.update(text)
+    return digest.hexdigest()

@@ -1,0 +1,158 @@
+"""Worker processes: every shard is lived to its end, whatever becomes of a worker."""
+
+import multiprocessing as mp
+import signal
+from collections.abc import Mapping
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from deploy.signals import handled
+from eval.asked import Soak
+from eval.checkpoint import Checkpoint
+from eval.shard import Shard, ShardJob, ShardResult
+
+DEATHS = 3
+"""Times in a row that a worker may die before anything new was done."""
+
+# Of the worker process: set once, before its first shard. Without locks, which a worker that is killed would keep.
+_progress: Any
+_stop: Any
+
+
+def _prepare(progress: Any, stop: Any) -> None:
+    """Keep what the worker shares with its parent."""
+    global _progress, _stop
+    _progress, _stop = progress, stop
+
+
+def _run(number: int, job: ShardJob, checkpoint: Checkpoint) -> ShardResult | None:
+    """One shard in a worker, from where it was kept; None if the soak was interrupted before anything of it was."""
+    kept = checkpoint.load()
+    if kept is None and _stop.value:
+        return None
+    shard = Shard(job)
+    if kept is not None:
+        shard.restore(kept)
+
+    def report(ticks: int) -> None:
+        _progress[number] = ticks
+
+    return shard.run(report, lambda: bool(_stop.value), lambda: checkpoint.store(shard.save()))
+
+
+def take_up(soak: Soak, folder: Path, console: Console) -> int:
+    """Control ticks, summed over shards, that an earlier start of the same soak left in `folder`.
+
+    Raises:
+        ConfigError: what is there is of another soak.
+        OutputError: something damaged is there and cannot be set aside.
+    """
+    ticks = 0
+    for number in range(len(soak.jobs())):
+        checkpoint = soak.checkpoint(number, folder)
+        there, kept = checkpoint.path.exists(), checkpoint.load()
+        if kept is not None:
+            ticks += int(kept["runtime.ticks"])
+        elif there:
+            console.print(f"{checkpoint.path}: damaged and set aside: its robots begin anew", soft_wrap=True)
+    return ticks
+
+
+def run_soak(soak: Soak, folder: Path, console: Console) -> list[ShardResult]:
+    """Run every shard and return their results in order; after Ctrl-C, what there is of them.
+
+    Args:
+        soak: what was asked for.
+        folder: where shards are kept while they live, and taken up from.
+        console: told how far it is.
+
+    Raises:
+        ConfigError, OutputError: a shard cannot be taken up or kept.
+        BrokenProcessPool: workers die again and again.
+    """
+    crew, furthest, deaths = _Crew(soak, folder, console), -1, 0
+    while crew.pending and not crew.stop.value:
+        try:
+            crew.work()
+        except BrokenProcessPool:
+            done = sum(crew.progress)
+            furthest, deaths = max(furthest, done), 0 if done > furthest else deaths + 1
+            if deaths == DEATHS:
+                raise
+            console.print("a worker died: its shards go on from where they were kept")
+    return [crew.results[number] for number in sorted(crew.results)]
+
+
+class _Crew:
+    """Shards that are done, and those that are not.
+
+    Attributes:
+        progress: ticks done of each shard. stop: not 0 once all are to end. results: by number of the shard.
+        pending: numbers of those that are neither done nor interrupted.
+    """
+
+    def __init__(self, soak: Soak, folder: Path, console: Console) -> None:
+        self._jobs, self._context = soak.jobs(), mp.get_context("spawn")
+        self._checkpoints = [soak.checkpoint(number, folder) for number in range(len(self._jobs))]
+        self._workers, self._ticks, self._console = soak.workers, soak.ticks, console
+        self.progress = self._context.RawArray("q", len(self._jobs))
+        self.stop = self._context.RawValue("b", 0)
+        self.results: dict[int, ShardResult] = {}
+        self.pending = set(range(len(self._jobs)))
+
+    def work(self) -> None:
+        """Run what is pending until it is done, interrupted, or a worker dies."""
+        workers, shared = min(self._workers, len(self.pending)), (self.progress, self.stop)
+        with ProcessPoolExecutor(workers, self._context, initializer=_prepare, initargs=shared) as pool:
+            with handled(signal.SIG_IGN):  # which the workers inherit: only their parent hears Ctrl-C
+                futures = {
+                    pool.submit(_run, number, self._jobs[number], self._checkpoints[number]): number
+                    for number in sorted(self.pending)
+                }
+            try:
+                with handled(_interrupt):
+                    self._watch(futures)
+            except KeyboardInterrupt:
+                self.stop.value = 1
+                self._console.print("interrupted: the report will hold what was done so far")
+                with handled(signal.SIG_IGN):
+                    wait(futures)
+                self._gather(futures)
+            except BrokenProcessPool:
+                raise
+            except BaseException:
+                self.stop.value = 1
+                raise
+
+    def _watch(self, futures: "Mapping[Future[ShardResult | None], int]") -> None:
+        """Show progress until every shard is done or one has failed."""
+        columns = (
+            TextColumn("soaking"),
+            BarColumn(),
+            TextColumn("{task.percentage:5.1f} %"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(elapsed_when_finished=True),
+        )
+        with Progress(*columns, console=self._console) as bar:
+            task, waiting = bar.add_task("", total=self._ticks * len(self._jobs)), set(futures)
+            while waiting:
+                done, waiting = wait(waiting, timeout=0.5)
+                bar.update(task, completed=sum(self.progress))
+                self._gather({future: futures[future] for future in done})
+
+    def _gather(self, done: "Mapping[Future[ShardResult | None], int]") -> None:
+        for future, number in done.items():
+            result = future.result()
+            self.pending.discard(number)
+            if result is not None:
+                self.results[number] = result
+
+
+def _interrupt(_signal: int, _frame: object) -> None:
+    raise KeyboardInterrupt
