@@ -80,8 +80,9 @@ class Estimator(Stage):
         self._bias_var = encoder.bias**2 / 3.0
         self._stuck_rad = STUCK_STD * np.sqrt(encoder.variance)
         self._look, self._stuck_many = max(1, round(LOOK_S / spec.dt)), round(STUCK_S / LOOK_S)
-        unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=spec.filter.acceleration_density)
-        self._g00, self._g01, self._g11 = (np.full(shape, unit[place]) for place in ((0, 0), (0, 1), (1, 1)))
+        density = np.tile(spec.joint_array("acceleration_density"), (robots, 1))
+        unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=1.0)
+        self._g00, self._g01, self._g11 = (density * unit[place] for place in ((0, 0), (0, 1), (1, 1)))
 
     def reset(self, ids: Bools, sent: Setpoint) -> None:
         """Forget robots where `ids` (B,) holds, sent to rest at `sent` for long; their next sample seeds them."""
@@ -223,7 +224,7 @@ class Estimator(Stage):
 
     def _q_var(self, dt: Floats) -> Floats:
         """(B, n) rad², variance of the angle after `dt` (B, n) s without a sample."""
-        return self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._g00 * dt))
+        return np.asarray(self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._g00 * dt)))
 
     def _listen(self, said: Floats, reference: Floats, fused: Bools) -> None:
         """Look for encoders that say the very same again and again, and for filters that do not know what they do."""
@@ -256,6 +257,7 @@ class Estimator(Stage):
             nis=self.nis,
             temperature=sample["temperature"].value,
             winding=self.heat.winding,
+            winding_doubt=self.heat.doubt,
             fold=self.heat.fold,
             fault=self.fault,
         )

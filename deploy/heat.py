@@ -11,6 +11,7 @@ import numpy as np
 from deploy.flags import some
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Packet, Sample
+from robots.sensors import Sensor
 from robots.spec import RobotSpec
 from robots.windings import nominal_windings
 
@@ -21,8 +22,14 @@ STEPS, BACK = 20, 1.5
 """Steps of the foldback from nothing to all of it, each of which costs a new trajectory; and how many of them a motor
 must have cooled before it gets one back, or it would go to and fro at every edge."""
 
+LEAST_K = 0.1
+"""K that the foldback has from nothing to all of it, however great the doubt."""
+
 DEAF_S = 2.0
 """s without a whole packet of currents or housings after which nothing is known of a robot's windings any more."""
+
+CHANCE = 1e-15
+"""A current that says the same again and again is stuck once chance would bring that about so seldom."""
 
 
 class Heat(Stage):
@@ -30,8 +37,10 @@ class Heat(Stage):
 
     Attributes:
         winding: (B, n) °C.
+        doubt: (B, n) K, how much hotter it may be: what the housing's sensor may be off, and of the rise over the
+            housing the share that nominal constants may miss.
         folded: (B, n) how far each motor is folded back: 0 up to the soft limit, from there in a straight line to 1
-            where the robot stops, `margins.winding_k` below the hard limit.
+            where the robot stops: where the winding may have come to its hard limit.
         fold: (B, n) share of its current that a motor at work may still draw: down to `margins.fold_min`.
         pace: (B,) share of its speed and acceleration that a robot is still asked for, by its hottest motor: it falls
             to `margins.pace_min` as the current falls to `fold_min`, and lower, so that what is left of the current is
@@ -40,6 +49,7 @@ class Heat(Stage):
 
     carried = (
         "winding",
+        "doubt",
         "folded",
         "fold",
         "pace",
@@ -49,6 +59,9 @@ class Heat(Stage):
         "heard",
         "square",
         "unknown",
+        "said",
+        "same",
+        "taken",
     )
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
@@ -58,9 +71,10 @@ class Heat(Stage):
             RobotError: a motor's winding is not described in model.xml.
         """
         shape = robots, spec.n
-        self.winding, self.last, self.housing = np.full((3, *shape), np.nan)
-        self.square, self.rise = np.zeros((2, *shape))
-        self.heard = np.full(robots, -np.inf)
+        self.winding, self.last, self.housing, self.said = np.full((4, *shape), np.nan)
+        self.square, self.rise, self.doubt = np.zeros((3, *shape))
+        self.same = np.zeros(shape, dtype=np.int64)
+        self.heard, self.taken = np.full((2, robots), -np.inf)
         self.folded, self.fold, self.pace = np.zeros(shape), np.ones(shape), np.ones(robots)
         self.unknown = np.ones(robots, dtype=bool)
         self._every = round(PERIOD_S / spec.dt)
@@ -68,7 +82,9 @@ class Heat(Stage):
         self._tau = self._motors.to_housing * self._motors.capacity
         self._soft = spec.motor_array("winding_soft_c")
         self._fold_min, self._pace_min = spec.margins.fold_min, spec.margins.pace_min
-        self._band = spec.motor_array("winding_max_c") - spec.margins.winding_k - self._soft
+        self._hard = spec.motor_array("winding_max_c")
+        self._doubt_k, self._doubt_share = spec.margins.winding_k, spec.margins.winding_share
+        self._stuck = stuck_after(spec.sensors["current"])
         self._dt = spec.dt
 
     def resume(self, rise: Floats, off_s: float) -> None:
@@ -79,6 +95,7 @@ class Heat(Stage):
         """Forget robots where `ids` (B,) holds: at their next whole sample they have been at rest for long."""
         self.unknown[ids], self.heard[ids], self.rise[ids] = True, -np.inf, 0.0
         self.winding[ids], self.last[ids], self.housing[ids] = np.nan, np.nan, np.nan
+        self.said[ids], self.same[ids], self.taken[ids] = np.nan, 0, -np.inf
 
     def step(self, t: float, sample: Sample) -> None:
         """Live through a tick. Before the first sample with every current and housing no winding is known: NaN.
@@ -101,6 +118,7 @@ class Heat(Stage):
         """When each robot's newest whole pair of packets was taken; none is believed to come from the future."""
         taken, latest = np.minimum(current.t, housing.t), np.maximum(current.t, housing.t)
         whole = np.isfinite(current.value + housing.value).all(axis=1) & (latest <= t + self._dt)
+        whole &= (self.same < self._stuck).all(axis=1)
         np.copyto(self.heard, taken, where=whole)
 
     def _begin(self, t: float, current: Packet, housing: Packet) -> None:
@@ -117,6 +135,11 @@ class Heat(Stage):
 
     def _listen(self, t: float, current: Packet, housing: Packet) -> None:
         """Who has not been heard for long knows nothing; the rise is kept for when it is heard again."""
+        new = (current.t > self.taken)[:, None]
+        self.same += new
+        np.copyto(self.same, 0, where=new & (current.value != self.said))
+        np.copyto(self.said, current.value, where=new)
+        np.copyto(self.taken, current.t, where=new[:, 0])
         self._hear(t, current, housing)
         deaf = (t - self.heard > DEAF_S) & ~self.unknown
         if some(deaf):
@@ -134,10 +157,23 @@ class Heat(Stage):
 
     def _fold_back(self) -> None:
         """On by whole steps at once, back only by more than one."""
-        share = (self.winding - self._soft) / self._band
+        np.maximum(self.winding - self.housing, 0.0, out=self.doubt)
+        self.doubt *= self._doubt_share
+        self.doubt += self._doubt_k
+        share = (self.winding - self._soft) / np.maximum(self._hard - self.doubt - self._soft, LEAST_K)
         stepped = np.floor(np.clip(share, 0.0, 1.0) * STEPS) / STEPS
         stepped[np.isnan(share)] = 1.0
         cooled = share <= self.folded - BACK / STEPS
         np.copyto(self.folded, stepped, where=(stepped > self.folded) | cooled)
         np.subtract(1.0, (1.0 - self._fold_min) * self.folded, out=self.fold)
         np.subtract(1.0, (1.0 - self._pace_min) * self.folded.max(axis=1), out=self.pace)
+
+
+def stuck_after(sensor: Sensor) -> float:
+    """How often a reading may repeat itself: infinitely, where steps are too coarse for the noise to move it.
+
+    Two readings of noise σ fall on the same step of width r with a chance of about r / (2 √π σ). Robots with half the
+    noise of the data sheet are to be expected.
+    """
+    chance = sensor.resolution / (np.sqrt(np.pi) * sensor.noise) if sensor.noise else np.inf
+    return float(np.ceil(np.log(CHANCE) / np.log(chance))) if chance < 1.0 else np.inf

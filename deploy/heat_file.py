@@ -51,12 +51,15 @@ class HeatFile:
         lost: what went wrong with the disk, in words; the robot goes on.
     """
 
-    def __init__(self, path: Path, runtime: Runtime, *, now: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self, path: Path, runtime: Runtime, *, same: bool = True, now: Callable[[], float] = time.time
+    ) -> None:
         """Hand what the file holds to the runtime.
 
         Args:
             path: the file; none yet is no error.
             runtime: not armed yet.
+            same: whether the file is about the robot that will run; what it holds of another is replaced.
             now: s since 1970.
 
         Raises:
@@ -66,7 +69,7 @@ class HeatFile:
         self._path, self._heat, self._now = path, runtime.estimator.heat, now
         self._robot, self._joints = runtime.spec.name, runtime.spec.joint_names
         self.lost: str | None = None
-        former = self._read()
+        former = self._read() if same else None
         if former:
             self._heat.resume(np.array([former.rise_k]), max(0.0, now() - former.unix_s))
         self._write(former or self._temperatures(np.zeros(runtime.spec.n)))

@@ -74,7 +74,8 @@ def run(
     runtime = Runtime(spec, brain.contract, body, [source], brain)
     about = {"robot": spec.name, "robot_digest": spec.digest, "policy": str(policy)}
     about |= {"policy_digest": brain.digest, "backend": backend, "seed": origin, "speed": speed}
-    heat_file = HeatFile(out / "heat.json", runtime)
+    heat_file = HeatFile(out / "heat.json", runtime, same=draw is None)
+    body.warm(runtime.estimator.heat.rise)
     recorder = Recorder(out, runtime, start_ns=time.time_ns(), about=about)
     watchers: list[Every[Shift]] = [Every(HEAT_S, heat_file.offer)]
     if view_step:

@@ -24,6 +24,10 @@ from robots.spec import RobotSpec
 Float32s = NDArray[np.float32]
 
 
+UNSEEN_S = 1.0
+"""s without a picture of it after which a goal is none any more."""
+
+
 class Runtime(Stage):
     """B robots under one policy.
 
@@ -132,9 +136,9 @@ class Runtime(Stage):
             return None
         self.fleet.place(self.state.q)
         self._tool[:] = self.fleet.tool_position
-        if "goal" in sample:  # who sees none stays where it is
-            seen = sample["goal"].value
-            self._goal[:] = np.where(np.isfinite(seen), seen, self._tool)
+        if "goal" in sample:  # who sees none, or none any more, stays where it is
+            seen, old = sample["goal"].value, self.t - sample["goal"].t > UNSEEN_S
+            self._goal[:] = np.where(np.isfinite(seen) & ~old[:, None], seen, self._tool)
         off = ~self.supervisor.powered
         if some(off):  # a robot without power wants to be where it stands
             self.action.reset(off, self.state.q)

@@ -51,7 +51,7 @@ class Safety:
             (-anything, anything, Reason.NOT_FINITE),
             (*_within(np.full(spec.n, margins.tracking_rad)), Reason.TRACKING),
             (-anything, spec.motor_array("housing_max_c"), Reason.HEAT),
-            (-anything, spec.motor_array("winding_max_c") - margins.winding_k, Reason.HEAT),
+            (-anything, spec.motor_array("winding_max_c"), Reason.HEAT),
             (-ANY, stale_s, Reason.STALE),
             (-ANY, lost_s, Reason.LOST),
             *clear,
@@ -99,7 +99,8 @@ class Safety:
         qd_peak = setpoint.qd + setpoint.qdd * np.abs(setpoint.qdd) / self._twice_jerk
         speeds = self._fleet.tool_velocity(np.concatenate((setpoint.qd, qd_peak)), of=slice(0, robots))
         points = self._plan.reasons(q, qd, asked, *poses, np.vecdot(speeds, speeds)[:, None])
-        midst, lag, heat = self._clear(self._on_the_way), sent.q - state.q, (state.temperature, state.winding)
+        midst, lag = self._clear(self._on_the_way), sent.q - state.q
+        heat = state.temperature, state.winding + state.winding_doubt
         reason = self._state_and_midst.reasons(state.q, state.qd, lag, *heat, age, age, *midst)
         reason |= points[:robots] | points[robots:]
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:])

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from robots.errors import RobotError
-from robots.sensors import Kind, Sensors, channels, check_sensors
+from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
 from robots.strict import Strict, read_toml
 
 ROBOTS = Path(__file__).parent
 
 Celsius = Annotated[float, Field(ge=-50, le=300)]
+FUSED: tuple[Kind, ...] = ("encoder", "velocity")
+"""What a robot's state is estimated from."""
 Fraction = Annotated[float, Field(gt=0, le=1)]
 
 
@@ -28,6 +30,7 @@ class Joint(Strict):
     Attributes:
         q_min, q_max, q_home: rad.
         qd_max: rad/s, what the drive may do. qdd_max: rad/s², qddd_max: rad/s³, what it is asked to do.
+        acceleration_density: rad²/s³, how restless the estimator takes its deviation from the setpoint to be.
         motor: a name in `motors`.
         source: where the numbers come from.
     """
@@ -39,6 +42,7 @@ class Joint(Strict):
     qd_max: PositiveFloat
     qdd_max: PositiveFloat
     qddd_max: PositiveFloat
+    acceleration_density: PositiveFloat
     motor: str
     source: str
 
@@ -59,7 +63,7 @@ class Motor(Strict):
         housing_capacity_j_per_k: J/K.
         iron_w_s2: W/(rad/s)² of the motor's shaft, eddy currents: what turning alone makes of heat.
         winding_soft_c, winding_max_c: °C, where warning begins and where damage begins.
-        housing_soft_c, housing_max_c: °C, what the housing sensor may show.
+        housing_soft_c, housing_max_c: °C, where the operator is warned, and where the robot stops for good.
         source: where the numbers come from.
     """
 
@@ -71,6 +75,14 @@ class Motor(Strict):
     housing_soft_c: Celsius
     housing_max_c: Celsius
     source: str
+
+    @model_validator(mode="after")
+    def _housing_ordered(self) -> Self:
+        if not self.housing_soft_c < self.housing_max_c:
+            raise ValueError(
+                f"housing_soft_c {self.housing_soft_c} is not below housing_max_c {self.housing_max_c}"
+            )
+        return self
 
 
 class Rates(Strict):
@@ -102,7 +114,8 @@ class Margins(Strict):
         tracking_rad: setpoint minus estimate that stops the robot.
         stale_s: age of the newest sample that makes the robot slow down and hold.
         lost_s: age of the newest sample that makes it stop and cut power.
-        winding_k: how far below winding_max_c the estimate of a winding may come: at that the robot stops for good.
+        winding_k, winding_share: K, and share of its rise over the housing, by which a winding may be hotter than it is
+            believed to be: the robot stops for good where it may have come to winding_max_c.
         fold_min: share of its current that a motor keeps there. From winding_soft_c on it falls to this share.
         pace_min: share of speed and acceleration that the robot is still asked for there: low enough for the motion
             to need no more current than is left, gravity included.
@@ -119,6 +132,7 @@ class Margins(Strict):
     stale_s: PositiveFloat
     lost_s: PositiveFloat
     winding_k: PositiveFloat
+    winding_share: Annotated[float, Field(ge=0)]
     fold_min: Fraction
     pace_min: Fraction
 
@@ -147,16 +161,6 @@ class Workspace(Strict):
     tool_speed_max: PositiveFloat
 
 
-class Filter(Strict):
-    """What the estimator takes for granted.
-
-    Attributes:
-        acceleration_density: rad²/s³, how restless it takes a joint to be between samples.
-    """
-
-    acceleration_density: PositiveFloat
-
-
 class RobotSpec(Strict):
     """One robot folder: the strict reading of robot.toml, plus the folder itself."""
 
@@ -166,7 +170,6 @@ class RobotSpec(Strict):
     rates: Rates
     margins: Margins
     workspace: Workspace
-    filter: Filter
     sensors: Sensors
     motors: dict[str, Motor]
     joints: Annotated[tuple[Joint, ...], Field(min_length=1)]
@@ -174,7 +177,19 @@ class RobotSpec(Strict):
     @model_validator(mode="after")
     def _sensors_fit(self) -> Self:
         check_sensors(self.sensors, self.rates.control_hz)
+        for kind in FUSED:
+            if kind in self.sensors:
+                self._in_time(kind, self.sensors[kind])
         return self
+
+    def _in_time(self, kind: Kind, sensor: Sensor) -> None:
+        """A packet that is stale when it arrives would stop the robot for ever."""
+        every_s = 1.0 / sensor.rate_hz
+        if not sensor.delay_s + every_s < self.margins.stale_s:
+            raise ValueError(
+                f"sensors.{kind}.delay_s: found {sensor.delay_s}, and a packet every {every_s:.3g} s: together expected"
+                f" below margins.stale_s {self.margins.stale_s}"
+            )
 
     @model_validator(mode="after")
     def _motors_known(self) -> Self:

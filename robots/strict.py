@@ -81,4 +81,6 @@ def _explain(complaint: ValidationError) -> Iterator[str]:
         field = ".".join(str(part) for part in item["loc"]) or "(whole file)"
         found = item["input"]
         shown = "" if isinstance(found, dict) else f", found {found!r:.80}"
-        yield f"{field}: {item['msg']}{shown}"
+        # What a record says of itself names its field.
+        own = not item["loc"] and item["type"] == "value_error"
+        yield str(item["ctx"]["error"]) if own else f"{field}: {item['msg']}{shown}"

@@ -17,7 +17,7 @@ from deploy.state import Packet, Setpoint
 from robots.spec import load_robot
 
 N, DT = SPEC.n, SPEC.dt
-ENCODER, DENSITY = SPEC.sensors["encoder"], SPEC.filter.acceleration_density
+ENCODER, DENSITY = SPEC.sensors["encoder"], SPEC.joint_array("acceleration_density")
 NOISE = np.sqrt(ENCODER.noise**2 + ENCODER.resolution**2 / 12)
 SPEED_NOISE = 0.005
 NAMES = ("q", "qd", "q_var", "age", "nis", "fault")
@@ -89,7 +89,7 @@ class ByFilterpy:
         for robot, row in enumerate(self.filters):
             for joint, kf in enumerate(row):
                 if kf is not None:
-                    f, noise = _model(tick * DT - self.t[robot, joint])
+                    f, noise = _model(tick * DT - self.t[robot, joint], joint)
                     u = _input(robot, joint, self.t[robot, joint], tick * DT, robots)
                     q[robot, joint], qd[robot, joint] = (f @ kf.x + u)[:, 0]
                     var[robot, joint] = (f @ kf.P @ f.T + noise)[0, 0] + ENCODER.bias**2 / 3
@@ -109,7 +109,7 @@ class ByFilterpy:
             kf.P = np.diag([NOISE**2, SPEED_STD**2])
             kf.H, kf.R, self.nis[robot, joint] = np.array([[1.0, 0.0]]), np.array([[NOISE**2]]), 1.0
         else:
-            kf.F, kf.Q = _model(t - self.t[robot, joint])
+            kf.F, kf.Q = _model(t - self.t[robot, joint], joint)
             kf.predict(u=_input(robot, joint, self.t[robot, joint], t, len(self.t)), B=np.eye(2))
             kf.update(z)
             self.nis[robot, joint] += (kf.y[0, 0] ** 2 / kf.S[0, 0] - self.nis[robot, joint]) / MEMORY
@@ -125,8 +125,8 @@ def _input(robot, joint, old, new, robots):
     return r[1] - _model(new - old)[0] @ r[0]
 
 
-def _model(dt):
-    noise = Q_continuous_white_noise(2, dt, DENSITY) if dt > 0 else np.zeros((2, 2))
+def _model(dt, joint=0):
+    noise = Q_continuous_white_noise(2, dt, DENSITY[joint]) if dt > 0 else np.zeros((2, 2))
     return np.array([[1.0, dt], [0.0, 1.0]]), noise
 
 
@@ -166,7 +166,7 @@ def test_believes_what_its_model_says():
     """On joints that really stray as the model says, errors and innovations have the claimed size (NEES, NIS)."""
     robots, rng = 200, np.random.default_rng(5)
     estimator = Estimator(SPEC, robots)
-    root = np.linalg.cholesky(Q_continuous_white_noise(2, DT, DENSITY))
+    root = np.linalg.cholesky([Q_continuous_white_noise(2, DT, density) for density in DENSITY])
     x, errors = np.zeros((2, robots, N)), []
     bias = rng.uniform(-ENCODER.bias, ENCODER.bias, (robots, N))
     for tick in range(120):
@@ -176,7 +176,7 @@ def test_believes_what_its_model_says():
         if tick >= 60:
             errors.append(((state.q - setpoint.q - x[0]) ** 2 / state.q_var).mean())
         x[0] += x[1] * DT
-        x += np.einsum("ij,jrn->irn", root, rng.standard_normal((2, robots, N)))
+        x += np.einsum("nij,jrn->irn", root, rng.standard_normal((2, robots, N)))
     assert np.mean(errors) == pytest.approx(1.0, abs=0.05)
     assert state.nis.mean() == pytest.approx(1.0, abs=0.05)
 

@@ -357,7 +357,7 @@ BAD_POLICIES = [
     (golden_edit(lambda d: d.clear()), f"{GOLDEN_KEY}: observation: Field required"),
     (
         golden_edit(lambda d: d["action"].pop()),
-        f"{GOLDEN_KEY}: (whole file): Value error, 16 observations but 15",
+        f"{GOLDEN_KEY}: 16 observations but 15",
     ),
     (
         golden_edit(lambda d: d["action"][3].pop()),

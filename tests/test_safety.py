@@ -29,6 +29,7 @@ def judge(
     age=0.0,
     temperature=30.0,
     winding=40.0,
+    doubt=0.0,
     setpoint=None,
     ahead=None,
     q_midst=None,
@@ -46,6 +47,7 @@ def judge(
         nis=np.ones((1, N)),
         temperature=np.broadcast_to(np.asarray(temperature, dtype=float), (1, N)),
         winding=np.broadcast_to(np.asarray(winding, dtype=float), (1, N)),
+        winding_doubt=np.broadcast_to(np.asarray(doubt, dtype=float), (1, N)),
         fold=np.ones((1, N)),
         fault=np.zeros(1, dtype=np.int64),
     )
@@ -167,8 +169,10 @@ def test_heat(joint):
 
 @pytest.mark.parametrize("joint", range(N))
 def test_a_winding_near_its_limit_stops_the_robot(joint):
-    limit = SPEC.motor_array("winding_max_c")[joint] - MARGINS.winding_k
+    limit = SPEC.motor_array("winding_max_c")[joint]
     assert reasons(winding=one(joint, limit, np.full(N, 20.0))) == 0
+    assert reasons(winding=limit - 8.0, doubt=8.0 - HAIR) == 0
+    assert reasons(winding=limit - 8.0, doubt=one(joint, 8.0 + HAIR, np.full(N, 3.0))) == Reason.HEAT
     assert reasons(winding=one(joint, limit + HAIR, np.full(N, 20.0))) == Reason.HEAT
     assert reasons(winding=one(joint, np.nan, np.full(N, 20.0))) == Reason.HEAT
 
@@ -301,6 +305,7 @@ def test_each_robot_is_judged_alone():
         nis=q,
         temperature=temperature,
         winding=winding,
+        winding_doubt=np.zeros((robots, N)),
         fold=np.ones((robots, N)),
         fault=np.zeros(robots, dtype=np.int64),
     )

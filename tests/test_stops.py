@@ -66,6 +66,7 @@ def test_stops_that_are_allowed_hurt_nothing_all_the_way(share):
             nis=q * 0,
             temperature=q * 0 + 30,
             winding=q * 0 + 30,
+            winding_doubt=q * 0,
             fold=np.ones(q.shape),
             fault=np.zeros(robots, dtype=np.int64),
         )

@@ -130,7 +130,7 @@ def _nees(spec: RobotSpec, estimator: Estimator, state: State, q: Floats, qd: Fl
 
     Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sec. 5.4.
     """
-    lag, density = state.t - estimator.t_sample, spec.filter.acceleration_density
+    lag, density = state.t - estimator.t_sample, spec.joint_array("acceleration_density")
     p00, p11 = state.q_var, estimator.p11 + density * lag
     p01 = estimator.p01 + lag * estimator.p11 + density * lag**2 / 2
     return np.asarray((p11 * q**2 - 2 * p01 * q * qd + p00 * qd**2) / (p00 * p11 - p01**2))
@@ -184,11 +184,11 @@ def _outage(spec: RobotSpec, motion: Motion) -> str:
         errors.append([np.sqrt(np.mean((x - motion.q[tick - 1]) ** 2)) for x in (found, usual)])
     after = np.array(errors)[begins + silent :]
     worst = np.array(errors)[begins : begins + silent, 0].max()
-    recovered = np.flatnonzero(after[:, 0] <= 1.1 * after[:, 1])[0]
-    return (
-        f"100 ms without a packet: error up to {1e3 * worst:.1f} mrad, as without it (within 10 %)"
-        f" {1e3 * recovered * spec.dt:.0f} ms after packets are back"
+    recovered = np.flatnonzero(after[:, 0] <= 1.1 * after[:, 1])
+    when = (
+        f"{1e3 * recovered[0] * spec.dt:.0f} ms after packets are back" if len(recovered) else "never again"
     )
+    return f"100 ms without a packet: error up to {1e3 * worst:.1f} mrad, as without it (within 10 %) {when}"
 
 
 def _cost(spec: RobotSpec, motion: Motion) -> str:

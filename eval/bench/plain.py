@@ -37,7 +37,8 @@ class PlainRobot:
         for a, b in collision_pairs(self._pin, self._shapes):
             self._shapes.addCollisionPair(pin.CollisionPair(a, b))
         self._pin_data, self._shapes_data = self._pin.createData(), self._shapes.createData()
-        self._filters = [_filter(spec, angle) for angle in self._home]
+        restless = spec.joint_array("acceleration_density")
+        self._filters = [_filter(spec, *joint) for joint in zip(self._home, restless, strict=True)]
         self._session = ort.InferenceSession(str(policy), providers=["CPUExecutionProvider"])
         self._observation = np.zeros((1, contract.observation_size), dtype=np.float32)
         self._otg, self._in, self._out = (
@@ -88,13 +89,13 @@ class PlainRobot:
         self._data.ctrl[:] = control.ravel()
 
 
-def _filter(spec: RobotSpec, angle: float) -> KalmanFilter:
+def _filter(spec: RobotSpec, angle: float, density: float) -> KalmanFilter:
     joint = KalmanFilter(dim_x=2, dim_z=1)
     joint.x = np.array([[angle], [0.0]])
     joint.F = np.array([[1.0, spec.dt], [0.0, 1.0]])
     joint.H = np.array([[1.0, 0.0]])
     joint.R *= spec.sensors["encoder"].noise ** 2
-    joint.Q = Q_continuous_white_noise(2, spec.dt, spec.filter.acceleration_density)
+    joint.Q = Q_continuous_white_noise(2, spec.dt, density)
     return joint
 
 

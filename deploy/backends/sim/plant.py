@@ -179,6 +179,10 @@ class Plant(Stage):
         if tick % self._slow == 0:
             self._settle_slowly()
 
+    def warm(self, rise: Floats) -> None:
+        """Windings are (B, n) K warmer than their housings."""
+        self._rise[:] = rise
+
     def brake(self, ids: Bools) -> None:
         """Close the brakes of robots where `ids` (B,) holds, on the pose they find."""
         self.drives.brake(ids, self.motion.motor_q)

@@ -78,6 +78,10 @@ class SimRobot(Stage):
         self.plant.reset(ids, q)
         self._settle(ids)
 
+    def warm(self, rise: Floats) -> None:
+        """Windings are (B, n) K warmer than their housings, from a life before this one."""
+        self.plant.warm(rise)
+
     def truth(self) -> Truth:
         """What really holds now: not for the runtime."""
         return self.plant.truth(float(self.sensors.tick[0]) * self.spec.dt)
