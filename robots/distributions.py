@@ -92,6 +92,8 @@ class Joints(Strict):
 class Drives(Strict):
     """Of each drive: factors. Of all: supply voltage as a factor, what the supply's lines resist, commands late.
 
+    `resistance` is the windings' in ohm; heat goes `winding_to_housing` and `housing_to_ambient`, K/W, and stays in
+    `winding_capacity` and `housing_capacity`, J/K.
     `delay_s` is taken as whole periods of physics.
     """
 
@@ -99,6 +101,10 @@ class Drives(Strict):
     kd: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
     torque_constant: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
     resistance: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    winding_to_housing: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    winding_capacity: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    housing_to_ambient: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    housing_capacity: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
     iron_loss: Annotated[Span, *_drawn(0.0, 20.0, "joint")]
     voltage: Annotated[Span, *_drawn(0.2, 2.0)]
     supply_ohm: Annotated[Span, *_drawn(0.0, 5.0)]
