@@ -36,6 +36,10 @@ class Windings(Stage):
         dynamics[:, :, drawn.CW] = STILL
         self.square = np.zeros((draw.robots, self._ohm.shape[1]))
 
+    def ohm(self, celsius: Floats) -> Floats:
+        """(B, n) what windings of (B, n) °C resist."""
+        return self._ohm * (1.0 + self._alpha * (celsius - self._cold))
+
     def warm(self, rise: Floats, housing: Floats, ticks: int, dt: float) -> None:
         """Live through some ticks of `dt` s. Source: see `robots.motor`; steps are far below the windings' seconds.
 
@@ -43,7 +47,7 @@ class Windings(Stage):
             rise: (B, n) K, written. housing: (B, n) °C.
             ticks: how many `square` is of. dt: s.
         """
-        loss = self.square * self._ohm * (1.0 + self._alpha * (housing + rise - self._cold))
+        loss = self.square * self.ohm(housing + rise)
         rise += dt / self.capacity * (loss - ticks * rise / self.to_housing)
         self.square[:] = 0.0
 
