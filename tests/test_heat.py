@@ -13,7 +13,7 @@ from deploy.smoother import Smoother
 from deploy.state import Mode, Packet, Reason
 from robots.errors import RobotError
 from robots.randomness import robot_seed
-from robots.spec import load_robot
+from robots.spec import Rates, load_robot
 from robots.windings import nominal_windings
 
 N, DT = SPEC.n, SPEC.dt
@@ -54,6 +54,22 @@ def test_windings_are_those_that_mujoco_compiles():
     np.testing.assert_allclose(NOMINAL.reference_c, model.actuator_gainprm[:, 3])
     np.testing.assert_allclose(NOMINAL.to_housing, model.actuator_dynprm[:, 2])
     np.testing.assert_allclose(NOMINAL.capacity, model.actuator_dynprm[:, 3])
+
+
+@pytest.mark.parametrize("hz", [1, 4, 5, 7])
+def test_a_slow_bus_warms_its_windings_at_every_tick(hz):
+    """A housing that stays as it is, 9 A for 20 s: a tick is longer than the pause between two temperatures."""
+    spec = SPEC.model_copy(update={"rates": Rates(control_hz=hz, physics_hz=hz)})
+    heat = Heat(spec, 1)
+    for tick in range(20 * hz + 1):
+        heat.step(tick / hz, {k: p._replace(t=p.t + tick / hz) for k, p in sample(9.0, 30.0).items()})
+    loss = 81.0 * NOMINAL.resistance * (1.0 + NOMINAL.alpha * (30.0 - NOMINAL.reference_c))
+    rate = (
+        1.0 / (NOMINAL.to_housing * NOMINAL.capacity)
+        - 81.0 * NOMINAL.resistance * NOMINAL.alpha / NOMINAL.capacity
+    )
+    expected = 30.0 + loss / NOMINAL.capacity * (1.0 - np.exp(-20.0 * rate)) / rate
+    np.testing.assert_allclose(heat.winding[0], expected, rtol=0.06)
 
 
 @pytest.mark.parametrize(
