@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from robots.errors import ConfigError
 from robots.sensors import BUFFER_S, LOSS_MAX, Kind, Sensor
-from robots.spec import RobotSpec
+from robots.spec import Celsius, RobotSpec
 from robots.strict import Strict, read_toml
 
 Floats = NDArray[np.float64]
@@ -135,7 +135,7 @@ class Cable(Strict):
     """
 
     link: str
-    above_m: float
+    above_m: Annotated[float, Field(ge=-10, le=10)]
     stiffness_n_per_m: Annotated[Span, *_drawn(0.0, 1e4)]
     length_m: Annotated[Span, *_drawn(0.0, 10.0)]
     anchor_m: Annotated[Span, *_drawn(-10.0, 10.0, "direction")]
@@ -160,10 +160,11 @@ class Wear(Strict):
     Attributes:
         life_rad: rad that a joint travels in its life at `life_c` of its winding; each 10 K more take it twice as
             fast, each 10 K less half as fast.
+        life_c: °C, what a winding can be.
     """
 
-    life_rad: Annotated[float, Field(gt=0)]
-    life_c: float
+    life_rad: Annotated[float, Field(ge=1)]
+    life_c: Celsius
     friction: Annotated[Span, *_drawn(0.0, 20.0, "joint")]
     backlash_rad: Annotated[Span, *_drawn(0.0, 0.05, "joint")]
     encoder_rad: Annotated[Span, *_drawn(-0.1, 0.1, "joint")]
