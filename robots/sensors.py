@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from robots.strict import Strict
+from robots.strict import Source, Strict
 
 Kind = Literal[
     "encoder",
@@ -86,7 +86,7 @@ class Sensor(Strict):
     drift_per_k: NotNegative
     delay_s: Delay
     loss: Loss
-    source: str
+    source: Source
 
     @model_validator(mode="after")
     def _range_above_resolution(self) -> Self:

@@ -14,7 +14,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from robots.errors import RobotError
 from robots.sensors import Kind, Sensors, channels, check_sensors
-from robots.strict import Strict, read_toml
+from robots.strict import Source, Strict, read_toml
 
 ROBOTS = Path(__file__).parent
 
@@ -40,7 +40,7 @@ class Joint(Strict):
     qdd_max: PositiveFloat
     qddd_max: PositiveFloat
     motor: str
-    source: str
+    source: Source
 
     @model_validator(mode="after")
     def _home_inside(self) -> Self:
@@ -70,7 +70,7 @@ class Motor(Strict):
     winding_max_c: Celsius
     housing_soft_c: Celsius
     housing_max_c: Celsius
-    source: str
+    source: Source
 
 
 class Rates(Strict):
