@@ -64,6 +64,20 @@ def test_a_quantity_does_not_depend_on_the_others(tmp_path):
         assert np.array_equal(values, changed[name]) == (name != "links.mass"), name
 
 
+def test_every_number_has_a_source_or_is_called_an_estimate():
+    """At its own line or at that of its table."""
+    sources = re.compile("estimate|course unit|Isaac Lab|Playground")
+    table, without, lines = "", [], (ARM / "draws.toml").read_text().splitlines()
+    for line in lines:
+        table = line if line.startswith("[") else table
+        if re.match(r"\w+ = [-{\d]", line) and not sources.search(line + table):
+            without.append(line)
+    assert not without
+    assert sum(bool(re.match(r"\w+ = ", line)) for line in lines) == len(QUANTITIES) + len(
+        DISTRIBUTIONS.fixed
+    )
+
+
 def test_robots_seeds_and_quantities_differ():
     a, b = drawn(1, range(200)), drawn(2, range(200))
     for name, values in a.items():
