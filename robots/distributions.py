@@ -182,15 +182,16 @@ class Lies(Strict):
     """How each sensor differs from its data sheet: factors of what robot.toml says, and how its packets travel.
 
     Attributes:
-        noise, bias, drift, loss: factors. delay: factor, the least delay. jitter: what is added to it at most, as a
-            factor too. hold: probability, at each control tick, that the delay stays as it is. burst: control ticks in
-            a row in which packets are lost, mean. repeat: share of ticks at which the last packet comes again, in
-            the place of the one that is due.
+        noise, bias, drift, drift_per_k, loss: factors. delay: factor, the least delay. jitter: what is added to it
+            at most, as a factor too. hold: probability, at each control tick, that the delay stays as it is. burst:
+            control ticks in a row in which packets are lost, mean. repeat: share of ticks at which the last packet
+            comes again, in the place of the one that is due.
     """
 
     noise: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
     bias: Annotated[Span, *_drawn(-20.0, 20.0, "channel")]
     drift: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
+    drift_per_k: Annotated[Span, *_drawn(-20.0, 20.0, "channel")]
     delay: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
     jitter: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
     hold: Annotated[Span, *_drawn(0.0, 1.0, "sensor")]

@@ -38,6 +38,7 @@ def test_everything_that_is_declared_is_drawn():
     assert d["links.com_m"].shape == (5, SPEC.n, 3)
     assert d["sensors.noise"].shape == (5, len(SPEC.sensors))
     assert d["sensors.bias"].shape == (5, sum(SPEC.channels.values()))
+    assert d["sensors.drift_per_k"].shape == d["sensors.bias"].shape
     assert d["climate.ambient_c"].shape == (5,)
 
 

@@ -17,7 +17,8 @@ N, DT, DISTRIBUTIONS = SPEC.n, SPEC.dt, load_distributions(SPEC)
 KINDS, ENCODER = list(SPEC.sensors), SPEC.sensors["encoder"]
 WIDTH = sum(SPEC.channels.values())
 HONEST = {
-    f"sensors.{name}": 0.0 for name in ("noise", "bias", "drift", "delay", "jitter", "hold", "loss", "repeat")
+    f"sensors.{name}": 0.0
+    for name in ("noise", "bias", "drift", "drift_per_k", "delay", "jitter", "hold", "loss", "repeat")
 }
 
 
@@ -94,7 +95,7 @@ def test_each_sensor_comes_at_its_own_rate_with_evenly_spread_stamps():
         np.testing.assert_allclose(np.diff(stamps), 1 / sensor.rate_hz, rtol=0, atol=DT)
         wanted = np.where(stamps > 0, np.cos(stamps), 0.0)
         error = np.abs(value[fresh[:, 0], 0, 0] - wanted).max()
-        assert error <= sensor.resolution / 2 + 2 * sensor.drift_per_k + 1e-12
+        assert error <= sensor.resolution / 2 + 1e-12
 
 
 def test_noise_has_the_drawn_size_and_no_memory():
@@ -138,12 +139,17 @@ def test_a_drift_walks_as_the_square_root_of_time():
 
 
 def test_force_drifts_with_the_warmth_of_the_last_motor():
-    sensors, warm = honest(), np.zeros((1, WIDTH))
-    warm[0, sensors.columns["temperature"]] = np.arange(N) * 10.0
+    """Each robot and each axis in a way of its own."""
+    factors = np.array([[1.0, -0.5, 0.2], [-1.0, 0.7, 0.4]])
+    force = honest().columns["force"]
+    per_k = np.zeros((2, WIDTH))
+    per_k[:, force] = factors
+    sensors, warm = honest(range(2), drift_per_k=per_k), np.zeros((2, WIDTH))
+    warm[:, sensors.columns["temperature"]] = np.arange(N) * 10.0
     for _ in range(CHUNK + 10):
         sensors.take(warm)
         packet = sensors.read()["force"]
-    expected = SPEC.sensors["force"].drift_per_k * (N - 1) * 10.0
+    expected = factors * SPEC.sensors["force"].drift_per_k * (N - 1) * 10.0
     np.testing.assert_allclose(
         packet.value, expected, rtol=0, atol=SPEC.sensors["force"].resolution / 2 + 1e-9
     )

@@ -59,7 +59,8 @@ class Sensors(Stage):
         self._bias = self._each(spec, "bias") * draw["sensors.bias"]
         an_hour = self._each(spec, "drift") * draw["sensors.drift"][:, self._sensor]
         self._step = an_hour * np.sqrt(self._length * self._dt / 3600)
-        self._per_k, self._housing = self._each(spec, "drift_per_k"), self._nearest_housing(spec)
+        self._per_k = self._each(spec, "drift_per_k") * draw["sensors.drift_per_k"]
+        self._housing = self._nearest_housing(spec)
         width, depth = len(self._sensor), self._packets.depth
         self.ring = np.zeros((robots, depth, width))
         self.value, self.walk, self.cold, self.shift, self.held = np.full((5, robots, width), np.nan)
