@@ -38,7 +38,8 @@ class Windings(Stage):
 
     def ohm(self, celsius: Floats) -> Floats:
         """(B, n) what windings of (B, n) °C resist."""
-        return self._ohm * (1.0 + self._alpha * (celsius - self._cold))
+        ohm: Floats = self._ohm * (1.0 + self._alpha * (celsius - self._cold))
+        return ohm
 
     def warm(self, rise: Floats, housing: Floats, ticks: int, dt: float) -> None:
         """Live through some ticks of `dt` s. Source: see `robots.motor`; steps are far below the windings' seconds.
