@@ -77,7 +77,7 @@ class Heat(Stage):
         self.heard, self.taken = np.full((2, robots), -np.inf)
         self.folded, self.fold, self.pace = np.zeros(shape), np.ones(shape), np.ones(robots)
         self.unknown = np.ones(robots, dtype=bool)
-        self._every = round(PERIOD_S / spec.dt)
+        self._every = max(1, round(PERIOD_S / spec.dt))
         self._motors = nominal_windings(spec)
         self._tau = self._motors.to_housing * self._motors.capacity
         self._soft = spec.motor_array("winding_soft_c")

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from robots.errors import ConfigError
 from robots.sensors import BUFFER_S, LOSS_MAX, Kind, Sensor
-from robots.spec import RobotSpec
+from robots.spec import Celsius, RobotSpec
 from robots.strict import Strict, read_toml
 
 Floats = NDArray[np.float64]
@@ -92,6 +92,8 @@ class Joints(Strict):
 class Drives(Strict):
     """Of each drive: factors. Of all: supply voltage as a factor, what the supply's lines resist, commands late.
 
+    `resistance` is the windings' in ohm; heat goes `winding_to_housing` and `housing_to_ambient`, K/W, and stays in
+    `winding_capacity` and `housing_capacity`, J/K.
     `delay_s` is taken as whole periods of physics.
     """
 
@@ -99,6 +101,10 @@ class Drives(Strict):
     kd: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
     torque_constant: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
     resistance: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    winding_to_housing: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    winding_capacity: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    housing_to_ambient: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
+    housing_capacity: Annotated[Span, *_drawn(0.05, 20.0, "joint")]
     iron_loss: Annotated[Span, *_drawn(0.0, 20.0, "joint")]
     voltage: Annotated[Span, *_drawn(0.2, 2.0)]
     supply_ohm: Annotated[Span, *_drawn(0.0, 5.0)]
@@ -129,7 +135,7 @@ class Cable(Strict):
     """
 
     link: str
-    above_m: float
+    above_m: Annotated[float, Field(ge=-10, le=10)]
     stiffness_n_per_m: Annotated[Span, *_drawn(0.0, 1e4)]
     length_m: Annotated[Span, *_drawn(0.0, 10.0)]
     anchor_m: Annotated[Span, *_drawn(-10.0, 10.0, "direction")]
@@ -154,10 +160,11 @@ class Wear(Strict):
     Attributes:
         life_rad: rad that a joint travels in its life at `life_c` of its winding; each 10 K more take it twice as
             fast, each 10 K less half as fast.
+        life_c: °C, what a winding can be.
     """
 
-    life_rad: Annotated[float, Field(gt=0)]
-    life_c: float
+    life_rad: Annotated[float, Field(ge=1)]
+    life_c: Celsius
     friction: Annotated[Span, *_drawn(0.0, 20.0, "joint")]
     backlash_rad: Annotated[Span, *_drawn(0.0, 0.05, "joint")]
     encoder_rad: Annotated[Span, *_drawn(-0.1, 0.1, "joint")]
@@ -175,15 +182,16 @@ class Lies(Strict):
     """How each sensor differs from its data sheet: factors of what robot.toml says, and how its packets travel.
 
     Attributes:
-        noise, bias, drift, loss: factors. delay: factor, the least delay. jitter: what is added to it at most, as a
-            factor too. hold: probability, at each control tick, that the delay stays as it is. burst: control ticks in
-            a row in which packets are lost, mean. repeat: share of ticks at which the last packet comes again, in
-            the place of the one that is due.
+        noise, bias, drift, drift_per_k, loss: factors. delay: factor, the least delay. jitter: what is added to it
+            at most, as a factor too. hold: probability, at each control tick, that the delay stays as it is. burst:
+            control ticks in a row in which packets are lost, mean. repeat: share of ticks at which the last packet
+            comes again, in the place of the one that is due.
     """
 
     noise: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
     bias: Annotated[Span, *_drawn(-20.0, 20.0, "channel")]
     drift: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
+    drift_per_k: Annotated[Span, *_drawn(-20.0, 20.0, "channel")]
     delay: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
     jitter: Annotated[Span, *_drawn(0.0, 20.0, "sensor")]
     hold: Annotated[Span, *_drawn(0.0, 1.0, "sensor")]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from robots.strict import Strict
+from robots.strict import Source, Strict
 
 Kind = Literal[
     "encoder",
@@ -69,7 +69,7 @@ class Sensor(Strict):
         noise: standard deviation of a reading.
         bias: the largest constant error.
         drift: what a bias walks in an hour, standard deviation.
-        drift_per_k: what a bias moves for each K that the housing nearest to it has warmed.
+        drift_per_k: what a bias moves at most for each K that the housing nearest to it has warmed, either way.
         delay_s: s, from taking to arriving.
         loss: share of packets that never arrive.
         source: where the numbers come from, or "estimate".
@@ -86,7 +86,7 @@ class Sensor(Strict):
     drift_per_k: NotNegative
     delay_s: Delay
     loss: Loss
-    source: str
+    source: Source
 
     @model_validator(mode="after")
     def _range_above_resolution(self) -> Self:

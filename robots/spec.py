@@ -14,7 +14,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from robots.errors import RobotError
 from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
-from robots.strict import Strict, read_toml
+from robots.strict import Source, Strict, read_toml
 
 ROBOTS = Path(__file__).parent
 
@@ -44,7 +44,7 @@ class Joint(Strict):
     qddd_max: PositiveFloat
     acceleration_density: PositiveFloat
     motor: str
-    source: str
+    source: Source
 
     @model_validator(mode="after")
     def _home_inside(self) -> Self:
@@ -74,7 +74,7 @@ class Motor(Strict):
     winding_max_c: Celsius
     housing_soft_c: Celsius
     housing_max_c: Celsius
-    source: str
+    source: Source
 
     @model_validator(mode="after")
     def _housing_ordered(self) -> Self:

@@ -4,9 +4,9 @@ import json
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robots.errors import ConfigError, FirstshiftError
 
@@ -16,6 +16,9 @@ class Strict(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
+
+Source = Annotated[str, Field(min_length=1)]
+"""Where numbers come from, or "estimate"."""
 
 M = TypeVar("M", bound=Strict)
 

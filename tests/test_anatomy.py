@@ -15,6 +15,7 @@ from robots.errors import ConfigError, RobotError
 from robots.model_mujoco import load_mujoco
 from robots.randomness import robot_seed
 from robots.spec import load_robot
+from robots.windings import nominal_windings
 
 mujoco = pytest.importorskip("mujoco")
 DISTRIBUTIONS = load_distributions(SPEC)
@@ -91,7 +92,7 @@ def test_mass_and_inertia_scale_together_and_everything_derived_follows():
 
 
 def test_no_plant_equals_the_model_that_deploy_computes_with():
-    model, plant, dofs = load_mujoco(SPEC), drawn(8), ANATOMY.dofs
+    model, plant, dofs, windings = load_mujoco(SPEC), drawn(8), ANATOMY.dofs, nominal_windings(SPEC)
     for i in range(8):
         own = plant.batch.get_model(i)
         for name in ("body_mass", "body_inertia", "body_ipos"):
@@ -101,6 +102,10 @@ def test_no_plant_equals_the_model_that_deploy_computes_with():
         places = [0, 1, 4, 6, 7]
         assert (own.actuator_gainprm[:, places] != model.actuator_gainprm[:, places]).all()
         assert (own.opt.gravity != model.opt.gravity).all()
+        assert (plant.windings.to_housing[i] != windings.to_housing).all()
+        assert (plant.windings.capacity[i] != windings.capacity).all()
+        assert (plant.housings.to_ambient[i] != SPEC.motor_array("housing_resistance_k_per_w")).all()
+        assert (plant.housings.capacity[i] != SPEC.motor_array("housing_capacity_j_per_k")).all()
         assert plant.truth(0.0).winding_c[i].min() > 15.0
 
 

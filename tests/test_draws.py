@@ -38,6 +38,7 @@ def test_everything_that_is_declared_is_drawn():
     assert d["links.com_m"].shape == (5, SPEC.n, 3)
     assert d["sensors.noise"].shape == (5, len(SPEC.sensors))
     assert d["sensors.bias"].shape == (5, sum(SPEC.channels.values()))
+    assert d["sensors.drift_per_k"].shape == d["sensors.bias"].shape
     assert d["climate.ambient_c"].shape == (5,)
 
 
@@ -62,6 +63,20 @@ def test_a_quantity_does_not_depend_on_the_others(tmp_path):
     changed = draw(load_distributions(spec), spec, [robot_seed(3, robot) for robot in range(4)])
     for name, values in drawn(3, range(4)).items():
         assert np.array_equal(values, changed[name]) == (name != "links.mass"), name
+
+
+def test_every_number_has_a_source_or_is_called_an_estimate():
+    """At its own line or at that of its table."""
+    sources = re.compile("estimate|course unit|Isaac Lab|Playground")
+    table, without, lines = "", [], (ARM / "draws.toml").read_text().splitlines()
+    for line in lines:
+        table = line if line.startswith("[") else table
+        if re.match(r"\w+ = [-{\d]", line) and not sources.search(line + table):
+            without.append(line)
+    assert not without
+    assert sum(bool(re.match(r"\w+ = ", line)) for line in lines) == len(QUANTITIES) + len(
+        DISTRIBUTIONS.fixed
+    )
 
 
 def test_robots_seeds_and_quantities_differ():
@@ -175,7 +190,16 @@ def test_a_stored_draw_that_is_no_draw_is_refused(tmp_path, text):
             "torque_constant = { low = -1.0, high = 0 }",
             ["wear.torque_constant", "-0.9"],
         ),
-        ("life_rad = .*", "life_rad = 0.0", ["wear.life_rad", "greater than 0"]),
+        ("life_rad = .*", "life_rad = 0.0", ["wear.life_rad", "greater than or equal to 1", "0.0"]),
+        ("life_c = .*", "life_c = -273.0", ["wear.life_c", "greater than or equal to -50", "-273.0"]),
+        ("life_c = .*", "life_c = 301.0", ["wear.life_c", "less than or equal to 300", "301.0"]),
+        ("above_m = .*", "above_m = -11.0", ["cable.above_m", "greater than or equal to -10", "-11.0"]),
+        ("above_m = .*", "above_m = 11.0", ["cable.above_m", "less than or equal to 10", "11.0"]),
+        (
+            "friction = { low = 0.0, .*",
+            "friction = { low = 0.0, high = 21.0 }",
+            ["wear.friction", "21.0", "[0.0, 20.0]"],
+        ),
         ("above_m = .*", "above_m = '1'", ["cable.above_m", "'1'"]),
         ("ambient_c = .*", "ambient_c = { low = nan, high = 35.0 }", ["climate.ambient_c.low", "nan"]),
         (r"\[climate\]", "[weather]", ["climate", "weather"]),

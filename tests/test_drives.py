@@ -54,10 +54,15 @@ def test_brakes_wait_for_no_bus():
     assert not control[0, :, 1::3].any()
 
 
+def sink(plant, current, qd):
+    """Cold windings draw."""
+    plant.supply.sink(current, qd, plant.wear.constant, plant.windings.ohm(25.0))
+
+
 def volts(current, qd, ohm):
     """Of each drive of one robot, when all carry `current` A and turn at `qd` rad/s."""
     plant = exact(1, {"drives.supply_ohm": ohm})
-    plant.supply.sink(np.full((1, N), current), np.full((1, N), qd), plant.wear.constant)
+    sink(plant, np.full((1, N), current), np.full((1, N), qd))
     return plant.supply.limit[0]
 
 
@@ -77,9 +82,27 @@ def test_braking_drives_do_not_lift_the_bus_and_overload_halves_it():
     np.testing.assert_array_equal(volts(15.0, 3.0, 5.0), 24.0)
 
 
+def test_hot_windings_take_more_from_the_bus():
+    """R I² with R(T) = R0 (1 + α (T - T0)), as the motors have it."""
+    cold, hot = (
+        exact(1, {"drives.supply_ohm": 1.0, "climate.ambient_c": ambient}) for ambient in (25.0, 75.0)
+    )
+    drawn = []
+    for plant in (cold, hot):
+        for _ in range(40):
+            plant.step(command(HOME))
+        own = plant.batch.get_model(0)
+        resistance = own.actuator_gainprm[:, 0] * (1.0 + 0.0039 * (plant.truth(0.0).winding_c[0] - 25.0))
+        motor = plant.current[0] * resistance + own.actuator_gainprm[:, 1] * 101 * plant.motion.motor_qd[0]
+        drawn.append((motor * plant.current[0]).sum())
+        bus = plant.supply.limit[0, 0]
+        assert bus * (48.0 - bus) == pytest.approx(drawn[-1], rel=1e-9)
+    assert drawn[1] > 1.15 * drawn[0] > 0.5
+
+
 def test_a_bus_is_saved_and_reset_with_its_robot():
     plant, other = (exact(2, {"drives.supply_ohm": 1.0}) for _ in range(2))
-    plant.supply.sink(np.full((2, N), 3.0), np.ones((2, N)), plant.wear.constant)
+    sink(plant, np.full((2, N), 3.0), np.ones((2, N)))
     other.restore(plant.save())
     np.testing.assert_array_equal(other.supply.limit, plant.supply.limit)
     other.reset(np.array([False, True]), np.tile(HOME, (2, 1)))

@@ -8,13 +8,14 @@ from test_contract import arm_contract
 from test_runtime import Saying, heard
 from test_spec import SPEC, copy_of_arm
 
-from deploy.heat import DEAF_S, PERIOD_S, STEPS, Heat
+from deploy.heat import CHANCE, DEAF_S, PERIOD_S, STEPS, Heat, stuck_after
 from deploy.runtime import Runtime
 from deploy.smoother import Smoother
 from deploy.state import Mode, Packet, Reason
+from robots.distributions import load_distributions
 from robots.errors import RobotError
 from robots.randomness import robot_seed
-from robots.spec import load_robot
+from robots.spec import Rates, load_robot
 from robots.windings import nominal_windings
 
 N, DT = SPEC.n, SPEC.dt
@@ -22,6 +23,8 @@ SOFT, HARD = SPEC.motor_array("winding_soft_c"), SPEC.motor_array("winding_max_c
 LIMIT, FOLD_MIN, PACE_MIN = HARD - SPEC.margins.winding_k, SPEC.margins.fold_min, SPEC.margins.pace_min
 """°C at which a winding that is no warmer than its housing stops the robot; and what is left of a folded motor."""
 NOMINAL = nominal_windings(SPEC)
+CURRENT_MAX = torque_max(SPEC) / nominal_constant(SPEC)
+"""(n,) A at the end of each actuator's range."""
 THERMAL = (r'thermal="1.0 40 0 0.0039 25 25"', r'thermal="2.0 12 0 0.0039 25 25"')
 
 
@@ -61,6 +64,22 @@ def test_windings_are_those_that_mujoco_compiles():
     np.testing.assert_allclose(NOMINAL.reference_c, model.actuator_gainprm[:, 3])
     np.testing.assert_allclose(NOMINAL.to_housing, model.actuator_dynprm[:, 2])
     np.testing.assert_allclose(NOMINAL.capacity, model.actuator_dynprm[:, 3])
+
+
+@pytest.mark.parametrize("hz", [1, 4, 5, 7])
+def test_a_slow_bus_warms_its_windings_at_every_tick(hz):
+    """A housing that stays as it is, 9 A for 20 s: a tick is longer than the pause between two temperatures."""
+    spec = SPEC.model_copy(update={"rates": Rates(control_hz=hz, physics_hz=hz)})
+    heat = Heat(spec, 1)
+    for tick in range(20 * hz + 1):
+        heat.step(tick / hz, {k: p._replace(t=p.t + tick / hz) for k, p in sample(9.0, 30.0).items()})
+    loss = 81.0 * NOMINAL.resistance * (1.0 + NOMINAL.alpha * (30.0 - NOMINAL.reference_c))
+    rate = (
+        1.0 / (NOMINAL.to_housing * NOMINAL.capacity)
+        - 81.0 * NOMINAL.resistance * NOMINAL.alpha / NOMINAL.capacity
+    )
+    expected = 30.0 + loss / NOMINAL.capacity * (1.0 - np.exp(-20.0 * rate)) / rate
+    np.testing.assert_allclose(heat.winding[0], expected, rtol=0.06)
 
 
 @pytest.mark.parametrize(
@@ -145,12 +164,13 @@ def test_follows_the_equation_through_changing_current_and_housing():
 
 
 def test_what_is_no_number_counts_as_the_last_one():
-    heat, clean, rng, current = Heat(SPEC, 1), Heat(SPEC, 1), np.random.default_rng(0), np.zeros(N)
+    heat, clean, rng, whole = Heat(SPEC, 1), Heat(SPEC, 1), np.random.default_rng(0), sample(0.0, 30.0)
     for tick in range(400):
         lost, housing = tick % 7 == 3, 30.0 + tick // 100
-        current = current if lost else rng.uniform(0, 9, N)
-        live(clean, sample(current, housing))
-        live(heat, sample(np.nan if lost else current, np.nan if lost else housing))
+        current = whole["current"].value if lost else sample(rng.uniform(0, 9, N), housing)["current"].value
+        whole = {**sample(0.0, housing), "current": whole["current"]._replace(value=current)}
+        live(clean, whole)
+        live(heat, sample(np.nan, np.nan) if lost else whole)
     np.testing.assert_array_equal(heat.winding, clean.winding)
     assert (heat.winding > 30).all()
 
@@ -365,3 +385,54 @@ def test_a_robot_that_stops_has_all_of_its_current(tmp_path):
     runtime.tick()
     assert runtime.supervisor.mode.tolist() == [Mode.RUNNING, Mode.STOPPING]
     np.testing.assert_array_equal(runtime.command.current, np.repeat([[0.7], [1.0]], N, axis=1))
+
+
+def test_no_motor_that_can_be_drawn_comes_to_its_limit_unnoticed():
+    """Each of the corners of draws.toml, under currents and in housings of any kind: the guard stops it before that."""
+    spans = load_distributions(SPEC).drives
+    corners = np.array(
+        [
+            [span.low, span.high]
+            for span in (spans.resistance, spans.winding_to_housing, spans.winding_capacity)
+        ]
+    )
+    housing, share = np.meshgrid([15.0, 40.0, 65.0, 85.0], [0.5, 0.65, 0.8, 1.0], indexing="ij")
+    current = share.reshape(-1, 1) * CURRENT_MAX
+    for ohm, out, capacity in itertools.product(*corners):
+        heat, true = Heat(SPEC, len(current)), np.repeat(housing.reshape(-1, 1), N, axis=1)
+        around, tau = true.copy(), PERIOD_S / (NOMINAL.capacity * capacity)
+        stopped = np.zeros(true.shape, dtype=bool)
+        for tick in range(round(200 / DT)):
+            live(heat, sample(current, around, len(current)))
+            if (tick + 1) % round(PERIOD_S / DT):
+                continue
+            ohms = NOMINAL.resistance * ohm * (1 + NOMINAL.alpha * (true - NOMINAL.reference_c))
+            true += tau * (current**2 * ohms - (true - around) / (NOMINAL.to_housing * out))
+            stopped |= heat.winding + heat.doubt > HARD
+            assert (stopped | (true < HARD)).all(), (ohm, out, capacity)
+        assert stopped.any()
+
+
+@pytest.mark.parametrize("sensor", ["current"])
+def test_a_current_that_never_moves_is_not_heard(sensor):
+    """Neither by its noise: what it says now is not known, and without that no winding is."""
+    heat, stuck, found = Heat(SPEC, 2), sample(3.0, 30.0, 2), []
+    for tick in range(round((DEAF_S + 3.0) / DT)):
+        packets = sample(3.0, 30.0, 2)
+        packets[sensor].value[1, 4] = stuck[sensor].value[1, 4]
+        live(heat, packets)
+        found.append(np.isfinite(heat.winding).all(axis=1))
+    assert np.all(found, axis=0).tolist() == [True, False]
+    blind = np.argmin(np.array(found)[:, 1]) * DT
+    assert DEAF_S < blind < DEAF_S + 2.0
+
+
+def test_how_often_a_reading_may_repeat_itself():
+    """By its own noise and steps: never by chance, and what is too coarse for its noise may stand still for ever."""
+    current, rng = SPEC.sensors["current"], np.random.default_rng(3)
+    most = stuck_after(current)
+    readings = np.rint(rng.normal(0.0, current.noise / 2, 1_000_000) / current.resolution)
+    again = np.mean(readings[1:] == readings[:-1])
+    assert again ** (most - 1) > CHANCE > 0.5 * again**most
+    assert stuck_after(SPEC.sensors["temperature"]) == np.inf
+    assert stuck_after(current.model_copy(update={"noise": 0.0})) == np.inf

@@ -1,4 +1,5 @@
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,6 +24,8 @@ ANATOMY = build(SPEC, load_distributions(SPEC).cable)
 FACTORS = (
     *("links.mass", "links.length", "joints.friction", "joints.damping", "joints.armature"),
     *("drives.kp", "drives.kd", "drives.torque_constant", "drives.resistance", "drives.voltage"),
+    *("drives.winding_to_housing", "drives.winding_capacity"),
+    *("drives.housing_to_ambient", "drives.housing_capacity"),
     "mounting.contact_friction",
 )
 AMOUNTS = (
@@ -103,7 +106,8 @@ def test_a_closed_brake_takes_no_current_and_warms_nothing():
         plant.step(command(np.tile(HOME, (3, 1)), powered=False))  # in the midst of a motion
         assert not plant.current.any()
     cooled = plant.truth(0.0).winding_c - plant.housing
-    np.testing.assert_allclose(cooled, rise * np.exp(-2000 * DT / np.repeat([40.0, 24.0], 3)), atol=0.2)
+    seconds = plant.windings.to_housing * plant.windings.capacity
+    np.testing.assert_allclose(cooled, rise * np.exp(-2000 * DT / seconds), atol=0.2)
     plant.step(command(np.tile(HOME, (3, 1))))
     assert (np.abs(plant.current) > 0.5).any(axis=1).all()
 
@@ -353,11 +357,22 @@ def re40_arm(tmp_path, hz):
     return load_robot(folder)
 
 
-@pytest.mark.parametrize(("minutes", "hz"), [(1, 200), (10, 50), (60, 20)])
-def test_heat_follows_the_closed_form_within_1_k(tmp_path, minutes, hz):
+def as_drawn(winding_to_housing=1.0, winding_capacity=1.0, housing_to_ambient=1.0, housing_capacity=1.0):
+    """The motor, and the draw, of which these are the factors."""
+    factors = dict(locals())
+    motor = replace(RE40, **{name: factor * getattr(RE40, name) for name, factor in factors.items()})
+    return motor, {f"drives.{name}": factor for name, factor in factors.items()}
+
+
+@pytest.mark.parametrize(
+    ("minutes", "hz", "factors"),
+    [(1, 200, ()), (10, 50, ()), (60, 20, ()), (1, 50, (1.2, 0.8, 0.8, 1.2)), (20, 20, (0.8, 1.2, 1.2, 0.8))],
+)
+def test_heat_follows_the_closed_form_within_1_k(tmp_path, minutes, hz, factors):
     """Two nodes, one in MuJoCo and one beside it, and R(T): a locked joint at a constant 3.12 A."""
+    motor, changes = as_drawn(*factors)
     spec, ambient = re40_arm(tmp_path, hz), 25.0
-    plant, dt = exact(spec=spec), spec.dt
+    plant, dt = exact(1, changes, spec=spec), spec.dt
     tau = np.zeros(N)
     for k in range(round(minutes * 60 / dt)):
         plant.step(command(HOME, tau=tau))
@@ -366,7 +381,7 @@ def test_heat_follows_the_closed_form_within_1_k(tmp_path, minutes, hz):
             measured = plant.current[0, 5]
             tau[5] = 3.12 * 0.0603 * 101 if k == 0 else tau[5] * 3.12 / measured
     assert plant.current[0, 5] == pytest.approx(3.12, rel=0.01)
-    winding, housing = temperatures(RE40, 3.12, ambient, minutes * 60)
+    winding, housing = temperatures(motor, 3.12, ambient, minutes * 60)
     truth = plant.truth(0.0)
     assert truth.winding_c[0, 5] == pytest.approx(winding, abs=1.0)
     assert truth.housing_c[0, 5] == pytest.approx(housing, abs=1.0)

@@ -1,36 +1,41 @@
 import numpy as np
 import pytest
-from test_spec import SPEC
+from test_spec import SPEC, copy_of_arm
 
 pytest.importorskip("mujoco")
 
-from deploy.backends.sim.packets import BLINK_S, CHUNK, LATE_S, SLOW, WRONG, Failure, Fault
+from deploy.backends.sim.packets import BLINK_S, CHUNK, LATE_S, SLOW, WRONG, Failure, Fault, silent
 from deploy.backends.sim.sensors import Sensors
 from robots.distributions import load_distributions
 from robots.draws import draw
 from robots.errors import ConfigError
 from robots.randomness import robot_seed
+from robots.sensors import BUFFER_S
+from robots.spec import load_robot
 
 N, DT, DISTRIBUTIONS = SPEC.n, SPEC.dt, load_distributions(SPEC)
 KINDS, ENCODER = list(SPEC.sensors), SPEC.sensors["encoder"]
 WIDTH = sum(SPEC.channels.values())
 HONEST = {
-    f"sensors.{name}": 0.0 for name in ("noise", "bias", "drift", "delay", "jitter", "hold", "loss", "repeat")
+    f"sensors.{name}": 0.0
+    for name in ("noise", "bias", "drift", "drift_per_k", "delay", "jitter", "hold", "loss", "repeat")
 }
 
 
-def built(robots=(0,), seed=1, faults=(), **lies):
+def built(robots=(0,), seed=1, faults=(), spec=SPEC, **lies):
     """Sensors of some robots of a seed; `lies` are the same for all of them, "sensors.NAME" by NAME."""
     seeds = [robot_seed(seed, robot) for robot in robots]
-    drawn = draw(DISTRIBUTIONS, SPEC, seeds)
-    sensors = Sensors(SPEC, drawn.replaced({f"sensors.{n}": v for n, v in lies.items()}), seeds, faults)
+    drawn = draw(DISTRIBUTIONS, spec, seeds)
+    sensors = Sensors(spec, drawn.replaced({f"sensors.{n}": v for n, v in lies.items()}), seeds, faults)
     sensors.reset(np.ones(len(seeds), dtype=bool), np.zeros((len(seeds), WIDTH)))
     return sensors
 
 
-def honest(robots=(0,), faults=(), **but):
+def honest(robots=(0,), faults=(), spec=SPEC, **but):
     """Sensors without any lie but some."""
-    return built(robots, faults=faults, **{name.partition(".")[2]: x for name, x in HONEST.items()} | but)
+    return built(
+        robots, faults=faults, spec=spec, **{name.partition(".")[2]: x for name, x in HONEST.items()} | but
+    )
 
 
 def play(sensors, ticks, motion=np.sin, kind="encoder"):
@@ -58,6 +63,21 @@ def test_a_packet_arrives_whole_ticks_late_and_says_when_it_was_taken(delay, tic
     assert np.abs(q[:, 0, 0] - truth).max() <= ENCODER.resolution / 2 + 1e-12
 
 
+@pytest.mark.parametrize("hz", [504, 508, 1000, 2000])
+def test_a_quick_bus_delivers_what_is_long_under_way(tmp_path, hz):
+    """Its buffer of a quarter of a second holds more ticks than are worked out at once on a slow one."""
+    rates = [("control_hz = 200", f"control_hz = {hz}"), ("physics_hz = 1000", f"physics_hz = {hz}")]
+    late = round(BUFFER_S * hz) - 1
+    sensors = honest(spec=load_robot(copy_of_arm(tmp_path, toml=rates)), delay=late / hz / ENCODER.delay_s)
+    for tick in range(1, 3 * CHUNK + 2 * late):
+        sensors.take(np.full((1, WIDTH), tick / hz))
+        packet = sensors.read()["encoder"]
+        if packet.fresh[0] and tick > late + 1:
+            np.testing.assert_allclose(packet.value[0], packet.t[0], rtol=0, atol=ENCODER.resolution)
+            assert tick - late == pytest.approx(packet.t[0] * hz)
+    assert packet.t[0] > BUFFER_S
+
+
 def test_readings_are_whole_steps_inside_the_range():
     for kind, sensor in SPEC.sensors.items():
         _, _, value = play(built(range(3)), 300, lambda t, s=sensor: 2.0 * s.range * np.sin(5 * t), kind)
@@ -75,7 +95,7 @@ def test_each_sensor_comes_at_its_own_rate_with_evenly_spread_stamps():
         np.testing.assert_allclose(np.diff(stamps), 1 / sensor.rate_hz, rtol=0, atol=DT)
         wanted = np.where(stamps > 0, np.cos(stamps), 0.0)
         error = np.abs(value[fresh[:, 0], 0, 0] - wanted).max()
-        assert error <= sensor.resolution / 2 + 2 * sensor.drift_per_k + 1e-12
+        assert error <= sensor.resolution / 2 + 1e-12
 
 
 def test_noise_has_the_drawn_size_and_no_memory():
@@ -119,12 +139,17 @@ def test_a_drift_walks_as_the_square_root_of_time():
 
 
 def test_force_drifts_with_the_warmth_of_the_last_motor():
-    sensors, warm = honest(), np.zeros((1, WIDTH))
-    warm[0, sensors.columns["temperature"]] = np.arange(N) * 10.0
+    """Each robot and each axis in a way of its own."""
+    factors = np.array([[1.0, -0.5, 0.2], [-1.0, 0.7, 0.4]])
+    force = honest().columns["force"]
+    per_k = np.zeros((2, WIDTH))
+    per_k[:, force] = factors
+    sensors, warm = honest(range(2), drift_per_k=per_k), np.zeros((2, WIDTH))
+    warm[:, sensors.columns["temperature"]] = np.arange(N) * 10.0
     for _ in range(CHUNK + 10):
         sensors.take(warm)
         packet = sensors.read()["force"]
-    expected = SPEC.sensors["force"].drift_per_k * (N - 1) * 10.0
+    expected = factors * SPEC.sensors["force"].drift_per_k * (N - 1) * 10.0
     np.testing.assert_allclose(
         packet.value, expected, rtol=0, atol=SPEC.sensors["force"].resolution / 2 + 1e-9
     )
@@ -247,9 +272,12 @@ def test_wrong():
     np.testing.assert_allclose(q[:, 0] - clean[:, 0], WRONG * ENCODER.range, rtol=0, atol=1e-12)
 
 
-def test_slow():
-    _, fresh, _, _ = failing(Failure.SLOW)
-    assert fresh.sum() == pytest.approx(200 / SLOW, abs=1)
+@pytest.mark.parametrize("kind", KINDS)
+def test_slow(kind):
+    """One packet of so many remains, however seldom the sensor sends them."""
+    fault = Fault(robot=0, sensor=kind, begins=0, ends=4000, what=Failure.SLOW)
+    _, fresh, _ = play(honest(faults=[fault]), 4000, kind=kind)
+    assert fresh.sum() == pytest.approx(SPEC.sensors[kind].rate_hz * 4000 * DT / SLOW, abs=1)
 
 
 def test_delayed():
@@ -264,6 +292,11 @@ def test_intermittent():
     np.testing.assert_array_equal(fresh, np.arange(200) // silent % 2 == 1)
     _, _, q, _ = failing(Failure.INTERMITTENT, channel=5)
     np.testing.assert_array_equal(np.isnan(q[:, 5]), np.arange(200) // silent % 2 == 0)
+
+
+def test_a_slow_bus_is_silent_at_every_other_tick():
+    fault = Fault(**FAILS | {"begins": 0, "ends": 6}, what=Failure.INTERMITTENT)
+    assert silent(fault, np.arange(8), 0.5).tolist() == [True, False] * 3 + [False] * 2
 
 
 @pytest.mark.parametrize(

@@ -98,6 +98,13 @@ def test_unknown_robot_names_the_known_ones(tmp_path):
         ("housing_capacity_j_per_k = 1200.0", "housing_capacity = 1200.0", ["motors.size3.housing_capacity"]),
         ("centre = .*", "centre = [0.0, 0.0]", ["workspace.centre"]),
         ("winding_max_c = 110.0", "winding_max_c = 400.0", ["winding_max_c", "300", "400"]),
+        ('source = "estimate: 14 bit.*"', 'source = ""', ["sensors.encoder.source", "at least 1 character"]),
+        (
+            'source = "estimate: to the room.*"',
+            'source = ""',
+            ["motors.size3.source", "at least 1 character"],
+        ),
+        ('source = "as shoulder_pan"', 'source = ""', ["joints.1.source", "at least 1 character"]),
         ("control_hz = 200", "control_hz = [", ["not valid TOML"]),
     ],
 )

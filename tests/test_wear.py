@@ -53,6 +53,19 @@ def test_no_life_is_so_long_that_a_magnet_turns_round():
     assert (plant.batch.get_model(0).actuator_gainprm[:, 1] > 0).all()
 
 
+def test_no_life_is_so_long_that_a_joint_becomes_what_none_can_be():
+    """Here one hot second of the shortest life at the coldest."""
+    worst = {"wear.friction": 20.0, "wear.backlash_rad": 0.05, "wear.encoder_rad": np.repeat([-0.1, 0.1], 3)}
+    plant = exact(1, worst)
+    plant.wear.life[:] = 3.0 / 1.0 * 2.0 ** ((300.0 + 50.0) / 10.0)
+    plant.wear.apply()
+    worn = plant.worn()
+    np.testing.assert_array_equal(worn.friction, 20.0)
+    np.testing.assert_array_equal(worn.backlash_rad, 0.05)
+    np.testing.assert_array_equal(worn.encoder_rad[0], [-0.1] * 3 + [0.1] * 3)
+    assert np.abs(plant.batch.get_model(0).jnt_range[ANATOMY.play]).max() == 0.025
+
+
 def test_an_encoder_that_slipped_reads_what_is_not_there():
     plant = exact(1, WORN)
     plant.wear.life[:] = 1.5

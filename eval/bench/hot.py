@@ -123,7 +123,7 @@ def _steady(spec: RobotSpec, policy: Path) -> tuple[Floats, Floats]:
     given = hot_draw(spec, who)
     trial = Trial(spec, policy, _seeds(who), given=given)
     _careless(trial.runtime)
-    motors, first = nominal_windings(spec), trial.robot.truth()
+    plant, motors, first = trial.robot.plant, nominal_windings(spec), trial.robot.truth()
     begin, ticks = first.housing_c.copy(), round(TRIED_S / spec.dt)
     copper, rise, housing = np.zeros((3, TRIED, spec.n))
     for _ in trial.live(TRIED_S):
@@ -132,15 +132,15 @@ def _steady(spec: RobotSpec, policy: Path) -> tuple[Floats, Floats]:
         rise += (truth.winding_c - truth.housing_c) / ticks
         housing += truth.housing_c / ticks
     ambient = given["climate.ambient_c"][:, None]
-    away = spec.motor_array("housing_resistance_k_per_w")
+    out, away = plant.windings.to_housing, plant.housings.to_ambient
     # What warmed the housing, beside its winding and less what left it, is friction and iron.
-    warming = spec.motor_array("housing_capacity_j_per_k") * (truth.housing_c - begin) / TRIED_S
-    rubbed = warming - rise / motors.to_housing + (housing - ambient) / away
-    return steady(copper, rubbed, ambient, motors, away)
+    warming = plant.housings.capacity * (truth.housing_c - begin) / TRIED_S
+    rubbed = warming - rise / out + (housing - ambient) / away
+    return steady(copper, rubbed, ambient, motors, out, away)
 
 
 def steady(
-    copper: Floats, rubbed: Floats, ambient: Floats, motors: Windings, away: Floats
+    copper: Floats, rubbed: Floats, ambient: Floats, motors: Windings, out: Floats, away: Floats
 ) -> tuple[Floats, Floats]:
     """(B, n) °C of windings and of housings that have lost the same for ever.
 
@@ -149,13 +149,14 @@ def steady(
     Args:
         copper: (B, n) W of the windings at their reference temperature. rubbed: (B, n) W into the housings.
         ambient: (B, 1) °C.
-        motors: the windings. away: (n,) K/W from housing to ambient.
+        motors: what windings of any draw have in common. out, away: (B, n) K/W from winding to housing, and on to
+            ambient.
     """
-    to_room = (motors.to_housing + away) * copper
+    to_room = (out + away) * copper
     above = ambient + away * rubbed + to_room * (1 - motors.alpha * motors.reference_c)
     winding = above / (1 - to_room * motors.alpha)
     loss = copper * (1 + motors.alpha * (winding - motors.reference_c))
-    return winding, winding - motors.to_housing * loss
+    return winding, winding - out * loss
 
 
 def _work(

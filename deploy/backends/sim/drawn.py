@@ -58,6 +58,9 @@ def _drives(batch: Batch, draw: Draw) -> None:
     for place, name in ((R, "resistance"), (K, "torque_constant"), (KP, "kp"), (KD, "kd")):
         gain[:, :, place] *= draw[f"drives.{name}"]
     gain[:, :, VOLTS] *= draw["drives.voltage"][:, None]
+    dynamics = batch.expand("actuator_dynprm")
+    for place, name in ((RWH, "winding_to_housing"), (CW, "winding_capacity")):
+        dynamics[:, :, place] *= draw[f"drives.{name}"]
 
 
 def _mounting(batch: Batch, anatomy: Anatomy, draw: Draw) -> None:

@@ -104,9 +104,8 @@ class Supply(Stage):
     carried = ("limit",)
 
     def __init__(self, batch: Batch, draw: Draw, gear: Floats) -> None:
-        """Read voltages and resistances."""
-        gain = batch.expand("actuator_gainprm")
-        self.limit, self._resistance = gain[:, :, drawn.VOLTS], gain[:, :, drawn.R].copy()
+        """Read voltages."""
+        self.limit = batch.expand("actuator_gainprm")[:, :, drawn.VOLTS]
         self._gear, self._volts = gear, self.limit.copy()
         self._ohm4 = 4.0 * draw["drives.supply_ohm"]
 
@@ -114,9 +113,14 @@ class Supply(Stage):
         """Robots `rows` draw nothing."""
         self.limit[rows] = self._volts[rows]
 
-    def sink(self, current: Floats, qd: Floats, constant: Floats) -> None:
-        """Follow what is drawn: motor current (B, n) A, joint speed rad/s, by torque constant N·m/A."""
-        volts = qd * self._gear * constant + current * self._resistance
+    def sink(self, current: Floats, qd: Floats, constant: Floats, ohm: Floats) -> None:
+        """Follow what is drawn.
+
+        Args:
+            current: (B, n) A, of the motors. qd: (B, n) rad/s, of the joints.
+            constant: (B, n) N·m/A. ohm: (B, n), of the windings as warm as they are.
+        """
+        volts = qd * self._gear * constant + current * ohm
         power = np.maximum((volts * current).sum(axis=1), 0.0)
         left = np.maximum(self._volts**2 - (self._ohm4 * power)[:, None], 0.0)
         self.limit[:] = 0.5 * (self._volts + np.sqrt(left))

@@ -17,7 +17,11 @@ class Windings(Stage):
     """The winding's node is MuJoCo's activation, a rise over the housing, which its resistance follows.
 
     It is integrated here: MuJoCo heats a saturated motor by the current that its voltage would drive, not by the one
-    that its limit of torque lets through. `square` (B, n) A² are the squared currents of the ticks since the last time.
+    that its limit of torque lets through.
+
+    Attributes:
+        square: (B, n) A², the squared currents of the ticks since the last time.
+        to_housing: (B, n) K/W. capacity: (B, n) J/K.
     """
 
     carried = ("square",)
@@ -28,9 +32,14 @@ class Windings(Stage):
         self._ohm, self._alpha, self._cold = (
             gain[:, :, place].copy() for place in (drawn.R, drawn.ALPHA, drawn.COLD)
         )
-        self._to_housing, self._capacity = (dynamics[:, :, place].copy() for place in (drawn.RWH, drawn.CW))
+        self.to_housing, self.capacity = (dynamics[:, :, place].copy() for place in (drawn.RWH, drawn.CW))
         dynamics[:, :, drawn.CW] = STILL
         self.square = np.zeros((draw.robots, self._ohm.shape[1]))
+
+    def ohm(self, celsius: Floats) -> Floats:
+        """(B, n) what windings of (B, n) °C resist."""
+        ohm: Floats = self._ohm * (1.0 + self._alpha * (celsius - self._cold))
+        return ohm
 
     def warm(self, rise: Floats, housing: Floats, ticks: int, dt: float) -> None:
         """Live through some ticks of `dt` s. Source: see `robots.motor`; steps are far below the windings' seconds.
@@ -39,8 +48,8 @@ class Windings(Stage):
             rise: (B, n) K, written. housing: (B, n) °C.
             ticks: how many `square` is of. dt: s.
         """
-        loss = self.square * self._ohm * (1.0 + self._alpha * (housing + rise - self._cold))
-        rise += dt / self._capacity * (loss - ticks * rise / self._to_housing)
+        loss = self.square * self.ohm(housing + rise)
+        rise += dt / self.capacity * (loss - ticks * rise / self.to_housing)
         self.square[:] = 0.0
 
 
@@ -49,6 +58,10 @@ class Housings(Stage):
 
     Source: see `robots.motor`. Iron loss, iron (gear qd)², and what the joint's friction and damping turn into heat
     warm the housing, where rotor, gear and bearings sit.
+
+    Attributes:
+        celsius: (B, n) °C.
+        to_ambient: (B, n) K/W. capacity: (B, n) J/K.
     """
 
     carried = ("celsius",)
@@ -60,8 +73,8 @@ class Housings(Stage):
         self._warm = self._ambient + draw["climate.warm_start_k"][:, None]
         dynamics = batch.expand("actuator_dynprm")
         self._node, self._to_housing = dynamics[:, :, drawn.AMBIENT], dynamics[:, :, drawn.RWH].copy()
-        self._to_ambient = each * spec.motor_array("housing_resistance_k_per_w")
-        self._capacity = each * spec.motor_array("housing_capacity_j_per_k")
+        self.to_ambient = draw["drives.housing_to_ambient"] * spec.motor_array("housing_resistance_k_per_w")
+        self.capacity = draw["drives.housing_capacity"] * spec.motor_array("housing_capacity_j_per_k")
         gear = batch.model.actuator_gear[:, 0]
         self._iron = draw["drives.iron_loss"] * spec.motor_array("iron_w_s2") * gear**2
         self.celsius = self._warm.copy()
@@ -85,8 +98,8 @@ class Housings(Stage):
             turned: (B, n) rad²/s, the joints' squared speed over that time.
             dt: s, far below the housings' minutes.
         """
-        watts = rise / self._to_housing - (self.celsius - self._ambient) / self._to_ambient
-        warming = (watts * dt + rubbed + self._iron * turned) / self._capacity
+        watts = rise / self._to_housing - (self.celsius - self._ambient) / self.to_ambient
+        warming = (watts * dt + rubbed + self._iron * turned) / self.capacity
         self.celsius += warming
         rise -= warming
         self.apply()

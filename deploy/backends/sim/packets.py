@@ -18,7 +18,7 @@ from robots.sensors import BUFFER_S, Kind
 from robots.spec import RobotSpec
 
 CHUNK = 128
-"""Ticks worked out at once."""
+"""Ticks worked out at once, where the buffer is not longer."""
 NEVER = np.iinfo(np.int64).min
 """In the place of the tick at which a packet was taken: none arrived."""
 SLOW, LATE_S, BLINK_S = 10, 0.1, 0.2
@@ -62,7 +62,11 @@ class Fault:
 
 
 class Packets:
-    """When packets of B robots' G sensors arrive, in the order of `spec.sensors`."""
+    """When packets of B robots' G sensors arrive, in the order of `spec.sensors`.
+
+    Attributes:
+        depth: ticks of the buffer. length: ticks of a chunk: all of it arrives in that chunk or the next.
+    """
 
     def __init__(self, spec: RobotSpec, draw: Draw, keys: Keys, faults: Sequence[Fault] = ()) -> None:
         """Take each robot's delays and losses.
@@ -81,18 +85,19 @@ class Packets:
         self._begins = loss * draw["sensors.loss"] / self._burst
         self.robots, self.sensors = self._hold.shape
         self.depth = round(BUFFER_S / spec.dt) + 2  # one that comes again is a tick older still
+        self.length = max(CHUNK, self.depth)
         self._next = NEVER  # the chunk that the tail of the last one leads into
         self._faults = [(list(spec.sensors).index(f.sensor), f) for f in _checked(faults, spec, self.robots)]
 
     def arriving(self, chunk: int) -> Ints:
-        """(CHUNK, B, G) for each tick of a chunk, the tick at which the packet that arrives then was taken."""
+        """(length, B, G) for each tick of a chunk, the tick at which the packet that arrives then was taken."""
         if chunk != self._next:
-            self._tail = self._sent(chunk - 1, self._uniform(chunk - 1))[CHUNK:]
+            self._tail = self._sent(chunk - 1, self._uniform(chunk - 1))[self.length :]
         u = self._uniform(chunk)
         sent = self._sent(chunk, u)
-        arrivals = sent[:CHUNK]
+        arrivals = sent[: self.length]
         np.maximum(arrivals[: self.depth], self._tail, out=arrivals[: self.depth])
-        self._tail, self._next = sent[CHUNK:], chunk + 1
+        self._tail, self._next = sent[self.length :], chunk + 1
         again = u[..., 4] < self._repeat
         again[0] = False
         before = np.concatenate((arrivals[:1], arrivals[:-1]))
@@ -109,31 +114,31 @@ class Packets:
         return np.asarray(-(-count * self._control_hz // self._rates))
 
     def _sent(self, chunk: int, u: Floats) -> Ints:
-        """(CHUNK + depth, B, G) packets taken in a chunk, each at the tick of its arrival; the latest taken wins."""
-        ticks = chunk * CHUNK + np.arange(CHUNK)
+        """(length + depth, B, G) packets taken in a chunk, each at the tick of its arrival; the latest taken wins."""
+        ticks = chunk * self.length + np.arange(self.length)
         late = np.ceil(self._delay(u) / self._dt - 1e-9).astype(np.int64)
         goes = self.due(ticks)[:, None, :] & ~self._lost(u)
         self._fail(ticks, goes, late)
-        arrivals = np.full((CHUNK + self.depth, self.robots, self.sensors), NEVER)
+        arrivals = np.full((self.length + self.depth, self.robots, self.sensors), NEVER)
         place, robot, sensor = np.nonzero(goes)
         np.maximum.at(arrivals, (place + late[goes], robot, sensor), ticks[place])
         return arrivals
 
     def _uniform(self, chunk: int) -> Floats:
-        """(CHUNK, B, G, 5) in [0, 1)."""
-        shape = (CHUNK, self.sensors, 5)
+        """(length, B, G, 5) in [0, 1)."""
+        shape = (self.length, self.sensors, 5)
         return np.stack([keyed(key, chunk + 1).random(shape) for key in self._keys], axis=1)
 
     def _delay(self, u: Floats) -> Floats:
-        """(CHUNK, B, G) s. A chunk begins with a delay of its own; after that each holds with its probability."""
+        """(length, B, G) s. A chunk begins with a delay of its own; after that each holds with its probability."""
         new = u[..., 0] >= self._hold
         new[0] = True
-        since = np.maximum.accumulate(np.where(new, np.arange(CHUNK)[:, None, None], 0), axis=0)
+        since = np.maximum.accumulate(np.where(new, np.arange(self.length)[:, None, None], 0), axis=0)
         return np.asarray(self._least + self._most * np.take_along_axis(u[..., 1], since, axis=0))
 
     def _lost(self, u: Floats) -> Bools:
-        """(CHUNK, B, G) Packets lost in bursts of geometric length. Source: Gilbert (1960), without its good losses."""
-        place = np.arange(CHUNK)[:, None, None]
+        """(length, B, G) Packets lost in bursts, geometric. Source: Gilbert (1960), without its good losses."""
+        place = np.arange(self.length)[:, None, None]
         with np.errstate(divide="ignore"):  # bursts of one packet: the logarithm of 0
             length = 1 + np.floor(np.log1p(-u[..., 3]) / np.log1p(-1 / self._burst))
         until = np.where(u[..., 2] < self._begins, place + length, 0)
@@ -144,7 +149,8 @@ class Packets:
         for sensor, fault in self._faults:
             now = (ticks >= fault.begins) & (ticks < fault.ends)
             if fault.what == Failure.SLOW:
-                goes[now & (ticks % SLOW != 0), fault.robot, sensor] = False
+                count = ticks * self._rates[sensor] // self._control_hz
+                goes[now & (count % SLOW != 0), fault.robot, sensor] = False
             elif fault.what == Failure.DELAYED:
                 late[now, fault.robot, sensor] += round(LATE_S / self._dt)
             elif fault.channel is None and fault.what in (Failure.OFF, Failure.INTERMITTENT):
@@ -156,7 +162,7 @@ def silent(fault: Fault, ticks: Ints, dt: float) -> Bools:
     """(T,) whether a sensor that is off, or off and on, says nothing at each of some ticks."""
     now = (ticks >= fault.begins) & (ticks < fault.ends)
     if fault.what == Failure.INTERMITTENT:
-        now &= (ticks - fault.begins) // round(BLINK_S / dt) % 2 == 0
+        now &= (ticks - fault.begins) // max(1, round(BLINK_S / dt)) % 2 == 0
     return np.asarray(now)
 
 

@@ -175,7 +175,8 @@ class Plant(Stage):
         self._settle()
         if tick % self._bus == 0:
             self.windings.warm(self._rise, self.housing, self._bus, self._dt)
-            self.supply.sink(self.current, self.motion.motor_qd, self.wear.constant)
+            ohm = self.windings.ohm(self.housing + self._rise)
+            self.supply.sink(self.current, self.motion.motor_qd, self.wear.constant, ohm)
         if tick % self._slow == 0:
             self._settle_slowly()
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.backends.sim.packets import CHUNK, NEVER, WRONG, Failure, Fault, Packets, silent
+from deploy.backends.sim.packets import NEVER, WRONG, Failure, Fault, Packets, silent
 from deploy.flags import every
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Ints, Packet, Sample
@@ -46,6 +46,7 @@ class Sensors(Stage):
         self._dt, self._faults = spec.dt, faults
         self._noise_keys, self._garbage_keys = keys(seeds, NOISE), keys(seeds, GARBAGE)
         self._packets = Packets(spec, draw, keys(seeds, TRAVEL), faults)
+        self._length = self._packets.length
         self._sensor = np.repeat(np.arange(len(sheet)), sizes)
         ends = np.cumsum(sizes)
         self.columns: dict[Kind, slice] = {
@@ -57,14 +58,15 @@ class Sensors(Stage):
         self._sigma = self._each(spec, "noise") * draw["sensors.noise"][:, self._sensor]
         self._bias = self._each(spec, "bias") * draw["sensors.bias"]
         an_hour = self._each(spec, "drift") * draw["sensors.drift"][:, self._sensor]
-        self._step = an_hour * np.sqrt(CHUNK * self._dt / 3600)
-        self._per_k, self._housing = self._each(spec, "drift_per_k"), self._nearest_housing(spec)
+        self._step = an_hour * np.sqrt(self._length * self._dt / 3600)
+        self._per_k = self._each(spec, "drift_per_k") * draw["sensors.drift_per_k"]
+        self._housing = self._nearest_housing(spec)
         width, depth = len(self._sensor), self._packets.depth
         self.ring = np.zeros((robots, depth, width))
         self.value, self.walk, self.cold, self.shift, self.held = np.full((5, robots, width), np.nan)
         self.taken = np.zeros((robots, len(sheet)), dtype=np.int64)
         self.told, self.tick = np.zeros(self.taken.shape, dtype=bool), np.zeros(1, dtype=np.int64)
-        self._noise = np.zeros((robots, CHUNK, width))
+        self._noise = np.zeros((robots, self._length, width))
         self._row = np.arange(robots)[:, None] * depth
         self._chunk = NEVER
 
@@ -94,10 +96,10 @@ class Sensors(Stage):
         self.tick += 1
         self.told[:] = True
         tick = int(self.tick[0])
-        if tick % CHUNK == 0:
-            self._drift_on(tick // CHUNK, truth)
-        self._need(tick // CHUNK)
-        reading = self._quantized(truth + self._noise[:, tick % CHUNK] + self.shift)
+        if tick % self._length == 0:
+            self._drift_on(tick // self._length, truth)
+        self._need(tick // self._length)
+        reading = self._quantized(truth + self._noise[:, tick % self._length] + self.shift)
         for fault in self._faults:
             self._fail(fault, tick, reading)
         self.ring[:, tick % self._packets.depth] = reading
@@ -105,8 +107,8 @@ class Sensors(Stage):
     def read(self) -> Sample:
         """The newest packet of every sensor."""
         tick = int(self.tick[0])
-        self._need(tick // CHUNK)
-        place = tick % CHUNK
+        self._need(tick // self._length)
+        place = tick % self._length
         arrived = self._arrived[place]
         fresh = arrived if every(self.told) else arrived | ~self.told
         np.copyto(self.taken, self._taken[place], where=arrived)

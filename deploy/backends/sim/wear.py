@@ -16,6 +16,8 @@ TWICE_K = 10.0
 """K that halve a life. Source: Arrhenius' law as the rule of thumb of Montsinger (1930)."""
 LEAST = 0.05
 """Share of its torque constant that a magnet keeps, whatever it has lived through."""
+MOST, MOST_PLAY_RAD, MOST_SLIP_RAD = 20.0, 0.05, 0.1
+"""Factor of friction, play and encoder's error that nothing grows beyond: as far as a new joint can be drawn."""
 
 
 class Worn(NamedTuple):
@@ -30,7 +32,7 @@ class Worn(NamedTuple):
 class Wear(Stage):
     """`life` is how often a joint has lived its life: travel, counted double for each 10 K that its winding is warmer.
 
-    All that wears grows in proportion to it.
+    All that wears grows in proportion to it, up to what a joint can be.
     """
 
     carried = ("life",)
@@ -61,9 +63,11 @@ class Wear(Stage):
         """What the joints have become."""
         draw, life = self._draw, self.life
         return Worn(
-            friction=1.0 + draw["wear.friction"] * life,
-            backlash_rad=draw["joints.backlash_rad"] + draw["wear.backlash_rad"] * life,
-            encoder_rad=draw["wear.encoder_rad"] * life,
+            friction=np.minimum(1.0 + draw["wear.friction"] * life, MOST),
+            backlash_rad=np.minimum(
+                draw["joints.backlash_rad"] + draw["wear.backlash_rad"] * life, MOST_PLAY_RAD
+            ),
+            encoder_rad=np.clip(draw["wear.encoder_rad"] * life, -MOST_SLIP_RAD, MOST_SLIP_RAD),
             torque_constant=np.maximum(1.0 + draw["wear.torque_constant"] * life, LEAST),
         )
 
