@@ -98,7 +98,7 @@ def test_without_a_smoother_the_target_is_sent_and_derivatives_are_its_differenc
 def test_without_its_guard_a_robot_knows_nothing_of_its_windings(kind, folds):
     heat = kind(SPEC, 1)
     for tick in range(round(20 / DT)):
-        heat.step(tick * DT, heard(tick * DT, np.zeros((1, N)), housing=75.0, current=10.0))
+        heat.step(tick * DT, heard(tick * DT, np.zeros((1, N)), housing=75.0, current=10.0 + tick * 1e-6))
     assert (heat.fold < 1).all() == (heat.pace < 1).all() == folds
     assert (heat.winding > 76).all() == folds
 
@@ -167,7 +167,12 @@ def test_losses_that_last_lead_to_what_the_closed_form_leads_to():
     away, ambient, current = SPEC.motor_array("housing_resistance_k_per_w"), 40.0, 3.0
     capacity = SPEC.motor_array("housing_capacity_j_per_k")
     winding, housing = hot.steady(
-        (current**2 * motors.resistance)[None], np.zeros((1, N)), np.full((1, 1), ambient), motors, away
+        (current**2 * motors.resistance)[None],
+        np.zeros((1, N)),
+        np.full((1, 1), ambient),
+        motors,
+        motors.to_housing,
+        away,
     )
     heat = MotorHeat(
         resistance=motors.resistance[0],
@@ -185,7 +190,7 @@ def test_losses_that_last_lead_to_what_the_closed_form_leads_to():
 def test_what_rubs_goes_through_the_housing_alone():
     motors, away = nominal_windings(SPEC), SPEC.motor_array("housing_resistance_k_per_w")
     copper, rubbed = np.full((1, N), 2.0), np.full((1, N), 3.0)
-    winding, housing = hot.steady(copper, rubbed, np.full((1, 1), 20.0), motors, away)
+    winding, housing = hot.steady(copper, rubbed, np.full((1, 1), 20.0), motors, motors.to_housing, away)
     through = (winding - housing) / motors.to_housing
     np.testing.assert_allclose(through, copper * (1 + motors.alpha * (winding - motors.reference_c)))
     np.testing.assert_allclose((housing - 20.0) / away, through + rubbed)
