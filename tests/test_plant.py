@@ -337,6 +337,8 @@ def re40_arm(tmp_path, hz):
         tmp_path,
         toml=[
             *[("rate_hz = (200|30)", "rate_hz = 10")] * 4,
+            ("stale_s = 0.035", "stale_s = 0.2"),
+            ("lost_s = 0.110", "lost_s = 0.5"),
             ("control_hz = 200", f"control_hz = {hz}"),
             ("physics_hz = 1000", f"physics_hz = {hz}"),
             ("housing_resistance_k_per_w = 7.0", f"housing_resistance_k_per_w = {RE40.housing_to_ambient}"),

@@ -167,9 +167,10 @@ def _consistency(spec: RobotSpec, motions: list[Motion]) -> str:
     band = np.array(stats.chi2.interval(0.95, 2 * nees.size)) / nees.size
     found, unsure = nees.mean(), nees.mean(axis=1).std(ddof=1) / np.sqrt(len(nees))
     place = "inside" if band[0] <= found <= band[1] else "outside"
+    joints = nees.mean(axis=0)
     return (
         f"consistency over {len(nees)} draws: mean NEES {found:.3f} (standard error {unsure:.3f}), {place} its 95 %"
-        f" band {band[0]:.3f} to {band[1]:.3f}"
+        f" band {band[0]:.3f} to {band[1]:.3f}; joint by joint {joints.min():.2f} to {joints.max():.2f}"
     )
 
 
