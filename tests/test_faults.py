@@ -6,6 +6,7 @@ from test_runtime import Saying, assert_same, assert_within_limits, every, play,
 from test_spec import SPEC
 
 from deploy.backends.sim.packets import Failure, Fault
+from deploy.runtime import UNSEEN_S
 from deploy.smoother import Smoother
 from deploy.state import Mode, Reason, Setpoint
 
@@ -172,6 +173,14 @@ def test_no_failure_of_another_sensor_breaks_a_limit(sensor, what):
     assert np.isfinite(q).all()
     assert_within_limits(q)
     np.testing.assert_array_equal(q[:, 0], play(clean, 200)[0][:, 0])
+
+
+def test_a_camera_that_says_no_more_leaves_the_robot_where_it_is():
+    runtime = failing("off", 10_000, sensor="goal")
+    play(runtime, round((UNSEEN_S + 0.5) / SPEC.dt))
+    away = np.linalg.norm(runtime._goal - runtime.tool, axis=1)
+    assert away[0] > 0.01
+    assert away[1] == 0.0
 
 
 def test_no_plan_at_all_cuts_power_and_sends_no_nan(monkeypatch):

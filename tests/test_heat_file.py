@@ -22,11 +22,20 @@ GOOD = {
 }
 
 
-def opened(path, at=THEN):
+def opened(path, at=THEN, **how):
     """A file on the heat of a runtime that has not ticked yet, and that heat."""
     heat = Heat(SPEC, 1)
     runtime = SimpleNamespace(spec=SPEC, estimator=SimpleNamespace(heat=heat))
-    return HeatFile(path, runtime, now=lambda: at), heat
+    return HeatFile(path, runtime, now=lambda: at, **how), heat
+
+
+def test_another_robot_begins_as_cold_as_it_is(tmp_path):
+    path = tmp_path / "heat.json"
+    path.write_text(json.dumps(GOOD))
+    assert (opened(path)[1].rise > 0).any()
+    _, heat = opened(path, same=False)
+    np.testing.assert_array_equal(heat.rise, 0.0)
+    assert not any(json.loads(path.read_text())["rise_k"])
 
 
 def test_a_winding_stays_warm_through_a_restart_and_cools_while_it_is_off(tmp_path):

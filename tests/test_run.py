@@ -2,6 +2,7 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -193,6 +194,24 @@ def test_a_bad_option_is_exit_2_and_nothing_is_made(command, arm_policy, tmp_pat
     assert (code, said) == (2, "")
     assert message in complaint
     assert not out.exists()
+
+
+def test_motors_stay_warm_from_run_to_run_but_a_drawn_robot_has_no_past(
+    command, arm_policy, tmp_path, monkeypatch
+):
+    hot, begun = [60.0] * SPEC.n, []
+    warm = SimRobot.warm
+    monkeypatch.setattr(
+        SimRobot, "warm", lambda robot, rise: (warm(robot, rise), begun.append(robot.truth()))
+    )
+    for further in ((), ("--draw", "7:1")):
+        heat = {"robot": "arm6", "joints": SPEC.joint_names, "unix_s": time.time(), "rise_k": hot}
+        (tmp_path / "heat.json").write_text(json.dumps(heat))
+        options = ("--policy", arm_policy, "--duration", 0.5, "--speed", "max", "--out", tmp_path, *further)
+        assert command(*options)[0] == 0
+    rise = [(truth.winding_c - truth.housing_c)[0] for truth in begun]
+    assert ((rise[0] > 40) & (rise[0] <= 60)).all()
+    np.testing.assert_array_equal(rise[1], 0.0)
 
 
 def test_without_an_option_the_policy_is_the_one_that_make_export_writes(command, tmp_path, monkeypatch):

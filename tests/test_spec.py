@@ -81,6 +81,16 @@ def test_unknown_robot_names_the_known_ones(tmp_path):
         ('name = "arm6"', 'name = "arm6"\nfolder = 3', ["folder"]),
         ("delay_s = 0.008", "delay_s = 0.3", ["sensors.encoder.delay_s", "less than 0.25", "0.3"]),
         (
+            "delay_s = 0.008",
+            "delay_s = 0.032",
+            ["encoder.delay_s: found 0.032", "every 0.005 s", "stale_s 0.035"],
+        ),
+        (
+            "rate_hz = 200",
+            "rate_hz = 30",
+            ["encoder.delay_s: found 0.008", "every 0.0333 s", "stale_s 0.035"],
+        ),
+        (
             "noise = 0.001",
             "noise = -0.001",
             ["sensors.encoder.noise", "greater than or equal to 0", "-0.001"],
@@ -97,6 +107,11 @@ def test_unknown_robot_names_the_known_ones(tmp_path):
         ("resolution = 0.01", "resolution = 50.0", ["sensors.current", "resolution 50.0", "range 40.0"]),
         ("housing_capacity_j_per_k = 1200.0", "housing_capacity = 1200.0", ["motors.size3.housing_capacity"]),
         ("centre = .*", "centre = [0.0, 0.0]", ["workspace.centre"]),
+        (
+            "housing_soft_c = 70.0",
+            "housing_soft_c = 95.0",
+            ["motors.size3", "95.0 is not below housing_max_c 90.0"],
+        ),
         ("winding_max_c = 110.0", "winding_max_c = 400.0", ["winding_max_c", "300", "400"]),
         ('source = "estimate: 14 bit.*"', 'source = ""', ["sensors.encoder.source", "at least 1 character"]),
         (
