@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.policy import Policy
-from eval.checkpoint import SUFFIX, Checkpoint
 from eval.identity import code_digest, versions
+from eval.resume import SUFFIX, Checkpoint
 from eval.shard import WIDTH, ShardJob
 from robots.distributions import load_distributions
 from robots.spec import RobotSpec

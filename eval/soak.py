@@ -13,11 +13,11 @@ from deploy.output import replacing
 from deploy.policy import Policy
 from eval.asked import Soak
 from eval.budget import BUDGET, load_budget
-from eval.checkpoint import clear
 from eval.collect import collect
 from eval.report.build import build
 from eval.report.data import Run
 from eval.report.write import claim, write
+from eval.resume import clear
 from eval.workers import run_soak, take_up
 from robots.distributions import load_distributions
 from robots.draws import draw

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from deploy.signals import handled
 from eval.asked import Soak
-from eval.checkpoint import Checkpoint
+from eval.resume import Checkpoint
 from eval.shard import Shard, ShardJob, ShardResult
 
 DEATHS = 3

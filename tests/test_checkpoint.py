@@ -1,173 +1,235 @@
-import json
-import multiprocessing as mp
 import os
-import signal
-import threading
-from dataclasses import replace
+import pickle
+import zipfile
 
-import numpy as np
 import pytest
-from rich.console import Console
-from test_policy import policy_model, saved
-from test_spec import SPEC
 
-pytest.importorskip("mujoco")
+torch = pytest.importorskip("torch")
 
-from deploy.policy import Policy
-from eval.asked import Soak
-from eval.budget import BUDGET
-from eval.checkpoint import DAMAGED, Checkpoint, clear
-from eval.identity import code_digest
-from eval.shard import WIDTH, Shard
-from eval.workers import run_soak, take_up
-from robots.errors import ConfigError, OutputError
+from test_contract import arm_contract  # noqa: E402
 
-IDENTITY = {"seed": 7, "robot_digest": "abc"}
-ARRAYS = {"judge.ticks": np.arange(5), "robot.goal": np.array([[0.1, np.nan, -np.inf]])}
+from policies.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
+from policies.networks import Actor  # noqa: E402
+from robots.errors import ContractError, OutputError  # noqa: E402
+
+LAYERS = (32, 16)
 
 
-@pytest.fixture
-def restless(tmp_path):
-    """A soak of 4.7 s of two shards whose policy throws the arms about."""
-    path = saved(policy_model(), tmp_path)
-    return Soak(
-        spec=SPEC,
-        policy=Policy.load(path, SPEC),
-        policy_path=path,
-        budget=BUDGET,
-        hours=0.0013,
-        robots=WIDTH + 1,
-        seed=3,
-        workers=1,
-    )
+def made_actor(seed=0):
+    """An untrained actor with a normalizer that matters; also for other test files."""
+    torch.manual_seed(seed)
+    actor = Actor(30, 6, LAYERS)
+    actor.mean.normal_()
+    actor.divisor.uniform_(0.1, 3.0)
+    return actor
 
 
-def assert_same(a, b):
-    """Two saved shards, bit for bit."""
-    assert a.keys() == b.keys()
-    for name, array in a.items():
-        np.testing.assert_array_equal(array, b[name], err_msg=name)
-        assert array.dtype == b[name].dtype
+def saved(folder, *, actor=None, contract=None, spread=1.0, name="arm.pt"):
+    """A checkpoint file with a made-up rollout; also for other test files."""
+    actor = actor or made_actor()
+    rollout = torch.randn(1100, 30, generator=torch.Generator().manual_seed(9))
+    rollout[5] *= spread
+    path = folder / name
+    save_checkpoint(path, actor, contract or arm_contract(), rollout, seed=3, recipe="steps = 1\n")
+    return path
 
 
-def test_what_was_stored_comes_back_bit_for_bit(tmp_path):
-    checkpoint = Checkpoint(tmp_path / "kept" / "a.npz", IDENTITY)
-    assert checkpoint.load() is None
-    checkpoint.store({"judge.ticks": np.zeros(3)})
-    checkpoint.store(ARRAYS)
-    assert_same(Checkpoint(checkpoint.path, IDENTITY).load(), ARRAYS)
-    assert [file.name for file in checkpoint.path.parent.iterdir()] == ["a.npz"]
+def test_what_was_saved_is_loaded(tmp_path):
+    actor = made_actor()
+    found = load_checkpoint(saved(tmp_path, actor=actor))
+    assert (found.contract, found.seed, found.recipe) == (arm_contract(), 3, "steps = 1\n")
+    assert found.rollout.shape == (1100, 30)
+    assert torch.equal(found.actor(found.rollout), actor(found.rollout))
 
 
-@pytest.mark.parametrize("change", [{"seed": 8}, {"hours": 1}])
-def test_nothing_goes_on_with_another_soak(tmp_path, change):
-    Checkpoint(tmp_path / "a.npz", IDENTITY).store(ARRAYS)
-    (key,) = change
-    found, expected = IDENTITY.get(key), change[key]
-    with pytest.raises(
-        ConfigError, match=rf"a\.npz: {key}: found {found}, expected {expected}: .* another --out"
-    ):
-        Checkpoint(tmp_path / "a.npz", IDENTITY | change).load()
-    assert (tmp_path / "a.npz").exists()
+def test_the_same_checkpoint_is_the_same_bytes(tmp_path):
+    assert saved(tmp_path, name="a.pt").read_bytes() == saved(tmp_path, name="b.pt").read_bytes()
 
 
-def spoil(path, how):
-    data = bytearray(path.read_bytes())
-    if how == "cut":
-        path.write_bytes(data[: len(data) // 2])
-    elif how == "flipped":
-        data[data.index(b"judge.ticks") + 200] ^= 1
+# ---- files that are not checkpoints ----
+
+
+class Evil:
+    def __init__(self, witness):
+        self.witness = witness
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.witness),)
+
+
+def refused(path):
+    with pytest.raises(ContractError) as caught:
+        load_checkpoint(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    return str(caught.value).removeprefix(f"{path}: ")
+
+
+def test_a_malicious_pickle_is_named_and_never_run(tmp_path):
+    witness, path = tmp_path / "witness", tmp_path / "evil.pt"
+    file = torch.load(saved(tmp_path), weights_only=True)
+    torch.save({**file, "recipe": Evil(witness)}, path)
+    message = refused(path)
+    assert message.startswith("weights_only: found 'posix.mkdir', expected only tensors, numbers and text")
+    assert "weights_only=False" not in message
+    assert not witness.exists()
+    torch.load(path, weights_only=False)  # the trap was armed
+    assert witness.exists()
+
+
+def test_a_bare_pickle_is_never_run(tmp_path):
+    witness, path = tmp_path / "witness", tmp_path / "evil.pt"
+    path.write_bytes(pickle.dumps(Evil(witness)))
+    assert refused(path) == "found no torch archive, expected a checkpoint of policy-train"
+    assert not witness.exists()
+
+
+def test_a_whole_module_is_refused(tmp_path):
+    torch.save(made_actor(), tmp_path / "x.pt")
+    assert refused(tmp_path / "x.pt").startswith("weights_only: found 'policies.networks.Actor', 'torch.nn")
+
+
+def zipped(path, **records):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in records.items():
+            archive.writestr(f"archive/{name}", data)
+
+
+def test_other_files_are_refused(tmp_path):
+    path = tmp_path / "x.pt"
+    assert refused(path).startswith("cannot be read: No such file or directory")
+    assert refused(tmp_path).startswith("cannot be read: Is a directory")
+    for data in (b"", b"junk" * 100, saved(tmp_path).read_bytes()[:-300]):
         path.write_bytes(data)
-    elif how == "empty":
-        path.write_bytes(b"")
-    elif how == "nameless":
-        np.savez(path, **ARRAYS)
-    else:
-        np.savez(path, identity=np.array([{}], dtype=object))
+        assert refused(path) == "found no torch archive, expected a checkpoint of policy-train"
+    zipped(path, note="hello")
+    assert refused(path).startswith("weights_only: corrupt, torch stopped at a ")
 
 
-@pytest.mark.parametrize("how", ["cut", "flipped", "empty", "nameless", "pickled"])
-def test_what_is_damaged_is_set_aside(tmp_path, how):
-    checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
-    checkpoint.store(ARRAYS)
-    spoil(checkpoint.path, how)
-    data = checkpoint.path.read_bytes()
-    assert checkpoint.load() is None
-    assert not checkpoint.path.exists()
-    assert (tmp_path / ("a.npz" + DAMAGED)).read_bytes() == data
-    checkpoint.store(ARRAYS)
-    clear(tmp_path)
-    assert [file.name for file in tmp_path.iterdir()] == ["a.npz" + DAMAGED]
+def test_a_bomb_is_not_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr("policies.checkpoint.FILE_BYTES_MAX", 10**6)
+    zipped(tmp_path / "x.pt", data=bytes(10**6 + 1))
+    assert (tmp_path / "x.pt").stat().st_size < 10**4
+    assert refused(tmp_path / "x.pt") == "found 1000001 bytes unpacked, expected at most 1000000"
 
 
-def test_a_place_that_cannot_be_written_keeps_what_it_holds(tmp_path, monkeypatch):
-    checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
-    checkpoint.store(ARRAYS)
-
-    def full(*_, **__):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(np, "savez", full)
-    with pytest.raises(OutputError, match=r"a\.npz: cannot be written: No space left on device"):
-        checkpoint.store({"judge.ticks": np.zeros(5)})
-    assert_same(checkpoint.load(), ARRAYS)
-    assert len(list(tmp_path.iterdir())) == 1
+# ---- checkpoints with something wrong in them ----
 
 
-def test_a_shard_goes_on_as_if_nothing_had_been(restless, quick_goals):
-    """Kept in the midst of stops, latches and goals, and restored into another process' place."""
-    job = replace(restless.jobs()[0], ticks=1000, sample_ticks=90)
-    whole, first, second = Shard(job), Shard(job), Shard(job)
-    kept = []
-    whole.run(lambda _: None, lambda: False)
-    seen = []
-    first.run(seen.append, lambda: seen[-1] >= 400, lambda: kept.append(first.save()))
-    assert int(kept[-1]["runtime.ticks"]) == 400
-    second.restore(kept[-1])
-    result = second.run(lambda _: None, lambda: False)
-    assert_same(second.save(), whole.save())
-    assert result.counts.stops.sum() > 0
+def edited(folder, change):
+    path = saved(folder)
+    file = torch.load(path, weights_only=True)
+    change(file)
+    torch.save(file, path)
+    return path
 
 
-def test_the_code_is_part_of_what_is_the_same(restless, tmp_path):
-    identity = restless.checkpoint(1, tmp_path)._identity
-    assert identity["code_digest"] == code_digest()
-    assert len(code_digest()) == 64
-    assert identity["first"] == WIDTH
-    assert json.loads(json.dumps(identity)) == identity
+def put(*keys, value):
+    def change(file):
+        for key in keys[:-1]:
+            file = file[key]
+        file[keys[-1]] = value
+
+    return change
 
 
-def kill_a_worker_when(path):
-    """From a thread: as soon as there is something at `path`, a worker is killed as the system does it."""
+def spoil(key, index, value):
+    def change(file):
+        tensor = file["rollout"] if key == "rollout" else file["actor"][key]
+        tensor[index] = value
 
-    def work():
-        while not path.exists():
-            over.wait(0.01)
-        for child in mp.active_children():
-            os.kill(child.pid, signal.SIGKILL)
-
-    over = threading.Event()
-    threading.Thread(target=work, daemon=True).start()
+    return change
 
 
-def test_a_worker_that_dies_costs_nothing_but_time(restless, tmp_path, capsys):
-    undisturbed = run_soak(restless, tmp_path / "a", Console(quiet=True))
-    kill_a_worker_when(restless.checkpoint(0, tmp_path / "b").path)
-    disturbed = run_soak(restless, tmp_path / "b", Console())
-    assert "a worker died: its shards go on from where they were kept" in capsys.readouterr().out
-    assert len(undisturbed) == len(disturbed) == 2
-    for number in (0, 1):
-        a, b = (restless.checkpoint(number, tmp_path / name).load() for name in ("a", "b"))
-        assert_same(a, b)
-    assert take_up(restless, tmp_path / "b", Console(quiet=True)) == 2 * restless.ticks
+WEIGHT = "mlp.2.weight"
+BAD = {
+    "unknown key": (put("optimizer", value={}), "optimizer: Extra inputs are not permitted"),
+    "missing key": (lambda file: file.pop("rollout"), "rollout: Field required"),
+    "other format": (put("format", value=2), "format: Input should be 1, found 2"),
+    "other activation": (put("activation", value="relu"), "activation: Input should be 'elu', found 'relu'"),
+    "tensor for text": (put("contract", value=torch.zeros(2)), "contract: Input should be a valid string"),
+    "number for tensor": (
+        put("actor", WEIGHT, value=1.0),
+        f"actor.{WEIGHT}: Input should be an instance of Tensor",
+    ),
+    "no layers": (put("layers", value=[]), "layers: Tuple should have at least 1 item"),
+    "layer of a million": (
+        put("layers", value=[10**6]),
+        "layers.0: Input should be less than or equal to 4096",
+    ),
+    "other layers": (
+        put("layers", value=[32, 17]),
+        "actor.mlp.2.weight: found torch.float32 (16, 32) contiguous, expected torch.float32 (17, 32)",
+    ),
+    "more layers": (put("layers", value=[32, 16, 8]), "actor: found tensors divisor, mean, mlp.0.bias"),
+    "tensor missing": (lambda file: file["actor"].pop("mean"), "actor: found tensors divisor, mlp.0.bias"),
+    "double": (
+        put("actor", "mean", value=torch.zeros(30, dtype=torch.float64)),
+        "actor.mean: found torch.float64 (30,) contiguous, expected torch.float32 (30,) contiguous",
+    ),
+    "claims to be huge": (
+        put("rollout", value=torch.zeros(1).expand(10**12, 30)),
+        "rollout: found torch.float32 (1000000000000, 30) not plain, expected",
+    ),
+    "strided": (
+        put("actor", "mean", value=torch.zeros(30, 2)[:, 0]),
+        "actor.mean: found torch.float32 (30,) not",
+    ),
+    "weight NaN": (
+        spoil(WEIGHT, (0, 3), torch.nan),
+        f"actor.{WEIGHT}: found 1 values NaN or infinite, expected all",
+    ),
+    "mean infinite": (
+        spoil("mean", 3, -torch.inf),
+        "actor.mean: found 1 values NaN or infinite, expected all finite",
+    ),
+    "divisor of zero": (spoil("divisor", 3, 0.0), "actor.divisor: found 0, expected all above 0"),
+    "rollout NaN": (
+        spoil("rollout", (5, 3), torch.nan),
+        "rollout: found 1 values NaN or infinite, expected all",
+    ),
+    "rollout short": (
+        put("rollout", value=torch.zeros(999, 30)),
+        "rollout: found 999 observations, expected at least",
+    ),
+    "rollout narrow": (
+        put("rollout", value=torch.zeros(1000, 29)),
+        "rollout: found torch.float32 (1000, 29) contiguous, expected torch.float32 (1000, 30) contiguous",
+    ),
+    "rollout a number": (
+        put("rollout", value=torch.tensor(1.0)),
+        "rollout: found 0 observations, expected at least",
+    ),
+    "contract broken": (put("contract", value="{"), "contract: not valid JSON"),
+    "seed as text": (put("seed", value="3"), "seed: Input should be a valid integer, found '3'"),
+}
 
 
-def test_damage_is_said_before_anything_runs(restless, tmp_path, capsys):
-    kept = restless.checkpoint(1, tmp_path / "kept")
-    kept.store({"runtime.ticks": np.array(400)})
-    assert take_up(restless, tmp_path / "kept", Console()) == 400
-    spoil(kept.path, "cut")
-    assert take_up(restless, tmp_path / "kept", Console()) == 0
-    assert "shard-0001.npz: damaged and set aside: its robots begin anew" in capsys.readouterr().out.replace(
-        "\n", ""
-    )
+@pytest.mark.parametrize(("change", "message"), BAD.values(), ids=BAD)
+def test_a_bad_key_is_named(tmp_path, change, message):
+    assert refused(edited(tmp_path, change)).startswith(message)
+
+
+def test_a_list_is_no_checkpoint(tmp_path):
+    torch.save([torch.zeros(2)], tmp_path / "x.pt")
+    assert refused(tmp_path / "x.pt").startswith("(whole file): Input should be a valid dictionary")
+
+
+# ---- what save refuses ----
+
+
+def test_what_could_not_be_loaded_is_not_saved(tmp_path):
+    path = saved(tmp_path)
+    before = path.read_bytes()
+    actor = made_actor(1)
+    actor.mean[0] = torch.nan
+    with pytest.raises(ContractError, match=r"actor\.mean: found 1 values NaN"):
+        saved(tmp_path, actor=actor)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["arm.pt"]
+
+
+def test_an_unwritable_place_is_named(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OutputError) as caught:
+        saved(tmp_path / "file")
+    assert str(caught.value) == f"--out {tmp_path / 'file' / 'arm.pt'}: cannot be written: Not a directory"
