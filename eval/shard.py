@@ -15,12 +15,13 @@ from deploy.backends.sim.robot import SimRobot
 from deploy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.stage import Arrays, Stage
+from deploy.tasks.reach import ReachConfig
 from eval.counts import Counts, first
 from eval.monitors import Judge
 from robots.errors import ConfigError
 from robots.model_pinocchio import torque_max
 from robots.randomness import robot_seed
-from robots.spec import load_robot
+from robots.spec import RobotSpec, load_robot
 
 WIDTH = 8
 """Robots in a shard, of which the last shard may count fewer: wide enough to share costs, narrow enough that 16
@@ -120,9 +121,7 @@ class Shard(Stage):
         policy = Policy.load(job.policy, spec)
         _same(job.policy_digest, policy.digest, job.policy)
         self._job, self.robot = job, SimRobot(spec, seeds)
-        self.runtime = Runtime(spec, policy.contract, self.robot, seeds, policy)
-        goal_s = self.runtime.task.config.period_s
-        self.judge = Judge(spec, torque_max(spec), WIDTH, goal_s=goal_s)
+        self.runtime, self.judge = Runtime(spec, policy.contract, self.robot, seeds, policy), _judge(spec)
         self._look, self._arm, self._keep = (round(s / spec.dt) for s in (LOOK_S, ARM_S, KEEP_S))
         self._samples: list[tuple[NDArray[np.generic], ...]] = []
 
@@ -154,7 +153,7 @@ class Shard(Stage):
                 self._sample()
         keep()
         progress(self.runtime.ticks)
-        return self._result()
+        return shard_result(self.runtime.spec, self._job.robots, self.save())
 
     def _looked(
         self, tick: int, progress: Callable[[int], None], stop: Callable[[], bool], keep: Callable[[], None]
@@ -168,12 +167,13 @@ class Shard(Stage):
 
     def save(self) -> Arrays:
         """Copies of everything, to go on from."""
-        return super().save() | {f"sampled.{name}": values for name, values in self._sampled().items()}
+        columns = zip(_SAMPLED, zip(*self._samples, strict=True), strict=True)
+        return super().save() | {f"sampled.{name}": np.stack(values) for name, values in columns}
 
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         """Put saved arrays back, bit for bit."""
         super().restore(arrays)
-        self._samples = list(zip(*(arrays[f"sampled.{name}"] for name in _SAMPLED), strict=True))
+        self._samples = list(zip(*_sampled(arrays).values(), strict=True))
 
     def _sample(self) -> None:
         truth, counts, rows = self.robot.truth(), self.judge.counts(), slice(0, self._job.robots)
@@ -182,9 +182,24 @@ class Shard(Stage):
         worn = np.where(known, np.stack(self.robot.plant.worn()), np.nan)[:, rows]
         self._samples.append((winding, worn, counts.attempted[rows].sum(), counts.reached[rows].sum()))
 
-    def _result(self) -> ShardResult:
-        return ShardResult(counts=first(self.judge.counts(), self._job.robots), **self._sampled())
 
-    def _sampled(self) -> dict[str, Any]:
-        columns = zip(*self._samples, strict=True)
-        return {name: np.stack(values) for name, values in zip(_SAMPLED, columns, strict=True)}
+def shard_result(spec: RobotSpec, robots: int, saved: Mapping[str, Any]) -> ShardResult:
+    """What a shard that was saved had lived through, of the robots that count.
+
+    Args:
+        spec: the robot. robots: how many count.
+        saved: by `Shard.save`.
+    """
+    judge = _judge(spec)
+    judge.restore(
+        {name.removeprefix("judge."): array for name, array in saved.items() if name.startswith("judge.")}
+    )
+    return ShardResult(counts=first(judge.counts(), robots), **_sampled(saved))
+
+
+def _sampled(saved: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: saved[f"sampled.{name}"] for name in _SAMPLED}
+
+
+def _judge(spec: RobotSpec) -> Judge:
+    return Judge(spec, torque_max(spec), WIDTH, goal_s=ReachConfig().period_s)

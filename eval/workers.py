@@ -2,7 +2,7 @@
 
 import multiprocessing as mp
 import signal
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from deploy.signals import handled
 from eval.asked import Soak
 from eval.resume import Checkpoint
-from eval.shard import Shard, ShardJob, ShardResult
+from eval.shard import Shard, ShardJob, ShardResult, shard_result
 
 DEATHS = 3
 """Times in a row that a worker may die before anything new was done."""
@@ -30,11 +30,14 @@ def _prepare(progress: Any, stop: Any) -> None:
     _progress, _stop = progress, stop
 
 
-def _run(number: int, job: ShardJob, checkpoint: Checkpoint) -> ShardResult | None:
-    """One shard in a worker, from where it was kept; None if the soak was interrupted before anything of it was."""
+def _run(number: int, job: ShardJob, checkpoint: Checkpoint) -> None:
+    """One shard in a worker, from where it was kept; nothing if the soak was interrupted before anything of it was.
+
+    What it lived through is handed over on disk: a worker that is killed while it talks would leave its parent waiting.
+    """
     kept = checkpoint.load()
     if kept is None and _stop.value:
-        return None
+        return
     shard = Shard(job)
     if kept is not None:
         shard.restore(kept)
@@ -42,7 +45,7 @@ def _run(number: int, job: ShardJob, checkpoint: Checkpoint) -> ShardResult | No
     def report(ticks: int) -> None:
         _progress[number] = ticks
 
-    return shard.run(report, lambda: bool(_stop.value), lambda: checkpoint.store(shard.save()))
+    shard.run(report, lambda: bool(_stop.value), lambda: checkpoint.store(shard.save()))
 
 
 def take_up(soak: Soak, folder: Path, console: Console) -> int:
@@ -85,15 +88,21 @@ def run_soak(soak: Soak, folder: Path, console: Console) -> list[ShardResult]:
             if deaths == DEATHS:
                 raise
             console.print("a worker died: its shards go on from where they were kept")
-    return [crew.results[number] for number in sorted(crew.results)]
+    return list(_results(soak, folder))
+
+
+def _results(soak: Soak, folder: Path) -> Iterator[ShardResult]:
+    for number, job in enumerate(soak.jobs()):
+        kept = soak.checkpoint(number, folder).load()
+        if kept is not None:
+            yield shard_result(soak.spec, job.robots, kept)
 
 
 class _Crew:
     """Shards that are done, and those that are not.
 
     Attributes:
-        progress: ticks done of each shard. stop: not 0 once all are to end. results: by number of the shard.
-        pending: numbers of those that are neither done nor interrupted.
+        progress: ticks done of each shard. stop: not 0 once all are to end. pending: numbers of those not done.
     """
 
     def __init__(self, soak: Soak, folder: Path, console: Console) -> None:
@@ -102,7 +111,6 @@ class _Crew:
         self._workers, self._ticks, self._console = soak.workers, soak.ticks, console
         self.progress = self._context.RawArray("q", len(self._jobs))
         self.stop = self._context.RawValue("b", 0)
-        self.results: dict[int, ShardResult] = {}
         self.pending = set(range(len(self._jobs)))
 
     def work(self) -> None:
@@ -121,15 +129,15 @@ class _Crew:
                 self.stop.value = 1
                 self._console.print("interrupted: the report will hold what was done so far")
                 with handled(signal.SIG_IGN):
-                    wait(futures)
-                self._gather(futures)
+                    for future in futures:
+                        future.result()
             except BrokenProcessPool:
                 raise
             except BaseException:
                 self.stop.value = 1
                 raise
 
-    def _watch(self, futures: "Mapping[Future[ShardResult | None], int]") -> None:
+    def _watch(self, futures: "Mapping[Future[None], int]") -> None:
         """Show progress until every shard is done or one has failed."""
         columns = (
             TextColumn("soaking"),
@@ -144,14 +152,9 @@ class _Crew:
             while waiting:
                 done, waiting = wait(waiting, timeout=0.5)
                 bar.update(task, completed=sum(self.progress))
-                self._gather({future: futures[future] for future in done})
-
-    def _gather(self, done: "Mapping[Future[ShardResult | None], int]") -> None:
-        for future, number in done.items():
-            result = future.result()
-            self.pending.discard(number)
-            if result is not None:
-                self.results[number] = result
+                for future in done:
+                    future.result()
+                    self.pending.discard(futures[future])
 
 
 def _interrupt(_signal: int, _frame: object) -> None:
