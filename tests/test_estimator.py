@@ -261,7 +261,7 @@ def test_measured_speed_equals_filterpys_second_update(with_speed):
             if tick == 0:
                 kf[joint].x, kf[joint].P = np.array([[z[0, joint]], [0.0]]), np.diag([NOISE**2, SPEED_STD**2])
             else:
-                kf[joint].F, kf[joint].Q = _model(DT)
+                kf[joint].F, kf[joint].Q = _model(DT, joint)
                 kf[joint].predict()
             if heard and tick:
                 kf[joint].update(z[0, joint], R=NOISE**2, H=np.array([[1.0, 0.0]]))

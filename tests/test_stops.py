@@ -82,7 +82,7 @@ def test_stops_that_are_allowed_hurt_nothing_all_the_way(share):
 
 WRIST_INTO_TABLE = (
     # Well clear at the start and at the end of a stop; between them the second wrist's link goes through the table.
-    ((-0.8234, -0.6038, 1.542, 0.27, -2.57, -0.0259), (-1.7182, 0.85, -2.1787, -2.4611, 1.3323, -1.6896)),
+    ((-0.8234, -0.6038, 1.542, 0.27, -2.57, -0.0259), (-1.7182, 0.7, -2.1787, -2.4611, 1.3323, -1.6896)),
     ((0.7534, -0.8255, 2.099, -0.1229, -0.5728, -1.8432), (1.5645, 0.8994, 2.8371, -1.5573, -0.6811, 0.1532)),
 )
 
