@@ -12,21 +12,26 @@ from robots.errors import FirstshiftError
 PASSED, BUDGET_EXCEEDED, BAD_INPUT, BROKEN, INTERRUPTED = 0, 1, 2, 70, 130
 
 
-def main(command: Callable[..., int]) -> None:
+def main(*commands: Callable[..., int]) -> None:
     """Run one command line: the function's result, or its error, becomes the exit code.
 
-    `command` has typer's annotations and returns an exit code. An option that typer refuses and a `FirstshiftError`
-    are said on standard error and exit with 2; Ctrl-C that the command did not handle itself exits with 130; any other
-    exception, of firstshift or of a robot's bus, is shown with its traceback and exits with 70, which is no verdict.
+    `commands` have typer's annotations and return an exit code; if there are several, the first word names one. An
+    option that typer refuses and a `FirstshiftError` are said on standard error and exit with 2; Ctrl-C that a command
+    did not handle itself exits with 130; any other exception, of firstshift or of a robot's bus, is shown with its
+    traceback and exits with 70, which is no verdict.
     """
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    for command in commands:
+        app.command()(_guarded(command))
+    app()
 
+
+def _guarded(command: Callable[..., int]) -> Callable[..., None]:
     @functools.wraps(command)
     def guarded(*args: object, **kwargs: object) -> None:
         raise typer.Exit(_exit_code(lambda: command(*args, **kwargs)))
 
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-    app.command()(guarded)
-    app()
+    return guarded
 
 
 def _exit_code(call: Callable[[], int]) -> int:

@@ -118,6 +118,17 @@ class ActionSpec(Strict):
         return self
 
 
+class Observed(Strict):
+    """What the numbers of observations were like in training, history included: for whoever judges, not for the policy.
+
+    Attributes:
+        mean: (N,) after scaling. deviation: (N,) standard deviation, or a little more.
+    """
+
+    mean: Annotated[tuple[Number, ...], Field(min_length=1, max_length=SIZE_MAX)]
+    deviation: Scales
+
+
 class Contract(Strict):
     """Everything a policy assumes about the robot, its rates and its inputs.
 
@@ -125,6 +136,7 @@ class Contract(Strict):
         robot_digest: `RobotSpec.digest` that the policy was trained with.
         joint_names: order of every joint vector.
         trained: provenance in free words: recipe, seed, versions.
+        observed: None where nobody wrote it down.
     """
 
     format: Literal[1] = 1
@@ -137,6 +149,7 @@ class Contract(Strict):
     observation: Annotated[tuple[Term, ...], Field(min_length=1, max_length=SIZE_MAX)]
     action: ActionSpec
     trained: Annotated[dict[Name, str], Field(max_length=100)]
+    observed: Observed | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -145,6 +158,9 @@ class Contract(Strict):
             raise ValueError(f"observation: terms named twice: {', '.join(twice)}")
         if self.observation_size > SIZE_MAX:
             raise ValueError(f"observation: {self.observation_size} numbers, at most {SIZE_MAX}")
+        sizes = {len(self.observed.mean), len(self.observed.deviation)} if self.observed else set()
+        if wrong := sizes - {self.observation_size}:
+            raise ValueError(f"observed: found {wrong.pop()} numbers, expected {self.observation_size}")
         if self.control_hz % self.policy_hz:
             raise ValueError(f"policy_hz {self.policy_hz} does not divide control_hz {self.control_hz}")
         return self

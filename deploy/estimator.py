@@ -13,6 +13,7 @@ from filterpy.common import Q_continuous_white_noise
 
 from deploy.flags import every, some
 from deploy.heat import Heat
+from deploy.load import Load
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Packet, Reason, Sample, Setpoint, State
 from robots.spec import RobotSpec
@@ -47,14 +48,14 @@ class Estimator(Stage):
         sent: (B, ticks, 2n) setpoints remembered, angles and speeds.
         said: (B, n) rad, the sample at the last look. moved: (B, n) rad, the setpoint when it was first said.
             same: (B, n) looks since. fault: (B,) what was found at the last look.
-        heat: what knows the motors.
+        heat: what knows the motors. load: what knows whether they work against something.
     """
 
     carried: ClassVar[tuple[str, ...]] = (
         *("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "nis", "many", "refused", "seeded"),
         *("sent", "said", "moved", "same", "fault"),
     )
-    parts = ("heat",)
+    parts = ("heat", "load")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Allocate.
@@ -70,7 +71,8 @@ class Estimator(Stage):
         self.seeded = np.zeros(robots, dtype=bool)
         self.same, self.many, self.refused = np.zeros((3, *shape), dtype=np.int64)
         self.fault = np.zeros(robots, dtype=np.int64)
-        self.heat, self._dt, self._depth = Heat(spec, robots), spec.dt, round(REMEMBERED_S / spec.dt)
+        self.heat, self.load = Heat(spec, robots), Load(spec, robots)
+        self._dt, self._depth = spec.dt, round(REMEMBERED_S / spec.dt)
         self.sent = np.zeros((robots, self._depth, 2 * spec.n))
         self._row, self._n = np.arange(robots) * self._depth, spec.n
         # numpy is quickest where every shape is the same.
@@ -89,6 +91,7 @@ class Estimator(Stage):
         self.seeded[ids], self.many[ids] = False, 0
         self.follow(ids, sent, sent)
         self.heat.reset(ids)
+        self.load.reset(ids)
 
     def follow(self, ids: Bools, old: Setpoint, new: Setpoint) -> None:
         """Robots where `ids` (B,) holds are sent elsewhere from now on, and have not moved for that."""
@@ -124,6 +127,7 @@ class Estimator(Stage):
             self._fuse_speed(t, sample["velocity"], tick)
         if tick % self._look == 0:
             self._listen(packet.value, reference, fused)
+            self.fault[self.load.look(sample["current"].value)] |= np.int64(Reason.LOAD)
         self.heat.step(t, sample)
         return self._now(t, sample, sent)
 
@@ -257,7 +261,7 @@ class Estimator(Stage):
             nis=self.nis,
             temperature=sample["temperature"].value,
             winding=self.heat.winding,
-            winding_doubt=self.heat.doubt,
+            hottest=self.heat.hottest,
             fold=self.heat.fold,
             fault=self.fault,
         )

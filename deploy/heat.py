@@ -11,6 +11,7 @@ import numpy as np
 from deploy.flags import some
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Packet, Sample
+from robots.model_pinocchio import torque_max
 from robots.sensors import Sensor
 from robots.spec import RobotSpec
 from robots.windings import nominal_windings
@@ -28,6 +29,9 @@ LEAST_K = 0.1
 DEAF_S = 2.0
 """s without a whole packet of currents or housings after which nothing is known of a robot's windings any more."""
 
+CREDIBLE = 1.5
+"""Times the current that all of a joint's torque takes: as much as a reading counts for at most. No drive gives it."""
+
 CHANCE = 1e-15
 """A current that says the same again and again is stuck once chance would bring that about so seldom."""
 
@@ -37,7 +41,7 @@ class Heat(Stage):
 
     Attributes:
         winding: (B, n) °C.
-        doubt: (B, n) K, how much hotter it may be: what the housing's sensor may be off, and of the rise over the
+        hottest: (B, n) °C that it may have: what the housing's sensor may be off is added, and of the rise over the
             housing the share that nominal constants may miss.
         folded: (B, n) how far each motor is folded back: 0 up to the soft limit, from there in a straight line to 1
             where the robot stops: where the winding may have come to its hard limit.
@@ -49,7 +53,7 @@ class Heat(Stage):
 
     carried = (
         "winding",
-        "doubt",
+        "hottest",
         "folded",
         "fold",
         "pace",
@@ -71,8 +75,8 @@ class Heat(Stage):
             RobotError: a motor's winding is not described in model.xml.
         """
         shape = robots, spec.n
-        self.winding, self.last, self.housing, self.said = np.full((4, *shape), np.nan)
-        self.square, self.rise, self.doubt = np.zeros((3, *shape))
+        self.winding, self.hottest, self.last, self.housing, self.said = np.full((5, *shape), np.nan)
+        self.square, self.rise = np.zeros((2, *shape))
         self.same = np.zeros(shape, dtype=np.int64)
         self.heard, self.taken = np.full((2, robots), -np.inf)
         self.folded, self.fold, self.pace = np.zeros(shape), np.ones(shape), np.ones(robots)
@@ -84,6 +88,7 @@ class Heat(Stage):
         self._fold_min, self._pace_min = spec.margins.fold_min, spec.margins.pace_min
         self._hard = spec.motor_array("winding_max_c")
         self._doubt_k, self._doubt_share = spec.margins.winding_k, spec.margins.winding_share
+        self._most = (CREDIBLE * torque_max(spec) / self._motors.constant) ** 2
         self._stuck = stuck_after(spec.sensors["current"])
         self._dt = spec.dt
 
@@ -94,8 +99,9 @@ class Heat(Stage):
     def reset(self, ids: Bools) -> None:
         """Forget robots where `ids` (B,) holds: at their next whole sample they have been at rest for long."""
         self.unknown[ids], self.heard[ids], self.rise[ids] = True, -np.inf, 0.0
-        self.winding[ids], self.last[ids], self.housing[ids] = np.nan, np.nan, np.nan
-        self.said[ids], self.same[ids], self.taken[ids] = np.nan, 0, -np.inf
+        for known in (self.winding, self.hottest, self.last, self.housing, self.said):
+            known[ids] = np.nan
+        self.same[ids], self.taken[ids] = 0, -np.inf
 
     def step(self, t: float, sample: Sample) -> None:
         """Live through a tick. Before the first sample with every current and housing no winding is known: NaN.
@@ -105,7 +111,7 @@ class Heat(Stage):
             sample: the newest packets; what is no number in them counts as the last one that was.
         """
         current, housing = sample["current"], sample["temperature"]
-        square = current.value * current.value
+        square = np.minimum(current.value * current.value, self._most)
         np.copyto(self.last, square, where=np.isfinite(square))
         self.square += self.last
         if some(self.unknown):
@@ -144,7 +150,8 @@ class Heat(Stage):
         deaf = (t - self.heard > DEAF_S) & ~self.unknown
         if some(deaf):
             self.rise[deaf] = (self.winding - self.housing)[deaf]
-            self.winding[deaf], self.unknown[deaf], self.heard[deaf] = np.nan, True, -np.inf
+            self.winding[deaf], self.hottest[deaf] = np.nan, np.nan
+            self.unknown[deaf], self.heard[deaf] = True, -np.inf
 
     def _warm(self, housing: Floats) -> None:
         """Live through the ticks since the last time with their mean I²."""
@@ -157,10 +164,9 @@ class Heat(Stage):
 
     def _fold_back(self) -> None:
         """On by whole steps at once, back only by more than one."""
-        np.maximum(self.winding - self.housing, 0.0, out=self.doubt)
-        self.doubt *= self._doubt_share
-        self.doubt += self._doubt_k
-        share = (self.winding - self._soft) / np.maximum(self._hard - self.doubt - self._soft, LEAST_K)
+        doubt = np.maximum(self.winding - self.housing, 0.0) * self._doubt_share + self._doubt_k
+        np.add(self.winding, doubt, out=self.hottest)
+        share = (self.winding - self._soft) / np.maximum(self._hard - doubt - self._soft, LEAST_K)
         stepped = np.floor(np.clip(share, 0.0, 1.0) * STEPS) / STEPS
         stepped[np.isnan(share)] = 1.0
         cooled = share <= self.folded - BACK / STEPS

@@ -10,15 +10,19 @@ from robots.errors import OutputError
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, option: str = "--out") -> Iterator[Path]:
     """An empty file beside `path`, to be filled; it takes the place of `path` when the block ends well.
+
+    Args:
+        path: of the file.
+        option: that `path` was given as, for the error.
 
     Raises:
         OutputError: the place cannot be written. What stood there stands there still.
     """
     partial = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
     try:
-        _check_replaceable(path)
+        _check_replaceable(path, option)
         if not path.parent.exists():
             path.parent.mkdir(parents=True)
         partial.open("xb").close()
@@ -28,11 +32,13 @@ def replacing(path: Path) -> Iterator[Path]:
         finally:
             partial.unlink(missing_ok=True)
     except OSError as e:
-        raise OutputError(f"--out {path}: cannot be written: {e.strerror}") from e
+        raise OutputError(f"{option} {path}: cannot be written: {e.strerror}") from e
 
 
-def _check_replaceable(path: Path) -> None:
+def _check_replaceable(path: Path, option: str) -> None:
     if path.exists() and not path.is_file():
-        raise OutputError(f"--out {path}: found something that is no file, expected a file or nothing")
+        raise OutputError(f"{option} {path}: found something that is no file, expected a file or nothing")
     if path.exists() and not os.access(path, os.W_OK):
-        raise OutputError(f"--out {path}: found a write-protected file, expected a writable one or nothing")
+        raise OutputError(
+            f"{option} {path}: found a write-protected file, expected a writable one or nothing"
+        )

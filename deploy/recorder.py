@@ -43,9 +43,11 @@ def check_folder(folder: Path) -> None:
 class Ring:
     """The last ticks of B robots at the full rate, in one preallocated array (T, B) of `row_type`."""
 
-    def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Allocate for B robots."""
-        self.rows: Rows = np.zeros((round(RING_S / spec.dt), robots), dtype=row_type(spec.n))
+    def __init__(
+        self, spec: RobotSpec, robots: int, *, seconds: float = RING_S, row: np.dtype[np.void] | None = None
+    ) -> None:
+        """Allocate for B robots, in rows of `row_type` or of a type that has its fields and more."""
+        self.rows: Rows = np.zeros((round(seconds / spec.dt), robots), dtype=row or row_type(spec.n))
         self._ticks = 0
         # A field of a structured array is looked up once, not every tick.
         names = self.rows.dtype.names or ()

@@ -186,6 +186,7 @@ class Runtime(Stage):
             powered=self.supervisor.powered,
             current=self._current(),
         )
+        self.estimator.load.ask(tau, self.command.powered)
         self.robot.write(self.command)
 
     def _current(self) -> Floats:

@@ -62,6 +62,7 @@ class Safety:
             fleet.robots,
             (*soft, Reason.POSITION),
             (*_within(qd_max), Reason.VELOCITY),
+            (*_within(qd_max), Reason.VELOCITY),
             (*_within(tau_max), Reason.TORQUE),
             *pose,
             (0.0, (margins.speed * space.tool_speed_max) ** 2, Reason.TOOL_SPEED),
@@ -89,18 +90,20 @@ class Safety:
             q_rest: (B, n) rad, where it would end.
         """
         robots, age = len(q_rest), state.age[:, None]
-        q, qd = np.concatenate((setpoint.q, ahead.q)), np.concatenate((setpoint.qd, ahead.qd))
-        tau = self._fleet.torque(q, qd, np.concatenate((setpoint.qdd, ahead.qdd))).copy()
+        q, qd, qdd = (np.concatenate(pair) for pair in zip(setpoint, ahead, strict=True))
+        tau = self._fleet.torque(q, qd, qdd).copy()
         # A drive that is folded back has less to give than its range.
         asked = tau if every(state.fold == 1.0) else np.concatenate((tau[:robots] / state.fold, tau[robots:]))
         poses = self._place(np.concatenate((setpoint.q, q_rest)))
         self._on_the_way.glance(q_midst)
         # A stop first lets the acceleration run out, and the speed that it gains until then counts.
-        qd_peak = setpoint.qd + setpoint.qdd * np.abs(setpoint.qdd) / self._twice_jerk
-        speeds = self._fleet.tool_velocity(np.concatenate((setpoint.qd, qd_peak)), of=slice(0, robots))
-        points = self._plan.reasons(q, qd, asked, *poses, np.vecdot(speeds, speeds)[:, None])
+        qd_peak = qd + qdd * np.abs(qdd) / self._twice_jerk
+        speeds = self._fleet.tool_velocity(
+            np.concatenate((setpoint.qd, qd_peak[:robots])), of=slice(0, robots)
+        )
+        points = self._plan.reasons(q, qd, qd_peak, asked, *poses, np.vecdot(speeds, speeds)[:, None])
         midst, lag = self._clear(self._on_the_way), sent.q - state.q
-        heat = state.temperature, state.winding + state.winding_doubt
+        heat = state.temperature, state.hottest
         reason = self._state_and_midst.reasons(state.q, state.qd, lag, *heat, age, age, *midst)
         reason |= points[:robots] | points[robots:]
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:])

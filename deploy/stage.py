@@ -31,5 +31,9 @@ class Stage:
         for name in self.carried:
             getattr(self, name)[...] = arrays[name]
         for part in self.parts:
-            inside = {n.removeprefix(f"{part}."): a for n, a in arrays.items() if n.startswith(f"{part}.")}
-            getattr(self, part).restore(inside)
+            getattr(self, part).restore(inside(arrays, part))
+
+
+def inside(arrays: Mapping[str, NDArray[np.generic]], part: str) -> Arrays:
+    """The arrays of one part among those that were saved, as it names them itself."""
+    return {n.removeprefix(f"{part}."): array for n, array in arrays.items() if n.startswith(f"{part}.")}

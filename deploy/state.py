@@ -48,8 +48,8 @@ class State(NamedTuple):
             filter is not confirmed yet.
         nis: (B, n) running mean of squared innovations, in variances: far above 1 where the filter does not fit.
         temperature: (B, n) °C, motor housing.
-        winding: (B, n) °C, winding_doubt: (B, n) K by which it may be hotter, and fold: (B, n) share of its current
-            that a drive may use at work, as `Heat` has them.
+        winding: (B, n) °C, hottest: (B, n) °C that it may have, and fold: (B, n) share of its current that a drive may
+            use at work, as `Heat` has them.
         fault: (B,) int64 bit sets of `Reason`, why the estimate is not to be trusted; 0 where it is.
     """
 
@@ -61,7 +61,7 @@ class State(NamedTuple):
     nis: Floats
     temperature: Floats
     winding: Floats
-    winding_doubt: Floats
+    hottest: Floats
     fold: Floats
     fault: Ints
 
@@ -112,6 +112,7 @@ class Reason(IntFlag):
     STUCK = 1 << 15
     DIVERGED = 1 << 16
     MOVING = 1 << 17
+    LOAD = 1 << 18
 
 
 class Verdict(NamedTuple):

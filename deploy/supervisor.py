@@ -23,6 +23,7 @@ CATEGORY_1 = (
     | Reason.OUTSIDE
     | Reason.STUCK
     | Reason.DIVERGED
+    | Reason.LOAD
     | Reason.OVERRUN
     | Reason.OPERATOR
 )
@@ -53,6 +54,7 @@ WORDS = {
     Reason.STUCK: "an encoder says the same, again and again",
     Reason.MOVING: "a joint moves while the drives are off",
     Reason.DIVERGED: "an estimate does not fit what is measured",
+    Reason.LOAD: "a motor's current does not fit what its motion needs",
 }
 
 

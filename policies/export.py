@@ -15,7 +15,7 @@ from onnx import ModelProto
 from rich.console import Console
 
 from deploy.cli import PASSED, main
-from deploy.contract import CONTRACT_KEY, check_contract
+from deploy.contract import CONTRACT_KEY, Contract, check_contract
 from deploy.output import replacing
 from deploy.policy import AGREEMENT, BATCHES, Policy
 from deploy.policy_file import GOLDEN_KEY, INPUT, OUTPUT, Golden
@@ -81,10 +81,18 @@ def _onnx(checkpoint: Checkpoint) -> bytes:
     """The same checkpoint gives the same bytes, on any machine with the same library versions."""
     model = _traced(checkpoint.actor)
     _strip(model)
-    metadata = {CONTRACT_KEY: checkpoint.contract.to_json(), GOLDEN_KEY: _golden(checkpoint)}
+    metadata = {CONTRACT_KEY: _contract(checkpoint).to_json(), GOLDEN_KEY: _golden(checkpoint)}
     for key, value in metadata.items():
         model.metadata_props.add(key=key, value=value)
     return model.SerializeToString(deterministic=True)
+
+
+def _contract(checkpoint: Checkpoint) -> Contract:
+    """With what the normalizer learned of the observations in training."""
+    actor = checkpoint.actor
+    observed = {"mean": tuple(actor.mean.tolist()), "deviation": tuple(actor.divisor.tolist())}
+    data = checkpoint.contract.model_dump() | {"observed": observed}
+    return parse(data, Contract, source="contract", error=ContractError)
 
 
 def _traced(actor: Actor) -> ModelProto:

@@ -23,6 +23,7 @@ class Windings:
     Attributes:
         resistance: ohm at `reference_c`. alpha: 1/K. reference_c: °C.
         to_housing: K/W. capacity: J/K.
+        constant: N·m/A at the joint, gear included.
     """
 
     resistance: Floats
@@ -30,19 +31,26 @@ class Windings:
     reference_c: Floats
     to_housing: Floats
     capacity: Floats
+    constant: Floats
 
 
 def nominal_windings(spec: RobotSpec) -> Windings:
     """Read them in the order of the joints.
 
     Raises:
-        RobotError: a joint has no `dcmotor`, or one whose `resistance` or `thermal` is missing or makes no sense.
+        RobotError: a joint has no `dcmotor`, or one whose `resistance`, `motorconst` or `thermal` is missing or makes
+            no sense.
     """
     motors = _dcmotors(spec)
     rows = np.array([_winding(spec, name, motors) for name in spec.joint_names]).T
-    resistance, alpha, reference_c, to_housing, capacity = rows
+    resistance, alpha, reference_c, to_housing, capacity, constant = rows
     return Windings(
-        resistance=resistance, alpha=alpha, reference_c=reference_c, to_housing=to_housing, capacity=capacity
+        resistance=resistance,
+        alpha=alpha,
+        reference_c=reference_c,
+        to_housing=to_housing,
+        capacity=capacity,
+        constant=constant,
     )
 
 
@@ -62,7 +70,20 @@ def _winding(spec: RobotSpec, joint: str, motors: dict[str, Attributes]) -> tupl
             f"{where}: found resistance {resistance:g} ohm, thermal {motors[joint]['thermal']!r}, expected a resistance"
             " and two of K/W, J/K and s above 0, and a coefficient of at least 0 /K"
         )
-    return resistance, alpha, reference_c, to_housing, capacity
+    return resistance, alpha, reference_c, to_housing, capacity, _constant(motors[joint], where)
+
+
+def _constant(motor: Attributes, where: str) -> float:
+    """N·m/A at the joint. Of two constants, torque's and voltage's, MuJoCo takes the geometric mean."""
+    torque, volts = _numbers(motor, "motorconst", 2, where)
+    constant = float(np.sqrt(torque * volts)) if torque > 0 and volts > 0 else max(torque, volts)
+    gear, *_ = _numbers({"gear": "1"} | motor, "gear", 6, where)
+    if not (torque >= 0 and volts >= 0 and constant > 0 and gear != 0):
+        raise RobotError(
+            f"{where}: found motorconst {motor['motorconst']!r} and gear {gear:g}, expected constants of at least 0"
+            " N·m/A, one of them above 0, and a gear that is not 0"
+        )
+    return constant * gear
 
 
 def _numbers(motor: Attributes, key: str, many: int, where: str) -> list[float]:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_spec import copy_of_arm
 
-from deploy.contract import FRAME_AND_UNIT, TEXT_MAX, ActionSpec, Contract, Term, check_contract
+from deploy.contract import FRAME_AND_UNIT, TEXT_MAX, ActionSpec, Contract, Observed, Term, check_contract
 from robots.errors import ContractError
 from robots.spec import load_robot
 
@@ -84,6 +84,16 @@ def test_json_keeps_every_bit(contract):
     assert back == contract
     assert back.to_json() == contract.to_json()
     assert back.observation_size == sum(len(t.scale) * t.history for t in contract.observation)
+
+
+def test_what_training_saw_is_of_every_number_of_the_observation():
+    seen = Observed(mean=(0.1,) * 30, deviation=(0.3,) * 30)
+    contract = arm_contract(observed=seen)
+    assert Contract.from_json(contract.to_json(), "here").observed == seen
+    check_contract(contract, SPEC, "here")
+    for short in ({"mean": (0.1,) * 29}, {"deviation": (0.3,) * 31}):
+        with pytest.raises(ValueError, match=r"observed: found (29|31) numbers, expected 30"):
+            arm_contract(observed=seen.model_copy(update=short))
 
 
 def test_the_arms_contract_fits_the_arm():

@@ -14,7 +14,7 @@ from onnx import numpy_helper  # noqa: E402
 from test_checkpoint import made_actor, saved  # noqa: E402
 from test_contract import SPEC, SWAPPED, arm_contract  # noqa: E402
 
-from deploy.contract import CONTRACT_KEY  # noqa: E402
+from deploy.contract import CONTRACT_KEY, Observed  # noqa: E402
 from deploy.policy import Policy  # noqa: E402
 from deploy.policy_file import GOLDEN_KEY  # noqa: E402
 from policies.checkpoint import load_checkpoint  # noqa: E402
@@ -62,7 +62,9 @@ def test_the_metadata_are_the_contract_and_spread_golden_pairs(done):
     checkpoint, exported = done
     metadata = {entry.key: entry.value for entry in onnx.load(exported.path).metadata_props}
     assert sorted(metadata) == [CONTRACT_KEY, GOLDEN_KEY]
-    assert metadata[CONTRACT_KEY] == arm_contract().to_json()
+    actor = load_checkpoint(checkpoint).actor
+    observed = Observed(mean=tuple(actor.mean.tolist()), deviation=tuple(actor.divisor.tolist()))
+    assert metadata[CONTRACT_KEY] == arm_contract(observed=observed).to_json()
     golden = {key: np.array(rows, np.float32) for key, rows in json.loads(metadata[GOLDEN_KEY]).items()}
     made = load_checkpoint(checkpoint)
     rows = [round(i * 1099 / 15) for i in range(16)]

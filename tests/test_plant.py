@@ -304,7 +304,25 @@ def test_contact_with_itself_and_with_the_table_is_true():
     down[1], down[2] = -0.05, 0.3
     plant.reset(np.ones(3, dtype=bool), np.stack((HOME, folded, down)))
     plant.step(command(plant.q.copy()))
-    assert plant.truth(0.0).self_collision.tolist() == [False, True, True]
+    truth = plant.truth(0.0)
+    assert truth.self_collision.tolist() == [False, True, True]
+    assert truth.contact_n[0] == 0.0
+    assert (truth.contact_n[1:] > 1.0).all()
+
+
+def test_contact_force_is_the_strongest_contacts_normal_one():
+    """As MuJoCo's own function says of the same state, on the one robot whose arm lies on the table."""
+    plant, down = exact(1), HOME.copy()
+    down[1], down[2] = -0.05, 0.3
+    plant.reset(np.ones(1, dtype=bool), down[None])
+    data, model = plant.batch.get_data(0), plant.batch.get_model(0)
+    mujoco.mj_forward(model, data)
+    forces = np.zeros((data.ncon, 6))
+    for contact, force in enumerate(forces):
+        mujoco.mj_contactForce(model, data, contact, force)
+    strongest = np.linalg.norm(forces[:, :3], axis=1).argmax()
+    assert plant.truth(0.0).contact_n[0] == pytest.approx(forces[strongest, 0], rel=1e-6)
+    assert forces[strongest, 0] > 1.0
 
 
 def test_tool_is_where_forward_kinematics_says():

@@ -66,7 +66,7 @@ def test_stops_that_are_allowed_hurt_nothing_all_the_way(share):
             nis=q * 0,
             temperature=q * 0 + 30,
             winding=q * 0 + 30,
-            winding_doubt=q * 0,
+            hottest=q * 0 + 30,
             fold=np.ones(q.shape),
             fault=np.zeros(robots, dtype=np.int64),
         )
@@ -78,6 +78,28 @@ def test_stops_that_are_allowed_hurt_nothing_all_the_way(share):
                 assert not touching(fleet, smoother.q)[fine].any()
         accepted, blocked = accepted + fine.sum(), blocked + (~fine).sum()
     assert blocked > accepted
+
+
+def test_a_stop_that_would_be_too_fast_is_refused_and_no_other():
+    """Stops of one joint from near the limit, at any acceleration, each lived through."""
+    robots, rng, smoother = 192, np.random.default_rng(4), Smoother(SPEC, 192)
+    qd_max, joint = MARGINS.speed * SPEC.joint_array("qd_max"), np.arange(robots)[:, None] % N == np.arange(N)
+    qd = joint * rng.uniform(0.8, 1.05, (robots, N)) * rng.choice([-1, 1], (robots, N)) * qd_max
+    qdd = joint * rng.uniform(-1, 1, (robots, N)) * SPEC.joint_array("qdd_max")
+    smoother.commit(Setpoint(q=np.tile(HOME, (robots, 1)), qd=qd, qdd=qdd))
+    fastest = np.abs(qd)
+    for _ in range(25):
+        smoother.commit(smoother.next(smoother.q, np.ones(robots, dtype=bool)))
+        fastest = np.maximum(fastest, np.abs(smoother.qd))
+    share = (fastest / qd_max).max(axis=1)
+    refused = np.array(
+        [Reason.VELOCITY in reasons(setpoint=point(qd=v, qdd=a)) for v, a in zip(qd, qdd, strict=True)]
+    )
+    between = np.abs(share - 1) < 1e-3  # the fastest moment lies between two ticks
+    np.testing.assert_array_equal((share > 1)[~between], refused[~between])
+    gains = share > (np.abs(qd) / qd_max).max(axis=1) + 1e-3
+    assert (refused & gains).sum() > 10
+    assert (~refused & gains).sum() > 10
 
 
 WRIST_INTO_TABLE = (

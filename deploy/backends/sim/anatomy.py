@@ -13,6 +13,7 @@ from robots.sensors import Kind
 from robots.spec import RobotSpec
 
 PLAY, PAYLOAD, CABLE, ANCHOR = "play", "firstshift/payload", "firstshift/cable", "firstshift/anchor"
+STRONGEST = "firstshift/strongest contact"
 """Names of what is added; a joint's play is called as the joint and this."""
 
 SENSORS = {
@@ -36,6 +37,7 @@ class Anatomy:
         bodies: (n,) body ids of the links that the joints move.
         link: (bodies,) the joint that moves a body, rigidly attached ones included; -1 for what does not move.
         payload: body id. cable: tendon id. anchor: site id. tool: site id.
+        strongest: where in `sensordata` the normal force of the strongest contact is, which only the judge may know.
         sensed: where in `sensordata` each kind of sensor is.
     """
 
@@ -48,6 +50,7 @@ class Anatomy:
     cable: int
     anchor: int
     tool: int
+    strongest: int
     sensed: dict[Kind, slice]
 
     @property
@@ -80,6 +83,7 @@ def build(spec: RobotSpec, cable: Cable) -> Anatomy:
     for kind in spec.sensors:
         if kind in SENSORS:
             _add_sensor(mjcf, nominal, kind, spec)
+    _add_strongest(mjcf)
     model = mjcf.compile()
     # A diverged simulation must be seen, not silently put back to its start.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -144,6 +148,13 @@ def _add_sensor(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, kind: Kind, spec: 
         )
 
 
+def _add_strongest(mjcf: mujoco.MjSpec) -> None:
+    """The force of one contact of all, in its own frame, whose first axis is the normal."""
+    force, strongest, one = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 2, 1
+    sensor = mjcf.add_sensor(name=STRONGEST, type=mujoco.mjtSensor.mjSENS_CONTACT)
+    sensor.intprm[:3] = force, strongest, one
+
+
 def _find(model: mujoco.MjModel, spec: RobotSpec) -> Anatomy:
     joints = np.array([model.joint(name).id for name in spec.joint_names])
     bodies = model.jnt_bodyid[joints].astype(np.int64)
@@ -160,6 +171,7 @@ def _find(model: mujoco.MjModel, spec: RobotSpec) -> Anatomy:
         cable=model.tendon(CABLE).id,
         anchor=model.site(ANCHOR).id,
         tool=model.site(spec.tool).id,
+        strongest=int(model.sensor(STRONGEST).adr[0]),
         sensed={kind: _places(model, kind, spec) for kind in spec.sensors if kind in SENSORS},
     )
 

@@ -147,6 +147,8 @@ class Packets:
     def _fail(self, ticks: Ints, goes: Bools, late: Ints) -> None:
         """What faults do to packets on their way."""
         for sensor, fault in self._faults:
+            if fault.begins > ticks[-1] or fault.ends <= ticks[0]:
+                continue
             now = (ticks >= fault.begins) & (ticks < fault.ends)
             if fault.what == Failure.SLOW:
                 count = ticks * self._rates[sensor] // self._control_hz

@@ -87,7 +87,7 @@ class Plant(Stage):
         self.rows, self._ctrl, self._rise = self.batch.state, bind("ctrl"), bind("act")
         self._force, self._tau = bind("actuator_force"), bind("qfrc_actuator")
         self._site, self._contacts = bind("site_xpos")[:, anatomy.tool], bind("ncon")
-        self._sensordata = bind("sensordata")
+        self._sensordata, self._strongest = bind("sensordata"), anatomy.strongest
         self._damping = self.batch.expand("dof_damping")[:, self._dofs]
         # Of any kind: a simulation that is warned stops in the middle of a rollout, be it for a number that is not
         # finite or for contacts that found no room.
@@ -241,6 +241,7 @@ class Plant(Stage):
             tool_position=self.tool,
             tool_velocity=self.tool_velocity,
             self_collision=self._contacts > 0,
+            contact_n=self.sensed[:, self._strongest],
             winding_c=self.housing + self._rise,
             housing_c=self.housing,
             valid=self.valid,

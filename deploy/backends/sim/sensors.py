@@ -100,7 +100,7 @@ class Sensors(Stage):
             self._drift_on(tick // self._length, truth)
         self._need(tick // self._length)
         reading = self._quantized(truth + self._noise[:, tick % self._length] + self.shift)
-        for fault in self._faults:
+        for fault in self._near:
             self._fail(fault, tick, reading)
         self.ring[:, tick % self._packets.depth] = reading
 
@@ -145,6 +145,8 @@ class Sensors(Stage):
         if chunk == self._chunk:
             return
         self._chunk, width = chunk, len(self._sensor)
+        begin, end = chunk * self._length, (chunk + 1) * self._length
+        self._near = [fault for fault in self._faults if fault.begins <= end and fault.ends > begin]
         for noise, key in zip(self._noise, self._noise_keys, strict=True):
             keyed(key, 2 * chunk).standard_normal(out=noise)
         self._noise *= self._sigma[:, None]

@@ -17,6 +17,7 @@ class Truth(NamedTuple):
         tool_position: (B, 3) m, world.
         tool_velocity: (B, 3) m/s, world, mean over the last control period.
         self_collision: (B,) any contact between links or with the table.
+        contact_n: (B,) N, normal force of the strongest contact, 0 where there is none.
         winding_c, housing_c: (B, n) °C.
         valid: (B,) False from the moment the simulation of a robot diverged.
     """
@@ -28,6 +29,7 @@ class Truth(NamedTuple):
     tool_position: Floats
     tool_velocity: Floats
     self_collision: Bools
+    contact_n: Floats
     winding_c: Floats
     housing_c: Floats
     valid: Bools

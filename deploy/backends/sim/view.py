@@ -14,16 +14,16 @@ from robots.model_mujoco import load_mujoco
 
 
 class View:
-    """Shows the true pose of robot 0; closing the window ends the view, not the run."""
+    """Shows the true pose of one robot; closing the window ends the view, not the run."""
 
-    def __init__(self, robot: SimRobot) -> None:
-        """Open the window.
+    def __init__(self, robot: SimRobot, row: int = 0) -> None:
+        """Open the window on robot `row`.
 
         Raises:
             ConfigError: there is no display.
         """
         _check_display()
-        self._robot = robot
+        self._robot, self._row = robot, row
         self._model = load_mujoco(robot.spec)
         self._data = mujoco.MjData(self._model)
         self._viewer = mujoco.viewer.launch_passive(self._model, self._data)
@@ -33,7 +33,7 @@ class View:
         if not self._viewer.is_running():
             return
         with self._viewer.lock():
-            self._data.qpos[:] = self._robot.plant.q[0]
+            self._data.qpos[:] = self._robot.plant.q[self._row]
             mujoco.mj_kinematics(self._model, self._data)
         self._viewer.sync()
 
