@@ -1,0 +1,70 @@
+"""make mutants: each guard of `deploy` taken away in its turn, and whether the judge notices.
+
+Both runs of a row are the same robots in the same situation. A guard that stands behind another one is asked where the
+one before it has failed, in both runs.
+"""
+
+import time
+from typing import Annotated
+
+import mujoco
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from deploy.cli import BUDGET_EXCEEDED, PASSED, main
+from eval.mutants.hostile import ROBOTS
+from eval.mutants.suite import MUTANTS, Row, idle_fails, rows, silent
+from robots.errors import ConfigError
+from robots.spec import RobotSpec, load_robot
+
+console = Console(width=160)
+
+
+def mutants(
+    robot: Annotated[str, typer.Option(help="Robot: a name or a folder.")] = "arm6",
+    only: Annotated[str, typer.Option(help="Only guards whose words hold this.")] = "",
+) -> int:
+    """Weaken each guard in turn and print what the judge said."""
+    spec, chosen = load_robot(robot), tuple(m for m in MUTANTS if only in m.guard)
+    if not chosen:
+        raise ConfigError(f"mutants: --only {only!r}: no guard; known: {'; '.join(m.guard for m in MUTANTS)}")
+    mujoco.set_mju_user_warning(
+        lambda text: None
+    )  # simulations are meant to diverge here, and the judge counts it
+    began, found = time.monotonic(), []
+    for row in rows(spec, chosen):
+        found.append(row)
+        console.print(f"{'caught' if row.caught else 'MISSED'}  {row.mutant.guard}", highlight=False)
+    console.print(_table(found))
+    good = all(row.caught for row in found)
+    if not only:
+        good = _at_once(spec) and good
+    console.print(
+        f"{sum(row.caught for row in found)} of {len(found)} caught in {time.monotonic() - began:.0f} s"
+    )
+    return PASSED if good else BUDGET_EXCEEDED
+
+
+def _at_once(spec: RobotSpec) -> bool:
+    quiet, broken = silent(spec), idle_fails(spec)
+    console.print(f"all guards off, draws doubled: monitors that say nothing: {', '.join(quiet) or 'none'}")
+    console.print(f"a policy that asks for nothing: budget lines exceeded: {', '.join(broken) or 'none'}")
+    return not quiet and "goal_success" in broken
+
+
+def _table(found: list[Row]) -> Table:
+    table = Table(
+        *("guard, and what becomes of it", "situation", "monitor", "with", "without", ""),
+        title=f"{ROBOTS} robots, the same for both: events of the monitor with the guard and without it",
+    )
+    for row in found:
+        mutant = row.mutant
+        shown = ["no such monitor" if n is None else str(n) for n in (row.whole, row.weakened)]
+        verdict = "caught" if row.caught else "MISSED"
+        table.add_row(mutant.guard, mutant.situation.words, mutant.monitor, *shown, verdict)
+    return table
+
+
+if __name__ == "__main__":
+    main(mutants)

@@ -1,0 +1,102 @@
+"""Every guard taken away in its turn; and all of them at once, on robots drawn twice as far out."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from deploy.state import Reason
+from eval.budget import check, load_budget
+from eval.counts import NAMES, Counts
+from eval.mutants.asks import falls_silent, visits
+from eval.mutants.befalls import begins_hot, begins_wrong
+from eval.mutants.hostile import Situation, live
+from eval.mutants.limits import FAR, SAFETY, SENT
+from eval.mutants.mutant import Mutant, heard
+from eval.mutants.senses import SENSES
+from eval.mutants.warmth import WARMTH
+from eval.mutants.weakened import blind, both, careless, hasty, planner, unclamped, undoubting, unfolded
+from robots.spec import RobotSpec
+
+MUTANTS = SAFETY + SENT + SENSES + WARMTH
+
+EVERYTHING = ~Reason.NONE
+UNGUARDED = both(
+    planner(qd_max=1.3, qdd_max=2.0, qddd_max=2.0),
+    unclamped,
+    undoubting,
+    unfolded,
+    hasty,
+    careless,
+    blind(EVERYTHING),
+)
+"""Safety and estimator find nothing, the planner keeps no limit, no motor is folded back, and nobody waits for a
+filter to be sure or minds what the policy says."""
+FURY = (
+    Situation(
+        words="an arm whose windings have 106 °C is thrown about",
+        says=visits(
+            0.7,
+            FAR | {"shoulder_pan": -1.2},
+            FAR | {"shoulder_pan": 1.2, "wrist_3": 3.4},
+            {"shoulder_lift": -0.2, "elbow": 1.6, "wrist_1": 0.6, "wrist_3": -3.4},
+            {"shoulder_lift": -2.2, "elbow": 0.2},
+        ),
+        befalls=begins_hot(90.0, 16.0),
+        spread=2.0,
+        seconds=4.0,
+    ),
+    Situation(
+        words="armed at once, on first packets that are off by 0.6 rad, and soon the policy says NaN",
+        says=falls_silent(0.1),
+        befalls=begins_wrong(5, 0.6),
+        spread=2.0,
+        arm_s=0.005,
+        seconds=0.2,
+    ),
+)
+"""Robots drawn twice as far out."""
+IDLE = Situation(
+    words="a policy that asks for nothing", says=lambda runtime: 0.0 * runtime.action.last, seconds=13.0
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """What the judge said of a mutant.
+
+    Attributes:
+        whole, weakened: events of the mutant's monitor with the guard and without; None where there is no such monitor.
+    """
+
+    mutant: Mutant
+    whole: int | None
+    weakened: int | None
+
+    @property
+    def caught(self) -> bool:
+        """Whether the monitor is silent with the guard and heard without."""
+        return self.whole == 0 and bool(self.weakened)
+
+
+def rows(spec: RobotSpec, mutants: tuple[Mutant, ...] = MUTANTS) -> Iterator[Row]:
+    """Live through every mutant; a situation that several share is lived through once with all guards."""
+    lived: dict[int, Counts] = {}
+    for mutant in mutants:
+        place = id(mutant.situation)
+        if place not in lived:
+            lived[place] = live(spec, mutant.situation)
+        yield Row(
+            mutant=mutant,
+            whole=heard(lived[place], mutant.monitor),
+            weakened=heard(live(spec, mutant.situation, mutant.weaken), mutant.monitor),
+        )
+
+
+def silent(spec: RobotSpec) -> list[str]:
+    """Monitors that say nothing though no guard is left and draws are doubled: none, or the plant is too kind."""
+    counts = [live(spec, situation, UNGUARDED) for situation in FURY]
+    return [name for name in NAMES if not any(each.total(name) for each in counts)]
+
+
+def idle_fails(spec: RobotSpec) -> list[str]:
+    """Lines of the shipped budget that a policy which asks for nothing exceeds."""
+    return [line.name for line in check(load_budget(), live(spec, IDLE)) if not line.passed]

@@ -1,0 +1,243 @@
+"""How guards are taken away from a runtime that was built whole: no source text is edited."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from deploy import estimator
+from deploy.estimator import Estimator
+from deploy.runtime import Runtime
+from deploy.smoother import Smoother
+from deploy.state import Bools, Floats, Packet, Reason, Setpoint, State, Verdict
+
+Weaken = Callable[[Runtime], None]
+
+
+def around(owner: object, name: str, call: Callable[..., Any]) -> None:
+    """Let `call` answer in the place of a method: it is given the method, then what the method is called with."""
+    setattr(owner, name, partial(call, getattr(owner, name)))
+
+
+def both(*weakens: Weaken) -> Weaken:
+    """One after the other."""
+
+    def weaken(runtime: Runtime) -> None:
+        for each in weakens:
+            each(runtime)
+
+    return weaken
+
+
+def blind(reasons: Reason) -> Weaken:
+    """Neither safety nor the estimator ever has these reasons."""
+    seen = ~np.int64(reasons)
+
+    def judge(step: Callable[..., Verdict], *asked: Any) -> Verdict:
+        verdict = step(*asked)
+        return verdict._replace(reason=verdict.reason & seen)
+
+    def believe(step: Callable[..., State], *heard: Any) -> State:
+        state = step(*heard)
+        return state._replace(fault=state.fault & seen)
+
+    def weaken(runtime: Runtime) -> None:
+        around(runtime.safety, "step", judge)
+        around(runtime.estimator, "step", believe)
+
+    return weaken
+
+
+def looks(*, ahead: bool = True, midst: bool = True, rest: bool = True) -> Weaken:
+    """Safety is shown the setpoint itself in the place of these parts of the stop that would begin there."""
+
+    def judge(
+        step: Callable[..., Verdict], state: State, sent: Setpoint, now: Setpoint, *stop: Any
+    ) -> Verdict:
+        first, q_midst, q_rest = stop
+        return step(
+            state, sent, now, first if ahead else now, q_midst if midst else now.q, q_rest if rest else now.q
+        )
+
+    return lambda runtime: around(runtime.safety, "step", judge)
+
+
+def unforeseen(runtime: Runtime) -> None:
+    """The speed that a stop would still gain, until its acceleration has run out, is none."""
+    runtime.safety._twice_jerk = np.full(runtime.spec.n, np.inf)
+
+
+def planner(**factors: float) -> Weaken:
+    """The planner keeps to limits that are so many times those of robot.toml."""
+
+    def weaken(runtime: Runtime) -> None:
+        spec = runtime.spec
+        joints = tuple(
+            joint.model_copy(update={name: factor * getattr(joint, name) for name, factor in factors.items()})
+            for joint in spec.joints
+        )
+        runtime.smoother = Smoother(spec.model_copy(update={"joints": joints}), runtime.robot.robots)
+
+    return weaken
+
+
+def rash(**factors: float) -> Weaken:
+    """As `planner`, where a target is followed; stops keep to the limits."""
+
+    def plan(right: Callable[..., Setpoint], runtime: Runtime, wild: Smoother, *asked: Any) -> Setpoint:
+        wild.commit(runtime.smoother.sent)
+        stopping = asked[1][:, None]
+        pairs = zip(right(*asked), wild.next(*asked), strict=True)
+        return Setpoint(*(np.where(stopping, *pair) for pair in pairs))
+
+    def weaken(runtime: Runtime) -> None:
+        right = runtime.smoother
+        planner(**factors)(runtime)
+        wild, runtime.smoother = runtime.smoother, right
+        around(right, "next", lambda step, *asked: plan(step, runtime, wild, *asked))
+
+    return weaken
+
+
+def unclamped(runtime: Runtime) -> None:
+    """Targets may lie a radian beyond the working range."""
+    runtime.smoother._q_min -= 1.0
+    runtime.smoother._q_max += 1.0
+
+
+def planless(t: float, *, angles: bool) -> Weaken:
+    """At one tick the planner's next setpoint is no number: in its speeds, or in its angles too."""
+
+    def plan(step: Callable[..., Setpoint], runtime: Runtime, *asked: Any) -> Setpoint:
+        setpoint = step(*asked)
+        if round((runtime.t - t) / runtime.spec.dt) == 0:
+            for part in setpoint[0 if angles else 1 :]:
+                part[:] = np.nan
+        return setpoint
+
+    def weaken(runtime: Runtime) -> None:
+        around(runtime.smoother, "next", lambda step, *asked: plan(step, runtime, *asked))
+
+    return weaken
+
+
+def unbarred(runtime: Runtime) -> None:
+    """The runtime sends what it is given, number or not."""
+    around(runtime, "_finite", lambda _, planned: planned)
+    around(runtime, "_instead", lambda _, obey, planned: (planned, runtime.verdict.tau))
+
+
+def abrupt(runtime: Runtime) -> None:
+    """What is refused is answered by standing still at once, not by the stop that was prepared."""
+
+    def instead(ask: Callable[..., tuple[Setpoint, Floats]], obey: Bools, planned: Setpoint) -> object:
+        setpoint, tau = ask(obey, planned)
+        stands = [runtime.smoother.q, np.zeros_like(setpoint.qd), np.zeros_like(setpoint.qdd)]
+        parts = [np.where(obey[:, None], *pair) for pair in zip(setpoint, stands, strict=True)]
+        return Setpoint(*parts), tau
+
+    around(runtime, "_instead", instead)
+
+
+def careless(runtime: Runtime) -> None:
+    """The runtime does not mind an action that is no number; `Action` still leaves it out."""
+    around(runtime, "_reason", lambda _: runtime.verdict.reason | runtime.state.fault | runtime.asked)
+
+
+def credulous(runtime: Runtime) -> None:
+    """An action that is no number moves the target all the same."""
+
+    def step(_: object, action: Floats, q_setpoint: Floats) -> object:
+        stage = runtime.action
+        stage.q += stage._scale * action
+        return stage.target
+
+    around(runtime.action, "step", step)
+
+
+def unclipped(runtime: Runtime) -> None:
+    """An action may be as large as it likes."""
+    runtime.action._low, runtime.action._high = -np.inf, np.inf
+
+
+def unleashed(runtime: Runtime) -> None:
+    """The target may run away from the setpoint."""
+    runtime.action._leash = np.inf
+
+
+def forgiving(reasons: Reason) -> Weaken:
+    """The supervisor takes these reasons for category 2: the power stays, and the robot goes on by itself."""
+
+    def step(advance: Callable[..., Bools], runtime: Runtime, *asked: Any) -> Bools:
+        runtime.supervisor.reason &= ~np.int64(reasons)
+        return advance(*asked)
+
+    def weaken(runtime: Runtime) -> None:
+        around(runtime.supervisor, "step", lambda advance, *asked: step(advance, runtime, *asked))
+
+    return weaken
+
+
+class Restless(Estimator):
+    """It never says that a joint moves."""
+
+    @property
+    def moving(self) -> Bools:
+        """Nothing ever does."""
+        return np.zeros(len(self.e), dtype=bool)
+
+
+def restless(runtime: Runtime) -> None:
+    """Robots are armed whether or not a joint moves."""
+    runtime.estimator = Restless(runtime.spec, runtime.robot.robots)
+
+
+class Open(Estimator):
+    """No sample is beyond the gate."""
+
+    def _fuse(self, packet: Packet, deviation: Floats, new: Bools) -> Bools:
+        """All of them count."""
+        with patch.object(estimator, "GATE", np.inf):
+            return super()._fuse(packet, deviation, new)
+
+
+def gateless(runtime: Runtime) -> None:
+    """No sample is left out."""
+    runtime.estimator = Open(runtime.spec, runtime.robot.robots)
+
+
+def hasty(runtime: Runtime) -> None:
+    """A filter is believed from its first sample on."""
+
+    def now(tell: Callable[..., State], t: float, *heard: Any) -> State:
+        return tell(t, *heard)._replace(age=(t - runtime.estimator.t_sample).max(axis=1))
+
+    around(runtime.estimator, "_now", now)
+
+
+def undoubting(runtime: Runtime) -> None:
+    """A winding is as warm as it is believed to be, and no warmer."""
+    runtime.estimator.heat._doubt_k = runtime.estimator.heat._doubt_share = 0.0
+
+
+def unfolded(runtime: Runtime) -> None:
+    """Hot motors go on as cold ones do, up to the stop."""
+
+    def fold_back(fold: Callable[[], None]) -> None:
+        fold()
+        runtime.estimator.heat.fold[:] = 1.0
+        runtime.estimator.heat.pace[:] = 1.0
+
+    around(runtime.estimator.heat, "_fold_back", fold_back)
+
+
+def deaf(runtime: Runtime) -> None:
+    """What is not heard any more stays as it was last heard."""
+    around(runtime.estimator.heat, "_listen", lambda *_: None)
+
+
+def unwary(runtime: Runtime) -> None:
+    """A current may repeat itself for ever."""
+    runtime.estimator.heat._stuck = np.inf
