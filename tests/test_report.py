@@ -1,5 +1,6 @@
 """The report: what it says, that it is whole, safe and self-contained, and how it is written."""
 
+import dataclasses
 import html.parser
 import re
 
@@ -7,11 +8,13 @@ import numpy as np
 import pytest
 from junitparser import JUnitXml
 
+from deploy.contract import Observed
 from eval.budget import load_budget
 from eval.counts import MONITORS, REASONS
 from eval.monitors import Judge
+from eval.night import Run, Settings
 from eval.report.build import POINTS, build
-from eval.report.data import Report, Run, Settings, SoakResult
+from eval.report.data import Report, SoakResult
 from eval.report.html import fixed, render
 from eval.report.junit import junit
 from eval.report.plots import wear_plot
@@ -20,28 +23,39 @@ from robots.errors import OutputError
 from robots.spec import load_robot
 
 SPEC = load_robot("arm6")
+OBSERVED = Observed(mean=(0.0,), deviation=(1.0,))
 ROBOTS, HOURS, TICKS = 16, 8.0, 8 * 3600 * 200
 
 
-def wearing(hours):
+def wearing(hours, robots=ROBOTS):
     """Joint j of robot i at (i + j) times 1 % friction, 0.01 mrad, -0.1 mrad and -0.1 % by the end; play from 0.3."""
-    life = hours[:, None, None] / HOURS * np.add.outer(np.arange(ROBOTS), np.arange(6))
+    life = hours[:, None, None] / HOURS * np.add.outer(np.arange(robots), np.arange(6))
     return np.stack((1.0 + 0.01 * life, 3e-4 + 1e-5 * life, -1e-4 * life, 1.0 - 0.001 * life), axis=1)
 
 
-def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.onnx"):
-    """A shift of 16 robots in which only `events` went wrong, on robot 3 and the monitor's first channel."""
-    counts = Judge(SPEC, np.full(6, 100.0), ROBOTS).counts()
+def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.onnx", robots=ROBOTS):
+    """A shift of robots in which only `events` went wrong, on robot 3 and the monitor's first channel."""
+    counts = Judge(SPEC, np.full(6, 100.0), robots, observed=OBSERVED).counts()
     counts.ticks[:] = counts.running[:] = ticks
     counts.attempted[:] = counts.reached[:] = ticks // 800
+    counts.worst[:, counts.columns("tracking")] = 0.705
+    counts.bins[:, 40] = max(0, robots * ticks - 100)
+    counts.bins[:, 70] = 100
+    log = []
     for name in events:
         channel = counts.columns(name).start
         counts.events[3, channel] += 1
         counts.worst[3, channel] = 1.25
-        counts.log_start[3, channel, 0], counts.log_last[3, channel, 0] = 720_000, 720_009
-        counts.log_worst[3, channel, 0] = 1.25
-    winding = np.linspace(25, 60, samples)[:, None, None] + np.zeros((samples, ROBOTS, 6))
-    winding[:, 5, 2] += 15
+        log.append((3, channel, 720_000, 720_009, 1.25))
+    counts = dataclasses.replace(
+        counts,
+        **{
+            f"log_{name}": np.array([row[k] for row in log], dtype=float if name == "worst" else np.int64)
+            for k, name in enumerate(("robot", "channel", "start", "last", "worst"))
+        },
+    )
+    winding = np.linspace(25, 60, samples)[:, None, None] + np.zeros((samples, robots, 6))
+    winding[:, 5 % robots, 2] += 15
     hours = np.linspace(0, HOURS, samples)
     return SoakResult(
         settings=Settings(
@@ -49,13 +63,15 @@ def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.
             robot="arm6",
             robot_digest="a" * 64,
             draws_digest="d" * 64,
+            limits_digest="f" * 64,
             code_digest="e" * 64,
+            faults=None,
             policy=policy,
             policy_digest="b" * 64,
             budget="budget.toml",
             seed=7,
             hours=HOURS,
-            robots=ROBOTS,
+            robots=robots,
             shard_width=16,
             workers=2,
             versions={"numpy": "2.4"},
@@ -70,12 +86,17 @@ def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.
         counts=counts,
         sample_h=hours,
         winding_c=winding,
-        worn=wearing(hours),
+        folded_back=np.zeros_like(winding),
+        worn=wearing(hours, robots),
         winding_soft_c=SPEC.motor_array("winding_soft_c"),
         winding_max_c=SPEC.motor_array("winding_max_c"),
+        stops=np.zeros((samples, robots), dtype=np.int64),
+        latches=np.zeros((samples, robots), dtype=np.int64),
         goals_bin_h=1.0,
         goals_attempted=np.full(8, 14_400),
         goals_reached=np.array([14_400] * 7 + [14_000]),
+        parameters={"payload.mass_kg": np.linspace(0, 1, robots), "cable.length_m": np.ones(robots)},
+        bundles=(),
         unseen=("Links are rigid.",),
     )
 
@@ -88,8 +109,8 @@ def test_a_clean_night_passes_with_the_honest_sentence():
     found = report()
     assert found.verdict == "passed"
     assert found.statement == (
-        "0 hard events in 128.0 hours under way over 16 draws: rate ≤ 0.023 per hour, P(bad draw) ≤ 0.17"
-        " (each with 95 %), availability 100.00 %, goals reached 100.00 %."
+        "0 hard events in 128.0 hours under way over 16 draws: rate ≤ 0.023 per hour (≤ 0.028 where draws differ),"
+        " P(bad draw) ≤ 0.17 (each with 95 %), availability 100.00 %, goals reached 100.00 %."
     )
     assert found.exposure.evaluations == ROBOTS * TICKS
     assert all(row.evaluations == ROBOTS * TICKS for row in found.monitors)
@@ -106,6 +127,48 @@ def test_a_hard_event_fails_and_is_found_everywhere(monitor):
     assert [(e.monitor, e.robot, e.start_h, e.length_s) for e in found.events] == [
         (monitor.name, 3, 1.0, 0.05)
     ]
+
+
+def test_margins_are_shown_even_where_nothing_happened():
+    found = report()
+    row = next(row for row in found.monitors if row.name == "tracking")
+    # Of 92 million ticks 100 lie at 0.7, fewer than 1 in 10,000, and the others at 0.4.
+    assert {channel.tail for channel in row.channels} == {0.41}
+    words = " ".join("".join(Page(render(found)).words).split())
+    assert "but 1 in 10000" in words
+    assert "59 %" in words
+
+
+def test_an_event_says_what_was_left_to_the_limit():
+    (event,) = report(["velocity"]).events
+    assert (event.worst, event.unit) == (1.25, "rad/s")
+    assert event.margin == pytest.approx(-0.25 * SPEC.joints[0].qd_max)
+
+
+def test_events_that_were_not_kept_are_counted_and_said():
+    result = soak(["velocity"])
+    result.counts.events[3, result.counts.columns("velocity").start] = 701
+    found = build(result, load_budget())
+    assert next(row for row in found.monitors if row.name == "velocity").left_out == 700
+    assert "700 more were counted above and are listed nowhere" in render(found)
+
+
+def test_a_policy_that_does_not_know_its_training_is_not_judged_by_it():
+    result = soak()
+    result.counts.limits[result.counts.columns("observation")] = np.inf
+    found = build(result, load_budget())
+    row = next(row for row in found.monitors if row.name == "observation")
+    assert (row.evaluations, row.channels[0].limit) == (0, None)
+    assert any("What no limit is known of: observation." in line for line in found.unseen)
+    assert Report.model_validate_json(found.model_dump_json()) == found
+
+
+def test_time_above_the_soft_limit():
+    result = soak()
+    place = result.counts.columns("heat_soft").start + 2
+    result.counts.bad_ticks[3, place], result.counts.bad_ticks[5, place] = 720_000, 1_440_000
+    elbow = build(result, load_budget()).heat[2]
+    assert (elbow.above_soft_h, elbow.longest_h) == (3.0, 2.0)
 
 
 def test_soft_events_are_shown_and_do_not_fail():
@@ -129,6 +192,7 @@ def test_what_could_not_be_seen_follows_from_what_was_counted():
     result.counts.worst[:] = 0.9
     result.counts.worst[:, result.counts.columns("torque")] = 0.2
     result.counts.invalid[4] = 12
+    result.counts.bins[:, 0] += 12
     text = " ".join(build(result, load_budget()).unseen)
     assert "used to 50 %: torque." in text
     assert "12 ticks of the 1 robots whose simulation diverged" in text
@@ -183,7 +247,7 @@ def test_the_page_is_whole_small_and_loads_nothing(events):
     assert all(load.startswith(("#", "data:,")) for load in page.loads)
     assert {load[1:] for load in page.loads if load.startswith("#")} <= set(page.ids)
     assert not re.search(r"@import|url\((?!#)|<script|https?://(?!www\.w3\.org)", text)
-    assert text.count("<svg") == SPEC.n + 4 + 1
+    assert text.count("<svg") == SPEC.n + 4 + 1 + 2
     assert len(text) < 1_000_000
     assert "prefers-color-scheme: dark" in text
     assert not re.search(r"#0[1-6]0[1-6]0[1-6]", text)

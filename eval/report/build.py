@@ -5,30 +5,29 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from eval.budget import Budget, check
-from eval.counts import JOINT_MONITORS, MONITORS, REASONS, Counts, Monitor
-from eval.evidence import CONFIDENCE, rate_upper, share_interval, share_upper
+from eval.counts import MONITORS, REASONS, Counts
+from eval.evidence import share_interval
+from eval.night import Verdict
+from eval.report.bounds import evidence, statement
+from eval.report.causes import sensitivity
 from eval.report.data import (
-    Channel,
-    EventRow,
-    Evidence,
     Exposure,
     GoalBin,
     Goals,
     Heat,
-    Ints,
     Line,
-    MonitorRow,
     Report,
     SoakResult,
     Stops,
-    Verdict,
-    median,
-    number,
-    series,
 )
+from eval.report.faults import fault_line
+from eval.report.judged import events, monitors, robots
+from eval.report.numbers import Ints, median, number, series
+from eval.report.rows import Evidence
 from eval.report.wear import wear
+from eval.tally import Tally
 
-EVENTS_LISTED = 500
+TAIL = 1e-4
 POINTS = 500
 FAR = 0.5
 
@@ -47,26 +46,35 @@ def build(result: SoakResult, budget: Budget) -> Report:
         )
         for finding in check(budget, counts)
     )
-    exposure, evidence, goals = _exposure(counts), _evidence(counts), _goals(result)
+    if result.faults is not None:
+        lines = (fault_line(result.faults), *lines)
+    found = evidence(counts)
     at = np.arange(0, len(result.sample_h), -(-len(result.sample_h) // POINTS))
-    return Report(
+    report = Report(
         format=1,
         verdict=_verdict(result, lines),
-        statement=_statement(exposure, evidence, goals),
+        statement=statement(counts, found),
         settings=result.settings,
         run=result.run,
+        tally=Tally.of(counts, result.winding_c),
         budget=lines,
-        exposure=exposure,
-        evidence=evidence,
-        goals=goals,
+        exposure=_exposure(counts),
+        evidence=found,
+        goals=_goals(result),
         stops=_stops(counts),
-        monitors=tuple(_monitor(counts, monitor) for monitor in MONITORS),
-        events=_events(counts),
+        monitors=monitors(counts, TAIL),
+        tail_share=TAIL,
+        events=events(counts, result.bundles),
+        robots=robots(result),
+        sensitivity=sensitivity(result),
         sample_h=tuple(round(float(hour), 4) for hour in result.sample_h[at]),
         heat=_heat(result, at),
         wear=tuple(wear(result, at)),
-        unseen=(*_unseen(counts, evidence), *result.unseen),
+        faults=result.faults,
+        trend=None,
+        unseen=(*_unseen(counts, found), *result.unseen),
     )
+    return report.model_copy(update={"results_digest": report.sealed()})
 
 
 def _verdict(result: SoakResult, lines: Sequence[Line]) -> Verdict:
@@ -85,19 +93,6 @@ def _exposure(counts: Counts) -> Exposure:
         running_hours=counts.running_hours,
         moving_hours=float(counts.moving.sum() * counts.dt / 3600),
         availability=counts.availability,
-    )
-
-
-def _evidence(counts: Counts) -> Evidence:
-    hard = sum(counts.total(monitor.name) for monitor in MONITORS if monitor.hard)
-    hours, bad = counts.running_hours, counts.bad_draws()
-    return Evidence(
-        confidence=CONFIDENCE,
-        hard_events=hard,
-        hard_rate=hard / hours if hours else None,
-        hard_rate_upper=number(float(rate_upper(hard, hours))),
-        bad_draws=bad,
-        bad_draw_upper=float(share_upper(bad, counts.robots)),
     )
 
 
@@ -162,53 +157,13 @@ def _stops(counts: Counts) -> Stops:
     )
 
 
-def _monitor(counts: Counts, monitor: Monitor) -> MonitorRow:
-    columns = counts.columns(monitor.name)
-    names: Sequence[str | None] = counts.joints if monitor in JOINT_MONITORS else (None,)
-    channels = zip(names, range(columns.start, columns.stop), strict=True)
-    events = counts.total(monitor.name)
-    return MonitorRow(
-        name=monitor.name,
-        unit=monitor.unit,
-        hard=monitor.hard,
-        meaning=monitor.meaning,
-        evaluations=counts.evaluations,
-        events=events,
-        bad_draws=counts.bad_draws(monitor.name),
-        rate_upper=number(float(rate_upper(events, counts.running_hours))),
-        channels=tuple(
-            Channel(
-                joint=joint,
-                limit=float(counts.limits[channel]),
-                events=int(counts.events[:, channel].sum()),
-                bad_ticks=int(counts.bad_ticks[:, channel].sum()),
-                worst=number(float(counts.worst[:, channel].max(initial=0.0))),
-            )
-            for joint, channel in channels
-        ),
-    )
-
-
-def _events(counts: Counts) -> tuple[EventRow, ...]:
-    log = sorted(counts.log(), key=lambda event: (not event.monitor.hard, event.start, event.robot))
-    return tuple(
-        EventRow(
-            robot=event.robot,
-            monitor=event.monitor.name,
-            joint=event.joint,
-            hard=event.monitor.hard,
-            start_h=event.start * counts.dt / 3600,
-            length_s=event.ticks * counts.dt,
-            worst=number(event.worst),
-        )
-        for event in log[:EVENTS_LISTED]
-    )
-
-
 def _heat(result: SoakResult, at: Ints) -> tuple[Heat, ...]:
     """Between samples `at` and their next the hottest is kept, not the last."""
     hottest = np.fmax.reduceat(np.fmax.reduce(result.winding_c, axis=1), at, axis=0)
-    usual = median(result.winding_c[at])
+    usual, counts = median(result.winding_c[at]), result.counts
+    peak = np.nan_to_num(np.fmax.reduce(result.winding_c, axis=0), nan=-np.inf)
+    above_h = counts.bad_ticks[:, counts.columns("heat_soft")] * counts.dt / 3600
+    folded = np.ma.masked_invalid(result.folded_back).mean(axis=0).filled(0.0)
     return tuple(
         Heat(
             joint=joint,
@@ -216,20 +171,16 @@ def _heat(result: SoakResult, at: Ints) -> tuple[Heat, ...]:
             max_c=float(result.winding_max_c[k]),
             median_c=series(usual[:, k], 2),
             hottest_c=series(hottest[:, k], 2),
+            peak_c=number(peak[:, k].max(), 2),
+            hottest_robot=int(peak[:, k].argmax()),
+            above_soft_h=float(above_h[:, k].sum()),
+            longest_h=float(above_h[:, k].max()),
+            longest_robot=int(above_h[:, k].argmax()),
+            folded_back=float(folded[:, k].mean()),
+            folded_most=float(folded[:, k].max()),
+            folded_robot=int(folded[:, k].argmax()),
         )
-        for k, joint in enumerate(result.counts.joints)
-    )
-
-
-def _statement(exposure: Exposure, evidence: Evidence, goals: Goals) -> str:
-    """The sentence that the run supports, and no other."""
-    rate = evidence.hard_rate_upper
-    bound = "no bound on the rate" if rate is None else f"rate ≤ {rate:.2g} per hour"
-    return (
-        f"{evidence.hard_events} hard event{'s' if evidence.hard_events != 1 else ''} in"
-        f" {exposure.running_hours:.1f} hours under way over {exposure.draws} draws:"
-        f" {bound}, P(bad draw) ≤ {evidence.bad_draw_upper:.2g} (each with {100 * CONFIDENCE:.0f} %), availability"
-        f" {100 * exposure.availability:.2f} %, goals reached {100 * goals.success:.2f} %."
+        for k, joint in enumerate(counts.joints)
     )
 
 
@@ -240,7 +191,16 @@ def _unseen(counts: Counts, evidence: Evidence) -> Iterator[str]:
         f" {100 * evidence.bad_draw_upper:.0f} % of all may be. More draws lower this, more hours do not."
     )
     yield (f"What comes and goes between two control ticks: the judge looks every {1e3 * counts.dt:g} ms.")
-    far = [monitor.name for monitor in MONITORS if _worst(counts, monitor.name) < FAR and monitor.unit]
+    unjudged = [m.name for m in MONITORS if np.isinf(counts.limits[counts.columns(m.name)]).any()]
+    if unjudged:
+        yield (
+            f"What no limit is known of: {', '.join(unjudged)}. The policy's file does not say what it was trained on."
+        )
+    far = [
+        monitor.name
+        for monitor in MONITORS
+        if _worst(counts, monitor.name) < FAR and monitor.unit and monitor.name not in unjudged
+    ]
     if far:
         yield (
             f"How the stack behaves near limits that no robot used to {100 * FAR:.0f} %: {', '.join(far)}."

@@ -1,80 +1,15 @@
 """What a soak hands over, and the schema of report.json."""
 
-import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
-
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
 
 from eval.counts import Counts
+from eval.night import Night, Run, Settings
+from eval.report.fault_rows import FaultTable
+from eval.report.numbers import Count, Floats, Ints, Number, Share
+from eval.report.rows import EventRow, Evidence, MonitorRow, RobotRow, Sensitivity
+from eval.report.trend_rows import Trend
 from robots.strict import Strict
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Count = Annotated[int, Field(ge=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
-# None stands for a number that is none: no exposure, a NaN, a diverged simulation.
-Number = float | None
-Verdict = Literal["passed", "failed", "interrupted"]
-
-
-def number(value: float, digits: int | None = None) -> Number:
-    """A finite number, rounded if `digits` says so; None for any other."""
-    return (float(value) if digits is None else round(float(value), digits)) if math.isfinite(value) else None
-
-
-def series(values: Floats, digits: int) -> tuple[Number, ...]:
-    """`number` of each of (T,)."""
-    return tuple(number(value, digits) for value in values)
-
-
-def median(values: Floats) -> Floats:
-    """(T, ...) of what is known of the robots of (T, N, ...), NaN for nothing."""
-    return np.asarray(np.ma.median(np.ma.masked_invalid(values), axis=1).filled(np.nan))
-
-
-class Settings(Strict):
-    """On what the results depend; `workers` changes only the time it takes.
-
-    Attributes:
-        hours: h that each robot was to run.
-        policy, policy_digest: the file and its SHA-256. robot, robot_digest: the name and its SHA-256.
-        draws_digest: SHA-256 of the distributions that robots were drawn from. code_digest: of what ran.
-        budget: the file. versions: of Python and of the libraries, by name.
-    """
-
-    command: str
-    robot: str
-    robot_digest: str
-    draws_digest: str
-    policy: str
-    policy_digest: str
-    code_digest: str
-    budget: str
-    seed: int
-    hours: float
-    robots: int
-    shard_width: int
-    workers: int
-    versions: dict[str, str]
-
-
-class Run(Strict):
-    """How it went this time.
-
-    Attributes:
-        started: ISO 8601 with zone. wall_s: s of real time since then.
-        hours: h that each robot did run, on average; robots that never began count as 0.
-        resumed_hours: h of these that an earlier start had left behind.
-    """
-
-    started: str
-    wall_s: float
-    hours: float
-    resumed_hours: float
-    interrupted: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,11 +20,16 @@ class SoakResult:
         counts: what the judge found.
         sample_h: (T,) h, when `winding_c` and `worn` were taken: at 0, then once a simulated minute or so.
         winding_c: (T, R, n) °C, true winding temperature; NaN once a robot's simulation diverged.
+        folded_back: (T, R, n) share of its current that a motor at work could not draw for its heat; NaN as that.
         worn: (T, 4, R, n) what the joints had become: friction as a factor of the new joint's, backlash and encoder
             error in rad, torque constant as a factor; NaN as `winding_c`.
         winding_soft_c, winding_max_c: (n,) °C.
+        stops, latches: (T, R) times that a robot had left its work, and lost its power, up to each sample.
         goals_bin_h: h, width of the bins of `goals_attempted` and `goals_reached`, (H,) all robots together.
+        parameters: (R,) by name, what each robot was drawn with: see `eval.sensitivity`.
+        bundles: folders of events to see again, as seen from the report's folder.
         unseen: sentences on what the plant does not model.
+        faults: on schedule; None if there were none.
     """
 
     settings: Settings
@@ -97,13 +37,19 @@ class SoakResult:
     counts: Counts
     sample_h: Floats
     winding_c: Floats
+    folded_back: Floats
     worn: Floats
     winding_soft_c: Floats
     winding_max_c: Floats
+    stops: Ints
+    latches: Ints
     goals_bin_h: float
     goals_attempted: Ints
     goals_reached: Ints
+    parameters: Mapping[str, Floats]
+    bundles: tuple[str, ...]
     unseen: tuple[str, ...]
+    faults: FaultTable | None = None
 
 
 class Line(Strict):
@@ -133,61 +79,28 @@ class Exposure(Strict):
     availability: Share
 
 
-class Evidence(Strict):
-    """Hard events of all monitors together; upper bounds one-sided at `confidence`, rates per hour."""
-
-    confidence: Share
-    hard_events: Count
-    hard_rate: Number
-    hard_rate_upper: Number
-    bad_draws: Count
-    bad_draw_upper: Share
-
-
-class Channel(Strict):
-    """A monitor on one joint, None for the whole robot; `worst` is a share of `limit`."""
-
-    joint: str | None
-    limit: float
-    events: Count
-    bad_ticks: Count
-    worst: Number
-
-
-class MonitorRow(Strict):
-    """A monitor over all robots; `rate_upper` per hour under way, on its own."""
-
-    name: str
-    unit: str
-    hard: bool
-    meaning: str
-    evaluations: Count
-    events: Count
-    bad_draws: Count
-    rate_upper: Number
-    channels: tuple[Channel, ...]
-
-
-class EventRow(Strict):
-    """An event: `start_h` h into the run, `length_s` s long, `worst` as a share of the limit."""
-
-    robot: Count
-    monitor: str
-    joint: str | None
-    hard: bool
-    start_h: float
-    length_s: float
-    worst: Number
-
-
 class Heat(Strict):
-    """True winding temperature of a joint at `Report.sample_h`, °C: median robot, and hottest each time."""
+    """True winding temperature of a joint at `Report.sample_h`, °C: median robot, and hottest each time.
+
+    `peak_c` is the highest of all samples, of `hottest_robot`. `above_soft_h` is h above `soft_c`, all robots together
+    and every tick looked at, and `longest_h` the most of one robot, `longest_robot`. `folded_back` is the share of its
+    current that the motor could not draw for its heat, mean of all samples and robots, and `folded_most` the highest
+    mean of one robot, `folded_robot`.
+    """
 
     joint: str
     soft_c: float
     max_c: float
     median_c: tuple[Number, ...]
     hottest_c: tuple[Number, ...]
+    peak_c: Number
+    hottest_robot: Count
+    above_soft_h: float
+    longest_h: float
+    longest_robot: Count
+    folded_back: Share
+    folded_most: Share
+    folded_robot: Count
 
 
 class WornJoint(Strict):
@@ -252,22 +165,26 @@ class Stops(Strict):
     reasons: dict[str, Count]
 
 
-class Report(Strict):
-    """report.json. `events` holds the first of each channel, hard ones first."""
+class Report(Night):
+    """report.json: a night, and all that there is to see of it.
 
-    format: Literal[1]
-    verdict: Verdict
-    statement: str
-    settings: Settings
-    run: Run
+    `events` holds every one that was kept, hard ones first; `MonitorRow.left_out` counts the others. `trend` is None
+    without a history.
+    """
+
     budget: tuple[Line, ...]
     exposure: Exposure
     evidence: Evidence
     goals: Goals
     stops: Stops
     monitors: tuple[MonitorRow, ...]
+    tail_share: Share
     events: tuple[EventRow, ...]
+    robots: tuple[RobotRow, ...]
+    sensitivity: Sensitivity
     sample_h: tuple[float, ...]
     heat: tuple[Heat, ...]
     wear: tuple[Wear, ...]
+    faults: FaultTable | None
+    trend: Trend | None
     unseen: tuple[str, ...]

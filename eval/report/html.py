@@ -1,34 +1,142 @@
-"""report.html: one file, nothing loaded from elsewhere."""
+"""Pages that are one file, nothing loaded from elsewhere: report.html, and that of all nights."""
 
+from collections.abc import Iterator, Mapping
+from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from eval.report.data import Report
-from eval.report.plots import goals_plot, heat_plot, wear_plot
+from eval.report.numbers import Number
+from eval.report.plots import (
+    NIGHTS_SHOWN,
+    goals_plot,
+    heat_plot,
+    margins_plot,
+    nights_plot,
+    timeline_plot,
+    wear_plot,
+)
+from eval.report.rows import EventRow
+from eval.report.timeline import timeline
+from eval.report.trend_rows import Trend
 
-TEMPLATE = Path(__file__).parent / "template.html"
+EVENTS_SHOWN = 500
+TEMPLATES = Path(__file__).parent
+
+
+class TrendPlot(NamedTuple):
+    """A figure over nights, and its latest value in words."""
+
+    title: str
+    note: str
+    svg: Markup
+
+
+class Cell(NamedTuple):
+    """Events of a monitor on one joint, or on the whole robot: those shown, and how many are listed in report.json."""
+
+    anchor: str
+    joint: str | None
+    shown: list[EventRow]
+    listed: int
 
 
 def render(report: Report) -> str:
-    """The page as text."""
-    loader = FileSystemLoader(TEMPLATE.parent)
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= {"percent": percent, "figure": figure, "fixed": fixed}
-    wanted = next(line.allowed for line in report.budget if line.name == "goal_success")
-    top = max((line.max_c for line in report.heat), default=0.0)
-    peak = max((c for line in report.heat for c in line.hottest_c if c is not None), default=0.0)
-    return environment.get_template(TEMPLATE.name).render(
+    """The page of one night as text."""
+    return _template("template.html").render(
         r=report,
-        heat=[Markup(heat_plot(report.sample_h, line, 1.08 * max(top, peak))) for line in report.heat],
-        wear=[Markup(wear_plot(report.sample_h, line)) for line in report.wear],
-        goals=Markup(goals_plot(report.goals.bins, wanted)),
+        plot=plots(report),
         joints=[channel.joint for channel in report.monitors[0].channels],
+        cells=cells(report),
+        left_out=sum(row.left_out for row in report.monitors),
         over=[line for line in report.budget if not line.passed],
+        trend=report.trend,
+        trend_plots=[] if report.trend is None else _trend_plots(report.trend),
     )
+
+
+def render_nights(trend: Trend, task: Mapping[str, str]) -> str:
+    """The page of all nights as text; `task` is what all of them were asked for, by name."""
+    return _template("nights.html").render(r=None, trend=trend, trend_plots=_trend_plots(trend), task=task)
+
+
+def _template(name: str) -> Template:
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {each.__name__: each for each in (percent, margin, figure, fixed, duration, ends)}
+    return environment.get_template(name)
+
+
+def _trend_plots(trend: Trend) -> list[TrendPlot]:
+    last = trend.nights[-1]
+    return [
+        TrendPlot(each.title, note, Markup(nights_plot(trend, each)))
+        for each, note in zip(
+            NIGHTS_SHOWN,
+            (
+                f"last {figure(last.rate.value, 2)}",
+                f"last {percent(last.goals.value, 2)}",
+                f"last {percent(last.availability.value, 2)}",
+                f"last {figure(last.hottest_c.value)}",
+            ),
+            strict=True,
+        )
+    ]
+
+
+def plots(report: Report) -> dict[str, Markup | list[Markup]]:
+    """Every figure by its section."""
+    wanted = next(line.allowed for line in report.budget if line.name == "goal_success")
+    top = max(max(line.max_c, line.peak_c or line.max_c) for line in report.heat)
+    end_h = max(1e-3, *(robot.hours for robot in report.robots))
+    judged = [row for row in report.monitors if row.unit and row.evaluations and row.loads]
+    return {
+        "timeline": Markup(timeline_plot(timeline(report.robots, report.events, end_h), end_h)),
+        "margins": Markup(margins_plot(judged) if judged else ""),
+        "heat": [Markup(heat_plot(report.sample_h, line, 1.08 * top)) for line in report.heat],
+        "wear": [Markup(wear_plot(report.sample_h, line)) for line in report.wear],
+        "goals": Markup(goals_plot(report.goals.bins, wanted)),
+    }
+
+
+def cells(report: Report) -> dict[str, dict[str | None, Cell]]:
+    """By monitor, the hard ones first, and by joint; of each the earliest events, those with a bundle before others."""
+    found = {(e.monitor, e.joint) for e in report.events}
+    share, result = EVENTS_SHOWN // max(1, len(found)), dict[str, dict[str | None, Cell]]()
+    for anchor, name, joint, listed in _by_cell(report):
+        shown = sorted(listed, key=lambda e: (e.bundle is None, e.start_h))[:share]
+        cell = Cell(anchor=anchor, joint=joint, shown=shown, listed=len(listed))
+        result.setdefault(name, {})[joint] = cell
+    return result
+
+
+def _by_cell(report: Report) -> Iterator[tuple[str, str, str | None, list[EventRow]]]:
+    places = {
+        (row.name, channel.joint): (not row.hard, number, place)
+        for number, row in enumerate(report.monitors)
+        for place, channel in enumerate(row.channels)
+    }
+
+    def place(event: EventRow) -> tuple[bool, int, int]:
+        return places[event.monitor, event.joint]
+
+    for (_, number, channel), events in groupby(sorted(report.events, key=place), place):
+        listed = list(events)
+        yield f"events-{number}-{channel}", listed[0].monitor, listed[0].joint, listed
+
+
+def margin(load: float | None) -> str:
+    """What a load leaves of the limit, as per cent of it."""
+    return "−∞" if load is None else f"{100 * (1 - load):.0f} %".replace("-", "−")
 
 
 def percent(share: float | None, digits: int = 0) -> str:
@@ -40,7 +148,20 @@ def figure(value: float | None, digits: int = 3) -> str:
     """A number to some digits, thousands apart, and `–` for one that is none."""
     if value is None:
         return "–"
-    return f"{value:,.0f}" if abs(value) >= 10**digits or value == int(value) else f"{value:.{digits}g}"
+    if abs(value) >= 10**digits or value == int(value):
+        return f"{value:,.0f}"
+    return np.format_float_positional(float(f"{value:.{digits}g}"), trim="-")
+
+
+def ends(interval: tuple[Number, Number]) -> str:
+    """Of an interval, `–` for one without an end."""
+    return "–" if interval[1] is None else f"{figure(interval[0], 2)} to {figure(interval[1], 2)}"
+
+
+def duration(hours: float) -> str:
+    """Hours in the unit in which they can be read."""
+    unit, worth = next((u, w) for u, w in (("h", 1), ("min", 60), ("s", 3600)) if hours * w >= 1 or u == "s")
+    return f"{figure(hours * worth, 2)} {unit}"
 
 
 def fixed(value: float | None, unit: str) -> str:

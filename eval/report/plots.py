@@ -3,16 +3,21 @@
 import html
 import io
 import re
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from eval.report.data import GoalBin, Heat, Number, Wear
+from eval.counts import PER_LOAD
+from eval.report.data import GoalBin, Heat, Wear
+from eval.report.numbers import Floats, Number
+from eval.report.rows import MonitorRow
+from eval.report.timeline import Timeline
+from eval.report.trend_rows import Span, Trend
 
 # Colours that matplotlib writes, and the page's own that take their place.
 INK, GRID, COOL, WARM, SOFT, HARD = "#010101", "#020202", "#030303", "#040404", "#050505", "#060606"
@@ -24,6 +29,8 @@ PAGE = {
     SOFT: "var(--warn)",
     HARD: "var(--bad)",
 }
+DECADES = 9
+"""That a strip of margins spans: 64 robots of 6 joints have 2e9 ticks in 8 hours."""
 WEAR_SHOWN = {
     "friction": (100.0, 101.0),
     "backlash": (0.0, 0.1),
@@ -31,6 +38,22 @@ WEAR_SHOWN = {
     "torque constant": (99.0, 100.0),
 }
 """What the scale of each quantity's plot holds at least."""
+
+
+class Shown(NamedTuple):
+    """A number of every night: its name there, and how many of its unit are one of the record's."""
+
+    name: str
+    title: str
+    per: float
+
+
+NIGHTS_SHOWN = (
+    Shown("rate", "Hard events per hour", 1.0),
+    Shown("goals", "Goals reached, %", 100.0),
+    Shown("availability", "Availability, %", 100.0),
+    Shown("hottest_c", "Hottest winding, °C", 1.0),
+)
 STYLE: Any = {
     "svg.fonttype": "none",
     "font.family": "sans-serif",
@@ -93,9 +116,119 @@ def goals_plot(bins: Sequence[GoalBin], wanted: float) -> str:
         return _svg(figure, "goals", "Share of goals reached over time")
 
 
-def _curves(
-    axes: Axes, hours: Sequence[float], median: Sequence[Number], most: Sequence[Number]
-) -> NDArray[np.float64]:
+def nights_plot(trend: Trend, shown: Shown) -> str:
+    """A number of every night with its interval, by what was under test, and bounds of nights put together."""
+    spans: list[Span] = [getattr(night, shown.name) for night in trend.nights]
+    ends = [[s.value if end is None else end for end in (s.value, s.low, s.high)] for s in spans]
+    value, low, high = shown.per * np.array(ends, dtype=float).T
+    at = np.arange(len(spans))
+    colours = [(COOL, WARM)[night.group % 2] for night in trend.nights]
+    points = [colour if night.passed else HARD for colour, night in zip(colours, trend.nights, strict=True)]
+    days = [night.started[5:10] for night in trend.nights]
+    with mpl.rc_context(STYLE):
+        figure, axes = _canvas(2.7, 1.8)
+        axes.vlines(at, low, high, colors=colours, linewidth=1.4)
+        axes.scatter(at, value, s=18, c=points, zorder=3)
+        if shown.name == "rate":
+            _bounds(axes, trend)
+            axes.set_ylim(bottom=-0.05 * axes.get_ylim()[1])
+        axes.set_xlim(-0.6, len(spans) - 0.4)
+        axes.xaxis.set_major_locator(MaxNLocator(4, integer=True, min_n_ticks=1))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: days[int(x)] if 0 <= x < len(days) else ""))
+        axes.locator_params(axis="y", nbins=5)
+        axes.set_xlabel("month-day")
+        return _svg(figure, f"nights-{shown.name}", f"{shown.title}, night by night")
+
+
+def _bounds(axes: Axes, trend: Trend) -> None:
+    """Of several nights together, from the first to the last of them."""
+    for number, group in enumerate(trend.groups):
+        at = [k for k, night in enumerate(trend.nights) if night.group == number]
+        if group.nights > 1 and group.draw_rate_upper is not None:
+            axes.hlines(group.draw_rate_upper, at[0] - 0.4, at[-1] + 0.4, colors=SOFT, linewidth=1.4)
+
+
+def timeline_plot(night: Timeline, end_h: float) -> str:
+    """A row for each robot, first to last from above: events in its upper half, stops in its lower."""
+    many = len(night.lived)
+    height = min(6.4, 0.55 + max(0.5, 0.17 * many))
+    with mpl.rc_context(STYLE | {"axes.grid": False, "path.simplify": False}):
+        figure, axes = _canvas(10.6, height)
+        lane = 72 * (height - 0.47) / many  # points
+        _bars(axes, night.lived, GRID, 0.86 * lane, alpha=0.55)
+        _bars(axes, night.lost, INK, 0.86 * lane, alpha=0.55)
+        _bars(axes, night.unlisted, SOFT, 0.43 * lane, up=-0.215, alpha=0.3)
+        _bars(axes, night.soft, SOFT, 0.43 * lane, up=-0.215)
+        _bars(axes, night.stops, COOL, 0.43 * lane, up=0.215)
+        _bars(axes, night.latches, WARM, 0.43 * lane, up=0.215)
+        # Over everything, and never too thin to be seen.
+        _bars(axes, night.hard, HARD, max(2.5, 0.43 * lane), up=-0.215)
+        axes.set(xlim=(0, end_h), ylim=(many - 0.5, -0.5), xlabel="h", ylabel="robot")
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=16, integer=True))
+        axes.spines["left"].set_visible(False)
+        return _svg(figure, "timeline", "When each robot had events and stops")
+
+
+def margins_plot(rows: Sequence[MonitorRow]) -> str:
+    """A strip for each monitor: how many ticks left which margin, as a logarithm; and each joint's tail and worst."""
+    most = max([c.worst for row in rows for c in row.channels if c.worst is not None], default=0.0)
+    right = min(2.0, max(1.1, most)) + 0.05
+    with mpl.rc_context(STYLE | {"path.simplify": False}):
+        figure, axes = _canvas(10.6, 0.6 + 0.31 * len(rows), left_in=1.35)
+        axes.set(xlim=(0, right), ylim=(len(rows) - 0.2, -0.95), xlabel="margin: what is left to the limit")
+        axes.axvline(1.0, color=HARD, linewidth=1.1)
+        strips = [_strip(row, place) for place, row in enumerate(rows)]
+        # A hair wider than a bin: neighbours shall leave no seam.
+        bin_pt = 1.03 * 72 * 10.6 * axes.get_position().width / right / PER_LOAD
+        for colour, parts in zip((COOL, SOFT, HARD), zip(*strips, strict=True), strict=True):
+            at, foot, top = np.concatenate(parts).reshape(-1, 3).T
+            _segments(axes, (at, at), (foot, top), colour, bin_pt, alpha=0.45)
+        for what, mark in (("tail", "o"), ("worst", "|")):
+            at, place = np.array([*_points(rows, what)]).reshape(-1, 2).T
+            size = 3.0 if mark == "o" else 7.0
+            axes.plot(np.minimum(at, 2.0), place - 0.12, mark, color=WARM, markersize=size)
+        axes.set_yticks(range(len(rows)), [row.name for row in rows])
+        axes.xaxis.set_major_formatter(lambda load, _: f"{100 * (1 - load):.0f} %".replace("-", "−"))
+        return _svg(figure, "margins", "Margins of every monitor as distributions")
+
+
+def _strip(row: MonitorRow, place: int) -> tuple[Floats, Floats, Floats]:
+    """Bars (N, 3) of bins in which ticks lie, at, foot and top: inside the limit, and beyond it soft and hard.
+
+    A full strip is all ticks, an empty one fewer than 1 in 10 to the power of `DECADES`.
+    """
+    ticks = np.array(row.loads, dtype=float)
+    share = ticks / ticks.sum()
+    some = np.flatnonzero(share > 0.1**DECADES)
+    top = place - 0.8 * (1 + np.log10(share[some]) / DECADES)
+    bars = np.stack((some / PER_LOAD + 0.5 / PER_LOAD, np.full(len(some), place), top), axis=1)
+    inside, none = some < PER_LOAD, np.zeros((0, 3))
+    beyond = bars[~inside]
+    return bars[inside], (none if row.hard else beyond), (beyond if row.hard else none)
+
+
+def _points(rows: Sequence[MonitorRow], what: str) -> Iterator[tuple[float, int]]:
+    for place, row in enumerate(rows):
+        loads = [getattr(channel, what) for channel in row.channels]
+        yield from ((load, place) for load in loads if load is not None)
+
+
+def _bars(axes: Axes, bars: Floats, colour: str, width: float, up: float = 0.0, alpha: float = 1.0) -> None:
+    """Bars (N, 3) of robot, begin and end, `width` points high."""
+    robot, begin, end = bars.T
+    _segments(axes, (begin, end), (robot + up, robot + up), colour, width, alpha)
+
+
+def _segments(
+    axes: Axes, x: tuple[Floats, Floats], y: tuple[Floats, Floats], colour: str, width: float, alpha: float
+) -> None:
+    """Many straight strokes from (N,) to (N,) as one path, which keeps the page small."""
+    gap = np.full(len(x[0]), np.nan)
+    places = [np.stack((*ends, gap), axis=1).ravel() for ends in (x, y)]
+    axes.plot(*places, color=colour, linewidth=width, alpha=alpha, solid_capstyle="butt")
+
+
+def _curves(axes: Axes, hours: Sequence[float], median: Sequence[Number], most: Sequence[Number]) -> Floats:
     """The extreme, and over it the median: both are returned."""
     lines = np.array((most, median), dtype=float)
     for line, colour in zip(lines, (WARM, COOL), strict=True):
@@ -105,10 +238,10 @@ def _curves(
     return lines
 
 
-def _canvas(width: float, height: float) -> tuple[Figure, Axes]:
+def _canvas(width: float, height: float, left_in: float = 0.5) -> tuple[Figure, Axes]:
     """A figure of some inches and its axes, with room for tick labels and units."""
     figure = Figure(figsize=(width, height))
-    left, bottom, right = 0.5 / width, 0.42 / height, 0.16 / width
+    left, bottom, right = left_in / width, 0.42 / height, 0.16 / width
     axes = figure.add_axes((left, bottom, 1 - left - right, 1 - bottom - 0.05 / height))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter("{x:g}")

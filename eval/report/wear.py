@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eval.report.data import Floats, Ints, SoakResult, Wear, WornJoint, median, number, series
+from eval.report.data import SoakResult, Wear, WornJoint
+from eval.report.numbers import Floats, Ints, median, number, series
 
 DIGITS = 4
 

@@ -1,5 +1,6 @@
-"""The three files of a report, all of them or none."""
+"""The files of a report and what lies beside it, all of them or none."""
 
+from collections.abc import Collection, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -16,8 +17,11 @@ FILES = {
 }
 
 
-def claim(out: Path) -> None:
+def claim(out: Path, beside: Collection[str] = ()) -> None:
     """Make the folder `out` and prove, before hours are spent, that the report can be written there.
+
+    Args:
+        out: the folder. beside: names of what else will be written.
 
     Raises:
         OutputError: it cannot.
@@ -26,18 +30,25 @@ def claim(out: Path) -> None:
     with replacing(probe):
         pass
     probe.unlink()
-    for name in FILES:
+    for name in (*FILES, *beside):
         if (out / name).is_dir():
             raise OutputError(f"--out {out}: {name} is a folder, expected a file or nothing of that name")
+        if (out / name).parent.is_file():
+            place = (out / name).parent.name
+            raise OutputError(f"--out {out}: {place} is a file, expected a folder or nothing of that name")
 
 
-def write(report: Report, out: Path) -> None:
+def write(report: Report, out: Path, beside: Mapping[str, bytes] | None = None) -> None:
     """Write report.json, report.html and junit.xml into the folder `out`, replacing older ones.
+
+    Args:
+        report: what they say. out: the folder.
+        beside: what else to write there, by name.
 
     Raises:
         OutputError: the place cannot be written; what stood there stands there still.
     """
-    texts = {name: text(report) for name, text in FILES.items()}
+    files = {name: text(report).encode() for name, text in FILES.items()} | dict(beside or {})
     with ExitStack() as stack:
-        for name, text in texts.items():
-            stack.enter_context(replacing(out / name)).write_text(text, encoding="utf-8")
+        for name, data in files.items():
+            stack.enter_context(replacing(out / name)).write_bytes(data)

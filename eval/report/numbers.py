@@ -1,0 +1,31 @@
+"""Numbers as report.json holds them."""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Count = Annotated[int, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+# None stands for a number that is none: no exposure, a NaN, a diverged simulation.
+Number = float | None
+
+
+def number(value: ArrayLike, digits: int | None = None) -> Number:
+    """A finite number, rounded if `digits` says so; None for any other."""
+    value = float(np.asarray(value))
+    return (value if digits is None else round(value, digits)) if math.isfinite(value) else None
+
+
+def series(values: Floats, digits: int) -> tuple[Number, ...]:
+    """`number` of each of (T,)."""
+    return tuple(number(value, digits) for value in values)
+
+
+def median(values: Floats) -> Floats:
+    """(T, ...) of what is known of the robots of (T, N, ...), NaN for nothing."""
+    return np.asarray(np.ma.median(np.ma.masked_invalid(values), axis=1).filled(np.nan))
