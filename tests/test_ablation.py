@@ -100,7 +100,8 @@ def test_without_its_guard_a_robot_knows_nothing_of_its_windings(kind, folds):
     for tick in range(round(20 / DT)):
         heat.step(tick * DT, heard(tick * DT, np.zeros((1, N)), housing=75.0, current=10.0 + tick * 1e-6))
     assert (heat.fold < 1).all() == (heat.pace < 1).all() == folds
-    assert (heat.winding > 76).all() == folds
+    assert (heat.winding > 76).all() == (heat.hottest > 79).all() == folds
+    assert (heat.hottest >= heat.winding).all()
 
 
 def moving(power_from=0, ticks=400):
@@ -214,6 +215,7 @@ def test_a_careless_robot_neither_folds_back_nor_stops_for_heat():
     stage, still = hot.Careless(SPEC, 1), Setpoint(*np.zeros((3, 1, N)))
     state = stage.step(0.0, heard(0.0, np.zeros((1, N)), housing=149.0, current=30.0), still)
     assert not state.winding.any()
+    assert not state.hottest.any()
     assert not state.temperature.any()
     assert (state.fold == 1.0).all()
 

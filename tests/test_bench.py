@@ -8,9 +8,11 @@ from test_spec import SPEC
 
 pytest.importorskip("mujoco")
 
+from mujoco.batch import Batch
+
 from deploy.policy import Policy
 from eval.bench import __main__ as command
-from eval.bench import estimate, stages, stopwatch
+from eval.bench import estimate, pace, stages, stopwatch
 from eval.bench.encoder import draw_encoder
 from eval.bench.heard import Motion
 from eval.bench.idle import make_idle
@@ -18,6 +20,7 @@ from eval.bench.plain import PlainRobot
 from eval.bench.stopwatch import Stopwatch
 from robots.distributions import load_distributions
 from robots.draws import draw
+from robots.model_mujoco import load_mujoco
 from robots.randomness import robot_seed
 
 
@@ -65,6 +68,20 @@ def test_a_bench_watches_every_stage_and_leaves_the_results_alone(arm_policy, qu
     assert calls.pop("action") == 2
     assert set(calls.values()) == {8}
     assert bench.judge.counts().running.min() > 30
+
+
+def test_physics_is_timed_on_the_very_steps_of_the_shift():
+    """From the same state, by the same controls, to the same state; and nothing but physics is done again."""
+    batch, rng = Batch(load_mujoco(SPEC), 3, nthread=1), np.random.default_rng(1)
+    steps = pace.Steps(batch)
+    for _ in range(2):
+        steps.record()
+        for _ in range(4):
+            batch.rollout(5, control=rng.normal(0, 1, (3, 5, batch.model.nu)), record=())
+        end = batch.state.copy()
+        batch.state[:] = 0.0
+        steps.again()
+        np.testing.assert_array_equal(batch.state, end)
 
 
 def test_the_plain_composition_moves_its_robot(arm_policy):
@@ -116,7 +133,7 @@ def test_an_unknown_bench_is_refused(monkeypatch, capsys):
         command.main(command.bench)
     assert caught.value.code == 2
     assert (
-        "found 'nothing', expected one of stages, estimate, floating, ablation, hot, start, memory, work or all"
+        "found 'nothing', expected one of stages, pace, estimate, floating, ablation, hot, start, memory, work or all"
         in capsys.readouterr().err
     )
 

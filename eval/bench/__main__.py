@@ -1,6 +1,7 @@
 """make bench: every figure that the project promises, measured here and now.
 
 python -m eval.bench stages     what a tick costs beside physics, at several B, stage by stage
+python -m eval.bench pace       how long a soak takes beside bare physics; a second worker, and wider shards
 python -m eval.bench estimate   errors with and without the estimator, its consistency, an outage
 python -m eval.bench floating   errors of a floating base with and without its feet, consistency, cost
 python -m eval.bench ablation   what each stage of the stack is worth: the same shift with one stage swapped
@@ -33,6 +34,7 @@ from eval.bench.estimate import estimate
 from eval.bench.floating import floating
 from eval.bench.hot import hot
 from eval.bench.idle import make_idle
+from eval.bench.pace import pace
 from eval.bench.stages import SEED, stages
 from eval.budget import BUDGET, check, load_budget
 from eval.counts import MONITORS, merge
@@ -144,6 +146,7 @@ def work(spec: RobotSpec, policy: Path) -> None:
 
 BENCHES: dict[str, Callable[[RobotSpec, Path, Path | None], None]] = {
     "stages": lambda spec, policy, _: stages(spec, policy, console),
+    "pace": lambda spec, policy, _: pace(spec, policy, console),
     "estimate": lambda spec, policy, picture: estimate(spec, policy, console, picture),
     "floating": lambda spec, policy, _: floating(console),
     "ablation": lambda spec, policy, picture: ablation(spec, policy, console, picture),

@@ -95,7 +95,7 @@ class Unguarded(Heat):
 
     def step(self, t: float, sample: Sample) -> None:
         """Housings, as they are heard."""
-        self.winding[:] = sample["temperature"].value
+        self.winding[:] = self.hottest[:] = sample["temperature"].value
 
 
 def _newest(runtime: Runtime) -> None:

@@ -39,7 +39,7 @@ class Careless(Estimator):
         """The estimate, but for what is warm."""
         state = super().step(t, sample, sent)
         cold = np.zeros_like(state.temperature)
-        return state._replace(temperature=cold, winding=cold)
+        return state._replace(temperature=cold, winding=cold, hottest=cold)
 
 
 def _guarded(runtime: Runtime) -> None:

@@ -46,7 +46,8 @@ class Bench:
         brain = Policy.load(policy, spec)
         self.robot = SimRobot(spec, seeds, threads=1)
         self.runtime = Runtime(spec, brain.contract, self.robot, seeds, brain)
-        self.judge, self.watch, self.robots = Judge(spec, torque_max(spec), robots), Stopwatch(), robots
+        self.judge = Judge(spec, torque_max(spec), robots, observed=brain.contract.observed)
+        self.watch, self.robots = Stopwatch(), robots
         self._watch(brain if every_stage else None)
         self.run(round(ARM_S / spec.dt))
         self.runtime.arm(np.ones(robots, dtype=bool))
@@ -83,7 +84,7 @@ class Bench:
     def tick(self) -> None:
         """One tick and its judgement, as a shard lives it."""
         self.runtime.tick()
-        judge_tick(self.judge, self.robot, self.runtime)
+        judge_tick(self.judge, self.robot, self.runtime, None)
 
     def run(self, ticks: int) -> None:
         """Some ticks, with what was built before them out of the garbage collector's sight, as in deploy-run."""

@@ -40,7 +40,9 @@ class Trial:
         self.robot = SimRobot(spec, seeds, given=given)
         self.runtime = Runtime(spec, brain.contract, self.robot, seeds, brain)
         goal_s = self.runtime.task.config.period_s
-        self.judge = Judge(spec, torque_max(spec), len(seeds), goal_s=goal_s)
+        self.judge = Judge(
+            spec, torque_max(spec), len(seeds), observed=brain.contract.observed, goal_s=goal_s
+        )
         self._motors = nominal_windings(spec)
         self._ohm = self._motors.resistance * self.robot.draw["drives.resistance"]
 
@@ -54,7 +56,7 @@ class Trial:
             if tick % look == 0:
                 rearm(self.runtime)
             self.runtime.tick()
-            judge_tick(self.judge, self.robot, self.runtime)
+            judge_tick(self.judge, self.robot, self.runtime, None)
             yield
 
     def copper_w(self) -> Floats:
