@@ -2,7 +2,7 @@
 
 A bound is one-sided at `confidence`; an interval leaves half of the rest on either side. Events are taken
 as Poisson in the exposure and draws as independent; hours under one draw are not, so the rate and the share
-of bad draws are both to be reported.
+of bad draws are both to be reported; `eval.dispersion` bounds the rate where draws differ.
 """
 
 from typing import cast
@@ -58,7 +58,7 @@ def share_upper(hits: ArrayLike, trials: int, confidence: float = CONFIDENCE) ->
 
 
 def share_lower(hits: ArrayLike, trials: int, confidence: float = CONFIDENCE) -> Floats:
-    """Lower bound of a probability; 0 without hits.
+    """Lower bound of a probability; 0 without hits. For k of n faults answered: their coverage is at least this.
 
     Source: Clopper and Pearson (1934), as `share_upper`.
     """
@@ -72,6 +72,42 @@ def share_interval(hits: ArrayLike, trials: int, confidence: float = CONFIDENCE)
     """
     each = (1 + confidence) / 2
     return share_lower(hits, trials, each), share_upper(hits, trials, each)
+
+
+def family_confidence(many: int, confidence: float = CONFIDENCE) -> float:
+    """What each of `many` bounds needs for all of them to hold at once with `confidence`, however they depend.
+
+    Source: Dunn, Multiple comparisons among means, J. Am. Stat. Assoc. 56 (1961), Bonferroni's inequality.
+    """
+    return 1 - (1 - confidence) / many
+
+
+def further_hours(mtbf: float, events: int, hours: float, confidence: float = CONFIDENCE) -> float:
+    """Hours still to run until the mean time between events is shown to be `mtbf` at least; 0 if it is.
+
+    Altogether 3.00, 4.74, 6.30 and 10.5 times `mtbf` for 0, 1, 2 and 5 events at 95 %.
+
+    Args:
+        mtbf: h wanted.
+        events: all that there will be at the end: those so far if no other comes, twice them if as many come.
+        hours: h so far.
+
+    Source: Epstein and Sobel, Life testing, J. Am. Stat. Assoc. 48 (1953), solved for the time on test.
+    """
+    return max(0.0, mtbf * float(rate_upper(events, 1.0, confidence)) - hours)
+
+
+def trials_needed(share: float, misses: int = 0, confidence: float = CONFIDENCE) -> int:
+    """Least trials for `share_lower` to reach `share` if `misses` of them fail: 59 for 95 %, 299 for 99 %.
+
+    The trial at which one miss more would come is negative binomial.
+
+    Args:
+        share: of hits, wanted; below 1.
+
+    Source: Wilks, Determination of sample sizes for setting tolerance limits, Ann. Math. Stat. 12 (1941).
+    """
+    return misses + 1 + int(stats.nbinom.ppf(confidence, misses + 1, 1 - share))
 
 
 def _chi_square(probability: float, freedom: ArrayLike, hours: float) -> Floats:

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import stats
 
 from eval import evidence
@@ -75,3 +77,57 @@ def test_shares_cover_what_they_promise(share, trials):
 def test_more_of_the_same_narrows_the_interval(interval):
     widths = [high - low for low, high in (interval(k, 10 * k) for k in (1, 4, 16, 64))]
     assert widths == sorted(widths, reverse=True)
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.integers(0, 500), st.integers(1, 50), st.floats(0.1, 1e4), st.floats(1.01, 10))
+def test_rate_bounds_rise_with_events_and_fall_with_hours(events, more, hours, longer):
+    for bound in (evidence.rate_upper, evidence.rate_lower):
+        assert bound(events + more, hours) > bound(events, hours)
+        assert bound(events + more, hours * longer) < bound(events + more, hours)
+    assert evidence.rate_lower(events, hours) <= events / hours < evidence.rate_upper(events, hours)
+
+
+@pytest.mark.parametrize("rates", [np.full(14, 0.3), np.geomspace(0.1, 10, 14)])
+def test_a_family_of_bounds_holds_together(rates):
+    """Fourteen monitors, of which the second half has the events of the first."""
+    draws = np.random.default_rng(3).poisson(rates * 128, size=(STUDY, 14))
+    draws[:, 7:], rates = draws[:, :7], np.tile(rates[:7], 2)
+    each = evidence.family_confidence(14)
+    assert np.mean((rates <= evidence.rate_upper(draws, 128, each)).all(axis=1)) >= 0.95
+    assert np.mean((rates <= evidence.rate_upper(draws, 128)).all(axis=1)) < 0.9
+
+
+def test_a_family_of_one_needs_no_more_than_itself():
+    assert evidence.family_confidence(1) == pytest.approx(evidence.CONFIDENCE)
+    assert evidence.family_confidence(10, 0.9) == pytest.approx(0.99)
+
+
+@pytest.mark.parametrize(("events", "factor"), [(0, 3.00), (1, 4.74), (2, 6.30), (5, 10.5)])
+def test_further_hours_for_a_wanted_time_between_events(events, factor):
+    assert evidence.further_hours(100.0, events, 0.0) == pytest.approx(100 * factor, rel=2e-3)
+    assert evidence.further_hours(100.0, events, 128.0) == pytest.approx(100 * factor - 128, abs=2.0)
+
+
+@settings(derandomize=True, deadline=None)
+@given(st.floats(1, 1e4), st.integers(0, 20), st.floats(0, 1e4), st.sampled_from([0.9, 0.95, 0.99]))
+def test_further_hours_are_enough_and_none_too_many(mtbf, events, hours, confidence):
+    more = evidence.further_hours(mtbf, events, hours, confidence)
+    shown = evidence.rate_upper(events, hours + more, confidence) * mtbf
+    assert shown == pytest.approx(1.0) if more > 0 else shown <= 1.0
+
+
+@pytest.mark.parametrize(("share", "trials"), [(0.90, 29), (0.95, 59), (0.99, 299), (0.999, 2995)])
+def test_trials_that_all_succeed(share, trials):
+    """The sample sizes of 95 % tolerance limits, as tables print them."""
+    assert evidence.trials_needed(share) == trials
+    assert evidence.share_lower(trials, trials) >= share > evidence.share_lower(trials - 1, trials - 1)
+
+
+@pytest.mark.parametrize("misses", [0, 1, 2, 5])
+@pytest.mark.parametrize("share", [0.5, 0.8, 0.95, 0.99])
+@pytest.mark.parametrize("confidence", [0.9, 0.95, 0.99])
+def test_needed_trials_are_the_least_that_reach_the_share(misses, share, confidence):
+    trials = evidence.trials_needed(share, misses, confidence)
+    assert evidence.share_lower(trials - misses, trials, confidence) >= share
+    assert evidence.share_lower(trials - 1 - misses, trials - 1, confidence) < share
