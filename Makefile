@@ -54,7 +54,7 @@ $(eval $(call environment,$(VENV_ROBOT),requirements-robot.lock,1.1 GB: a minute
 
 # ---- the main job ---------------------------------------------------------------------------------------------
 
-.PHONY: demo export run soak nightly train bench
+.PHONY: demo export run soak smoke shift nightly faults weekend train bench mutants
 demo: setup ## export the arm's policy, run it for 10 s, soak it for 3 simulated minutes
 	@mkdir -p out
 	$(BIN)/policy-export --policy arm.pt --out $(ARM)
@@ -73,14 +73,23 @@ run: $(ARM) ## run the arm in simulation, in real time, until Ctrl-C (ARGS=...)
 soak: $(ARM) ## soak the arm: HOURS=1 ROBOTS=16 SEED=7 WORKERS=2 (ARGS=...)
 	$(BIN)/soak-test --policy $(ARM) --hours $(HOURS) --robots $(ROBOTS) --seed $(SEED) --workers $(WORKERS) --out out/soak $(ARGS)
 
-nightly: $(ARM) ## the eight-hour shift of 16 arms, an hour and a half on 2 cores
-	$(BIN)/soak-test --policy $(ARM) --hours 8 --robots 16 --seed $(SEED) --workers $(WORKERS) --out out/nightly
+# Profiles are described in eval/profiles.
+smoke: ## under 3 minutes: for every pull request
+shift: ## a working day of 32 arms
+nightly: ## a working day of 64 arms
+faults: ## every class of fault, often enough to show that 95 % of each are handled
+weekend: ## a working day of 256 arms
+smoke shift nightly faults weekend: $(ARM)
+	$(BIN)/soak-test --policy $(ARM) --profile $@ --seed $(SEED) --workers $(WORKERS) --out out/$@ $(ARGS)
 
 train: setup ## train the arm's policy from its recipe (ARGS=...)
 	$(BIN)/policy-train --out out/train $(ARGS)
 
 bench: $(ARM) ## measure the figures that the README quotes
 	$(BIN)/python -m eval.bench $(ARGS)
+
+mutants: setup ## weaken each guard in turn: the judge must notice every time
+	$(BIN)/python -m eval.mutants $(ARGS)
 
 $(ARM): policies/arm.pt robots/arm6/model.xml robots/arm6/robot.toml | setup
 	@mkdir -p out
