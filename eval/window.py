@@ -1,0 +1,121 @@
+"""Some seconds in full: what every robot believed, was sent and truly did, tick by tick."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from foxglove import Channel
+from foxglove.channels import JointStatesChannel
+from numpy.typing import NDArray
+
+from deploy.recorder import Ring
+from deploy.recording import Recording, row_type
+from deploy.runtime import Runtime
+from deploy.stage import Arrays
+from eval.truth import Truth
+from robots.errors import OutputError
+from robots.spec import RobotSpec
+
+Rows = NDArray[np.void]
+
+TRUE = ("q_true", "qd_true", "tau_true", "winding_true_c")
+_NUMBERS = {"type": "array", "items": {"type": ["number", "null"]}}
+TRUE_SCHEMA = {
+    "title": "firstshift.True",
+    "type": "object",
+    "properties": {
+        "winding_c": _NUMBERS,
+        "tool": _NUMBERS,
+        "tool_velocity": _NUMBERS,
+        "powered": {"type": "boolean"},
+        "self_collision": {"type": "boolean"},
+        "valid": {"type": "boolean"},
+    },
+}
+
+
+def window_type(joints: int) -> np.dtype[np.void]:
+    """One tick of one robot: what a robot records of itself, and what is true of it."""
+    own = row_type(joints)
+    flags = [(name, np.bool_) for name in ("powered", "self_collision", "valid")]
+    true = [(name, np.float64, (joints,)) for name in TRUE]
+    tool = [(name, np.float64, (3,)) for name in ("tool_true", "tool_velocity_true")]
+    return np.dtype([*((name, own[name]) for name in own.names or ()), *flags, *true, *tool])
+
+
+class Window(Ring):
+    """The last ticks of B robots, of `window_type`."""
+
+    def __init__(self, spec: RobotSpec, robots: int, seconds: float) -> None:
+        """Allocate for B robots."""
+        super().__init__(spec, robots, seconds=seconds, row=window_type(spec.n))
+        self.rows["tick"] = -1
+
+    def see(self, runtime: Runtime, truth: Truth) -> None:
+        """Keep the tick that has just ended."""
+        self.step(runtime)
+        at, fields = (runtime.ticks - 1) % len(self.rows), self._fields
+        fields["powered"][at], fields["valid"][at] = runtime.command.powered, truth.valid
+        fields["self_collision"][at] = truth.self_collision
+        fields["q_true"][at], fields["qd_true"][at], fields["tau_true"][at] = truth.q, truth.qd, truth.tau
+        fields["winding_true_c"][at] = truth.winding_c
+        fields["tool_true"][at], fields["tool_velocity_true"][at] = truth.tool_position, truth.tool_velocity
+
+    def between(self, begin: int, end: int, robot: int) -> Rows:
+        """(T,) what is kept of a robot from tick `begin` on, before tick `end`."""
+        rows = self.rows[np.arange(begin, end) % len(self.rows), robot]
+        return rows[rows["tick"] == np.arange(begin, end)]
+
+
+def columns(rows: Rows) -> Arrays:
+    """(T, ...) arrays of the signals, by name."""
+    return {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()}
+
+
+def from_columns(arrays: Mapping[str, NDArray[np.generic]], joints: int) -> Rows:
+    """What `columns` took apart."""
+    rows = np.zeros(len(arrays["tick"]), dtype=window_type(joints))
+    for name, array in arrays.items():
+        rows[name] = array
+    return rows
+
+
+def write_mcap(path: Path, spec: RobotSpec, rows: Rows, *, goal_m: float, about: Mapping[str, str]) -> None:
+    """One MCAP file of a window, whose clock is the robot's: 0 at the start of its shift.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    recording = _Recording(path, spec, start_ns=0, goal_m=goal_m, about=about)
+    for row in rows:
+        recording.write(row)
+    recording.finish()
+    recording.wait()
+    if recording.error is not None:
+        raise OutputError(f"{path}: cannot be written: {recording.error.strerror}")
+
+
+class _Recording(Recording):
+    """With topics /true and /true_state beside what a robot records of itself."""
+
+    def __init__(self, path: Path, spec: RobotSpec, **how: Any) -> None:
+        super().__init__(path, spec, **how)
+        self._true = JointStatesChannel("/true", context=self._context)
+        self._true_state = Channel("/true_state", schema=TRUE_SCHEMA, context=self._context)
+
+    def write(self, row: Any) -> None:
+        """Record one tick, of `window_type`."""
+        super().write(row)
+        ns, stamp = self._time(int(row["tick"]))
+        self._true.log(
+            self._joints(stamp, q=row["q_true"], qd=row["qd_true"], tau=row["tau_true"]), log_time=ns
+        )
+        flags = {name: bool(row[name]) for name in ("powered", "self_collision", "valid")}
+        vectors = {name: _known(row[name]) for name in ("tool_true", "tool_velocity_true", "winding_true_c")}
+        named = {name.replace("_true", ""): value for name, value in vectors.items()}
+        self._true_state.log(flags | named, log_time=ns)
+
+
+def _known(values: NDArray[np.float64]) -> list[float | None]:
+    return [x if np.isfinite(x) else None for x in values.tolist()]
