@@ -5,14 +5,19 @@ from pathlib import Path
 
 from deploy.policy import Policy
 from eval.identity import code_digest, versions
+from eval.limits import load_limits
+from eval.profile import Faults
 from eval.resume import SUFFIX, Checkpoint
 from eval.shard import WIDTH, ShardJob
 from robots.distributions import load_distributions
+from robots.draws import Draw, draw
+from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
 SAMPLE_S = 60.0
-"""s between two samples of heat, wear and goals, in a soak long enough for `SAMPLES` of them."""
-SAMPLES = 64
+"""s between two samples, in a soak long enough for `SAMPLES` of them and not too long for `SAMPLES_MAX`."""
+SAMPLES, SAMPLES_MAX = 64, 1440
+"""What is kept of a robot, in memory and on disk, is bounded however long it lives: a day has a sample a minute."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,6 +32,7 @@ class Soak:
     robots: int
     seed: int
     workers: int
+    faults: Faults | None = None
 
     @property
     def ticks(self) -> int:
@@ -36,7 +42,13 @@ class Soak:
     @property
     def sample_ticks(self) -> int:
         """Control ticks between two samples."""
-        return max(1, min(round(SAMPLE_S / self.spec.dt), self.ticks // SAMPLES))
+        usual = min(round(SAMPLE_S / self.spec.dt), self.ticks // SAMPLES)
+        return max(1, usual, -(-self.ticks // SAMPLES_MAX))
+
+    def drawn(self) -> Draw:
+        """Every robot as it is."""
+        seeds = [robot_seed(self.seed, robot) for robot in range(self.robots)]
+        return draw(load_distributions(self.spec), self.spec, seeds)
 
     def jobs(self) -> list[ShardJob]:
         """Shards of `WIDTH` robots; the last may count fewer."""
@@ -51,6 +63,7 @@ class Soak:
                 robots=min(WIDTH, self.robots - start),
                 ticks=self.ticks,
                 sample_ticks=self.sample_ticks,
+                faults=self.faults,
             )
             for start in range(0, self.robots, WIDTH)
         ]
@@ -60,6 +73,7 @@ class Soak:
         identity: dict[str, str | int] = {
             "robot_digest": self.spec.digest,
             "draws_digest": load_distributions(self.spec).digest,
+            "limits_digest": load_limits(self.spec).digest,
             "policy_digest": self.policy.digest,
             "code_digest": code_digest(),
             **versions(),
@@ -68,5 +82,6 @@ class Soak:
             "ticks": self.ticks,
             "sample_ticks": self.sample_ticks,
             "first": number * WIDTH,
+            "faults": self.faults.model_dump_json() if self.faults else "none",
         }
         return Checkpoint(folder / f"shard-{number:04}{SUFFIX}", identity)

@@ -3,7 +3,8 @@
 import json
 import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from robots.errors import ConfigError, OutputError
 
 IDENTITY, SUFFIX = "identity", ".npz"
 DAMAGED = ".damaged"
+DAMAGE = TypeError, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, zipfile.BadZipFile
+"""What numpy, zipfile and json make of a file that is no longer what was written."""
 
 
 class Checkpoint:
@@ -25,11 +28,14 @@ class Checkpoint:
         self.path, self._identity = path, dict(identity)
 
     def store(self, arrays: Arrays) -> None:
-        """Put `arrays` in the place of what was stored before.
+        """Put `arrays` in the place of what was stored before, in a folder that is there.
 
         Raises:
-            OutputError: the place cannot be written; what was stored before is there still.
+            OutputError: the place cannot be written; what was stored before is there still. Or its folder is gone: a
+                new one would hide that what was in it is lost.
         """
+        if not os.path.isdir(self.path.parent):
+            raise OutputError(f"{self.path}: cannot be written: {self.path.parent} is gone")
         with replacing(self.path) as file, file.open("wb") as stream:
             named: dict[str, Any] = {IDENTITY: np.array(json.dumps(self._identity)), **arrays}
             np.savez(stream, **named)
@@ -40,16 +46,18 @@ class Checkpoint:
         """What was stored last; None where there is nothing, or what is damaged and set aside under another name.
 
         Raises:
-            ConfigError: it is of another soak.
+            ConfigError: it is of another soak, or cannot be read.
             OutputError: a damaged one cannot be set aside.
         """
-        if not self.path.exists():
-            return None
         try:
-            with self.path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-                identity = json.loads(str(file[IDENTITY]))
-                arrays = {name: file[name] for name in file.files if name != IDENTITY}
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            data = self.path.read_bytes()
+        except FileNotFoundError:
+            return None
+        except OSError as e:
+            raise ConfigError(f"{self.path}: cannot be read: {e.strerror}") from e
+        try:
+            identity, arrays = _unpacked(data)
+        except DAMAGE:
             self._set_aside()
             return None
         self._compare(identity)
@@ -73,9 +81,38 @@ class Checkpoint:
             ) from e
 
 
+def _unpacked(data: bytes) -> tuple[dict[str, str | int], Arrays]:
+    with np.load(BytesIO(data), allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    return dict(json.loads(str(arrays.pop(IDENTITY)))), arrays
+
+
+def make(folder: Path) -> None:
+    """Make a folder for shards, and clear away what was left half written in it.
+
+    Raises:
+        OutputError: nothing can be written there.
+    """
+    probe = folder / f".probe{SUFFIX}"
+    with replacing(probe):
+        pass
+    _delete(folder.glob(f".*{SUFFIX}"))
+
+
 def clear(folder: Path) -> None:
-    """Delete what is kept in `folder`, but for what was set aside."""
-    for file in folder.glob(f"*{SUFFIX}"):
-        file.unlink()
+    """Delete what is kept in `folder`, but for what was set aside.
+
+    Raises:
+        OutputError: it cannot be deleted.
+    """
+    _delete(folder.glob(f"*{SUFFIX}"))
     if folder.exists() and not any(folder.iterdir()):
         folder.rmdir()
+
+
+def _delete(files: Iterable[Path]) -> None:
+    for file in files:
+        try:
+            file.unlink()
+        except OSError as e:
+            raise OutputError(f"{file}: cannot be deleted: {e.strerror}") from e

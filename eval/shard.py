@@ -12,12 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.backends.sim.robot import SimRobot
+from deploy.contract import Contract
 from deploy.policy import Policy
 from deploy.runtime import Runtime
-from deploy.stage import Arrays, Stage
+from deploy.stage import Arrays, Stage, inside
+from deploy.state import Floats, Ints
 from deploy.tasks.reach import ReachConfig
-from eval.counts import Counts, first
+from eval.counts import Counts
+from eval.injector import Injector
 from eval.monitors import Judge
+from eval.profile import Faults
+from eval.schedule import plan
+from eval.watch import Injections, Watch, injections
+from robots.draws import Draw
 from robots.errors import ConfigError
 from robots.model_pinocchio import torque_max
 from robots.randomness import robot_seed
@@ -35,6 +42,13 @@ OPERATOR_S = 60.0
 KEEP_S = 300.0
 """s between two times that what was lived through is kept: about a minute of real time."""
 
+Said = NDArray[np.floating] | None
+"""(B, A) what a policy said, None where it was not its turn."""
+
+COUNTED = ("attempted", "reached", "running", "stops", "latches")
+"""What is sampled of `Counts`, as it stands by then."""
+_SAMPLED = ("winding_c", "worn", "folded_back", *COUNTED, "events")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShardJob:
@@ -44,7 +58,8 @@ class ShardJob:
         robot: folder. policy: file. robot_digest, policy_digest: of what they were when the soak began.
         seed: of the soak.
         first: index of the shard's first robot. robots: how many of its robots count.
-        ticks: control ticks to live. sample_ticks: ticks between two samples of heat, wear and goals.
+        ticks: control ticks to live. sample_ticks: ticks between two samples.
+        faults: on schedule; None for none.
     """
 
     robot: Path
@@ -56,32 +71,51 @@ class ShardJob:
     robots: int
     ticks: int
     sample_ticks: int
+    faults: Faults | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShardResult:
-    """What a shard lived through, of the robots that count (R).
+    """What a shard lived through, of the robots that count (R), and samples of it: at the start, then one by one.
 
     Attributes:
         counts: what the judge found.
-        winding_c: (T, R, n) °C, true winding temperature at the start and at each sample; NaN where the simulation
-            diverged, as in `worn`.
+        injections: what became of the faults on schedule.
+        winding_c: (T, R, n) °C, true winding temperature; NaN where the simulation diverged, as in the next two.
         worn: (T, 4, R, n) what the joints had become by then, in the order of `Worn`.
-        attempted, reached: (T,) goals up to then, all robots together.
+        folded_back: (T, R, n) share of its current that a motor at work could not draw then, for its heat.
+        attempted, reached: (T, R) goals up to then.
+        running: (T, R) ticks under way up to then. stops, latches: (T, R) as in `Counts`, up to then.
+        events: (T, R, monitors) up to then, all joints together.
     """
 
     counts: Counts
-    winding_c: NDArray[np.float64]
-    worn: NDArray[np.float64]
-    attempted: NDArray[np.int64]
-    reached: NDArray[np.int64]
+    injections: Injections
+    winding_c: Floats
+    worn: Floats
+    folded_back: Floats
+    attempted: Ints
+    reached: Ints
+    running: Ints
+    stops: Ints
+    latches: Ints
+    events: Ints
 
 
-def judge_tick(judge: Judge, robot: SimRobot, runtime: Runtime) -> None:
-    """Show the judge the tick that has just ended."""
+def judge_tick(judge: Judge, robot: SimRobot, runtime: Runtime, action: Said) -> None:
+    """Show the judge the tick that has just ended.
+
+    Args:
+        judge: who is shown it.
+        robot: whose truth it is. runtime: what was believed, decided and sent.
+        action: what the policy was heard to say; None where it was not its turn, or where nobody listened.
+    """
     judge.step(
         truth=robot.truth(),
+        state=runtime.state,
+        observation=runtime.observation.frames,
         target=runtime.target,
+        action=action,
         command=runtime.command,
         mode=runtime.supervisor.mode,
         reason=runtime.supervisor.reason,
@@ -90,10 +124,10 @@ def judge_tick(judge: Judge, robot: SimRobot, runtime: Runtime) -> None:
     )
 
 
-def rearm(runtime: Runtime) -> None:
+def rearm(runtime: Runtime, after_s: float = OPERATOR_S) -> None:
     """The operator: arms latched robots after a while, and robots that were refused at the start."""
     supervisor = runtime.supervisor
-    waiting = ~supervisor.powered & (supervisor.since >= round(OPERATOR_S / runtime.spec.dt))
+    waiting = ~supervisor.powered & (supervisor.since >= round(after_s / runtime.spec.dt))
     if waiting.any():
         runtime.arm(waiting)
 
@@ -105,23 +139,35 @@ def _same(expected: str, found: str, path: Path) -> None:
         )
 
 
-_SAMPLED = ("winding_c", "worn", "attempted", "reached")
-
-
 class Shard(Stage):
-    """Runtime, simulated robots and judge of one job. What is saved is all that it lived through."""
+    """Runtime, simulated robots and judge of one job. What is saved is all that it lived through.
 
-    parts = ("runtime", "robot", "judge")
+    Attributes:
+        heard: what the policy was heard to say in the last tick.
+    """
 
-    def __init__(self, job: ShardJob) -> None:
-        """Build everything; robots beyond those that count keep the width and are not reported."""
+    parts = ("runtime", "robot", "judge", "injector", "watch")
+
+    def __init__(self, job: ShardJob, *, given: Draw | None = None) -> None:
+        """Build everything; robots beyond those that count keep the width and are not reported.
+
+        Args:
+            job: what is asked for.
+            given: the `WIDTH` robots as they are, in the place of those that the seeds would draw.
+        """
         spec = load_robot(job.robot)
         _same(job.robot_digest, spec.digest, job.robot)
         seeds = [robot_seed(job.seed, job.first + row) for row in range(WIDTH)]
         policy = Policy.load(job.policy, spec)
         _same(job.policy_digest, policy.digest, job.policy)
-        self._job, self.robot = job, SimRobot(spec, seeds)
-        self.runtime, self.judge = Runtime(spec, policy.contract, self.robot, seeds, policy), _judge(spec)
+        schedule = plan(spec, job.faults, seeds, job.first, job.ticks)
+        self._job, self.robot = job, SimRobot(spec, seeds, given=given, faults=schedule.of_sensors())
+        self.runtime = Runtime(spec, policy.contract, self.robot, seeds, policy)
+        self.judge = judge_of(spec, policy.contract, job.robots)
+        self.injector = Injector(spec, schedule, self.robot.plant, policy.contract.action_size)
+        self.watch, self._policy = Watch(spec, schedule), policy
+        self.heard: Said = None
+        self._operator_s = job.faults.operator_s if job.faults else OPERATOR_S
         self._look, self._arm, self._keep = (round(s / spec.dt) for s in (LOOK_S, ARM_S, KEEP_S))
         self._samples: list[tuple[NDArray[np.generic], ...]] = []
 
@@ -130,6 +176,7 @@ class Shard(Stage):
         progress: Callable[[int], None],
         stop: Callable[[], bool],
         keep: Callable[[], None] = lambda: None,
+        watch: "Callable[[Shard], None]" = lambda _: None,
     ) -> ShardResult:
         """Live the hours, or what is left of them.
 
@@ -137,69 +184,95 @@ class Shard(Stage):
             progress: told the ticks done so far.
             stop: whether to end now and report what there is.
             keep: called now and then, and at the end, to save what was lived through.
+            watch: called after every tick.
         """
         begin = self.runtime.ticks
         progress(begin)
         if not self._samples:
-            self._sample()
+            self.sample()
         for tick in range(begin, self._job.ticks):
-            if tick == self._arm:
-                self.runtime.arm(np.ones(WIDTH, dtype=bool))
             if tick > begin and tick % self._look == 0 and self._looked(tick, progress, stop, keep):
                 break
-            self.runtime.tick()
-            judge_tick(self.judge, self.robot, self.runtime)
+            self.tick()
+            watch(self)
             if (tick + 1) % self._job.sample_ticks == 0:
-                self._sample()
+                self.sample()
         keep()
         progress(self.runtime.ticks)
-        return shard_result(self.runtime.spec, self._job.robots, self.save())
+        return shard_result(self.runtime.spec, self.runtime.contract, self._job.robots, self.save())
+
+    def tick(self) -> None:
+        """One tick of runtime, robots and judge. It ends with the operator's visit, where one is due."""
+        if self.runtime.ticks == self._arm:
+            self.runtime.arm(np.ones(WIDTH, dtype=bool))
+        self._live(self.runtime.ticks)
+        if self.runtime.ticks % self._look == 0:
+            rearm(self.runtime, self._operator_s)
+
+    def _live(self, tick: int) -> None:
+        """The runtime's tick, with what the schedule breaks in the robot and in what the policy says."""
+        runtime, mode = self.runtime, self.runtime.supervisor.mode
+        self.watch.begin(tick, mode, self.judge)
+        self.injector.step(tick)
+        observation = runtime.sense()
+        said = None if observation is None else self._policy.step(observation)
+        self.heard = said if said is None else self.injector.said(said, tick // runtime.decimation)
+        runtime.act(self.heard)
+        judge_tick(self.judge, self.robot, runtime, self.heard)
+        if self.watch.following:
+            self.watch.step(tick, self.robot.truth(), runtime.command, mode, self.judge)
 
     def _looked(
         self, tick: int, progress: Callable[[int], None], stop: Callable[[], bool], keep: Callable[[], None]
     ) -> bool:
-        """Whether to end before `tick`. What is kept has its operator's visit behind it."""
+        """Whether to end before `tick`."""
         progress(tick)
-        rearm(self.runtime)
         if tick % self._keep == 0:
             keep()
         return stop()
 
+    def snapshot(self) -> Arrays:
+        """Copies of what decides all ticks to come, without what is sampled of those that were."""
+        return super().save()
+
     def save(self) -> Arrays:
         """Copies of everything, to go on from."""
         columns = zip(_SAMPLED, zip(*self._samples, strict=True), strict=True)
-        return super().save() | {f"sampled.{name}": np.stack(values) for name, values in columns}
+        return self.snapshot() | {f"sampled.{name}": np.stack(values) for name, values in columns}
 
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-        """Put saved arrays back, bit for bit."""
+        """Put saved arrays back, bit for bit; of a snapshot, sampling begins anew."""
         super().restore(arrays)
-        self._samples = list(zip(*_sampled(arrays).values(), strict=True))
+        sampled = _sampled(arrays) if f"sampled.{_SAMPLED[0]}" in arrays else {}
+        self._samples = list(zip(*sampled.values(), strict=True))
 
-    def _sample(self) -> None:
+    def sample(self) -> None:
+        """Keep what a `ShardResult` shows of this moment."""
         truth, counts, rows = self.robot.truth(), self.judge.counts(), slice(0, self._job.robots)
-        known = truth.valid[:, None]
-        winding = np.where(known, truth.winding_c, np.nan)[rows]
+        known, folded_back = truth.valid[:, None], 1.0 - self.runtime.estimator.heat.fold
+        winding, folded_back = (np.where(known, x, np.nan)[rows] for x in (truth.winding_c, folded_back))
         worn = np.where(known, np.stack(self.robot.plant.worn()), np.nan)[:, rows]
-        self._samples.append((winding, worn, counts.attempted[rows].sum(), counts.reached[rows].sum()))
+        counted = (getattr(counts, name) for name in COUNTED)
+        self._samples.append((winding, worn, folded_back, *counted, counts.by_monitor()))
 
 
-def shard_result(spec: RobotSpec, robots: int, saved: Mapping[str, Any]) -> ShardResult:
+def shard_result(spec: RobotSpec, contract: Contract, robots: int, saved: Mapping[str, Any]) -> ShardResult:
     """What a shard that was saved had lived through, of the robots that count.
 
     Args:
-        spec: the robot. robots: how many count.
+        spec: the robot. contract: the policy's. robots: how many count.
         saved: by `Shard.save`.
     """
-    judge = _judge(spec)
-    judge.restore(
-        {name.removeprefix("judge."): array for name, array in saved.items() if name.startswith("judge.")}
-    )
-    return ShardResult(counts=first(judge.counts(), robots), **_sampled(saved))
+    judge = judge_of(spec, contract, robots)
+    judge.restore(inside(saved, "judge"))
+    return ShardResult(counts=judge.counts(), injections=injections(saved, robots), **_sampled(saved))
 
 
 def _sampled(saved: Mapping[str, Any]) -> dict[str, Any]:
     return {name: saved[f"sampled.{name}"] for name in _SAMPLED}
 
 
-def _judge(spec: RobotSpec) -> Judge:
-    return Judge(spec, torque_max(spec), WIDTH, goal_s=ReachConfig().period_s)
+def judge_of(spec: RobotSpec, contract: Contract, robots: int) -> Judge:
+    """The judge of a shard of which so many robots count, before its first tick."""
+    period_s = ReachConfig().period_s
+    return Judge(spec, torque_max(spec), WIDTH, counted=robots, observed=contract.observed, goal_s=period_s)

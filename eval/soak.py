@@ -13,82 +13,147 @@ from deploy.output import replacing
 from deploy.policy import Policy
 from eval.asked import Soak
 from eval.budget import BUDGET, load_budget
-from eval.collect import collect
+from eval.bundle import bundles, clear_bundles
+from eval.collect import collect, settings
+from eval.disk import check_room
+from eval.history import claim_history, keep, read_history, same_task
+from eval.night import Night, Run
+from eval.profile import Profile, load_profile
 from eval.report.build import build
-from eval.report.data import Run
+from eval.report.trend import TONIGHT, trend
 from eval.report.write import claim, write
 from eval.resume import clear
+from eval.series import SERIES, series
+from eval.trends import TRENDS, trends
+from eval.witness import EVENTS
 from eval.workers import run_soak, take_up
 from robots.distributions import load_distributions
-from robots.draws import draw
 from robots.errors import ConfigError
-from robots.randomness import robot_seed
 from robots.spec import load_robot
 
 KEPT = "kept"
 """Folder inside --out where shards are kept while they live."""
+USUAL = Profile(meaning="what is asked for without a profile", hours=8.0, robots=16, budget=BUDGET.name)
 
 
 def soak_test(
     policy: Annotated[Path, typer.Option(help="ONNX file that policy-export wrote.")] = Path("out/arm.onnx"),
     robot: Annotated[str, typer.Option(help="Robot: a name or a folder.")] = "arm6",
-    hours: Annotated[float, typer.Option(help="Simulated hours of each robot.")] = 8.0,
-    robots: Annotated[int, typer.Option(help="Robots, each its own draw.")] = 16,
+    profile: Annotated[
+        str | None,
+        typer.Option(help="smoke, shift, nightly, faults, weekend or a file.toml; options go before it."),
+    ] = None,
+    hours: Annotated[
+        float | None, typer.Option(help="Simulated hours of each robot.", show_default="8, or the profile's")
+    ] = None,
+    robots: Annotated[
+        int | None, typer.Option(help="Robots, each its own draw.", show_default="16, or the profile's")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Decides every draw, noise and goal.")] = 7,
     workers: Annotated[int, typer.Option(help="Processes; results do not depend on it.")] = 2,
-    budget: Annotated[Path, typer.Option(help="TOML of what the soak may cost.")] = BUDGET,
+    budget: Annotated[
+        Path | None, typer.Option(help="TOML of what the soak may cost.", show_default="the profile's")
+    ] = None,
     out: Annotated[
-        Path, typer.Option(help="Folder for report.json, report.html, junit.xml, draws.json.")
+        Path,
+        typer.Option(
+            help="Folder for report.json, report.html, junit.xml, draws.json, series.parquet, tensorboard/."
+        ),
     ] = Path("out/soak"),
+    history: Annotated[
+        Path | None,
+        typer.Option(help="Folder to keep the finished night in; the report shows it beside earlier ones."),
+    ] = None,
 ) -> int:
     """Soak the shipped runtime in simulation and write a report; 1 if a budget was exceeded.
 
     A soak that was cut short, by whatever, goes on where it was when the same command is given again.
     """
-    _check_options(hours, robots, seed, workers)
-    limits, spec = load_budget(budget), load_robot(robot)
-    soak = Soak(
-        spec=spec,
-        policy=Policy.load(policy, spec),
-        policy_path=policy,
-        budget=budget,
-        hours=hours,
-        robots=robots,
-        seed=seed,
-        workers=workers,
-    )
-    claim(out)
-    console, began, clock = Console(), datetime.now().astimezone(), time.monotonic()
-    taken_up = take_up(soak, out / KEPT, console) * soak.spec.dt / 3600 / len(soak.jobs())
-    if taken_up:
-        console.print(f"going on after {taken_up:.3g} of {hours:g} hours, which an earlier start left behind")
-    _store_draws(soak, out / "draws.json")
-    shards = run_soak(soak, out / KEPT, console)
+    soak = _asked(policy, robot, profile, hours, robots, seed, workers, budget)
+    limits, console = load_budget(soak.budget), Console()
+    claim(out, (SERIES, TRENDS))
+    earlier = None if history is None else _earlier(history, soak)
+    began, clock = datetime.now().astimezone(), time.monotonic()
+    taken_up = _take_up(soak, out, console)
+    shards = run_soak(soak, out / KEPT, console, out / EVENTS)
     if not shards:
         return INTERRUPTED
     lived = sum(int(shard.counts.ticks.sum()) for shard in shards) / soak.robots
     run = Run(
         started=began.isoformat(timespec="seconds"),
         wall_s=round(time.monotonic() - clock, 1),
-        hours=lived * spec.dt / 3600,
+        hours=lived * soak.spec.dt / 3600,
         resumed_hours=taken_up,
         interrupted=lived < soak.ticks,
     )
-    report = build(collect(soak, shards, run), limits)
-    write(report, out)
+    report = build(collect(soak, shards, run, bundles(out / EVENTS)), limits)
+    if earlier is not None and not run.interrupted:
+        report = report.model_copy(update={"trend": trend({**earlier, TONIGHT: report})})
+    write(report, out, {SERIES: series(soak, shards), TRENDS: trends(soak, shards, run.started)})
     if not run.interrupted:
+        if history is not None:
+            keep(report, history)
         clear(out / KEPT)
-    console.print(f"{report.verdict}: {report.statement}\nreport: {out / 'report.html'}", soft_wrap=True)
+    together = f"\nnights like it: {report.trend.last.statement}" if report.trend else ""
+    page = out / "report.html"
+    console.print(f"{report.verdict}: {report.statement}{together}\nreport: {page}", soft_wrap=True)
     return {"passed": PASSED, "failed": BUDGET_EXCEEDED, "interrupted": INTERRUPTED}[report.verdict]
+
+
+def _asked(
+    policy: Path,
+    robot: str,
+    profile: str | None,
+    hours: float | None,
+    robots: int | None,
+    seed: int,
+    workers: int,
+    budget: Path | None,
+) -> Soak:
+    """What the options ask for, which go before what their profile says."""
+    usual, its_budget = load_profile(profile) if profile else (USUAL, BUDGET)
+    hours, robots = (usual.hours if hours is None else hours), (usual.robots if robots is None else robots)
+    _check_options(hours, robots, seed, workers)
+    spec = load_robot(robot)
+    return Soak(
+        spec=spec,
+        policy=Policy.load(policy, spec),
+        policy_path=policy,
+        budget=its_budget if budget is None else budget,
+        hours=hours,
+        robots=robots,
+        seed=seed,
+        workers=workers,
+        faults=usual.faults,
+    )
+
+
+def _take_up(soak: Soak, out: Path, console: Console) -> float:
+    """Hours of each robot, on average, that an earlier start left in `out`, which is made ready for the others."""
+    hours = take_up(soak, out / KEPT, console) * soak.spec.dt / 3600 / len(soak.jobs())
+    if hours:
+        console.print(
+            f"going on after {hours:.3g} of {soak.hours:g} hours, which an earlier start left behind"
+        )
+    check_room(soak, out, out / KEPT, out / EVENTS, console)
+    clear_bundles(out / EVENTS, all_of_them=not hours)
+    _store_draws(soak, out / "draws.json")
+    return hours
+
+
+def _earlier(history: Path, soak: Soak) -> dict[str, Night]:
+    """The nights of `history`, which can hold one more of the same task."""
+    claim_history(history)
+    nights = read_history(history)
+    same_task(nights, settings(soak), "this soak")
+    return nights
 
 
 def _store_draws(soak: Soak, path: Path) -> None:
     """Every robot as it is, so that it can be lived again whatever the spans of draws.toml become."""
-    seeds = [robot_seed(soak.seed, robot) for robot in range(soak.robots)]
-    distributions = load_distributions(soak.spec)
-    robots = draw(distributions, soak.spec, seeds)
+    text = soak.drawn().to_json(soak.seed, load_distributions(soak.spec), soak.spec)
     with replacing(path) as file:
-        file.write_text(robots.to_json(soak.seed, distributions, soak.spec), encoding="utf-8")
+        file.write_text(text, encoding="utf-8")
 
 
 def _check_options(hours: float, robots: int, seed: int, workers: int) -> None:

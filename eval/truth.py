@@ -37,5 +37,9 @@ class Truth(Protocol):
         """(B,) whether the robot touches itself or its table."""
 
     @property
+    def contact_n(self) -> Floats:
+        """(B,) N, normal force of the strongest contact."""
+
+    @property
     def valid(self) -> Bools:
         """(B,) False once the simulation diverged: the row says nothing any more."""

@@ -1,8 +1,9 @@
 """Worker processes: every shard is lived to its end, whatever becomes of a worker."""
 
 import multiprocessing as mp
+import os
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -13,8 +14,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from deploy.signals import handled
 from eval.asked import Soak
-from eval.resume import Checkpoint
+from eval.resume import Checkpoint, make
 from eval.shard import Shard, ShardJob, ShardResult, shard_result
+from eval.witness import EVENTS, Witness
+from robots.errors import OutputError
 
 DEATHS = 3
 """Times in a row that a worker may die before anything new was done."""
@@ -30,7 +33,7 @@ def _prepare(progress: Any, stop: Any) -> None:
     _progress, _stop = progress, stop
 
 
-def _run(number: int, job: ShardJob, checkpoint: Checkpoint) -> None:
+def _run(number: int, job: ShardJob, checkpoint: Checkpoint, events: Path) -> None:
     """One shard in a worker, from where it was kept; nothing if the soak was interrupted before anything of it was.
 
     What it lived through is handed over on disk: a worker that is killed while it talks would leave its parent waiting.
@@ -45,7 +48,12 @@ def _run(number: int, job: ShardJob, checkpoint: Checkpoint) -> None:
     def report(ticks: int) -> None:
         _progress[number] = ticks
 
-    shard.run(report, lambda: bool(_stop.value), lambda: checkpoint.store(shard.save()))
+    def keep() -> None:
+        witness.begin(shard)
+        checkpoint.store(shard.save())
+
+    witness = Witness(job, shard, events)
+    shard.run(report, lambda: bool(_stop.value), keep, witness.watch)
 
 
 def take_up(soak: Soak, folder: Path, console: Console) -> int:
@@ -58,7 +66,7 @@ def take_up(soak: Soak, folder: Path, console: Console) -> int:
     ticks = 0
     for number in range(len(soak.jobs())):
         checkpoint = soak.checkpoint(number, folder)
-        there, kept = checkpoint.path.exists(), checkpoint.load()
+        there, kept = os.path.exists(checkpoint.path), checkpoint.load()
         if kept is not None:
             ticks += int(kept["runtime.ticks"])
         elif there:
@@ -66,19 +74,21 @@ def take_up(soak: Soak, folder: Path, console: Console) -> int:
     return ticks
 
 
-def run_soak(soak: Soak, folder: Path, console: Console) -> list[ShardResult]:
+def run_soak(soak: Soak, folder: Path, console: Console, events: Path | None = None) -> list[ShardResult]:
     """Run every shard and return their results in order; after Ctrl-C, what there is of them.
 
     Args:
         soak: what was asked for.
         folder: where shards are kept while they live, and taken up from.
         console: told how far it is.
+        events: folder of their bundles; beside the shards by default.
 
     Raises:
         ConfigError, OutputError: a shard cannot be taken up or kept.
         BrokenProcessPool: workers die again and again.
     """
-    crew, furthest, deaths = _Crew(soak, folder, console), -1, 0
+    make(folder)
+    crew, furthest, deaths = _Crew(soak, folder, console, events or folder / EVENTS), -1, 0
     while crew.pending and not crew.stop.value:
         try:
             crew.work()
@@ -88,14 +98,18 @@ def run_soak(soak: Soak, folder: Path, console: Console) -> list[ShardResult]:
             if deaths == DEATHS:
                 raise
             console.print("a worker died: its shards go on from where they were kept")
-    return list(_results(soak, folder))
+    return list(_results(soak, folder, crew.pending))
 
 
-def _results(soak: Soak, folder: Path) -> Iterator[ShardResult]:
+def _results(soak: Soak, folder: Path, pending: Collection[int]) -> Iterator[ShardResult]:
     for number, job in enumerate(soak.jobs()):
-        kept = soak.checkpoint(number, folder).load()
-        if kept is not None:
-            yield shard_result(soak.spec, job.robots, kept)
+        checkpoint = soak.checkpoint(number, folder)
+        kept = checkpoint.load()
+        if kept is None:
+            if number in pending:
+                return  # robots have the numbers of their places: none is reported behind a gap
+            raise OutputError(f"{checkpoint.path}: lost: it was whole when its robots had lived their hours")
+        yield shard_result(soak.spec, soak.policy.contract, job.robots, kept)
 
 
 class _Crew:
@@ -105,7 +119,8 @@ class _Crew:
         progress: ticks done of each shard. stop: not 0 once all are to end. pending: numbers of those not done.
     """
 
-    def __init__(self, soak: Soak, folder: Path, console: Console) -> None:
+    def __init__(self, soak: Soak, folder: Path, console: Console, events: Path) -> None:
+        self._events = events
         self._jobs, self._context = soak.jobs(), mp.get_context("spawn")
         self._checkpoints = [soak.checkpoint(number, folder) for number in range(len(self._jobs))]
         self._workers, self._ticks, self._console = soak.workers, soak.ticks, console
@@ -119,7 +134,9 @@ class _Crew:
         with ProcessPoolExecutor(workers, self._context, initializer=_prepare, initargs=shared) as pool:
             with handled(signal.SIG_IGN):  # which the workers inherit: only their parent hears Ctrl-C
                 futures = {
-                    pool.submit(_run, number, self._jobs[number], self._checkpoints[number]): number
+                    pool.submit(
+                        _run, number, self._jobs[number], self._checkpoints[number], self._events
+                    ): number
                     for number in sorted(self.pending)
                 }
             try:

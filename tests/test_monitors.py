@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 import ruckig
 
-from deploy.state import Command, Mode, Reason, Target
+pytest.importorskip("mujoco")
+
+from deploy.contract import Observed
+from deploy.state import Command, Mode, Reason, State, Target
 from eval.counts import JOINT_MONITORS, NAMES, REASONS, Counts, merge
-from eval.monitors import EVENTS_KEPT, GOAL_S, REARM_S, Judge
+from eval.limits import load_limits
+from eval.monitors import GOAL_S, REARM_S, Judge
 from robots.errors import ConfigError
+from robots.model_pinocchio import Fleet
 from robots.spec import load_robot
 
 SPEC = load_robot("arm6")
@@ -31,14 +36,25 @@ class World:
     tool_position: np.ndarray
     tool_velocity: np.ndarray
     self_collision: np.ndarray
+    contact_n: np.ndarray
     valid: np.ndarray
+
+
+SIZE = 5
+OBSERVED = Observed(mean=tuple(np.arange(SIZE)), deviation=(0.5,) * SIZE)
+
+
+def believed(q, q_var, age):
+    """A state of which the judge needs only this much."""
+    nothing = dict.fromkeys(State._fields)
+    return State(**(nothing | {"q": q, "q_var": q_var, "age": age}))
 
 
 class Bench:
     """A judge over robots at rest at home, under way, on which nothing is wrong until a test says so."""
 
     def __init__(self, robots=1):
-        self.judge = Judge(SPEC, TORQUE_MAX, robots)
+        self.judge = Judge(SPEC, TORQUE_MAX, robots, observed=OBSERVED)
         self.truth = World(
             q=np.tile(HOME, (robots, 1)),
             qd=np.zeros((robots, N)),
@@ -47,10 +63,18 @@ class Bench:
             tool_position=np.tile([0.4, 0.0, 0.4], (robots, 1)),
             tool_velocity=np.zeros((robots, 3)),
             self_collision=np.zeros(robots, dtype=bool),
+            contact_n=np.zeros(robots),
             valid=np.ones(robots, dtype=bool),
         )
         self.target = Target(q=np.tile(HOME, (robots, 1)), finite=np.ones(robots, dtype=bool))
-        self.sent = np.tile(HOME, (robots, 1))
+        self.sent, self.tau_sent = np.tile(HOME, (robots, 1)), np.zeros((robots, N))
+        self.was = np.tile(HOME, (robots, 1))
+        self.q_var, self.age = np.full((robots, N), 1e-6), np.zeros(robots)
+        self.off, self.observation = (
+            np.zeros((robots, N)),
+            np.tile(OBSERVED.mean, (robots, 1)).astype(np.float32),
+        )
+        self.action = np.zeros((robots, N))
         self.powered = np.ones(robots, dtype=bool)
         self.mode = np.full(robots, Mode.RUNNING, dtype=np.int8)
         self.reason = np.zeros(robots, dtype=np.int64)
@@ -59,18 +83,23 @@ class Bench:
 
     def step(self, ticks=1):
         command = Command(
-            q=self.sent, qd=self.sent * 0, tau=self.sent * 0, powered=self.powered, current=self.sent
+            q=self.sent, qd=self.sent * 0, tau=self.tau_sent, powered=self.powered, current=self.sent
         )
-        for _ in range(ticks):
+        for tick in range(ticks):
+            was = self.was if tick == 0 else self.truth.q
             self.judge.step(
                 truth=self.truth,
+                state=believed(was + self.off, self.q_var, self.age),
+                observation=self.observation,
                 target=self.target,
+                action=self.action,
                 command=command,
                 mode=self.mode,
                 reason=self.reason,
                 goal=self.goal,
                 attempted=self.attempted,
             )
+        self.was = self.truth.q.copy()
 
     def fired(self):
         counts = self.judge.counts()
@@ -91,10 +120,17 @@ HAIR = 1e-6
 CENTRE, SPACE = np.array(SPEC.workspace.centre), SPEC.workspace
 SOFT = SPEC.margins.q_soft_rad
 ALONG = {"heat_hard": {"heat_soft"}, "position_hard": {"position_soft"}}
+LIMITS = load_limits(SPEC)
+POWER, RATE = LIMITS.motor_array("power_w", SPEC), LIMITS.motor_array("torque_rate", SPEC)
 
 
 def hold(bench, joint, q):
     bench.truth.q[0, joint] = bench.sent[0, joint] = q
+
+
+def work(bench, joint, power):
+    """So fast that a little torque is much power, whose sign does not matter."""
+    bench.truth.qd[0, joint], bench.truth.tau[0, joint] = -2.0, power / 2.0
 
 
 ATTACKS = {
@@ -103,6 +139,8 @@ ATTACKS = {
     "position_hard": lambda b, j, by: hold(b, j, Q_MIN[j] - by),
     "velocity": lambda b, j, by: b.truth.qd[0].__setitem__(j, -SPEC.joints[j].qd_max - by),
     "torque": lambda b, j, by: b.truth.tau[0].__setitem__(j, -0.999 * TORQUE_MAX[j] - by),
+    "power": lambda b, j, by: work(b, j, POWER[j] + by),
+    "estimate": lambda b, j, by: b.off[0].__setitem__(j, -1e-3 * np.sqrt(LIMITS.nees + by)),
     "heat_soft": lambda b, j, by: b.truth.winding_c[0].__setitem__(
         j, SPEC.motor_array("winding_soft_c")[j] + by
     ),
@@ -143,7 +181,8 @@ def test_differences_of_what_was_sent(name, field, order, share, fires, joint):
         ladder = np.prod([tick - k for k in range(order)]) / [1, 2, 6][order - 1]
         hold(bench, joint, HOME[joint] + rate * ladder * DT**order)
         bench.step()
-    assert bench.fired() == ({name} if fires else set())
+    from_rest = {"command_jump"} if order == 1 else set()
+    assert bench.fired() == ({name} if fires else set()) | from_rest
     counts = bench.judge.counts()
     assert counts.bad_ticks[:, counts.columns(name)].sum() == (8 - order if fires else 0)
 
@@ -153,16 +192,16 @@ def test_a_difference_needs_power_on_all_its_ticks(ticks_of_power):
     """A jump of the angle where drives were off is no motion; inside powered ticks it is one."""
     bench = Bench()
     bench.powered[:] = False
-    bench.sent[:] = bench.truth.q[:] = HOME + 0.3
+    bench.sent[:] = HOME + 0.3
     bench.step(3)
     bench.powered[:] = True
-    bench.sent[:] = bench.truth.q[:] = HOME
+    bench.sent[:] = HOME
     bench.step(ticks_of_power)
     assert bench.fired() == set()
     bench.sent[:] = bench.truth.q[:] = HOME + 0.1
     bench.step()
-    due = ["velocity_sent", "acceleration", "jerk"][: min(ticks_of_power, 3)]
-    assert bench.fired() == set(due)
+    due = {*["velocity_sent", "acceleration", "jerk"][: min(ticks_of_power, 3)]}
+    assert bench.fired() == (due | {"command_jump"} if ticks_of_power == 1 else due)
 
 
 def test_without_power_tracking_is_no_matter():
@@ -180,6 +219,7 @@ def test_without_power_tracking_is_no_matter():
         ("workspace", "tool_position", lambda by: CENTRE - np.array([0.0, SPACE.radius_max + by, 0.0])),
         ("workspace", "tool_position", lambda by: [0.3, 0.1, SPACE.z_min - by]),
         ("tool_speed", "tool_velocity", lambda by: [0.0, 0.0, -SPACE.tool_speed_max - by]),
+        ("contact_force", "contact_n", lambda by: LIMITS.contact_n + by),
     ],
 )
 def test_tool_limits(name, field, row, by, fires):
@@ -188,6 +228,56 @@ def test_tool_limits(name, field, row, by, fires):
     bench.step()
     assert bench.fired() == ({name} if fires else set())
     assert bench.judge.counts().bad_draws(name) == int(fires)
+
+
+def beside_singularity(w):
+    """Home with its wrist bent so far that det J, as Pinocchio computes it, is `w`."""
+    fleet, low, high = Fleet(SPEC, 1), HOME.copy(), HOME.copy()
+    high[4] *= -1
+    while abs(low[4] - high[4]) > 1e-12:
+        middle = (low + high) / 2
+        fleet.place(middle[None])
+        low, high = (middle, high) if fleet.manipulability()[0] > w else (low, middle)
+    return low
+
+
+@pytest.mark.parametrize(
+    ("share", "load"), [(1 - HAIR, 1 + HAIR), (1 + HAIR, 1 - HAIR), (4.0, 0.25), (1e-4, 1e3), (-300, 1e3)]
+)
+def test_a_singularity_is_near_on_this_side_and_anything_on_the_other(share, load):
+    bench = Bench(robots=3)
+    bench.truth.q[1] = bench.sent[1] = beside_singularity(share * LIMITS.manipulability)
+    bench.step()
+    counts = bench.judge.counts()
+    columns = counts.columns("singularity")
+    assert bench.fired() - {"position_soft", "position_hard"} == ({"singularity"} if load > 1 else set())
+    assert counts.worst[1, columns] == pytest.approx(load, rel=1e-8)
+    assert counts.limits[columns] == pytest.approx(1 / LIMITS.manipulability)
+    assert (counts.worst[::2, columns] < 0.01).all()  # at home
+
+
+@pytest.mark.parametrize("what", [np.nan, np.inf])
+@pytest.mark.parametrize(
+    ("mode", "then", "powered", "fires"),
+    [
+        (Mode.RUNNING, Mode.RUNNING, True, True),
+        (Mode.ARMING, Mode.RUNNING, True, True),
+        (Mode.RUNNING, Mode.STOPPING, True, False),
+        (Mode.STOPPING, Mode.STOPPING, True, False),
+        (Mode.DISARMED, Mode.RUNNING, False, False),
+    ],
+)
+def test_who_hears_what_is_no_number_stops_by_the_next_tick(what, mode, then, powered, fires):
+    bench = Bench(robots=2)
+    bench.action[1, 3] = what
+    bench.mode[:], bench.powered[:] = mode, powered
+    bench.step()
+    assert bench.fired() == set()
+    bench.action, bench.mode[:], bench.powered[:] = None, then, True
+    bench.step(3)
+    counts = bench.judge.counts()
+    assert bench.fired() == ({"action_finite"} if fires else set())
+    assert counts.bad_ticks[:, counts.columns("action_finite")].ravel().tolist() == [0, int(fires)]
 
 
 def test_self_collision():
@@ -241,23 +331,108 @@ def test_events_merge_over_less_than_the_gap(pause, events):
     assert counts.bad_ticks.sum() == 5
 
 
-def test_only_the_first_events_are_logged_and_all_are_counted():
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize(("by", "fires"), [(2e-4, True), (-2e-4, False)])
+def test_torque_sent_may_not_change_too_fast(joint, by, fires):
     bench = Bench()
-    for _ in range(EVENTS_KEPT + 3):
-        bench.truth.self_collision[0] = True
+    for _ in range(3):
+        bench.tau_sent[0, joint] -= (1 + by) * RATE[joint] * DT
         bench.step()
-        bench.truth.self_collision[0] = False
-        bench.step(GAP)
+    assert bench.fired() == ({"torque_rate"} if fires else set())
+    assert bench.judge.counts().bad_ticks.sum() == 2 * fires  # the first tick has none before it
+
+
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize(("by", "fires"), [(2e-4, True), (-2e-4, False), (np.nan, True)])
+def test_power_comes_where_the_joint_truly_stands(joint, by, fires):
+    reach = SPEC.joint_array("qdd_max") * DT**2
+    bench = Bench(robots=2)
+    bench.powered[:] = False
+    bench.sent[:] = 7.0
+    bench.step(3)
+    bench.powered[:] = True
+    bench.sent[:] = HOME
+    bench.sent[1, joint] -= LIMITS.arming_rad + (1 + by) * reach[joint]
+    bench.step()
+    bench.sent[1, joint] = np.nan_to_num(bench.sent[1, joint])
+    assert bench.fired() - {"tracking"} == ({"command_jump"} if fires else set())
+
+
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize(("by", "fires"), [(2e-4, True), (-2e-4, False)])
+def test_the_second_tick_of_power_begins_from_rest(joint, by, fires):
+    bench = Bench()
+    bench.powered[:] = False
+    bench.step(40)
+    bench.powered[:] = True
+    bench.step()
+    hold(bench, joint, HOME[joint] + (1 + by) * SPEC.joints[joint].qdd_max * DT**2)
+    bench.step()
+    assert bench.fired() == ({"command_jump"} if fires else set())
+
+
+@pytest.mark.parametrize(("by", "fires"), [(HAIR, True), (-HAIR, False)])
+def test_power_of_the_whole_robot_is_the_sum_of_its_joints(by, fires):
+    bench = Bench()
+    bench.truth.qd[:], bench.truth.tau[:] = 1.0, [100.0, 150.0, 80.0, 20.0, 0.0, LIMITS.power_w - 350.0 + by]
+    bench.truth.tau[0, 5] -= 0.0
+    bench.step()
+    assert ("robot_power" in bench.fired()) == fires
+    bench.truth.qd[0, 1] = -1.0
+    before = bench.judge.counts().bad_ticks[:, bench.judge.counts().columns("robot_power")].sum()
+    bench.step()
     counts = bench.judge.counts()
-    assert counts.total("self_collision") == EVENTS_KEPT + 3
-    assert [e.start for e in counts.log()] == [k * (GAP + 1) for k in range(EVENTS_KEPT)]
-    assert {e.joint for e in counts.log()} == {None}
+    assert counts.bad_ticks[:, counts.columns("robot_power")].sum() == before
+
+
+@pytest.mark.parametrize("which", range(SIZE))
+@pytest.mark.parametrize(("by", "fires"), [(1e-3, True), (-1e-3, False), (np.nan, True)])
+def test_an_observation_that_training_never_saw(which, by, fires):
+    bench = Bench(robots=2)
+    bench.observation[1, which] += 0.5 * (LIMITS.deviations + by)
+    bench.step()
+    assert bench.fired() == ({"observation"} if fires else set())
+    bench.mode[:] = Mode.HOLDING
+    bench.step()
+    counts = bench.judge.counts()
+    assert counts.bad_ticks.sum() == int(fires)
+    assert counts.limits[counts.columns("observation")].tolist() == [LIMITS.deviations]
+
+
+def test_without_a_memory_of_training_observations_are_not_judged():
+    bench = Bench()
+    bench.judge = Judge(SPEC, TORQUE_MAX, 1)
+    bench.observation[:] = 1e9
+    bench.step(3)
+    counts = bench.judge.counts()
+    assert bench.fired() == set()
+    assert np.isinf(counts.limits[counts.columns("observation")])
+    assert counts.worst[:, counts.columns("observation")].max() == 0.0
+
+
+@pytest.mark.parametrize("field", ["age", "valid"])
+def test_a_belief_that_does_not_claim_to_be_one_is_not_judged(field):
+    bench = Bench()
+    bench.off[:] = 1.0
+    if field == "age":
+        bench.age[:] = np.inf
+        bench.q_var[:] = 0.0
+        bench.step(3)
+        assert bench.fired() == set()
+    else:
+        bench.truth.valid[:] = False
+        bench.step()
+        bench.truth.valid[:] = True
+        bench.step()
+        assert bench.fired() == set()
+        bench.step()
+        assert bench.fired() == {"estimate"}
 
 
 def random_series(ticks, robots, seed):
     """Everything random around its limit, so that every channel goes in and out; some NaN, some diverged."""
     rng = np.random.default_rng(seed)
-    wide = rng.normal(size=(11, ticks, robots, N))
+    wide = rng.normal(size=(15, ticks, robots, N))
     half = (Q_MAX - Q_MIN) / 2
     middle = (Q_MAX + Q_MIN) / 2
     sent = HOME + np.cumsum(0.006 * wide[5], axis=0)
@@ -269,9 +444,18 @@ def random_series(ticks, robots, seed):
         "tool_position": CENTRE + 0.4 * rng.normal(size=(ticks, robots, 3)),
         "tool_velocity": 1.2 * rng.normal(size=(ticks, robots, 3)),
         "self_collision": rng.random((ticks, robots)) < 0.02,
+        "contact_n": 70 * rng.normal(size=(ticks, robots)),
         "valid": rng.random((ticks, robots)) > 0.03,
         "target": middle + half * 0.7 * wide[4],
         "sent": sent,
+        "tau_sent": 0.5 * RATE * DT * wide[8],
+        "off": 0.003 * wide[9],
+        "q_var": 1e-6 * np.exp(0.3 * wide[10]),
+        "age": np.where(rng.random((ticks, robots)) > 0.1, 0.01, np.inf),
+        "observation": (np.array(OBSERVED.mean) + 2 * rng.normal(size=(ticks, robots, SIZE))).astype(
+            np.float32
+        ),
+        "said": np.where(rng.random((ticks, robots, N)) < 0.05, np.nan, wide[14]),
         "powered": rng.random((ticks, robots)) > 0.1,
         "mode": rng.choice([1, 2, 2, 2, 3, 4, 5], size=(ticks, robots)).astype(np.int8),
         "reason": rng.integers(0, 1 << 15, size=(ticks, robots)) * (rng.random((ticks, robots)) > 0.2),
@@ -292,8 +476,11 @@ def feed(judge, series, ticks, rows=slice(None)):
         judge.step(
             truth=truth,
             target=Target(q=at["target"], finite=at["powered"]),
+            action=None if t % 4 else at["said"],
+            state=believed(at["off"] + np.nan_to_num(at["q"]), at["q_var"], at["age"]),
+            observation=at["observation"],
             command=Command(
-                q=at["sent"], qd=at["sent"], tau=at["sent"], powered=at["powered"], current=at["sent"]
+                q=at["sent"], qd=at["sent"], tau=at["tau_sent"], powered=at["powered"], current=at["sent"]
             ),
             mode=at["mode"],
             reason=at["reason"],
@@ -302,35 +489,66 @@ def feed(judge, series, ticks, rows=slice(None)):
         )
 
 
-def reference_loads(series, robot, joint, t):
-    """Each joint monitor's load, straight from its definition."""
-    joint_spec, motor = SPEC.joints[joint], SPEC.motors[SPEC.joints[joint].motor]
+@dataclass(frozen=True)
+class Moment:
+    """One tick of one robot's joint in a series, and those before it."""
 
-    def at(name, back=0):
-        return float(series[name][t - back, robot, joint])
+    series: dict
+    robot: int
+    joint: int
+    t: int
 
-    def whole(count):
-        return t + 1 >= count and all(
-            series["powered"][t - k, robot] and series["valid"][t - k, robot] for k in range(count)
-        )
+    def at(self, name, back=0):
+        return float(self.series[name][self.t - back, self.robot, self.joint])
 
-    middle, half = (Q_MIN[joint] + Q_MAX[joint]) / 2, (Q_MAX[joint] - Q_MIN[joint]) / 2
+    def valid(self, back):
+        return self.t >= back and bool(self.series["valid"][self.t - back, self.robot])
+
+    def on(self, *backs):
+        return all(self.valid(back) and self.series["powered"][self.t - back, self.robot] for back in backs)
+
+
+def true_loads(m):
+    """Each joint monitor's load of what is true, straight from its definition."""
+    middle, half = (Q_MIN[m.joint] + Q_MAX[m.joint]) / 2, (Q_MAX[m.joint] - Q_MIN[m.joint]) / 2
+    motor = SPEC.motors[SPEC.joints[m.joint].motor]
     loads = {
-        "position_requested": abs(at("target") - middle) / half if series["powered"][t, robot] else 0.0,
-        "position_soft": abs(at("q") - middle) / (half - SOFT),
-        "position_hard": abs(at("q") - middle) / half,
-        "velocity": abs(at("qd")) / joint_spec.qd_max,
-        "torque": abs(at("tau")) / (0.999 * TORQUE_MAX[joint]),
-        "heat_soft": at("winding_c") / motor.winding_soft_c,
-        "heat_hard": at("winding_c") / motor.winding_max_c,
+        "position_requested": abs(m.at("target") - middle) / half if m.on(0) else 0.0,
+        "position_soft": abs(m.at("q") - middle) / (half - SOFT),
+        "position_hard": abs(m.at("q") - middle) / half,
+        "velocity": abs(m.at("qd")) / SPEC.joints[m.joint].qd_max,
+        "torque": abs(m.at("tau")) / (0.999 * TORQUE_MAX[m.joint]),
+        "power": abs(m.at("tau") * m.at("qd")) / POWER[m.joint],
+        "heat_soft": m.at("winding_c") / motor.winding_soft_c,
+        "heat_hard": m.at("winding_c") / motor.winding_max_c,
+        "tracking": abs(m.at("q") - m.at("sent")) / SPEC.margins.tracking_rad if m.on(0) else 0.0,
+        "estimate": 0.0,
     }
-    loads["tracking"] = abs(at("q") - at("sent")) / SPEC.margins.tracking_rad if whole(1) else 0.0
+    if m.valid(1) and np.isfinite(m.series["age"][m.t, m.robot]):
+        error = np.nan_to_num(m.at("q")) + m.at("off") - m.at("q", 1)
+        loads["estimate"] = error**2 / m.at("q_var") / LIMITS.nees
+    return loads
+
+
+def sent_loads(m):
+    """The same of what was sent."""
+    spec, slack = SPEC.joints[m.joint], 1 + 1e-4
+    loads = {"torque_rate": 0.0}
+    if m.on(0, 1):
+        loads["torque_rate"] = abs(m.at("tau_sent") - m.at("tau_sent", 1)) / DT / RATE[m.joint] / slack
+    jump = 0.0
+    if m.on(0) and m.valid(1) and not m.on(1):
+        jump = np.maximum(abs(m.at("sent") - m.at("q", 1)) - LIMITS.arming_rad, 0.0)
+    elif m.on(0, 1) and not m.on(2):
+        jump = abs(m.at("sent") - m.at("sent", 1))
+    loads["command_jump"] = jump / (spec.qdd_max * DT**2) / slack
     stencils = {"velocity_sent": [1, -1], "acceleration": [1, -2, 1], "jerk": [1, -3, 3, -1]}
     for order, (name, stencil) in enumerate(stencils.items(), start=1):
-        limit = (joint_spec.qd_max, joint_spec.qdd_max, joint_spec.qddd_max)[order - 1] * (1 + 1e-4)
-        loads[name] = 0.0
-        if whole(order + 1):
-            loads[name] = abs(sum(c * at("sent", k) for k, c in enumerate(stencil))) / DT**order / limit
+        limit = (spec.qd_max, spec.qdd_max, spec.qddd_max)[order - 1] * slack
+        difference = (
+            sum(c * m.at("sent", k) for k, c in enumerate(stencil)) if m.on(*range(order + 1)) else 0.0
+        )
+        loads[name] = abs(difference) / DT**order / limit
     return loads
 
 
@@ -341,7 +559,8 @@ def reference(series, robot, joint, ticks):
     for t in range(ticks):
         if not series["valid"][t, robot]:
             continue
-        for name, number in reference_loads(series, robot, joint, t).items():
+        moment = Moment(series, robot, joint, t)
+        for name, number in (true_loads(moment) | sent_loads(moment)).items():
             load = np.inf if np.isnan(number) else number
             found[name][2] = max(found[name][2], load)
             if load > 1:
@@ -354,7 +573,7 @@ def reference(series, robot, joint, ticks):
 def test_counts_equal_a_slow_reference():
     ticks, robots = 600, 3
     series = random_series(ticks, robots, seed=3)
-    judge = Judge(SPEC, TORQUE_MAX, robots)
+    judge = Judge(SPEC, TORQUE_MAX, robots, observed=OBSERVED)
     feed(judge, series, range(ticks))
     counts = judge.counts()
     for robot in range(robots):
@@ -372,7 +591,7 @@ def test_counts_equal_a_slow_reference():
 def test_stops_and_goals_equal_a_slow_reference():
     ticks, robots = 2000, 2
     series = random_series(ticks, robots, seed=4)
-    judge = Judge(SPEC, TORQUE_MAX, robots)
+    judge = Judge(SPEC, TORQUE_MAX, robots, observed=OBSERVED)
     feed(judge, series, range(ticks))
     stops, latches, reached, reasons = *np.zeros((3, robots)), np.zeros((robots, len(REASONS)))
     before = [Mode.DISARMED] * robots
@@ -399,12 +618,12 @@ def test_stops_and_goals_equal_a_slow_reference():
 def test_resumed_and_split_runs_give_the_same_counts():
     ticks = 300
     series = random_series(ticks, 4, seed=5)
-    whole, first, second = (Judge(SPEC, TORQUE_MAX, 4) for _ in range(3))
+    whole, first, second = (Judge(SPEC, TORQUE_MAX, 4, observed=OBSERVED) for _ in range(3))
     feed(whole, series, range(ticks))
     feed(first, series, range(140))
     second.restore(first.save())
     feed(second, series, range(140, ticks))
-    halves = [Judge(SPEC, TORQUE_MAX, 2) for _ in range(2)]
+    halves = [Judge(SPEC, TORQUE_MAX, 2, observed=OBSERVED) for _ in range(2)]
     for judge, rows in zip(halves, (slice(0, 2), slice(2, 4)), strict=True):
         feed(judge, series, range(ticks), rows)
     merged = merge(halves[0].counts(), halves[1].counts())
@@ -463,6 +682,6 @@ def test_jerk_limited_trajectories_at_the_limits_never_fire(seed):
         bench.step()
         out.pass_to_input(inp)
     counts = bench.judge.counts()
-    assert bench.fired() <= {"position_soft", "position_hard"}
+    assert bench.fired() <= {"position_soft", "position_hard", "singularity"}
     for name in ("velocity_sent", "acceleration", "jerk"):
         assert 0.99 < counts.worst[:, counts.columns(name)].max() <= 1

@@ -17,7 +17,7 @@ from deploy.policy import Policy
 from eval.asked import Soak
 from eval.budget import BUDGET
 from eval.identity import code_digest
-from eval.resume import DAMAGED, Checkpoint, clear
+from eval.resume import DAMAGED, Checkpoint, clear, make
 from eval.shard import WIDTH, Shard
 from eval.workers import run_soak, take_up
 from robots.errors import ConfigError, OutputError
@@ -53,6 +53,7 @@ def assert_same(a, b):
 def test_what_was_stored_comes_back_bit_for_bit(tmp_path):
     checkpoint = Checkpoint(tmp_path / "kept" / "a.npz", IDENTITY)
     assert checkpoint.load() is None
+    make(tmp_path / "kept")
     checkpoint.store({"judge.ticks": np.zeros(3)})
     checkpoint.store(ARRAYS)
     assert_same(Checkpoint(checkpoint.path, IDENTITY).load(), ARRAYS)
@@ -82,11 +83,13 @@ def spoil(path, how):
         path.write_bytes(b"")
     elif how == "nameless":
         np.savez(path, **ARRAYS)
+    elif how == "no table":
+        np.savez(path, identity=np.array("[7]"))
     else:
         np.savez(path, identity=np.array([{}], dtype=object))
 
 
-@pytest.mark.parametrize("how", ["cut", "flipped", "empty", "nameless", "pickled"])
+@pytest.mark.parametrize("how", ["cut", "flipped", "empty", "nameless", "no table", "pickled"])
 def test_what_is_damaged_is_set_aside(tmp_path, how):
     checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
     checkpoint.store(ARRAYS)
@@ -98,6 +101,13 @@ def test_what_is_damaged_is_set_aside(tmp_path, how):
     checkpoint.store(ARRAYS)
     clear(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["a.npz" + DAMAGED]
+
+
+def test_what_cannot_be_read_is_left_where_it_is(tmp_path):
+    (tmp_path / "a.npz").mkdir()
+    with pytest.raises(ConfigError, match=r"a\.npz: cannot be read: Is a directory"):
+        Checkpoint(tmp_path / "a.npz", IDENTITY).load()
+    assert (tmp_path / "a.npz").exists()
 
 
 def test_a_place_that_cannot_be_written_keeps_what_it_holds(tmp_path, monkeypatch):
@@ -164,6 +174,7 @@ def test_a_worker_that_dies_costs_nothing_but_time(restless, tmp_path, capsys):
 
 def test_damage_is_said_before_anything_runs(restless, tmp_path, capsys):
     kept = restless.checkpoint(1, tmp_path / "kept")
+    make(tmp_path / "kept")
     kept.store({"runtime.ticks": np.array(400)})
     assert take_up(restless, tmp_path / "kept", Console()) == 400
     spoil(kept.path, "cut")

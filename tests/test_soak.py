@@ -2,7 +2,7 @@ import json
 import subprocess
 import sys
 from concurrent.futures import wait
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -18,15 +18,15 @@ from eval import workers
 from eval.asked import Soak
 from eval.budget import BUDGET
 from eval.collect import collect
-from eval.report.data import Run
-from eval.shard import WIDTH, Shard, ShardJob
+from eval.night import Run
+from eval.shard import COUNTED, WIDTH, Shard, ShardJob
 from eval.workers import run_soak
 from robots.errors import ConfigError
 
 CONSOLE = Console(quiet=True)
 RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, resumed_hours=0.0, interrupted=False)
 
-FILES = {"report.json", "report.html", "junit.xml", "draws.json"}
+FILES = {"report.json", "report.html", "junit.xml", "draws.json", "series.parquet", "tensorboard"}
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def assert_same(a, b):
     for one, other in zip(a, b, strict=True):
         for field in fields(one.counts):
             np.testing.assert_array_equal(getattr(one.counts, field.name), getattr(other.counts, field.name))
-        for name in ("winding_c", "worn", "attempted", "reached"):
+        for name in ("winding_c", "worn", "folded_back", "events", *COUNTED):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
@@ -92,7 +92,7 @@ def test_robots_that_do_not_count_change_nothing(arm_policy, quick_goals):
     np.testing.assert_array_equal(some.counts.worst, all_of_them.counts.worst[:3])
     np.testing.assert_array_equal(some.winding_c, all_of_them.winding_c[:, :3])
     np.testing.assert_array_equal(some.worn, all_of_them.worn[:, :, :3])
-    assert some.attempted[-1] == 3
+    assert some.attempted[-1].tolist() == [1, 1, 1]
 
 
 def test_a_stopped_shard_reports_what_was_done(arm_policy, quick_goals):
@@ -137,6 +137,13 @@ def test_the_operator_comes_to_latched_robots(arm_policy, quick_goals):
     assert 0 < result.counts.running[2] < 2000
 
 
+def test_stops_are_sampled_as_they_stand(arm_policy):
+    shard = Shard(job(arm_policy, ticks=1, robots=3))
+    shard.judge.stops[:], shard.judge.latches[:] = (4, 0, 2), (1, 0, 0)
+    found = shard.run(lambda ticks: None, lambda: False)
+    assert (found.stops.tolist(), found.latches.tolist()) == ([[4, 0, 2]], [[1, 0, 0]])
+
+
 def test_goals_fall_into_bins_and_shards_side_by_side(asked, tmp_path):
     soak = asked(hours=0.0013)
     shards = run_soak(soak, tmp_path, CONSOLE)
@@ -150,10 +157,14 @@ def test_goals_fall_into_bins_and_shards_side_by_side(asked, tmp_path):
     assert result.goals_attempted.sum() == result.counts.attempted.sum() == 10
     assert (result.goals_reached <= result.goals_attempted).all()
     assert len(result.goals_attempted) <= 8
+    assert result.stops.shape == result.latches.shape == (len(result.sample_h), 10)
+    np.testing.assert_array_equal(result.parameters["payload.mass_kg"], soak.drawn()["payload.mass_kg"])
+    assert {len(column) for column in result.parameters.values()} == {10}
 
 
 def test_a_shard_cut_short_leaves_its_heat_unknown(arm_policy, asked, quick_goals):
     short, _ = lived(job(arm_policy, ticks=1000, first=8), stop_at=400)
+    short = replace(short, stops=np.outer(range(5), range(WIDTH)))
     whole, _ = lived(job(arm_policy, ticks=1000))
     result = collect(asked(), [whole, short], RUN)
     for unknown in (result.winding_c[5:, WIDTH:], result.worn[5:, :, WIDTH:]):
@@ -162,7 +173,8 @@ def test_a_shard_cut_short_leaves_its_heat_unknown(arm_policy, asked, quick_goal
     assert np.isfinite(result.winding_c[:5]).all()
     assert np.isfinite(result.worn[:, :, :WIDTH]).all()
     assert np.isfinite(result.worn[:5]).all()
-    assert result.goals_attempted.sum() == whole.attempted[-1] + short.attempted[-1]
+    assert result.goals_attempted.sum() == whole.attempted[-1].sum() + short.attempted[-1].sum()
+    assert result.stops[[0, 3, 4, -1], -1].tolist() == [0, 21, 28, 28]
 
 
 def soak_test(*options):
