@@ -78,8 +78,8 @@ class Estimator(Stage):
         # numpy is quickest where every shape is the same.
         self._wide, self._r = np.zeros(shape), np.full(shape, encoder.variance)
         self._r_speed = spec.sensors["velocity"].variance if "velocity" in spec.sensors else np.inf
-        # A constant error that nobody can see: uniform in ± bias.
-        self._bias_var = encoder.bias**2 / 3.0
+        # Errors that nobody can see: a constant one, uniform in ± bias, and where in its play a link lies.
+        self._unseen_var = encoder.bias**2 / 3.0 + spec.joint_array("play") ** 2 / 12.0
         self._stuck_rad = STUCK_STD * np.sqrt(encoder.variance)
         self._look, self._stuck_many = max(1, round(LOOK_S / spec.dt)), round(STUCK_S / LOOK_S)
         density = np.tile(spec.joint_array("acceleration_density"), (robots, 1))
@@ -256,7 +256,7 @@ class Estimator(Stage):
             t=t,
             q=sent.q + (self.e + self.ed * lag),
             qd=sent.qd + self.ed,
-            q_var=self._q_var(lag) + self._bias_var,
+            q_var=self._q_var(lag) + self._unseen_var,
             age=age,
             nis=self.nis,
             temperature=sample["temperature"].value,

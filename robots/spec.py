@@ -31,6 +31,7 @@ class Joint(Strict):
         q_min, q_max, q_home: rad.
         qd_max: rad/s, what the drive may do. qdd_max: rad/s², qddd_max: rad/s³, what it is asked to do.
         acceleration_density: rad²/s³, how restless the estimator takes its deviation from the setpoint to be.
+        play: rad, how far the link can move while the encoder stands still.
         motor: a name in `motors`.
         source: where the numbers come from.
     """
@@ -43,6 +44,7 @@ class Joint(Strict):
     qdd_max: PositiveFloat
     qddd_max: PositiveFloat
     acceleration_density: PositiveFloat
+    play: Annotated[float, Field(ge=0)]
     motor: str
     source: Source
 

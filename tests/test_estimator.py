@@ -18,6 +18,8 @@ from robots.spec import load_robot
 
 N, DT = SPEC.n, SPEC.dt
 ENCODER, DENSITY = SPEC.sensors["encoder"], SPEC.joint_array("acceleration_density")
+PLAY = SPEC.joint_array("play")
+UNSEEN = ENCODER.bias**2 / 3 + PLAY**2 / 12
 NOISE = np.sqrt(ENCODER.noise**2 + ENCODER.resolution**2 / 12)
 SPEED_NOISE = 0.005
 NAMES = ("q", "qd", "q_var", "age", "nis", "fault")
@@ -92,7 +94,7 @@ class ByFilterpy:
                     f, noise = _model(tick * DT - self.t[robot, joint], joint)
                     u = _input(robot, joint, self.t[robot, joint], tick * DT, robots)
                     q[robot, joint], qd[robot, joint] = (f @ kf.x + u)[:, 0]
-                    var[robot, joint] = (f @ kf.P @ f.T + noise)[0, 0] + ENCODER.bias**2 / 3
+                    var[robot, joint] = (f @ kf.P @ f.T + noise)[0, 0] + UNSEEN[joint]
         return q, qd, var
 
     def _hear(self, robot, t, value):
@@ -169,12 +171,13 @@ def test_believes_what_its_model_says():
     root = np.linalg.cholesky([Q_continuous_white_noise(2, DT, density) for density in DENSITY])
     x, errors = np.zeros((2, robots, N)), []
     bias = rng.uniform(-ENCODER.bias, ENCODER.bias, (robots, N))
+    lies = rng.uniform(-PLAY / 2, PLAY / 2, (robots, N))  # the link, in its play
     for tick in range(120):
         setpoint = sent(tick, robots)
         z = setpoint.q + x[0] + bias + rng.normal(0, NOISE, (robots, N))
         state = estimator.step(tick * DT, sample(np.full(robots, tick * DT), np.ones(robots), z), setpoint)
         if tick >= 60:
-            errors.append(((state.q - setpoint.q - x[0]) ** 2 / state.q_var).mean())
+            errors.append(((state.q - setpoint.q - x[0] - lies) ** 2 / state.q_var).mean())
         x[0] += x[1] * DT
         x += np.einsum("nij,jrn->irn", root, rng.standard_normal((2, robots, N)))
     assert np.mean(errors) == pytest.approx(1.0, abs=0.05)
@@ -269,7 +272,7 @@ def test_measured_speed_equals_filterpys_second_update(with_speed):
                 kf[joint].update(w[0, joint], R=r_speed, H=np.array([[0.0, 1.0]]))
         np.testing.assert_allclose(state.q[0], [k.x[0, 0] for k in kf], rtol=0, atol=1e-9)
         np.testing.assert_allclose(state.qd[0], [k.x[1, 0] for k in kf], rtol=0, atol=1e-9)
-        expected = [k.P[0, 0] + ENCODER.bias**2 / 3 for k in kf]
+        expected = [k.P[0, 0] for k in kf] + UNSEEN
         np.testing.assert_allclose(state.q_var[0], expected, rtol=1e-8)
 
 
