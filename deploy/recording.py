@@ -57,15 +57,20 @@ STATE_SCHEMA = {
 }
 
 
+WHOLE = ("tick", "mode", "reason", "reached", "attempted")
+
+
 def row_type(joints: int) -> np.dtype[np.void]:
-    """One tick of one robot: what `Recording.write` takes. SI units, joint vectors in the robot's order."""
-    whole = ("tick", "mode", "reason", "reached", "attempted")
+    """One tick of one robot: what `Recording.write` takes. SI units, joint vectors in the robot's order.
+
+    Whole numbers come first; all are 8 bytes wide, so that rows can be seen as plain arrays of either kind.
+    """
     numbers, sent = (
         ("q", "qd", "housing_c", "winding_c", "q_target"),
         ("q_sent", "qd_sent", "qdd_sent", "tau_sent"),
     )
     return np.dtype(
-        [(name, np.int64) for name in whole]
+        [(name, np.int64) for name in WHOLE]
         + [(name, np.float64, joints) for name in numbers + sent]
         + [(name, np.float64, 3) for name in ("tool", "goal")]
     )

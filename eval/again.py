@@ -91,9 +91,9 @@ class Replay:
         channel = _channel(ticker.counts(), about.event)
         for place in range(len(load)):
             shard.tick()
-            window.see(shard.runtime, shard.robot.truth())
+            window.see(shard.runtime, shard.truth)
             ticker.worst[:] = 0.0
-            judge_tick(ticker, shard.robot, shard.runtime, shard.heard)
+            judge_tick(ticker, shard.truth, shard.runtime, shard.heard)
             load[place] = ticker.counts().worst[self.row, channel]
             watch()
         return Again(

@@ -23,6 +23,7 @@ from eval.injector import Injector
 from eval.monitors import Judge
 from eval.profile import Faults
 from eval.schedule import plan
+from eval.truth import Truth
 from eval.watch import Injections, Watch, injections
 from robots.draws import Draw
 from robots.errors import ConfigError
@@ -102,16 +103,16 @@ class ShardResult:
     events: Ints
 
 
-def judge_tick(judge: Judge, robot: SimRobot, runtime: Runtime, action: Said) -> None:
+def judge_tick(judge: Judge, truth: Truth, runtime: Runtime, action: Said) -> None:
     """Show the judge the tick that has just ended.
 
     Args:
         judge: who is shown it.
-        robot: whose truth it is. runtime: what was believed, decided and sent.
+        truth: of the robots now. runtime: what was believed, decided and sent.
         action: what the policy was heard to say; None where it was not its turn, or where nobody listened.
     """
     judge.step(
-        truth=robot.truth(),
+        truth=truth,
         state=runtime.state,
         observation=runtime.observation.frames,
         target=runtime.target,
@@ -143,10 +144,12 @@ class Shard(Stage):
     """Runtime, simulated robots and judge of one job. What is saved is all that it lived through.
 
     Attributes:
-        heard: what the policy was heard to say in the last tick.
+        heard: what the policy was heard to say in the last tick. truth: what was true when it ended.
     """
 
     parts = ("runtime", "robot", "judge", "injector", "watch")
+
+    truth: Truth
 
     def __init__(self, job: ShardJob, *, given: Draw | None = None) -> None:
         """Build everything; robots beyond those that count keep the width and are not reported.
@@ -218,9 +221,10 @@ class Shard(Stage):
         said = None if observation is None else self._policy.step(observation)
         self.heard = said if said is None else self.injector.said(said, tick // runtime.decimation)
         runtime.act(self.heard)
-        judge_tick(self.judge, self.robot, runtime, self.heard)
+        self.truth = self.robot.truth()
+        judge_tick(self.judge, self.truth, runtime, self.heard)
         if self.watch.following:
-            self.watch.step(tick, self.robot.truth(), runtime.command, mode, self.judge)
+            self.watch.step(tick, self.truth, runtime.command, mode, self.judge)
 
     def _looked(
         self, tick: int, progress: Callable[[int], None], stop: Callable[[], bool], keep: Callable[[], None]

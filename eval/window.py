@@ -20,6 +20,7 @@ from robots.spec import RobotSpec
 Rows = NDArray[np.void]
 
 TRUE = ("q_true", "qd_true", "tau_true", "winding_true_c")
+FLAGS = ("powered", "self_collision", "valid")
 _NUMBERS = {"type": "array", "items": {"type": ["number", "null"]}}
 TRUE_SCHEMA = {
     "title": "firstshift.True",
@@ -36,12 +37,12 @@ TRUE_SCHEMA = {
 
 
 def window_type(joints: int) -> np.dtype[np.void]:
-    """One tick of one robot: what a robot records of itself, and what is true of it."""
+    """One tick of one robot: what a robot records of itself, and what is true of it; flags are 0 or 1."""
     own = row_type(joints)
-    flags = [(name, np.bool_) for name in ("powered", "self_collision", "valid")]
     true = [(name, np.float64, (joints,)) for name in TRUE]
     tool = [(name, np.float64, (3,)) for name in ("tool_true", "tool_velocity_true")]
-    return np.dtype([*((name, own[name]) for name in own.names or ()), *flags, *true, *tool])
+    flags = [(name, np.float64) for name in FLAGS]
+    return np.dtype([*((name, own[name]) for name in own.names or ()), *true, *tool, *flags])
 
 
 class Window(Ring):
@@ -54,13 +55,9 @@ class Window(Ring):
 
     def see(self, runtime: Runtime, truth: Truth) -> None:
         """Keep the tick that has just ended."""
-        self.step(runtime)
-        at, fields = (runtime.ticks - 1) % len(self.rows), self._fields
-        fields["powered"][at], fields["valid"][at] = runtime.command.powered, truth.valid
-        fields["self_collision"][at] = truth.self_collision
-        fields["q_true"][at], fields["qd_true"][at], fields["tau_true"][at] = truth.q, truth.qd, truth.tau
-        fields["winding_true_c"][at] = truth.winding_c
-        fields["tool_true"][at], fields["tool_velocity_true"][at] = truth.tool_position, truth.tool_velocity
+        true = truth.q, truth.qd, truth.tau, truth.winding_c, truth.tool_position, truth.tool_velocity
+        flags = runtime.command.powered, truth.self_collision, truth.valid
+        self._keep(runtime, (*true, *(flag[:, None] for flag in flags)))
 
     def between(self, begin: int, end: int, robot: int) -> Rows:
         """(T,) what is kept of a robot from tick `begin` on, before tick `end`."""
@@ -111,7 +108,7 @@ class _Recording(Recording):
         self._true.log(
             self._joints(stamp, q=row["q_true"], qd=row["qd_true"], tau=row["tau_true"]), log_time=ns
         )
-        flags = {name: bool(row[name]) for name in ("powered", "self_collision", "valid")}
+        flags = {name: bool(row[name]) for name in FLAGS}
         vectors = {name: _known(row[name]) for name in ("tool_true", "tool_velocity_true", "winding_true_c")}
         named = {name.replace("_true", ""): value for name, value in vectors.items()}
         self._true_state.log(flags | named, log_time=ns)

@@ -48,7 +48,7 @@ class Witness:
 
     def watch(self, shard: Shard) -> None:
         """See the tick that has just ended."""
-        self._window.see(shard.runtime, shard.robot.truth())
+        self._window.see(shard.runtime, shard.truth)
         tick = shard.runtime.ticks
         if tick % self._look == 0:
             # An event is told of one look later, so that the window holds what followed.

@@ -84,7 +84,7 @@ class Bench:
     def tick(self) -> None:
         """One tick and its judgement, as a shard lives it."""
         self.runtime.tick()
-        judge_tick(self.judge, self.robot, self.runtime, None)
+        judge_tick(self.judge, self.robot.truth(), self.runtime, None)
 
     def run(self, ticks: int) -> None:
         """Some ticks, with what was built before them out of the garbage collector's sight, as in deploy-run."""

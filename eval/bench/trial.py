@@ -56,7 +56,7 @@ class Trial:
             if tick % look == 0:
                 rearm(self.runtime)
             self.runtime.tick()
-            judge_tick(self.judge, self.robot, self.runtime, None)
+            judge_tick(self.judge, self.robot.truth(), self.runtime, None)
             yield
 
     def copper_w(self) -> Floats:

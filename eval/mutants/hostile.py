@@ -86,7 +86,7 @@ def live(spec: RobotSpec, situation: Situation, weaken: Callable[[Runtime], None
         situation.befalls(runtime, robot, tick * spec.dt)
         said = None if runtime.sense() is None else situation.says(runtime)
         runtime.act(said)
-        judge_tick(judge, robot, runtime, said)
+        judge_tick(judge, robot.truth(), runtime, said)
     return judge.counts()
 
 

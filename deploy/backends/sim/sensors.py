@@ -69,6 +69,11 @@ class Sensors(Stage):
         self._noise = np.zeros((robots, self._length, width))
         self._row = np.arange(robots)[:, None] * depth
         self._chunk = NEVER
+        self._t, self._fresh = np.zeros(self.taken.shape), np.zeros(self.taken.shape, dtype=bool)
+        self._sample = {
+            kind: Packet(t=self._t[:, g], fresh=self._fresh[:, g], value=self.value[:, columns])
+            for g, (kind, columns) in enumerate(self.columns.items())
+        }
 
     def _each(self, spec: RobotSpec, field: str) -> Floats:
         """(C,) one number of every channel's sensor."""
@@ -105,19 +110,18 @@ class Sensors(Stage):
         self.ring[:, tick % self._packets.depth] = reading
 
     def read(self) -> Sample:
-        """The newest packet of every sensor."""
+        """The newest packet of every sensor, until the next call."""
         tick = int(self.tick[0])
         self._need(tick // self._length)
         place = tick % self._length
         arrived = self._arrived[place]
-        fresh = arrived if every(self.told) else arrived | ~self.told
+        self._fresh[:] = arrived
+        if not every(self.told):
+            self._fresh |= ~self.told
         np.copyto(self.taken, self._taken[place], where=arrived)
         np.copyto(self.value, self.ring.take(self._source[place]), where=self._wide[place])
-        t: Floats = np.multiply(self.taken, self._dt, dtype=np.float64)
-        return {
-            kind: Packet(t=t[:, g], fresh=fresh[:, g], value=self.value[:, columns])
-            for g, (kind, columns) in enumerate(self.columns.items())
-        }
+        np.multiply(self.taken, self._dt, out=self._t)
+        return self._sample
 
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         """Put saved arrays back, bit for bit."""
