@@ -11,7 +11,7 @@ BIN := $(VENV)/bin
 POLICY ?= arm.pt
 OUT ?= out/$(basename $(notdir $(POLICY))).onnx
 HOURS ?= 1
-ROBOTS ?= 16
+ROBOTS ?= 32
 SEED ?= 7
 WORKERS ?= 2
 ARGS ?=
@@ -55,12 +55,12 @@ $(eval $(call environment,$(VENV_ROBOT),requirements-robot.lock,1.1 GB: a minute
 # ---- the main job ---------------------------------------------------------------------------------------------
 
 .PHONY: demo export run soak smoke shift nightly faults weekend train bench mutants
-demo: setup ## export the arm's policy, run it for 10 s, soak it for 3 simulated minutes
+demo: setup ## export the arm's policy, run it for 10 s, soak 32 robots for 90 simulated seconds
 	@mkdir -p out
 	$(BIN)/policy-export --policy arm.pt --out $(ARM)
 	@sync # a fresh installation is still being written to the disk, and ticks would come late for it
 	$(BIN)/deploy-run --backend sim --policy $(ARM) --duration 10 --out out/run
-	@$(BIN)/soak-test --policy $(ARM) --hours 0.05 --robots 16 --seed 7 --workers 2 --out out/soak; \
+	@$(BIN)/soak-test --policy $(ARM) --hours 0.025 --robots 32 --seed 7 --workers 2 --out out/soak; \
 	status=$$?; echo "report: $(CURDIR)/out/soak/report.html"; exit $$status
 
 export: setup ## write one ONNX file with its contract: POLICY=arm.pt [OUT=file.onnx]
@@ -70,7 +70,7 @@ export: setup ## write one ONNX file with its contract: POLICY=arm.pt [OUT=file.
 run: $(ARM) ## run the arm in simulation, in real time, until Ctrl-C (ARGS=...)
 	$(BIN)/deploy-run --backend sim --policy $(ARM) --out out/run $(ARGS)
 
-soak: $(ARM) ## soak the arm: HOURS=1 ROBOTS=16 SEED=7 WORKERS=2 (ARGS=...)
+soak: $(ARM) ## soak the arm: HOURS=1 ROBOTS=32 SEED=7 WORKERS=2 (ARGS=...)
 	$(BIN)/soak-test --policy $(ARM) --hours $(HOURS) --robots $(ROBOTS) --seed $(SEED) --workers $(WORKERS) --out out/soak $(ARGS)
 
 # Profiles are described in eval/profiles.

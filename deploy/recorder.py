@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from deploy.recording import WHOLE, Recording, row_type
 from deploy.runtime import Runtime
-from deploy.state import Floats, Mode, Reason
+from deploy.state import Bools, Floats, Mode, Reason
 from deploy.supervisor import words
 from robots.errors import OutputError
 from robots.spec import RobotSpec
@@ -57,7 +57,7 @@ class Ring:
         """Keep the tick that has just ended; return its row (B,)."""
         return self._keep(runtime, ())
 
-    def _keep(self, runtime: Runtime, more: tuple[Floats, ...]) -> Rows:
+    def _keep(self, runtime: Runtime, more: tuple[Floats | Bools, ...]) -> Rows:
         """The same, with more numbers (B, ...) behind its own. All at once: a field at a time takes twice as long."""
         self._ticks, task, supervisor = runtime.ticks, runtime.task, runtime.supervisor
         at = (self._ticks - 1) % len(self.rows)

@@ -31,8 +31,8 @@ from robots.model_pinocchio import torque_max
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec, load_robot
 
-WIDTH = 8
-"""Robots in a shard, of which the last shard may count fewer: wide enough to share costs, narrow enough that 16
+WIDTH = 16
+"""Robots in a shard, of which the last shard may count fewer: wide enough to share costs, narrow enough that 32
 robots keep two cores busy."""
 ARM_S = 0.2
 """s after which robots are armed for the first time: until then their estimators have not heard enough."""

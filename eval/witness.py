@@ -64,14 +64,18 @@ class Witness:
     def _tell(self, shard: Shard, before: int) -> None:
         """Write bundles of events that began before tick `before` and were not told of yet."""
         counts = shard.judge.counts()
-        recent = (counts.log_start >= self._from) & (counts.log_start < before)
-        # To choose is dear where many were kept before.
-        new = [e for e in chosen(counts, self._job.robots) if self._from <= e.start < before] if recent.any() else []
+        new = self._new(counts, before)
         if new:
             end = bundle.state_digest(shard.snapshot())
             for event in new:
                 self._write(event, shard.runtime.ticks, end, shard.runtime.task.config.tolerance_m)
         self._from = max(self._from, before)
+
+    def _new(self, counts: Counts, before: int) -> list[Event]:
+        """Those to be told of. To choose is dear, so it is not done where nothing has begun since."""
+        if not ((counts.log_start >= self._from) & (counts.log_start < before)).any():
+            return []
+        return [e for e in chosen(counts, self._job.robots) if self._from <= e.start < before]
 
     def _write(self, event: Event, end: int, end_digest: str, goal_m: float) -> None:
         begin, state = self._before(event.start)

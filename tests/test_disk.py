@@ -128,10 +128,11 @@ def test_a_report_folder_that_is_lost_is_said_and_not_made_anew(restless, tmp_pa
     """It is moved away between the ends of the two shards; when it is put back, the soak goes on from there."""
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
     written.claim(out)
+    restless = replace(restless, hours=0.0004)  # before the second shard has anything else to write
     first, second = (restless.checkpoint(number, out / "kept").path for number in (0, 1))
     meanwhile(first, lambda: out.rename(elsewhere))
     with pytest.raises(OutputError, match=rf"{second}: cannot be written: {out / 'kept'} is gone"):
-        run_soak(restless, out / "kept", QUIET, out / "events")
+        run_soak(restless, out / "kept", QUIET)
     assert not out.exists()
     assert restless.checkpoint(0, elsewhere / "kept").load() is not None
     elsewhere.rename(out)

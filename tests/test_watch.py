@@ -156,6 +156,7 @@ def restless(tmp_path, monkeypatch, quick_goals):
     )
     names += ("joint blocked", "robot cable caught", "robot supply sags")
     faults = [(named(name), 1 if named(name).where in (JOINT, POLICY) else None) for name in names]
+    faults += [None] * (WIDTH - len(faults))
     monkeypatch.setattr(shards, "plan", lambda *_: one_each(faults, 70, lasts=500))
     digests = {"robot_digest": SPEC.digest, "policy_digest": Policy.load(path, SPEC).digest}
     job = ShardJob(
@@ -177,7 +178,7 @@ def test_a_shard_goes_on_in_the_midst_of_faults_as_if_nothing_had_been(restless)
     for name, array in a.items():
         np.testing.assert_array_equal(array, b[name], err_msg=name)
     found = result.injections
-    assert (found.begun == 70).all()
+    assert (found.begun[:8] == 70).all()
     assert (found.left >= 0).sum() >= 2
     assert CLASSES[found.kind[0, 0]].name == "encoder stuck"
     assert found.answer[0, 0] == Answer.STOPPED

@@ -204,4 +204,7 @@ def _cost(spec: RobotSpec, motion: Motion) -> str:
 
 def _kept(sample: Sample) -> Sample:
     """A sample that outlives the next one."""
-    return {kind: Packet(*(array.copy() for array in packet)) for kind, packet in sample.items()}
+    return {
+        kind: Packet(t=packet.t.copy(), fresh=packet.fresh.copy(), value=packet.value.copy())
+        for kind, packet in sample.items()
+    }
