@@ -93,8 +93,8 @@ class Ways(_Plans):
                 continue
             ages = set(ticks[rows].tolist())
             for age in ages:
-                here = True if len(ages) == 1 else (ticks[rows] == age)[:, None, None]
-                np.copyto(out[rows], self._numbers(trajectory.at_time(age * self._dt)), where=here)
+                here = ... if len(ages) == 1 else ticks[rows] == age
+                out[rows][here] = self._numbers(trajectory.at_time(age * self._dt))[here]
         return out
 
 

@@ -138,11 +138,12 @@ class Packets:
 
     def _lost(self, u: Floats) -> Bools:
         """(length, B, G) Packets lost in bursts, geometric. Source: Gilbert (1960), without its good losses."""
-        place = np.arange(self.length)[:, None, None]
+        until = np.zeros(u.shape[:-1])
+        place, robot, sensor = begins = np.nonzero(u[..., 2] < self._begins)
         with np.errstate(divide="ignore"):  # bursts of one packet: the logarithm of 0
-            length = 1 + np.floor(np.log1p(-u[..., 3]) / np.log1p(-1 / self._burst))
-        until = np.where(u[..., 2] < self._begins, place + length, 0)
-        return np.asarray(np.maximum.accumulate(until, axis=0) > place)
+            ends = np.log1p(-u[..., 3][begins]) / np.log1p(-1 / self._burst[robot, sensor])
+        until[begins] = place + 1 + np.floor(ends)
+        return np.asarray(np.maximum.accumulate(until, axis=0) > np.arange(self.length)[:, None, None])
 
     def _fail(self, ticks: Ints, goes: Bools, late: Ints) -> None:
         """What faults do to packets on their way."""

@@ -45,6 +45,9 @@ class SimRobot(Stage):
         self.plant = Plant(spec, distributions, self.draw, seeds, threads=threads)
         self.sensors = Sensors(spec, self.draw, seeds, faults)
         self.goal = np.full((self.robots, 3), np.nan)
+        self._exposed = [
+            self.goal if kind == "goal" else self.plant.reading(kind) for kind in self.spec.sensors
+        ]
         self._settle(np.ones(self.robots, dtype=bool))
 
     def read(self) -> Sample:
@@ -62,9 +65,7 @@ class SimRobot(Stage):
 
     def _readings(self) -> Floats:
         """(B, C) what is true where each sensor sits."""
-        return np.concatenate(
-            [self.goal if kind == "goal" else self.plant.reading(kind) for kind in self.spec.sensors], axis=1
-        )
+        return np.concatenate(self._exposed, axis=1)
 
     def _settle(self, ids: Bools) -> None:
         self.sensors.reset(ids, self._readings())

@@ -67,6 +67,7 @@ class Sensors(Stage):
         self.taken = np.zeros((robots, len(sheet)), dtype=np.int64)
         self.told, self.tick = np.zeros(self.taken.shape, dtype=bool), np.zeros(1, dtype=np.int64)
         self._noise = np.zeros((robots, self._length, width))
+        self._newest = np.zeros(self.value.shape)
         self._row = np.arange(robots)[:, None] * depth
         self._chunk = NEVER
         self._t, self._fresh = np.zeros(self.taken.shape), np.zeros(self.taken.shape, dtype=bool)
@@ -119,7 +120,8 @@ class Sensors(Stage):
         if not every(self.told):
             self._fresh |= ~self.told
         np.copyto(self.taken, self._taken[place], where=arrived)
-        np.copyto(self.value, self.ring.take(self._source[place]), where=self._wide[place])
+        self.ring.take(self._source[place], out=self._newest, mode="clip")
+        np.copyto(self.value, self._newest, where=self._wide[place])
         np.multiply(self.taken, self._dt, out=self._t)
         return self._sample
 
