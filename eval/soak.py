@@ -33,7 +33,7 @@ from robots.spec import load_robot
 
 KEPT = "kept"
 """Folder inside --out where shards are kept while they live."""
-USUAL = Profile(meaning="what is asked for without a profile", hours=8.0, robots=16, budget=BUDGET.name)
+USUAL = Profile(meaning="what is asked for without a profile", hours=8.0, robots=32, budget=BUDGET.name)
 
 
 def soak_test(
@@ -47,7 +47,7 @@ def soak_test(
         float | None, typer.Option(help="Simulated hours of each robot.", show_default="8, or the profile's")
     ] = None,
     robots: Annotated[
-        int | None, typer.Option(help="Robots, each its own draw.", show_default="16, or the profile's")
+        int | None, typer.Option(help="Robots, each its own draw.", show_default="32, or the profile's")
     ] = None,
     seed: Annotated[int, typer.Option(help="Decides every draw, noise and goal.")] = 7,
     workers: Annotated[int, typer.Option(help="Processes; results do not depend on it.")] = 2,

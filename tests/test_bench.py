@@ -1,4 +1,5 @@
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from mujoco.batch import Batch
 
 from deploy.policy import Policy
 from eval.bench import __main__ as command
-from eval.bench import estimate, pace, stages, stopwatch
+from eval.bench import estimate, pace, same, stages, stopwatch
 from eval.bench.encoder import draw_encoder
 from eval.bench.heard import Motion
 from eval.bench.idle import make_idle
@@ -133,7 +134,7 @@ def test_an_unknown_bench_is_refused(monkeypatch, capsys):
         command.main(command.bench)
     assert caught.value.code == 2
     assert (
-        "found 'nothing', expected one of stages, pace, estimate, floating, ablation, hot, start, memory, work or all"
+        "found 'nothing', expected one of stages, pace, same, estimate, floating, ablation, hot, start, memory, work or all"
         in capsys.readouterr().err
     )
 
@@ -149,3 +150,20 @@ def test_a_picture_is_of_what_can_be_drawn(monkeypatch, capsys):
         codes.append(caught.value.code)
     assert (codes, seen) == ([0, 2], [Path("worth.png")])
     assert "--picture worth.png: found 'start', expected estimate or ablation" in capsys.readouterr().err
+
+
+def test_differences_between_results_are_named():
+    @dataclass
+    class Lived:
+        heat: np.ndarray
+        names: tuple[str, ...] = ("a",)
+
+    one, other = (
+        [Lived(np.array([1.0, np.nan])), Lived(np.array(last))] for last in ([1.0, 2.0], [1.0, 2.5])
+    )
+    assert same.differences(one, one) == set()
+    assert same.differences(one, other) == {"shard 1 heat"}
+    other[0].names = ("b",)
+    assert same.differences(one, other) == {"shard 0 names", "shard 1 heat"}
+    with pytest.raises(ValueError, match="zip"):
+        same.differences(one, other[:1])

@@ -2,13 +2,14 @@
 
 python -m eval.bench stages     what a tick costs beside physics, at several B, stage by stage
 python -m eval.bench pace       how long a soak takes beside bare physics; a second worker, and wider shards
+python -m eval.bench same       whether results depend on the number of workers, or on being cut short
 python -m eval.bench estimate   errors with and without the estimator, its consistency, an outage
 python -m eval.bench floating   errors of a floating base with and without its feet, consistency, cost
 python -m eval.bench ablation   what each stage of the stack is worth: the same shift with one stage swapped
 python -m eval.bench hot        the hottest motors in the hottest rooms, with the heat guard and without
 python -m eval.bench start      how soon deploy-run ticks, and what it imports
 python -m eval.bench memory     whether a soak grows
-python -m eval.bench work       an hour of 16 robots by the shipped budget, and an idle policy that fails it
+python -m eval.bench work       half an hour of 32 robots by the shipped budget, and an idle policy that fails it
 python -m eval.bench            all of them
 """
 
@@ -35,6 +36,7 @@ from eval.bench.floating import floating
 from eval.bench.hot import hot
 from eval.bench.idle import make_idle
 from eval.bench.pace import pace
+from eval.bench.same import same
 from eval.bench.stages import SEED, stages
 from eval.budget import BUDGET, check, load_budget
 from eval.counts import MONITORS, merge
@@ -43,7 +45,7 @@ from eval.workers import run_soak
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 
-STARTS = 5
+STARTS, WORKING = 5, 32
 
 console = Console(width=120)
 
@@ -118,17 +120,17 @@ def _resident_kib() -> int:
 
 
 def work(spec: RobotSpec, policy: Path) -> None:
-    """An hour of 16 robots by the shipped budget, and three minutes of the same robots with an idle policy."""
+    """Half an hour of 32 robots by the shipped budget, and three minutes of the same robots with an idle policy."""
     with tempfile.TemporaryDirectory() as folder:
         idle = make_idle(policy, Path(folder, "idle.onnx"))
-        for path, hours in ((policy, 1.0), (idle, 0.05)):
+        for path, hours in ((policy, 0.5), (idle, 0.05)):
             soak = Soak(
                 spec=spec,
                 policy=Policy.load(path, spec),
                 policy_path=path,
                 budget=BUDGET,
                 hours=hours,
-                robots=16,
+                robots=WORKING,
                 seed=SEED,
                 workers=2,
             )
@@ -138,7 +140,7 @@ def work(spec: RobotSpec, policy: Path) -> None:
             broken = ", ".join(line.name for line in check(load_budget(), counts) if not line.passed)
             hard = sum(counts.total(monitor.name) for monitor in MONITORS if monitor.hard)
             console.print(
-                f"{path.name}, 16 robots x {hours:g} h: goals {100 * counts.goal_success:.2f} % (at least 97),"
+                f"{path.name}, {WORKING} robots x {hours:g} h: goals {100 * counts.goal_success:.2f} % (at least 97),"
                 f" availability {100 * counts.availability:.2f} % (at least 99), hard events {hard} (at most 0):"
                 f" budget {f'exceeded by {broken}' if broken else 'kept'}"
             )
@@ -147,6 +149,7 @@ def work(spec: RobotSpec, policy: Path) -> None:
 BENCHES: dict[str, Callable[[RobotSpec, Path, Path | None], None]] = {
     "stages": lambda spec, policy, _: stages(spec, policy, console),
     "pace": lambda spec, policy, _: pace(spec, policy, console),
+    "same": lambda spec, policy, _: same(spec, policy, console),
     "estimate": lambda spec, policy, picture: estimate(spec, policy, console, picture),
     "floating": lambda spec, policy, _: floating(console),
     "ablation": lambda spec, policy, picture: ablation(spec, policy, console, picture),
