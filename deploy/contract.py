@@ -16,6 +16,7 @@ from robots.strict import Strict, parse, read_json
 
 CONTRACT_KEY = "firstshift.contract"
 SIZE_MAX = 4096  # numbers in one observation: a bound on memory, far above any policy here
+MEMORY_MAX = 1 << 16  # numbers that one robot's policy may remember
 TEXT_MAX = 1 << 20  # characters of JSON
 
 Source = Literal[
@@ -135,6 +136,8 @@ class Contract(Strict):
     Attributes:
         robot_digest: `RobotSpec.digest` that the policy was trained with.
         joint_names: order of every joint vector.
+        memory: M, how many numbers a policy hands on from each of its steps to the next; 0 when it begins. None of its
+            own: 0.
         trained: provenance in free words: recipe, seed, versions.
         observed: None where nobody wrote it down.
     """
@@ -148,6 +151,7 @@ class Contract(Strict):
     task: Literal["reach"]
     observation: Annotated[tuple[Term, ...], Field(min_length=1, max_length=SIZE_MAX)]
     action: ActionSpec
+    memory: Annotated[int, Field(strict=True, ge=0, le=MEMORY_MAX)] = 0
     trained: Annotated[dict[Name, str], Field(max_length=100)]
     observed: Observed | None = None
 

@@ -7,7 +7,9 @@ import numpy as np
 import onnxruntime as ort
 
 from deploy.contract import check_contract
-from deploy.policy_file import INPUT, OUTPUT, Float32s, PolicyFile, read_policy_file, shortened
+from deploy.policy_file import INPUT, MEMORY, NEXT, OUTPUT, Float32s, PolicyFile, read_policy_file, shortened
+from deploy.stage import Stage
+from deploy.state import Bools
 from robots.errors import ContractError
 from robots.spec import RobotSpec
 
@@ -15,20 +17,23 @@ AGREEMENT = 1e-5  # absolute, in the unit of a raw action
 BATCHES = (1, 64)  # one robot, and a shard of a soak
 
 
-class Policy:
-    """One step for every robot. The same bits come out of the same observations at the same B.
+class Policy(Stage):
+    """One step for every robot. The same bits come out of the same observations and memories at the same B.
 
-    An observation that is not finite spoils its own robot's action and no other.
+    An observation that is not finite spoils its own robot's action, and what it remembers, and no other's.
 
     Attributes:
         contract: what the numbers mean.
         digest: SHA-256 of the file.
+        memory: (B, M) what each robot's policy remembers.
     """
+
+    carried = ("memory",)
 
     def __init__(self, file: PolicyFile, source: str) -> None:
         self.contract, self.digest, self._source = file.contract, file.digest, source
         self._session = _session(file.data, source)
-        self._bind(1)
+        self.resize(1)
 
     @classmethod
     def load(cls, path: str | Path, spec: RobotSpec) -> Self:
@@ -42,50 +47,68 @@ class Policy:
         policy = cls(file, str(path))
         for batch in BATCHES:
             policy._prove(file, batch)
+        policy.resize(1)
         return policy
 
     def step(self, observation: Float32s) -> Float32s:
         """(B, N) observations to (B, A) raw actions: a view that holds until the next step.
 
+        With another B than before every robot begins anew.
+
         Raises:
             ContractError: the observation has another width than the contract says.
         """
         if observation.shape != self._observation.shape:
-            self._resize(observation.shape)
+            self._refit(observation.shape)
         np.copyto(self._observation, observation)
         self._session.run_with_iobinding(self._binding)
+        np.copyto(self.memory, self._next)
         return self._action
 
+    def reset(self, ids: Bools) -> None:
+        """Robots where `ids` (B,) holds remember nothing."""
+        self.memory[ids] = 0.0
+
     def replay(self, observation: Float32s, batch: int) -> Float32s:
-        """Observations (K, N) to actions (K, A), `batch` at a time; the last batch is padded."""
+        """Observations (K, N) to actions (K, A) of a policy without memory, `batch` at a time; the last is padded."""
         rows = np.arange(-(-len(observation) // batch) * batch) % len(observation)
         actions = [self.step(observation[chunk]).copy() for chunk in rows.reshape(-1, batch)]
         return np.concatenate(actions)[: len(observation)]
 
-    def _resize(self, shape: tuple[int, ...]) -> None:
+    def rehearse(self, observation: Float32s, batch: int) -> Float32s:
+        """Observations (T, N) one after the other, from the beginning, to so many robots alike: actions (T, B, A)."""
+        self.resize(batch)
+        return np.stack([self.step(np.repeat(row[None], batch, axis=0)).copy() for row in observation])
+
+    def _refit(self, shape: tuple[int, ...]) -> None:
         size = self.contract.observation_size
         if len(shape) != 2 or shape[0] < 1 or shape[1] != size:
             raise ContractError(f"{self._source}: observation: found shape {shape}, expected (B, {size})")
-        self._bind(shape[0])
+        self.resize(shape[0])
 
-    def _bind(self, batch: int) -> None:
-        """Give ONNX Runtime fixed buffers, so that a step allocates nothing."""
-        self._observation = np.zeros((batch, self.contract.observation_size), np.float32)
-        self._action = np.zeros((batch, self.contract.action_size), np.float32)
-        self._binding = self._session.io_binding()
-        for bind, name, array in (
-            (self._binding.bind_input, INPUT, self._observation),
-            (self._binding.bind_output, OUTPUT, self._action),
-        ):
+    def resize(self, robots: int) -> None:
+        """Be the policy of so many robots, each at its beginning; steps then allocate nothing."""
+        contract = self.contract
+        self._observation = np.zeros((robots, contract.observation_size), np.float32)
+        self._action = np.zeros((robots, contract.action_size), np.float32)
+        self.memory, self._next = np.zeros((2, robots, contract.memory), np.float32)
+        self._binding = binding = self._session.io_binding()
+        ends = [(binding.bind_input, INPUT, self._observation), (binding.bind_output, OUTPUT, self._action)]
+        if contract.memory:
+            ends += [(binding.bind_input, MEMORY, self.memory), (binding.bind_output, NEXT, self._next)]
+        for bind, name, array in ends:
             bind(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
 
     def _prove(self, file: PolicyFile, batch: int) -> None:
         """Every golden pair once at this batch."""
         try:
-            action = self.replay(file.observation, batch)
+            if self.contract.memory:
+                action, expected = self.rehearse(file.observation, batch), file.action[:, None]
+            else:
+                action, expected = self.replay(file.observation, batch), file.action
         except Exception as e:  # ONNX Runtime's errors share no base
             raise ContractError(f"{self._source}: cannot be run at batch {batch}: {shortened(e)}") from e
-        worst = float(np.abs(action - file.action).max())
+        worst = float(np.abs(action - expected).max())
         if not worst <= AGREEMENT:
             raise ContractError(
                 f"{self._source}: golden pairs: found a deviation of {worst:.3g} at batch {batch}, "

@@ -19,6 +19,8 @@ from robots.strict import Strict, parse, read_json
 
 GOLDEN_KEY = "firstshift.golden"
 INPUT, OUTPUT = "observation", "action"
+MEMORY, NEXT = "memory", "next_memory"
+"""Of a policy that remembers: what it remembers, and what it will."""
 FILE_BYTES_MAX = 256 << 20
 GOLDEN_CHARACTERS_MAX = 16 << 20
 
@@ -28,6 +30,8 @@ Float32s = NDArray[np.float32]
 
 class Golden(Strict):
     """Pairs that the policy must reproduce before it may move anything.
+
+    One that remembers must do so one after the other, from its beginning.
 
     Attributes:
         observation: (G, N) float32 values. action: (G, A) float32 values, as torch computed them.
@@ -50,7 +54,7 @@ class PolicyFile:
     Attributes:
         data: the bytes that were checked, so that no other bytes are run.
         digest: SHA-256 of `data`.
-        observation: (G, N) golden observations. action: (G, A) what must come out.
+        observation: (G, N) golden observations. action: (G, A) what must come out, in turn if the policy remembers.
     """
 
     data: bytes
@@ -156,23 +160,33 @@ def _metadata(model: ModelProto, key: str, path: Path) -> str:
 def _check_ends(graph: GraphProto, contract: Contract, path: Path) -> None:
     weights = {tensor.name for tensor in graph.initializer}
     inputs = [value for value in graph.input if value.name not in weights]
-    _check_end("input", inputs, INPUT, contract.observation_size, path)
-    _check_end("output", list(graph.output), OUTPUT, contract.action_size, path)
+    before, after = {INPUT: contract.observation_size}, {OUTPUT: contract.action_size}
+    if contract.memory:
+        before[MEMORY] = after[NEXT] = contract.memory
+    _check_end("input", inputs, before, path)
+    _check_end("output", list(graph.output), after, path)
 
 
 def _check_end(
-    kind: Literal["input", "output"], found: list[ValueInfoProto], name: str, size: int, path: Path
+    kind: Literal["input", "output"], found: list[ValueInfoProto], sizes: dict[str, int], path: Path
 ) -> None:
-    expected = f"expected one, {name!r} float32 (batch, {size}) with a batch of any size"
-    if [value.name for value in found] != [name]:
+    """Whether an end of the graph has just the tensors (batch, size) that it should, in order."""
+    wanted = " and ".join(f"{name!r} float32 (batch, {size})" for name, size in sizes.items())
+    expected = f"expected {'one' if len(sizes) == 1 else 'two'}, {wanted} with a batch of any size"
+    if [value.name for value in found] != list(sizes):
         raise ContractError(f"{path}: {kind}: found {[value.name for value in found]!r:.200}, {expected}")
-    tensor = found[0].type.tensor_type
+    for value, (name, size) in zip(found, sizes.items(), strict=True):
+        _check_tensor(value, size, f"{path}: {kind} {name!r}", expected)
+
+
+def _check_tensor(value: ValueInfoProto, size: int, source: str, expected: str) -> None:
+    tensor = value.type.tensor_type
     dims = [dim.dim_value if dim.HasField("dim_value") else dim.dim_param or "?" for dim in tensor.shape.dim]
     fits = len(dims) == 2 and isinstance(dims[0], str) and dims[1] == size
     if tensor.elem_type != TensorProto.FLOAT or not fits:
         kinds = dict(zip(TensorProto.DataType.values(), TensorProto.DataType.keys(), strict=True))
         kind_found = kinds.get(tensor.elem_type, f"kind {tensor.elem_type}")
-        raise ContractError(f"{path}: {kind} {name!r}: found {kind_found} {dims!r:.100}, {expected}")
+        raise ContractError(f"{source}: found {kind_found} {dims!r:.100}, {expected}")
 
 
 def _golden(model: ModelProto, contract: Contract, path: Path) -> tuple[Float32s, Float32s]:

@@ -14,7 +14,7 @@ from deploy.observation import Observation, Sources
 from deploy.policy import Policy
 from deploy.safety import Safety
 from deploy.smoother import Smoother
-from deploy.stage import Arrays, Stage
+from deploy.stage import Arrays, Stage, inside
 from deploy.state import Bools, Command, Floats, Ints, Reason, Setpoint, State, Target, Verdict
 from deploy.supervisor import Supervisor
 from deploy.tasks.reach import Reach
@@ -75,12 +75,15 @@ class Runtime(Stage):
         rest = np.zeros((robots, spec.n))
         self._ahead, self._tau_ahead = Setpoint(q=rest, qd=rest, qdd=rest), rest
         self._tool, self._goal = np.zeros((2, robots, 3))
+        if policy is not None:
+            policy.resize(robots)
 
     def save(self) -> Arrays:
         """Copies of what every stage carries, of the stop that is prepared, and of the number of ticks."""
         ahead = {"q": self._ahead.q, "qd": self._ahead.qd, "qdd": self._ahead.qdd, "tau": self._tau_ahead}
         stop: Arrays = {f"ahead.{name}": array.copy() for name, array in ahead.items()}
-        return super().save() | stop | {"ticks": np.array(self.ticks)}
+        known = {} if self.policy is None else {f"policy.{n}": a for n, a in self.policy.save().items()}
+        return super().save() | stop | known | {"ticks": np.array(self.ticks)}
 
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         """Put saved arrays back, bit for bit."""
@@ -89,6 +92,8 @@ class Runtime(Stage):
             np.array(arrays[f"ahead.{name}"], dtype=float) for name in ("q", "qd", "qdd", "tau")
         )
         self._ahead, self._tau_ahead = Setpoint(q=q, qd=qd, qdd=qdd), tau
+        if self.policy is not None:
+            self.policy.restore(inside(arrays, "policy"))
         self.ticks = int(arrays["ticks"])
 
     def _sources(self) -> Sources:
@@ -221,7 +226,13 @@ class Runtime(Stage):
         self.smoother.hold(granted, self.state.q)
         self._ahead = _where(~granted, self._ahead, here)
         self.action.reset(granted, self.state.q)
+        self._forget(granted)
         return reason
+
+    def _forget(self, ids: Bools) -> None:
+        """What the policy of robots where `ids` holds remembers of another life."""
+        if self.policy is not None:
+            self.policy.reset(ids)
 
     def stop(self, reason: Reason) -> None:
         """Ask every robot for a controlled stop; arming takes it back."""
@@ -232,6 +243,7 @@ class Runtime(Stage):
         self.smoother.hold(ids, self.smoother.q)
         self.estimator.reset(ids, self.smoother.sent)
         self.observation.reset(ids)
+        self._forget(ids)
         self.supervisor.disarm(ids)
         self.task.reset(ids)
         self.asked[ids] = 0

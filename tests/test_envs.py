@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from test_runtime import Thinking
 from test_spec import SPEC
 
 pytest.importorskip("torch")
@@ -23,7 +24,7 @@ def env_of(robots, seed=1):
     return RuntimeEnv(RECIPE.model_copy(update={"environment": small, "seed": seed}), SPEC, threads=1)
 
 
-class Learner:
+class Learner(Thinking):
     """What a learner would do, as a policy: a fixed function of the observation."""
 
     def __init__(self, size):

@@ -4,6 +4,7 @@ from test_contract import arm_contract
 from test_spec import SPEC
 
 from deploy.runtime import Runtime
+from deploy.stage import Stage
 from deploy.state import Mode, Reason
 from deploy.tasks import reach
 from deploy.tasks.reach import ReachConfig, goal_pool
@@ -22,7 +23,17 @@ def one_pool(monkeypatch):
     monkeypatch.setattr(reach, "goal_pool", lambda spec, config: POOL)
 
 
-class Wandering:
+class Thinking(Stage):
+    """What may stand in for a policy: it remembers nothing."""
+
+    def resize(self, robots):
+        pass
+
+    def reset(self, ids):
+        pass
+
+
+class Wandering(Thinking):
     """A policy without a purpose: a fixed random function of the observation."""
 
     def __init__(self, contract, seed=0, gain=2.0):
@@ -36,7 +47,7 @@ class Wandering:
         return np.stack([np.tanh((row[:, None] * self.weights).sum(axis=0)) for row in observation])
 
 
-class Saying:
+class Saying(Thinking):
     """A policy that says what it is told to."""
 
     def __init__(self, robots):
