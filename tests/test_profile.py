@@ -91,7 +91,7 @@ def asked(monkeypatch, *options):
 def test_options_go_before_the_profile_and_without_one_nothing_changes(arm_policy, monkeypatch):
     policy = ("--policy", arm_policy)
     plain = asked(monkeypatch, *policy)
-    assert (plain["hours"], plain["robots"], plain["budget"], plain["faults"]) == (8.0, 16, BUDGET, None)
+    assert (plain["hours"], plain["robots"], plain["budget"], plain["faults"]) == (8.0, 32, BUDGET, None)
     shift = asked(monkeypatch, *policy, "--profile", "shift")
     assert (shift["hours"], shift["robots"], shift["budget"]) == (8.0, 32, BUDGET)
     short = asked(
