@@ -11,7 +11,7 @@ from test_report import HOURS, ROBOTS, SPEC, TICKS, Page, build, load_budget, re
 
 from eval.counts import MONITORS, monitor_of
 from eval.report.data import Report
-from eval.report.html import EVENTS_SHOWN, cells, duration, figure, plots, render
+from eval.report.html import EVENTS_SHOWN, cells, duration, figure, margin, of_limit, plots, render
 from eval.report.schema import SCHEMA, schema
 
 HARD = sum(monitor.hard for monitor in MONITORS)
@@ -305,3 +305,18 @@ def test_the_schema_explains_every_record():
     assert found["properties"].keys() == Report.model_fields.keys()
     assert all(each.get("description") for each in (found, *found["$defs"].values()))
     assert not re.search(r"fir\w*shift/|/tmp|/home", schema())
+
+
+@pytest.mark.parametrize(
+    ("load", "said", "left"),
+    [
+        (0.254, "25 %", "75 %"),
+        (1.43, "143 %", "−43 %"),
+        (9.99, "999 %", "−899 %"),
+        (12818.72, "12,819 ×", "−12,818 ×"),
+        (10.4, "10 ×", "−9 ×"),
+        (None, "∞", "−∞"),
+    ],
+)
+def test_loads_are_told_so_that_they_can_be_read(load, said, left):
+    assert (of_limit(load), margin(load)) == (said, left)

@@ -25,6 +25,8 @@ from eval.report.timeline import timeline
 from eval.report.trend_rows import Trend
 
 EVENTS_SHOWN = 500
+MANY = 10.0
+"""Times its limit from which a load is told in times, not per cent."""
 TEMPLATES = Path(__file__).parent
 
 
@@ -72,7 +74,9 @@ def _template(name: str) -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {each.__name__: each for each in (percent, margin, figure, fixed, duration, ends)}
+    environment.filters |= {
+        each.__name__: each for each in (percent, of_limit, margin, figure, fixed, duration, ends)
+    }
     return environment.get_template(name)
 
 
@@ -135,8 +139,15 @@ def _by_cell(report: Report) -> Iterator[tuple[str, str, str | None, list[EventR
 
 
 def margin(load: float | None) -> str:
-    """What a load leaves of the limit, as per cent of it."""
-    return "−∞" if load is None else f"{100 * (1 - load):.0f} %".replace("-", "−")
+    """What a load leaves of the limit, as per cent of it, or as times it."""
+    if load is None or load >= MANY:
+        return f"−{of_limit(None if load is None else load - 1)}"
+    return f"{100 * (1 - load):.0f} %".replace("-", "−")
+
+
+def of_limit(load: float | None, digits: int = 0) -> str:
+    """A load as per cent of the limit, and as times it where it is many times as large."""
+    return percent(load, digits) if load is None or load < MANY else f"{load:,.0f} ×"
 
 
 def percent(share: float | None, digits: int = 0) -> str:

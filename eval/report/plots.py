@@ -106,7 +106,7 @@ def goals_plot(bins: Sequence[GoalBin], wanted: float) -> str:
         at = np.array([(b.start_h + b.end_h) / 2 for b in used])
         share = np.array([b.reached / b.attempted for b in used])
         low, high = np.array([b.low for b in used]), np.array([b.high for b in used])
-        _limit(axes, 100 * wanted, SOFT, f"budget {100 * wanted:g} %", below=True)
+        _limit(axes, 100 * wanted, SOFT, f"budget {100 * wanted:g} %", below=wanted > 0.1)
         spread = 100 * np.maximum([share - low, high - share], 0.0)
         axes.errorbar(at, 100 * share, spread, fmt="o", color=COOL, markersize=4.5, elinewidth=1.4)
         axes.set_ylim(max(-1.0, 100 * low.min(initial=wanted) - 2), 100.5)
