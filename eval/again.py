@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.stage import Arrays
 from deploy.state import Floats
 from eval import bundle
 from eval.bundle import About, Happened
@@ -69,11 +70,22 @@ class Replay:
         self.row = about.event.robot - about.job.first
         _check(folder / bundle.ABOUT, about, self.spec)
         self.shard = _shard(folder, about, self.spec, _draw(folder, about, self.spec, distributions))
-        state = bundle.read_arrays(folder / bundle.STATE, self.shard.snapshot())
+        state = self._arrays(folder / bundle.STATE, self.shard.snapshot())
         _equal(folder / bundle.STATE, "runtime.ticks", int(state["runtime.ticks"]), about.begin)
         self.shard.restore(state)
         room = columns(np.zeros(about.end - about.begin, dtype=window_type(self.spec.n)))
-        self.recorded = from_columns(bundle.read_arrays(folder / bundle.WINDOW, room), self.spec.n)
+        self.recorded = from_columns(self._arrays(folder / bundle.WINDOW, room), self.spec.n)
+
+    def _arrays(self, path: Path, room: Arrays) -> Arrays:
+        """What is in a file of the bundle, as large as `room`; other code may have kept other arrays."""
+        try:
+            return bundle.read_arrays(path, room)
+        except ConfigError as e:
+            if "code_digest" not in self.differs:
+                raise
+            here, there = self.differs["code_digest"]
+            told = f"code_digest: found {here:.12} here, {there:.12} in the bundle: replay it with the code that made it"
+            raise ConfigError(f"{e}; {told}") from e
 
     @property
     def goal_m(self) -> float:

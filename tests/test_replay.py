@@ -247,6 +247,16 @@ def test_a_state_that_does_not_fit_is_refused_by_name(one, run, change, complain
     assert re.fullmatch(rf"error: .*/one/state\.npz: {complaint}.*\n", said)
 
 
+def test_a_state_that_other_code_kept_is_said_to_be_that(one, run):
+    changed(one, "state.npz", lambda arrays: arrays.pop("runtime.asked"))
+    resealed(one, identity={"code_digest": "ab" * 32})
+    code, _, said = run(one)
+    assert code == 2
+    assert re.search(
+        r"runtime\.asked: missing; code_digest: found \w{12} here, abababababab in the bundle: replay", said
+    )
+
+
 def test_another_policy_is_refused_by_name(one, run):
     model = policy_model()
     model.doc_string = "another one"
