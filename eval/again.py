@@ -84,8 +84,8 @@ class Replay:
             if "code_digest" not in self.differs:
                 raise
             here, there = self.differs["code_digest"]
-            told = f"code_digest: found {here:.12} here, {there:.12} in the bundle: replay it with the code that made it"
-            raise ConfigError(f"{e}; {told}") from e
+            other = f"code_digest: found {here:.12} here, {there:.12} in the bundle"
+            raise ConfigError(f"{e}; {other}: replay it with the code that made it") from e
 
     @property
     def goal_m(self) -> float:
