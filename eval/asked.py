@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.policy import Policy
-from eval.identity import code_digest, versions
+from eval.identity import code_digest, processor, versions
 from eval.limits import load_limits
 from eval.profile import Faults
 from eval.resume import SUFFIX, Checkpoint
@@ -77,6 +77,7 @@ class Soak:
             "policy_digest": self.policy.digest,
             "code_digest": code_digest(),
             **versions(),
+            "processor": processor(),
             "seed": self.seed,
             "robots": self.robots,
             "ticks": self.ticks,

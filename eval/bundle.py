@@ -6,7 +6,6 @@ of before it is read, and nothing in it is executed but the policy's graph, by t
 
 import hashlib
 import io
-import platform
 import secrets
 import shutil
 import zipfile
@@ -22,7 +21,7 @@ from pydantic import AfterValidator, Field
 
 from deploy.stage import Arrays
 from eval.counts import NAMES, Event
-from eval.identity import code_digest, versions
+from eval.identity import code_digest, processor, versions
 from eval.profile import Faults
 from robots.errors import ConfigError, OutputError
 from robots.strict import Strict, parse, read_json
@@ -124,16 +123,6 @@ def identity(robot_digest: str, draws_digest: str, policy_digest: str) -> dict[s
     """What the bits of a shard depend on here and now, beside its job."""
     own = {"robot_digest": robot_digest, "draws_digest": draws_digest, "policy_digest": policy_digest}
     return {**own, "code_digest": code_digest(), **versions(), "processor": processor()}
-
-
-def processor() -> str:
-    """Its name: libraries choose their instructions by it, and round differently with others."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.processor() or platform.machine())
 
 
 def state_digest(arrays: Mapping[str, NDArray[np.generic]]) -> str:

@@ -220,6 +220,11 @@ class Counts:
         k, n, many = NAMES.index(monitor), len(self.joints), len(JOINT_MONITORS)
         return slice(k * n, (k + 1) * n) if k < many else slice(many * n + k - many, many * n + k - many + 1)
 
+    def winding_c(self) -> Floats:
+        """(R, n) °C, the highest true temperature of each winding on any tick that was judged; NaN for none."""
+        heat, judged = self.columns("heat_hard"), self.ticks > self.invalid
+        return np.where(judged[:, None], self.worst[:, heat] * self.limits[heat], np.nan)
+
     def hard_events(self) -> Ints:
         """(R,) events of hard monitors, all of them and all joints together."""
         hard = [self.events[:, self.columns(m.name)].sum(axis=1) for m in MONITORS if m.hard]

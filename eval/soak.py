@@ -12,17 +12,18 @@ from deploy.cli import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
 from deploy.output import replacing
 from deploy.policy import Policy
 from eval.asked import Soak
-from eval.budget import BUDGET, load_budget
+from eval.budget import BUDGET, Budget, load_budget
 from eval.bundle import bundles, clear_bundles
 from eval.collect import collect, settings
 from eval.disk import check_room
 from eval.history import claim_history, keep, read_history, same_task
 from eval.night import Night, Run
-from eval.profile import Profile, load_profile
+from eval.profile import Faults, Profile, load_profile
 from eval.report.build import build
 from eval.report.trend import TONIGHT, trend
-from eval.report.write import claim, write
+from eval.report.write import alone, claim, write
 from eval.resume import clear
+from eval.schedule import FIRST_S
 from eval.series import SERIES, series
 from eval.trends import TRENDS, trends
 from eval.witness import EVENTS
@@ -70,9 +71,15 @@ def soak_test(
     A soak that was cut short, by whatever, goes on where it was when the same command is given again.
     """
     soak = _asked(policy, robot, profile, hours, robots, seed, workers, budget)
-    limits, console = load_budget(soak.budget), Console()
+    limits = load_budget(soak.budget)
     claim(out, (SERIES, TRENDS))
-    earlier = None if history is None else _earlier(history, soak)
+    with alone(out):
+        return _soaked(soak, limits, out, history)
+
+
+def _soaked(soak: Soak, limits: Budget, out: Path, history: Path | None) -> int:
+    """Live through what was asked for, or what is left of it, and report; the exit code."""
+    console, earlier = Console(), None if history is None else _earlier(history, soak)
     began, clock = datetime.now().astimezone(), time.monotonic()
     taken_up = _take_up(soak, out, console)
     shards = run_soak(soak, out / KEPT, console, out / EVENTS)
@@ -113,7 +120,7 @@ def _asked(
     """What the options ask for, which go before what their profile says."""
     usual, its_budget = load_profile(profile) if profile else (USUAL, BUDGET)
     hours, robots = (usual.hours if hours is None else hours), (usual.robots if robots is None else robots)
-    _check_options(hours, robots, seed, workers)
+    _check_options(hours, robots, seed, workers, usual.faults)
     spec = load_robot(robot)
     return Soak(
         spec=spec,
@@ -156,12 +163,14 @@ def _store_draws(soak: Soak, path: Path) -> None:
         file.write_text(text, encoding="utf-8")
 
 
-def _check_options(hours: float, robots: int, seed: int, workers: int) -> None:
+def _check_options(hours: float, robots: int, seed: int, workers: int, faults: Faults | None) -> None:
+    cycle = (FIRST_S + faults.cycle_s) / 3600 if faults else 0.0
     bounds = (
         ("--hours", hours, 0 < hours <= 10_000, "above 0 and at most 10000"),
         ("--robots", robots, 1 <= robots <= 100_000, "from 1 to 100000"),
         ("--seed", seed, seed >= 0, "at least 0"),
         ("--workers", workers, 1 <= workers <= 1024, "from 1 to 1024"),
+        ("--hours", hours, hours >= cycle, f"at least {cycle:.3g}: time for one fault"),
     )
     for name, value, fine, expected in bounds:
         if not fine:

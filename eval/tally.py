@@ -24,7 +24,7 @@ class Tally(Strict):
         dt: s, the control period.
         ticks, invalid, running, stops, due, reached: as in `eval.counts.Counts`.
         hard: events by hard monitor.
-        hottest_c: °C, the highest true winding temperature of any joint; None where none is known.
+        hottest_c: °C, the highest true winding temperature of any joint on any tick; None where none was judged.
     """
 
     dt: PositiveFloat
@@ -38,16 +38,16 @@ class Tally(Strict):
     hottest_c: tuple[float | None, ...]
 
     @classmethod
-    def of(cls, counts: Counts, winding_c: Floats) -> Self:
-        """Of what the judge found, and (T, R, n) °C."""
-        hottest = np.fmax.reduce(np.fmax.reduce(winding_c, axis=2), axis=0).round(2).tolist()
+    def of(cls, counts: Counts) -> Self:
+        """Of what the judge found."""
+        hottest = counts.winding_c().max(axis=1).round(2)
         hard = {
             monitor.name: tuple(counts.events[:, counts.columns(monitor.name)].sum(axis=1).tolist())
             for monitor in MONITORS
             if monitor.hard
         }
         columns = {name: tuple(getattr(counts, name).tolist()) for name in _COLUMNS}
-        known = tuple(c if np.isfinite(c) else None for c in hottest)
+        known = tuple(c if np.isfinite(c) else None for c in hottest.tolist())
         return cls(dt=counts.dt, hard=hard, hottest_c=known, **columns)
 
     @property

@@ -83,7 +83,7 @@ def soaked(seed, hard=0.0, missed=0.02, stops=0.0):
 
 
 def compare(a, b):
-    return compared.compare(*(Tally.of(counts, np.full((1, counts.robots, 6), 25.0)) for counts in (a, b)))
+    return compared.compare(*(Tally.of(counts) for counts in (a, b)))
 
 
 def test_differences_are_those_of_what_the_reports_say():

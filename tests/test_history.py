@@ -32,7 +32,7 @@ def test_of_a_report_only_the_night_is_kept(tmp_path):
     assert type(found) is Night
     assert found.model_dump() == whole.model_dump(include={*Night.model_fields})
     assert (sum(found.tally.hard["jerk"]), found.tally.bad_draws) == (1, 1)
-    assert found.tally.hottest_c == (60.0,) * 5 + (75.0,) + (60.0,) * 10
+    assert found.tally.hottest_c == (65.0,) * 5 + (80.0,) + (65.0,) * 10
 
 
 def test_a_report_and_its_folder_are_nights_too(tmp_path):

@@ -110,6 +110,10 @@ def test_options_go_before_the_profile_and_without_one_nothing_changes(arm_polic
         ),
         (("--profile", "no.toml"), "no.toml: cannot be read: No such file"),
         (("--profile", "smoke", "--robots", "0"), "--robots: found 0, expected from 1"),
+        (
+            ("--profile", "faults", "--hours", "0.007"),
+            "--hours: found 0.007, expected at least 0.0075: time for one fault",
+        ),
     ],
 )
 def test_a_profile_that_is_not_there_is_said(arm_policy, monkeypatch, capsys, options, message):

@@ -19,6 +19,7 @@ from eval.asked import Soak
 from eval.budget import BUDGET
 from eval.collect import collect
 from eval.night import Run
+from eval.report.write import LOCK, alone, claim
 from eval.shard import COUNTED, WIDTH, Shard, ShardJob
 from eval.workers import run_soak
 from robots.errors import ConfigError
@@ -270,3 +271,20 @@ def test_bad_input_says_what_was_expected(arm_policy, tmp_path, monkeypatch, cap
     assert caught.value.code == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.glob("out/*"))
+
+
+def test_a_folder_into_which_another_soak_writes_is_refused(arm_policy, tmp_path):
+    out = tmp_path / "out"
+    claim(out)
+    options = ("--policy", arm_policy, "--hours", 0.001, "--robots", 1, "--workers", 1, "--out", out)
+    with alone(out):
+        done = subprocess.run(soak_test(*options), capture_output=True, text=True, check=False)
+        assert done.returncode == 2
+        assert (
+            done.stderr
+            == f"error: --out {out}: another soak is writing there, expected a folder of its own\n"
+        )
+        assert {path.name for path in out.iterdir()} == {LOCK}
+    assert not any(out.iterdir())
+    with alone(out):
+        pass

@@ -12,7 +12,7 @@ from eval.evidence import (
     rate_upper,
     share_upper,
 )
-from eval.report.numbers import Floats, Number, number
+from eval.report.numbers import Floats, Number, figure, number
 from eval.report.rows import Evidence, Further
 
 MTBF_WANTED_H = (100.0, 1000.0)
@@ -64,11 +64,11 @@ def interval(ends: tuple[Floats, Floats]) -> tuple[Number, Number]:
 def statement(counts: Counts, found: Evidence) -> str:
     """The sentence that the run supports, and no other."""
     alike, differ, many = found.hard_rate_upper, found.draw_rate_upper, found.hard_events
-    bound = f"rate ≤ {alike:.2g} per hour" if alike is not None else "no bound on the rate"
+    bound = f"rate ≤ {figure(alike, 2)} per hour" if alike is not None else "no bound on the rate"
     if differ is not None:
-        bound += f" (≤ {differ:.2g} where draws differ)"
+        bound += f" (≤ {figure(differ, 2)} where draws differ)"
     return (
-        f"{many:,} hard event{'s' if many != 1 else ''} in {counts.running_hours:,.1f} hours under way over"
+        f"{many:,} hard event{'s' if many != 1 else ''} in {figure(counts.running_hours)} hours under way over"
         f" {counts.robots} draws: {bound}, P(bad draw) ≤ {found.bad_draw_upper:.2g} (each with"
         f" {100 * CONFIDENCE:.0f} %), availability {100 * counts.availability:.2f} %, goals reached"
         f" {100 * counts.goal_success:.2f} %."

@@ -56,7 +56,7 @@ def build(result: SoakResult, budget: Budget) -> Report:
         statement=statement(counts, found),
         settings=result.settings,
         run=result.run,
-        tally=Tally.of(counts, result.winding_c),
+        tally=Tally.of(counts),
         budget=lines,
         exposure=_exposure(counts),
         evidence=found,
@@ -161,7 +161,7 @@ def _heat(result: SoakResult, at: Ints) -> tuple[Heat, ...]:
     """Between samples `at` and their next the hottest is kept, not the last."""
     hottest = np.fmax.reduceat(np.fmax.reduce(result.winding_c, axis=1), at, axis=0)
     usual, counts = median(result.winding_c[at]), result.counts
-    peak = np.nan_to_num(np.fmax.reduce(result.winding_c, axis=0), nan=-np.inf)
+    peak = np.nan_to_num(counts.winding_c(), nan=-np.inf)
     above_h = counts.bad_ticks[:, counts.columns("heat_soft")] * counts.dt / 3600
     folded = np.ma.masked_invalid(result.folded_back).mean(axis=0).filled(0.0)
     return tuple(

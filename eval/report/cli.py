@@ -14,7 +14,8 @@ from eval.compare import compare as differences
 from eval.history import read_history, read_night
 from eval.night import Night
 from eval.pooling import same_draws
-from eval.report.html import figure, percent, render_nights
+from eval.report.html import percent, render_nights
+from eval.report.numbers import figure
 from eval.report.trend import trend as follow
 from eval.report.trend_rows import Trend
 from robots.errors import ConfigError

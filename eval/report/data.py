@@ -82,7 +82,7 @@ class Exposure(Strict):
 class Heat(Strict):
     """True winding temperature of a joint at `Report.sample_h`, °C: median robot, and hottest each time.
 
-    `peak_c` is the highest of all samples, of `hottest_robot`. `above_soft_h` is h above `soft_c`, all robots together
+    `peak_c` is the highest on any tick, of `hottest_robot`. `above_soft_h` is h above `soft_c`, all robots together
     and every tick looked at, and `longest_h` the most of one robot, `longest_robot`. `folded_back` is the share of its
     current that the motor could not draw for its heat, mean of all samples and robots, and `folded_most` the highest
     mean of one robot, `folded_robot`.

@@ -5,12 +5,11 @@ from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from eval.report.data import Report
-from eval.report.numbers import Number
+from eval.report.numbers import Number, figure
 from eval.report.plots import (
     NIGHTS_SHOWN,
     goals_plot,
@@ -153,15 +152,6 @@ def of_limit(load: float | None, digits: int = 0) -> str:
 def percent(share: float | None, digits: int = 0) -> str:
     """A share as per cent, and `∞` for a number that is none."""
     return "∞" if share is None else f"{100 * share:.{digits}f} %"
-
-
-def figure(value: float | None, digits: int = 3) -> str:
-    """A number to some digits, thousands apart, and `–` for one that is none."""
-    if value is None:
-        return "–"
-    if abs(value) >= 10**digits or value == int(value):
-        return f"{value:,.0f}"
-    return np.format_float_positional(float(f"{value:.{digits}g}"), trim="-")
 
 
 def ends(interval: tuple[Number, Number]) -> str:

@@ -29,3 +29,12 @@ def series(values: Floats, digits: int) -> tuple[Number, ...]:
 def median(values: Floats) -> Floats:
     """(T, ...) of what is known of the robots of (T, N, ...), NaN for nothing."""
     return np.asarray(np.ma.median(np.ma.masked_invalid(values), axis=1).filled(np.nan))
+
+
+def figure(value: float | None, digits: int = 3) -> str:
+    """A number to some digits, thousands apart, and `–` for one that is none."""
+    if value is None:
+        return "–"
+    if abs(value) >= 10**digits or value == int(value):
+        return f"{value:,.0f}"
+    return np.format_float_positional(float(f"{value:.{digits}g}"), trim="-")

@@ -8,7 +8,7 @@ from eval.dispersion import dispersion_p, draw_rate_interval, draw_rate_upper
 from eval.evidence import CONFIDENCE, rate_upper, share_upper
 from eval.night import Night
 from eval.pooling import pool
-from eval.report.numbers import number
+from eval.report.numbers import figure, number
 from eval.report.trend_rows import Group, NightRow, Span, Trend
 from eval.tally import Ratio, Tally, stop_ticks
 
@@ -126,11 +126,11 @@ def _changed(before: Identity, identity: Identity) -> tuple[str, ...]:
 def _statement(group: Group, tally: Tally) -> str:
     """The sentence that the nights of a group support together."""
     many, alike, differ = group.hard_events, group.rate_upper, group.draw_rate_upper
-    bound = "no bound on the rate" if alike is None else f"rate ≤ {alike:.2g} per hour"
+    bound = "no bound on the rate" if alike is None else f"rate ≤ {figure(alike, 2)} per hour"
     if differ is not None:
-        bound += f" (≤ {differ:.2g} where draws differ)"
+        bound += f" (≤ {figure(differ, 2)} where draws differ)"
     return (
-        f"{many:,} hard event{'s' if many != 1 else ''} in {group.running_hours:,.1f} hours under way over"
+        f"{many:,} hard event{'s' if many != 1 else ''} in {figure(group.running_hours)} hours under way over"
         f" {group.draws:,} draws of {group.nights} night{'s' if group.nights != 1 else ''}: {bound}, P(bad draw) ≤"
         f" {group.bad_draw_upper:.2g} (each with {100 * CONFIDENCE:.0f} %), availability {_of_all(tally.under_way)},"
         f" goals reached {_of_all(tally.goals)}."

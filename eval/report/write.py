@@ -1,7 +1,8 @@
 """The files of a report and what lies beside it, all of them or none."""
 
-from collections.abc import Collection, Mapping
-from contextlib import ExitStack
+import fcntl
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from deploy.output import replacing
@@ -15,6 +16,7 @@ FILES = {
     "report.html": render,
     "junit.xml": junit,
 }
+LOCK = ".lock"
 
 
 def claim(out: Path, beside: Collection[str] = ()) -> None:
@@ -36,6 +38,27 @@ def claim(out: Path, beside: Collection[str] = ()) -> None:
         if (out / name).parent.is_file():
             place = (out / name).parent.name
             raise OutputError(f"--out {out}: {place} is a file, expected a folder or nothing of that name")
+
+
+@contextmanager
+def alone(out: Path) -> Iterator[None]:
+    """Hold the folder `out`: two soaks that keep their shards in one would destroy each other's.
+
+    Raises:
+        OutputError: another process holds it.
+    """
+    place = out / LOCK
+    with place.open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as e:
+            raise OutputError(
+                f"--out {out}: another soak is writing there, expected a folder of its own"
+            ) from e
+        try:
+            yield
+        finally:
+            place.unlink(missing_ok=True)
 
 
 def write(report: Report, out: Path, beside: Mapping[str, bytes] | None = None) -> None:
