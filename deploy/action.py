@@ -9,7 +9,7 @@ from deploy.state import Bools, Floats, Target
 
 
 class Action(Stage):
-    """Position increments: each action moves the target, on a leash around the trajectory."""
+    """Joint targets: where an action says, or moved by it, on a leash around the trajectory."""
 
     carried = ("q", "last", "finite")
 
@@ -17,7 +17,8 @@ class Action(Stage):
         """Allocate for B robots."""
         self._scale = np.tile(spec.scale, (robots, 1))
         self._low, self._high = spec.clip
-        self._leash = spec.leash_rad
+        self._from = None if spec.offset is None else np.tile(spec.offset, (robots, 1))
+        self._leash = spec.leash_rad or np.inf
         self.q = np.zeros((robots, spec.size))
         self.last = np.zeros((robots, spec.size))
         self.finite = np.ones(robots, dtype=bool)
@@ -40,7 +41,7 @@ class Action(Stage):
         np.isfinite(action).all(axis=1, out=self.finite)
         use = self.finite[:, None]
         np.copyto(self.last, np.minimum(np.maximum(action, self._low), self._high), where=use)
-        moved = self.q + self._scale * self.last
+        moved = (self.q if self._from is None else self._from) + self._scale * self.last
         leashed = np.minimum(np.maximum(moved, q_setpoint - self._leash), q_setpoint + self._leash)
         np.copyto(self.q, leashed, where=use)
         return self.target

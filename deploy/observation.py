@@ -5,17 +5,18 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.contract import Contract, Term
+from deploy.contract import Contract
 from deploy.flags import every
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Ints
+from deploy.terms import Term
 
 Sources = Mapping[str, Callable[[], Floats]]
 """For each source a contract may name: a reading (B, size), SI units."""
 
 
 class Observation(Stage):
-    """The policy's input (B, N) float32; each term's history oldest first, filled by its first frame."""
+    """The policy's input (B, N) float32; each term's history oldest first, filled as the contract says."""
 
     carried = ("frames", "started")
 
@@ -31,10 +32,13 @@ class Observation(Stage):
         self.frames = np.zeros((robots, contract.observation_size), dtype=np.float32)
         self.started = np.zeros(robots, dtype=bool)
         self._sources = [sources[term.source] for term in terms]
+        offset = np.concatenate([term.offset or np.zeros(term.size) for term in terms])
+        self._offset = np.tile(offset, (robots, 1)) if offset.any() else None
         self._scale = np.tile(np.concatenate([term.scale for term in terms]), (robots, 1))
         bounds = [term.clip or (-np.inf, np.inf) for term in terms for _ in range(term.size)]
         self._low, self._high = (np.tile(bound, (robots, 1)) for bound in zip(*bounds, strict=True))
         self._filled, self._pushed = _columns(terms)
+        self._zeros = np.repeat([t.fill == "zeros" for t in terms], [t.size * t.history for t in terms])
 
     def reset(self, ids: Bools) -> None:
         """Forget the history of robots where `ids` (B,) holds."""
@@ -43,11 +47,13 @@ class Observation(Stage):
     def step(self) -> NDArray[np.float32]:
         """Assemble one observation for each robot."""
         newest = np.concatenate([source() for source in self._sources], axis=1)
+        if self._offset is not None:
+            newest -= self._offset
         newest /= self._scale
         newest = np.minimum(np.maximum(newest, self._low), self._high)
         if not every(self.started):
             first = ~self.started
-            self.frames[first] = newest[first].take(self._filled, axis=1)
+            self.frames[first] = np.where(self._zeros, 0.0, newest[first].take(self._filled, axis=1))
             self.started[:] = True
         both = np.concatenate((self.frames, newest), axis=1, dtype=np.float32)
         both.take(self._pushed, axis=1, out=self.frames)

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 import onnxruntime as ort
 
-from deploy.contract import check_contract
+from deploy.fit import check_contract
 from deploy.policy_file import INPUT, MEMORY, NEXT, OUTPUT, Float32s, PolicyFile, read_policy_file, shortened
 from deploy.stage import Stage
 from deploy.state import Bools

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from onnx import AttributeProto, GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, numpy_helper
 from pydantic import Field, model_validator
 
-from deploy.contract import CONTRACT_KEY, Contract, Number
+from deploy.contract import CONTRACT_KEY, Contract
+from deploy.terms import Number
 from robots.errors import ContractError
 from robots.strict import Strict, parse, read_json
 

@@ -101,6 +101,7 @@ class Runtime(Stage):
             "joint_position": lambda: self.state.q,
             "joint_velocity": lambda: self.state.qd,
             "tool_position": lambda: self._tool,
+            "goal_position": lambda: self._goal,
             "goal_from_tool": lambda: self._goal - self._tool,
             "goal_torque": lambda: self.fleet.tool_pull(self._goal - self._tool),
             "target_offset": lambda: self.action.q - self.state.q,

@@ -10,8 +10,9 @@ import torch
 from pydantic import ConfigDict, Field, StrictInt
 from torch import Tensor
 
-from deploy.contract import Contract, Count
+from deploy.contract import Contract
 from deploy.output import replacing
+from deploy.terms import Count
 from policies.networks import Actor
 from robots.errors import ContractError
 from robots.strict import Strict, parse

@@ -15,7 +15,8 @@ from onnx import ModelProto
 from rich.console import Console
 
 from deploy.cli import PASSED, main
-from deploy.contract import CONTRACT_KEY, Contract, check_contract
+from deploy.contract import CONTRACT_KEY, Contract
+from deploy.fit import check_contract
 from deploy.output import replacing
 from deploy.policy import AGREEMENT, BATCHES, Policy
 from deploy.policy_file import GOLDEN_KEY, INPUT, OUTPUT, Golden

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from deploy.contract import FRAME_AND_UNIT, ActionSpec, Contract, Source, Term
+from deploy.contract import ActionSpec, Contract
+from deploy.terms import READINGS, Source, Term
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
 from robots.strict import Strict, read_toml
@@ -182,7 +183,7 @@ def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Con
 
 def _term(source: Source, scale: list[float]) -> Term:
     """A term without clip or history, divided by its physical maximum."""
-    frame, unit = FRAME_AND_UNIT[source]
+    frame, unit = READINGS[source][:2]
     return Term.model_validate(
         {
             "name": source,

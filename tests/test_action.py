@@ -64,6 +64,22 @@ def test_what_is_not_finite_changes_nothing_and_is_said(bad):
     assert action.step(np.zeros((2, 6)), np.full((2, 6), 0.2)).finite.all()
 
 
+def test_a_position_is_where_the_action_says_and_not_where_the_target_was():
+    offset = (0.1, -0.2, 0.3, 0.0, 1.0, -1.0)
+    spec = ActionSpec(mode="position", size=6, offset=offset, scale=SCALE, clip=(-2.0, 2.0))
+    action = Action(spec, 2)
+    action.reset(EVERY, np.full((2, 6), 5.0))
+    raw, far = np.array([[1.0, -1, 0.5, 0, 7, -7], [0.0] * 6]), np.full((2, 6), 9.0)
+    for _ in range(3):
+        target = action.step(raw, far)
+        expected = [[0.15, -0.25, 0.325, 0.0, 1.2, -1.4], offset]
+        np.testing.assert_allclose(target.q, expected, rtol=0, atol=1e-15)
+    action.step(np.full((2, 6), np.nan), far)
+    np.testing.assert_allclose(action.q, expected, rtol=0, atol=1e-15)
+    action.hold(EVERY, far)
+    np.testing.assert_array_equal(action.q, far)
+
+
 def test_single_precision_is_taken_as_it_is():
     raw = np.full((2, 6), 0.1, dtype=np.float32)
     target = started().step(raw, np.zeros((2, 6)))

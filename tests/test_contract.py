@@ -6,18 +6,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_spec import copy_of_arm
 
-from deploy.contract import FRAME_AND_UNIT, TEXT_MAX, ActionSpec, Contract, Observed, Term, check_contract
+from deploy.contract import TEXT_MAX, ActionSpec, Contract, Observed
+from deploy.fit import check_contract
+from deploy.terms import READINGS, Term
 from robots.errors import ContractError
 from robots.spec import load_robot
 
 SPEC = load_robot("arm6")
 POSITIVE = st.floats(min_value=0, exclude_min=True, allow_infinity=False)
-BOUNDS = st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 2).filter(lambda c: c[0] < c[1])
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+BOUNDS = st.tuples(FINITE, FINITE).filter(lambda c: c[0] < c[1])
 
 
 def term(source, size, **changes):
-    frame, unit = FRAME_AND_UNIT[source]
+    frame, unit = READINGS[source][:2]
     fields = {"name": source, "source": source, "frame": frame, "unit": unit, "size": size}
+    if source == "gait_phase":
+        fields["period_s"] = 0.8
     return Term(**{**fields, "scale": (1.5,) * size, **changes})
 
 
@@ -48,11 +53,12 @@ def arm_contract(**changes):
 
 @st.composite
 def terms(draw, name):
-    source = draw(st.sampled_from(sorted(FRAME_AND_UNIT)))
+    source = draw(st.sampled_from(sorted(READINGS)))
     size = draw(st.integers(1, 8))
     scale = draw(st.lists(POSITIVE, min_size=size, max_size=size).map(tuple))
     clip, history = draw(st.none() | BOUNDS), draw(st.integers(1, 5))
-    return term(source, size, name=name, scale=scale, clip=clip, history=history)
+    offset = draw(st.none() | st.lists(FINITE, min_size=size, max_size=size).map(tuple))
+    return term(source, size, name=name, scale=scale, offset=offset, clip=clip, history=history)
 
 
 @st.composite
@@ -152,7 +158,7 @@ BAD_FIELDS = {
     "unknown mode": (
         ["action", "mode"],
         "torque",
-        "action.mode: Input should be 'position_increment', found 'torque'",
+        "action.mode: Input should be 'position_increment' or 'position', found 'torque'",
     ),
     "unknown source": (["observation", 3, "source"], "base_velocity", "found 'base_velocity'"),
     "unit of another": (
@@ -247,6 +253,52 @@ def misfits():
             "action.size: found 5, expected 6, one for each joint",
         ],
     )
+
+
+def test_who_stands_fixed_has_nothing_of_a_base_that_floats():
+    sources = {name: reading for name, reading in READINGS.items() if reading.floating}
+    observation = tuple(term(name, reading.size) for name, reading in sources.items())
+    with pytest.raises(ContractError) as caught:
+        check_contract(arm_contract(observation=observation, task="velocity"), SPEC, "x.onnx")
+    assert str(caught.value).splitlines() == [
+        "x.onnx: task: found 'velocity', expected 'reach': arm6 stands fixed",
+        *[
+            f"x.onnx: observation.{name}.source: {name} needs a floating base; arm6 stands fixed"
+            for name in sources
+        ],
+    ]
+
+
+POSITION = {"mode": "position", "size": 6, "scale": (0.5,) * 6, "offset": (0.1,) * 6, "clip": (-9.0, 9.0)}
+
+
+def test_gains_that_nobody_obeys_are_refused():
+    action = ActionSpec(**POSITION, kp=(50.0,) * 6, kd=(1.0,) * 6)
+    with pytest.raises(ContractError, match=r"action\.kp: found gains, expected none: the drives of arm6"):
+        check_contract(arm_contract(action=action), SPEC, "x.onnx")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"offset": None}, "action offset: found none in mode 'position'"),
+        ({"leash_rad": 0.3}, "action leash_rad: found one in mode 'position'"),
+        ({"offset": (0.1,) * 5}, "action offset has 5 numbers, size is 6"),
+        ({"kp": (1.0,) * 6}, "action: found one of kp and kd, expected both or none"),
+        ({"kp": (1.0,) * 6, "kd": (1.0,) * 4}, "action kd has 4 numbers, size is 6"),
+        ({"mode": "position_increment", "leash_rad": 0.3}, "action offset: found one in mode"),
+    ],
+)
+def test_an_action_is_of_one_mode(changes, message):
+    with pytest.raises(ValueError, match=message):
+        ActionSpec(**{**POSITION, **changes})
+
+
+def test_only_a_gait_has_a_period():
+    with pytest.raises(ValueError, match=r"period_s: found 0\.8, expected it of gait_phase alone"):
+        term("joint_position", 6, period_s=0.8)
+    with pytest.raises(ValueError, match="period_s: found None, expected it of gait_phase alone"):
+        term("gait_phase", 2, period_s=None)
 
 
 @pytest.mark.parametrize(("changes", "lines"), list(misfits()))

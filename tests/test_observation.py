@@ -4,13 +4,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from test_contract import arm_contract
 
-from deploy.contract import Contract, Term
+from deploy.contract import Contract
 from deploy.observation import Observation
+from deploy.terms import Term
 
 SIZES = {"joint_position": 6, "goal_from_tool": 3}
 
 
-def term(source, history=1, clip=None, scale=None, name=None):
+def term(source, history=1, clip=None, scale=None, name=None, **fields):
     frame, unit = {"joint_position": ("joint", "rad"), "goal_from_tool": ("world", "m")}[source]
     size = SIZES[source]
     return Term(
@@ -22,6 +23,7 @@ def term(source, history=1, clip=None, scale=None, name=None):
         scale=scale or (1.0,) * size,
         clip=clip,
         history=history,
+        **fields,
     )
 
 
@@ -51,6 +53,28 @@ def test_terms_in_order_divided_by_their_scale():
     assert frames.dtype == np.float32
     expected = [[0.1, 0.2, 0.3, 1, 1, 0.75, 8, 5, 0.6], [7, 8, 9, 0, 0, 0, 0, 0, -0.1]]
     np.testing.assert_array_equal(frames, np.array(expected, dtype=np.float32))
+
+
+def test_an_offset_is_taken_away_before_scaling():
+    observation, readings = built(term("goal_from_tool", scale=(0.5, 1.0, 2.0), offset=(0.25, 0.0, -1.0)))
+    readings.now["goal_from_tool"][:] = [[1, 2, 3], [0.25, -1, 0]]
+    expected = np.array([[1.5, 2, 2], [0, -1, 0.5]], dtype=np.float32)
+    np.testing.assert_array_equal(observation.step(), expected)
+    assert readings.now["goal_from_tool"].tolist() == [[1, 2, 3], [0.25, -1, 0]]
+
+
+def test_history_may_begin_with_zeros():
+    observation, readings = built(
+        term("goal_from_tool", history=3, fill="zeros"), term("joint_position", history=2), robots=2
+    )
+    seen = []
+    for k in range(1, 5):
+        if k == 3:
+            observation.reset(np.array([False, True]))
+        readings.now["goal_from_tool"][:] = readings.now["joint_position"][:] = np.full((2, 1), k)
+        seen.append(observation.step()[:, [0, 3, 6, 9, 15]].tolist())
+    assert [both[0] for both in seen] == [[0, 0, 1, 1, 1], [0, 1, 2, 1, 2], [1, 2, 3, 2, 3], [2, 3, 4, 3, 4]]
+    assert [both[1] for both in seen] == [[0, 0, 1, 1, 1], [0, 1, 2, 1, 2], [0, 0, 3, 3, 3], [0, 3, 4, 3, 4]]
 
 
 def test_clip_comes_after_scaling():

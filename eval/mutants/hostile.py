@@ -8,11 +8,12 @@ import numpy as np
 
 from deploy.backends.sim.packets import Fault
 from deploy.backends.sim.robot import SimRobot
-from deploy.contract import FRAME_AND_UNIT, ActionSpec, Contract, Observed, Source, Term
+from deploy.contract import ActionSpec, Contract, Observed
 from deploy.runtime import Runtime
 from deploy.state import Floats
 from deploy.tasks import reach
 from deploy.tasks.reach import goal_pool
+from deploy.terms import READINGS, Source, Term
 from eval.counts import Counts
 from eval.monitors import Judge
 from eval.shard import ARM_S, judge_tick
@@ -137,7 +138,7 @@ def contract(spec: RobotSpec, situation: Situation) -> Contract:
 
 
 def _term(spec: RobotSpec, source: Source) -> Term:
-    frame, unit = FRAME_AND_UNIT[source]
+    frame, unit = READINGS[source][:2]
     return Term.model_validate(
         {"name": source, "source": source, "frame": frame, "unit": unit, "size": spec.n}
         | {"scale": (1.0,) * spec.n}

@@ -1,0 +1,67 @@
+"""Whether a policy's contract fits a robot."""
+
+from collections.abc import Iterator
+
+from deploy.contract import Contract
+from deploy.terms import READINGS, Term
+from robots.errors import ContractError
+from robots.spec import RobotSpec
+
+
+def check_contract(contract: Contract, spec: RobotSpec, source: str) -> None:
+    """Compare what a policy assumes with the robot it is to move.
+
+    Raises:
+        ContractError: one line for each field: found, expected.
+    """
+    if wrong := list(_mismatches(contract, spec)):
+        raise ContractError("\n".join(f"{source}: {line}" for line in wrong))
+
+
+def _mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
+    if contract.robot != spec.name:
+        yield f"robot: found {contract.robot!r}, expected {spec.name!r}"
+        return  # nothing else can be expected to agree
+    yield from _joints(contract.joint_names, spec)
+    if contract.robot_digest != spec.digest:
+        yield f"robot_digest: found {contract.robot_digest}, expected {spec.digest} of {spec.folder}"
+    if contract.control_hz != spec.rates.control_hz:
+        yield f"control_hz: found {contract.control_hz} Hz, expected {spec.rates.control_hz} Hz"
+    if contract.task != "reach":
+        yield f"task: found {contract.task!r}, expected 'reach': {spec.name} stands fixed"
+    for term in contract.observation:
+        yield from _term(term, contract.action_size, spec)
+    if contract.action_size != spec.n:
+        yield f"action.size: found {contract.action_size}, expected {spec.n}, one for each joint"
+    if contract.action.kp is not None:
+        yield f"action.kp: found gains, expected none: the drives of {spec.name} have their own"
+
+
+def _joints(found: tuple[str, ...], spec: RobotSpec) -> Iterator[str]:
+    if found == spec.joint_names:
+        return
+    permuted = sorted(found) == sorted(spec.joint_names)
+    what = "the right joints in another order: " if permuted else ""
+    yield f"joint_names: {what}found {_listed(found)}, expected {_listed(spec.joint_names)}"
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return (
+        f"[{', '.join(names)}]"
+        if len(names) < 100 and all(map(str.isprintable, names))
+        else repr(names)[:400]
+    )
+
+
+def _term(term: Term, actions: int, spec: RobotSpec) -> Iterator[str]:
+    reading, field = READINGS[term.source], f"observation.{term.name}"
+    expected = actions if term.source == "last_action" else reading.size or spec.n
+    if term.size != expected:
+        yield f"{field}.size: found {term.size}, expected {expected} for {term.source}"
+    if reading.floating:
+        yield f"{field}.source: {term.source} needs a floating base; {spec.name} stands fixed"
+    elif reading.sensor not in spec.sensors:
+        yield (
+            f"{field}.source: {term.source} needs a sensor of kind {reading.sensor}; {spec.name} has"
+            f" {', '.join(spec.sensors)}"
+        )
