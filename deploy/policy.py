@@ -7,7 +7,8 @@ import numpy as np
 import onnxruntime as ort
 
 from deploy.fit import check_contract
-from deploy.policy_file import INPUT, MEMORY, NEXT, OUTPUT, Float32s, PolicyFile, read_policy_file, shortened
+from deploy.graph import shortened
+from deploy.policy_file import INPUT, MEMORY, NEXT, OUTPUT, Float32s, PolicyFile, read_policy_file
 from deploy.stage import Stage
 from deploy.state import Bools
 from robots.errors import ContractError
@@ -32,7 +33,7 @@ class Policy(Stage):
 
     def __init__(self, file: PolicyFile, source: str) -> None:
         self.contract, self.digest, self._source = file.contract, file.digest, source
-        self._session = _session(file.data, source)
+        self._session = session(file.data, source)
         self.resize(1)
 
     @classmethod
@@ -116,7 +117,12 @@ class Policy(Stage):
             )
 
 
-def _session(data: bytes, source: str) -> ort.InferenceSession:
+def session(data: bytes, source: str) -> ort.InferenceSession:
+    """ONNX Runtime with one model, on one thread; `source` names it in messages.
+
+    Raises:
+        ContractError: it refuses the model.
+    """
     options = ort.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # what goes wrong is raised, not logged

@@ -1,19 +1,17 @@
-"""What is inside a policy's ONNX file, checked before ONNX Runtime is asked to run it."""
+"""What is inside a policy's ONNX file: its contract, its ends, what it must reproduce."""
 
 import hashlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-import onnx
-from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
 from numpy.typing import NDArray
-from onnx import AttributeProto, GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, numpy_helper
+from onnx import GraphProto, ModelProto, TensorProto, ValueInfoProto
 from pydantic import Field, model_validator
 
 from deploy.contract import CONTRACT_KEY, Contract
+from deploy.graph import read_model
 from deploy.terms import Number
 from robots.errors import ContractError
 from robots.strict import Strict, parse, read_json
@@ -72,7 +70,7 @@ def read_policy_file(path: Path) -> PolicyFile:
         ContractError: naming the file, the part of it, what was found and what was expected.
     """
     data = _read(path)
-    model = _model(data, path)
+    model = read_model(data, str(path))
     contract = Contract.from_json(_metadata(model, CONTRACT_KEY, path), f"{path}: {CONTRACT_KEY}")
     _check_ends(model.graph, contract, path)
     observation, action = _golden(model, contract, path)
@@ -87,65 +85,6 @@ def _read(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as e:
         raise ContractError(f"{path}: cannot be read: {e.strerror}, expected an ONNX policy") from e
-
-
-def _model(data: bytes, path: Path) -> ModelProto:
-    try:
-        model = onnx.load_model_from_string(data)
-    except DecodeError as e:
-        raise ContractError(f"{path}: not an ONNX file: its {len(data)} bytes cannot be decoded") from e
-    for complaint in _foreign(model):  # before the checker, which would follow external data
-        raise ContractError(f"{path}: {complaint}")
-    try:
-        onnx.checker.check_model(data)
-    except (onnx.checker.ValidationError, UnicodeDecodeError) as e:
-        raise ContractError(f"{path}: not a valid ONNX model: {shortened(e)}") from e
-    for tensor in _tensors(model.graph):
-        _check_finite(tensor, path)
-    return model
-
-
-def shortened(error: Exception) -> str:
-    """What a library says about a file, on one line, and nothing in it that would upset a terminal."""
-    return "".join(c if c.isprintable() else "?" for c in " ".join(str(error).split()))[:300]
-
-
-def _foreign(model: ModelProto) -> Iterator[str]:
-    """What a policy may not hold: other files, own operators, steps of unknown cost."""
-    for tensor in _tensors(model.graph):
-        if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
-            yield f"tensor {tensor.name!r}: found external data, expected all weights in the one file"
-    for domain in [opset.domain for opset in model.opset_import] + [node.domain for node in model.graph.node]:
-        if domain not in ("", "ai.onnx"):
-            yield f"operator domain: found {domain!r}, expected only ai.onnx"
-    if model.functions or model.graph.sparse_initializer:
-        yield "found functions or sparse weights, expected plain nodes and dense weights"
-    for node, attribute in _attributes(model.graph):
-        if attribute.type in (AttributeProto.GRAPH, AttributeProto.GRAPHS):
-            yield f"node {node.name!r}: found {node.op_type} with a graph of its own, expected none"
-
-
-def _attributes(graph: GraphProto) -> Iterator[tuple[NodeProto, AttributeProto]]:
-    return ((node, attribute) for node in graph.node for attribute in node.attribute)
-
-
-def _tensors(graph: GraphProto) -> Iterator[TensorProto]:
-    yield from graph.initializer
-    for _, attribute in _attributes(graph):
-        yield from ([attribute.t] if attribute.HasField("t") else [])
-        yield from attribute.tensors
-
-
-def _check_finite(tensor: TensorProto, path: Path) -> None:
-    try:
-        values = numpy_helper.to_array(tensor)
-    except (ValueError, TypeError, KeyError) as e:
-        raise ContractError(f"{path}: tensor {tensor.name!r}: cannot be read: {shortened(e)}") from e
-    if not np.issubdtype(values.dtype, np.floating):
-        return
-    if bad := int(values.size - np.isfinite(values).sum()):
-        what = f"found {bad} of {values.size} weights NaN or infinite, expected all finite"
-        raise ContractError(f"{path}: tensor {tensor.name!r}: {what}")
 
 
 def _metadata(model: ModelProto, key: str, path: Path) -> str:
