@@ -1,9 +1,6 @@
 """policy-export: one ONNX file that carries its contract, written only if it computes what torch computes."""
 
 import hashlib
-import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +8,6 @@ from typing import Annotated
 import numpy as np
 import torch
 import typer
-from onnx import ModelProto
 from rich.console import Console
 
 from deploy.cli import PASSED, main
@@ -21,14 +17,13 @@ from deploy.output import replacing
 from deploy.policy import AGREEMENT, BATCHES, Policy
 from deploy.policy_file import GOLDEN_KEY, INPUT, OUTPUT, Golden
 from policies.checkpoint import Checkpoint, load_checkpoint
-from policies.networks import Actor
+from policies.traced import to_onnx
 from robots.errors import ContractError
 from robots.spec import RobotSpec, load_robot
 from robots.strict import parse
 
 POLICIES = Path(__file__).parent
 GOLDEN_PAIRS = 16
-OPSET = 18
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,8 +75,9 @@ def export(checkpoint_path: Path, out_path: Path, robot: str | Path | None = Non
 
 def _onnx(checkpoint: Checkpoint) -> bytes:
     """The same checkpoint gives the same bytes, on any machine with the same library versions."""
-    model = _traced(checkpoint.actor)
-    _strip(model)
+    example = torch.zeros(2, len(checkpoint.actor.mean))  # batch 1 would be taken for a constant
+    batch = {"observation": {0: torch.export.Dim("batch")}}
+    model = to_onnx(checkpoint.actor, (example,), [INPUT], [OUTPUT], batch)
     metadata = {CONTRACT_KEY: _contract(checkpoint).to_json(), GOLDEN_KEY: _golden(checkpoint)}
     for key, value in metadata.items():
         model.metadata_props.add(key=key, value=value)
@@ -94,46 +90,6 @@ def _contract(checkpoint: Checkpoint) -> Contract:
     observed = {"mean": tuple(actor.mean.tolist()), "deviation": tuple(actor.divisor.tolist())}
     data = checkpoint.contract.model_dump() | {"observed": observed}
     return parse(data, Contract, source="contract", error=ContractError)
-
-
-def _traced(actor: Actor) -> ModelProto:
-    example = torch.zeros(2, len(actor.mean))  # batch 1 would be taken for a constant
-    with _quiet():
-        program = torch.onnx.export(
-            actor,
-            (example,),
-            input_names=[INPUT],
-            output_names=[OUTPUT],
-            opset_version=OPSET,
-            dynamic_shapes={"observation": {0: torch.export.Dim("batch")}},
-            external_data=False,
-            verbose=False,
-        )
-    if program is None:
-        raise ContractError("torch.onnx.export gave no program")
-    return program.model_proto
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """The exporter warns of every library that it could use and that is not there."""
-    logger = logging.getLogger("torch.onnx")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
-
-
-def _strip(model: ModelProto) -> None:
-    """Remove torch's notes: they hold stack traces with the paths of this machine."""
-    graph = model.graph
-    del model.metadata_props[:], graph.value_info[:]
-    for part in (model, graph, *graph.node, *graph.initializer, *graph.input, *graph.output):
-        part.ClearField("doc_string")
-    for part in (graph, *graph.node, *graph.initializer, *graph.input, *graph.output):
-        part.ClearField("metadata_props")
 
 
 def _golden(checkpoint: Checkpoint) -> str:

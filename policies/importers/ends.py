@@ -33,7 +33,7 @@ def with_our_ends(original: Original, columns: Sequence[int], joints: Sequence[i
     scanned = bool(original.memory) or not original.batched
     action = (_scanned if scanned else _joined)(build, inner.graph, original, observation)
     build.same(build.gather(action, joints, axis=1), OUTPUT)
-    before, after = {INPUT: original.observations}, {OUTPUT: original.actions}
+    before, after = {INPUT: original.facts.observations}, {OUTPUT: original.facts.actions}
     if size := original.memory_size:
         before[MEMORY] = after[NEXT] = size
     graph = helper.make_graph(
@@ -98,18 +98,18 @@ def _joined(build: _Graph, inner: GraphProto, original: Original, observation: s
 def _scanned(build: _Graph, inner: GraphProto, original: Original, observation: str) -> str:
     """One robot after the other."""
     body, size = _Graph(), original.memory_size
-    body.shaped("seen", [1, original.observations], INSIDE + original.observation)
+    body.shaped("seen", [1, original.facts.observations], INSIDE + original.observation)
     ends = np.cumsum([0, *(memory.size for memory in original.memory)])
     for (start, stop), memory in zip(pairwise(ends.tolist()), original.memory, strict=True):
         part = body.add("Gather", ["known", body.integers(range(start, stop))], f"known_{start}", axis=0)
         body.shaped(part, memory.shape, INSIDE + memory.before)
     body.nodes.extend(inner.node)
     body.weights.extend(inner.initializer)
-    body.shaped(INSIDE + original.action, [original.actions], "done")
+    body.shaped(INSIDE + original.action, [original.facts.actions], "done")
     flat = [body.shaped(INSIDE + m.after, [m.size], f"flat_{k}") for k, m in enumerate(original.memory)]
     inputs, outputs = (
-        [_info("seen", original.observations, batch=False)],
-        [_info("done", original.actions, batch=False)],
+        [_info("seen", original.facts.observations, batch=False)],
+        [_info("done", original.facts.actions, batch=False)],
     )
     from_outside, to_outside = [observation], [f"{OUTPUT}_theirs"]
     if size:

@@ -11,7 +11,7 @@ from deploy.graph import shortened
 from deploy.policy import AGREEMENT, session
 from deploy.policy_file import Float32s
 from deploy.terms import SIZE_MAX
-from policies.importers.original import Memory, Original
+from policies.importers.original import Facts, Memory, Original
 from robots.errors import ContractError
 
 OBSERVATIONS = ("obs", "observation", "observations", "actor_obs", "policy")
@@ -44,18 +44,25 @@ def read_onnx(model: ModelProto, source: str) -> Original:
         Memory(before=name, after=MEMORIES[name], shape=_shape(inputs[name], source)) for name in remembered
     )
     original = Original(
-        kind="ONNX" + (" that remembers" if memory else ""),
+        facts=Facts(
+            kind="ONNX" + (" that remembers" if memory else ""),
+            observations=_size(inputs[observation], source),
+            actions=_size(outputs[action], source),
+        ),
         model=model,
         observation=observation,
         action=action,
-        observations=_size(inputs[observation], source),
-        actions=_size(outputs[action], source),
         memory=memory,
         batched=False,
         play=_Player(model, observation, action, memory, source).play,
     )
-    wide = _widened(model, observation, action)
-    if memory or not _takes_many(wide, original, source):
+    return widened(original, source)
+
+
+def widened(original: Original, source: str) -> Original:
+    """For any batch, where its graph turns out to take one: what is asked of three robots at once is what each says."""
+    wide = _any_batch(original)
+    if original.memory or not _takes_many(wide, original, source):
         return original
     return replace(original, model=wide, batched=True)
 
@@ -146,19 +153,17 @@ class _Player:
         return np.array(actions, dtype=np.float32)
 
 
-def _widened(model: ModelProto, observation: str, action: str) -> ModelProto:
-    """With a batch of any size at both ends."""
+def _any_batch(original: Original) -> ModelProto:
     wide = ModelProto()
-    wide.CopyFrom(model)
+    wide.CopyFrom(original.model)
     for value in (*wide.graph.input, *wide.graph.output):
-        if value.name in (observation, action):
+        if value.name in (original.observation, original.action):
             value.type.tensor_type.shape.dim[0].dim_param = "batch"
     return wide
 
 
 def _takes_many(wide: ModelProto, original: Original, source: str) -> bool:
-    """Whether a graph says to three robots at once what it says to each alone."""
-    observations = np.random.default_rng(0).normal(size=(3, original.observations)).astype(np.float32)
+    observations = np.random.default_rng(0).normal(size=(3, original.facts.observations)).astype(np.float32)
     alone = original.play(observations, np.ones(3, dtype=bool))
     try:
         together = session(wide.SerializeToString(), source).run(

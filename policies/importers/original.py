@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from onnx import ModelProto
 
 from deploy.policy_file import Float32s
+from robots.errors import ContractError
 
 Play = Callable[[Float32s, NDArray[np.bool_]], Float32s]
 """Observations (T, N) one after the other, and before which of them (T,) all is forgotten: actions (T, A)."""
@@ -33,33 +34,56 @@ class Memory:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Facts:
+    """What a file says without being asked.
+
+    Attributes:
+        kind: what it was recognized as, in words.
+        observations, actions: N and A, numbers in an observation and in an action.
+        known: fields of its contract, as `draft.Draft` names them.
+    """
+
+    kind: str
+    observations: int
+    actions: int
+    known: Mapping[str, object] = field(default_factory=dict)
+
+
+class Unanswered(ContractError):
+    """Something that decides what a policy computes is not in its file.
+
+    Attributes:
+        facts: what is; in `known`, what is not is "?".
+    """
+
+    def __init__(self, message: str, facts: Facts) -> None:
+        super().__init__(message)
+        self.facts = facts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Original:
     """A foreign policy.
 
     Attributes:
-        kind: what it was recognized as, in words.
+        facts: what its file says.
         model: its graph, float32.
         observation, action: names of the input (batch, N) and the output (batch, A).
-        observations, actions: N and A.
         memory: what it remembers; nothing: ().
         batched: whether the graph takes any batch; else just one robot.
         play: the original itself, one robot.
         mean, deviation: (N,) of the observations in training, where the file knows them.
-        known: what the file says of its contract, by fields of `draft.Draft`.
     """
 
-    kind: str
+    facts: Facts
     model: ModelProto
     observation: str
     action: str
-    observations: int
-    actions: int
     memory: tuple[Memory, ...] = ()
     batched: bool
     play: Play
     mean: tuple[float, ...] | None = None
     deviation: tuple[float, ...] | None = None
-    known: Mapping[str, object] = field(default_factory=dict)
 
     @property
     def memory_size(self) -> int:
