@@ -1,7 +1,7 @@
 """From a torch module to its ONNX graph."""
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import torch
@@ -18,7 +18,7 @@ def to_onnx(
     examples: tuple[Tensor, ...],
     inputs: Sequence[str],
     outputs: Sequence[str],
-    shapes: Mapping[str, object] | None = None,
+    shapes: dict[str, object] | None = None,
 ) -> ModelProto:
     """The same module gives the same graph, on any machine with the same library versions.
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import onnx
@@ -71,7 +72,8 @@ class _Graph:
         self.weights.append(numpy_helper.from_array(np.array(values, dtype=np.int64), name))
         return name
 
-    def add(self, kind: str, inputs: Sequence[str], output: str, **attributes: int) -> str:
+    def add(self, kind: str, inputs: Sequence[str], output: str, axis: int | None = None) -> str:
+        attributes: dict[str, Any] = {} if axis is None else {"axis": axis}
         self.nodes.append(helper.make_node(kind, inputs, [output], **attributes))
         return output
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from onnx import ModelProto, TensorProto, ValueInfoProto
+from onnx import ModelProto, NodeProto, TensorProto, ValueInfoProto
 
 from deploy.graph import shortened
 from deploy.policy import AGREEMENT, session
@@ -81,7 +81,8 @@ def _one(found: Mapping[str, ValueInfoProto], known: Iterable[str], source: str)
 
 def _only(model: ModelProto, outputs: list[str]) -> ModelProto:
     """The part of a model that some of its outputs depend on."""
-    wanted, nodes = set(outputs), []
+    wanted: set[str] = set(outputs)
+    nodes: list[NodeProto] = []
     for node in reversed(model.graph.node):  # a valid graph is sorted
         if wanted.intersection(node.output):
             nodes.insert(0, node)

@@ -49,7 +49,7 @@ class Facts:
     known: Mapping[str, object] = field(default_factory=dict)
 
 
-class Unanswered(ContractError):
+class UnansweredError(ContractError):
     """Something that decides what a policy computes is not in its file.
 
     Attributes:
