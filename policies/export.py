@@ -76,7 +76,7 @@ def export(checkpoint_path: Path, out_path: Path, robot: str | Path | None = Non
 def _onnx(checkpoint: Checkpoint) -> bytes:
     """The same checkpoint gives the same bytes, on any machine with the same library versions."""
     example = torch.zeros(2, len(checkpoint.actor.mean))  # batch 1 would be taken for a constant
-    batch = {"observation": {0: torch.export.Dim("batch")}}
+    batch: dict[str, object] = {"observation": {0: torch.export.Dim("batch")}}
     model = to_onnx(checkpoint.actor, (example,), [INPUT], [OUTPUT], batch)
     metadata = {CONTRACT_KEY: _contract(checkpoint).to_json(), GOLDEN_KEY: _golden(checkpoint)}
     for key, value in metadata.items():
