@@ -16,7 +16,7 @@ class Action(Stage):
     def __init__(self, spec: ActionSpec, robots: int) -> None:
         """Allocate for B robots."""
         self._scale = np.tile(spec.scale, (robots, 1))
-        self._low, self._high = spec.clip
+        self._low, self._high = spec.bounds
         self._from = None if spec.offset is None else np.tile(spec.offset, (robots, 1))
         self._leash = spec.leash_rad or np.inf
         self.q = np.zeros((robots, spec.size))

@@ -3,6 +3,7 @@
 The side that consumes it owns it: `policies` writes it, `deploy` moves nothing without it.
 """
 
+import math
 from collections import Counter
 from typing import Annotated, Literal, Self
 
@@ -29,7 +30,7 @@ class ActionSpec(Strict):
         size: numbers in an action, one for each joint.
         offset: (size,) rad, of "position" alone.
         scale: (size,) rad per unit of action.
-        clip: bounds of the raw action.
+        clip: bounds of the raw action; None: none.
         leash_rad: rad, how far an increment may bring the target ahead of the smoother's setpoint.
         kp, kd: (size,) N·m/rad and N·m·s/rad, the drives' gains in training; None: those of the robot's own drives.
     """
@@ -38,7 +39,7 @@ class ActionSpec(Strict):
     size: Count
     offset: Numbers | None = None
     scale: Scales
-    clip: Clip
+    clip: Clip | None
     leash_rad: Positive | None = None
     kp: Scales | None = None
     kd: Scales | None = None
@@ -56,6 +57,11 @@ class ActionSpec(Strict):
         if (self.kp is None) != (self.kd is None):
             raise ValueError("action: found one of kp and kd, expected both or none")
         return self
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Of the raw action: `clip`, or all numbers."""
+        return self.clip or (-math.inf, math.inf)
 
 
 class Observed(Strict):

@@ -133,7 +133,7 @@ class RuntimeEnv(VecEnv):
 
     def _excess(self, action: np.ndarray) -> np.ndarray:
         """Beyond the contract's clip; what is no number has its price already: it stops the robot."""
-        excess = action - np.clip(action, *self.runtime.contract.action.clip)
+        excess = action - np.clip(action, *self.runtime.contract.action.bounds)
         return np.where(np.isfinite(action), excess, 0.0)
 
     def _distance(self, goal: np.ndarray) -> np.ndarray:

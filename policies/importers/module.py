@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +23,7 @@ OBSERVATION, ACTION = "obs", "actions"
 
 
 def read_module(
-    module: nn.Module, observations: int, source: str, *, kind: str, known: Mapping[str, object] | None = None
+    module: nn.Module, observations: int, source: str, *, kind: str, known: Mapping[str, Any] | None = None
 ) -> Original:
     """The original that a module is, asked with (1, N) observations for (1, A) actions.
 

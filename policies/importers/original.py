@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ class Facts:
     kind: str
     observations: int
     actions: int
-    known: Mapping[str, object] = field(default_factory=dict)
+    known: Mapping[str, Any] = field(default_factory=dict)
 
 
 class UnansweredError(ContractError):
@@ -89,3 +90,8 @@ class Original:
     def memory_size(self) -> int:
         """M, numbers that it remembers."""
         return sum(memory.size for memory in self.memory)
+
+    def scattered(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Float32s:
+        """(*shape, N) observations, as far apart as those in training where the file knows them, else by 1."""
+        noise = rng.normal(size=(*shape, self.facts.observations)) * (self.deviation or 1.0)
+        return (noise + (self.mean or 0.0)).astype(np.float32)

@@ -41,8 +41,7 @@ def trials(
         ("observation", (SINGLES, 1), 1.0),
         ("sequence", (SEQUENCES, STEPS), FORGOTTEN),
     ):
-        noise = rng.normal(size=(*shape, original.facts.observations)) * (original.deviation or 1.0)
-        theirs: Float32s = (noise + (original.mean or 0.0)).astype(np.float32)
+        theirs = original.scattered(rng, shape)
         forget = rng.random(shape) < chance
         forget[:, 0] = True
         flat = original.play(theirs.reshape(-1, original.facts.observations), forget.ravel())

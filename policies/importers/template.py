@@ -1,0 +1,84 @@
+"""The first draft of a contract: all that the policy's file says, and a question mark for all that it does not."""
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import tomlkit
+from tomlkit.items import Table
+
+from deploy.terms import READINGS
+from policies.importers.draft import OPEN, open_fields
+from policies.importers.original import Facts
+
+Part = TypeVar("Part", tomlkit.TOMLDocument, Table)
+
+HEAD = """What the numbers of {name} mean: {kind}, {observations} observations, {actions} actions.
+Every "{open}" is to be filled in, from the code that trained it. "none" stands for nothing, said on purpose.
+Sources of an observation, each with its frame and unit:
+{sources}"""
+FIELDS = {
+    "robot": "name of the robot",
+    "task": '"reach" or "velocity"',
+    "policy_hz": "Hz, how often it is asked",
+    "joint_names": "the robot's joints in the policy's own order",
+}
+HISTORY = {
+    "layout": '"by_term" or "by_time": whether readings of each term stand together, or those of each time',
+    "frames": '"oldest_first" or "newest_first"',
+    "fill": '"first" or "zeros": what stands there before the first reading',
+}
+TERM = {
+    "name": "a name of its own; one such table for each term, in the policy's order",
+    "source": "what is measured: one of the sources above",
+    "offset": "taken away from the reading; one number, one for each, or none",
+    "multiply": "then multiplied; one number, or one for each",
+    "clip": "[low, high] or none",
+    "clip_first": "true: clipped before multiplied",
+    "history": "readings kept, 1 for none but the newest",
+}
+ACTION = {
+    "mode": '"position" (target = offset + multiply * action) or "position_increment"',
+    "offset": "rad, the pose of an action of 0; none for increments",
+    "multiply": "rad per unit of action",
+    "clip": "[low, high] of the raw action, or none",
+    "kp": "N·m/rad, gains of the drives in training; none: the robot's own",
+    "kd": "N·m·s/rad",
+}
+
+
+def written(facts: Facts, name: str) -> tuple[str, int]:
+    """The text of the TOML, and how many of its values are still open."""
+    known = facts.known
+    document = tomlkit.document()
+    sources = "\n".join(f"  {name}: {frame}, {unit}" for name, (frame, unit, *_) in READINGS.items())
+    head = HEAD.format(
+        name=name,
+        kind=facts.kind,
+        observations=facts.observations,
+        actions=facts.actions,
+        open=OPEN,
+        sources=sources,
+    )
+    for line in head.splitlines():
+        document.add(tomlkit.comment(line))
+    terms = known.get("observation") or [{}]
+    asked = FIELDS | (HISTORY if any(term.get("history", 1) != 1 for term in terms) else {})
+    _fill(document, {key: known[key] for key in asked if key in known}, asked)
+    observation = tomlkit.aot()
+    for term in terms:
+        observation.append(_fill(tomlkit.table(), term, TERM))
+    document.add("observation", observation)
+    document.add("action", _fill(tomlkit.table(), known.get("action") or {}, ACTION))
+    if network := known.get("network"):
+        document.add("network", _fill(tomlkit.table(), network, {}))
+    text = tomlkit.dumps(document)
+    return text, len(list(open_fields(document.unwrap())))
+
+
+def _fill(table: Part, known: Mapping[str, Any], asked: Mapping[str, str]) -> Part:
+    """What is asked and what else is known, each with its meaning behind it."""
+    for key in [*asked, *(key for key in known if key not in asked)]:
+        table.add(key, known.get(key, OPEN))
+        if key in asked:
+            table[key].comment(asked[key])
+    return table
