@@ -16,12 +16,21 @@ def read_model(data: bytes, source: str) -> ModelProto:
     Raises:
         ContractError: it is no ONNX, or holds what a policy may not.
     """
-    try:
-        model = onnx.load_model_from_string(data)
-    except DecodeError as e:
-        raise ContractError(f"{source}: not an ONNX file: its {len(data)} bytes cannot be decoded") from e
+    model = decode(data, source)
     check_model(model, source)
     return model
+
+
+def decode(data: bytes, source: str) -> ModelProto:
+    """A model of which nothing is known yet.
+
+    Raises:
+        ContractError: it is no ONNX.
+    """
+    try:
+        return onnx.load_model_from_string(data)
+    except DecodeError as e:
+        raise ContractError(f"{source}: not an ONNX file: its {len(data)} bytes cannot be decoded") from e
 
 
 def check_model(model: ModelProto, source: str) -> None:
@@ -37,7 +46,7 @@ def check_model(model: ModelProto, source: str) -> None:
     except (onnx.checker.ValidationError, UnicodeDecodeError, ValueError) as e:
         raise ContractError(f"{source}: not a valid ONNX model: {shortened(e)}") from e
     for graph in graphs(model):
-        for tensor in _tensors(graph):
+        for tensor in tensors(graph):
             _check_finite(tensor, source)
 
 
@@ -66,7 +75,7 @@ def _foreign(model: ModelProto) -> Iterator[str]:
 def _parts(graph: GraphProto, *, inner: bool) -> Iterator[str]:
     if graph.sparse_initializer:
         yield "found sparse weights, expected dense weights"
-    for tensor in _tensors(graph):
+    for tensor in tensors(graph):
         if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
             yield f"tensor {tensor.name!r}: found external data, expected all weights in the one file"
     for node in graph.node:
@@ -81,7 +90,8 @@ def _domain(domain: str) -> Iterator[str]:
         yield f"operator domain: found {domain!r}, expected only ai.onnx"
 
 
-def _tensors(graph: GraphProto) -> Iterator[TensorProto]:
+def tensors(graph: GraphProto) -> Iterator[TensorProto]:
+    """All weights of a graph, those inside its nodes too."""
     yield from graph.initializer
     for node in graph.node:
         for attribute in node.attribute:

@@ -2,14 +2,17 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import onnx
 from numpy.typing import NDArray
 from onnx import ModelProto, NodeProto, TensorProto, ValueInfoProto
+from onnx.external_data_helper import load_external_data_for_tensor
 
-from deploy.graph import shortened
+from deploy.graph import check_model, decode, graphs, shortened, tensors
 from deploy.policy import AGREEMENT, session
-from deploy.policy_file import Float32s
+from deploy.policy_file import FILE_BYTES_MAX, Float32s
 from deploy.terms import SIZE_MAX
 from policies.importers.original import Facts, Memory, Original
 from robots.errors import ContractError
@@ -18,6 +21,38 @@ OBSERVATIONS = ("obs", "observation", "observations", "actor_obs", "policy")
 ACTIONS = ("actions", "action", "output", "continuous_actions", "mean")
 MEMORIES = {"h_in": "h_out", "c_in": "c_out", "state_ins": "state_outs"}
 """Names in the field: exporters of rsl_rl, Isaac Lab, mjlab, holosoma, brax, Stable-Baselines3 and Godot."""
+
+
+def load_onnx(path: Path) -> ModelProto:
+    """Read a graph, and the weights that its exporter put into a file beside it.
+
+    Raises:
+        ContractError: it is no ONNX, its weights are somewhere else, or it holds what a policy may not.
+    """
+    model = decode(path.read_bytes(), str(path))
+    for graph in graphs(model):
+        for tensor in tensors(graph):
+            _bring(tensor, path)
+    check_model(model, str(path))
+    return model
+
+
+def _bring(tensor: TensorProto, path: Path) -> None:
+    """External data into the tensor itself."""
+    if tensor.data_location != TensorProto.EXTERNAL:
+        return
+    where = {entry.key: entry.value for entry in tensor.external_data}.get("location", "")
+    beside = path.parent / where
+    if where != Path(where).name or beside.is_symlink() or not beside.is_file():
+        raise ContractError(
+            f"{path}: tensor {tensor.name!r}: found its weights in {where!r:.100}, expected a file beside {path.name}"
+        )
+    if (size := beside.stat().st_size) > FILE_BYTES_MAX:
+        raise ContractError(f"{beside}: {size} bytes, at most {FILE_BYTES_MAX}")
+    try:
+        load_external_data_for_tensor(tensor, str(path.parent))
+    except (ValueError, OSError, onnx.checker.ValidationError) as e:
+        raise ContractError(f"{path}: tensor {tensor.name!r}: {shortened(e)}") from e
 
 
 def read_onnx(model: ModelProto, source: str) -> Original:
