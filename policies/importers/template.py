@@ -78,7 +78,8 @@ def written(facts: Facts, name: str) -> tuple[str, int]:
 def _fill(table: Part, known: Mapping[str, Any], asked: Mapping[str, str]) -> Part:
     """What is asked and what else is known, each with its meaning behind it."""
     for key in [*asked, *(key for key in known if key not in asked)]:
-        table.add(key, known.get(key, OPEN))
+        item = tomlkit.item(known.get(key, OPEN))
         if key in asked:
-            table[key].comment(asked[key])
+            item.comment(asked[key])
+        table.add(key, item)
     return table
