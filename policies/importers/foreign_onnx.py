@@ -14,6 +14,7 @@ from deploy.graph import check_model, decode, graphs, shortened, tensors
 from deploy.policy import AGREEMENT, session
 from deploy.policy_file import FILE_BYTES_MAX, Float32s
 from deploy.terms import SIZE_MAX
+from policies.importers.metadata import known_from
 from policies.importers.original import Facts, Memory, Original
 from robots.errors import ContractError
 
@@ -83,6 +84,7 @@ def read_onnx(model: ModelProto, source: str) -> Original:
             kind="ONNX" + (" that remembers" if memory else ""),
             observations=_size(inputs[observation], source),
             actions=_size(outputs[action], source),
+            known=known_from({entry.key: entry.value for entry in model.metadata_props}, source),
         ),
         model=model,
         observation=observation,
