@@ -112,7 +112,7 @@ def _graph(owner: _Owner, example: Tensor, names: list[str], memory: tuple[Memor
     arguments = (example, *(owner.begin[name].clone() for name in names))
     try:
         functional: Callable[..., tuple[Tensor, ...]] = torch.func.functionalize(step)
-        graph = make_fx(functional)(*arguments)
+        graph = make_fx(functional)(*arguments).eval()
     finally:
         owner.restart()
     inputs, outputs = [piece.before for piece in memory], [piece.after for piece in memory]
@@ -122,10 +122,14 @@ def _graph(owner: _Owner, example: Tensor, names: list[str], memory: tuple[Memor
 @contextmanager
 def _running(source: str) -> Iterator[None]:
     """Without gradients, and without kernels of one processor that no graph can hold."""
+    # Not its context manager `flags`, which warns of a GPU that is not there.
+    enabled, *_ = torch.backends.mkldnn.set_flags(_enabled=False, _fp32_precision=None)
     try:
-        with torch.no_grad(), torch.backends.mkldnn.flags(enabled=False):
+        with torch.no_grad():
             yield
     except ContractError:
         raise
     except Exception as e:  # whatever a foreign module does
         raise ContractError(f"{source}: cannot be run or traced: {shortened(e)}") from e
+    finally:
+        torch.backends.mkldnn.set_flags(_enabled=enabled, _fp32_precision=None)
