@@ -30,7 +30,9 @@ WORDS = {
 """Answers as IEC 60204-1 calls them."""
 
 SOON_S, BURSTS = 3.0, {3: Answer.WENT_ON, 10: Answer.HELD, 25: Answer.STOPPED}
-"""s that most faults last, longer than every timer that waits for one; missed packets in a row, and their answers."""
+"""s that most faults last, longer than the timers that wait for them; missed packets in a row, and their answers."""
+LONGER_S: dict[tuple[Kind, str], float] = {("current", Failure.STUCK): 5.0}
+"""s that faults of sensors last which deploy hears of later: it counts repeats of a current, and then holds it deaf."""
 POLICY, JOINT, ROBOT = "policy", "joint", "robot"
 BURST = "burst"
 
@@ -101,6 +103,7 @@ def _of_sensors(spec: RobotSpec) -> list[FaultClass]:
             where=kind,
             what=failure,
             channels=(None,) if failure in ON_THE_WAY else (None, *range(many)),
+            lasts_s=LONGER_S.get((kind, failure), SOON_S),
             answer=Answer.STOPPED if kind in NEEDED else Answer.HELD,
             meaning=meaning,
         )

@@ -107,6 +107,22 @@ def test_every_fault_of_a_sensor_reaches_its_own_channels_and_no_others():
         assert differs[robot].any(axis=0).tolist() == expected, fault.name
 
 
+TIMED = ("encoder off", "encoder stuck", "current off", "current stuck", "temperature off")
+"""Faults that deploy has a timer for, which ends in a stop."""
+
+
+def test_faults_last_longer_than_the_timers_of_deploy_that_wait_for_them():
+    faults, begins = [named(name) for name in TIMED], 70
+    schedule = one_each([(each, None) for each in faults], begins)
+    runtime = running(len(faults), faults=schedule.of_sensors())
+    at_work = np.ones(len(faults), dtype=bool)
+    for tick in range(runtime.ticks, max(each.ends for each in schedule.injections)):
+        runtime.tick()
+        goes_on = np.array([tick < each.ends for each in schedule.injections])
+        at_work &= (runtime.supervisor.mode == Mode.RUNNING) | ~goes_on
+    assert [each.name for each, unnoticed in zip(faults, at_work, strict=True) if unnoticed] == []
+
+
 def test_every_fault_of_a_policy_is_heard():
     faults = [each for each in CLASSES if each.where == POLICY]
     schedule = one_each([(each, each.channels[-1]) for each in faults] + [None], 10, lasts=10)
