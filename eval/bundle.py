@@ -6,12 +6,13 @@ of before it is read, and nothing in it is executed but the policy's graph, by t
 
 import hashlib
 import io
+import os
 import secrets
 import shutil
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -171,6 +172,23 @@ def clear_bundles(folder: Path, *, all_of_them: bool) -> None:
             shutil.rmtree(place)
     except OSError as e:
         raise OutputError(f"{place}: cannot be deleted: {e.strerror}") from e
+
+
+def move_bundles(source: Path, place: Path) -> None:
+    """Put the bundles in `source` in the place of those in `place`; what is empty then goes.
+
+    Raises:
+        OutputError: they cannot be moved.
+    """
+    clear_bundles(place, all_of_them=True)
+    try:
+        for about in source.glob(f"*/{ABOUT}"):
+            place.mkdir(exist_ok=True)
+            about.parent.rename(place / about.parent.name)
+    except OSError as e:
+        raise OutputError(f"{place}: cannot be written: {e.strerror}") from e
+    with suppress(OSError):
+        os.removedirs(source)
 
 
 def bundles(folder: Path) -> list[str]:

@@ -85,12 +85,12 @@ def room(soak: Soak) -> Room:
     )
 
 
-def check_room(soak: Soak, out: Path, kept: Path, events: Path, console: Console) -> None:
+def check_room(soak: Soak, out: Path, kept: Path, console: Console) -> None:
     """Say what the soak may write into the folder `out`, which is there.
 
     Args:
         soak: what was asked for. out: where.
-        kept, events: folders in it; what an earlier start left there is replaced, or counted already.
+        kept: a folder in it; what an earlier start left there is replaced, or counted already.
         console: told.
 
     Raises:
@@ -98,7 +98,7 @@ def check_room(soak: Soak, out: Path, kept: Path, events: Path, console: Console
     """
     needed = room(soak)
     console.print(needed.said(), soft_wrap=True, highlight=False)
-    there, free = sum(map(_size, (kept, events))), shutil.disk_usage(out).free
+    there, free = _size(kept), shutil.disk_usage(out).free
     if needed.total > free + there:
         raise OutputError(
             f"--out {out}: found {_mb(free)} free, expected {_mb(needed.total - there)}, which is the most that the"

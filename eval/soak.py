@@ -9,11 +9,10 @@ import typer
 from rich.console import Console
 
 from deploy.cli import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
-from deploy.output import replacing
 from deploy.policy import Policy
 from eval.asked import Soak
 from eval.budget import BUDGET, Budget, load_budget
-from eval.bundle import bundles, clear_bundles
+from eval.bundle import DRAWS, bundles, clear_bundles, move_bundles
 from eval.collect import collect, settings
 from eval.disk import check_room
 from eval.history import claim_history, keep, read_history, same_task
@@ -21,7 +20,7 @@ from eval.night import Night, Run
 from eval.profile import Faults, Profile, load_profile
 from eval.report.build import build
 from eval.report.trend import TONIGHT, trend
-from eval.report.write import alone, claim, write
+from eval.report.write import alone, claim, erase, write
 from eval.resume import clear
 from eval.schedule import FIRST_S
 from eval.series import SERIES, series
@@ -33,7 +32,9 @@ from robots.errors import ConfigError
 from robots.spec import load_robot
 
 KEPT = "kept"
-"""Folder inside --out where shards are kept while they live."""
+"""Folder inside --out of a soak that is not over: its shards, its events, and its report if it was interrupted."""
+BESIDE = (DRAWS, SERIES, TRENDS)
+"""What is written beside a report."""
 USUAL = Profile(meaning="what is asked for without a profile", hours=8.0, robots=32, budget=BUDGET.name)
 
 
@@ -68,11 +69,12 @@ def soak_test(
 ) -> int:
     """Soak the shipped runtime in simulation and write a report; 1 if a budget was exceeded.
 
-    A soak that was cut short, by whatever, goes on where it was when the same command is given again.
+    A soak that was cut short, by whatever, goes on where it was when the same command is given again. Until a soak is
+    over, what an earlier one left in --out stays there.
     """
     soak = _asked(policy, robot, profile, hours, robots, seed, workers, budget)
     limits = load_budget(soak.budget)
-    claim(out, (SERIES, TRENDS))
+    claim(out, BESIDE)
     with alone(out):
         return _soaked(soak, limits, out, history)
 
@@ -80,9 +82,9 @@ def soak_test(
 def _soaked(soak: Soak, limits: Budget, out: Path, history: Path | None) -> int:
     """Live through what was asked for, or what is left of it, and report; the exit code."""
     console, earlier = Console(), None if history is None else _earlier(history, soak)
-    began, clock = datetime.now().astimezone(), time.monotonic()
+    kept, began, clock = out / KEPT, datetime.now().astimezone(), time.monotonic()
     taken_up = _take_up(soak, out, console)
-    shards = run_soak(soak, out / KEPT, console, out / EVENTS)
+    shards = run_soak(soak, kept, console)
     if not shards:
         return INTERRUPTED
     lived = sum(int(shard.counts.ticks.sum()) for shard in shards) / soak.robots
@@ -93,16 +95,18 @@ def _soaked(soak: Soak, limits: Budget, out: Path, history: Path | None) -> int:
         resumed_hours=taken_up,
         interrupted=lived < soak.ticks,
     )
-    report = build(collect(soak, shards, run, bundles(out / EVENTS)), limits)
+    report = build(collect(soak, shards, run, bundles(kept / EVENTS)), limits)
     if earlier is not None and not run.interrupted:
         report = report.model_copy(update={"trend": trend({**earlier, TONIGHT: report})})
-    write(report, out, {SERIES: series(soak, shards), TRENDS: trends(soak, shards, run.started)})
+    beside = {DRAWS: _draws(soak), SERIES: series(soak, shards), TRENDS: trends(soak, shards, run.started)}
+    place = kept if run.interrupted else out
+    write(report, place, beside)
     if not run.interrupted:
         if history is not None:
             keep(report, history)
-        clear(out / KEPT)
+        _settle(out)
     together = f"\nnights like it: {report.trend.last.statement}" if report.trend else ""
-    page = out / "report.html"
+    page = place / "report.html"
     console.print(f"{report.verdict}: {report.statement}{together}\nreport: {page}", soft_wrap=True)
     return {"passed": PASSED, "failed": BUDGET_EXCEEDED, "interrupted": INTERRUPTED}[report.verdict]
 
@@ -142,10 +146,16 @@ def _take_up(soak: Soak, out: Path, console: Console) -> float:
         console.print(
             f"going on after {hours:.3g} of {soak.hours:g} hours, which an earlier start left behind"
         )
-    check_room(soak, out, out / KEPT, out / EVENTS, console)
-    clear_bundles(out / EVENTS, all_of_them=not hours)
-    _store_draws(soak, out / "draws.json")
+    check_room(soak, out, out / KEPT, console)
+    clear_bundles(out / KEPT / EVENTS, all_of_them=not hours)
     return hours
+
+
+def _settle(out: Path) -> None:
+    """The soak is over and its report written: its events take the place of earlier ones, and nothing is kept."""
+    erase(out / KEPT, BESIDE)
+    clear(out / KEPT)
+    move_bundles(out / KEPT / EVENTS, out / EVENTS)
 
 
 def _earlier(history: Path, soak: Soak) -> dict[str, Night]:
@@ -156,11 +166,9 @@ def _earlier(history: Path, soak: Soak) -> dict[str, Night]:
     return nights
 
 
-def _store_draws(soak: Soak, path: Path) -> None:
+def _draws(soak: Soak) -> bytes:
     """Every robot as it is, so that it can be lived again whatever the spans of draws.toml become."""
-    text = soak.drawn().to_json(soak.seed, load_distributions(soak.spec), soak.spec)
-    with replacing(path) as file:
-        file.write_text(text, encoding="utf-8")
+    return soak.drawn().to_json(soak.seed, load_distributions(soak.spec), soak.spec).encode()
 
 
 def _check_options(hours: float, robots: int, seed: int, workers: int, faults: Faults | None) -> None:

@@ -74,21 +74,20 @@ def take_up(soak: Soak, folder: Path, console: Console) -> int:
     return ticks
 
 
-def run_soak(soak: Soak, folder: Path, console: Console, events: Path | None = None) -> list[ShardResult]:
+def run_soak(soak: Soak, folder: Path, console: Console) -> list[ShardResult]:
     """Run every shard and return their results in order; after Ctrl-C, what there is of them.
 
     Args:
         soak: what was asked for.
-        folder: where shards are kept while they live, and taken up from.
+        folder: where shards are kept while they live, and taken up from; in it, the bundles of their events.
         console: told how far it is.
-        events: folder of their bundles; beside the shards by default.
 
     Raises:
         ConfigError, OutputError: a shard cannot be taken up or kept.
         BrokenProcessPool: workers die again and again.
     """
     make(folder)
-    crew, furthest, deaths = _Crew(soak, folder, console, events or folder / EVENTS), -1, 0
+    crew, furthest, deaths = _Crew(soak, folder, console), -1, 0
     while crew.pending and not crew.stop.value:
         try:
             crew.work()
@@ -119,8 +118,8 @@ class _Crew:
         progress: ticks done of each shard. stop: not 0 once all are to end. pending: numbers of those not done.
     """
 
-    def __init__(self, soak: Soak, folder: Path, console: Console, events: Path) -> None:
-        self._events = events
+    def __init__(self, soak: Soak, folder: Path, console: Console) -> None:
+        self._events = folder / EVENTS
         self._jobs, self._context = soak.jobs(), mp.get_context("spawn")
         self._checkpoints = [soak.checkpoint(number, folder) for number in range(len(self._jobs))]
         self._workers, self._ticks, self._console = soak.workers, soak.ticks, console

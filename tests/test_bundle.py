@@ -202,6 +202,20 @@ def test_only_bundles_are_cleared(tmp_path, all_of_them):
     bundle.clear_bundles(tmp_path / "nowhere", all_of_them=True)
 
 
+def test_bundles_take_the_place_of_others_and_of_nothing_else(tmp_path):
+    old, new = tmp_path / "events", tmp_path / "kept" / "events"
+    for place in (old / "x", old / "y", new / "x", new / "z"):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        filled(place, begin=100 if place.parent == old else 200)
+    (old / "mine").mkdir()
+    bundle.move_bundles(new, old)
+    assert {path.name for path in old.iterdir()} == {"mine", "x", "z"}
+    assert [bundle.open_bundle(old / name).begin for name in "xz"] == [200, 200]
+    assert not new.parent.exists()
+    bundle.move_bundles(new, old)
+    assert {path.name for path in old.iterdir()} == {"mine"}
+
+
 def test_a_state_digest_sees_every_bit_name_and_kind():
     other = (
         ARRAYS | {"b": np.nextafter(ARRAYS["b"], 2)},

@@ -55,17 +55,18 @@ def restless(tmp_path):
 def test_a_soak_writes_no_more_than_was_said(restless, tmp_path):
     needed, out = room(restless), tmp_path / "out"
     written.claim(out)
-    shards = run_soak(restless, out / "kept", QUIET, out / "events")
-    command._store_draws(restless, out / "draws.json")
-    kept, events = size(out / "kept"), size(out / "events")
+    shards = run_soak(restless, out / "kept", QUIET)
+    events = size(out / "kept" / "events")
+    kept = size(out / "kept") - events
     assert needed.checkpoints / 2 < kept < needed.checkpoints * 2 / 3  # room for one more of them
     assert 0 < events < needed.events
     bundles = 60 * 2 + 1
-    for each in (out / "events").iterdir():
+    for each in (out / "kept" / "events").iterdir():
         assert needed.events / bundles / 10 < size(each) < needed.events / bundles
     before = size(out)
     report = build(collect(restless, shards, RUN), load_budget(BUDGET))
     beside = {SERIES: series(restless, shards), TRENDS: trends(restless, shards, RUN.started)}
+    beside[bundle.DRAWS] = command._draws(restless)
     written.write(report, out, beside)
     assert size(out) - before < needed.report
     assert size(out) < needed.total
@@ -97,7 +98,7 @@ def test_what_is_written_does_not_grow_once_a_day_is_over(restless):
 def test_a_soak_that_does_not_fit_is_refused_with_both_numbers(restless, tmp_path, monkeypatch, capsys):
     needed, out = room(restless), tmp_path / "out"
     out.mkdir()
-    asked = (restless, out, out / "kept", out / "events", Console(width=400))
+    asked = (restless, out, out / "kept", Console(width=400))
     usage = SimpleNamespace(free=needed.total)
     monkeypatch.setattr(shutil, "disk_usage", lambda place: usage)
     check_room(*asked)
@@ -228,7 +229,7 @@ def test_a_disk_that_is_full_at_the_end_costs_no_hour(arm_policy, tmp_path, monk
         patch.setattr(Path, "write_bytes", full)
         said = ends_with(2).err
     assert re.fullmatch(rf"error: --out {out}/\S+: cannot be written: No space left on device\n", said)
-    assert {file.name for file in out.iterdir()} == {"draws.json", "kept"}
+    assert {file.name for file in out.iterdir()} == {"kept"}
     assert "going on after 0.0003 of 0.0003 hours" in ends_with(1).out
     assert {file.name for file in out.iterdir()} == {
         *("draws.json", "report.json", "report.html", "junit.xml"),

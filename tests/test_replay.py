@@ -60,7 +60,7 @@ def pushed(tmp_path_factory):
 def events(pushed, tmp_path_factory):
     """Bundles that its workers wrote."""
     folder = tmp_path_factory.mktemp("soak")
-    run_soak(pushed, folder / "kept", Console(quiet=True), folder / "events")
+    run_soak(pushed, folder, Console(quiet=True))
     return folder / "events"
 
 

@@ -21,6 +21,7 @@ from eval.collect import collect
 from eval.night import Run
 from eval.report.write import LOCK, alone, claim
 from eval.shard import COUNTED, WIDTH, Shard, ShardJob
+from eval.trends import TRENDS
 from eval.workers import run_soak
 from robots.errors import ConfigError
 
@@ -207,13 +208,14 @@ def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 
 
-def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
-    def impatient(crew, futures):
-        """Somebody who presses Ctrl-C as soon as anything is done."""
-        while not sum(crew.progress):
-            wait(futures, timeout=0.1)
-        raise KeyboardInterrupt
+def impatient(crew, futures):
+    """Somebody who presses Ctrl-C as soon as anything is done."""
+    while not sum(crew.progress):
+        wait(futures, timeout=0.1)
+    raise KeyboardInterrupt
 
+
+def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
     monkeypatch.setattr(workers._Crew, "_watch", impatient)
     options = (
         "--policy",
@@ -231,10 +233,45 @@ def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
     with pytest.raises(SystemExit) as caught:
         command.cli()
     assert caught.value.code == 130
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    report = json.loads((tmp_path / "out" / "kept" / "report.json").read_text())
     assert report["verdict"] == "interrupted"
     assert report["exposure"]["draws"] == WIDTH
     assert 0 < report["run"]["hours"] < 100
+
+
+def test_a_finished_night_is_replaced_by_a_finished_night_only(arm_policy, tmp_path, monkeypatch):
+    """Begun over one, interrupted, taken up, and ended."""
+    out = tmp_path / "out"
+    former = {*FILES - {"tensorboard"}, TRENDS, "events/old/bundle.json", "events/mine/note.txt"}
+    for name in former:
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_text("before")
+    options = ("--policy", arm_policy, "--hours", 0.002, "--robots", 1, "--workers", 1, "--out", out)
+    monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, options)])
+
+    def ended():
+        with pytest.raises(SystemExit) as caught:
+            command.cli()
+        files = {path.relative_to(out).as_posix(): path for path in out.rglob("*") if path.is_file()}
+        return caught.value.code, files
+
+    with monkeypatch.context() as patch:
+        patch.setattr(workers._Crew, "_watch", impatient)
+        code, files = ended()
+    assert code == 130
+    assert {name for name in files if not name.startswith("kept/")} == former
+    assert {files[name].read_text() for name in former} == {"before"}
+    assert {f"kept/{name}" for name in (*FILES - {"tensorboard"}, TRENDS)} < set(files)
+    (out / "kept" / "events" / "new").mkdir(parents=True)
+    (out / "kept" / "events" / "new" / "bundle.json").write_text("of its first part")
+    code, files = ended()
+    assert code == 1
+    assert set(files) == former - {"events/old/bundle.json"} | {"events/new/bundle.json"}
+    assert json.loads(files["report.json"].read_text())["verdict"] == "failed"
+    assert {name for name, path in files.items() if path.read_bytes() == b"before"} == {
+        "events/mine/note.txt"
+    }
+    assert not (out / "kept").exists()
 
 
 def test_a_policy_that_changes_meanwhile_is_seen(arm_policy):

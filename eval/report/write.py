@@ -2,7 +2,7 @@
 
 import fcntl
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from deploy.output import replacing
@@ -75,3 +75,21 @@ def write(report: Report, out: Path, beside: Mapping[str, bytes] | None = None) 
     with ExitStack() as stack:
         for name, data in files.items():
             stack.enter_context(replacing(out / name)).write_bytes(data)
+
+
+def erase(out: Path, beside: Collection[str] = ()) -> None:
+    """Delete what `write` wrote into the folder `out`, if it did, and folders that are empty then.
+
+    Args:
+        out: the folder. beside: names of what else was written.
+
+    Raises:
+        OutputError: it cannot be deleted.
+    """
+    for path in (out / name for name in (*FILES, *beside)):
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as e:
+            raise OutputError(f"{path}: cannot be deleted: {e.strerror}") from e
+        with suppress(OSError):
+            path.parent.rmdir()
