@@ -12,9 +12,10 @@ from deploy.state import Floats
 from eval import bundle
 from eval.bundle import About, Happened
 from eval.counts import JOINT_MONITORS, Counts
-from eval.shard import WIDTH, Shard, ShardJob, judge_of, judge_tick
+from eval.schedule import hours_max
+from eval.shard import LOOK_S, WIDTH, Shard, ShardJob, judge_of, judge_tick
 from eval.window import Rows, Window, columns, from_columns, window_type
-from eval.witness import chosen
+from eval.witness import LOOKS, chosen
 from robots.distributions import Distributions, load_distributions
 from robots.draws import Draw, load_draw
 from robots.errors import ConfigError
@@ -178,13 +179,16 @@ def _draw(folder: Path, about: About, spec: RobotSpec, distributions: Distributi
 
 def _check(path: Path, about: About, spec: RobotSpec) -> None:
     event, job = about.event, about.job
-    if not job.first <= event.robot < job.first + min(WIDTH, job.robots):
+    _at_most(path, "job.robots", job.robots, WIDTH)
+    if not job.first <= event.robot < job.first + job.robots:
         raise ConfigError(
             f"{path}: event.robot: found {event.robot}, expected one of the {job.robots} from {job.first} on"
         )
     known = spec.joint_names if event.monitor in JOINT_NAMES else (None,)
     if event.joint not in known:
         raise ConfigError(f"{path}: event.joint: found {event.joint!r:.40}, expected one of {known}")
+    _at_most(path, "job.ticks", job.ticks, round(hours_max(job.faults) * 3600 / spec.dt))
+    _at_most(path, "end", about.end, about.begin + round((LOOKS + 1) * LOOK_S / spec.dt))
 
 
 def _differs(about: About, spec: RobotSpec, distributions: Distributions) -> dict[str, tuple[str, str]]:
@@ -197,3 +201,8 @@ def _differs(about: About, spec: RobotSpec, distributions: Distributions) -> dic
 def _equal(path: Path, field: str, found: int, expected: int) -> None:
     if found != expected:
         raise ConfigError(f"{path}: {field}: found {found}, expected {expected}")
+
+
+def _at_most(path: Path, field: str, found: int, bound: int) -> None:
+    if found > bound:
+        raise ConfigError(f"{path}: {field}: found {found}, expected at most {bound}")

@@ -9,6 +9,8 @@ from robots.errors import ConfigError
 from robots.strict import Strict, read_toml
 
 PROFILES = Path(__file__).parent / "profiles"
+HOURS_MAX = 10_000.0
+"""h that a robot may be asked to live."""
 LEAST_CYCLE_S = 18.0
 """s that the longest fault, its operator and a start anew take at the least."""
 
@@ -37,7 +39,7 @@ class Profile(Strict):
     """
 
     meaning: Annotated[str, Field(min_length=1)]
-    hours: Annotated[float, Field(gt=0, le=10_000)]
+    hours: Annotated[float, Field(gt=0, le=HOURS_MAX)]
     robots: Annotated[int, Field(ge=1, le=100_000)]
     budget: Annotated[str, Field(min_length=1)]
     faults: Faults | None = None

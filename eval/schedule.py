@@ -8,7 +8,7 @@ import numpy as np
 
 from deploy.backends.sim.packets import Fault
 from eval.faults import FaultClass, catalogue
-from eval.profile import Faults
+from eval.profile import HOURS_MAX, Faults
 from robots.randomness import Keys, keyed, keys
 from robots.sensors import Kind
 from robots.spec import RobotSpec
@@ -17,6 +17,8 @@ PURPOSE = 6
 """Of the stream of random numbers."""
 FIRST_S, SPREAD_S = 3.0, 2.0
 """s until the first slot of a robot begins, and s over which a fault may begin in its slot: each in another motion."""
+SLOTS_MAX = 10_000
+"""Faults of a robot: all of them are planned before the first."""
 
 
 class Injection(NamedTuple):
@@ -85,6 +87,11 @@ class Schedule:
             for each in self.injections
             if each.fault.failure is not None
         )
+
+
+def hours_max(faults: Faults | None) -> float:
+    """Hours that a robot may be asked to live; None for no fault."""
+    return min(HOURS_MAX, (FIRST_S + SLOTS_MAX * faults.cycle_s) / 3600) if faults else HOURS_MAX
 
 
 def plan(

@@ -22,7 +22,7 @@ from eval.report.build import build
 from eval.report.trend import TONIGHT, trend
 from eval.report.write import alone, claim, erase, write
 from eval.resume import clear
-from eval.schedule import FIRST_S
+from eval.schedule import FIRST_S, hours_max
 from eval.series import SERIES, series
 from eval.trends import TRENDS, trends
 from eval.witness import EVENTS
@@ -172,9 +172,9 @@ def _draws(soak: Soak) -> bytes:
 
 
 def _check_options(hours: float, robots: int, seed: int, workers: int, faults: Faults | None) -> None:
-    cycle = (FIRST_S + faults.cycle_s) / 3600 if faults else 0.0
+    cycle, most = (FIRST_S + faults.cycle_s) / 3600 if faults else 0.0, hours_max(faults)
     bounds = (
-        ("--hours", hours, 0 < hours <= 10_000, "above 0 and at most 10000"),
+        ("--hours", hours, 0 < hours <= most, f"above 0 and at most {most:.5g}"),
         ("--robots", robots, 1 <= robots <= 100_000, "from 1 to 100000"),
         ("--seed", seed, seed >= 0, "at least 0"),
         ("--workers", workers, 1 <= workers <= 1024, "from 1 to 1024"),

@@ -114,6 +114,10 @@ def test_options_go_before_the_profile_and_without_one_nothing_changes(arm_polic
             ("--profile", "faults", "--hours", "0.007"),
             "--hours: found 0.007, expected at least 0.0075: time for one fault",
         ),
+        (
+            ("--profile", "faults", "--hours", "67"),
+            "--hours: found 67.0, expected above 0 and at most 66.668",
+        ),
     ],
 )
 def test_a_profile_that_is_not_there_is_said(arm_policy, monkeypatch, capsys, options, message):

@@ -23,6 +23,7 @@ from eval.again import Replay, difference, why_not
 from eval.asked import Soak
 from eval.budget import BUDGET
 from eval.film import Film, _context
+from eval.profile import Faults
 from eval.shard import Shard
 from eval.window import columns
 from eval.witness import Witness
@@ -278,6 +279,29 @@ def test_an_event_that_cannot_be_is_refused(one, event, complaint):
     about = bundle.open_bundle(one)
     resealed(one, event=about.event.model_copy(update=event))
     with pytest.raises(ConfigError, match=rf"bundle\.json: {complaint}"):
+        Replay(one)
+
+
+FAULTS = Faults(coverage=0.95, cycle_s=18.0, operator_s=5.0)
+
+
+@pytest.mark.parametrize(
+    ("job", "end", "complaint"),
+    [
+        ({"ticks": 1 << 53}, None, r"job\.ticks: found 9007199254740992, expected at most 7200000000"),
+        (
+            {"ticks": 1 << 40, "faults": FAULTS},
+            None,
+            r"job\.ticks: found 1099511627776, expected at most 36000600",
+        ),
+        ({"robots": 17}, None, r"job\.robots: found 17, expected at most 16"),
+        ({"ticks": 1 << 32}, 1 << 31, r"end: found 2147483648, expected at most \d{3,4}"),
+    ],
+)
+def test_what_would_take_for_ever_is_refused(one, job, end, complaint):
+    about = bundle.open_bundle(one)
+    resealed(one, job=about.job.model_copy(update=job), end=end or about.end)
+    with pytest.raises(ConfigError, match=rf"bundle\.json: {complaint}$"):
         Replay(one)
 
 
