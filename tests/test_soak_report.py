@@ -17,10 +17,12 @@ from eval.asked import Soak
 from eval.budget import BUDGET, load_budget
 from eval.collect import collect
 from eval.compare import compare
+from eval.dispersion import draw_rate_interval
 from eval.history import keep
 from eval.night import Run
 from eval.report.build import build
 from eval.report.cli import cli
+from eval.report.html import ends
 from eval.report.write import write
 from eval.shard import Shard
 
@@ -113,6 +115,9 @@ def test_a_trend_is_a_page_and_its_sentences(tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().out
     assert "over 32 draws of 2 nights" in said
     assert ("2026-01-03 22:00" in said, "2026-01-04 22:00" in said) == (True, True)
+    events, hours = night(1).tally.hard_events
+    assert "per h, 95 %" in said
+    assert ends(tuple(map(float, draw_rate_interval(events, hours)))) in said
     page = tmp_path / "history" / "trend.html"
     assert said.endswith(f"page: {page}\n")
     assert Page(page.read_text()).open == []

@@ -12,7 +12,8 @@ from test_report import Page, report
 from eval.dispersion import dispersion_p, draw_rate_interval, draw_rate_upper
 from eval.evidence import rate_upper, share_upper
 from eval.report.data import Report
-from eval.report.html import render, render_nights
+from eval.report.html import ends, render, render_nights
+from eval.report.numbers import figure
 from eval.report.plots import NIGHTS_SHOWN
 from eval.report.trend import TONIGHT, trend
 from eval.report.trend_rows import Trend
@@ -174,6 +175,7 @@ def test_the_page_of_all_nights_is_whole_and_loads_nothing():
     assert (text.count('<span class="chip ok">'), text.count('<span class="chip no">')) == (5, 1)
     for each in found.nights:
         assert each.started[:16].replace("T", " ") in said
+        assert f"{figure(each.rate.value, 2)}{ends((each.rate.low, each.rate.high))}" in said
     for key, value in night(1).settings.task.items():
         assert f"{key.replace('_', ' ').capitalize()} {value}" in re.sub(
             r"(?<=\w)(?=a1|d1|f1|arm6|8|none)", " ", said

@@ -14,7 +14,7 @@ from eval.compare import compare as differences
 from eval.history import read_history, read_night
 from eval.night import Night
 from eval.pooling import same_draws
-from eval.report.html import percent, render_nights
+from eval.report.html import ends, percent, render_nights
 from eval.report.numbers import figure
 from eval.report.trend import trend as follow
 from eval.report.trend_rows import Trend
@@ -86,7 +86,7 @@ def _plain(*names: str) -> Table:
 
 
 def _table(found: Trend) -> Table:
-    table = _plain("started", "kind", "verdict", "draws", "events", "per h ≤", "goals", "up", "°C")
+    table = _plain("started", "kind", "verdict", "draws", "events", "per h, 95 %", "goals", "up", "°C")
     for night in found.nights:
         table.add_row(
             night.started[:16].replace("T", " "),
@@ -94,7 +94,7 @@ def _table(found: Trend) -> Table:
             "passed" if night.passed else "failed",
             f"{night.draws}",
             f"{night.hard_events}",
-            figure(night.rate.high, 2),
+            ends((night.rate.low, night.rate.high)),
             percent(night.goals.value, 2),
             percent(night.availability.value, 2),
             figure(night.hottest_c.value),
