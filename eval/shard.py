@@ -4,7 +4,7 @@ Results are a function of seed, draw and `WIDTH` only: which process runs a shar
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from deploy.stage import Arrays, Stage, inside
 from deploy.state import Floats, Ints
 from deploy.tasks.reach import ReachConfig
 from eval.counts import Counts
+from eval.identity import code_digest
 from eval.injector import Injector
 from eval.monitors import Judge
 from eval.profile import Faults
@@ -61,6 +62,7 @@ class ShardJob:
         first: index of the shard's first robot. robots: how many of its robots count.
         ticks: control ticks to live. sample_ticks: ticks between two samples.
         faults: on schedule; None for none.
+        code_digest: of what ran when the job was made.
     """
 
     robot: Path
@@ -73,6 +75,7 @@ class ShardJob:
     ticks: int
     sample_ticks: int
     faults: Faults | None = None
+    code_digest: str = field(default_factory=code_digest)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,10 +136,10 @@ def rearm(runtime: Runtime, after_s: float = OPERATOR_S) -> None:
         runtime.arm(waiting)
 
 
-def _same(expected: str, found: str, path: Path) -> None:
+def _same(expected: str, found: str, what: object) -> None:
     if found != expected:
         raise ConfigError(
-            f"{path}: changed during the soak: digest found {found:.12}, expected {expected:.12}"
+            f"{what}: changed during the soak: digest found {found:.12}, expected {expected:.12}"
         )
 
 
@@ -158,6 +161,7 @@ class Shard(Stage):
             job: what is asked for.
             given: the `WIDTH` robots as they are, in the place of those that the seeds would draw.
         """
+        _same(job.code_digest, code_digest(), "firstshift's code")
         spec = load_robot(job.robot)
         _same(job.robot_digest, spec.digest, job.robot)
         seeds = [robot_seed(job.seed, job.first + row) for row in range(WIDTH)]

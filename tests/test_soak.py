@@ -18,6 +18,7 @@ from eval import workers
 from eval.asked import Soak
 from eval.budget import BUDGET
 from eval.collect import collect
+from eval.identity import code_digest
 from eval.night import Run
 from eval.report.write import LOCK, alone, claim
 from eval.shard import COUNTED, WIDTH, Shard, ShardJob
@@ -274,9 +275,18 @@ def test_a_finished_night_is_replaced_by_a_finished_night_only(arm_policy, tmp_p
     assert not (out / "kept").exists()
 
 
-def test_a_policy_that_changes_meanwhile_is_seen(arm_policy):
-    with pytest.raises(ConfigError, match=r"changed during the soak: digest found \w{12}, expected 0{12}"):
-        Shard(job(arm_policy, policy_digest="0" * 64))
+@pytest.mark.parametrize(
+    ("what", "named"),
+    [("policy", r"\w+\.onnx"), ("robot", "arm6"), ("code", "firstshift's code")],
+)
+def test_what_changes_meanwhile_is_seen(arm_policy, what, named):
+    said = rf"{named}: changed during the soak: digest found \w{{12}}, expected 0{{12}}$"
+    with pytest.raises(ConfigError, match=said):
+        Shard(job(arm_policy, **{f"{what}_digest": "0" * 64}))
+
+
+def test_a_job_knows_the_code_that_made_it(asked):
+    assert {each.code_digest for each in asked().jobs()} == {code_digest()}
 
 
 BAD = {
