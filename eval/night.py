@@ -97,12 +97,13 @@ class Night(Strict):
     """What is kept of a soak.
 
     Attributes:
-        results_digest: of what was asked for and what came of it, the same however often and long it ran.
+        results_digest: of what was asked for, how much of it was lived and what came of it, the same however often the
+            soak was taken up and however long it took.
         statement: the sentence that the soak supports.
         tally: draw by draw.
     """
 
-    format: Literal[1]
+    format: Literal[2]
     results_digest: str = ""
     verdict: Verdict
     statement: str
@@ -112,6 +113,10 @@ class Night(Strict):
 
     def sealed(self) -> str:
         """What `results_digest` must be."""
-        asked = sorted({**self.settings.identity, "seed": str(self.settings.seed)}.items())
-        text = f"{asked} {self.verdict} {self.statement} {self.tally.model_dump_json()}"
+        drawn = {"seed": str(self.settings.seed), "robots": str(self.settings.robots)}
+        asked, lived = (
+            sorted({**self.settings.identity, **drawn}.items()),
+            (self.run.hours, self.run.interrupted),
+        )
+        text = f"{asked} {lived} {self.verdict} {self.statement} {self.tally.model_dump_json()}"
         return hashlib.sha256(text.encode()).hexdigest()

@@ -111,7 +111,9 @@ SPOILT = {
         lambda path: edited(path, lambda d: d.update(note="mine")),
         "note: Extra inputs[^\n]*$",
     ),
-    "a format": (lambda path: edited(path, lambda d: d.update(format=2)), "format: .* found 2"),
+    "a format": (lambda path: edited(path, lambda d: d.update(format=1)), "format: .* found 1"),
+    "how much": (lambda path: edited(path, lambda d: d["run"].update(hours=9.0)), "results_digest: found"),
+    "robots": (lambda path: edited(path, lambda d: d["settings"].update(robots=8)), "results_digest: found"),
     "no time": (
         lambda path: edited(path, lambda d: d["run"].update(started="yesterday")),
         r"run\.started: .* found 'yesterday'",
@@ -140,11 +142,14 @@ def test_what_cannot_be_read_is_said(tmp_path):
         read_night(tmp_path)
 
 
-def test_a_soak_that_did_not_end_is_no_night(tmp_path):
+def test_a_soak_that_did_not_end_is_no_night_and_cannot_be_made_one(tmp_path):
     write(report(interrupted=True), tmp_path)
     with pytest.raises(
         ConfigError, match=r"report\.json: run\.interrupted: found true, expected a soak that ran"
     ):
+        read_night(tmp_path)
+    edited(tmp_path / "report.json", lambda data: data["run"].update(interrupted=False))
+    with pytest.raises(ConfigError, match=r"report\.json: results_digest: found"):
         read_night(tmp_path)
 
 

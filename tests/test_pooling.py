@@ -65,7 +65,7 @@ def tallied(seed, draws=16, rate=0.5):
 def night(seed=1, *, started="2026-01-02T22:00:00+01:00", draws=16, rate=0.5, verdict="passed", **changes):
     settings = SETTINGS.model_copy(update={"seed": seed, "robots": draws, **changes})
     found = Night(
-        format=1,
+        format=2,
         verdict=verdict,
         statement="What was found.",
         settings=settings,

@@ -74,7 +74,8 @@ def test_two_policies_on_the_same_draws(arm_policy, quick_goals, tmp_path, monke
 
 def test_the_digest_of_results_leaves_out_how_the_run_went():
     one = night(1)
-    again = one.model_copy(update={"run": RUN.model_copy(update={"wall_s": 9.0, "resumed_hours": 2.0})})
+    otherwise = {"started": RUN.started, "wall_s": 9.0, "resumed_hours": 2.0}
+    again = one.model_copy(update={"run": one.run.model_copy(update=otherwise)})
     assert (
         again.sealed() == night(1, workers=5, command="make soak", policy="b.onnx").sealed() == one.sealed()
     )

@@ -51,7 +51,7 @@ def build(result: SoakResult, budget: Budget) -> Report:
     found = evidence(counts)
     at = np.arange(0, len(result.sample_h), -(-len(result.sample_h) // POINTS))
     report = Report(
-        format=1,
+        format=2,
         verdict=_verdict(result, lines),
         statement=statement(counts, found),
         settings=result.settings,
