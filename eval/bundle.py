@@ -278,7 +278,7 @@ def read_arrays(path: Path, expected: Mapping[str, NDArray[np.generic]]) -> Arra
         zipfile.BadZipFile,
         zlib.error,
     ) as e:
-        raise ConfigError(f"{path}: cannot be read: {e!s:.200}") from e
+        raise ConfigError(f"{path}: cannot be read: {' '.join(str(e).split()):.200}") from e
 
 
 def _array(file: zipfile.ZipFile, where: str, name: str, like: NDArray[np.generic]) -> NDArray[np.generic]:

@@ -25,7 +25,7 @@ def claim_history(folder: Path) -> None:
     probe = folder / ".probe"
     with replacing(probe, option="--history"):
         pass
-    probe.unlink()
+    probe.unlink(missing_ok=True)  # who claims it at the same time deletes the probe of both
 
 
 def keep(night: Night, folder: Path) -> Path:

@@ -94,11 +94,12 @@ def crafted(path, header, data=b"\0" * 96):
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (3, 4)}", b"\0" * 95),
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (3, 4)}", b"\0" * 97),
         ("__import__('os').abort()", b""),
+        ("{'descr': '<f8', 'fortran_order': False, 'shape': (3, 4)}" + 20_000 * " ", b"\0" * 96),
     ],
 )
 def test_nothing_is_unpickled_evaluated_or_made_larger_than_expected(tmp_path, header, data):
     crafted(tmp_path / "state.npz", header, data)
-    with pytest.raises(ConfigError, match=r"state\.npz: "):
+    with pytest.raises(ConfigError, match=r"state\.npz: [^\n]*$"):
         bundle.read_arrays(tmp_path / "state.npz", {"b": np.zeros((3, 4))})
 
 

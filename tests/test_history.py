@@ -2,19 +2,38 @@
 
 import json
 import sys
+from contextlib import contextmanager
 
 import pytest
 from test_pooling import OTHER, SETTINGS, night
 from test_report import report
 
+from eval import history
 from eval import soak as command
 from eval.history import SUFFIX, claim_history, keep, read_history, read_night
 from eval.night import Night
+from eval.report import write as written
 from eval.report.data import Report
 from eval.report.write import write
 from robots.errors import ConfigError, OutputError
 
 LATER = "2026-01-03T22:00:00+01:00"
+
+
+@pytest.mark.parametrize("module", [history, written])
+def test_two_soaks_may_claim_a_folder_at_once(tmp_path, monkeypatch, module):
+    """The other one deletes the probe of both."""
+    whole = module.replacing
+
+    @contextmanager
+    def deleted(path, **how):
+        with whole(path, **how) as partial:
+            yield partial
+        path.unlink()
+
+    monkeypatch.setattr(module, "replacing", deleted)
+    (module.claim if module is written else module.claim_history)(tmp_path)
+    assert not any(tmp_path.iterdir())
 
 
 def test_a_night_comes_back_as_it_was_kept(tmp_path):

@@ -31,7 +31,7 @@ def claim(out: Path, beside: Collection[str] = ()) -> None:
     probe = out / ".probe"
     with replacing(probe):
         pass
-    probe.unlink()
+    probe.unlink(missing_ok=True)  # who claims it at the same time deletes the probe of both
     for name in (*FILES, *beside):
         if (out / name).is_dir():
             raise OutputError(f"--out {out}: {name} is a folder, expected a file or nothing of that name")
