@@ -24,7 +24,7 @@ _ARGUMENTS = (
     " sym_int sym_ints sym_float sym_floats sym_bool sym_bools scalar_type memory_format layout device"
 )
 ARGUMENTS = frozenset(_ARGUMENTS.split())
-LEAF = {"type": None, "context": None, "children_spec": []}
+LEAF: dict[str, object] = {"type": None, "context": None, "children_spec": []}
 ONE = {"type": "builtins.tuple", "context": "null", "children_spec": [LEAF]}
 NO_NAMES = {"type": "builtins.dict", "context": "[]", "children_spec": []}
 SPECS = {

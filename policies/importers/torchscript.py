@@ -4,9 +4,10 @@ import re
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from deploy.graph import shortened
 from deploy.terms import SIZE_MAX
@@ -56,10 +57,10 @@ def _check(members: Mapping[str, bytes], source: str) -> None:
             check_source(text, f"{source}: {name}")
 
 
-def _load(members: Mapping[str, bytes], source: str) -> nn.Module:
+def _load(members: Mapping[str, bytes], source: str) -> torch.jit.ScriptModule:
     try:
         module = torch.jit.load(packed(members), map_location="cpu")
-        graph = module.inlined_graph
+        graph: Any = module.inlined_graph
     except Exception as e:  # bytes of unknown origin can fail in any way
         raise ContractError(f"{source}: cannot be loaded: {shortened(e)}") from e
     buffers = {name.rpartition(".")[2] for name, _ in module.named_buffers()}
@@ -72,7 +73,7 @@ def _load(members: Mapping[str, bytes], source: str) -> nn.Module:
     return module
 
 
-def _observations(module: nn.Module, source: str) -> int:
+def _observations(module: torch.jit.ScriptModule, source: str) -> int:
     tried = list(dict.fromkeys(size for size in _sizes(module) if 0 < size <= SIZE_MAX))[:TRIED_MAX]
     for size in tried:
         if _runs(module, size):
@@ -80,8 +81,8 @@ def _observations(module: nn.Module, source: str) -> int:
     raise ContractError(f"{source}: cannot be run with as many observations as its weights take: {tried}")
 
 
-def _sizes(module: nn.Module) -> Iterator[int]:
-    graph = module.inlined_graph
+def _sizes(module: torch.jit.ScriptModule) -> Iterator[int]:
+    graph: Any = module.inlined_graph
     constants = (
         node.t("value")
         for node in graph.findAllNodes("prim::Constant")
@@ -92,7 +93,7 @@ def _sizes(module: nn.Module) -> Iterator[int]:
             yield tensor.shape[1]
 
 
-def _runs(module: nn.Module, size: int) -> bool:
+def _runs(module: torch.jit.ScriptModule, size: int) -> bool:
     try:
         with torch.no_grad():
             return isinstance(module.eval()(torch.zeros(1, size)), Tensor)
