@@ -202,7 +202,7 @@ def test_code_that_runs_while_a_file_is_loaded_is_refused_before(tmp_path):
     witness = tmp_path / "witness"
 
     path = saved(tmp_path / "policy.pt", mlp())
-    (code,) = (name for name in members(path) if name.endswith("container.py"))
+    (code,) = (name for name in members(path) if "container" in name and name.endswith(".py"))
     evil = f"\n  def __setstate__(self, s: int) -> NoneType:\n    torch.save(1, {str(witness)!r})\n    return None\n"
     message = refused(changed(path, code.partition("/")[2], lambda text: text + evil.encode()))
     assert "found torch.save" in message
