@@ -43,8 +43,9 @@ def to_onnx(
         )
     if program is None:
         raise ContractError("torch.onnx.export gave no program")
-    _strip(program.model_proto)
-    return program.model_proto
+    model = program.model_proto
+    _strip(model)
+    return model
 
 
 @contextmanager

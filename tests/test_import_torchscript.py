@@ -153,10 +153,9 @@ def test_a_memory_outside_the_buffers_is_refused(tmp_path):
     assert message == "state: found a memory (Tensor) that is no buffer, expected buffers"
 
 
-def test_a_memory_that_nothing_shows_is_refused_by_parity(tmp_path):
-    original = read_torchscript(saved(tmp_path / "policy.pt", Hidden()))
-    with pytest.raises(ContractError, match="parity"):
-        parity(original)
+def test_a_memory_that_nothing_shows_is_found_when_it_is_traced(tmp_path):
+    """Torch does not let a graph write into a tensor that is neither its own nor given."""
+    assert refused(saved(tmp_path / "policy.pt", Hidden())).startswith("cannot be run or traced: ")
 
 
 # ---- files that would do more ----
@@ -238,6 +237,6 @@ def test_a_network_that_runs_with_no_size_of_its_weights_is_refused(tmp_path):
             self.layer = nn.Linear(N, A)
 
         def forward(self, x):
-            return self.layer(x.view(1, 2, N).sum(1))
+            return self.layer(x.view(1, 2, self.layer.in_features).sum(1))
 
     assert refused(saved(tmp_path / "policy.pt", Images())).endswith(f"as its weights take: [{N}]")
