@@ -3,21 +3,9 @@
 from pathlib import Path
 from typing import Literal
 
-from torch import nn
-
 from robots.strict import Strict
 
 Activation = Literal["elu", "relu", "tanh", "selu", "leaky_relu", "gelu", "silu", "sigmoid"]
-ACTIVATIONS: dict[Activation, type[nn.Module]] = {
-    "elu": nn.ELU,
-    "relu": nn.ReLU,
-    "tanh": nn.Tanh,
-    "selu": nn.SELU,
-    "leaky_relu": nn.LeakyReLU,
-    "gelu": nn.GELU,
-    "silu": nn.SiLU,
-    "sigmoid": nn.Sigmoid,
-}
 
 
 class Network(Strict):

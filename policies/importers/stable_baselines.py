@@ -16,8 +16,9 @@ import torch
 from torch import Tensor, nn
 
 from deploy.terms import SIZE_MAX
+from policies.importers.activations import ACTIVATIONS
 from policies.importers.module import read_module
-from policies.importers.network import ACTIVATIONS, Activation, Network
+from policies.importers.network import Activation, Network
 from policies.importers.original import Facts, Original, UnansweredError
 from policies.importers.stable_baselines_zip import read_zip
 from policies.importers.vec_normalize import VecNormalize, read_vec_normalize

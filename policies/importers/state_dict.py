@@ -10,8 +10,9 @@ from torch import Tensor, nn
 
 from deploy.terms import SIZE_MAX
 from policies.archive import FILE_BYTES_MAX, check_tensor, load_tensors
+from policies.importers.activations import ACTIVATIONS
 from policies.importers.module import read_module
-from policies.importers.network import ACTIVATIONS, Activation, Network
+from policies.importers.network import Activation, Network
 from policies.importers.original import Facts, Original, UnansweredError
 from robots.errors import ContractError
 
