@@ -22,7 +22,7 @@ COUNT = "obs_normalizer.count"
 """Of observations in training, an integer; nothing is computed with it."""
 STD_TYPES = {"std_param": "scalar", "log_std_param": "log"}
 GATES: dict[int, type[nn.LSTM] | type[nn.GRU]] = {4: nn.LSTM, 3: nn.GRU}
-EPS = 1e-3
+EPS = 1e-2
 """What every version of EmpiricalNormalization adds to a deviation."""
 NAMES: dict[Activation, str] = {"leaky_relu": "lrelu", "silu": "swish"}
 """Activations that rsl_rl calls by another name."""
