@@ -299,11 +299,3 @@ def merge(a: Counts, b: Counts) -> Counts:
     together: dict[str, Any] = {n: np.concatenate([getattr(a, n), getattr(b, n)]) for n in (*_ROWS, *_LOG)}
     together["log_robot"] = np.concatenate((a.log_robot, b.log_robot + a.robots))
     return replace(a, bins=a.bins + b.bins, **together)
-
-
-def first(counts: Counts, robots: int) -> Counts:
-    """Only the first robots; how their loads were distributed is not known if there were more."""
-    rows: dict[str, Any] = {name: getattr(counts, name)[:robots] for name in _ROWS}
-    kept = counts.log_robot < robots
-    rows |= {name: getattr(counts, name)[kept] for name in _LOG}
-    return replace(counts, bins=counts.bins * (robots >= counts.robots), **rows)

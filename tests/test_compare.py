@@ -9,7 +9,7 @@ from scipy.special import ndtri
 
 from eval import compare as compared
 from eval.compare import paired_interval
-from eval.counts import MONITORS, first
+from eval.counts import MONITORS
 from eval.dispersion import draw_rate_interval, draw_rate_upper
 from eval.monitors import Judge
 from eval.tally import Tally
@@ -68,14 +68,14 @@ def test_of_many_draws_it_is_students_t():
     assert found == pytest.approx((expected.low, expected.high), abs=0.1 * (expected.high - expected.low))
 
 
-def soaked(seed, hard=0.0, missed=0.02, stops=0.0):
-    """16 robots, a shift each, in which events, goals missed and stops of ten minutes came by chance."""
+def soaked(seed, hard=0.0, missed=0.02, stops=0.0, robots=16):
+    """A shift of robots in which events, goals missed and stops of ten minutes came by chance."""
     rng = np.random.default_rng(seed)
-    counts = Judge(SPEC, np.full(6, 100.0), 16).counts()
+    counts = Judge(SPEC, np.full(6, 100.0), robots).counts()
     counts.ticks[:] = TICKS
-    counts.stops[:] = rng.poisson(stops, 16)
+    counts.stops[:] = rng.poisson(stops, robots)
     counts.running[:] = TICKS - 120_000 * counts.stops
-    counts.events[:, counts.columns("jerk")] = rng.poisson(hard / 6, (16, 6))
+    counts.events[:, counts.columns("jerk")] = rng.poisson(hard / 6, (robots, 6))
     counts.events[:, counts.columns("tracking")] = 1000
     counts.attempted[:] = counts.due
     counts.reached[:] = rng.binomial(counts.attempted, 1 - missed)
@@ -127,15 +127,14 @@ def test_a_stop_that_was_not_seen_may_take_a_draw_and_one_like_those_seen_twice_
 
 
 def test_a_share_differs_by_no_more_than_one():
-    a, b = first(soaked(1), 2), first(soaked(1), 2)
-    goals, _, availability = compare(a, b)
+    goals, _, availability = compare(soaked(1, robots=2), soaked(1, robots=2))
     assert (availability.low, availability.high) == (-1, 1)
     assert -1 < goals.low < goals.high < 1
 
 
 def test_what_cannot_be_compared():
     with pytest.raises(ConfigError, match="robots: 16 and 8 are not the same draws"):
-        compare(soaked(1), first(soaked(1), 8))
+        compare(soaked(1), soaked(1, robots=8))
     idle = soaked(1)
     idle.running[:] = 0
     with pytest.raises(ConfigError, match="hard events: "):

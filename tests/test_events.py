@@ -7,7 +7,7 @@ import pytest
 from test_monitors import GAP, OBSERVED, SPEC, TORQUE_MAX, Bench, feed, random_series
 
 from eval import events as event_log
-from eval.counts import BINS, JOINT_MONITORS, Counts, first, merge
+from eval.counts import BINS, JOINT_MONITORS, Counts, merge
 from eval.monitors import Judge
 
 
@@ -117,20 +117,6 @@ def test_robots_that_do_not_count_leave_no_trace():
         np.testing.assert_array_equal(
             getattr(wide.counts(), field.name), getattr(narrow.counts(), field.name), strict=True
         )
-
-
-def test_the_first_robots_of_counts():
-    ticks = 200
-    series = random_series(ticks, 4, seed=10)
-    wide, narrow = (Judge(SPEC, TORQUE_MAX, many, observed=OBSERVED) for many in (4, 2))
-    feed(wide, series, range(ticks))
-    feed(narrow, series, range(ticks), slice(0, 2))
-    some, all_of_them = first(wide.counts(), 2), first(wide.counts(), 4)
-    for field in fields(Counts):
-        np.testing.assert_array_equal(getattr(all_of_them, field.name), getattr(wide.counts(), field.name))
-        if field.name != "bins":
-            np.testing.assert_array_equal(getattr(some, field.name), getattr(narrow.counts(), field.name))
-    assert np.isnan(some.tail(1e-4)).all()
 
 
 def test_loads_of_shards_are_counted_together():
