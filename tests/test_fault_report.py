@@ -15,6 +15,7 @@ from eval.report.build import build
 from eval.report.data import Report
 from eval.report.faults import fault_table
 from eval.report.html import render
+from eval.report.junit import junit
 from eval.watch import Injections
 
 CLASSES, ROBOTS = catalogue(SPEC), 60
@@ -43,6 +44,8 @@ def test_enough_that_are_handled_pass():
     assert found.verdict == "passed"
     assert found.budget[0].name == "fault_coverage"
     assert found.budget[0].found == pytest.approx(0.05 ** (1 / ROBOTS))
+    first = f"{CLASSES[0].name}, 60 of 60 handled"
+    assert found.budget[0].about == f"least sure: {first}"
     row = found.faults.rows[0]
     assert (row.left.median_s, row.rest.worst_s) == (0.1, pytest.approx((40 + 59) * SPEC.dt))
     assert (row.again, row.astray_rad, row.load) == (60, 0.01, 0.8)
@@ -55,6 +58,10 @@ def test_one_that_is_not_fails_and_is_named():
     told.astray[3, -1] = np.nan
     found = report(told)
     assert [line.name for line in found.budget if not line.passed] == ["fault_coverage"]
+    about = f"least sure: {CLASSES[-1].name}, 59 of 60 handled; with 1 missed, 95 % takes 93 injections"
+    assert found.budget[0].about == about
+    assert about in "".join(Page(render(found)).words)
+    assert f"allowed at least 0.95 ({about})" in junit(found)
     assert (found.faults.rows[-1].handled, found.faults.rows[-1].hurt) == (59, {"torque": 1})
     assert found.faults.rows[-1].astray_rad is None
     (miss,) = found.faults.misses

@@ -53,7 +53,7 @@ class SoakResult:
 
 
 class Line(Strict):
-    """One budget line; `allowed` is the least if `at_least`, else the most."""
+    """One budget line; `allowed` is the least if `at_least`, else the most. `about`: what `found` is of, in words."""
 
     name: str
     unit: str
@@ -61,6 +61,7 @@ class Line(Strict):
     allowed: float
     found: Number
     passed: bool
+    about: str = ""
 
 
 class Exposure(Strict):

@@ -6,7 +6,7 @@ import numpy as np
 
 from deploy.state import Bools, Floats, Ints
 from eval.counts import MONITORS
-from eval.evidence import share_lower
+from eval.evidence import share_lower, trials_needed
 from eval.faults import JOINT, NOT_INJECTED, POLICY, WORDS, Answer, FaultClass, catalogue
 from eval.profile import Faults
 from eval.report.data import Line
@@ -38,15 +38,26 @@ def fault_table(spec: RobotSpec, asked: Faults, found: Injections) -> FaultTable
 
 def fault_line(table: FaultTable) -> Line:
     """The budget line: of every class at least so many are shown to be handled."""
-    least = min(row.handled_lower for row in table.rows)
+    worst = min(table.rows, key=lambda row: row.handled_lower)
     return Line(
         name="fault_coverage",
         unit="share",
         at_least=True,
         allowed=table.coverage,
-        found=least,
-        passed=least >= table.coverage,
+        found=worst.handled_lower,
+        passed=worst.handled_lower >= table.coverage,
+        about=_about(worst, table.coverage),
     )
+
+
+def _about(row: FaultRow, coverage: float) -> str:
+    """How often a class was handled, and how often it must be injected for that to be enough, if it was not."""
+    missed = row.injections - row.handled
+    needed = trials_needed(coverage, missed)
+    told = f"least sure: {row.where} {row.what}, {row.handled:,} of {row.injections:,} handled"
+    if needed <= row.injections:
+        return told
+    return f"{told}; with {missed:,} missed, {100 * coverage:g} % takes {needed:,} injections"
 
 
 def _row(spec: RobotSpec, found: Injections, each: FaultClass, mine: Bools, handled: Bools) -> FaultRow:
