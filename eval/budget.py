@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, model_validator
+import numpy as np
+from pydantic import BeforeValidator, Field, NonNegativeFloat, NonNegativeInt, model_validator
 
 from eval.counts import NAMES, Counts
 from robots.strict import Strict, read_toml
@@ -12,6 +13,9 @@ from robots.strict import Strict, read_toml
 BUDGET = Path(__file__).parent / "budget.toml"
 
 Share = Annotated[float, Field(ge=0, le=1)]
+UNLIMITED = "unlimited"
+Limit = Annotated[NonNegativeInt | None, BeforeValidator(lambda found: None if found == UNLIMITED else found)]
+"""A number, or the word for none."""
 
 
 class Budget(Strict):
@@ -20,7 +24,7 @@ class Budget(Strict):
     Attributes:
         goal_success_min: goals reached ÷ goals due. availability_min: ticks under way ÷ ticks.
         invalid_ticks_max: ticks that nobody judged because the simulation had diverged.
-        latches_max: times that a robot lost its power and waited for its operator.
+        latches_max: times that a robot lost its power and waited for its operator; None for no limit.
         unlimited: monitors that are counted only.
         events_max: events in the whole run by monitor.
         events_per_hour_max: events per hour under way by monitor.
@@ -29,7 +33,7 @@ class Budget(Strict):
     goal_success_min: Share
     availability_min: Share
     invalid_ticks_max: NonNegativeInt
-    latches_max: NonNegativeInt
+    latches_max: Limit
     unlimited: tuple[str, ...]
     events_max: dict[str, NonNegativeInt]
     events_per_hour_max: dict[str, NonNegativeFloat]
@@ -55,7 +59,7 @@ class Finding:
     """One budget line against what happened.
 
     Attributes:
-        at_least: whether `allowed` is the least allowed, not the most.
+        at_least: whether `allowed` is the least allowed, not the most, which is infinite where there is no limit.
         unit: of both numbers.
     """
 
@@ -82,12 +86,12 @@ def load_budget(path: Path = BUDGET) -> Budget:
 
 def check(budget: Budget, counts: Counts) -> list[Finding]:
     """Every budget line with what was found, work first."""
-    hours = counts.running_hours
+    hours, latches = counts.running_hours, budget.latches_max
     return [
         _line("goal_success", budget.goal_success_min, counts.goal_success, "share", at_least=True),
         _line("availability", budget.availability_min, counts.availability, "share", at_least=True),
         _line("invalid", budget.invalid_ticks_max, float(counts.invalid.sum()), "ticks"),
-        _line("latches", budget.latches_max, float(counts.latches.sum()), "times"),
+        _line("latches", np.inf if latches is None else latches, float(counts.latches.sum()), "times"),
         *(_line(name, most, counts.total(name), "events") for name, most in budget.events_max.items()),
         *(
             _line(name, most, _per_hour(counts.total(name), hours), "events/h")

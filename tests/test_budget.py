@@ -64,6 +64,13 @@ def test_each_line_fails_for_itself(kwargs, lines):
     assert failed(**kwargs) == lines
 
 
+def test_a_budget_may_leave_latches_unlimited():
+    budget = load_budget(BUDGET.with_name("budget_faults.toml"))
+    assert budget.latches_max is None
+    (line,) = (line for line in check(budget, counts(latches=10**9)) if line.name == "latches")
+    assert (line.passed, line.found, line.allowed) == (True, 1e9, np.inf)
+
+
 def test_a_number_that_is_none_does_not_pass():
     line = check(load_budget(), counts())[0]
     assert not dataclasses.replace(line, found=float("nan")).passed
@@ -89,6 +96,9 @@ TEXT = BUDGET.read_text()
         ("jerk = 0", "", "no line for jerk"),
         ("jerk = 0", "jerk = 0\ntracking = 0", "monitor 'tracking' has 2 lines"),
         ("invalid_ticks_max = 0", "", "invalid_ticks_max: Field required"),
+        ("latches_max = 0", "", "latches_max: Field required"),
+        ("latches_max = 0", "latches_max = -1", r"latches_max: [^\n]* found -1$"),
+        ("latches_max = 0", "latches_max = 'many'", r"latches_max: [^\n]* found 'many'$"),
         ("[events_max]", "[events_max", "not valid TOML"),
     ],
 )

@@ -68,6 +68,19 @@ def test_one_that_is_not_fails_and_is_named():
     assert (miss.fault, miss.robot, miss.start_h, miss.hurt) == (CLASSES[-1].name, 3, 0.001, ("torque",))
 
 
+def test_a_class_that_was_not_injected_is_no_failure_of_the_robot():
+    told = every_class_handled()
+    told.over[:, 0] = -1
+    page = render(report(told))
+    words = " ".join("".join(Page(page).words).split())
+    assert words.count("not injected") == 1
+    assert "60 of 60" not in words
+    about = f"least sure: {CLASSES[0].name}, 0 of 0 handled; 95 % takes 59 injections"
+    assert about in words
+    faults = page[page.index("Faults on schedule") : page.index("What this run could not see")]
+    assert 'class="hit' not in faults
+
+
 def test_the_page_shows_every_class_and_what_was_not_injected():
     told = every_class_handled()
     told.hurt[3, -1] = 1 << NAMES.index("torque")

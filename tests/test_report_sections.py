@@ -12,6 +12,7 @@ from test_report import HOURS, ROBOTS, SPEC, TICKS, Page, build, load_budget, re
 from eval.counts import MONITORS, monitor_of
 from eval.report.data import Report
 from eval.report.html import EVENTS_SHOWN, cells, duration, margin, of_limit, plots, render
+from eval.report.junit import junit
 from eval.report.numbers import figure
 from eval.report.schema import SCHEMA, schema
 
@@ -93,6 +94,17 @@ def test_the_test_of_over_dispersion_is_one_sentence(robots, said):
     assert found.evidence.draw_rate_upper > found.evidence.hard_rate_upper * (
         2 if len(set(robots)) == 1 else 1
     )
+
+
+def test_what_has_no_budget_says_so():
+    free = load_budget().model_copy(update={"latches_max": None, "availability_min": 0.0})
+    result = soak(interrupted=True)
+    result.counts.latches[2] = 1234
+    found = build(result, free)
+    assert Report.model_validate_json(found.model_dump_json()) == found
+    assert re.search(r"latches kept 1,234 no budget times", words(found))
+    assert re.search(r"availability kept 100.00 % no budget", words(found))
+    assert "latches: found 1234 times, no budget" in junit(found)
 
 
 def test_each_monitor_has_its_bounds():

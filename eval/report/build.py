@@ -40,7 +40,7 @@ def build(result: SoakResult, budget: Budget) -> Report:
             name=finding.name,
             unit=finding.unit,
             at_least=finding.at_least,
-            allowed=finding.allowed,
+            allowed=number(finding.allowed),
             found=number(finding.found),
             passed=finding.passed,
         )

@@ -53,12 +53,15 @@ class SoakResult:
 
 
 class Line(Strict):
-    """One budget line; `allowed` is the least if `at_least`, else the most. `about`: what `found` is of, in words."""
+    """One budget line; `about` says what `found` is of, in words.
+
+    `allowed` is the least if `at_least`, else the most; None for no budget.
+    """
 
     name: str
     unit: str
     at_least: bool
-    allowed: float
+    allowed: Number
     found: Number
     passed: bool
     about: str = ""

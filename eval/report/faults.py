@@ -57,7 +57,8 @@ def _about(row: FaultRow, coverage: float) -> str:
     told = f"least sure: {row.where} {row.what}, {row.handled:,} of {row.injections:,} handled"
     if needed <= row.injections:
         return told
-    return f"{told}; with {missed:,} missed, {100 * coverage:g} % takes {needed:,} injections"
+    given = f"with {missed:,} missed, " if missed else ""
+    return f"{told}; {given}{100 * coverage:g} % takes {needed:,} injections"
 
 
 def _row(spec: RobotSpec, found: Injections, each: FaultClass, mine: Bools, handled: Bools) -> FaultRow:

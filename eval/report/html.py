@@ -98,7 +98,7 @@ def _trend_plots(trend: Trend) -> list[TrendPlot]:
 
 def plots(report: Report) -> dict[str, Markup | list[Markup]]:
     """Every figure by its section."""
-    wanted = next(line.allowed for line in report.budget if line.name == "goal_success")
+    wanted = next(line.allowed for line in report.budget if line.name == "goal_success") or 0.0
     top = max(max(line.max_c, line.peak_c or line.max_c) for line in report.heat)
     end_h = max(1e-3, *(robot.hours for robot in report.robots))
     judged = [row for row in report.monitors if row.unit and row.evaluations and row.loads]

@@ -28,5 +28,6 @@ def describe(line: Line) -> str:
     """The line in words."""
     found = "no number" if line.found is None else f"{line.found:.6g}"
     most = "at least" if line.at_least else "at most"
+    allowed = "no budget" if line.allowed is None else f"allowed {most} {line.allowed:.6g}"
     about = f" ({line.about})" if line.about else ""
-    return f"{line.name}: found {found} {line.unit}, allowed {most} {line.allowed:.6g}{about}"
+    return f"{line.name}: found {found} {line.unit}, {allowed}{about}"
