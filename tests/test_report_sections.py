@@ -14,6 +14,7 @@ from eval.report.data import Report
 from eval.report.html import EVENTS_SHOWN, cells, duration, margin, of_limit, plots, render
 from eval.report.junit import junit
 from eval.report.numbers import figure
+from eval.report.plots import heat_plot, wear_plot
 from eval.report.schema import SCHEMA, schema
 
 HARD = sum(monitor.hard for monitor in MONITORS)
@@ -156,6 +157,21 @@ def test_margins_are_distributions():
         for c in ("--series-1", "--warn")
     }
     assert strokes == {"--series-1": 2 * len(named), "--warn": 1}
+
+
+@pytest.mark.parametrize("hours", [8.0, 0.69, 0.025, 0.0125])
+def test_labels_of_time_lie_inside_their_picture(hours):
+    heat, wear = report().heat[0], report().wear[0]
+    ends = {"median_c": (20.0, 30.0), "hottest_c": (20.0, 40.0)}
+    for picture in (
+        heat_plot((0.0, hours), heat.model_copy(update=ends), 120.0),
+        wear_plot((0.0, hours), wear.model_copy(update={"median": (1.0, 2.0), "most_worn": (1.0, 3.0)})),
+    ):
+        width = float(re.search(r'viewBox="0 0 ([\d.]+) ', picture)[1])
+        labels = re.findall(r'text-anchor: middle[^>]*? x="([\d.]+)"[^>]*>([\d.]+)</text>', picture)
+        at, last = max((float(x), label) for x, label in labels)
+        assert float(last) > hours / 2
+        assert at + 0.64 * 9 / 2 * (len(last) - 0.5 * ("." in last)) < width  # as wide as digits ever are
 
 
 def test_ticks_that_nobody_judged_have_no_margin():

@@ -239,9 +239,9 @@ def _curves(axes: Axes, hours: Sequence[float], median: Sequence[Number], most: 
 
 
 def _canvas(width: float, height: float, left_in: float = 0.5) -> tuple[Figure, Axes]:
-    """A figure of some inches and its axes, with room for tick labels and units."""
+    """A figure of some inches and its axes, with room for tick labels and units, also for half of one at the right."""
     figure = Figure(figsize=(width, height))
-    left, bottom, right = left_in / width, 0.42 / height, 0.16 / width
+    left, bottom, right = left_in / width, 0.42 / height, 0.24 / width
     axes = figure.add_axes((left, bottom, 1 - left - right, 1 - bottom - 0.05 / height))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter("{x:g}")
