@@ -1,4 +1,4 @@
-"""What flows into and out of the estimate of a floating base: every array (B, ...) with B robots, F feet.
+"""What flows into the estimate of a floating base: every array (B, ...) with B robots, F feet.
 
 SI units; the base frame is the IMU's.
 """
@@ -61,35 +61,15 @@ class Feet(NamedTuple):
     velocity: Floats
 
 
-class BaseState(NamedTuple):
-    """The belief about now.
+class Upright(NamedTuple):
+    """Where an IMU that estimates its orientation itself says up is; its yaw is not believed.
 
     Attributes:
-        t: s, now.
-        quat_wxyz: (B, 4) base in world, yaw counted from the seed.
-        angular_velocity: (B, 3) rad/s in the base frame, without bias.
-        velocity_in_world: (B, 3) m/s. velocity_in_base: (B, 3) m/s.
-        gravity: (B, 3) direction of gravity in the base frame: (0, 0, −1) when upright.
-        orientation_var: (B, 3) rad², of turns about the world's axes: the last is that of yaw.
-        angular_velocity_var, velocity_in_world_var, velocity_in_base_var, gravity_var: (B, 3), in squared units.
-        age: (B,) s since the newest sample was taken.
-        innovation: (B, F, 3) of the newest sample, whitened by its covariance; 0 where a foot did not stand.
-        stuck: (B,) the IMU repeats itself: its samples are left out.
-        diverged: (B,) not to be believed: see `FloatingBase`.
+        fresh: (B,) whether it said so since the last look.
+        up: (B, 3) unit vector, in the base frame at the time of the IMU's sample.
+        variance: rad², of each of its two angles.
     """
 
-    t: float
-    quat_wxyz: Floats
-    angular_velocity: Floats
-    velocity_in_world: Floats
-    velocity_in_base: Floats
-    gravity: Floats
-    orientation_var: Floats
-    angular_velocity_var: Floats
-    velocity_in_world_var: Floats
-    velocity_in_base_var: Floats
-    gravity_var: Floats
-    age: Floats
-    innovation: Floats
-    stuck: Bools
-    diverged: Bools
+    fresh: Bools
+    up: Floats
+    variance: float

@@ -7,8 +7,10 @@ import math
 from collections import Counter
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from deploy.effort import Gains
 from deploy.terms import SIZE_MAX, Clip, Count, Name, Numbers, Positive, Scales, Term
 from robots.errors import ContractError
 from robots.strict import Strict, parse, read_json
@@ -59,6 +61,11 @@ class ActionSpec(Strict):
         return self
 
     @property
+    def gains(self) -> Gains | None:
+        """Of the drives, if the policy was trained with its own."""
+        return None if self.kp is None or self.kd is None else Gains(np.array(self.kp), np.array(self.kd))
+
+    @property
     def bounds(self) -> tuple[float, float]:
         """Of the raw action: `clip`, or all numbers."""
         return self.clip or (-math.inf, math.inf)
@@ -107,6 +114,8 @@ class Contract(Strict):
             raise ValueError(f"observation: terms named twice: {', '.join(twice)}")
         if self.observation_size > SIZE_MAX:
             raise ValueError(f"observation: {self.observation_size} numbers, at most {SIZE_MAX}")
+        if len(periods := {term.period_s for term in self.observation if term.period_s}) > 1:
+            raise ValueError(f"observation: period_s: found {sorted(periods)}, expected the same for all")
         sizes = {len(self.observed.mean), len(self.observed.deviation)} if self.observed else set()
         if wrong := sizes - {self.observation_size}:
             raise ValueError(f"observed: found {wrong.pop()} numbers, expected {self.observation_size}")
@@ -118,6 +127,11 @@ class Contract(Strict):
     def observation_size(self) -> int:
         """N, numbers in one observation, history included."""
         return sum(term.size * term.history for term in self.observation)
+
+    @property
+    def period_s(self) -> float:
+        """s, of the gait, if a term is about one."""
+        return next((term.period_s for term in self.observation if term.period_s), math.inf)
 
     @property
     def action_size(self) -> int:

@@ -27,14 +27,16 @@ def _mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
         yield f"robot_digest: found {contract.robot_digest}, expected {spec.digest} of {spec.folder}"
     if contract.control_hz != spec.rates.control_hz:
         yield f"control_hz: found {contract.control_hz} Hz, expected {spec.rates.control_hz} Hz"
-    if contract.task != "reach":
-        yield f"task: found {contract.task!r}, expected 'reach': {spec.name} stands fixed"
+    if contract.task != (task := "velocity" if spec.base else "reach"):
+        yield f"task: found {contract.task!r}, expected {task!r}: {spec.name} {_stands(spec)}"
     for term in contract.observation:
         yield from _term(term, contract.action_size, spec)
     if contract.action_size != spec.n:
         yield f"action.size: found {contract.action_size}, expected {spec.n}, one for each joint"
-    if contract.action.kp is not None:
-        yield f"action.kp: found gains, expected none: the drives of {spec.name} have their own"
+
+
+def _stands(spec: RobotSpec) -> str:
+    return "has a base" if spec.base else "stands fixed"
 
 
 def _joints(found: tuple[str, ...], spec: RobotSpec) -> Iterator[str]:
@@ -58,8 +60,9 @@ def _term(term: Term, actions: int, spec: RobotSpec) -> Iterator[str]:
     expected = actions if term.source == "last_action" else reading.size or spec.n
     if term.size != expected:
         yield f"{field}.size: found {term.size}, expected {expected} for {term.source}"
-    if reading.floating:
-        yield f"{field}.source: {term.source} needs a floating base; {spec.name} stands fixed"
+    if reading.stands is not None and reading.stands != (spec.base is None):
+        needed = "a robot that stands fixed" if reading.stands else "a base"
+        yield f"{field}.source: {term.source} needs {needed}; {spec.name} {_stands(spec)}"
     elif reading.sensor not in spec.sensors:
         yield (
             f"{field}.source: {term.source} needs a sensor of kind {reading.sensor}; {spec.name} has"

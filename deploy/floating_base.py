@@ -16,11 +16,11 @@ discrete time. filterpy is the oracle of the tests.
 import numpy as np
 
 from deploy.base_model import ACC, GYRO, PHI, Belief, G, V, diagonal, move, variance, whiten
-from deploy.base_state import BaseNoise, BaseState, Feet, Imu
+from deploy.base_state import BaseNoise, Feet, Imu, Upright
 from deploy.flags import some
 from deploy.rotations import exp, matrix, norm, product, skew, times, upright
 from deploy.stage import Stage
-from deploy.state import Bools, Floats
+from deploy.state import BaseState, Bools, Floats
 
 RANGE = 1e4
 """rad/s, m/s² or m: a reading beyond it is no reading."""
@@ -86,7 +86,7 @@ class FloatingBase(Stage):
         self.seeded[ids] = False
 
     @np.errstate(all="ignore")  # where numbers run out `diverged` says so
-    def step(self, t: float, imu: Imu, feet: Feet) -> BaseState:
+    def step(self, t: float, imu: Imu, feet: Feet, upright: Upright | None = None) -> BaseState:
         """Fuse what arrived and carry the belief to now.
 
         A packet older than the last, more than a period from the future, or with numbers that no sensor gives is left
@@ -96,6 +96,7 @@ class FloatingBase(Stage):
             t: s, now.
             imu: the newest packets.
             feet: at the times of these packets.
+            upright: of an IMU that says it.
         """
         reading = np.concatenate([imu.gyro, imu.accelerometer], axis=1)
         arrived = imu.fresh & np.isfinite(imu.t) & (imu.t <= t + self._dt) & _credible(reading)
@@ -106,6 +107,8 @@ class FloatingBase(Stage):
         fused = newer & ~self._stuck()
         self._predict(fused, imu.t, reading)
         self._update(fused, feet)
+        if upright is not None:
+            self._level(upright.fresh & self.seeded, upright)
         return self._now(t)
 
     def _seed(self, ids: Bools, t: Floats, reading: Floats) -> None:
@@ -185,6 +188,18 @@ class FloatingBase(Stage):
         best = np.where(stands, np.minimum(nis, NIS_MAX), NIS_MAX).min(axis=1)
         self.nis += np.where(stands.any(axis=1), (best - self.nis) / NIS_SAMPLES, 0.0)
         return np.asarray(stands & (nis <= GATE))
+
+    def _level(self, ids: Bools, upright: Upright) -> None:
+        """Tilt as it is said, which a turn φ of the error leans by φ × up; one beyond the gate is left out."""
+        leans = times(matrix(self.quat_wxyz), upright.up)
+        z, S = np.stack([leans[:, 1], -leans[:, 0]], axis=1), self.P[:, :2, :2].copy()
+        diagonal(S)[:] += upright.variance
+        K = np.asarray(np.linalg.solve(S, self.P[:, :2]).swapaxes(1, 2), dtype=np.float64)
+        far = (z * np.linalg.solve(S, z[..., None])[..., 0]).sum(axis=1)
+        used = ids & (far <= GATE)
+        self._correct(np.where(used[:, None], times(K, z), 0.0))
+        self.P -= np.where(used[:, None, None], K @ self.P[:, :2], 0.0)
+        self.P[:] = 0.5 * (self.P + self.P.swapaxes(1, 2))
 
     def _correct(self, error: Floats) -> None:
         """Put the errors (B, 12) into the belief, which leaves them 0."""

@@ -97,7 +97,7 @@ class Recorder:
         self._events: list[Recording] = []
         self.lost: str | None = None
         self._folder, self._spec, self._start_ns, self._about = folder, runtime.spec, start_ns, dict(about)
-        self._goal_m = runtime.task.config.tolerance_m
+        self._goal_m = runtime.task.tolerance
         self._ring = Ring(runtime.spec, runtime.robot.robots)
         self._every = max(1, runtime.spec.rates.control_hz // STREAM_HZ)
         self._after = round(AFTER_S / runtime.spec.dt)

@@ -63,6 +63,8 @@ WHOLE = ("tick", "mode", "reason", "reached", "attempted")
 def row_type(joints: int) -> np.dtype[np.void]:
     """One tick of one robot: what `Recording.write` takes. SI units, joint vectors in the robot's order.
 
+    `tool` and `goal` of a robot with a base are its velocities: as believed, and as asked for.
+
     Whole numbers come first; all are 8 bytes wide, so that rows can be seen as plain arrays of either kind.
     """
     numbers, sent = (
@@ -77,7 +79,7 @@ def row_type(joints: int) -> np.dtype[np.void]:
 
 
 class Recording:
-    """Topics /measured, /setpoint, /state, /scene and /log of one robot.
+    """Topics /measured, /setpoint, /state, /scene (of a robot with a tool) and /log of one robot.
 
     What goes wrong with the disk is never raised here: `error` says what it was, and nothing is written any more.
     """
@@ -127,7 +129,8 @@ class Recording:
         )
         self._setpoint.log(sent, log_time=ns)
         self._state.log(_state(row), log_time=ns)
-        self._scene.log(self._spheres(stamp, row), log_time=ns)
+        if self._spec.tool:
+            self._scene.log(self._spheres(stamp, row), log_time=ns)
 
     def say(self, tick: int, message: str, *, warning: bool) -> None:
         """A line in the log."""

@@ -13,6 +13,7 @@ import typer
 
 from deploy.cli import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
 from deploy.clock import Unpaced, WallClock
+from deploy.effort import Gains
 from deploy.heat_file import PERIOD_S as HEAT_S
 from deploy.heat_file import HeatFile
 from deploy.pace import Every, Pace
@@ -69,7 +70,7 @@ def run(
     origin, source, given = _source(spec, seed, draw)
     brain = Policy.load(policy, spec)
     check_folder(out)
-    body = _simulated(spec, source, given)
+    body = _simulated(spec, source, given, brain.contract.action.gains)
     view_step = _viewer(body) if view else None
     runtime = Runtime(spec, brain.contract, body, [source], brain)
     about = {"robot": spec.name, "robot_digest": spec.digest, "policy": str(policy)}
@@ -130,12 +131,14 @@ def _source(
     return draw, robot_seed(number, robot), robots.robot(robot)
 
 
-def _simulated(spec: RobotSpec, source: np.random.SeedSequence, given: Draw | None) -> "SimRobot":
+def _simulated(
+    spec: RobotSpec, source: np.random.SeedSequence, given: Draw | None, gains: Gains | None
+) -> "SimRobot":
     try:
         from deploy.backends.sim.robot import SimRobot
     except ModuleNotFoundError as e:
         raise ConfigError(f"--backend sim: needs {e.name}, which is not installed: firstshift[sim]") from e
-    return SimRobot(spec, [source], given=given)
+    return SimRobot(spec, [source], given=given, gains=gains)
 
 
 def _viewer(robot: "SimRobot") -> Callable[[object], None]:

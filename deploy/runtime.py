@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from deploy.action import Action
 from deploy.backends.base import Robot
+from deploy.base import Walker
 from deploy.contract import Contract
+from deploy.effort import Springs
 from deploy.estimator import Estimator
 from deploy.flags import every, some
 from deploy.observation import Observation, Sources
@@ -15,9 +17,22 @@ from deploy.policy import Policy
 from deploy.safety import Safety
 from deploy.smoother import Smoother
 from deploy.stage import Arrays, Stage, inside
-from deploy.state import Bools, Command, Floats, Ints, Reason, Setpoint, State, Target, Verdict
+from deploy.state import (
+    BaseState,
+    Bools,
+    Command,
+    Floats,
+    Ints,
+    Reason,
+    Sample,
+    Setpoint,
+    State,
+    Target,
+    Verdict,
+)
 from deploy.supervisor import Supervisor
 from deploy.tasks.reach import Reach
+from deploy.tasks.velocity import Velocity
 from robots.model_pinocchio import Fleet
 from robots.spec import RobotSpec
 
@@ -36,7 +51,7 @@ class Runtime(Stage):
     has ticked. What is saved is what decides the next tick, without the robot's own.
     """
 
-    carried = ("asked", "_tool", "_goal")
+    carried = ("asked", "since", "_tool", "_goal")
     parts = ("estimator", "action", "smoother", "supervisor", "task", "observation")
 
     state: State
@@ -63,16 +78,20 @@ class Runtime(Stage):
         self.spec, self.contract, self.robot, self.policy = spec, contract, robot, policy
         robots = robot.robots
         self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
-        self.fleet = Fleet(spec, robots)
-        self.safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True))
+        self._period_s = contract.period_s
+        self.fleet, checked = Fleet(spec, robots), Fleet(spec, 2 * robots, collisions=True)
+        self.gains = contract.action.gains
+        self.safety = Safety(spec, checked, Springs(spec, self.gains) if self.gains else None)
         self.estimator = Estimator(spec, robots)
         self.action = Action(contract.action, robots)
         self.smoother = Smoother(spec, robots)
         self.supervisor = Supervisor(robots, spec.dt)
-        self.task = Reach(spec, seeds)
+        self.walker = Walker(spec, spec.base, robots) if spec.base else None
+        self.task = Velocity(spec, spec.base, seeds) if spec.base else Reach(spec, seeds)
         self.observation = Observation(contract, self._sources(), robots)
-        self.asked = np.zeros(robots, dtype=np.int64)
+        self.asked, self.since = np.zeros((2, robots), dtype=np.int64)
         rest = np.zeros((robots, spec.n))
+        self._nothing = rest, rest
         self._ahead, self._tau_ahead = Setpoint(q=rest, qd=rest, qdd=rest), rest
         self._tool, self._goal = np.zeros((2, robots, 3))
         if policy is not None:
@@ -82,7 +101,8 @@ class Runtime(Stage):
         """Copies of what every stage carries, of the stop that is prepared, and of the number of ticks."""
         ahead = {"q": self._ahead.q, "qd": self._ahead.qd, "qdd": self._ahead.qdd, "tau": self._tau_ahead}
         stop: Arrays = {f"ahead.{name}": array.copy() for name, array in ahead.items()}
-        known = {} if self.policy is None else {f"policy.{n}": a for n, a in self.policy.save().items()}
+        others = {"policy": self.policy, "walker": self.walker}
+        known = {f"{part}.{n}": a for part, stage in others.items() if stage for n, a in stage.save().items()}
         return super().save() | stop | known | {"ticks": np.array(self.ticks)}
 
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
@@ -94,6 +114,8 @@ class Runtime(Stage):
         self._ahead, self._tau_ahead = Setpoint(q=q, qd=qd, qdd=qdd), tau
         if self.policy is not None:
             self.policy.restore(inside(arrays, "policy"))
+        if self.walker is not None:
+            self.walker.restore(inside(arrays, "walker"))
         self.ticks = int(arrays["ticks"])
 
     def _sources(self) -> Sources:
@@ -106,7 +128,24 @@ class Runtime(Stage):
             "goal_torque": lambda: self.fleet.tool_pull(self._goal - self._tool),
             "target_offset": lambda: self.action.q - self.state.q,
             "last_action": lambda: self.action.last,
+            "base_angular_velocity": lambda: self._base.angular_velocity,
+            "base_linear_velocity": lambda: self._base.velocity_in_base,
+            "base_orientation": lambda: self._base.quat_wxyz,
+            "projected_gravity": lambda: self._base.gravity,
+            "velocity_command": lambda: self.task.goal,
+            "gait_phase": self._phase,
         }
+
+    @property
+    def _base(self) -> BaseState:
+        if self.state.base is None:
+            raise RuntimeError("a robot without a base was asked for it")
+        return self.state.base
+
+    def _phase(self) -> Floats:
+        """(B, 2) sine and cosine of the time since arming."""
+        phase = 2.0 * np.pi / self._period_s * self.spec.dt * self.since
+        return np.stack((np.sin(phase), np.cos(phase)), axis=1)
 
     @property
     def t(self) -> float:
@@ -125,7 +164,11 @@ class Runtime(Stage):
 
     @property
     def tool(self) -> Floats:
-        """(B, 3) m, where the tool is believed to be in the world; renewed whenever the policy is due."""
+        """(B, 3) what a goal of the task is compared with.
+
+        m, where the tool is believed to be in the world; renewed whenever the policy is due. Of a robot with a base m/s
+        forwards, m/s to the left, rad/s to the left, as it is believed to move.
+        """
         return self._tool
 
     def tick(self) -> None:
@@ -138,17 +181,26 @@ class Runtime(Stage):
         self.robot.show(self.task.goal)
         sample = self.robot.read()
         self.state = self.estimator.step(self.t, sample, self.smoother.sent)
+        if self.walker:
+            self.state = self.walker.step(self.t, sample, self.state)
+            self._tool[:, :2] = self._base.velocity_in_base[:, :2]
+            self._tool[:, 2] = self._base.angular_velocity[:, 2]
         if self.ticks % self.decimation:
             return None
-        self.fleet.place(self.state.q)
-        self._tool[:] = self.fleet.tool_position
-        if "goal" in sample:  # who sees none, or none any more, stays where it is
-            seen, old = sample["goal"].value, self.t - sample["goal"].t > UNSEEN_S
-            self._goal[:] = np.where(np.isfinite(seen) & ~old[:, None], seen, self._tool)
+        if not self.walker:
+            self._look(sample)
         off = ~self.supervisor.powered
         if some(off):  # a robot without power wants to be where it stands
             self.action.reset(off, self.state.q)
         return self.observation.step()
+
+    def _look(self, sample: Sample) -> None:
+        """Where tool and goal are; who sees no goal, or none any more, stays where it is."""
+        self.fleet.place(self.state.q)
+        self._tool[:] = self.fleet.tool_position
+        if "goal" in sample:
+            seen, old = sample["goal"].value, self.t - sample["goal"].t > UNSEEN_S
+            self._goal[:] = np.where(np.isfinite(seen) & ~old[:, None], seen, self._tool)
 
     def act(self, action: Floats | Float32s | None) -> None:
         """Plan, check, decide and send; `action` (B, A) where the policy has spoken, else None."""
@@ -170,6 +222,7 @@ class Runtime(Stage):
             self._send(planned, self.verdict.tau)
         self._ahead, self._tau_ahead = _where(obey, ahead), self.verdict.tau_ahead
         self.task.step(self._tool, self.supervisor.running)
+        self.since += 1
         self.ticks += 1
 
     def _reason(self) -> Ints:
@@ -185,10 +238,11 @@ class Runtime(Stage):
 
     def _send(self, setpoint: Setpoint, tau: Floats) -> None:
         self.smoother.commit(setpoint)
+        told = (setpoint.qd, tau) if self.gains is None else self._nothing
         self.command = Command(
             q=setpoint.q,
-            qd=setpoint.qd,
-            tau=tau,
+            qd=told[0],
+            tau=told[1],
             powered=self.supervisor.powered,
             current=self._current(),
         )
@@ -220,7 +274,7 @@ class Runtime(Stage):
         verdict = self.safety.step(self.state, here, here, here, here.q, here.q)
         reason = np.where(ids, verdict.reason | self.state.fault, 0)
         reason[ids & self.estimator.moving] |= _MOVING
-        self.asked[ids] = 0
+        self.asked[ids], self.since[ids] = 0, 0
         granted = ids & (reason == 0)
         self.supervisor.arm(granted)
         self.estimator.follow(granted, self.smoother.sent, here)
@@ -243,6 +297,8 @@ class Runtime(Stage):
         """Robots where `ids` holds begin anew, disarmed: their backend has put them somewhere else."""
         self.smoother.hold(ids, self.smoother.q)
         self.estimator.reset(ids, self.smoother.sent)
+        if self.walker:
+            self.walker.reset(ids)
         self.observation.reset(ids)
         self._forget(ids)
         self.supervisor.disarm(ids)

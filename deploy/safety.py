@@ -7,9 +7,10 @@ ends, and tool and collisions in its midst. What lies between is not looked at: 
 
 import numpy as np
 
+from deploy.effort import Effort, Feedforward
 from deploy.flags import every
 from deploy.state import Bools, Floats, Ints, Reason, Setpoint, State, Verdict
-from robots.model_pinocchio import Fleet, torque_max
+from robots.model_pinocchio import Fleet
 from robots.spec import RobotSpec
 
 TOLERANCE = 1e-6
@@ -22,51 +23,24 @@ ANY = float(np.finfo(np.float64).max)
 class Safety:
     """Every check on every tick for every robot, two points of each in one call."""
 
-    def __init__(self, spec: RobotSpec, fleet: Fleet) -> None:
+    def __init__(self, spec: RobotSpec, fleet: Fleet, effort: Effort | None = None) -> None:
         """Read the limits.
 
         Args:
             spec: the robot.
             fleet: its nominal model, 2B robots wide, with collisions.
+            effort: the law of its drives; by default they are stiff.
         """
         self._fleet, self._on_the_way = fleet, fleet.of(-(-fleet.robots // 2))
-        margins, space = spec.margins, spec.workspace
-        self._centre = np.array(space.centre)
+        self._effort, self._tooling = effort or Feedforward(spec, fleet), spec.tooling
         self._twice_jerk = 2 * spec.joint_array("qddd_max")
-        low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
-        soft = low + margins.q_soft_rad, high - margins.q_soft_rad
-        qd_max = margins.speed * spec.joint_array("qd_max") * (1 + TOLERANCE)
-        tau_max = margins.tau * torque_max(spec)
-        # Ages are whole ticks but for rounding: half a tick keeps a limit that is one of them in its place.
-        stale_s, lost_s = margins.stale_s + spec.dt / 2, margins.lost_s + spec.dt / 2
-        anything = np.full(spec.n, ANY)
-        clear = (
-            (0.0, 0.0, Reason.COLLISION),
-            (space.z_min + margins.workspace_m, ANY, Reason.WORKSPACE),
-            (0.0, (space.radius_max - margins.workspace_m) ** 2, Reason.WORKSPACE),
-        )
-        self._state_and_midst = _Bounds(
-            self._on_the_way.robots,
-            (low, high, Reason.OUTSIDE),
-            (-anything, anything, Reason.NOT_FINITE),
-            (*_within(np.full(spec.n, margins.tracking_rad)), Reason.TRACKING),
-            (-anything, spec.motor_array("housing_max_c"), Reason.HEAT),
-            (-anything, spec.motor_array("winding_max_c"), Reason.HEAT),
-            (-ANY, stale_s, Reason.STALE),
-            (-ANY, lost_s, Reason.LOST),
-            *clear,
-        )
-        pose = (*soft, Reason.POSITION), (margins.singularity, ANY, Reason.SINGULARITY), *clear
-        self._pose = _Bounds(fleet.robots, *pose)
+        self._state_and_midst = _Bounds(self._on_the_way.robots, *_of_state(spec), *_of_place(spec))
+        self._pose = _Bounds(fleet.robots, *_of_pose(spec))
         self._plan = _Bounds(
-            fleet.robots,
-            (*soft, Reason.POSITION),
-            (*_within(qd_max), Reason.VELOCITY),
-            (*_within(qd_max), Reason.VELOCITY),
-            (*_within(tau_max), Reason.TORQUE),
-            *pose,
-            (0.0, (margins.speed * space.tool_speed_max) ** 2, Reason.TOOL_SPEED),
+            fleet.robots, *_of_motion(spec, self._effort.bound), *_of_pose(spec), *_of_tool_speed(spec)
         )
+        if self._tooling:
+            self._centre = np.array(self._tooling.workspace.centre)
 
     # A setpoint without a number is refused by its own check; nobody else need complain.
     @np.errstate(invalid="ignore", over="ignore")
@@ -91,20 +65,19 @@ class Safety:
         """
         robots, age = len(q_rest), state.age[:, None]
         q, qd, qdd = (np.concatenate(pair) for pair in zip(setpoint, ahead, strict=True))
-        tau = self._fleet.torque(q, qd, qdd).copy()
+        tau = self._effort.torque(state, q, qd, qdd).copy()
         # A drive that is folded back has less to give than its range.
         asked = tau if every(state.fold == 1.0) else np.concatenate((tau[:robots] / state.fold, tau[robots:]))
         poses = self._place(np.concatenate((setpoint.q, q_rest)))
         self._on_the_way.glance(q_midst)
         # A stop first lets the acceleration run out, and the speed that it gains until then counts.
         qd_peak = qd + qdd * np.abs(qdd) / self._twice_jerk
-        speeds = self._fleet.tool_velocity(
-            np.concatenate((setpoint.qd, qd_peak[:robots])), of=slice(0, robots)
-        )
-        points = self._plan.reasons(q, qd, qd_peak, asked, *poses, np.vecdot(speeds, speeds)[:, None])
+        speeds = self._tool_speeds(np.concatenate((setpoint.qd, qd_peak[:robots])))
+        points = self._plan.reasons(q, qd, qd_peak, asked, *poses, *speeds)
         midst, lag = self._clear(self._on_the_way), sent.q - state.q
-        heat = state.temperature, state.hottest
-        reason = self._state_and_midst.reasons(state.q, state.qd, lag, *heat, age, age, *midst)
+        believed = state.q, state.qd, lag, state.temperature, state.hottest, age, age
+        upright = () if state.base is None else (-state.base.gravity[:, 2:],)
+        reason = self._state_and_midst.reasons(*believed, *upright, *midst)
         reason |= points[:robots] | points[robots:]
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:])
 
@@ -115,19 +88,88 @@ class Safety:
     def _place(self, q: Floats) -> tuple[Floats | Bools, ...]:
         """Place the fleet at (R, n) rad and read the columns of a pose."""
         self._fleet.place(q)
-        return q, self._fleet.manipulability()[:, None], *self._clear(self._fleet)
+        measure = (self._fleet.manipulability()[:, None],) if self._tooling else ()
+        return q, *measure, *self._clear(self._fleet)
 
     def _clear(self, fleet: Fleet) -> tuple[Floats | Bools, ...]:
         """Columns of where a fleet is: collision, m above the world's origin, m² from the workspace's centre."""
+        if not self._tooling:
+            return (fleet.colliding[:, None],)
         tool = fleet.tool_position
         arm = tool - self._centre
         return fleet.colliding[:, None], tool[:, 2:], np.vecdot(arm, arm)[:, None]
+
+    def _tool_speeds(self, qd: Floats) -> tuple[Floats, ...]:
+        """m²/s², a column of squared speeds of the tool at the first half's poses, for qd (R, n) rad/s."""
+        if not self._tooling:
+            return ()
+        speeds = self._fleet.tool_velocity(qd, of=slice(0, self._on_the_way.robots))
+        return (np.vecdot(speeds, speeds)[:, None],)
+
+
+Column = tuple[Floats | float, Floats | float, Reason]
+"""Least, most, and the reason for which what lies outside is refused; of (n,) columns, or of one."""
+
+
+def _of_state(spec: RobotSpec) -> tuple[Column, ...]:
+    """What is believed: q, qd, lag, temperature, hottest, age twice, and of a base the cosine of its tilt."""
+    margins, anything = spec.margins, np.full(spec.n, ANY)
+    # Ages are whole ticks but for rounding: half a tick keeps a limit that is one of them in its place.
+    stale_s, lost_s = margins.stale_s + spec.dt / 2, margins.lost_s + spec.dt / 2
+    columns: tuple[Column, ...] = (
+        (spec.joint_array("q_min"), spec.joint_array("q_max"), Reason.OUTSIDE),
+        (-anything, anything, Reason.NOT_FINITE),
+        (*_within(np.full(spec.n, margins.tracking_rad)), Reason.TRACKING),
+        (-anything, spec.motor_array("housing_max_c"), Reason.HEAT),
+        (-anything, spec.motor_array("winding_max_c"), Reason.HEAT),
+        (-ANY, stale_s, Reason.STALE),
+        (-ANY, lost_s, Reason.LOST),
+    )
+    return (*columns, (np.cos(spec.base.tilt_max_rad), ANY, Reason.FALLEN)) if spec.base else columns
+
+
+def _of_place(spec: RobotSpec) -> tuple[Column, ...]:
+    """Where a robot is: collision, and of a tool its height and squared distance from the workspace's centre."""
+    collision, tooling = (0.0, 0.0, Reason.COLLISION), spec.tooling
+    if tooling is None:
+        return (collision,)
+    space, margin = tooling.workspace, tooling.workspace_m
+    return (
+        collision,
+        (space.z_min + margin, ANY, Reason.WORKSPACE),
+        (0.0, (space.radius_max - margin) ** 2, Reason.WORKSPACE),
+    )
+
+
+def _soft(spec: RobotSpec) -> Column:
+    margin = spec.margins.q_soft_rad
+    return spec.joint_array("q_min") + margin, spec.joint_array("q_max") - margin, Reason.POSITION
+
+
+def _of_pose(spec: RobotSpec) -> tuple[Column, ...]:
+    """Joint angles, manipulability of a tool, and the place."""
+    tooling = spec.tooling
+    measure: tuple[Column, ...] = ((tooling.singularity, ANY, Reason.SINGULARITY),) if tooling else ()
+    return (_soft(spec), *measure, *_of_place(spec))
+
+
+def _of_motion(spec: RobotSpec, tau_max: Floats) -> tuple[Column, ...]:
+    """A point of a trajectory: q, qd, the highest qd to come, tau."""
+    qd_max = spec.margins.speed * spec.joint_array("qd_max") * (1 + TOLERANCE)
+    speed: Column = (*_within(qd_max), Reason.VELOCITY)
+    return _soft(spec), speed, speed, (*_within(np.minimum(tau_max, ANY)), Reason.TORQUE)
+
+
+def _of_tool_speed(spec: RobotSpec) -> tuple[Column, ...]:
+    if spec.tooling is None:
+        return ()
+    return ((0.0, (spec.margins.speed * spec.tooling.workspace.tool_speed_max) ** 2, Reason.TOOL_SPEED),)
 
 
 class _Bounds:
     """Rows of numbers, each column with the range that it must be in and the reason for which it is refused outside."""
 
-    def __init__(self, rows: int, *columns: tuple[Floats | float, Floats | float, Reason]) -> None:
+    def __init__(self, rows: int, *columns: Column) -> None:
         parts = [np.broadcast_arrays(*(np.atleast_1d(value) for value in column)) for column in columns]
         low, high, self._reason = (np.concatenate(part) for part in zip(*parts, strict=True))
         self._low, self._high = np.tile(low, (rows, 1)), np.tile(high, (rows, 1))

@@ -37,6 +37,40 @@ Sample = Mapping[Kind, Packet]
 """What the robot's bus delivered, by sensor."""
 
 
+class BaseState(NamedTuple):
+    """The belief about a floating base now, in the frame of its IMU.
+
+    Attributes:
+        t: s, now.
+        quat_wxyz: (B, 4) base in world, yaw counted from the seed.
+        angular_velocity: (B, 3) rad/s in the base frame, without bias.
+        velocity_in_world: (B, 3) m/s. velocity_in_base: (B, 3) m/s.
+        gravity: (B, 3) direction of gravity in the base frame: (0, 0, −1) when upright.
+        orientation_var: (B, 3) rad², of turns about the world's axes: the last is that of yaw.
+        angular_velocity_var, velocity_in_world_var, velocity_in_base_var, gravity_var: (B, 3), in squared units.
+        age: (B,) s since the newest sample was taken.
+        innovation: (B, F, 3) of the newest sample, whitened by its covariance; 0 where a foot did not stand.
+        stuck: (B,) the IMU repeats itself: its samples are left out.
+        diverged: (B,) not to be believed: see `FloatingBase`.
+    """
+
+    t: float
+    quat_wxyz: Floats
+    angular_velocity: Floats
+    velocity_in_world: Floats
+    velocity_in_base: Floats
+    gravity: Floats
+    orientation_var: Floats
+    angular_velocity_var: Floats
+    velocity_in_world_var: Floats
+    velocity_in_base_var: Floats
+    gravity_var: Floats
+    age: Floats
+    innovation: Floats
+    stuck: Bools
+    diverged: Bools
+
+
 class State(NamedTuple):
     """The estimator's belief about now.
 
@@ -51,6 +85,7 @@ class State(NamedTuple):
         winding: (B, n) °C, hottest: (B, n) °C that it may have, and fold: (B, n) share of its current that a drive may
             use at work, as `Heat` has them.
         fault: (B,) int64 bit sets of `Reason`, why the estimate is not to be trusted; 0 where it is.
+        base: of a robot that has one.
     """
 
     t: float
@@ -64,6 +99,7 @@ class State(NamedTuple):
     hottest: Floats
     fold: Floats
     fault: Ints
+    base: BaseState | None = None
 
 
 class Target(NamedTuple):
@@ -113,6 +149,7 @@ class Reason(IntFlag):
     DIVERGED = 1 << 16
     MOVING = 1 << 17
     LOAD = 1 << 18
+    FALLEN = 1 << 19
 
 
 class Verdict(NamedTuple):

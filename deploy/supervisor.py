@@ -24,6 +24,7 @@ CATEGORY_1 = (
     | Reason.STUCK
     | Reason.DIVERGED
     | Reason.LOAD
+    | Reason.FALLEN
     | Reason.OVERRUN
     | Reason.OPERATOR
 )
@@ -55,6 +56,7 @@ WORDS = {
     Reason.MOVING: "a joint moves while the drives are off",
     Reason.DIVERGED: "an estimate does not fit what is measured",
     Reason.LOAD: "a motor's current does not fit what its motion needs",
+    Reason.FALLEN: "the robot leans too far: it falls, or has fallen",
 }
 
 

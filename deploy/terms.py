@@ -35,31 +35,31 @@ class Reading(NamedTuple):
         frame, unit: of its numbers.
         size: how many; None: one for each joint.
         sensor: the kind it needs.
-        floating: whether only a robot with a floating base has it.
+        stands: whether only a robot that stands fixed has it, or only one with a base; None: every robot.
     """
 
     frame: Frame
     unit: str
     size: int | None = None
     sensor: Kind = "encoder"
-    floating: bool = False
+    stands: bool | None = None
 
 
 READINGS: dict[Source, Reading] = {
     "joint_position": Reading("joint", "rad"),
     "joint_velocity": Reading("joint", "rad/s"),
-    "tool_position": Reading("world", "m", 3),
-    "goal_position": Reading("world", "m", 3, "goal"),
-    "goal_from_tool": Reading("world", "m", 3, "goal"),
-    "goal_torque": Reading("joint", "N·m", None, "goal"),
+    "tool_position": Reading("world", "m", 3, stands=True),
+    "goal_position": Reading("world", "m", 3, "goal", stands=True),
+    "goal_from_tool": Reading("world", "m", 3, "goal", stands=True),
+    "goal_torque": Reading("joint", "N·m", None, "goal", stands=True),
     "target_offset": Reading("joint", "rad"),
     "last_action": Reading("joint", "1"),
-    "base_angular_velocity": Reading("base", "rad/s", 3, "gyro", floating=True),
-    "base_linear_velocity": Reading("base", "m/s", 3, "accelerometer", floating=True),
-    "base_orientation": Reading("world", "1", 4, "orientation", floating=True),
-    "projected_gravity": Reading("base", "1", 3, "orientation", floating=True),
-    "velocity_command": Reading("base", "m/s, m/s, rad/s", 3, floating=True),
-    "gait_phase": Reading("clock", "1", 2, floating=True),
+    "base_angular_velocity": Reading("base", "rad/s", 3, "gyro", stands=False),
+    "base_linear_velocity": Reading("base", "m/s", 3, "gyro", stands=False),
+    "base_orientation": Reading("world", "1", 4, "gyro", stands=False),
+    "projected_gravity": Reading("base", "1", 3, "gyro", stands=False),
+    "velocity_command": Reading("base", "m/s, m/s, rad/s", 3, stands=False),
+    "gait_phase": Reading("clock", "1", 2, stands=False),
 }
 """goal_torque: joint torques of a spring of 1 N/m that pulls the tool to the goal. base_orientation: quat_wxyz.
 projected_gravity: the unit vector downwards. velocity_command: forwards, to the left, and turning to the left.

@@ -91,7 +91,7 @@ class Replay:
     @property
     def goal_m(self) -> float:
         """How near to a goal counts, m."""
-        return self.shard.runtime.task.config.tolerance_m
+        return self.shard.runtime.task.tolerance
 
     def live(self, watch: Callable[[], None] = lambda: None) -> Again:
         """Live the window, once; `watch` is called after every tick."""

@@ -69,8 +69,9 @@ class Loads:
         self._of_joints = np.stack([np.tile(1.0 / limit, robots) for limit in raw.values()])[:, None]
         self._of_robots = 1.0 / np.array([*robot.values()])[:, None, None]
         self._middle = (spec.joint_array("q_max") + spec.joint_array("q_min")) / 2
-        self._centre = np.array(spec.workspace.centre)
-        self._depth = spec.workspace.radius_max + spec.workspace.z_min
+        space = spec.workspace
+        self._centre = np.array(space.centre) if space else np.zeros(3)
+        self._depth = space.radius_max + space.z_min if space else -np.inf
         self._axes, self._least = Axes(spec), limits.manipulability * SINGULAR
         self._mean, self._deviation = (
             np.array(values if observed else (), dtype=np.float32)
@@ -236,9 +237,9 @@ def _robot_limits(spec: RobotSpec, limits: Limits, observed: Observed | None) ->
     found = {
         "self_collision": 0.5,
         "contact_force": limits.contact_n,
-        "workspace": spec.workspace.radius_max,
+        "workspace": spec.workspace.radius_max if spec.workspace else np.inf,
         "singularity": 1.0 / limits.manipulability,
-        "tool_speed": spec.workspace.tool_speed_max,
+        "tool_speed": spec.workspace.tool_speed_max if spec.workspace else np.inf,
         "robot_power": limits.power_w,
         "observation": limits.deviations if observed else np.inf,
         "action_finite": 0.5,

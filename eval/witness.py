@@ -68,7 +68,7 @@ class Witness:
         if new:
             end = bundle.state_digest(shard.snapshot())
             for event in new:
-                self._write(event, shard.runtime.ticks, end, shard.runtime.task.config.tolerance_m)
+                self._write(event, shard.runtime.ticks, end, shard.runtime.task.tolerance)
         self._from = max(self._from, before)
 
     def _new(self, counts: Counts, before: int) -> list[Event]:

@@ -11,8 +11,10 @@ from tensordict import TensorDict
 from deploy.backends.sim.robot import SimRobot
 from deploy.runtime import Runtime
 from deploy.state import Bools, Mode
+from deploy.tasks.reach import Reach
 from policies.recipe import Recipe, contract_of
 from policies.rewards import Limits, Step, reward, shaping
+from robots.errors import RobotError
 from robots.model_pinocchio import Fleet
 from robots.randomness import training_seed
 from robots.spec import RobotSpec
@@ -37,6 +39,11 @@ class RuntimeEnv(VecEnv):
         seeds = [training_seed(recipe.seed, robot) for robot in range(self.num_envs)]
         self._recipe, self._spec, self._robot = recipe, spec, SimRobot(spec, seeds, threads=threads)
         self.runtime = Runtime(spec, contract_of(recipe, spec, {}), self._robot, seeds)
+        if not isinstance(self.runtime.task, Reach):
+            raise RobotError(
+                f"{spec.folder / 'robot.toml'}: base: found one, expected none: only reaching is trained"
+            )
+        self._task = self.runtime.task
         self._fleet = Fleet(spec, self.num_envs)
         self._limits = Limits(spec, recipe.reward.near_share)
         self._rng = np.random.default_rng(recipe.seed)
@@ -54,7 +61,7 @@ class RuntimeEnv(VecEnv):
 
     def get_observations(self) -> TensorDict:
         """What actor and critic see now."""
-        truth, task = self._robot.truth(), self.runtime.task
+        truth, task = self._robot.truth(), self._task
         privileged = np.concatenate(
             (
                 truth.q,
@@ -100,7 +107,7 @@ class RuntimeEnv(VecEnv):
 
     def _live(self, action: np.ndarray) -> Step:
         """Act until the policy is due again; the last `sense` is left to the caller, after resets."""
-        runtime, task = self.runtime, self.runtime.task
+        runtime, task = self.runtime, self._task
         qdd, stopped = runtime.setpoint.qdd.copy(), np.zeros(self.num_envs, dtype=bool)
         reached = np.zeros(self.num_envs, dtype=bool)
         goal = task.goal.copy()
@@ -110,7 +117,7 @@ class RuntimeEnv(VecEnv):
             running = runtime.supervisor.mode == Mode.RUNNING
             runtime.act(None if tick else action)
             stopped |= running & (runtime.supervisor.mode == Mode.STOPPING)
-            reached |= task.ended & (self._distance(task.ended_goal) <= task.config.tolerance_m)
+            reached |= task.ended & (self._distance(task.ended_goal) <= task.tolerance)
         truth, change = self._robot.truth(), runtime.action.last - self._last_action
         self._fleet.place(truth.q)
         self._last_action[:] = runtime.action.last
@@ -151,7 +158,7 @@ class RuntimeEnv(VecEnv):
 
     def _restart(self, ids: Bools) -> None:
         """Rest robots at random poses from which goals are drawn, and begin their episodes."""
-        poses = self.runtime.task.pool.q
+        poses = self._task.pool.q
         q = poses[self._rng.integers(len(poses), size=self.num_envs)]
         self._robot.reset(ids, q)
         self.runtime.reset(ids)

@@ -1,6 +1,7 @@
 """MuJoCo's model of a robot, from the same model.xml."""
 
 import mujoco
+import numpy as np
 
 from robots.errors import RobotError
 from robots.spec import RobotSpec
@@ -34,7 +35,12 @@ def load_mujoco(spec: RobotSpec) -> mujoco.MjModel:
         model = mjcf.compile()
     except (ValueError, mujoco.FatalError) as e:
         raise _unreadable(spec, e) from e
-    joints = tuple(model.joint(i).name for i in range(model.njnt))
+    free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
+    if free.any() != (spec.base is not None):
+        raise RobotError(
+            f"{path}: found {free.sum()} free joints, expected as many as robot.toml has tables base"
+        )
+    joints = tuple(model.joint(i).name for i in np.flatnonzero(~free))
     if joints != spec.joint_names:
         raise RobotError(f"{path}: joints are {joints}; robot.toml lists {spec.joint_names}")
     driven = tuple(model.joint(model.actuator(i).trnid[0]).name for i in range(model.nactuator))
@@ -43,7 +49,7 @@ def load_mujoco(spec: RobotSpec) -> mujoco.MjModel:
             f"{path}: drives move {driven} with {model.nu} controls and {model.na} states; expected one dcmotor"
             f' for each of {spec.joint_names} with input="pos vel ff" and thermal'
         )
-    if spec.tool not in {model.site(i).name for i in range(model.nsite)}:
+    if spec.tool and spec.tool not in {model.site(i).name for i in range(model.nsite)}:
         raise RobotError(f"{path}: no site named {spec.tool!r}, which robot.toml calls the tool")
     return model
 

@@ -18,7 +18,7 @@ from robots.blocks import lined_up, turns
 from robots.clearance import can_meet
 from robots.collisions import Collisions, collision_pairs
 from robots.errors import RobotError
-from robots.spec import RobotSpec
+from robots.spec import RobotSpec, Tooling
 
 Floats = NDArray[np.float64]
 
@@ -26,17 +26,22 @@ HINGES = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUna
 """What Pinocchio calls a hinge, by its axis."""
 
 
+FLOATING = "JointModelFreeFlyer"
+"""What it calls the joint of a base that nothing holds."""
+
+
 def load_pinocchio(spec: RobotSpec) -> tuple[pin.Model, pin.GeometryModel]:
-    """Build model and collision geometry from model.xml.
+    """Build model and collision geometry from model.xml; of a robot with a base, as seen from there.
 
     Raises:
-        RobotError: Pinocchio cannot read the file or would leave a part of it out; a joint is no hinge; joints or tool
-            are not those of robot.toml.
+        RobotError: Pinocchio cannot read the file or would leave a part of it out; a joint is no hinge; joints, tool
+            or feet are not those of robot.toml.
     """
     path = str(spec.model_path)
     try:
         model = pin.buildModelFromMJCF(path)
         geometry = pin.buildGeomFromMJCF(model, path, pin.GeometryType.COLLISION)
+        model, geometry = _from_base(spec, model, geometry)
     except (ValueError, RuntimeError) as e:
         raise RobotError(f"{path}: Pinocchio cannot read it: {e!s:.300}") from e
     _check_parts(spec, model)
@@ -47,6 +52,27 @@ def load_pinocchio(spec: RobotSpec) -> tuple[pin.Model, pin.GeometryModel]:
                 f" is not inside the mechanical [{low:.4f}, {high:.4f}] of model.xml"
             )
     return model, geometry
+
+
+def _from_base(
+    spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel
+) -> tuple[pin.Model, pin.GeometryModel]:
+    """The same without the joint of a base: the world is where the base is, and no floor is there."""
+    floats = model.njoints > 1 and model.joints[1].shortname() == FLOATING
+    if floats != (spec.base is not None):
+        found, expected = ("a free joint", "none") if floats else ("no free joint", "one")
+        raise RobotError(
+            f"{spec.model_path}: found {found} at the root, expected {expected}: robot.toml has"
+            f" {'a' if spec.base else 'no'} base"
+        )
+    if not floats:
+        return model, geometry
+    for shape in [shape.name for shape in geometry.geometryObjects if shape.parentJoint == 0]:
+        geometry.removeGeometryObject(shape)
+    seen_from_it: tuple[pin.Model, pin.GeometryModel] = pin.buildReducedModel(
+        model, geometry, [1], pin.neutral(model)
+    )
+    return seen_from_it
 
 
 def _check_parts(spec: RobotSpec, model: pin.Model) -> None:
@@ -64,8 +90,15 @@ def _check_parts(spec: RobotSpec, model: pin.Model) -> None:
             raise RobotError(
                 f"{path}: joint {model.names[joint.id]!r} is {joint.shortname()}, expected a hinge"
             )
-    if not model.existFrame(spec.tool):
-        raise RobotError(f"{path}: no site named {spec.tool!r}, which robot.toml calls the tool")
+    for name, what in _frames(spec):
+        if not model.existFrame(name):
+            raise RobotError(f"{path}: no site named {name!r}, which robot.toml calls {what}")
+
+
+def _frames(spec: RobotSpec) -> list[tuple[str, str]]:
+    """What is followed of a robot, and what robot.toml calls it."""
+    tool = [(spec.tool, "the tool")] if spec.tool else []
+    return [*tool, *((foot, "a foot") for foot in (spec.base.feet if spec.base else ()))]
 
 
 def torque_max(spec: RobotSpec) -> Floats:
@@ -101,7 +134,7 @@ class Fleet:
         """
         self.n, self._looks = spec.n, collisions
         self._blocks = _Blocks(spec, collisions=collisions)
-        self._side = np.sign(_home(spec, self._blocks.model))
+        self._side = np.sign(_home(spec, spec.tooling, self._blocks.model)) if spec.tooling else 0.0
         self._resize(robots)
 
     def of(self, robots: int) -> "Fleet":
@@ -116,7 +149,11 @@ class Fleet:
     def _resize(self, robots: int) -> None:
         self.robots, self._turns = robots, turns(robots)
         self._block = self._blocks.of(self._turns[0].stop)
-        self._tau, self._tool = np.zeros((robots, self.n)), np.zeros((robots, 3))
+        self._tau, self._points = (
+            np.zeros((robots, self.n)),
+            np.zeros((robots, len(self._blocks.followed), 3)),
+        )
+        self._tool = self._points[:, 0]
         self._jacobian, self._colliding = np.zeros((robots, 6, self.n)), np.zeros(robots, dtype=bool)
 
     def torque(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
@@ -141,7 +178,7 @@ class Fleet:
 
     def _see(self, rows: slice) -> None:
         b = self._block
-        self._tool[rows] = b.tools
+        self._points[rows] = b.points
         if b.collisions:
             self._colliding[rows] = b.collisions.look(b.model, b.data)
 
@@ -157,6 +194,17 @@ class Fleet:
     def tool_position(self) -> Floats:
         """(B, 3) m, the tool in the world."""
         return self._tool
+
+    @property
+    def feet_position(self) -> Floats:
+        """(B, F, 3) m, the feet as seen from the base."""
+        return self._points
+
+    def feet_velocity(self, qd: Floats) -> Floats:
+        """(B, F, 3) m/s, of the feet as seen from the base, for joint speeds (B, n) rad/s."""
+        of_legs = (self._blocks.carried_by * qd[:, None]).swapaxes(1, 2)
+        twist = (self._jacobian @ of_legs).swapaxes(1, 2)
+        return np.asarray(twist[..., :3] + np.cross(twist[..., 3:], self._points))
 
     def tool_velocity(self, qd: Floats, of: slice = slice(None)) -> Floats:
         """(R, 3) m/s, the tool in the world, for joint speeds (R, n) rad/s.
@@ -217,15 +265,15 @@ def _measure(jacobian: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(np.linalg.det(gram), 0.0)))
 
 
-def _home(spec: RobotSpec, model: pin.Model) -> float:
+def _home(spec: RobotSpec, tooling: Tooling, model: pin.Model) -> float:
     """`_measure` of the home pose, which must not be singular."""
-    frame, q = model.getFrameId(spec.tool), spec.joint_array("q_home")
+    frame, q = model.getFrameId(tooling.name), spec.joint_array("q_home")
     jacobian = pin.computeFrameJacobian(model, model.createData(), q, frame, pin.LOCAL_WORLD_ALIGNED)
     found = float(_measure(jacobian[None])[0])
-    if abs(found) < spec.margins.singularity:
+    if abs(found) < tooling.singularity:
         raise RobotError(
             f"{spec.folder / 'robot.toml'}: joints: q_home: manipulability there is {abs(found):.2g}, expected at least"
-            f" margins.singularity, {spec.margins.singularity}"
+            f" margins.singularity, {tooling.singularity}"
         )
     return found
 
@@ -242,7 +290,12 @@ class _Blocks:
 
     def __init__(self, spec: RobotSpec, *, collisions: bool) -> None:
         self.model, self._geometry = load_pinocchio(spec)
-        self._tool, self._margin = self.model.getFrameId(spec.tool), spec.margins.collision_m
+        self._margin = spec.margins.collision_m
+        self.followed = [self.model.frames[self.model.getFrameId(name)] for name, _ in _frames(spec)]
+        supports = [list(self.model.supports[frame.parentJoint]) for frame in self.followed]
+        self.carried_by = np.array(
+            [[j in some for j in range(1, self.model.njoints)] for some in supports], float
+        )
         pairs = collision_pairs(self.model, self._geometry) if collisions else []
         self._pairs = can_meet(spec, self.model, self._geometry, pairs)
         self._built: dict[int, _Block] = {}
@@ -250,13 +303,13 @@ class _Blocks:
     def of(self, copies: int) -> "_Block":
         """The block of so many."""
         if copies not in self._built:
-            wide, frames = _side_by_side(self.model, self.model.frames[self._tool], copies)
+            wide, frames = _side_by_side(self.model, self.followed, copies)
             data = wide.createData()
             pin.framesForwardKinematics(wide, data, np.zeros(wide.nq))
             self._built[copies] = _Block(
                 model=wide,
                 data=data,
-                tools=lined_up([data.oMf[frame].translation for frame in frames]),
+                points=lined_up([data.oMf[f].translation for f in frames]).reshape(copies, -1, 3),
                 collisions=self._collisions(copies),
             )
         return self._built[copies]
@@ -269,19 +322,19 @@ class _Blocks:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Block:
-    """Some robots side by side in one model; `tools` (copies, 3) is a live view into `data`.
+    """Some robots side by side in one model; `points` (copies, F, 3) of tool or feet is a live view into `data`.
 
     Nothing can collide, or nobody looks, where `collisions` is None.
     """
 
     model: pin.Model
     data: pin.Data
-    tools: Floats
+    points: Floats
     collisions: Collisions | None
 
 
-def _side_by_side(model: pin.Model, tool: pin.Frame, copies: int) -> tuple[pin.Model, list[int]]:
-    """A model of several copies of the robot on the same spot, and the frame of each one's tool."""
+def _side_by_side(model: pin.Model, followed: list[pin.Frame], copies: int) -> tuple[pin.Model, list[int]]:
+    """A model of several copies of the robot on the same spot, and the frames of what is followed of each."""
     wide, frames = pin.Model(), []
     wide.gravity = model.gravity
     for number in range(copies):
@@ -290,7 +343,9 @@ def _side_by_side(model: pin.Model, tool: pin.Frame, copies: int) -> tuple[pin.M
             placement, name = model.jointPlacements[j], f"{number}/{model.names[j]}"
             ids.append(wide.addJoint(ids[model.parents[j]], model.joints[j], placement, name))
             wide.appendBodyToJoint(ids[j], model.inertias[j], pin.SE3.Identity())
-        frame = pin.Frame(f"{number}/tool", ids[tool.parentJoint], 0, tool.placement, pin.FrameType.OP_FRAME)
-        frames.append(wide.addFrame(frame, False))
+        for frame in followed:
+            name, joint = f"{number}/{frame.name}", ids[frame.parentJoint]
+            same = pin.Frame(name, joint, 0, frame.placement, pin.FrameType.OP_FRAME)
+            frames.append(wide.addFrame(same, False))
     wide.armature = np.tile(model.armature, copies)
     return wide, frames

@@ -6,7 +6,7 @@ Geometry, inertia, mechanical joint range, torque range and motor constants live
 import hashlib
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ ROBOTS = Path(__file__).parent
 Celsius = Annotated[float, Field(ge=-50, le=300)]
 FUSED: tuple[Kind, ...] = ("encoder", "velocity")
 """What a robot's state is estimated from."""
+INERTIAL: tuple[Kind, ...] = ("gyro", "accelerometer")
+"""What a base is estimated from, beside its feet."""
 Fraction = Annotated[float, Field(gt=0, le=1)]
 
 
@@ -111,8 +113,8 @@ class Margins(Strict):
         speed: setpoint speed, as a fraction of qd_max and of tool_speed_max: the rest is for the drive's own ringing.
         tau: setpoint torque by the nominal model, as a fraction of the torque range.
         collision_m: clearance kept between capsules.
-        workspace_m: how far inside the workspace setpoints stay.
-        singularity: least manipulability (`Fleet.manipulability`), m³ for a six-joint arm.
+        workspace_m: how far inside the workspace setpoints stay, of robots with a tool.
+        singularity: least manipulability (`Fleet.manipulability`), m³ for a six-joint arm, of robots with a tool.
         tracking_rad: setpoint minus estimate that stops the robot.
         stale_s: age of the newest sample that makes the robot slow down and hold.
         lost_s: age of the newest sample that makes it stop and cut power.
@@ -128,8 +130,8 @@ class Margins(Strict):
     speed: Fraction
     tau: Fraction
     collision_m: PositiveFloat
-    workspace_m: PositiveFloat
-    singularity: PositiveFloat
+    workspace_m: PositiveFloat | None = None
+    singularity: PositiveFloat | None = None
     tracking_rad: PositiveFloat
     stale_s: PositiveFloat
     lost_s: PositiveFloat
@@ -163,22 +165,86 @@ class Workspace(Strict):
     tool_speed_max: PositiveFloat
 
 
+class Tooling(NamedTuple):
+    """What a robot with a tool has beside one: where it may be, and the margins for that, as in `Margins`."""
+
+    name: str
+    workspace: Workspace
+    workspace_m: float
+    singularity: float
+
+
+class Base(Strict):
+    """A base that stands on nothing but its feet. Its frame is that of model.xml's root body, and of the IMU.
+
+    Attributes:
+        feet: bodies or sites of model.xml that stand on the ground.
+        foot_m: m, how much higher than the lowest foot another may be and still be said to stand; only where no
+            contact sensor says so.
+        slip: m/s/√Hz, velocity of a standing foot, with the errors of its kinematics.
+        angular_acceleration: rad/s²/√Hz, jerk: m/s³/√Hz, of motion that nobody sees between two samples of the IMU.
+        tilt_max_rad: what it may lean; beyond it has fallen.
+        command_min, command_max: m/s forwards, m/s to the left, rad/s to the left: what it may be asked for.
+        command_s: s for each command.
+        source: where the numbers come from.
+    """
+
+    feet: Annotated[tuple[str, ...], Field(min_length=1)]
+    foot_m: Annotated[float, Field(ge=0)]
+    slip: PositiveFloat
+    angular_acceleration: PositiveFloat
+    jerk: PositiveFloat
+    tilt_max_rad: Annotated[float, Field(gt=0, lt=1.5)]
+    command_min: tuple[float, float, float]
+    command_max: tuple[float, float, float]
+    command_s: PositiveFloat
+    source: Source
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for low, high in zip(self.command_min, self.command_max, strict=True):
+            if low > high:
+                raise ValueError(f"base.command_min: found {low}, above command_max {high}")
+        return self
+
+
 class RobotSpec(Strict):
-    """One robot folder: the strict reading of robot.toml, plus the folder itself."""
+    """One robot folder: the strict reading of robot.toml, plus the folder itself.
+
+    A robot stands fixed and has a tool in a workspace, or walks and has a base.
+    """
 
     folder: Path
     name: str
-    tool: str
+    tool: str | None = None
     rates: Rates
     margins: Margins
-    workspace: Workspace
+    workspace: Workspace | None = None
+    base: Base | None = None
     sensors: Sensors
     motors: dict[str, Motor]
     joints: Annotated[tuple[Joint, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
+    def _stands_or_walks(self) -> Self:
+        margins, names = self.margins, ("tool", "workspace", "margins.workspace_m", "margins.singularity")
+        tooling = self.tool, self.workspace, margins.workspace_m, margins.singularity
+        for name, found in zip(names, tooling, strict=True):
+            if (found is None) != (self.base is not None):
+                here = (
+                    "missing, of a robot without base"
+                    if found is None
+                    else "found one, of a robot with a base"
+                )
+                raise ValueError(f"{name}: {here}")
+        return self
+
+    @model_validator(mode="after")
     def _sensors_fit(self) -> Self:
         check_sensors(self.sensors, self.rates.control_hz)
+        for kind in INERTIAL if self.base else ():
+            if kind not in self.sensors:
+                raise ValueError(f"sensors: no {kind}, which a base needs; found {', '.join(self.sensors)}")
         for kind in FUSED:
             if kind in self.sensors:
                 self._in_time(kind, self.sensors[kind])
@@ -222,6 +288,14 @@ class RobotSpec(Strict):
         return self
 
     @property
+    def tooling(self) -> Tooling | None:
+        """Tool and workspace of a robot that stands fixed; None of one that has a base."""
+        tool, space, margins = self.tool, self.workspace, self.margins
+        if tool is None or space is None or margins.workspace_m is None or margins.singularity is None:
+            return None
+        return Tooling(tool, space, margins.workspace_m, margins.singularity)
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Names in the order of every joint vector."""
         return tuple(joint.name for joint in self.joints)
@@ -262,7 +336,7 @@ class RobotSpec(Strict):
             xml = ET.canonicalize(from_file=str(self.model_path), strip_text=True)
         except (OSError, ET.ParseError) as e:
             raise RobotError(f"{self.model_path}: not readable as XML: {e}") from e
-        text = self.model_dump_json(exclude={"folder"}) + xml
+        text = self.model_dump_json(exclude={"folder"}, exclude_none=True) + xml
         return hashlib.sha256(text.encode()).hexdigest()
 
     def joint_array(self, field: str) -> NDArray[np.float64]:

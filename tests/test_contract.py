@@ -1,6 +1,7 @@
 import json
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -256,26 +257,31 @@ def misfits():
 
 
 def test_who_stands_fixed_has_nothing_of_a_base_that_floats():
-    sources = {name: reading for name, reading in READINGS.items() if reading.floating}
+    sources = {name: reading for name, reading in READINGS.items() if reading.stands is False}
     observation = tuple(term(name, reading.size) for name, reading in sources.items())
     with pytest.raises(ContractError) as caught:
         check_contract(arm_contract(observation=observation, task="velocity"), SPEC, "x.onnx")
     assert str(caught.value).splitlines() == [
         "x.onnx: task: found 'velocity', expected 'reach': arm6 stands fixed",
-        *[
-            f"x.onnx: observation.{name}.source: {name} needs a floating base; arm6 stands fixed"
-            for name in sources
-        ],
+        *[f"x.onnx: observation.{name}.source: {name} needs a base; arm6 stands fixed" for name in sources],
     ]
 
 
 POSITION = {"mode": "position", "size": 6, "scale": (0.5,) * 6, "offset": (0.1,) * 6, "clip": (-9.0, 9.0)}
 
 
-def test_gains_that_nobody_obeys_are_refused():
+def test_gains_come_with_the_policy():
     action = ActionSpec(**POSITION, kp=(50.0,) * 6, kd=(1.0,) * 6)
-    with pytest.raises(ContractError, match=r"action\.kp: found gains, expected none: the drives of arm6"):
-        check_contract(arm_contract(action=action), SPEC, "x.onnx")
+    check_contract(arm_contract(action=action), SPEC, "x.onnx")
+    np.testing.assert_array_equal(action.gains.kp, np.full(6, 50.0))
+    assert ActionSpec(**POSITION).gains is None
+
+
+def test_there_is_one_gait():
+    terms = [term("gait_phase", 2, period_s=s).model_copy(update={"name": f"{s}"}) for s in (0.8, 0.9)]
+    assert arm_contract(observation=tuple(terms[:1])).period_s == 0.8
+    with pytest.raises(ValueError, match=r"period_s: found \[0\.8, 0\.9\], expected the same for all"):
+        arm_contract(observation=tuple(terms))
 
 
 @pytest.mark.parametrize(

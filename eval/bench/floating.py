@@ -7,10 +7,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from deploy.base_state import BaseState
 from deploy.floating_base import GATE, FloatingBase
 from deploy.rotations import matrix, times
-from deploy.state import Bools, Floats
+from deploy.state import BaseState, Bools, Floats
 from eval.bench.quadruped import CONTACT_N, DT, FEET, NOISE, Truth, move, watch
 from robots.randomness import robot_seed
 

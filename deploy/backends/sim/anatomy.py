@@ -13,8 +13,12 @@ from robots.sensors import Kind
 from robots.spec import RobotSpec
 
 PLAY, PAYLOAD, CABLE, ANCHOR = "play", "firstshift/payload", "firstshift/cable", "firstshift/anchor"
-STRONGEST = "firstshift/strongest contact"
+STRONGEST, SELF = "firstshift/strongest contact", "firstshift/contact with itself"
+FLOOR, GANTRY, BACK = "firstshift/floor", "firstshift/gantry", "firstshift/back"
 """Names of what is added; a joint's play is called as the joint and this."""
+
+FAR_M = 10.0
+"""How far above the floor model.xml may hold a robot."""
 
 SENSORS = {
     "gyro": mujoco.mjtSensor.mjSENS_GYRO,
@@ -36,8 +40,9 @@ class Anatomy:
         joints, play: (n,) joint ids: on the motor's side, and what is left between gear and link.
         bodies: (n,) body ids of the links that the joints move.
         link: (bodies,) the joint that moves a body, rigidly attached ones included; -1 for what does not move.
-        payload: body id. cable: tendon id. anchor: site id. tool: site id.
+        payload: body id. cable: tendon id. anchor: site id. tool: site id; of a robot with a base, where its load sits.
         strongest: where in `sensordata` the normal force of the strongest contact is, which only the judge may know.
+        base: of a robot that has one.
         sensed: where in `sensordata` each kind of sensor is.
     """
 
@@ -51,6 +56,7 @@ class Anatomy:
     anchor: int
     tool: int
     strongest: int
+    base: "FloatingBody | None"
     sensed: dict[Kind, slice]
 
     @property
@@ -66,6 +72,23 @@ class Anatomy:
         return np.asarray(self.model.jnt_dofadr[self.joints], dtype=np.int64)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FloatingBody:
+    """A base on the floor, held by a gantry at first.
+
+    Attributes:
+        qpos, qvel: where its seven and six numbers are in the state.
+        stands_m: m, its height when the lowest part of the robot at home touches the floor.
+        gantry: equality id. itself: where in `sensordata` the number of the robot's contacts with itself is.
+    """
+
+    qpos: slice
+    qvel: slice
+    stands_m: float
+    gantry: int
+    itself: int
+
+
 def build(spec: RobotSpec, cable: Cable) -> Anatomy:
     """Add to model.xml and compile.
 
@@ -76,9 +99,9 @@ def build(spec: RobotSpec, cable: Cable) -> Anatomy:
     _allow(mjcf)
     for name in spec.joint_names:
         _add_play(mjcf.joint(name), nominal)
-    tool = nominal.site(spec.tool)
-    payload = mjcf.site(spec.tool).parent.add_body(name=PAYLOAD, pos=tool.pos, quat=tool.quat)
-    payload.explicitinertial, payload.mass, payload.inertia = True, 0.0, np.zeros(3)
+    if spec.base:
+        _add_ground(mjcf, nominal)
+    _add_payload(mjcf, nominal, spec)
     _add_cable(mjcf, nominal, cable, spec)
     for kind in spec.sensors:
         if kind in SENSORS:
@@ -88,6 +111,41 @@ def build(spec: RobotSpec, cable: Cable) -> Anatomy:
     # A diverged simulation must be seen, not silently put back to its start.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return _find(model, spec)
+
+
+def _add_payload(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, spec: RobotSpec) -> None:
+    """At the tool; a robot that has none carries it on its back."""
+    if spec.tool:
+        tool, carrier = nominal.site(spec.tool), mjcf.site(spec.tool).parent
+        payload = carrier.add_body(name=PAYLOAD, pos=tool.pos, quat=tool.quat)
+    else:
+        back = mjcf.body(_root(nominal))
+        back.add_site(name=BACK)
+        payload = back.add_body(name=PAYLOAD)
+    payload.explicitinertial, payload.mass, payload.inertia = True, 0.0, np.zeros(3)
+
+
+def _root(model: mujoco.MjModel) -> str:
+    """Name of the body that the first joint moves."""
+    return str(model.body(int(model.jnt_bodyid[0])).name)
+
+
+def _add_ground(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel) -> None:
+    """A floor where model.xml has none, and a gantry that holds the base above it until the drives are on."""
+    if not _floors(nominal).size:
+        mjcf.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
+    gantry = mjcf.add_equality(name=GANTRY, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY)
+    gantry.name1, gantry.name2 = "world", _root(nominal)
+    touched = mjcf.add_sensor(name=SELF, type=mujoco.mjtSensor.mjSENS_CONTACT)
+    touched.objtype = touched.reftype = mujoco.mjtObj.mjOBJ_XBODY
+    touched.objname = touched.refname = _root(nominal)
+    found, any_of_them, one = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND), 0, 1
+    touched.intprm[:3] = found, any_of_them, one
+
+
+def _floors(model: mujoco.MjModel) -> Ints:
+    """Ids of planes that are fixed to the world."""
+    return np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_bodyid == 0))
 
 
 def _allow(mjcf: mujoco.MjSpec) -> None:
@@ -133,13 +191,15 @@ def _add_cable(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, cable: Cable, spec:
 
 
 def _add_sensor(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, kind: Kind, spec: RobotSpec) -> None:
-    names = [nominal.site(i).name for i in range(nominal.nsite)]
+    sites, bodies = ({part.name for part in parts if part.name} for parts in (mjcf.sites, mjcf.bodies))
     for site in spec.sensors[kind].sites:
-        if site not in names:
+        if site not in sites | bodies:
             raise RobotError(
-                f"{spec.folder / 'robot.toml'}: sensors.{kind}.sites: found {site!r}, expected sites of model.xml:"
-                f" {', '.join(filter(None, names))}"
+                f"{spec.folder / 'robot.toml'}: sensors.{kind}.sites: found {site!r}, expected sites or bodies of"
+                f" model.xml: {', '.join(sorted(sites | bodies))}"
             )
+        if site not in sites:  # at the body's origin
+            mjcf.body(site).add_site(name=site)
         mjcf.add_sensor(
             name=f"firstshift/{kind}/{site}",
             type=SENSORS[kind],
@@ -170,9 +230,32 @@ def _find(model: mujoco.MjModel, spec: RobotSpec) -> Anatomy:
         payload=model.body(PAYLOAD).id,
         cable=model.tendon(CABLE).id,
         anchor=model.site(ANCHOR).id,
-        tool=model.site(spec.tool).id,
+        tool=model.site(spec.tool or BACK).id,
         strongest=int(model.sensor(STRONGEST).adr[0]),
+        base=_on_the_floor(model, spec) if spec.base else None,
         sensed={kind: _places(model, kind, spec) for kind in spec.sensors if kind in SENSORS},
+    )
+
+
+def _on_the_floor(model: mujoco.MjModel, spec: RobotSpec) -> FloatingBody:
+    """Let the robot at home down to the floor, and tell the gantry that this is where to hold it."""
+    data = mujoco.MjData(model)
+    for name, q in zip(spec.joint_names, spec.joint_array("q_home"), strict=True):
+        data.joint(name).qpos[0] = q
+    mujoco.mj_kinematics(model, data)
+    floor, fromto = int(_floors(model)[0]), np.zeros(6)
+    solid = np.flatnonzero(((model.geom_contype | model.geom_conaffinity) != 0) & (model.geom_bodyid > 0))
+    gaps = [mujoco.mj_geomDistance(model, data, floor, g, FAR_M, fromto) for g in solid]
+    stands_m = float(model.qpos0[2] - min(gaps, default=0.0))
+    gantry = model.equality(GANTRY).id
+    at, to = model.jnt_qposadr[0], model.jnt_dofadr[0]
+    model.eq_data[gantry, 3:10] = 0.0, 0.0, stands_m, *model.qpos0[at + 3 : at + 7]
+    return FloatingBody(
+        qpos=slice(at, at + 7),
+        qvel=slice(to, to + 6),
+        stands_m=stands_m,
+        gantry=gantry,
+        itself=int(model.sensor(SELF).adr[0]),
     )
 
 

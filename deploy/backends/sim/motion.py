@@ -4,6 +4,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deploy.backends.sim.anatomy import Anatomy
+from deploy.backends.sim.truth import BaseTruth
 from deploy.state import Floats
 
 
@@ -13,12 +14,14 @@ class Motion:
     Attributes:
         q, qd: (B, n) rad and rad/s of the links, by joint.
         motor_q, motor_qd: (B, n) of the motors, behind their gears: joint angles and speeds too.
+        base: live views, of robots that have one.
     """
 
     def __init__(self, batch: Batch, anatomy: Anatomy) -> None:
         """Find the joints in the state of every simulation."""
         self._qpos, self._play = batch.bind("qpos"), anatomy.model.jnt_qposadr[anatomy.play]
         self._joints = anatomy.model.jnt_qposadr[anatomy.joints]
+        self.base, self._begins = _base(batch, anatomy)
         self._rows = batch.state.reshape(-1)
         # One gather finds all: (side, angle or speed, robot, joint).
         addresses = anatomy.addresses[:, :, None, :] + np.arange(batch.nsim)[:, None] * batch.nstate
@@ -42,3 +45,16 @@ class Motion:
         """Put robots `rows` at `q` (B, n) rad, in the middle of their play."""
         self._qpos[rows[:, None], self._joints] = q[rows]
         self._qpos[rows[:, None], self._play] = 0.0
+        if self._begins is not None:
+            self._qpos[rows, : len(self._begins)] = self._begins
+
+
+def _base(batch: Batch, anatomy: Anatomy) -> tuple[BaseTruth | None, Floats | None]:
+    """Where the base is, in the state, and the pose (7,) that it begins with."""
+    base = anatomy.base
+    if base is None:
+        return None, None
+    qpos, qvel = batch.bind("qpos")[:, base.qpos], batch.bind("qvel")[:, base.qvel]
+    begins = anatomy.model.qpos0[base.qpos].copy()
+    begins[:3] = 0.0, 0.0, base.stands_m
+    return BaseTruth(qpos[:, :3], qpos[:, 3:], qvel[:, :3], qvel[:, 3:]), begins

@@ -14,6 +14,7 @@ from deploy.backends.sim.heat import Housings, Windings
 from deploy.backends.sim.motion import Motion
 from deploy.backends.sim.truth import Truth
 from deploy.backends.sim.wear import Wear, Worn
+from deploy.effort import Gains
 from deploy.flags import every, some
 from deploy.stage import Stage
 from deploy.state import Bools, Command, Floats
@@ -48,20 +49,22 @@ class Plant(Stage):
         draw: Draw,
         seeds: Sequence[np.random.SeedSequence],
         *,
+        gains: Gains | None = None,
         threads: int = 1,
     ) -> None:
-        """Build the simulations at the home pose, brakes on.
+        """Build the simulations at the home pose, brakes on; a robot with a base hangs on a gantry until it is powered.
 
         Args:
             spec: the robot as it should be.
             distributions: of the draw: what its cable is plugged into, and how long a joint lives.
             draw: B robots as they are.
             seeds: B seeds: when each is pushed, and where in its cycle of loads it begins.
+            gains: of the drives; None: their own.
             threads: for physics; results do not depend on it.
         """
         anatomy = build(spec, distributions.cable)
         self.batch = Batch(anatomy.model, draw.robots, nthread=threads)
-        drawn.embody(self.batch, anatomy, draw)
+        drawn.embody(self.batch, anatomy, draw, gains)
         self.motion = Motion(self.batch, anatomy)
         self.drives = Drives(spec, self.batch, draw)
         self.supply = Supply(self.batch, draw, self.drives.gear)
@@ -88,6 +91,7 @@ class Plant(Stage):
         self._force, self._tau = bind("actuator_force"), bind("qfrc_actuator")
         self._site, self._contacts = bind("site_xpos")[:, anatomy.tool], bind("ncon")
         self._sensordata, self._strongest = bind("sensordata"), anatomy.strongest
+        self._base, self._held = anatomy.base, bind("eq_active")
         self._damping = self.batch.expand("dof_damping")[:, self._dofs]
         # Of any kind: a simulation that is warned stops in the middle of a rollout, be it for a number that is not
         # finite or for contacts that found no room.
@@ -170,6 +174,8 @@ class Plant(Stage):
         tick = int(self.tick[0])
         self.payload.step(tick)
         self.pushes.step(tick)
+        if self._base:
+            self._held[command.powered, self._base.gantry] = 0
         self._roll(self.drives.follow(command, self.motion.motor_q))
         self.tick[0] = tick = tick + 1
         self._settle()
@@ -240,9 +246,15 @@ class Plant(Stage):
             tau=self._tau.take(self._dofs, axis=1),
             tool_position=self.tool,
             tool_velocity=self.tool_velocity,
-            self_collision=self._contacts > 0,
+            self_collision=self._touching(),
             contact_n=self.sensed[:, self._strongest],
             winding_c=self.housing + self._rise,
             housing_c=self.housing,
             valid=self.valid,
+            base=self.motion.base,
         )
+
+    def _touching(self) -> Bools:
+        if self._base:
+            return self.sensed[:, self._base.itself] > 0
+        return np.asarray(self._contacts > 0)

@@ -8,6 +8,7 @@ from deploy.backends.sim.packets import Fault
 from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.sensors import Sensors
 from deploy.backends.sim.truth import Truth
+from deploy.effort import Gains
 from deploy.stage import Stage
 from deploy.state import Bools, Command, Floats, Sample
 from robots.distributions import load_distributions
@@ -28,6 +29,7 @@ class SimRobot(Stage):
         *,
         given: Draw | None = None,
         faults: Sequence[Fault] = (),
+        gains: Gains | None = None,
         threads: int = 1,
     ) -> None:
         """Draw B robots and put them at home, brakes on.
@@ -37,12 +39,13 @@ class SimRobot(Stage):
             seeds: B seeds: one draw, one stream of noise each.
             given: B robots as they are, in the place of those that the seeds would draw.
             faults: of their sensors.
+            gains: of their drives, as the policy's contract has them; None: the drives' own.
             threads: for physics; results do not depend on it.
         """
         self.spec, self.robots = spec, len(seeds)
         distributions = load_distributions(spec)
         self.draw = given or draw(distributions, spec, seeds)
-        self.plant = Plant(spec, distributions, self.draw, seeds, threads=threads)
+        self.plant = Plant(spec, distributions, self.draw, seeds, gains=gains, threads=threads)
         self.sensors = Sensors(spec, self.draw, seeds, faults)
         self.goal = np.full((self.robots, 3), np.nan)
         self._exposed = [

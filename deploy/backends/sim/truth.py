@@ -5,6 +5,20 @@ from typing import NamedTuple
 from deploy.state import Bools, Floats
 
 
+class BaseTruth(NamedTuple):
+    """Of a floating base.
+
+    Attributes:
+        position: (B, 3) m, world. quat_wxyz: (B, 4), base in world.
+        velocity: (B, 3) m/s, world. angular_velocity: (B, 3) rad/s, base frame.
+    """
+
+    position: Floats
+    quat_wxyz: Floats
+    velocity: Floats
+    angular_velocity: Floats
+
+
 class Truth(NamedTuple):
     """Ground truth at the end of a control period.
 
@@ -16,10 +30,11 @@ class Truth(NamedTuple):
         tau: (B, n) N·m, actuator torque at the joint.
         tool_position: (B, 3) m, world.
         tool_velocity: (B, 3) m/s, world, mean over the last control period.
-        self_collision: (B,) any contact between links or with the table.
+        self_collision: (B,) any contact between links or with the table; floors are there to be stood on.
         contact_n: (B,) N, normal force of the strongest contact, 0 where there is none.
         winding_c, housing_c: (B, n) °C.
         valid: (B,) False from the moment the simulation of a robot diverged.
+        base: of a robot that has one.
     """
 
     t: float
@@ -33,3 +48,4 @@ class Truth(NamedTuple):
     winding_c: Floats
     housing_c: Floats
     valid: Bools
+    base: BaseTruth | None = None

@@ -1,0 +1,112 @@
+"""The base of a walking robot in the tick: its IMU's packets, its feet by its joints, and the filter of both."""
+
+import numpy as np
+
+from deploy.base_state import BaseNoise, Feet, Imu, Upright
+from deploy.flags import some
+from deploy.floating_base import FloatingBase
+from deploy.rotations import matrix
+from deploy.stage import Stage
+from deploy.state import Bools, Floats, Packet, Reason, Sample, State
+from robots.model_pinocchio import Fleet
+from robots.sensors import Sensor
+from robots.spec import Base, RobotSpec
+
+CONTACT_N = 10.0
+"""N, above which a foot's sensor says that it stands."""
+
+
+class Walker(Stage):
+    """Belief about B bases.
+
+    Attributes:
+        gravity: (B, 3) its direction in the base frame, as it was believed last. t_up: (B,) s, when the IMU's own
+            orientation was taken that was used last.
+    """
+
+    carried = ("gravity", "t_up")
+    parts = ("filter",)
+
+    def __init__(self, spec: RobotSpec, base: Base, robots: int) -> None:
+        """Read the IMU's data sheet.
+
+        Args:
+            spec: the robot. base: its base.
+            robots: B.
+        """
+        dt = 1.0 / spec.sensors["gyro"].rate_hz
+        self.filter = FloatingBase(_noise(spec, base, dt), dt, robots, len(base.feet))
+        self.gravity, self.t_up = np.tile([0.0, 0.0, -1.0], (robots, 1)), np.full(robots, -np.inf)
+        self._fleet, self._foot_m, self._orientation = Fleet(spec, robots), base.foot_m, None
+        if "orientation" in spec.sensors:
+            sensor = spec.sensors["orientation"]
+            self._orientation = 4.0 * (
+                sensor.variance + sensor.bias**2 / 3.0
+            )  # half an angle is in a quaternion
+
+    def reset(self, ids: Bools) -> None:
+        """Forget robots where `ids` (B,) holds."""
+        self.filter.reset(ids)
+        self.t_up[ids] = -np.inf
+
+    def step(self, t: float, sample: Sample, state: State) -> State:
+        """The same state with the base in it; what is wrong with that is wrong with the state."""
+        gyro = sample["gyro"]
+        imu = Imu(gyro.t, gyro.fresh, gyro.value, sample["accelerometer"].value)
+        base = self.filter.step(t, imu, self._feet(sample, state), self._upright(sample, gyro))
+        self.gravity[:] = base.gravity
+        fault = state.fault.copy()
+        for wrong, reason in ((base.stuck, Reason.STUCK), (base.diverged, Reason.DIVERGED)):
+            if some(wrong):
+                fault[wrong] |= np.int64(reason)
+        return state._replace(age=np.maximum(state.age, base.age), fault=fault, base=base)
+
+    def _feet(self, sample: Sample, state: State) -> Feet:
+        self._fleet.place(state.q)
+        position = self._fleet.feet_position
+        return Feet(self._stance(sample, position), position, self._fleet.feet_velocity(state.qd))
+
+    def _stance(self, sample: Sample, position: Floats) -> Bools:
+        """(B, F) which feet stand: those that feel it, or those that are lowest."""
+        if "contact" in sample:
+            return np.asarray(sample["contact"].value > CONTACT_N)
+        depth = np.matvec(position, self.gravity)
+        return np.asarray(depth >= depth.max(axis=1, keepdims=True) - self._foot_m)
+
+    def _upright(self, sample: Sample, gyro: Packet) -> Upright | None:
+        """What the IMU itself says of up, carried from when it said so to when its gyro's sample was taken."""
+        if self._orientation is None:
+            return None
+        said = sample["orientation"]
+        fresh = np.isfinite(said.value).all(axis=1) & (said.t > self.t_up)
+        np.copyto(self.t_up, said.t, where=fresh)
+        quat = np.where(fresh[:, None], said.value, [1.0, 0.0, 0.0, 0.0])
+        up = matrix(quat / np.linalg.norm(quat, axis=1, keepdims=True))[:, 2]
+        later = np.where(fresh, gyro.t - said.t, 0.0)[:, None]
+        up = up - later * np.cross(np.nan_to_num(gyro.value), up)
+        return Upright(fresh, up / np.linalg.norm(up, axis=1, keepdims=True), self._orientation)
+
+
+def _noise(spec: RobotSpec, base: Base, dt: float) -> BaseNoise:
+    gyro, accelerometer = spec.sensors["gyro"], spec.sensors["accelerometer"]
+    return BaseNoise(
+        gyro=_density(gyro, dt),
+        accelerometer=_density(accelerometer, dt),
+        gyro_walk=_walk(gyro),
+        accelerometer_walk=_walk(accelerometer),
+        gyro_bias=gyro.bias / np.sqrt(3.0),
+        accelerometer_bias=accelerometer.bias / np.sqrt(3.0),
+        slip=base.slip,
+        angular_acceleration=base.angular_acceleration,
+        jerk=base.jerk,
+    )
+
+
+def _density(sensor: Sensor, dt: float) -> float:
+    """Of 1 s of white noise, from one sample's."""
+    return float(np.sqrt(sensor.variance * dt))
+
+
+def _walk(sensor: Sensor) -> float:
+    """Of 1 s, from what a bias walks in an hour."""
+    return float(sensor.drift / np.sqrt(3600.0))

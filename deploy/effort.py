@@ -1,0 +1,75 @@
+"""What torque the drives will give for a setpoint, and what they must be told for it.
+
+There are two kinds of drives. A stiff one follows an angle, with a speed and a torque fed forward by the nominal model.
+One with the gains of a policy's training is told an angle and nothing else, as it was there: it gives
+
+    τ = kp (q* − q) − kd q̇
+
+and how far it strays from its angle is what makes its torque.
+"""
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import numpy as np
+
+from deploy.state import Floats, State
+from robots.model_pinocchio import Fleet, torque_max
+from robots.spec import RobotSpec
+
+
+class Gains(NamedTuple):
+    """Of drives that are told angles alone: (n,) kp in N·m/rad, kd in N·m·s/rad, both at the joint."""
+
+    kp: Floats
+    kd: Floats
+
+
+class Effort(ABC):
+    """The law of B × n drives.
+
+    Attributes:
+        bound: (n,) N·m that a setpoint may ask for.
+    """
+
+    bound: Floats
+
+    @abstractmethod
+    def torque(self, state: State, q: Floats, qd: Floats, qdd: Floats) -> Floats:
+        """N·m that setpoints will take, (R, n) as they are, R a whole number of times B.
+
+        Args:
+            state: what is believed of the B robots.
+            q: (R, n) rad. qd: (R, n) rad/s. qdd: (R, n) rad/s², points of their trajectories.
+        """
+
+
+class Feedforward(Effort):
+    """Stiff drives: the torque of the motion itself, by the nominal model."""
+
+    def __init__(self, spec: RobotSpec, fleet: Fleet) -> None:
+        """Take the model, R robots wide; a setpoint may ask for `margins.tau` of the torque range."""
+        self._fleet, self.bound = fleet, spec.margins.tau * torque_max(spec)
+
+    def torque(self, state: State, q: Floats, qd: Floats, qdd: Floats) -> Floats:
+        """By recursive Newton-Euler, as `Fleet.torque`."""
+        return self._fleet.torque(q, qd, qdd)
+
+
+class Springs(Effort):
+    """Drives with gains: the torque of the angle between setpoint and joint, up to what a drive has.
+
+    An angle that asks for more is nothing to refuse: policies are trained on drives that give no more.
+    """
+
+    def __init__(self, spec: RobotSpec, gains: Gains) -> None:
+        """Take the gains."""
+        self._gains, self._most = gains, torque_max(spec)
+        self.bound = np.full(spec.n, np.inf)
+
+    def torque(self, state: State, q: Floats, qd: Floats, qdd: Floats) -> Floats:
+        """As the drives compute it, from the joints as they are believed to be now."""
+        many = len(q) // len(state.q)
+        stray, speed = q - np.tile(state.q, (many, 1)), np.tile(state.qd, (many, 1))
+        tau = self._gains.kp * stray - self._gains.kd * speed
+        return np.minimum(np.maximum(tau, -self._most), self._most)

@@ -1,0 +1,252 @@
+import numpy as np
+import pytest
+from walking import ARM_S, KD, KP, PLACES, QUADRUPED, STAND, TERMS, live, standing, walker, walking_contract
+
+from deploy.backends.sim.packets import Failure, Fault
+from deploy.contract import ActionSpec
+from deploy.effort import Springs
+from deploy.fit import check_contract
+from deploy.rotations import matrix
+from deploy.state import Mode, Reason
+from robots.errors import ContractError, RobotError
+from robots.model_pinocchio import Fleet, load_pinocchio
+from robots.spec import load_robot
+
+DT = QUADRUPED.dt
+FRONT_HIPS, REAR_KNEES = [1, 4], [8, 11]
+
+
+def reading(observation, name):
+    """A term as it was measured."""
+    one = next(t for t in TERMS if t.name == name)
+    return observation[:, PLACES[name]] * one.scale + (one.offset or 0.0)
+
+
+def bits(runtime):
+    """Everything that a tick leaves behind."""
+    base = runtime.state.base
+    return np.concatenate(
+        [
+            runtime.robot.plant.rows,
+            runtime.command.q,
+            runtime.state.q,
+            base.quat_wxyz,
+            base.velocity_in_base,
+            runtime.walker.filter.P.reshape(len(base.age), -1),
+            runtime.task.gone,
+        ],
+        axis=1,
+    )
+
+
+def sway(tick):
+    """(12,) rad: something to do."""
+    return 0.1 * np.sin(2 * np.pi * (0.5 * tick * DT + np.arange(12) / 12))
+
+
+def test_it_hangs_until_it_is_armed_and_then_stands():
+    runtime = walker(3)
+    live(runtime, round(ARM_S / DT))
+    base = runtime.robot.truth().base
+    hung, plant = base.position.copy(), runtime.robot.plant
+    np.testing.assert_allclose(hung[:, 2], plant._base.stands_m, atol=0.005)  # what holds it gives a little
+    assert plant._held.all()
+    assert not runtime.arm(np.ones(3, dtype=bool)).any()
+    live(runtime, round(2.0 / DT))
+    assert (runtime.supervisor.mode == Mode.RUNNING).all()
+    assert not plant._held.any()
+    assert np.abs(base.position - hung).max() < 0.03
+    assert not runtime.robot.truth().self_collision.any()
+    assert (runtime.robot.truth().contact_n > 10.0).all()
+
+
+def test_it_feels_what_its_base_does():
+    runtime = standing(4)
+    base = runtime.robot.truth().base
+    for tick in range(0, 400, 4):
+        observation = live(runtime, 4, sway(tick))
+        R = matrix(base.quat_wxyz)
+        for name, true, close in (
+            ("projected_gravity", -R[:, 2], 0.04),
+            ("base_linear_velocity", np.matvec(R.swapaxes(1, 2), base.velocity), 0.12),
+        ):
+            np.testing.assert_allclose(reading(observation, name), true, atol=close, err_msg=name)
+    turning = runtime.state.base.angular_velocity - base.angular_velocity
+    assert np.sqrt((turning**2).mean()) < 0.1
+    assert runtime.state.base.age.max() < 0.02
+
+
+def test_the_phase_of_the_gait_begins_when_it_is_armed():
+    runtime = standing(2)
+    observation = live(runtime, 1)
+    t = (runtime.since - 1) * DT
+    phase = 2 * np.pi * t / 0.4
+    np.testing.assert_allclose(
+        reading(observation, "gait_phase"), np.stack((np.sin(phase), np.cos(phase)), axis=1), atol=1e-5
+    )
+
+
+def test_the_drives_have_the_gains_of_the_contract_and_are_told_angles_alone():
+    runtime = standing(2)
+    live(runtime, 100, sway(30))
+    assert not runtime.command.qd.any()
+    assert not runtime.command.tau.any()
+    drawn, plant = runtime.robot.draw, runtime.robot.plant
+    stray = runtime.command.q - plant.motion.motor_q
+    law = KP * drawn["drives.kp"] * stray - KD * drawn["drives.kd"] * plant.motion.motor_qd
+    np.testing.assert_allclose(runtime.robot.truth().tau, law, atol=1.5)
+    np.testing.assert_allclose(runtime.verdict.tau, law, atol=10.0)  # of nominal gains and believed angles
+
+
+def test_springs_give_no_more_than_a_drive_has():
+    runtime = standing(1)
+    springs, q = Springs(QUADRUPED, runtime.contract.action.gains), STAND + 2.0
+    tau = springs.torque(runtime.state, np.tile(q, (2, 1)), np.zeros((2, 12)), np.zeros((2, 12)))
+    np.testing.assert_array_equal(tau, np.full((2, 12), 40.0))
+
+
+def test_a_robot_is_the_same_alone_and_in_company():
+    three, alone = standing(3), standing(1)
+    for tick in range(60):
+        live(three, 1, sway(tick))
+        live(alone, 1, sway(tick))
+    np.testing.assert_array_equal(bits(three)[:1], bits(alone))
+
+
+def test_saved_and_restored_it_goes_on_bit_for_bit():
+    one = standing(2)
+    live(one, 50, sway(0))
+    kept, body = one.save(), one.robot.save()
+    live(one, 80, sway(7))
+    other = walker(2)
+    other.restore(kept)
+    other.robot.restore(body)
+    live(other, 80, sway(7))
+    np.testing.assert_array_equal(bits(other), bits(one))
+
+
+def test_who_falls_stops_for_good():
+    runtime = standing(2)
+    legs = np.zeros((2, 12))
+    legs[1, FRONT_HIPS], legs[1, REAR_KNEES] = 1.0, 1.0
+    for _ in range(40):
+        live(runtime, 20, legs)
+        runtime.robot.plant.batch.bind("xfrc_applied")[1, 1, :3] = 0.0, 150.0, 0.0  # somebody kicks it over
+    assert Reason(int(runtime.supervisor.reason[1])) & Reason.FALLEN
+    assert runtime.supervisor.mode.tolist() == [Mode.RUNNING, Mode.LATCHED]
+    assert runtime.supervisor.powered.tolist() == [True, False]
+    tilt = np.arccos(matrix(runtime.robot.truth().base.quat_wxyz)[:, 2, 2])
+    assert tilt[0] < 0.1 < QUADRUPED.base.tilt_max_rad < tilt[1]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "what", "reason"),
+    [
+        ("gyro", Failure.OFF, Reason.STALE),
+        ("gyro", Failure.STUCK, Reason.STUCK),
+        ("accelerometer", Failure.OFF, Reason.STUCK),  # what it said last is said again and again
+        ("accelerometer", Failure.STUCK, Reason.STUCK),
+    ],
+)
+def test_an_imu_that_fails_stops_the_robot(sensor, what, reason):
+    fault = Fault(robot=0, sensor=sensor, channel=None, what=what, begins=400, ends=10**6)
+    runtime = standing(2, faults=[fault])
+    assert (runtime.supervisor.mode == Mode.RUNNING).all()
+    live(runtime, 200)
+    assert Reason(int(runtime.supervisor.reason[0])) & reason
+    assert runtime.supervisor.mode.tolist() == [Mode.LATCHED, Mode.RUNNING]
+
+
+def test_commands_are_counted_as_followed():
+    runtime = standing(2)
+    period = round(QUADRUPED.base.command_s / DT)
+    runtime.task.elapsed[:], runtime.task.attempted[:], runtime.task.reached[:] = 0, 0, 0
+    runtime.task.gone[:], runtime.task.worked[:] = 0.0, True
+    live(runtime, period)
+    np.testing.assert_array_equal(runtime.task.goal, 0.0)  # it may be asked for nothing but to stand
+    assert runtime.task.attempted.tolist() == runtime.task.reached.tolist() == [1, 1]
+    runtime.stop(Reason.OPERATOR)
+    live(runtime, period)
+    assert runtime.task.attempted.tolist() == [2, 2]
+    assert runtime.task.reached.tolist() == [1, 1]
+
+
+def test_a_contract_must_be_of_a_robot_that_walks():
+    standing_still = TERMS[0].model_copy(
+        update={"name": "tool", "source": "tool_position", "frame": "world", "unit": "m"}
+    )
+    with pytest.raises(ContractError) as caught:
+        check_contract(walking_contract(task="reach", observation=(standing_still,)), QUADRUPED, "walk.onnx")
+    assert str(caught.value).splitlines() == [
+        "walk.onnx: task: found 'reach', expected 'velocity': quadruped has a base",
+        "walk.onnx: observation.tool.source: tool_position needs a robot that stands fixed; quadruped has a base",
+    ]
+    check_contract(walking_contract(), QUADRUPED, "walk.onnx")
+
+
+def test_a_policy_without_gains_is_fed_forward():
+    action = ActionSpec(mode="position", size=12, offset=tuple(STAND), scale=(1.0,) * 12, clip=(-1.0, 1.0))
+    runtime = walker(1, contract=walking_contract(action=action))
+    assert runtime.gains is None
+
+
+def test_feet_are_seen_from_the_base():
+    rng, robots, step = np.random.default_rng(0), 3, 1e-6
+    fleet = Fleet(QUADRUPED, robots)
+    q, qd = STAND + rng.uniform(-0.3, 0.3, (robots, 12)), rng.normal(size=(robots, 12))
+    fleet.place(q)
+    before, velocity = fleet.feet_position.copy(), fleet.feet_velocity(qd)
+    fleet.place(q + step * qd)
+    np.testing.assert_allclose((fleet.feet_position - before) / step, velocity, atol=1e-5)
+    fleet.place(np.tile(STAND, (robots, 1)))
+    np.testing.assert_allclose(fleet.feet_position[0, :, 0], [0.18, 0.18, -0.18, -0.18], atol=0.02)
+    assert (fleet.feet_position[0, :, 2] < -0.25).all()
+
+
+def changed(tmp_path, *changes, file="robot.toml"):
+    folder = tmp_path / "quadruped"
+    folder.mkdir()
+    for each in QUADRUPED.folder.iterdir():
+        text = each.read_text()
+        for old, new in changes if each.name == file else ():
+            assert old in text
+            text = text.replace(old, new)
+        (folder / each.name).write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            (('name = "quadruped"', 'name = "quadruped"\ntool = "imu"'),),
+            "tool: found one, of a robot with a base",
+        ),
+        (
+            (("collision_m = 0.005", "collision_m = 0.005\nsingularity = 0.1"),),
+            r"margins\.singularity: found one, of a robot with a base",
+        ),
+        ((("[sensors.gyro]", "[sensors.torque]"),), "sensors: no gyro, which a base needs"),
+        (
+            (("command_min = [0.0, 0.0, 0.0]", "command_min = [0.1, 0.0, 0.0]"),),
+            r"base\.command_min: found 0\.1, above command_max 0\.0",
+        ),
+    ],
+)
+def test_what_a_base_needs_is_said(tmp_path, changes, message):
+    text = (('unit = "rad/s"\nsites = ["imu"]', 'unit = "N*m"\nsites = ["imu"]'),)
+    torque = any("torque" in new for _, new in changes)
+    with pytest.raises(RobotError, match=message):
+        load_robot(changed(tmp_path, *changes, *(text if torque else ())))
+
+
+def test_a_base_and_a_free_joint_belong_together(tmp_path):
+    spec = load_robot(changed(tmp_path, ("      <freejoint/>\n", ""), file="model.xml"))
+    with pytest.raises(RobotError, match=r"model\.xml: found no free joint at the root, expected one"):
+        load_pinocchio(spec)
+
+
+def test_a_foot_that_is_not_there_is_said(tmp_path):
+    spec = load_robot(changed(tmp_path, ('feet = ["front_left",', 'feet = ["paw",')))
+    with pytest.raises(RobotError, match=r"no site named 'paw', which robot\.toml calls a foot"):
+        load_pinocchio(spec)
