@@ -196,7 +196,7 @@ class FloatingBase(Stage):
         diagonal(S)[:] += upright.variance
         K = np.asarray(np.linalg.solve(S, self.P[:, :2]).swapaxes(1, 2), dtype=np.float64)
         far = (z * np.linalg.solve(S, z[..., None])[..., 0]).sum(axis=1)
-        used = ids & (far <= GATE)
+        used = ids & (far <= GATE) & (leans[:, 2] > 0.0)
         self._correct(np.where(used[:, None], times(K, z), 0.0))
         self.P -= np.where(used[:, None, None], K @ self.P[:, :2], 0.0)
         self.P[:] = 0.5 * (self.P + self.P.swapaxes(1, 2))

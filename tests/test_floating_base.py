@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from deploy import floating_base
 from deploy.base_model import G
-from deploy.base_state import BaseNoise, Feet, Imu
+from deploy.base_state import BaseNoise, Feet, Imu, Upright
 from deploy.floating_base import GATE, NIS_SAMPLES, RANGE, STUCK_SAMPLES, FloatingBase
+from deploy.rotations import matrix
 
 DT, F = 0.005, 4
 NOISE = BaseNoise(
@@ -437,3 +438,39 @@ def test_more_noise_is_less_certainty():
     for packets in stream:
         states = quiet.step(*packets), loud.step(*packets)
     assert (states[1].velocity_in_base_var > states[0].velocity_in_base_var).all()
+
+
+def said_upright(world, k, variance, rng):
+    """What an IMU that estimates its own tilt says, as wrong as it says."""
+    up = np.eye(3)[2]
+    lean = np.sqrt(variance) * rng.normal(size=world.v[k].shape) * [1, 1, 0]
+    return Upright(np.ones(len(lean), dtype=bool), np.vecmat(up + np.cross(lean, up), world.R[k]), variance)
+
+
+def tilt_errors(*, told, feet=False, ticks=2000):
+    """(B,) rad, and what the filter says of them, after a while with or without being told where up is."""
+    world, rng, robots = World(5, 64, ticks), np.random.default_rng(6), 64
+    base = FloatingBase(NOISE, DT, robots, F)
+    for t, imu, legs in world.packets():
+        upright = said_upright(world, round(t / DT), 1e-4, rng) if told else None
+        state = base.step(t, imu, legs._replace(stance=legs.stance & feet), upright)
+    leans = np.matvec(matrix(state.quat_wxyz), world.R[ticks - 1][:, 2])
+    return leans[:, :2], state.orientation_var[:, [1, 0]]
+
+
+def test_who_is_told_where_up_is_needs_no_feet_for_its_tilt():
+    alone, _ = tilt_errors(told=False)
+    told, variance = tilt_errors(told=True)
+    assert np.sqrt((told**2).mean()) < 0.005
+    assert np.sqrt((alone**2).mean()) > 0.02
+    assert 0.7 < (told**2 / variance).mean() < 1.4
+
+
+def test_up_is_not_believed_where_it_cannot_be():
+    world, base = World(7, 2, 200), FloatingBase(NOISE, DT, 2, F)
+    for t, imu, legs in world.packets():
+        quiet = base.step(t, imu, legs)
+    down = Upright(np.array([True, False]), np.tile([0.0, 0.0, -1.0], (2, 1)), 1e-4)
+    np.testing.assert_array_equal(
+        base.step(t, imu._replace(fresh=np.zeros(2, dtype=bool)), legs, down).gravity, quiet.gravity
+    )

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from walking import ARM_S, KD, KP, PLACES, QUADRUPED, STAND, TERMS, live, standing, walker, walking_contract
 
-from deploy.backends.sim.packets import Failure, Fault
 from deploy.contract import ActionSpec
 from deploy.effort import Springs
 from deploy.fit import check_contract
@@ -11,6 +10,9 @@ from deploy.state import Mode, Reason
 from robots.errors import ContractError, RobotError
 from robots.model_pinocchio import Fleet, load_pinocchio
 from robots.spec import load_robot
+
+packets = pytest.importorskip("deploy.backends.sim.packets")
+Failure, Fault = packets.Failure, packets.Fault
 
 DT = QUADRUPED.dt
 FRONT_HIPS, REAR_KNEES = [1, 4], [8, 11]
