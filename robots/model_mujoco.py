@@ -3,25 +3,79 @@
 import mujoco
 import numpy as np
 
+from robots.drive import Drive
 from robots.errors import RobotError
-from robots.spec import RobotSpec
+from robots.spec import Joint, RobotSpec
 
+_INPUT = mujoco.mjtCtrlInput
 INPUTS = 3
 """Controls of one `dcmotor` with `input="pos vel ff"`: motor angle, motor speed, motor torque."""
 
+SIGNATURE = sum(int(mode) for mode in (_INPUT.mjINPUT_POS, _INPUT.mjINPUT_VEL, _INPUT.mjINPUT_FF))
+"""What MuJoCo calls these."""
+
 
 def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
-    """Read model.xml at the robot's physics rate, to compile or to add to.
+    """Read the model at the robot's physics rate, with the drives of robot.toml, to compile or to add to.
 
     Raises:
-        RobotError: MuJoCo cannot read it.
+        RobotError: MuJoCo cannot read it, or it has no joint or no range of torque for a drive.
     """
     try:
         mjcf = mujoco.MjSpec.from_file(str(spec.model_path))
     except (ValueError, mujoco.FatalError) as e:
         raise _unreadable(spec, e) from e
     mjcf.option.timestep = 1.0 / spec.rates.physics_hz
+    for element in (*mjcf.keys, *mjcf.sensors):  # they speak of actuators and joints that may not stay
+        mjcf.delete(element)
+    if spec.drives:
+        _drive(mjcf, spec)
     return mjcf
+
+
+def _drive(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
+    """The drives of robot.toml in the place of the model's own actuators."""
+    if any(actuator.dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR for actuator in mjcf.actuators):
+        raise RobotError(
+            f"{spec.folder / 'robot.toml'}: motors.{spec.joints[0].motor}.drive: {spec.model_path.name} has a dcmotor"
+            " as well, expected drives in one of the two"
+        )
+    for actuator in mjcf.actuators:
+        mjcf.delete(actuator)
+    for joint, drive in zip(spec.joints, spec.drives, strict=True):
+        _add_drive(mjcf, joint, drive, spec)
+
+
+def _add_drive(mjcf: mujoco.MjSpec, driven: Joint, drive: Drive, spec: RobotSpec) -> None:
+    """One drive. Its gains are on the motor's side, where an error of the joint is `gear` times as large."""
+    joint = mjcf.joint(driven.name)
+    if joint is None:
+        known = tuple(joint.name for joint in mjcf.joints)
+        raise RobotError(f"{spec.model_path}: joints are {known}; robot.toml lists {spec.joint_names}")
+    if not joint.actfrcrange[1] > 0:
+        if drive.torque_max is None:
+            raise RobotError(
+                f"{spec.folder / 'robot.toml'}: motors.{driven.motor}.drive.torque_max: missing, and joint"
+                f" {driven.name} has no actuatorfrcrange in {spec.model_path.name}"
+            )
+        joint.actfrclimited, joint.actfrcrange = True, [-drive.torque_max, drive.torque_max]
+    motor = mjcf.add_actuator(name=driven.name, target=driven.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    motor.gear[0] = drive.gear
+    motor.set_to_dcmotor(
+        motorconst=[drive.torque_constant] * 2,
+        resistance=drive.resistance_ohm,
+        saturation=[joint.actfrcrange[1] / drive.gear, 0.0, 0.0],
+        controller=[drive.kp / drive.gear**2, 0.0, drive.kd / drive.gear**2, 0.0, 0.0, drive.supply_v],
+        thermal=[
+            drive.winding_resistance_k_per_w,
+            drive.winding_capacity_j_per_k,
+            0.0,
+            drive.copper_per_k,
+            drive.reference_c,
+            drive.reference_c,
+        ],
+        ctrlspec=SIGNATURE,
+    )
 
 
 def load_mujoco(spec: RobotSpec) -> mujoco.MjModel:

@@ -102,12 +102,15 @@ def _frames(spec: RobotSpec) -> list[tuple[str, str]]:
 
 
 def torque_max(spec: RobotSpec) -> Floats:
-    """(n,) N·m, each joint's `actuatorfrcrange` in model.xml.
+    """(n,) N·m, each joint's `actuatorfrcrange` in the model, or what its drive says where the model has none.
 
     Raises:
         RobotError: a joint has none.
     """
     limit = np.array(load_pinocchio(spec)[0].upperEffortLimit)
+    for joint, drive in enumerate(spec.drives):
+        if drive.torque_max is not None and not 0 < limit[joint] < np.inf:
+            limit[joint] = drive.torque_max
     if not np.isfinite(limit).all():
         names = [name for name, value in zip(spec.joint_names, limit, strict=True) if not np.isfinite(value)]
         raise RobotError(f"{spec.model_path}: no actuatorfrcrange on joints {', '.join(names)}")

@@ -1,6 +1,7 @@
 """What a robot is: `robot.toml` beside `model.xml`, read strictly.
 
-Geometry, inertia, mechanical joint range, torque range and motor constants live in model.xml; the rest is here.
+Geometry, inertia, mechanical joint range and torque range live in model.xml, and motor constants if it has drives of
+its own; the rest is here.
 """
 
 import hashlib
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from robots.drive import Drive
 from robots.errors import RobotError
 from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
 from robots.strict import Source, Strict, read_toml
@@ -24,6 +26,11 @@ FUSED: tuple[Kind, ...] = ("encoder", "velocity")
 INERTIAL: tuple[Kind, ...] = ("gyro", "accelerometer")
 """What a base is estimated from, beside its feet."""
 Fraction = Annotated[float, Field(gt=0, le=1)]
+
+
+def _unsaid(value: object) -> bool:
+    """What a file does not say is not part of its digest, which is then that of before there was such a key."""
+    return value is None
 
 
 class Joint(Strict):
@@ -60,7 +67,7 @@ class Joint(Strict):
 
 
 class Motor(Strict):
-    """The housing node and the heat limits of a motor; its winding node is in model.xml.
+    """The housing node and the heat limits of a motor.
 
     Attributes:
         housing_resistance_k_per_w: K/W, housing to ambient.
@@ -68,6 +75,7 @@ class Motor(Strict):
         iron_w_s2: W/(rad/s)² of the motor's shaft, eddy currents: what turning alone makes of heat.
         winding_soft_c, winding_max_c: °C, where warning begins and where damage begins.
         housing_soft_c, housing_max_c: °C, where the operator is warned, and where the robot stops for good.
+        drive: its winding and what drives it, where the model has no `dcmotor` that says so.
         source: where the numbers come from.
     """
 
@@ -78,6 +86,7 @@ class Motor(Strict):
     winding_max_c: Celsius
     housing_soft_c: Celsius
     housing_max_c: Celsius
+    drive: Annotated[Drive | None, Field(exclude_if=_unsaid)] = None
     source: Source
 
     @model_validator(mode="after")
@@ -269,6 +278,17 @@ class RobotSpec(Strict):
         return self
 
     @model_validator(mode="after")
+    def _all_driven_alike(self) -> Self:
+        used = {joint.motor: self.motors[joint.motor].drive for joint in self.joints}
+        without = [name for name, drive in used.items() if drive is None]
+        if without and len(without) < len(used):
+            raise ValueError(
+                f"motors.{without[0]}.drive: missing, but other motors have one: expected one for all, or none and"
+                " the drives of the model"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _margins_fit(self) -> Self:
         for joint in self.joints:
             if joint.q_max - joint.q_min <= 2 * self.margins.q_target_rad:
@@ -309,6 +329,11 @@ class RobotSpec(Strict):
     def channels(self) -> dict[Kind, int]:
         """How many channels each sensor has, in the order of robot.toml."""
         return {kind: channels(kind, sensor, self.n) for kind, sensor in self.sensors.items()}
+
+    @property
+    def drives(self) -> tuple[Drive, ...]:
+        """Of each joint; none where the model has drives of its own."""
+        return tuple(drive for joint in self.joints if (drive := self.motors[joint.motor].drive) is not None)
 
     @property
     def dt(self) -> float:

@@ -1,4 +1,4 @@
-"""The nominal windings of a robot's motors, read from the drives of model.xml: what a runtime may know of them."""
+"""The nominal windings of a robot's motors, read from its drives: what a runtime may know of them."""
 
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from robots.drive import Drive
 from robots.errors import RobotError
 from robots.spec import RobotSpec
 
@@ -35,14 +36,17 @@ class Windings:
 
 
 def nominal_windings(spec: RobotSpec) -> Windings:
-    """Read them in the order of the joints.
+    """Read them in the order of the joints, from the drives of robot.toml, or from those of the model.
 
     Raises:
         RobotError: a joint has no `dcmotor`, or one whose `resistance`, `motorconst` or `thermal` is missing or makes
             no sense.
     """
-    motors = _dcmotors(spec)
-    rows = np.array([_winding(spec, name, motors) for name in spec.joint_names]).T
+    if spec.drives:
+        rows = np.array([_declared(drive) for drive in spec.drives]).T
+    else:
+        motors = _dcmotors(spec)
+        rows = np.array([_winding(spec, name, motors) for name in spec.joint_names]).T
     resistance, alpha, reference_c, to_housing, capacity, constant = rows
     return Windings(
         resistance=resistance,
@@ -51,6 +55,17 @@ def nominal_windings(spec: RobotSpec) -> Windings:
         to_housing=to_housing,
         capacity=capacity,
         constant=constant,
+    )
+
+
+def _declared(drive: Drive) -> tuple[float, ...]:
+    return (
+        drive.resistance_ohm,
+        drive.copper_per_k,
+        drive.reference_c,
+        drive.winding_resistance_k_per_w,
+        drive.winding_capacity_j_per_k,
+        drive.torque_constant * drive.gear,
     )
 
 
