@@ -88,6 +88,7 @@ ROBOT_MONITORS = (
         meaning="1 ÷ manipulability (Yoshikawa) at the true angles; in a singularity and beyond it 1000 × its limit",
     ),
     Monitor(name="tool_speed", unit="m/s", hard=True, meaning="true tool speed"),
+    Monitor(name="tilt", unit="rad", hard=True, meaning="true tilt of a base: it falls, or has fallen"),
     Monitor(name="robot_power", unit="W", hard=False, meaning="true mechanical power of all joints together"),
     Monitor(
         name="observation",

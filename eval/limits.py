@@ -38,7 +38,7 @@ class Limits(Strict):
         nees: squared error of the estimated angle, in variances of the estimate.
         deviations: standard deviations of the training by which a number of the observation may lie off its mean.
         arming_rad: rad, by which the first angle sent may miss where the joint truly stands.
-        manipulability: m³ (six joints), the least that is not too near a singularity.
+        manipulability: m³ (six joints), the least that is not too near a singularity; of robots with a tool.
         motors: by the names of robot.toml.
     """
 
@@ -47,13 +47,13 @@ class Limits(Strict):
     nees: PositiveFloat
     deviations: PositiveFloat
     arming_rad: PositiveFloat
-    manipulability: PositiveFloat
+    manipulability: PositiveFloat | None = None
     motors: dict[str, MotorLimits]
 
     @property
     def digest(self) -> str:
         """SHA-256 of what the file says."""
-        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
+        return hashlib.sha256(self.model_dump_json(exclude_none=True).encode()).hexdigest()
 
     def motor_array(self, field: str, spec: RobotSpec) -> NDArray[np.float64]:
         """(n,) one number of every joint's motor, for example `power_w`."""
@@ -71,4 +71,7 @@ def load_limits(spec: RobotSpec) -> Limits:
     if limits.motors.keys() != spec.motors.keys():
         found, expected = (", ".join(sorted(motors)) for motors in (limits.motors, spec.motors))
         raise ConfigError(f"{path}: motors: found {found}, expected {expected}")
+    if (limits.manipulability is None) != (spec.tooling is None):
+        found, expected = ("one", "none of a robot with a base") if spec.base else ("none", "one")
+        raise ConfigError(f"{path}: manipulability: found {found}, expected {expected}")
     return limits

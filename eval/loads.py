@@ -72,7 +72,7 @@ class Loads:
         space = spec.workspace
         self._centre = np.array(space.centre) if space else np.zeros(3)
         self._depth = space.radius_max + space.z_min if space else -np.inf
-        self._axes, self._least = Axes(spec), limits.manipulability * SINGULAR
+        self._axes, self._least = Axes(spec) if space else None, (limits.manipulability or 0.0) * SINGULAR
         self._mean, self._deviation = (
             np.array(values if observed else (), dtype=np.float32)
             for values in ((observed.mean, observed.deviation) if observed else ((), ()))
@@ -177,8 +177,11 @@ class Loads:
         np.sqrt(np.einsum("tbi,tbi->tb", away, away), out=whole["workspace"])
         np.maximum(whole["workspace"], self._depth - position[:, :, 2], out=whole["workspace"])
         np.sqrt(np.einsum("tbi,tbi->tb", speed, speed), out=whole["tool_speed"])
-        found = self._axes.manipulability(seen.q[PAST:].reshape(-1, self._n)).reshape(position.shape[:2])
-        np.divide(1.0, np.maximum(found, self._least), out=whole["singularity"])
+        whole["tilt"][:] = seen.tilt[PAST:]
+        whole["singularity"][:] = 0.0
+        if self._axes:
+            found = self._axes.manipulability(seen.q[PAST:].reshape(-1, self._n)).reshape(position.shape[:2])
+            np.divide(1.0, np.maximum(found, self._least), out=whole["singularity"])
 
     def _policy(self, seen: Ticks, whole: dict[str, Floats]) -> None:
         """What the policy was shown and what it said, where somebody followed it."""
@@ -238,8 +241,9 @@ def _robot_limits(spec: RobotSpec, limits: Limits, observed: Observed | None) ->
         "self_collision": 0.5,
         "contact_force": limits.contact_n,
         "workspace": spec.workspace.radius_max if spec.workspace else np.inf,
-        "singularity": 1.0 / limits.manipulability,
+        "singularity": 1.0 / limits.manipulability if limits.manipulability else np.inf,
         "tool_speed": spec.workspace.tool_speed_max if spec.workspace else np.inf,
+        "tilt": spec.base.tilt_max_rad if spec.base else np.inf,
         "robot_power": limits.power_w,
         "observation": limits.deviations if observed else np.inf,
         "action_finite": 0.5,

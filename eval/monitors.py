@@ -11,33 +11,37 @@ from numpy.typing import NDArray
 
 from deploy.contract import Observed
 from deploy.stage import Arrays, Stage
-from deploy.state import Command, Floats, Ints, Mode, State, Target
+from deploy.state import Bools, Command, Floats, Ints, Mode, State, Target
 from eval.counts import BINS, NAMES, REASONS, Counts
 from eval.events import Bad, Events
 from eval.limits import load_limits
 from eval.loads import Block, Loads
 from eval.seen import PAST, TOGETHER, Seen, Ticks
-from eval.truth import Truth
+from eval.truth import BaseTruth, Truth
 from robots.spec import RobotSpec
 
 REARM_S = 0.5
 GOAL_M = 0.02
 GOAL_S = 4.0
+SPEED_M_S = 0.2
+"""By which the mean velocity over the ground may miss what a robot with a base was asked for."""
 MOVING = 0.01
 _COUNTED = (
     *("ticks", "invalid", "running", "moving", "stops", "reasons", "latches", "attempted", "reached"),
     *("worst", "bins"),
 )
+"""What `Counts` is told."""
 
 
 class Judge(Stage):
     """Every monitor, on every tick, for every robot.
 
     Attributes:
+        walked: (R, 2) m/s, sum over the ticks since the last command, of robots with a base.
         worst: (R, C) highest load. bins: (C, BINS) loads by size, all robots together.
     """
 
-    carried: ClassVar[tuple[str, ...]] = _COUNTED
+    carried: ClassVar[tuple[str, ...]] = (*_COUNTED, "walked")
     parts = ("seen", "events")
 
     def __init__(
@@ -71,6 +75,7 @@ class Judge(Stage):
         self.events = Events(self._robots, spec.n, channels, round(REARM_S / spec.dt))
         self.ticks, self.invalid, self.running, self.moving = np.zeros((4, self._robots), dtype=np.int64)
         self.stops, self.latches, self.attempted, self.reached = np.zeros((4, self._robots), dtype=np.int64)
+        self._walks, self.walked = spec.base is not None, np.zeros((self._robots, 2))
         self.reasons = np.zeros((self._robots, len(REASONS)), dtype=np.int64)
         self.worst, self.bins = np.zeros((self._robots, channels)), np.zeros((channels, BINS), dtype=np.int64)
 
@@ -98,15 +103,18 @@ class Judge(Stage):
             action: (B, A) what it was heard to say in this tick; None where it was not its turn.
             command: what was sent in this tick.
             mode: (B,) of `Mode`. reason: (B,) bit sets of `Reason`.
-            goal: (B, 3) m, the tool's present goal in the world.
+            goal: (B, 3) m, the tool's present goal in the world; of a robot with a base m/s forwards, m/s to the left
+                and rad/s to the left.
             attempted: (B,) goals over so far. Where it rises, the goal of the tick before is over.
         """
+        velocity, tilt = (truth.tool_velocity, 0.0) if truth.base is None else _of_base(truth.base)
         # In the order of `Ticks`: names would cost as much as the writing.
         now: tuple[Any, ...] = (
             *(target.q, truth.q, truth.qd, truth.tau, truth.winding_c),
             *(command.q, command.tau, state.q, state.q_var),
-            *(truth.tool_position, truth.tool_velocity, goal),
-            *(state.age, truth.contact_n, command.powered, _sound(action), truth.self_collision, truth.valid),
+            *(truth.tool_position, velocity, goal),
+            *(state.age, truth.contact_n, tilt),
+            *(command.powered, _sound(action), truth.self_collision, truth.valid),
             *(mode, reason, attempted, observation[:, : self._size]),
         )
         self.seen.put(now)
@@ -181,18 +189,44 @@ class Judge(Stage):
             self.reasons[:, 1:] += stop[tick][:, None] & (reason[:, None] >> np.arange(len(REASONS) - 1)) & 1
 
     def _count_goals(self, seen: Ticks) -> None:
-        """A goal is reached if the tool is there when its time is over, with the robot still at work."""
+        """A goal is reached if the tool is there when its time is over, with the robot still at work.
+
+        One of a robot with a base is a speed, and reached if that was its mean over the time.
+        """
         over = seen.attempted[PAST:] > seen.attempted[PAST - 1 : -1]
-        if over.any():
+        at_work = (seen.mode[PAST:] == int(Mode.RUNNING)) & seen.valid[PAST:]
+        if self._walks:
+            self._count_speeds(seen, over, at_work)
+        elif over.any():
             missed = np.linalg.norm(seen.tool_position[PAST:] - seen.goal[PAST - 1 : -1], axis=2)
-            at_work = (seen.mode[PAST:] == int(Mode.RUNNING)) & seen.valid[PAST:]
             self.reached += (over & (missed <= GOAL_M) & at_work).sum(axis=0)
         self.attempted[:] = seen.attempted[-1]
+
+    def _count_speeds(self, seen: Ticks, over: Bools, at_work: Bools) -> None:
+        """Add up what was walked since the last command, and compare its mean with what was asked for."""
+        for tick, ended in enumerate(over):
+            self.walked += seen.tool_velocity[PAST + tick, :, :2]
+            if ended.any():
+                mean = self.walked * (self._dt / self._goal_s)
+                missed = np.linalg.norm(mean - seen.goal[PAST + tick - 1, :, :2], axis=1)
+                self.reached += ended & (missed <= SPEED_M_S) & at_work[tick]
+                self.walked[ended] = 0.0
 
 
 def _sound(action: NDArray[np.floating] | None) -> Any:
     """(B,) whether what was said is numbers; who says nothing says nothing wrong."""
     return True if action is None else np.isfinite(action).all(axis=1)
+
+
+def _of_base(base: BaseTruth) -> tuple[Floats, Floats]:
+    """(B, 3) m/s forwards, to the left and upwards, and (B,) rad that it leans."""
+    w, x, y, z = base.quat_wxyz.T
+    # The first and the last column of the rotation: where the base's x and z axes point in the world.
+    heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    upwards = 1.0 - 2.0 * (x * x + y * y)
+    cos, sin, (vx, vy, vz) = np.cos(heading), np.sin(heading), base.velocity.T
+    velocity = np.stack((cos * vx + sin * vy, cos * vy - sin * vx, vz), axis=1)
+    return velocity, np.arccos(np.minimum(np.maximum(upwards, -1.0), 1.0))
 
 
 def _bad(block: Block, tick: int) -> Bad:

@@ -20,7 +20,8 @@ class Ticks(NamedTuple):
 
     `target` and `sent` are angles and `tau_sent` torques of the command. What is not of the world is of the runtime:
     `q_hat`, `q_var` and `age` are its belief before the physics of that tick. `sound`: whether what the policy said in
-    that tick, if anything, was numbers.
+    that tick, if anything, was numbers. `tool_velocity` of a robot with a base is the base's, m/s in the
+    world, turned by its heading: forwards, to the left, upwards. `tilt`: rad, of a base.
     """
 
     target: Floats
@@ -37,6 +38,7 @@ class Ticks(NamedTuple):
     goal: Floats
     age: Floats
     contact_n: Floats
+    tilt: Floats
     powered: Bools
     sound: Bools
     self_collision: Bools
@@ -61,7 +63,7 @@ class Seen(Stage):
         room: tuple[Any, ...] = (
             *np.zeros((9, *shape, n)),
             *np.zeros((3, *shape, 3)),
-            *np.zeros((2, *shape)),
+            *np.zeros((3, *shape)),
             *flags,
             *whole,
             np.zeros((*shape, observation), dtype=np.float32),

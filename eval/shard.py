@@ -168,7 +168,12 @@ class Shard(Stage):
         policy = Policy.load(job.policy, spec)
         _same(job.policy_digest, policy.digest, job.policy)
         schedule = plan(spec, job.faults, seeds, job.first, job.ticks)
-        self._job, self.robot = job, SimRobot(spec, seeds, given=given, faults=schedule.of_sensors())
+        self._job, self.robot = (
+            job,
+            SimRobot(
+                spec, seeds, given=given, faults=schedule.of_sensors(), gains=policy.contract.action.gains
+            ),
+        )
         self.runtime = Runtime(spec, policy.contract, self.robot, seeds, policy)
         self.judge = judge_of(spec, policy.contract, job.robots)
         self.injector = Injector(spec, schedule, self.robot.plant, policy.contract.action_size)
@@ -282,5 +287,5 @@ def _sampled(saved: Mapping[str, Any]) -> dict[str, Any]:
 
 def judge_of(spec: RobotSpec, contract: Contract, robots: int) -> Judge:
     """The judge of a shard of which so many robots count, before its first tick."""
-    period_s = ReachConfig().period_s
+    period_s = spec.base.command_s if spec.base else ReachConfig().period_s
     return Judge(spec, torque_max(spec), WIDTH, counted=robots, observed=contract.observed, goal_s=period_s)

@@ -5,6 +5,18 @@ from typing import Protocol
 from deploy.state import Bools, Floats
 
 
+class BaseTruth(Protocol):
+    """Of a floating base."""
+
+    @property
+    def quat_wxyz(self) -> Floats:
+        """(B, 4) base in world."""
+
+    @property
+    def velocity(self) -> Floats:
+        """(B, 3) m/s, world."""
+
+
 class Truth(Protocol):
     """What the simulation knows and the robot does not: arrays (B, ...), world frame."""
 
@@ -43,3 +55,7 @@ class Truth(Protocol):
     @property
     def valid(self) -> Bools:
         """(B,) False once the simulation diverged: the row says nothing any more."""
+
+    @property
+    def base(self) -> BaseTruth | None:
+        """Of a robot that has one."""

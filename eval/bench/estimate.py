@@ -64,7 +64,8 @@ def estimate(spec: RobotSpec, policy: Path, console: Console, picture: Path | No
 def move(spec: RobotSpec, policy: Path, first: int) -> Motion:
     """Robots `first` and after, at work."""
     seeds = [robot_seed(SEED, robot) for robot in range(first, first + SHARD)]
-    brain, robot = Policy.load(policy, spec), SimRobot(spec, seeds)
+    brain = Policy.load(policy, spec)
+    robot = SimRobot(spec, seeds, gains=brain.contract.action.gains)
     runtime = Runtime(spec, brain.contract, robot, seeds, brain)
     for _ in range(round(ARM_S / spec.dt)):
         runtime.tick()

@@ -44,7 +44,7 @@ class Bench:
         """
         seeds = [robot_seed(SEED, robot) for robot in range(robots)]
         brain = Policy.load(policy, spec)
-        self.robot = SimRobot(spec, seeds, threads=1)
+        self.robot = SimRobot(spec, seeds, gains=brain.contract.action.gains, threads=1)
         self.runtime = Runtime(spec, brain.contract, self.robot, seeds, brain)
         self.judge = Judge(spec, torque_max(spec), robots, observed=brain.contract.observed)
         self.watch, self.robots = Stopwatch(), robots

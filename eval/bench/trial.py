@@ -37,7 +37,7 @@ class Trial:
             given: B robots as they are, in the place of those that the seeds would draw.
         """
         brain = Policy.load(policy, spec)
-        self.robot = SimRobot(spec, seeds, given=given)
+        self.robot = SimRobot(spec, seeds, given=given, gains=brain.contract.action.gains)
         self.runtime = Runtime(spec, brain.contract, self.robot, seeds, brain)
         goal_s = self.runtime.task.config.period_s
         self.judge = Judge(
