@@ -1,5 +1,7 @@
 """Collisions of robots that stand side by side in one Pinocchio model, each with itself and its surroundings."""
 
+from collections.abc import Sequence
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -99,15 +101,21 @@ class _Shapes:
         return np.asarray(np.reshape(hits, (self._copies, -1)).any(axis=1))
 
 
-def collision_pairs(model: pin.Model, geometry: pin.GeometryModel) -> Pairs:
-    """Pairs of shapes on links that are neither the same nor parent and child."""
-    parents = list(model.parents)
+def collision_pairs(
+    model: pin.Model, geometry: pin.GeometryModel, neighbours: Sequence[tuple[str, str]] = ()
+) -> Pairs:
+    """Pairs of shapes on links that are neither the same nor parent and child, nor on bodies that are neighbours."""
+    parents, near = list(model.parents), {frozenset(pair) for pair in neighbours}
     joints = [shape.parentJoint for shape in geometry.geometryObjects]
+    bodies = [model.frames[shape.parentFrame].name for shape in geometry.geometryObjects]
     return [
         (a, b)
         for a in range(len(joints))
         for b in range(a + 1, len(joints))
-        if joints[a] != joints[b] and parents[joints[a]] != joints[b] and parents[joints[b]] != joints[a]
+        if joints[a] != joints[b]
+        and parents[joints[a]] != joints[b]
+        and parents[joints[b]] != joints[a]
+        and frozenset((bodies[a], bodies[b])) not in near
     ]
 
 

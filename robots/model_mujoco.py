@@ -5,6 +5,7 @@ import numpy as np
 
 from robots.drive import Drive
 from robots.errors import RobotError
+from robots.model_files import is_urdf, urdf_text
 from robots.spec import Joint, RobotSpec
 
 _INPUT = mujoco.mjtCtrlInput
@@ -22,15 +23,39 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
         RobotError: MuJoCo cannot read it, or it has no joint or no range of torque for a drive.
     """
     try:
-        mjcf = mujoco.MjSpec.from_file(str(spec.model_path))
+        if is_urdf(spec.model_path):
+            mjcf = mujoco.MjSpec.from_string(urdf_text(spec.model_path, spec.folder))
+        else:
+            mjcf = mujoco.MjSpec.from_file(str(spec.model_path))
     except (ValueError, mujoco.FatalError) as e:
         raise _unreadable(spec, e) from e
     mjcf.option.timestep = 1.0 / spec.rates.physics_hz
     for element in (*mjcf.keys, *mjcf.sensors):  # they speak of actuators and joints that may not stay
         mjcf.delete(element)
+    _lock(mjcf, spec)
     if spec.drives:
         _drive(mjcf, spec)
+    for pair in spec.neighbours:
+        mjcf.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
+    if spec.tool and mjcf.site(spec.tool) is None and (body := mjcf.body(spec.tool)) is not None:
+        body.add_site(name=spec.tool)
     return mjcf
+
+
+def _lock(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
+    """Take locked joints away, and with them whatever else moves or holds them."""
+    joints = [joint for joint in mjcf.joints if joint.name in spec.locked]
+    for joint in joints:
+        if joint.ref != 0.0:
+            raise RobotError(
+                f"{spec.model_path}: joint {joint.name!r}: ref: found {joint.ref:g}, expected 0: it is locked"
+            )
+    tendons = [tendon for tendon in mjcf.tendons if any(wrap.target in joints for wrap in tendon.path)]
+    gone = {element.name for element in (*joints, *tendons)}
+    held = [equality for equality in mjcf.equalities if {equality.name1, equality.name2} & gone]
+    moved = [actuator for actuator in mjcf.actuators if actuator.target in gone]
+    for element in (*held, *moved, *tendons, *joints):
+        mjcf.delete(element)
 
 
 def _drive(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
@@ -42,6 +67,7 @@ def _drive(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
         )
     for actuator in mjcf.actuators:
         mjcf.delete(actuator)
+    mjcf.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # the others do not bear stiff drives
     for joint, drive in zip(spec.joints, spec.drives, strict=True):
         _add_drive(mjcf, joint, drive, spec)
 
@@ -104,7 +130,7 @@ def load_mujoco(spec: RobotSpec) -> mujoco.MjModel:
             f' for each of {spec.joint_names} with input="pos vel ff" and thermal'
         )
     if spec.tool and spec.tool not in {model.site(i).name for i in range(model.nsite)}:
-        raise RobotError(f"{path}: no site named {spec.tool!r}, which robot.toml calls the tool")
+        raise RobotError(f"{path}: no site or body named {spec.tool!r}, which robot.toml calls the tool")
     return model
 
 

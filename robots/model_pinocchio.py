@@ -8,7 +8,6 @@ and the third in memory.
 
 import copy
 from dataclasses import dataclass
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +17,7 @@ from robots.blocks import lined_up, turns
 from robots.clearance import can_meet
 from robots.collisions import Collisions, collision_pairs
 from robots.errors import RobotError
+from robots.read_pinocchio import read_pinocchio
 from robots.spec import RobotSpec, Tooling
 
 Floats = NDArray[np.float64]
@@ -31,25 +31,19 @@ FLOATING = "JointModelFreeFlyer"
 
 
 def load_pinocchio(spec: RobotSpec) -> tuple[pin.Model, pin.GeometryModel]:
-    """Build model and collision geometry from model.xml; of a robot with a base, as seen from there.
+    """Build model and collision geometry; of a robot with a base, as seen from there.
 
     Raises:
         RobotError: Pinocchio cannot read the file or would leave a part of it out; a joint is no hinge; joints, tool
             or feet are not those of robot.toml.
     """
-    path = str(spec.model_path)
-    try:
-        model = pin.buildModelFromMJCF(path)
-        geometry = pin.buildGeomFromMJCF(model, path, pin.GeometryType.COLLISION)
-        model, geometry = _from_base(spec, model, geometry)
-    except (ValueError, RuntimeError) as e:
-        raise RobotError(f"{path}: Pinocchio cannot read it: {e!s:.300}") from e
+    model, geometry = _from_base(spec, *read_pinocchio(spec))
     _check_parts(spec, model)
     for joint, low, high in zip(spec.joints, model.lowerPositionLimit, model.upperPositionLimit, strict=True):
         if not low <= joint.q_min < joint.q_max <= high:
             raise RobotError(
                 f"{spec.folder / 'robot.toml'}: joints.{joint.name}: working range [{joint.q_min}, {joint.q_max}]"
-                f" is not inside the mechanical [{low:.4f}, {high:.4f}] of model.xml"
+                f" is not inside the mechanical [{low:.4f}, {high:.4f}] of {spec.model_path.name}"
             )
     return model, geometry
 
@@ -77,11 +71,6 @@ def _from_base(
 
 def _check_parts(spec: RobotSpec, model: pin.Model) -> None:
     path = str(spec.model_path)
-    links = len(ElementTree.parse(path).findall("./worldbody/body"))
-    if links != 1:
-        raise RobotError(
-            f"{path}: worldbody holds {links} bodies, expected 1: Pinocchio would leave the others out"
-        )
     found = tuple(model.names[1:])
     if found != spec.joint_names:
         raise RobotError(f"{path}: joints are {found}; robot.toml lists {spec.joint_names}")
@@ -92,7 +81,7 @@ def _check_parts(spec: RobotSpec, model: pin.Model) -> None:
             )
     for name, what in _frames(spec):
         if not model.existFrame(name):
-            raise RobotError(f"{path}: no site named {name!r}, which robot.toml calls {what}")
+            raise RobotError(f"{path}: no site or body named {name!r}, which robot.toml calls {what}")
 
 
 def _frames(spec: RobotSpec) -> list[tuple[str, str]]:
@@ -299,7 +288,7 @@ class _Blocks:
         self.carried_by = np.array(
             [[j in some for j in range(1, self.model.njoints)] for some in supports], float
         )
-        pairs = collision_pairs(self.model, self._geometry) if collisions else []
+        pairs = collision_pairs(self.model, self._geometry, spec.neighbours) if collisions else []
         self._pairs = can_meet(spec, self.model, self._geometry, pairs)
         self._built: dict[int, _Block] = {}
 

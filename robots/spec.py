@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from robots.capsule import Capsule
 from robots.drive import Drive
 from robots.errors import RobotError
+from robots.model_files import named_files, read_xml
 from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
 from robots.strict import Source, Strict, read_toml
 
@@ -25,12 +27,17 @@ FUSED: tuple[Kind, ...] = ("encoder", "velocity")
 """What a robot's state is estimated from."""
 INERTIAL: tuple[Kind, ...] = ("gyro", "accelerometer")
 """What a base is estimated from, beside its feet."""
+MODEL = "model.xml"
+"""What a model is called unless robot.toml says otherwise."""
+ModelName = Annotated[
+    str, Field(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9_.-]*(/[A-Za-z0-9_-][A-Za-z0-9_.-]*)*\.(xml|urdf)$")
+]
 Fraction = Annotated[float, Field(gt=0, le=1)]
 
 
 def _unsaid(value: object) -> bool:
     """What a file does not say is not part of its digest, which is then that of before there was such a key."""
-    return value is None
+    return value in (None, (), MODEL)
 
 
 class Joint(Strict):
@@ -221,11 +228,22 @@ class RobotSpec(Strict):
     """One robot folder: the strict reading of robot.toml, plus the folder itself.
 
     A robot stands fixed and has a tool in a workspace, or walks and has a base.
+
+    Attributes:
+        model: file of the folder, MJCF (.xml) or URDF (.urdf).
+        tool: a site or a body of the model.
+        locked: joints of the model that stay at 0 and that nobody drives.
+        capsules: what bodies are taken for where they might meet; empty for the shapes that the model has.
+        neighbours: pairs of bodies that are always near, so that nobody asks whether they meet.
     """
 
     folder: Path
     name: str
+    model: Annotated[ModelName, Field(exclude_if=_unsaid)] = MODEL
     tool: str | None = None
+    locked: Annotated[tuple[str, ...], Field(exclude_if=_unsaid)] = ()
+    capsules: Annotated[tuple[Capsule, ...], Field(exclude_if=_unsaid)] = ()
+    neighbours: Annotated[tuple[tuple[str, str], ...], Field(exclude_if=_unsaid)] = ()
     rates: Rates
     margins: Margins
     workspace: Workspace | None = None
@@ -274,6 +292,15 @@ class RobotSpec(Strict):
             if joint.motor not in self.motors:
                 raise ValueError(
                     f"joint {joint.name} names motor {joint.motor!r}; known: {', '.join(self.motors)}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _locked_or_driven(self) -> Self:
+        for name in self.locked:
+            if name in self.joint_names or self.locked.count(name) > 1:
+                raise ValueError(
+                    f"locked: found {name!r}, expected each once and none that is listed in joints"
                 )
         return self
 
@@ -351,17 +378,17 @@ class RobotSpec(Strict):
 
     @property
     def model_path(self) -> Path:
-        """The model.xml that both libraries read."""
-        return self.folder / "model.xml"
+        """The model that both libraries read."""
+        return self.folder / self.model
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what the numbers of both files say; layout and comments do not count."""
-        try:
-            xml = ET.canonicalize(from_file=str(self.model_path), strip_text=True)
-        except (OSError, ET.ParseError) as e:
-            raise RobotError(f"{self.model_path}: not readable as XML: {e}") from e
+        """SHA-256 of what robot.toml and the model say, and of the meshes; layout and comments do not count."""
+        xml = ET.canonicalize(ET.tostring(read_xml(self.model_path)), strip_text=True)
         text = self.model_dump_json(exclude={"folder"}, exclude_none=True) + xml
+        for path in named_files(self.model_path, self.folder):
+            with path.open("rb") as file:
+                text += f"\n{path.relative_to(self.folder)} {hashlib.file_digest(file, 'sha256').hexdigest()}"
         return hashlib.sha256(text.encode()).hexdigest()
 
     def joint_array(self, field: str) -> NDArray[np.float64]:

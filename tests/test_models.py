@@ -312,10 +312,10 @@ WRIST_3 = r'(?s)<joint name="wrist_3" class="size1"/>'
 @pytest.mark.parametrize(
     ("load", "toml", "xml", "words"),
     [
-        ("both", [], [("</mujoco>", "")], ["cannot read it"]),
+        ("both", [], [("</mujoco>", "")], ["read"]),
         ("both", [], [("<mujoco model", "<mujoco modle")], ["cannot read it"]),
-        ("both", [('tool = "tool"', 'tool = "hand"')], [], ["no site named 'hand'"]),
-        ("both", [], [('<site name="tool"', '<site name="tip"')], ["no site named 'tool'"]),
+        ("both", [('tool = "tool"', 'tool = "hand"')], [], ["no site or body named 'hand'"]),
+        ("both", [], [('<site name="tool"', '<site name="tip"')], ["no site or body named 'tool'"]),
         ("both", [], [(WRIST_3, '<joint name="wrist_4" class="size1"/>'), ('joint="wrist_3"', 'joint="wrist_4"')],
          ["wrist_4", "robot.toml lists"]),
         ("pinocchio", [], [("</worldbody>", POST + "</body></worldbody>")], ["2 bodies", "expected 1"]),

@@ -34,7 +34,7 @@ class PlainRobot:
         self._data.qpos[:] = self._home
         self._gear = self._model.actuator_gear[:, 0]
         self._pin, self._shapes = load_pinocchio(spec)
-        for a, b in collision_pairs(self._pin, self._shapes):
+        for a, b in collision_pairs(self._pin, self._shapes, spec.neighbours):
             self._shapes.addCollisionPair(pin.CollisionPair(a, b))
         self._pin_data, self._shapes_data = self._pin.createData(), self._shapes.createData()
         restless = spec.joint_array("acceleration_density")

@@ -1,0 +1,119 @@
+"""The files of which a robot's model is made: MJCF or URDF, and what it names, mostly meshes.
+
+All of them lie inside the robot's folder. Names are looked up as both formats do: as they stand beside the model, in
+the directories that MJCF says, and as `package://NAME/path` inside the folder, which may itself be that package.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+from robots.errors import RobotError
+
+TEXT_BYTES_MAX = 16 << 20
+FILES_MAX = 1000
+PACKAGE = "package://"
+DIRECTORIES = ("assetdir", "meshdir", "texturedir")
+
+
+def is_urdf(model: Path) -> bool:
+    """By the end of its name."""
+    return model.suffix == ".urdf"
+
+
+def read_xml(path: Path) -> ElementTree.Element:
+    """The root of an XML file of bounded size.
+
+    Raises:
+        RobotError: it cannot be read, is too large, or is no XML.
+    """
+    try:
+        size = path.stat().st_size
+        if size > TEXT_BYTES_MAX:
+            raise RobotError(f"{path}: {size} bytes, expected at most {TEXT_BYTES_MAX}")
+        return ElementTree.parse(path).getroot()
+    except (OSError, ElementTree.ParseError, ValueError) as e:
+        raise RobotError(f"{path}: not readable as XML: {e}") from e
+
+
+def urdf_text(model: Path, folder: Path) -> str:
+    """URDF that both libraries read alike: meshes by their places, no visuals, and every link a body of its own.
+
+    Raises:
+        RobotError: it cannot be read, or a mesh is not inside the folder.
+    """
+    root = read_xml(model)
+    for link in root.findall("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    for mesh in root.iter("mesh"):
+        mesh.set("filename", str(find(mesh.get("filename", ""), model, folder, [])))
+    for own in root.findall("mujoco"):
+        root.remove(own)
+    compiler = ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler")
+    compiler.attrib |= {"strippath": "false", "fusestatic": "false"}
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def named_files(model: Path, folder: Path) -> tuple[Path, ...]:
+    """What the model names, in the order of their paths; of URDF what links collide with.
+
+    Raises:
+        RobotError: a file cannot be read, is missing or not inside the folder, or there are too many.
+    """
+    if is_urdf(model):
+        meshes = read_xml(model).findall("link/collision/geometry/mesh")
+        found = {find(mesh.get("filename", ""), model, folder, []) for mesh in meshes}
+    else:
+        found = _named_by_mjcf(model, folder)
+    if len(found) > FILES_MAX:
+        raise RobotError(f"{model}: names {len(found)} files, expected at most {FILES_MAX}")
+    return tuple(sorted(found))
+
+
+def _named_by_mjcf(model: Path, folder: Path) -> set[Path]:
+    """With what included files name, once each."""
+    texts, roots, found = [model], [], set[Path]()
+    for text in texts:
+        roots.append(read_xml(text))
+        for include in roots[-1].iter("include"):
+            path = find(include.get("file", ""), model, folder, [])
+            if path not in texts:
+                texts.append(path)
+        if len(texts) > FILES_MAX:
+            raise RobotError(f"{model}: includes more than {FILES_MAX} files")
+    compilers = [compiler for root in roots for compiler in root.iter("compiler")]
+    places = [compiler.get(key, "") for key in DIRECTORIES for compiler in compilers]
+    for root in roots:
+        found.update(find(name, model, folder, [place for place in places if place]) for name in _names(root))
+    return found | set(texts[1:])
+
+
+def _names(root: ElementTree.Element) -> Iterator[str]:
+    for element in root.iter():
+        if element.tag != "include":
+            yield from (value for key, value in element.attrib.items() if key.startswith("file") and value)
+
+
+def find(name: str, model: Path, folder: Path, places: list[str]) -> Path:
+    """The file that a model calls so.
+
+    Args:
+        name: as it stands in the model.
+        model: the file that names it, or that includes the one that does.
+        folder: of the robot.
+        places: directories to look into, as the model says them.
+
+    Raises:
+        RobotError: no such file inside the folder.
+    """
+    if name.startswith(PACKAGE):
+        rest = name.removeprefix(PACKAGE)
+        tried = [folder / rest, folder / rest.partition("/")[2]]
+    else:
+        tried = [model.parent / place / name for place in (*places, "")]
+        tried += [model.parent / place / Path(name).name for place in places]
+    for path in (candidate.resolve() for candidate in tried):
+        if path.is_relative_to(folder.resolve()) and path.is_file():
+            return path
+    raise RobotError(f"{model}: file: found {name!r:.200}, expected a file inside {folder}")
