@@ -1,5 +1,8 @@
 """MuJoCo's model of a robot, from the same model.xml."""
 
+from collections.abc import Iterable
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -11,7 +14,6 @@ from robots.spec import Joint, RobotSpec
 _INPUT = mujoco.mjtCtrlInput
 INPUTS = 3
 """Controls of one `dcmotor` with `input="pos vel ff"`: motor angle, motor speed, motor torque."""
-
 SIGNATURE = sum(int(mode) for mode in (_INPUT.mjINPUT_POS, _INPUT.mjINPUT_VEL, _INPUT.mjINPUT_FF))
 """What MuJoCo calls these."""
 
@@ -36,6 +38,8 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
     if spec.drives:
         _drive(mjcf, spec)
     for pair in spec.neighbours:
+        for body in pair:
+            _check_known(spec, "neighbours", body, "a body", mjcf.bodies)
         mjcf.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
     if spec.tool and mjcf.site(spec.tool) is None and (body := mjcf.body(spec.tool)) is not None:
         body.add_site(name=spec.tool)
@@ -44,6 +48,8 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
 
 def _lock(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
     """Take locked joints away, and with them whatever else moves or holds them."""
+    for name in spec.locked:
+        _check_known(spec, "locked", name, "joints", mjcf.joints)
     joints = [joint for joint in mjcf.joints if joint.name in spec.locked]
     for joint in joints:
         if joint.ref != 0.0:
@@ -56,6 +62,15 @@ def _lock(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
     moved = [actuator for actuator in mjcf.actuators if actuator.target in gone]
     for element in (*held, *moved, *tendons, *joints):
         mjcf.delete(element)
+
+
+def _check_known(spec: RobotSpec, field: str, found: str, expected: str, elements: Iterable[Any]) -> None:
+    names = [element.name for element in elements]
+    if found not in names:
+        raise RobotError(
+            f"{spec.folder / 'robot.toml'}: {field}: found {found!r}, expected {expected} of {spec.model_path.name}:"
+            f" {', '.join(filter(None, names))}"
+        )
 
 
 def _drive(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:

@@ -17,17 +17,13 @@ from robots.blocks import lined_up, turns
 from robots.clearance import can_meet
 from robots.collisions import Collisions, collision_pairs
 from robots.errors import RobotError
-from robots.read_pinocchio import read_pinocchio
+from robots.read_pinocchio import followed, read_pinocchio
 from robots.spec import RobotSpec, Tooling
 
 Floats = NDArray[np.float64]
 
 HINGES = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 """What Pinocchio calls a hinge, by its axis."""
-
-
-FLOATING = "JointModelFreeFlyer"
-"""What it calls the joint of a base that nothing holds."""
 
 
 def load_pinocchio(spec: RobotSpec) -> tuple[pin.Model, pin.GeometryModel]:
@@ -37,7 +33,7 @@ def load_pinocchio(spec: RobotSpec) -> tuple[pin.Model, pin.GeometryModel]:
         RobotError: Pinocchio cannot read the file or would leave a part of it out; a joint is no hinge; joints, tool
             or feet are not those of robot.toml.
     """
-    model, geometry = _from_base(spec, *read_pinocchio(spec))
+    model, geometry = read_pinocchio(spec)
     _check_parts(spec, model)
     for joint, low, high in zip(spec.joints, model.lowerPositionLimit, model.upperPositionLimit, strict=True):
         if not low <= joint.q_min < joint.q_max <= high:
@@ -46,27 +42,6 @@ def load_pinocchio(spec: RobotSpec) -> tuple[pin.Model, pin.GeometryModel]:
                 f" is not inside the mechanical [{low:.4f}, {high:.4f}] of {spec.model_path.name}"
             )
     return model, geometry
-
-
-def _from_base(
-    spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel
-) -> tuple[pin.Model, pin.GeometryModel]:
-    """The same without the joint of a base: the world is where the base is, and no floor is there."""
-    floats = model.njoints > 1 and model.joints[1].shortname() == FLOATING
-    if floats != (spec.base is not None):
-        found, expected = ("a free joint", "none") if floats else ("no free joint", "one")
-        raise RobotError(
-            f"{spec.model_path}: found {found} at the root, expected {expected}: robot.toml has"
-            f" {'a' if spec.base else 'no'} base"
-        )
-    if not floats:
-        return model, geometry
-    for shape in [shape.name for shape in geometry.geometryObjects if shape.parentJoint == 0]:
-        geometry.removeGeometryObject(shape)
-    seen_from_it: tuple[pin.Model, pin.GeometryModel] = pin.buildReducedModel(
-        model, geometry, [1], pin.neutral(model)
-    )
-    return seen_from_it
 
 
 def _check_parts(spec: RobotSpec, model: pin.Model) -> None:
@@ -79,15 +54,7 @@ def _check_parts(spec: RobotSpec, model: pin.Model) -> None:
             raise RobotError(
                 f"{path}: joint {model.names[joint.id]!r} is {joint.shortname()}, expected a hinge"
             )
-    for name, what in _frames(spec):
-        if not model.existFrame(name):
-            raise RobotError(f"{path}: no site or body named {name!r}, which robot.toml calls {what}")
-
-
-def _frames(spec: RobotSpec) -> list[tuple[str, str]]:
-    """What is followed of a robot, and what robot.toml calls it."""
-    tool = [(spec.tool, "the tool")] if spec.tool else []
-    return [*tool, *((foot, "a foot") for foot in (spec.base.feet if spec.base else ()))]
+    followed(spec, model)
 
 
 def torque_max(spec: RobotSpec) -> Floats:
@@ -259,7 +226,7 @@ def _measure(jacobian: Floats) -> Floats:
 
 def _home(spec: RobotSpec, tooling: Tooling, model: pin.Model) -> float:
     """`_measure` of the home pose, which must not be singular."""
-    frame, q = model.getFrameId(tooling.name), spec.joint_array("q_home")
+    frame, q = followed(spec, model)[0], spec.joint_array("q_home")
     jacobian = pin.computeFrameJacobian(model, model.createData(), q, frame, pin.LOCAL_WORLD_ALIGNED)
     found = float(_measure(jacobian[None])[0])
     if abs(found) < tooling.singularity:
@@ -283,7 +250,7 @@ class _Blocks:
     def __init__(self, spec: RobotSpec, *, collisions: bool) -> None:
         self.model, self._geometry = load_pinocchio(spec)
         self._margin = spec.margins.collision_m
-        self.followed = [self.model.frames[self.model.getFrameId(name)] for name, _ in _frames(spec)]
+        self.followed = [self.model.frames[frame] for frame in followed(spec, self.model)]
         supports = [list(self.model.supports[frame.parentJoint]) for frame in self.followed]
         self.carried_by = np.array(
             [[j in some for j in range(1, self.model.njoints)] for some in supports], float

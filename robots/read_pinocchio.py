@@ -10,11 +10,14 @@ from robots.model_files import is_urdf, read_xml, urdf_text
 from robots.spec import RobotSpec
 
 Read = tuple[pin.Model, pin.GeometryModel]
-BODY = pin.FrameType.BODY
+FLOATING = "JointModelFreeFlyer"
+"""What Pinocchio calls the joint of a base that nothing holds."""
+BODY, SITE = pin.FrameType.BODY, pin.FrameType.OP_FRAME
+_SET_ASIDE = "/body"
 
 
 def read_pinocchio(spec: RobotSpec) -> Read:
-    """Model and collision geometry, not yet compared with robot.toml.
+    """Model and collision geometry, not yet compared with robot.toml; of a robot with a base, as seen from there.
 
     Raises:
         RobotError: Pinocchio cannot read the file or would leave a part of it out, or it has no such joint or body.
@@ -30,7 +33,7 @@ def read_pinocchio(spec: RobotSpec) -> Read:
         _frame(spec, model, body, "neighbours")
     if spec.capsules:
         geometry = _capsules(spec, model, geometry)
-    return model, geometry
+    return _from_base(spec, model, geometry)
 
 
 def _read_mjcf(spec: RobotSpec) -> Read:
@@ -58,8 +61,53 @@ def _lock(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> Rea
                 f"{spec.folder / 'robot.toml'}: locked: found {name!r}, expected joints of {spec.model_path.name}:"
                 f" {', '.join(names[1:])}"
             )
-    joints = [names.index(name) for name in spec.locked]
-    return pin.buildReducedModel(model, geometry, joints, pin.neutral(model))  # type: ignore[no-any-return]
+    return _without(model, geometry, [names.index(name) for name in spec.locked])
+
+
+def _without(model: pin.Model, geometry: pin.GeometryModel, joints: list[int]) -> Read:
+    """The same with some joints held where they are neutral."""
+    # Pinocchio looks for a joint's frame by its name alone, which is often that of its body as well.
+    bodies = [frame for frame in model.frames if frame.type == BODY]
+    for frame in bodies:
+        frame.name += _SET_ASIDE
+    reduced, shapes = pin.buildReducedModel(model, geometry, joints, pin.neutral(model))
+    for frame in reduced.frames:
+        frame.name = frame.name.removesuffix(_SET_ASIDE)
+    return reduced, shapes
+
+
+def _from_base(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> Read:
+    """The same without the joint of a base: the world is where the base is, and no floor is there."""
+    floats = model.njoints > 1 and model.joints[1].shortname() == FLOATING
+    if floats != (spec.base is not None):
+        found, expected = ("a free joint", "none") if floats else ("no free joint", "one")
+        raise RobotError(
+            f"{spec.model_path}: found {found} at the root, expected {expected}: robot.toml has"
+            f" {'a' if spec.base else 'no'} base"
+        )
+    if not floats:
+        return model, geometry
+    for shape in [shape.name for shape in geometry.geometryObjects if shape.parentJoint == 0]:
+        geometry.removeGeometryObject(shape)
+    return _without(model, geometry, [1])
+
+
+def followed(spec: RobotSpec, model: pin.Model) -> list[int]:
+    """Frames of the sites or else the bodies that robot.toml calls the tool or the feet; joints may be called so too.
+
+    Raises:
+        RobotError: there is no such site or body.
+    """
+    named = [(spec.tool, "the tool")] if spec.tool else []
+    named += [(foot, "a foot") for foot in (spec.base.feet if spec.base else ())]
+    return [_site_or_body(spec, model, name, what) for name, what in named]
+
+
+def _site_or_body(spec: RobotSpec, model: pin.Model, name: str, what: str) -> int:
+    for kind in (SITE, BODY):
+        if model.existFrame(name, kind):
+            return int(model.getFrameId(name, kind))
+    raise RobotError(f"{spec.model_path}: no site or body named {name!r}, which robot.toml calls {what}")
 
 
 def _capsules(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> pin.GeometryModel:

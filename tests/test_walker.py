@@ -250,5 +250,5 @@ def test_a_base_and_a_free_joint_belong_together(tmp_path):
 
 def test_a_foot_that_is_not_there_is_said(tmp_path):
     spec = load_robot(changed(tmp_path, ('feet = ["front_left",', 'feet = ["paw",')))
-    with pytest.raises(RobotError, match=r"no site named 'paw', which robot\.toml calls a foot"):
+    with pytest.raises(RobotError, match=r"no site or body named 'paw', which robot\.toml calls a foot"):
         load_pinocchio(spec)
