@@ -43,6 +43,17 @@ class Effort(ABC):
             q: (R, n) rad. qd: (R, n) rad/s. qdd: (R, n) rad/s², points of their trajectories.
         """
 
+    @abstractmethod
+    def poses(
+        self, state: State, q: Floats, q_midst: Floats, q_rest: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """(B, n) rad each, where joints will be that are sent to `q` and on from there into a stop: now, and then.
+
+        Args:
+            state: what is believed.
+            q: (B, n) rad, a setpoint. q_midst, q_rest: of the stop that begins there.
+        """
+
 
 class Feedforward(Effort):
     """Stiff drives: the torque of the motion itself, by the nominal model."""
@@ -55,6 +66,12 @@ class Feedforward(Effort):
         """By recursive Newton-Euler, as `Fleet.torque`."""
         return self._fleet.torque(q, qd, qdd)
 
+    def poses(
+        self, state: State, q: Floats, q_midst: Floats, q_rest: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Where they are sent."""
+        return q, q_midst, q_rest
+
 
 class Springs(Effort):
     """Drives with gains: the torque of the angle between setpoint and joint, up to what a drive has.
@@ -65,6 +82,7 @@ class Springs(Effort):
     def __init__(self, spec: RobotSpec, gains: Gains) -> None:
         """Take the gains."""
         self._gains, self._most = gains, torque_max(spec)
+        self._twice_qdd = 2.0 * spec.joint_array("qdd_max")
         self.bound = np.full(spec.n, np.inf)
 
     def torque(self, state: State, q: Floats, qd: Floats, qdd: Floats) -> Floats:
@@ -73,3 +91,13 @@ class Springs(Effort):
         stray, speed = q - np.tile(state.q, (many, 1)), np.tile(state.qd, (many, 1))
         tau = self._gains.kp * stray - self._gains.kd * speed
         return np.minimum(np.maximum(tau, -self._most), self._most)
+
+    def poses(
+        self, state: State, q: Floats, q_midst: Floats, q_rest: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Where they are, and where they come to if they brake as they may be asked to: not where they are sent.
+
+        At half of its speed what brakes evenly has three quarters of its way behind it.
+        """
+        way = state.qd * np.abs(state.qd) / self._twice_qdd
+        return state.q, state.q + 0.75 * way, state.q + way

@@ -68,12 +68,14 @@ class Safety:
         tau = self._effort.torque(state, q, qd, qdd).copy()
         # A drive that is folded back has less to give than its range.
         asked = tau if every(state.fold == 1.0) else np.concatenate((tau[:robots] / state.fold, tau[robots:]))
-        poses = self._place(np.concatenate((setpoint.q, q_rest)))
-        self._on_the_way.glance(q_midst)
+        begin, on_the_way, end = self._effort.poses(state, setpoint.q, q_midst, q_rest)
+        places = self._place(np.concatenate((begin, end)))
+        self._on_the_way.glance(on_the_way)
         # A stop first lets the acceleration run out, and the speed that it gains until then counts.
         qd_peak = qd + qdd * np.abs(qdd) / self._twice_jerk
         speeds = self._tool_speeds(np.concatenate((setpoint.qd, qd_peak[:robots])))
-        points = self._plan.reasons(q, qd, qd_peak, asked, *poses, *speeds)
+        q_ends = np.concatenate((setpoint.q, q_rest))
+        points = self._plan.reasons(q, qd, qd_peak, asked, q_ends, *places, *speeds)
         midst, lag = self._clear(self._on_the_way), sent.q - state.q
         believed = state.q, state.qd, lag, state.temperature, state.hottest, age, age
         upright = () if state.base is None else (-state.base.gravity[:, 2:],)
@@ -83,13 +85,13 @@ class Safety:
 
     def check_poses(self, q: Floats) -> Ints:
         """(R,) what speaks against being at `q` (R, n) rad; R is the width of the fleet."""
-        return self._pose.reasons(*self._place(q))
+        return self._pose.reasons(q, *self._place(q))
 
     def _place(self, q: Floats) -> tuple[Floats | Bools, ...]:
-        """Place the fleet at (R, n) rad and read the columns of a pose."""
+        """Place the fleet at (R, n) rad and read the columns of where it is."""
         self._fleet.place(q)
         measure = (self._fleet.manipulability()[:, None],) if self._tooling else ()
-        return q, *measure, *self._clear(self._fleet)
+        return *measure, *self._clear(self._fleet)
 
     def _clear(self, fleet: Fleet) -> tuple[Floats | Bools, ...]:
         """Columns of where a fleet is: collision, m above the world's origin, m² from the workspace's centre."""

@@ -38,6 +38,7 @@ class World:
     self_collision: np.ndarray
     contact_n: np.ndarray
     valid: np.ndarray
+    base = None
 
 
 SIZE = 5

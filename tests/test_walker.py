@@ -8,13 +8,16 @@ from deploy.fit import check_contract
 from deploy.rotations import matrix
 from deploy.state import Mode, Reason
 from robots.errors import ContractError, RobotError
-from robots.model_pinocchio import Fleet, load_pinocchio
+from robots.model_pinocchio import Fleet, load_pinocchio, torque_max
 from robots.spec import load_robot
 
 packets = pytest.importorskip("deploy.backends.sim.packets")
 Failure, Fault = packets.Failure, packets.Fault
 
-DT = QUADRUPED.dt
+Judge = pytest.importorskip("eval.monitors").Judge
+judge_tick = pytest.importorskip("eval.shard").judge_tick
+
+DT, TORQUE_MAX = QUADRUPED.dt, torque_max(QUADRUPED)
 FRONT_HIPS, REAR_KNEES = [1, 4], [8, 11]
 
 
@@ -203,6 +206,48 @@ def test_feet_are_seen_from_the_base():
     fleet.place(np.tile(STAND, (robots, 1)))
     np.testing.assert_allclose(fleet.feet_position[0, :, 0], [0.18, 0.18, -0.18, -0.18], atol=0.02)
     assert (fleet.feet_position[0, :, 2] < -0.25).all()
+
+
+def judged(runtime, ticks, action=None):
+    """What the judge finds while it lives."""
+    judge = Judge(QUADRUPED, TORQUE_MAX, runtime.robot.robots, goal_s=QUADRUPED.base.command_s)
+    for tick in range(ticks):
+        live(runtime, 1, action if action is None else action(tick))
+        judge_tick(judge, runtime.robot.truth(), runtime, None)
+    return judge.counts()
+
+
+def test_the_judge_sees_who_falls_and_who_does_as_told():
+    runtime = standing(2)
+    period = round(QUADRUPED.base.command_s / DT)
+    runtime.task.elapsed[:], runtime.task.attempted[:] = 0, 0
+    kick = runtime.robot.plant.batch.bind("xfrc_applied")
+
+    def rocking(tick):
+        kick[1, 1, :3] = 0.0, 150.0 * (tick > period + 20), 0.0
+        legs = np.zeros((2, 12))
+        legs[1, FRONT_HIPS], legs[1, REAR_KNEES] = 1.0 * (tick > period), 1.0 * (tick > period)
+        return legs
+
+    counts = judged(runtime, 2 * period, rocking)
+    assert counts.events[:, counts.columns("tilt")].ravel().tolist() == [0, 1]
+    assert counts.attempted.tolist() == [2, 2]
+    assert counts.reached.tolist() == [2, 1]
+    assert counts.worst[0, counts.columns("tilt")][0] < 0.2
+    assert np.isinf(
+        counts.limits[[counts.columns(n).start for n in ("workspace", "singularity", "tool_speed")]]
+    ).all()
+
+
+def test_a_walk_in_another_direction_than_asked_for_reaches_nothing():
+    runtime = standing(1)
+    period = round(QUADRUPED.base.command_s / DT)
+    runtime.task.elapsed[:], runtime.task.attempted[:] = 0, 0
+    runtime.task._low[:], runtime.task._high[:] = [0.0, 0.6, 0.0], [0.0, 0.6, 0.0]
+    runtime.task.goal[:] = 0.0, 0.6, 0.0
+    counts = judged(runtime, 2 * period)
+    assert counts.attempted.tolist() == [2]
+    assert counts.reached.tolist() == [0]
 
 
 def changed(tmp_path, *changes, file="robot.toml"):
