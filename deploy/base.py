@@ -1,5 +1,7 @@
 """The base of a walking robot in the tick: its IMU's packets, its feet by its joints, and the filter of both."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from deploy.base_state import BaseNoise, Feet, Imu, Upright
@@ -14,6 +16,8 @@ from robots.spec import Base, RobotSpec
 
 CONTACT_N = 10.0
 """N, above which a foot's sensor says that it stands."""
+LOOK_S = 0.016
+"""s between two looks at feet and at what the IMU says of up: what it measures itself is integrated on every tick."""
 
 
 class Walker(Stage):
@@ -35,7 +39,11 @@ class Walker(Stage):
             robots: B.
         """
         dt = 1.0 / spec.sensors["gyro"].rate_hz
-        self.filter = FloatingBase(_noise(spec, base, dt), dt, robots, len(base.feet))
+        self._dt, self._look = spec.dt, max(1, round(LOOK_S / spec.dt))
+        noise = _noise(spec, base, dt)
+        # Slip is said of a second: of that, fewer looks see as much.
+        noise = replace(noise, slip=noise.slip / np.sqrt(self._look * spec.dt / dt))
+        self.filter = FloatingBase(noise, dt, robots, len(base.feet))
         self.gravity, self.t_up = np.tile([0.0, 0.0, -1.0], (robots, 1)), np.full(robots, -np.inf)
         self._fleet, self._foot_m, self._orientation = Fleet(spec, robots), base.foot_m, None
         if "orientation" in spec.sensors:
@@ -53,7 +61,9 @@ class Walker(Stage):
         """The same state with the base in it; what is wrong with that is wrong with the state."""
         gyro = sample["gyro"]
         imu = Imu(gyro.t, gyro.fresh, gyro.value, sample["accelerometer"].value)
-        base = self.filter.step(t, imu, self._feet(sample, state), self._upright(sample, gyro))
+        looks = round(t / self._dt) % self._look == 0
+        seen = (self._feet(sample, state), self._upright(sample, gyro)) if looks else (None, None)
+        base = self.filter.step(t, imu, *seen)
         self.gravity[:] = base.gravity
         fault = state.fault.copy()
         for wrong, reason in ((base.stuck, Reason.STUCK), (base.diverged, Reason.DIVERGED)):

@@ -86,7 +86,7 @@ class FloatingBase(Stage):
         self.seeded[ids] = False
 
     @np.errstate(all="ignore")  # where numbers run out `diverged` says so
-    def step(self, t: float, imu: Imu, feet: Feet, upright: Upright | None = None) -> BaseState:
+    def step(self, t: float, imu: Imu, feet: Feet | None, upright: Upright | None = None) -> BaseState:
         """Fuse what arrived and carry the belief to now.
 
         A packet older than the last, more than a period from the future, or with numbers that no sensor gives is left
@@ -95,7 +95,7 @@ class FloatingBase(Stage):
         Args:
             t: s, now.
             imu: the newest packets.
-            feet: at the times of these packets.
+            feet: at the times of these packets; None: nobody looked at them.
             upright: of an IMU that says it.
         """
         reading = np.concatenate([imu.gyro, imu.accelerometer], axis=1)
@@ -106,7 +106,8 @@ class FloatingBase(Stage):
         self._count_repeats(newer, reading)
         fused = newer & ~self._stuck()
         self._predict(fused, imu.t, reading)
-        self._update(fused, feet)
+        if feet is not None:
+            self._update(fused, feet)
         if upright is not None:
             self._level(upright.fresh & self.seeded, upright)
         return self._now(t)

@@ -89,9 +89,11 @@ class Safety:
 
     def _place(self, q: Floats) -> tuple[Floats | Bools, ...]:
         """Place the fleet at (R, n) rad and read the columns of where it is."""
+        if not self._tooling:
+            self._fleet.glance(q)
+            return self._clear(self._fleet)
         self._fleet.place(q)
-        measure = (self._fleet.manipulability()[:, None],) if self._tooling else ()
-        return *measure, *self._clear(self._fleet)
+        return self._fleet.manipulability()[:, None], *self._clear(self._fleet)
 
     def _clear(self, fleet: Fleet) -> tuple[Floats | Bools, ...]:
         """Columns of where a fleet is: collision, m above the world's origin, m² from the workspace's centre."""

@@ -107,7 +107,7 @@ class Judge(Stage):
                 and rad/s to the left.
             attempted: (B,) goals over so far. Where it rises, the goal of the tick before is over.
         """
-        velocity, tilt = (truth.tool_velocity, 0.0) if truth.base is None else _of_base(truth.base)
+        velocity, tilt = (truth.tool_velocity, 0.0) if truth.base is None else of_base(truth.base)
         # In the order of `Ticks`: names would cost as much as the writing.
         now: tuple[Any, ...] = (
             *(target.q, truth.q, truth.qd, truth.tau, truth.winding_c),
@@ -218,7 +218,7 @@ def _sound(action: NDArray[np.floating] | None) -> Any:
     return True if action is None else np.isfinite(action).all(axis=1)
 
 
-def _of_base(base: BaseTruth) -> tuple[Floats, Floats]:
+def of_base(base: BaseTruth) -> tuple[Floats, Floats]:
     """(B, 3) m/s forwards, to the left and upwards, and (B,) rad that it leans."""
     w, x, y, z = base.quat_wxyz.T
     # The first and the last column of the rotation: where the base's x and z axes point in the world.

@@ -10,7 +10,8 @@ python -m eval.bench hot        the hottest motors in the hottest rooms, with th
 python -m eval.bench start      how soon deploy-run ticks, and what it imports
 python -m eval.bench memory     whether a soak grows
 python -m eval.bench work       half an hour of 32 robots by the shipped budget, and an idle policy that fails it
-python -m eval.bench            all of them
+python -m eval.bench walk       a robot that walks beside its vendor's loop: --robot FOLDER --policy FILE
+python -m eval.bench            all of them but the last
 """
 
 import resource
@@ -38,6 +39,7 @@ from eval.bench.idle import make_idle
 from eval.bench.pace import pace
 from eval.bench.same import same
 from eval.bench.stages import SEED, stages
+from eval.bench.walk import walk
 from eval.budget import BUDGET, check, load_budget
 from eval.counts import MONITORS, merge
 from eval.shard import WIDTH, Shard, ShardJob
@@ -157,7 +159,9 @@ BENCHES: dict[str, Callable[[RobotSpec, Path, Path | None], None]] = {
     "start": lambda spec, policy, _: start(spec, policy),
     "memory": lambda spec, policy, _: memory(spec, policy),
     "work": lambda spec, policy, _: work(spec, policy),
+    "walk": lambda spec, policy, _: walk(spec, policy, console),
 }
+OF_OTHER_ROBOTS = ("walk",)
 PICTURED = ("estimate", "ablation")
 
 
@@ -174,7 +178,7 @@ def bench(
         raise ConfigError(f"bench: --picture {picture}: found {which!r}, expected {' or '.join(PICTURED)}")
     spec = load_robot(robot)
     for name, measure in BENCHES.items():
-        if which in (name, "all"):
+        if which == name or (which == "all" and name not in OF_OTHER_ROBOTS):
             measure(spec, policy, picture)
     return PASSED
 
