@@ -1,6 +1,7 @@
 """MuJoCo's model of a robot, from the same model.xml."""
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -18,19 +19,39 @@ SIGNATURE = sum(int(mode) for mode in (_INPUT.mjINPUT_POS, _INPUT.mjINPUT_VEL, _
 """What MuJoCo calls these."""
 
 
+def open_model(model: Path, folder: Path) -> mujoco.MjSpec:
+    """Read MJCF or URDF as its vendor wrote it.
+
+    Raises:
+        RobotError: MuJoCo cannot read it.
+    """
+    try:
+        if is_urdf(model):
+            return mujoco.MjSpec.from_string(urdf_text(model, folder))
+        return mujoco.MjSpec.from_file(str(model))
+    except (ValueError, mujoco.FatalError) as e:
+        raise _unreadable(model, e) from e
+
+
+def compile_model(mjcf: mujoco.MjSpec, model: Path) -> mujoco.MjModel:
+    """Compile what was read from a file.
+
+    Raises:
+        RobotError: MuJoCo cannot, and says why.
+    """
+    try:
+        return mjcf.compile()
+    except (ValueError, mujoco.FatalError) as e:
+        raise _unreadable(model, e) from e
+
+
 def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
     """Read the model at the robot's physics rate, with the drives of robot.toml, to compile or to add to.
 
     Raises:
-        RobotError: MuJoCo cannot read it, or it has no joint or no range of torque for a drive.
+        RobotError: MuJoCo cannot read it, or it lacks what robot.toml speaks of.
     """
-    try:
-        if is_urdf(spec.model_path):
-            mjcf = mujoco.MjSpec.from_string(urdf_text(spec.model_path, spec.folder))
-        else:
-            mjcf = mujoco.MjSpec.from_file(str(spec.model_path))
-    except (ValueError, mujoco.FatalError) as e:
-        raise _unreadable(spec, e) from e
+    mjcf = open_model(spec.model_path, spec.folder)
     mjcf.option.timestep = 1.0 / spec.rates.physics_hz
     for element in (*mjcf.keys, *mjcf.sensors):  # they speak of actuators and joints that may not stay
         mjcf.delete(element)
@@ -57,7 +78,7 @@ def _lock(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
                 f"{spec.model_path}: joint {joint.name!r}: ref: found {joint.ref:g}, expected 0: it is locked"
             )
     tendons = [tendon for tendon in mjcf.tendons if any(wrap.target in joints for wrap in tendon.path)]
-    gone = {element.name for element in (*joints, *tendons)}
+    gone = {element.name for element in (*joints, *tendons)} - {""}
     held = [equality for equality in mjcf.equalities if {equality.name1, equality.name2} & gone]
     moved = [actuator for actuator in mjcf.actuators if actuator.target in gone]
     for element in (*held, *moved, *tendons, *joints):
@@ -125,11 +146,7 @@ def load_mujoco(spec: RobotSpec) -> mujoco.MjModel:
     Raises:
         RobotError: MuJoCo cannot read it, or its joints, drives or tool are not those of robot.toml.
     """
-    path, mjcf = spec.model_path, read_mjcf(spec)
-    try:
-        model = mjcf.compile()
-    except (ValueError, mujoco.FatalError) as e:
-        raise _unreadable(spec, e) from e
+    path, model = spec.model_path, compile_model(read_mjcf(spec), spec.model_path)
     free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
     if free.any() != (spec.base is not None):
         raise RobotError(
@@ -149,5 +166,5 @@ def load_mujoco(spec: RobotSpec) -> mujoco.MjModel:
     return model
 
 
-def _unreadable(spec: RobotSpec, why: Exception) -> RobotError:
-    return RobotError(f"{spec.model_path}: MuJoCo cannot read it: {why!s:.300}")
+def _unreadable(model: Path, why: Exception) -> RobotError:
+    return RobotError(f"{model}: MuJoCo cannot read it: {why!s:.300}")

@@ -20,6 +20,9 @@ class Strict(BaseModel):
 Source = Annotated[str, Field(min_length=1)]
 """Where numbers come from, or "estimate"."""
 
+OPEN = "?"
+"""Stands in a draft for what nobody has said yet."""
+
 M = TypeVar("M", bound=Strict)
 
 
@@ -40,7 +43,29 @@ def read_toml(path: Path, schema: type[M], error: type[FirstshiftError] = Config
         raise error(f"{path}: cannot be read: {e.strerror}") from e
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
         raise error(f"{path}: not valid TOML: {e}") from e
+    refuse_open(data, str(path), error)
     return parse(data, schema, source=str(path), error=error)
+
+
+def refuse_open(data: object, source: str, error: type[FirstshiftError]) -> None:
+    """Refuse a draft of which fields are still open.
+
+    Raises:
+        FirstshiftError: of class `error`, one line for each of them.
+    """
+    if fields := list(open_fields(data)):
+        raise error("\n".join(f"{source}: {field}: still {OPEN!r}, to be filled in" for field in fields))
+
+
+def open_fields(data: object, field: str = "") -> Iterator[str]:
+    """Where plain data still says "?"."""
+    if data == OPEN:
+        yield field
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        named = isinstance(value, dict) and value.get("name", OPEN) != OPEN
+        name = value["name"] if named else key
+        yield from open_fields(value, f"{field}.{name}" if field else str(name))
 
 
 def read_json(

@@ -1,7 +1,6 @@
 """The contract of a foreign policy as its owner writes it: in the policy's own order, words of the field, one TOML."""
 
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -11,10 +10,8 @@ from deploy.contract import Hertz, Task
 from deploy.terms import SIZE_MAX, Clip, Count, Name, Number, Positive, Source
 from policies.importers.network import Network
 from robots.errors import ContractError
-from robots.strict import Strict, parse
+from robots.strict import Strict, parse, refuse_open
 
-OPEN = "?"
-"""Stands for what a file does not say."""
 NONE = "none"
 """Stands for nothing, said on purpose."""
 CHARACTERS_MAX = 1 << 20
@@ -131,19 +128,5 @@ def read_draft(path: Path) -> Draft:
         ) from e
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
         raise ContractError(f"{path}: not valid TOML: {e}") from e
-    if fields := list(open_fields(data)):
-        raise ContractError(
-            "\n".join(f"{path}: {field}: still {OPEN!r}, to be filled in" for field in fields)
-        )
+    refuse_open(data, str(path), ContractError)
     return parse(data, Draft, source=str(path), error=ContractError)
-
-
-def open_fields(data: object, field: str = "") -> Iterator[str]:
-    """Where plain data still says "?"."""
-    if data == OPEN:
-        yield field
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    for key, value in items:
-        named = isinstance(value, dict) and value.get("name", OPEN) != OPEN
-        name = value["name"] if named else key
-        yield from open_fields(value, f"{field}.{name}" if field else str(name))

@@ -7,8 +7,8 @@ import tomlkit
 from tomlkit.items import Table
 
 from deploy.terms import READINGS
-from policies.importers.draft import OPEN, open_fields
 from policies.importers.original import Facts
+from robots.strict import OPEN, open_fields
 
 Part = TypeVar("Part", tomlkit.TOMLDocument, Table)
 
