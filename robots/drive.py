@@ -10,8 +10,6 @@ from robots.strict import Strict
 class Drive(Strict):
     """A motor behind a gear that follows position, speed and torque; gains and torque are those of the joint.
 
-    Rotor inertia is no part of it: that is the joint's `armature` in the model.
-
     Attributes:
         gear: turns of the motor for one of the joint.
         torque_constant: N·m/A of the motor, without its gear.
@@ -21,6 +19,8 @@ class Drive(Strict):
         supply_v: V, the most that the drive can put on its motor.
         kp, kd: N·m/rad and N·m·s/rad.
         torque_max: N·m, of joints for which the model has no range of torque.
+        armature: kg·m² of the rotor, times gear², of joints for which the model has none. Without it a joint with play
+            is so light that no stiff drive holds it still.
     """
 
     gear: PositiveFloat
@@ -34,3 +34,4 @@ class Drive(Strict):
     kp: PositiveFloat
     kd: Annotated[float, Field(ge=0)]
     torque_max: PositiveFloat | None = None
+    armature: PositiveFloat | None = None

@@ -115,12 +115,10 @@ def _add_drive(mjcf: mujoco.MjSpec, driven: Joint, drive: Drive, spec: RobotSpec
         known = tuple(joint.name for joint in mjcf.joints)
         raise RobotError(f"{spec.model_path}: joints are {known}; robot.toml lists {spec.joint_names}")
     if not joint.actfrcrange[1] > 0:
-        if drive.torque_max is None:
-            raise RobotError(
-                f"{spec.folder / 'robot.toml'}: motors.{driven.motor}.drive.torque_max: missing, and joint"
-                f" {driven.name} has no actuatorfrcrange in {spec.model_path.name}"
-            )
-        joint.actfrclimited, joint.actfrcrange = True, [-drive.torque_max, drive.torque_max]
+        most = _needed(drive.torque_max, "torque_max", "actuatorfrcrange", driven, spec)
+        joint.actfrclimited, joint.actfrcrange = True, [-most, most]
+    if not joint.armature > 0:
+        joint.armature = _needed(drive.armature, "armature", "armature", driven, spec)
     motor = mjcf.add_actuator(name=driven.name, target=driven.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     motor.gear[0] = drive.gear
     motor.set_to_dcmotor(
@@ -138,6 +136,15 @@ def _add_drive(mjcf: mujoco.MjSpec, driven: Joint, drive: Drive, spec: RobotSpec
         ],
         ctrlspec=SIGNATURE,
     )
+
+
+def _needed(value: float | None, field: str, theirs: str, joint: Joint, spec: RobotSpec) -> float:
+    if value is None:
+        raise RobotError(
+            f"{spec.folder / 'robot.toml'}: motors.{joint.motor}.drive.{field}: missing, and joint {joint.name} has no"
+            f" {theirs} in {spec.model_path.name}"
+        )
+    return value
 
 
 def load_mujoco(spec: RobotSpec) -> mujoco.MjModel:

@@ -33,6 +33,7 @@ def read_pinocchio(spec: RobotSpec) -> Read:
         _frame(spec, model, body, "neighbours")
     if spec.capsules:
         geometry = _capsules(spec, model, geometry)
+    _add_rotors(spec, model)
     return _from_base(spec, model, geometry)
 
 
@@ -108,6 +109,14 @@ def _site_or_body(spec: RobotSpec, model: pin.Model, name: str, what: str) -> in
         if model.existFrame(name, kind):
             return int(model.getFrameId(name, kind))
     raise RobotError(f"{spec.model_path}: no site or body named {name!r}, which robot.toml calls {what}")
+
+
+def _add_rotors(spec: RobotSpec, model: pin.Model) -> None:
+    """Those of drives, on joints for which the model has none."""
+    for joint, drive in zip(spec.joints, spec.drives, strict=False):
+        if drive.armature is not None and model.existJointName(joint.name):
+            place = model.joints[model.getJointId(joint.name)].idx_v
+            model.armature[place] = model.armature[place] or drive.armature
 
 
 def _capsules(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> pin.GeometryModel:

@@ -5,7 +5,7 @@ import pytest
 from test_spec import SPEC, complaint, copy_of_arm
 
 from robots.errors import RobotError
-from robots.model_pinocchio import torque_max
+from robots.model_pinocchio import load_pinocchio, torque_max
 from robots.spec import load_robot
 from robots.windings import nominal_windings
 
@@ -115,6 +115,19 @@ def test_a_torque_that_nobody_bounds_is_refused(tmp_path):
     )
     with pytest.raises(RobotError, match=words):
         model_mujoco.load_mujoco(spec)
+
+
+def test_a_rotor_is_that_of_the_model_or_else_of_the_drive(tmp_path):
+    """In both libraries; a model of which neither says anything would be too light for its drive."""
+    drives = {name: text.replace("kp =", "armature = 0.25\nkp =") for name, text in DRIVES.items()}
+    light = [*VENDOR, ('armature="1.0201" ', "")]
+    spec = load_robot(declared(tmp_path / "both", drives, xml=light))
+    expected = [0.25] * 3 + [0.20402] * 3
+    np.testing.assert_array_equal(model_mujoco.load_mujoco(spec).dof_armature, expected)
+    np.testing.assert_array_equal(load_pinocchio(spec)[0].armature, expected)
+    words = r"motors\.size3\.drive\.armature: missing, and joint shoulder_pan has no armature in model\.xml"
+    with pytest.raises(RobotError, match=words):
+        model_mujoco.load_mujoco(load_robot(declared(tmp_path / "none", xml=light)))
 
 
 def test_drives_in_both_files_are_refused(tmp_path):

@@ -32,7 +32,7 @@ def write_stl(path, points=TETRAHEDRON):
 
 def two_links(folder, *, top="", edits=()):
     """A robot of two links that is URDF with a mesh: the arm's robot.toml with two joints and the arm's drives."""
-    folder = declared(folder, DRIVES)
+    folder = declared(folder, {name: f"{text.rstrip()}\narmature = 0.1\n\n" for name, text in DRIVES.items()})
     (folder / "model.xml").unlink()
     write_stl(folder / "meshes" / "fore.stl")
     (folder / "two.urdf").write_text(URDF.read_text())

@@ -1,0 +1,46 @@
+"""Pairs of bodies whose capsules meet in every pose: neighbours that a check of collisions would always complain of."""
+
+from itertools import combinations
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from policies.robot_init.facts import Facts
+from robots.model_mujoco import compile_model, open_model
+
+POSES = 200
+NEAR_M = 0.02
+"""m, with the margin that a robot keeps."""
+
+
+def always_near(path: Path, folder: Path, facts: Facts) -> tuple[tuple[str, str], ...]:
+    """Pairs that are near in each of some random poses, but those of one link or of links that a joint connects.
+
+    Raises:
+        RobotError: MuJoCo cannot read the model.
+    """
+    mjcf = open_model(path, folder)
+    for number, shape in enumerate(facts.shapes):
+        line = [*shape.start, *shape.end]
+        kind, size = mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius, 0.0, 0.0]
+        mjcf.body(shape.body).add_geom(name=f"firstshift/{number}", type=kind, fromto=line, size=size)
+    model = compile_model(mjcf, path)
+    places = [model.geom(f"firstshift/{number}").id for number in range(len(facts.shapes))]
+    pairs = [(a, b) for a, b in combinations(places, 2) if _apart(model, a, b)]
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    for _ in range(POSES):
+        for joint in facts.joints:
+            low, high = (-np.pi, np.pi) if joint.low is None else (joint.low, joint.high)
+            data.joint(joint.name).qpos = 0.0 if joint.name in facts.locked else rng.uniform(low, high)
+        mujoco.mj_kinematics(model, data)
+        pairs = [pair for pair in pairs if mujoco.mj_geomDistance(model, data, *pair, NEAR_M, None) < NEAR_M]
+    bodies = [tuple(model.body(model.geom_bodyid[geom]).name for geom in pair) for pair in pairs]
+    return tuple(dict.fromkeys((a, b) for a, b in bodies))
+
+
+def _apart(model: mujoco.MjModel, a: int, b: int) -> bool:
+    """Whether two shapes are on links that are neither the same nor parent and child."""
+    weld, parent = model.body_weldid, model.body_parentid
+    one, other = (int(weld[model.geom_bodyid[geom]]) for geom in (a, b))
+    return one != other and weld[parent[one]] != other and weld[parent[other]] != one

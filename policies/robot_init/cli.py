@@ -1,0 +1,115 @@
+"""robot-init: a vendor's model becomes a robot folder, filled in as far as the model says."""
+
+import shutil
+from pathlib import Path
+from typing import Annotated
+
+import tomlkit
+import typer
+
+from deploy.cli import PASSED, main
+from policies.robot_init.always import always_near
+from policies.robot_init.facts import Facts, read_facts
+from policies.robot_init.tables import draws_toml, limits_toml, robot_toml
+from robots.errors import OutputError, RobotError
+from robots.model_files import is_urdf, named_files
+from robots.strict import open_fields
+
+BYTES_MAX = 1 << 30
+"""Of all files that a model names."""
+README = """# {name}
+
+{joints} joints that are driven, from `{model}`, which is the vendor's and unchanged.
+
+| file | says |
+|---|---|
+| `{model}` | links, inertias, mechanical ranges, shapes |
+| `robot.toml` | rates, working ranges, margins, sensors, motors and their drives |
+| `draws.toml` | how a robot of this kind may really be: the ranges of arm6, all of them estimates here |
+| `limits.toml` | what the judge of a soak holds it to |
+
+## Where the numbers come from
+Fill in every "?", name the source of each number, and say here what is an estimate.
+"""
+
+
+def init_robot(model: Path, out: Path) -> tuple[Facts, list[str]]:
+    """Write a robot folder; returns what the model says, and the fields that are still open, by file.
+
+    Raises:
+        RobotError: the model cannot be read, or it names files outside of its folder.
+        OutputError: the folder is there already, or cannot be written.
+    """
+    folder = package_of(model)
+    files = [model.resolve(), *named_files(model, folder)]
+    size = sum(path.stat().st_size for path in files)
+    if size > BYTES_MAX:
+        raise RobotError(f"{model}: its files have {size} bytes, expected at most {BYTES_MAX}")
+    facts = read_facts(model, folder)
+    if not facts.joints:
+        raise RobotError(f"{model}: has no hinge, expected a robot with joints")
+    place = model.resolve().relative_to(folder).as_posix()
+    pairs = dict.fromkeys((*facts.neighbours, *always_near(model, folder, facts)))
+    name = out.resolve().name
+    tables = {
+        "robot.toml": robot_toml(facts, name, place, tuple(pairs)),
+        "draws.toml": draws_toml(facts),
+        "limits.toml": limits_toml(facts, name),
+    }
+    readme = README.format(name=name, model=place, joints=len(facts.joints) - len(facts.locked))
+    texts = {file: tomlkit.dumps(table) for file, table in tables.items()} | {"README.md": readme}
+    _write(out, files, folder, texts)
+    return facts, [
+        f"{file} {field}" for file, table in tables.items() for field in open_fields(table.unwrap())
+    ]
+
+
+def package_of(model: Path) -> Path:
+    """The folder whose files a model may name: the ROS package that URDF lies in, or the one beside the model.
+
+    Raises:
+        RobotError: there is no such file.
+    """
+    if not model.is_file():
+        raise RobotError(f"{model}: no such file, expected MJCF (.xml) or URDF (.urdf)")
+    parents = model.resolve().parents
+    packages = [parent for parent in parents if (parent / "package.xml").is_file()] if is_urdf(model) else []
+    return packages[0] if packages else parents[0]
+
+
+def _write(out: Path, files: list[Path], folder: Path, texts: dict[str, str]) -> None:
+    if out.exists():
+        raise OutputError(f"--out {out}: is there already, expected another place, or to remove it first")
+    try:
+        for path in files:
+            copy = out / path.relative_to(folder)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, copy)
+        for name, text in texts.items():
+            (out / name).write_text(text, encoding="utf-8")
+    except OSError as e:
+        raise OutputError(f"--out {out}: cannot be written: {e.strerror}") from e
+
+
+def robot_init(
+    model: Annotated[Path, typer.Argument(help="the vendor's MJCF (.xml) or URDF (.urdf)")],
+    out: Annotated[Path | None, typer.Option(help="folder to write", show_default="out/<model>")] = None,
+) -> int:
+    """Make a robot folder of a vendor's model: all that it says, estimates that say so, and "?" for the rest."""
+    place = out or Path("out", model.stem)
+    facts, still_open = init_robot(model, place)
+    print(
+        f"{place}: {len(facts.joints)} joints, {len(facts.locked)} of them locked, {len(facts.shapes)} shapes"
+    )
+    if facts.floats:
+        print("its base is free: a [base] in robot.toml says how it moves")
+    print(f"{len(still_open)} fields are still to be filled in:")
+    tables = [field.rpartition(".") for field in still_open]
+    for table in dict.fromkeys(table for table, _, _ in tables):
+        print(f"  {table}: {', '.join(key for of, _, key in tables if of == table)}")
+    return PASSED
+
+
+def cli() -> None:
+    """Entry point of `robot-init`."""
+    main(robot_init)
