@@ -31,8 +31,7 @@ def always_near(path: Path, folder: Path, facts: Facts) -> tuple[tuple[str, str]
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     for _ in range(POSES):
         for joint in facts.joints:
-            low, high = (-np.pi, np.pi) if joint.low is None else (joint.low, joint.high)
-            data.joint(joint.name).qpos = 0.0 if joint.name in facts.locked else rng.uniform(low, high)
+            data.joint(joint.name).qpos = 0.0 if joint.name in facts.locked else rng.uniform(*joint.span)
         mujoco.mj_kinematics(model, data)
         pairs = [pair for pair in pairs if mujoco.mj_geomDistance(model, data, *pair, NEAR_M, None) < NEAR_M]
     bodies = [tuple(model.body(model.geom_bodyid[geom]).name for geom in pair) for pair in pairs]

@@ -45,6 +45,11 @@ class JointFacts:
     driven: bool
     armature: float
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """Where it can be; one turn, where the model does not say."""
+        return (-np.pi, np.pi) if self.low is None or self.high is None else (self.low, self.high)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Facts:
