@@ -25,7 +25,7 @@ FACES = (0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)
 
 def write_stl(path, points=TETRAHEDRON):
     """A tetrahedron in the binary form of STL."""
-    path.parent.mkdir(exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     faces = [struct.pack("<12fH", 0, 0, 0, *(x for i in face for x in points[i]), 0) for face in FACES]
     path.write_bytes(bytes(80) + struct.pack("<I", len(faces)) + b"".join(faces))
 

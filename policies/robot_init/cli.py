@@ -1,6 +1,7 @@
 """robot-init: a vendor's model becomes a robot folder, filled in as far as the model says."""
 
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -33,8 +34,8 @@ Fill in every "?", name the source of each number, and say here what is an estim
 """
 
 
-def init_robot(model: Path, out: Path) -> tuple[Facts, list[str]]:
-    """Write a robot folder; returns what the model says, and the fields that are still open, by file.
+def init_robot(model: Path, out: Path) -> tuple[Facts, list[tuple[str, str]]]:
+    """Write a robot folder; returns what the model says, and the fields that are still open: table and key.
 
     Raises:
         RobotError: the model cannot be read, or it names files outside of its folder.
@@ -59,9 +60,13 @@ def init_robot(model: Path, out: Path) -> tuple[Facts, list[str]]:
     readme = README.format(name=name, model=place, joints=len(facts.joints) - len(facts.locked))
     texts = {file: tomlkit.dumps(table) for file, table in tables.items()} | {"README.md": readme}
     _write(out, files, folder, texts)
-    return facts, [
-        f"{file} {field}" for file, table in tables.items() for field in open_fields(table.unwrap())
-    ]
+    return facts, [field for file, table in tables.items() for field in _still_open(file, table)]
+
+
+def _still_open(file: str, document: tomlkit.TOMLDocument) -> Iterator[tuple[str, str]]:
+    for field in open_fields(document.unwrap()):
+        table, _, key = field.rpartition(".")
+        yield f"{file} {table}".rstrip(), key
 
 
 def package_of(model: Path) -> Path:
@@ -104,9 +109,8 @@ def robot_init(
     if facts.floats:
         print("its base is free: a [base] in robot.toml says how it moves")
     print(f"{len(still_open)} fields are still to be filled in:")
-    tables = [field.rpartition(".") for field in still_open]
-    for table in dict.fromkeys(table for table, _, _ in tables):
-        print(f"  {table}: {', '.join(key for of, _, key in tables if of == table)}")
+    for table in dict.fromkeys(table for table, _ in still_open):
+        print(f"  {table}: {', '.join(key for of, key in still_open if of == table)}")
     return PASSED
 
 

@@ -1,0 +1,262 @@
+import shutil
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("tomlkit")
+
+import tomlkit
+from test_contract import arm_contract, term
+from test_drive import VENDOR
+from test_model_files import URDF, write_stl
+from test_runtime import Saying, every, heard
+from test_spec import SPEC, copy_of_arm
+
+from deploy.action import ActionSpec
+from deploy.backends.sim.robot import SimRobot
+from deploy.runtime import Runtime
+from deploy.state import Mode
+from eval.limits import load_limits
+from policies.robot_init.cli import cli, init_robot, package_of
+from policies.robot_init.shapes import around
+from robots.errors import OutputError, RobotError
+from robots.model_mujoco import load_mujoco
+from robots.model_pinocchio import load_pinocchio, torque_max
+from robots.randomness import robot_seed
+from robots.spec import load_robot
+
+HOME = SPEC.joint_array("q_home")
+ACTING = "".join(
+    f'<position joint="{name}" kp="{kp}" kv="{kv}" forcerange="-{tau} {tau}"/>'
+    for name, kp, kv, tau in zip(
+        SPEC.joint_names, [20000] * 3 + [4000] * 3, [600] * 3 + [90] * 3, [150] * 3 + [28] * 3, strict=True
+    )
+)
+AT_HOME = " ".join(map(str, HOME))
+KEY = f'<keyframe><key qpos="{"0 " * 8}"/><key name="home" qpos="{AT_HOME} 0 0"/></keyframe>'
+FINGER = '<body name="{0}" pos="0 {1} 0.06"><joint name="{0}" type="slide" range="0 0.02"/>{2}</body>'
+FINGERS = FINGER.format("left", 0.02, '<geom type="mesh" mesh="pad"/>') + FINGER.format(
+    "right", -0.02, '<geom type="box" size="0.01 0.01 0.02" mass="0.05"/>'
+)
+"""A hand of two fingers, one of them a mesh."""
+AS_VENDORS_DO = [
+    *VENDOR,
+    ("</mujoco>", f"<actuator>{ACTING}</actuator>{KEY}</mujoco>"),
+    ("<worldbody>", '<asset><mesh name="pad" file="parts/pad.stl"/></asset><worldbody>'),
+    ('<site name="tool"', f'{FINGERS}<site name="tool"'),
+    (' actuatorfrcrange="-150 150"', ""),
+    (' actuatorfrcrange="-28 28"', ""),
+]
+
+
+def vendors(folder):
+    """The arm as a vendor has it: position actuators, a keyframe, a hand, meshes, and no word of motors or sensors."""
+    place = copy_of_arm(folder / "source", xml=AS_VENDORS_DO)
+    write_stl(place / "parts" / "pad.stl", points=((0, 0, 0), (0.01, 0, 0), (0, 0.01, 0), (0, 0, 0.04)))
+    for name in ("robot.toml", "draws.toml", "limits.toml", "README.md"):
+        (place / name).unlink()
+    (place / "notes.txt").write_text("no part of the model")
+    return place / "model.xml"
+
+
+ANSWERS = {
+    "tool": "panda_link8",
+    "q_home": 0.0,
+    "qd_max": 2.0,
+    "qdd_max": 4.0,
+    "qddd_max": 100.0,
+    "source": "estimate",
+    "housing_resistance_k_per_w": 4.0,
+    "housing_capacity_j_per_k": 1200.0,
+    "iron_w_s2": 3e-5,
+    "winding_soft_c": 80.0,
+    "winding_max_c": 110.0,
+    "housing_soft_c": 70.0,
+    "housing_max_c": 90.0,
+    "gear": 101.0,
+    "torque_constant": 0.1,
+    "resistance_ohm": 0.5,
+    "winding_resistance_k_per_w": 1.0,
+    "winding_capacity_j_per_k": 40.0,
+    "supply_v": 48.0,
+    "kp": 6000.0,
+    "kd": 300.0,
+    "torque_max": 87.0,
+    "armature": 0.5,
+    "power_w": 400.0,
+    "torque_rate": 1000.0,
+}
+"""What somebody with the data sheets fills in."""
+
+
+def fill_in(folder, answers=ANSWERS):
+    """Every "?" by its key."""
+
+    def fill(table):
+        for key, value in list(table.items()):
+            if value == "?":
+                table[key] = answers[key]
+            for inner in value if isinstance(value, list) else [value]:
+                if isinstance(inner, dict):
+                    fill(inner)
+
+    for name in ("robot.toml", "limits.toml"):
+        document = tomlkit.parse((folder / name).read_text())
+        fill(document)
+        (folder / name).write_text(tomlkit.dumps(document))
+    return load_robot(folder)
+
+
+def hold(spec, seconds, robots=2):
+    """Arm simulated robots at home and let nobody move them: the runtime, and rad, the worst that they left home by."""
+    size = spec.n
+    contract = arm_contract(
+        robot=spec.name,
+        robot_digest=spec.digest,
+        joint_names=spec.joint_names,
+        observation=(term("joint_position", size), term("last_action", size)),
+        action=ActionSpec(
+            mode="position_increment", size=size, scale=(0.05,) * size, clip=(-1.0, 1.0), leash_rad=0.3
+        ),
+    )
+    seeds = [robot_seed(3, robot) for robot in range(robots)]
+    policy = Saying(robots)
+    policy.action = np.zeros((robots, size))
+    runtime = Runtime(spec, contract, SimRobot(spec, seeds), seeds, policy)
+    heard(runtime)
+    assert not runtime.arm(every(runtime)).any()
+    worst = 0.0
+    for _ in range(round(seconds / spec.dt)):
+        runtime.tick()
+        worst = max(worst, np.abs(runtime.robot.truth().q - spec.joint_array("q_home")).max())
+    return runtime, worst
+
+
+def test_a_draft_says_what_the_model_says(tmp_path):
+    out = tmp_path / "mine"
+    facts, still_open = init_robot(vendors(tmp_path), out)
+    said = tomllib.loads((out / "robot.toml").read_text())
+    assert (said["name"], said["model"], said["tool"]) == ("mine", "model.xml", "tool")
+    assert said["locked"] == ["left", "right"] == list(facts.locked)
+    assert [joint["name"] for joint in said["joints"]] == list(SPEC.joint_names)
+    np.testing.assert_allclose([joint["q_home"] for joint in said["joints"]], HOME, atol=1e-6)
+    np.testing.assert_allclose(said["joints"][2]["q_max"], np.pi * 0.96, atol=1e-3)
+    assert [joint["motor"] for joint in said["joints"]] == ["motor1"] * 3 + ["motor2"] * 3
+    drive = said["motors"]["motor1"]["drive"]
+    assert (drive["kp"], drive["kd"], drive["torque_max"]) == (20000.0, 600.0, 150.0)
+    assert drive["gear"] == drive["resistance_ohm"] == said["motors"]["motor2"]["source"] == "?"
+    assert "armature" not in drive
+    assert ["base_link", "shoulder_link"] in said["neighbours"]
+    assert {capsule["body"] for capsule in said["capsules"]} >= {"left", "right", "forearm_link"}
+    assert ("robot.toml motors.motor1.drive", "gear") in still_open
+    assert ("limits.toml", "power_w") in still_open
+
+
+def test_only_what_the_model_names_is_copied(tmp_path):
+    model, out = vendors(tmp_path), tmp_path / "mine"
+    init_robot(model, out)
+    found = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}
+    ours = {"robot.toml", "draws.toml", "limits.toml", "README.md"}
+    assert found == {"model.xml", "parts/pad.stl"} | ours
+    assert (out / "model.xml").read_bytes() == model.read_bytes()
+
+
+def test_a_draft_is_refused_with_a_line_for_each_open_field(tmp_path):
+    _, still_open = init_robot(vendors(tmp_path), tmp_path / "mine")
+    with pytest.raises(RobotError) as caught:
+        load_robot(tmp_path / "mine")
+    lines = str(caught.value).splitlines()
+    assert len(lines) == len([field for file, field in still_open if file.startswith("robot.toml")])
+    assert any(line.endswith("robot.toml: joints.elbow.qd_max: still '?', to be filled in") for line in lines)
+
+
+@pytest.mark.usefixtures("quick_goals")
+def test_a_filled_in_draft_is_a_robot_that_holds_its_home(tmp_path):
+    """Through both libraries, the simulated plant with its draws, and the whole runtime."""
+    init_robot(vendors(tmp_path), tmp_path / "mine")
+    spec = fill_in(tmp_path / "mine")
+    assert load_mujoco(spec).nactuator == spec.n == 6
+    np.testing.assert_array_equal(torque_max(spec), [150.0] * 3 + [28.0] * 3)
+    assert set(load_limits(spec).motors) == {"motor1", "motor2"}
+    runtime, worst = hold(spec, 4.0)
+    assert (runtime.supervisor.mode == Mode.RUNNING).all()
+    assert worst < 0.02
+
+
+def test_a_drawn_robot_of_a_draft_has_its_cable_on_a_link_of_its_own(tmp_path):
+    init_robot(vendors(tmp_path), tmp_path / "mine")
+    draws = tomllib.loads((tmp_path / "mine" / "draws.toml").read_text())
+    assert draws["cable"]["link"] == "wrist_1_link"
+    assert "estimate" in (tmp_path / "mine" / "draws.toml").read_text()
+
+
+def test_urdf_lies_in_its_package(tmp_path):
+    """Meshes beside its own folder, speeds of its joints, and the fingers locked."""
+    package = tmp_path / "two_description"
+    write_stl(package / "meshes" / "fore.stl")
+    (package / "urdf").mkdir()
+    (package / "package.xml").write_text("<package/>")
+    shutil.copy(URDF, package / "urdf" / "two.urdf")
+    assert package_of(package / "urdf" / "two.urdf") == package
+    out = tmp_path / "mine"
+    init_robot(package / "urdf" / "two.urdf", out)
+    said = tomllib.loads((out / "robot.toml").read_text())
+    assert (said["model"], said["locked"]) == ("urdf/two.urdf", ["grip"])
+    assert [joint["qd_max"] for joint in said["joints"]] == [3.0, 3.0]
+    assert (out / "meshes" / "fore.stl").is_file()
+    spec = fill_in(out, ANSWERS | {"tool": "tip", "q_home": 0.5})
+    assert load_mujoco(spec).nactuator == len(load_pinocchio(spec)[0].names) - 1 == 2
+
+
+def test_a_mesh_beyond_the_folder_is_not_taken(tmp_path):
+    model, out = vendors(tmp_path), tmp_path / "mine"
+    write_stl(tmp_path / "secret.stl")
+    model.write_text(model.read_text().replace("parts/pad.stl", "../../secret.stl"))
+    with pytest.raises(RobotError, match=r"file: found '\.\./\.\./secret\.stl', expected a file inside"):
+        init_robot(model, out)
+    assert not out.exists()
+
+
+def test_nothing_is_overwritten(tmp_path):
+    out = tmp_path / "mine"
+    out.mkdir()
+    with pytest.raises(OutputError, match="is there already"):
+        init_robot(vendors(tmp_path), out)
+
+
+@pytest.mark.parametrize("points", ["box", "cloud", "ball"])
+def test_a_capsule_holds_all_points(points):
+    """And is no larger than need be: not twice the box that holds them."""
+    rng = np.random.default_rng(0)
+    cloud = {
+        "box": rng.uniform(-1, 1, (500, 3)) * [0.05, 0.3, 0.04],
+        "cloud": rng.normal(size=(500, 3)) * [0.1, 0.02, 0.03] + 0.4,
+        "ball": rng.normal(size=(500, 3)),
+    }[points]
+    if points == "ball":
+        cloud /= np.linalg.norm(cloud, axis=1, keepdims=True)
+    (start, end), radius = around(cloud)
+    along = (end - start) / np.linalg.norm(end - start)
+    nearest = start + np.clip((cloud - start) @ along, 0, np.linalg.norm(end - start))[:, None] * along
+    distance = np.linalg.norm(cloud - nearest, axis=1)
+    assert distance.max() <= radius * (1 + 1e-9)
+    assert distance.max() > radius * 0.99
+    assert radius < 2 * np.sort(np.ptp(cloud, axis=0))[1]
+
+
+def test_the_command_says_what_is_open(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["robot-init", str(vendors(tmp_path)), "--out", str(tmp_path / "mine")])
+    with pytest.raises(SystemExit) as ended:
+        cli()
+    text = capsys.readouterr().out
+    assert ended.value.code == 0
+    assert "8 joints, 2 of them locked" in text
+    assert "  robot.toml joints.elbow: qd_max, qdd_max, qddd_max, source\n" in text
+    monkeypatch.setattr(sys, "argv", ["robot-init", str(tmp_path / "nothing.xml")])
+    with pytest.raises(SystemExit) as ended:
+        cli()
+    assert ended.value.code == 2
+    assert "nothing.xml: no such file, expected MJCF (.xml) or URDF (.urdf)" in capsys.readouterr().err
