@@ -13,7 +13,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
 import numpy as np
@@ -25,12 +25,15 @@ from eval.counts import NAMES, Event
 from eval.identity import code_digest, processor, versions
 from eval.profile import Faults
 from robots.errors import ConfigError, OutputError
+from robots.model_files import named_files
+from robots.spec import RobotSpec
 from robots.strict import Strict, parse, read_json
 
 ABOUT, STATE, WINDOW, MCAP = "bundle.json", "state.npz", "window.npz", "window.mcap"
 POLICY, DRAWS, ROBOT = "policy.onnx", "draws.json", "robot"
-ROBOT_FILES = ("model.xml", "robot.toml", "draws.toml", "limits.toml")
-FILES = (STATE, WINDOW, MCAP, POLICY, DRAWS, *(f"{ROBOT}/{name}" for name in ROBOT_FILES))
+TABLES = ("robot.toml", "draws.toml", "limits.toml")
+FILES = (STATE, WINDOW, MCAP, POLICY, DRAWS, *(f"{ROBOT}/{name}" for name in TABLES))
+"""Of every bundle; beside them lie the robot's model and what that names."""
 FILE_BYTES_MAX = 64 << 20
 """Of each file of a bundle."""
 ABOUT_CHARACTERS_MAX = 1 << 16
@@ -120,6 +123,16 @@ def bundle_name(robot: int, start: int, monitor: str) -> str:
     return f"{robot:04}-{start:08}-{monitor}"
 
 
+def robot_files(spec: RobotSpec) -> tuple[str, ...]:
+    """What it takes to read a robot again, by place in its folder: its tables, its model, and what that names.
+
+    Raises:
+        RobotError: the model cannot be read, or it names what is not there.
+    """
+    model = (spec.model_path, *named_files(spec.model_path, spec.folder))
+    return *TABLES, *(path.relative_to(spec.folder).as_posix() for path in model)
+
+
 def identity(robot_digest: str, draws_digest: str, policy_digest: str) -> dict[str, str]:
     """What the bits of a shard depend on here and now, beside its job."""
     own = {"robot_digest": robot_digest, "draws_digest": draws_digest, "policy_digest": policy_digest}
@@ -198,9 +211,9 @@ def bundles(folder: Path) -> list[str]:
 
 def seal(folder: Path, about: About) -> None:
     """Write bundle.json, with the digests of the files that `folder` holds."""
-    listed = about.model_copy(
-        update={"files": {name: _digest((folder / name).read_bytes()) for name in FILES}}
-    )
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and path != folder / ABOUT)
+    digests = {path.relative_to(folder).as_posix(): _digest(path.read_bytes()) for path in files}
+    listed = about.model_copy(update={"files": digests})
     whole = listed.model_copy(update={"digest": listed.sealed()})
     (folder / ABOUT).write_text(whole.model_dump_json(indent=1) + "\n", encoding="utf-8")
 
@@ -215,8 +228,12 @@ def open_bundle(folder: Path) -> About:
     text = _read(path, ABOUT_CHARACTERS_MAX).decode("utf-8", errors="replace")
     about = parse(read_json(text, str(path), ABOUT_CHARACTERS_MAX), About, source=str(path))
     _same(path, "digest", about.digest, about.sealed())
-    for name in sorted({*about.files} ^ {*FILES}):
-        raise ConfigError(f"{path}: files: {name}: {'unknown' if name in about.files else 'missing'}")
+    for name in sorted({*FILES} - {*about.files}):
+        raise ConfigError(f"{path}: files: {name}: missing")
+    for name in sorted({*about.files} - {*FILES}):
+        place = PurePosixPath(name)
+        if place.parts[:1] != (ROBOT,) or ".." in place.parts:
+            raise ConfigError(f"{path}: files: {name}: unknown")
     for name, digest in about.files.items():
         _same(folder / name, "SHA-256", _digest(_read(folder / name, FILE_BYTES_MAX)), digest)
     if not about.begin <= about.event.start < about.end <= about.job.ticks:

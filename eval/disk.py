@@ -121,8 +121,9 @@ def _window(soak: Soak) -> int:
 
 def _copied(soak: Soak) -> int:
     """Of the files that a bundle copies, and of its description."""
-    files = [soak.policy_path, *(soak.spec.folder / name for name in bundle.ROBOT_FILES)]
-    blocks = (len(bundle.FILES) + 1) * BLOCK_BYTES
+    robot = [soak.spec.folder / name for name in bundle.robot_files(soak.spec)]
+    files = [soak.policy_path, *robot]
+    blocks = (len(bundle.FILES) + len(robot) + 1) * BLOCK_BYTES
     return sum(file.stat().st_size for file in files) + bundle.ABOUT_CHARACTERS_MAX + blocks
 
 

@@ -38,7 +38,7 @@ class Witness:
         self._job, self._folder, self._spec = job, folder, spec
         self._look = round(LOOK_S / spec.dt)
         self._policy = job.policy.read_bytes()
-        self._robot = {name: (spec.folder / name).read_bytes() for name in bundle.ROBOT_FILES}
+        self._robot = {name: (spec.folder / name).read_bytes() for name in bundle.robot_files(spec)}
         distributions = load_distributions(spec)
         self._draws = shard.robot.draw.to_json(job.seed, distributions, spec)
         self._identity = bundle.identity(spec.digest, distributions.digest, job.policy_digest)
@@ -94,7 +94,9 @@ class Witness:
         place = self._folder / bundle.bundle_name(happened.robot, event.start, event.monitor.name)
         with bundle.filling(place) as folder:
             for name, data in self._robot.items():
-                (folder / bundle.ROBOT / name).write_bytes(data)
+                copy = folder / bundle.ROBOT / name
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy.write_bytes(data)
             (folder / bundle.POLICY).write_bytes(self._policy)
             (folder / bundle.DRAWS).write_text(self._draws, encoding="utf-8")
             bundle.write_arrays(folder / bundle.STATE, state)

@@ -9,11 +9,14 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from test_model_files import two_links
+
 from eval import bundle
 from eval.bundle import FILES, About, Happened, Job
 from eval.counts import MONITORS, NAMES, Event
 from eval.witness import HARD_KEPT, SOFT_KEPT, chosen
 from robots.errors import ConfigError, OutputError
+from robots.spec import load_robot
 
 ARRAYS = {
     "a.ticks": np.array(7),
@@ -130,6 +133,33 @@ def test_a_flipped_bit_in_any_file_and_a_missing_file_are_refused_by_name(tmp_pa
     path.unlink()
     with pytest.raises(ConfigError, match=rf"x/{name}: cannot be read: No such file"):
         bundle.open_bundle(tmp_path / "x")
+
+
+def test_the_robot_s_model_and_its_meshes_are_in_a_bundle(tmp_path):
+    """Wherever they lie in the robot's folder; a changed one is refused as any other file."""
+    spec = load_robot(two_links(tmp_path))
+    names = {*bundle.robot_files(spec)}
+    assert names == {"robot.toml", "draws.toml", "limits.toml", "two.urdf", "meshes/fore.stl"}
+    with bundle.filling(tmp_path / "x") as folder:
+        for name in (*FILES, *(f"robot/{name}" for name in names)):
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_bytes(b"mesh")
+        bundle.seal(folder, about())
+    assert {*bundle.open_bundle(tmp_path / "x").files} == {*FILES, "robot/two.urdf", "robot/meshes/fore.stl"}
+    (tmp_path / "x" / "robot" / "meshes" / "fore.stl").write_bytes(b"mush")
+    with pytest.raises(ConfigError, match=r"robot/meshes/fore\.stl: SHA-256: found"):
+        bundle.open_bundle(tmp_path / "x")
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "robot/../../x", "/robot/x", "robots/x"])
+def test_a_bundle_reads_nothing_that_lies_elsewhere(tmp_path, name):
+    folder = filled(tmp_path / "x")
+    listed = bundle.open_bundle(folder)
+    listed = listed.model_copy(update={"files": listed.files | {name: "0" * 64}})
+    sealed = listed.model_copy(update={"digest": listed.sealed()})
+    (folder / "bundle.json").write_text(sealed.model_dump_json())
+    with pytest.raises(ConfigError, match=rf"bundle\.json: files: {name}: unknown"):
+        bundle.open_bundle(folder)
 
 
 @pytest.mark.parametrize(
