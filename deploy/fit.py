@@ -14,11 +14,12 @@ def check_contract(contract: Contract, spec: RobotSpec, source: str) -> None:
     Raises:
         ContractError: one line for each field: found, expected.
     """
-    if wrong := list(_mismatches(contract, spec)):
+    if wrong := list(mismatches(contract, spec)):
         raise ContractError("\n".join(f"{source}: {line}" for line in wrong))
 
 
-def _mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
+def mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
+    """Each field of a contract that is not as the robot needs it, in a line: found, expected."""
     if contract.robot != spec.name:
         yield f"robot: found {contract.robot!r}, expected {spec.name!r}"
         return  # nothing else can be expected to agree

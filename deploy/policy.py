@@ -47,7 +47,7 @@ class Policy(Stage):
         check_contract(file.contract, spec, f"{path}: contract")
         policy = cls(file, str(path))
         for batch in BATCHES:
-            policy._prove(file, batch)
+            policy.prove(file, batch)
         policy.resize(1)
         return policy
 
@@ -100,7 +100,7 @@ class Policy(Stage):
         for bind, name, array in ends:
             bind(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
 
-    def _prove(self, file: PolicyFile, batch: int) -> None:
+    def prove(self, file: PolicyFile, batch: int) -> None:
         """Every golden pair once at this batch."""
         try:
             if self.contract.memory:

@@ -1,0 +1,48 @@
+"""All that the doctor looks at, in the order of its report."""
+
+from collections.abc import Callable, Iterator
+
+from policies.doctor.action import action, gains
+from policies.doctor.activation import activation
+from policies.doctor.case import Case
+from policies.doctor.finding import Finding, Note, failed, summed_up
+from policies.doctor.identity import joints, loader
+from policies.doctor.observations import normalizer, training
+from policies.doctor.protection import protection
+from policies.doctor.rates import rates
+from policies.doctor.sources import sources
+from policies.doctor.tilt import tilt
+from policies.doctor.work import chatter, delay, heat, jitter, trial
+from robots.errors import FirstshiftError
+
+CHECKS: dict[str, Callable[[Case], Iterator[Note]]] = {
+    "loader": loader,
+    "joints": joints,
+    "action": action,
+    "gains": gains,
+    "rates": rates,
+    "sources": sources,
+    "protection": protection,
+    "normalizer": normalizer,
+    "training": training,
+    "tilt": tilt,
+    "activation": activation,
+    "trial": trial,
+    "chatter": chatter,
+    "delay": delay,
+    "jitter": jitter,
+    "heat": heat,
+}
+
+
+def examined(case: Case) -> Iterator[Finding]:
+    """A row for each check. One that cannot be made is one that failed: it says why."""
+    for name, check in CHECKS.items():
+        yield summed_up(name, _notes(check, case))
+
+
+def _notes(check: Callable[[Case], Iterator[Note]], case: Case) -> Iterator[Note]:
+    try:
+        yield from check(case)
+    except FirstshiftError as e:
+        yield failed(f"{e}.")

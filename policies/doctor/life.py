@@ -1,0 +1,139 @@
+"""A short life in simulation: the shipped runtime on a robot as draws.toml has it in the middle.
+
+A packet that is late says when it was taken, and the estimator makes up for it: that delay is modelled. What shakes a
+robot is a delay that nobody knows of, so it is the actions that come late here.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deploy.backends.sim.robot import SimRobot
+from deploy.policy import Policy
+from deploy.policy_file import Float32s
+from deploy.runtime import Runtime
+from deploy.state import Floats
+from eval.counts import Counts
+from eval.monitors import Judge
+from eval.shard import ARM_S, judge_tick
+from policies.doctor.warmth import Thermometer, Warmth
+from robots.distributions import Span, load_distributions
+from robots.draws import Draw, shape
+from robots.model_pinocchio import torque_max
+from robots.randomness import robot_seed
+from robots.spec import RobotSpec
+
+ROBOTS, SECONDS, SEED = 8, 12.2, 0
+PUNCTUAL, HALF, LATE, JITTERING = (0.0, 0.0), (0.5, 0.5), (1.0, 1.0), (0.0, 1.0)
+"""Least and most lateness of an action, in periods of the policy."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Life:
+    """What B robots of the same draw did, each with noise and goals of its own.
+
+    Attributes:
+        counts: what the judge saw.
+        observation: (K, N) and action: (K, A), raw, at each step of the policy of each robot under way.
+        sent: (S, B, n) rad/s, speeds sent, of all ticks since arming.
+        first: (B, n) rad, the first target less where the robot was.
+        warmth: of the motors.
+    """
+
+    counts: Counts
+    observation: Float32s
+    action: Float32s
+    sent: Floats
+    first: Floats
+    warmth: Warmth
+
+
+def middle(spec: RobotSpec, robots: int) -> Draw:
+    """As many robots in the middle of every span of draws.toml."""
+    spans = load_distributions(spec).spans()
+    return Draw(
+        {name: np.full((robots, *shape(quantity, spec)), _mid(span)) for name, quantity, span in spans}
+    )
+
+
+def _mid(span: Span) -> float:
+    return float(np.sqrt(span.low * span.high)) if span.log else (span.low + span.high) / 2
+
+
+def live(spec: RobotSpec, policy: Policy, lateness: tuple[float, float]) -> Life:
+    """Let `ROBOTS` robots work for `SECONDS`.
+
+    Args:
+        spec: the robot. policy: one that fits it.
+        lateness: of each action, drawn between least and most, in periods of the policy.
+
+    Raises:
+        FirstshiftError: the robot's files do not suffice for a simulation or its judge.
+    """
+    trial = _Trial(spec, policy, lateness)
+    for tick in range(round(SECONDS / spec.dt)):
+        trial.tick(tick)
+    return trial.life()
+
+
+class _Trial:
+    """The robots, and what is noted of them."""
+
+    def __init__(self, spec: RobotSpec, policy: Policy, lateness: tuple[float, float]) -> None:
+        seeds = [robot_seed(SEED, robot) for robot in range(ROBOTS)]
+        self._spec, self._policy = spec, policy
+        self._robot = SimRobot(spec, seeds, given=middle(spec, ROBOTS))
+        self._runtime = Runtime(spec, policy.contract, self._robot, seeds, policy)
+        self._judge = Judge(spec, torque_max(spec), ROBOTS, observed=policy.contract.observed)
+        self._rng = np.random.default_rng(SEED)
+        self._least, self._most = (round(share * self._runtime.decimation) for share in lateness)
+        self._coming: dict[int, Float32s] = {}
+        self._arm = round(ARM_S / spec.dt)
+        self._steps: list[tuple[Float32s, Float32s]] = []
+        self._sent: list[Floats] = []
+        self._first = np.full((ROBOTS, spec.n), np.nan)
+        self._thermometer = Thermometer(self._robot)
+
+    def tick(self, tick: int) -> None:
+        """One tick, in which a late action may come."""
+        runtime = self._runtime
+        if tick == self._arm:
+            runtime.arm(np.ones(ROBOTS, dtype=bool))
+        observation = runtime.sense()
+        if observation is not None:
+            self._think(tick, observation)
+        said = self._coming.pop(tick, None)
+        runtime.act(said)
+        truth = self._robot.truth()
+        judge_tick(self._judge, truth, runtime, said)
+        self._thermometer.look(truth)
+        if tick >= self._arm:
+            self._note(said)
+
+    def _think(self, tick: int, observation: Float32s) -> None:
+        action = self._policy.step(observation).copy()
+        due = tick + int(self._rng.integers(self._least, self._most + 1))
+        while due in self._coming:
+            due += 1
+        self._coming[due] = action
+        running = self._runtime.supervisor.running
+        self._steps.append((observation[running], action[running]))
+
+    def _note(self, said: Float32s | None) -> None:
+        runtime, running = self._runtime, self._runtime.supervisor.running
+        self._sent.append(runtime.setpoint.qd.copy())
+        if said is not None:
+            begins = running & np.isnan(self._first[:, 0])
+            self._first[begins] = (runtime.target.q - runtime.state.q)[begins]
+
+    def life(self) -> Life:
+        """All of it."""
+        observation, action = (np.concatenate(rows) for rows in zip(*self._steps, strict=True))
+        return Life(
+            counts=self._judge.counts(),
+            observation=observation,
+            action=action,
+            sent=np.array(self._sent),
+            first=self._first,
+            warmth=self._thermometer.warmth(),
+        )

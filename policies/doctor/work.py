@@ -1,0 +1,148 @@
+"""What became of a short life in simulation: the work itself, shaking, late actions, and eight hours of such heat."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from deploy.state import Floats, Reason
+from deploy.supervisor import words
+from eval.counts import REASONS
+from policies.doctor.case import Case
+from policies.doctor.finding import Note, failed, listed, passed, warned
+from policies.doctor.life import ROBOTS, SECONDS, Life
+from policies.doctor.warmth import windings_after
+
+MOSTLY, HALF_OF = 0.9, 0.5
+"""Goals of a policy that works, and of one that does not."""
+SHAKING_HZ = 4.0
+SHAKES, RATTLES = 0.1, 0.3
+WORSE = 2.0
+"""Times the shaking of a punctual life: what lateness alone may add."""
+MEASURE = "measure the robot's delay from sensor to motion, and train with it."
+SHIFT_S = 8 * 3600.0
+ASKED = 1.1
+"""Of a joint's working range, which targets may pass a little: the smoother clamps them."""
+WATCHED = ("tracking", "torque", "velocity", "position_requested")
+
+
+def trial(case: Case) -> Iterator[Note]:
+    """Goals, stops and how near the limits it came, as the judge of soaks saw it."""
+    life, counts = case.life, case.life.counts
+    reached, attempted = int(counts.reached.sum()), int(counts.attempted.sum())
+    goals = f"{reached} of {attempted} goals"
+    if attempted and reached < HALF_OF * attempted:
+        yield failed(
+            f"{ROBOTS} robots reached {goals} in {SECONDS:.0f} s: something of the rows above is not as in training,"
+            " or the signs and order inside the network are not the robot's."
+        )
+    elif attempted and reached < MOSTLY * attempted:
+        yield warned(f"{ROBOTS} robots reached {goals} in {SECONDS:.0f} s.")
+    if latches := int(counts.latches.sum()):
+        yield failed(f"lost power {latches} times: {_reasons(life)}.")
+    elif stops := int(counts.stops.sum()):
+        yield warned(f"stopped {stops} times: {_reasons(life)}.")
+    loads = {name: float(counts.worst[:, counts.columns(name)].max()) for name in WATCHED}
+    if loads["position_requested"] > ASKED:
+        yield warned(
+            f"asked for {loads['position_requested']:.2f} of the working range, which nothing obeys: compare scale and"
+            " offset, or let training pay for it."
+        )
+    said = ", ".join(f"{name} {load:.2f}" for name, load in loads.items())
+    yield passed(f"{ROBOTS} robots reached {goals} in {SECONDS:.0f} s without a stop; worst loads: {said}.")
+
+
+def _reasons(life: Life) -> str:
+    many = life.counts.reasons.sum(axis=0)
+    told = [(int(count), name) for count, name in zip(many, REASONS, strict=True) if count]
+    return ", ".join(f"{words(Reason[name])} ({count})" for count, name in sorted(told, reverse=True))
+
+
+def chatter(case: Case) -> Iterator[Note]:
+    """How much of the speeds sent is shaking."""
+    names, shaking = case.spec.joint_names, _shaking(case, case.life)
+    worst = f"{listed(names, 100 * shaking, unit=' %')} of its speed above {SHAKING_HZ:g} Hz"
+    if (shaking > RATTLES).any():
+        yield failed(
+            f"it rattles: {worst}: look at delay, rates and the price of changing actions in training."
+        )
+    elif (shaking > SHAKES).any():
+        yield warned(
+            f"it shakes: {worst}: look at delay, rates and the price of changing actions in training."
+        )
+    yield passed(f"it moves smoothly: {worst}.")
+
+
+def _shaking(case: Case, life: Life) -> Floats:
+    """(n,) root mean square of the speeds sent above `SHAKING_HZ`, as a share of the joint's speed."""
+    sent = life.sent - life.sent.mean(axis=0)
+    spectrum = np.abs(np.fft.rfft(sent, axis=0)) ** 2
+    fast = np.fft.rfftfreq(len(sent), case.spec.dt) > SHAKING_HZ
+    power = 2.0 * spectrum[fast].sum(axis=0) / len(sent) ** 2
+    return np.asarray(np.sqrt(power.mean(axis=0)) / case.spec.joint_array("qd_max"))
+
+
+def delay(case: Case) -> Iterator[Note]:
+    """The same life with actions that come late by a time that nobody told the estimator."""
+    period_ms = 1e3 / case.contract.policy_hz
+    if (worse := _worse(case, case.late)) is None:
+        yield passed(f"actions that come a policy period, {period_ms:g} ms, late do no harm.")
+        return
+    if (half := _worse(case, case.half_late)) is None:
+        yield warned(
+            f"with actions {period_ms:g} ms late {worse}; {period_ms / 2:g} ms do no harm: {MEASURE}"
+        )
+        return
+    yield failed(f"with actions only {period_ms / 2:g} ms late {half}: {MEASURE}")
+
+
+def jitter(case: Case) -> Iterator[Note]:
+    """The same life with actions that come late by any time up to a policy period."""
+    period_ms = 1e3 / case.contract.policy_hz
+    if worse := _worse(case, case.jittered):
+        yield warned(
+            f"with actions up to {period_ms:g} ms late, each by another time, {worse}: run it on a computer that keeps"
+            " its time, and train with jitter."
+        )
+    yield passed(f"actions up to {period_ms:g} ms late, each by another time, do no harm.")
+
+
+def _worse(case: Case, other: Life) -> str | None:
+    """What another life did worse than the one as it should be; None: nothing."""
+    life = case.life
+    before, after = (int(each.counts.reached.sum()) for each in (life, other))
+    told = []
+    if after < MOSTLY * before:
+        told.append(f"it reaches {after} goals instead of {before}")
+    shaking, more = _shaking(case, life), _shaking(case, other)
+    if (shakes := (more > WORSE * shaking) & (more > SHAKES)).any():
+        told.append(
+            f"it shakes: {listed(case.spec.joint_names, 100 * more, unit=' %', which=shakes)} of its speed"
+        )
+    if (stops := int(other.counts.stops.sum())) > int(life.counts.stops.sum()) + ROBOTS:
+        told.append(f"it stops {stops} times")
+    return " and ".join(told) or None
+
+
+def heat(case: Case) -> Iterator[Note]:
+    """Eight hours of the same work, by the two-node model of the motors."""
+    spec, warmth = case.spec, case.life.warmth
+    names = spec.joint_names
+    hot = windings_after(spec, warmth, SHIFT_S)
+    soft, hard = spec.motor_array("winding_soft_c"), spec.motor_array("winding_max_c")
+    room = f"after eight hours of this in a room of {warmth.ambient:.0f} °C"
+    if (burnt := hot > hard).any():
+        yield failed(
+            f"{room}: {listed(names, hot, hard, unit=' °C', which=burnt)}: it will not last: {_when(case)}"
+        )
+    if (warm := (hot > soft) & ~burnt).any():
+        yield warned(f"{room}: {listed(names, hot, soft, unit=' °C', which=warm)}, beyond the soft limit.")
+    yield passed(f"{room}: {listed(names, hot, unit=' °C')}.")
+
+
+def _when(case: Case) -> str:
+    hours = np.arange(0.25, SHIFT_S / 3600 + 0.25, 0.25)
+    hard = case.spec.motor_array("winding_max_c")
+    for hour in hours:
+        if (windings_after(case.spec, case.life.warmth, 3600 * float(hour)) > hard).any():
+            return f"the first is there within {hour:g} h."
+    return ""
