@@ -14,9 +14,6 @@ FAR = 0.5
 def activation(case: Case) -> Iterator[Note]:
     """From the home pose at rest, the worst of some goals."""
     spec, life = case.spec, case.life
-    if np.isnan(life.first).any():
-        yield failed("not every robot came under way: see the trial.")
-        return
     jump = np.abs(life.first).max(axis=0)
     names, qd_max = spec.joint_names, spec.joint_array("qd_max")
     q = spec.joint_array("q_home") + life.first

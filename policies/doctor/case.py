@@ -8,8 +8,12 @@ from deploy.policy import Policy
 from deploy.policy_file import read_policy_file
 from policies.doctor.life import HALF, JITTERING, LATE, PUNCTUAL, Life, live
 from policies.doctor.normalizer import Statistics, normalizer_of
-from robots.errors import ContractError
+from robots.errors import FirstshiftError
 from robots.spec import load_robot
+
+
+class UntriedError(FirstshiftError):
+    """There is no life to look at."""
 
 
 class Case:
@@ -47,10 +51,10 @@ class Case:
 
     @property
     def training(self) -> Statistics | None:
-        """What observations were like in training, as far as the file tells."""
-        if (observed := self.contract.observed) is None:
+        """What observations were like in training, as the network or else the contract tells."""
+        if self.normalizer is not None or self.contract.observed is None:
             return self.normalizer
-        return Statistics.of(observed)
+        return Statistics.of(self.contract.observed)
 
     @cached_property
     def life(self) -> Life:
@@ -73,6 +77,10 @@ class Case:
         return self._live(JITTERING)
 
     def _live(self, lateness: tuple[float, float]) -> Life:
+        """Raises: UntriedError: nothing can be lived, and why."""
         if self.misfits:
-            raise ContractError("not tried: the loader refuses it, see above")
-        return live(self.spec, self.policy, lateness)
+            raise UntriedError("the loader refuses it, see its row")
+        try:
+            return live(self.spec, self.policy, lateness)
+        except FirstshiftError as e:
+            raise UntriedError(str(e)) from e

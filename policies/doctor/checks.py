@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator
 
 from policies.doctor.action import action, gains
 from policies.doctor.activation import activation
-from policies.doctor.case import Case
-from policies.doctor.finding import Finding, Note, failed, summed_up
+from policies.doctor.case import Case, UntriedError
+from policies.doctor.finding import Finding, Note, failed, summed_up, warned
 from policies.doctor.identity import joints, loader
 from policies.doctor.observations import normalizer, training
 from policies.doctor.protection import protection
@@ -44,5 +44,7 @@ def examined(case: Case) -> Iterator[Finding]:
 def _notes(check: Callable[[Case], Iterator[Note]], case: Case) -> Iterator[Note]:
     try:
         yield from check(case)
+    except UntriedError:
+        yield warned("not tried: see the trial.")
     except FirstshiftError as e:
         yield failed(f"{e}.")

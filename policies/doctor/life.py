@@ -13,12 +13,14 @@ from deploy.policy import Policy
 from deploy.policy_file import Float32s
 from deploy.runtime import Runtime
 from deploy.state import Floats
+from deploy.supervisor import words
 from eval.counts import Counts
 from eval.monitors import Judge
 from eval.shard import ARM_S, judge_tick
 from policies.doctor.warmth import Thermometer, Warmth
 from robots.distributions import Span, load_distributions
 from robots.draws import Draw, shape
+from robots.errors import ConfigError
 from robots.model_pinocchio import torque_max
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
@@ -98,7 +100,7 @@ class _Trial:
         """One tick, in which a late action may come."""
         runtime = self._runtime
         if tick == self._arm:
-            runtime.arm(np.ones(ROBOTS, dtype=bool))
+            self._refused = runtime.arm(np.ones(ROBOTS, dtype=bool))
         observation = runtime.sense()
         if observation is not None:
             self._think(tick, observation)
@@ -127,7 +129,14 @@ class _Trial:
             self._first[begins] = (runtime.target.q - runtime.state.q)[begins]
 
     def life(self) -> Life:
-        """All of it."""
+        """All of it.
+
+        Raises:
+            ConfigError: a robot refused to begin.
+        """
+        if np.isnan(self._first).any():
+            why = int(np.bitwise_or.reduce(self._refused | self._runtime.supervisor.reason))
+            raise ConfigError(f"a robot never came under way: {words(why)}")
         observation, action = (np.concatenate(rows) for rows in zip(*self._steps, strict=True))
         return Life(
             counts=self._judge.counts(),

@@ -12,6 +12,8 @@ from policies.doctor.normalizer import Statistics
 
 ORDER = (0.05, 5.0)
 """Root mean square of a number as the network gets it, if it was brought to an order of 1."""
+SILENT = 1e-6
+"""What is always 0 but for rounding needs no normalizer."""
 IGNORED = 0.01
 """Of the actions' own spread, by which they change at least where a term that is heard says something else."""
 SATURATED = 0.5
@@ -63,7 +65,7 @@ def _order(rms: Floats, names: list[str], *, graph: bool) -> Iterator[Note]:
             f" {listed(names, rms, which=_most(rms, loud))} (root mean square): it may be"
             " fed raw readings: compare the scales, and look for the normalizer of training."
         )
-    if not graph and (faint := (rms < ORDER[0]) & (rms > 0.0)).any():
+    if not graph and (faint := (rms < ORDER[0]) & (rms > SILENT)).any():
         yield warned(
             "no normalizer is in the graph, and by the contract's scales the network gets"
             f" {listed(names, rms, which=_most(-rms, faint))} (root mean square), which it hardly hears: whether"
@@ -86,7 +88,8 @@ def _steering(case: Case) -> Iterator[Note]:
     action = case.life.action
     share = float(((action <= low) | (action >= high)).mean())
     if share > SATURATED:
-        yield failed(
+        note = warned if case.normalizer else failed
+        yield note(
             f"{share:.0%} of all actions are at their clip in ordinary work: readings or weights are not of training's"
             " scale, or its normalizer is lost."
         )

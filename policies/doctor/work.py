@@ -7,16 +7,17 @@ import numpy as np
 from deploy.state import Floats, Reason
 from deploy.supervisor import words
 from eval.counts import REASONS
-from policies.doctor.case import Case
+from policies.doctor.case import Case, UntriedError
 from policies.doctor.finding import Note, failed, listed, passed, warned
 from policies.doctor.life import ROBOTS, SECONDS, Life
 from policies.doctor.warmth import windings_after
 
 MOSTLY, HALF_OF = 0.9, 0.5
 """Goals of a policy that works, and of one that does not."""
-SHAKING_HZ = 4.0
-SHAKES, RATTLES = 0.1, 0.3
-WORSE = 2.0
+SHAKING_HZ, WINDOW_S = 4.0, 0.5
+SHAKES, RATTLES = 0.05, 0.15
+"""Of a joint's speed."""
+WORSE = 1.5
 """Times the shaking of a punctual life: what lateness alone may add."""
 MEASURE = "measure the robot's delay from sensor to motion, and train with it."
 SHIFT_S = 8 * 3600.0
@@ -27,7 +28,11 @@ WATCHED = ("tracking", "torque", "velocity", "position_requested")
 
 def trial(case: Case) -> Iterator[Note]:
     """Goals, stops and how near the limits it came, as the judge of soaks saw it."""
-    life, counts = case.life, case.life.counts
+    try:
+        life, counts = case.life, case.life.counts
+    except UntriedError as e:
+        yield failed(f"not tried: {e}.")
+        return
     reached, attempted = int(counts.reached.sum()), int(counts.attempted.sum())
     goals = f"{reached} of {attempted} goals"
     if attempted and reached < HALF_OF * attempted:
@@ -73,12 +78,17 @@ def chatter(case: Case) -> Iterator[Note]:
 
 
 def _shaking(case: Case, life: Life) -> Floats:
-    """(n,) root mean square of the speeds sent above `SHAKING_HZ`, as a share of the joint's speed."""
-    sent = life.sent - life.sent.mean(axis=0)
-    spectrum = np.abs(np.fft.rfft(sent, axis=0)) ** 2
-    fast = np.fft.rfftfreq(len(sent), case.spec.dt) > SHAKING_HZ
-    power = 2.0 * spectrum[fast].sum(axis=0) / len(sent) ** 2
-    return np.asarray(np.sqrt(power.mean(axis=0)) / case.spec.joint_array("qd_max"))
+    """(n,) root mean square of the speeds sent above `SHAKING_HZ`, as a share of the joint's speed.
+
+    Of the median window: one that begins or ends a motion has such speeds too.
+    """
+    window = round(WINDOW_S / case.spec.dt)
+    whole = len(life.sent) // window * window
+    sent = life.sent[:whole].reshape(-1, window, *life.sent.shape[1:])
+    spectrum = np.abs(np.fft.rfft(sent, axis=1)) ** 2
+    fast = np.fft.rfftfreq(window, case.spec.dt) >= SHAKING_HZ
+    power = 2.0 * spectrum[:, fast].sum(axis=1) / window**2
+    return np.asarray(np.sqrt(np.median(power, axis=(0, 1))) / case.spec.joint_array("qd_max"))
 
 
 def delay(case: Case) -> Iterator[Note]:
