@@ -23,6 +23,16 @@ def arm_policy(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def shipped_policy(tmp_path_factory):
+    """The shipped checkpoint as policy-export leaves it."""
+    pytest.importorskip("torch")
+    pytest.importorskip("onnxscript")
+    from policies.export import POLICIES, export
+
+    return export(POLICIES / "arm.pt", tmp_path_factory.mktemp("shipped") / "arm.onnx").path
+
+
+@pytest.fixture(scope="session")
 def _goals():
     return reach.goal_pool(load_robot("arm6"), reach.ReachConfig())
 

@@ -4,11 +4,12 @@ from functools import cached_property
 from pathlib import Path
 
 from deploy.fit import mismatches
-from deploy.policy import Policy
+from deploy.graph import shortened
+from deploy.policy import BATCHES, Policy
 from deploy.policy_file import read_policy_file
 from policies.doctor.life import HALF, JITTERING, LATE, PUNCTUAL, Life, live
 from policies.doctor.normalizer import Statistics, normalizer_of
-from robots.errors import FirstshiftError
+from robots.errors import ContractError, FirstshiftError
 from robots.spec import load_robot
 
 
@@ -30,13 +31,18 @@ class Case:
             path: the policy's file. robot: name or folder; without it the robot that the contract names.
 
         Raises:
-            ContractError: the file is no policy, or its contract cannot be read.
+            ContractError: the file is no policy, its contract cannot be read, or its network cannot be run.
             RobotError: the robot is unknown or unreadable.
         """
         self.path, self.file = path, read_policy_file(path)
         self.contract = self.file.contract
         self.spec = load_robot(robot or self.contract.robot)
         self.policy = Policy(self.file, str(path))
+        try:
+            for batch in BATCHES:
+                self.policy.rehearse(self.file.observation[:1], batch)
+        except Exception as e:  # ONNX Runtime's errors share no base
+            raise ContractError(f"{path}: cannot be run at batch {batch}: {shortened(e)}") from e
 
     @cached_property
     def misfits(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 from deploy.policy import BATCHES
 from deploy.state import Floats
 from policies.doctor.case import Case
-from policies.doctor.finding import Note, failed, listed, passed, warned
+from policies.doctor.finding import NAMED_MAX, Note, failed, listed, passed, warned
 from robots.errors import ContractError
 
 ROBOT = "give the robot that it was trained for, or export it again for this one"
@@ -42,7 +42,10 @@ def joints(case: Case) -> Iterator[Note]:
     """Names, their order, and whether what training saw of each could be that joint's."""
     found, robot = case.contract.joint_names, case.spec.joint_names
     if unknown := [name for name in found if name not in robot]:
-        yield failed(f"{case.spec.name} has no {'; no '.join(_nearest(name, robot) for name in unknown)}.")
+        told = "; ".join(_nearest(name, robot) for name in unknown[:NAMED_MAX])
+        yield failed(
+            f"{len(unknown)} joints are none of {case.spec.name}: {told}; it has {', '.join(robot)}: name them so."
+        )
     if missing := [name for name in robot if name not in found]:
         yield failed(f"the contract lacks {', '.join(missing)}: name every joint of {case.spec.name}.")
     if twice := sorted({name for name in found if found.count(name) > 1}):
@@ -59,7 +62,7 @@ def joints(case: Case) -> Iterator[Note]:
 
 def _nearest(name: str, known: tuple[str, ...]) -> str:
     near = get_close_matches(name, known, cutoff=0.4)
-    return f"joint {name!r}" + (f", perhaps {' or '.join(near)}" if near else f", but {', '.join(known)}")
+    return f"{name!r}" + (f", perhaps {' or '.join(near)}" if near else "")
 
 
 def _evidence(case: Case) -> Iterator[Note]:

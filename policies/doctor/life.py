@@ -12,7 +12,7 @@ from deploy.backends.sim.robot import SimRobot
 from deploy.policy import Policy
 from deploy.policy_file import Float32s
 from deploy.runtime import Runtime
-from deploy.state import Floats
+from deploy.state import Bools, Floats
 from deploy.supervisor import words
 from eval.counts import Counts
 from eval.monitors import Judge
@@ -104,13 +104,15 @@ class _Trial:
         observation = runtime.sense()
         if observation is not None:
             self._think(tick, observation)
-        said = self._coming.pop(tick, None)
+        said, led = self._coming.pop(tick, None), runtime.supervisor.running
         runtime.act(said)
         truth = self._robot.truth()
         judge_tick(self._judge, truth, runtime, said)
         self._thermometer.look(truth)
         if tick >= self._arm:
-            self._note(said)
+            self._sent.append(runtime.setpoint.qd.copy())
+        if said is not None:
+            self._begin(led)
 
     def _think(self, tick: int, observation: Float32s) -> None:
         action = self._policy.step(observation).copy()
@@ -121,12 +123,10 @@ class _Trial:
         running = self._runtime.supervisor.running
         self._steps.append((observation[running], action[running]))
 
-    def _note(self, said: Float32s | None) -> None:
-        runtime, running = self._runtime, self._runtime.supervisor.running
-        self._sent.append(runtime.setpoint.qd.copy())
-        if said is not None:
-            begins = running & np.isnan(self._first[:, 0])
-            self._first[begins] = (runtime.target.q - runtime.state.q)[begins]
+    def _begin(self, led: Bools) -> None:
+        """Note the first target of robots that the policy leads since now."""
+        begins = led & np.isnan(self._first[:, 0])
+        self._first[begins] = (self._runtime.target.q - self._runtime.state.q)[begins]
 
     def life(self) -> Life:
         """All of it.

@@ -18,7 +18,7 @@ TURNS = LEAN_RAD * np.array([(0, 0, 0), (0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0
 DOWN = np.array([0.0, 0.0, -1.0])
 DEAF = 0.01
 """Of a raw action: a policy that balances changes it by more where it leans by `LEAN_RAD`."""
-CALMER = 0.5
+CALMER = 0.75
 """Times the actions of the usual convention."""
 TOLD: tuple[Source, ...] = ("projected_gravity", "base_orientation")
 
