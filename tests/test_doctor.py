@@ -81,6 +81,12 @@ def test_a_network_trained_in_another_order_under_the_right_names_is_suspected(s
     assert "which would suit shoulder_pan or elbow or wrist_3" in found.said
 
 
+def test_without_numbers_of_training_the_order_inside_the_network_is_not_known(sick):
+    found = row(sick(graph=without_normalizer, contract=lambda data: data.update(observed=None)), "joints")
+    assert found.verdict is Verdict.WARN
+    assert "whether the network has them in this order only the trial shows" in found.said
+
+
 # ---- scale, offset, gains ----
 
 
@@ -157,6 +163,9 @@ def test_another_control_rate_and_another_rate_of_training_are_both_said(sick):
     agreed = row(sick(contract=lambda data: data.update(trained={"policy_hz": "50"})), "rates")
     assert agreed.verdict is Verdict.PASS
     assert "as training says" in agreed.said
+    imported = row(sick(contract=lambda data: data.update(trained={"imported": "ONNX"})), "rates")
+    assert imported.verdict is Verdict.WARN
+    assert "training's own rate is not in the file: ask" in imported.said
 
 
 def test_a_sensor_slower_than_the_policy_is_named(sick, tmp_path):

@@ -140,6 +140,13 @@ def test_actions_of_the_other_sign_miss_every_goal(sick):
     assert "signs and order inside the network" in trial.said
     assert "links would come nearer than the collision margin" in trial.said
     assert "of all actions are at their clip" in row(case, "normalizer").said
+    for check, said in (
+        ("delay", "cannot be seen"),
+        ("jitter", "cannot be seen"),
+        ("chatter", "says little"),
+    ):
+        after = row(case, check)
+        assert (after.verdict, said in after.said) == (Verdict.WARN, True)
 
 
 # ---- activation ----
@@ -209,7 +216,7 @@ def test_motors_that_cannot_get_rid_of_their_heat_are_named_with_the_hour(sick, 
     robot, digest = robot_and_digest(tmp_path, toml=[cool])
     found = row(sick(robot, contract=digest), "heat")
     assert found.verdict is Verdict.FAIL
-    assert "after eight hours of this in a room of 25 °C: shoulder_lift 13" in found.said
+    assert "after eight hours of this, in the middle of draws.toml, at 25 °C: shoulder_lift 13" in found.said
     assert re.search(r"it will not last: the first is there within [345][.\d]* h", found.said)
 
 

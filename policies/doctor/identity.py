@@ -69,8 +69,9 @@ def _evidence(case: Case) -> Iterator[Note]:
     """Where joints stood in training, by what the file says of its observations."""
     names, spec = case.spec.joint_names, case.spec
     if (q := _training_q(case)) is None:
-        yield passed(
-            "names and order are the robot's; what each joint did in training the file does not say."
+        yield warned(
+            "names and order are the robot's, and nothing in the file says what each joint did in training: whether the"
+            " network has them in this order only the trial shows."
         )
         return
     low, high = spec.joint_array("q_min"), spec.joint_array("q_max")

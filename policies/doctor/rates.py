@@ -43,8 +43,11 @@ def rates(case: Case) -> Iterator[Note]:
             f"the network takes {1e3 * took:.2g} ms here, and a tick is {1e3 / control_hz:.3g} ms: make it smaller, or"
             " ticks will come late."
         )
-    agree = "as training says" if trained else "training's own rate is not in the file"
-    yield passed(f"policy {hz} Hz, control {control_hz} Hz; {agree}.")
+    if "imported" in case.contract.trained and not trained:
+        yield warned(
+            f"policy_hz is {hz} by whoever imported it: training's own rate is not in the file: ask."
+        )
+    yield passed(f"policy {hz} Hz, control {control_hz} Hz{', as training says' if trained else ''}.")
 
 
 def _trained(case: Case) -> Iterator[tuple[str, float]]:

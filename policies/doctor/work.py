@@ -6,7 +6,7 @@ import numpy as np
 
 from deploy.state import Floats, Reason
 from deploy.supervisor import words
-from eval.counts import REASONS
+from eval.counts import MONITORS, REASONS
 from policies.doctor.case import Case, UntriedError
 from policies.doctor.finding import Note, failed, listed, passed, warned
 from policies.doctor.life import ROBOTS, SECONDS, Life
@@ -20,6 +20,7 @@ SHAKES, RATTLES = 0.05, 0.15
 WORSE = 1.5
 """Times the shaking of a punctual life: what lateness alone may add."""
 MEASURE = "measure the robot's delay from sensor to motion, and train with it."
+USELESS = "the trial failed with punctual actions: what lateness would add cannot be seen."
 SHIFT_S = 8 * 3600.0
 ASKED = 1.1
 """Of a joint's working range, which targets may pass a little: the smoother clamps them."""
@@ -46,6 +47,10 @@ def trial(case: Case) -> Iterator[Note]:
         yield failed(f"lost power {latches} times: {_reasons(life)}.")
     elif stops := int(counts.stops.sum()):
         yield warned(f"stopped {stops} times: {_reasons(life)}.")
+    if hard := [f"{m.name} ({counts.total(m.name)})" for m in MONITORS if m.hard and counts.total(m.name)]:
+        yield failed(
+            f"the judge saw what must not happen: {', '.join(hard)}: see the monitors in a soak's report."
+        )
     loads = {name: float(counts.worst[:, counts.columns(name)].max()) for name in WATCHED}
     if loads["position_requested"] > ASKED:
         yield warned(
@@ -64,7 +69,8 @@ def _reasons(life: Life) -> str:
 
 def chatter(case: Case) -> Iterator[Note]:
     """How much of the speeds sent is shaking."""
-    names, shaking = case.spec.joint_names, _shaking(case, case.life)
+    names, life = case.spec.joint_names, case.life
+    shaking = _shaking(case, life)
     worst = f"{listed(names, 100 * shaking, unit=' %')} of its speed above {SHAKING_HZ:g} Hz"
     if (shaking > RATTLES).any():
         yield failed(
@@ -74,7 +80,7 @@ def chatter(case: Case) -> Iterator[Note]:
         yield warned(
             f"it shakes: {worst}: look at delay, rates and the price of changing actions in training."
         )
-    yield passed(f"it moves smoothly: {worst}.")
+    yield _of(life, f"it moves smoothly: {worst}.")
 
 
 def _shaking(case: Case, life: Life) -> Floats:
@@ -91,29 +97,42 @@ def _shaking(case: Case, life: Life) -> Floats:
     return np.asarray(np.sqrt(np.median(power, axis=(0, 1))) / case.spec.joint_array("qd_max"))
 
 
+def _of(life: Life, said: str) -> Note:
+    """What would pass if the robot had worked."""
+    return passed(said) if _works(life) else warned(f"{said} But the trial failed: this says little.")
+
+
+def _works(life: Life) -> bool:
+    return bool(life.counts.reached.sum() >= HALF_OF * life.counts.attempted.sum())
+
+
 def delay(case: Case) -> Iterator[Note]:
     """The same life with actions that come late by a time that nobody told the estimator."""
     period_ms = 1e3 / case.contract.policy_hz
-    if (worse := _worse(case, case.late)) is None:
+    if not _works(case.life):
+        yield warned(USELESS)
+    elif (worse := _worse(case, case.late)) is None:
         yield passed(f"actions that come a policy period, {period_ms:g} ms, late do no harm.")
-        return
-    if (half := _worse(case, case.half_late)) is None:
+    elif (half := _worse(case, case.half_late)) is None:
         yield warned(
             f"with actions {period_ms:g} ms late {worse}; {period_ms / 2:g} ms do no harm: {MEASURE}"
         )
-        return
-    yield failed(f"with actions only {period_ms / 2:g} ms late {half}: {MEASURE}")
+    else:
+        yield failed(f"with actions only {period_ms / 2:g} ms late {half}: {MEASURE}")
 
 
 def jitter(case: Case) -> Iterator[Note]:
     """The same life with actions that come late by any time up to a policy period."""
     period_ms = 1e3 / case.contract.policy_hz
-    if worse := _worse(case, case.jittered):
+    if not _works(case.life):
+        yield warned(USELESS)
+    elif worse := _worse(case, case.jittered):
         yield warned(
             f"with actions up to {period_ms:g} ms late, each by another time, {worse}: run it on a computer that keeps"
             " its time, and train with jitter."
         )
-    yield passed(f"actions up to {period_ms:g} ms late, each by another time, do no harm.")
+    else:
+        yield passed(f"actions up to {period_ms:g} ms late, each by another time, do no harm.")
 
 
 def _worse(case: Case, other: Life) -> str | None:
@@ -139,14 +158,14 @@ def heat(case: Case) -> Iterator[Note]:
     names = spec.joint_names
     hot = windings_after(spec, warmth, SHIFT_S)
     soft, hard = spec.motor_array("winding_soft_c"), spec.motor_array("winding_max_c")
-    room = f"after eight hours of this in a room of {warmth.ambient:.0f} °C"
+    room = f"after eight hours of this, in the middle of draws.toml, at {warmth.ambient:.0f} °C"
     if (burnt := hot > hard).any():
         yield failed(
             f"{room}: {listed(names, hot, hard, unit=' °C', which=burnt)}: it will not last: {_when(case)}"
         )
     if (warm := (hot > soft) & ~burnt).any():
         yield warned(f"{room}: {listed(names, hot, soft, unit=' °C', which=warm)}, beyond the soft limit.")
-    yield passed(f"{room}: {listed(names, hot, unit=' °C')}.")
+    yield _of(case.life, f"{room}: {listed(names, hot, unit=' °C')}.")
 
 
 def _when(case: Case) -> str:
