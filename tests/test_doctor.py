@@ -112,15 +112,14 @@ def positions(offset, scale=0.5, clip=(-1.0, 1.0)):
 def test_an_offset_outside_the_working_range_is_named(sick):
     found = row(sick(contract=positions([0.0] * 6)), "action")
     assert found.verdict is Verdict.FAIL
-    for joint in ("shoulder_lift", "elbow", "wrist_2"):
-        assert f"an action of 0 sends {joint} to 0 rad, outside " in found.said
-    assert "wrist_1" not in found.said
+    assert "an action of 0 asks for shoulder_lift 0, elbow 0, wrist_2 0 rad, outside the working" in found.said
+    assert "an action of 1 or -1 sends wrist_1 beyond the working range" in found.said
 
 
 def test_scales_are_held_against_the_working_range(sick):
     home = [0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
     assert row(sick(contract=positions(home)), "action").verdict is Verdict.PASS
-    for scale, said in ((4.0, "more than the joint can"), (0.01, "next to nothing")):
+    for scale, said in ((7.0, "more than the joint can"), (0.01, "next to nothing")):
         found = row(sick(contract=positions(home, scale)), "action")
         assert found.verdict is Verdict.WARN
         assert said in found.said
@@ -242,6 +241,19 @@ def test_all_that_the_loader_refuses_is_said_at_once_though_the_robot_is_another
     found = row(case, "loader")
     for said in ("robot: found 'leg', expected 'arm6'", "joint_names: ", "control_hz: found 400 Hz"):
         assert said in found.said
+
+
+def test_names_of_a_file_do_not_upset_a_terminal(sick):
+    evil = "\x1b]0;gone\x07"
+
+    def rename(data):
+        data["observation"][0]["name"] = data["joint_names"][0] = data["joint_names"][1] = evil
+
+    case = sick(contract=rename)
+    for check in ("loader", "joints", "sources"):
+        said = row(case, check).said
+        assert "gone" in said
+        assert said.replace("\n", "").isprintable()
 
 
 # ---- a normalizer is found however it is written ----

@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from deploy.state import Bools, Floats
 from policies.doctor.case import Case
-from policies.doctor.finding import Note, failed, listed, passed, warned
+from policies.doctor.finding import NAMED_MAX, Note, failed, listed, passed, warned
 from robots.model_pinocchio import load_pinocchio, torque_max
 
 LEAST = 0.02
@@ -53,10 +53,17 @@ def _positions(case: Case, offset: Floats) -> Iterator[Note]:
     spec, told = case.spec, case.contract.action
     names, scale = spec.joint_names, np.array(told.scale)
     q_min, q_max, home = (spec.joint_array(f"q_{end}") for end in ("min", "max", "home"))
-    for j in np.flatnonzero((offset < q_min) | (offset > q_max)):
+    outside = (offset < q_min) | (offset > q_max)
+    if outside.any():
         yield failed(
-            f"an action of 0 sends {names[j]} to {offset[j]:.3g} rad, outside {q_min[j]:.3g} to {q_max[j]:.3g}:"
-            " the offset is training's default pose, in the robot's order and in rad."
+            f"an action of 0 asks for {listed(names, offset, unit=' rad', which=outside)}, outside the working range: the"
+            " offset is training's default pose, in the robot's order and in rad."
+        )
+    beyond = (offset - scale < q_min) | (offset + scale > q_max)
+    if (beyond := beyond & ~outside).any():
+        yield warned(
+            f"an action of 1 or -1 sends {', '.join(np.array(names)[beyond][:NAMED_MAX])} beyond the working range,"
+            " where the smoother clamps it: compare offset and scale with training's."
         )
     span = q_max - q_min
     if (small := scale < LEAST * span).any():
@@ -65,7 +72,7 @@ def _positions(case: Case, offset: Floats) -> Iterator[Note]:
     if (wide := scale > span).any():
         moved = listed(names, scale, span, unit=" rad", which=wide)
         yield warned(f"an action of 1 moves {moved}, more than the joint can: compare the scale.")
-    yield passed(f"an action of 0 sends {listed(names, offset, home, unit=' rad')}, where home is.")
+    yield passed(f"an action of 0 asks for {listed(names, offset, home, unit=' rad')}, where home is.")
 
 
 def gains(case: Case) -> Iterator[Note]:

@@ -57,7 +57,12 @@ def summed_up(check: str, notes: Iterable[Note]) -> Finding:
     """A row of some notes, the worst first; those that passed are said only where nothing else is."""
     ordered = sorted(notes, key=lambda note: -note.verdict)
     said = [note.said for note in ordered if note.verdict > Verdict.PASS] or [note.said for note in ordered]
-    return Finding(check=check, verdict=ordered[0].verdict, said="\n".join(said))
+    return Finding(check=check, verdict=ordered[0].verdict, said="\n".join(map(_harmless, said)))
+
+
+def _harmless(said: str) -> str:
+    """Names come from files: nothing in them may upset a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in said)
 
 
 def listed(names: Sequence[str], *numbers: Floats, unit: str = "", which: Places = slice(None)) -> str:

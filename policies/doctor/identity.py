@@ -75,7 +75,7 @@ def _evidence(case: Case) -> Iterator[Note]:
         )
         return
     low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
-    for j in np.flatnonzero((q < low) | (q > high)):
+    for j in np.flatnonzero((q < low) | (q > high))[:NAMED_MAX]:
         fits = [name for name, a, b in zip(names, low, high, strict=True) if a <= q[j] <= b]
         others = f", which would suit {' or '.join(fits)}" if fits else ", which suits no joint"
         yield warned(
