@@ -10,7 +10,7 @@ from rich.text import Text
 
 from deploy.cli import BUDGET_EXCEEDED, PASSED, main
 from policies.doctor.case import Case
-from policies.doctor.checks import examined
+from policies.doctor.checks import CHECKS, examined
 from policies.doctor.finding import Finding, Verdict
 
 STYLES = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "red"}
@@ -26,7 +26,7 @@ def policy_check(
         findings = []
         for finding in examined(case):
             findings.append(finding)
-            status.update(f"examining {policy.name}: {len(findings)} checks done")
+            status.update(f"examining {policy.name}: {len(findings)} of {len(CHECKS)} checks done")
     Console().print(table(findings))
     return BUDGET_EXCEEDED if any(f.verdict is Verdict.FAIL for f in findings) else PASSED
 

@@ -56,6 +56,18 @@ def answering(*nodes, **tensors):
     return change
 
 
+def in_front(node, **tensors):
+    """A change that puts a node from "observation" to "theirs" before the network."""
+
+    def change(model):
+        first = next(each for each in model.graph.node if "observation" in each.input)
+        first.input[0] = "theirs"
+        model.graph.node.insert(0, node)
+        model.graph.initializer.extend(numpy_helper.from_array(x, name) for name, x in tensors.items())
+
+    return change
+
+
 def louder(times):
     """Actions so many times as large."""
     return answering(
@@ -80,10 +92,8 @@ def in_another_order(order, terms):
         answering(helper.make_node("Gather", ["said", "order"], ["action"], axis=1), order=np.argsort(order))(
             model
         )
-        first = next(node for node in model.graph.node if "observation" in node.input)
-        first.input[0] = "theirs"
-        model.graph.node.insert(0, helper.make_node("Gather", ["observation", "columns"], ["theirs"], axis=1))
-        model.graph.initializer.append(numpy_helper.from_array(np.array(columns), "columns"))
+        gather = helper.make_node("Gather", ["observation", "columns"], ["theirs"], axis=1)
+        in_front(gather, columns=np.array(columns))(model)
 
     return change
 

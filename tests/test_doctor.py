@@ -112,7 +112,9 @@ def positions(offset, scale=0.5, clip=(-1.0, 1.0)):
 def test_an_offset_outside_the_working_range_is_named(sick):
     found = row(sick(contract=positions([0.0] * 6)), "action")
     assert found.verdict is Verdict.FAIL
-    assert "an action of 0 asks for shoulder_lift 0, elbow 0, wrist_2 0 rad, outside the working" in found.said
+    assert (
+        "an action of 0 asks for shoulder_lift 0, elbow 0, wrist_2 0 rad, outside the working" in found.said
+    )
     assert "an action of 1 or -1 sends wrist_1 beyond the working range" in found.said
 
 

@@ -19,6 +19,7 @@ from test_policy import metadata
 
 from deploy.contract import CONTRACT_KEY
 from policies import checking
+from policies.doctor import orders
 from policies.doctor.case import Case
 from policies.doctor.checks import CHECKS, row
 from policies.doctor.finding import Verdict
@@ -294,11 +295,13 @@ def command(monkeypatch, capsys):
     return run
 
 
-def test_the_command_says_every_row_and_ends_with_1_if_one_fails(command, arm_policy):
+def test_the_command_says_every_row_and_ends_with_1_if_one_fails(command, arm_policy, monkeypatch):
+    monkeypatch.setattr(orders, "VARIANTS_MAX", 1)
     code, said, _ = command(arm_policy)
     assert code == 1
     assert all(f" {check} " in said for check in CHECKS)
     assert "8 robots reached 0 of 24 goals" in said
+    assert "6 joints have too many orders to try them" in said
 
 
 def test_the_command_ends_with_0_where_rows_only_warn(command, shipped_policy, monkeypatch, sound):

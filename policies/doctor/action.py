@@ -56,8 +56,8 @@ def _positions(case: Case, offset: Floats) -> Iterator[Note]:
     outside = (offset < q_min) | (offset > q_max)
     if outside.any():
         yield failed(
-            f"an action of 0 asks for {listed(names, offset, unit=' rad', which=outside)}, outside the working range: the"
-            " offset is training's default pose, in the robot's order and in rad."
+            f"an action of 0 asks for {listed(names, offset, unit=' rad', which=outside)}, outside the working range:"
+            " the offset is training's default pose, in the robot's order and in rad."
         )
     beyond = (offset - scale < q_min) | (offset + scale > q_max)
     if (beyond := beyond & ~outside).any():

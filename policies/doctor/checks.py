@@ -8,6 +8,7 @@ from policies.doctor.case import Case, UntriedError
 from policies.doctor.finding import Finding, Note, failed, summed_up, warned
 from policies.doctor.identity import joints, loader
 from policies.doctor.observations import normalizer, training
+from policies.doctor.orders import orders
 from policies.doctor.protection import protection
 from policies.doctor.rates import rates
 from policies.doctor.sources import sources
@@ -28,6 +29,7 @@ CHECKS: dict[str, Callable[[Case], Iterator[Note]]] = {
     "tilt": tilt,
     "activation": activation,
     "trial": trial,
+    "orders": orders,
     "chatter": chatter,
     "delay": delay,
     "jitter": jitter,

@@ -4,6 +4,7 @@ A packet that is late says when it was taken, and the estimator makes up for it:
 robot is a delay that nobody knows of, so it is the actions that come late here.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,18 +63,25 @@ def _mid(span: Span) -> float:
     return float(np.sqrt(span.low * span.high)) if span.log else (span.low + span.high) / 2
 
 
-def live(spec: RobotSpec, policy: Policy, lateness: tuple[float, float]) -> Life:
-    """Let `ROBOTS` robots work for `SECONDS`.
+def live(
+    spec: RobotSpec,
+    policy: Policy,
+    lateness: tuple[float, float],
+    rows: Sequence[int] = range(ROBOTS),
+    seconds: float = SECONDS,
+) -> Life:
+    """Let robots work for a while.
 
     Args:
         spec: the robot. policy: one that fits it.
         lateness: of each action, drawn between least and most, in periods of the policy.
+        rows: of each robot, whose noise and goals it has. seconds: how long.
 
     Raises:
         FirstshiftError: the robot's files do not suffice for a simulation or its judge.
     """
-    trial = _Trial(spec, policy, lateness)
-    for tick in range(round(SECONDS / spec.dt)):
+    trial = _Trial(spec, policy, lateness, [robot_seed(SEED, row) for row in rows])
+    for tick in range(round(seconds / spec.dt)):
         trial.tick(tick)
     return trial.life()
 
@@ -81,26 +89,32 @@ def live(spec: RobotSpec, policy: Policy, lateness: tuple[float, float]) -> Life
 class _Trial:
     """The robots, and what is noted of them."""
 
-    def __init__(self, spec: RobotSpec, policy: Policy, lateness: tuple[float, float]) -> None:
-        seeds = [robot_seed(SEED, robot) for robot in range(ROBOTS)]
-        self._spec, self._policy = spec, policy
-        self._robot = SimRobot(spec, seeds, given=middle(spec, ROBOTS))
+    def __init__(
+        self,
+        spec: RobotSpec,
+        policy: Policy,
+        lateness: tuple[float, float],
+        seeds: Sequence[np.random.SeedSequence],
+    ) -> None:
+        robots = len(seeds)
+        self._policy, self._everybody = policy, np.ones(robots, dtype=bool)
+        self._robot = SimRobot(spec, seeds, given=middle(spec, robots))
         self._runtime = Runtime(spec, policy.contract, self._robot, seeds, policy)
-        self._judge = Judge(spec, torque_max(spec), ROBOTS, observed=policy.contract.observed)
+        self._judge = Judge(spec, torque_max(spec), robots, observed=policy.contract.observed)
         self._rng = np.random.default_rng(SEED)
         self._least, self._most = (round(share * self._runtime.decimation) for share in lateness)
         self._coming: dict[int, Float32s] = {}
         self._arm = round(ARM_S / spec.dt)
         self._steps: list[tuple[Float32s, Float32s]] = []
         self._sent: list[Floats] = []
-        self._first = np.full((ROBOTS, spec.n), np.nan)
+        self._first = np.full((robots, spec.n), np.nan)
         self._thermometer = Thermometer(self._robot)
 
     def tick(self, tick: int) -> None:
         """One tick, in which a late action may come."""
         runtime = self._runtime
         if tick == self._arm:
-            self._refused = runtime.arm(np.ones(ROBOTS, dtype=bool))
+            self._refused = runtime.arm(self._everybody)
         observation = runtime.sense()
         if observation is not None:
             self._think(tick, observation)
