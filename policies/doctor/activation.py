@@ -6,6 +6,7 @@ import numpy as np
 
 from policies.doctor.case import Case
 from policies.doctor.finding import Note, failed, listed, passed, warned
+from robots.model_pinocchio import torque_max
 
 FAR = 0.5
 """rad. A robot that is sent farther at once is not where its policy takes it to be."""
@@ -13,6 +14,9 @@ FAR = 0.5
 
 def activation(case: Case) -> Iterator[Note]:
     """From the home pose at rest, the worst of some goals."""
+    if case.contract.action.gains:
+        yield from _pull(case)
+        return
     spec, life = case.spec, case.life
     jump = np.abs(life.first).max(axis=0)
     names, qd_max = spec.joint_names, spec.joint_array("qd_max")
@@ -34,3 +38,16 @@ def activation(case: Case) -> Iterator[Note]:
         f"the first target is {listed(names, jump, unit=' rad')} from home; without the smoother"
         f" {speed.max():.2g} rad/s at most."
     )
+
+
+def _pull(case: Case) -> Iterator[Note]:
+    """Of soft drives, which are nowhere near where they are sent: the torque of the first step counts."""
+    spec, gains = case.spec, case.contract.action.gains
+    tau = np.zeros(spec.n) if gains is None else gains.kp * np.abs(case.life.first).max(axis=0)
+    most = torque_max(spec)
+    if (far := tau > most).any():
+        yield failed(
+            f"at the first step it asks for {listed(spec.joint_names, tau, most, unit=' N·m', which=far)}: the offset or"
+            " the home pose of robot.toml is not training's default pose."
+        )
+    yield passed(f"the first step asks for {listed(spec.joint_names, tau, most, unit=' N·m')}.")

@@ -38,7 +38,7 @@ class Life:
     Attributes:
         counts: what the judge saw.
         observation: (K, N) and action: (K, A), raw, at each step of the policy of each robot under way.
-        sent: (S, B, n) rad/s, speeds sent, of all ticks since arming.
+        speeds: (S, B, n) rad/s, sent; of soft drives, believed; of all ticks since arming.
         first: (B, n) rad, the first target less where the robot was.
         warmth: of the motors.
     """
@@ -46,7 +46,7 @@ class Life:
     counts: Counts
     observation: Float32s
     action: Float32s
-    sent: Floats
+    speeds: Floats
     first: Floats
     warmth: Warmth
 
@@ -98,15 +98,17 @@ class _Trial:
     ) -> None:
         robots = len(seeds)
         self._policy, self._everybody = policy, np.ones(robots, dtype=bool)
-        self._robot = SimRobot(spec, seeds, given=middle(spec, robots))
-        self._runtime = Runtime(spec, policy.contract, self._robot, seeds, policy)
-        self._judge = Judge(spec, torque_max(spec), robots, observed=policy.contract.observed)
+        contract = policy.contract
+        self._robot = SimRobot(spec, seeds, given=middle(spec, robots), gains=contract.action.gains)
+        self._runtime = Runtime(spec, contract, self._robot, seeds, policy)
+        goal_s = self._runtime.task.config.period_s
+        self._judge = Judge(spec, torque_max(spec), robots, observed=contract.observed, goal_s=goal_s)
         self._rng = np.random.default_rng(SEED)
         self._least, self._most = (round(share * self._runtime.decimation) for share in lateness)
         self._coming: dict[int, Float32s] = {}
         self._arm = round(ARM_S / spec.dt)
         self._steps: list[tuple[Float32s, Float32s]] = []
-        self._sent: list[Floats] = []
+        self._speeds: list[Floats] = []
         self._first = np.full((robots, spec.n), np.nan)
         self._thermometer = Thermometer(self._robot)
 
@@ -124,7 +126,8 @@ class _Trial:
         judge_tick(self._judge, truth, runtime, said)
         self._thermometer.look(truth)
         if tick >= self._arm:
-            self._sent.append(runtime.setpoint.qd.copy())
+            # A soft drive is not where it is sent: there what the joint does counts.
+            self._speeds.append((runtime.setpoint if runtime.gains is None else runtime.state).qd.copy())
         if said is not None:
             self._begin(led)
 
@@ -156,7 +159,7 @@ class _Trial:
             counts=self._judge.counts(),
             observation=observation,
             action=action,
-            sent=np.array(self._sent),
+            speeds=np.array(self._speeds),
             first=self._first,
             warmth=self._thermometer.warmth(),
         )

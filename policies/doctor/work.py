@@ -68,7 +68,7 @@ def _reasons(life: Life) -> str:
 
 
 def chatter(case: Case) -> Iterator[Note]:
-    """How much of the speeds sent is shaking."""
+    """How much of the speeds is shaking."""
     names, life = case.spec.joint_names, case.life
     shaking = _shaking(case, life)
     worst = f"{listed(names, 100 * shaking, unit=' %')} of its speed above {SHAKING_HZ:g} Hz"
@@ -84,14 +84,14 @@ def chatter(case: Case) -> Iterator[Note]:
 
 
 def _shaking(case: Case, life: Life) -> Floats:
-    """(n,) root mean square of the speeds sent above `SHAKING_HZ`, as a share of the joint's speed.
+    """(n,) root mean square of the speeds above `SHAKING_HZ`, as a share of the joint's speed.
 
     Of the median window: one that begins or ends a motion has such speeds too.
     """
     window = round(WINDOW_S / case.spec.dt)
-    whole = len(life.sent) // window * window
-    sent = life.sent[:whole].reshape(-1, window, *life.sent.shape[1:])
-    spectrum = np.abs(np.fft.rfft(sent, axis=1)) ** 2
+    whole = len(life.speeds) // window * window
+    speeds = life.speeds[:whole].reshape(-1, window, *life.speeds.shape[1:])
+    spectrum = np.abs(np.fft.rfft(speeds, axis=1)) ** 2
     fast = np.fft.rfftfreq(window, case.spec.dt) >= SHAKING_HZ
     power = 2.0 * spectrum[:, fast].sum(axis=1) / window**2
     return np.asarray(np.sqrt(np.median(power, axis=(0, 1))) / case.spec.joint_array("qd_max"))
