@@ -85,17 +85,23 @@ def load_budget(path: Path = BUDGET) -> Budget:
 
 
 def check(budget: Budget, counts: Counts) -> list[Finding]:
-    """Every budget line with what was found, work first."""
+    """Every budget line that concerns such a robot with what was found, work first."""
     hours, latches = counts.running_hours, budget.latches_max
+    named = {monitor.name for monitor in counts.monitors}
     return [
         _line("goal_success", budget.goal_success_min, counts.goal_success, "share", at_least=True),
         _line("availability", budget.availability_min, counts.availability, "share", at_least=True),
         _line("invalid", budget.invalid_ticks_max, float(counts.invalid.sum()), "ticks"),
         _line("latches", np.inf if latches is None else latches, float(counts.latches.sum()), "times"),
-        *(_line(name, most, counts.total(name), "events") for name, most in budget.events_max.items()),
+        *(
+            _line(name, most, counts.total(name), "events")
+            for name, most in budget.events_max.items()
+            if name in named
+        ),
         *(
             _line(name, most, _per_hour(counts.total(name), hours), "events/h")
             for name, most in budget.events_per_hour_max.items()
+            if name in named
         ),
     ]
 

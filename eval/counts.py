@@ -26,12 +26,14 @@ class Monitor:
         unit: of the value and its limit; empty for yes or no, 1 for a plain number.
         hard: whether one event alone makes a draw of the robot a bad one.
         meaning: what is compared with what, for the reader of the report.
+        base: whether only a robot with a base has it, or only one that stands fixed; None: every robot.
     """
 
     name: str
     unit: str
     hard: bool
     meaning: str
+    base: bool | None = None
 
 
 JOINT_MONITORS = (
@@ -80,15 +82,24 @@ JOINT_MONITORS = (
 ROBOT_MONITORS = (
     Monitor(name="self_collision", unit="", hard=True, meaning="the robot touches itself or its table"),
     Monitor(name="contact_force", unit="N", hard=True, meaning="true normal force of the strongest contact"),
-    Monitor(name="workspace", unit="m", hard=True, meaning="true tool position outside the workspace"),
+    Monitor(
+        name="workspace",
+        unit="m",
+        hard=True,
+        meaning="true tool position outside the workspace",
+        base=False,
+    ),
     Monitor(
         name="singularity",
         unit="1/m³",
         hard=False,
         meaning="1 ÷ manipulability (Yoshikawa) at the true angles; in a singularity and beyond it 1000 × its limit",
+        base=False,
     ),
-    Monitor(name="tool_speed", unit="m/s", hard=True, meaning="true tool speed"),
-    Monitor(name="tilt", unit="rad", hard=True, meaning="true tilt of a base: it falls, or has fallen"),
+    Monitor(name="tool_speed", unit="m/s", hard=True, meaning="true tool speed", base=False),
+    Monitor(
+        name="tilt", unit="rad", hard=True, meaning="true tilt of a base: it falls, or has fallen", base=True
+    ),
     Monitor(name="robot_power", unit="W", hard=False, meaning="true mechanical power of all joints together"),
     Monitor(
         name="observation",
@@ -176,6 +187,12 @@ class Counts:
     def robots(self) -> int:
         """R, each an independent draw."""
         return len(self.ticks)
+
+    @property
+    def monitors(self) -> tuple[Monitor, ...]:
+        """Those that concern such a robot, of which one with a base has a limit of tilt."""
+        walks = bool(np.isfinite(self.limits[self.columns("tilt")]).all())
+        return tuple(monitor for monitor in MONITORS if monitor.base in (None, walks))
 
     @property
     def evaluations(self) -> int:

@@ -131,8 +131,7 @@ def test_scales_are_held_against_the_working_range(sick):
 
 def test_gains_are_held_against_torque_and_inertia(sick):
     found = row(sick(contract=action(kp=[8000.0] * 6, kd=[200.0] * 5 + [0.01])), "gains")
-    assert found.verdict is Verdict.FAIL
-    assert "action.kp: found gains, expected none: the drives of arm6 have their own" in found.said
+    assert found.verdict is Verdict.WARN
     assert (
         "is shoulder_pan 400 of 150, shoulder_lift 400 of 150, elbow 400 of 150, wrist_1 400 of 28"
         in found.said

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from deploy.state import Reason
 from eval.budget import check, load_budget
-from eval.counts import NAMES, Counts
+from eval.counts import Counts
 from eval.mutants.asks import falls_silent, visits
 from eval.mutants.befalls import begins_hot, begins_wrong
 from eval.mutants.hostile import Situation, live
@@ -94,7 +94,7 @@ def rows(spec: RobotSpec, mutants: tuple[Mutant, ...] = MUTANTS) -> Iterator[Row
 def silent(spec: RobotSpec) -> list[str]:
     """Monitors that say nothing though no guard is left and draws are doubled: none, or the plant is too kind."""
     counts = [live(spec, situation, UNGUARDED) for situation in FURY]
-    return [name for name in NAMES if not any(each.total(name) for each in counts)]
+    return [m.name for m in counts[0].monitors if not any(each.total(m.name) for each in counts)]
 
 
 def idle_fails(spec: RobotSpec) -> list[str]:

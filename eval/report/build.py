@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from eval.budget import Budget, check
-from eval.counts import MONITORS, REASONS, Counts
+from eval.counts import REASONS, Counts
 from eval.evidence import share_interval
 from eval.night import Verdict
 from eval.report.bounds import evidence, statement
@@ -191,14 +191,14 @@ def _unseen(counts: Counts, evidence: Evidence) -> Iterator[str]:
         f" {100 * evidence.bad_draw_upper:.0f} % of all may be. More draws lower this, more hours do not."
     )
     yield (f"What comes and goes between two control ticks: the judge looks every {1e3 * counts.dt:g} ms.")
-    unjudged = [m.name for m in MONITORS if np.isinf(counts.limits[counts.columns(m.name)]).any()]
+    unjudged = [m.name for m in counts.monitors if np.isinf(counts.limits[counts.columns(m.name)]).any()]
     if unjudged:
         yield (
             f"What no limit is known of: {', '.join(unjudged)}. The policy's file does not say what it was trained on."
         )
     far = [
         monitor.name
-        for monitor in MONITORS
+        for monitor in counts.monitors
         if _worst(counts, monitor.name) < FAR and monitor.unit and monitor.name not in unjudged
     ]
     if far:

@@ -18,7 +18,7 @@ from eval.report.rows import Channel, EventRow, MonitorRow, RobotRow
 def monitors(counts: Counts, tail_share: float) -> tuple[MonitorRow, ...]:
     """Every monitor, whether anything happened or not."""
     tail = counts.tail(tail_share)
-    return tuple(_monitor(counts, monitor, tail) for monitor in MONITORS)
+    return tuple(_monitor(counts, monitor, tail) for monitor in counts.monitors)
 
 
 def _monitor(counts: Counts, monitor: Monitor, tail: Floats) -> MonitorRow:

@@ -47,7 +47,7 @@ def _pull(case: Case) -> Iterator[Note]:
     most = torque_max(spec)
     if (far := tau > most).any():
         yield failed(
-            f"at the first step it asks for {listed(spec.joint_names, tau, most, unit=' N·m', which=far)}: the offset or"
-            " the home pose of robot.toml is not training's default pose."
+            f"at the first step it asks for {listed(spec.joint_names, tau, most, unit=' N·m', which=far)}: the offset"
+            " or the home pose of robot.toml is not training's default pose."
         )
     yield passed(f"the first step asks for {listed(spec.joint_names, tau, most, unit=' N·m')}.")
