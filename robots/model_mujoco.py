@@ -62,6 +62,7 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
         for body in pair:
             _check_known(spec, "neighbours", body, "a body", mjcf.bodies)
         mjcf.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
+    _exclude_mount(mjcf)
     if spec.tool and mjcf.site(spec.tool) is None and (body := mjcf.body(spec.tool)) is not None:
         body.add_site(name=spec.tool)
     return mjcf
@@ -83,6 +84,20 @@ def _lock(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
     moved = [actuator for actuator in mjcf.actuators if actuator.target in gone]
     for element in (*held, *moved, *tendons, *joints):
         mjcf.delete(element)
+
+
+def _exclude_mount(mjcf: mujoco.MjSpec) -> None:
+    """Let the first link turn in what it is mounted on: MuJoCo spares parent and child only where both can move."""
+    fixed, excluded = {"world"}, {frozenset((each.bodyname1, each.bodyname2)) for each in mjcf.excludes}
+    for body in mjcf.bodies[1:]:
+        if body.parent.name not in fixed:
+            continue
+        if not body.joints:
+            fixed.add(body.name)
+            continue
+        for mount in sorted(fixed - {"world", ""}):
+            if body.name and frozenset((mount, body.name)) not in excluded:
+                mjcf.add_exclude(bodyname1=mount, bodyname2=body.name)
 
 
 def _check_known(spec: RobotSpec, field: str, found: str, expected: str, elements: Iterable[Any]) -> None:

@@ -232,6 +232,22 @@ def test_neighbours_are_not_asked_whether_they_meet(tmp_path):
     assert model.nexclude == plain.nexclude + 1
 
 
+def test_the_first_link_may_touch_what_it_is_mounted_on(tmp_path):
+    """As in Pinocchio's checks; MuJoCo by itself would see the arm collide wherever it stands."""
+    spec = load_robot(copy_of_arm(tmp_path, xml=[("(?s)<contact>.*?</contact>", "")]))
+    bare = mujoco.MjModel.from_xml_path(str(spec.model_path))
+    for model, touching in (
+        (bare, 1),
+        (model_mujoco.load_mujoco(spec), 0),
+        (model_mujoco.load_mujoco(SPEC), 0),
+    ):
+        data = mujoco.MjData(model)
+        data.qpos[:] = SPEC.joint_array("q_home")
+        mujoco.mj_forward(model, data)
+        assert data.ncon == touching
+        assert model.nexclude == 1 - touching
+
+
 def test_neighbours_that_are_not_there_are_refused(tmp_path):
     pair = 'tool = "tool"\nneighbours = [["wrist_3_link", "hand"]]'
     spec = load_robot(copy_of_arm(tmp_path, toml=[('tool = "tool"', pair)]))
