@@ -1,6 +1,7 @@
 import shutil
 import sys
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from policies.robot_init.cli import cli, init_robot, package_of
 from policies.robot_init.shapes import around
 from robots.errors import OutputError, RobotError
 from robots.model_mujoco import load_mujoco
-from robots.model_pinocchio import load_pinocchio, torque_max
+from robots.model_pinocchio import Fleet, load_pinocchio, torque_max
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 
@@ -63,6 +64,8 @@ def vendors(folder):
 
 
 ANSWERS = {
+    "command_min": [0.0, 0.0, 0.0],
+    "command_max": [0.5, 0.0, 0.0],
     "tool": "panda_link8",
     "q_home": 0.0,
     "qd_max": 2.0,
@@ -211,6 +214,20 @@ def test_urdf_lies_in_its_package(tmp_path):
     assert load_mujoco(spec).nactuator == len(load_pinocchio(spec)[0].names) - 1 == 2
 
 
+def test_a_robot_that_walks_has_a_base_and_no_tool(tmp_path):
+    """The quadruped of the tests, whose own robot.toml says the rest."""
+    source, out = Path(__file__).parent / "quadruped", tmp_path / "mine"
+    facts, _ = init_robot(source / "model.xml", out)
+    assert facts.floats
+    feet = load_robot(source).base.feet
+    said = tomllib.loads((out / "robot.toml").read_text())
+    assert not {"tool", "workspace"} & said.keys()
+    assert said["sensors"]["gyro"]["sites"] == ["imu"]
+    spec = fill_in(out, ANSWERS | {"feet": list(feet), "q_home": -0.4})
+    assert spec.joint_names == load_robot(source).joint_names
+    assert load_mujoco(spec).nactuator == Fleet(spec, 1, collisions=True).n == 12
+
+
 def test_a_mesh_beyond_the_folder_is_not_taken(tmp_path):
     model, out = vendors(tmp_path), tmp_path / "mine"
     write_stl(tmp_path / "secret.stl")
@@ -254,7 +271,8 @@ def test_the_command_says_what_is_open(tmp_path, monkeypatch, capsys):
     text = capsys.readouterr().out
     assert ended.value.code == 0
     assert "8 joints, 2 of them locked" in text
-    assert "  robot.toml joints.elbow: qd_max, qdd_max, qddd_max, source\n" in text
+    joints = ", ".join(SPEC.joint_names)
+    assert f"  robot.toml joints.{joints}: qd_max, qdd_max, qddd_max, source\n" in text
     monkeypatch.setattr(sys, "argv", ["robot-init", str(tmp_path / "nothing.xml")])
     with pytest.raises(SystemExit) as ended:
         cli()

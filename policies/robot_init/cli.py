@@ -107,11 +107,23 @@ def robot_init(
         f"{place}: {len(facts.joints)} joints, {len(facts.locked)} of them locked, {len(facts.shapes)} shapes"
     )
     if facts.floats:
-        print("its base is free: a [base] in robot.toml says how it moves")
+        print("its base is free: it walks, and has no tool")
     print(f"{len(still_open)} fields are still to be filled in:")
-    for table in dict.fromkeys(table for table, _ in still_open):
-        print(f"  {table}: {', '.join(key for of, key in still_open if of == table)}")
+    print("\n".join(_gathered(still_open)))
     return PASSED
+
+
+def _gathered(still_open: list[tuple[str, str]]) -> Iterator[str]:
+    """A line for all tables of one kind that lack the same."""
+    keys: dict[str, list[str]] = {}
+    for table, key in still_open:
+        keys.setdefault(table, []).append(key)
+    alike: dict[tuple[str, str], list[str]] = {}
+    for table, open_keys in keys.items():
+        kind, dot, name = table.rpartition(".")
+        alike.setdefault((kind + dot, ", ".join(open_keys)), []).append(name)
+    for (kind, lacking), names in alike.items():
+        yield f"  {kind}{', '.join(names)}: {lacking}"
 
 
 def cli() -> None:

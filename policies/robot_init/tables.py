@@ -7,6 +7,7 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AoT, Table
 
+from policies.robot_init import walker
 from policies.robot_init.facts import Facts, JointFacts
 from robots.spec import ROBOTS
 from robots.strict import OPEN
@@ -15,8 +16,8 @@ EXAMPLE = ROBOTS / "arm6"
 """Where estimates come from that hold for most robots of its size."""
 INSIDE = 0.02
 """Share of a joint's range that working limits stay inside, at each end."""
-SENSORS = ("encoder", "current", "temperature", "goal")
-AS_ARM6 = "estimate: as arm6, to be replaced by the data sheet"
+SENSORS = ("encoder", "current", "temperature")
+ESTIMATE = "estimate, to be replaced by the data sheet"
 
 HEAD = """{name}: what the model says is filled in. "?" is to be filled in; look at what is called an estimate.
 SI units unless a key ends in one. Each key is explained in robots/spec.py, each of a drive in robots/drive.py."""
@@ -64,18 +65,21 @@ def robot_toml(
     document = _commented(HEAD.format(name=name))
     example = tomllib.loads((EXAMPLE / "robot.toml").read_text(encoding="utf-8"))
     document |= {"name": name, "model": model}
-    document.add("tool", _said(facts.tool, f"a site or a body: {', '.join((*facts.sites, *facts.bodies))}"))
+    if not facts.floats:
+        known = ", ".join((*facts.sites, *facts.bodies))
+        document.add("tool", _said(facts.tool, f"a site or a body: {known}"))
     if facts.locked:
         document.add("locked", _said(list(facts.locked), "slides, and what no actuator of the model moves"))
     if neighbours:
         near = _said([list(pair) for pair in neighbours], "excluded by the model, or near in every pose")
         document.add("neighbours", near)
     document.add("rates", tomlkit.item(example["rates"]))
-    margins = tomlkit.item(example["margins"])
-    margins.comment("estimates, as arm6")
-    document.add("margins", margins)
-    document.add("workspace", _workspace(facts, example["workspace"]))
-    document.add("sensors", tomlkit.item({kind: _sensor(example["sensors"][kind]) for kind in SENSORS}))
+    document.add("margins", _margins(facts, example["margins"]))
+    if facts.floats:
+        document.add("base", _table(walker.base(facts), walker.asked(facts)))
+    else:
+        document.add("workspace", _workspace(facts, example["workspace"]))
+    document.add("sensors", _sensors(facts, example["sensors"]))
     motors = _motors(facts)
     document.add("motors", _motor_tables(facts, motors))
     document.add("joints", _joints(facts, motors))
@@ -91,6 +95,8 @@ def draws_toml(facts: Facts) -> tomlkit.TOMLDocument:
     cable = document["cable"]
     cable["link"] = bodies[len(bodies) // 2] if bodies else OPEN
     cable["above_m"] = round(facts.centre[2] + 1.2 * facts.reach, 2)
+    if facts.floats:  # it walks away from where the cable hangs
+        cable["stiffness_n_per_m"].update({"low": 0.0, "high": 0.0, "log": False})
     return document
 
 
@@ -100,7 +106,8 @@ def limits_toml(facts: Facts, name: str) -> tomlkit.TOMLDocument:
         f"What a soak's judge holds {name} to beside robot.toml; explained in eval/limits.py."
     )
     example = tomllib.loads((EXAMPLE / "limits.toml").read_text(encoding="utf-8"))
-    document |= {key: value for key, value in example.items() if key != "motors"} | {"power_w": OPEN}
+    left_out = {"motors", "manipulability"} if facts.floats else {"motors"}
+    document |= {key: value for key, value in example.items() if key not in left_out} | {"power_w": OPEN}
     motors = {
         motor: {"power_w": OPEN, "torque_rate": OPEN, "source": OPEN}
         for motor in set(_motors(facts).values())
@@ -138,8 +145,23 @@ def _workspace(facts: Facts, example: Mapping[str, Any]) -> Table:
     return table
 
 
-def _sensor(example: Mapping[str, Any]) -> dict[str, Any]:
-    return {**example, "source": AS_ARM6}
+def _margins(facts: Facts, example: Mapping[str, Any]) -> Table:
+    walks = walker.MARGINS if facts.floats else {}
+    left_out = walker.NO_TOOL if facts.floats else ()
+    margins = {key: value for key, value in {**example, **walks}.items() if key not in left_out}
+    table = tomlkit.table()
+    table.update(margins)
+    table.comment("estimates, most of them as arm6")
+    return table
+
+
+def _sensors(facts: Facts, example: Mapping[str, Any]) -> Any:
+    found = {kind: example[kind] for kind in SENSORS}
+    if facts.floats:
+        found |= walker.inertial(facts, example["encoder"])
+    else:
+        found["goal"] = example["goal"]
+    return tomlkit.item({kind: {**sensor, "source": ESTIMATE} for kind, sensor in found.items()})
 
 
 def _motors(facts: Facts) -> dict[str, str]:

@@ -1,0 +1,81 @@
+"""What robot.toml has for a robot with a free base in the place of tool and workspace."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from policies.robot_init.facts import Facts
+
+FOOT = re.compile("foot|feet|sole|toe|ankle", re.IGNORECASE)
+"""In the names of sites or of last bodies that stand on the ground."""
+IMU = re.compile("imu", re.IGNORECASE)
+
+BASE = {
+    "feet": "sites or bodies that stand on the ground",
+    "foot_m": "m; estimate",
+    "slip": "m/s/√Hz; estimate",
+    "angular_acceleration": "rad/s²/√Hz; estimate",
+    "jerk": "m/s³/√Hz; estimate",
+    "tilt_max_rad": "rad, beyond which it has fallen; estimate",
+    "command_min": "m/s forwards, m/s to the left, rad/s to the left: what it may be asked for",
+    "command_max": "the same",
+    "command_s": "s for each command; estimate",
+    "source": "where the numbers come from",
+}
+ESTIMATES = {
+    "foot_m": 0.01,
+    "slip": 0.05,
+    "angular_acceleration": 20.0,
+    "jerk": 200.0,
+    "tilt_max_rad": 0.8,
+    "command_s": 10.0,
+}
+MARGINS = {
+    "q_target_rad": 0.02,
+    "q_soft_rad": 0.01,
+    "speed": 1.0,
+    "tau": 1.0,
+    "collision_m": 0.005,
+    "tracking_rad": 1.0,
+}
+"""Soft drives stray far from where they are sent: that is what makes their torque."""
+NO_TOOL = ("workspace_m", "singularity")
+INERTIAL = {
+    "gyro": {
+        "unit": "rad/s",
+        "resolution": 0.0001,
+        "range": 35.0,
+        "noise": 0.01,
+        "bias": 0.005,
+        "drift": 0.001,
+    },
+    "accelerometer": {
+        "unit": "m/s^2",
+        "resolution": 0.001,
+        "range": 160.0,
+        "noise": 0.05,
+        "bias": 0.05,
+        "drift": 0.01,
+    },
+}
+"""Of the IMUs that legged robots carry; estimates."""
+
+
+def asked(facts: Facts) -> dict[str, str]:
+    """The fields of its base, each with its meaning."""
+    known = ", ".join((*facts.sites, *facts.ends))
+    return BASE | {"feet": f"{BASE['feet']}: {known}"}
+
+
+def base(facts: Facts) -> dict[str, Any]:
+    """What is known of its base, and estimates."""
+    named = [name for names in (facts.sites, facts.ends) for name in names if FOOT.search(name)]
+    sites = [name for name in named if name in facts.sites]
+    return {**ESTIMATES, "feet": sites or named or None}
+
+
+def inertial(facts: Facts, encoder: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Its IMU, at a site called so or else at the base, with packets like the encoder's."""
+    site = next((name for name in facts.sites if IMU.search(name)), facts.bodies[0])
+    packets = {key: encoder[key] for key in ("rate_hz", "drift_per_k", "delay_s", "loss")}
+    return {kind: {**numbers, "sites": [site], **packets} for kind, numbers in INERTIAL.items()}
