@@ -72,27 +72,20 @@ def named_files(model: Path, folder: Path) -> tuple[Path, ...]:
 
 
 def _named_by_mjcf(model: Path, folder: Path) -> set[Path]:
-    """With what included files name, once each."""
-    texts, roots, found = [model], [], set[Path]()
-    for text in texts:
-        roots.append(read_xml(text))
-        for include in roots[-1].iter("include"):
-            path = find(include.get("file", ""), model, folder, [])
-            if path not in texts:
-                texts.append(path)
-        if len(texts) > FILES_MAX:
-            raise RobotError(f"{model}: includes more than {FILES_MAX} files")
-    compilers = [compiler for root in roots for compiler in root.iter("compiler")]
-    places = [compiler.get(key, "") for key in DIRECTORIES for compiler in compilers]
-    for root in roots:
-        found.update(find(name, model, folder, [place for place in places if place]) for name in _names(root))
-    return found | set(texts[1:])
+    root = read_xml(model)
+    for include in root.iter("include"):
+        raise RobotError(
+            f"{model}: include: found {include.get('file', '')!r}, expected a model in one file:"
+            " Pinocchio reads no other"
+        )
+    compilers = list(root.iter("compiler"))
+    places = [place for key in DIRECTORIES for compiler in compilers if (place := compiler.get(key, ""))]
+    return {find(name, model, folder, places) for name in _names(root)}
 
 
 def _names(root: ElementTree.Element) -> Iterator[str]:
     for element in root.iter():
-        if element.tag != "include":
-            yield from (value for key, value in element.attrib.items() if key.startswith("file") and value)
+        yield from (value for key, value in element.attrib.items() if key.startswith("file") and value)
 
 
 def find(name: str, model: Path, folder: Path, places: list[str]) -> Path:
@@ -100,7 +93,7 @@ def find(name: str, model: Path, folder: Path, places: list[str]) -> Path:
 
     Args:
         name: as it stands in the model.
-        model: the file that names it, or that includes the one that does.
+        model: the file that names it.
         folder: of the robot.
         places: directories to look into, as the model says them.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from robots.drive import Drive
 from robots.errors import RobotError
-from robots.model_files import is_urdf, urdf_text
+from robots.model_files import is_urdf, named_files, urdf_text
 from robots.spec import Joint, RobotSpec
 
 _INPUT = mujoco.mjtCtrlInput
@@ -23,8 +23,9 @@ def open_model(model: Path, folder: Path) -> mujoco.MjSpec:
     """Read MJCF or URDF as its vendor wrote it.
 
     Raises:
-        RobotError: MuJoCo cannot read it.
+        RobotError: MuJoCo cannot read it, or it names what is not in the folder.
     """
+    named_files(model, folder)
     try:
         if is_urdf(model):
             return mujoco.MjSpec.from_string(urdf_text(model, folder))

@@ -6,7 +6,7 @@ import pinocchio as pin
 
 from robots.capsule import Capsule
 from robots.errors import RobotError
-from robots.model_files import is_urdf, read_xml, urdf_text
+from robots.model_files import is_urdf, named_files, read_xml, urdf_text
 from robots.spec import RobotSpec
 
 Read = tuple[pin.Model, pin.GeometryModel]
@@ -23,6 +23,7 @@ def read_pinocchio(spec: RobotSpec) -> Read:
         RobotError: Pinocchio cannot read the file or would leave a part of it out, or it has no such joint or body.
     """
     path = spec.model_path
+    named_files(path, spec.folder)
     try:
         model, geometry = _read_urdf(spec) if is_urdf(path) else _read_mjcf(spec)
     except (ValueError, RuntimeError) as e:

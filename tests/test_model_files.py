@@ -90,17 +90,25 @@ def test_the_digest_covers_what_the_model_names(tmp_path):
     assert spec.digest != before
 
 
-def test_mjcf_finds_meshes_and_what_it_includes(tmp_path):
-    """Where its compiler says, also in a file that is included."""
-    asset = '<include file="assets.xml"/><worldbody>'
+def test_mjcf_finds_meshes_where_its_compiler_says(tmp_path):
+    asset = '<compiler meshdir="meshes"/><asset><mesh file="part.stl"/></asset><worldbody>'
     folder = copy_of_arm(tmp_path, xml=[("<worldbody>", asset)])
     write_stl(folder / "meshes" / "part.stl")
-    more = '<mujoco><compiler meshdir="meshes"/><asset><mesh file="part.stl"/></asset></mujoco>'
-    (folder / "assets.xml").write_text(more)
     spec = load_robot(folder)
-    expected = (folder / "assets.xml", folder / "meshes" / "part.stl")
-    assert model_files.named_files(spec.model_path, spec.folder) == expected
+    assert model_files.named_files(spec.model_path, spec.folder) == (folder / "meshes" / "part.stl",)
     assert model_mujoco.load_mujoco(spec).nmesh == 1
+
+
+def test_a_model_in_more_than_one_file_is_refused(tmp_path):
+    """Pinocchio would pass over what is included, and not say so."""
+    folder = copy_of_arm(tmp_path, xml=[("<worldbody>", '<include file="more.xml"/><worldbody>')])
+    (folder / "more.xml").write_text("<mujoco/>")
+    spec = load_robot(folder)
+    for reader in (load_pinocchio, model_mujoco.load_mujoco, lambda spec: spec.digest):
+        with pytest.raises(
+            RobotError, match=r"model\.xml: include: found 'more\.xml', expected a model in one file"
+        ):
+            reader(spec)
 
 
 @pytest.mark.parametrize(
