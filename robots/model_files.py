@@ -11,7 +11,8 @@ from xml.etree import ElementTree
 from robots.errors import RobotError
 
 TEXT_BYTES_MAX = 16 << 20
-FILES_MAX = 1000
+FILES_MAX, FILES_BYTES_MAX = 1000, 1 << 30
+"""Of all that a model names."""
 PACKAGE = "package://"
 DIRECTORIES = ("assetdir", "meshdir", "texturedir")
 
@@ -59,7 +60,7 @@ def named_files(model: Path, folder: Path) -> tuple[Path, ...]:
     """What the model names, in the order of their paths; of URDF what links collide with.
 
     Raises:
-        RobotError: a file cannot be read, is missing or not inside the folder, or there are too many.
+        RobotError: a file cannot be read, is missing or not inside the folder, or they are too many or too large.
     """
     if is_urdf(model):
         meshes = read_xml(model).findall("link/collision/geometry/mesh")
@@ -68,6 +69,9 @@ def named_files(model: Path, folder: Path) -> tuple[Path, ...]:
         found = _named_by_mjcf(model, folder)
     if len(found) > FILES_MAX:
         raise RobotError(f"{model}: names {len(found)} files, expected at most {FILES_MAX}")
+    size = sum(path.stat().st_size for path in found)
+    if size > FILES_BYTES_MAX:
+        raise RobotError(f"{model}: names files of {size} bytes, expected at most {FILES_BYTES_MAX}")
     return tuple(sorted(found))
 
 

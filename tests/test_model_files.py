@@ -127,11 +127,24 @@ def test_a_mesh_outside_of_the_folder_is_refused(tmp_path, name):
             reader(spec)
 
 
-def test_a_model_is_bounded_before_it_is_read(tmp_path, monkeypatch):
-    spec = load_robot(two_links(tmp_path))
-    monkeypatch.setattr(model_files, "TEXT_BYTES_MAX", 100)
-    with pytest.raises(RobotError, match="bytes, expected at most 100"):
-        load_pinocchio(spec)
+@pytest.mark.parametrize(
+    ("bound", "words"),
+    [
+        ("TEXT_BYTES_MAX", r"two\.urdf: \d+ bytes, expected at most 1"),
+        ("FILES_MAX", r"two\.urdf: names 2 files, expected at most 1"),
+        ("FILES_BYTES_MAX", r"two\.urdf: names files of 568 bytes, expected at most 1"),
+    ],
+)
+def test_a_model_is_bounded_before_it_is_read(tmp_path, monkeypatch, bound, words):
+    folder = two_links(tmp_path)
+    write_stl(folder / "meshes" / "more.stl")
+    path, box = folder / "two.urdf", '<box size="0.1 0.1 0.1"/>'
+    path.write_text(path.read_text().replace(box, '<mesh filename="meshes/more.stl"/>'))
+    spec = load_robot(folder)
+    monkeypatch.setattr(model_files, bound, 1)
+    for reader in (load_pinocchio, model_mujoco.load_mujoco, lambda spec: spec.digest):
+        with pytest.raises(RobotError, match=words):
+            reader(spec)
 
 
 @pytest.mark.parametrize(

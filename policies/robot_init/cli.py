@@ -16,8 +16,7 @@ from robots.errors import OutputError, RobotError
 from robots.model_files import is_urdf, named_files
 from robots.strict import open_fields
 
-BYTES_MAX = 1 << 30
-"""Of all files that a model names."""
+SUFFIXES = (".xml", ".urdf")
 README = """# {name}
 
 {joints} joints that are driven, from `{model}`, which is the vendor's and unchanged.
@@ -43,9 +42,6 @@ def init_robot(model: Path, out: Path) -> tuple[Facts, list[tuple[str, str]]]:
     """
     folder = package_of(model)
     files = [model.resolve(), *named_files(model, folder)]
-    size = sum(path.stat().st_size for path in files)
-    if size > BYTES_MAX:
-        raise RobotError(f"{model}: its files have {size} bytes, expected at most {BYTES_MAX}")
     facts = read_facts(model, folder)
     if not facts.joints:
         raise RobotError(f"{model}: has no hinge, expected a robot with joints")
@@ -75,7 +71,7 @@ def package_of(model: Path) -> Path:
     Raises:
         RobotError: there is no such file.
     """
-    if not model.is_file():
+    if not model.is_file() or model.suffix not in SUFFIXES:
         raise RobotError(f"{model}: no such file, expected MJCF (.xml) or URDF (.urdf)")
     parents = model.resolve().parents
     packages = [parent for parent in parents if (parent / "package.xml").is_file()] if is_urdf(model) else []
