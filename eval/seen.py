@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from deploy.stage import Arrays, Stage
 from deploy.state import Bools, Floats, Ints
 
-TOGETHER = 50
+TOGETHER = 200
 """Ticks judged at once, which share what a call of numpy costs: results do not depend on it."""
 PAST = 3
 """Ticks remembered before those, as far as a third difference looks back."""
