@@ -259,6 +259,15 @@ class Shard(Stage):
         sampled = _sampled(arrays) if f"sampled.{_SAMPLED[0]}" in arrays else {}
         self._samples = list(zip(*sampled.values(), strict=True))
 
+    def live_again(self, state: Arrays, watch: Callable[[], None]) -> None:
+        """From an earlier snapshot to the present tick once more; `watch` is called after every tick."""
+        end, samples = self.runtime.ticks, self._samples
+        self.restore(state)
+        self._samples = samples
+        while self.runtime.ticks < end:
+            self.tick()
+            watch()
+
     def sample(self) -> None:
         """Keep what a `ShardResult` shows of this moment."""
         truth, counts, rows = self.robot.truth(), self.judge.counts(), slice(0, self._job.robots)

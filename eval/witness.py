@@ -1,4 +1,7 @@
-"""Sees what the judge finds in a shard, and keeps enough of what went before to live it again."""
+"""Sees what the judge finds in a shard, and lives again what led to it.
+
+Nothing is written down as it comes: an event is rare, and the same ticks come out of the same state in every bit.
+"""
 
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -42,13 +45,11 @@ class Witness:
         distributions = load_distributions(spec)
         self._draws = shard.robot.draw.to_json(job.seed, distributions, spec)
         self._identity = bundle.identity(spec.digest, distributions.digest, job.policy_digest)
-        self._window = Window(spec, shard.robot.robots, (LOOKS + 1) * LOOK_S)
         self._from = shard.runtime.ticks
         self._states: deque[tuple[int, Arrays]] = deque([(self._from, shard.snapshot())], maxlen=LOOKS)
 
     def watch(self, shard: Shard) -> None:
-        """See the tick that has just ended."""
-        self._window.see(shard.runtime, shard.truth)
+        """Look at the tick that has just ended, if it is time to."""
         tick = shard.runtime.ticks
         if tick % self._look == 0:
             # An event is told of one look later, so that the window holds what followed.
@@ -66,10 +67,24 @@ class Witness:
         counts = shard.judge.counts()
         new = self._new(counts, before)
         if new:
-            end = bundle.state_digest(shard.snapshot())
+            end, goal_m = shard.runtime.ticks, shard.runtime.task.tolerance
+            window, end_digest = self._again(shard, *self._before(min(e.start for e in new)))
             for event in new:
-                self._write(event, shard.runtime.ticks, end, shard.runtime.task.tolerance)
+                self._write(event, window, end, end_digest, goal_m)
         self._from = max(self._from, before)
+
+    def _again(self, shard: Shard, begin: int, state: Arrays) -> tuple[Window, str]:
+        """What all robots lived through since a state, lived again, and the digest of the state that it leads to.
+
+        Raises:
+            RuntimeError: it leads to another state than it did, so that no bundle would tell the truth.
+        """
+        end, expected = shard.runtime.ticks, bundle.state_digest(shard.snapshot())
+        window = Window(self._spec, shard.robot.robots, (end - begin) * self._spec.dt)
+        shard.live_again(state, lambda: window.see(shard.runtime, shard.truth))
+        if bundle.state_digest(shard.snapshot()) != expected:
+            raise RuntimeError(f"ticks {begin} to {end} were not the same when they were lived again")
+        return window, expected
 
     def _new(self, counts: Counts, before: int) -> list[Event]:
         """Those to be told of. To choose is dear, so it is not done where nothing has begun since."""
@@ -77,9 +92,9 @@ class Witness:
             return []
         return [e for e in chosen(counts, self._job.robots) if self._from <= e.start < before]
 
-    def _write(self, event: Event, end: int, end_digest: str, goal_m: float) -> None:
+    def _write(self, event: Event, window: Window, end: int, end_digest: str, goal_m: float) -> None:
         begin, state = self._before(event.start)
-        rows = self._window.between(begin, end, event.robot)
+        rows = window.between(begin, end, event.robot)
         happened = bundle.Happened.of(event, self._job.first)
         job = {name: getattr(self._job, name) for name in bundle.Job.model_fields}
         about = bundle.About(

@@ -393,6 +393,20 @@ def test_a_shard_that_was_taken_up_leaves_the_same_bundles(pushed, tmp_path, qui
     assert min(starts) < 200 <= max(starts)
 
 
+def test_a_shard_that_does_not_come_to_the_same_again_leaves_no_bundle(pushed, tmp_path, quick_goals):
+    job = replace(pushed.jobs()[0], ticks=240)
+    shard = Shard(job)
+    witness = Witness(job, shard, tmp_path / "events")
+
+    def meddle(shard):
+        shard.runtime.task.number += shard.runtime.ticks == 100
+        witness.watch(shard)
+
+    with pytest.raises(RuntimeError, match="ticks 0 to 240 were not the same"):
+        shard.run(lambda _: None, lambda: False, lambda: witness.begin(shard), meddle)
+    assert not (tmp_path / "events").exists()
+
+
 def test_signals_are_taken_apart_and_put_together(one):
     rows = Replay(one).recorded
     arrays = columns(rows)
