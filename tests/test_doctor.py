@@ -16,7 +16,7 @@ from test_policy import metadata
 from deploy.contract import CONTRACT_KEY
 from policies.doctor.case import Case
 from policies.doctor.checks import row
-from policies.doctor.finding import Verdict
+from policies.doctor.finding import Finding, Verdict, failed, listed, passed, summed_up, warned
 from robots.errors import ContractError, RobotError
 
 N = 36
@@ -44,6 +44,19 @@ def action(**fields):
 @pytest.mark.parametrize("check", ["loader", "joints", "action", "gains", "rates", "sources", "protection"])
 def test_the_shipped_policy_passes(sound, check):
     assert row(sound, check).verdict is Verdict.PASS
+
+
+def test_only_the_first_of_many_are_listed():
+    names, numbers = [f"j{k}" for k in range(8)], np.arange(8.0)
+    assert listed(names, numbers, 2 * numbers, unit=" rad", which=numbers > 6) == "j7 7 of 14 rad"
+    assert listed(names, numbers, which=np.array([3, 1])) == "j3 3, j1 1"
+    assert listed(names, numbers, unit=" A") == "j0 0, j1 1, j2 2, j3 3, j4 4, j5 5 A and 2 more"
+
+
+def test_a_row_is_as_bad_as_its_worst_note_and_says_nothing_of_what_passed():
+    notes = [passed("fine."), warned("odd."), failed("wrong."), passed("good.")]
+    assert summed_up("x", notes) == Finding(check="x", verdict=Verdict.FAIL, said="wrong.\nodd.")
+    assert summed_up("x", [notes[0], notes[3]]).said == "fine.\ngood."
 
 
 # ---- joints ----

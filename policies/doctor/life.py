@@ -28,7 +28,7 @@ from robots.spec import RobotSpec
 
 ROBOTS, SECONDS, SEED = 8, 12.2, 0
 PUNCTUAL, HALF, LATE, JITTERING = (0.0, 0.0), (0.5, 0.5), (1.0, 1.0), (0.0, 1.0)
-"""Least and most lateness of an action, in periods of the policy."""
+"""Least and most lateness of an action, in periods of the policy; it comes at whole ticks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +104,7 @@ class _Trial:
         goal_s = self._runtime.task.config.period_s
         self._judge = Judge(spec, torque_max(spec), robots, observed=contract.observed, goal_s=goal_s)
         self._rng = np.random.default_rng(SEED)
-        self._least, self._most = (round(share * self._runtime.decimation) for share in lateness)
+        self._least, self._most = (int(share * self._runtime.decimation) for share in lateness)
         self._coming: dict[int, Float32s] = {}
         self._arm = round(ARM_S / spec.dt)
         self._steps: list[tuple[Float32s, Float32s]] = []

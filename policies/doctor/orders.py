@@ -99,7 +99,9 @@ def orders(case: Case) -> Iterator[Note]:
         return
     tried = variants(names)
     if len(tried) > VARIANTS_MAX:
-        yield warned(f"{len(names)} joints have too many orders to try them: look at the trial with --view.")
+        yield warned(
+            f"{len(names)} joints have too many orders to try them: look at it with deploy-run --view."
+        )
         return
     reached, attempted = _reached(case, tried)
     best = int(np.argmax(reached))

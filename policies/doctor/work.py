@@ -38,7 +38,7 @@ def trial(case: Case) -> Iterator[Note]:
     goals = f"{reached} of {attempted} goals"
     if attempted and reached < HALF_OF * attempted:
         yield failed(
-            f"{ROBOTS} robots reached {goals} in {SECONDS:.0f} s: something of the rows above is not as in training,"
+            f"{ROBOTS} robots reached {goals} in {SECONDS:.0f} s: something of the other rows is not as in training,"
             " or the signs and order inside the network are not the robot's."
         )
     elif attempted and reached < MOSTLY * attempted:
@@ -109,16 +109,15 @@ def _works(life: Life) -> bool:
 def delay(case: Case) -> Iterator[Note]:
     """The same life with actions that come late by a time that nobody told the estimator."""
     period_ms = 1e3 / case.contract.policy_hz
+    half_ms = 1e3 * case.spec.dt * (case.contract.control_hz // case.contract.policy_hz // 2)
     if not _works(case.life):
         yield warned(USELESS)
     elif (worse := _worse(case, case.late)) is None:
         yield passed(f"actions that come a policy period, {period_ms:g} ms, late do no harm.")
     elif (half := _worse(case, case.half_late)) is None:
-        yield warned(
-            f"with actions {period_ms:g} ms late {worse}; {period_ms / 2:g} ms do no harm: {MEASURE}"
-        )
+        yield warned(f"with actions {period_ms:g} ms late {worse}; {half_ms:g} ms do no harm: {MEASURE}")
     else:
-        yield failed(f"with actions only {period_ms / 2:g} ms late {half}: {MEASURE}")
+        yield failed(f"with actions only {half_ms:g} ms late {half}: {MEASURE}")
 
 
 def jitter(case: Case) -> Iterator[Note]:
@@ -169,9 +168,8 @@ def heat(case: Case) -> Iterator[Note]:
 
 
 def _when(case: Case) -> str:
-    hours = np.arange(0.25, SHIFT_S / 3600 + 0.25, 0.25)
-    hard = case.spec.motor_array("winding_max_c")
-    for hour in hours:
-        if (windings_after(case.spec, case.life.warmth, 3600 * float(hour)) > hard).any():
-            return f"the first is there within {hour:g} h."
-    return ""
+    """Of a shift in which one becomes too hot."""
+    hours, hard = np.arange(0.25, SHIFT_S / 3600 + 0.25, 0.25), case.spec.motor_array("winding_max_c")
+    heats = (windings_after(case.spec, case.life.warmth, 3600.0 * hour) for hour in hours)
+    hour = next(h for h, hot in zip(hours, heats, strict=True) if (hot > hard).any())
+    return f"the first is there within {hour:g} h."
