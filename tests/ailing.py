@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import onnx
-from onnx import helper, numpy_helper
+from onnx import TensorProto, helper, numpy_helper
 from test_policy import metadata
 from test_spec import copy_of_arm
 
@@ -34,6 +34,20 @@ def ailing(path, folder, *, contract=None, graph=None):
     ailing_path = folder / "ailing.onnx"
     ailing_path.write_bytes(model.SerializeToString())
     return ailing_path
+
+
+def written(folder, nodes, arrays, contract):
+    """The file of a network of some nodes and weights, with any contract."""
+    sizes = {"observation": contract.observation_size, "action": contract.action_size}
+    ends = [helper.make_tensor_value_info(k, TensorProto.FLOAT, ["batch", n]) for k, n in sizes.items()]
+    tensors = [numpy_helper.from_array(x, name) for name, x in arrays.items()]
+    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], tensors)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+    golden = {name: [[0.0] * n] for name, n in sizes.items()}
+    helper.set_model_props(model, {CONTRACT_KEY: contract.to_json(), GOLDEN_KEY: json.dumps(golden)})
+    path = folder / "written.onnx"
+    path.write_bytes(model.SerializeToString())
+    return path
 
 
 def without_normalizer(model):

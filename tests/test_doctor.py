@@ -8,14 +8,15 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from ailing import ailing, answering, in_another_order, robot_and_digest, without_normalizer
+from ailing import ailing, answering, in_another_order, robot_and_digest, without_normalizer, written
+from hypothesis import given, settings
 from onnx import helper, numpy_helper
-from test_contract import NAMES, SWAPPED
+from test_contract import NAMES, SWAPPED, contracts
 from test_policy import metadata
 
 from deploy.contract import CONTRACT_KEY
 from policies.doctor.case import Case
-from policies.doctor.checks import row
+from policies.doctor.checks import CHECKS, examined, row
 from policies.doctor.finding import Finding, Verdict, failed, listed, passed, summed_up, warned
 from robots.errors import ContractError, RobotError
 
@@ -268,6 +269,18 @@ def test_names_of_a_file_do_not_upset_a_terminal(sick):
         said = row(case, check).said
         assert "gone" in said
         assert said.replace("\n", "").isprintable()
+
+
+@settings(max_examples=25, deadline=None)
+@given(contracts())
+def test_any_contract_gets_all_its_rows(tmp_path_factory, contract):
+    """However little it fits the arm, and however large its numbers."""
+    w = np.ones((contract.observation_size, contract.action_size), np.float32)
+    node = helper.make_node("MatMul", ["observation", "w"], ["action"])
+    case = Case(written(tmp_path_factory.mktemp("any"), [node], {"w": w}, contract), "arm6")
+    found = {each.check: each.verdict for each in examined(case)}
+    assert list(found) == list(CHECKS)
+    assert found["loader"] is found["joints"] is found["trial"] is Verdict.FAIL
 
 
 # ---- a normalizer is found however it is written ----

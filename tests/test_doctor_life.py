@@ -279,6 +279,17 @@ def test_a_policy_that_says_no_number_never_comes_under_way(sick):
     assert "a robot never came under way: a number is not finite" in found.said
 
 
+def test_a_scale_so_small_that_readings_overflow_is_not_lived_with(sick):
+    def tiny(data):
+        data["observation"][0]["scale"] = [1e-300] * 6
+
+    case = sick(contract=tiny)
+    found = row(case, "trial")
+    assert found.verdict is Verdict.FAIL
+    assert found.said.startswith("not tried: a")
+    assert row(case, "training").said == "not tried: see the trial."
+
+
 # ---- the command ----
 
 

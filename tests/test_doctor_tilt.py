@@ -1,17 +1,15 @@
 """Which way is down: small policies that balance, in our convention and in others."""
 
-import json
-
 import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
 
-from onnx import TensorProto, helper, numpy_helper
+from ailing import written
+from onnx import helper
 from test_contract import arm_contract, term
 
-from deploy.contract import CONTRACT_KEY, ActionSpec, Observed
-from deploy.policy_file import GOLDEN_KEY
+from deploy.contract import ActionSpec, Observed
 from policies.doctor.case import Case
 from policies.doctor.checks import row
 from policies.doctor.finding import Verdict
@@ -50,22 +48,7 @@ def balancing(folder, source="projected_gravity", *, even=False, gain=2.0, turne
         action=ActionSpec(mode="position", size=A, offset=(0.0,) * A, scale=(0.25,) * A, clip=None),
         observed=None if mean is None else Observed(mean=mean, deviation=(0.1,) * (size * history)),
     )
-    return Case(_written(folder, nodes, arrays, contract, size * history), "arm6")
-
-
-def _written(folder, nodes, arrays, contract, size):
-    ends = [
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", n])
-        for name, n in (("observation", size), ("action", A))
-    ]
-    tensors = [numpy_helper.from_array(x, name) for name, x in arrays.items()]
-    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], tensors)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
-    golden = {"observation": [[0.0] * size], "action": [[0.0] * A]}
-    helper.set_model_props(model, {CONTRACT_KEY: contract.to_json(), GOLDEN_KEY: json.dumps(golden)})
-    path = folder / "balancing.onnx"
-    path.write_bytes(model.SerializeToString())
-    return path
+    return Case(written(folder, nodes, arrays, contract), "arm6")
 
 
 @pytest.mark.parametrize("source", UPRIGHT)

@@ -149,12 +149,14 @@ class _Trial:
         """All of it.
 
         Raises:
-            ConfigError: a robot refused to begin.
+            ConfigError: a robot refused to begin, or what it saw was no number.
         """
         if np.isnan(self._first).any():
             why = int(np.bitwise_or.reduce(self._refused | self._runtime.supervisor.reason))
             raise ConfigError(f"a robot never came under way: {words(why)}")
         observation, action = (np.concatenate(rows) for rows in zip(*self._steps, strict=True))
+        if not np.isfinite(observation).all():
+            raise ConfigError("an observation was no finite number: compare the scales of its terms")
         return Life(
             counts=self._judge.counts(),
             observation=observation,

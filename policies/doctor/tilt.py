@@ -7,7 +7,7 @@ import numpy as np
 from deploy import rotations
 from deploy.observation import Observation
 from deploy.state import Floats
-from deploy.terms import Source, Term
+from deploy.terms import READINGS, Source, Term
 from policies.doctor.case import Case
 from policies.doctor.finding import Note, failed, passed, warned
 
@@ -27,7 +27,7 @@ Convention = Callable[[Floats], Floats]
 
 def tilt(case: Case) -> Iterator[Note]:
     """Leans to four sides, in our convention and in the others that are in use."""
-    terms = [term for term in case.contract.observation if term.source in TOLD]
+    terms = [term for term in case.contract.observation if _tells(term)]
     if not terms:
         yield passed("does not apply: no term says where down is.")
         return
@@ -49,6 +49,10 @@ def tilt(case: Case) -> Iterator[Note]:
     yield passed(
         f"it answers to leaning each way, and to opposite leans with opposite actions; upright {calm:.2g}."
     )
+
+
+def _tells(term: Term) -> bool:
+    return term.source in TOLD and term.size == READINGS[term.source].size
 
 
 def _size(action: Floats) -> float:
@@ -77,7 +81,7 @@ def _by_training(case: Case) -> Iterator[Note]:
     start = 0
     for term in case.contract.observation:
         end = start + term.size * term.history
-        if case.training is not None and term.source in TOLD:
+        if case.training is not None and _tells(term):
             mean = case.training.mean[end - term.size : end] * np.array(term.scale)
             yield from _conventions(term, mean + np.array(term.offset or 0.0))
         start = end
@@ -112,15 +116,20 @@ def _answers(case: Case, conventions: dict[str, Convention] | None = None) -> Fl
 def _standing(case: Case) -> dict[str, Callable[[], Floats]]:
     """Readings (5, size) of a robot that stands still in the pose that its policy calls zero."""
     quat = rotations.exp(TURNS)
-    down = rotations.times(rotations.matrix(quat).transpose(0, 2, 1), np.tile(DOWN, (len(LEANS), 1)))
-    known = {"base_orientation": quat, "projected_gravity": down, "gait_phase": np.tile([0.0, 1.0], (5, 1))}
+    down = rotations.times(rotations.matrix(quat).transpose(0, 2, 1), _all(DOWN))
+    known = {"base_orientation": quat, "projected_gravity": down, "gait_phase": _all(np.array([0.0, 1.0]))}
     readings: dict[str, Floats] = {}
     for term in case.contract.observation:
         rest = np.array(term.offset) if term.offset else np.zeros(term.size)
         if term.source == "joint_position" and not term.offset and term.size == case.spec.n:
             rest = case.spec.joint_array("q_home")
-        readings[term.source] = known.get(term.source, np.tile(rest, (len(LEANS), 1)))
+        fits = term.size == READINGS[term.source].size
+        readings[term.source] = known[term.source] if fits and term.source in known else _all(rest)
     return {source: _constant(value) for source, value in readings.items()}
+
+
+def _all(reading: Floats) -> Floats:
+    return np.tile(reading, (len(LEANS), 1))
 
 
 def _constant(value: Floats) -> Callable[[], Floats]:
