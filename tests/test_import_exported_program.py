@@ -31,10 +31,10 @@ class Recurrent(nn.Module):
         return self.head(hidden)
 
 
-def saved(folder, module=None, batch=1, **how):
+def saved(folder, module=None, batch=1, observations=N, **how):
     """A file of torch.export.save."""
     path = folder / "policy.pt2"
-    program = torch.export.export(module or mlp(), (torch.zeros(batch, N),), **how)
+    program = torch.export.export(module or mlp(), (torch.zeros(batch, observations),), **how)
     torch.export.save(program, path)
     return path
 

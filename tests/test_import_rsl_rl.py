@@ -41,7 +41,7 @@ class Env:
         return TensorDict({"policy": raw}, batch_size=[16])
 
 
-def saved(folder, activation="elu", distribution="GaussianDistribution", normalized=True, **actor):
+def saved(folder, activation="elu", distribution="GaussianDistribution", normalized=True, env=None, **actor):
     """What the runner of the installed rsl_rl saves, and its actor."""
     torch.manual_seed(0)
     network = {
@@ -58,7 +58,7 @@ def saved(folder, activation="elu", distribution="GaussianDistribution", normali
         "critic": dict(network),
         "algorithm": {"class_name": "PPO", "rnd_cfg": None, "symmetry_cfg": None},
     }
-    env = Env()
+    env = env or Env()
     runner = OnPolicyRunner(env, settings, log_dir=None, device="cpu")
     for _ in range(3):
         runner.alg.get_policy().update_normalization(env.get_observations())

@@ -21,12 +21,12 @@ N, A, HIDDEN = 7, 3, 8
 class Recurrent(nn.Module):
     """As Unitree and rsl_rl export theirs."""
 
-    def __init__(self):
+    def __init__(self, observations=N, actions=A):
         super().__init__()
         self.actor = nn.Sequential(
-            nn.Linear(HIDDEN, 6), nn.ELU(), nn.Linear(6, A)
+            nn.Linear(HIDDEN, 6), nn.ELU(), nn.Linear(6, actions)
         )  # before what it is asked with
-        self.rnn = nn.LSTM(N, HIDDEN)
+        self.rnn = nn.LSTM(observations, HIDDEN)
         self.register_buffer("hidden_state", torch.zeros(1, 1, HIDDEN))
         self.register_buffer("cell_state", torch.zeros(1, 1, HIDDEN))
 

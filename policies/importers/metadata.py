@@ -17,7 +17,7 @@ from robots.errors import ContractError
 
 CHARACTERS_MAX = 1 << 20
 ENTRY = re.compile(r"[\[(][^\[\]()]*[\])]|[^,]+")
-"""Lists inside a list: 1;2 since mjlab 1.5.1, and [1, 2] as Python writes them."""
+"""Lists inside a list: 1;2 by mjlab 1.5.3, and [1, 2] as Python writes them."""
 NAME = re.compile(r"[^\[\]{}\"',;]{1,100}")
 VELOCITIES = (["twist"], ["base_velocity"])
 """Names of the one command that is a velocity."""

@@ -1,0 +1,218 @@
+"""policy-import as its users run it: a library's own file, its template, filled in, imported, loaded, asked again."""
+
+import sys
+
+import numpy as np
+import pytest
+import tomlkit
+from onnx import TensorProto, helper, numpy_helper
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnxscript")
+pytest.importorskip("rsl_rl.models")
+
+from test_contract import NAMES, SPEC  # noqa: E402
+from test_import_exported_program import saved as saved_program  # noqa: E402
+from test_import_rsl_rl import KINDS as ACTORS  # noqa: E402
+from test_import_rsl_rl import Env  # noqa: E402
+from test_import_rsl_rl import saved as saved_checkpoint  # noqa: E402
+from test_import_torchscript import Recurrent  # noqa: E402
+from test_import_torchscript import saved as saved_script  # noqa: E402
+from test_importing import CONTRACT, THEIRS, A, N, exported  # noqa: E402
+from torch import nn  # noqa: E402
+
+from deploy.policy import Policy  # noqa: E402
+from policies.importers.draft import open_fields  # noqa: E402
+from policies.importing import cli  # noqa: E402
+
+STEPS = 40
+ORDER = np.array([NAMES.index(name) for name in THEIRS])
+COLUMNS = np.concatenate([ORDER, ORDER + 6, [12, 13, 14], ORDER + 15])
+"""Where the numbers of the contract's terms stand in ours."""
+
+
+class ArmEnv(Env):
+    """Noise for the arm's policy."""
+
+    num_actions = A
+
+    def get_observations(self):
+        observations = super().get_observations()
+        spread = torch.linspace(0.1, 3, N)
+        observations["policy"] = torch.randn(16, N) * spread + 1
+        return observations
+
+
+def asked(module):
+    """Its answers to one observation after the other, from its beginning."""
+
+    def owner(observations):
+        with torch.no_grad():
+            return np.concatenate([module(torch.from_numpy(row[None])).numpy() for row in observations])
+
+    return owner
+
+
+def network(hidden=16):
+    torch.manual_seed(0)
+    return nn.Sequential(nn.Linear(N, hidden), nn.ELU(), nn.Linear(hidden, A)).eval()
+
+
+def checkpoint(folder, kind):
+    path, model = saved_checkpoint(folder, env=ArmEnv(), **ACTORS[kind])
+    model.reset()
+    return path, asked(lambda row: model({"policy": row})), {"activation": "elu"}
+
+
+def stable_baselines(folder):
+    stable = pytest.importorskip("test_import_stable_baselines")
+    from gymnasium import spaces
+
+    class Arm(stable.Tiny):
+        def __init__(self):
+            super().__init__((N,))
+            self.action_space = spaces.Box(-0.5, 0.5, (A,))
+
+    model, wrapped, path = stable.saved(folder, environment=Arm, policy_kwargs=stable.SMALL)
+    return path, lambda rows: stable.predicted(model, wrapped, rows), {"normalizer": "vecnormalize.pkl"}
+
+
+def torchscript(folder):
+    torch.manual_seed(1)
+    module = Recurrent(N, A).eval()
+    return saved_script(folder / "motion.pt", module), asked(module), {}
+
+
+def program(folder):
+    torch.manual_seed(2)
+    any_batch = {"dynamic_shapes": ({0: torch.export.Dim("batch", min=1, max=4096)},)}
+    module = network()
+    return saved_program(folder, module, batch=2, observations=N, **any_batch), asked(module), {}
+
+
+def weights(folder):
+    module = network()
+    torch.save(module.state_dict(), folder / "weights.pt")
+    return folder / "weights.pt", asked(module), {"activation": "elu"}
+
+
+def isaac_lab(folder, kind):
+    path, view = exported(folder, kind)
+    known = [torch.zeros_like(piece) for piece in view.get_dummy_inputs()[1:]]
+
+    def step(row):
+        said = view(row, *known)
+        action, *known[:] = said if isinstance(said, tuple) else (said,)
+        return action
+
+    return path, asked(step), {}
+
+
+def brax(folder):
+    """Normalizer, swish, the half of the last layer and tanh, with the ends and the operators of Playground's."""
+    rng, hidden = np.random.default_rng(3), 12
+    values = {
+        "mean": rng.normal(size=N),
+        "std": rng.uniform(0.5, 2, N),
+        "w0": rng.normal(size=(N, hidden)) / 4,
+        "b0": rng.normal(size=hidden),
+        "w1": rng.normal(size=(hidden, 2 * A)) / 4,
+        "b1": rng.normal(size=2 * A),
+    }
+    held = {name: value.astype(np.float32) for name, value in values.items()}
+    nodes = [
+        helper.make_node("Sub", ["obs", "mean"], ["centred"]),
+        helper.make_node("Div", ["centred", "std"], ["normal"]),
+        helper.make_node("Gemm", ["normal", "w0", "b0"], ["x0"]),
+        helper.make_node("Sigmoid", ["x0"], ["s0"]),
+        helper.make_node("Mul", ["x0", "s0"], ["y0"]),
+        helper.make_node("Gemm", ["y0", "w1", "b1"], ["x1"]),
+        helper.make_node("Split", ["x1"], ["loc", "scale"], axis=1),
+        helper.make_node("Tanh", ["loc"], ["continuous_actions"]),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "tf2onnx",
+        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, [1, N])],
+        [helper.make_tensor_value_info("continuous_actions", TensorProto.FLOAT, [1, A])],
+        [numpy_helper.from_array(value, name) for name, value in held.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 11)], ir_version=8)
+    (folder / "go1_policy.onnx").write_bytes(model.SerializeToString())
+
+    def owner(rows):
+        x0 = (rows - held["mean"]) / held["std"] @ held["w0"] + held["b0"]
+        return np.tanh((x0 / (1 + np.exp(-x0)) @ held["w1"] + held["b1"])[:, :A])
+
+    return folder / "go1_policy.onnx", owner, {}
+
+
+FILES = {
+    "rsl_rl MLP": lambda folder: checkpoint(folder, "MLP"),
+    "rsl_rl LSTM": lambda folder: checkpoint(folder, "LSTM"),
+    "Stable-Baselines3": stable_baselines,
+    "TorchScript": torchscript,
+    "torch.export": program,
+    "state_dict": weights,
+    "Isaac Lab MLP": lambda folder: isaac_lab(folder, "mlp"),
+    "Isaac Lab GRU": lambda folder: isaac_lab(folder, "gru"),
+    "brax": brax,
+}
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """The command with its arguments: exit code, standard output, standard error."""
+
+    def call(*arguments):
+        capsys.readouterr()  # what the libraries said
+        monkeypatch.setattr(sys, "argv", ["policy-import", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            cli()
+        return caught.value.code, *capsys.readouterr()
+
+    return call
+
+
+def fill_in(draft, answers):
+    """What its owner writes where the template asks; what the template says already stays."""
+    document, contract = tomlkit.parse(draft.read_text()), tomlkit.parse(CONTRACT)
+    asked_for = set(open_fields(document.unwrap()))
+    assert asked_for >= {"robot", "task", "policy_hz", "joint_names", "action.mode", "action.offset"}
+    for key in ("robot", "task", "policy_hz", "joint_names", "observation"):
+        document[key] = contract[key]
+    for key in [key for key in document["action"] if document["action"][key] == "?"]:
+        document["action"][key] = contract["action"][key]
+    assert set(answers) == {field.partition(".")[2] for field in asked_for if field.startswith("network.")}
+    for key, answer in answers.items():
+        document["network"][key] = answer
+    draft.write_text(tomlkit.dumps(document))
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_what_a_library_wrote_becomes_a_policy_that_says_the_same(kind, tmp_path, run):
+    path, owner, answers = FILES[kind](tmp_path)
+    draft, out = path.with_suffix(".toml"), tmp_path / "out" / "mine.onnx"
+    code, said, _ = run(path, "--template")
+    assert code == 0
+    assert said.startswith(f"{draft}: ")
+    assert f"{N} observations, {A} actions; " in said
+    code, _, complaint = run(path, "--out", out)
+    assert code == 2
+    assert f"error: {draft}: robot: still '?', to be filled in\n" in complaint
+    assert not out.exists()
+
+    fill_in(draft, answers)
+    code, said, _ = run(path, "--out", out)
+    assert code == 0
+    assert said.startswith(f"{out}: ")
+    assert "the same as the original over 1,024 observations and 16 sequences of 200" in said
+
+    policy = Policy.load(out, SPEC)
+    theirs = (np.random.default_rng(0).normal(size=(STEPS, N)) * 2 + 1).astype(np.float32)
+    ours = np.empty_like(theirs)
+    ours[:, COLUMNS] = theirs
+    found = policy.rehearse(ours, 1)[:, 0, ORDER].clip(*policy.contract.action.bounds)
+    expected = owner(theirs)
+    assert np.ptp(expected, axis=0).min() > 0.01
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5 * max(1, np.abs(expected).max()))
