@@ -1,14 +1,33 @@
 """Files of torch.save from anywhere: tensors, numbers and text; never code."""
 
-import zipfile
+import pickletools
+import re
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from policies.importers.inert_pickle import DICT, OPCODES_MAX, Inert, read_pickle
+from policies.importers.zip_archive import read_bytes, read_torch_members
 from robots.errors import ContractError
 
-FILE_BYTES_MAX = 256 << 20
+NEEDED = re.compile(r"data\.pkl|byteorder|data/\d+")
+NUMBERS = {
+    "DoubleStorage": torch.float64,
+    "FloatStorage": torch.float32,
+    "HalfStorage": torch.float16,
+    "BFloat16Storage": torch.bfloat16,
+    "LongStorage": torch.int64,
+    "IntStorage": torch.int32,
+    "ShortStorage": torch.int16,
+    "CharStorage": torch.int8,
+    "ByteStorage": torch.uint8,
+    "BoolStorage": torch.bool,
+}
+REBUILT = {"torch._utils _rebuild_tensor_v2", "torch._utils _rebuild_parameter"}
+KNOWN = frozenset({DICT, *REBUILT, *(f"torch {name}" for name in NUMBERS)})
+"""What the pickle of such a file may name."""
 
 
 def load_tensors(path: Path, expected: str) -> object:
@@ -17,30 +36,79 @@ def load_tensors(path: Path, expected: str) -> object:
     Raises:
         ContractError: it is no such archive, is too large, or holds code.
     """
-    _check_archive(path, expected)
-    try:
-        code = torch.serialization.get_unsafe_globals_in_checkpoint(path)
-        data = None if code else torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as e:  # bytes of unknown origin can fail in any way
-        # torch's own words are kept out: they recommend loading with weights_only=False.
-        raise ContractError(f"{path}: weights_only: corrupt, torch stopped at a {type(e).__name__}") from e
-    if code:
-        found = ", ".join(map(repr, sorted(code)))
+    return tensors_of(read_bytes(path, expected), str(path), expected)
+
+
+def tensors_of(data: bytes, source: str, expected: str) -> object:
+    """The same from the bytes of a file. Its pickle is walked, not run, and torch is given the numbers alone.
+
+    Raises:
+        ContractError: as `load_tensors` does.
+    """
+    members = read_torch_members(data, NEEDED, source, expected)
+    if (pickled := members.get("data.pkl")) is None or members.get("byteorder", b"little") != b"little":
+        raise ContractError(f"{source}: found no data.pkl with its least byte first, {expected}")
+    source = f"{source}: data.pkl"
+    if code := _globals(pickled, source) - KNOWN:
+        found = ", ".join(repr(name.replace(" ", ".")) for name in sorted(code))
         only = "expected only tensors, numbers and text; nothing of it was run"
-        raise ContractError(f"{path}: weights_only: found {found:.300}, {only}")
-    return data
-
-
-def _check_archive(path: Path, expected: str) -> None:
+        raise ContractError(f"{source}: found {found:.300}, {only}")
+    value = read_pickle(pickled, source)
     try:
-        with zipfile.ZipFile(path) as archive:
-            size = sum(record.file_size for record in archive.infolist())
-    except OSError as e:
-        raise ContractError(f"{path}: cannot be read: {e.strerror}, {expected}") from e
-    except (zipfile.BadZipFile, ValueError, NotImplementedError) as e:
-        raise ContractError(f"{path}: found no torch archive, {expected}") from e
-    if size > FILE_BYTES_MAX:
-        raise ContractError(f"{path}: found {size} bytes unpacked, expected at most {FILE_BYTES_MAX}")
+        return _Rebuilt(members).of(value)
+    except Exception as e:  # numbers of unknown origin can fail in any way
+        raise ContractError(f"{source}: corrupt: a {type(e).__name__}") from e
+
+
+def _globals(pickled: bytes, source: str) -> set[str]:
+    """What a pickle would look up, had it been run."""
+    try:
+        return {
+            str(argument) if opcode.name == "GLOBAL" else opcode.name
+            for opcode, argument, _ in pickletools.genops(pickled)
+            if opcode.name in ("GLOBAL", "STACK_GLOBAL", "INST", "EXT1", "EXT2", "EXT4")
+        }
+    except Exception as e:  # bytes of unknown origin can fail in any way
+        raise ContractError(f"{source}: corrupt: a {type(e).__name__}") from e
+
+
+class _Rebuilt:
+    """Plain values and tensors from the notes of a pickle; those that share numbers share them again."""
+
+    def __init__(self, members: dict[str, bytes]) -> None:
+        self._members, self._storages, self._seen = members, dict[tuple[str, str], Tensor](), 0
+
+    def of(self, part: Any) -> Any:
+        self._seen += 1
+        if self._seen > OPCODES_MAX:  # few bytes can hold a thing twice in twice in twice, or in itself
+            raise OverflowError
+        match part:
+            case dict():
+                return {name: self.of(value) for name, value in part.items()}
+            case list() | tuple():
+                return type(part)(self.of(value) for value in part)
+            case Inert(callee="torch._utils _rebuild_parameter", arguments=(inner, *_)):
+                return self.of(inner)
+            case Inert(
+                callee="torch._utils _rebuild_tensor_v2",
+                arguments=(storage, int(offset), tuple(size), tuple(stride), *_),
+            ):
+                return self._storage(storage).as_strided(size, stride, offset)
+            case Inert():
+                raise TypeError
+        return part
+
+    def _storage(self, note: Any) -> Tensor:
+        match note:
+            case Inert(callee="BINPERSID", arguments=[("storage", str(kind), str(key), _, _)]):
+                if (kind, key) not in self._storages:
+                    numbers = bytearray(self._members[f"data/{key}"])
+                    dtype = NUMBERS[kind.removeprefix("torch ")]
+                    self._storages[kind, key] = (
+                        torch.frombuffer(numbers, dtype=dtype) if numbers else torch.empty(0, dtype=dtype)
+                    )
+                return self._storages[kind, key]
+        raise TypeError
 
 
 def check_tensor(tensor: Tensor, shape: tuple[int, ...], source: str) -> None:

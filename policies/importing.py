@@ -16,6 +16,7 @@ from deploy.contract import CONTRACT_KEY
 from deploy.output import replacing
 from deploy.policy import Policy
 from deploy.policy_file import GOLDEN_KEY, Golden
+from policies.importers.bounds import bounded
 from policies.importers.draft import read_draft
 from policies.importers.ends import with_our_ends
 from policies.importers.network import Network
@@ -60,11 +61,10 @@ def import_policy(path: Path, draft_path: Path, out_path: Path, robot: str | Pat
     spec = load_robot(robot or draft.robot)
     original = read_original(path, draft.network)
     settled = settle(draft, original, spec, str(draft_path))
+    data, played = _onnx(original, settled), trials(original, settled.columns, settled.joints)
     with replacing(out_path) as partial:
-        data = _onnx(original, settled)
         partial.write_bytes(data)
-        policy = _loaded(partial, spec, out_path)
-        deviation = check_parity(policy, trials(original, settled.columns, settled.joints), str(path))
+        deviation = check_parity(_loaded(partial, spec, out_path), played, str(path))
     return Imported(facts=original.facts, digest=hashlib.sha256(data).hexdigest(), deviation=deviation)
 
 
@@ -130,16 +130,22 @@ def policy_import(
 ) -> int:
     """Import a policy: ONNX, rsl_rl, Stable-Baselines3, TorchScript, torch.export, or weights with their contract."""
     draft_path = contract or file.with_suffix(".toml")
-    if template:
-        facts, still_open = write_template(file, draft_path)
-        todo = (
-            f"{still_open} values marked ? are to be filled in"
-            if still_open
-            else "nothing is left to fill in"
-        )
-        print(f"{draft_path}: {_said(facts)}; {todo}")
-        return PASSED
-    out_path, begun = out or Path("out", f"{file.stem}.onnx"), time.monotonic()
+    with bounded(file):
+        if template:
+            _write(file, draft_path)
+        else:
+            _import(file, draft_path, out or Path("out", f"{file.stem}.onnx"), robot)
+    return PASSED
+
+
+def _write(file: Path, draft_path: Path) -> None:
+    facts, still_open = write_template(file, draft_path)
+    todo = f"{still_open} values marked ? are to be filled in" if still_open else "nothing is left to fill in"
+    print(f"{draft_path}: {_said(facts)}; {todo}")
+
+
+def _import(file: Path, draft_path: Path, out_path: Path, robot: str | None) -> None:
+    begun = time.monotonic()
     with Console(stderr=True).status(f"importing {file.name}"):
         imported = import_policy(file, draft_path, out_path, robot)
     print(f"{out_path}: {_said(imported.facts)}, sha256 {imported.digest}")
@@ -147,7 +153,6 @@ def policy_import(
         f"the same as the original over 1,024 observations and 16 sequences of 200, for 1 and 64 robots:"
         f" worst {imported.deviation:.1e}, in {time.monotonic() - begun:.0f} s"
     )
-    return PASSED
 
 
 def _said(facts: Facts) -> str:

@@ -69,8 +69,7 @@ def test_a_malicious_pickle_is_named_and_never_run(tmp_path):
     file = torch.load(saved(tmp_path), weights_only=True)
     torch.save({**file, "recipe": Evil(witness)}, path)
     message = refused(path)
-    assert message.startswith("weights_only: found 'posix.mkdir', expected only tensors, numbers and text")
-    assert "weights_only=False" not in message
+    assert message.startswith("data.pkl: found 'posix.mkdir', expected only tensors, numbers and text")
     assert not witness.exists()
     torch.load(path, weights_only=False)  # the trap was armed
     assert witness.exists()
@@ -79,13 +78,18 @@ def test_a_malicious_pickle_is_named_and_never_run(tmp_path):
 def test_a_bare_pickle_is_never_run(tmp_path):
     witness, path = tmp_path / "witness", tmp_path / "evil.pt"
     path.write_bytes(pickle.dumps(Evil(witness)))
-    assert refused(path) == "found no torch archive, expected a checkpoint of policy-train"
+    assert (
+        refused(path)
+        == "found no archive that can be read: a BadZipFile, expected a checkpoint of policy-train"
+    )
     assert not witness.exists()
 
 
 def test_a_whole_module_is_refused(tmp_path):
     torch.save(made_actor(), tmp_path / "x.pt")
-    assert refused(tmp_path / "x.pt").startswith("weights_only: found 'policies.networks.Actor', 'torch.nn")
+    assert refused(tmp_path / "x.pt").startswith(
+        "data.pkl: found '__builtin__.set', 'policies.networks.Actor'"
+    )
 
 
 def zipped(path, **records):
@@ -100,13 +104,18 @@ def test_other_files_are_refused(tmp_path):
     assert refused(tmp_path).startswith("cannot be read: Is a directory")
     for data in (b"", b"junk" * 100, saved(tmp_path).read_bytes()[:-300]):
         path.write_bytes(data)
-        assert refused(path) == "found no torch archive, expected a checkpoint of policy-train"
+        assert (
+            refused(path)
+            == "found no archive that can be read: a BadZipFile, expected a checkpoint of policy-train"
+        )
     zipped(path, note="hello")
-    assert refused(path).startswith("weights_only: corrupt, torch stopped at a ")
+    assert refused(path).startswith(
+        "found no data.pkl with its least byte first, expected a checkpoint of policy-train"
+    )
 
 
 def test_a_bomb_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("policies.archive.FILE_BYTES_MAX", 10**6)
+    monkeypatch.setattr("policies.importers.zip_archive.BYTES_MAX", 10**6)
     zipped(tmp_path / "x.pt", data=bytes(10**6 + 1))
     assert (tmp_path / "x.pt").stat().st_size < 10**4
     assert refused(tmp_path / "x.pt") == "found 1000001 bytes unpacked, expected at most 1000000"

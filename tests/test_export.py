@@ -142,7 +142,7 @@ def corrupt(folder):
 
 
 REFUSED = {
-    "corrupt": (corrupt, ContractError, "arm.pt: found no torch archive"),
+    "corrupt": (corrupt, ContractError, "arm.pt: found no archive that can be read: a BadZipFile"),
     "missing": (
         lambda folder: folder / "no.pt",
         ContractError,
@@ -226,7 +226,8 @@ def test_bad_input_ends_with_2_and_one_line(tmp_path, monkeypatch, capsys):
     )
     with pytest.raises(SystemExit) as caught:
         cli()
-    expected = f"error: {path}: found no torch archive, expected a checkpoint of policy-train\n"
+    what = "found no archive that can be read: a BadZipFile, expected a checkpoint of policy-train"
+    expected = f"error: {path}: {what}\n"
     printed = capsys.readouterr()
     assert (caught.value.code, printed.out, printed.err) == (2, "", expected)
     assert os.listdir(tmp_path) == ["evil.pt"]

@@ -265,7 +265,7 @@ class Evil:
 def test_code_is_never_run(tmp_path, files):
     witness, path = tmp_path / "witness", tmp_path / "evil.pt"
     torch.save({**files["MLP"], "infos": Evil(witness)}, path)
-    assert refused(path).startswith("weights_only: found 'posix.mkdir', expected only tensors")
+    assert refused(path).startswith("data.pkl: found 'posix.mkdir', expected only tensors")
     assert not witness.exists()
     torch.load(path, weights_only=False)  # the trap was armed
     assert witness.exists()

@@ -232,7 +232,7 @@ def test_code_is_not_run(ppo, tmp_path):
     path, sign = tmp_path / "policy.zip", tmp_path / "sign"
     path.write_bytes(ppo[2].read_bytes())
     with_weights(path, weights(path) | {"action_net.bias": Command(sign)})
-    assert "policy.pth: found 'posix.system'" in refused(path)
+    assert "policy.pth: data.pkl: found 'posix.system'" in refused(path)
     assert not sign.exists()
 
 
@@ -254,7 +254,7 @@ def test_pickles_among_the_settings_are_not_run(ppo, tmp_path):
 def test_bombs_are_not_unpacked(ppo, tmp_path, monkeypatch):
     path = tmp_path / "policy.zip"
     path.write_bytes(ppo[2].read_bytes())
-    monkeypatch.setattr("policies.importers.stable_baselines_zip.FILE_BYTES_MAX", 10**6)
+    monkeypatch.setattr("policies.importers.zip_archive.BYTES_MAX", 10**6)
     zeros = bytes(10**6 + 1)
     assert "bytes unpacked, expected at most 1000000" in refused(
         rewritten(path, zipfile.ZIP_DEFLATED, policy_pth=zeros)
@@ -270,9 +270,13 @@ def test_other_files_are_refused_in_one_line(ppo, tmp_path):
     path = tmp_path / "policy.zip"
     assert refused(path).startswith("cannot be read: ")
     path.write_bytes(b"no zip")
-    assert refused(path).startswith("found no zip")
+    assert refused(path).startswith(
+        "found no archive that can be read: a BadZipFile, expected a zip of Stable"
+    )
     path.write_bytes(ppo[2].read_bytes()[:1000])
-    assert refused(path).startswith("found no zip")
+    assert refused(path).startswith(
+        "found no archive that can be read: a BadZipFile, expected a zip of Stable"
+    )
     for name in ("data", "policy.pth"):
         path.write_bytes(ppo[2].read_bytes())
         assert refused(rewritten(path, without=(name,))).startswith(f"found no '{name}' in it")

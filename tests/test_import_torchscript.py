@@ -224,7 +224,7 @@ def test_a_foreign_class_in_the_pickle_is_refused(tmp_path):
 def test_other_files_are_refused_in_one_line(tmp_path):
     path = tmp_path / "policy.pt"
     path.write_bytes(b"no zip")
-    assert refused(path).startswith("found no torch archive that can be read")
+    assert refused(path).startswith("found no archive that can be read")
     torch.save({"a": torch.zeros(1)}, path)
     assert refused(path).startswith("found no data.pkl and constants.pkl")
     assert refused(tmp_path / "none.pt").startswith("cannot be read: No such file")

@@ -12,7 +12,7 @@ from deploy.terms import SIZE_MAX
 from policies.importers.exported_text import check_tensors, plain_program
 from policies.importers.module import read_module
 from policies.importers.original import Original
-from policies.importers.torch_archive import packed, read_members
+from policies.importers.zip_archive import packed, read_bytes, read_torch_members
 from robots.errors import ContractError
 
 PROGRAM, EXAMPLES = "models/model.json", "data/sample_inputs/model.pt"
@@ -26,6 +26,7 @@ NEEDED = re.compile(
     + r"|data/weights/weight_\d+|data/constants/tensor_\d+"
 )
 """Not: examples and foreign objects, which are pickled, and compiled libraries."""
+EXPECTED = "expected a file of torch.export.save"
 
 
 def read_exported_program(path: Path) -> Original:
@@ -35,9 +36,9 @@ def read_exported_program(path: Path) -> Original:
         ContractError: it is no such file, holds more than operators of aten, or cannot be traced.
     """
     source = str(path)
-    members = read_members(path, NEEDED)
+    members = read_torch_members(read_bytes(path, EXPECTED), NEEDED, source, EXPECTED)
     if missing := [name for name in (PROGRAM, *TENSORS.values(), *VERSIONS) if name not in members]:
-        raise ContractError(f"{source}: found no {missing[0]}, expected a file of torch.export.save")
+        raise ContractError(f"{source}: found no {missing[0]}, {EXPECTED}")
     for folder, config in TENSORS.items():
         payloads = {
             name.removeprefix(folder): data for name, data in members.items() if name.startswith(folder)

@@ -5,23 +5,24 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import onnx
 from numpy.typing import NDArray
 from onnx import ModelProto, NodeProto, TensorProto, ValueInfoProto
-from onnx.external_data_helper import load_external_data_for_tensor
 
 from deploy.graph import check_model, decode, graphs, shortened, tensors
 from deploy.policy import AGREEMENT, session
-from deploy.policy_file import FILE_BYTES_MAX, Float32s
+from deploy.policy_file import Float32s
 from deploy.terms import SIZE_MAX
 from policies.importers.metadata import known_from
 from policies.importers.original import Facts, Memory, Original
+from policies.importers.zip_archive import BYTES_MAX, read_bytes
 from robots.errors import ContractError
 
 OBSERVATIONS = ("obs", "observation", "observations", "actor_obs", "policy")
 ACTIONS = ("actions", "action", "output", "continuous_actions", "mean")
 MEMORIES = {"h_in": "h_out", "c_in": "c_out", "state_ins": "state_outs"}
 """Names in the field: exporters of rsl_rl, Isaac Lab, mjlab, holosoma, brax, Stable-Baselines3 and Godot."""
+
+EXPECTED = "expected ONNX"
 
 
 def load_onnx(path: Path) -> ModelProto:
@@ -30,30 +31,40 @@ def load_onnx(path: Path) -> ModelProto:
     Raises:
         ContractError: it is no ONNX, its weights are somewhere else, or it holds what a policy may not.
     """
-    model = decode(path.read_bytes(), str(path))
+    model, left = decode(read_bytes(path, EXPECTED), str(path)), BYTES_MAX
     for graph in graphs(model):
         for tensor in tensors(graph):
-            _bring(tensor, path)
+            left -= _bring(tensor, path, left)
     check_model(model, str(path))
     return model
 
 
-def _bring(tensor: TensorProto, path: Path) -> None:
-    """External data into the tensor itself."""
+def _bring(tensor: TensorProto, path: Path, left: int) -> int:
+    """External data into the tensor itself, at most so many bytes: many may claim the same; returns how many."""
     if tensor.data_location != TensorProto.EXTERNAL:
-        return
-    where = {entry.key: entry.value for entry in tensor.external_data}.get("location", "")
+        return 0
+    source, told = f"{path}: tensor {tensor.name!r:.100}", {e.key: e.value for e in tensor.external_data}
+    where = str(told.get("location", ""))
     beside = path.parent / where
     if where != Path(where).name or beside.is_symlink() or not beside.is_file():
         raise ContractError(
-            f"{path}: tensor {tensor.name!r}: found its weights in {where!r:.100}, expected a file beside {path.name}"
+            f"{source}: found its weights in {where!r:.100}, expected a file beside {path.name}"
         )
-    if (size := beside.stat().st_size) > FILE_BYTES_MAX:
-        raise ContractError(f"{beside}: {size} bytes, at most {FILE_BYTES_MAX}")
     try:
-        load_external_data_for_tensor(tensor, str(path.parent))
-    except (ValueError, OSError, onnx.checker.ValidationError) as e:
-        raise ContractError(f"{path}: tensor {tensor.name!r}: {shortened(e)}") from e
+        start, size = int(told.get("offset", 0)), int(told.get("length", beside.stat().st_size))
+        with beside.open("rb") as stream:
+            stream.seek(start)
+            data = stream.read(size) if 0 <= size <= left else b""
+    except (ValueError, OSError, OverflowError) as e:
+        raise ContractError(f"{source}: found {shortened(e)}, expected offset and length in {where!r}") from e
+    if len(data) != size:
+        raise ContractError(
+            f"{source}: found {len(data)} bytes in {where!r}, expected {size}, {left} at most"
+        )
+    tensor.raw_data = data
+    tensor.data_location = TensorProto.DEFAULT
+    del tensor.external_data[:]
+    return size
 
 
 def read_onnx(model: ModelProto, source: str) -> Original:
@@ -70,6 +81,9 @@ def read_onnx(model: ModelProto, source: str) -> Original:
     remembered = [name for name in _inputs(_only(model, [action])) if name in MEMORIES]
     model = _only(model, [action, *(MEMORIES[name] for name in remembered if MEMORIES[name] in outputs)])
     inputs, outputs = _inputs(model), {value.name: value for value in model.graph.output}
+    if observation not in inputs:
+        found = f"output {action!r}: found none of {observation!r} in it"
+        raise ContractError(f"{source}: {found}, expected an action that depends on it")
     for name in inputs:
         if name != observation and MEMORIES.get(name) not in outputs:
             raise ContractError(

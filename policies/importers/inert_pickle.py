@@ -8,6 +8,7 @@ from itertools import islice
 from robots.errors import ContractError
 
 OPCODES_MAX = 100_000
+DICT = "collections OrderedDict"
 
 
 @dataclass(slots=True, eq=False, repr=False)
@@ -26,7 +27,7 @@ class Inert:
 
 
 def read_pickle(data: bytes, source: str) -> object:
-    """Numbers, text, bytes, tuples and dicts with keys of text as they are; an `Inert` for everything else.
+    """Numbers, text, bytes, tuples, lists and dicts with keys of text as they are; an `Inert` for everything else.
 
     No class is looked up, nothing is imported, nothing is called: what a pickle can do ends here.
 
@@ -87,6 +88,18 @@ def _filled(taken: list[object]) -> object:
     return target
 
 
+def _extended(taken: list[object]) -> object:
+    target, *items = taken
+    if isinstance(target, list):
+        target.extend(items)
+    return target
+
+
+def _reduced(taken: list[object]) -> object:
+    callee, arguments = taken
+    return {} if callee == DICT and arguments == () else Inert(callee, arguments)
+
+
 def _built(taken: list[object]) -> object:
     target, state = taken
     if isinstance(target, Inert):
@@ -101,8 +114,11 @@ _MAKERS: dict[str, Callable[[list], object]] = {
     **dict.fromkeys(("EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3"), tuple),
     "EMPTY_DICT": lambda _: {},
     **dict.fromkeys(("SETITEM", "SETITEMS"), _filled),
-    **dict.fromkeys(("APPEND", "APPENDS", "ADDITEMS"), lambda taken: taken[0]),
+    "EMPTY_LIST": lambda _: [],
+    **dict.fromkeys(("APPEND", "APPENDS"), _extended),
+    "ADDITEMS": lambda taken: taken[0],
     "STACK_GLOBAL": " ".join,
-    **dict.fromkeys(("REDUCE", "NEWOBJ"), lambda taken: Inert(*taken)),
+    "REDUCE": _reduced,
+    "NEWOBJ": lambda taken: Inert(*taken),
     "BUILD": _built,
 }

@@ -9,11 +9,12 @@ from pathlib import Path
 from torch import Tensor, nn
 
 from deploy.terms import SIZE_MAX
-from policies.archive import FILE_BYTES_MAX, check_tensor, load_tensors
+from policies.archive import check_tensor, load_tensors
 from policies.importers.activations import ACTIVATIONS
 from policies.importers.module import read_module
 from policies.importers.network import Activation, Network
 from policies.importers.original import Facts, Original, UnansweredError
+from policies.importers.zip_archive import BYTES_MAX
 from robots.errors import ContractError
 
 LAYERS_MAX = 16
@@ -51,8 +52,8 @@ def weights_of(data: object, source: str) -> dict[str, Tensor]:
         if not isinstance(name, str) or not isinstance(tensor, Tensor):
             kind = type(tensor).__name__
             raise ContractError(f"{source}: {name!r:.100}: found {kind}, expected only named tensors")
-    if (size := sum(4 * tensor.numel() for tensor in data.values())) > FILE_BYTES_MAX:  # tensors may overlap
-        raise ContractError(f"{source}: found {size} bytes of weights, expected at most {FILE_BYTES_MAX}")
+    if (size := sum(4 * tensor.numel() for tensor in data.values())) > BYTES_MAX:  # tensors may overlap
+        raise ContractError(f"{source}: found {size} bytes of weights, expected at most {BYTES_MAX}")
     for name, tensor in data.items():
         check_tensor(tensor, tuple(tensor.shape), f"{source}: {name!r:.100}")
     return dict(data)

@@ -13,13 +13,14 @@ from deploy.graph import shortened
 from deploy.terms import SIZE_MAX
 from policies.importers.module import read_module
 from policies.importers.original import Original
-from policies.importers.torch_archive import packed, read_members
 from policies.importers.torchscript_pickle import check_pickle
 from policies.importers.torchscript_source import check_source
+from policies.importers.zip_archive import packed, read_bytes, read_torch_members
 from robots.errors import ContractError
 
 NEEDED = re.compile(r"data\.pkl|constants\.pkl|version|byteorder|(data|constants)/\d+|code/[\w/]+\.py")
 """Not: debugging notes, other files that were packed along."""
+EXPECTED = "expected a file of torch.jit.save"
 TRIED_MAX = 32
 
 
@@ -32,7 +33,7 @@ def read_torchscript(path: Path) -> Original:
         ContractError: it is no such file, would use more than tensors, or cannot be traced.
     """
     source = str(path)
-    members = read_members(path, NEEDED)
+    members = read_torch_members(read_bytes(path, EXPECTED), NEEDED, source, EXPECTED)
     _check(members, source)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "`torch.jit")  # deprecated; the files of others stay
@@ -43,9 +44,7 @@ def read_torchscript(path: Path) -> Original:
 
 def _check(members: Mapping[str, bytes], source: str) -> None:
     if not {"data.pkl", "constants.pkl"} <= members.keys():
-        raise ContractError(
-            f"{source}: found no data.pkl and constants.pkl, expected a file of torch.jit.save"
-        )
+        raise ContractError(f"{source}: found no data.pkl and constants.pkl, {EXPECTED}")
     for folder in ("data", "constants"):
         prefix = f"{folder}/"
         storages = {
