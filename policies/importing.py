@@ -2,9 +2,9 @@
 
 import hashlib
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -19,13 +19,14 @@ from deploy.policy_file import GOLDEN_KEY, Golden
 from policies.importers.bounds import bounded
 from policies.importers.draft import read_draft
 from policies.importers.ends import with_our_ends
+from policies.importers.isaac_lab import read_descriptor
 from policies.importers.network import Network
 from policies.importers.original import Facts, Original, UnansweredError
 from policies.importers.parity import check_parity, trials
 from policies.importers.recognize import read_original
 from policies.importers.settle import Settled, settle
 from policies.importers.template import written
-from robots.errors import ContractError
+from robots.errors import ConfigError, ContractError
 from robots.spec import RobotSpec, load_robot
 from robots.strict import parse
 
@@ -95,11 +96,15 @@ def _loaded(partial: Path, spec: RobotSpec, out_path: Path) -> Policy:
         raise ContractError(str(e).replace(str(partial), f"{out_path} (not written)")) from e
 
 
-def write_template(path: Path, draft_path: Path) -> tuple[Facts, int]:
+def write_template(path: Path, draft_path: Path, descriptor: Path | None = None) -> tuple[Facts, int]:
     """Write the contract's TOML with all that the policy's file says; returns that, and how much is still open.
 
+    Args:
+        path: the foreign file. draft_path: the TOML.
+        descriptor: Isaac Lab's I/O descriptors of the task, which says what the file does not.
+
     Raises:
-        ContractError: the policy cannot be read, or the TOML is there already.
+        ContractError: the policy or its descriptor cannot be read, or the TOML is there already.
         OutputError: it cannot be written.
     """
     if draft_path.exists():
@@ -108,10 +113,18 @@ def write_template(path: Path, draft_path: Path) -> tuple[Facts, int]:
         facts = read_original(path, Network()).facts
     except UnansweredError as e:
         facts = e.facts
+    if descriptor is not None:
+        facts = _described(facts, read_descriptor(descriptor, facts.observations))
     text, still_open = written(facts, path.name)
     with replacing(draft_path) as partial:
         partial.write_text(text, encoding="utf-8")
     return facts, still_open
+
+
+def _described(facts: Facts, descriptor: dict[str, Any]) -> Facts:
+    """Where both speak, the policy's own file is right."""
+    action = {**descriptor.get("action", {}), **facts.known.get("action", {})}
+    return replace(facts, known={**descriptor, **facts.known, "action": action})
 
 
 def policy_import(
@@ -127,19 +140,24 @@ def policy_import(
     template: Annotated[
         bool, typer.Option("--template", help="write the contract as far as the file says it, and stop")
     ] = False,
+    descriptor: Annotated[
+        Path | None, typer.Option(help="YAML of Isaac Lab's I/O descriptors, for --template")
+    ] = None,
 ) -> int:
     """Import a policy: ONNX, rsl_rl, Stable-Baselines3, TorchScript, torch.export, or weights with their contract."""
     draft_path = contract or file.with_suffix(".toml")
+    if descriptor is not None and not template:
+        raise ConfigError(f"--descriptor {descriptor}: found no --template, expected it beside")
     with bounded(file):
         if template:
-            _write(file, draft_path)
+            _write(file, draft_path, descriptor)
         else:
             _import(file, draft_path, out or Path("out", f"{file.stem}.onnx"), robot)
     return PASSED
 
 
-def _write(file: Path, draft_path: Path) -> None:
-    facts, still_open = write_template(file, draft_path)
+def _write(file: Path, draft_path: Path, descriptor: Path | None) -> None:
+    facts, still_open = write_template(file, draft_path, descriptor)
     todo = f"{still_open} values marked ? are to be filled in" if still_open else "nothing is left to fill in"
     print(f"{draft_path}: {_said(facts)}; {todo}")
 
