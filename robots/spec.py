@@ -197,6 +197,7 @@ class Base(Strict):
         feet: bodies or sites of model.xml that stand on the ground.
         foot_m: m, how much higher than the lowest foot another may be and still be said to stand; only where no
             contact sensor says so.
+        may_touch: pairs of bodies that may touch each other, as feet that brush do at every step.
         slip: m/s/√Hz, velocity of a standing foot, with the errors of its kinematics.
         angular_acceleration: rad/s²/√Hz, jerk: m/s³/√Hz, of motion that nobody sees between two samples of the IMU.
         tilt_max_rad: what it may lean; beyond it has fallen.
@@ -207,6 +208,7 @@ class Base(Strict):
 
     feet: Annotated[tuple[str, ...], Field(min_length=1)]
     foot_m: Annotated[float, Field(ge=0)]
+    may_touch: tuple[tuple[str, str], ...] = ()
     slip: PositiveFloat
     angular_acceleration: PositiveFloat
     jerk: PositiveFloat

@@ -1,14 +1,29 @@
 import numpy as np
 import pytest
-from walking import ARM_S, KD, KP, PLACES, QUADRUPED, STAND, TERMS, live, standing, walker, walking_contract
+from walking import (
+    ARM_S,
+    KD,
+    KP,
+    PLACES,
+    QUADRUPED,
+    STAND,
+    TERMS,
+    SimRobot,
+    live,
+    standing,
+    walker,
+    walking_contract,
+)
 
 from deploy.contract import ActionSpec
-from deploy.effort import Springs
+from deploy.effort import Gains, Springs
 from deploy.fit import check_contract
 from deploy.rotations import matrix
+from deploy.runtime import Runtime
 from deploy.state import Mode, Reason
 from robots.errors import ContractError, RobotError
 from robots.model_pinocchio import Fleet, load_pinocchio, torque_max
+from robots.randomness import robot_seed
 from robots.spec import load_robot
 
 packets = pytest.importorskip("deploy.backends.sim.packets")
@@ -291,6 +306,39 @@ def test_a_base_and_a_free_joint_belong_together(tmp_path):
     spec = load_robot(changed(tmp_path, ("      <freejoint/>\n", ""), file="model.xml"))
     with pytest.raises(RobotError, match=r"model\.xml: found no free joint at the root, expected one"):
         load_pinocchio(spec)
+
+
+FORELEGS = '"front_left_shin", "front_right_shin"'
+
+
+def crossed(spec):
+    """(B,) whether a robot touches itself that stands with its front feet together."""
+    seeds = [robot_seed(3, 0)]
+    robot, contract = (
+        SimRobot(spec, seeds, gains=Gains(np.full(12, KP), np.full(12, KD))),
+        walking_contract(spec),
+    )
+    runtime = Runtime(spec, contract, robot, seeds)
+    live(runtime, round(ARM_S / DT))
+    assert not runtime.arm(np.ones(1, dtype=bool)).any()
+    touched, legs = False, np.zeros(12)
+    legs[[0, 3]] = -0.7, 0.7
+    for _ in range(200):
+        live(runtime, 1, legs)
+        touched |= bool(robot.truth().self_collision[0])
+    return touched
+
+
+def test_feet_that_may_touch_are_no_collision(tmp_path):
+    assert crossed(QUADRUPED)
+    may = ("foot_m = 0.01", f"foot_m = 0.01\nmay_touch = [[{FORELEGS}]]")
+    assert not crossed(load_robot(changed(tmp_path, may)))
+
+
+def test_who_may_touch_must_be_there(tmp_path):
+    may = ("foot_m = 0.01", f"foot_m = 0.01\nmay_touch = [[{FORELEGS.replace('left_shin', 'paw')}]]")
+    with pytest.raises(RobotError, match=r"base\.may_touch: found 'front_paw', expected bodies of the model"):
+        SimRobot(load_robot(changed(tmp_path, may)), [robot_seed(3, 0)])
 
 
 def test_a_foot_that_is_not_there_is_said(tmp_path):

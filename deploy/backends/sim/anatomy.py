@@ -10,7 +10,7 @@ from robots.distributions import Cable
 from robots.errors import ConfigError, RobotError
 from robots.model_mujoco import load_mujoco, read_mjcf
 from robots.sensors import Kind
-from robots.spec import RobotSpec
+from robots.spec import Base, RobotSpec
 
 PLAY, PAYLOAD, CABLE, ANCHOR = "play", "firstshift/payload", "firstshift/cable", "firstshift/anchor"
 STRONGEST, SELF = "firstshift/strongest contact", "firstshift/contact with itself"
@@ -79,7 +79,9 @@ class FloatingBody:
     Attributes:
         qpos, qvel: where its seven and six numbers are in the state.
         stands_m: m, its height when the lowest part of the robot at home touches the floor.
-        gantry: equality id. itself: where in `sensordata` the number of the robot's contacts with itself is.
+        gantry: equality id.
+        itself, allowed: where in `sensordata` the number of the robot's contacts with itself is, and that of each
+            pair of bodies that may touch.
     """
 
     qpos: slice
@@ -87,6 +89,7 @@ class FloatingBody:
     stands_m: float
     gantry: int
     itself: int
+    allowed: Ints
 
 
 def build(spec: RobotSpec, cable: Cable) -> Anatomy:
@@ -100,7 +103,7 @@ def build(spec: RobotSpec, cable: Cable) -> Anatomy:
     for name in spec.joint_names:
         _add_play(mjcf.joint(name), nominal)
     if spec.base:
-        _add_ground(mjcf, nominal)
+        _add_ground(mjcf, nominal, spec, spec.base)
     _add_payload(mjcf, nominal, spec)
     _add_cable(mjcf, nominal, cable, spec)
     for kind in spec.sensors:
@@ -130,17 +133,30 @@ def _root(model: mujoco.MjModel) -> str:
     return str(model.body(int(model.jnt_bodyid[0])).name)
 
 
-def _add_ground(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel) -> None:
+def _add_ground(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, spec: RobotSpec, base: Base) -> None:
     """A floor where model.xml has none, and a gantry that holds the base above it until the drives are on."""
     if not _floors(nominal).size:
         mjcf.worldbody.add_geom(name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
     gantry = mjcf.add_equality(name=GANTRY, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY)
     gantry.name1, gantry.name2 = "world", _root(nominal)
-    touched = mjcf.add_sensor(name=SELF, type=mujoco.mjtSensor.mjSENS_CONTACT)
-    touched.objtype = touched.reftype = mujoco.mjtObj.mjOBJ_XBODY
-    touched.objname = touched.refname = _root(nominal)
+    _add_touch(mjcf, SELF, (_root(nominal), _root(nominal)), mujoco.mjtObj.mjOBJ_XBODY)
+    bodies = {body.name for body in mjcf.bodies}
+    for number, pair in enumerate(base.may_touch):
+        if unknown := set(pair) - bodies:
+            raise RobotError(
+                f"{spec.folder / 'robot.toml'}: base.may_touch: found {unknown.pop()!r}, expected bodies of the model:"
+                f" {', '.join(sorted(filter(None, bodies)))}"
+            )
+        _add_touch(mjcf, f"{SELF} {number}", pair, mujoco.mjtObj.mjOBJ_BODY)
+
+
+def _add_touch(mjcf: mujoco.MjSpec, name: str, pair: tuple[str, str], kind: mujoco.mjtObj) -> None:
+    """How many contacts there are between two bodies, or all that they carry."""
+    sensor = mjcf.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
+    sensor.objtype = sensor.reftype = kind
+    sensor.objname, sensor.refname = pair
     found, any_of_them, one = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND), 0, 1
-    touched.intprm[:3] = found, any_of_them, one
+    sensor.intprm[:3] = found, any_of_them, one
 
 
 def _floors(model: mujoco.MjModel) -> Ints:
@@ -232,12 +248,12 @@ def _find(model: mujoco.MjModel, spec: RobotSpec) -> Anatomy:
         anchor=model.site(ANCHOR).id,
         tool=model.site(spec.tool or BACK).id,
         strongest=int(model.sensor(STRONGEST).adr[0]),
-        base=_on_the_floor(model, spec) if spec.base else None,
+        base=_on_the_floor(model, spec, spec.base) if spec.base else None,
         sensed={kind: _places(model, kind, spec) for kind in spec.sensors if kind in SENSORS},
     )
 
 
-def _on_the_floor(model: mujoco.MjModel, spec: RobotSpec) -> FloatingBody:
+def _on_the_floor(model: mujoco.MjModel, spec: RobotSpec, base: Base) -> FloatingBody:
     """Let the robot at home down to the floor, and tell the gantry that this is where to hold it."""
     data = mujoco.MjData(model)
     for name, q in zip(spec.joint_names, spec.joint_array("q_home"), strict=True):
@@ -256,6 +272,9 @@ def _on_the_floor(model: mujoco.MjModel, spec: RobotSpec) -> FloatingBody:
         stands_m=stands_m,
         gantry=gantry,
         itself=int(model.sensor(SELF).adr[0]),
+        allowed=np.array(
+            [model.sensor(f"{SELF} {k}").adr[0] for k in range(len(base.may_touch))], dtype=np.int64
+        ),
     )
 
 

@@ -256,5 +256,6 @@ class Plant(Stage):
 
     def _touching(self) -> Bools:
         if self._base:
-            return self.sensed[:, self._base.itself] > 0
+            allowed = self.sensed[:, self._base.allowed].sum(axis=1)
+            return np.asarray(self.sensed[:, self._base.itself] > allowed)
         return np.asarray(self._contacts > 0)
