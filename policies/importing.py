@@ -81,9 +81,8 @@ def _onnx(original: Original, settled: Settled) -> bytes:
 def _golden(original: Original, settled: Settled) -> Golden:
     """One life of the original, from its beginning."""
     theirs = original.scattered(np.random.default_rng(1), (GOLDEN_STEPS,))
+    ours = original.exchanged(theirs, settled.columns)
     action = original.play(theirs, np.arange(GOLDEN_STEPS) == 0)[:, settled.joints]
-    ours = np.empty_like(theirs)
-    ours[:, settled.columns] = theirs
     pairs = {"observation": ours.tolist(), "action": action.tolist()}
     return parse(pairs, Golden, source="golden pairs", error=ContractError)
 

@@ -4,14 +4,17 @@ import copy
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 yaml = pytest.importorskip("yaml")
 pytest.importorskip("tomlkit")
 
-from test_contract import NAMES  # noqa: E402
+from onnx import numpy_helper  # noqa: E402
+from test_contract import NAMES, SPEC  # noqa: E402
 from test_import_metadata import graph  # noqa: E402
 
+from deploy.policy import Policy  # noqa: E402
 from policies.importers.draft import read_draft  # noqa: E402
 from policies.importers.isaac_lab import read_descriptor  # noqa: E402
 from policies.importers.yaml_file import CHARACTERS_MAX  # noqa: E402
@@ -141,6 +144,40 @@ def test_a_template_with_its_descriptor_needs_little_more(tmp_path, capsys):
     assert 0 <= import_policy(tmp_path / "policy.onnx", draft, tmp_path / "mine.onnx").deviation <= 1e-5
 
 
+def test_joints_that_the_robot_has_not_are_seen_at_rest_in_their_default_pose(tmp_path):
+    moved = [NAMES[k] for k in (3, 0, 5, 1, 4, 2)]
+    seen = ["left_finger", *moved[::-1], "right_finger"]
+    data = anymal()
+    kept = [term(data, name) for name in ("joint_pos_rel", "joint_vel_rel", "last_action")]
+    kept[0] |= {"joint_names": seen, "joint_pos_offsets": [0.5] * 8, "shape": [8]}
+    kept[1] |= {"joint_names": seen, "joint_vel_offsets": [0.0] * 8, "shape": [8]}
+    kept[2]["shape"] = [6]
+    kept[0]["overloads"]["history_length"] = 2
+    data["observations"]["policy"] = kept
+    data["actions"][0] |= {"joint_names": moved, "offset": [0.1] * 6, "shape": [6]}
+    model = graph({}, 30, 6)
+    weights = np.random.default_rng(0).normal(size=(30, 6)).astype(np.float32)
+    model.graph.initializer[0].CopyFrom(numpy_helper.from_array(weights, "w"))
+    (tmp_path / "a.onnx").write_bytes(model.SerializeToString())
+    draft, out = tmp_path / "a.toml", tmp_path / "mine.onnx"
+    write_template(tmp_path / "a.onnx", draft, written(tmp_path, data))
+    text = draft.read_text()
+    for field, answer in {"robot": '"arm6"', "task": '"reach"', "kp": '"none"', "kd": '"none"'}.items():
+        text = text.replace(f'{field} = "?"', f"{field} = {answer}")
+    draft.write_text(text)
+    assert import_policy(tmp_path / "a.onnx", draft, out).deviation <= 1e-5
+
+    policy = Policy.load(out, SPEC)
+    assert [each.size * each.history for each in policy.contract.observation] == [12, 6, 6]
+    ours = np.random.default_rng(1).normal(size=(3, 24)).astype(np.float32)
+    places = np.array([NAMES.index(name) for name in seen[1:-1]])
+    still = np.zeros((3, 1), np.float32)
+    theirs = [part for start in (0, 6, 12) for part in (still, ours[:, start + places], still)]
+    order = [NAMES.index(name) for name in moved]
+    expected = np.concatenate([*theirs, ours[:, 18 + np.array(order)]], axis=1) @ weights
+    np.testing.assert_allclose(policy.replay(ours, 3)[:, order], expected, rtol=0, atol=1e-5)
+
+
 def test_where_both_speak_the_policys_own_file_is_right(tmp_path):
     from test_import_metadata import MJLAB
 
@@ -196,10 +233,15 @@ def test_what_no_contract_can_say_is_refused_by_its_field(tmp_path, kind):
     assert refused(written(tmp_path, data)).startswith(message)
 
 
-def test_joints_in_another_order_than_the_actions_are_refused(tmp_path):
+def test_actions_may_be_of_fewer_joints_in_another_order_but_of_no_others(tmp_path):
     data = anymal()
-    data["actions"][0]["joint_names"] = JOINTS[::-1]
+    data["actions"][0] |= {"joint_names": JOINTS[:3:-1], "offset": POSE[:3:-1]}
+    known = read_descriptor(written(tmp_path, data), 48)
+    assert (known["joint_names"], known["action_joints"]) == (JOINTS, JOINTS[:3:-1])
+    data["actions"][0]["joint_names"] = ["finger"]
     assert refused(written(tmp_path, data)).startswith("observations.policy: joint_names: found ['LF_HAA',")
+    term(data, "joint_vel_rel")["joint_names"] = JOINTS[::-1]
+    assert refused(written(tmp_path, data)).startswith("observations.policy: joint_names: found ['RH_KFE',")
 
 
 BOMB = "0: &0 [x, x]\n" + "".join(f"{k}: &{k} [*{k - 1}, *{k - 1}]\n" for k in range(1, 30))

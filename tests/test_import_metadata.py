@@ -167,6 +167,21 @@ def test_gains_and_factors_that_are_not_positive_say_nothing():
     assert known["action"] == {"mode": "position", "offset": POSE}
 
 
+def test_joints_without_gains_are_observed_and_which_they_are_is_asked():
+    """mjlab names every joint, but gains and scales only of those that have drives."""
+    pose = {"joint_names": MJLAB["joint_names"] + ",finger", "default_joint_pos": "0.100,0.900,-1.800,0.000"}
+    known = known_from(MJLAB | pose, "a.onnx")
+    assert known["joint_names"] == [*JOINTS, "finger"]
+    assert known["action_joints"] == "?"
+    assert known["action"].keys() == {
+        "mode",
+        "multiply",
+        "kp",
+        "kd",
+    }  # its pose is that of joints still unknown
+    assert terms(MJLAB | pose)["joint_pos"]["offset"] == [*POSE, 0.0]
+
+
 def test_a_file_without_such_metadata_says_nothing():
     assert known_from({}, "a.onnx") == {}
     assert known_from({"description": "a, b", "joint": "x"}, "a.onnx") == {}
@@ -181,7 +196,8 @@ def test_a_file_without_such_metadata_says_nothing():
             "FR_hip_joint,FR_thigh_joint,FR_calf_joint,passive_joint",
             "'default_joint_pos': found '0.100,0.900,-1.800', expected 4 entries",
         ),
-        ("joint_stiffness", "20.900,20.900", "found '20.900,20.900', expected 3 entries"),
+        ("joint_damping", "1.330,1.330", "found '1.330,1.330', expected 3 entries"),
+        ("joint_stiffness", ",".join(["1.000"] * 4), "expected 3 entries"),
         ("joint_names", "a,,b", "found 'a,,b', expected at most 4096 entries"),
         ("joint_names", '["a", "b", "c"]', "expected a name"),
         ("joint_names", ",".join(["a"] * 5000), "expected at most 4096 entries"),

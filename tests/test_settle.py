@@ -11,7 +11,7 @@ from deploy.action import Action
 from deploy.fit import check_contract
 from deploy.observation import Observation
 from policies.importers.draft import Draft
-from policies.importers.original import Facts
+from policies.importers.original import STILL, Facts
 from policies.importers.settle import settle
 from robots.errors import ContractError
 from robots.strict import parse
@@ -165,6 +165,67 @@ def test_a_draft_that_is_wrong_names_its_field(data, message):
         settled(data)
     assert message in str(caught.value)
     assert str(caught.value).startswith("x.toml: ")
+
+
+def still(**changes):
+    """The policy sees a finger that the robot has not, between the others, and moves joints in another order."""
+    terms = [dict(each) for each in drafted()["observation"]]
+    terms[0]["offset"] = (*POSE[:2], 7.0, *POSE[2:])
+    names = (*THEIRS[:2], "finger", *THEIRS[2:])
+    return drafted(joint_names=names, action_joints=THEIRS[::-1], observation=tuple(terms)) | changes
+
+
+def test_a_joint_that_the_robot_has_not_stands_still():
+    result = settled(still(), observations=7 + 7 + 3 + 6)
+    check_contract(result.contract, SPEC, "x.toml")
+    assert np.flatnonzero(result.columns == STILL).tolist() == [2, 9]
+    assert result.contract.observation_size == 21
+    ours = [NAMES.index(name) for name in THEIRS]
+    assert result.columns[[0, 1, 3, 4, 5, 6]].tolist() == ours
+    assert result.columns[17:].tolist() == [15 + k for k in ours[::-1]]
+    assert [THEIRS[::-1][k] for k in result.joints] == list(NAMES)
+    assert result.contract.observation[0].offset == tuple(POSE[THEIRS.index(name)] for name in NAMES)
+    assert result.contract.action.offset == tuple(POSE[THEIRS[::-1].index(name)] for name in NAMES)
+
+
+def changed_term(place, **changes):
+    terms = [dict(each) for each in still()["observation"]]
+    terms[place] |= changes
+    return still(observation=tuple(terms))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (still(action_joints=None), "joint_names: arm6 has no joint 'finger', expected one of"),
+        (
+            still(action_joints=("finger", *THEIRS)),
+            "action_joints: arm6 has no joint 'finger', expected one of",
+        ),
+        (still(action_joints=THEIRS[:5]), f"action_joints: found '{THEIRS[5]}' 0 times, expected it once"),
+        (
+            still(joint_names=(*THEIRS[:5], "finger")),
+            f"joint_names: found '{THEIRS[5]}' 0 times, expected it once",
+        ),
+        (
+            changed_term(0, offset="none"),
+            "observation 'q': joint_position: cannot be known of 'finger', which",
+        ),
+        (
+            changed_term(1, offset=1.0),
+            "observation 'qd': joint_velocity: cannot be known of 'finger', which",
+        ),
+        (changed_term(1, clip=(0.5, 1.0)), "observation 'qd': joint_velocity: cannot be known of 'finger'"),
+        (
+            changed_term(1, source="target_offset"),
+            "observation 'qd': target_offset: cannot be known of 'finger'",
+        ),
+    ],
+)
+def test_a_joint_of_which_nothing_can_be_known_is_refused(data, message):
+    with pytest.raises(ContractError) as caught:
+        settled(data, observations=23)
+    assert str(caught.value).startswith(f"x.toml: {message}")
 
 
 def test_a_draft_of_another_policy_is_refused():

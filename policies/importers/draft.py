@@ -84,7 +84,8 @@ class Draft(Strict):
     Attributes:
         robot: name of the robot. task: what it is asked to do.
         policy_hz: Hz, how often it is asked.
-        joint_names: the robot's joints in the policy's order, of observation and action alike.
+        joint_names: joints in the policy's order: the robot's, and others that it observes.
+        action_joints: those that it moves, the robot's, in the order of its action; None: all, in the same order.
         layout: with a history, whether the readings of each term stand together, or those of each time.
         frames: with a history, in which order. fill: what stands there before the first.
         observation: in the policy's order. action: what it does. network: what a file of weights does not say.
@@ -94,6 +95,7 @@ class Draft(Strict):
     task: Task
     policy_hz: Hertz
     joint_names: Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
+    action_joints: Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)] | None = None
     layout: Literal["by_term", "by_time"] | None = None
     frames: Literal["oldest_first", "newest_first"] | None = None
     fill: Literal["first", "zeros"] | None = None

@@ -9,7 +9,7 @@ import onnx
 from onnx import GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, helper, numpy_helper
 
 from deploy.policy_file import INPUT, MEMORY, NEXT, OUTPUT
-from policies.importers.original import Original
+from policies.importers.original import STILL, Original
 
 INSIDE = "policy/"
 """Before every name of the foreign graph, so that none is one of ours."""
@@ -25,16 +25,18 @@ def with_our_ends(original: Original, columns: Sequence[int], joints: Sequence[i
 
     Args:
         original: the foreign policy.
-        columns: (N,) which of our observation's numbers stands where in its own.
+        columns: (N,) which of our observation's numbers stands where in its own; STILL: none, but 0.
         joints: (A,) which of its action's numbers stands where in ours.
     """
     inner = onnx.compose.add_prefix(_plain(original.model), INSIDE)
     build = _Graph()
-    observation = build.gather(INPUT, columns, axis=1)
+    ours = sum(column != STILL for column in columns)
+    seen = INPUT if ours == len(columns) else build.with_zero(INPUT)
+    observation = build.gather(seen, [ours if column == STILL else column for column in columns], axis=1)
     scanned = bool(original.memory) or not original.batched
     action = (_scanned if scanned else _joined)(build, inner.graph, original, observation)
     build.same(build.gather(action, joints, axis=1), OUTPUT)
-    before, after = {INPUT: original.facts.observations}, {OUTPUT: original.facts.actions}
+    before, after = {INPUT: ours}, {OUTPUT: original.facts.actions}
     if size := original.memory_size:
         before[MEMORY] = after[NEXT] = size
     graph = helper.make_graph(
@@ -84,6 +86,12 @@ class _Graph:
         if list(indices) == list(range(len(indices))):
             return value
         return self.add("Gather", [value, self.integers(indices)], f"{value}_ordered", axis=axis)
+
+    def with_zero(self, value: str) -> str:
+        """One more column, of 0 for each robot."""
+        first = self.add("Gather", [value, self.integers([0])], f"{value}_first", axis=1)
+        zero = self.add("Sub", [first, first], f"{value}_zero")
+        return self.add("Concat", [value, zero], f"{value}_and_zero", axis=1)
 
     def shaped(self, value: str, shape: Sequence[int], output: str) -> str:
         return self.add("Reshape", [value, self.integers(shape)], output)

@@ -112,18 +112,18 @@ def read_descriptor(path: Path, observations: int) -> dict[str, Any]:
         raise ContractError(
             f"{path}: observations.policy: found {total} numbers, the policy takes {observations}"
         )
-    observed = {term.joint_names or action.joint_names for term in terms}
-    if observed != {action.joint_names}:
-        joints = sorted(observed - {action.joint_names})[0]
+    joints, *others = dict.fromkeys(t.joint_names for t in terms if t.joint_names) or [action.joint_names]
+    if others or not set(action.joint_names) <= set(joints):
         raise ContractError(
-            f"{path}: observations.policy: joint_names: found {list(joints)!s:.300}, expected those of the action:"
-            f" {list(action.joint_names)!s:.300}"
+            f"{path}: observations.policy: joint_names: found {list(others[0] if others else joints)!s:.300},"
+            f" expected the same for each term, among them those of the action: {list(action.joint_names)!s:.300}"
         )
     hertz = 1 / descriptor.scene.dt
     return contract(
         _terms(terms, str(path)),
         "first",
-        joint_names=list(action.joint_names),
+        joint_names=list(joints),
+        action_joints=None if joints == action.joint_names else list(action.joint_names),
         policy_hz=round(hertz) if abs(hertz - round(hertz)) < 1e-3 else None,
         action=_action(action, descriptor.articulations),
     )

@@ -12,6 +12,7 @@ from typing import Any
 
 from deploy.terms import SIZE_MAX
 from policies.importers import holosoma
+from policies.importers.draft import OPEN
 from policies.importers.vocabulary import contract, factors, gains, said, term
 from robots.errors import ContractError
 
@@ -38,10 +39,20 @@ def known_from(metadata: Mapping[str, str], source: str) -> dict[str, Any]:
     table = _Table(metadata, source)
     joints = table.names("joint_names")
     pose = table.numbers("default_joint_pos", joints)
-    kp, kd = (table.numbers(key, joints) for key in ("joint_stiffness", "joint_damping"))
-    scale = table.numbers("action_scale", joints if "," in metadata.get("action_scale", "") else None)
-    action = said(mode="position", offset=pose, multiply=factors(scale), **gains(kp, kd))
-    return contract(_observation(table, pose), "first", joint_names=joints, action=action)
+    driven = _driven(table, joints)
+    kp, kd = (table.numbers(key, driven) for key in ("joint_stiffness", "joint_damping"))
+    scale = table.numbers("action_scale", driven if "," in metadata.get("action_scale", "") else None)
+    action = said(mode="position", multiply=factors(scale), **gains(kp, kd))
+    observation = _observation(table, pose)
+    if driven != joints:
+        return contract(observation, "first", joint_names=joints, action_joints=OPEN, action=action)
+    return contract(observation, "first", joint_names=joints, action=said(offset=pose, **action))
+
+
+def _driven(table: "_Table", joints: list[str] | None) -> list[str] | None:
+    """As many of the joints as have gains: which those are the metadata does not say."""
+    count = len(table.entries("joint_stiffness") or joints or ())
+    return joints[:count] if joints else joints
 
 
 class _Table:

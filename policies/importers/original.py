@@ -11,6 +11,8 @@ from onnx import ModelProto
 from deploy.policy_file import Float32s
 from robots.errors import ContractError
 
+STILL = -1
+"""Stands for a number of a policy's observation that we have not: it is 0."""
 Play = Callable[[Float32s, NDArray[np.bool_]], Float32s]
 """Observations (T, N) one after the other, and before which of them (T,) all is forgotten: actions (T, A)."""
 
@@ -90,6 +92,18 @@ class Original:
     def memory_size(self) -> int:
         """M, numbers that it remembers."""
         return sum(memory.size for memory in self.memory)
+
+    def exchanged(self, theirs: Float32s, columns: NDArray[np.int64]) -> Float32s:
+        """Observations (..., N) in our order, (..., M); where `columns` (N,) says STILL, 0 is put into theirs.
+
+        Args:
+            theirs: changed in place. columns: as `settle.Settled` has them.
+        """
+        moves = columns != STILL
+        theirs[..., ~moves] = 0.0
+        ours = np.empty((*theirs.shape[:-1], np.count_nonzero(moves)), np.float32)
+        ours[..., columns[moves]] = theirs[..., moves]
+        return ours
 
     def scattered(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Float32s:
         """(*shape, N) observations, as far apart as those in training where the file knows them, else by 1."""

@@ -42,12 +42,11 @@ def trials(
         ("sequence", (SEQUENCES, STEPS), FORGOTTEN),
     ):
         theirs = original.scattered(rng, shape)
+        ours = original.exchanged(theirs, columns)
         forget = rng.random(shape) < chance
         forget[:, 0] = True
         flat = original.play(theirs.reshape(-1, original.facts.observations), forget.ravel())
         action = flat.reshape(*shape, original.facts.actions)[..., joints]
-        ours = np.empty_like(theirs)
-        ours[..., columns] = theirs
         made.append(Trial(name=name, observation=ours, forget=forget, action=action))
     return made
 

@@ -22,6 +22,7 @@ FIELDS = {
     "policy_hz": "Hz, how often it is asked",
     "joint_names": "the robot's joints in the policy's own order",
 }
+MOVED = {"action_joints": "those of joint_names that it moves, in the order of its action"}
 HISTORY = {
     "layout": '"by_term" or "by_time": whether readings of each term stand together, or those of each time',
     "frames": '"oldest_first" or "newest_first"',
@@ -62,7 +63,8 @@ def written(facts: Facts, name: str) -> tuple[str, int]:
     for line in head.splitlines():
         document.add(tomlkit.comment(line))
     terms = known.get("observation") or [{}]
-    asked = FIELDS | (HISTORY if any(term.get("history", 1) != 1 for term in terms) else {})
+    moved = MOVED if "action_joints" in known else {}
+    asked = FIELDS | moved | (HISTORY if any(term.get("history", 1) != 1 for term in terms) else {})
     _fill(document, {key: known[key] for key in asked if key in known}, asked)
     observation = tomlkit.aot()
     for term in terms:
