@@ -15,7 +15,7 @@ from importing import parity  # noqa: E402
 from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3  # noqa: E402
 from test_vec_normalize import HIGH, LOW, Command, Tiny, kept, normalizing  # noqa: E402
 
-from policies.importers.network import Network  # noqa: E402
+from policies.importers.network import Network, Statistics  # noqa: E402
 from policies.importers.original import UnansweredError  # noqa: E402
 from policies.importers.stable_baselines import read_stable_baselines  # noqa: E402
 from robots.errors import ContractError  # noqa: E402
@@ -289,5 +289,7 @@ def test_a_normalizer_that_does_not_fit_or_is_not_there_is_refused(ppo, tmp_path
     path = tmp_path / "policy.zip"
     path.write_bytes(ppo[2].read_bytes())
     assert "vecnormalize.pkl: cannot be read" in refused(path, NORMALIZED)
+    numbers = Network(normalizer=Statistics(mean=(0.0,) * 5, std=(1.0,) * 5))
+    assert refused(path, numbers) == "network.normalizer: found numbers, expected a file, or none"
     kept(normalizing(lambda: Tiny((4,))), tmp_path)
     assert "vecnormalize.pkl: found 4 numbers, expected 5" in refused(path, NORMALIZED)

@@ -9,12 +9,13 @@ pytest.importorskip("onnxscript")
 from importing import parity  # noqa: E402
 from torch import nn  # noqa: E402
 
-from policies.importers.network import Network  # noqa: E402
+from policies.importers.network import Network, Statistics  # noqa: E402
 from policies.importers.original import UnansweredError  # noqa: E402
 from policies.importers.state_dict import read_state_dict  # noqa: E402
 from robots.errors import ContractError  # noqa: E402
+from robots.strict import parse  # noqa: E402
 
-TANH = Network(activation="tanh")
+TANH = Network(activation="tanh", normalizer="none")
 
 
 def net(seed=0):
@@ -65,20 +66,46 @@ def named(*layers):
 def test_layers_stand_in_the_order_that_fits(tmp_path):
     ten = [(f"net.{2 * k}", 4, 4) for k in range(6)]  # net.10 is after net.2
     for state in (named(*ten), named(("trunk.0", 8, 5), ("trunk.2", 8, 8), ("head", 2, 8))):
-        message = refused(file_of(tmp_path, state), Network(), UnansweredError)
+        message = refused(file_of(tmp_path, state), Network(normalizer="none"), UnansweredError)
         assert message.startswith("network.activation: not in the file, expected an answer: elu, relu, tanh")
 
 
 def test_what_the_file_does_not_say_is_asked(tmp_path):
     with pytest.raises(UnansweredError) as caught:
         read_state_dict(file_of(tmp_path, net().state_dict()), Network())
-    assert caught.value.facts.known == {"network": {"activation": "?"}}
+    assert caught.value.facts.known == {"network": {"activation": "?", "normalizer": "?"}}
+    with pytest.raises(UnansweredError, match=r"network\.normalizer: not in the file") as asked:
+        read_state_dict(file_of(tmp_path, net().state_dict()), Network(activation="elu"))
+    assert asked.value.facts.known == {"network": {"normalizer": "?"}}
     assert (caught.value.facts.observations, caught.value.facts.actions) == (7, 3)
 
 
-def test_a_normalizer_beside_it_is_not_passed_over(tmp_path):
-    message = refused(file_of(tmp_path, net().state_dict()), Network(activation="elu", normalizer="n.npz"))
-    assert message == "network.normalizer: found 'n.npz', expected none beside such a file"
+def test_a_normalizer_that_went_with_it_comes_before_it(tmp_path):
+    rng, module = np.random.default_rng(1), net()
+    mean, std = rng.normal(size=7) * 3, rng.uniform(0.1, 4, 7)
+    said = Network(
+        activation="tanh", normalizer=Statistics(mean=tuple(mean.tolist()), std=tuple(std.tolist()))
+    )
+    original = read_state_dict(file_of(tmp_path, module.state_dict()), said)
+    assert original.facts.kind == "state_dict of an MLP with a normalizer"
+    assert (original.mean, original.deviation) == (tuple(mean), tuple(std))
+    rows = rng.normal(size=(20, 7)).astype(np.float32)
+    expected = module(torch.from_numpy(((rows - mean) / std).astype(np.float32))).detach()
+    np.testing.assert_allclose(original.play(rows, np.ones(20, dtype=bool)), expected, rtol=0, atol=1e-5)
+    assert parity(original) <= 1e-5
+
+
+def test_a_normalizer_that_cannot_be_its_own_is_refused(tmp_path):
+    path = file_of(tmp_path, net().state_dict())
+    expected = 'expected { mean = [...], std = [...] } with 7 numbers each, or "none"'
+    message = refused(path, Network(activation="elu", normalizer="n.npz"))
+    assert message == f"network.normalizer: found 'n.npz', {expected}"
+    few = Statistics(mean=(0.0,), std=(1.0,))
+    assert refused(path, Network(normalizer=few)) == f"network.normalizer: found 1 numbers, {expected}"
+    with pytest.raises(ContractError, match=r"network\.normalizer: 2 numbers of mean but 1 of std"):
+        parse({"mean": (0.0, 1.0), "std": (1.0,)}, Statistics, source="x", error=ContractError)
+    with pytest.raises(ContractError, match=r"std\.0: Input should be greater than 0"):
+        parse({"mean": (0.0,), "std": (0.0,)}, Statistics, source="x", error=ContractError)
 
 
 HUGE = torch.zeros(1).expand(10**6, 10**6)

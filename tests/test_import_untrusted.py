@@ -30,7 +30,7 @@ from policies.importers.network import Network  # noqa: E402
 from policies.importers.recognize import read_original  # noqa: E402
 from robots.errors import ContractError  # noqa: E402
 
-ELU, ASKED = Network(activation="elu"), Network(normalizer="none")
+ELU, ASKED = Network(activation="elu", normalizer="none"), Network(normalizer="none")
 LINES_MAX, CHARACTERS_MAX = 5, 1200
 
 

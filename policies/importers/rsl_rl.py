@@ -47,6 +47,9 @@ def read_rsl_rl(path: Path, network: Network) -> Original:
     actor = read_actor(_weights(load_tensors(path, "expected a checkpoint of rsl_rl"), source), source)
     facts = Facts(kind=f"rsl_rl {actor.kind}", observations=actor.observations, actions=actor.actions)
     activation = answered(network, facts, source)
+    if network.normalizer not in (None, "none"):
+        found = f"network.normalizer: found {network.normalizer!r:.100}"
+        raise ContractError(f"{source}: {found}, expected none: a checkpoint of rsl_rl has its own")
     original = read_module(actor.module(activation), facts.observations, source, kind=facts.kind)
     scaling = actor.scaling
     return replace(

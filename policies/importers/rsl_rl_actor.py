@@ -14,6 +14,7 @@ from deploy.terms import SIZE_MAX
 from policies.archive import check_tensor
 from policies.importers.network import Activation
 from policies.importers.original import Play
+from policies.importers.scaling import Scaling
 from policies.importers.state_dict import LAYERS_MAX, chain, mlp
 from robots.errors import ContractError
 
@@ -26,26 +27,6 @@ EPS = 1e-2
 """What every version of EmpiricalNormalization adds to a deviation."""
 NAMES: dict[Activation, str] = {"leaky_relu": "lrelu", "silu": "swish"}
 """Activations that rsl_rl calls by another name."""
-
-
-class Scaling(nn.Module):
-    """(observation - mean) / divisor.
-
-    Attributes:
-        mean, divisor: (N,) of the observations in training.
-    """
-
-    mean: Tensor
-    divisor: Tensor
-
-    def __init__(self, mean: Tensor, divisor: Tensor) -> None:
-        super().__init__()
-        self.register_buffer("mean", mean)
-        self.register_buffer("divisor", divisor)
-
-    def forward(self, observation: Tensor) -> Tensor:
-        """(1, N) to (1, N)."""
-        return (observation - self.mean) / self.divisor
 
 
 class Remembering(nn.Module):

@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import torch
 from torch import Tensor, nn
 
 from deploy.terms import SIZE_MAX
@@ -14,6 +15,7 @@ from policies.importers.activations import ACTIVATIONS
 from policies.importers.module import read_module
 from policies.importers.network import Activation, Network
 from policies.importers.original import Facts, Original, UnansweredError
+from policies.importers.scaling import Scaling
 from policies.importers.zip_archive import BYTES_MAX
 from robots.errors import ContractError
 
@@ -22,10 +24,12 @@ WRAPPER = "state_dict"
 
 
 def read_state_dict(path: Path, network: Network) -> Original:
-    """The MLP of a state_dict, or of {"state_dict": ...}; nothing squashes its actions.
+    """The MLP of a state_dict, or of {"state_dict": ...}, behind the normalizer that `network` holds.
+
+    Nothing squashes its actions.
 
     Raises:
-        UnansweredError: its activation is not answered.
+        UnansweredError: its activation is not answered, or whether a normalizer went with it.
         ContractError: the file holds code, or anything but the weights of one MLP.
     """
     data = load_tensors(path, "expected the state_dict of an MLP")
@@ -36,8 +40,18 @@ def read_state_dict(path: Path, network: Network) -> Original:
     facts = Facts(
         kind="state_dict of an MLP", observations=layers[0].in_features, actions=layers[-1].out_features
     )
-    activation = answered(network, facts, str(path))
-    return read_module(mlp(layers, activation), facts.observations, str(path), kind=facts.kind)
+    statistics = network.statistics(facts.observations, str(path))
+    if network.normalizer is None:
+        asked = {} if network.activation else {"activation": "?"}
+        message = f"{path}: network.normalizer: not in the file, expected an answer: numbers, or none"
+        raise UnansweredError(message, replace(facts, known={"network": {**asked, "normalizer": "?"}}))
+    module = mlp(layers, answered(network, facts, str(path)))
+    if statistics is None:
+        return read_module(module, facts.observations, str(path), kind=facts.kind)
+    mean, std = statistics.mean, statistics.std
+    whole = nn.Sequential(Scaling(torch.tensor(mean), torch.tensor(std)), module)
+    original = read_module(whole, facts.observations, str(path), kind=f"{facts.kind} with a normalizer")
+    return replace(original, mean=mean, deviation=std)
 
 
 def weights_of(data: object, source: str) -> dict[str, Tensor]:
@@ -89,12 +103,7 @@ def answered(network: Network, facts: Facts, source: str) -> Activation:
 
     Raises:
         UnansweredError: nobody answered.
-        ContractError: a normalizer is named, which would not be read.
     """
-    if network.normalizer not in (None, "none"):
-        raise ContractError(
-            f"{source}: network.normalizer: found {network.normalizer!r:.100}, expected none beside such a file"
-        )
     if network.activation is None:
         expected = ", ".join(ACTIVATIONS)
         message = f"{source}: network.activation: not in the file, expected an answer: {expected}"

@@ -1,12 +1,13 @@
 """The first draft of a contract: all that the policy's file says, and a question mark for all that it does not."""
 
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import tomlkit
 from tomlkit.items import Table
 
 from deploy.terms import READINGS
+from policies.importers.network import Activation
 from policies.importers.original import Facts
 from robots.strict import OPEN, open_fields
 
@@ -46,6 +47,11 @@ ACTION = {
     "kd": "N·m·s/rad",
 }
 
+NETWORK = {
+    "activation": f"between layers: {', '.join(get_args(Activation))}",
+    "normalizer": 'of observations: "none", { mean = [...], std = [...] } of weights, or the file of a VecNormalize',
+}
+
 
 def written(facts: Facts, name: str) -> tuple[str, int]:
     """The text of the TOML, and how many of its values are still open."""
@@ -72,7 +78,8 @@ def written(facts: Facts, name: str) -> tuple[str, int]:
     document.add("observation", observation)
     document.add("action", _fill(tomlkit.table(), known.get("action") or {}, ACTION))
     if network := known.get("network"):
-        document.add("network", _fill(tomlkit.table(), network, {}))
+        about = {key: meaning for key, meaning in NETWORK.items() if key in network}
+        document.add("network", _fill(tomlkit.table(), network, about))
     text = tomlkit.dumps(document)
     return text, len(list(open_fields(document.unwrap())))
 
