@@ -15,7 +15,7 @@ from robots.model_mujoco import load_mujoco
 from robots.spec import load_robot
 
 HOME = SPEC.joint_array("q_home")
-EXTRA = 'axis="0.6 0 0.8" pos="0.01 0.02 0.03"'
+EXTRA = ' axis="0.6 0 0.8" pos="0.01 0.02 0.03"'
 
 
 def jacobians(spec, q):

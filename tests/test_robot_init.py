@@ -21,7 +21,9 @@ from deploy.backends.sim.robot import SimRobot
 from deploy.runtime import Runtime
 from deploy.state import Mode
 from eval.limits import load_limits
+from policies.robot_init.always import always_near
 from policies.robot_init.cli import cli, init_robot, package_of
+from policies.robot_init.facts import read_facts
 from policies.robot_init.shapes import around
 from robots.errors import OutputError, RobotError
 from robots.model_mujoco import load_mujoco
@@ -242,6 +244,55 @@ def test_nothing_is_overwritten(tmp_path):
     out.mkdir()
     with pytest.raises(OutputError, match="is there already"):
         init_robot(vendors(tmp_path), out)
+
+
+CHAIN = """<mujoco>
+  <default><geom type="capsule" size="0.05"/></default>
+  <worldbody>
+    <body name="one"><joint name="a" range="-60 60"/><geom fromto="0 0 0 0 0 0.3"/>
+      <body name="two" pos="0 0 0.3"><joint name="b" axis="1 0 0"/><geom fromto="0 0 0 0 0 0.06"/>
+        <body name="three" pos="0 0 0.06"><joint name="c"/><geom type="cylinder" size="0.05 0.05" pos="0 0 0.05"/>
+          <body name="four" pos="0 0 0.5">
+            <joint name="d" armature="0.1" actuatorfrcrange="-3 3"/><geom type="sphere" size="0.02"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="a" gear="50" ctrllimited="true" ctrlrange="-2 2"/>
+    <velocity joint="b" kv="7"/>
+    <position joint="d" kp="40" kv="3" gear="2" forcerange="-9 9"/>
+  </actuator>
+</mujoco>"""
+"""Links, one of them short; actuators of every kind, and a joint that none moves."""
+
+
+def test_actuators_are_read_on_the_joint_s_side(tmp_path):
+    path = tmp_path / "chain.xml"
+    path.write_text(CHAIN)
+    a, b, c, d = read_facts(path, tmp_path).joints
+    assert (a.low, a.torque_max, a.gear, a.kp) == (pytest.approx(-np.pi / 3), 100.0, 50.0, None)
+    assert (b.low, b.torque_max, b.gear, b.kp, b.kd) == (None, None, None, None, 7.0)
+    assert (c.driven, c.torque_max) == (False, None)
+    assert (d.torque_range, d.torque_max, d.gear, d.kp, d.kd, d.armature) == (
+        3.0,
+        None,
+        2.0,
+        160.0,
+        12.0,
+        0.1,
+    )
+    assert read_facts(path, tmp_path).locked == ("c",)
+
+
+def test_links_that_meet_in_every_pose_are_neighbours(tmp_path):
+    """The first and the third, across the short one; the last is far from both."""
+    path = tmp_path / "chain.xml"
+    path.write_text(CHAIN)
+    assert always_near(path, tmp_path, read_facts(path, tmp_path)) == (("one", "three"),)
+    path.write_text(CHAIN.replace("0 0 0.06", "0 0 0.4"))
+    assert always_near(path, tmp_path, read_facts(path, tmp_path)) == ()
 
 
 @pytest.mark.parametrize("points", ["box", "cloud", "ball"])

@@ -132,7 +132,8 @@ def _joint(model: mujoco.MjModel, i: int, path: Path, speeds: dict[str, float]) 
             f"{path}: joint {i} ({joint.name!r}) of body {body.name!r}: expected a name for both"
         )
     limited, bounded = bool(model.jnt_limited[i]), bool(model.jnt_actfrclimited[i])
-    acting = _Acting(model, i)
+    acting = _acting(model, i)
+    own = acting or _Acting(None, None, None, None)
     return JointFacts(
         name=joint.name,
         body=body.name,
@@ -142,33 +143,36 @@ def _joint(model: mujoco.MjModel, i: int, path: Path, speeds: dict[str, float]) 
         home=_home(model, i),
         qd_max=speeds.get(joint.name),
         torque_range=float(model.jnt_actfrcrange[i, 1]) if bounded else None,
-        torque_max=None if bounded else acting.torque_max,
-        kp=acting.kp,
-        kd=acting.kd,
-        gear=acting.gear,
-        driven=acting.there,
+        torque_max=None if bounded else own.torque_max,
+        kp=own.kp,
+        kd=own.kd,
+        gear=own.gear,
+        driven=acting is not None,
         armature=float(model.dof_armature[model.jnt_dofadr[i]]),
     )
 
 
+@dataclass(frozen=True, slots=True)
 class _Acting:
     """What the model's own actuator of a joint says, on the joint's side."""
 
-    def __init__(self, model: mujoco.MjModel, joint: int) -> None:
-        on = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
-        found = np.flatnonzero(on)
-        self.there = len(found) > 0
-        self.kp = self.kd = self.gear = self.torque_max = None
-        if not self.there:
-            return
-        actuator = found[0]
-        gear = float(model.actuator_gear[actuator, 0])
-        self.gear = gear if abs(gear) > 1.0 else None
-        self.torque_max = _torque(model, actuator, gear)
-        affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
-        if affine and model.actuator_biasprm[actuator, 1] < 0:
-            stiff, damp = -model.actuator_biasprm[actuator, 1:3] * gear**2
-            self.kp, self.kd = round(float(stiff), 6), round(float(damp), 6) or None
+    torque_max: float | None
+    kp: float | None
+    kd: float | None
+    gear: float | None
+
+
+def _acting(model: mujoco.MjModel, joint: int) -> _Acting | None:
+    on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    found = np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint))
+    if not len(found):
+        return None
+    actuator, kp, kd = found[0], None, None
+    gear = float(model.actuator_gear[actuator, 0])
+    if model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE:
+        # 0 is none: a velocity actuator has no stiffness. A force of kp (u - l) has a bias of -kp.
+        kp, kd = (round(float(gain), 6) or None for gain in -model.actuator_biasprm[actuator, 1:3] * gear**2)
+    return _Acting(_torque(model, actuator, gear), kp, kd, gear if abs(gear) > 1.0 else None)
 
 
 def _torque(model: mujoco.MjModel, actuator: int, gear: float) -> float | None:
