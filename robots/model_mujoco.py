@@ -53,6 +53,8 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
         RobotError: MuJoCo cannot read it, or it lacks what robot.toml speaks of.
     """
     mjcf = open_model(spec.model_path, spec.folder)
+    if spec.base and is_urdf(spec.model_path):  # which has no words for a root that is free
+        mjcf.worldbody.bodies[0].add_freejoint()
     mjcf.option.timestep = 1.0 / spec.rates.physics_hz
     for element in (*mjcf.keys, *mjcf.sensors):  # they speak of actuators and joints that may not stay
         mjcf.delete(element)

@@ -51,7 +51,8 @@ def _read_mjcf(spec: RobotSpec) -> Read:
 
 def _read_urdf(spec: RobotSpec) -> Read:
     text = urdf_text(spec.model_path, spec.folder)
-    model = pin.buildModelFromXML(text)
+    root = (pin.JointModelFreeFlyer(),) if spec.base else ()
+    model = pin.buildModelFromXML(text, *root)
     return model, pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
 
 

@@ -9,6 +9,8 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("tomlkit")
 
+import mujoco
+import pinocchio as pin
 import tomlkit
 from test_contract import arm_contract, term
 from test_drive import VENDOR
@@ -228,6 +230,32 @@ def test_a_robot_that_walks_has_a_base_and_no_tool(tmp_path):
     spec = fill_in(out, ANSWERS | {"feet": list(feet), "q_home": -0.4})
     assert spec.joint_names == load_robot(source).joint_names
     assert load_mujoco(spec).nactuator == Fleet(spec, 1, collisions=True).n == 12
+
+
+def test_urdf_that_walks_is_told_so(tmp_path):
+    """URDF has no free joint: both libraries give it one, and agree on its mass and on where its foot is."""
+    write_stl(tmp_path / "source" / "meshes" / "fore.stl")
+    model = shutil.copy(URDF, tmp_path / "source" / "two.urdf")
+    init_robot(Path(model), tmp_path / "mine", walks=True)
+    said = tomllib.loads((tmp_path / "mine" / "robot.toml").read_text())
+    assert said["sensors"]["gyro"]["sites"] == ["base"]
+    spec = fill_in(tmp_path / "mine", ANSWERS | {"feet": ["tip"], "q_home": 0.5})
+    model, (arm, _) = load_mujoco(spec), load_pinocchio(spec)
+    assert (model.nq, model.nv, model.nactuator, arm.nq) == (9, 8, 2, 2)
+    assert model.body_mass.sum() == pytest.approx(4.4)
+    data, arm_data = mujoco.MjData(model), arm.createData()
+    data.qpos[7:] = 0.5, -0.7
+    mujoco.mj_kinematics(model, data)
+    pin.framesForwardKinematics(arm, arm_data, data.qpos[7:])
+    foot = data.body("tip").xpos - data.body("base").xpos
+    np.testing.assert_allclose(arm_data.oMf[arm.getFrameId("tip")].translation, foot, atol=1e-12)
+    robot = SimRobot(spec, [robot_seed(3, 0)])
+    assert robot.truth().valid.all()
+
+
+def test_mjcf_says_itself_whether_it_walks(tmp_path):
+    with pytest.raises(RobotError, match="found no free joint, expected one"):
+        init_robot(vendors(tmp_path), tmp_path / "mine", walks=True)
 
 
 def test_a_mesh_beyond_the_folder_is_not_taken(tmp_path):

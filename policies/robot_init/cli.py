@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -33,8 +34,12 @@ Fill in every "?", name the source of each number, and say here what is an estim
 """
 
 
-def init_robot(model: Path, out: Path) -> tuple[Facts, list[tuple[str, str]]]:
+def init_robot(model: Path, out: Path, *, walks: bool = False) -> tuple[Facts, list[tuple[str, str]]]:
     """Write a robot folder; returns what the model says, and the fields that are still open: table and key.
+
+    Args:
+        model: MJCF or URDF. out: the folder.
+        walks: whether its base is free although it has no free joint, as in URDF.
 
     Raises:
         RobotError: the model cannot be read, or it names files outside of its folder.
@@ -43,6 +48,9 @@ def init_robot(model: Path, out: Path) -> tuple[Facts, list[tuple[str, str]]]:
     folder = package_of(model)
     files = [model.resolve(), *named_files(model, folder)]
     facts = read_facts(model, folder)
+    if walks and not is_urdf(model) and not facts.floats:
+        raise RobotError(f"{model}: found no free joint, expected one: only URDF has no words for it")
+    facts = replace(facts, floats=facts.floats or walks)
     if not facts.joints:
         raise RobotError(f"{model}: has no hinge, expected a robot with joints")
     place = model.resolve().relative_to(folder).as_posix()
@@ -95,10 +103,11 @@ def _write(out: Path, files: list[Path], folder: Path, texts: dict[str, str]) ->
 def robot_init(
     model: Annotated[Path, typer.Argument(help="the vendor's MJCF (.xml) or URDF (.urdf)")],
     out: Annotated[Path | None, typer.Option(help="folder to write", show_default="out/<model>")] = None,
+    walks: Annotated[bool, typer.Option("--walks", help="its base is free, which URDF cannot say")] = False,
 ) -> int:
     """Make a robot folder of a vendor's model: all that it says, estimates that say so, and "?" for the rest."""
     place = out or Path("out", model.stem)
-    facts, still_open = init_robot(model, place)
+    facts, still_open = init_robot(model, place, walks=walks)
     print(
         f"{place}: {len(facts.joints)} joints, {len(facts.locked)} of them locked, {len(facts.shapes)} shapes"
     )
