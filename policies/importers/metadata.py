@@ -12,9 +12,9 @@ from typing import Any
 
 from deploy.terms import SIZE_MAX
 from policies.importers import holosoma
-from policies.importers.draft import OPEN
 from policies.importers.vocabulary import contract, factors, gains, said, term
 from robots.errors import ContractError
+from robots.strict import OPEN
 
 CHARACTERS_MAX = 1 << 20
 ENTRY = re.compile(r"[\[(][^\[\]()]*[\])]|[^,]+")
