@@ -86,8 +86,8 @@ def test_a_normalizer_that_nobody_remembers_is_suspected_and_the_trial_fails(sic
     case = sick(graph=without_normalizer, contract=unobserved)
     found = row(case, "normalizer")
     assert found.verdict is Verdict.WARN
-    assert "the network gets goal_torque wrist_2 0.0" in found.said
-    assert "whether training had a normalizer cannot be seen" in found.said
+    assert "whether training had one cannot be seen: ask" in found.said
+    assert "by the contract's scales it gets goal_torque wrist_2 0.0" in found.said
     assert row(case, "training").verdict is Verdict.WARN
     trial = row(case, "trial")
     assert trial.verdict is Verdict.FAIL

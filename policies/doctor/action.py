@@ -13,7 +13,7 @@ from robots.model_pinocchio import load_pinocchio, torque_max
 LEAST = 0.02
 """Of a joint's range, or of its speed: an action of 1 that moves it by less hardly moves it."""
 MOST = 3.0
-"""Times a joint's speed: an action of 1 that asks for more has a wrong scale or rate."""
+"""Times a joint's speed, or its torque: an action of 1 that asks for more has a wrong scale, rate or gain."""
 DAMPING = (0.05, 20.0)
 """Damping ratios that gains in the units of the contract come to."""
 
@@ -97,11 +97,12 @@ def _strength(case: Case, kp: Floats, kd: Floats) -> Iterator[Note]:
         kp * np.array(case.contract.action.scale),
         torque_max(case.spec),
     )
-    if (hard := tau > limit).any():
-        yield warned(
-            f"kp × scale, the torque of an action of 1, is {listed(names, tau, limit, unit=' N·m', which=hard)}:"
-            " compare kp and scale with training's."
-        )
+    for note, which in ((failed, tau > MOST * limit), (warned, (tau > limit) & (tau <= MOST * limit))):
+        if which.any():
+            yield note(
+                f"kp × scale, the torque of an action of 1, is {listed(names, tau, limit, unit=' N·m', which=which)}:"
+                " compare kp and scale with training's."
+            )
     ratio = kd / (2.0 * np.sqrt(kp * _inertia(case)))
     if (odd := (ratio < DAMPING[0]) | (ratio > DAMPING[1])).any():
         yield warned(

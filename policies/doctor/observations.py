@@ -41,7 +41,13 @@ def normalizer(case: Case) -> Iterator[Note]:
     heard = life.observation.astype(float)
     if found is not None:
         heard = (heard - found.mean) / found.deviation
-    yield from _order(np.sqrt((heard**2).mean(axis=0)), names, graph=found is not None)
+    rms = np.sqrt((heard**2).mean(axis=0))
+    yield from _order(rms, names, graph=found is not None)
+    if case.training is None:
+        yield warned(
+            "no normalizer is in the graph, and whether training had one cannot be seen: ask; "
+            f"{_unknown(rms, names)}."
+        )
     yield from _steering(case)
     how = "(x − mean)/deviation stands before the first weights" if found else "no normalizer is in the graph"
     yield passed(f"{how}; ordinary readings come to an order of 1, and every term is heard.")
@@ -65,12 +71,16 @@ def _order(rms: Floats, names: list[str], *, graph: bool) -> Iterator[Note]:
             f" {listed(names, rms, which=_most(rms, loud))} (root mean square): it may be"
             " fed raw readings: compare the scales, and look for the normalizer of training."
         )
-    if not graph and (faint := (rms < ORDER[0]) & (rms > SILENT)).any():
-        yield warned(
-            "no normalizer is in the graph, and by the contract's scales the network gets"
-            f" {listed(names, rms, which=_most(-rms, faint))} (root mean square), which it hardly hears: whether"
-            " training had a normalizer cannot be seen: ask."
-        )
+
+
+def _unknown(rms: Floats, names: list[str]) -> str:
+    """Of a network without a normalizer, of which nobody says whether it had one."""
+    if not (faint := (rms < ORDER[0]) & (rms > SILENT)).any():
+        return "the contract's scales alone bring its readings to an order of 1"
+    return (
+        f"by the contract's scales it gets {listed(names, rms, which=_most(-rms, faint))} (root mean square), which it"
+        " hardly hears"
+    )
 
 
 def _number_names(case: Case) -> list[str]:
