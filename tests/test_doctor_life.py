@@ -12,10 +12,11 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from ailing import ailing, answering, in_another_order, louder, robot_and_digest, without_normalizer
+from ailing import ailing, answering, in_another_order, louder, robot_and_digest, without_normalizer, written
 from onnx import helper
 from test_contract import SPEC
 from test_policy import metadata
+from walking import QUADRUPED, walking_contract
 
 from deploy.contract import CONTRACT_KEY
 from policies import checking
@@ -246,6 +247,27 @@ def test_friction_and_iron_are_a_few_watts(sound):
     rubbed = sound.life.warmth.rubbed
     assert ((rubbed > 0.01) & (rubbed < 10.0)).all()
     assert rubbed[:3].sum() > rubbed[3:].sum()
+
+
+# ---- robots that walk ----
+
+
+def test_a_robot_that_walks_is_looked_at_as_well(tmp_path):
+    """A policy that only stands: it hears nothing, asks for nothing, and falls or not by its springs alone."""
+    contract = walking_contract()
+    w = np.zeros((contract.observation_size, contract.action_size), np.float32)
+    node = helper.make_node("MatMul", ["observation", "w"], ["action"])
+    case = Case(written(tmp_path, [node], {"w": w}, contract), QUADRUPED.folder)
+    assert row(case, "loader").verdict is Verdict.PASS
+    doubts = row(case, "sources")
+    assert doubts.verdict is Verdict.WARN
+    assert "base_linear_velocity (base_linear_velocity): no sensor measures it" in doubts.said
+    assert "base_orientation (base_orientation): no sensor measures yaw" in doubts.said
+    assert "it does not hear where down is" in row(case, "tilt").said
+    first = row(case, "activation")
+    assert first.verdict is Verdict.PASS
+    assert first.said.startswith("the first step asks for ")
+    assert "whether training had one cannot be seen" in row(case, "normalizer").said
 
 
 # ---- what cannot be lived ----

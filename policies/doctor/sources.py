@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from deploy.terms import READINGS, Source
 from policies.doctor.case import Case
 from policies.doctor.finding import Note, failed, passed, warned
-from robots.sensors import Kind
+from robots.spec import INERTIAL
 
 SUPPLY: dict[Source, str] = {
     "joint_position": "encoder and filter",
@@ -17,19 +17,14 @@ SUPPLY: dict[Source, str] = {
     "target_offset": "encoder and own target",
     "last_action": "memory",
     "base_angular_velocity": "gyro",
-    "base_linear_velocity": "estimator of the base: accelerometer and standing feet",
-    "base_orientation": "orientation of the IMU",
-    "projected_gravity": "orientation of the IMU",
+    "base_linear_velocity": "gyro, accelerometer and standing feet",
+    "base_orientation": "gyro, accelerometer and standing feet",
+    "projected_gravity": "gyro, accelerometer and standing feet",
     "velocity_command": "operator",
     "gait_phase": "clock",
 }
-NEEDED: dict[Source, tuple[Kind, ...]] = {
-    "base_linear_velocity": ("accelerometer", "gyro", "contact"),
-    "base_orientation": ("orientation",),
-    "projected_gravity": ("orientation",),
-    "base_angular_velocity": ("gyro",),
-}
-"""What an estimate rests on beside the kind that READINGS names."""
+ESTIMATED: tuple[Source, ...] = ("base_linear_velocity", "base_orientation", "projected_gravity")
+"""What takes all that a base is estimated from."""
 DOUBTS: dict[Source, str] = {
     "base_linear_velocity": "no sensor measures it, and what is estimated drifts wherever feet slip or fly: train with"
     " that error, or let only the critic see it",
@@ -41,7 +36,7 @@ def sources(case: Case) -> Iterator[Note]:
     """Term by term: which sensor or estimator there is for it."""
     sensors, told = case.spec.sensors, []
     for term in case.contract.observation:
-        kinds = NEEDED.get(term.source, (READINGS[term.source].sensor,))
+        kinds = INERTIAL if term.source in ESTIMATED else (READINGS[term.source].sensor,)
         if missing := [kind for kind in kinds if kind not in sensors]:
             yield failed(
                 f"{term.name} ({term.source}) needs {' and '.join(missing)}, {case.spec.name} has"
