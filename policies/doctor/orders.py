@@ -16,10 +16,10 @@ from deploy.policy_file import Float32s, PolicyFile
 from deploy.state import Floats, Ints
 from policies.doctor.case import Case
 from policies.doctor.finding import Note, passed, warned
-from policies.doctor.life import PUNCTUAL, live
+from policies.doctor.life import PUNCTUAL, SECONDS, live
 
 EACH, SHORT_S = 2, 8.2
-"""Robots of each variant, and how long they live, s: for two goals each."""
+"""Robots of each variant, and how long they live, s: for two points each to reach; a speed to walk takes longer."""
 VARIANTS_MAX = 80
 """All exchanges of two and all reversals of one of twelve joints, and a few; more take minutes."""
 BETTER, WELL = 0.25, 0.75
@@ -121,5 +121,6 @@ def _reached(case: Case, tried: list[Variant]) -> tuple[Ints, int]:
     """Goals that each variant reached, and how many each had."""
     varied = Varied(case.file, str(case.path), tried)
     rows = [k % EACH for k in range(EACH * len(tried))]
-    counts = live(case.spec, varied, PUNCTUAL, rows, SHORT_S).counts
+    seconds = SHORT_S if case.contract.task == "reach" else SECONDS
+    counts = live(case.spec, varied, PUNCTUAL, rows, seconds).counts
     return counts.reached.reshape(-1, EACH).sum(axis=1), int(counts.attempted[:EACH].sum())
