@@ -87,6 +87,7 @@ train: setup ## train the arm's policy from its recipe (ARGS=...)
 
 bench: $(ARM) ## measure the figures that the README quotes
 	$(BIN)/python -m eval.bench $(ARGS)
+	$(if $(ARGS),,$(BIN)/python -m policies.bench)
 
 mutants: setup ## weaken each guard in turn: the judge must notice every time
 	$(BIN)/python -m eval.mutants $(ARGS)
