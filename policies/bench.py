@@ -6,6 +6,7 @@ python -m policies.bench            both
 """
 
 import contextlib
+import logging
 import os
 import subprocess
 import sys
@@ -43,6 +44,7 @@ def made(folder: Path, spec: RobotSpec, layers: tuple[int, ...] = LAYERS) -> Fil
     """A file of each kind for a robot, as its library writes it, and what its contract says of its network."""
     n, a = 3 * spec.n + 3, spec.n
     elu = {"activation": "elu"}
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of libraries that it could use
     with warnings.catch_warnings(), contextlib.redirect_stdout(None):
         warnings.filterwarnings("ignore", "`torch.jit")  # deprecated; the files of others stay
         mlp, lstm = _actor(MLPModel, n, a, layers), _actor(RNNModel, n, a, layers, **RNN)
@@ -98,7 +100,7 @@ def contract(spec: RobotSpec, network: dict[str, str]) -> str:
 
 
 def imports(spec: RobotSpec, policy: Path) -> None:
-    """Wall time of the whole command, once for each kind."""
+    """Wall time of the whole command, once for each kind; `policy` is not asked."""
     command = [sys.executable, "-c", "from policies.importing import cli; cli()"]
     with tempfile.TemporaryDirectory() as place:
         for kind, (path, network) in made(Path(place), spec).items():

@@ -250,7 +250,7 @@ BOMB = "0: &0 [x, x]\n" + "".join(f"{k}: &{k} [*{k - 1}, *{k - 1}]\n" for k in r
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (BOMB, "line 2: found the alias '0', expected none"),
+        (BOMB, "line 2: found the alias '0', expected each value in full"),
         (
             "a: !!python/object/apply:os.system [touch escaped]",
             "not valid YAML: could not determine a constructor",

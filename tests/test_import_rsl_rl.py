@@ -147,6 +147,13 @@ def test_what_the_file_does_not_say_is_asked(tmp_path):
     assert (facts.observations, facts.actions, facts.known) == (N, A, {"network": {"activation": "?"}})
 
 
+def test_a_normalizer_from_elsewhere_is_not_passed_over(tmp_path):
+    with pytest.raises(
+        ContractError, match=r"network\.normalizer: found 'n\.pkl', expected none: a checkpoint"
+    ):
+        read_rsl_rl(saved(tmp_path)[0], Network(activation="elu", normalizer="n.pkl"))
+
+
 # ---- what is refused ----
 
 

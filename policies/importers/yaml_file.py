@@ -26,7 +26,7 @@ def read_yaml(path: Path) -> object:
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if isinstance(event, yaml.AliasEvent):  # a few can stand for more than there is memory
                 found = f"line {event.start_mark.line + 1}: found the alias {event.anchor!r:.100}"
-                raise ContractError(f"{path}: {found}, expected none")
+                raise ContractError(f"{path}: {found}, expected each value in full")
             if depth > DEPTH_MAX:
                 raise ContractError(f"{path}: found more than {DEPTH_MAX} parts inside each other")
         return yaml.safe_load(text)
