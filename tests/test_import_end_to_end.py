@@ -4,10 +4,10 @@ import sys
 
 import numpy as np
 import pytest
-import tomlkit
 from onnx import TensorProto, helper, numpy_helper
 
 torch = pytest.importorskip("torch")
+tomlkit = pytest.importorskip("tomlkit")
 pytest.importorskip("onnxscript")
 pytest.importorskip("rsl_rl.models")
 
