@@ -1,3 +1,5 @@
+import shutil
+
 import numpy as np
 import pytest
 from walking import (
@@ -78,6 +80,23 @@ def test_it_hangs_until_it_is_armed_and_then_stands():
     assert np.abs(base.position - hung).max() < 0.03
     assert not runtime.robot.truth().self_collision.any()
     assert (runtime.robot.truth().contact_n > 10.0).all()
+
+
+def test_it_hangs_where_it_will_stand_wherever_its_model_holds_it(tmp_path):
+    """Half a metre too high in model.xml: no gantry pulls it down while its orientation is first measured."""
+    folder = shutil.copytree(QUADRUPED.folder, tmp_path / "quadruped")
+    text = (folder / "model.xml").read_text()
+    (folder / "model.xml").write_text(
+        text.replace('name="trunk" pos="0 0 0.33"', 'name="trunk" pos="0 0 0.83"')
+    )
+    spec, seeds = load_robot(folder), [robot_seed(3, 0)]
+    contract = walking_contract(spec)
+    robot = SimRobot(spec, seeds, gains=contract.action.gains)
+    runtime = Runtime(spec, contract, robot, seeds)
+    live(runtime, round(ARM_S / DT))
+    np.testing.assert_allclose(robot.truth().base.position[0, 2], robot.plant._base.stands_m, atol=0.005)
+    assert robot.plant._base.stands_m < 0.4
+    assert not runtime.arm(np.ones(1, dtype=bool)).any()
 
 
 def test_it_feels_what_its_base_does():

@@ -265,7 +265,9 @@ def _on_the_floor(model: mujoco.MjModel, spec: RobotSpec, base: Base) -> Floatin
     stands_m = float(model.qpos0[2] - min(gaps, default=0.0))
     gantry = model.equality(GANTRY).id
     at, to = model.jnt_qposadr[0], model.jnt_dofadr[0]
-    model.eq_data[gantry, 3:10] = 0.0, 0.0, stands_m, *model.qpos0[at + 3 : at + 7]
+    # MuJoCo derives the gantry's place from here whenever it derives constants: see `drawn.embody`.
+    model.qpos0[at + 2] = stands_m
+    model.eq_data[gantry, :10] = *np.zeros(5), stands_m, *model.qpos0[at + 3 : at + 7]
     return FloatingBody(
         qpos=slice(at, at + 7),
         qvel=slice(to, to + 6),
