@@ -196,12 +196,13 @@ def _motor_tables(facts: Facts, motors: Mapping[str, str]) -> Table:
 
 def _joints(facts: Facts, motors: Mapping[str, str]) -> AoT:
     tables = tomlkit.aot()
+    estimates = {"acceleration_density": walker.RESTLESS if facts.floats else 0.02, "play": 0.0005}
     for joint in _driven(facts):
         low, high = _inside(joint)
         known = {"q_min": low, "q_max": high, "q_home": joint.home, "qd_max": joint.qd_max}
         table = tomlkit.table()
         table.add("name", joint.name)
-        for key, item in _table(known | {"acceleration_density": 0.02, "play": 0.0005}, JOINT).items():
+        for key, item in _table(known | estimates, JOINT).items():
             table.add(key, item)
         table.add("motor", motors[joint.name])
         table.add("source", OPEN)

@@ -39,6 +39,8 @@ MARGINS = {
     "tracking_rad": 1.0,
 }
 """Soft drives stray far from where they are sent: that is what makes their torque."""
+RESTLESS = 50.0
+"""rad²/s³, of joints on soft drives: they go where the ground lets them."""
 NO_TOOL = ("workspace_m", "singularity")
 INERTIAL = {
     "gyro": {
