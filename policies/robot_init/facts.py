@@ -12,6 +12,7 @@ from robots.errors import RobotError
 from robots.model_files import is_urdf, read_xml
 from robots.model_mujoco import compile_model, open_model
 
+_HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 TOOLS = ("tool", "tcp", "ee", "eef", "end_effector", "grip_site", "grasp_site", "pinch", "attachment_site")
 """What a tool's site is mostly called."""
 
@@ -24,7 +25,7 @@ class JointFacts:
         body: that it moves.
         slides: whether it is no hinge.
         low, high, home: rad. qd_max: rad/s.
-        torque_max: N·m, of an actuator, where the joint has no range of torque.
+        torque_range: N·m, of the joint. torque_max: N·m, of its actuator, where the joint says nothing.
         kp, kd: N·m/rad and N·m·s/rad at the joint. gear: of an actuator that has one.
         driven: whether an actuator moves it.
         armature: kg·m² of its rotor, behind the gear; 0 where the model has none.
@@ -120,9 +121,6 @@ def read_facts(path: Path, folder: Path) -> Facts:
         centre=tuple(data.xanchor[moving[0]].round(4).tolist()) if moving else (0.0, 0.0, 0.0),
         reach=_reach(model, moving),
     )
-
-
-_HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 
 
 def _joint(model: mujoco.MjModel, i: int, path: Path, speeds: dict[str, float]) -> JointFacts:
