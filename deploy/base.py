@@ -12,7 +12,8 @@ from deploy.stage import Stage
 from deploy.state import Bools, Floats, Packet, Reason, Sample, State
 from robots.model_pinocchio import Fleet
 from robots.sensors import Sensor
-from robots.spec import Base, RobotSpec
+from robots.spec import RobotSpec
+from robots.tables import Base
 
 CONTACT_N = 10.0
 """N, above which a foot's sensor says that it stands."""

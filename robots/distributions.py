@@ -11,8 +11,9 @@ from pydantic import AfterValidator, Field, model_validator
 
 from robots.errors import ConfigError
 from robots.sensors import BUFFER_S, LOSS_MAX, Kind, Sensor
-from robots.spec import Celsius, RobotSpec
+from robots.spec import RobotSpec
 from robots.strict import Strict, read_toml
+from robots.tables import Celsius
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,8 @@ import numpy as np
 from robots.drive import Drive
 from robots.errors import RobotError
 from robots.model_files import is_urdf, named_files, urdf_text
-from robots.spec import Joint, RobotSpec
+from robots.spec import RobotSpec
+from robots.tables import Joint
 
 _INPUT = mujoco.mjtCtrlInput
 INPUTS = 3

@@ -18,7 +18,8 @@ from robots.clearance import can_meet
 from robots.collisions import Collisions, collision_pairs
 from robots.errors import RobotError
 from robots.read_pinocchio import followed, read_pinocchio
-from robots.spec import RobotSpec, Tooling
+from robots.spec import RobotSpec
+from robots.tables import Tooling
 
 Floats = NDArray[np.float64]
 

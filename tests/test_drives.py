@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from test_plant import ANATOMY, DT, HOME, SPEC, N, command, exact
 
-from robots.spec import Rates
+from robots.tables import Rates
 
 pytest.importorskip("mujoco")
 Drives = pytest.importorskip("deploy.backends.sim.drives").Drives

@@ -12,7 +12,8 @@ from deploy.state import Packet
 from robots.distributions import load_distributions
 from robots.errors import RobotError
 from robots.model_pinocchio import torque_max
-from robots.spec import Rates, load_robot
+from robots.spec import load_robot
+from robots.tables import Rates
 from robots.windings import nominal_windings
 
 N, DT = SPEC.n, SPEC.dt

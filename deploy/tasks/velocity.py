@@ -9,7 +9,8 @@ from deploy.flags import some
 from deploy.stage import Stage
 from deploy.state import Bools, Floats
 from robots.randomness import keyed, keys
-from robots.spec import Base, RobotSpec
+from robots.spec import RobotSpec
+from robots.tables import Base
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

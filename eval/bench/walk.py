@@ -25,7 +25,8 @@ from eval.shard import ARM_S, judge_tick, rearm
 from robots.errors import ConfigError
 from robots.model_pinocchio import torque_max
 from robots.randomness import robot_seed
-from robots.spec import Base, RobotSpec
+from robots.spec import RobotSpec
+from robots.tables import Base
 
 SEED, ROBOTS, WALKED_S = 7, 32, 60.0
 

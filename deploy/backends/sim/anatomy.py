@@ -10,7 +10,8 @@ from robots.distributions import Cable
 from robots.errors import ConfigError, RobotError
 from robots.model_mujoco import load_mujoco, read_mjcf
 from robots.sensors import Kind
-from robots.spec import Base, RobotSpec
+from robots.spec import RobotSpec
+from robots.tables import Base
 
 PLAY, PAYLOAD, CABLE, ANCHOR = "play", "firstshift/payload", "firstshift/cable", "firstshift/anchor"
 STRONGEST, SELF = "firstshift/strongest contact", "firstshift/contact with itself"

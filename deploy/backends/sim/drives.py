@@ -12,7 +12,8 @@ from deploy.state import Bools, Command, Floats
 from robots.distributions import COMMAND_DELAY_S
 from robots.draws import Draw
 from robots.model_mujoco import INPUTS
-from robots.spec import Rates, RobotSpec
+from robots.spec import RobotSpec
+from robots.tables import Rates
 
 
 class Drives(Stage):
