@@ -133,7 +133,7 @@ def test_an_unknown_bench_is_refused(monkeypatch, capsys):
     with pytest.raises(SystemExit) as caught:
         command.main(command.bench)
     assert caught.value.code == 2
-    known = "stages, pace, same, estimate, floating, ablation, hot, start, memory, work"
+    known = "stages, pace, same, estimate, floating, ablation, hot, start, memory, work, walk"
     assert f"found 'nothing', expected one of {known} or all" in capsys.readouterr().err
 
 
