@@ -1,7 +1,7 @@
-"""A robot that walks: what the stack costs it beside its vendor's own loop, and beside physics.
+"""A robot that walks: what the stack costs it beside a loop of its vendor's kind, and beside physics.
 
-The vendor's loop knows the true state, sends the policy's targets as steps to drives that are nothing but their gains,
-and filters, smooths and checks nothing.
+That loop knows the true state, sends the policy's targets as steps to drives that are nothing but their gains, has no play
+in its gears, and filters, smooths, checks and judges nothing.
 """
 
 import time
@@ -62,7 +62,7 @@ def walk(spec: RobotSpec, policy: Path, console: Console) -> None:
         title=f"{WALKED_S:g} s, asked for {spec.base.command_max[0]:g} m/s forwards",
     )
     for name, found in (
-        ("the vendor's loop, as model.xml is", theirs),
+        ("a loop of the vendor's kind, the model as it is", theirs),
         (f"runtime and judge, {ROBOTS} draws", ours),
     ):
         table.add_row(name, f"{found.forwards.mean():.3f}", f"{int(found.fell.sum())}", f"{found.rate:.0f}")
