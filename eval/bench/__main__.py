@@ -10,7 +10,7 @@ python -m eval.bench hot        the hottest motors in the hottest rooms, with th
 python -m eval.bench start      how soon deploy-run ticks, and what it imports
 python -m eval.bench memory     whether a soak grows
 python -m eval.bench work       half an hour of 32 robots by the shipped budget, and an idle policy that fails it
-python -m eval.bench walk       a robot that walks beside its vendor's loop: --robot FOLDER --policy FILE
+python -m eval.bench walk       a robot that walks, beside a bare loop: --robot FOLDER --policy FILE
 python -m eval.bench            all of them but the last
 """
 

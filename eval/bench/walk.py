@@ -1,7 +1,7 @@
 """A robot that walks: what the stack costs it beside a loop of its vendor's kind, and beside physics.
 
-That loop knows the true state, sends the policy's targets as steps to drives that are nothing but their gains, has no play
-in its gears, and filters, smooths, checks and judges nothing.
+That loop knows the true state, sends the policy's targets as steps to drives that are nothing but their gains, has no
+play in its gears, and filters, smooths, checks and judges nothing.
 """
 
 import time
@@ -71,7 +71,7 @@ def walk(spec: RobotSpec, policy: Path, console: Console) -> None:
 
 
 def _plain(spec: RobotSpec, base: Base, brain: Policy, gains: Gains) -> Walked:
-    """One robot in the vendor's loop."""
+    """One robot in a loop of that kind."""
     robot = _Plain(spec, brain, gains)
     began, forwards, ticks = time.perf_counter(), 0.0, round(WALKED_S * spec.rates.control_hz)
     for tick in range(ticks):
