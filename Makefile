@@ -15,6 +15,8 @@ ROBOTS ?= 32
 SEED ?= 7
 WORKERS ?= 2
 ARGS ?=
+# Tests of one file share what it makes: they stay in one process, of which there are as many as cores.
+TESTS := -m pytest -q -n auto --dist loadfile
 ARM := out/arm.onnx
 
 # rsl-rl imports GitPython, which refuses to load where there is no git.
@@ -100,11 +102,11 @@ $(ARM): policies/arm.pt robots/arm6/model.xml robots/arm6/robot.toml | setup
 
 .PHONY: test test-notorch cover check check-addresses
 test: setup ## run all tests (ARGS=...)
-	$(BIN)/python -m pytest -q $(ARGS)
+	$(BIN)/python $(TESTS) $(ARGS)
 
 test-notorch: setup-robot ## run the tests that need no torch, where there is none
 	$(VENV_ROBOT)/bin/python -c 'import importlib.util as u, sys; sys.exit("error: torch is installed here" if u.find_spec("torch") else 0)'
-	$(VENV_ROBOT)/bin/python -m pytest -q $(ARGS)
+	$(VENV_ROBOT)/bin/python $(TESTS) $(ARGS)
 
 cover: setup ## run all tests and list the lines that none of them reached
 	$(BIN)/python -m coverage run -m pytest -q

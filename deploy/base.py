@@ -17,6 +17,8 @@ from robots.tables import Base
 
 CONTACT_N = 10.0
 """N, above which a foot's sensor says that it stands."""
+DOWN = (0.0, 0.0, -1.0)
+"""Where gravity points in the frame of a base that stands upright."""
 LOOK_S = 0.016
 """s between two looks at feet and at what the IMU says of up: what it measures itself is integrated on every tick."""
 
@@ -45,7 +47,7 @@ class Walker(Stage):
         # Slip is said of a second: of that, fewer looks see as much.
         noise = replace(noise, slip=noise.slip / np.sqrt(self._look * spec.dt / dt))
         self.filter = FloatingBase(noise, dt, robots, len(base.feet))
-        self.gravity, self.t_up = np.tile([0.0, 0.0, -1.0], (robots, 1)), np.full(robots, -np.inf)
+        self.gravity, self.t_up = np.tile(DOWN, (robots, 1)), np.full(robots, -np.inf)
         self._fleet, self._foot_m, self._orientation = Fleet(spec, robots), base.foot_m, None
         if "orientation" in spec.sensors:
             sensor = spec.sensors["orientation"]
@@ -56,7 +58,7 @@ class Walker(Stage):
     def reset(self, ids: Bools) -> None:
         """Forget robots where `ids` (B,) holds."""
         self.filter.reset(ids)
-        self.t_up[ids] = -np.inf
+        self.gravity[ids], self.t_up[ids] = DOWN, -np.inf
 
     def step(self, t: float, sample: Sample, state: State) -> State:
         """The same state with the base in it; what is wrong with that is wrong with the state."""
