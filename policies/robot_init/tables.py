@@ -20,7 +20,7 @@ SENSORS = ("encoder", "current", "temperature")
 ESTIMATE = "estimate, to be replaced by the data sheet"
 
 HEAD = """{name}: what the model says is filled in. "?" is to be filled in; look at what is called an estimate.
-SI units unless a key ends in one. Each key is explained in robots/spec.py, each of a drive in robots/drive.py."""
+SI units unless a key ends in one. Keys are explained in robots/spec.py, tables.py and drive.py."""
 MOTOR = {
     "housing_resistance_k_per_w": "K/W, housing to ambient",
     "housing_capacity_j_per_k": "J/K",
@@ -52,7 +52,7 @@ JOINT = {
     "qd_max": "rad/s, what the drive may do",
     "qdd_max": "rad/s², what it is asked to do",
     "qddd_max": "rad/s³",
-    "acceleration_density": "rad²/s³, estimate: see robots/spec.py",
+    "acceleration_density": "rad²/s³, estimate: see robots/tables.py",
     "play": "rad, estimate",
 }
 KNOWN_OF_DRIVES = {"reference_c": 25.0, "copper_per_k": 0.0039}
