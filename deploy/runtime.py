@@ -281,6 +281,8 @@ class Runtime(Stage):
         self.smoother.hold(granted, self.state.q)
         self._ahead = _where(~granted, self._ahead, here)
         self.action.reset(granted, self.state.q)
+        if self.walker:
+            self.task.reset(granted)  # nobody walks before
         self._forget(granted)
         return reason
 
