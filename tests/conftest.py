@@ -2,12 +2,17 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from onnx import numpy_helper
 from test_policy import A, golden, metadata, policy_model, saved, tensor, weights
 
 from deploy.policy_file import GOLDEN_KEY
 from deploy.tasks import reach
 from robots.spec import load_robot
+
+# Cases are the same for everybody, and none fails for a slow machine.
+settings.register_profile("same", derandomize=True, deadline=None)
+settings.load_profile("same")
 
 
 @pytest.fixture(scope="session")

@@ -27,7 +27,7 @@ def test_moves_the_target_by_scaled_and_clipped_actions():
     assert target.finite.all()
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(
     actions=arrays(float, (20, 2, 6), elements=st.floats(width=32)),
     setpoints=arrays(float, (20, 2, 6), elements=st.floats(-3, 3)),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.special import ndtri
@@ -42,7 +42,6 @@ amounts = st.lists(
 )
 
 
-@settings(derandomize=True, deadline=None)
 @given(amounts, st.sampled_from([0.8, 0.95, 0.99]))
 def test_it_turns_with_the_policies_and_what_happens_to_both_cancels(rows, confidence):
     x, y, both = np.array(rows, dtype=np.float64).T

@@ -84,7 +84,7 @@ def contracts(draw):
     )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(contracts())
 def test_json_keeps_every_bit(contract):
     back = Contract.from_json(contract.to_json(), "x.onnx")

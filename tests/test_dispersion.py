@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -103,7 +103,6 @@ night = st.lists(st.tuples(st.integers(0, 30), st.floats(0.1, 8)), min_size=2, m
 sure = st.sampled_from([0.8, 0.9, 0.95, 0.99, 0.999])
 
 
-@settings(derandomize=True, deadline=None)
 @given(night, sure)
 def test_bounds_are_never_tighter_than_those_of_hours(draws, confidence):
     events, hours = np.array(draws).T
@@ -112,7 +111,6 @@ def test_bounds_are_never_tighter_than_those_of_hours(draws, confidence):
     assert draw_rate_lower(events, hours, confidence) <= rate_lower(total, exposure, confidence) * (1 + 1e-6)
 
 
-@settings(derandomize=True, deadline=None)
 @given(night, sure, st.integers(2, 100))
 def test_bounds_have_a_unit_and_no_order(draws, confidence, scale):
     events, hours = np.array(draws).T
@@ -125,7 +123,6 @@ def test_bounds_have_a_unit_and_no_order(draws, confidence, scale):
     assert high >= found[1] * (1 - 1e-9)
 
 
-@settings(derandomize=True, deadline=None)
 @given(night)
 def test_nights_like_this_one_narrow_the_bounds(draws):
     events, hours = np.array(draws).T

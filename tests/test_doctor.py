@@ -267,7 +267,7 @@ def test_names_of_a_file_do_not_upset_a_terminal(sick):
         assert said.replace("\n", "").isprintable()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(contracts())
 def test_any_contract_gets_all_its_rows(tmp_path_factory, contract):
     """However little it fits the arm, and however large its numbers."""

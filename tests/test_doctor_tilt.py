@@ -112,3 +112,16 @@ def test_frames_of_a_history_that_differ_stand_in_another_layout(tmp_path):
     assert note.verdict is Verdict.WARN
     assert "frames of its history differ by more than a deviation of training" in note.said
     assert row(balancing(tmp_path, mean=ours, history=3), "training").said == "not tried: see the trial."
+
+
+def test_terms_of_one_source_that_differ_in_size_are_named(tmp_path):
+    known = term("projected_gravity", 3, scale=(1.0,) * 3)
+    odd = known.model_copy(update={"name": "odd", "size": 2, "scale": (1.0,) * 2})
+    contract = arm_contract(observation=(odd, known))
+    nodes = [helper.make_node("MatMul", ["observation", "w"], ["action"])]
+    weights = np.ones((contract.observation_size, contract.action_size), np.float32)
+    found = row(Case(written(tmp_path, nodes, {"w": weights}, contract), "arm6"), "tilt")
+    assert (found.verdict, found.said) == (
+        Verdict.FAIL,
+        "odd: projected_gravity has 2 numbers here and 3 in another term.",
+    )

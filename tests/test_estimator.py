@@ -150,7 +150,7 @@ def test_equals_filterpy(seed, loss):
     assert not state.fault.any()
 
 
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**31), loss=st.floats(0, 0.95))
 def test_covariance_stays_positive_and_state_finite(seed, loss):
     estimator = begun(4)

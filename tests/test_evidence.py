@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -79,7 +79,6 @@ def test_more_of_the_same_narrows_the_interval(interval):
     assert widths == sorted(widths, reverse=True)
 
 
-@settings(derandomize=True, deadline=None)
 @given(st.integers(0, 500), st.integers(1, 50), st.floats(0.1, 1e4), st.floats(1.01, 10))
 def test_rate_bounds_rise_with_events_and_fall_with_hours(events, more, hours, longer):
     for bound in (evidence.rate_upper, evidence.rate_lower):
@@ -109,7 +108,6 @@ def test_further_hours_for_a_wanted_time_between_events(events, factor):
     assert evidence.further_hours(100.0, events, 128.0) == pytest.approx(100 * factor - 128, abs=2.0)
 
 
-@settings(derandomize=True, deadline=None)
 @given(st.floats(1, 1e4), st.integers(0, 20), st.floats(0, 1e4), st.sampled_from([0.9, 0.95, 0.99]))
 def test_further_hours_are_enough_and_none_too_many(mtbf, events, hours, confidence):
     more = evidence.further_hours(mtbf, events, hours, confidence)

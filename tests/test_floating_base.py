@@ -394,7 +394,7 @@ def test_reset_of_a_subset():
     np.testing.assert_array_equal(state.innovation[0], 0.0)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 @given(up=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda up: np.linalg.norm(up) > 0.1))
 def test_gravity_seeds_the_tilt_and_nothing_else(up):
     up = np.array(up) / np.linalg.norm(up)
@@ -420,7 +420,7 @@ def test_nobody_is_seeded_in_free_fall_or_before_time_began():
     assert not state.diverged.any()
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 2**31), loss=st.floats(0, 0.95))
 def test_covariance_stays_that_of_something(seed, loss):
     base = FloatingBase(NOISE, DT, 4, F)

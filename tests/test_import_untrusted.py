@@ -109,7 +109,7 @@ def spoiled_inside(path, rng):
 
 
 @pytest.mark.parametrize("kind", FILES)
-@settings(max_examples=8, derandomize=True, database=None, deadline=None)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 10**9), inside=st.booleans())
 def test_a_spoiled_file_is_read_or_refused_in_few_lines(files, kind, seed, inside):
     good, rng = files[kind], random.Random(seed)

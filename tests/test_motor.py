@@ -37,7 +37,7 @@ def by_integration(heat, current, ambient, t):
     return solve_ivp(slope, (0, t), (ambient, ambient), method="LSODA", rtol=1e-10, atol=1e-8).y[:, -1]
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(
     resistance=st.floats(0.1, 5),
     winding_to_housing=st.floats(0.5, 5),

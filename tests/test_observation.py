@@ -96,7 +96,7 @@ def test_history_is_oldest_first_and_begins_with_the_first_frame_repeated():
     assert seen == [[0, 0, 0], [0, 0, 1], [0, 1, 2], [1, 2, 3], [2, 3, 4]]
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=50)
 @given(
     values=arrays(float, (12, 2, 3), elements=st.floats(-10, 10)),
     history=st.integers(1, 5),

@@ -153,7 +153,7 @@ def test_nowhere_is_not_near():
     assert (each.attempted[0], each.reached[0]) == (1, 0)
 
 
-@settings(max_examples=10, deadline=None, derandomize=True)
+@settings(max_examples=10)
 @given(robots=st.lists(st.integers(0, 999), min_size=1, max_size=6, unique=True), seed=st.integers(0, 2**40))
 def test_goals_do_not_depend_on_grouping(robots, seed):
     together = goals(task(robots, seed), 6)

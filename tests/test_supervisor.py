@@ -183,7 +183,7 @@ def test_every_short_history():
         np.testing.assert_array_equal(supervisor.stopping, supervisor.mode != Mode.RUNNING)
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100)
 @given(
     history=st.lists(
         st.tuples(st.sampled_from([0, 0, SOFT, HARD, SOFT | HARD]), st.booleans(), st.sampled_from("   ad")),

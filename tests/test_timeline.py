@@ -21,7 +21,7 @@ SPAN = st.tuples(
 )
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(SPAN, max_size=12))
 def test_bars_are_the_steps_that_spans_touch(drawn):
     expected = np.zeros((ROBOTS, STEPS), dtype=bool)

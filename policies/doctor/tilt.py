@@ -32,6 +32,12 @@ def tilt(case: Case) -> Iterator[Note]:
         yield passed("does not apply: no term says where down is.")
         return
     yield from _by_training(case)
+    sizes = {term.source: term.size for term in case.contract.observation}
+    if odd := [term for term in case.contract.observation if term.size != sizes[term.source]]:
+        yield failed(
+            f"{odd[0].name}: {odd[0].source} has {odd[0].size} numbers here and {sizes[odd[0].source]} in another term."
+        )
+        return
     answer = _answers(case)
     yield from _answers_to_leans(answer - answer[0])
     calm = _size(answer[0])
