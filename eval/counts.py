@@ -100,6 +100,13 @@ ROBOT_MONITORS = (
     Monitor(
         name="tilt", unit="rad", hard=True, meaning="true tilt of a base: it falls, or has fallen", base=True
     ),
+    Monitor(
+        name="fallen",
+        unit="rad",
+        hard=True,
+        meaning="true tilt of a base whose robot is still under way, by more than a stop needs to begin",
+        base=True,
+    ),
     Monitor(name="robot_power", unit="W", hard=False, meaning="true mechanical power of all joints together"),
     Monitor(
         name="observation",

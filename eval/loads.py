@@ -24,6 +24,8 @@ SENT_TOLERANCE = 1e-4
 TORQUE_FULL = 0.999
 # Manipulability, as a share of its limit, below which a robot counts as in a singularity, or beyond it.
 SINGULAR = 1e-3
+# What a base that falls at 3 rad/s turns while its IMU's packets are 50 ms late, and some error of what is believed.
+FALLING_RAD = 0.2
 # Of what is measured in differences that are not yet divided by dt: its power.
 _DIFFERENCES = {"torque_rate": 1, "velocity_sent": 1, "acceleration": 2, "jerk": 3}
 
@@ -177,7 +179,8 @@ class Loads:
         np.sqrt(np.einsum("tbi,tbi->tb", away, away), out=whole["workspace"])
         np.maximum(whole["workspace"], self._depth - position[:, :, 2], out=whole["workspace"])
         np.sqrt(np.einsum("tbi,tbi->tb", speed, speed), out=whole["tool_speed"])
-        whole["tilt"][:] = seen.tilt[PAST:]
+        whole["tilt"][:] = whole["fallen"][:] = seen.tilt[PAST:]
+        _clear(whole["fallen"], seen.mode[PAST:] == int(Mode.RUNNING))
         whole["singularity"][:] = 0.0
         if self._axes:
             found = self._axes.manipulability(seen.q[PAST:].reshape(-1, self._n)).reshape(position.shape[:2])
@@ -244,6 +247,7 @@ def _robot_limits(spec: RobotSpec, limits: Limits, observed: Observed | None) ->
         "singularity": 1.0 / limits.manipulability if limits.manipulability else np.inf,
         "tool_speed": spec.workspace.tool_speed_max if spec.workspace else np.inf,
         "tilt": spec.base.tilt_max_rad if spec.base else np.inf,
+        "fallen": spec.base.tilt_max_rad + FALLING_RAD if spec.base else np.inf,
         "robot_power": limits.power_w,
         "observation": limits.deviations if observed else np.inf,
         "action_finite": 0.5,

@@ -33,6 +33,7 @@ Failure, Fault = packets.Failure, packets.Fault
 
 Judge = pytest.importorskip("eval.monitors").Judge
 judge_tick = pytest.importorskip("eval.shard").judge_tick
+blind = pytest.importorskip("eval.mutants.weakened").blind
 
 DT, TORQUE_MAX = QUADRUPED.dt, torque_max(QUADRUPED)
 FRONT_HIPS, REAR_KNEES = [1, 4], [8, 11]
@@ -271,6 +272,23 @@ def test_the_judge_sees_who_falls_and_who_does_as_told():
     assert np.isinf(
         counts.limits[[counts.columns(n).start for n in ("workspace", "singularity", "tool_speed")]]
     ).all()
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_the_judge_notices_that_nobody_minds_a_fall(guarded):
+    """The mutant of FALLEN, which the arm of `make mutants` cannot have."""
+    runtime = standing(2)
+    if not guarded:
+        blind(Reason.FALLEN | Reason.DIVERGED)(runtime)
+    kick = runtime.robot.plant.batch.bind("xfrc_applied")
+
+    def rolls_over(tick):
+        kick[1, 1, 3:] = 60.0, 0.0, 0.0
+        return np.zeros((2, 12))
+
+    counts = judged(runtime, round(2.0 / DT), rolls_over)
+    assert counts.events[:, counts.columns("tilt")].ravel().tolist() == [0, 1]
+    assert counts.total("fallen") == (0 if guarded else 1)
 
 
 def test_a_walk_in_another_direction_than_asked_for_reaches_nothing():
