@@ -127,7 +127,7 @@ class Estimator(Stage):
             self._fuse_speed(t, sample["velocity"], tick)
         if tick % self._look == 0:
             self._listen(packet.value, reference, fused)
-            self.fault[self.load.look(sample["current"].value)] |= np.int64(Reason.LOAD)
+            self.fault[self.load.look(sample["current"])] |= np.int64(Reason.LOAD)
         self.heat.step(t, sample)
         return self._now(t, sample, sent)
 

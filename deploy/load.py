@@ -12,7 +12,7 @@ with the motion that was sent in the place of the measured one.
 import numpy as np
 
 from deploy.stage import Stage
-from deploy.state import Bools, Floats
+from deploy.state import Bools, Floats, Packet
 from robots.model_pinocchio import torque_max
 from robots.spec import RobotSpec
 from robots.windings import nominal_windings
@@ -21,7 +21,7 @@ SHARE = 0.5
 """Of a joint's torque, that its motor may give more or less than its motion needs by the nominal model. Friction,
 other masses, payloads, cables, pushes and worn magnets come to 0.3 for so long as `LOOKS` are apart; a block to 1."""
 LOOKS = 3
-"""Looks in a row at which a motor must have been beyond that: less than a moment's ringing does not count."""
+"""Packets in a row in which a motor must have been beyond that: less than a moment's ringing does not count."""
 
 
 class Load(Stage):
@@ -29,10 +29,10 @@ class Load(Stage):
 
     Attributes:
         tau: (B, n) N·m, feed-forward that was sent last. powered: (B,) whether the drives were on then.
-        many: (B, n) looks in a row beyond the bound.
+        many: (B, n) packets in a row that were beyond the bound. t: (B,) s, when the last of them was taken.
     """
 
-    carried = ("tau", "powered", "many")
+    carried = ("tau", "powered", "many", "t")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Nothing was sent yet.
@@ -41,7 +41,7 @@ class Load(Stage):
             RobotError: a motor's constant, or a joint's range of torque, is not in model.xml.
         """
         self.tau, self.powered = np.zeros((robots, spec.n)), np.zeros(robots, dtype=bool)
-        self.many = np.zeros((robots, spec.n), dtype=np.int64)
+        self.many, self.t = np.zeros((robots, spec.n), dtype=np.int64), np.full(robots, -np.inf)
         self._constant, self._bound = nominal_windings(spec).constant, SHARE * torque_max(spec)
 
     def reset(self, ids: Bools) -> None:
@@ -52,9 +52,14 @@ class Load(Stage):
         """Remember what is sent: feed-forward (B, n) N·m, and whether drives are on (B,)."""
         self.tau[:], self.powered[:] = tau, powered
 
-    def look(self, current: Floats) -> Bools:
-        """(B,) whether a motor works against something, by the newest currents (B, n) A; NaN says nothing."""
-        beyond = np.abs(current * self._constant - self.tau) > self._bound
-        self.many += 1
-        self.many *= beyond & self.powered[:, None]
+    def look(self, current: Packet) -> Bools:
+        """(B,) whether a motor works against something, by the newest currents (B, n) A.
+
+        A packet that is looked at again, and a current that is no number, say nothing and take nothing back.
+        """
+        beyond = np.abs(current.value * self._constant - self.tau) > self._bound
+        said = (current.t != self.t)[:, None] & np.isfinite(current.value)
+        self.t[:] = current.t
+        self.many += said
+        self.many *= (beyond | ~said) & self.powered[:, None]
         return np.asarray((self.many >= LOOKS).any(axis=1))

@@ -1,9 +1,11 @@
+from itertools import count
+
 import numpy as np
 import pytest
 from test_spec import SPEC
 
 from deploy.load import LOOKS, SHARE, Load
-from deploy.state import Mode, Reason
+from deploy.state import Mode, Packet, Reason
 from deploy.supervisor import CATEGORY_1
 from robots.model_pinocchio import torque_max
 from robots.windings import nominal_windings
@@ -17,6 +19,16 @@ HAIR = 1e-6
 def current(tau):
     """A, of motors that give (n,) N·m."""
     return np.atleast_2d(tau / CONSTANT)
+
+
+TIMES = count(step=0.016)
+
+
+def look(load, value, t=None):
+    """At currents (B, n) A that were taken at t, by default later than all before."""
+    robots = len(value)
+    t = next(TIMES) if t is None else t
+    return load.look(Packet(np.full(robots, t), np.ones(robots, dtype=bool), value))
 
 
 def asked(robots=1):
@@ -36,18 +48,34 @@ def strayed(joint, share):
 def test_a_motor_that_gives_more_or_less_than_it_should_is_seen_at_the_last_of_some_looks(joint, sign):
     for factor, seen in ((1 - HAIR, False), (1 + HAIR, True)):
         load = asked()
-        found = [load.look(strayed(joint, sign * factor * SHARE))[0] for _ in range(LOOKS + 1)]
+        found = [look(load, strayed(joint, sign * factor * SHARE))[0] for _ in range(LOOKS + 1)]
         assert found == [False] * (LOOKS - 1) + [seen] * 2
 
 
-@pytest.mark.parametrize("between", [0.0, np.nan])
-def test_it_must_be_so_without_a_break(between):
-    """A current that is no number says nothing."""
+def test_it_must_be_so_without_a_break():
     load = asked()
     for _ in range(3):
         for _ in range(LOOKS - 1):
-            assert not load.look(strayed(2, 1.0)).any()
-        assert not load.look(strayed(2, between)).any()
+            assert not look(load, strayed(2, 1.0)).any()
+        assert not look(load, strayed(2, 0.0)).any()
+
+
+def test_a_current_that_is_no_number_says_nothing_and_takes_nothing_back():
+    load = asked()
+    for _ in range(LOOKS - 1):
+        assert not look(load, strayed(2, 1.0)).any()
+        assert not look(load, strayed(2, np.nan)).any()
+    assert look(load, strayed(2, 1.0)).all()
+
+
+def test_a_packet_counts_once_however_often_it_is_looked_at():
+    load, late = asked(), next(TIMES)
+    for _ in range(2 * LOOKS):
+        assert not look(load, strayed(2, 1.0), t=late).any()
+    for _ in range(LOOKS - 2):
+        assert not look(load, strayed(2, 1.0)).any()
+    late = next(TIMES)
+    assert all(look(load, strayed(2, 1.0), t=late).all() for _ in range(3))
 
 
 def test_each_robot_is_looked_at_alone_and_none_without_power():
@@ -56,18 +84,18 @@ def test_each_robot_is_looked_at_alone_and_none_without_power():
     hard[1] = current(TAU)
     for _ in range(LOOKS):
         load.ask(load.tau, np.array([True, True, False, True]))
-        found = load.look(hard)
+        found = look(load, hard)
     assert found.tolist() == [True, False, False, True]
     load.reset(np.array([True, False, False, False]))
-    assert load.look(hard).tolist() == [False, False, False, True]
+    assert look(load, hard).tolist() == [False, False, False, True]
 
 
 def test_what_is_saved_is_what_decides():
     load, other = asked(), Load(SPEC, 1)
     for _ in range(LOOKS - 1):
-        load.look(strayed(4, -1.0))
+        look(load, strayed(4, -1.0))
     other.restore(load.save())
-    assert other.look(strayed(4, -1.0)).all()
+    assert look(other, strayed(4, -1.0)).all()
 
 
 def running(**how):
