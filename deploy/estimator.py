@@ -3,6 +3,7 @@
 What is estimated is how far each joint is from where it was SENT, which changes far less than where it is: angle and
 speed of that deviation, under white-noise acceleration, at the time its newest sample was TAKEN. `State` is what was
 sent by now plus the deviation carried forward to now. The same filter with the setpoint's motion as its known input.
+A joint on a soft drive does not go where it is sent: of such it is angle and speed themselves.
 filterpy gives the process noise and is the oracle of the tests.
 """
 
@@ -38,7 +39,7 @@ RESTS = 0.05
 
 
 class Estimator(Stage):
-    """Deviation and its speed of B × n joints.
+    """Deviation and its speed of B × n joints; on soft drives that from an angle of 0.
 
     Attributes:
         e, ed: (B, n) rad and rad/s, and p00, p01, p11 (B, n) their covariance, at t_sample (B, n) s.
@@ -57,12 +58,13 @@ class Estimator(Stage):
     )
     parts = ("heat", "load")
 
-    def __init__(self, spec: RobotSpec, robots: int) -> None:
+    def __init__(self, spec: RobotSpec, robots: int, *, stiff: bool = True) -> None:
         """Allocate.
 
         Args:
             spec: encoder noise and joint restlessness.
             robots: B.
+            stiff: whether drives hold joints where they are sent.
         """
         shape, encoder = (robots, spec.n), spec.sensors["encoder"]
         self.e, self.ed, self.nis, self.said, self.moved = np.zeros((5, *shape))
@@ -72,8 +74,9 @@ class Estimator(Stage):
         self.same, self.many, self.refused = np.zeros((3, *shape), dtype=np.int64)
         self.fault = np.zeros(robots, dtype=np.int64)
         self.heat, self.load = Heat(spec, robots), Load(spec, robots)
-        self._dt, self._depth = spec.dt, round(REMEMBERED_S / spec.dt)
+        self._stiff, self._dt, self._depth = stiff, spec.dt, round(REMEMBERED_S / spec.dt)
         self.sent = np.zeros((robots, self._depth, 2 * spec.n))
+        self._nothing = np.zeros(shape)
         self._row, self._n = np.arange(robots) * self._depth, spec.n
         # numpy is quickest where every shape is the same.
         self._wide, self._r = np.zeros(shape), np.full(shape, encoder.variance)
@@ -96,8 +99,8 @@ class Estimator(Stage):
     def follow(self, ids: Bools, old: Setpoint, new: Setpoint) -> None:
         """Robots where `ids` (B,) holds are sent elsewhere from now on, and have not moved for that."""
         here = np.concatenate((new.q, new.qd), axis=1)[ids]
-        self.e[ids] += (old.q - new.q)[ids]
-        self.ed[ids] += (old.qd - new.qd)[ids]
+        self.e[ids] += self._expected(old.q - new.q)[ids]
+        self.ed[ids] += self._expected(old.qd - new.qd)[ids]
         self.sent[ids], self.moved[ids] = here[:, None], new.q[ids]
 
     def step(self, t: float, sample: Sample, sent: Setpoint) -> State:
@@ -118,7 +121,7 @@ class Estimator(Stage):
         packet = sample["encoder"]
         there = self._there(t, packet)
         reference, _ = self._sent_at(packet.t, there, tick)
-        deviation, finite = packet.value - reference, np.isfinite(packet.value)
+        deviation, finite = packet.value - self._expected(reference), np.isfinite(packet.value)
         if not every(self.seeded):
             self._seed(~self.seeded & there & finite.all(axis=1), packet, deviation)
         new = (packet.t[:, None] > self.t_sample) & (there & self.seeded)[:, None] & finite
@@ -135,6 +138,10 @@ class Estimator(Stage):
     def moving(self) -> Bools:
         """(B,) whether a joint strays from its setpoint by more than the estimate's own doubt."""
         return np.asarray((np.abs(self.ed) > RESTS + 3.0 * np.sqrt(self.p11)).any(axis=1))
+
+    def _expected(self, setpoint: Floats) -> Floats:
+        """What a joint does by itself for a setpoint (B, n)."""
+        return setpoint if self._stiff else self._nothing
 
     def _there(self, t: float, packet: Packet) -> Bools:
         """(B,) whether a packet arrived that may count."""
@@ -207,7 +214,7 @@ class Estimator(Stage):
         One that was not taken with the belief's own sample counts with the variance that lies between the two times.
         """
         there = self._there(t, packet) & (packet.t > self.t_speed) & self.seeded
-        residual = packet.value - self._sent_at(packet.t, there, tick)[1] - self.ed
+        residual = packet.value - self._expected(self._sent_at(packet.t, there, tick)[1]) - self.ed
         apart = np.abs(self._each_joint(packet.t) - self.t_sample)
         variance = self.p11 + self._r_speed + self._g11 * apart
         fused = there[:, None] & (residual * residual <= GATE**2 * variance)
@@ -254,8 +261,8 @@ class Estimator(Stage):
             age[~(confirmed.all(axis=1) & self.seeded)] = np.inf
         return State(
             t=t,
-            q=sent.q + (self.e + self.ed * lag),
-            qd=sent.qd + self.ed,
+            q=self._expected(sent.q) + (self.e + self.ed * lag),
+            qd=self._expected(sent.qd) + self.ed,
             q_var=self._q_var(lag) + self._unseen_var,
             age=age,
             nis=self.nis,

@@ -81,8 +81,8 @@ class Runtime(Stage):
         self._period_s = contract.period_s
         self.fleet, checked = Fleet(spec, robots), Fleet(spec, 2 * robots, collisions=True)
         self.gains = contract.action.gains
+        self.estimator = Estimator(spec, robots, stiff=self.gains is None)
         self.safety = Safety(spec, checked, Springs(spec, self.gains) if self.gains else None)
-        self.estimator = Estimator(spec, robots)
         self.action = Action(contract.action, robots)
         self.smoother = Smoother(spec, robots)
         self.supervisor = Supervisor(robots, spec.dt)

@@ -35,8 +35,17 @@ def load_onnx(path: Path) -> ModelProto:
     for graph in graphs(model):
         for tensor in tensors(graph):
             left -= _bring(tensor, path, left)
+    _forget_unused(model)
     check_model(model, str(path))
     return model
+
+
+def _forget_unused(model: ModelProto) -> None:
+    """Sets of operators that are named and not used, as tf2onnx names ai.onnx.ml in every file."""
+    used = {node.domain for graph in graphs(model) for node in graph.node}
+    kept = [opset for opset in model.opset_import if opset.domain in used | {"", "ai.onnx"}]
+    del model.opset_import[:]
+    model.opset_import.extend(kept)
 
 
 def _bring(tensor: TensorProto, path: Path, left: int) -> int:
