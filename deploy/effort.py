@@ -1,11 +1,13 @@
 """What torque the drives will give for a setpoint, and what they must be told for it.
 
-There are two kinds of drives. A stiff one follows an angle, with a speed and a torque fed forward by the nominal model.
-One with the gains of a policy's training is told an angle and nothing else, as it was there: it gives
+There are two kinds of drives. A stiff one follows an angle, with a speed and a torque fed forward by the nominal model;
+it may have the gains of a policy's training or its own. Those of a robot that walks, with the gains of training, are
+springs: told an angle and nothing else, as they were there, they give
 
     τ = kp (q* − q) − kd q̇
 
-and how far it strays from its angle is what makes its torque.
+and how far a joint strays from its angle is what makes its torque. What stands fixed and has a table before it is never
+left to springs: its guards look where it is sent.
 """
 
 from abc import ABC, abstractmethod
@@ -19,10 +21,17 @@ from robots.spec import RobotSpec
 
 
 class Gains(NamedTuple):
-    """Of drives that are told angles alone: (n,) kp in N·m/rad, kd in N·m·s/rad, both at the joint."""
+    """Of drives: (n,) kp in N·m/rad, kd in N·m·s/rad, both at the joint."""
 
     kp: Floats
     kd: Floats
+
+
+def same(one: Gains | None, other: Gains | None) -> bool:
+    """Whether drives with `one` are drives with `other`."""
+    if one is None or other is None:
+        return one is other
+    return np.array_equal(one, other)
 
 
 class Effort(ABC):

@@ -9,7 +9,7 @@ from deploy.action import Action
 from deploy.backends.base import Robot
 from deploy.base import Walker
 from deploy.contract import Contract
-from deploy.effort import Springs
+from deploy.effort import Springs, same
 from deploy.estimator import Estimator
 from deploy.flags import every, some
 from deploy.observation import Observation, Sources
@@ -80,9 +80,12 @@ class Runtime(Stage):
         self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
         self._period_s = contract.period_s
         self.fleet, checked = Fleet(spec, robots), Fleet(spec, 2 * robots, collisions=True)
-        self.gains = contract.action.gains
-        self.estimator = Estimator(spec, robots, stiff=self.gains is None)
-        self.safety = Safety(spec, checked, Springs(spec, self.gains) if self.gains else None)
+        gains = contract.action.gains
+        if not same(gains, robot.gains):
+            raise RuntimeError("the robot's drives have other gains than the policy's contract")
+        self.springs = Springs(spec, gains) if gains and spec.base else None
+        self.estimator = Estimator(spec, robots, stiff=self.springs is None)
+        self.safety = Safety(spec, checked, self.springs)
         self.action = Action(contract.action, robots)
         self.smoother = Smoother(spec, robots)
         self.supervisor = Supervisor(robots, spec.dt)
@@ -238,7 +241,7 @@ class Runtime(Stage):
 
     def _send(self, setpoint: Setpoint, tau: Floats) -> None:
         self.smoother.commit(setpoint)
-        told = (setpoint.qd, tau) if self.gains is None else self._nothing
+        told = self._nothing if self.springs else (setpoint.qd, tau)
         self.command = Command(
             q=setpoint.q,
             qd=told[0],

@@ -8,6 +8,7 @@ from deploy.stage import Stage
 from deploy.state import Mode, Reason
 from deploy.tasks import reach
 from deploy.tasks.reach import ReachConfig, goal_pool
+from robots.model_pinocchio import Fleet
 from robots.randomness import robot_seed
 
 SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
@@ -61,7 +62,7 @@ def built(robots=2, seed=5, *, policy=None, threads=1, only=None, contract=None,
     """A runtime on simulated robots, not yet armed; also for other test files."""
     contract = contract or arm_contract()
     seeds = [robot_seed(seed, robot) for robot in (range(robots) if only is None else only)]
-    robot = SimRobot(SPEC, seeds, threads=threads, faults=faults)
+    robot = SimRobot(SPEC, seeds, threads=threads, faults=faults, gains=contract.action.gains)
     return Runtime(SPEC, contract, robot, seeds, policy or Wandering(contract))
 
 
@@ -281,6 +282,33 @@ def test_without_the_prepared_stop_a_restored_runtime_would_stop_elsewhere():
     one.tick()
     other.tick()
     assert (one.command.q != other.command.q).any()
+
+
+def test_an_arm_with_gains_of_its_policy_is_judged_where_it_is_sent():
+    """On springs as soft as these it would lie on its table: a walker's guards look where joints are."""
+    soft = arm_contract().action.model_copy(update={"kp": (400.0,) * N, "kd": (40.0,) * N})
+    policy = Saying(2)
+    runtime = running(policy=policy, contract=arm_contract(action=soft))
+    fleet, tool, heights = Fleet(SPEC, 2), runtime.robot.plant, []
+    for _ in range(600):
+        policy.action[:, 1] = 1.0
+        runtime.tick()
+        fleet.place(runtime.command.q)
+        heights.append((fleet.tool_position[:, 2].min(), tool.truth(runtime.t).tool_position[:, 2].min()))
+        assert not tool.truth(runtime.t).self_collision.any()
+    sent, true = np.min(heights, axis=0)
+    assert sent >= SPEC.workspace.z_min
+    assert true > SPEC.workspace.z_min - 0.01
+    assert sent < 0.2  # or it was never asked to
+
+
+def test_drives_that_have_other_gains_than_the_contract_are_refused():
+    seeds = [robot_seed(5, 0)]
+    soft = arm_contract().action.model_copy(update={"kp": (400.0,) * N, "kd": (40.0,) * N})
+    with pytest.raises(RuntimeError, match="other gains than the policy's contract"):
+        Runtime(SPEC, arm_contract(action=soft), SimRobot(SPEC, seeds), seeds)
+    with pytest.raises(RuntimeError, match="other gains than the policy's contract"):
+        Runtime(SPEC, arm_contract(), SimRobot(SPEC, seeds, gains=soft.gains), seeds)
 
 
 def test_reset_of_a_subset():

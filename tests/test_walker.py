@@ -138,6 +138,28 @@ def test_the_drives_have_the_gains_of_the_contract_and_are_told_angles_alone():
     np.testing.assert_allclose(runtime.verdict.tau, law, atol=10.0)  # of nominal gains and believed angles
 
 
+def test_brakes_are_as_stiff_as_they_are_whatever_the_policy_brings():
+    """Or a robot that has lost its power would hang in its policy's springs."""
+    action = walking_contract().action.model_copy(update={"kp": (90.0,) * 12, "kd": (3.0,) * 12})
+    drives = (runtime := walker(2, contract=walking_contract(action=action))).robot.plant.drives
+    own = [gain.copy() for gain in drives._gain]
+    square = runtime.robot.plant.batch.model.actuator_gear[:, 0] ** 2
+    live(runtime, round(ARM_S / DT))
+    runtime.arm(np.array([True, False]))
+    live(runtime, 20)
+    draw = runtime.robot.draw
+    for name, gain, brake, x in zip(("kp", "kd"), drives._gain, own, (90.0, 3.0), strict=True):
+        np.testing.assert_allclose(gain[0], (x / square * draw[f"drives.{name}"])[0])
+        np.testing.assert_array_equal(gain[1], brake[1])
+        assert (gain[0] != brake[0]).all()
+    kept = runtime.robot.save()
+    runtime.robot.stop(np.array([True, True]))
+    for gain, brake in zip(drives._gain, own, strict=True):
+        np.testing.assert_array_equal(gain, brake)
+    runtime.robot.restore(kept)
+    assert (drives._gain[0][0] != own[0][0]).all()
+
+
 def test_springs_give_no_more_than_a_drive_has():
     runtime = standing(1)
     springs, q = Springs(QUADRUPED, runtime.contract.action.gains), STAND + 2.0
@@ -227,7 +249,7 @@ def test_a_contract_must_be_of_a_robot_that_walks():
 def test_a_policy_without_gains_is_fed_forward():
     action = ActionSpec(mode="position", size=12, offset=tuple(STAND), scale=(1.0,) * 12, clip=(-1.0, 1.0))
     runtime = walker(1, contract=walking_contract(action=action))
-    assert runtime.gains is None
+    assert runtime.springs is None
 
 
 def test_feet_are_seen_from_the_base():

@@ -2,13 +2,19 @@
 
 from typing import Protocol
 
+from deploy.effort import Gains
 from deploy.state import Bools, Command, Floats, Sample
 
 
 class Robot(Protocol):
-    """B robots behind one interface."""
+    """B robots behind one interface.
+
+    Attributes:
+        gains: of the drives, where they have those of a policy's contract; None: their own.
+    """
 
     robots: int
+    gains: Gains | None
 
     def read(self) -> Sample:
         """The newest packet of every sensor; never blocks longer than a control period."""

@@ -127,7 +127,7 @@ class _Trial:
         self._thermometer.look(truth)
         if tick >= self._arm:
             # A soft drive is not where it is sent: there what the joint does counts.
-            self._speeds.append((runtime.setpoint if runtime.gains is None else runtime.state).qd.copy())
+            self._speeds.append((runtime.setpoint if runtime.springs is None else runtime.state).qd.copy())
         if said is not None:
             self._begin(led)
 

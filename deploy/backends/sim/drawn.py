@@ -5,7 +5,6 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deploy.backends.sim.anatomy import Anatomy
-from deploy.effort import Gains
 from deploy.state import Floats
 from robots.draws import Draw
 
@@ -19,14 +18,11 @@ _LONG = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 """Shapes with a half-length, `size[1]`, that grows with the link; the others keep their size and only move."""
 
 
-def embody(batch: Batch, anatomy: Anatomy, draw: Draw, gains: Gains | None = None) -> None:
-    """Write what the draw says about links, joints, drives, mounting and cable, and derive what follows from it.
-
-    Drives have `gains` to begin with; by default their own.
-    """
+def embody(batch: Batch, anatomy: Anatomy, draw: Draw) -> None:
+    """Write what the draw says about links, joints, drives, mounting and cable, and derive what follows from it."""
     _links(batch, anatomy, draw)
     _joints(batch, anatomy, draw)
-    _drives(batch, draw, gains)
+    _drives(batch, draw)
     _mounting(batch, anatomy, draw)
     _cable(batch, anatomy, draw)
     batch.set_const()
@@ -57,12 +53,8 @@ def _joints(batch: Batch, anatomy: Anatomy, draw: Draw) -> None:
         batch.expand(f"dof_{field}")[:, dofs] *= draw[f"joints.{name}"]
 
 
-def _drives(batch: Batch, draw: Draw, gains: Gains | None) -> None:
+def _drives(batch: Batch, draw: Draw) -> None:
     gain = batch.expand("actuator_gainprm")
-    if gains:
-        # On the motor's side of the gear: an angle is that much larger there, and a torque smaller.
-        square = batch.model.actuator_gear[:, 0] ** 2
-        gain[:, :, KP], gain[:, :, KD] = gains.kp / square, gains.kd / square
     for place, name in ((R, "resistance"), (K, "torque_constant"), (KP, "kp"), (KD, "kd")):
         gain[:, :, place] *= draw[f"drives.{name}"]
     gain[:, :, VOLTS] *= draw["drives.voltage"][:, None]

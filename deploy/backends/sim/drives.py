@@ -6,6 +6,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deploy.backends.sim import drawn
+from deploy.effort import Gains
 from deploy.flags import every, some
 from deploy.stage import Stage
 from deploy.state import Bools, Command, Floats
@@ -22,14 +23,19 @@ class Drives(Stage):
     `lines` (B, periods of physics, controls), newest last, is what they follow, on the motor's side: straight from
     command to command. Each robot's drives are at a place of it that lies `drives.delay_s` back.
 
-    MuJoCo has no brakes: where they are closed the drive holds the pose that they closed on, and the plant says that it
-    takes no current for that.
+    MuJoCo has no brakes: where they are closed the drive holds the pose that they closed on, with the gains that it has
+    of its own, and the plant says that it takes no current for that.
     """
 
     carried = ("lines", "held", "braked")
 
-    def __init__(self, spec: RobotSpec, batch: Batch, draw: Draw) -> None:
-        """Read gears, limits and delays; every drive begins with its brakes on at 0 rad."""
+    def __init__(self, spec: RobotSpec, batch: Batch, draw: Draw, gains: Gains | None = None) -> None:
+        """Read gears, limits and delays; every drive begins with its brakes on at 0 rad.
+
+        Args:
+            spec: rates. batch: simulations of the robots. draw: the robots.
+            gains: with power; None: their own.
+        """
         robots, n = draw.robots, spec.n
         self.gear = np.ones((robots, n)) * batch.model.actuator_gear[:, 0]
         self.goal = np.zeros((robots, n * INPUTS))
@@ -37,6 +43,14 @@ class Drives(Stage):
         self.held, self.braked = np.zeros((robots, n)), np.ones(robots, dtype=bool)
         self._limit, self._nominal = batch.expand("actuator_forcerange"), batch.model.actuator_forcerange
         self._share = np.ones((robots, n))
+        gain = batch.expand("actuator_gainprm")
+        self._gain = gain[:, :, drawn.KP], gain[:, :, drawn.KD]
+        self._brakes = tuple(own.copy() for own in self._gain)
+        # On the motor's side of the gear: an angle is that much larger there, and a torque smaller.
+        self._powered = tuple(
+            x / batch.model.actuator_gear[:, 0] ** 2 * draw[f"drives.{name}"]
+            for name, x in (gains._asdict() if gains else {}).items()
+        )
         self._lay_out(spec.rates, draw["drives.delay_s"])
 
     def _lay_out(self, rates: Rates, delay_s: Floats) -> None:
@@ -68,7 +82,9 @@ class Drives(Stage):
             self._share[:] = command.current
             self._limit[:] = self._nominal * self._share[:, :, None]
         off = ~command.powered
-        self.braked &= off
+        if some(self.braked & command.powered):
+            self.braked &= off
+            self.apply()
         if some(off):
             self.brake(off, q)
         return self._rows.take(self._places, axis=0, out=self._control, mode="clip")
@@ -78,12 +94,20 @@ class Drives(Stage):
         closing = ids & ~self.braked
         self.held[closing] = q[closing]
         self.braked |= ids
+        if some(closing):
+            self.apply()
         self._hold(np.flatnonzero(self.braked))
 
     def rest(self, rows: np.ndarray, q: Floats) -> None:
         """Robots `rows` have stood at `q` (B, n) rad for a while, brakes on."""
         self.held[rows], self.braked[rows] = q[rows], True
+        self.apply()
         self._hold(rows)
+
+    def apply(self) -> None:
+        """Give drives with power the gains of the policy, those in the brakes their own."""
+        for gain, brakes, powered in zip(self._gain, self._brakes, self._powered, strict=False):
+            gain[:] = np.where(self.braked[:, None], brakes, powered)
 
     def _hold(self, rows: np.ndarray) -> None:
         self._q[rows] = (self.held * self.gear)[rows]

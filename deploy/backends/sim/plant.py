@@ -64,9 +64,9 @@ class Plant(Stage):
         """
         anatomy = build(spec, distributions.cable)
         self.batch = Batch(anatomy.model, draw.robots, nthread=threads)
-        drawn.embody(self.batch, anatomy, draw, gains)
+        drawn.embody(self.batch, anatomy, draw)
         self.motion = Motion(self.batch, anatomy)
-        self.drives = Drives(spec, self.batch, draw)
+        self.drives = Drives(spec, self.batch, draw, gains)
         self.supply = Supply(self.batch, draw, self.drives.gear)
         self.windings, self.housings = Windings(self.batch, draw), Housings(spec, self.batch, draw)
         self.wear = Wear(distributions.wear, self.batch, anatomy, draw)
@@ -161,6 +161,7 @@ class Plant(Stage):
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         """Put saved arrays back, bit for bit; torque and contacts read zero until the next step."""
         super().restore(arrays)
+        self.drives.apply()
         self.housings.apply()
         self.wear.apply()
         self.payload.follow()

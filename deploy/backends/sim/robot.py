@@ -42,7 +42,7 @@ class SimRobot(Stage):
             gains: of their drives, as the policy's contract has them; None: the drives' own.
             threads: for physics; results do not depend on it.
         """
-        self.spec, self.robots = spec, len(seeds)
+        self.spec, self.robots, self.gains = spec, len(seeds), gains
         distributions = load_distributions(spec)
         self.draw = given or draw(distributions, spec, seeds)
         self.plant = Plant(spec, distributions, self.draw, seeds, gains=gains, threads=threads)
