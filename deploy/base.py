@@ -19,6 +19,8 @@ CONTACT_N = 10.0
 """N, above which a foot's sensor says that it stands."""
 DOWN = (0.0, 0.0, -1.0)
 """Where gravity points in the frame of a base that stands upright."""
+SAID_S = 0.1
+"""s after which what the IMU said of up is not used any more."""
 LOOK_S = 0.016
 """s between two looks at feet and at what the IMU says of up: what it measures itself is integrated on every tick."""
 
@@ -65,7 +67,7 @@ class Walker(Stage):
         gyro = sample["gyro"]
         imu = Imu(gyro.t, gyro.fresh, gyro.value, sample["accelerometer"].value)
         looks = round(t / self._dt) % self._look == 0
-        seen = (self._feet(sample, state), self._upright(sample, gyro)) if looks else (None, None)
+        seen = (self._feet(sample, state), self._upright(t, sample, gyro)) if looks else (None, None)
         base = self.filter.step(t, imu, *seen)
         self.gravity[:] = base.gravity
         fault = state.fault.copy()
@@ -86,12 +88,16 @@ class Walker(Stage):
         depth = np.matvec(position, self.gravity)
         return np.asarray(depth >= depth.max(axis=1, keepdims=True) - self._foot_m)
 
-    def _upright(self, sample: Sample, gyro: Packet) -> Upright | None:
-        """What the IMU itself says of up, carried from when it said so to when its gyro's sample was taken."""
+    def _upright(self, t: float, sample: Sample, gyro: Packet) -> Upright | None:
+        """What the IMU itself says of up, carried from when it said so to when its gyro's sample was taken.
+
+        What it says of the future, of long ago, or said before counts as not said.
+        """
         if self._orientation is None:
             return None
         said = sample["orientation"]
-        fresh = np.isfinite(said.value).all(axis=1) & (said.t > self.t_up)
+        recent = (said.t <= t + self._dt) & (said.t > t - SAID_S)
+        fresh = np.isfinite(said.value).all(axis=1) & recent & (said.t > self.t_up)
         np.copyto(self.t_up, said.t, where=fresh)
         quat = np.where(fresh[:, None], said.value, [1.0, 0.0, 0.0, 0.0])
         up = matrix(quat / np.linalg.norm(quat, axis=1, keepdims=True))[:, 2]

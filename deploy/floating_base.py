@@ -32,6 +32,8 @@ REST_BAND = (0.8, 1.2)
 """Share of G that a robot which is still measures: a filter is seeded from no other sample."""
 SEED_ACCELERATION_STD, SEED_SPEED_STD = 0.3, 0.5
 """m/s², m/s: how much a robot may move when it is seeded."""
+CONTRADICTED = 5
+"""So often in a row the IMU's own word of up may be beyond the gate: a blow to it is over by then."""
 NIS_SAMPLES, NIS_MAX = 100, 4 * GATE
 """Window of the mean squared innovation, and what one sample may add to it."""
 TILT_STD_MAX, SPEED_STD_MAX = 0.5, 2.0
@@ -45,7 +47,8 @@ class FloatingBase(Stage):
     """Orientation and velocity of B bases; `P` (B, 12, 12) is the covariance of their errors.
 
     A foot whose innovation is beyond `GATE` is left out. A filter has diverged where its tilt or speed is unknown
-    beyond `TILT_STD_MAX` or `SPEED_STD_MAX`, is not finite, or even the best of its feet is on average beyond the gate.
+    beyond `TILT_STD_MAX` or `SPEED_STD_MAX`, is not finite, or even the best of its feet is on average beyond the gate;
+    and where what the IMU says of up was beyond it `CONTRADICTED` times in a row.
     """
 
     carried = (
@@ -59,6 +62,7 @@ class FloatingBase(Stage):
         "repeats",
         "innovation",
         "nis",
+        "contradicted",
     )
 
     def __init__(self, noise: BaseNoise, dt: float, robots: int, feet: int) -> None:
@@ -75,6 +79,7 @@ class FloatingBase(Stage):
         self.P, self.innovation = np.zeros((robots, 12, 12)), np.zeros((robots, feet, 3))
         self.t_sample, self.nis = np.zeros(robots), np.zeros(robots)
         self.seeded, self.repeats = np.zeros(robots, dtype=bool), np.zeros((robots, 2), dtype=np.int64)
+        self.contradicted = np.zeros(robots, dtype=np.int64)
         self._noise, self._dt = noise, dt
         self._belief = Belief(self.quat_wxyz, self.velocity, self.bias)
         self._walk = np.repeat([noise.gyro_walk**2, noise.accelerometer_walk**2], 3)
@@ -127,7 +132,7 @@ class FloatingBase(Stage):
         P[:, PHI, ACC], P[:, ACC, PHI] = tilt_by_bias, tilt_by_bias.swapaxes(1, 2)
         self.P[ids], self.quat_wxyz[ids] = P, quat_wxyz
         self.velocity[ids], self.bias[ids], self.reading[ids] = 0.0, 0.0, reading[ids]
-        self.innovation[ids], self.nis[ids], self.repeats[ids] = 0.0, 0.0, 0
+        self.innovation[ids], self.nis[ids], self.repeats[ids], self.contradicted[ids] = 0.0, 0.0, 0, 0
         self.t_sample[ids], self.seeded[ids] = t[ids], True
 
     def _count_repeats(self, newer: Bools, reading: Floats) -> None:
@@ -191,13 +196,19 @@ class FloatingBase(Stage):
         return np.asarray(stands & (nis <= GATE))
 
     def _level(self, ids: Bools, upright: Upright) -> None:
-        """Tilt as it is said, which a turn φ of the error leans by φ × up; one beyond the gate is left out."""
+        """Tilt as it is said, which a turn φ of the error leans by φ × up; one beyond the gate is left out.
+
+        One of the two is wrong if that goes on, and a robot that lies on its back must not take itself for one that
+        stands.
+        """
         leans = times(matrix(self.quat_wxyz), upright.up)
         z, S = np.stack([leans[:, 1], -leans[:, 0]], axis=1), self.P[:, :2, :2].copy()
         diagonal(S)[:] += upright.variance
         K = np.asarray(np.linalg.solve(S, self.P[:, :2]).swapaxes(1, 2), dtype=np.float64)
         far = (z * np.linalg.solve(S, z[..., None])[..., 0]).sum(axis=1)
         used = ids & (far <= GATE) & (leans[:, 2] > 0.0)
+        self.contradicted += ids & ~used
+        self.contradicted[used] = 0
         self._correct(np.where(used[:, None], times(K, z), 0.0))
         self.P -= np.where(used[:, None, None], K @ self.P[:, :2], 0.0)
         self.P[:] = 0.5 * (self.P + self.P.swapaxes(1, 2))
@@ -221,6 +232,7 @@ class FloatingBase(Stage):
         var = diagonal(P)
         tilt_var, speed_var = var[:, :2].sum(axis=1), var[:, V].max(axis=1)
         known = (tilt_var <= TILT_STD_MAX**2) & (speed_var <= SPEED_STD_MAX**2) & (self.nis <= GATE)
+        known &= self.contradicted < CONTRADICTED
         gyro_var = noise.gyro**2 / self._dt + (noise.angular_acceleration**2 + noise.gyro_walk**2) * lag
         return BaseState(
             t=t,

@@ -17,6 +17,7 @@ from robots.blocks import lined_up, turns
 from robots.clearance import can_meet
 from robots.collisions import Collisions, collision_pairs
 from robots.errors import RobotError
+from robots.inertial import check_contacts, imu_in_base
 from robots.read_pinocchio import followed, read_pinocchio
 from robots.spec import RobotSpec
 from robots.tables import Tooling
@@ -56,6 +57,9 @@ def _check_parts(spec: RobotSpec, model: pin.Model) -> None:
                 f"{path}: joint {model.names[joint.id]!r} is {joint.shortname()}, expected a hinge"
             )
     followed(spec, model)
+    if spec.base:
+        imu_in_base(spec, model)
+        check_contacts(spec, spec.base, model)
 
 
 def torque_max(spec: RobotSpec) -> Floats:
@@ -157,11 +161,11 @@ class Fleet:
 
     @property
     def feet_position(self) -> Floats:
-        """(B, F, 3) m, the feet as seen from the base."""
-        return self._points
+        """(B, F, 3) m, the feet as seen from the IMU."""
+        return self._points - self._blocks.imu
 
     def feet_velocity(self, qd: Floats) -> Floats:
-        """(B, F, 3) m/s, of the feet as seen from the base, for joint speeds (B, n) rad/s."""
+        """(B, F, 3) m/s, of the feet as seen from the IMU, for joint speeds (B, n) rad/s."""
         of_legs = (self._blocks.carried_by * qd[:, None]).swapaxes(1, 2)
         twist = (self._jacobian @ of_legs).swapaxes(1, 2)
         return np.asarray(twist[..., :3] + np.cross(twist[..., 3:], self._points))
@@ -252,6 +256,7 @@ class _Blocks:
         self.model, self._geometry = load_pinocchio(spec)
         self._margin = spec.margins.collision_m
         self.followed = [self.model.frames[frame] for frame in followed(spec, self.model)]
+        self.imu = imu_in_base(spec, self.model) if spec.base else np.zeros(3)
         supports = [list(self.model.supports[frame.parentJoint]) for frame in self.followed]
         self.carried_by = np.array(
             [[j in some for j in range(1, self.model.njoints)] for some in supports], float

@@ -103,10 +103,15 @@ def followed(spec: RobotSpec, model: pin.Model) -> list[int]:
     """
     named = [(spec.tool, "the tool")] if spec.tool else []
     named += [(foot, "a foot") for foot in (spec.base.feet if spec.base else ())]
-    return [_site_or_body(spec, model, name, what) for name, what in named]
+    return [site_or_body(spec, model, name, what) for name, what in named]
 
 
-def _site_or_body(spec: RobotSpec, model: pin.Model, name: str, what: str) -> int:
+def site_or_body(spec: RobotSpec, model: pin.Model, name: str, what: str) -> int:
+    """The frame of a site or else a body.
+
+    Raises:
+        RobotError: there is no such one; `what` is what robot.toml calls it.
+    """
     for kind in (SITE, BODY):
         if model.existFrame(name, kind):
             return int(model.getFrameId(name, kind))

@@ -162,7 +162,7 @@ class Tooling(NamedTuple):
 
 
 class Base(Strict):
-    """A base that stands on nothing but its feet. Its frame is that of model.xml's root body, and of the IMU.
+    """A base that stands on nothing but its feet. Its frame is the IMU's, with the axes of model.xml's root body.
 
     Attributes:
         feet: bodies or sites of model.xml that stand on the ground.

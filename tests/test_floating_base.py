@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from deploy import floating_base
 from deploy.base_model import G
 from deploy.base_state import BaseNoise, Feet, Imu, Upright
-from deploy.floating_base import GATE, NIS_SAMPLES, RANGE, STUCK_SAMPLES, FloatingBase
+from deploy.floating_base import CONTRADICTED, GATE, NIS_SAMPLES, RANGE, STUCK_SAMPLES, FloatingBase
 from deploy.rotations import matrix
 
 DT, F = 0.005, 4
@@ -474,3 +474,25 @@ def test_up_is_not_believed_where_it_cannot_be():
     np.testing.assert_array_equal(
         base.step(t, imu._replace(fresh=np.zeros(2, dtype=bool)), legs, down).gravity, quiet.gravity
     )
+
+
+def test_who_is_told_again_and_again_that_up_is_elsewhere_is_lost():
+    """What it believes of up would otherwise be believed on its back."""
+    world, base = World(7, 2, 200), FloatingBase(NOISE, DT, 2, F)
+    for t, imu, legs in world.packets():
+        base.step(t, imu, legs)
+    silent = imu._replace(fresh=np.zeros(2, dtype=bool))
+    down = Upright(np.array([True, False]), np.tile([0.0, 0.0, -1.0], (2, 1)), 1e-4)
+    lost = [base.step(t, silent, legs, down).diverged.tolist() for _ in range(CONTRADICTED)]
+    assert lost == [[False, False]] * (CONTRADICTED - 1) + [[True, False]]
+
+
+def test_one_word_that_fits_takes_back_what_was_said_before():
+    world, base = World(7, 1, 200), FloatingBase(NOISE, DT, 1, F)
+    for t, imu, legs in world.packets():
+        up = -base.step(t, imu, legs).gravity
+    silent, told = imu._replace(fresh=np.zeros(1, dtype=bool)), np.ones(1, dtype=bool)
+    for _ in range(3):
+        for _ in range(CONTRADICTED - 1):
+            assert not base.step(t, silent, legs, Upright(told, -up, 1e-4)).diverged.any()
+        assert not base.step(t, silent, legs, Upright(told, up, 1e-4)).diverged.any()
