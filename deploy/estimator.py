@@ -34,8 +34,9 @@ MEMORY, DIVERGED = 50.0, 9.0
 CONFIRMED, REFUSED = 10, 20
 """Samples within the gate, from the first on, until which a filter is not believed: before that one beyond the gate
 takes the place of the first. And samples in a row beyond the gate after which a filter begins anew."""
-RESTS = 0.05
-"""rad/s below which a joint may be said to rest."""
+RESTS, DOUBT = 0.05, 6.0
+"""rad/s below which a joint may be said to rest, and standard deviations of its speed beyond that: three where sensors
+are twice as noisy as their data sheet says."""
 
 
 class Estimator(Stage):
@@ -137,7 +138,7 @@ class Estimator(Stage):
     @property
     def moving(self) -> Bools:
         """(B,) whether a joint strays from its setpoint by more than the estimate's own doubt."""
-        return np.asarray((np.abs(self.ed) > RESTS + 3.0 * np.sqrt(self.p11)).any(axis=1))
+        return np.asarray((np.abs(self.ed) > RESTS + DOUBT * np.sqrt(self.p11)).any(axis=1))
 
     def _expected(self, setpoint: Floats) -> Floats:
         """What a joint does by itself for a setpoint (B, n)."""

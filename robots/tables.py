@@ -17,7 +17,8 @@ class Joint(Strict):
     Attributes:
         q_min, q_max, q_home: rad.
         qd_max: rad/s, what the drive may do. qdd_max: rad/s², qddd_max: rad/s³, what it is asked to do.
-        acceleration_density: rad²/s³, how restless the estimator takes its deviation from the setpoint to be.
+        acceleration_density: rad²/s³, how restless the estimator takes its deviation from the setpoint to be; on the
+            soft drives of a robot that walks, the joint itself.
         play: rad, how far the link can move while the encoder stands still.
         motor: a name in `motors`.
         source: where the numbers come from.

@@ -4,7 +4,6 @@ import sys
 
 import numpy as np
 import pytest
-from onnx import TensorProto, helper, numpy_helper
 
 torch = pytest.importorskip("torch")
 tomlkit = pytest.importorskip("tomlkit")
@@ -110,45 +109,6 @@ def isaac_lab(folder, kind):
     return path, asked(step), {}
 
 
-def brax(folder):
-    """Normalizer, swish, the half of the last layer and tanh, with the ends and the operators of Playground's."""
-    rng, hidden = np.random.default_rng(3), 12
-    values = {
-        "mean": rng.normal(size=N),
-        "std": rng.uniform(0.5, 2, N),
-        "w0": rng.normal(size=(N, hidden)) / 4,
-        "b0": rng.normal(size=hidden),
-        "w1": rng.normal(size=(hidden, 2 * A)) / 4,
-        "b1": rng.normal(size=2 * A),
-    }
-    held = {name: value.astype(np.float32) for name, value in values.items()}
-    nodes = [
-        helper.make_node("Sub", ["obs", "mean"], ["centred"]),
-        helper.make_node("Div", ["centred", "std"], ["normal"]),
-        helper.make_node("Gemm", ["normal", "w0", "b0"], ["x0"]),
-        helper.make_node("Sigmoid", ["x0"], ["s0"]),
-        helper.make_node("Mul", ["x0", "s0"], ["y0"]),
-        helper.make_node("Gemm", ["y0", "w1", "b1"], ["x1"]),
-        helper.make_node("Split", ["x1"], ["loc", "scale"], axis=1),
-        helper.make_node("Tanh", ["loc"], ["continuous_actions"]),
-    ]
-    graph = helper.make_graph(
-        nodes,
-        "tf2onnx",
-        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, [1, N])],
-        [helper.make_tensor_value_info("continuous_actions", TensorProto.FLOAT, [1, A])],
-        [numpy_helper.from_array(value, name) for name, value in held.items()],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 11)], ir_version=8)
-    (folder / "go1_policy.onnx").write_bytes(model.SerializeToString())
-
-    def owner(rows):
-        x0 = (rows - held["mean"]) / held["std"] @ held["w0"] + held["b0"]
-        return np.tanh((x0 / (1 + np.exp(-x0)) @ held["w1"] + held["b1"])[:, :A])
-
-    return folder / "go1_policy.onnx", owner, {}
-
-
 FILES = {
     "rsl_rl MLP": lambda folder: checkpoint(folder, "MLP"),
     "rsl_rl LSTM": lambda folder: checkpoint(folder, "LSTM"),
@@ -158,7 +118,6 @@ FILES = {
     "state_dict": weights,
     "Isaac Lab MLP": lambda folder: isaac_lab(folder, "mlp"),
     "Isaac Lab GRU": lambda folder: isaac_lab(folder, "gru"),
-    "brax": brax,
 }
 
 

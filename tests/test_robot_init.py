@@ -94,6 +94,7 @@ ANSWERS = {
     "torque_max": 87.0,
     "armature": 0.5,
     "power_w": 400.0,
+    "contact_n": 500.0,
     "torque_rate": 1000.0,
 }
 """What somebody with the data sheets fills in."""

@@ -14,7 +14,9 @@ from policies.doctor.warmth import windings_after
 
 MOSTLY, HALF_OF = 0.9, 0.5
 """Goals of a policy that works, and of one that does not."""
-SHAKING_HZ, WINDOW_S = 4.0, 0.5
+SHAKING_HZ, STEPPING_HZ, WINDOW_S = 4.0, 12.0, 0.5
+"""What is faster than this shakes; of a robot that walks, whose steps come two or three times a second and end hard,
+what is faster than that."""
 SHAKES, RATTLES = 0.05, 0.15
 """Of a joint's speed."""
 WORSE = 1.5
@@ -71,7 +73,7 @@ def chatter(case: Case) -> Iterator[Note]:
     """How much of the speeds is shaking."""
     names, life = case.spec.joint_names, case.life
     shaking = _shaking(case, life)
-    worst = f"{listed(names, 100 * shaking, unit=' %')} of its speed above {SHAKING_HZ:g} Hz"
+    worst = f"{listed(names, 100 * shaking, unit=' %')} of its speed above {_shaking_hz(case):g} Hz"
     if (shaking > RATTLES).any():
         yield failed(
             f"it rattles: {worst}: look at delay, rates and the price of changing actions in training."
@@ -84,7 +86,7 @@ def chatter(case: Case) -> Iterator[Note]:
 
 
 def _shaking(case: Case, life: Life) -> Floats:
-    """(n,) root mean square of the speeds above `SHAKING_HZ`, as a share of the joint's speed.
+    """(n,) root mean square of the speeds above `_shaking_hz`, as a share of the joint's speed.
 
     Of the median window: one that begins or ends a motion has such speeds too.
     """
@@ -92,9 +94,13 @@ def _shaking(case: Case, life: Life) -> Floats:
     whole = len(life.speeds) // window * window
     speeds = life.speeds[:whole].reshape(-1, window, *life.speeds.shape[1:])
     spectrum = np.abs(np.fft.rfft(speeds, axis=1)) ** 2
-    fast = np.fft.rfftfreq(window, case.spec.dt) >= SHAKING_HZ
+    fast = np.fft.rfftfreq(window, case.spec.dt) >= _shaking_hz(case)
     power = 2.0 * spectrum[:, fast].sum(axis=1) / window**2
     return np.asarray(np.sqrt(np.median(power, axis=(0, 1))) / case.spec.joint_array("qd_max"))
+
+
+def _shaking_hz(case: Case) -> float:
+    return STEPPING_HZ if case.spec.base else SHAKING_HZ
 
 
 def _of(life: Life, said: str) -> Note:

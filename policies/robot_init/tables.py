@@ -107,7 +107,8 @@ def limits_toml(facts: Facts, name: str) -> tomlkit.TOMLDocument:
     )
     example = tomllib.loads((EXAMPLE / "limits.toml").read_text(encoding="utf-8"))
     left_out = {"motors", "manipulability"} if facts.floats else {"motors"}
-    document |= {key: value for key, value in example.items() if key not in left_out} | {"power_w": OPEN}
+    asked = {"power_w": OPEN} | ({"contact_n": OPEN} if facts.floats else {})  # how hard a foot lands
+    document |= {key: value for key, value in example.items() if key not in left_out} | asked
     motors = {
         motor: {"power_w": OPEN, "torque_rate": OPEN, "source": OPEN}
         for motor in set(_motors(facts).values())

@@ -39,8 +39,10 @@ MARGINS = {
     "tracking_rad": 1.0,
 }
 """Soft drives stray far from where they are sent: that is what makes their torque."""
-RESTLESS = 50.0
-"""rad²/s³, of joints on soft drives: they go where the ground lets them."""
+RESTLESS = 1000.0
+"""rad²/s³, of joints on soft drives: they go where the ground lets them. Of two that walk, a humanoid's innovations are
+as large as they should be at 100 to 300 and a small quadruped's at 300 to 1,000; too much costs nothing that is seen,
+too little loses the joint."""
 NO_TOOL = ("workspace_m", "singularity")
 INERTIAL = {
     "gyro": {
