@@ -13,7 +13,7 @@ from deploy.estimator import (
     SPEED_STD,
     Estimator,
 )
-from deploy.state import Packet, Setpoint
+from deploy.state import Packet, Reason, Setpoint
 from robots.spec import load_robot
 
 N, DT = SPEC.n, SPEC.dt
@@ -384,3 +384,26 @@ def test_a_packet_from_the_future_is_left_out():
         state = estimator.step(tick * DT, ahead, still(1))
     assert state.age[0] == pytest.approx(50 * DT)
     np.testing.assert_allclose(state.q, 0.1, atol=1e-3)
+
+
+def test_on_soft_drives_what_is_sent_says_nothing_of_where_a_joint_is():
+    """It is believed to be where one on a stiff drive would be that is never sent anywhere, to the last bit."""
+    soft, stiff, rng = Estimator(SPEC, 2, stiff=False), Estimator(SPEC, 2), np.random.default_rng(16)
+    for tick, received, _ in packets(rng, 2, 300, 0.2):
+        jerked = Setpoint(*rng.normal(size=(3, 2, N)))
+        believed, expected = soft.step(tick * DT, received, jerked), stiff.step(tick * DT, received, still(2))
+        for name in ("q", "qd", "q_var", "age", "nis"):
+            np.testing.assert_array_equal(getattr(believed, name), getattr(expected, name))
+    soft.follow(np.array([True, False]), jerked, still(2))
+    np.testing.assert_array_equal(soft.e, stiff.e)
+
+
+def test_an_encoder_that_is_stuck_is_found_on_soft_drives_too():
+    estimator, rng, faults = Estimator(SPEC, 1, stiff=False), np.random.default_rng(17), []
+    for tick in range(200):
+        q = sent(tick, 1).q + rng.normal(0, NOISE, (1, N))
+        if tick >= 100:
+            q[0, 2] = 0.3
+        faults.append(estimator.step(tick * DT, sample([tick * DT], [True], q), sent(tick, 1)).fault[0])
+    assert not np.any(faults[20:100])
+    assert Reason(int(faults[-1])) & Reason.STUCK
