@@ -12,11 +12,13 @@ from typing import ClassVar
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
 
+from deploy.effort import Gains
 from deploy.flags import every, some
 from deploy.heat import Heat
 from deploy.load import Load
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Packet, Reason, Sample, Setpoint, State
+from robots.model_pinocchio import torque_max
 from robots.spec import RobotSpec
 
 SPEED_STD = 1.0
@@ -25,8 +27,9 @@ REMEMBERED_S = 0.2
 """s of setpoints kept: a sample that is older says nothing any more."""
 GATE = 8.0
 """Standard deviations of an innovation beyond which a sample is left out: a gross error, not noise."""
-STUCK_S, STUCK_STD = 0.1, 10.0
-"""A sensor that says the very same for so long, in which it was sent away by so many standard deviations, is stuck."""
+STUCK_S, STUCK_STD, STUCK_SHARE = 0.1, 10.0, 0.3
+"""A sensor that says the very same for so long, in which it was sent away by so many standard deviations, is stuck;
+on a soft drive, by so much that this share of the joint's torque comes or goes: less need not move a standing leg."""
 LOOK_S = 0.02
 """s between two looks at what the sensors and the filters have been saying."""
 MEMORY, DIVERGED = 50.0, 9.0
@@ -59,13 +62,13 @@ class Estimator(Stage):
     )
     parts = ("heat", "load")
 
-    def __init__(self, spec: RobotSpec, robots: int, *, stiff: bool = True) -> None:
+    def __init__(self, spec: RobotSpec, robots: int, *, springs: Gains | None = None) -> None:
         """Allocate.
 
         Args:
             spec: encoder noise and joint restlessness.
             robots: B.
-            stiff: whether drives hold joints where they are sent.
+            springs: gains of soft drives; None: drives hold joints where they are sent.
         """
         shape, encoder = (robots, spec.n), spec.sensors["encoder"]
         self.e, self.ed, self.nis, self.said, self.moved = np.zeros((5, *shape))
@@ -75,7 +78,7 @@ class Estimator(Stage):
         self.same, self.many, self.refused = np.zeros((3, *shape), dtype=np.int64)
         self.fault = np.zeros(robots, dtype=np.int64)
         self.heat, self.load = Heat(spec, robots), Load(spec, robots)
-        self._stiff, self._dt, self._depth = stiff, spec.dt, round(REMEMBERED_S / spec.dt)
+        self._stiff, self._dt, self._depth = springs is None, spec.dt, round(REMEMBERED_S / spec.dt)
         self.sent = np.zeros((robots, self._depth, 2 * spec.n))
         self._nothing = np.zeros(shape)
         self._row, self._n = np.arange(robots) * self._depth, spec.n
@@ -84,7 +87,9 @@ class Estimator(Stage):
         self._r_speed = spec.sensors["velocity"].variance if "velocity" in spec.sensors else np.inf
         # Errors that nobody can see: a constant one, uniform in ± bias, and where in its play a link lies.
         self._unseen_var = encoder.bias**2 / 3.0 + spec.joint_array("play") ** 2 / 12.0
-        self._stuck_rad = STUCK_STD * np.sqrt(encoder.variance)
+        self._stuck_rad = np.full(spec.n, STUCK_STD * np.sqrt(encoder.variance))
+        if springs:
+            self._stuck_rad = STUCK_SHARE * torque_max(spec) / springs.kp
         self._look, self._stuck_many = max(1, round(LOOK_S / spec.dt)), round(STUCK_S / LOOK_S)
         density = np.tile(spec.joint_array("acceleration_density"), (robots, 1))
         unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=1.0)

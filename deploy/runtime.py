@@ -84,7 +84,7 @@ class Runtime(Stage):
         if not same(gains, robot.gains):
             raise RuntimeError("the robot's drives have other gains than the policy's contract")
         self.springs = Springs(spec, gains) if gains and spec.base else None
-        self.estimator = Estimator(spec, robots, stiff=self.springs is None)
+        self.estimator = Estimator(spec, robots, springs=gains if self.springs else None)
         self.safety = Safety(spec, checked, self.springs)
         self.action = Action(contract.action, robots)
         self.smoother = Smoother(spec, robots)
