@@ -28,3 +28,8 @@ class ConfigError(FirstshiftError):
 
 class OutputError(FirstshiftError):
     """A place that cannot be written."""
+
+
+def harmless(said: str) -> str:
+    """Words and names come from files: nothing in a line of them may upset a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in said)

@@ -106,7 +106,7 @@ def _tuples(data: object) -> object:
 def _explain(complaint: ValidationError) -> Iterator[str]:
     """Each complaint as `field: expectation, found value`."""
     for item in complaint.errors():
-        field = ".".join(str(part) for part in item["loc"]) or "(whole file)"
+        field = ".".join(f"{part!s:.80}" for part in item["loc"]) or "(whole file)"
         found = item["input"]
         shown = "" if isinstance(found, dict) else f", found {found!r:.80}"
         # What a record says of itself names its field.

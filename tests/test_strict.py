@@ -1,6 +1,7 @@
 import pytest
 from pydantic import Field, PositiveFloat, PositiveInt, ValidationError
 
+from deploy.cli import BAD_INPUT, _exit_code
 from robots.errors import ConfigError, FirstshiftError, RobotError
 from robots.strict import Strict, parse, read_toml
 
@@ -108,3 +109,20 @@ def test_records_are_frozen(tmp_path):
     animal = read(tmp_path, GOOD)
     with pytest.raises(ValidationError):
         animal.eyes = 3
+
+
+def test_a_long_key_is_shortened(tmp_path):
+    with pytest.raises(ConfigError) as caught:
+        read(tmp_path, GOOD + f"{'w' * 10_000} = 2")
+    assert len(str(caught.value)) < len(str(tmp_path)) + 200
+
+
+def test_an_error_upsets_no_terminal(tmp_path, capsys):
+    def command():
+        read(tmp_path, GOOD + '"\\u001b[2J" = 2\neyes2 = 3')
+
+    assert _exit_code(command) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert said.count("\n") == 2
+    assert "?[2J" in said
+    assert said.replace("\n", "").isprintable()

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.state import Bools, Floats, Ints
+from robots.errors import harmless
 
 Places = Bools | Ints | slice
 NAMED_MAX = 6
@@ -57,12 +58,7 @@ def summed_up(check: str, notes: Iterable[Note]) -> Finding:
     """A row of some notes, the worst first; those that passed are said only where nothing else is."""
     ordered = sorted(notes, key=lambda note: -note.verdict)
     said = [note.said for note in ordered if note.verdict > Verdict.PASS] or [note.said for note in ordered]
-    return Finding(check=check, verdict=ordered[0].verdict, said="\n".join(map(_harmless, said)))
-
-
-def _harmless(said: str) -> str:
-    """Names come from files: nothing in them may upset a terminal."""
-    return "".join(c if c.isprintable() else "?" for c in said)
+    return Finding(check=check, verdict=ordered[0].verdict, said="\n".join(map(harmless, said)))
 
 
 def listed(names: Sequence[str], *numbers: Floats, unit: str = "", which: Places = slice(None)) -> str:
