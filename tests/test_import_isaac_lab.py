@@ -206,7 +206,10 @@ BAD = {
         "actions: Tuple should have at most 1 item",
     ),
     "no rate": (lambda d: d.pop("scene"), "scene: Field required"),
-    "rate of zero": (lambda d: d["scene"].update(dt=0.0), "scene.dt: Input should be greater than 0"),
+    "rate of zero": (
+        lambda d: d["scene"].update(dt=0.0),
+        "scene.dt: Input should be greater than or equal to 0.00001",
+    ),
     "no number": (lambda d: d["actions"][0].update(scale="0.5"), "actions.0.scale"),
     "modified": (
         lambda d: d["observations"]["policy"][0]["extras"].update(modifiers=["x"]),
@@ -272,3 +275,29 @@ def test_yaml_that_is_more_than_data_is_refused_soon(tmp_path, monkeypatch, text
     assert refused(written(tmp_path, text)).startswith(message)
     assert time.monotonic() - began < 30
     assert not (tmp_path / "escaped").exists()
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        ({"scale": 0.0, "clip": [[-1.0, 1.0]] * 12}, "actions.0.scale: found 0"),
+        ({"clip": [[-1.0, 1.0]]}, "actions.0.clip: found 1, expected 12"),
+        ({"scale": [0.5] * 2}, "actions.0.scale: found 2, expected 12"),
+    ],
+)
+def test_scales_and_bounds_that_do_not_fit_are_refused(tmp_path, edit, words):
+    data = anymal()
+    data["actions"][0] |= edit
+    assert words in refused(written(tmp_path, data))
+
+
+def test_a_period_out_of_bounds_is_refused(tmp_path):
+    data = anymal()
+    data["scene"]["dt"] = 1e-320
+    assert "scene.dt" in refused(written(tmp_path, data))
+
+
+def test_a_scale_below_zero_exchanges_the_bounds(tmp_path):
+    data = anymal()
+    data["actions"][0] |= {"scale": -0.5, "offset": 0.0, "clip": [[-1.0, 1.0]] * 12}
+    assert read_descriptor(written(tmp_path, data), 48)["action"]["clip"] == [-2.0, 2.0]

@@ -84,7 +84,7 @@ class _Observations(_Part):
 
 
 class _Scene(_Part):
-    dt: Positive
+    dt: Annotated[Positive, Field(ge=1e-5, le=100)]
 
 
 class _Descriptor(_Part):
@@ -118,6 +118,7 @@ def read_descriptor(path: Path, observations: int) -> dict[str, Any]:
             f"{path}: observations.policy: joint_names: found {list(others[0] if others else joints)!s:.300},"
             f" expected the same for each term, among them those of the action: {list(action.joint_names)!s:.300}"
         )
+    _check_action(action, str(path))
     hertz = 1 / descriptor.scene.dt
     return contract(
         _terms(terms, str(path)),
@@ -158,6 +159,18 @@ def _term(term: _Term, name: str) -> dict[str, Any]:
     )
 
 
+def _check_action(action: _Action, source: str) -> None:
+    count, scale = len(action.joint_names), _listed(action.scale)
+    for field, found in (("scale", scale), ("offset", _listed(action.offset)), ("clip", action.clip or ())):
+        fits = (0, count) if field == "clip" else (1, count)
+        if len(found) not in fits:
+            raise ContractError(f"{source}: actions.0.{field}: found {len(found)}, expected {count}")
+    if action.clip and 0.0 in scale:
+        raise ContractError(
+            f"{source}: actions.0.scale: found 0, expected another number: targets are bounded"
+        )
+
+
 def _action(action: _Action, articulations: Mapping[str, _Articulation]) -> dict[str, Any]:
     """Nothing, where it is not positions that are commanded."""
     if not action.full_path.endswith(POSITION):
@@ -173,11 +186,14 @@ def _action(action: _Action, articulations: Mapping[str, _Articulation]) -> dict
 
 
 def _raw_clip(action: _Action, offset: Sequence[float], scale: Sequence[float]) -> list[float] | None:
-    """Isaac Lab bounds targets: that is one pair of bounds for raw actions, or none that can be said."""
+    """Isaac Lab bounds targets: that is one pair of bounds for raw actions, or none that can be said.
+
+    A scale below 0 exchanges the lower bound and the upper one.
+    """
     count = len(action.joint_names)
     raw = {
-        tuple(round((bound - o) / s, 6) for bound in clip)
-        for clip, o, s in zip(action.clip or (), _each(offset, count), _each(scale, count), strict=False)
+        tuple(sorted(_near(round((bound - o) / s, 6)) for bound in clip))
+        for clip, o, s in zip(action.clip or (), _each(offset, count), _each(scale, count), strict=True)
     }
     return list(raw.pop()) if len(raw) == 1 else None
 
