@@ -11,6 +11,8 @@ from xml.etree import ElementTree
 from robots.errors import RobotError
 
 TEXT_BYTES_MAX = 16 << 20
+DEPTH_MAX = 200
+"""Of elements within elements."""
 FILES_MAX, FILES_BYTES_MAX = 1000, 1 << 30
 """Of all that a model names."""
 PACKAGE = "package://"
@@ -32,9 +34,20 @@ def read_xml(path: Path) -> ElementTree.Element:
         size = path.stat().st_size
         if size > TEXT_BYTES_MAX:
             raise RobotError(f"{path}: {size} bytes, expected at most {TEXT_BYTES_MAX}")
-        return ElementTree.parse(path).getroot()
+        return _shallow(ElementTree.parse(path).getroot(), path)
     except (OSError, ElementTree.ParseError, ValueError) as e:
         raise RobotError(f"{path}: not readable as XML: {e}") from e
+
+
+def _shallow(root: ElementTree.Element, path: Path) -> ElementTree.Element:
+    """Whoever walks through it by recursion must come to an end."""
+    level, depth = [root], 0
+    while level:
+        depth += 1
+        if depth > DEPTH_MAX:
+            raise RobotError(f"{path}: found elements nested deeper than {DEPTH_MAX}, expected at most that")
+        level = [child for element in level for child in element]
+    return root
 
 
 def urdf_text(model: Path, folder: Path) -> str:

@@ -295,3 +295,10 @@ def test_a_robot_that_says_nothing_new_keeps_its_digest():
     keys = {"model", "locked", "capsules", "neighbours"}
     assert keys <= RobotSpec.model_fields.keys()
     assert not keys & SPEC.model_dump(mode="json").keys()
+
+
+def test_elements_nested_too_deeply_are_refused(tmp_path):
+    path = tmp_path / "deep.urdf"
+    path.write_text(f"<robot name='deep'>{'<a>' * 500_000}{'</a>' * 500_000}</robot>")
+    with pytest.raises(RobotError, match="nested deeper"):
+        model_files.read_xml(path)

@@ -1,3 +1,4 @@
+import re
 import shutil
 import sys
 import tomllib
@@ -358,3 +359,25 @@ def test_the_command_says_what_is_open(tmp_path, monkeypatch, capsys):
         cli()
     assert ended.value.code == 2
     assert "nothing.xml: no such file, expected MJCF (.xml) or URDF (.urdf)" in capsys.readouterr().err
+
+
+def test_a_speed_that_is_no_number_is_refused(tmp_path):
+    write_stl(tmp_path / "meshes" / "fore.stl")
+    model = tmp_path / "two.urdf"
+    text, count = re.subn(r'velocity="[^"]*"', 'velocity="fast"', URDF.read_text())
+    assert count
+    model.write_text(text)
+    with pytest.raises(RobotError, match="velocity: found 'fast', expected a number"):
+        read_facts(model, tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["joint", "body", "site"])
+def test_a_name_of_two_lines_is_refused(tmp_path, kind):
+    names = {"joint": "j", "body": "b", "site": "s"} | {kind: "two&#10;lines"}
+    model = tmp_path / "arm.xml"
+    model.write_text(
+        f"<mujoco><worldbody><body name='{names['body']}'><joint name='{names['joint']}'/>"
+        f"<geom size='0.1'/><site name='{names['site']}'/></body></worldbody></mujoco>"
+    )
+    with pytest.raises(RobotError, match=f"{kind}: found name"):
+        read_facts(model, tmp_path)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 import mujoco
 import numpy as np
@@ -99,6 +100,7 @@ def read_facts(path: Path, folder: Path) -> Facts:
     mjcf = open_model(path, folder)
     neighbours = tuple((each.bodyname1, each.bodyname2) for each in mjcf.excludes)
     model = compile_model(mjcf, path)
+    _check_names(model, path)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     speeds = _speeds(path)
@@ -121,6 +123,15 @@ def read_facts(path: Path, folder: Path) -> Facts:
         centre=tuple(data.xanchor[moving[0]].round(4).tolist()) if moving else (0.0, 0.0, 0.0),
         reach=_reach(model, moving),
     )
+
+
+def _check_names(model: mujoco.MjModel, path: Path) -> None:
+    """They become text of robot.toml, some of it in comments, which end with their line."""
+    named = {"joint": model.njnt, "body": model.nbody, "site": model.nsite}
+    for kind, count in named.items():
+        for name in (getattr(model, kind)(i).name for i in range(count)):
+            if not name.isprintable():
+                raise RobotError(f"{path}: {kind}: found name {name!r:.80}, expected printable characters")
 
 
 def _joint(model: mujoco.MjModel, i: int, path: Path, speeds: dict[str, float]) -> JointFacts:
@@ -199,7 +210,17 @@ def _speeds(path: Path) -> dict[str, float]:
         return {}
     joints = read_xml(path).findall("joint")
     limits = {joint.get("name", ""): joint.find("limit") for joint in joints}
-    return {name: float(limit.get("velocity", 0)) for name, limit in limits.items() if limit is not None}
+    return {name: _speed(name, limit, path) for name, limit in limits.items() if limit is not None}
+
+
+def _speed(joint: str, limit: Element, path: Path) -> float:
+    found = limit.get("velocity", "0")
+    try:
+        return float(found)
+    except ValueError as e:
+        raise RobotError(
+            f"{path}: joint {joint!r:.80}: velocity: found {found!r:.80}, expected a number"
+        ) from e
 
 
 def _touches(model: mujoco.MjModel, geom: int) -> bool:
