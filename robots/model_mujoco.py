@@ -31,7 +31,7 @@ def open_model(model: Path, folder: Path) -> mujoco.MjSpec:
         if is_urdf(model):
             return mujoco.MjSpec.from_string(urdf_text(model, folder))
         return mujoco.MjSpec.from_file(str(model))
-    except (ValueError, mujoco.FatalError) as e:
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as e:
         raise _unreadable(model, e) from e
 
 
@@ -43,7 +43,7 @@ def compile_model(mjcf: mujoco.MjSpec, model: Path) -> mujoco.MjModel:
     """
     try:
         return mjcf.compile()
-    except (ValueError, mujoco.FatalError) as e:
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as e:
         raise _unreadable(model, e) from e
 
 
