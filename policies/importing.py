@@ -95,14 +95,18 @@ def _loaded(partial: Path, spec: RobotSpec, out_path: Path) -> Policy:
         raise ContractError(str(e).replace(str(partial), f"{out_path} (not written)")) from e
 
 
-def write_template(path: Path, draft_path: Path, descriptor: Path | None = None) -> tuple[Facts, int]:
+def write_template(
+    path: Path, draft_path: Path, descriptor: Path | None = None, robot: str | Path | None = None
+) -> tuple[Facts, int]:
     """Write the contract's TOML with all that the policy's file says; returns that, and how much is still open.
 
     Args:
         path: the foreign file. draft_path: the TOML.
         descriptor: Isaac Lab's I/O descriptors of the task, which says what the file does not.
+        robot: name or folder of the one that the policy is for, if it is known.
 
     Raises:
+        RobotError: the robot is unknown or unreadable.
         ContractError: the policy or its descriptor cannot be read, or the TOML is there already.
         OutputError: it cannot be written.
     """
@@ -114,6 +118,10 @@ def write_template(path: Path, draft_path: Path, descriptor: Path | None = None)
         facts = e.facts
     if descriptor is not None:
         facts = _described(facts, read_descriptor(descriptor, facts.observations))
+    if robot is not None:
+        spec = load_robot(robot)
+        task = "velocity" if spec.base else "reach"
+        facts = replace(facts, known={**facts.known, "robot": spec.name, "task": task})
     text, still_open = written(facts, path.name)
     with replacing(draft_path) as partial:
         partial.write_text(text, encoding="utf-8")
@@ -149,14 +157,14 @@ def policy_import(
         raise ConfigError(f"--descriptor {descriptor}: found no --template, expected it beside")
     with bounded(file):
         if template:
-            _write(file, draft_path, descriptor)
+            _write(file, draft_path, descriptor, robot)
         else:
             _import(file, draft_path, out or Path("out", f"{file.stem}.onnx"), robot)
     return PASSED
 
 
-def _write(file: Path, draft_path: Path, descriptor: Path | None) -> None:
-    facts, still_open = write_template(file, draft_path, descriptor)
+def _write(file: Path, draft_path: Path, descriptor: Path | None, robot: str | None) -> None:
+    facts, still_open = write_template(file, draft_path, descriptor, robot)
     todo = f"{still_open} values marked ? are to be filled in" if still_open else "nothing is left to fill in"
     print(f"{draft_path}: {_said(facts)}; {todo}")
 

@@ -2,6 +2,7 @@
 
 import copy
 import time
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -187,6 +188,17 @@ def test_where_both_speak_the_policys_own_file_is_right(tmp_path):
     assert facts.known["action"]["multiply"] == 0.25
     assert facts.known["joint_names"] == MJLAB["joint_names"].split(",")
     assert facts.known["policy_hz"] == 50
+
+
+@pytest.mark.parametrize(
+    ("robot", "name", "task"),
+    [("arm6", "arm6", "reach"), (Path(__file__).parent / "quadruped", "quadruped", "velocity")],
+)
+def test_a_template_for_a_robot_names_it_and_its_task(tmp_path, robot, name, task):
+    (tmp_path / "a.onnx").write_bytes(graph({}, 48, 12).SerializeToString())
+    policy_import(tmp_path / "a.onnx", template=True, robot=str(robot))
+    draft = tomllib.loads((tmp_path / "a.toml").read_text())
+    assert (draft["robot"], draft["task"]) == (name, task)
 
 
 def test_a_descriptor_is_for_templates(tmp_path):
