@@ -192,7 +192,7 @@ def _raw_clip(action: _Action, offset: Sequence[float], scale: Sequence[float]) 
     """
     count = len(action.joint_names)
     raw = {
-        tuple(sorted(_near(round((bound - o) / s, 6)) for bound in clip))
+        tuple(sorted(max(-FAR, min(round((bound - o) / s, 6), FAR)) for bound in clip))
         for clip, o, s in zip(action.clip or (), _each(offset, count), _each(scale, count), strict=True)
     }
     return list(raw.pop()) if len(raw) == 1 else None
