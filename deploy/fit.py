@@ -25,7 +25,10 @@ def mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
         return  # nothing else can be expected to agree
     yield from _joints(contract.joint_names, spec)
     if contract.robot_digest != spec.digest:
-        yield f"robot_digest: found {contract.robot_digest}, expected {spec.digest} of {spec.folder}"
+        yield (
+            f"robot_digest: found {contract.robot_digest}, expected {spec.digest} of {spec.folder}: that has changed"
+            " since the policy was exported or imported: do it again"
+        )
     if contract.control_hz != spec.rates.control_hz:
         yield f"control_hz: found {contract.control_hz} Hz, expected {spec.rates.control_hz} Hz"
     if contract.task != (task := "velocity" if spec.base else "reach"):

@@ -93,7 +93,8 @@ def _metadata(model: ModelProto, key: str, path: Path) -> str:
             return str(entry.value)
     found = ", ".join(repr(entry.key) for entry in model.metadata_props) or "none"
     raise ContractError(
-        f"{path}: metadata {key}: missing, found keys: {found:.200}; expected a file written by policy-export"
+        f"{path}: metadata {key}: missing, found keys: {found:.200}; expected a file written by policy-export or"
+        " policy-import"
     )
 
 

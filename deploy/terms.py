@@ -125,6 +125,7 @@ class Term(Strict):
             )
         if (self.period_s is not None) != (self.source == "gait_phase"):
             raise ValueError(
-                f"term {self.name!r}: period_s: found {self.period_s}, expected it of gait_phase alone"
+                f"term {self.name!r}: period_s: found {self.period_s or 'none'}, expected"
+                f" {'s of one gait' if self.source == 'gait_phase' else 'it of gait_phase alone'}"
             )
         return self

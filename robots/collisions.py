@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from robots.blocks import lined_up
 from robots.clearance import Pairs
+from robots.errors import RobotError
+from robots.spec import RobotSpec
 
 Bools = NDArray[np.bool_]
 
@@ -99,6 +101,27 @@ class _Shapes:
             return False
         hits = [result.isCollision() for result in self.places.collisionResults]
         return np.asarray(np.reshape(hits, (self._copies, -1)).any(axis=1))
+
+
+def check_home(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs) -> None:
+    """Shapes keep their distance in the pose where work begins.
+
+    Raises:
+        RobotError: naming the two that are nearest, if they are too near.
+    """
+    shapes = geometry.copy()
+    for a, b in pairs:
+        shapes.addCollisionPair(pin.CollisionPair(a, b))
+    places = shapes.createData()
+    pin.updateGeometryPlacements(model, model.createData(), shapes, places, spec.joint_array("q_home"))
+    distances = [pin.computeDistance(shapes, places, k).min_distance for k in range(len(pairs))]
+    if distances and min(distances) < (margin := spec.margins.collision_m):
+        a, b = (shapes.geometryObjects[shape].name for shape in pairs[int(np.argmin(distances))])
+        raise RobotError(
+            f"{spec.folder / 'robot.toml'}: joints: q_home: there {a!r} and {b!r} are {1e3 * min(distances):.3g} mm"
+            f" apart, expected margins.collision_m, {1e3 * margin:.3g} mm: mend their capsules, or let their bodies be"
+            " neighbours"
+        )
 
 
 def collision_pairs(

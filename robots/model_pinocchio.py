@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from robots.blocks import lined_up, turns
 from robots.clearance import can_meet
-from robots.collisions import Collisions, collision_pairs
+from robots.collisions import Collisions, check_home, collision_pairs
 from robots.errors import RobotError
 from robots.inertial import check_contacts, imu_in_base
 from robots.read_pinocchio import followed, read_pinocchio
@@ -261,7 +261,9 @@ class _Blocks:
         self.carried_by = np.array(
             [[j in some for j in range(1, self.model.njoints)] for some in supports], float
         )
-        pairs = collision_pairs(self.model, self._geometry, spec.neighbours) if collisions else []
+        near = (*spec.neighbours, *(spec.base.may_touch if spec.base else ()))
+        pairs = collision_pairs(self.model, self._geometry, near) if collisions else []
+        check_home(spec, self.model, self._geometry, pairs)
         self._pairs = can_meet(spec, self.model, self._geometry, pairs)
         self._built: dict[int, _Block] = {}
 

@@ -2,10 +2,12 @@ import itertools
 
 import numpy as np
 import pinocchio as pin
+import pytest
 from test_spec import SPEC, copy_of_arm
 
 from robots.clearance import can_meet
 from robots.collisions import collision_pairs
+from robots.errors import RobotError
 from robots.model_pinocchio import Fleet, load_pinocchio
 from robots.spec import load_robot
 
@@ -53,7 +55,8 @@ def test_pairs_nearer_than_the_margin_are_checked():
 def test_a_post_on_the_base_is_checked_whatever_its_place_in_the_file(tmp_path):
     """It is welded to the world as the base is, and comes last: its pairs name the moving link first."""
     xml = [(r"</body>\s*</body>\s*</worldbody>", rf"</body>{POST}</body></body></worldbody>")]
-    spec = load_robot(copy_of_arm(tmp_path, xml=xml))
+    away = [("q_home = 0.0", "q_home = 1.2")]
+    spec = load_robot(copy_of_arm(tmp_path, xml=xml, toml=away))
     arm, shapes = load_pinocchio(spec)
     pairs = collision_pairs(arm, shapes)
     kept = names_of(shapes, can_meet(spec, arm, shapes, pairs))
@@ -71,6 +74,16 @@ def test_a_post_on_the_base_is_checked_whatever_its_place_in_the_file(tmp_path):
             assert fleet.colliding[i] == (nearest < 0) or abs(nearest) < 1e-4
             hits += nearest < 0
     assert hits > 30
+
+
+def test_a_home_pose_in_which_shapes_touch_is_refused(tmp_path):
+    xml = [(r"</body>\s*</body>\s*</worldbody>", rf"</body>{POST}</body></body></worldbody>")]
+    spec = load_robot(copy_of_arm(tmp_path, xml=xml))
+    with pytest.raises(
+        RobotError, match=r"q_home: there 'wrist_3' and 'post' are -29\.5 mm apart, expected .*, 10 mm"
+    ):
+        Fleet(spec, 1, collisions=True)
+    Fleet(spec, 1)
 
 
 def test_shapes_on_different_branches_of_a_robot_can_meet():

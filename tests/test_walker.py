@@ -391,7 +391,14 @@ def crossed(spec):
 def test_feet_that_may_touch_are_no_collision(tmp_path):
     assert crossed(QUADRUPED)
     may = ("foot_m = 0.01", f"foot_m = 0.01\nmay_touch = [[{FORELEGS}]]")
-    assert not crossed(load_robot(changed(tmp_path, may)))
+    brushing = load_robot(changed(tmp_path, may))
+    assert not crossed(brushing)
+    together = STAND.copy()
+    together[[0, 3]] += -0.35, 0.35
+    for spec, hits in ((QUADRUPED, True), (brushing, False)):
+        fleet = Fleet(spec, 1, collisions=True)
+        fleet.place(together[None])
+        assert fleet.colliding.tolist() == [hits]
 
 
 def test_who_may_touch_must_be_there(tmp_path):

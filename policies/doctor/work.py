@@ -82,7 +82,8 @@ def chatter(case: Case) -> Iterator[Note]:
         yield warned(
             f"it shakes: {worst}: look at delay, rates and the price of changing actions in training."
         )
-    yield _of(life, f"it moves smoothly: {worst}.")
+    else:
+        yield _of(life, f"it moves smoothly: {worst}.")
 
 
 def _shaking(case: Case, life: Life) -> Floats:

@@ -36,7 +36,7 @@ TERM = {
     "multiply": "then multiplied; one number, or one for each",
     "clip": "[low, high] or none",
     "clip_first": "true: clipped before multiplied",
-    "history": "readings kept, 1 for none but the newest",
+    "history": "readings kept, 1 for none but the newest; gait_phase has period_s too, s of one gait",
 }
 ACTION = {
     "mode": '"position" (target = offset + multiply * action) or "position_increment"',

@@ -15,7 +15,7 @@ from robots.strict import OPEN
 EXAMPLE = ROBOTS / "arm6"
 """Where estimates come from that hold for most robots of its size."""
 INSIDE = 0.02
-"""Share of a joint's range that working limits stay inside, at each end."""
+"""Share of a joint's range that working limits stay inside, at each end. Legs use all of theirs."""
 SENSORS = ("encoder", "current", "temperature")
 ESTIMATE = "estimate, to be replaced by the data sheet"
 
@@ -73,7 +73,7 @@ def robot_toml(
     if neighbours:
         near = _said([list(pair) for pair in neighbours], "excluded by the model, or near in every pose")
         document.add("neighbours", near)
-    document.add("rates", tomlkit.item(example["rates"]))
+    document.add("rates", tomlkit.item(walker.RATES if facts.floats else example["rates"]))
     document.add("margins", _margins(facts, example["margins"]))
     if facts.floats:
         document.add("base", _table(walker.base(facts), walker.asked(facts)))
@@ -107,7 +107,7 @@ def limits_toml(facts: Facts, name: str) -> tomlkit.TOMLDocument:
     )
     example = tomllib.loads((EXAMPLE / "limits.toml").read_text(encoding="utf-8"))
     left_out = {"motors", "manipulability"} if facts.floats else {"motors"}
-    asked = {"power_w": OPEN} | ({"contact_n": OPEN} if facts.floats else {})  # how hard a foot lands
+    asked = {"power_w": OPEN} | (walker.LIMITS | {"contact_n": OPEN} if facts.floats else {})
     document |= {key: value for key, value in example.items() if key not in left_out} | asked
     motors = {
         motor: {"power_w": OPEN, "torque_rate": OPEN, "source": OPEN}
@@ -158,10 +158,7 @@ def _margins(facts: Facts, example: Mapping[str, Any]) -> Table:
 
 def _sensors(facts: Facts, example: Mapping[str, Any]) -> Any:
     found = {kind: example[kind] for kind in SENSORS}
-    if facts.floats:
-        found |= walker.inertial(facts, example["encoder"])
-    else:
-        found["goal"] = example["goal"]
+    found = walker.sensors(facts, found) if facts.floats else {**found, "goal": example["goal"]}
     return tomlkit.item({kind: {**sensor, "source": ESTIMATE} for kind, sensor in found.items()})
 
 
@@ -199,7 +196,7 @@ def _joints(facts: Facts, motors: Mapping[str, str]) -> AoT:
     tables = tomlkit.aot()
     estimates = {"acceleration_density": walker.RESTLESS if facts.floats else 0.02, "play": 0.0005}
     for joint in _driven(facts):
-        low, high = _inside(joint)
+        low, high = (joint.low, joint.high) if facts.floats else _inside(joint)
         known = {"q_min": low, "q_max": high, "q_home": joint.home, "qd_max": joint.qd_max}
         table = tomlkit.table()
         table.add("name", joint.name)

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from policies.robot_init.facts import Facts
+from robots.inertial import AT_THE_IMU
 
 FOOT = re.compile("foot|feet|sole|toe|ankle", re.IGNORECASE)
 """In the names of sites or of last bodies that stand on the ground."""
@@ -36,15 +37,31 @@ MARGINS = {
     "speed": 1.0,
     "tau": 1.0,
     "collision_m": 0.005,
-    "tracking_rad": 1.0,
+    "tracking_rad": 1.5,
+    "stale_s": 0.06,
+    "lost_s": 0.12,
 }
-"""Soft drives stray far from where they are sent: that is what makes their torque."""
+"""Soft drives stray far from where they are sent: that is what makes their torque. And who stops falls: it coasts as
+long as it can."""
+RATES = {"control_hz": 250, "physics_hz": 500}
+PACKETS = {"rate_hz": 250, "drift_per_k": 0.0, "delay_s": 0.002, "loss": 0.001}
+"""Of everything on the bus of a robot that walks; estimates, with which two of them do."""
+LIMITS = {"arming_rad": 0.02}
+"""On a gantry legs hang in their play."""
 RESTLESS = 1000.0
 """rad²/s³, of joints on soft drives: they go where the ground lets them. Of two that walk, a humanoid's innovations are
 as large as they should be at 100 to 300 and a small quadruped's at 300 to 1,000; too much costs nothing that is seen,
 too little loses the joint."""
 NO_TOOL = ("workspace_m", "singularity")
-INERTIAL = {
+SENSORS = {
+    "velocity": {
+        "unit": "rad/s",
+        "resolution": 0.001,
+        "range": 60.0,
+        "noise": 0.05,
+        "bias": 0.0,
+        "drift": 0.0,
+    },
     "gyro": {
         "unit": "rad/s",
         "resolution": 0.0001,
@@ -61,8 +78,16 @@ INERTIAL = {
         "bias": 0.05,
         "drift": 0.01,
     },
+    "orientation": {
+        "unit": "quat_wxyz",
+        "resolution": 1e-5,
+        "range": 1.1,
+        "noise": 0.001,
+        "bias": 0.003,
+        "drift": 0.0,
+    },
 }
-"""Of the IMUs that legged robots carry; estimates."""
+"""What legged robots carry beside encoders, and their IMUs say of up; estimates. One without it leaves it out."""
 
 
 def asked(facts: Facts) -> dict[str, str]:
@@ -78,8 +103,11 @@ def base(facts: Facts) -> dict[str, Any]:
     return {**ESTIMATES, "feet": sites or named or None}
 
 
-def inertial(facts: Facts, encoder: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Its IMU, at a site called so or else at the base, with packets like the encoder's."""
+def sensors(facts: Facts, of_arms: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Those of an arm's drives, quicker, and its own; the IMU at a site called so or else at the base."""
     site = next((name for name in facts.sites if IMU.search(name)), facts.bodies[0])
-    packets = {key: encoder[key] for key in ("rate_hz", "drift_per_k", "delay_s", "loss")}
-    return {kind: {**numbers, "sites": [site], **packets} for kind, numbers in INERTIAL.items()}
+    quick = {kind: {**sensor, **PACKETS} for kind, sensor in of_arms.items() if kind != "temperature"}
+    own = {kind: {**numbers, **PACKETS} for kind, numbers in SENSORS.items()}
+    for kind in AT_THE_IMU:
+        own[kind]["sites"] = [site]
+    return {**of_arms, **quick, **own}
