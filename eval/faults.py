@@ -9,7 +9,7 @@ from enum import IntEnum
 
 from deploy.backends.sim.packets import ON_THE_WAY, Failure
 from robots.sensors import NEEDED, Kind
-from robots.spec import RobotSpec
+from robots.spec import INERTIAL, RobotSpec
 
 
 class Answer(IntEnum):
@@ -98,13 +98,14 @@ def catalogue(spec: RobotSpec) -> tuple[FaultClass, ...]:
 
 def _of_sensors(spec: RobotSpec) -> list[FaultClass]:
     """Without a sensor that is needed nobody can hold: such a robot may stop for its operator."""
+    needed = (*NEEDED, *(INERTIAL if spec.base else ()))
     classes = [
         FaultClass(
             where=kind,
             what=failure,
             channels=(None,) if failure in ON_THE_WAY else (None, *range(many)),
             lasts_s=LONGER_S.get((kind, failure), SOON_S),
-            answer=Answer.STOPPED if kind in NEEDED else Answer.HELD,
+            answer=Answer.STOPPED if kind in needed else Answer.HELD,
             meaning=meaning,
         )
         for kind, many in spec.channels.items()

@@ -23,8 +23,9 @@ from robots.spec import RobotSpec
 REARM_S = 0.5
 GOAL_M = 0.02
 GOAL_S = 4.0
-SPEED_M_S = 0.2
-"""By which the mean velocity over the ground may miss what a robot with a base was asked for."""
+SPEED_M_S, TURN_RAD_S = 0.2, 0.3
+"""By which the mean velocity over the ground, and the mean rate of turning, may miss what a robot with a base was asked
+for."""
 MOVING = 0.01
 _COUNTED = (
     *("ticks", "invalid", "running", "moving", "stops", "reasons", "latches", "attempted", "reached"),
@@ -37,7 +38,7 @@ class Judge(Stage):
     """Every monitor, on every tick, for every robot.
 
     Attributes:
-        walked: (R, 2) m/s, sum over the ticks since the last command, of robots with a base.
+        walked: (R, 3) m/s, m/s, rad/s, sum over the ticks since the last command, of robots with a base.
         worst: (R, C) highest load. bins: (C, BINS) loads by size, all robots together.
     """
 
@@ -75,7 +76,7 @@ class Judge(Stage):
         self.events = Events(self._robots, spec.n, channels, round(REARM_S / spec.dt))
         self.ticks, self.invalid, self.running, self.moving = np.zeros((4, self._robots), dtype=np.int64)
         self.stops, self.latches, self.attempted, self.reached = np.zeros((4, self._robots), dtype=np.int64)
-        self._walks, self.walked = spec.base is not None, np.zeros((self._robots, 2))
+        self._walks, self.walked = spec.base is not None, np.zeros((self._robots, 3))
         self.reasons = np.zeros((self._robots, len(REASONS)), dtype=np.int64)
         self.worst, self.bins = np.zeros((self._robots, channels)), np.zeros((channels, BINS), dtype=np.int64)
 
@@ -205,11 +206,11 @@ class Judge(Stage):
     def _count_speeds(self, seen: Ticks, over: Bools, at_work: Bools) -> None:
         """Add up what was walked since the last command, and compare its mean with what was asked for."""
         for tick, ended in enumerate(over):
-            self.walked += seen.tool_velocity[PAST + tick, :, :2]
+            self.walked += seen.tool_velocity[PAST + tick]
             if ended.any():
-                mean = self.walked * (self._dt / self._goal_s)
-                missed = np.linalg.norm(mean - seen.goal[PAST + tick - 1, :, :2], axis=1)
-                self.reached += ended & (missed <= SPEED_M_S) & at_work[tick]
+                missed = self.walked * (self._dt / self._goal_s) - seen.goal[PAST + tick - 1]
+                near = (np.hypot(*missed.T[:2]) <= SPEED_M_S) & (np.abs(missed[:, 2]) <= TURN_RAD_S)
+                self.reached += ended & near & at_work[tick]
                 self.walked[ended] = 0.0
 
 
@@ -219,13 +220,16 @@ def _sound(action: NDArray[np.floating] | None) -> Any:
 
 
 def of_base(base: BaseTruth) -> tuple[Floats, Floats]:
-    """(B, 3) m/s forwards, to the left and upwards, and (B,) rad that it leans."""
+    """(B, 3) m/s forwards, m/s to the left, rad/s to the left, and (B,) rad that it leans."""
     w, x, y, z = base.quat_wxyz.T
     # The first and the last column of the rotation: where the base's x and z axes point in the world.
     heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     upwards = 1.0 - 2.0 * (x * x + y * y)
-    cos, sin, (vx, vy, vz) = np.cos(heading), np.sin(heading), base.velocity.T
-    velocity = np.stack((cos * vx + sin * vy, cos * vy - sin * vx, vz), axis=1)
+    cos, sin, (vx, vy, _) = np.cos(heading), np.sin(heading), base.velocity.T
+    # Of the last row of the rotation: how much of each axis of the base points upwards.
+    up = np.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), upwards), axis=1)
+    turning = (up * base.angular_velocity).sum(axis=1)
+    velocity = np.stack((cos * vx + sin * vy, cos * vy - sin * vx, turning), axis=1)
     return velocity, np.arccos(np.minimum(np.maximum(upwards, -1.0), 1.0))
 
 

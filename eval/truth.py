@@ -16,6 +16,10 @@ class BaseTruth(Protocol):
     def velocity(self) -> Floats:
         """(B, 3) m/s, world."""
 
+    @property
+    def angular_velocity(self) -> Floats:
+        """(B, 3) rad/s, base frame."""
+
 
 class Truth(Protocol):
     """What the simulation knows and the robot does not: arrays (B, ...), world frame."""

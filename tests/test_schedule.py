@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from test_runtime import Saying, running
 from test_spec import SPEC
+from walking import QUADRUPED
 
 from deploy.backends.sim.robot import SimRobot
 from deploy.state import Command, Mode
-from eval.faults import JOINT, POLICY, ROBOT, catalogue
+from eval.faults import JOINT, POLICY, ROBOT, Answer, catalogue
 from eval.injector import JUMP, Injector
 from eval.profile import Faults
 from eval.schedule import Injection, Schedule, plan
@@ -199,3 +200,9 @@ def test_a_short_warms_nothing_without_power_and_brakes_need_none_to_hold():
         injector.step(tick)
         assert (limit > 20).all()
     np.testing.assert_array_equal(runtime.robot.truth().winding_c, winding)
+
+
+@pytest.mark.parametrize("kind", ["gyro", "accelerometer"])
+def test_a_robot_that_walks_stops_for_good_without_its_imu(kind):
+    answers = {each.answer for each in catalogue(QUADRUPED) if each.where == kind}
+    assert answers == {Answer.STOPPED}

@@ -20,7 +20,7 @@ from walking import (
 from deploy.contract import ActionSpec
 from deploy.effort import Gains, Springs
 from deploy.fit import check_contract
-from deploy.rotations import matrix
+from deploy.rotations import exp, matrix, times
 from deploy.runtime import Runtime
 from deploy.state import Mode, Reason
 from robots.errors import ContractError, RobotError
@@ -31,7 +31,8 @@ from robots.spec import load_robot
 packets = pytest.importorskip("deploy.backends.sim.packets")
 Failure, Fault = packets.Failure, packets.Fault
 
-Judge = pytest.importorskip("eval.monitors").Judge
+Judge, of_base = (getattr(pytest.importorskip("eval.monitors"), name) for name in ("Judge", "of_base"))
+BaseTruth = pytest.importorskip("deploy.backends.sim.truth").BaseTruth
 judge_tick = pytest.importorskip("eval.shard").judge_tick
 blind = pytest.importorskip("eval.mutants.weakened").blind
 
@@ -313,15 +314,25 @@ def test_the_judge_notices_that_nobody_minds_a_fall(guarded):
     assert counts.total("fallen") == (0 if guarded else 1)
 
 
-def test_a_walk_in_another_direction_than_asked_for_reaches_nothing():
+@pytest.mark.parametrize("asked", [[0.0, 0.6, 0.0], [0.0, 0.0, 0.6]])
+def test_who_does_something_else_than_asked_for_reaches_nothing(asked):
     runtime = standing(1)
     period = round(QUADRUPED.base.command_s / DT)
-    runtime.task.elapsed[:], runtime.task.attempted[:] = 0, 0
-    runtime.task._low[:], runtime.task._high[:] = [0.0, 0.6, 0.0], [0.0, 0.6, 0.0]
-    runtime.task.goal[:] = 0.0, 0.6, 0.0
+    runtime.task.elapsed[:], runtime.task.attempted[:], runtime.task.reached[:] = 0, 0, 0
+    runtime.task.gone[:] = 0.0
+    runtime.task._low[:], runtime.task._high[:] = asked, asked
+    runtime.task.goal[:] = asked
     counts = judged(runtime, 2 * period)
-    assert counts.attempted.tolist() == [2]
-    assert counts.reached.tolist() == [0]
+    assert counts.attempted.tolist() == runtime.task.attempted.tolist() == [2]
+    assert counts.reached.tolist() == runtime.task.reached.tolist() == [0]
+
+
+def test_the_judge_knows_how_fast_a_base_turns():
+    """About what is up in the world, however it leans."""
+    rng = np.random.default_rng(2)
+    quat, turning = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
+    velocity, _ = of_base(BaseTruth(np.zeros((50, 3)), quat, np.zeros((50, 3)), turning))
+    np.testing.assert_allclose(velocity[:, 2], times(matrix(quat), turning)[:, 2], atol=1e-12)
 
 
 def changed(tmp_path, *changes, file="robot.toml"):

@@ -20,10 +20,12 @@ class VelocityConfig:
     Attributes:
         period_s: s for each command.
         tolerance: m/s, by which the mean speed over the ground may miss what was asked for.
+        turning: rad/s, by which the mean rate of turning may.
     """
 
     period_s: float
     tolerance: float = 0.2
+    turning: float = 0.3
 
 
 class Velocity(Stage):
@@ -34,7 +36,7 @@ class Velocity(Stage):
 
     Attributes:
         goal: (B, 3) m/s forwards, m/s to the left, rad/s to the left.
-        gone: (B, 2) m/s, sum over the ticks of what the robot believed that it did.
+        gone: (B, 3) as `goal`, sum over the ticks of what the robot believed that it did.
         worked: (B,) whether it has been at work since the command came.
     """
 
@@ -51,7 +53,7 @@ class Velocity(Stage):
         self._keys, self._period = keys(seeds, purpose=0), round(base.command_s / spec.dt)
         self._low, self._high = np.array(base.command_min), np.array(base.command_max)
         self.goal, self.ended_goal = np.zeros((robots, 3)), np.zeros((robots, 3))
-        self.gone, self.worked = np.zeros((robots, 2)), np.ones(robots, dtype=bool)
+        self.gone, self.worked = np.zeros((robots, 3)), np.ones(robots, dtype=bool)
         self.elapsed, self.number, self.attempted, self.reached = np.zeros((4, robots), dtype=np.int64)
         self.ended = np.zeros(robots, dtype=bool)
         self._choose(np.ones(robots, dtype=bool))
@@ -74,13 +76,15 @@ class Velocity(Stage):
             running: (B,) whether it is at work.
         """
         self.elapsed += 1
-        self.gone += velocity[:, :2]
+        self.gone += velocity
         self.worked &= running
         np.greater_equal(self.elapsed, self._period, out=self.ended)
         if not some(self.ended):
             return
-        missed = self.gone / self._period - self.goal[:, :2]
-        near = (missed * missed).sum(axis=1) <= self.config.tolerance**2
+        missed = self.gone / self._period - self.goal
+        near = (np.hypot(*missed.T[:2]) <= self.config.tolerance) & (
+            np.abs(missed[:, 2]) <= self.config.turning
+        )
         self.attempted += self.ended
         self.reached += self.ended & near & self.worked
         self.ended_goal[self.ended] = self.goal[self.ended]
