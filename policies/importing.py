@@ -27,6 +27,7 @@ from policies.importers.recognize import read_original
 from policies.importers.settle import Settled, settle
 from policies.importers.template import written
 from robots.errors import ConfigError, ContractError
+from robots.model_pinocchio import Fleet
 from robots.spec import RobotSpec, load_robot
 from robots.strict import parse
 
@@ -60,6 +61,7 @@ def import_policy(path: Path, draft_path: Path, out_path: Path, robot: str | Pat
     """
     draft = read_draft(draft_path)
     spec = load_robot(robot or draft.robot)
+    Fleet(spec, 1, collisions=True)  # what speaks against the folder is said now, not by whoever runs the policy
     original = read_original(path, draft.network)
     settled = settle(draft, original, spec, str(draft_path))
     data, played = _onnx(original, settled), trials(original, settled.columns, settled.joints)
