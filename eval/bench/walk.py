@@ -112,7 +112,11 @@ class _Plain:
         w, x, y, z = data.qpos[3:7]
         up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
         phase = 2 * np.pi * t / contract.period_s
+        velocity = np.zeros(3)
+        mujoco.mju_rotVecQuat(velocity, data.qvel[:3], np.array([w, -x, -y, -z]))
         known = {
+            "base_linear_velocity": velocity,
+            "base_orientation": data.qpos[3:7],
             "base_angular_velocity": data.qvel[3:6],
             "projected_gravity": -up,
             "velocity_command": command,
