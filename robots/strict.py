@@ -107,8 +107,8 @@ def _explain(complaint: ValidationError) -> Iterator[str]:
     """Each complaint as `field: expectation, found value`."""
     for item in complaint.errors():
         field = ".".join(f"{part!s:.80}" for part in item["loc"]) or "(whole file)"
-        found = item["input"]
+        found, said = item["input"], item["msg"].removeprefix("Value error, ")
         shown = "" if isinstance(found, dict) else f", found {found!r:.80}"
         # What a record says of itself names its field.
         own = not item["loc"] and item["type"] == "value_error"
-        yield str(item["ctx"]["error"]) if own else f"{field}: {item['msg']}{shown}"
+        yield str(item["ctx"]["error"]) if own else f"{field}: {said}{shown}"
