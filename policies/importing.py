@@ -61,7 +61,8 @@ def import_policy(path: Path, draft_path: Path, out_path: Path, robot: str | Pat
     """
     draft = read_draft(draft_path)
     spec = load_robot(robot or draft.robot)
-    Fleet(spec, 1, collisions=True)  # what speaks against the folder is said now, not by whoever runs the policy
+    # What speaks against the folder is said now, not by whoever runs the policy.
+    Fleet(spec, 1, collisions=True)
     original = read_original(path, draft.network)
     settled = settle(draft, original, spec, str(draft_path))
     data, played = _onnx(original, settled), trials(original, settled.columns, settled.joints)
