@@ -142,8 +142,18 @@ class Estimator(Stage):
 
     @property
     def moving(self) -> Bools:
-        """(B,) whether a joint strays from its setpoint by more than the estimate's own doubt."""
-        return np.asarray((np.abs(self.ed) > RESTS + DOUBT * np.sqrt(self.p11)).any(axis=1))
+        """(B,) whether a joint moves while its drive is off."""
+        return np.asarray(self.strays.any(axis=1))
+
+    @property
+    def strays(self) -> Bools:
+        """(B, n) joints that move away from their setpoint by more than the estimate's own doubt."""
+        return np.asarray(np.abs(self.ed) > RESTS + DOUBT * np.sqrt(self.p11))
+
+    @property
+    def stuck(self) -> Bools:
+        """(B, n) joints whose encoders have said the same for so long that they are stuck, if they were sent away."""
+        return np.asarray(self.same >= self._stuck_many)
 
     def _expected(self, setpoint: Floats) -> Floats:
         """What a joint does by itself for a setpoint (B, n)."""

@@ -10,12 +10,13 @@ from types import FrameType
 
 import numpy as np
 
+from deploy.blame import blame
 from deploy.pace import Pace
 from deploy.recorder import Recorder
 from deploy.runtime import Runtime
 from deploy.signals import handled
 from deploy.state import Floats, Mode, Reason
-from deploy.supervisor import CATEGORY_1, words
+from deploy.supervisor import CATEGORY_1
 
 ARM_WITHIN_S = 1.0
 """Robot time in which the checks before arming must all have passed."""
@@ -84,7 +85,7 @@ class Tally:
         if mode == Mode.STOPPING != self._mode or cut:
             reason = int(runtime.supervisor.reason[0])
             self.stops.update(bit.name.lower() for bit in Reason(reason) if bit.name)
-            self.last.append(f"{runtime.t:.2f} s: {words(reason)}")
+            self.last.append(f"{runtime.t:.2f} s: {blame(runtime, reason)}")
         self._mode = mode
 
 
@@ -132,7 +133,7 @@ class Shift:
     def reason(self) -> str:
         """Why the robot does not run, in words."""
         reason = self._refused or int(self.runtime.supervisor.reason[0])
-        return words(reason) if reason else ""
+        return blame(self.runtime, reason) if reason else ""
 
     def live(self) -> Ending:
         """Arm, work, and come to rest, whatever happens."""
