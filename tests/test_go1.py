@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import onnxruntime as ort
 import pytest
-import tomlkit
 
 pytest.importorskip("torch")
+tomlkit = pytest.importorskip("tomlkit")
 SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
 
 from walking import QUADRUPED  # noqa: E402
