@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from robots.distributions import Distributions, Quantity, check_journey
+from robots.distributions import Distributions, Quantity, Span, check_journey
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
 from robots.strict import Strict, parse, read_json
@@ -137,6 +137,20 @@ def _numbers(data: object, quantity: Quantity, spec: RobotSpec, where: str) -> F
     if beyond.size:
         raise ConfigError(f"{where}: found {beyond[0]:g}, expected [{quantity.low:g}, {quantity.high:g}]")
     return values
+
+
+def middle(distributions: Distributions, spec: RobotSpec, robots: int) -> Draw:
+    """As many robots in the middle of every span, by its logarithm where it is drawn so."""
+    return Draw(
+        {
+            name: np.full((robots, *shape(quantity, spec)), _mid(span))
+            for name, quantity, span in distributions.spans()
+        }
+    )
+
+
+def _mid(span: Span) -> float:
+    return float(np.sqrt(span.low * span.high)) if span.log else (span.low + span.high) / 2
 
 
 def shape(quantity: Quantity, spec: RobotSpec) -> tuple[int, ...]:

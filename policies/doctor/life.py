@@ -19,8 +19,8 @@ from eval.counts import Counts
 from eval.monitors import Judge
 from eval.shard import ARM_S, judge_tick
 from policies.doctor.warmth import Thermometer, Warmth
-from robots.distributions import Span, load_distributions
-from robots.draws import Draw, shape
+from robots.distributions import load_distributions
+from robots.draws import middle
 from robots.errors import ConfigError
 from robots.model_pinocchio import torque_max
 from robots.randomness import robot_seed
@@ -49,18 +49,6 @@ class Life:
     speeds: Floats
     first: Floats
     warmth: Warmth
-
-
-def middle(spec: RobotSpec, robots: int) -> Draw:
-    """As many robots in the middle of every span of draws.toml."""
-    spans = load_distributions(spec).spans()
-    return Draw(
-        {name: np.full((robots, *shape(quantity, spec)), _mid(span)) for name, quantity, span in spans}
-    )
-
-
-def _mid(span: Span) -> float:
-    return float(np.sqrt(span.low * span.high)) if span.log else (span.low + span.high) / 2
 
 
 def live(
@@ -99,7 +87,9 @@ class _Trial:
         robots = len(seeds)
         self._policy, self._everybody = policy, np.ones(robots, dtype=bool)
         contract = policy.contract
-        self._robot = SimRobot(spec, seeds, given=middle(spec, robots), gains=contract.action.gains)
+        self._robot = SimRobot(
+            spec, seeds, given=middle(load_distributions(spec), spec, robots), gains=contract.action.gains
+        )
         self._runtime = Runtime(spec, contract, self._robot, seeds, policy)
         goal_s = self._runtime.task.config.period_s
         self._judge = Judge(spec, torque_max(spec), robots, observed=contract.observed, goal_s=goal_s)
