@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from deploy.contract import Contract
+from deploy.contract import Contract, Task
 from deploy.terms import READINGS, Term
 from robots.errors import ContractError
 from robots.spec import RobotSpec
@@ -31,12 +31,17 @@ def mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
         )
     if contract.control_hz != spec.rates.control_hz:
         yield f"control_hz: found {contract.control_hz} Hz, expected {spec.rates.control_hz} Hz"
-    if contract.task != (task := "velocity" if spec.base else "reach"):
+    if contract.task != (task := task_of(spec)):
         yield f"task: found {contract.task!r}, expected {task!r}: {spec.name} {_stands(spec)}"
     for term in contract.observation:
         yield from _term(term, contract.action_size, spec)
     if contract.action_size != spec.n:
         yield f"action.size: found {contract.action_size}, expected {spec.n}, one for each joint"
+
+
+def task_of(spec: RobotSpec) -> Task:
+    """What such a robot is asked to do."""
+    return "velocity" if spec.base else "reach"
 
 
 def _stands(spec: RobotSpec) -> str:

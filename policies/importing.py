@@ -13,6 +13,7 @@ from rich.console import Console
 
 from deploy.cli import PASSED, main
 from deploy.contract import CONTRACT_KEY
+from deploy.fit import task_of
 from deploy.output import replacing
 from deploy.policy import Policy
 from deploy.policy_file import GOLDEN_KEY, Golden
@@ -123,8 +124,7 @@ def write_template(
         facts = _described(facts, read_descriptor(descriptor, facts.observations))
     if robot is not None:
         spec = load_robot(robot)
-        task = "velocity" if spec.base else "reach"
-        facts = replace(facts, known={**facts.known, "robot": spec.name, "task": task})
+        facts = replace(facts, known={**facts.known, "robot": spec.name, "task": task_of(spec)})
     text, still_open = written(facts, path.name)
     with replacing(draft_path) as partial:
         partial.write_text(text, encoding="utf-8")
