@@ -4,8 +4,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from deploy.estimator import DIVERGED
-from deploy.load import LOOKS
 from deploy.runtime import Runtime
 from deploy.state import Bools, Reason
 from deploy.supervisor import WORDS
@@ -35,9 +33,9 @@ def _meant(runtime: Runtime, bit: Reason) -> Bools:
         Reason.TRACKING: np.abs(runtime.setpoint.q[0] - q) > spec.margins.tracking_rad,
         Reason.HEAT: (state.temperature[0] > spec.motor_array("housing_max_c"))
         | (state.hottest[0] > spec.motor_array("winding_max_c")),
-        Reason.DIVERGED: estimator.nis[0] > DIVERGED,
+        Reason.DIVERGED: estimator.diverged[0],
         Reason.STUCK: estimator.stuck[0],
-        Reason.LOAD: estimator.load.many[0] >= LOOKS,
+        Reason.LOAD: estimator.load.against[0],
         Reason.MOVING: estimator.strays[0],
     }
     return np.asarray(known.get(bit, np.zeros(spec.n, dtype=bool)))

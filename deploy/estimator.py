@@ -152,8 +152,14 @@ class Estimator(Stage):
 
     @property
     def stuck(self) -> Bools:
-        """(B, n) joints whose encoders have said the same for so long that they are stuck, if they were sent away."""
-        return np.asarray(self.same >= self._stuck_many)
+        """(B, n) joints whose encoders say the same again and again, though they were sent away."""
+        away = np.abs(self.sent[:, self._place, : self._n] - self.moved) > self._stuck_rad
+        return np.asarray((self.same >= self._stuck_many) & away)
+
+    @property
+    def diverged(self) -> Bools:
+        """(B, n) joints whose filters do not know what they do."""
+        return np.asarray(~((self.nis <= DIVERGED) & np.isfinite(self.p00 + self.p11)))
 
     def _expected(self, setpoint: Floats) -> Floats:
         """What a joint does by itself for a setpoint (B, n)."""
@@ -261,13 +267,10 @@ class Estimator(Stage):
         self.same += fused
         np.copyto(self.same, 0, where=other)
         self.fault[:] = 0
-        stuck = self.same >= self._stuck_many
-        if some(stuck):
-            stuck &= np.abs(self.sent[:, self._place, : self._n] - self.moved) > self._stuck_rad
-            self.fault[stuck.any(axis=1)] |= np.int64(Reason.STUCK)
-        sure = (self.nis <= DIVERGED) & np.isfinite(self.p00 + self.p11)
-        if not every(sure):
-            self.fault[~sure.all(axis=1) & self.seeded] |= np.int64(Reason.DIVERGED)
+        if some(self.same >= self._stuck_many):
+            self.fault[self.stuck.any(axis=1)] |= np.int64(Reason.STUCK)
+        if some(diverged := self.diverged):
+            self.fault[diverged.any(axis=1) & self.seeded] |= np.int64(Reason.DIVERGED)
 
     def _now(self, t: float, sample: Sample, sent: Setpoint) -> State:
         lag = t - self.t_sample

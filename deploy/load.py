@@ -62,4 +62,9 @@ class Load(Stage):
         self.t[:] = current.t
         self.many += said
         self.many *= (beyond | ~said) & self.powered[:, None]
-        return np.asarray((self.many >= LOOKS).any(axis=1))
+        return np.asarray(self.against.any(axis=1))
+
+    @property
+    def against(self) -> Bools:
+        """(B, n) motors that work against something."""
+        return np.asarray(self.many >= LOOKS)

@@ -41,7 +41,9 @@ def lost(runtime):
 
 
 def hanging(runtime):
-    runtime.estimator.same[0, WRIST] = 10**6
+    runtime.estimator.same[0] = 10**6  # as at rest: nobody was sent away
+    runtime.estimator.moved[0] = runtime.estimator.sent[0, runtime.estimator._place, : SPEC.n]
+    runtime.estimator.moved[0, WRIST] += 0.1
 
 
 def leaning(runtime):
