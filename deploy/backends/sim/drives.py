@@ -45,12 +45,11 @@ class Drives(Stage):
         self._share = np.ones((robots, n))
         gain = batch.expand("actuator_gainprm")
         self._gain = gain[:, :, drawn.KP], gain[:, :, drawn.KD]
-        self._brakes = tuple(own.copy() for own in self._gain)
-        # On the motor's side of the gear: an angle is that much larger there, and a torque smaller.
-        self._powered = tuple(
-            x / batch.model.actuator_gear[:, 0] ** 2 * draw[f"drives.{name}"]
-            for name, x in (gains._asdict() if gains else {}).items()
-        )
+        self._brakes = self._gain[0].copy(), self._gain[1].copy()
+        self._powered = self._brakes
+        if gains:  # on the motor's side of the gear: an angle is that much larger there, and a torque smaller
+            square = batch.model.actuator_gear[:, 0] ** 2
+            self._powered = (gains.kp / square * draw["drives.kp"], gains.kd / square * draw["drives.kd"])
         self._lay_out(spec.rates, draw["drives.delay_s"])
 
     def _lay_out(self, rates: Rates, delay_s: Floats) -> None:
@@ -106,7 +105,7 @@ class Drives(Stage):
 
     def apply(self) -> None:
         """Give drives with power the gains of the policy, those in the brakes their own."""
-        for gain, brakes, powered in zip(self._gain, self._brakes, self._powered, strict=False):
+        for gain, brakes, powered in zip(self._gain, self._brakes, self._powered, strict=True):
             gain[:] = np.where(self.braked[:, None], brakes, powered)
 
     def _hold(self, rows: np.ndarray) -> None:
