@@ -74,6 +74,9 @@ class Runtime(Stage):
             robot: the backend, B robots wide.
             seeds: B seeds, from which each robot's goals follow.
             policy: None where the caller puts its own between `sense` and `act`.
+
+        Raises:
+            RuntimeError: the drives have other gains than the contract.
         """
         self.spec, self.contract, self.robot, self.policy = spec, contract, robot, policy
         robots = robot.robots

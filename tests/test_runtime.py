@@ -285,21 +285,18 @@ def test_without_the_prepared_stop_a_restored_runtime_would_stop_elsewhere():
 
 
 def test_an_arm_with_gains_of_its_policy_is_judged_where_it_is_sent():
-    """On springs as soft as these it would lie on its table: a walker's guards look where joints are."""
-    soft = arm_contract().action.model_copy(update={"kp": (400.0,) * N, "kd": (40.0,) * N})
-    policy = Saying(2)
-    runtime = running(policy=policy, contract=arm_contract(action=soft))
-    fleet, tool, heights = Fleet(SPEC, 2), runtime.robot.plant, []
-    for _ in range(600):
-        policy.action[:, 1] = 1.0
+    """Down to the edge of its workspace: the guards of a walker, which look where joints are, would stop it above."""
+    soft = arm_contract().action.model_copy(update={"kp": (2000.0,) * N, "kd": (100.0,) * N})
+    policy = Saying(8)
+    policy.action[:, 1] = 1.0
+    runtime = running(8, policy=policy, contract=arm_contract(action=soft))
+    fleet, heights = Fleet(SPEC, 8), []
+    for _ in range(1100):
         runtime.tick()
         fleet.place(runtime.command.q)
-        heights.append((fleet.tool_position[:, 2].min(), tool.truth(runtime.t).tool_position[:, 2].min()))
-        assert not tool.truth(runtime.t).self_collision.any()
-    sent, true = np.min(heights, axis=0)
-    assert sent >= SPEC.workspace.z_min
-    assert true > SPEC.workspace.z_min - 0.01
-    assert sent < 0.2  # or it was never asked to
+        heights.append(fleet.tool_position[:, 2].min())
+        assert not runtime.robot.truth().self_collision.any()
+    assert SPEC.workspace.z_min <= np.min(heights) < SPEC.workspace.z_min + 0.02
 
 
 def test_drives_that_have_other_gains_than_the_contract_are_refused():
