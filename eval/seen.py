@@ -20,8 +20,8 @@ class Ticks(NamedTuple):
 
     `target` and `sent` are angles and `tau_sent` torques of the command. What is not of the world is of the runtime:
     `q_hat`, `q_var` and `age` are its belief before the physics of that tick. `sound`: whether what the policy said in
-    that tick, if anything, was numbers. `tool_velocity` of a robot with a base is the base's, m/s in the
-    world, turned by its heading: forwards, to the left, upwards. `tilt`: rad, of a base.
+    that tick, if anything, was numbers. `tool_velocity` of a robot with a base is the base's over the ground: m/s
+    forwards and to the left, and rad/s to the left. `tilt`: rad, of a base.
     """
 
     target: Floats
