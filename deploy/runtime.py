@@ -277,8 +277,8 @@ class Runtime(Stage):
         """
         ids = ids & ~self.supervisor.powered
         here = Setpoint(q=self.state.q, qd=np.zeros_like(self.state.q), qdd=np.zeros_like(self.state.q))
-        verdict = self.safety.step(self.state, here, here, here, here.q, here.q)
-        reason = np.where(ids, verdict.reason | self.state.fault, 0)
+        self.verdict = self.safety.step(self.state, here, here, here, here.q, here.q)
+        reason = np.where(ids, self.verdict.reason | self.state.fault, 0)
         reason[ids & self.estimator.moving] |= _MOVING
         self.asked[ids], self.since[ids] = 0, 0
         granted = ids & (reason == 0)

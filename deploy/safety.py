@@ -34,11 +34,10 @@ class Safety:
         self._fleet, self._on_the_way = fleet, fleet.of(-(-fleet.robots // 2))
         self._effort, self._tooling = effort or Feedforward(spec, fleet), spec.tooling
         self._twice_jerk = 2 * spec.joint_array("qddd_max")
-        self._state_and_midst = _Bounds(self._on_the_way.robots, *_of_state(spec), *_of_place(spec))
-        self._pose = _Bounds(fleet.robots, *_of_pose(spec))
-        self._plan = _Bounds(
-            fleet.robots, *_of_motion(spec, self._effort.bound), *_of_pose(spec), *_of_tool_speed(spec)
-        )
+        self._state_and_midst = _Bounds(self._on_the_way.robots, spec.n, *_of_state(spec), *_of_place(spec))
+        self._pose = _Bounds(fleet.robots, spec.n, *_of_pose(spec))
+        motion = _of_motion(spec, self._effort.bound)
+        self._plan = _Bounds(fleet.robots, spec.n, *motion, *_of_pose(spec), *_of_tool_speed(spec))
         if self._tooling:
             self._centre = np.array(self._tooling.workspace.centre)
 
@@ -68,24 +67,37 @@ class Safety:
         tau = self._effort.torque(state, q, qd, qdd).copy()
         # A drive that is folded back has less to give than its range.
         asked = tau if every(state.fold == 1.0) else np.concatenate((tau[:robots] / state.fold, tau[robots:]))
-        begin, on_the_way, end = self._effort.poses(state, setpoint.q, q_midst, q_rest)
+        poses = begin, on_the_way, end = self._effort.poses(state, setpoint.q, q_midst, q_rest)
         places = self._place(np.concatenate((begin, end)))
         self._on_the_way.glance(on_the_way)
         # A stop first lets the acceleration run out, and the speed that it gains until then counts.
         qd_peak = qd + qdd * np.abs(qdd) / self._twice_jerk
         speeds = self._tool_speeds(np.concatenate((setpoint.qd, qd_peak[:robots])))
         q_ends = np.concatenate((setpoint.q, q_rest))
-        points = self._plan.reasons(q, qd, qd_peak, asked, q_ends, *places, *speeds)
+        plan: Floats = np.concatenate((q, qd, qd_peak, asked, q_ends, *places, *speeds), axis=1)
         midst, lag = self._clear(self._on_the_way), sent.q - state.q
         believed = state.q, state.qd, lag, state.temperature, state.hottest, age, age
         upright = () if state.base is None else (-state.base.gravity[:, 2:],)
-        reason = self._state_and_midst.reasons(*believed, *upright, *midst)
+        belief: Floats = np.concatenate((*believed, *upright, *midst), axis=1)
+        points, reason = self._plan.reasons(plan), self._state_and_midst.reasons(belief)
         reason |= points[:robots] | points[robots:]
-        return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:])
+        read = plan, belief
+        return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:], poses=poses, read=read)
 
     def check_poses(self, q: Floats) -> Ints:
         """(R,) what speaks against being at `q` (R, n) rad; R is the width of the fleet."""
-        return self._pose.reasons(q, *self._place(q))
+        return self._pose.reasons(np.concatenate((q, *self._place(q)), axis=1))
+
+    def joints(self, verdict: Verdict, robot: int, reason: Reason) -> Bools:
+        """(n,) joints of a robot for which a verdict gave one reason; none where it is about something else."""
+        plan, belief = verdict.read
+        rows = plan[robot], plan[robot + len(belief)]
+        of_plan = self._plan.joints(rows[0], reason) | self._plan.joints(rows[1], reason)
+        return of_plan | self._state_and_midst.joints(belief[robot], reason)
+
+    def nearest(self, verdict: Verdict, robot: int) -> tuple[str, str]:
+        """Two shapes of a robot that come nearest to each other where a verdict looked for collisions."""
+        return self._fleet.nearest(np.stack([pose[robot] for pose in verdict.poses]))
 
     def _place(self, q: Floats) -> tuple[Floats | Bools, ...]:
         """Place the fleet at (R, n) rad and read the columns of where it is."""
@@ -173,22 +185,33 @@ def _of_tool_speed(spec: RobotSpec) -> tuple[Column, ...]:
 class _Bounds:
     """Rows of numbers, each column with the range that it must be in and the reason for which it is refused outside."""
 
-    def __init__(self, rows: int, *columns: Column) -> None:
+    def __init__(self, rows: int, n: int, *columns: Column) -> None:
         parts = [np.broadcast_arrays(*(np.atleast_1d(value) for value in column)) for column in columns]
         low, high, self._reason = (np.concatenate(part) for part in zip(*parts, strict=True))
         self._low, self._high = np.tile(low, (rows, 1)), np.tile(high, (rows, 1))
         # A reading that is no number is as bad as one beyond its bound; elsewhere it is a fault of its own.
         reading = self._reason & (Reason.HEAT | Reason.STALE | Reason.LOST) != 0
         self._unknown = np.where(reading, self._reason, Reason.NOT_FINITE)
+        # Whose each column is; in a row more, what is of no joint.
+        self._whose = np.concatenate([np.arange(n) if len(part[0]) == n else [n] for part in parts])
+        self._n = n
 
-    def reasons(self, *values: Floats | Bools) -> Ints:
-        """(R,) what speaks against each row of values (R, ...), side by side in the order of the columns."""
-        x = np.concatenate(values, axis=1)
+    def reasons(self, x: Floats) -> Ints:
+        """(R,) what speaks against each row of x (R, C)."""
         inside = (x >= self._low) & (x <= self._high)
         if every(inside):
             return np.zeros(len(x), dtype=np.int64)
-        reason = np.where(np.isfinite(x), self._reason, self._unknown)
-        return np.asarray(np.bitwise_or.reduce(np.where(inside, 0, reason), axis=1))
+        return np.asarray(np.bitwise_or.reduce(self._why(x, inside), axis=1))
+
+    def joints(self, x: Floats, reason: Reason) -> Bools:
+        """(n,) whose columns of one row x (C,) give a reason."""
+        inside = (x >= self._low[0]) & (x <= self._high[0])
+        found = np.zeros(self._n + 1, dtype=bool)
+        found[self._whose[self._why(x, inside) & int(reason) != 0]] = True
+        return found[: self._n]
+
+    def _why(self, x: Floats, inside: Bools) -> Ints:
+        return np.where(inside, 0, np.where(np.isfinite(x), self._reason, self._unknown))
 
 
 def _within(limit: Floats) -> tuple[Floats, Floats]:

@@ -159,11 +159,15 @@ class Verdict(NamedTuple):
         reason: (B,) int64 bit sets of `Reason`, 0 where the setpoint may be sent.
         tau: (B, n) N·m, inverse-dynamics torque of the setpoint (nominal model).
         tau_ahead: (B, n) N·m, the same one step into a stop that would begin there.
+        poses: (B, n) rad each, where nothing may meet: at the setpoint, in the midst of that stop, and at its end.
+        read: (2B, P) of setpoint and stop, and (B, S) of the belief, what was compared with bounds: for `Safety`.
     """
 
     reason: Ints
     tau: Floats
     tau_ahead: Floats
+    poses: tuple[Floats, Floats, Floats]
+    read: tuple[Floats, Floats]
 
 
 class Mode(IntEnum):

@@ -13,6 +13,7 @@ from robots.errors import RobotError
 from robots.spec import RobotSpec
 
 Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 
 SLACK = 1e-3
 """m. A capsule must be this much higher than need be to be spared: far more than the rounding of an exact answer."""
@@ -103,22 +104,35 @@ class _Shapes:
         return np.asarray(np.reshape(hits, (self._copies, -1)).any(axis=1))
 
 
+def nearest(
+    model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs, poses: Floats
+) -> tuple[float, str, str]:
+    """M between the two shapes that come nearest to each other in any of some poses (P, n) rad, and their names.
+
+    Infinitely far, and nameless, where nothing can meet; a pose that is no numbers is left out.
+    """
+    shapes, found = geometry.copy(), [(np.inf, "", "")]
+    for a, b in pairs:
+        shapes.addCollisionPair(pin.CollisionPair(a, b))
+    data, places = model.createData(), shapes.createData()
+    for q in poses[np.isfinite(poses).all(axis=1)] if pairs else ():
+        pin.updateGeometryPlacements(model, data, shapes, places, q)
+        closest = pin.computeDistances(shapes, places)
+        a, b = (shapes.geometryObjects[shape].name for shape in pairs[closest])
+        found.append((places.distanceResults[closest].min_distance, a, b))
+    return min(found)
+
+
 def check_home(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs) -> None:
     """Shapes keep their distance in the pose where work begins.
 
     Raises:
         RobotError: naming the two that are nearest, if they are too near.
     """
-    shapes = geometry.copy()
-    for a, b in pairs:
-        shapes.addCollisionPair(pin.CollisionPair(a, b))
-    places = shapes.createData()
-    pin.updateGeometryPlacements(model, model.createData(), shapes, places, spec.joint_array("q_home"))
-    distances = [pin.computeDistance(shapes, places, k).min_distance for k in range(len(pairs))]
-    if distances and min(distances) < (margin := spec.margins.collision_m):
-        a, b = (shapes.geometryObjects[shape].name for shape in pairs[int(np.argmin(distances))])
+    gap, a, b = nearest(model, geometry, pairs, spec.joint_array("q_home")[None])
+    if gap < (margin := spec.margins.collision_m):
         raise RobotError(
-            f"{spec.folder / 'robot.toml'}: joints: q_home: there {a!r} and {b!r} are {1e3 * min(distances):.3g} mm"
+            f"{spec.folder / 'robot.toml'}: joints: q_home: there {a!r} and {b!r} are {1e3 * gap:.3g} mm"
             f" apart, expected margins.collision_m, {1e3 * margin:.3g} mm: mend their capsules, or let their bodies be"
             " neighbours"
         )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from robots.blocks import lined_up, turns
 from robots.clearance import can_meet
-from robots.collisions import Collisions, check_home, collision_pairs
+from robots.collisions import Collisions, check_home, collision_pairs, nearest
 from robots.errors import RobotError
 from robots.inertial import check_contacts, imu_in_base
 from robots.read_pinocchio import followed, read_pinocchio
@@ -119,6 +119,10 @@ class Fleet:
         )
         self._tool = self._points[:, 0]
         self._jacobian, self._colliding = np.zeros((robots, 6, self.n)), np.zeros(robots, dtype=bool)
+
+    def nearest(self, poses: Floats) -> tuple[str, str]:
+        """Names of the two shapes that come nearest to each other in any of some poses (P, n) rad."""
+        return self._blocks.nearest(poses)
 
     def torque(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """(B, n) N·m by recursive Newton-Euler, rotor inertia included, friction not.
@@ -266,6 +270,11 @@ class _Blocks:
         check_home(spec, self.model, self._geometry, pairs)
         self._pairs = can_meet(spec, self.model, self._geometry, pairs)
         self._built: dict[int, _Block] = {}
+
+    def nearest(self, poses: Floats) -> tuple[str, str]:
+        """As `Fleet.nearest`."""
+        _, *names = nearest(self.model, self._geometry, self._pairs, poses)
+        return names[0], names[1]
 
     def of(self, copies: int) -> "_Block":
         """The block of so many."""

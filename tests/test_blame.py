@@ -1,4 +1,4 @@
-"""Which joint a reason is about."""
+"""Which joint or shapes a reason is about."""
 
 import numpy as np
 import pytest
@@ -69,7 +69,55 @@ def moving(runtime):
 def test_a_reason_names_its_joint(runtime, befall, reason):
     assert blame(runtime, int(reason)) == WORDS[reason]
     befall(runtime)
+    runtime.act(None)
     assert blame(runtime, int(reason)) == f"{WORDS[reason]} (wrist_2)"
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "reason"),
+    [("q", 10.0, Reason.POSITION), ("qd", 50.0, Reason.VELOCITY), ("qdd", 1e4, Reason.TORQUE)],
+)
+def test_a_refused_setpoint_names_its_joint_and_only_for_the_robot_that_has_it(runtime, part, value, reason):
+    planned = runtime.setpoint
+    getattr(planned, part)[1, WRIST] += value
+    here = runtime.state, runtime.setpoint, planned, planned, planned.q, planned.q
+    runtime.verdict = runtime.safety.step(*here)
+    assert runtime.verdict.reason[1] & reason
+    assert "wrist_2" in blame(runtime, int(reason), robot=1)
+    assert blame(runtime, int(reason)) == WORDS[reason]
+
+
+def test_a_joint_without_a_number_is_named(runtime):
+    runtime.state.q[0, WRIST] = np.nan
+    runtime.act(None)
+    assert blame(runtime, int(Reason.NOT_FINITE)) == f"{WORDS[Reason.NOT_FINITE]} (wrist_2)"
+
+
+@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize(
+    ("q", "shapes"),
+    [
+        ((0.3, -1.59, 2.64, 0.24, -1.16, 0.87), "upper_arm and wrist_3"),
+        ((-0.04, -0.53, 2.5, -1.82, -1.4, -1.03), "table and wrist_2"),
+    ],
+)
+def test_shapes_that_would_meet_are_named(runtime, place, q, shapes):
+    """Be it at the setpoint, in the midst of the stop or at its end."""
+    here = runtime.setpoint
+    poses = [here.q.copy() for _ in range(3)]
+    poses[place][0] = q
+    planned = here._replace(q=poses[0])
+    runtime.verdict = runtime.safety.step(runtime.state, here, planned, here, *poses[1:])
+    assert blame(runtime, int(Reason.COLLISION)) == f"{WORDS[Reason.COLLISION]} ({shapes})"
+    assert blame(runtime, int(Reason.COLLISION), robot=1) == WORDS[Reason.COLLISION]
+
+
+def test_a_pose_without_a_number_has_no_part_in_it(runtime):
+    here, midst = runtime.setpoint, runtime.setpoint.q.copy()
+    midst[0] = np.nan
+    rest = np.tile((0.3, -1.59, 2.64, 0.24, -1.16, 0.87), (2, 1))
+    runtime.verdict = runtime.safety.step(runtime.state, here, here, here, midst, rest)
+    assert blame(runtime, int(Reason.COLLISION)).endswith("(upper_arm and wrist_3)")
 
 
 @pytest.mark.parametrize("reason", list(Reason))
@@ -79,6 +127,7 @@ def test_every_reason_has_words(runtime, reason):
 
 def test_several_are_told_one_after_the_other(runtime):
     beyond(runtime)
+    runtime.act(None)
     said = blame(runtime, int(Reason.STALE | Reason.OUTSIDE))
     assert said == "samples are missing; a joint is outside its working range (wrist_2)"
 
