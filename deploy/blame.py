@@ -3,10 +3,27 @@
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deploy.runtime import Runtime
-from deploy.state import Bools, Reason
+from deploy.state import Bools, Mode, Reason
 from deploy.supervisor import WORDS
+
+
+class Stops:
+    """Notices robots that leave their work, in the tick in which they do: only then it is known what it was about."""
+
+    def __init__(self) -> None:
+        """Nobody works yet."""
+        self._mode: NDArray[np.int8] | Mode = Mode.DISARMED
+
+    def begun(self, runtime: Runtime) -> list[int]:
+        """Robots that began to stop, or lost their power at work, in the tick that has just ended."""
+        mode, before = runtime.supervisor.mode, self._mode
+        stopping = (mode == Mode.STOPPING) & (before != Mode.STOPPING)
+        cut = (mode == Mode.LATCHED) & (before == Mode.RUNNING)
+        self._mode = mode.copy()
+        return np.flatnonzero(stopping | cut).tolist()
 
 
 def blame(runtime: Runtime, reason: int, robot: int = 0) -> str:

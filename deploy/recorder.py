@@ -47,7 +47,7 @@ class Ring:
         self, spec: RobotSpec, robots: int, *, seconds: float = RING_S, row: np.dtype[np.void] | None = None
     ) -> None:
         """Allocate for B robots, in rows of `row_type` or of a type that begins with it and adds more."""
-        self.rows: Rows = np.zeros((round(seconds / spec.dt), robots), dtype=row or row_type(spec.n))
+        self.rows: Rows = np.zeros((round(seconds / spec.dt), robots), dtype=row or row_type(spec))
         self._ticks = 0
         plain = (*self.rows.shape, -1)
         self._whole = self.rows.view(np.int64).reshape(plain).transpose(0, 2, 1)[:, : len(WHOLE)]
@@ -68,6 +68,7 @@ class Ring:
         own = (
             *(state.q, state.qd, state.temperature, state.winding, runtime.action.q),
             *(sent.q, sent.qd, sent.qdd, runtime.command.tau, runtime.tool, task.goal),
+            *(() if state.base is None else (state.base.quat_wxyz,)),
         )
         np.concatenate(own + more, axis=1, out=self._numbers[at])
         row: Rows = self.rows[at]

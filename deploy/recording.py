@@ -53,6 +53,7 @@ STATE_SCHEMA = {
         "winding_c": _NUMBERS,
         "tool": _NUMBERS,
         "goal": _NUMBERS,
+        "orientation": _NUMBERS,
     },
 }
 
@@ -60,10 +61,11 @@ STATE_SCHEMA = {
 WHOLE = ("tick", "mode", "reason", "reached", "attempted")
 
 
-def row_type(joints: int) -> np.dtype[np.void]:
+def row_type(spec: RobotSpec) -> np.dtype[np.void]:
     """One tick of one robot: what `Recording.write` takes. SI units, joint vectors in the robot's order.
 
-    `tool` and `goal` of a robot with a base are its velocities: as believed, and as asked for.
+    `tool` and `goal` of a robot with a base are its velocities: as believed, and as asked for; `orientation` is the
+    base's in the world as believed, w first.
 
     Whole numbers come first; all are 8 bytes wide, so that rows can be seen as plain arrays of either kind.
     """
@@ -73,8 +75,9 @@ def row_type(joints: int) -> np.dtype[np.void]:
     )
     return np.dtype(
         [(name, np.int64) for name in WHOLE]
-        + [(name, np.float64, joints) for name in numbers + sent]
+        + [(name, np.float64, spec.n) for name in numbers + sent]
         + [(name, np.float64, 3) for name in ("tool", "goal")]
+        + ([("orientation", np.float64, 4)] if spec.base else [])
     )
 
 
@@ -181,7 +184,11 @@ class Recording:
 
 
 def _state(row: Any) -> dict[str, object]:
-    names = ("q_target", "housing_c", "winding_c", "tool", "goal")
+    names = [
+        n
+        for n in ("q_target", "housing_c", "winding_c", "tool", "goal", "orientation")
+        if n in row.dtype.names
+    ]
     # JSON has no word for what is no number.
     numbers = {name: [x if isfinite(x) else None for x in row[name].tolist()] for name in names}
     counts = {name: int(row[name]) for name in ("reached", "attempted")}

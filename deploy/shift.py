@@ -10,12 +10,12 @@ from types import FrameType
 
 import numpy as np
 
-from deploy.blame import blame
+from deploy.blame import Stops, blame
 from deploy.pace import Pace
 from deploy.recorder import Recorder
 from deploy.runtime import Runtime
 from deploy.signals import handled
-from deploy.state import Floats, Mode, Reason
+from deploy.state import Floats, Reason
 from deploy.supervisor import CATEGORY_1
 
 ARM_WITHIN_S = 1.0
@@ -74,19 +74,16 @@ class Tally:
     last: deque[str] = field(default_factory=lambda: deque(maxlen=STOPS_SHOWN))
     housing_max_c: float | None = None
     winding_max_c: float | None = None
-    _mode: int = Mode.DISARMED
+    _stops: Stops = field(default_factory=Stops)
 
     def step(self, runtime: Runtime) -> None:
         """Count the tick that has just ended."""
         self.housing_max_c = _hotter(self.housing_max_c, runtime.state.temperature)
         self.winding_max_c = _hotter(self.winding_max_c, runtime.state.winding)
-        mode = int(runtime.supervisor.mode[0])
-        cut = mode == Mode.LATCHED and self._mode == Mode.RUNNING
-        if mode == Mode.STOPPING != self._mode or cut:
+        if 0 in self._stops.begun(runtime):
             reason = int(runtime.supervisor.reason[0])
             self.stops.update(bit.name.lower() for bit in Reason(reason) if bit.name)
             self.last.append(f"{runtime.t:.2f} s: {blame(runtime, reason)}")
-        self._mode = mode
 
 
 def _hotter(so_far: float | None, now: Floats) -> float | None:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.blame import Stops, blame
 from deploy.stage import Arrays
 from deploy.state import Floats
 from eval import bundle
@@ -30,12 +31,14 @@ class Again(NamedTuple):
     Attributes:
         rows: (T,) of the event's robot, of `window_type`. load: (T,) of its monitor and joint, 1 at the limit.
         event: what the judge found there this time; None if it found nothing that begins there.
+        stops: ticks, from the first on, in which the event's robot left its work, and why in words.
         end_digest: of the state at the end.
     """
 
     rows: Rows
     load: Floats
     event: Happened | None
+    stops: dict[int, str]
     end_digest: str
 
 
@@ -74,8 +77,8 @@ class Replay:
         state = self._arrays(folder / bundle.STATE, self.shard.snapshot())
         _equal(folder / bundle.STATE, "runtime.ticks", int(state["runtime.ticks"]), about.begin)
         self.shard.restore(state)
-        room = columns(np.zeros(about.end - about.begin, dtype=window_type(self.spec.n)))
-        self.recorded = from_columns(self._arrays(folder / bundle.WINDOW, room), self.spec.n)
+        room = columns(np.zeros(about.end - about.begin, dtype=window_type(self.spec)))
+        self.recorded = from_columns(self._arrays(folder / bundle.WINDOW, room), self.spec)
 
     def _arrays(self, path: Path, room: Arrays) -> Arrays:
         """What is in a file of the bundle, as large as `room`; other code may have kept other arrays."""
@@ -102,8 +105,13 @@ class Replay:
         load = np.zeros(len(self.recorded))
         ticker.restore(shard.judge.save())
         channel = _channel(ticker.counts(), about.event)
+        leaving, stops = Stops(), dict[int, str]()
+        leaving.begun(shard.runtime)  # before the window
         for place in range(len(load)):
             shard.tick()
+            if self.row in leaving.begun(shard.runtime):
+                reason = int(shard.runtime.supervisor.reason[self.row])
+                stops[place] = blame(shard.runtime, reason, self.row)
             window.see(shard.runtime, shard.truth)
             ticker.worst[:] = 0.0
             judge_tick(ticker, shard.truth, shard.runtime, shard.heard)
@@ -113,6 +121,7 @@ class Replay:
             rows=window.between(about.begin, about.end, self.row),
             load=load,
             event=self._found(shard.judge.counts()),
+            stops=stops,
             end_digest=bundle.state_digest(shard.snapshot()),
         )
 

@@ -113,7 +113,7 @@ def _npz(arrays: Mapping[str, NDArray[np.generic]]) -> int:
 
 def _window(soak: Soak) -> int:
     """Of the longest window of an event, as numpy's arrays and as a recording."""
-    row = window_type(soak.spec.n)
+    row = window_type(soak.spec)
     ticks = round((LOOKS + 1) * LOOK_S / soak.spec.dt)
     arrays = row.itemsize * ticks + MEMBER_BYTES * len(row.names or ())
     return arrays + ticks * (MCAP_NUMBER * row.itemsize + MCAP_ROW_BYTES)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from deploy.backends.sim.scene import Scene
 from deploy.output import replacing
 from deploy.state import Mode
 from eval.again import Again, Replay
 from robots.errors import ConfigError
-from robots.model_mujoco import load_mujoco
 from robots.spec import RobotSpec
 
 WIDTH, HEIGHT = 480, 360
@@ -24,7 +24,7 @@ CONTEXTS = ("egl", "osmesa", "cgl", "glfw")
 GOAL_M = 0.02
 LOAD_MAX = 1.5
 """At the end of the bar."""
-RED, GREY, GREEN = (230, 70, 60), (235, 235, 235), (0.1, 0.8, 0.3, 0.6)
+RED, GREY, DARK, GREEN = (230, 70, 60), (235, 235, 235), (24, 26, 30), (0.1, 0.8, 0.3, 0.6)
 
 
 class Film:
@@ -38,15 +38,16 @@ class Film:
         """
         self._context = _context()
         self._context.make_current()
-        self._model = model = load_mujoco(spec)
-        self._data = mujoco.MjData(model)
+        self._robot, self._stands = Scene(spec), spec.base is None
+        model = self._robot.model
         self._scene, self._options = mujoco.MjvScene(model, maxgeom=1000), mujoco.MjvOption()
         self._options.geomgroup[:] = 1
         self._camera, self._rect = mujoco.MjvCamera(), mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
-        if model.ncam:
+        if model.ncam and self._stands:
             self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
         else:
             mujoco.mjv_defaultFreeCamera(model, self._camera)
+            self._camera.distance *= 1.25
         self._gl = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._gl)
 
@@ -62,20 +63,24 @@ class Film:
             row, load = again.rows[begin], float(again.load[begin : begin + every].max())
             t, mode = (row["tick"] - event.start) * dt, Mode(int(row["mode"])).name
             said = f"{t:+.2f} s  {mode}  {event.monitor} {event.joint or ''}  load {load:.3f}"
-            frames.append(_caption(self._picture(row["q_true"], row["goal"]), said, load))
+            frames.append(_caption(self._picture(row), said, load))
         with replacing(path) as file:
             how: dict[str, Any] = {"duration": round(1000 * every * dt), "loop": 0, "optimize": True}
             frames[0].save(file, format="GIF", save_all=True, append_images=frames[1:], **how)
 
-    def _picture(self, q: NDArray[np.float64], goal: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """(H, W, 3) of a pose, with its goal."""
-        self._data.qpos[:] = q
-        mujoco.mj_forward(self._model, self._data)
+    def _picture(self, row: Any) -> NDArray[np.uint8]:
+        """(H, W, 3) of a pose, with its goal; of a robot that walks, from beside it."""
+        if self._stands:
+            self._robot.pose(row["q_true"], None)
+        else:
+            self._robot.pose(row["q_true"], row["base_true"])
+            self._camera.lookat[:] = row["base_true"][:3]
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(
-            self._model, self._data, self._options, None, self._camera, everything, self._scene
+            self._robot.model, self._robot.data, self._options, None, self._camera, everything, self._scene
         )
-        self._show(goal)
+        if self._stands:
+            self._show(row["goal"])
         image = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
         mujoco.mjr_render(self._rect, self._scene, self._gl)
         mujoco.mjr_readPixels(image, None, self._rect, self._gl)
@@ -96,6 +101,7 @@ def _caption(picture: NDArray[np.uint8], said: str, load: float) -> Image.Image:
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)
     colour = GREY if load <= 1 else RED
+    draw.rectangle((0, HEIGHT - 42, WIDTH, HEIGHT), fill=DARK)
     draw.text((10, HEIGHT - 36), said, fill=colour, font_size=14)
     draw.rectangle(
         (10, HEIGHT - 14, 10 + round((WIDTH - 20) * min(load, LOAD_MAX) / LOAD_MAX), HEIGHT - 8), fill=colour

@@ -14,7 +14,7 @@ OF_JOINT = ("q sent", "q true", "q est.", "qd true", "N·m sent", "N·m true", "
 
 
 def table(replay: Replay, again: Again) -> Iterator[str]:
-    """Load, which is 1 at the limit, mode, what moved, and why the robot stopped; bad ticks are marked."""
+    """Load, which is 1 at the limit, mode and what moved, bad ticks marked; then each stop, and what it was about."""
     event, spec = replay.about.event, replay.spec
     joint = None if event.joint is None else spec.joint_names.index(event.joint)
     names = OF_TOOL if joint is None else OF_JOINT
@@ -27,6 +27,8 @@ def table(replay: Replay, again: Again) -> Iterator[str]:
         shown = tuple(f"{x:.4g}" for x in numbers)
         tick, mode = f"{mark}{place - start:+4d}", Mode(int(row["mode"])).name
         yield _line(tick, mode, f"{load:.4g}", shown, words(reason) if reason else "")
+    for place, why in again.stops.items():
+        yield f"stopped in tick {place - start:+d}: {why}"
 
 
 def _line(tick: str, mode: str, load: str, numbers: tuple[str, ...], reasons: str) -> str:

@@ -9,6 +9,10 @@ class BaseTruth(Protocol):
     """Of a floating base."""
 
     @property
+    def position(self) -> Floats:
+        """(B, 3) m, world."""
+
+    @property
     def quat_wxyz(self) -> Floats:
         """(B, 4) base in world."""
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 from foxglove import Channel
-from foxglove.channels import JointStatesChannel
+from foxglove.channels import FrameTransformChannel, JointStatesChannel
+from foxglove.messages import FrameTransform, Quaternion, Timestamp, Vector3
 from numpy.typing import NDArray
 
 from deploy.recorder import Ring
@@ -36,13 +37,17 @@ TRUE_SCHEMA = {
 }
 
 
-def window_type(joints: int) -> np.dtype[np.void]:
-    """One tick of one robot: what a robot records of itself, and what is true of it; flags are 0 or 1."""
-    own = row_type(joints)
-    true = [(name, np.float64, (joints,)) for name in TRUE]
+def window_type(spec: RobotSpec) -> np.dtype[np.void]:
+    """One tick of one robot: what a robot records of itself, and what is true of it; flags are 0 or 1.
+
+    `base_true` is where a base is in the world, m, and its orientation, w first.
+    """
+    own = row_type(spec)
+    true = [(name, np.float64, (spec.n,)) for name in TRUE]
     tool = [(name, np.float64, (3,)) for name in ("tool_true", "tool_velocity_true")]
     flags = [(name, np.float64) for name in FLAGS]
-    return np.dtype([*((name, own[name]) for name in own.names or ()), *true, *tool, *flags])
+    base = [("base_true", np.float64, (7,))] if spec.base else []
+    return np.dtype([*((name, own[name]) for name in own.names or ()), *true, *tool, *flags, *base])
 
 
 class Window(Ring):
@@ -50,14 +55,15 @@ class Window(Ring):
 
     def __init__(self, spec: RobotSpec, robots: int, seconds: float) -> None:
         """Allocate for B robots."""
-        super().__init__(spec, robots, seconds=seconds, row=window_type(spec.n))
+        super().__init__(spec, robots, seconds=seconds, row=window_type(spec))
         self.rows["tick"] = -1
 
     def see(self, runtime: Runtime, truth: Truth) -> None:
         """Keep the tick that has just ended."""
         true = truth.q, truth.qd, truth.tau, truth.winding_c, truth.tool_position, truth.tool_velocity
         flags = runtime.command.powered, truth.self_collision, truth.valid
-        self._keep(runtime, (*true, *(flag[:, None] for flag in flags)))
+        base = () if truth.base is None else (truth.base.position, truth.base.quat_wxyz)
+        self._keep(runtime, (*true, *(flag[:, None] for flag in flags), *base))
 
     def between(self, begin: int, end: int, robot: int) -> Rows:
         """(T,) what is kept of a robot from tick `begin` on, before tick `end`."""
@@ -70,9 +76,9 @@ def columns(rows: Rows) -> Arrays:
     return {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()}
 
 
-def from_columns(arrays: Mapping[str, NDArray[np.generic]], joints: int) -> Rows:
+def from_columns(arrays: Mapping[str, NDArray[np.generic]], spec: RobotSpec) -> Rows:
     """What `columns` took apart."""
-    rows = np.zeros(len(arrays["tick"]), dtype=window_type(joints))
+    rows = np.zeros(len(arrays["tick"]), dtype=window_type(spec))
     for name, array in arrays.items():
         rows[name] = array
     return rows
@@ -94,12 +100,13 @@ def write_mcap(path: Path, spec: RobotSpec, rows: Rows, *, goal_m: float, about:
 
 
 class _Recording(Recording):
-    """With topics /true and /true_state beside what a robot records of itself."""
+    """With topics /true, /true_state and, of a base, /tf beside what a robot records of itself."""
 
     def __init__(self, path: Path, spec: RobotSpec, **how: Any) -> None:
         super().__init__(path, spec, **how)
         self._true = JointStatesChannel("/true", context=self._context)
         self._true_state = Channel("/true_state", schema=TRUE_SCHEMA, context=self._context)
+        self._tf = FrameTransformChannel("/tf", context=self._context)
 
     def write(self, row: Any) -> None:
         """Record one tick, of `window_type`."""
@@ -112,6 +119,19 @@ class _Recording(Recording):
         vectors = {name: _known(row[name]) for name in ("tool_true", "tool_velocity_true", "winding_true_c")}
         named = {name.replace("_true", ""): value for name, value in vectors.items()}
         self._true_state.log(flags | named, log_time=ns)
+        if self._spec.base:
+            self._tf.log(_transform(stamp, row["base_true"].tolist()), log_time=ns)
+
+
+def _transform(stamp: Timestamp, base: list[float]) -> FrameTransform:
+    x, y, z, qw, qx, qy, qz = base
+    return FrameTransform(
+        timestamp=stamp,
+        parent_frame_id="world",
+        child_frame_id="base",
+        translation=Vector3(x=x, y=y, z=z),
+        rotation=Quaternion(x=qx, y=qy, z=qz, w=qw),
+    )
 
 
 def _known(values: NDArray[np.float64]) -> list[float | None]:

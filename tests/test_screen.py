@@ -1,9 +1,11 @@
 import contextlib
 import json
 import os
+from types import SimpleNamespace
 
 import numpy as np
 from rich.console import Console
+from walking import live, walker
 
 from deploy import show
 from deploy.backends.sim.robot import SimRobot
@@ -19,6 +21,7 @@ class Window:
 
     def __init__(self, model, data):
         self.data, self.synced, self.open = data, [], True
+        self.cam = SimpleNamespace(lookat=np.zeros(3))
 
     def is_running(self):
         return self.open
@@ -45,6 +48,26 @@ def test_the_view_follows_the_true_pose_until_it_is_closed(monkeypatch):
     windows[0].open = False
     seen.step()
     np.testing.assert_array_equal(windows[0].synced, [pose])
+
+
+def test_the_view_goes_with_a_robot_that_walks(monkeypatch):
+    from deploy.backends.sim import view
+
+    windows = []
+    monkeypatch.setattr(view, "_check_display", lambda: None)
+    monkeypatch.setattr(
+        view.mujoco.viewer, "launch_passive", lambda *args: windows.append(Window(*args)) or windows[0]
+    )
+    runtime = walker(1)
+    live(runtime, 3)
+    view.View(runtime.robot).step()
+    truth = runtime.robot.truth()
+    place = truth.base.position[0]
+    assert place[2] > 0.1
+    np.testing.assert_array_equal(windows[0].cam.lookat, place)
+    np.testing.assert_array_equal(
+        windows[0].synced, [np.concatenate((place, truth.base.quat_wxyz[0], truth.q[0]))]
+    )
 
 
 SNAPSHOT = {

@@ -4,17 +4,18 @@ A packet that is late says when it was taken, and the estimator makes up for it:
 robot is a delay that nobody knows of, so it is the actions that come late here.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from deploy.backends.sim.robot import SimRobot
+from deploy.blame import Stops, blame
 from deploy.policy import Policy
 from deploy.policy_file import Float32s
 from deploy.runtime import Runtime
-from deploy.state import Bools, Floats
-from deploy.supervisor import words
+from deploy.state import Bools, Floats, Ints
 from eval.counts import Counts
 from eval.monitors import Judge
 from eval.shard import ARM_S, judge_tick
@@ -41,6 +42,7 @@ class Life:
         speeds: (S, B, n) rad/s, sent; of soft drives, believed; of all ticks since arming.
         first: (B, n) rad, the first target less where the robot was.
         warmth: of the motors.
+        stops: how often a robot stopped, by reason in words.
     """
 
     counts: Counts
@@ -49,6 +51,7 @@ class Life:
     speeds: Floats
     first: Floats
     warmth: Warmth
+    stops: Counter[str]
 
 
 def live(
@@ -101,17 +104,21 @@ class _Trial:
         self._speeds: list[Floats] = []
         self._first = np.full((robots, spec.n), np.nan)
         self._thermometer = Thermometer(self._robot)
+        self._leaving, self._stops = Stops(), Counter[str]()
 
     def tick(self, tick: int) -> None:
         """One tick, in which a late action may come."""
         runtime = self._runtime
         if tick == self._arm:
-            self._refused = runtime.arm(self._everybody)
+            refused = runtime.arm(self._everybody)
+            self._stops.update(self._why(robot, refused) for robot in np.flatnonzero(refused).tolist())
         observation = runtime.sense()
         if observation is not None:
             self._think(tick, observation)
         said, led = self._coming.pop(tick, None), runtime.supervisor.running
         runtime.act(said)
+        leaving = self._leaving.begun(runtime)
+        self._stops.update(self._why(robot, runtime.supervisor.reason) for robot in leaving)
         truth = self._robot.truth()
         judge_tick(self._judge, truth, runtime, said)
         self._thermometer.look(truth)
@@ -120,6 +127,9 @@ class _Trial:
             self._speeds.append((runtime.setpoint if runtime.springs is None else runtime.state).qd.copy())
         if said is not None:
             self._begin(led)
+
+    def _why(self, robot: int, reason: Ints) -> str:
+        return blame(self._runtime, int(reason[robot]), robot)
 
     def _think(self, tick: int, observation: Float32s) -> None:
         action = self._policy.step(observation).copy()
@@ -142,8 +152,7 @@ class _Trial:
             ConfigError: a robot refused to begin, or what it saw was no number.
         """
         if np.isnan(self._first).any():
-            why = int(np.bitwise_or.reduce(self._refused | self._runtime.supervisor.reason))
-            raise ConfigError(f"a robot never came under way: {words(why)}")
+            raise ConfigError(f"a robot never came under way: {'; '.join(self._stops) or 'no reason'}")
         observation, action = (np.concatenate(rows) for rows in zip(*self._steps, strict=True))
         if not np.isfinite(observation).all():
             raise ConfigError("an observation was no finite number: compare the scales of its terms")
@@ -154,4 +163,5 @@ class _Trial:
             speeds=np.array(self._speeds),
             first=self._first,
             warmth=self._thermometer.warmth(),
+            stops=self._stops,
         )

@@ -4,9 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from deploy.state import Floats, Reason
-from deploy.supervisor import words
-from eval.counts import MONITORS, REASONS
+from deploy.state import Floats
+from eval.counts import MONITORS
 from policies.doctor.case import Case, UntriedError
 from policies.doctor.finding import Note, failed, listed, passed, warned
 from policies.doctor.life import ROBOTS, SECONDS, Life
@@ -26,6 +25,7 @@ USELESS = "the trial failed with punctual actions: what lateness would add canno
 SHIFT_S = 8 * 3600.0
 ASKED = 1.1
 """Of a joint's working range, which targets may pass a little: the smoother clamps them. Those of soft drives must."""
+REASONS_SHOWN = 4
 WATCHED = ("tracking", "torque", "velocity", "position_requested")
 
 
@@ -64,9 +64,7 @@ def trial(case: Case) -> Iterator[Note]:
 
 
 def _reasons(life: Life) -> str:
-    many = life.counts.reasons.sum(axis=0)
-    told = [(int(count), name) for count, name in zip(many, REASONS, strict=True) if count]
-    return ", ".join(f"{words(Reason[name])} ({count})" for count, name in sorted(told, reverse=True))
+    return ", ".join(f"{why} ({many})" for why, many in life.stops.most_common(REASONS_SHOWN))
 
 
 def chatter(case: Case) -> Iterator[Note]:

@@ -5,12 +5,12 @@ import sys
 import warnings
 
 import glfw
-import mujoco
 import mujoco.viewer
+import numpy as np
 
 from deploy.backends.sim.robot import SimRobot
+from deploy.backends.sim.scene import Scene
 from robots.errors import ConfigError
-from robots.model_mujoco import load_mujoco
 
 
 class View:
@@ -23,18 +23,20 @@ class View:
             ConfigError: there is no display.
         """
         _check_display()
-        self._robot, self._row = robot, row
-        self._model = load_mujoco(robot.spec)
-        self._data = mujoco.MjData(self._model)
-        self._viewer = mujoco.viewer.launch_passive(self._model, self._data)
+        self._robot, self._row, self._scene = robot, row, Scene(robot.spec)
+        self._viewer = mujoco.viewer.launch_passive(self._scene.model, self._scene.data)
 
     def step(self, _: object = None) -> None:
         """Bring the window up to date."""
         if not self._viewer.is_running():
             return
+        plant, row = self._robot.plant, self._row
+        base = plant.motion.base
         with self._viewer.lock():
-            self._data.qpos[:] = self._robot.plant.q[self._row]
-            mujoco.mj_kinematics(self._model, self._data)
+            place = None if base is None else np.concatenate((base.position[row], base.quat_wxyz[row]))
+            self._scene.pose(plant.q[row], place)
+            if place is not None:
+                self._viewer.cam.lookat[:] = place[:3]
         self._viewer.sync()
 
 
