@@ -123,7 +123,9 @@ def find(name: str, model: Path, folder: Path, places: list[str]) -> Path:
     else:
         tried = [model.parent / place / name for place in (*places, "")]
         tried += [model.parent / place / Path(name).name for place in places]
-    for path in (candidate.resolve() for candidate in tried):
-        if path.is_relative_to(folder.resolve()) and path.is_file():
+    inside = [path for path in (each.resolve() for each in tried) if path.is_relative_to(folder.resolve())]
+    for path in inside:
+        if path.is_file():
             return path
-    raise RobotError(f"{model}: file: found {name!r:.200}, expected a file inside {folder}")
+    where = "there is none" if inside else "it is not inside"
+    raise RobotError(f"{model}: file: found {name!r:.200}, expected a file inside {folder}: {where}")

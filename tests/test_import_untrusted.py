@@ -122,6 +122,17 @@ def test_a_spoiled_file_is_read_or_refused_in_few_lines(files, kind, seed, insid
         refused(path)
 
 
+@pytest.mark.parametrize("kind", FILES)
+def test_a_file_that_came_only_in_part_is_said_to_be_that(files, kind):
+    good = files[kind]
+    path = good.with_name(f"part{good.suffix}")
+    path.touch()
+    assert "found an empty file" in refused(path)
+    path.write_bytes(good.read_bytes()[:600])
+    archived = zipfile.is_zipfile(good)
+    assert ("the beginning of an archive without its end" in refused(path)) == archived
+
+
 # ---- archives ----
 
 

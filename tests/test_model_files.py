@@ -112,9 +112,16 @@ def test_a_model_in_more_than_one_file_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["../outside.stl", "package://../../outside.stl", "/etc/passwd", "meshes/no.stl", ""]
+    ("name", "why"),
+    [
+        *(
+            (name, "it is not inside")
+            for name in ("../outside.stl", "package://../../outside.stl", "/etc/passwd")
+        ),
+        *((name, "there is none") for name in ("meshes/no.stl", "")),
+    ],
 )
-def test_a_mesh_outside_of_the_folder_is_refused(tmp_path, name):
+def test_a_mesh_outside_of_the_folder_is_refused(tmp_path, name, why):
     folder = two_links(tmp_path)
     write_stl(tmp_path / "outside.stl")
     path = folder / "two.urdf"
@@ -122,7 +129,8 @@ def test_a_mesh_outside_of_the_folder_is_refused(tmp_path, name):
     spec = load_robot(folder)
     for reader in (load_pinocchio, model_mujoco.load_mujoco, lambda spec: spec.digest):
         with pytest.raises(
-            RobotError, match=re.escape(f"two.urdf: file: found {name!r}, expected a file inside")
+            RobotError,
+            match=re.escape(f"two.urdf: file: found {name!r}, expected a file inside {folder}: {why}"),
         ):
             reader(spec)
 

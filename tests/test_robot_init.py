@@ -354,11 +354,20 @@ def test_the_command_says_what_is_open(tmp_path, monkeypatch, capsys):
     assert "8 joints, 2 of them locked" in text
     joints = ", ".join(SPEC.joint_names)
     assert f"  robot.toml joints.{joints}: qd_max, qdd_max, qddd_max, source\n" in text
-    monkeypatch.setattr(sys, "argv", ["robot-init", str(tmp_path / "nothing.xml")])
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [("nothing.xml", "no file"), ("folder.xml", "a folder"), ("mesh.stl", "another kind of file")],
+)
+def test_what_is_no_model_is_said(tmp_path, monkeypatch, capsys, name, found):
+    (tmp_path / "folder.xml").mkdir()
+    (tmp_path / "mesh.stl").touch()
+    monkeypatch.setattr(sys, "argv", ["robot-init", str(tmp_path / name)])
     with pytest.raises(SystemExit) as ended:
         cli()
     assert ended.value.code == 2
-    assert "nothing.xml: no such file, expected MJCF (.xml) or URDF (.urdf)" in capsys.readouterr().err
+    assert f"{name}: found {found}, expected a model: MJCF (.xml) or URDF (.urdf)" in capsys.readouterr().err
 
 
 def test_a_speed_that_is_no_number_is_refused(tmp_path):

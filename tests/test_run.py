@@ -119,7 +119,7 @@ def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(command, arm_polic
     monkeypatch.setattr("deploy.clock.Unpaced.wait", wait)
     assert command("--policy", arm_policy, "--speed", "max", "--out", tmp_path)[0] == 130
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert (summary["ended"], summary["reason"]) == ("interrupted", "the operator asked for it")
+    assert (summary["ended"], summary["reason"]) == ("interrupted", "it was told to stop")
     assert [Path(event).name for event in summary["events"]] == ["event-300.mcap"]
 
 

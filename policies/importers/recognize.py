@@ -10,6 +10,8 @@ from policies.importers.original import Original
 from policies.importers.zip_archive import read_bytes, read_names
 from robots.errors import ContractError
 
+ZIP = b"PK\x03\x04"
+"""How an archive begins: what torch and Stable-Baselines3 save."""
 EXPECTED = "expected a policy: ONNX, rsl_rl, Stable-Baselines3 or torch"
 
 
@@ -21,9 +23,15 @@ def read_original(path: Path, network: Network) -> Original:
         ContractError: it is none that is known, or its reader refuses it.
     """
     data = read_bytes(path, EXPECTED)
-    if not zipfile.is_zipfile(BytesIO(data)):
-        return read_onnx(load_onnx(path), str(path))
-    return _read_archive(path, read_names(data, str(path), EXPECTED), network)
+    if not data:
+        raise ContractError(f"{path}: found an empty file, {EXPECTED}")
+    if zipfile.is_zipfile(BytesIO(data)):
+        return _read_archive(path, read_names(data, str(path), EXPECTED), network)
+    if data.startswith(ZIP):
+        raise ContractError(
+            f"{path}: found the beginning of an archive without its end, expected the whole file"
+        )
+    return read_onnx(load_onnx(path), str(path))
 
 
 def _read_archive(path: Path, names: set[str], network: Network) -> Original:

@@ -77,10 +77,11 @@ def package_of(model: Path) -> Path:
     """The folder whose files a model may name: the ROS package that URDF lies in, or the one beside the model.
 
     Raises:
-        RobotError: there is no such file.
+        RobotError: there is none.
     """
     if not model.is_file() or model.suffix not in SUFFIXES:
-        raise RobotError(f"{model}: no such file, expected MJCF (.xml) or URDF (.urdf)")
+        found = "a folder" if model.is_dir() else "another kind of file" if model.is_file() else "no file"
+        raise RobotError(f"{model}: found {found}, expected a model: MJCF (.xml) or URDF (.urdf)")
     parents = model.resolve().parents
     packages = [parent for parent in parents if (parent / "package.xml").is_file()] if is_urdf(model) else []
     return packages[0] if packages else parents[0]
