@@ -20,6 +20,7 @@ from eval.witness import LOOKS, chosen
 from robots.distributions import Distributions, load_distributions
 from robots.draws import Draw, load_draw
 from robots.errors import ConfigError
+from robots.quarantine import check_compiles
 from robots.spec import RobotSpec, load_robot
 
 JOINT_NAMES = tuple(monitor.name for monitor in JOINT_MONITORS)
@@ -69,6 +70,7 @@ class Replay:
         """
         self.about = about = bundle.open_bundle(folder)
         self.spec = load_robot(folder / bundle.ROBOT)
+        check_compiles(self.spec.model_path, self.spec.folder)
         distributions = load_distributions(self.spec)
         self.differs = _differs(about, self.spec, distributions)
         self.row = about.event.robot - about.job.first

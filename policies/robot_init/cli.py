@@ -15,6 +15,7 @@ from policies.robot_init.facts import Facts, read_facts
 from policies.robot_init.tables import draws_toml, limits_toml, robot_toml
 from robots.errors import OutputError, RobotError
 from robots.model_files import is_urdf, named_files
+from robots.quarantine import check_compiles
 from robots.strict import open_fields
 
 SUFFIXES = (".xml", ".urdf")
@@ -42,10 +43,11 @@ def init_robot(model: Path, out: Path, *, walks: bool = False) -> tuple[Facts, l
         walks: whether its base is free although it has no free joint, as in URDF.
 
     Raises:
-        RobotError: the model cannot be read, or it names files outside of its folder.
+        RobotError: the model cannot be read within bounds, or it names files outside of its folder.
         OutputError: the folder is there already, or cannot be written.
     """
     folder = package_of(model)
+    check_compiles(model, folder)
     files = [model.resolve(), *named_files(model, folder)]
     facts = read_facts(model, folder)
     if walks and not is_urdf(model) and not facts.floats:

@@ -1,0 +1,61 @@
+"""A stranger's model is compiled in a process of its own first, which has bounds, and may crash.
+
+python -m robots.quarantine MODEL FOLDER CPU_S
+"""
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+from robots.errors import RobotError
+from robots.model_files import named_files
+from robots.model_mujoco import compile_model, open_model
+
+CPU_S, MEMORY_GIB = 30, 8
+WAITED = 6
+"""Times that long it may take by the clock, on a machine that has other work."""
+REFUSED = 2
+
+
+def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
+    """See that MuJoCo can compile a model, within bounds.
+
+    Args:
+        model: MJCF or URDF. folder: that its files must lie in. cpu_s: s of a core.
+
+    Raises:
+        RobotError: it cannot, and says why; or it takes too long, too much memory, or crashes.
+    """
+    named_files(model, folder)
+    told = str(model.resolve()), str(folder.resolve()), str(cpu_s)
+    bounds = f"{model}: MuJoCo cannot compile it within {cpu_s} s of a core and {MEMORY_GIB} GiB"
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "robots.quarantine", *told],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=WAITED * cpu_s,
+        )
+    except subprocess.TimeoutExpired as e:
+        raise RobotError(bounds) from e
+    if done.returncode == REFUSED:
+        raise RobotError(done.stderr.strip().replace(told[0], str(model)))
+    if done.returncode:
+        raise RobotError(f"{bounds}: exit code {done.returncode}")
+
+
+def _main(model: str, folder: str, cpu_s: str) -> int:
+    resource.setrlimit(resource.RLIMIT_CPU, (int(cpu_s), int(cpu_s) + 1))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_GIB << 30, MEMORY_GIB << 30))
+    try:
+        compile_model(open_model(Path(model), Path(folder)), Path(model))
+    except RobotError as e:
+        print(e, file=sys.stderr)
+        return REFUSED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main(*sys.argv[1:]))

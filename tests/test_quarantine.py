@@ -1,0 +1,51 @@
+"""A model that somebody else wrote."""
+
+import pytest
+from test_spec import SPEC
+
+pytest.importorskip("mujoco")
+
+from robots.errors import RobotError
+from robots.quarantine import MEMORY_GIB, check_compiles
+
+BODY = '<body name="a"><joint name="j"/><geom size="0.1"/>{}</body>'
+
+
+def written(folder, inside="", body=""):
+    path = folder / "model.xml"
+    path.write_text(f"<mujoco>{inside}<worldbody>{BODY.format(body)}</worldbody></mujoco>")
+    return path
+
+
+def test_a_model_that_compiles_is_let_through(tmp_path):
+    check_compiles(SPEC.model_path, SPEC.folder)
+    check_compiles(written(tmp_path), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("inside", "body", "message"),
+    [
+        ("", "<geom/>", r"model\.xml: MuJoCo cannot read it: .*size"),
+        ('<size nuserdata="2000000000"/>', "", r"model\.xml: MuJoCo cannot read it: .*[Cc]ould not allocate"),
+    ],
+)
+def test_what_mujoco_refuses_is_said(tmp_path, inside, body, message):
+    path = written(tmp_path, inside, body)
+    with pytest.raises(RobotError, match=message) as caught:
+        check_compiles(path, tmp_path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_a_model_that_would_take_for_ever_is_given_up(tmp_path):
+    many = '<replicate count="2000000" offset="0.1 0 0"><geom size="0.01"/></replicate>'
+    path = written(tmp_path, body=many)
+    with pytest.raises(
+        RobotError, match=rf"cannot compile it within 3 s of a core and {MEMORY_GIB} GiB: exit code -"
+    ):
+        check_compiles(path, tmp_path, cpu_s=3)
+
+
+def test_a_file_outside_of_its_folder_is_not_even_opened(tmp_path):
+    path = written(tmp_path, '<asset><mesh name="m" file="../secret.stl"/></asset>')
+    with pytest.raises(RobotError, match="expected a file inside"):
+        check_compiles(path, tmp_path)
