@@ -72,6 +72,13 @@ def test_a_policy_of_another_convention_is_calmer_with_it(tmp_path, source, turn
     assert said in found.said
 
 
+def test_a_policy_that_works_as_it_is_is_not_doubted_for_that(tmp_path, monkeypatch):
+    """Upright and at rest a policy that walks may be calmer with anything."""
+    case = balancing(tmp_path, turned="sign")
+    monkeypatch.setattr(Case, "works", True)
+    assert row(case, "tilt").verdict is Verdict.PASS
+
+
 @pytest.mark.parametrize(
     ("source", "mean", "said"),
     [

@@ -102,4 +102,7 @@ def test_it_walks_through_the_whole_stack(go1):
 def test_the_doctor_finds_what_its_training_left_out_and_nothing_else(go1):
     """It was trained on drives that obey at once: 8 ms cost it goals."""
     findings = list(examined(Case(go1 / "walk.onnx", go1)))
-    assert {finding.check for finding in findings if finding.verdict is Verdict.FAIL} <= {"delay"}
+    said = {finding.check: finding for finding in findings}
+    assert {name for name, finding in said.items() if finding.verdict is Verdict.FAIL} <= {"delay"}
+    assert said["tilt"].verdict is Verdict.PASS
+    assert "command" not in said["training"].said

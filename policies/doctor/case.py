@@ -67,6 +67,14 @@ class Case:
         """As it should be."""
         return self._live(PUNCTUAL)
 
+    @property
+    def works(self) -> bool:
+        """Whether it works as it is; not where nothing can be lived."""
+        try:
+            return self.life.works
+        except UntriedError:
+            return False
+
     @cached_property
     def late(self) -> Life:
         """Every action a policy period late."""

@@ -28,6 +28,8 @@ from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
 ROBOTS, SECONDS, SEED = 8, 12.2, 0
+HALF_OF = 0.5
+"""Goals of a policy that works at all."""
 PUNCTUAL, HALF, LATE, JITTERING = (0.0, 0.0), (0.5, 0.5), (1.0, 1.0), (0.0, 1.0)
 """Least and most lateness of an action, in periods of the policy; it comes at whole ticks."""
 
@@ -52,6 +54,11 @@ class Life:
     first: Floats
     warmth: Warmth
     stops: Counter[str]
+
+    @property
+    def works(self) -> bool:
+        """Whether most goals were reached."""
+        return bool(self.counts.reached.sum() >= HALF_OF * self.counts.attempted.sum())
 
 
 def live(

@@ -163,7 +163,7 @@ def training(case: Case) -> Iterator[Note]:
             f" {listed(names, spread, which=_most(spread, wide))}: compare scales and units."
         )
     moves = np.abs(seen - told.mean).max(axis=0) > 1e-6  # what is always the same was so in training
-    still = (spread < SPREAD[0]) & moves
+    still = (spread < SPREAD[0]) & moves & ~_commanded(case)
     if still.any():
         yield warned(
             f"readings hardly vary, as a share of training's: {listed(names, spread, which=still)}: too large a"
@@ -173,6 +173,13 @@ def training(case: Case) -> Iterator[Note]:
         f"the simulated robot's means are within {off.max():.1f} deviations of training's, and vary"
         f" {spread[moves].min(initial=np.inf):.2g} to {spread.max():.2g} times as much."
     )
+
+
+def _commanded(case: Case) -> Bools:
+    """(N,) whether a number is a command, which robot.toml may have stand still."""
+    terms = case.contract.observation
+    sizes = [term.size * term.history for term in terms]
+    return np.repeat([term.source == "velocity_command" for term in terms], sizes)
 
 
 def _most(numbers: Floats, which: Bools) -> Ints:

@@ -47,7 +47,7 @@ def tilt(case: Case) -> Iterator[Note]:
     ):
         if any(term.source == source for term in terms):
             other = _size(_answers(case, {source: convention})[0])
-            if other < CALMER * calm:
+            if other < CALMER * calm and not case.works:
                 yield warned(
                     f"upright it is calmer with {name} (actions of {other:.2g}, with ours {calm:.2g}): training may"
                     " have had that convention: turn it in the graph, or by the sign of the first weights."

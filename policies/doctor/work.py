@@ -8,11 +8,11 @@ from deploy.state import Floats
 from eval.counts import MONITORS
 from policies.doctor.case import Case, UntriedError
 from policies.doctor.finding import Note, failed, listed, passed, warned
-from policies.doctor.life import ROBOTS, SECONDS, Life
+from policies.doctor.life import HALF_OF, ROBOTS, SECONDS, Life
 from policies.doctor.warmth import windings_after
 
-MOSTLY, HALF_OF = 0.9, 0.5
-"""Goals of a policy that works, and of one that does not."""
+MOSTLY = 0.9
+"""Goals of a policy that works well."""
 SHAKING_HZ, STEPPING_HZ, WINDOW_S = 4.0, 12.0, 0.5
 """What is faster than this shakes; of a robot that walks, whose steps come two or three times a second and end hard,
 what is faster than that."""
@@ -104,18 +104,14 @@ def _shaking_hz(case: Case) -> float:
 
 def _of(life: Life, said: str) -> Note:
     """What would pass if the robot had worked."""
-    return passed(said) if _works(life) else warned(f"{said} But the trial failed: this says little.")
-
-
-def _works(life: Life) -> bool:
-    return bool(life.counts.reached.sum() >= HALF_OF * life.counts.attempted.sum())
+    return passed(said) if life.works else warned(f"{said} But the trial failed: this says little.")
 
 
 def delay(case: Case) -> Iterator[Note]:
     """The same life with actions that come late by a time that nobody told the estimator."""
     period_ms = 1e3 / case.contract.policy_hz
     half_ms = 1e3 * case.spec.dt * (case.contract.control_hz // case.contract.policy_hz // 2)
-    if not _works(case.life):
+    if not case.life.works:
         yield warned(USELESS)
     elif (worse := _worse(case, case.late)) is None:
         yield passed(f"actions that come a policy period, {period_ms:g} ms, late do no harm.")
@@ -128,7 +124,7 @@ def delay(case: Case) -> Iterator[Note]:
 def jitter(case: Case) -> Iterator[Note]:
     """The same life with actions that come late by any time up to a policy period."""
     period_ms = 1e3 / case.contract.policy_hz
-    if not _works(case.life):
+    if not case.life.works:
         yield warned(USELESS)
     elif worse := _worse(case, case.jittered):
         yield warned(
