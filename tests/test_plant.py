@@ -187,14 +187,16 @@ def test_drives_go_in_straight_lines_from_setpoint_to_setpoint():
     assert worst < 75.0
 
 
-def test_a_simulation_that_is_warned_of_anything_no_longer_counts(tmp_path):
+def test_a_simulation_that_is_warned_of_anything_no_longer_counts(tmp_path, monkeypatch):
     """It stops in the middle of a rollout, so it lives less than the others: here for want of room for contacts."""
+    monkeypatch.chdir(tmp_path)
     small = [(r"<option timestep", '<size memory="12K"/><option timestep')]
     plant, folded = exact(2, spec=load_robot(copy_of_arm(tmp_path, xml=small))), HOME.copy()
     folded[2], folded[3] = 3.0, 1.0
     plant.reset(np.array([False, True]), np.tile(folded, (2, 1)))
     plant.step(command(plant.q.copy()))
     assert plant.truth(0.0).valid.tolist() == [True, False]
+    assert not list(tmp_path.glob("*.TXT"))  # nor does MuJoCo leave a log where the user is
 
 
 def assert_same(one, other, rows=slice(None)):

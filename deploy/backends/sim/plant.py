@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from mujoco import MjLogConfig
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
@@ -62,6 +63,7 @@ class Plant(Stage):
             gains: of the drives; None: their own.
             threads: for physics; results do not depend on it.
         """
+        _keep_no_log()
         anatomy = build(spec, distributions.cable)
         self.batch = Batch(anatomy.model, draw.robots, nthread=threads)
         drawn.embody(self.batch, anatomy, draw)
@@ -260,3 +262,10 @@ class Plant(Stage):
             allowed = self.sensed[:, self._base.allowed].sum(axis=1)
             return np.asarray(self.sensed[:, self._base.itself] > allowed)
         return np.asarray(self._contacts > 0)
+
+
+def _keep_no_log() -> None:
+    """MuJoCo writes its warnings into the folder that a user happens to be in: `valid` tells them instead."""
+    config = MjLogConfig.get()
+    config.logto_file = False
+    config.set()
