@@ -31,58 +31,63 @@ class Belief(NamedTuple):
 class Motion(NamedTuple):
     """Where a belief gets to: R (B, 3, 3) of `quat_wxyz`.
 
-    Its first six errors are F (B, 6, 12) times what all errors were, and noise of covariance Q (B, 6, 6).
+    `back` (B, 3, 3) undoes the turn; `carried` (B, 3) is the velocity before the acceleration at the end.
     """
 
     quat_wxyz: Floats
     R: Floats
     velocity: Floats
-    F: Floats
-    Q: Floats
+    back: Floats
+    carried: Floats
 
 
-def move(
-    belief: Belief, noise: BaseNoise, dt: Floats, before: Floats, after: Floats, unseen: Floats
-) -> Motion:
-    """The belief after dt by the trapezoidal rule; F is exact where it turns, else of first order in dt.
+def move(belief: Belief, dt: Floats, before: Floats, after: Floats) -> Motion:
+    """The belief after dt by the trapezoidal rule.
 
     Args:
         belief: at the beginning.
-        noise: of the IMU.
         dt: (B,) s.
         before: (B, 6) rad/s and m/s², gyro and accelerometer at the beginning.
         after: (B, 6) the same at the end.
-        unseen: (B,) s³, variance that a random walk of density 1 gains in its integral while nobody looks.
     """
     lag, before, after = dt[:, None], before - belief.bias, after - belief.bias
     turn = exp(0.5 * lag * (before + after)[:, :3])
     quat_wxyz = product(belief.quat_wxyz, turn)
     R, back = matrix(quat_wxyz), matrix(turn).swapaxes(1, 2)
     carried = times(back, belief.velocity + 0.5 * lag * before[:, 3:]) - G * lag * R[:, 2]
-    by_turn = np.concatenate(
-        [R, skew(carried)], axis=1
-    )  # what too small a turn, in the base, does to φ and velocity
+    return Motion(quat_wxyz, R, carried + 0.5 * lag * after[:, 3:], back, carried)
+
+
+def spread(motion: Motion, noise: BaseNoise, dt: Floats, unseen: Floats) -> tuple[Floats, Floats]:
+    """What a motion makes of the errors, exact where it turns, else of first order in dt.
+
+    Args:
+        motion: of dt (B,) s.
+        noise: of the IMU.
+        unseen: (B,) s³, variance that a random walk of density 1 gains in its integral while nobody looks.
+
+    Returns:
+        F (B, 6, 12), Q (B, 6, 6): the first six errors are F times what all errors were, and noise of covariance Q.
+    """
+    R, lag = motion.R, dt[:, None]
+    # What too small a turn, in the base, does to φ and velocity.
+    by_turn = np.concatenate([R, skew(motion.carried)], axis=1)
     F = np.zeros((len(dt), 6, 12))
     diagonal(F[:, PHI, PHI])[:] = 1.0
     F[:, V, 0], F[:, V, 1] = R[:, 1] * (-G * lag), R[:, 0] * (G * lag)
-    F[:, V, V] = back
+    F[:, V, V] = motion.back
     np.multiply(by_turn, -lag[..., None], out=F[:, :, GYRO])
     diagonal(F[:, V, ACC])[:] = -lag
     turned = noise.gyro**2 * dt + noise.angular_acceleration**2 * unseen
     pushed = noise.accelerometer**2 * dt + noise.jerk**2 * unseen
     Q = turned[:, None, None] * (by_turn @ by_turn.swapaxes(1, 2))
     diagonal(Q[:, V, V])[:] += pushed[:, None]
-    return Motion(quat_wxyz, R, carried + 0.5 * lag * after[:, 3:], F, Q)
+    return F, Q
 
 
 def diagonal(matrices: Floats) -> Floats:
     """A view of the diagonals (B, n) of (B, n, n)."""
     return np.asarray(np.einsum("bii->bi", matrices))
-
-
-def variance(J: Floats, P: Floats) -> Floats:
-    """(B, m) diagonals of J P Jᵀ."""
-    return np.asarray(((J @ P) * J).sum(axis=2))
 
 
 def whiten(S: Floats, y: Floats) -> Floats:

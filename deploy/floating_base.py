@@ -1,8 +1,8 @@
 """How the base of a legged robot stands and moves: an error-state Kalman filter of its IMU and its standing feet.
 
 Each robot's belief is orientation R, velocity v in the base frame, and the biases of gyro and accelerometer, at the
-time its newest IMU sample was TAKEN; `BaseState` is that belief carried forward to now. The IMU predicts; a foot that
-stands does not move in the world, so v + ω × p + ṗ = 0 up to slip.
+time its newest IMU sample was TAKEN; `BaseState` is that belief carried forward to now, and its `age` says how far. The
+IMU predicts; a foot that stands does not move in the world, so v + ω × p + ṗ = 0 up to slip.
 
 With the velocity in the base frame and the error of orientation in the world's, feet are linear in the errors and do
 not see that of orientation, and gravity does not see a turn about itself: yaw is unobservable in the equations as it
@@ -15,7 +15,7 @@ discrete time. filterpy is the oracle of the tests.
 
 import numpy as np
 
-from deploy.base_model import ACC, GYRO, PHI, Belief, G, V, diagonal, move, variance, whiten
+from deploy.base_model import ACC, PHI, Belief, G, V, diagonal, move, spread, whiten
 from deploy.base_state import BaseNoise, Feet, Imu, Upright
 from deploy.flags import some
 from deploy.rotations import exp, matrix, norm, product, skew, times, upright
@@ -46,7 +46,7 @@ SEEN = slice(3, 9)
 class FloatingBase(Stage):
     """Orientation and velocity of B bases; `P` (B, 12, 12) is the covariance of their errors.
 
-    A foot whose innovation is beyond `GATE` is left out. A filter has diverged where its tilt or speed is unknown
+    A foot whose innovation is beyond `GATE` is left out. A filter has diverged where its tilt or speed was unknown
     beyond `TILT_STD_MAX` or `SPEED_STD_MAX`, is not finite, or even the best of its feet is on average beyond the gate;
     and where what the IMU says of up was beyond it `CONTRADICTED` times in a row.
     """
@@ -148,11 +148,12 @@ class FloatingBase(Stage):
         rows = fused[:, None]
         dt, reading = np.where(fused, t - self.t_sample, 0.0), np.where(rows, reading, self.reading)
         unseen = np.maximum(dt - self._dt, 0.0) ** 3 / 12  # between two ends that are known
-        motion = move(self._belief, self._noise, dt, self.reading, reading, unseen)
-        FP, P = motion.F @ self.P, self.P
+        motion = move(self._belief, dt, self.reading, reading)
+        F, Q = spread(motion, self._noise, dt, unseen)
+        FP, P = F @ self.P, self.P
         P[:, :6, 6:] = FP[:, :, 6:]
         P[:, 6:, :6] = FP[:, :, 6:].swapaxes(1, 2)
-        P[:, :6, :6] = FP @ motion.F.swapaxes(1, 2) + motion.Q
+        P[:, :6, :6] = FP @ F.swapaxes(1, 2) + Q
         diagonal(P[:, 6:, 6:])[:] += self._walk * dt[:, None]
         np.copyto(self.quat_wxyz, motion.quat_wxyz, where=rows)
         self.velocity[:], self.reading[:] = motion.velocity, reading
@@ -221,36 +222,29 @@ class FloatingBase(Stage):
         self.bias += error[:, 6:]
 
     def _now(self, t: float) -> BaseState:
-        noise = self._noise
         age = np.where(self.seeded, t - self.t_sample, np.inf)
         lag = np.where(self.seeded, np.maximum(age, 0.0), 0.0)
-        quat_wxyz, R, velocity, F, Q = move(self._belief, noise, lag, self.reading, self.reading, lag**3 / 3)
-        P = F @ self.P @ F.swapaxes(1, 2) + Q
-        velocity_in_world = times(R, velocity)
-        to_world = np.concatenate([-skew(velocity_in_world), R], axis=2)
-        to_gravity = np.stack([-R[:, 1], R[:, 0]], axis=2)
-        var = diagonal(P)
-        tilt_var, speed_var = var[:, :2].sum(axis=1), var[:, V].max(axis=1)
-        known = (tilt_var <= TILT_STD_MAX**2) & (speed_var <= SPEED_STD_MAX**2) & (self.nis <= GATE)
-        known &= self.contradicted < CONTRADICTED
-        gyro_var = noise.gyro**2 / self._dt + (noise.angular_acceleration**2 + noise.gyro_walk**2) * lag
+        motion = move(self._belief, lag, self.reading, self.reading)
+        turning, velocity = (self.reading - self.bias)[:, :3], times(motion.R, motion.velocity)
+        sound = np.isfinite(motion.quat_wxyz.sum(axis=1) + turning.sum(axis=1) + velocity.sum(axis=1))
         return BaseState(
             t=t,
-            quat_wxyz=quat_wxyz,
-            angular_velocity=(self.reading - self.bias)[:, :3],
-            velocity_in_world=velocity_in_world,
-            velocity_in_base=velocity,
-            gravity=-R[:, 2],
-            orientation_var=var[:, PHI],
-            angular_velocity_var=diagonal(self.P[:, GYRO, GYRO]) + gyro_var[:, None],
-            velocity_in_world_var=variance(to_world, P),
-            velocity_in_base_var=var[:, V],
-            gravity_var=variance(to_gravity, P[:, :2, :2]),
+            quat_wxyz=motion.quat_wxyz,
+            angular_velocity=turning,
+            velocity_in_world=velocity,
+            velocity_in_base=motion.velocity,
+            gravity=-motion.R[:, 2],
             age=age,
             innovation=self.innovation,
             stuck=self._stuck(),
-            diverged=self.seeded & ~known,
+            diverged=self.seeded & ~(sound & self._known()),
         )
+
+    def _known(self) -> Bools:
+        var = diagonal(self.P)
+        tilt_var, speed_var = var[:, :2].sum(axis=1), var[:, V].max(axis=1)
+        known = (tilt_var <= TILT_STD_MAX**2) & (speed_var <= SPEED_STD_MAX**2) & (self.nis <= GATE)
+        return np.asarray(known & (self.contradicted < CONTRADICTED))
 
 
 def _credible(*readings: Floats) -> Bools:

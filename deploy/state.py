@@ -46,8 +46,6 @@ class BaseState(NamedTuple):
         angular_velocity: (B, 3) rad/s in the base frame, without bias.
         velocity_in_world: (B, 3) m/s. velocity_in_base: (B, 3) m/s.
         gravity: (B, 3) direction of gravity in the base frame: (0, 0, −1) when upright.
-        orientation_var: (B, 3) rad², of turns about the world's axes: the last is that of yaw.
-        angular_velocity_var, velocity_in_world_var, velocity_in_base_var, gravity_var: (B, 3), in squared units.
         age: (B,) s since the newest sample was taken.
         innovation: (B, F, 3) of the newest sample, whitened by its covariance; 0 where a foot did not stand.
         stuck: (B,) the IMU repeats itself: its samples are left out.
@@ -60,11 +58,6 @@ class BaseState(NamedTuple):
     velocity_in_world: Floats
     velocity_in_base: Floats
     gravity: Floats
-    orientation_var: Floats
-    angular_velocity_var: Floats
-    velocity_in_world_var: Floats
-    velocity_in_base_var: Floats
-    gravity_var: Floats
     age: Floats
     innovation: Floats
     stuck: Bools

@@ -85,11 +85,9 @@ class ByFilterpy:
         return -speed, np.block([np.zeros((3, 3)), np.eye(3), cross(p), np.zeros((3, 3))])
 
     def now(self, t):
-        """R, v and P, carried to now."""
-        lag = t - self.t
-        unseen = Q_continuous_white_noise(2, lag)[0, 0] if lag > 0 else 0.0
-        R, v, Fx, Q = self.moved(lag, self.gyro, self.force, unseen)
-        return R.as_matrix(), v, Fx @ self.kf.P @ Fx.T + Q
+        """R and v, carried to now."""
+        R, v, *_ = self.moved(t - self.t, self.gyro, self.force, 0.0)
+        return R.as_matrix(), v
 
 
 @pytest.mark.parametrize(("seed", "loss", "slipping"), [(0, 0.0, 0.0), (1, 0.2, 0.05), (2, 0.6, 0.2)])
@@ -117,24 +115,15 @@ def assert_equal(base, state, robot, oracle):
     np.testing.assert_allclose(base.velocity[robot], oracle.v, **near)
     np.testing.assert_allclose(base.bias[robot, :3], oracle.bg, **near)
     np.testing.assert_allclose(base.bias[robot, 3:], oracle.ba, **near)
-    R, v, P = oracle.now(state.t)
-    var, out = np.diag(P), np.concatenate([-cross(R @ v), R], axis=1)
-    tilt = R.T @ cross(np.array([0, 0, 1.0]))
+    R, v = oracle.now(state.t)
     found = Rotation.from_quat(state.quat_wxyz, scalar_first=True).as_matrix()
     np.testing.assert_allclose(found, R, **near)
     np.testing.assert_allclose(state.velocity_in_base, v, **near)
     np.testing.assert_allclose(state.velocity_in_world, R @ v, **near)
     np.testing.assert_allclose(state.gravity, R.T @ DOWN / G, **near)
     np.testing.assert_allclose(state.angular_velocity, oracle.gyro - oracle.bg, **near)
-    np.testing.assert_allclose(state.orientation_var, var[:3], **near)
-    np.testing.assert_allclose(state.velocity_in_base_var, var[3:6], **near)
-    np.testing.assert_allclose(state.velocity_in_world_var, np.diag(out @ P[:6, :6] @ out.T), **near)
-    np.testing.assert_allclose(state.gravity_var, np.diag(tilt @ P[:3, :3] @ tilt.T), **near)
-    lag = state.t - oracle.t
-    of_rate = NOISE.gyro**2 / DT + (NOISE.angular_acceleration**2 + NOISE.gyro_walk**2) * lag
-    np.testing.assert_allclose(state.angular_velocity_var, np.diag(oracle.kf.P)[6:9] + of_rate, **near)
     np.testing.assert_allclose(state.innovation, oracle.innovation, rtol=0, atol=1e-7)
-    assert state.age == pytest.approx(lag, abs=1e-12)
+    assert state.age == pytest.approx(state.t - oracle.t, abs=1e-12)
 
 
 def oracle_of(base):

@@ -137,8 +137,8 @@ def test_yaw_is_less_and_less_known():
     base, stream = settled()
     before = base.P[:, 2, 2].copy()
     for packets in stream:
-        state = base.step(*packets)
-    assert (state.orientation_var[:, 2] > before + len(stream) * DT * NOISE.gyro**2).all()
+        base.step(*packets)
+    assert (base.P[:, 2, 2] > before + 0.99 * len(stream) * DT * NOISE.gyro**2).all()
 
 
 def test_nothing_but_the_heading_depends_on_where_north_is():
@@ -151,8 +151,9 @@ def test_nothing_but_the_heading_depends_on_where_north_is():
     other.P[:] = T @ other.P @ T.T
     for packets in stream:
         state, turned = base.step(*packets), other.step(*packets)
-    for name in ("velocity_in_base", "gravity", "angular_velocity", "velocity_in_base_var", "gravity_var"):
+    for name in ("velocity_in_base", "gravity", "angular_velocity"):
         np.testing.assert_allclose(getattr(turned, name), getattr(state, name), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(other.P, T @ base.P @ T.T, rtol=0, atol=1e-9)
     np.testing.assert_allclose(turned.velocity_in_world, turn.apply(state.velocity_in_world), atol=1e-9)
 
 
@@ -189,7 +190,6 @@ def test_a_look_at_now_leaves_the_belief_alone():
     nothing = imu._replace(fresh=np.zeros(2, dtype=bool))
     early = base.step(t - 2 * DT, nothing, feet)
     np.testing.assert_array_equal(early.velocity_in_base, base.velocity)
-    np.testing.assert_array_equal(early.orientation_var, base.P[:, range(3), range(3)])
     for late in np.linspace(0.0, 0.3, 20):
         base.step(t + late, nothing, feet)
     for name, values in other.save().items():
@@ -256,19 +256,21 @@ def test_the_gate_refuses_one_good_foot_of_a_thousand():
     assert stats.chi2.sf(GATE, 3) == pytest.approx(1e-3, rel=0.01)
 
 
-def test_silence_widens_everything_and_one_packet_mends_it():
+def test_silence_is_told_by_age_and_the_packet_after_it_knows_less():
     base, stream = settled()
-    widths = []
+    ages, variances = [], []
     for tick, (t, imu, feet) in enumerate(stream[:60]):
         quiet = 10 <= tick < 50
-        state = base.step(t, imu._replace(fresh=imu.fresh & (not quiet)), feet)
-        parts = [getattr(state, name) for name in FIELDS if name.endswith("_var")]
-        widths.append(np.concatenate([*parts, state.age[:, None]], axis=1))
-    widths = np.array(widths)
-    assert (np.diff(widths[9:50], axis=0)[..., :-1] > 0).mean() > 0.95
-    assert (widths[49] > 2 * widths[9])[:, 3:].all()
+        legs = feet._replace(stance=feet.stance & (tick != 50))
+        state = base.step(t, imu._replace(fresh=imu.fresh & (not quiet)), legs)
+        ages.append(state.age.copy())
+        variances.append(np.einsum("bii->bi", base.P).copy())
+    np.testing.assert_allclose(np.diff(ages, axis=0)[10:49], DT, rtol=1e-9)
+    np.testing.assert_array_equal(variances[49], variances[9])
+    assert (variances[50] > variances[49]).all()
+    assert (variances[50][:, 3:6] > 2 * variances[49][:, 3:6]).all()
     assert state.age == pytest.approx(0.0, abs=1e-12)
-    assert (widths[50][:, 3:6] < 0.5 * widths[49][:, 3:6]).all()
+    assert (variances[51][:, 3:6] < 0.5 * variances[50][:, 3:6]).all()
 
 
 def test_a_gap_is_integrated():
@@ -324,14 +326,6 @@ def test_a_filter_that_knows_too_little_has_diverged(errors, std_max):
         base.P[0, errors, errors] = share * min(std_max, 1e3) ** 2 / len(errors)
         state = base.step(t - DT, imu._replace(fresh=np.zeros(2, dtype=bool)), feet)
         assert state.diverged.tolist() == [share > 1 and std_max < 1e3, False]
-
-
-def test_a_filter_in_silence_says_when_it_has_lost_the_base():
-    base, stream = settled()
-    t, imu, feet = stream[0]
-    silent = imu._replace(fresh=np.zeros(2, dtype=bool))
-    told = [base.step(t + late, silent, feet).diverged.all() for late in (0.0, 0.1, 1.0, 3.0)]
-    assert told == [False, False, True, True]
 
 
 @pytest.mark.parametrize("name", ["P", "velocity", "bias", "quat_wxyz"])
@@ -406,7 +400,7 @@ def test_gravity_seeds_the_tilt_and_nothing_else(up):
     assert ahead[1] == pytest.approx(0.0, abs=1e-12)
     assert ahead[0] > -1e-12
     np.testing.assert_array_equal(state.velocity_in_base, 0.0)
-    assert state.orientation_var[0, 2] == 0.0
+    assert base.P[0, 2, 2] == 0.0
 
 
 def test_nobody_is_seeded_in_free_fall_or_before_time_began():
@@ -436,8 +430,10 @@ def test_more_noise_is_less_certainty():
     stream = list(World(9, 2, 150).packets())
     quiet, loud = FloatingBase(NOISE, DT, 2, F), FloatingBase(replace(NOISE, slip=2 * NOISE.slip), DT, 2, F)
     for packets in stream:
-        states = quiet.step(*packets), loud.step(*packets)
-    assert (states[1].velocity_in_base_var > states[0].velocity_in_base_var).all()
+        quiet.step(*packets)
+        loud.step(*packets)
+    speeds = range(3, 6)
+    assert (loud.P[:, speeds, speeds] > quiet.P[:, speeds, speeds]).all()
 
 
 def said_upright(world, k, variance, rng):
@@ -455,7 +451,7 @@ def tilt_errors(*, told, feet=False, ticks=2000):
         upright = said_upright(world, round(t / DT), 1e-4, rng) if told else None
         state = base.step(t, imu, legs._replace(stance=legs.stance & feet), upright)
     leans = np.matvec(matrix(state.quat_wxyz), world.R[ticks - 1][:, 2])
-    return leans[:, :2], state.orientation_var[:, [1, 0]]
+    return leans[:, :2], base.P[:, [1, 0], [1, 0]]
 
 
 def test_who_is_told_where_up_is_needs_no_feet_for_its_tilt():
