@@ -14,7 +14,7 @@ pytest.importorskip("mujoco")
 
 from ailing import ailing, answering, in_another_order, louder, robot_and_digest, without_normalizer, written
 from onnx import helper
-from test_contract import SPEC
+from test_contract import SPEC, arm_contract
 from test_policy import metadata
 from walking import QUADRUPED, walking_contract
 
@@ -22,7 +22,7 @@ from deploy.contract import CONTRACT_KEY
 from policies import checking
 from policies.doctor import orders
 from policies.doctor.case import Case
-from policies.doctor.checks import CHECKS, row
+from policies.doctor.checks import CHECKS, examined, row
 from policies.doctor.finding import Verdict
 from policies.doctor.warmth import Warmth, windings_after
 from robots.motor import MotorHeat, temperatures
@@ -250,6 +250,20 @@ def test_friction_and_iron_are_a_few_watts(sound):
 
 
 # ---- robots that walk ----
+
+
+@pytest.mark.parametrize(("trained_on", "robot"), [("walker", "arm6"), ("arm", QUADRUPED.folder)])
+def test_a_policy_of_quite_another_robot_gets_all_its_rows(tmp_path, trained_on, robot):
+    arm = arm_contract()
+    soft = arm.action.model_copy(update={"kp": (100.0,) * SPEC.n, "kd": (10.0,) * SPEC.n})
+    contract = walking_contract() if trained_on == "walker" else arm.model_copy(update={"action": soft})
+    w = np.zeros((contract.observation_size, contract.action_size), np.float32)
+    node = helper.make_node("MatMul", ["observation", "w"], ["action"])
+    case = Case(written(tmp_path, [node], {"w": w}, contract), robot)
+    found = {each.check: each for each in examined(case)}
+    assert list(found) == list(CHECKS)
+    assert found["loader"].verdict is Verdict.FAIL
+    assert f"found gains of {len(contract.joint_names)} joints, expected {case.spec.n}" in found["gains"].said
 
 
 def test_a_robot_that_walks_is_looked_at_as_well(tmp_path):

@@ -86,8 +86,10 @@ def gains(case: Case) -> Iterator[Note]:
             )
         yield passed(f"none in the contract: it was trained with the drives of {spec.name} as they are.")
         return
-    if told.size == spec.n:
-        yield from _strength(case, np.array(told.kp), np.array(told.kd))
+    if told.size != spec.n:
+        yield failed(f"found gains of {told.size} joints, expected {spec.n}, one for each of {spec.name}'s.")
+        return
+    yield from _strength(case, np.array(told.kp), np.array(told.kd))
 
 
 def _strength(case: Case, kp: Floats, kd: Floats) -> Iterator[Note]:
