@@ -43,7 +43,8 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
     if done.returncode == REFUSED:
         raise RobotError(done.stderr.strip().replace(told[0], str(model)))
     if done.returncode:
-        raise RobotError(f"{bounds}: exit code {done.returncode}")
+        last = done.stderr.strip().rpartition("\n")[2]
+        raise RobotError(f"{bounds}: exit code {done.returncode}{last and f': {last:.200}'}")
 
 
 def _main(model: str, folder: str, cpu_s: str) -> int:
