@@ -15,7 +15,7 @@ from robots.tables import Base
 
 PLAY, PAYLOAD, CABLE, ANCHOR = "play", "firstshift/payload", "firstshift/cable", "firstshift/anchor"
 STRONGEST, SELF = "firstshift/strongest contact", "firstshift/contact with itself"
-FLOOR, GANTRY, BACK = "firstshift/floor", "firstshift/gantry", "firstshift/back"
+FLOOR, GANTRY, BACK, LEVEL = "firstshift/floor", "firstshift/gantry", "firstshift/back", "firstshift/level"
 """Names of what is added; a joint's play is called as the joint and this."""
 
 FAR_M = 10.0
@@ -29,7 +29,8 @@ SENSORS = {
     "torque": mujoco.mjtSensor.mjSENS_TORQUE,
     "contact": mujoco.mjtSensor.mjSENS_TOUCH,
 }
-"""Kinds that sit at sites. Force and torque are what the site's body and all that it carries put on its parent."""
+"""Kinds that sit at sites. Force and torque are what the site's body and all that it carries put on its parent; an
+orientation is that in a world whose gravity points down, which is what an IMU knows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +43,8 @@ class Anatomy:
         bodies: (n,) body ids of the links that the joints move.
         link: (bodies,) the joint that moves a body, rigidly attached ones included; -1 for what does not move.
         payload: body id. cable: tendon id. anchor: site id. tool: site id; of a robot with a base, where its load sits.
+        level: id of a body that does nothing but stand as gravity says, however the robot or its floor is tilted; of
+            a robot that measures orientation.
         strongest: where in `sensordata` the normal force of the strongest contact is, which only the judge may know.
         base: of a robot that has one.
         sensed: where in `sensordata` each kind of sensor is.
@@ -56,6 +59,7 @@ class Anatomy:
     cable: int
     anchor: int
     tool: int
+    level: int | None
     strongest: int
     base: "FloatingBody | None"
     sensed: dict[Kind, slice]
@@ -107,6 +111,8 @@ def build(spec: RobotSpec, cable: Cable) -> Anatomy:
         _add_ground(mjcf, nominal, spec, spec.base)
     _add_payload(mjcf, nominal, spec)
     _add_cable(mjcf, nominal, cable, spec)
+    if "orientation" in spec.sensors:
+        mjcf.worldbody.add_body(name=LEVEL)
     for kind in spec.sensors:
         if kind in SENSORS:
             _add_sensor(mjcf, nominal, kind, spec)
@@ -217,12 +223,14 @@ def _add_sensor(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, kind: Kind, spec: 
             )
         if site not in sites:  # at the body's origin
             mjcf.body(site).add_site(name=site)
-        mjcf.add_sensor(
+        sensor = mjcf.add_sensor(
             name=f"firstshift/{kind}/{site}",
             type=SENSORS[kind],
             objtype=mujoco.mjtObj.mjOBJ_SITE,
             objname=site,
         )
+        if kind == "orientation":
+            sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_BODY, LEVEL
 
 
 def _add_strongest(mjcf: mujoco.MjSpec) -> None:
@@ -248,6 +256,7 @@ def _find(model: mujoco.MjModel, spec: RobotSpec) -> Anatomy:
         cable=model.tendon(CABLE).id,
         anchor=model.site(ANCHOR).id,
         tool=model.site(spec.tool or BACK).id,
+        level=model.body(LEVEL).id if "orientation" in spec.sensors else None,
         strongest=int(model.sensor(STRONGEST).adr[0]),
         base=_on_the_floor(model, spec, spec.base) if spec.base else None,
         sensed={kind: _places(model, kind, spec) for kind in spec.sensors if kind in SENSORS},

@@ -5,6 +5,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deploy.backends.sim.anatomy import Anatomy
+from deploy.rotations import upright
 from deploy.state import Floats
 from robots.draws import Draw
 
@@ -64,7 +65,10 @@ def _drives(batch: Batch, draw: Draw) -> None:
 
 
 def _mounting(batch: Batch, anatomy: Anatomy, draw: Draw) -> None:
-    batch.expand("opt.gravity")[:] = tilted(anatomy.model.opt.gravity, draw["mounting.tilt_rad"])
+    gravity = tilted(anatomy.model.opt.gravity, draw["mounting.tilt_rad"])
+    batch.expand("opt.gravity")[:] = gravity
+    if anatomy.level is not None:
+        batch.expand("body_quat")[:, anatomy.level] = upright(-gravity) * (1, -1, -1, -1)  # its inverse
     batch.expand("geom_friction")[:, :, 0] *= draw["mounting.contact_friction"][:, None]
 
 

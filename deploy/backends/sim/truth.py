@@ -6,7 +6,7 @@ from deploy.state import Bools, Floats
 
 
 class BaseTruth(NamedTuple):
-    """Of a floating base.
+    """Of a floating base. The world is that of the model: its floor is level, and gravity leans by `mounting.tilt_rad`.
 
     Attributes:
         position: (B, 3) m, world. quat_wxyz: (B, 4), base in world.
