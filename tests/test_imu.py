@@ -9,6 +9,8 @@ from deploy.effort import Gains
 from deploy.rotations import matrix
 from deploy.runtime import Runtime
 from deploy.state import Mode, Packet, Reason
+from robots.distributions import load_distributions
+from robots.draws import middle
 from robots.errors import RobotError
 from robots.model_pinocchio import Fleet, load_pinocchio
 from robots.randomness import robot_seed
@@ -73,6 +75,22 @@ def test_who_is_thrown_over_while_its_gyro_says_nothing_does_not_take_itself_for
     assert leans[1] > 2.0
     assert standing.supervisor.mode.tolist() == [Mode.RUNNING, Mode.LATCHED]
     assert Reason(int(standing.supervisor.reason[1])) & (Reason.DIVERGED | Reason.FALLEN)
+
+
+@pytest.mark.parametrize("tilt", [(0.1, 0.0), (0.0, -0.1)])
+def test_on_a_floor_that_leans_it_knows_that_it_stands(tmp_path, tilt):
+    """What an IMU says of up is what its accelerometer feels: no acceleration is left over."""
+    spec = load_robot(changed(tmp_path, ("[motors.leg]\n", UPRIGHT)))
+    given = middle(load_distributions(spec), spec, 1).replaced({"mounting.tilt_rad": np.array([tilt])})
+    robot = SimRobot(spec, [robot_seed(3, 0)], given=given, gains=Gains(np.full(12, KP), np.full(12, KD)))
+    runtime = Runtime(spec, walking_contract(spec), robot, [robot_seed(3, 0)])
+    live(runtime, round(ARM_S / spec.dt))
+    assert not runtime.arm(np.ones(1, dtype=bool)).any()
+    live(runtime, 600)
+    base = runtime.state.base
+    assert np.abs(base.velocity_in_base).max() < 0.03
+    assert np.abs(runtime.walker.filter.bias[:, 3:]).max() < 0.2
+    np.testing.assert_allclose(-base.gravity, robot.plant.reading("accelerometer") / 9.81, atol=0.01)
 
 
 def test_a_packet_from_the_future_does_not_silence_what_says_where_up_is(standing):
