@@ -26,6 +26,23 @@ class Stops:
         return np.flatnonzero(stopping | cut).tolist()
 
 
+class Why:
+    """Why robot 0 does not run, each reason in the words of the tick in which it came: later it may be about less."""
+
+    def __init__(self) -> None:
+        """It has none yet."""
+        self._told: dict[Reason, str] = {}
+
+    def __str__(self) -> str:
+        """In words; empty where it has none."""
+        return "; ".join(self._told.values())
+
+    def step(self, runtime: Runtime) -> None:
+        """Look at the tick that has just ended."""
+        reasons = Reason(int(runtime.supervisor.reason[0]))
+        self._told = {bit: self._told.get(bit) or blame(runtime, bit) for bit in reasons}
+
+
 def blame(runtime: Runtime, reason: int, robot: int = 0) -> str:
     """A bit set of reasons of a robot in words, each with the joints or shapes that it is about in this tick."""
     said = []
@@ -44,7 +61,9 @@ def _joints(runtime: Runtime, bit: Reason, robot: int) -> Iterator[str]:
 
 def _meant(runtime: Runtime, bit: Reason, robot: int) -> Bools:
     """(n,) joints that a reason is about; none where it is about the robot as a whole."""
-    estimator = runtime.estimator
+    estimator, heat = runtime.estimator, runtime.estimator.heat
+    if bit is Reason.HEAT and heat.unknown[robot]:
+        return np.asarray(~heat.clear[robot])
     known = {
         Reason.DIVERGED: estimator.diverged,
         Reason.STUCK: estimator.stuck,
@@ -58,8 +77,8 @@ def _meant(runtime: Runtime, bit: Reason, robot: int) -> Bools:
 
 def _parts(runtime: Runtime, bit: Reason, robot: int) -> Iterator[str]:
     """What else a robot has."""
-    if bit is Reason.COLLISION and bit & runtime.verdict.reason[robot]:
-        yield " and ".join(runtime.safety.nearest(runtime.verdict, robot))
+    if bit is Reason.COLLISION and (shapes := runtime.safety.meeting(runtime.verdict, robot)):
+        yield " and ".join(shapes)
     base = runtime.state.base
     if base is None:
         return

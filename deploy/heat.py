@@ -49,6 +49,7 @@ class Heat(Stage):
         pace: (B,) share of its speed and acceleration that a robot is still asked for, by its hottest motor: it falls
             to `margins.pace_min` as the current falls to `fold_min`, and lower, so that what is left of the current is
             enough for what is left of the motion.
+        clear: (B, n) whether a joint's newest current and housing are numbers that move as a sensor's do.
     """
 
     carried = (
@@ -77,7 +78,7 @@ class Heat(Stage):
         shape = robots, spec.n
         self.winding, self.hottest, self.last, self.housing, self.said = np.full((5, *shape), np.nan)
         self.square, self.rise = np.zeros((2, *shape))
-        self.same = np.zeros(shape, dtype=np.int64)
+        self.same, self.clear = np.zeros(shape, dtype=np.int64), np.ones(shape, dtype=bool)
         self.heard, self.taken = np.full((2, robots), -np.inf)
         self.folded, self.fold, self.pace = np.zeros(shape), np.ones(shape), np.ones(robots)
         self.unknown = np.ones(robots, dtype=bool)
@@ -123,9 +124,8 @@ class Heat(Stage):
     def _hear(self, t: float, current: Packet, housing: Packet) -> None:
         """When each robot's newest whole pair of packets was taken; none is believed to come from the future."""
         taken, latest = np.minimum(current.t, housing.t), np.maximum(current.t, housing.t)
-        whole = np.isfinite(current.value + housing.value).all(axis=1) & (latest <= t + self._dt)
-        whole &= (self.same < self._stuck).all(axis=1)
-        np.copyto(self.heard, taken, where=whole)
+        self.clear = np.isfinite(current.value + housing.value) & (self.same < self._stuck)
+        np.copyto(self.heard, taken, where=self.clear.all(axis=1) & (latest <= t + self._dt))
 
     def _begin(self, t: float, current: Packet, housing: Packet) -> None:
         """Start with what is measured, where every joint of a robot is heard."""

@@ -16,6 +16,9 @@ from robots.spec import RobotSpec
 TOLERANCE = 1e-6
 """Relative slack on speed: Ruckig meets its limits exactly, up to rounding."""
 
+SAME_GAP_M = 1e-4
+"""m by which two ways to measure the gap between shapes may differ."""
+
 ANY = float(np.finfo(np.float64).max)
 """The largest finite number: as a bound it refuses only what is not finite."""
 
@@ -33,6 +36,7 @@ class Safety:
         """
         self._fleet, self._on_the_way = fleet, fleet.of(-(-fleet.robots // 2))
         self._effort, self._tooling = effort or Feedforward(spec, fleet), spec.tooling
+        self._apart = spec.margins.collision_m + SAME_GAP_M
         self._twice_jerk = 2 * spec.joint_array("qddd_max")
         self._state_and_midst = _Bounds(self._on_the_way.robots, spec.n, *_of_state(spec), *_of_place(spec))
         self._pose = _Bounds(fleet.robots, spec.n, *_of_pose(spec))
@@ -95,9 +99,13 @@ class Safety:
         of_plan = self._plan.joints(rows[0], reason) | self._plan.joints(rows[1], reason)
         return of_plan | self._state_and_midst.joints(belief[robot], reason)
 
-    def nearest(self, verdict: Verdict, robot: int) -> tuple[str, str]:
-        """Two shapes of a robot that come nearest to each other where a verdict looked for collisions."""
-        return self._fleet.nearest(np.stack([pose[robot] for pose in verdict.poses]))
+    def meeting(self, verdict: Verdict, robot: int) -> tuple[str, ...]:
+        """Two shapes of a robot that come too near to each other where a verdict looked; none where none do.
+
+        A pose that is no numbers is refused as a collision, too: no shapes are to blame for that.
+        """
+        gap, *names = self._fleet.nearest(np.stack([pose[robot] for pose in verdict.poses]))
+        return tuple(names) if gap < self._apart else ()
 
     def _place(self, q: Floats) -> tuple[Floats | Bools, ...]:
         """Place the fleet at (R, n) rad and read the columns of where it is."""

@@ -10,7 +10,7 @@ from types import FrameType
 
 import numpy as np
 
-from deploy.blame import Stops, blame
+from deploy.blame import Stops, Why, blame
 from deploy.pace import Pace
 from deploy.recorder import Recorder
 from deploy.runtime import Runtime
@@ -66,7 +66,7 @@ class Tally:
     """What the summary counts.
 
     Attributes:
-        stops: stops by reason. last: the newest of them in words, with their time.
+        stops: stops by reason. last: the newest of them in words, with their time. why: it does not run now.
         housing_max_c, winding_max_c: °C, the hottest motor of all ticks, as believed; None before the first.
     """
 
@@ -74,16 +74,18 @@ class Tally:
     last: deque[str] = field(default_factory=lambda: deque(maxlen=STOPS_SHOWN))
     housing_max_c: float | None = None
     winding_max_c: float | None = None
+    why: Why = field(default_factory=Why)
     _stops: Stops = field(default_factory=Stops)
 
     def step(self, runtime: Runtime) -> None:
         """Count the tick that has just ended."""
         self.housing_max_c = _hotter(self.housing_max_c, runtime.state.temperature)
         self.winding_max_c = _hotter(self.winding_max_c, runtime.state.winding)
+        self.why.step(runtime)
         if 0 in self._stops.begun(runtime):
             reason = int(runtime.supervisor.reason[0])
             self.stops.update(bit.name.lower() for bit in Reason(reason) if bit.name)
-            self.last.append(f"{runtime.t:.2f} s: {blame(runtime, reason)}")
+            self.last.append(f"{runtime.t:.2f} s: {self.why}")
 
 
 def _hotter(so_far: float | None, now: Floats) -> float | None:
@@ -129,8 +131,7 @@ class Shift:
     @property
     def reason(self) -> str:
         """Why the robot does not run, in words."""
-        reason = self._refused or int(self.runtime.supervisor.reason[0])
-        return blame(self.runtime, reason) if reason else ""
+        return blame(self.runtime, self._refused) if self._refused else str(self.tally.why)
 
     def live(self) -> Ending:
         """Arm, work, and come to rest, whatever happens."""

@@ -44,7 +44,7 @@ WORDS = {
     Reason.COLLISION: "links would come nearer than the collision margin",
     Reason.SINGULARITY: "the arm would come too near a singularity, or pass it",
     Reason.TOOL_SPEED: "the tool would be too fast",
-    Reason.HEAT: "a motor is too hot",
+    Reason.HEAT: "a motor is too hot, or nobody knows how hot it is",
     Reason.STALE: "samples are missing",
     Reason.LOST: "samples stay away",
     Reason.TRACKING: "a joint does not follow its setpoint",

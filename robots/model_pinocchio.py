@@ -120,8 +120,11 @@ class Fleet:
         self._tool = self._points[:, 0]
         self._jacobian, self._colliding = np.zeros((robots, 6, self.n)), np.zeros(robots, dtype=bool)
 
-    def nearest(self, poses: Floats) -> tuple[str, str]:
-        """Names of the two shapes that come nearest to each other in any of some poses (P, n) rad."""
+    def nearest(self, poses: Floats) -> tuple[float, str, str]:
+        """M between the two shapes that come nearest to each other in any of some poses (P, n) rad, and their names.
+
+        Infinitely far, and nameless, where nothing can meet; a pose that is no numbers is left out.
+        """
         return self._blocks.nearest(poses)
 
     def torque(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
@@ -271,10 +274,9 @@ class _Blocks:
         self._pairs = can_meet(spec, self.model, self._geometry, pairs)
         self._built: dict[int, _Block] = {}
 
-    def nearest(self, poses: Floats) -> tuple[str, str]:
+    def nearest(self, poses: Floats) -> tuple[float, str, str]:
         """As `Fleet.nearest`."""
-        _, *names = nearest(self.model, self._geometry, self._pairs, poses)
-        return names[0], names[1]
+        return nearest(self.model, self._geometry, self._pairs, poses)
 
     def of(self, copies: int) -> "_Block":
         """The block of so many."""

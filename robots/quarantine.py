@@ -1,6 +1,6 @@
 """A stranger's model is compiled in a process of its own first, which has bounds, and may crash.
 
-python -m robots.quarantine MODEL FOLDER CPU_S
+python -P -m robots.quarantine MODEL FOLDER CPU_S
 """
 
 import resource
@@ -32,7 +32,13 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
     bounds = f"{model}: MuJoCo cannot compile it within {cpu_s} s of a core and {MEMORY_GIB} GiB"
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "robots.quarantine", *told],
+            [
+                sys.executable,
+                "-P",
+                "-m",
+                "robots.quarantine",
+                *told,
+            ],  # -P: no code of the folder it is called in
             capture_output=True,
             text=True,
             check=False,
@@ -47,9 +53,17 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
         raise RobotError(f"{bounds}: exit code {done.returncode}{last and f': {last:.200}'}")
 
 
+def bound(kind: int, most: int) -> None:
+    """Let this process take no more of a resource than `most`, or than it may already: of `RLIMIT_DATA` or the like."""
+    soft, hard = resource.getrlimit(kind)
+    lowest = min(limit for limit in (most, soft, hard) if limit != resource.RLIM_INFINITY)
+    resource.setrlimit(kind, (lowest, hard))
+
+
 def _main(model: str, folder: str, cpu_s: str) -> int:
-    resource.setrlimit(resource.RLIMIT_CPU, (int(cpu_s), int(cpu_s) + 1))
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_GIB << 30, MEMORY_GIB << 30))
+    bound(resource.RLIMIT_CPU, int(cpu_s))
+    bound(resource.RLIMIT_DATA, MEMORY_GIB << 30)
+    bound(resource.RLIMIT_CORE, 0)
     try:
         compile_model(open_model(Path(model), Path(folder)), Path(model))
     except RobotError as e:

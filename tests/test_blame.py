@@ -8,7 +8,7 @@ pytest.importorskip("mujoco")
 
 from test_runtime import built, heard, running
 
-from deploy.blame import blame
+from deploy.blame import Why, blame
 from deploy.estimator import DIVERGED
 from deploy.load import LOOKS
 from deploy.state import Reason
@@ -118,6 +118,53 @@ def test_a_pose_without_a_number_has_no_part_in_it(runtime):
     rest = np.tile((0.3, -1.59, 2.64, 0.24, -1.16, 0.87), (2, 1))
     runtime.verdict = runtime.safety.step(runtime.state, here, here, here, midst, rest)
     assert blame(runtime, int(Reason.COLLISION)).endswith("(upper_arm and wrist_3)")
+
+
+def test_shapes_that_keep_apart_are_not_blamed_for_a_pose_without_a_number(runtime):
+    here, nowhere = runtime.setpoint, np.full_like(runtime.setpoint.q, np.nan)
+    one = here.q.copy()
+    one[0, WRIST] = np.nan
+    for planned, midst in ((nowhere, nowhere), (one, here.q)):
+        runtime.verdict = runtime.safety.step(
+            runtime.state, here, here._replace(q=planned), here, midst, planned
+        )
+        assert runtime.verdict.reason[0] & Reason.COLLISION
+        assert blame(runtime, int(Reason.COLLISION)) == WORDS[Reason.COLLISION]
+
+
+@pytest.mark.parametrize("value", [np.nan, 0.7])
+def test_a_motor_that_nobody_hears_of_is_named(runtime, value):
+    read = runtime.robot.read
+
+    def deaf():
+        sample = read()
+        sample["current"].value[0, WRIST] = value  # none, or always the same
+        return sample
+
+    runtime.robot.read = deaf
+    while not runtime.estimator.heat.unknown.any():
+        runtime.tick()
+    assert runtime.supervisor.reason[0] & Reason.HEAT
+    assert blame(runtime, int(Reason.HEAT)) == f"{WORDS[Reason.HEAT]} (wrist_2)"
+
+
+def test_why_is_told_in_the_words_of_the_tick_in_which_it_came(runtime):
+    why = Why()
+    why.step(runtime)
+    assert str(why) == ""
+    q = runtime.state.q[0, WRIST]
+    astray(runtime)
+    runtime.act(None)
+    why.step(runtime)
+    runtime.state.q[0, WRIST] = q
+    runtime.supervisor.reason[0] |= np.int64(Reason.OPERATOR)
+    runtime.act(None)
+    why.step(runtime)
+    assert blame(runtime, int(Reason.TRACKING)) == WORDS[Reason.TRACKING]  # not any more
+    assert str(why) == f"{WORDS[Reason.TRACKING]} (wrist_2); {WORDS[Reason.OPERATOR]}"
+    runtime.supervisor.reason[0] = 0
+    why.step(runtime)
+    assert str(why) == ""
 
 
 @pytest.mark.parametrize("reason", list(Reason))

@@ -1,5 +1,8 @@
 """A model that somebody else wrote."""
 
+import subprocess
+import sys
+
 import pytest
 from test_spec import SPEC
 
@@ -43,6 +46,26 @@ def test_a_model_that_would_take_for_ever_is_given_up(tmp_path):
         RobotError, match=rf"cannot compile it within 3 s of a core and {MEMORY_GIB} GiB: exit code -"
     ):
         check_compiles(path, tmp_path, cpu_s=3)
+
+
+def test_no_code_of_the_folder_that_it_is_called_in_runs(tmp_path, monkeypatch):
+    for name in ("mujoco.py", "resource.py"):
+        (tmp_path / name).write_text("from pathlib import Path\nPath('ran').touch()\n")
+    monkeypatch.chdir(tmp_path)
+    check_compiles(written(tmp_path), tmp_path)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_machine_that_allows_less_is_no_obstacle(tmp_path):
+    """A process whose own hard limits are below those of the quarantine cannot raise them, and need not."""
+    path = written(tmp_path)
+    code = (
+        "import resource, sys; from pathlib import Path; from robots.quarantine import check_compiles\n"
+        "resource.setrlimit(resource.RLIMIT_CPU, (20, 20))\n"
+        "resource.setrlimit(resource.RLIMIT_DATA, (4 << 30, 4 << 30))\n"
+        "check_compiles(Path(sys.argv[1]), Path(sys.argv[1]).parent)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(path)], check=True)
 
 
 def test_a_file_outside_of_its_folder_is_not_even_opened(tmp_path):

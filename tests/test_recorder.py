@@ -127,7 +127,7 @@ def test_changes_of_mode_are_said_with_their_reasons(tmp_path):
     record(tmp_path, 20, stops={11: both, 12: both})
     found = messages(tmp_path / "run.mcap")
     said = [((time - START_NS) // TICK_NS, log.message) for time, _, log in found["/log"]]
-    why = "a motor is too hot; a joint does not follow its setpoint"
+    why = "a motor is too hot, or nobody knows how hot it is; a joint does not follow its setpoint"
     assert said == [
         (0, "DISARMED → RUNNING"),
         (11, f"RUNNING → STOPPING: {why}"),

@@ -219,5 +219,5 @@ def test_a_robot_that_is_too_hot_is_not_armed(bench):
     b.robot.plant.housing[:] = 95.0
     b.robot._settle(np.ones(1, dtype=bool))
     assert b.live() is Ending.REFUSED
-    assert b.shift.reason == "a motor is too hot"  # all of them
+    assert b.shift.reason == "a motor is too hot, or nobody knows how hot it is"  # all of them
     assert not any(powered for powered, _ in b.robot.sent)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from deploy.cli import BAD_INPUT
 from robots.errors import ContractError
+from robots.quarantine import bound
 
 SECONDS_MAX = 600.0
 MEMORY_BYTES_MAX = 8 << 30
@@ -24,22 +25,18 @@ def bounded(path: Path) -> Iterator[None]:
     Raises:
         ContractError: the block asked for more memory.
     """
-    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    before = resource.getrlimit(resource.RLIMIT_DATA)
     watchdog = threading.Timer(SECONDS_MAX, _give_up, [path])
     watchdog.daemon = True
     watchdog.start()
     try:
-        resource.setrlimit(resource.RLIMIT_DATA, (_lower(MEMORY_BYTES_MAX, soft, hard), hard))
+        bound(resource.RLIMIT_DATA, MEMORY_BYTES_MAX)
         yield
     except MemoryError as e:
         raise ContractError(f"{path}: found more than {MEMORY_BYTES_MAX} bytes of memory in use") from e
     finally:
-        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+        resource.setrlimit(resource.RLIMIT_DATA, before)
         watchdog.cancel()
-
-
-def _lower(*limits: int) -> int:
-    return min(limit for limit in limits if limit != resource.RLIM_INFINITY)
 
 
 def _give_up(path: Path) -> None:
