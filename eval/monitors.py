@@ -220,7 +220,7 @@ def _sound(action: NDArray[np.floating] | None) -> Any:
 
 
 def of_base(base: BaseTruth) -> tuple[Floats, Floats]:
-    """(B, 3) m/s forwards, m/s to the left, rad/s to the left, and (B,) rad that it leans."""
+    """(B, 3) m/s forwards, m/s to the left, rad/s to the left, over the floor; (B,) rad that it leans off gravity."""
     w, x, y, z = base.quat_wxyz.T
     # The first and the last column of the rotation: where the base's x and z axes point in the world.
     heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
@@ -230,7 +230,10 @@ def of_base(base: BaseTruth) -> tuple[Floats, Floats]:
     up = np.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), upwards), axis=1)
     turning = (up * base.angular_velocity).sum(axis=1)
     velocity = np.stack((cos * vx + sin * vy, cos * vy - sin * vx, turning), axis=1)
-    return velocity, np.arccos(np.minimum(np.maximum(upwards, -1.0), 1.0))
+    axis = np.stack(
+        (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), upwards), axis=1
+    )  # the base's z, in the world
+    return velocity, np.arccos(np.minimum(np.maximum((axis * base.up).sum(axis=1), -1.0), 1.0))
 
 
 def _bad(block: Block, tick: int) -> Bad:

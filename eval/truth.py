@@ -24,6 +24,10 @@ class BaseTruth(Protocol):
     def angular_velocity(self) -> Floats:
         """(B, 3) rad/s, base frame."""
 
+    @property
+    def up(self) -> Floats:
+        """(B, 3) of length 1, world: against gravity, to which the floor need not be square."""
+
 
 class Truth(Protocol):
     """What the simulation knows and the robot does not: arrays (B, ...), world frame."""

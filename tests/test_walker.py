@@ -331,8 +331,19 @@ def test_the_judge_knows_how_fast_a_base_turns():
     """About what is up in the world, however it leans."""
     rng = np.random.default_rng(2)
     quat, turning = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
-    velocity, _ = of_base(BaseTruth(np.zeros((50, 3)), quat, np.zeros((50, 3)), turning))
+    up = np.tile([0.0, 0.0, 1.0], (50, 1))
+    velocity, _ = of_base(BaseTruth(np.zeros((50, 3)), quat, np.zeros((50, 3)), turning, up))
     np.testing.assert_allclose(velocity[:, 2], times(matrix(quat), turning)[:, 2], atol=1e-12)
+
+
+def test_the_judge_knows_how_far_a_base_leans_off_gravity():
+    rng = np.random.default_rng(2)
+    quat, up = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    zero = np.zeros((50, 3))
+    _, leans = of_base(BaseTruth(zero, quat, zero, zero, up))
+    upright = times(matrix(quat).swapaxes(1, 2), up)  # seen from the base
+    np.testing.assert_allclose(leans, np.arctan2(np.hypot(*upright.T[:2]), upright[:, 2]), atol=1e-7)
 
 
 def changed(tmp_path, *changes, file="robot.toml"):

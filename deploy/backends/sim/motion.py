@@ -57,4 +57,6 @@ def _base(batch: Batch, anatomy: Anatomy) -> tuple[BaseTruth | None, Floats | No
     qpos, qvel = batch.bind("qpos")[:, base.qpos], batch.bind("qvel")[:, base.qvel]
     begins = anatomy.model.qpos0[base.qpos].copy()
     begins[:3] = 0.0, 0.0, base.stands_m
-    return BaseTruth(qpos[:, :3], qpos[:, 3:], qvel[:, :3], qvel[:, 3:]), begins
+    gravity = batch.expand("opt.gravity")
+    up = -gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
+    return BaseTruth(qpos[:, :3], qpos[:, 3:], qvel[:, :3], qvel[:, 3:], up), begins

@@ -6,17 +6,19 @@ from deploy.state import Bools, Floats
 
 
 class BaseTruth(NamedTuple):
-    """Of a floating base. The world is that of the model: its floor is level, and gravity leans by `mounting.tilt_rad`.
+    """Of a floating base. The world is that of the model: `mounting.tilt_rad` leans gravity in it, not the floor.
 
     Attributes:
         position: (B, 3) m, world. quat_wxyz: (B, 4), base in world.
         velocity: (B, 3) m/s, world. angular_velocity: (B, 3) rad/s, base frame.
+        up: (B, 3) of length 1, world: against gravity.
     """
 
     position: Floats
     quat_wxyz: Floats
     velocity: Floats
     angular_velocity: Floats
+    up: Floats
 
 
 class Truth(NamedTuple):
