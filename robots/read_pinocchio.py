@@ -39,13 +39,16 @@ def read_pinocchio(spec: RobotSpec) -> Read:
 
 
 def _read_mjcf(spec: RobotSpec) -> Read:
-    path = str(spec.model_path)
-    links = len(read_xml(spec.model_path).findall("./worldbody/body"))
+    path, root = str(spec.model_path), read_xml(spec.model_path)
+    links = len(root.findall("./worldbody/body"))
     if links != 1:
         raise RobotError(
             f"{path}: worldbody holds {links} bodies, expected 1: Pinocchio would leave the others out"
         )
     model = pin.buildModelFromMJCF(path)
+    carried, shapes = (len(root.findall(f"./worldbody{parts}//geom")) for parts in ("/body", ""))
+    if spec.capsules and carried == shapes:  # in the place of all of them: meshes take seconds to load
+        return model, pin.GeometryModel()
     return model, pin.buildGeomFromMJCF(model, path, pin.GeometryType.COLLISION)
 
 
@@ -53,6 +56,8 @@ def _read_urdf(spec: RobotSpec) -> Read:
     text = urdf_text(spec.model_path, spec.folder)
     root = (pin.JointModelFreeFlyer(),) if spec.base else ()
     model = pin.buildModelFromXML(text, *root)
+    if spec.capsules:  # in the place of all shapes: whatever stands still is a link here, too
+        return model, pin.GeometryModel()
     return model, pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
 
 

@@ -233,6 +233,19 @@ def test_capsules_take_the_place_of_the_shapes_of_bodies(tmp_path):
     assert len(collision_pairs(arm, shapes)) == 2
 
 
+def test_shapes_that_capsules_take_the_place_of_are_not_even_read(tmp_path):
+    """Meshes take seconds: this one cannot be read at all."""
+    xml = [
+        ("<worldbody>", '<asset><mesh name="hull" file="hull.stl"/></asset><worldbody>'),
+        (r'<geom name="table"[^>]*/>', ""),
+        ('<geom name="forearm" ', '<geom type="mesh" mesh="hull"/><geom name="forearm" '),
+    ]
+    spec = load_robot(copy_of_arm(tmp_path, toml=[(r"\[rates\]", CAPSULE)], xml=xml))
+    (spec.folder / "hull.stl").write_text("no mesh")
+    _, shapes = load_pinocchio(spec)
+    assert [shape.name for shape in shapes.geometryObjects] == ["forearm_link 0", "base_link 1"]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -390,3 +390,21 @@ def test_a_name_of_two_lines_is_refused(tmp_path, kind):
     )
     with pytest.raises(RobotError, match=f"{kind}: found name"):
         read_facts(model, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("body", "count", "what"),
+    [
+        ('<body name="b{0}"><joint name="j{0}"/><geom size="0.1"/></body>', 101, "101 joints"),
+        ('<geom size="0.1" pos="0 0 {0}"/>', 501, "501 shapes that touch"),
+    ],
+)
+def test_more_parts_than_robots_have_are_refused(tmp_path, body, count, what):
+    """They take the square of their number, or its cube."""
+    many, path = "".join(map(body.format, range(count))), tmp_path / "model.xml"
+    path.write_text(
+        f'<mujoco><worldbody><body name="a"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>{many}</body>'
+        "</worldbody></mujoco>"
+    )
+    with pytest.raises(RobotError, match=f"model.xml: found {what}, expected at most"):
+        init_robot(path, tmp_path / "robot")

@@ -16,6 +16,8 @@ from robots.model_mujoco import compile_model, open_model
 _HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 TOOLS = ("tool", "tcp", "ee", "eef", "end_effector", "grip_site", "grasp_site", "pinch", "attachment_site")
 """What a tool's site is mostly called."""
+JOINTS_MAX, BODIES_MAX, SHAPES_MAX = 100, 500, 500
+"""More than robots have: what is made of them takes the square of their number."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,11 +97,13 @@ def read_facts(path: Path, folder: Path) -> Facts:
     """Read a model.
 
     Raises:
-        RobotError: MuJoCo cannot read it, or a joint or its body has no name.
+        RobotError: MuJoCo cannot read it, it has more parts than robots have, or a joint or its body has no name.
     """
     mjcf = open_model(path, folder)
     neighbours = tuple((each.bodyname1, each.bodyname2) for each in mjcf.excludes)
     model = compile_model(mjcf, path)
+    touching = [i for i in range(model.ngeom) if model.geom_bodyid[i] and _touches(model, i)]
+    _check_sizes(model, touching, path)
     _check_names(model, path)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -108,7 +112,6 @@ def read_facts(path: Path, folder: Path) -> Facts:
     moving = [i for i, kind in enumerate(kinds) if kind in (_HINGE, _SLIDE)]
     joints = tuple(_joint(model, i, path, speeds) for i in moving)
     carriers = set(model.body_parentid[1:])
-    touching = [i for i in range(model.ngeom) if model.geom_bodyid[i] and _touches(model, i)]
     bodies = tuple(model.body(i).name for i in range(1, model.nbody))
     return Facts(
         joints=joints,
@@ -123,6 +126,16 @@ def read_facts(path: Path, folder: Path) -> Facts:
         centre=tuple(data.xanchor[moving[0]].round(4).tolist()) if moving else (0.0, 0.0, 0.0),
         reach=_reach(model, moving),
     )
+
+
+def _check_sizes(model: mujoco.MjModel, touching: list[int], path: Path) -> None:
+    for what, found, most in (
+        ("joints", model.njnt, JOINTS_MAX),
+        ("bodies", model.nbody - 1, BODIES_MAX),
+        ("shapes that touch", len(touching), SHAPES_MAX),
+    ):
+        if found > most:
+            raise RobotError(f"{path}: found {found} {what}, expected at most {most}")
 
 
 def _check_names(model: mujoco.MjModel, path: Path) -> None:
