@@ -3,6 +3,8 @@
 No sampling: a box of joint angles is clear if the distance at its middle is more than any pose of the box can close.
 """
 
+from collections import deque
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -13,7 +15,9 @@ Floats = NDArray[np.float64]
 Pairs = list[tuple[int, int]]
 
 BOXES = 2000
-"""Boxes looked at for a pair; one that needs more stays a pair to check."""
+"""Boxes looked at for a pair, the largest first; one that needs more stays a pair to check."""
+HOPELESS = 500
+"""Boxes of which none is clear: a pair with so many joints between its shapes does not come to an end."""
 
 
 def can_meet(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs) -> Pairs:
@@ -33,17 +37,21 @@ def can_meet(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pai
     def clear(number: int) -> bool:
         a, b = (geometry.geometryObjects[shape] for shape in pairs[number])
         reach = _reach(model, a, b.parentJoint) + _reach(model, b, a.parentJoint)
-        boxes = [(low, high)]
-        for _ in range(BOXES):
+        boxes, apart = deque([(low, high)]), 0
+        for looked in range(BOXES):
             if not boxes:
                 return True
-            least, most = boxes.pop()
+            if looked == HOPELESS and not apart:
+                return False
+            least, most = boxes.popleft()
             pin.updateGeometryPlacements(model, data, alone, places, (least + most) / 2)
             distance = pin.computeDistance(alone, places, number).min_distance - spec.margins.collision_m
             if distance <= 0:
                 return False
             closing = reach * (most - least) / 2
-            if distance <= closing.sum():
+            if distance > closing.sum():
+                apart += 1
+            else:
                 boxes.extend(_halves(least, most, int(closing.argmax())))
         return False
 
