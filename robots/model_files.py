@@ -4,7 +4,7 @@ All of them lie inside the robot's folder. Names are looked up as both formats d
 the directories that MJCF says, and as `package://NAME/path` inside the folder, which may itself be that package.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -61,7 +61,7 @@ def urdf_text(model: Path, folder: Path) -> str:
         for visual in link.findall("visual"):
             link.remove(visual)
     for mesh in root.iter("mesh"):
-        mesh.set("filename", str(find(mesh.get("filename", ""), model, folder, [])))
+        mesh.set("filename", str(find(mesh.get("filename", ""), model, folder)[0]))
     for own in root.findall("mujoco"):
         root.remove(own)
     compiler = ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler")
@@ -77,7 +77,7 @@ def named_files(model: Path, folder: Path) -> tuple[Path, ...]:
     """
     if is_urdf(model):
         meshes = read_xml(model).findall("link/collision/geometry/mesh")
-        found = {find(mesh.get("filename", ""), model, folder, []) for mesh in meshes}
+        found = {find(mesh.get("filename", ""), model, folder)[0] for mesh in meshes}
     else:
         found = _named_by_mjcf(model, folder)
     if len(found) > FILES_MAX:
@@ -97,7 +97,9 @@ def _named_by_mjcf(model: Path, folder: Path) -> set[Path]:
         )
     compilers = list(root.iter("compiler"))
     places = [place for key in DIRECTORIES for compiler in compilers if (place := compiler.get(key, ""))]
-    return {find(name, model, folder, places) for name in _names(root)}
+    stripped = {compiler.get("strippath") for compiler in compilers} - {None} == {"true"}
+    names = {Path(name).name if stripped else name for name in _names(root)}
+    return {path for name in names for path in find(name, model, folder, places)}
 
 
 def _names(root: ElementTree.Element) -> Iterator[str]:
@@ -105,8 +107,8 @@ def _names(root: ElementTree.Element) -> Iterator[str]:
         yield from (value for key, value in element.attrib.items() if key.startswith("file") and value)
 
 
-def find(name: str, model: Path, folder: Path, places: list[str]) -> Path:
-    """The file that a model calls so.
+def find(name: str, model: Path, folder: Path, places: Sequence[str] = ()) -> list[Path]:
+    """The files that a library may take for what a model calls so, as they lie on the disk.
 
     Args:
         name: as it stands in the model.
@@ -115,17 +117,16 @@ def find(name: str, model: Path, folder: Path, places: list[str]) -> Path:
         places: directories to look into, as the model says them.
 
     Raises:
-        RobotError: no such file inside the folder.
+        RobotError: there is no such file, or a library would look for it outside of the folder, too.
     """
     if name.startswith(PACKAGE):
         rest = name.removeprefix(PACKAGE)
         tried = [folder / rest, folder / rest.partition("/")[2]]
     else:
         tried = [model.parent / place / name for place in (*places, "")]
-        tried += [model.parent / place / Path(name).name for place in places]
-    inside = [path for path in (each.resolve() for each in tried) if path.is_relative_to(folder.resolve())]
-    for path in inside:
-        if path.is_file():
-            return path
+    tried = [path.resolve() for path in tried]
+    inside = all(path.is_relative_to(folder.resolve()) for path in tried)
+    if inside and (found := [path for path in tried if path.is_file()]):
+        return found
     where = "there is none" if inside else "it is not inside"
     raise RobotError(f"{model}: file: found {name!r:.200}, expected a file inside {folder}: {where}")

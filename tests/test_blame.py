@@ -7,8 +7,9 @@ from test_spec import SPEC
 pytest.importorskip("mujoco")
 
 from test_runtime import built, heard, running
+from walking import standing
 
-from deploy.blame import Why, blame
+from deploy.blame import Stops, Why, blame
 from deploy.estimator import DIVERGED
 from deploy.load import LOOKS
 from deploy.state import Reason
@@ -24,34 +25,34 @@ def runtime():
     return running(2)
 
 
-def beyond(runtime):
-    runtime.state.q[0, WRIST] = SPEC.joints[WRIST].q_max + 0.01
+def beyond(runtime, robot=0):
+    runtime.state.q[robot, WRIST] = SPEC.joints[WRIST].q_max + 0.01
 
 
-def astray(runtime):
-    runtime.state.q[0, WRIST] = runtime.setpoint.q[0, WRIST] + 1.1 * SPEC.margins.tracking_rad
+def astray(runtime, robot=0):
+    runtime.state.q[robot, WRIST] = runtime.setpoint.q[robot, WRIST] + 1.1 * SPEC.margins.tracking_rad
 
 
-def hot(runtime):
-    runtime.state.temperature[0, WRIST] = 500.0
+def hot(runtime, robot=0):
+    runtime.state.temperature[robot, WRIST] = 500.0
 
 
-def lost(runtime):
-    runtime.estimator.nis[0, WRIST] = DIVERGED + 1
+def lost(runtime, robot=0):
+    runtime.estimator.nis[robot, WRIST] = DIVERGED + 1
 
 
-def hanging(runtime):
-    runtime.estimator.same[0] = 10**6  # as at rest: nobody was sent away
-    runtime.estimator.moved[0] = runtime.estimator.sent[0, runtime.estimator._place, : SPEC.n]
-    runtime.estimator.moved[0, WRIST] += 0.1
+def hanging(runtime, robot=0):
+    runtime.estimator.same[robot] = 10**6  # as at rest: nobody was sent away
+    runtime.estimator.moved[robot] = runtime.estimator.sent[robot, runtime.estimator._place, : SPEC.n]
+    runtime.estimator.moved[robot, WRIST] += 0.1
 
 
-def leaning(runtime):
-    runtime.estimator.load.many[0, WRIST] = LOOKS
+def leaning(runtime, robot=0):
+    runtime.estimator.load.many[robot, WRIST] = LOOKS
 
 
-def moving(runtime):
-    runtime.estimator.ed[0, WRIST] = 10.0
+def moving(runtime, robot=0):
+    runtime.estimator.ed[robot, WRIST] = 10.0
 
 
 @pytest.mark.parametrize(
@@ -66,11 +67,13 @@ def moving(runtime):
         (moving, Reason.MOVING),
     ],
 )
-def test_a_reason_names_its_joint(runtime, befall, reason):
-    assert blame(runtime, int(reason)) == WORDS[reason]
-    befall(runtime)
+@pytest.mark.parametrize("robot", range(2))
+def test_a_reason_names_its_joint(runtime, befall, reason, robot):
+    assert blame(runtime, int(reason), robot) == WORDS[reason]
+    befall(runtime, robot)
     runtime.act(None)
-    assert blame(runtime, int(reason)) == f"{WORDS[reason]} (wrist_2)"
+    assert blame(runtime, int(reason), robot) == f"{WORDS[reason]} (wrist_2)"
+    assert blame(runtime, int(reason), 1 - robot) == WORDS[reason]
 
 
 @pytest.mark.parametrize(
@@ -85,6 +88,36 @@ def test_a_refused_setpoint_names_its_joint_and_only_for_the_robot_that_has_it(r
     assert runtime.verdict.reason[1] & reason
     assert "wrist_2" in blame(runtime, int(reason), robot=1)
     assert blame(runtime, int(reason)) == WORDS[reason]
+
+
+@pytest.mark.parametrize("late", range(2))
+def test_the_first_step_of_the_stop_names_its_joint_as_well(runtime, late):
+    """What would be sent, or what comes after it."""
+    here = runtime.setpoint
+    points = [here._replace(qd=here.qd.copy()) for _ in range(2)]
+    points[late].qd[1, WRIST] = 50.0
+    runtime.verdict = runtime.safety.step(runtime.state, here, *points, here.q, here.q)
+    assert blame(runtime, int(Reason.VELOCITY), robot=1) == f"{WORDS[Reason.VELOCITY]} (wrist_2)"
+
+
+@pytest.mark.parametrize("robot", range(2))
+def test_a_base_that_is_lost_is_named(robot):
+    runtime = standing(2)
+    runtime.walker.filter.P[robot] *= 1e6
+    runtime.tick()
+    assert blame(runtime, int(Reason.DIVERGED), robot) == f"{WORDS[Reason.DIVERGED]} (base)"
+    assert blame(runtime, int(Reason.DIVERGED), 1 - robot) == WORDS[Reason.DIVERGED]
+
+
+def test_who_loses_its_power_at_work_has_stopped(runtime):
+    stops = Stops()
+    assert stops.begun(runtime) == []
+    runtime.supervisor.latch(np.array([False, True]), Reason.OPERATOR)
+    assert stops.begun(runtime) == [1]
+    assert stops.begun(runtime) == []
+    runtime.stop(Reason.OPERATOR)
+    runtime.tick()
+    assert stops.begun(runtime) == [0]
 
 
 def test_a_joint_without_a_number_is_named(runtime):
@@ -191,3 +224,12 @@ def test_who_is_refused_is_told_which_joint_moves():
     runtime.estimator.ed[0, WRIST] = 1.0
     refused = runtime.arm(np.ones(1, dtype=bool))
     assert blame(runtime, int(refused[0])) == "a joint moves while the drives are off (wrist_2)"
+
+
+def test_who_is_refused_is_told_what_speaks_against_it_now():
+    """Not what did in the last tick: nobody asks a robot without power whether it may go on."""
+    runtime = built(1)
+    heard(runtime)
+    beyond(runtime)
+    refused = runtime.arm(np.ones(1, dtype=bool))
+    assert blame(runtime, int(refused[0])).endswith(f"{WORDS[Reason.OUTSIDE]} (wrist_2)")

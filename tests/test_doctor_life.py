@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +17,7 @@ from ailing import ailing, answering, in_another_order, louder, robot_and_digest
 from onnx import helper
 from test_contract import SPEC, arm_contract
 from test_policy import metadata
-from walking import QUADRUPED, walking_contract
+from walking import PLACES, QUADRUPED, walking_contract
 
 from deploy.contract import CONTRACT_KEY
 from policies import checking
@@ -26,6 +27,7 @@ from policies.doctor.checks import CHECKS, examined, row
 from policies.doctor.finding import Verdict
 from policies.doctor.warmth import Warmth, windings_after
 from robots.motor import MotorHeat, temperatures
+from robots.spec import load_robot
 
 pytestmark = pytest.mark.usefixtures("quick_goals")
 
@@ -282,6 +284,21 @@ def test_a_robot_that_walks_is_looked_at_as_well(tmp_path):
     assert first.verdict is Verdict.PASS
     assert first.said.startswith("the first step asks for ")
     assert "whether training had one cannot be seen" in row(case, "normalizer").said
+
+
+@pytest.mark.parametrize("command_s", [2.0, 30.0])
+def test_a_robot_that_walks_is_not_taken_to_work_because_no_command_ended(tmp_path, command_s):
+    """Trained with gravity of the other sign it asks for nothing upright; as it is here, it folds up."""
+    folder = shutil.copytree(QUADRUPED.folder, tmp_path / "robot")
+    text = (folder / "robot.toml").read_text()
+    (folder / "robot.toml").write_text(text.replace("command_s = 2.0", f"command_s = {command_s}"))
+    contract = walking_contract(load_robot(folder))
+    w = np.zeros((contract.observation_size, contract.action_size), np.float32)
+    w[PLACES["projected_gravity"]] = [[0.3, -0.3] * 6, [0.3, 0.3, -0.3, -0.3] * 3, [1.0] * 12]
+    node = helper.make_node("Gemm", ["observation", "w", "b"], ["action"])
+    case = Case(written(tmp_path, [node], {"w": w, "b": -np.ones(12, np.float32)}, contract), folder)
+    assert not case.works
+    assert "upright it is calmer with gravity with the other sign" in row(case, "tilt").said
 
 
 # ---- what cannot be lived ----

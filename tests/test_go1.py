@@ -100,7 +100,7 @@ def test_it_walks_through_the_whole_stack(go1):
 
 @shipped
 def test_the_doctor_finds_what_its_training_left_out_and_nothing_else(go1):
-    """It was trained on drives that obey at once: 8 ms cost it goals."""
+    """It was trained on drives that obey at once: 20 ms cost it goals."""
     findings = list(examined(Case(go1 / "walk.onnx", go1)))
     said = {finding.check: finding for finding in findings}
     assert {name for name, finding in said.items() if finding.verdict is Verdict.FAIL} <= {"delay"}

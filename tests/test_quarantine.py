@@ -4,11 +4,13 @@ import subprocess
 import sys
 
 import pytest
+from test_model_files import write_stl
 from test_spec import SPEC
 
 pytest.importorskip("mujoco")
 
 from robots.errors import RobotError
+from robots.model_files import named_files
 from robots.quarantine import MEMORY_GIB, check_compiles
 
 BODY = '<body name="a"><joint name="j"/><geom size="0.1"/>{}</body>'
@@ -68,7 +70,34 @@ def test_a_machine_that_allows_less_is_no_obstacle(tmp_path):
     subprocess.run([sys.executable, "-c", code, str(path)], check=True)
 
 
-def test_a_file_outside_of_its_folder_is_not_even_opened(tmp_path):
-    path = written(tmp_path, '<asset><mesh name="m" file="../secret.stl"/></asset>')
+@pytest.mark.parametrize("decoy", [False, True])
+@pytest.mark.parametrize(
+    ("compiler", "file"),
+    [
+        ("", "../secret/a.stl"),
+        ("", "{}/secret/a.stl"),
+        ('<compiler meshdir="../secret"/>', "a.stl"),
+        ('<compiler assetdir="{}/secret"/>', "a.stl"),
+        ('<compiler strippath="true"/><compiler strippath="false"/>', "{}/secret/a.stl"),
+    ],
+)
+def test_a_file_outside_of_its_folder_is_not_even_opened(tmp_path, compiler, file, decoy):
+    """Not even where one of the same name lies inside, for MuJoCo would take the other."""
+    write_stl(tmp_path / "secret" / "a.stl")
+    (tmp_path / "robot").mkdir()
+    if decoy:
+        write_stl(tmp_path / "robot" / "a.stl")
+    mesh = f'{compiler}<asset><mesh name="m" file="{file}"/></asset>'.replace("{}", str(tmp_path))
     with pytest.raises(RobotError, match="expected a file inside"):
-        check_compiles(path, tmp_path)
+        check_compiles(written(tmp_path / "robot", mesh), tmp_path / "robot")
+
+
+def test_whatever_a_library_may_take_is_a_file_of_the_model(tmp_path):
+    """MuJoCo reads a.stl in meshdir; where strippath counts the directories in names do not."""
+    for name in ("m/a.stl", "a.stl", "b.stl"):
+        write_stl(tmp_path / name)
+    compiler = '<compiler meshdir="m"/>{}<asset><mesh name="m" file="{}"/></asset>'
+    found = named_files(written(tmp_path, compiler.format("", "a.stl")), tmp_path)
+    assert [str(path.relative_to(tmp_path)) for path in found] == ["a.stl", "m/a.stl"]
+    path = written(tmp_path, compiler.format('<compiler strippath="true"/>', "/home/vendor/b.stl"))
+    assert [str(path.relative_to(tmp_path)) for path in named_files(path, tmp_path)] == ["b.stl"]

@@ -1,14 +1,17 @@
 import contextlib
 import json
 import os
+import shutil
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 from rich.console import Console
-from walking import live, walker
+from walking import QUADRUPED, live, walker
 
 from deploy import show
 from deploy.backends.sim.robot import SimRobot
+from deploy.backends.sim.scene import Scene
 from deploy.screen import Screen
 from robots.randomness import robot_seed
 from robots.spec import load_robot
@@ -68,6 +71,17 @@ def test_the_view_goes_with_a_robot_that_walks(monkeypatch):
     np.testing.assert_array_equal(
         windows[0].synced, [np.concatenate((place, truth.base.quat_wxyz[0], truth.q[0]))]
     )
+
+
+def test_a_scene_has_one_floor(tmp_path):
+    """Its own, or else one to walk on; an arm stands on its table."""
+    tiled = shutil.copytree(QUADRUPED.folder, tmp_path / "tiled")
+    text = (tiled / "model.xml").read_text()
+    assert "plane" not in text
+    floor = '<worldbody><geom name="tiles" type="plane" size="5 5 1"/>'
+    (tiled / "model.xml").write_text(text.replace("<worldbody>", floor))
+    kinds = [Scene(spec).model.geom_type for spec in (QUADRUPED, load_robot(tiled), SPEC)]
+    assert [np.count_nonzero(kind == mujoco.mjtGeom.mjGEOM_PLANE) for kind in kinds] == [1, 1, 0]
 
 
 SNAPSHOT = {

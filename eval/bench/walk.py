@@ -13,6 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from deploy.backends.sim.robot import SimRobot
 from deploy.contract import Contract
 from deploy.effort import Gains
 from deploy.policy import Policy
@@ -101,22 +102,21 @@ def stroll(trial: Trial, seconds: float) -> Walk:
     """Let armed robots walk and be judged; who has stopped counts with the speed that it has."""
     robot, runtime = trial.robot, trial.runtime
     watch, walked, many = Stopwatch(), np.zeros(robot.robots), 0
-    off = np.zeros((robot.robots, 3))
+    off, moves = np.zeros((robot.robots, 3)), _moves(robot)
     watch.watch("physics", robot.plant.batch, "rollout")
     began, ticks = time.perf_counter(), round(seconds / runtime.spec.dt)
     armed = round(ARM_S / runtime.spec.dt)
     for tick, _ in enumerate(trial.live(ARM_S + seconds)):
-        if tick < armed:
+        # What was believed in a tick is of its beginning.
+        (_, velocity, qd), moves = moves, _moves(robot)
+        base = runtime.state.base
+        if tick < armed or base is None:
             continue
-        truth, state = robot.truth(), runtime.state
-        if truth.base is None or state.base is None:
-            raise ValueError(f"{runtime.spec.name} stands fixed")
-        walked += of_base(truth.base)[0][:, 0]
-        velocity = times(matrix(truth.base.quat_wxyz).transpose(0, 2, 1), truth.base.velocity)
+        walked += moves[0]
         errors = (
             runtime.target.q - runtime.setpoint.q,
-            state.base.velocity_in_base - velocity,
-            state.qd - truth.qd,
+            base.velocity_in_base - velocity,
+            runtime.state.qd - qd,
         )
         ran = runtime.supervisor.mode == Mode.RUNNING
         off[ran] += np.stack([np.abs(error).mean(axis=1) for error in errors], axis=1)[ran]
@@ -124,6 +124,15 @@ def stroll(trial: Trial, seconds: float) -> Walk:
     spent = time.perf_counter() - began
     lag, velocity_off, speed_off = off.sum(axis=0) / many
     return Walk(walked / ticks, lag, velocity_off, speed_off, watch.total("physics"), spent)
+
+
+def _moves(robot: SimRobot) -> tuple[Floats, Floats, Floats]:
+    """(B,) m/s forwards over the ground, (B, 3) m/s of the base in its own axes, (B, n) rad/s of the joints."""
+    truth = robot.truth()
+    if truth.base is None:
+        raise ValueError(f"{robot.spec.name} stands fixed")
+    velocity = times(matrix(truth.base.quat_wxyz).transpose(0, 2, 1), truth.base.velocity)
+    return of_base(truth.base)[0][:, 0], velocity, truth.qd.copy()
 
 
 def _plain(spec: RobotSpec, base: Base, brain: Policy, gains: Gains) -> tuple[float, bool, float]:
