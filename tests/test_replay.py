@@ -31,7 +31,7 @@ from eval.shard import Shard
 from eval.window import columns
 from eval.witness import Witness
 from eval.workers import run_soak
-from robots.errors import ConfigError
+from robots.errors import ConfigError, RobotError
 from robots.spec import ROBOTS, load_robot
 
 PUSHES = {"force_n": (2000.0, 3000.0), "lasts_s": (0.1, 0.2), "every_s": (1.5, 2.0)}
@@ -392,6 +392,41 @@ def test_a_robot_that_walks_is_filmed_where_it_goes(fallen, tmp_path):
             frames.append(np.asarray(picture.convert("RGB"), dtype=float))
     assert frames[0].std() > 10
     assert np.abs(frames[1] - frames[0])[:300].max() > 50
+
+
+FAR = """
+from eval import film, replay
+class Far(film.Film):
+    def _picture(self, row):
+        row = row.copy()
+        row["base_true"][0] += 500.0
+        return super()._picture(row)
+replay.Film = Far
+replay.cli()
+"""
+
+
+def test_the_first_picture_of_one_that_has_walked_far_is_as_bright_as_the_others(fallen, tmp_path):
+    code = [sys.executable, "-c", FAR, str(fallen), "--video", str(tmp_path / "a.gif")]
+    done = subprocess.run(code, capture_output=True, text=True, check=False)
+    if "needs OpenGL" in done.stderr:
+        pytest.skip("there is no OpenGL")
+    assert (done.returncode, done.stderr) == (0, "")
+    with Image.open(tmp_path / "a.gif") as picture:
+        bright = []
+        for place in range(3):
+            picture.seek(place)
+            bright.append(np.asarray(picture.convert("L"), dtype=float)[:300].mean())
+    assert bright == pytest.approx([bright[-1]] * 3, rel=0.1)
+
+
+def test_a_bundle_of_a_model_that_does_not_compile_within_bounds_is_not_opened(one, monkeypatch):
+    def refused(model, folder):
+        raise RobotError(f"{model}: too dear")
+
+    monkeypatch.setattr("eval.again.check_compiles", refused)
+    with pytest.raises(RobotError, match=r"model\.xml: too dear"):
+        Replay(one)
 
 
 def test_no_opengl_is_bad_input(monkeypatch):

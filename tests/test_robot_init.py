@@ -408,3 +408,13 @@ def test_more_parts_than_robots_have_are_refused(tmp_path, body, count, what):
     )
     with pytest.raises(RobotError, match=f"model.xml: found {what}, expected at most"):
         init_robot(path, tmp_path / "robot")
+
+
+def test_a_model_that_does_not_compile_within_bounds_is_not_read(tmp_path, monkeypatch):
+    def refused(model, folder):
+        raise RobotError(f"{model}: too dear")
+
+    monkeypatch.setattr("policies.robot_init.cli.check_compiles", refused)
+    with pytest.raises(RobotError, match=r"model\.xml: too dear"):
+        init_robot(vendors(tmp_path), tmp_path / "mine")
+    assert not (tmp_path / "mine").exists()

@@ -1,4 +1,5 @@
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -55,6 +56,7 @@ def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):
     summary = json.loads((out / "summary.json").read_text())
     assert (code, complaint) == (0, "")
     assert (summary["ended"], summary["seed"], summary["stops"]) == ("done", "3", {"operator": 1})
+    assert [re.sub(r"^[\d.]+ s: ", "", stop) for stop in summary["last_stops"]] == ["it was told to stop"]
     assert (summary["robot_digest"], summary["recording"]) == (SPEC.digest, str(out / "run.mcap"))
     assert summary["policy_digest"] == Policy.load(arm_policy, SPEC).digest
     assert summary["goals"]["attempted"] == 1
