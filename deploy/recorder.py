@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from deploy.recording import WHOLE, Recording, row_type
 from deploy.runtime import Runtime
 from deploy.state import Bools, Floats, Mode, Reason
-from deploy.supervisor import words
 from robots.errors import OutputError
 from robots.spec import RobotSpec
 
@@ -132,13 +131,13 @@ class Recorder:
         """Events written or being written."""
         return tuple(event.path for event in self._events)
 
-    def step(self, runtime: Runtime) -> None:
-        """Record the tick that has just ended."""
+    def step(self, runtime: Runtime, why: str) -> None:
+        """Record the tick that has just ended, and why the robot does not run, in words."""
         row, self._tick = self._ring.step(runtime)[0], runtime.ticks - 1
         if self.lost is not None:
             return
         if row["mode"] != self._mode:
-            self._changed(Mode(int(row["mode"])), int(row["reason"]))
+            self._changed(Mode(int(row["mode"])), int(row["reason"]), why)
         if self._tick % self._every == 0:
             self._stream.write(row)
         if self._tick == self._due:
@@ -146,9 +145,9 @@ class Recorder:
         self._write(ROWS_PER_TICK)
         self._listen()
 
-    def _changed(self, mode: Mode, reason: int) -> None:
-        why = f": {words(reason)}" if reason else ""
-        self._stream.say(self._tick, f"{Mode(self._mode).name} → {mode.name}{why}", warning=bool(reason))
+    def _changed(self, mode: Mode, reason: int, why: str) -> None:
+        said = f"{Mode(self._mode).name} → {mode.name}{why and f': {why}'}"
+        self._stream.say(self._tick, said, warning=bool(reason))
         cut = mode == Mode.LATCHED and self._mode not in (Mode.STOPPING, Mode.HOLDING)
         self._mode = int(mode)
         if (mode == Mode.STOPPING and reason != Reason.OPERATOR) or cut:

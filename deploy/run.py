@@ -164,8 +164,16 @@ def _lived(
     screen, title = Show(), f"{about['robot']}  {about['policy']}  {about['backend']}"
 
     def show(shift: Shift) -> None:
-        notes, stops = [lost for lost in (recorder.lost, heat_file.lost) if lost], list(shift.tally.last)
-        picture = snapshot(runtime, pace, title=title, left=shift.left, hz=asked, stops=stops, notes=notes)
+        picture = snapshot(
+            runtime,
+            pace,
+            title=title,
+            reason=shift.reason,
+            left=shift.left,
+            hz=asked,
+            stops=list(shift.tally.last),
+            notes=[lost for lost in (recorder.lost, heat_file.lost) if lost],
+        )
         screen.offer(picture)
 
     shift = Shift(runtime, pace, recorder, duration=duration, watchers=[Every(SHOW_S, show), *watchers])

@@ -214,6 +214,8 @@ class _Bounds:
     def joints(self, x: Floats, reason: Reason) -> Bools:
         """(n,) whose columns of one row x (C,) give a reason."""
         inside = (x >= self._low[0]) & (x <= self._high[0])
+        if reason is Reason.NOT_FINITE:  # one joint's motion that is no number leaves no torque that is one
+            inside |= self._reason == Reason.TORQUE
         found = np.zeros(self._n + 1, dtype=bool)
         found[self._whose[self._why(x, inside) & int(reason) != 0]] = True
         return found[: self._n]

@@ -11,7 +11,6 @@ from typing import Any
 from deploy.pace import Pace
 from deploy.runtime import Runtime
 from deploy.state import Mode
-from deploy.supervisor import words
 
 WAIT_S = 5.0
 
@@ -73,6 +72,7 @@ def snapshot(
     pace: Pace,
     *,
     title: str,
+    reason: str,
     left: float | None,
     hz: float | None,
     stops: Sequence[str],
@@ -83,21 +83,20 @@ def snapshot(
     Args:
         runtime: after a tick.
         pace: of its ticks.
-        title: which run this is.
+        title: which run this is. reason: why the robot does not run, in words.
         left: s of robot time until the end, None if there is none.
         hz: the rate asked for, None if it is as fast as possible.
         stops: the last ones, in words.
         notes: what else the operator should know.
     """
-    mode, reason = Mode(int(runtime.supervisor.mode[0])), int(runtime.supervisor.reason[0])
     late = pace.lateness
     return {
         "title": title,
         "t": runtime.t,
         "elapsed": pace.elapsed,
         "left": left,
-        "mode": mode.name,
-        "reason": words(reason) if reason else "",
+        "mode": Mode(int(runtime.supervisor.mode[0])).name,
+        "reason": reason,
         "rate": pace.recent_rate(),
         "hz": hz,
         "late_us": None if hz is None else (late.p50_us, late.p99_us, late.max_us),

@@ -66,7 +66,7 @@ class Tally:
     """What the summary counts.
 
     Attributes:
-        stops: stops by reason. last: the newest of them in words, with their time. why: it does not run now.
+        stops: stops by reason. last: the newest of them in words, with their time.
         housing_max_c, winding_max_c: °C, the hottest motor of all ticks, as believed; None before the first.
     """
 
@@ -74,18 +74,16 @@ class Tally:
     last: deque[str] = field(default_factory=lambda: deque(maxlen=STOPS_SHOWN))
     housing_max_c: float | None = None
     winding_max_c: float | None = None
-    why: Why = field(default_factory=Why)
     _stops: Stops = field(default_factory=Stops)
 
-    def step(self, runtime: Runtime) -> None:
-        """Count the tick that has just ended."""
+    def step(self, runtime: Runtime, why: str) -> None:
+        """Count the tick that has just ended, and why the robot does not run, in words."""
         self.housing_max_c = _hotter(self.housing_max_c, runtime.state.temperature)
         self.winding_max_c = _hotter(self.winding_max_c, runtime.state.winding)
-        self.why.step(runtime)
         if 0 in self._stops.begun(runtime):
             reason = int(runtime.supervisor.reason[0])
             self.stops.update(bit.name.lower() for bit in Reason(reason) if bit.name)
-            self.last.append(f"{runtime.t:.2f} s: {self.why}")
+            self.last.append(f"{runtime.t:.2f} s: {why}")
 
 
 def _hotter(so_far: float | None, now: Floats) -> float | None:
@@ -118,7 +116,7 @@ class Shift:
         """
         self.runtime, self.pace, self.recorder, self.tally = runtime, pace, recorder, Tally()
         self.ending: Ending | None = None
-        self.interrupts = Interrupts()
+        self.interrupts, self._why = Interrupts(), Why()
         self._all = np.ones(runtime.robot.robots, dtype=bool)
         self._duration, self._t_end, self._t_rest = duration, np.inf, np.inf
         self._watchers, self._refused, self._stop_s = watchers, 0, runtime.spec.stop_s + STOP_SLACK_S
@@ -131,7 +129,7 @@ class Shift:
     @property
     def reason(self) -> str:
         """Why the robot does not run, in words."""
-        return blame(self.runtime, self._refused) if self._refused else str(self.tally.why)
+        return blame(self.runtime, self._refused) if self._refused else str(self._why)
 
     def live(self) -> Ending:
         """Arm, work, and come to rest, whatever happens."""
@@ -196,7 +194,9 @@ class Shift:
     def _tick(self) -> None:
         self.pace.wait()
         self.runtime.tick()
-        self.recorder.step(self.runtime)
-        self.tally.step(self.runtime)
+        self._why.step(self.runtime)
+        why = str(self._why)
+        self.recorder.step(self.runtime, why)
+        self.tally.step(self.runtime, why)
         for watch in self._watchers:
             watch(self)

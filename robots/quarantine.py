@@ -33,7 +33,10 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
     bounds = f"{model}: MuJoCo cannot compile it within {cpu_s} s of a core and {MEMORY_GIB} GiB"
     # -P: no code of the folder it is called in.
     child = [sys.executable, "-P", "-m", "robots.quarantine", *told]
-    done = subprocess.run(child, capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run(child, capture_output=True, text=True, check=False)
+    except OSError as e:
+        raise RobotError(f"{model}: no process to compile it in: {e.strerror}") from e
     if done.returncode == REFUSED:
         raise RobotError(done.stderr.strip().replace(told[0], str(model)))
     if done.returncode:

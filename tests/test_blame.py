@@ -126,6 +126,15 @@ def test_a_joint_without_a_number_is_named(runtime):
     assert blame(runtime, int(Reason.NOT_FINITE)) == f"{WORDS[Reason.NOT_FINITE]} (wrist_2)"
 
 
+def test_a_planned_joint_without_a_number_is_named_although_no_torque_is_one_then(runtime):
+    here = runtime.setpoint
+    planned = here._replace(q=here.q.copy())
+    planned.q[1, WRIST] = np.nan
+    runtime.verdict = runtime.safety.step(runtime.state, here, planned, here, here.q, here.q)
+    assert np.isnan(runtime.verdict.tau[1]).all()
+    assert blame(runtime, int(Reason.NOT_FINITE), robot=1) == f"{WORDS[Reason.NOT_FINITE]} (wrist_2)"
+
+
 @pytest.mark.parametrize("place", range(3))
 @pytest.mark.parametrize(
     ("q", "shapes"),

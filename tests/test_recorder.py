@@ -10,6 +10,7 @@ from mcap.reader import make_reader
 
 from deploy.recorder import AFTER_S, EVENTS_MAX, RING_S, Recorder, Ring, check_folder
 from deploy.state import Mode, Reason
+from deploy.supervisor import words
 from robots.errors import OutputError
 from robots.spec import load_robot
 
@@ -60,7 +61,7 @@ def record(folder, ticks, *, stops=None):
         runtime.supervisor.mode[0] = Mode.STOPPING if reason else Mode.RUNNING
         runtime.supervisor.reason[0] = reason
         runtime.tick()
-        writer.step(runtime)
+        writer.step(runtime, f"{words(reason)} (elbow)" if reason else "")
     writer.close()
     return writer
 
@@ -130,7 +131,7 @@ def test_changes_of_mode_are_said_with_their_reasons(tmp_path):
     why = "a motor is too hot, or nobody knows how hot it is; a joint does not follow its setpoint"
     assert said == [
         (0, "DISARMED → RUNNING"),
-        (11, f"RUNNING → STOPPING: {why}"),
+        (11, f"RUNNING → STOPPING: {why} (elbow)"),
         (13, "STOPPING → RUNNING"),
     ]
     state = found["/state"][3][2]  # tick 12
@@ -196,7 +197,7 @@ def test_the_operators_stop_is_an_event_only_when_asked_for(tmp_path):
     runtime.supervisor.mode[0], runtime.supervisor.reason[0] = Mode.STOPPING, Reason.OPERATOR
     for _ in range(AFTER + 2):
         runtime.tick()
-        writer.step(runtime)
+        writer.step(runtime, words(int(Reason.OPERATOR)))
     assert writer.events == ()
     writer.event()
     writer.close()
