@@ -5,9 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.estimator import CONFIRMED
 from deploy.runtime import Runtime
 from deploy.state import Bools, Mode, Reason
 from deploy.supervisor import WORDS
+
+AGES = (Reason.STALE, Reason.LOST)
+"""Reasons that are about the age of samples."""
 
 
 class Stops:
@@ -64,6 +68,9 @@ def _meant(runtime: Runtime, bit: Reason, robot: int) -> Bools:
     estimator, heat = runtime.estimator, runtime.estimator.heat
     if bit is Reason.HEAT and heat.unknown[robot]:
         return np.asarray(~heat.clear[robot])
+    if bit in AGES:
+        old = runtime.state.t - estimator.t_sample[robot] > _oldest(runtime, bit)
+        return np.asarray(old | (estimator.many[robot] < CONFIRMED))
     known = {
         Reason.DIVERGED: estimator.diverged,
         Reason.STUCK: estimator.stuck,
@@ -84,5 +91,13 @@ def _parts(runtime: Runtime, bit: Reason, robot: int) -> Iterator[str]:
         return
     if bit is Reason.DIVERGED and base.diverged[robot]:
         yield "base"
-    if bit is Reason.STUCK and base.stuck[robot]:
+    if (bit is Reason.STUCK and base.stuck[robot]) or (
+        bit in AGES and base.age[robot] > _oldest(runtime, bit)
+    ):
         yield "IMU"
+
+
+def _oldest(runtime: Runtime, bit: Reason) -> float:
+    """S that a sample may be old."""
+    margins = runtime.spec.margins
+    return margins.stale_s if bit is Reason.STALE else margins.lost_s

@@ -100,6 +100,39 @@ def test_the_first_step_of_the_stop_names_its_joint_as_well(runtime, late):
     assert blame(runtime, int(Reason.VELOCITY), robot=1) == f"{WORDS[Reason.VELOCITY]} (wrist_2)"
 
 
+@pytest.mark.parametrize("reason", [Reason.STALE, Reason.LOST])
+def test_a_joint_whose_encoder_is_not_believed_any_more_is_named(runtime, reason):
+    """Its readings come, and are refused one by one."""
+    read = runtime.robot.read
+
+    def astray():
+        sample = read()
+        sample["encoder"].value[1, WRIST] += np.random.default_rng(runtime.ticks).uniform(-1.0, 1.0)
+        return sample
+
+    runtime.robot.read = astray
+    while not runtime.verdict.reason[1] & reason:
+        runtime.tick()
+    assert blame(runtime, int(reason), robot=1) == f"{WORDS[reason]} (wrist_2)"
+
+
+@pytest.mark.parametrize("reason", [Reason.STALE, Reason.LOST])
+def test_an_imu_that_is_not_heard_is_named(reason):
+    runtime = standing(2)
+    read = runtime.robot.read
+
+    def silent():
+        sample = read()
+        gyro = sample["gyro"]
+        return sample | {"gyro": gyro._replace(fresh=gyro.fresh & [True, False])}
+
+    runtime.robot.read = silent
+    while not runtime.verdict.reason[1] & reason:
+        runtime.tick()
+    assert blame(runtime, int(reason), robot=1) == f"{WORDS[reason]} (IMU)"
+    assert blame(runtime, int(reason), robot=0) == WORDS[reason]
+
+
 @pytest.mark.parametrize("robot", range(2))
 def test_a_base_that_is_lost_is_named(robot):
     runtime = standing(2)
