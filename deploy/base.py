@@ -64,8 +64,8 @@ class Walker(Stage):
 
     def step(self, t: float, sample: Sample, state: State) -> State:
         """The same state with the base in it; what is wrong with that is wrong with the state."""
-        gyro = sample["gyro"]
-        imu = Imu(gyro.t, gyro.fresh, gyro.value, sample["accelerometer"].value)
+        gyro, accelerometer = sample["gyro"], sample["accelerometer"]
+        imu = Imu(gyro.t, gyro.fresh, gyro.value, accelerometer.value, accelerometer.t)
         looks = round(t / self._dt) % self._look == 0
         seen = (self._feet(sample, state), self._upright(t, sample, gyro)) if looks else (None, None)
         base = self.filter.step(t, imu, *seen)

@@ -36,16 +36,18 @@ class Imu(NamedTuple):
     """What the IMU's bus delivered.
 
     Attributes:
-        t: (B,) s, when the sample was taken, on the runtime's clock.
-        fresh: (B,) whether a packet arrived since the last read.
+        t: (B,) s, when the gyro's sample was taken, on the runtime's clock.
+        fresh: (B,) whether a packet of the gyro arrived since the last read.
         gyro: (B, 3) rad/s in the base frame.
-        accelerometer: (B, 3) m/s² in the base frame, specific force: at rest +G along up.
+        accelerometer: (B, 3) m/s² in the base frame, specific force: at rest +G along up; the newest, be it older.
+        t_accelerometer: (B,) s, when that was taken.
     """
 
     t: Floats
     fresh: Bools
     gyro: Floats
     accelerometer: Floats
+    t_accelerometer: Floats
 
 
 class Feet(NamedTuple):

@@ -1,8 +1,8 @@
 """How the base of a legged robot stands and moves: an error-state Kalman filter of its IMU and its standing feet.
 
 Each robot's belief is orientation R, velocity v in the base frame, and the biases of gyro and accelerometer, at the
-time its newest IMU sample was TAKEN; `BaseState` is that belief carried forward to now, and its `age` says how far. The
-IMU predicts; a foot that stands does not move in the world, so v + ω × p + ṗ = 0 up to slip.
+time its newest gyro sample was TAKEN; `BaseState` is that belief carried forward to now. The IMU predicts; a foot that
+stands does not move in the world, so v + ω × p + ṗ = 0 up to slip.
 
 With the velocity in the base frame and the error of orientation in the world's, feet are linear in the errors and do
 not see that of orientation, and gravity does not see a turn about itself: yaw is unobservable in the equations as it
@@ -58,6 +58,7 @@ class FloatingBase(Stage):
         "P",
         "reading",
         "t_sample",
+        "t_force",
         "seeded",
         "repeats",
         "innovation",
@@ -77,7 +78,7 @@ class FloatingBase(Stage):
         self.quat_wxyz, self.velocity = np.tile([1.0, 0.0, 0.0, 0.0], (robots, 1)), np.zeros((robots, 3))
         self.bias, self.reading = np.zeros((2, robots, 6))  # gyro, accelerometer
         self.P, self.innovation = np.zeros((robots, 12, 12)), np.zeros((robots, feet, 3))
-        self.t_sample, self.nis = np.zeros(robots), np.zeros(robots)
+        self.t_sample, self.t_force, self.nis = np.zeros((3, robots))
         self.seeded, self.repeats = np.zeros(robots, dtype=bool), np.zeros((robots, 2), dtype=np.int64)
         self.contradicted = np.zeros(robots, dtype=np.int64)
         self._noise, self._dt = noise, dt
@@ -95,7 +96,8 @@ class FloatingBase(Stage):
         """Fuse what arrived and carry the belief to now.
 
         A packet older than the last, more than a period from the future, or with numbers that no sensor gives is left
-        out, as if it had never arrived.
+        out, as if it had never arrived. A gyro goes on with what the accelerometer said last, for as long as it may
+        be old.
 
         Args:
             t: s, now.
@@ -104,11 +106,13 @@ class FloatingBase(Stage):
             upright: of an IMU that says it.
         """
         reading = np.concatenate([imu.gyro, imu.accelerometer], axis=1)
-        arrived = imu.fresh & np.isfinite(imu.t) & (imu.t <= t + self._dt) & _credible(reading)
+        known = np.isfinite(imu.t) & np.isfinite(imu.t_accelerometer)
+        known &= np.maximum(imu.t, imu.t_accelerometer) <= t + self._dt
+        arrived = imu.fresh & known & _credible(reading)
         newer = arrived & self.seeded & (imu.t > self.t_sample)
         if some(arrived & ~self.seeded):
-            self._seed(arrived & ~self.seeded, imu.t, reading)
-        self._count_repeats(newer, reading)
+            self._seed(arrived & ~self.seeded, imu, reading)
+        self._count_repeats(newer, imu.t_accelerometer, reading)
         fused = newer & ~self._stuck()
         self._predict(fused, imu.t, reading)
         if feet is not None:
@@ -117,7 +121,7 @@ class FloatingBase(Stage):
             self._level(upright.fresh & self.seeded, upright)
         return self._now(t)
 
-    def _seed(self, ids: Bools, t: Floats, reading: Floats) -> None:
+    def _seed(self, ids: Bools, imu: Imu, reading: Floats) -> None:
         """The first sample is a measurement of tilt by gravity, as wrong as the accelerometer's unknown bias."""
         force = norm(reading[:, 3:])[:, 0]
         ids = ids & (force >= REST_BAND[0] * G) & (force <= REST_BAND[1] * G)
@@ -133,12 +137,14 @@ class FloatingBase(Stage):
         self.P[ids], self.quat_wxyz[ids] = P, quat_wxyz
         self.velocity[ids], self.bias[ids], self.reading[ids] = 0.0, 0.0, reading[ids]
         self.innovation[ids], self.nis[ids], self.repeats[ids], self.contradicted[ids] = 0.0, 0.0, 0, 0
-        self.t_sample[ids], self.seeded[ids] = t[ids], True
+        self.t_sample[ids], self.t_force[ids], self.seeded[ids] = imu.t[ids], imu.t_accelerometer[ids], True
 
-    def _count_repeats(self, newer: Bools, reading: Floats) -> None:
-        """Gyro and accelerometer each, for one of them may hang alone."""
+    def _count_repeats(self, newer: Bools, t_force: Floats, reading: Floats) -> None:
+        """Gyro and accelerometer each, for one of them may hang alone; who says nothing repeats nothing."""
         same = (reading == self.reading).reshape(-1, 2, 3).all(axis=2)
-        np.copyto(self.repeats, (self.repeats + 1) * same, where=newer[:, None])
+        new = np.stack([newer, newer & (t_force > self.t_force)], axis=1)
+        np.copyto(self.repeats, (self.repeats + 1) * same, where=new)
+        np.copyto(self.t_force, t_force, where=new[:, 1])
 
     def _stuck(self) -> Bools:
         return np.asarray((self.repeats >= STUCK_SAMPLES - 1).any(axis=1))
@@ -222,8 +228,8 @@ class FloatingBase(Stage):
         self.bias += error[:, 6:]
 
     def _now(self, t: float) -> BaseState:
-        age = np.where(self.seeded, t - self.t_sample, np.inf)
-        lag = np.where(self.seeded, np.maximum(age, 0.0), 0.0)
+        lag = np.where(self.seeded, np.maximum(t - self.t_sample, 0.0), 0.0)
+        age = np.where(self.seeded, t - np.minimum(self.t_sample, self.t_force), np.inf)
         motion = move(self._belief, lag, self.reading, self.reading)
         turning, velocity = (self.reading - self.bias)[:, :3], times(motion.R, motion.velocity)
         sound = np.isfinite(motion.quat_wxyz.sum(axis=1) + turning.sum(axis=1) + velocity.sum(axis=1))

@@ -46,7 +46,7 @@ class BaseState(NamedTuple):
         angular_velocity: (B, 3) rad/s in the base frame, without bias.
         velocity_in_world: (B, 3) m/s. velocity_in_base: (B, 3) m/s.
         gravity: (B, 3) direction of gravity in the base frame: (0, 0, −1) when upright.
-        age: (B,) s since the newest sample was taken.
+        age: (B,) s since the newest samples were taken, of gyro or accelerometer whichever is older.
         innovation: (B, F, 3) of the newest sample, whitened by its covariance; 0 where a foot did not stand.
         stuck: (B,) the IMU repeats itself: its samples are left out.
         diverged: (B,) not to be believed: see `FloatingBase`.

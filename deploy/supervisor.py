@@ -52,7 +52,7 @@ WORDS = {
     Reason.OVERRUN: "too many ticks came late",
     Reason.OPERATOR: "it was told to stop",
     Reason.OUTSIDE: "a joint is outside its working range",
-    Reason.STUCK: "an encoder says the same, again and again",
+    Reason.STUCK: "a sensor says the same, again and again",
     Reason.MOVING: "a joint moves while the drives are off",
     Reason.DIVERGED: "an estimate does not fit what is measured",
     Reason.LOAD: "a motor's current does not fit what its motion needs",

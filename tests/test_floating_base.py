@@ -94,7 +94,8 @@ class World:
             fresh = rng.random(robots) >= loss
             if loss and tick % 150 > 130:
                 fresh[0] = False  # and long outages
-            imu = Imu(t=DT * at, fresh=fresh, gyro=self.gyro[at, row], accelerometer=self.force[at, row])
+            taken = DT * at
+            imu = Imu(taken, fresh, self.gyro[at, row], self.force[at, row], t_accelerometer=taken)
             yield DT * tick, imu, self.feet(at, slipping)
 
 
@@ -202,6 +203,10 @@ BAD = {
     "at no time": lambda imu: imu._replace(t=imu.t + np.nan),
     "at minus infinity": lambda imu: imu._replace(t=imu.t - np.inf),
     "not a number": lambda imu: imu._replace(gyro=imu.gyro * np.nan),
+    "of an accelerometer from the future": lambda imu: imu._replace(
+        t_accelerometer=imu.t_accelerometer + 2.5 * DT
+    ),
+    "of an accelerometer at no time": lambda imu: imu._replace(t_accelerometer=imu.t_accelerometer + np.nan),
     "infinite": lambda imu: imu._replace(accelerometer=imu.accelerometer + np.inf),
     "beyond any sensor": lambda imu: imu._replace(gyro=imu.gyro + 1.1 * RANGE),
 }
@@ -281,11 +286,25 @@ def test_a_gap_is_integrated():
     )
     yes, up = np.ones(1, dtype=bool), np.array([[0.0, 0.0, G]])
     turning = np.array([[0.0, 0.0, 0.5]])
-    base.step(0.0, Imu(np.zeros(1), yes, turning, up), feet)
-    state = base.step(0.1, Imu(np.full(1, 0.1), yes, turning, up + np.eye(1, 3)), feet)
+    begins, ends = np.zeros(1), np.full(1, 0.1)
+    base.step(0.0, Imu(begins, yes, turning, up, begins), feet)
+    state = base.step(0.1, Imu(ends, yes, turning, up + np.eye(1, 3), ends), feet)
     angle = Rotation.from_quat(state.quat_wxyz[0], scalar_first=True).as_rotvec()
     np.testing.assert_allclose(angle, [0, 0, 0.05], atol=1e-12)
     np.testing.assert_allclose(state.velocity_in_base, [[0.05, 0, 0]], atol=1e-12)
+
+
+def test_an_accelerometer_that_says_nothing_is_old_and_not_stuck():
+    """The gyro goes on with what it said last."""
+    base, stream = settled()
+    for tick, (t, imu, feet) in enumerate(stream[:40]):
+        force, taken = imu.accelerometer.copy(), imu.t_accelerometer.copy()
+        if tick >= 4:
+            force[0], taken[0] = stream[4][1].accelerometer[0], stream[4][1].t_accelerometer[0]
+        state = base.step(t, imu._replace(accelerometer=force, t_accelerometer=taken), feet)
+        assert not state.stuck.any()
+    assert state.age == pytest.approx([35 * DT, 0.0])
+    assert (base.t_sample == imu.t).all()
 
 
 @pytest.mark.parametrize("which", ["gyro", "accelerometer"])
@@ -394,7 +413,9 @@ def test_gravity_seeds_the_tilt_and_nothing_else(up):
     up = np.array(up) / np.linalg.norm(up)
     base = FloatingBase(NOISE, DT, 1, F)
     feet = Feet(stance=np.ones((1, F), dtype=bool), position=np.ones((1, F, 3)), velocity=np.ones((1, F, 3)))
-    state = base.step(0.0, Imu(np.zeros(1), np.ones(1, dtype=bool), np.ones((1, 3)), G * up[None]), feet)
+    state = base.step(
+        0.0, Imu(np.zeros(1), np.ones(1, dtype=bool), np.ones((1, 3)), G * up[None], np.zeros(1)), feet
+    )
     np.testing.assert_allclose(state.gravity[0], -up, atol=1e-12)
     ahead = Rotation.from_quat(state.quat_wxyz[0], scalar_first=True).apply([1.0, 0.0, 0.0])
     assert ahead[1] == pytest.approx(0.0, abs=1e-12)
@@ -408,7 +429,7 @@ def test_nobody_is_seeded_in_free_fall_or_before_time_began():
     feet = Feet(np.zeros((4, F), dtype=bool), *np.zeros((2, 4, F, 3)))
     force = np.outer([0.1, 2.0, 1.0, 1.0], [0.0, 0.0, G])
     t = np.array([0.0, 0.0, 0.0, -np.inf])
-    state = base.step(0.0, Imu(t, np.ones(4, dtype=bool), np.zeros((4, 3)), force), feet)
+    state = base.step(0.0, Imu(t, np.ones(4, dtype=bool), np.zeros((4, 3)), force, t), feet)
     assert np.isinf(state.age).tolist() == [True, True, False, True]
     assert not base.seeded[3]
     assert not state.diverged.any()

@@ -207,7 +207,7 @@ def test_who_falls_stops_for_good():
     [
         ("gyro", Failure.OFF, Reason.STALE),
         ("gyro", Failure.STUCK, Reason.STUCK),
-        ("accelerometer", Failure.OFF, Reason.STUCK),  # what it said last is said again and again
+        ("accelerometer", Failure.OFF, Reason.STALE),
         ("accelerometer", Failure.STUCK, Reason.STUCK),
     ],
 )

@@ -140,7 +140,13 @@ def watch(
         seen = at, who
         yield (
             tick * DT,
-            Imu(t=at * DT, fresh=~lost[tick], gyro=gyro[at, row], accelerometer=force[at, row]),
+            Imu(
+                t=at * DT,
+                fresh=~lost[tick],
+                gyro=gyro[at, row],
+                accelerometer=force[at, row],
+                t_accelerometer=at * DT,
+            ),
             Feet(
                 stance=(truth.force[seen] > CONTACT_N) ^ wrong[tick],
                 position=truth.position[seen] + FOOT_STD * shake[0, tick],
