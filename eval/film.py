@@ -58,9 +58,8 @@ class Film:
             OutputError: it cannot be written.
         """
         event, dt = replay.about.event, replay.spec.dt
-        self._picture(
-            again.rows[0]
-        )  # MuJoCo lays an endless floor to where the camera was in the picture before
+        # MuJoCo lays an endless floor to where the camera was in the picture before.
+        self._picture(again.rows[0])
         every, frames = max(1, round(FRAME_S / dt)), []
         for begin in range(0, len(again.rows), every):
             row, load = again.rows[begin], float(again.load[begin : begin + every].max())

@@ -230,9 +230,8 @@ def of_base(base: BaseTruth) -> tuple[Floats, Floats]:
     up = np.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), upwards), axis=1)
     turning = (up * base.angular_velocity).sum(axis=1)
     velocity = np.stack((cos * vx + sin * vy, cos * vy - sin * vx, turning), axis=1)
-    axis = np.stack(
-        (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), upwards), axis=1
-    )  # the base's z, in the world
+    # The last column: the base's z axis in the world.
+    axis = np.stack((2.0 * (x * z + w * y), 2.0 * (y * z - w * x), upwards), axis=1)
     return velocity, np.arccos(np.minimum(np.maximum((axis * base.up).sum(axis=1), -1.0), 1.0))
 
 

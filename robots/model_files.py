@@ -1,7 +1,7 @@
 """The files of which a robot's model is made: MJCF or URDF, and what it names, mostly meshes.
 
-All of them lie inside the robot's folder. Names are looked up as both formats do: as they stand beside the model, in
-the directories that MJCF says, and as `package://NAME/path` inside the folder, which may itself be that package.
+All of them lie inside the robot's folder. Names are looked up as both formats do: in the directories that MJCF says or
+else beside the model, and as `package://NAME/path` inside the folder, which may itself be that package.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,7 +16,6 @@ DEPTH_MAX = 200
 FILES_MAX, FILES_BYTES_MAX = 1000, 1 << 30
 """Of all that a model names."""
 PACKAGE = "package://"
-DIRECTORIES = ("assetdir", "meshdir", "texturedir")
 
 
 def is_urdf(model: Path) -> bool:
@@ -95,26 +94,29 @@ def _named_by_mjcf(model: Path, folder: Path) -> set[Path]:
             f"{model}: include: found {include.get('file', '')!r}, expected a model in one file:"
             " Pinocchio reads no other"
         )
-    compilers = list(root.iter("compiler"))
-    places = [place for key in DIRECTORIES for compiler in compilers if (place := compiler.get(key, ""))]
-    stripped = {compiler.get("strippath") for compiler in compilers} - {None} == {"true"}
-    names = {Path(name).name if stripped else name for name in _names(root)}
-    return {path for name in names for path in find(name, model, folder, places)}
+    said = [compiler.attrib for compiler in root.iter("compiler")]
+    stripped = {one["strippath"] for one in said if "strippath" in one} == {"true"}
+    found = set()
+    for element, name in _names(root):
+        keys = "assetdir", "texturedir" if element.tag == "texture" else "meshdir"
+        places = [one[key] for one in said for key in keys if one.get(key)]
+        found.update(find(Path(name).name if stripped else name, model, folder, places or [""]))
+    return found
 
 
-def _names(root: ElementTree.Element) -> Iterator[str]:
+def _names(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, str]]:
     for element in root.iter():
-        yield from (value for key, value in element.attrib.items() if key.startswith("file") and value)
+        yield from ((element, value) for key, value in element.items() if key.startswith("file") and value)
 
 
-def find(name: str, model: Path, folder: Path, places: Sequence[str] = ()) -> list[Path]:
+def find(name: str, model: Path, folder: Path, places: Sequence[str] = ("",)) -> list[Path]:
     """The files that a library may take for what a model calls so, as they lie on the disk.
 
     Args:
         name: as it stands in the model.
         model: the file that names it.
         folder: of the robot.
-        places: directories to look into, as the model says them.
+        places: directories to look into, as seen from the model.
 
     Raises:
         RobotError: there is no such file, or a library would look for it outside of the folder, too.
@@ -123,7 +125,7 @@ def find(name: str, model: Path, folder: Path, places: Sequence[str] = ()) -> li
         rest = name.removeprefix(PACKAGE)
         tried = [folder / rest, folder / rest.partition("/")[2]]
     else:
-        tried = [model.parent / place / name for place in (*places, "")]
+        tried = [model.parent / place / name for place in places]
     tried = [path.resolve() for path in tried]
     inside = all(path.is_relative_to(folder.resolve()) for path in tried)
     if inside and (found := [path for path in tried if path.is_file()]):

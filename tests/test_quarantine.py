@@ -92,12 +92,21 @@ def test_a_file_outside_of_its_folder_is_not_even_opened(tmp_path, compiler, fil
         check_compiles(written(tmp_path / "robot", mesh), tmp_path / "robot")
 
 
-def test_whatever_a_library_may_take_is_a_file_of_the_model(tmp_path):
-    """MuJoCo reads a.stl in meshdir; where strippath counts the directories in names do not."""
-    for name in ("m/a.stl", "a.stl", "b.stl"):
+@pytest.mark.parametrize(
+    ("compiler", "file", "found"),
+    [
+        ("", "a.stl", ["a.stl"]),
+        ('<compiler meshdir="m"/>', "a.stl", ["m/a.stl"]),
+        ('<compiler meshdir="m"/>', "../a.stl", ["a.stl"]),
+        ('<compiler texturedir="../t"/>', "a.stl", ["a.stl"]),  # no texture is named
+        ('<compiler assetdir="m"/>', "a.stl", ["m/a.stl"]),
+        ('<compiler assetdir="m" meshdir="n"/>', "a.stl", ["m/a.stl", "n/a.stl"]),  # one of them
+        ('<compiler meshdir="m" strippath="true"/>', "/home/vendor/a.stl", ["m/a.stl"]),
+    ],
+)
+def test_whatever_mujoco_may_take_is_a_file_of_the_model(tmp_path, compiler, file, found):
+    for name in ("a.stl", "m/a.stl", "n/a.stl"):
         write_stl(tmp_path / name)
-    compiler = '<compiler meshdir="m"/>{}<asset><mesh name="m" file="{}"/></asset>'
-    found = named_files(written(tmp_path, compiler.format("", "a.stl")), tmp_path)
-    assert [str(path.relative_to(tmp_path)) for path in found] == ["a.stl", "m/a.stl"]
-    path = written(tmp_path, compiler.format('<compiler strippath="true"/>', "/home/vendor/b.stl"))
-    assert [str(path.relative_to(tmp_path)) for path in named_files(path, tmp_path)] == ["b.stl"]
+    path = written(tmp_path, f'{compiler}<asset><mesh name="m" file="{file}"/></asset>')
+    assert [str(each.relative_to(tmp_path)) for each in named_files(path, tmp_path)] == found
+    check_compiles(path, tmp_path)
