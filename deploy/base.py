@@ -24,6 +24,10 @@ SAID_S = 0.1
 LOOK_S = 0.016
 """s between two looks at feet and at what the IMU says of up: what it measures itself is integrated on every tick."""
 
+AGAIN_S = 1.0
+"""s; what the IMU says of up has a bias, which stays: all looks of so long count as one look at it. An estimate, with
+which robots as drawn are about as wrong as the filter claims."""
+
 
 class Walker(Stage):
     """Belief about B bases.
@@ -50,12 +54,9 @@ class Walker(Stage):
         noise = replace(noise, slip=noise.slip / np.sqrt(self._look * spec.dt / dt))
         self.filter = FloatingBase(noise, dt, robots, len(base.feet))
         self.gravity, self.t_up = np.tile(DOWN, (robots, 1)), np.full(robots, -np.inf)
-        self._fleet, self._foot_m, self._orientation = Fleet(spec, robots), base.foot_m, None
+        self._fleet, self._foot_m, self._said = Fleet(spec, robots), base.foot_m, None
         if "orientation" in spec.sensors:
-            sensor = spec.sensors["orientation"]
-            self._orientation = 4.0 * (
-                sensor.variance + sensor.bias**2 / 3.0
-            )  # half an angle is in a quaternion
+            self._said = _variances(spec.sensors["orientation"], looks=AGAIN_S / (self._look * spec.dt))
 
     def reset(self, ids: Bools) -> None:
         """Forget robots where `ids` (B,) holds."""
@@ -93,7 +94,7 @@ class Walker(Stage):
 
         What it says of the future, of long ago, or said before counts as not said.
         """
-        if self._orientation is None:
+        if self._said is None:
             return None
         said = sample["orientation"]
         recent = (said.t <= t + self._dt) & (said.t > t - SAID_S)
@@ -103,7 +104,13 @@ class Walker(Stage):
         up = matrix(quat / np.linalg.norm(quat, axis=1, keepdims=True))[:, 2]
         later = np.where(fresh, gyro.t - said.t, 0.0)[:, None]
         up = up - later * np.cross(np.nan_to_num(gyro.value), up)
-        return Upright(fresh, up / np.linalg.norm(up, axis=1, keepdims=True), self._orientation)
+        return Upright(fresh, up / np.linalg.norm(up, axis=1, keepdims=True), *self._said)
+
+
+def _variances(orientation: Sensor, looks: float) -> tuple[float, float]:
+    """Rad² of one look at up, and of one of so many that count as one look at the sensor's bias."""
+    noise, bias = (4.0 * var for var in (orientation.variance, orientation.bias**2 / 3.0))  # of half an angle
+    return noise + bias, noise + max(1.0, looks) * bias
 
 
 def _noise(spec: RobotSpec, base: Base, dt: float) -> BaseNoise:

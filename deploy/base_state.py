@@ -70,8 +70,10 @@ class Upright(NamedTuple):
         fresh: (B,) whether it said so since the last look.
         up: (B, 3) unit vector, in the base frame at the time of the IMU's sample.
         variance: rad², of each of its two angles.
+        weighed: rad², variance with which it counts: what is wrong with it in the same way again and again is more.
     """
 
     fresh: Bools
     up: Floats
     variance: float
+    weighed: float

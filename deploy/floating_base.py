@@ -211,8 +211,9 @@ class FloatingBase(Stage):
         leans = times(matrix(self.quat_wxyz), upright.up)
         z, S = np.stack([leans[:, 1], -leans[:, 0]], axis=1), self.P[:, :2, :2].copy()
         diagonal(S)[:] += upright.variance
-        K = np.asarray(np.linalg.solve(S, self.P[:, :2]).swapaxes(1, 2), dtype=np.float64)
         far = (z * np.linalg.solve(S, z[..., None])[..., 0]).sum(axis=1)
+        diagonal(S)[:] += upright.weighed - upright.variance
+        K = np.asarray(np.linalg.solve(S, self.P[:, :2]).swapaxes(1, 2), dtype=np.float64)
         used = ids & (far <= GATE) & (leans[:, 2] > 0.0)
         self.contradicted += ids & ~used
         self.contradicted[used] = 0

@@ -461,7 +461,8 @@ def said_upright(world, k, variance, rng):
     """What an IMU that estimates its own tilt says, as wrong as it says."""
     up = np.eye(3)[2]
     lean = np.sqrt(variance) * rng.normal(size=world.v[k].shape) * [1, 1, 0]
-    return Upright(np.ones(len(lean), dtype=bool), np.vecmat(up + np.cross(lean, up), world.R[k]), variance)
+    seen = np.vecmat(up + np.cross(lean, up), world.R[k])
+    return Upright(np.ones(len(lean), dtype=bool), seen, variance, variance)
 
 
 def tilt_errors(*, told, feet=False, ticks=2000):
@@ -487,7 +488,7 @@ def test_up_is_not_believed_where_it_cannot_be():
     world, base = World(7, 2, 200), FloatingBase(NOISE, DT, 2, F)
     for t, imu, legs in world.packets():
         quiet = base.step(t, imu, legs)
-    down = Upright(np.array([True, False]), np.tile([0.0, 0.0, -1.0], (2, 1)), 1e-4)
+    down = Upright(np.array([True, False]), np.tile([0.0, 0.0, -1.0], (2, 1)), 1e-4, 1e-4)
     np.testing.assert_array_equal(
         base.step(t, imu._replace(fresh=np.zeros(2, dtype=bool)), legs, down).gravity, quiet.gravity
     )
@@ -499,7 +500,7 @@ def test_who_is_told_again_and_again_that_up_is_elsewhere_is_lost():
     for t, imu, legs in world.packets():
         base.step(t, imu, legs)
     silent = imu._replace(fresh=np.zeros(2, dtype=bool))
-    down = Upright(np.array([True, False]), np.tile([0.0, 0.0, -1.0], (2, 1)), 1e-4)
+    down = Upright(np.array([True, False]), np.tile([0.0, 0.0, -1.0], (2, 1)), 1e-4, 1e-4)
     lost = [base.step(t, silent, legs, down).diverged.tolist() for _ in range(CONTRADICTED)]
     assert lost == [[False, False]] * (CONTRADICTED - 1) + [[True, False]]
 
@@ -511,5 +512,5 @@ def test_one_word_that_fits_takes_back_what_was_said_before():
     silent, told = imu._replace(fresh=np.zeros(1, dtype=bool)), np.ones(1, dtype=bool)
     for _ in range(3):
         for _ in range(CONTRADICTED - 1):
-            assert not base.step(t, silent, legs, Upright(told, -up, 1e-4)).diverged.any()
-        assert not base.step(t, silent, legs, Upright(told, up, 1e-4)).diverged.any()
+            assert not base.step(t, silent, legs, Upright(told, -up, 1e-4, 1e-2)).diverged.any()
+        assert not base.step(t, silent, legs, Upright(told, up, 1e-4, 1e-2)).diverged.any()

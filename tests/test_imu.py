@@ -57,6 +57,12 @@ def standing(tmp_path):
     return runtime
 
 
+def truly_down(robot):
+    """(B, 3) where gravity points, as seen from the base."""
+    base = robot.truth().base
+    return -np.matvec(matrix(base.quat_wxyz).swapaxes(1, 2), base.up)
+
+
 def hearing(runtime, kind, change):
     """From now on packets of a sensor come changed."""
     read = runtime.robot.read
@@ -75,6 +81,15 @@ def test_who_is_thrown_over_while_its_gyro_says_nothing_does_not_take_itself_for
     assert leans[1] > 2.0
     assert standing.supervisor.mode.tolist() == [Mode.RUNNING, Mode.LATCHED]
     assert Reason(int(standing.supervisor.reason[1])) & (Reason.DIVERGED | Reason.FALLEN)
+
+
+def test_what_is_said_of_up_again_and_again_is_not_believed_more_than_its_bias_allows(standing):
+    live(standing, 1000)
+    bias_var = 4 * 0.003**2 / 3
+    claimed = np.sqrt(standing.walker.filter.P[:, :2, :2].trace(axis1=1, axis2=2))
+    wrong = np.linalg.norm(standing.state.base.gravity - truly_down(standing.robot), axis=1)
+    assert (claimed > 0.5 * np.sqrt(2 * bias_var)).all()
+    assert (wrong < 3 * claimed).all()
 
 
 @pytest.mark.parametrize("tilt", [(0.1, 0.0), (0.0, -0.1)])
