@@ -5,17 +5,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.action import Action
-from deploy.backends.base import Robot
-from deploy.base import Walker
-from deploy.contract import Contract
-from deploy.effort import Springs, same
-from deploy.estimator import Estimator
-from deploy.flags import every, some
-from deploy.observation import Observation, Sources
-from deploy.policy import Policy
-from deploy.safety import Safety
-from deploy.smoother import Smoother
+from deploy.backends.backend import Robot
+from deploy.estimation.estimator import Estimator
+from deploy.estimation.floating_base import Walker
+from deploy.masks import every, some
+from deploy.motion.drive_law import Springs, same
+from deploy.motion.smoother import Smoother
+from deploy.policy.action import Action
+from deploy.policy.contract import Contract
+from deploy.policy.observation import Observation, Sources
+from deploy.policy.policy import Policy
+from deploy.safety.safety import Safety
+from deploy.safety.supervisor import Supervisor
 from deploy.stage import Arrays, Stage, inside
 from deploy.state import (
     BaseState,
@@ -30,10 +31,9 @@ from deploy.state import (
     Target,
     Verdict,
 )
-from deploy.supervisor import Supervisor
 from deploy.tasks.reach import Reach
 from deploy.tasks.velocity import Velocity
-from robots.model_pinocchio import Fleet
+from robots.models.fleet import Fleet
 from robots.spec import RobotSpec
 
 Float32s = NDArray[np.float32]

@@ -26,8 +26,8 @@ from rsl_rl.models import MLPModel, RNNModel
 from tensordict import TensorDict
 from torch import nn
 
-from deploy.cli import PASSED, main
-from deploy.policy import Policy
+from deploy.command_line import PASSED, main
+from deploy.policy.policy import Policy
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 
@@ -101,7 +101,7 @@ def contract(spec: RobotSpec, network: dict[str, str]) -> str:
 
 def imports(spec: RobotSpec, policy: Path) -> None:
     """Wall time of the whole command, once for each kind; `policy` is not asked."""
-    command = [sys.executable, "-c", "from policies.importing import cli; cli()"]
+    command = [sys.executable, "-c", "from policies.importers.cli import cli; cli()"]
     with tempfile.TemporaryDirectory() as place:
         for kind, (path, network) in made(Path(place), spec).items():
             draft, out = path.with_suffix(".toml"), path.with_suffix(".ours.onnx")

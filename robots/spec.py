@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from robots.capsule import Capsule
 from robots.drive import Drive
 from robots.errors import RobotError
-from robots.model_files import named_files, read_xml
+from robots.models.files import named_files, read_xml
 from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
 from robots.strict import Strict, read_toml
 from robots.tables import Base, Joint, Margins, Motor, Rates, Tooling, Workspace

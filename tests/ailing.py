@@ -8,9 +8,9 @@ from onnx import TensorProto, helper, numpy_helper
 from test_policy import metadata
 from test_spec import copy_of_arm
 
-from deploy.contract import CONTRACT_KEY
-from deploy.policy import session
-from deploy.policy_file import GOLDEN_KEY
+from deploy.policy.contract import CONTRACT_KEY
+from deploy.policy.policy import session
+from deploy.policy.policy_file import GOLDEN_KEY
 from robots.spec import load_robot
 
 

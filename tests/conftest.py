@@ -6,7 +6,7 @@ from hypothesis import settings
 from onnx import numpy_helper
 from test_policy import A, golden, metadata, policy_model, saved, tensor, weights
 
-from deploy.policy_file import GOLDEN_KEY
+from deploy.policy.policy_file import GOLDEN_KEY
 from deploy.tasks import reach
 from robots.spec import load_robot
 
@@ -32,7 +32,7 @@ def shipped_policy(tmp_path_factory):
     """The shipped checkpoint as policy-export leaves it."""
     pytest.importorskip("torch")
     pytest.importorskip("onnxscript")
-    from policies.export import POLICIES, export
+    from policies.export.cli import POLICIES, export
 
     return export(POLICIES / "arm.pt", tmp_path_factory.mktemp("shipped") / "arm.onnx").path
 

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from deploy.graph import check_model
-from deploy.policy import Policy
+from deploy.policy.onnx_graph import check_model
+from deploy.policy.policy import Policy
 from policies.importers.ends import with_our_ends
 from policies.importers.parity import check_parity, trials
 

@@ -9,8 +9,8 @@ from test_spec import SPEC
 
 pytest.importorskip("mujoco")
 
-from deploy.estimator import Estimator
-from deploy.heat import Heat
+from deploy.estimation.estimator import Estimator
+from deploy.estimation.heat import Heat
 from deploy.state import Packet, Setpoint
 from eval.bench import ablation, hot
 from eval.bench.ablation import VARIANTS, Late, Measured, Newest, Unguarded, Unsmoothed

@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from deploy.action import Action
-from deploy.contract import ActionSpec
+from deploy.policy.action import Action
+from deploy.policy.contract import ActionSpec
 
 SCALE = (0.05, 0.05, 0.05, 0.1, 0.1, 0.2)
 LEASH = 0.3

@@ -12,7 +12,7 @@ from deploy.backends.sim.plant import Plant
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
 from robots.errors import ConfigError, RobotError
-from robots.model_mujoco import load_mujoco
+from robots.models.mujoco_model import load_mujoco
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from robots.windings import nominal_windings

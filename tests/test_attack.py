@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from test_spec import SPEC
 
+from deploy.safety.supervisor import CATEGORY_1
 from deploy.state import Mode, Reason
-from deploy.supervisor import CATEGORY_1
-from robots.model_pinocchio import Fleet, torque_max
+from robots.models.fleet import Fleet, torque_max
 
 pytest.importorskip("mujoco")
 

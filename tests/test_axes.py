@@ -10,8 +10,8 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
-from eval.axes import Axes
-from robots.model_mujoco import load_mujoco
+from eval.judge.singularity import Axes
+from robots.models.mujoco_model import load_mujoco
 from robots.spec import load_robot
 
 HOME = SPEC.joint_array("q_home")

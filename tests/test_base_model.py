@@ -7,9 +7,9 @@ from filterpy.kalman import ExtendedKalmanFilter
 from scipy.spatial.transform import Rotation
 from test_floating_base import DOWN, DT, NOISE, F, World, cross, one, settled
 
-from deploy import floating_base
-from deploy.base_model import G
-from deploy.floating_base import GATE, FloatingBase
+from deploy.estimation import base_filter as floating_base
+from deploy.estimation.base_filter import GATE, FloatingBase
+from deploy.estimation.base_model import G
 
 
 class ByFilterpy:

@@ -11,17 +11,18 @@ pytest.importorskip("mujoco")
 
 from mujoco.batch import Batch
 
-from deploy.policy import Policy
+from deploy.policy.policy import Policy
 from eval.bench import __main__ as command
-from eval.bench import estimate, pace, same, stages, stopwatch
-from eval.bench.encoder import draw_encoder
-from eval.bench.heard import Motion
+from eval.bench import pace, same, stages, stopwatch
+from eval.bench.estimation import estimate
+from eval.bench.estimation.encoder import draw_encoder
+from eval.bench.estimation.recorded_packets import Motion
 from eval.bench.idle import make_idle
 from eval.bench.plain import PlainRobot
 from eval.bench.stopwatch import Stopwatch
 from robots.distributions import load_distributions
 from robots.draws import draw
-from robots.model_mujoco import load_mujoco
+from robots.models.mujoco_model import load_mujoco
 from robots.randomness import robot_seed
 
 

@@ -9,11 +9,11 @@ pytest.importorskip("mujoco")
 from test_runtime import built, heard, running
 from walking import standing
 
-from deploy.blame import Stops, Why, blame
-from deploy.estimator import DIVERGED
-from deploy.load import LOOKS
+from deploy.estimation.estimator import DIVERGED
+from deploy.estimation.external_torque import LOOKS
+from deploy.safety.diagnostics import Stops, Why, blame
+from deploy.safety.supervisor import WORDS
 from deploy.state import Reason
-from deploy.supervisor import WORDS
 
 pytestmark = pytest.mark.usefixtures("quick_goals")
 

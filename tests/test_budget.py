@@ -6,9 +6,9 @@ import tomllib
 import numpy as np
 import pytest
 
-from eval.budget import BUDGET, check, load_budget
-from eval.counts import MONITORS, NAMES
-from eval.monitors import Judge
+from eval.judge.counts import MONITORS, NAMES
+from eval.judge.judge import Judge
+from eval.statistics.budget import BUDGET, check, load_budget
 from robots.errors import ConfigError
 from robots.spec import load_robot
 

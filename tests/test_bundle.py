@@ -11,10 +11,10 @@ pytest.importorskip("mujoco")
 
 from test_model_files import two_links
 
-from eval import bundle
-from eval.bundle import FILES, About, Happened, Job
-from eval.counts import MONITORS, NAMES, Event
-from eval.witness import HARD_KEPT, SOFT_KEPT, chosen
+from eval.judge.counts import MONITORS, NAMES, Event
+from eval.replay import bundle
+from eval.replay.bundle import FILES, About, Happened, Job
+from eval.replay.event_capture import HARD_KEPT, SOFT_KEPT, chosen
 from robots.errors import ConfigError, OutputError
 from robots.spec import load_robot
 

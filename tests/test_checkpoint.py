@@ -8,8 +8,8 @@ torch = pytest.importorskip("torch")
 
 from test_contract import arm_contract  # noqa: E402
 
-from policies.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
-from policies.networks import Actor  # noqa: E402
+from policies.training.checkpoint import load_checkpoint, save_checkpoint  # noqa: E402
+from policies.training.networks import Actor  # noqa: E402
 from robots.errors import ContractError, OutputError  # noqa: E402
 
 LAYERS = (32, 16)
@@ -88,7 +88,7 @@ def test_a_bare_pickle_is_never_run(tmp_path):
 def test_a_whole_module_is_refused(tmp_path):
     torch.save(made_actor(), tmp_path / "x.pt")
     assert refused(tmp_path / "x.pt").startswith(
-        "data.pkl: found '__builtin__.set', 'policies.networks.Actor'"
+        "data.pkl: found '__builtin__.set', 'policies.training.networks.Actor'"
     )
 
 
@@ -115,7 +115,7 @@ def test_other_files_are_refused(tmp_path):
 
 
 def test_a_bomb_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("policies.importers.zip_archive.BYTES_MAX", 10**6)
+    monkeypatch.setattr("policies.importers.torch_files.zip_archive.BYTES_MAX", 10**6)
     zipped(tmp_path / "x.pt", data=bytes(10**6 + 1))
     assert (tmp_path / "x.pt").stat().st_size < 10**4
     assert refused(tmp_path / "x.pt") == "found 1000001 bytes unpacked, expected at most 1000000"

@@ -5,10 +5,10 @@ import pinocchio as pin
 import pytest
 from test_spec import SPEC, copy_of_arm
 
-from robots.clearance import can_meet
-from robots.collisions import collision_pairs
 from robots.errors import RobotError
-from robots.model_pinocchio import Fleet, load_pinocchio
+from robots.models.clearance import can_meet
+from robots.models.collisions import collision_pairs
+from robots.models.fleet import Fleet, load_pinocchio
 from robots.spec import load_robot
 
 N = SPEC.n

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from deploy.clock import Unpaced, WallClock
-from deploy.pace import Every, Pace
+from deploy.operation.clock import Unpaced, WallClock
+from deploy.operation.loop_timing import Every, Pace
 
 
 class FakeTime:

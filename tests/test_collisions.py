@@ -5,10 +5,10 @@ import pinocchio as pin
 import pytest
 from test_spec import SPEC, copy_of_arm
 
-from robots import collisions
-from robots.blocks import BLOCK, turns
-from robots.collisions import collision_pairs
-from robots.model_pinocchio import Fleet, load_pinocchio
+from robots.models import collisions
+from robots.models.blocks import BLOCK, turns
+from robots.models.collisions import collision_pairs
+from robots.models.fleet import Fleet, load_pinocchio
 from robots.spec import load_robot
 
 N, POSES = SPEC.n, 2000

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.special import ndtri
 
-from eval import compare as compared
-from eval.compare import paired_interval
-from eval.counts import MONITORS
-from eval.dispersion import draw_rate_interval, draw_rate_upper
-from eval.monitors import Judge
-from eval.tally import Tally
+from eval.judge.counts import MONITORS
+from eval.judge.judge import Judge
+from eval.statistics import compare as compared
+from eval.statistics.compare import paired_interval
+from eval.statistics.dispersion import draw_rate_interval, draw_rate_upper
+from eval.statistics.per_draw_counts import Tally
 from robots.errors import ConfigError
 from robots.spec import load_robot
 

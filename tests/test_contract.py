@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_spec import copy_of_arm
 
-from deploy.contract import TEXT_MAX, ActionSpec, Contract, Observed
-from deploy.fit import check_contract
-from deploy.terms import READINGS, Term
+from deploy.policy.compatibility import check_contract
+from deploy.policy.contract import TEXT_MAX, ActionSpec, Contract, Observed
+from deploy.policy.observation_terms import READINGS, Term
 from robots.errors import ContractError
 from robots.spec import load_robot
 

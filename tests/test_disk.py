@@ -16,22 +16,23 @@ from test_spec import SPEC
 
 pytest.importorskip("mujoco")
 
-from deploy.policy import Policy
-from eval import bundle, workers
-from eval import soak as command
-from eval.asked import Soak
-from eval.budget import BUDGET, load_budget
-from eval.collect import collect
-from eval.disk import _window, check_room, room
+from deploy.policy.policy import Policy
+from eval.replay import bundle
+from eval.replay.capture_window import columns, window_type, write_mcap
 from eval.report import write as written
+from eval.report.assembly import collect
 from eval.report.build import build
-from eval.report.data import Run
-from eval.resume import clear, make
-from eval.series import SERIES, series
-from eval.shard import WIDTH
-from eval.trends import TRENDS, trends
-from eval.window import columns, window_type, write_mcap
-from eval.workers import run_soak, take_up
+from eval.report.schema.report_data import Run
+from eval.report.series import SERIES, series
+from eval.report.trends import TRENDS, trends
+from eval.soak import cli as command
+from eval.soak import workers
+from eval.soak.checkpoint import clear, make
+from eval.soak.configuration import Soak
+from eval.soak.disk import _window, check_room, room
+from eval.soak.shard import WIDTH
+from eval.soak.workers import run_soak, take_up
+from eval.statistics.budget import BUDGET, load_budget
 from robots.errors import ConfigError, OutputError
 
 QUIET = Console(quiet=True)

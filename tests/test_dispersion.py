@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from eval import dispersion
-from eval.dispersion import dispersion_p, draw_rate_interval, draw_rate_lower, draw_rate_upper
-from eval.evidence import rate_interval, rate_lower, rate_upper
+from eval.statistics import dispersion
+from eval.statistics.dispersion import dispersion_p, draw_rate_interval, draw_rate_lower, draw_rate_upper
+from eval.statistics.evidence import rate_interval, rate_lower, rate_upper
 
 NIGHT = np.full(16, 8.0)
 STUDY = 4_000

@@ -14,9 +14,9 @@ from onnx import helper, numpy_helper
 from test_contract import NAMES, SWAPPED, contracts
 from test_policy import metadata
 
-from deploy.contract import CONTRACT_KEY
+from deploy.policy.contract import CONTRACT_KEY
 from policies.doctor.case import Case
-from policies.doctor.checks import CHECKS, examined, row
+from policies.doctor.examination import CHECKS, examined, row
 from policies.doctor.finding import Finding, Verdict, failed, listed, passed, summed_up, warned
 from robots.errors import ContractError, RobotError
 

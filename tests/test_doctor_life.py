@@ -19,13 +19,13 @@ from test_contract import SPEC, arm_contract
 from test_policy import metadata
 from walking import PLACES, QUADRUPED, walking_contract
 
-from deploy.contract import CONTRACT_KEY
-from policies import checking
-from policies.doctor import orders
+from deploy.policy.contract import CONTRACT_KEY
+from policies.doctor import cli as checking
 from policies.doctor.case import Case
-from policies.doctor.checks import CHECKS, examined, row
+from policies.doctor.examination import CHECKS, examined, row
 from policies.doctor.finding import Verdict
-from policies.doctor.warmth import Warmth, windings_after
+from policies.doctor.trial import orders
+from policies.doctor.trial.warmth import Warmth, windings_after
 from robots.motor import MotorHeat, temperatures
 from robots.spec import load_robot
 
@@ -404,6 +404,6 @@ def test_bad_input_ends_with_2_and_one_line(command, tmp_path, arm_policy):
 
 
 def test_the_doctor_needs_no_torch():
-    code = "import sys, policies.checking; sys.exit('torch' in sys.modules)"
+    code = "import sys, policies.doctor.cli; sys.exit('torch' in sys.modules)"
     root = Path(__file__).parents[1]
     assert subprocess.run([sys.executable, "-c", code], cwd=root, check=False).returncode == 0

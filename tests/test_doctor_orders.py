@@ -13,13 +13,13 @@ from onnx import helper
 from test_contract import NAMES
 from test_policy import metadata
 
-from deploy.contract import CONTRACT_KEY
-from deploy.policy import Policy
-from policies.doctor import orders
+from deploy.policy.contract import CONTRACT_KEY
+from deploy.policy.policy import Policy
 from policies.doctor.case import Case
-from policies.doctor.checks import row
+from policies.doctor.examination import row
 from policies.doctor.finding import Verdict
-from policies.doctor.orders import EACH, Varied, variants
+from policies.doctor.trial import orders
+from policies.doctor.trial.orders import EACH, Varied, variants
 
 
 def some(names):

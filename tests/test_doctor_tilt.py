@@ -9,11 +9,11 @@ from ailing import written
 from onnx import helper
 from test_contract import arm_contract, term
 
-from deploy.contract import ActionSpec, Observed
+from deploy.policy.contract import ActionSpec, Observed
 from policies.doctor.case import Case
-from policies.doctor.checks import row
+from policies.doctor.checks.observations import training
+from policies.doctor.examination import row
 from policies.doctor.finding import Verdict
-from policies.doctor.observations import training
 
 A = 4
 UPRIGHT = {"projected_gravity": (0.0, 0.0, -1.0), "base_orientation": (1.0, 0.0, 0.0, 0.0)}

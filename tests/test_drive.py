@@ -5,12 +5,12 @@ import pytest
 from test_spec import SPEC, complaint, copy_of_arm
 
 from robots.errors import RobotError
-from robots.model_pinocchio import load_pinocchio, torque_max
+from robots.models.fleet import load_pinocchio, torque_max
 from robots.spec import load_robot
 from robots.windings import nominal_windings
 
 mujoco = pytest.importorskip("mujoco")
-model_mujoco = pytest.importorskip("robots.model_mujoco")
+model_mujoco = pytest.importorskip("robots.models.mujoco_model")
 
 DRIVES = {
     "size3": """[motors.size3.drive]

@@ -10,9 +10,9 @@ import torch
 from deploy.backends.sim.robot import SimRobot
 from deploy.runtime import Runtime
 from deploy.state import Mode
-from policies.envs import RuntimeEnv
-from policies.recipe import contract_of, find_recipe, load_recipe
-from policies.rewards import Limits, Step, reward, shaping
+from policies.training.envs import RuntimeEnv
+from policies.training.recipe import contract_of, find_recipe, load_recipe
+from policies.training.rewards import Limits, Step, reward, shaping
 from robots.randomness import training_seed
 
 RECIPE = load_recipe(find_recipe("arm"))

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_spec import SPEC, copy_of_arm
 
-from deploy.effort import Gains
-from deploy.estimator import (
+from deploy.estimation.estimator import (
     CONFIRMED,
     MEMORY,
     REMEMBERED_S,
@@ -15,8 +14,9 @@ from deploy.estimator import (
     STUCK_SHARE,
     Estimator,
 )
+from deploy.motion.drive_law import Gains
 from deploy.state import Packet, Reason, Setpoint
-from robots.model_pinocchio import torque_max
+from robots.models.fleet import torque_max
 from robots.spec import load_robot
 
 N, DT = SPEC.n, SPEC.dt

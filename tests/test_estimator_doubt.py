@@ -5,7 +5,7 @@ import pytest
 from test_estimator import DT, NOISE, N, begun, packets, sample, still
 from test_spec import SPEC
 
-from deploy.estimator import CONFIRMED, DIVERGED, GATE, REFUSED, STUCK_S, Estimator
+from deploy.estimation.estimator import CONFIRMED, DIVERGED, GATE, REFUSED, STUCK_S, Estimator
 from deploy.state import Reason
 
 

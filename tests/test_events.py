@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from test_monitors import GAP, OBSERVED, SPEC, TORQUE_MAX, Bench, feed, random_series
 
-from eval import events as event_log
-from eval.counts import BINS, JOINT_MONITORS, Counts, merge
-from eval.monitors import Judge
+from eval.judge import events as event_log
+from eval.judge.counts import BINS, JOINT_MONITORS, Counts, merge
+from eval.judge.judge import Judge
 
 
 def flicker(bench, times):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from eval import evidence
+from eval.statistics import evidence
 
 
 def test_no_events_is_the_rule_of_three():

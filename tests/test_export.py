@@ -14,11 +14,11 @@ from onnx import numpy_helper  # noqa: E402
 from test_checkpoint import made_actor, saved  # noqa: E402
 from test_contract import SPEC, SWAPPED, arm_contract  # noqa: E402
 
-from deploy.contract import CONTRACT_KEY, Observed  # noqa: E402
-from deploy.policy import Policy  # noqa: E402
-from deploy.policy_file import GOLDEN_KEY  # noqa: E402
-from policies.checkpoint import load_checkpoint  # noqa: E402
-from policies.export import POLICIES, cli, export, find_checkpoint, policy_export  # noqa: E402
+from deploy.policy.contract import CONTRACT_KEY, Observed  # noqa: E402
+from deploy.policy.policy import Policy  # noqa: E402
+from deploy.policy.policy_file import GOLDEN_KEY  # noqa: E402
+from policies.export.cli import POLICIES, cli, export, find_checkpoint, policy_export  # noqa: E402
+from policies.training.checkpoint import load_checkpoint  # noqa: E402
 from robots.errors import ContractError, OutputError, RobotError  # noqa: E402
 
 
@@ -200,7 +200,7 @@ def test_an_unwritable_out_is_named(tmp_path):
 def test_a_policy_is_a_path_or_a_shipped_name(tmp_path, monkeypatch):
     checkpoint = saved(tmp_path)
     assert find_checkpoint(str(checkpoint)) == checkpoint
-    monkeypatch.setattr("policies.export.POLICIES", tmp_path)
+    monkeypatch.setattr("policies.export.cli.POLICIES", tmp_path)
     assert find_checkpoint("arm.pt") == checkpoint
     with pytest.raises(ContractError, match=r"--policy leg\.pt: no such file, .* policies/: arm\.pt"):
         find_checkpoint("leg.pt")

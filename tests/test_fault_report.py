@@ -7,16 +7,16 @@ import pytest
 from test_report import Page, soak
 from test_spec import SPEC
 
-from eval.budget import load_budget
-from eval.counts import NAMES
-from eval.faults import NOT_INJECTED, Answer, catalogue
-from eval.profile import Faults
+from eval.faults.fault_response import Injections
+from eval.faults.faults import NOT_INJECTED, Answer, catalogue
+from eval.judge.counts import NAMES
 from eval.report.build import build
-from eval.report.data import Report
-from eval.report.faults import fault_table
 from eval.report.html import render
 from eval.report.junit import junit
-from eval.watch import Injections
+from eval.report.schema.report_data import Report
+from eval.report.sections.faults import fault_table
+from eval.soak.profile import Faults
+from eval.statistics.budget import load_budget
 
 CLASSES, ROBOTS = catalogue(SPEC), 60
 

@@ -6,8 +6,8 @@ from test_runtime import Saying, assert_same, assert_within_limits, every, play,
 from test_spec import SPEC
 
 from deploy.backends.sim.packets import Failure, Fault
+from deploy.motion.smoother import Smoother
 from deploy.runtime import UNSEEN_S
-from deploy.smoother import Smoother
 from deploy.state import Mode, Reason, Setpoint
 
 pytestmark = pytest.mark.usefixtures("quick_goals")

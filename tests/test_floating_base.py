@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from deploy import floating_base
-from deploy.base_model import G
-from deploy.base_state import BaseNoise, Feet, Imu, Upright
-from deploy.floating_base import CONTRADICTED, GATE, NIS_SAMPLES, RANGE, STUCK_SAMPLES, FloatingBase
-from deploy.rotations import matrix
+from deploy.estimation import base_filter as floating_base
+from deploy.estimation.base_filter import CONTRADICTED, GATE, NIS_SAMPLES, RANGE, STUCK_SAMPLES, FloatingBase
+from deploy.estimation.base_measurements import BaseNoise, Feet, Imu, Upright
+from deploy.estimation.base_model import G
+from deploy.estimation.rotations import matrix
 
 DT, F = 0.005, 4
 NOISE = BaseNoise(

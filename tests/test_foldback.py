@@ -7,8 +7,8 @@ from test_heat import HARD, PACE_MIN, SOFT, STEPS, THERMAL
 from test_runtime import Saying, heard
 from test_spec import SPEC, copy_of_arm
 
+from deploy.motion.smoother import Smoother
 from deploy.runtime import Runtime
-from deploy.smoother import Smoother
 from deploy.state import Mode, Reason
 from robots.randomness import robot_seed
 from robots.spec import load_robot

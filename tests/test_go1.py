@@ -14,14 +14,14 @@ SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
 
 from walking import QUADRUPED  # noqa: E402
 
-from deploy.policy import Policy  # noqa: E402
+from deploy.policy.policy import Policy  # noqa: E402
 from deploy.state import Mode  # noqa: E402
 from eval.bench.trial import Trial  # noqa: E402
 from eval.bench.walk import stroll  # noqa: E402
 from policies.doctor.case import Case  # noqa: E402
-from policies.doctor.checks import examined  # noqa: E402
+from policies.doctor.examination import examined  # noqa: E402
 from policies.doctor.finding import Verdict  # noqa: E402
-from policies.importing import import_policy, write_template  # noqa: E402
+from policies.importers.cli import import_policy, write_template  # noqa: E402
 from robots.distributions import load_distributions  # noqa: E402
 from robots.draws import middle  # noqa: E402
 from robots.randomness import robot_seed  # noqa: E402

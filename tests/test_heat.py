@@ -7,11 +7,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from test_spec import SPEC, copy_of_arm
 
-from deploy.heat import CHANCE, CREDIBLE, DEAF_S, PERIOD_S, STEPS, Heat, stuck_after
+from deploy.estimation.heat import CHANCE, CREDIBLE, DEAF_S, PERIOD_S, STEPS, Heat, stuck_after
 from deploy.state import Packet
 from robots.distributions import load_distributions
 from robots.errors import RobotError
-from robots.model_pinocchio import torque_max
+from robots.models.fleet import torque_max
 from robots.spec import load_robot
 from robots.tables import Rates
 from robots.windings import nominal_windings
@@ -56,7 +56,7 @@ def at(winding):
 
 def test_windings_are_those_that_mujoco_compiles():
     """Another reader of the same file."""
-    model = pytest.importorskip("robots.model_mujoco").load_mujoco(SPEC)
+    model = pytest.importorskip("robots.models.mujoco_model").load_mujoco(SPEC)
     np.testing.assert_allclose(NOMINAL.resistance, model.actuator_gainprm[:, 0])
     np.testing.assert_allclose(NOMINAL.alpha, model.actuator_gainprm[:, 2])
     np.testing.assert_allclose(NOMINAL.reference_c, model.actuator_gainprm[:, 3])

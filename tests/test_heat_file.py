@@ -8,8 +8,8 @@ import pytest
 from test_heat import NOMINAL, live, sample
 from test_spec import SPEC
 
-from deploy.heat import Heat
-from deploy.heat_file import HeatFile
+from deploy.estimation.heat import Heat
+from deploy.estimation.heat_file import HeatFile
 from robots.errors import ConfigError, OutputError
 
 N, THEN = SPEC.n, 1_700_000_000.0

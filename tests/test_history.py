@@ -8,13 +8,13 @@ import pytest
 from test_pooling import OTHER, SETTINGS, night
 from test_report import report
 
-from eval import history
-from eval import soak as command
-from eval.history import SUFFIX, claim_history, keep, read_history, read_night
-from eval.night import Night
+from eval.history import history
+from eval.history.history import SUFFIX, claim_history, keep, read_history, read_night
+from eval.history.night_record import Night
 from eval.report import write as written
-from eval.report.data import Report
+from eval.report.schema.report_data import Report
 from eval.report.write import write
+from eval.soak import cli as command
 from robots.errors import ConfigError, OutputError
 
 LATER = "2026-01-03T22:00:00+01:00"

@@ -20,8 +20,8 @@ from test_import_torchscript import saved as saved_script  # noqa: E402
 from test_importing import CONTRACT, THEIRS, A, N, exported  # noqa: E402
 from torch import nn  # noqa: E402
 
-from deploy.policy import Policy  # noqa: E402
-from policies.importing import cli  # noqa: E402
+from deploy.policy.policy import Policy  # noqa: E402
+from policies.importers.cli import cli  # noqa: E402
 from robots.strict import open_fields  # noqa: E402
 
 STEPS = 40

@@ -10,7 +10,7 @@ from importing import parity  # noqa: E402
 from test_import_torchscript import HIDDEN, A, N, changed, mlp  # noqa: E402
 from torch import nn  # noqa: E402
 
-from policies.importers.exported_program import read_exported_program  # noqa: E402
+from policies.importers.torch_files.exported_program import read_exported_program  # noqa: E402
 from robots.errors import ContractError  # noqa: E402
 
 PROGRAM, WEIGHTS = "models/model.json", "data/weights/model_weights_config.json"

@@ -15,11 +15,11 @@ from onnx import numpy_helper  # noqa: E402
 from test_contract import NAMES, SPEC  # noqa: E402
 from test_import_metadata import graph  # noqa: E402
 
-from deploy.policy import Policy  # noqa: E402
+from deploy.policy.policy import Policy  # noqa: E402
+from policies.importers.cli import import_policy, policy_import, write_template  # noqa: E402
 from policies.importers.draft import read_draft  # noqa: E402
-from policies.importers.isaac_lab import read_descriptor  # noqa: E402
-from policies.importers.yaml_file import CHARACTERS_MAX  # noqa: E402
-from policies.importing import import_policy, policy_import, write_template  # noqa: E402
+from policies.importers.onnx_files.isaac_lab import read_descriptor  # noqa: E402
+from policies.importers.onnx_files.yaml_file import CHARACTERS_MAX  # noqa: E402
 from robots.errors import ConfigError, ContractError  # noqa: E402
 
 ANYMAL = Path(__file__).parent / "data" / "isaac_lab_anymal_d_io_descriptors.yaml"

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from policies.importers.foreign_onnx import read_onnx
-from policies.importers.metadata import known_from
+from policies.importers.onnx_files.foreign_onnx import read_onnx
+from policies.importers.onnx_files.metadata import known_from
 from robots.errors import ContractError
 
 JOINTS = ["FR_hip_joint", "FR_thigh_joint", "FR_calf_joint"]

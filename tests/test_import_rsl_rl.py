@@ -20,10 +20,10 @@ from onnx import numpy_helper  # noqa: E402
 from rsl_rl.runners import OnPolicyRunner  # noqa: E402
 from tensordict import TensorDict  # noqa: E402
 
-from policies.importers.network import Network  # noqa: E402
 from policies.importers.original import UnansweredError  # noqa: E402
-from policies.importers.rsl_rl import read_rsl_rl  # noqa: E402
-from policies.importers.rsl_rl_actor import Actor  # noqa: E402
+from policies.importers.rsl_rl.actor import Actor  # noqa: E402
+from policies.importers.rsl_rl.checkpoint import read_rsl_rl  # noqa: E402
+from policies.importers.torch_files.network import Network  # noqa: E402
 from robots.errors import ContractError  # noqa: E402
 
 N, A = 5, 2

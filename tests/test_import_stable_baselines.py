@@ -15,9 +15,9 @@ from importing import parity  # noqa: E402
 from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3  # noqa: E402
 from test_vec_normalize import HIGH, LOW, Command, Tiny, kept, normalizing  # noqa: E402
 
-from policies.importers.network import Network, Statistics  # noqa: E402
 from policies.importers.original import UnansweredError  # noqa: E402
-from policies.importers.stable_baselines import read_stable_baselines  # noqa: E402
+from policies.importers.stable_baselines.policy import read_stable_baselines  # noqa: E402
+from policies.importers.torch_files.network import Network, Statistics  # noqa: E402
 from robots.errors import ContractError  # noqa: E402
 
 NONE = Network(normalizer="none")
@@ -254,7 +254,7 @@ def test_pickles_among_the_settings_are_not_run(ppo, tmp_path):
 def test_bombs_are_not_unpacked(ppo, tmp_path, monkeypatch):
     path = tmp_path / "policy.zip"
     path.write_bytes(ppo[2].read_bytes())
-    monkeypatch.setattr("policies.importers.zip_archive.BYTES_MAX", 10**6)
+    monkeypatch.setattr("policies.importers.torch_files.zip_archive.BYTES_MAX", 10**6)
     zeros = bytes(10**6 + 1)
     assert "bytes unpacked, expected at most 1000000" in refused(
         rewritten(path, zipfile.ZIP_DEFLATED, policy_pth=zeros)

@@ -9,9 +9,9 @@ pytest.importorskip("onnxscript")
 from importing import parity  # noqa: E402
 from torch import nn  # noqa: E402
 
-from policies.importers.network import Network, Statistics  # noqa: E402
 from policies.importers.original import UnansweredError  # noqa: E402
-from policies.importers.state_dict import read_state_dict  # noqa: E402
+from policies.importers.torch_files.network import Network, Statistics  # noqa: E402
+from policies.importers.torch_files.state_dict import read_state_dict  # noqa: E402
 from robots.errors import ContractError  # noqa: E402
 from robots.strict import parse  # noqa: E402
 

@@ -10,8 +10,8 @@ pytest.importorskip("onnxscript")
 from importing import parity  # noqa: E402
 from torch import nn  # noqa: E402
 
-from policies.importers.torchscript import read_torchscript  # noqa: E402
-from policies.importers.torchscript_source import REFUSED, check_source  # noqa: E402
+from policies.importers.torch_files.torchscript import read_torchscript  # noqa: E402
+from policies.importers.torch_files.torchscript_source import REFUSED, check_source  # noqa: E402
 from robots.errors import ContractError  # noqa: E402
 
 H1 = Path(__file__).parents[2] / "shared" / "peers" / "h1" / "motion.pt"

@@ -25,9 +25,9 @@ from test_import_torchscript import Recurrent, members, mlp  # noqa: E402
 from test_import_torchscript import saved as saved_script  # noqa: E402
 from test_importing import exported  # noqa: E402
 
-from policies.importers import zip_archive  # noqa: E402
-from policies.importers.network import Network  # noqa: E402
 from policies.importers.recognize import read_original  # noqa: E402
+from policies.importers.torch_files import zip_archive  # noqa: E402
+from policies.importers.torch_files.network import Network  # noqa: E402
 from robots.errors import ContractError  # noqa: E402
 
 ELU, ASKED = Network(activation="elu", normalizer="none"), Network(normalizer="none")
@@ -370,7 +370,7 @@ def test_a_graph_that_would_do_more_than_arithmetic_is_refused(tmp_path, kind):
 def test_weights_that_are_claimed_many_times_over_are_read_only_as_far_as_a_file_may_hold(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("policies.importers.foreign_onnx.BYTES_MAX", 1000)
+    monkeypatch.setattr("policies.importers.onnx_files.foreign_onnx.BYTES_MAX", 1000)
     model = elsewhere("beside")()
     for k in range(9):
         model.graph.initializer.add().CopyFrom(model.graph.initializer[0])
@@ -387,7 +387,7 @@ SCRIPT = """
 import sys
 from policies.importers import bounds
 bounds.SECONDS_MAX, bounds.MEMORY_BYTES_MAX = float(sys.argv.pop()), 4 << 30
-from policies.importing import cli
+from policies.importers.cli import cli
 cli()
 """
 

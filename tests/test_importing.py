@@ -14,9 +14,9 @@ models = pytest.importorskip("rsl_rl.models")
 
 from test_contract import NAMES, SPEC  # noqa: E402
 
-from deploy.policy import Policy  # noqa: E402
+from deploy.policy.policy import Policy  # noqa: E402
+from policies.importers.cli import import_policy, policy_import  # noqa: E402
 from policies.importers.draft import read_draft  # noqa: E402
-from policies.importing import import_policy, policy_import  # noqa: E402
 from robots.errors import ContractError, OutputError  # noqa: E402
 
 THEIRS = [NAMES[k] for k in (3, 0, 5, 1, 4, 2)]

@@ -5,14 +5,14 @@ import pytest
 from test_walker import changed
 from walking import ARM_S, KD, KP, QUADRUPED, STAND, live, walking_contract
 
-from deploy.effort import Gains
-from deploy.rotations import matrix
+from deploy.estimation.rotations import matrix
+from deploy.motion.drive_law import Gains
 from deploy.runtime import Runtime
 from deploy.state import Mode, Packet, Reason
 from robots.distributions import load_distributions
 from robots.draws import middle
 from robots.errors import RobotError
-from robots.model_pinocchio import Fleet, load_pinocchio
+from robots.models.fleet import Fleet, load_pinocchio
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 

@@ -3,7 +3,7 @@
 import pytest
 from test_spec import copy_of_arm
 
-from eval.limits import load_limits
+from eval.judge.limits import load_limits
 from robots.errors import ConfigError
 from robots.spec import load_robot
 

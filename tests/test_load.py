@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from test_spec import SPEC
 
-from deploy.load import LOOKS, SHARE, Load
+from deploy.estimation.external_torque import LOOKS, SHARE, Load
+from deploy.safety.supervisor import CATEGORY_1
 from deploy.state import Mode, Packet, Reason
-from deploy.supervisor import CATEGORY_1
-from robots.model_pinocchio import torque_max
+from robots.models.fleet import torque_max
 from robots.windings import nominal_windings
 
 N = SPEC.n

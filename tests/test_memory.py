@@ -9,9 +9,9 @@ from test_contract import SPEC, arm_contract
 from test_policy import A, N, loaded, saved
 from test_runtime import ARM_S, built, every
 
-from deploy.contract import CONTRACT_KEY, Contract
-from deploy.policy import Policy
-from deploy.policy_file import GOLDEN_KEY
+from deploy.policy.contract import CONTRACT_KEY, Contract
+from deploy.policy.policy import Policy
+from deploy.policy.policy_file import GOLDEN_KEY
 from robots.errors import ContractError
 
 M, STEPS = 7, 240

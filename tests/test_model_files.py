@@ -8,15 +8,15 @@ import pytest
 from test_drive import DRIVES, declared
 from test_spec import SPEC, complaint, copy_of_arm
 
-from robots import model_files
-from robots.collisions import collision_pairs
 from robots.errors import RobotError
-from robots.model_pinocchio import Fleet, load_pinocchio, torque_max
-from robots.read_pinocchio import read_pinocchio
+from robots.models import files as model_files
+from robots.models.collisions import collision_pairs
+from robots.models.fleet import Fleet, load_pinocchio, torque_max
+from robots.models.pinocchio_model import read_pinocchio
 from robots.spec import RobotSpec, load_robot
 
 mujoco = pytest.importorskip("mujoco")
-model_mujoco = pytest.importorskip("robots.model_mujoco")
+model_mujoco = pytest.importorskip("robots.models.mujoco_model")
 
 URDF = Path(__file__).parent / "two.urdf"
 TETRAHEDRON = (0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.2)

@@ -6,15 +6,15 @@ import pytest
 from test_clearance import POST
 from test_spec import SPEC, copy_of_arm
 
-from robots import model_pinocchio
-from robots.blocks import BLOCK
-from robots.collisions import collision_pairs
 from robots.errors import RobotError
-from robots.model_pinocchio import Fleet, load_pinocchio, torque_max
+from robots.models import fleet as model_pinocchio
+from robots.models.blocks import BLOCK
+from robots.models.collisions import collision_pairs
+from robots.models.fleet import Fleet, load_pinocchio, torque_max
 from robots.spec import load_robot
 
 mujoco = pytest.importorskip("mujoco")
-load_mujoco = pytest.importorskip("robots.model_mujoco").load_mujoco
+load_mujoco = pytest.importorskip("robots.models.mujoco_model").load_mujoco
 
 STATES = 2000
 N = SPEC.n

@@ -8,13 +8,13 @@ import ruckig
 
 pytest.importorskip("mujoco")
 
-from deploy.contract import Observed
+from deploy.policy.contract import Observed
 from deploy.state import Command, Mode, Reason, State, Target
-from eval.counts import JOINT_MONITORS, NAMES, REASONS, Counts, merge
-from eval.limits import load_limits
-from eval.monitors import GOAL_S, REARM_S, Judge
+from eval.judge.counts import JOINT_MONITORS, NAMES, REASONS, Counts, merge
+from eval.judge.judge import GOAL_S, REARM_S, Judge
+from eval.judge.limits import load_limits
 from robots.errors import ConfigError
-from robots.model_pinocchio import Fleet
+from robots.models.fleet import Fleet
 from robots.spec import load_robot
 
 SPEC = load_robot("arm6")

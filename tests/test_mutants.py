@@ -8,9 +8,9 @@ from test_spec import SPEC
 
 pytest.importorskip("mujoco")
 
-from deploy.cli import BUDGET_EXCEEDED, PASSED
+from deploy.command_line import BUDGET_EXCEEDED, PASSED
 from deploy.state import Reason
-from eval.counts import NAMES
+from eval.judge.counts import NAMES
 from eval.mutants import __main__ as command
 from eval.mutants import suite
 from eval.mutants.hostile import live, nobody

@@ -6,7 +6,7 @@ pytest.importorskip("rsl_rl")
 from rsl_rl.models import MLPModel  # noqa: E402
 from tensordict import TensorDict  # noqa: E402
 
-from policies.networks import Actor  # noqa: E402
+from policies.training.networks import Actor  # noqa: E402
 from robots.errors import ContractError  # noqa: E402
 
 GAUSSIAN = {

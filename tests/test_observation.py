@@ -4,9 +4,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from test_contract import arm_contract
 
-from deploy.contract import Contract
-from deploy.observation import Observation
-from deploy.terms import Term
+from deploy.policy.contract import Contract
+from deploy.policy.observation import Observation
+from deploy.policy.observation_terms import Term
 
 SIZES = {"joint_position": 6, "goal_from_tool": 3}
 

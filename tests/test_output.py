@@ -2,7 +2,7 @@ import os
 
 import pytest
 
-from deploy.output import replacing
+from deploy.telemetry.output_files import replacing
 from robots.errors import OutputError
 
 

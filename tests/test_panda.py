@@ -16,8 +16,8 @@ from test_robot_init import ANSWERS, fill_in, hold
 
 from deploy.state import Mode
 from policies.robot_init.cli import init_robot
-from robots.model_mujoco import load_mujoco
-from robots.model_pinocchio import Fleet, load_pinocchio, torque_max
+from robots.models.fleet import Fleet, load_pinocchio, torque_max
+from robots.models.mujoco_model import load_mujoco
 
 PACKAGE = find_spec("robosuite")
 pytestmark = pytest.mark.skipif(PACKAGE is None, reason="robosuite, which ships the Panda, is not installed")

@@ -15,7 +15,7 @@ from robots.spec import load_robot
 mujoco = pytest.importorskip("mujoco")
 Plant = pytest.importorskip("deploy.backends.sim.plant").Plant
 build = pytest.importorskip("deploy.backends.sim.anatomy").build
-load_mujoco = pytest.importorskip("robots.model_mujoco").load_mujoco
+load_mujoco = pytest.importorskip("robots.models.mujoco_model").load_mujoco
 
 N, DT = SPEC.n, SPEC.dt
 HOME = SPEC.joint_array("q_home")

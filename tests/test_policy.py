@@ -11,9 +11,9 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from test_contract import NAMES, SPEC, SWAPPED, arm_contract
 
-from deploy.contract import CONTRACT_KEY
-from deploy.policy import Policy
-from deploy.policy_file import GOLDEN_KEY
+from deploy.policy.contract import CONTRACT_KEY
+from deploy.policy.policy import Policy
+from deploy.policy.policy_file import GOLDEN_KEY
 from robots.errors import ContractError
 
 N, A, HIDDEN = 30, 6, 32
@@ -132,7 +132,7 @@ def test_replay_pads_the_last_batch(tmp_path):
 
 
 def test_loading_needs_no_torch():
-    code = "import sys, deploy.policy; sys.exit('torch' in sys.modules)"
+    code = "import sys, deploy.policy.policy; sys.exit('torch' in sys.modules)"
     root = Path(__file__).parents[1]
     assert subprocess.run([sys.executable, "-c", code], cwd=root, check=False).returncode == 0
 

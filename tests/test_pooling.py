@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from eval.counts import MONITORS
-from eval.dispersion import draw_rate_upper
-from eval.night import Night, Run, Settings
-from eval.pooling import pool, same_draws, same_identity
-from eval.profile import Faults
-from eval.tally import Tally, stop_ticks, together
+from eval.history.night_record import Night, Run, Settings
+from eval.judge.counts import MONITORS
+from eval.soak.profile import Faults
+from eval.statistics.dispersion import draw_rate_upper
+from eval.statistics.per_draw_counts import Tally, stop_ticks, together
+from eval.statistics.pooling import pool, same_draws, same_identity
 from robots.errors import ConfigError
 
 HOUR = 720_000

@@ -5,12 +5,12 @@ import sys
 import pytest
 from test_spec import SPEC
 
-from eval import soak as command
-from eval.budget import BUDGET, load_budget
-from eval.evidence import trials_needed
-from eval.faults import catalogue
-from eval.profile import PROFILES, load_profile
-from eval.schedule import plan
+from eval.faults.faults import catalogue
+from eval.faults.schedule import plan
+from eval.soak import cli as command
+from eval.soak.profile import PROFILES, load_profile
+from eval.statistics.budget import BUDGET, load_budget
+from eval.statistics.evidence import trials_needed
 from robots.errors import ConfigError
 from robots.randomness import robot_seed
 

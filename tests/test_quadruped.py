@@ -8,9 +8,9 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
-from deploy.rotations import exp
-from eval.bench import floating
-from eval.bench.quadruped import CONTACT_N, DT, MODEL, STAND, Rhythm, move
+from deploy.estimation.rotations import exp
+from eval.bench.estimation import floating
+from eval.bench.estimation.quadruped import CONTACT_N, DT, MODEL, STAND, Rhythm, move
 from robots.randomness import robot_seed
 
 MOTIONS, DRAWS = 8, 128

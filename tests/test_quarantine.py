@@ -10,8 +10,8 @@ from test_spec import SPEC
 pytest.importorskip("mujoco")
 
 from robots.errors import RobotError
-from robots.model_files import named_files
-from robots.quarantine import MEMORY_GIB, check_compiles
+from robots.models.files import named_files
+from robots.models.quarantine import MEMORY_GIB, check_compiles
 
 BODY = '<body name="a"><joint name="j"/><geom size="0.1"/>{}</body>'
 
@@ -62,7 +62,7 @@ def test_a_machine_that_allows_less_is_no_obstacle(tmp_path):
     """A process whose own hard limits are below those of the quarantine cannot raise them, and need not."""
     path = written(tmp_path)
     code = (
-        "import resource, sys; from pathlib import Path; from robots.quarantine import check_compiles\n"
+        "import resource, sys; from pathlib import Path; from robots.models.quarantine import check_compiles\n"
         "resource.setrlimit(resource.RLIMIT_CPU, (20, 20))\n"
         "resource.setrlimit(resource.RLIMIT_DATA, (4 << 30, 4 << 30))\n"
         "check_compiles(Path(sys.argv[1]), Path(sys.argv[1]).parent)\n"

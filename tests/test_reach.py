@@ -4,12 +4,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_spec import SPEC
 
-from deploy.safety import Safety
+from deploy.safety.safety import Safety
 from deploy.tasks import reach
 from deploy.tasks.reach import Reach, ReachConfig, goal_pool
-from robots.blocks import BLOCK
 from robots.errors import RobotError
-from robots.model_pinocchio import Fleet
+from robots.models.blocks import BLOCK
+from robots.models.fleet import Fleet
 from robots.randomness import robot_seed
 
 CONFIG = ReachConfig()

@@ -8,9 +8,9 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
-from deploy.recorder import AFTER_S, EVENTS_MAX, RING_S, Recorder, Ring, check_folder
+from deploy.safety.supervisor import words
 from deploy.state import Mode, Reason
-from deploy.supervisor import words
+from deploy.telemetry.recorder import AFTER_S, EVENTS_MAX, RING_S, Recorder, Ring, check_folder
 from robots.errors import OutputError
 from robots.spec import load_robot
 

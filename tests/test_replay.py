@@ -18,19 +18,19 @@ from walking import PLACES, QUADRUPED, walking_contract
 
 pytest.importorskip("mujoco")
 
-from deploy.policy import Policy
+from deploy.policy.policy import Policy
 from deploy.tasks import reach
-from eval import bundle
-from eval import replay as command
-from eval.again import Replay, difference, why_not
-from eval.asked import Soak
-from eval.budget import BUDGET
-from eval.film import _context
-from eval.profile import Faults
-from eval.shard import Shard
-from eval.window import columns
-from eval.witness import Witness
-from eval.workers import run_soak
+from eval.replay import bundle
+from eval.replay import cli as command
+from eval.replay.capture_window import columns
+from eval.replay.event_capture import Witness
+from eval.replay.event_video import _context
+from eval.replay.replayer import Replay, difference, why_not
+from eval.soak.configuration import Soak
+from eval.soak.profile import Faults
+from eval.soak.shard import Shard
+from eval.soak.workers import run_soak
+from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError, RobotError
 from robots.spec import ROBOTS, load_robot
 
@@ -99,7 +99,7 @@ def resealed(folder, **changes):
 
 
 def replayed(*arguments):
-    script = "from eval.replay import cli; cli()"
+    script = "from eval.replay.cli import cli; cli()"
     return subprocess.run(
         [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, check=False
     )
@@ -395,7 +395,8 @@ def test_a_robot_that_walks_is_filmed_where_it_goes(fallen, tmp_path):
 
 
 FAR = """
-from eval import film, replay
+from eval.replay import cli as replay
+from eval.replay import event_video as film
 class Far(film.Film):
     def _picture(self, row):
         row = row.copy()
@@ -424,13 +425,13 @@ def test_a_bundle_of_a_model_that_does_not_compile_within_bounds_is_not_opened(o
     def refused(model, folder):
         raise RobotError(f"{model}: too dear")
 
-    monkeypatch.setattr("eval.again.check_compiles", refused)
+    monkeypatch.setattr("eval.replay.replayer.check_compiles", refused)
     with pytest.raises(RobotError, match=r"model\.xml: too dear"):
         Replay(one)
 
 
 def test_no_opengl_is_bad_input(monkeypatch):
-    monkeypatch.setattr("eval.film.CONTEXTS", ("none", "either"))
+    monkeypatch.setattr("eval.replay.event_video.CONTEXTS", ("none", "either"))
     with pytest.raises(
         ConfigError, match="--video: needs OpenGL, found none of none, either: No module named"
     ):

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from junitparser import JUnitXml
 
-from deploy.contract import Observed
-from eval.budget import load_budget
-from eval.counts import MONITORS, REASONS
-from eval.monitors import Judge
-from eval.night import Run, Settings
+from deploy.policy.contract import Observed
+from eval.history.night_record import Run, Settings
+from eval.judge.counts import MONITORS, REASONS
+from eval.judge.judge import Judge
 from eval.report.build import POINTS, build
-from eval.report.data import Report, SoakResult
 from eval.report.html import fixed, render
 from eval.report.junit import junit
 from eval.report.plots import wear_plot
+from eval.report.schema.report_data import Report, SoakResult
 from eval.report.write import claim, write
+from eval.statistics.budget import load_budget
 from robots.errors import OutputError
 from robots.spec import load_robot
 

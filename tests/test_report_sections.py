@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from test_report import HOURS, ROBOTS, SPEC, TICKS, Page, build, load_budget, report, soak
 
-from eval.counts import MONITORS, monitor_of
-from eval.report.data import Report
+from eval.judge.counts import MONITORS, monitor_of
 from eval.report.html import EVENTS_SHOWN, cells, duration, margin, of_limit, plots, render
 from eval.report.junit import junit
-from eval.report.numbers import figure
 from eval.report.plots import heat_plot, wear_plot
-from eval.report.schema import SCHEMA, schema
+from eval.report.schema.json_schema import SCHEMA, schema
+from eval.report.schema.numbers import figure
+from eval.report.schema.report_data import Report
 
 HARD = sum(monitor.hard and not monitor.base for monitor in MONITORS)
 BUNDLE = "events/0003-00720000-velocity"
@@ -326,7 +326,7 @@ def test_every_draw_has_a_row():
 
 
 def test_the_schema_in_the_package_is_that_of_the_report():
-    assert SCHEMA.read_text(encoding="utf-8") == schema(), "run: python -m eval.report.schema"
+    assert SCHEMA.read_text(encoding="utf-8") == schema(), "run: python -m eval.report.schema.json_schema"
 
 
 def test_the_schema_explains_every_record():

@@ -13,13 +13,13 @@ from test_spec import SPEC
 
 pytest.importorskip("mujoco")
 
-from deploy.policy import Policy
-from eval.asked import Soak
-from eval.budget import BUDGET
-from eval.identity import code_digest
-from eval.resume import DAMAGED, Checkpoint, clear, make
-from eval.shard import WIDTH, Shard
-from eval.workers import run_soak, take_up
+from deploy.policy.policy import Policy
+from eval.soak.checkpoint import DAMAGED, Checkpoint, clear, make
+from eval.soak.configuration import Soak
+from eval.soak.fingerprint import code_digest
+from eval.soak.shard import WIDTH, Shard
+from eval.soak.workers import run_soak, take_up
+from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError, OutputError
 
 IDENTITY = {"seed": 7, "robot_digest": "abc"}

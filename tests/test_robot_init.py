@@ -19,18 +19,18 @@ from test_model_files import URDF, write_stl
 from test_runtime import Saying, every, heard
 from test_spec import SPEC, copy_of_arm
 
-from deploy.action import ActionSpec
 from deploy.backends.sim.robot import SimRobot
+from deploy.policy.action import ActionSpec
 from deploy.runtime import Runtime
 from deploy.state import Mode
-from eval.limits import load_limits
+from eval.judge.limits import load_limits
 from policies.robot_init.always import always_near
 from policies.robot_init.cli import cli, init_robot, package_of
 from policies.robot_init.facts import read_facts
 from policies.robot_init.shapes import around
 from robots.errors import OutputError, RobotError
-from robots.model_mujoco import load_mujoco
-from robots.model_pinocchio import Fleet, load_pinocchio, torque_max
+from robots.models.fleet import Fleet, load_pinocchio, torque_max
+from robots.models.mujoco_model import load_mujoco
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 

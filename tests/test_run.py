@@ -11,9 +11,9 @@ import pytest
 from test_contract import SWAPPED, arm_contract
 from test_policy import policy_model, saved
 
-import deploy.run
+import deploy.operation.cli
 from deploy.backends.sim.robot import SimRobot
-from deploy.policy import Policy
+from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from robots.distributions import load_distributions
 from robots.randomness import robot_seed
@@ -35,12 +35,12 @@ class Blind:
 @pytest.fixture
 def command(monkeypatch, capsys):
     """Run the command line; return its exit code and what it said."""
-    monkeypatch.setattr(deploy.run, "Show", Blind)
+    monkeypatch.setattr(deploy.operation.cli, "Show", Blind)
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["deploy-run", *map(str, arguments)])
         with pytest.raises(SystemExit) as caught:
-            deploy.run.cli()
+            deploy.operation.cli.cli()
         said = capsys.readouterr()
         return caught.value.code, said.out, said.err
 
@@ -118,7 +118,7 @@ def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(command, arm_polic
             signal.raise_signal(signal.SIGINT)
         return 0.0
 
-    monkeypatch.setattr("deploy.clock.Unpaced.wait", wait)
+    monkeypatch.setattr("deploy.operation.clock.Unpaced.wait", wait)
     assert command("--policy", arm_policy, "--speed", "max", "--out", tmp_path)[0] == 130
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert (summary["ended"], summary["reason"]) == ("interrupted", "it was told to stop")
@@ -245,8 +245,8 @@ def test_a_view_without_a_display_is_exit_2(command, arm_policy, tmp_path, monke
 
 def test_the_real_thing_needs_no_torch_and_speaks_in_lines(arm_policy, tmp_path):
     code = (
-        "import sys, deploy.run\n"
-        "try: deploy.run.cli()\n"
+        "import sys, deploy.operation.cli\n"
+        "try: deploy.operation.cli.cli()\n"
         "finally: sys.exit(99) if 'torch' in sys.modules else None"
     )
     arguments = ["--policy", arm_policy, "--duration", "1", "--speed", "max", "--out", tmp_path]

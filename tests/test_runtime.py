@@ -8,11 +8,11 @@ from deploy.stage import Stage
 from deploy.state import Mode, Reason
 from deploy.tasks import reach
 from deploy.tasks.reach import ReachConfig, goal_pool
-from robots.model_pinocchio import Fleet
+from robots.models.fleet import Fleet
 from robots.randomness import robot_seed
 
 SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
-ARM_S = pytest.importorskip("eval.shard").ARM_S
+ARM_S = pytest.importorskip("eval.soak.shard").ARM_S
 
 N, DT = SPEC.n, SPEC.dt
 POOL = goal_pool(SPEC, ReachConfig())

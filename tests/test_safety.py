@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from test_spec import SPEC
 
-from deploy.safety import Safety
+from deploy.safety.safety import Safety
+from deploy.safety.supervisor import CATEGORY_1
 from deploy.state import Reason, Setpoint, State
-from deploy.supervisor import CATEGORY_1
-from robots.model_pinocchio import Fleet, torque_max
+from robots.models.fleet import Fleet, torque_max
 
 N = SPEC.n
 HOME = SPEC.joint_array("q_home")
@@ -234,7 +234,7 @@ def test_not_finite_wherever_it_is(bad, joint):
 
 def by_mujoco(mujoco, poses):
     """The oracle for poses: another library, other formulas. One row: height, radius, |det J|, nearest distance."""
-    from robots.model_mujoco import load_mujoco
+    from robots.models.mujoco_model import load_mujoco
 
     model = load_mujoco(SPEC)
     data, site = mujoco.MjData(model), model.site(SPEC.tool).id

@@ -10,10 +10,10 @@ from walking import QUADRUPED
 
 from deploy.backends.sim.robot import SimRobot
 from deploy.state import Command, Mode
-from eval.faults import JOINT, POLICY, ROBOT, Answer, catalogue
-from eval.injector import JUMP, Injector
-from eval.profile import Faults
-from eval.schedule import Injection, Schedule, plan
+from eval.faults.faults import JOINT, POLICY, ROBOT, Answer, catalogue
+from eval.faults.injector import JUMP, Injector
+from eval.faults.schedule import Injection, Schedule, plan
+from eval.soak.profile import Faults
 from robots.randomness import robot_seed
 
 pytestmark = pytest.mark.usefixtures("quick_goals")

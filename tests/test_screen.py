@@ -9,10 +9,10 @@ import numpy as np
 from rich.console import Console
 from walking import QUADRUPED, live, walker
 
-from deploy import show
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.scene import Scene
-from deploy.screen import Screen
+from deploy.telemetry import console_display as show
+from deploy.telemetry.console import Screen
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 

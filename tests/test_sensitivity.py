@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eval.sensitivity import explain, parameters
+from eval.statistics.sensitivity import explain, parameters
 from robots.distributions import load_distributions
 from robots.draws import draw
 from robots.randomness import robot_seed

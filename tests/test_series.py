@@ -10,18 +10,18 @@ from test_spec import SPEC
 
 pytest.importorskip("mujoco")
 
-from deploy.policy import Policy
-from eval.asked import SAMPLES_MAX, Soak
-from eval.budget import BUDGET
-from eval.collect import running_total
-from eval.counts import MONITORS, NAMES
-from eval.identity import code_digest
-from eval.monitors import Judge
-from eval.series import ABOUT, WORN, series
-from eval.shard import COUNTED, Shard, ShardResult
-from eval.watch import Injections
+from deploy.policy.policy import Policy
+from eval.faults.fault_response import Injections
+from eval.judge.counts import MONITORS, NAMES
+from eval.judge.judge import Judge
+from eval.report.assembly import running_total
+from eval.report.series import ABOUT, WORN, series
+from eval.soak.configuration import SAMPLES_MAX, Soak
+from eval.soak.fingerprint import code_digest
+from eval.soak.shard import COUNTED, Shard, ShardResult
+from eval.statistics.budget import BUDGET
 from robots.distributions import load_distributions
-from robots.model_pinocchio import torque_max
+from robots.models.fleet import torque_max
 
 N, M = SPEC.n, len(MONITORS)
 

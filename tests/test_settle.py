@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from test_contract import NAMES, SPEC
 
-from deploy.action import Action
-from deploy.fit import check_contract
-from deploy.observation import Observation
+from deploy.policy.action import Action
+from deploy.policy.compatibility import check_contract
+from deploy.policy.observation import Observation
 from policies.importers.draft import Draft
 from policies.importers.original import STILL, Facts
 from policies.importers.settle import settle

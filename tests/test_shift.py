@@ -5,13 +5,13 @@ import pytest
 from test_clock import FakeTime
 
 from deploy.backends.sim.robot import SimRobot
-from deploy.clock import WallClock
-from deploy.pace import Pace
-from deploy.policy import Policy
-from deploy.recorder import Recorder
+from deploy.operation.clock import WallClock
+from deploy.operation.loop_timing import Pace
+from deploy.operation.robot_run import Ending, Shift
+from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
-from deploy.shift import Ending, Shift
 from deploy.state import Mode, Reason
+from deploy.telemetry.recorder import Recorder
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 

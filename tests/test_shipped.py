@@ -3,11 +3,11 @@ from test_spec import SPEC
 
 pytest.importorskip("torch")
 
-from deploy.policy import Policy
-from eval.shard import WIDTH, Shard, ShardJob
-from policies.checkpoint import load_checkpoint
-from policies.export import POLICIES, export
-from policies.recipe import contract_of, find_recipe, load_recipe
+from deploy.policy.policy import Policy
+from eval.soak.shard import WIDTH, Shard, ShardJob
+from policies.export.cli import POLICIES, export
+from policies.training.checkpoint import load_checkpoint
+from policies.training.recipe import contract_of, find_recipe, load_recipe
 
 CHECKPOINTS = sorted(POLICIES.glob("*.pt"))
 

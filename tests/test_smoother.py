@@ -5,9 +5,9 @@ from hypothesis import strategies as st
 from ruckig import InputParameter, Ruckig, Synchronization, Trajectory
 from test_spec import SPEC
 
-from deploy.smoother import Smoother
+from deploy.motion.smoother import Smoother
 from deploy.state import Setpoint
-from robots.blocks import BLOCK
+from robots.models.blocks import BLOCK
 
 N, DT = SPEC.n, SPEC.dt
 HOME = SPEC.joint_array("q_home")

@@ -12,18 +12,18 @@ from test_spec import SPEC
 
 pytest.importorskip("mujoco")
 
-from deploy.policy import Policy
-from eval import soak as command
-from eval import workers
-from eval.asked import Soak
-from eval.budget import BUDGET
-from eval.collect import collect
-from eval.identity import code_digest
-from eval.night import Run
+from deploy.policy.policy import Policy
+from eval.history.night_record import Run
+from eval.report.assembly import collect
+from eval.report.trends import TRENDS
 from eval.report.write import LOCK, alone, claim
-from eval.shard import COUNTED, WIDTH, Shard, ShardJob
-from eval.trends import TRENDS
-from eval.workers import run_soak
+from eval.soak import cli as command
+from eval.soak import workers
+from eval.soak.configuration import Soak
+from eval.soak.fingerprint import code_digest
+from eval.soak.shard import COUNTED, WIDTH, Shard, ShardJob
+from eval.soak.workers import run_soak
+from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError
 
 CONSOLE = Console(quiet=True)
@@ -182,7 +182,7 @@ def test_a_shard_cut_short_leaves_its_heat_unknown(arm_policy, asked, quick_goal
 
 
 def soak_test(*options):
-    script = "from eval.soak import cli; cli()"
+    script = "from eval.soak.cli import cli; cli()"
     return [sys.executable, "-c", script, *map(str, options)]
 
 

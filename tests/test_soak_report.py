@@ -12,19 +12,19 @@ from test_spec import SPEC
 
 pytest.importorskip("mujoco")
 
-from deploy.policy import Policy
-from eval.asked import Soak
-from eval.budget import BUDGET, load_budget
-from eval.collect import collect
-from eval.compare import compare
-from eval.dispersion import draw_rate_interval
-from eval.history import keep
-from eval.night import Run
+from deploy.policy.policy import Policy
+from eval.history.history import keep
+from eval.history.night_record import Run
+from eval.report.assembly import collect
 from eval.report.build import build
 from eval.report.cli import cli
 from eval.report.html import ends
 from eval.report.write import write
-from eval.shard import Shard
+from eval.soak.configuration import Soak
+from eval.soak.shard import Shard
+from eval.statistics.budget import BUDGET, load_budget
+from eval.statistics.compare import compare
+from eval.statistics.dispersion import draw_rate_interval
 
 RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, resumed_hours=0.0, interrupted=False)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robots.errors import RobotError
-from robots.model_pinocchio import torque_max
+from robots.models.fleet import torque_max
 from robots.spec import ROBOTS, load_robot
 
 ARM = ROBOTS / "arm6"

@@ -3,10 +3,10 @@ import pytest
 from test_safety import HIGH, HOME, LOW, MARGINS, SPACE, N, one, point, reasons
 from test_spec import SPEC
 
-from deploy.safety import Safety
-from deploy.smoother import Smoother
+from deploy.motion.smoother import Smoother
+from deploy.safety.safety import Safety
 from deploy.state import Reason, Setpoint, State
-from robots.model_pinocchio import Fleet
+from robots.models.fleet import Fleet
 
 
 @pytest.mark.parametrize("limit", ["z_min", "radius_max"])

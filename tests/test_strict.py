@@ -1,7 +1,7 @@
 import pytest
 from pydantic import Field, PositiveFloat, PositiveInt, ValidationError
 
-from deploy.cli import BAD_INPUT, _exit_code
+from deploy.command_line import BAD_INPUT, _exit_code
 from robots.errors import ConfigError, FirstshiftError, RobotError
 from robots.strict import Strict, parse, read_toml
 

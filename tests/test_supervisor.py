@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deploy.safety.supervisor import CATEGORY_1, WORDS, Supervisor, words
 from deploy.state import Mode, Reason
-from deploy.supervisor import CATEGORY_1, WORDS, Supervisor, words
 
 DT, ARMING, HOLD = 0.01, 3, 4
 SOFT, HARD = int(Reason.STALE), int(Reason.LOST)

@@ -10,8 +10,8 @@ from test_report import TICKS, build, load_budget, report, soak
 
 from eval.report.html import render
 from eval.report.plots import timeline_plot
-from eval.report.rows import EventRow
-from eval.report.timeline import STEPS, bars, timeline
+from eval.report.schema.rows import EventRow
+from eval.report.sections.timeline import STEPS, bars, timeline
 
 ROBOTS, END_H = 5, 8.0
 STEP = END_H / STEPS

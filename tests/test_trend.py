@@ -9,14 +9,14 @@ import pytest
 from test_pooling import OTHER, named, night
 from test_report import Page, report
 
-from eval.dispersion import dispersion_p, draw_rate_interval, draw_rate_upper
-from eval.evidence import rate_upper, share_upper
-from eval.report.data import Report
 from eval.report.html import ends, render, render_nights
-from eval.report.numbers import figure
 from eval.report.plots import NIGHTS_SHOWN
-from eval.report.trend import TONIGHT, trend
-from eval.report.trend_rows import Trend
+from eval.report.schema.numbers import figure
+from eval.report.schema.report_data import Report
+from eval.report.schema.trend_rows import Trend
+from eval.report.sections.trend import TONIGHT, trend
+from eval.statistics.dispersion import dispersion_p, draw_rate_interval, draw_rate_upper
+from eval.statistics.evidence import rate_upper, share_upper
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 B, C = OTHER["policy_digest"], {**OTHER["policy_digest"], **OTHER["code_digest"], **OTHER["numpy"]}

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from policies.importers.inert_pickle import OPCODES_MAX, Inert, read_pickle
-from policies.importers.vec_normalize import read_vec_normalize
+from policies.importers.stable_baselines.vec_normalize import read_vec_normalize
+from policies.importers.torch_files.inert_pickle import OPCODES_MAX, Inert, read_pickle
 from robots.errors import ContractError
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -175,7 +175,7 @@ def test_other_files_are_refused_in_one_line(tmp_path, monkeypatch):
     assert refused(path).startswith("found a dict, expected")
     path.write_bytes(b"(" * (OPCODES_MAX + 1) + b".")
     assert refused(path).startswith(f"found more than {OPCODES_MAX} steps")
-    monkeypatch.setattr("policies.importers.vec_normalize.FILE_BYTES_MAX", 1000)
+    monkeypatch.setattr("policies.importers.stable_baselines.vec_normalize.FILE_BYTES_MAX", 1000)
     assert refused(path).startswith("found more than 1000 bytes")
 
 

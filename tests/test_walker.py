@@ -17,23 +17,23 @@ from walking import (
     walking_contract,
 )
 
-from deploy.contract import ActionSpec
-from deploy.effort import Gains, Springs
-from deploy.fit import check_contract
-from deploy.rotations import exp, matrix, times
+from deploy.estimation.rotations import exp, matrix, times
+from deploy.motion.drive_law import Gains, Springs
+from deploy.policy.compatibility import check_contract
+from deploy.policy.contract import ActionSpec
 from deploy.runtime import Runtime
 from deploy.state import Mode, Reason
 from robots.errors import ContractError, RobotError
-from robots.model_pinocchio import Fleet, load_pinocchio, torque_max
+from robots.models.fleet import Fleet, load_pinocchio, torque_max
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 
 packets = pytest.importorskip("deploy.backends.sim.packets")
 Failure, Fault = packets.Failure, packets.Fault
 
-Judge, of_base = (getattr(pytest.importorskip("eval.monitors"), name) for name in ("Judge", "of_base"))
+Judge, of_base = (getattr(pytest.importorskip("eval.judge.judge"), name) for name in ("Judge", "of_base"))
 BaseTruth = pytest.importorskip("deploy.backends.sim.truth").BaseTruth
-judge_tick = pytest.importorskip("eval.shard").judge_tick
+judge_tick = pytest.importorskip("eval.soak.shard").judge_tick
 blind = pytest.importorskip("eval.mutants.weakened").blind
 
 DT, TORQUE_MAX = QUADRUPED.dt, torque_max(QUADRUPED)

@@ -9,20 +9,20 @@ from test_policy import policy_model, saved
 from test_schedule import CLASSES, DT, N, named, one_each
 from test_spec import SPEC
 
-from deploy.policy import Policy
+from deploy.policy.policy import Policy
 from deploy.state import Mode
-from eval import shard as shards
-from eval.counts import NAMES
-from eval.evidence import share_lower
-from eval.faults import JOINT, POLICY, Answer
-from eval.monitors import Judge
+from eval.faults.fault_response import NOT_AT_WORK, SETTLE_S, Watch, injections, merged
+from eval.faults.faults import JOINT, POLICY, Answer
+from eval.judge.counts import NAMES
+from eval.judge.judge import Judge
 from eval.mutants.hostile import nobody
 from eval.mutants.weakened import careless
-from eval.profile import Faults
-from eval.report.faults import fault_line, fault_table
-from eval.shard import WIDTH, Shard, ShardJob
-from eval.watch import NOT_AT_WORK, SETTLE_S, Watch, injections, merged
-from robots.model_pinocchio import torque_max
+from eval.report.sections.faults import fault_line, fault_table
+from eval.soak import shard as shards
+from eval.soak.profile import Faults
+from eval.soak.shard import WIDTH, Shard, ShardJob
+from eval.statistics.evidence import share_lower
+from robots.models.fleet import torque_max
 
 FAULTS = Faults(coverage=0.95, cycle_s=20.0, operator_s=5.0)
 RUN, STOP, HOLD, LATCHED = Mode.RUNNING, Mode.STOPPING, Mode.HOLDING, Mode.LATCHED

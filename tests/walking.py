@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_contract import term
 
-from deploy.contract import ActionSpec, Contract
+from deploy.policy.contract import ActionSpec, Contract
 from deploy.runtime import Runtime
 from robots.randomness import robot_seed
 from robots.spec import load_robot

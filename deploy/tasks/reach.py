@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.flags import some
-from deploy.safety import Safety
+from deploy.masks import some
+from deploy.safety.safety import Safety
 from deploy.stage import Stage
 from deploy.state import Bools, Floats
 from robots.errors import RobotError
-from robots.model_pinocchio import Fleet
+from robots.models.fleet import Fleet
 from robots.randomness import keyed, keys
 from robots.spec import RobotSpec
 

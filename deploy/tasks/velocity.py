@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.flags import some
+from deploy.masks import some
 from deploy.stage import Stage
 from deploy.state import Bools, Floats
 from robots.randomness import keyed, keys

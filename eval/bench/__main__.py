@@ -28,22 +28,22 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from deploy.cli import PASSED, main
-from deploy.policy import Policy
-from eval.asked import Soak
+from deploy.command_line import PASSED, main
+from deploy.policy.policy import Policy
 from eval.bench.ablation import ablation
-from eval.bench.estimate import estimate
-from eval.bench.floating import floating
+from eval.bench.estimation.estimate import estimate
+from eval.bench.estimation.floating import floating
 from eval.bench.hot import hot
 from eval.bench.idle import make_idle
 from eval.bench.pace import pace
 from eval.bench.same import same
 from eval.bench.stages import SEED, stages
 from eval.bench.walk import walk
-from eval.budget import BUDGET, check, load_budget
-from eval.counts import MONITORS, merge
-from eval.shard import WIDTH, Shard, ShardJob
-from eval.workers import run_soak
+from eval.judge.counts import MONITORS, merge
+from eval.soak.configuration import Soak
+from eval.soak.shard import WIDTH, Shard, ShardJob
+from eval.soak.workers import run_soak
+from eval.statistics.budget import BUDGET, check, load_budget
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 
@@ -60,7 +60,7 @@ def start(spec: RobotSpec, policy: Path) -> None:
         "    act(self, action)\n"
         "    print(TAG, 'torch' in sys.modules, flush=True)\n"
         "r.Runtime.act, TAG = act, 'first tick, torch:'\n"
-        "from deploy.run import cli\n"
+        "from deploy.operation.cli import cli\n"
         "cli()\n"
     )
     with tempfile.TemporaryDirectory() as out:

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from deploy.estimator import Estimator
-from deploy.heat import Heat
-from deploy.output import replacing
+from deploy.estimation.estimator import Estimator
+from deploy.estimation.heat import Heat
+from deploy.motion.smoother import Smoother
 from deploy.runtime import Runtime
-from deploy.smoother import Smoother
 from deploy.state import Bools, Floats, Sample, Setpoint, State
+from deploy.telemetry.output_files import replacing
 from eval.bench.trial import Trial
-from eval.counts import MONITORS
+from eval.judge.counts import MONITORS
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 

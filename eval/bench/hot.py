@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from deploy.estimator import Estimator
+from deploy.estimation.estimator import Estimator
 from deploy.runtime import Runtime
 from deploy.state import Floats, Sample, Setpoint, State
 from eval.bench.ablation import Unguarded

@@ -7,7 +7,7 @@ import numpy as np
 import onnx
 from onnx import numpy_helper
 
-from deploy.policy_file import GOLDEN_KEY, OUTPUT
+from deploy.policy.policy_file import GOLDEN_KEY, OUTPUT
 
 
 def make_idle(policy: Path, out: Path) -> Path:

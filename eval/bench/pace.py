@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from deploy.policy import Policy
+from deploy.policy.policy import Policy
 from eval.bench.stages import SEED, Bench
-from eval.shard import WIDTH, Shard, ShardJob
-from eval.witness import Witness
+from eval.replay.event_capture import Witness
+from eval.soak.shard import WIDTH, Shard, ShardJob
 from robots.spec import RobotSpec, load_robot
 
 WORKERS = 2

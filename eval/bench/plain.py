@@ -15,10 +15,10 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from ruckig import InputParameter, OutputParameter, Ruckig
 
-from deploy.contract import Contract
-from robots.collisions import collision_pairs
-from robots.model_mujoco import load_mujoco
-from robots.model_pinocchio import load_pinocchio
+from deploy.policy.contract import Contract
+from robots.models.collisions import collision_pairs
+from robots.models.fleet import load_pinocchio
+from robots.models.mujoco_model import load_mujoco
 from robots.spec import RobotSpec
 
 

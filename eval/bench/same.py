@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from deploy.policy import Policy
-from eval.asked import Soak
+from deploy.policy.policy import Policy
 from eval.bench.stages import SEED
-from eval.budget import BUDGET
-from eval.shard import WIDTH, ShardResult
-from eval.workers import run_soak
+from eval.soak.configuration import Soak
+from eval.soak.shard import WIDTH, ShardResult
+from eval.soak.workers import run_soak
+from eval.statistics.budget import BUDGET
 from robots.spec import RobotSpec
 
 CREWS = (1, 2, 4)

@@ -10,14 +10,14 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.backends.sim.robot import SimRobot
-from deploy.policy import Policy
+from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from eval.bench.plain import plain_rate
 from eval.bench.stopwatch import Stopwatch
-from eval.monitors import Judge
-from eval.shard import ARM_S, WIDTH, judge_tick
-from robots.model_mujoco import INPUTS, load_mujoco
-from robots.model_pinocchio import torque_max
+from eval.judge.judge import Judge
+from eval.soak.shard import ARM_S, WIDTH, judge_tick
+from robots.models.fleet import torque_max
+from robots.models.mujoco_model import INPUTS, load_mujoco
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 

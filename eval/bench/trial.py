@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from deploy.backends.sim.robot import SimRobot
-from deploy.policy import Policy
+from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.state import Floats
-from eval.monitors import Judge
-from eval.shard import ARM_S, LOOK_S, judge_tick, rearm
+from eval.judge.judge import Judge
+from eval.soak.shard import ARM_S, LOOK_S, judge_tick, rearm
 from robots.draws import Draw
-from robots.model_pinocchio import torque_max
+from robots.models.fleet import torque_max
 from robots.spec import RobotSpec
 from robots.windings import nominal_windings
 

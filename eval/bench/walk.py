@@ -14,19 +14,19 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.backends.sim.robot import SimRobot
-from deploy.contract import Contract
-from deploy.effort import Gains
-from deploy.policy import Policy
-from deploy.rotations import matrix, times
+from deploy.estimation.rotations import matrix, times
+from deploy.motion.drive_law import Gains
+from deploy.policy.contract import Contract
+from deploy.policy.policy import Policy
 from deploy.state import Floats, Mode
 from eval.bench.stopwatch import Stopwatch
 from eval.bench.trial import Trial
-from eval.monitors import of_base
-from eval.shard import ARM_S
+from eval.judge.judge import of_base
+from eval.soak.shard import ARM_S
 from robots.distributions import load_distributions
 from robots.draws import middle
 from robots.errors import ConfigError
-from robots.model_pinocchio import torque_max
+from robots.models.fleet import torque_max
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 from robots.tables import Base

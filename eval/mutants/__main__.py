@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from deploy.cli import BUDGET_EXCEEDED, PASSED, main
+from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from eval.mutants.hostile import ROBOTS
 from eval.mutants.suite import MUTANTS, Row, idle_fails, rows, silent
 from robots.errors import ConfigError

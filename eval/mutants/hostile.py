@@ -8,18 +8,18 @@ import numpy as np
 
 from deploy.backends.sim.packets import Fault
 from deploy.backends.sim.robot import SimRobot
-from deploy.contract import ActionSpec, Contract, Observed
+from deploy.policy.contract import ActionSpec, Contract, Observed
+from deploy.policy.observation_terms import READINGS, Source, Term
 from deploy.runtime import Runtime
 from deploy.state import Floats
 from deploy.tasks import reach
 from deploy.tasks.reach import goal_pool
-from deploy.terms import READINGS, Source, Term
-from eval.counts import Counts
-from eval.monitors import Judge
-from eval.shard import ARM_S, judge_tick
+from eval.judge.counts import Counts
+from eval.judge.judge import Judge
+from eval.soak.shard import ARM_S, judge_tick
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
-from robots.model_pinocchio import torque_max
+from robots.models.fleet import torque_max
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from deploy.state import Reason
-from eval.counts import NAMES, Counts
+from eval.judge.counts import NAMES, Counts
 from eval.mutants.hostile import Situation
 from eval.mutants.weakened import Weaken
 

@@ -4,8 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from deploy.state import Reason
-from eval.budget import check, load_budget
-from eval.counts import Counts
+from eval.judge.counts import Counts
 from eval.mutants.asks import falls_silent, visits
 from eval.mutants.befalls import begins_hot, begins_wrong
 from eval.mutants.hostile import Situation, live
@@ -14,6 +13,7 @@ from eval.mutants.mutant import Mutant, heard
 from eval.mutants.senses import SENSES
 from eval.mutants.warmth import WARMTH
 from eval.mutants.weakened import blind, both, careless, hasty, planner, unclamped, undoubting, unfolded
+from eval.statistics.budget import check, load_budget
 from robots.spec import RobotSpec
 
 MUTANTS = SAFETY + SENT + SENSES + WARMTH

@@ -7,10 +7,10 @@ from unittest.mock import patch
 
 import numpy as np
 
-from deploy import estimator
-from deploy.estimator import Estimator
+from deploy.estimation import estimator
+from deploy.estimation.estimator import Estimator
+from deploy.motion.smoother import Smoother
 from deploy.runtime import Runtime
-from deploy.smoother import Smoother
 from deploy.state import Bools, Floats, Packet, Reason, Setpoint, State, Verdict
 
 Weaken = Callable[[Runtime], None]

@@ -4,13 +4,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from eval.budget import Budget, check
-from eval.counts import REASONS, Counts
-from eval.evidence import share_interval
-from eval.night import Verdict
-from eval.report.bounds import evidence, statement
-from eval.report.causes import sensitivity
-from eval.report.data import (
+from eval.history.night_record import Verdict
+from eval.judge.counts import REASONS, Counts
+from eval.report.schema.numbers import Ints, median, number, series
+from eval.report.schema.report_data import (
     Exposure,
     GoalBin,
     Goals,
@@ -20,12 +17,15 @@ from eval.report.data import (
     SoakResult,
     Stops,
 )
-from eval.report.faults import fault_line
-from eval.report.judged import events, monitors, robots
-from eval.report.numbers import Ints, median, number, series
-from eval.report.rows import Evidence
-from eval.report.wear import wear
-from eval.tally import Tally
+from eval.report.schema.rows import Evidence
+from eval.report.sections.bounds import evidence, statement
+from eval.report.sections.causes import sensitivity
+from eval.report.sections.faults import fault_line
+from eval.report.sections.judged import events, monitors, robots
+from eval.report.sections.wear import wear
+from eval.statistics.budget import Budget, check
+from eval.statistics.evidence import share_interval
+from eval.statistics.per_draw_counts import Tally
 
 TAIL = 1e-4
 POINTS = 500

@@ -7,17 +7,17 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from deploy.cli import PASSED, main
-from deploy.output import replacing
-from eval.compare import Difference
-from eval.compare import compare as differences
-from eval.history import read_history, read_night
-from eval.night import Night
-from eval.pooling import same_draws
+from deploy.command_line import PASSED, main
+from deploy.telemetry.output_files import replacing
+from eval.history.history import read_history, read_night
+from eval.history.night_record import Night
 from eval.report.html import ends, percent, render_nights
-from eval.report.numbers import figure
-from eval.report.trend import trend as follow
-from eval.report.trend_rows import Trend
+from eval.report.schema.numbers import figure
+from eval.report.schema.trend_rows import Trend
+from eval.report.sections.trend import trend as follow
+from eval.statistics.compare import Difference
+from eval.statistics.compare import compare as differences
+from eval.statistics.pooling import same_draws
 from robots.errors import ConfigError
 
 Of = Annotated[Path, typer.Argument(help="report.json, the folder of one, or a night that --history kept.")]

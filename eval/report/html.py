@@ -8,8 +8,6 @@ from typing import NamedTuple
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from eval.report.data import Report
-from eval.report.numbers import Number, figure
 from eval.report.plots import (
     NIGHTS_SHOWN,
     goals_plot,
@@ -19,9 +17,11 @@ from eval.report.plots import (
     timeline_plot,
     wear_plot,
 )
-from eval.report.rows import EventRow
-from eval.report.timeline import timeline
-from eval.report.trend_rows import Trend
+from eval.report.schema.numbers import Number, figure
+from eval.report.schema.report_data import Report
+from eval.report.schema.rows import EventRow
+from eval.report.schema.trend_rows import Trend
+from eval.report.sections.timeline import timeline
 
 EVENTS_SHOWN = 500
 MANY = 10.0

@@ -2,7 +2,7 @@
 
 from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
 
-from eval.report.data import Line, Report
+from eval.report.schema.report_data import Line, Report
 
 
 def junit(report: Report) -> str:

@@ -5,10 +5,10 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from deploy.output import replacing
-from eval.report.data import Report
+from deploy.telemetry.output_files import replacing
 from eval.report.html import render
 from eval.report.junit import junit
+from eval.report.schema.report_data import Report
 from robots.errors import OutputError
 
 FILES = {

@@ -3,12 +3,12 @@
 from functools import cached_property
 from pathlib import Path
 
-from deploy.fit import mismatches
-from deploy.graph import shortened
-from deploy.policy import BATCHES, Policy
-from deploy.policy_file import read_policy_file
-from policies.doctor.life import HALF, JITTERING, LATE, PUNCTUAL, Life, live
-from policies.doctor.normalizer import Statistics, normalizer_of
+from deploy.policy.compatibility import mismatches
+from deploy.policy.onnx_graph import shortened
+from deploy.policy.policy import BATCHES, Policy
+from deploy.policy.policy_file import read_policy_file
+from policies.doctor.checks.normalizer import Statistics, normalizer_of
+from policies.doctor.trial.trial import HALF, JITTERING, LATE, PUNCTUAL, Life, live
 from robots.errors import ContractError, FirstshiftError
 from robots.spec import load_robot
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from deploy.cli import BAD_INPUT
+from deploy.command_line import BAD_INPUT
 from robots.errors import ContractError
-from robots.quarantine import bound
+from robots.models.quarantine import bound
 
 SECONDS_MAX = 600.0
 MEMORY_BYTES_MAX = 8 << 30

@@ -6,9 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from deploy.contract import Hertz, Task
-from deploy.terms import SIZE_MAX, Clip, Count, Name, Number, Positive, Source
-from policies.importers.network import Network
+from deploy.policy.contract import Hertz, Task
+from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Positive, Source
+from policies.importers.torch_files.network import Network
 from robots.errors import ContractError
 from robots.strict import Strict, parse, refuse_open
 
@@ -37,7 +37,7 @@ class TermDraft(Strict):
     """One part of the observation, as the policy expects it: (reading - offset) · multiply, clipped.
 
     Attributes:
-        name: unique. source: a word of `deploy.terms.Source`.
+        name: unique. source: a word of `deploy.policy.observation_terms.Source`.
         offset: units of the source. multiply: per unit.
         clip: bounds; clip_first: whether they hold before multiplying, asked for where it matters.
         history: readings kept. period_s: s, of gait_phase.

@@ -8,7 +8,7 @@ import numpy as np
 import onnx
 from onnx import GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, helper, numpy_helper
 
-from deploy.policy_file import INPUT, MEMORY, NEXT, OUTPUT
+from deploy.policy.policy_file import INPUT, MEMORY, NEXT, OUTPUT
 from policies.importers.original import STILL, Original
 
 INSIDE = "policy/"

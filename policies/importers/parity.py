@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.policy import AGREEMENT, BATCHES, Policy
-from deploy.policy_file import Float32s
+from deploy.policy.policy import AGREEMENT, BATCHES, Policy
+from deploy.policy.policy_file import Float32s
 from deploy.state import Bools
 from policies.importers.original import Original
 from robots.errors import ContractError

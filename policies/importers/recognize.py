@@ -4,10 +4,10 @@ import zipfile
 from io import BytesIO
 from pathlib import Path
 
-from policies.importers.foreign_onnx import load_onnx, read_onnx
-from policies.importers.network import Network
+from policies.importers.onnx_files.foreign_onnx import load_onnx, read_onnx
 from policies.importers.original import Original
-from policies.importers.zip_archive import read_bytes, read_names
+from policies.importers.torch_files.network import Network
+from policies.importers.torch_files.zip_archive import read_bytes, read_names
 from robots.errors import ContractError
 
 ZIP = b"PK\x03\x04"
@@ -38,24 +38,24 @@ def _read_archive(path: Path, names: set[str], network: Network) -> Original:
     """Torch is imported by the readers that need it: ONNX does without."""
     inner = {name.partition("/")[2] for name in names}
     if {"data", "policy.pth"} <= names:
-        from policies.importers.stable_baselines import read_stable_baselines
+        from policies.importers.stable_baselines.policy import read_stable_baselines
 
         return read_stable_baselines(path, network)
     if any(name.startswith("models/") for name in inner):
-        from policies.importers.exported_program import read_exported_program
+        from policies.importers.torch_files.exported_program import read_exported_program
 
         return read_exported_program(path)
     if any(name.startswith("code/") for name in inner):
-        from policies.importers.torchscript import read_torchscript
+        from policies.importers.torch_files.torchscript import read_torchscript
 
         return read_torchscript(path)
     return _read_tensors(path, network)
 
 
 def _read_tensors(path: Path, network: Network) -> Original:
-    from policies.archive import load_tensors
-    from policies.importers.rsl_rl import ACTORS, read_rsl_rl
-    from policies.importers.state_dict import read_state_dict
+    from policies.importers.rsl_rl.checkpoint import ACTORS, read_rsl_rl
+    from policies.importers.torch_files.state_dict import read_state_dict
+    from policies.training.archive import load_tensors
 
     data = load_tensors(path, EXPECTED)
     keys = set(data) if isinstance(data, dict) else set()

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.contract import Contract
-from deploy.terms import READINGS, Source
+from deploy.policy.contract import Contract
+from deploy.policy.observation_terms import READINGS, Source
 from policies.importers.draft import Draft, TermDraft
 from policies.importers.original import STILL, Original
 from robots.errors import ContractError

@@ -6,9 +6,9 @@ from typing import Any, TypeVar, get_args
 import tomlkit
 from tomlkit.items import Table
 
-from deploy.terms import READINGS
-from policies.importers.network import Activation
+from deploy.policy.observation_terms import READINGS
 from policies.importers.original import Facts
+from policies.importers.torch_files.network import Activation
 from robots.strict import OPEN, open_fields
 
 Part = TypeVar("Part", tomlkit.TOMLDocument, Table)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from deploy.terms import Source
+from deploy.policy.observation_terms import Source
 
 SOURCES: dict[str, Source] = {
     "joint_pos": "joint_position",

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from policies.robot_init.facts import Facts
-from robots.model_mujoco import compile_model, open_model
+from robots.models.mujoco_model import compile_model, open_model
 
 POSES = 200
 NEAR_M = 0.02

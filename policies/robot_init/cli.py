@@ -9,13 +9,13 @@ from typing import Annotated
 import tomlkit
 import typer
 
-from deploy.cli import PASSED, main
+from deploy.command_line import PASSED, main
 from policies.robot_init.always import always_near
 from policies.robot_init.facts import Facts, read_facts
 from policies.robot_init.tables import draws_toml, limits_toml, robot_toml
 from robots.errors import OutputError, RobotError
-from robots.model_files import is_urdf, named_files
-from robots.quarantine import check_compiles
+from robots.models.files import is_urdf, named_files
+from robots.models.quarantine import check_compiles
 from robots.strict import open_fields
 
 SUFFIXES = (".xml", ".urdf")

@@ -10,8 +10,8 @@ import numpy as np
 
 from policies.robot_init.shapes import Shape, shape_of
 from robots.errors import RobotError
-from robots.model_files import is_urdf, read_xml
-from robots.model_mujoco import compile_model, open_model
+from robots.models.files import is_urdf, read_xml
+from robots.models.mujoco_model import compile_model, open_model
 
 _HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 TOOLS = ("tool", "tcp", "ee", "eef", "end_effector", "grip_site", "grasp_site", "pinch", "attachment_site")

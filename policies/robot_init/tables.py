@@ -103,7 +103,7 @@ def draws_toml(facts: Facts) -> tomlkit.TOMLDocument:
 def limits_toml(facts: Facts, name: str) -> tomlkit.TOMLDocument:
     """The judge's own; what depends on the size of the robot is open."""
     document = _commented(
-        f"What a soak's judge holds {name} to beside robot.toml; explained in eval/limits.py."
+        f"What a soak's judge holds {name} to beside robot.toml; explained in eval/judge/limits.py."
     )
     example = tomllib.loads((EXAMPLE / "limits.toml").read_text(encoding="utf-8"))
     left_out = {"motors", "manipulability"} if facts.floats else {"motors"}

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from policies.robot_init.facts import Facts
-from robots.inertial import AT_THE_IMU
+from robots.models.inertial import AT_THE_IMU
 
 FOOT = re.compile("foot|feet|sole|toe|ankle", re.IGNORECASE)
 """In the names of sites or of last bodies that stand on the ground."""

@@ -8,7 +8,7 @@ import numpy as np
 from deploy.state import Ints
 from robots.distributions import Cable
 from robots.errors import ConfigError, RobotError
-from robots.model_mujoco import load_mujoco, read_mjcf
+from robots.models.mujoco_model import load_mujoco, read_mjcf
 from robots.sensors import Kind
 from robots.spec import RobotSpec
 from robots.tables import Base

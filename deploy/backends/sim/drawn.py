@@ -5,7 +5,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deploy.backends.sim.anatomy import Anatomy
-from deploy.rotations import upright
+from deploy.estimation.rotations import upright
 from deploy.state import Floats
 from robots.draws import Draw
 

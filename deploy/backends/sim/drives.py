@@ -6,13 +6,13 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deploy.backends.sim import drawn
-from deploy.effort import Gains
-from deploy.flags import every, some
+from deploy.masks import every, some
+from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
 from deploy.state import Bools, Command, Floats
 from robots.distributions import COMMAND_DELAY_S
 from robots.draws import Draw
-from robots.model_mujoco import INPUTS
+from robots.models.mujoco_model import INPUTS
 from robots.spec import RobotSpec
 from robots.tables import Rates
 

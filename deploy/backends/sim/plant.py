@@ -15,8 +15,8 @@ from deploy.backends.sim.heat import Housings, Windings
 from deploy.backends.sim.motion import Motion
 from deploy.backends.sim.truth import Truth
 from deploy.backends.sim.wear import Wear, Worn
-from deploy.effort import Gains
-from deploy.flags import every, some
+from deploy.masks import every, some
+from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
 from deploy.state import Bools, Command, Floats
 from robots.distributions import Distributions

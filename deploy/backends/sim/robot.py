@@ -8,7 +8,7 @@ from deploy.backends.sim.packets import Fault
 from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.sensors import Sensors
 from deploy.backends.sim.truth import Truth
-from deploy.effort import Gains
+from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
 from deploy.state import Bools, Command, Floats, Sample
 from robots.distributions import load_distributions

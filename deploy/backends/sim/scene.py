@@ -3,7 +3,7 @@
 import mujoco
 
 from deploy.state import Floats
-from robots.model_mujoco import compile_model, read_mjcf
+from robots.models.mujoco_model import compile_model, read_mjcf
 from robots.spec import RobotSpec
 
 FLOOR = "firstshift/seen floor"

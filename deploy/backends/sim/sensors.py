@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.backends.sim.packets import NEVER, WRONG, Failure, Fault, Packets, silent
-from deploy.flags import every
+from deploy.masks import every
 from deploy.stage import Stage
 from deploy.state import Bools, Floats, Ints, Packet, Sample
 from robots.draws import Draw

@@ -1,0 +1,112 @@
+"""Jerk-limited setpoints; a stop is one of the ways to go on.
+
+A robot that does what was planned, for a target that has not changed, stays on its trajectory; any other gets a new
+one.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.masks import every, some
+from deploy.motion.trajectories import Stops, Ways, longest
+from deploy.stage import Stage
+from deploy.state import Bools, Floats, Setpoint
+from robots.spec import RobotSpec
+
+REST = 1e-6
+"""rad/s and rad/s². What is left below is rounding, which Ruckig may take many periods to bring to nothing."""
+
+
+class Smoother(Stage):
+    """The last SENT setpoint of B robots, the trajectories that they are on, and the stops that could begin.
+
+    Attributes:
+        q, qd, qdd: (B, n) rad, rad/s, rad/s², the last setpoint sent.
+        origin: (B, 4n + 2) where each robot's trajectory began and what was asked then: q, qd, qdd, target, pace,
+            stopping.
+        expected: (B, 4n + 2) the same of now, if all went as planned: a robot that differs gets a new trajectory.
+        pace: (B,) share of its speed and acceleration that a robot may use to follow a target; an input. One that falls
+            while the robot brakes carries it beyond its target: it should fall in small steps.
+        age: (B,) ticks since `origin`, less those at rest after a stop.
+    """
+
+    carried = ("q", "qd", "qdd", "origin", "expected", "age")
+
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        """Build the planners: one for what comes next, one for stops."""
+        shape = (robots, spec.n)
+        self.q, self.qd, self.qdd = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self.origin = np.full((robots, 4 * spec.n + 2), np.nan)
+        self.expected, self.age = self.origin.copy(), np.zeros(robots, dtype=np.int64)
+        margin = spec.margins.q_target_rad
+        self._q_min = np.tile(spec.joint_array("q_min") + margin, (robots, 1))
+        self._q_max = np.tile(spec.joint_array("q_max") - margin, (robots, 1))
+        self._ways, self._stops = Ways(spec, robots), Stops(spec, robots)
+        self._renew = round(longest(spec) / spec.dt)
+        self.pace, self._whole = np.ones(robots), np.ones((robots, 1))
+
+    def next(self, q_target: Floats, stopping: Bools) -> Setpoint:
+        """One step from the last sent setpoint: towards a target, or towards rest; NaN where Ruckig has no plan.
+
+        Args:
+            q_target: (B, n) rad, clamped here to the working range less its margin.
+            stopping: (B,) robots that brake to rest instead.
+        """
+        target, stops = np.minimum(np.maximum(q_target, self._q_min), self._q_max), stopping[:, None]
+        pace = self.pace
+        if some(stopping):
+            target[stopping] = 0.0  # no matter: it must not count as asked anew
+            self.age -= stopping & self.at_rest  # or rounding would creep on
+            pace = np.where(stopping, 1.0, pace)  # a stop has all of its limits, as it was checked
+        self.age += 1
+        self._plan(np.concatenate((self.q, self.qd, self.qdd, target, pace[:, None], stops), axis=1))
+        planned = self._ways.at(self.age)
+        self.expected[:, : planned[0].size] = planned.reshape(len(planned), -1)
+        return _setpoint(planned)
+
+    def _plan(self, now: Floats) -> None:
+        """A new trajectory for every robot that is not where it was expected, is asked anew, or was long on one."""
+        as_expected = now == self.expected
+        old = self.age >= self._renew
+        if every(as_expected) and not some(old):
+            return
+        left = ~as_expected.all(axis=1) | old
+        self.origin[left], self.age[left] = now[left], 1
+        self.expected[:] = now
+        self._ways.plan(self.origin, left)
+
+    def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
+        """A stop that would begin at `start`: its first step, and (B, n) rad in its midst and where it would end."""
+        stop = self._stops.points(
+            np.concatenate((start.q, start.qd, start.qdd, start.q, self._whole, self._whole), axis=1)
+        )
+        return _setpoint(stop), stop[:, 3], stop[:, 4]
+
+    def commit(self, sent: Setpoint) -> None:
+        """Remember what was sent."""
+        self.q[:], self.qd[:], self.qdd[:] = sent.q, sent.qd, sent.qdd
+
+    def hold(self, ids: Bools, q: Floats) -> None:
+        """Rest robots where `ids` (B,) holds at `q` (B, n) rad."""
+        self.q[ids], self.qd[ids], self.qdd[ids] = q[ids], 0.0, 0.0
+
+    def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Put saved arrays back and plan the trajectories that they stand for."""
+        super().restore(arrays)
+        self._ways.plan(self.origin)
+
+    @property
+    def sent(self) -> Setpoint:
+        """The last setpoint sent."""
+        return Setpoint(q=self.q, qd=self.qd, qdd=self.qdd)
+
+    @property
+    def at_rest(self) -> Bools:
+        """(B,) whether the last sent setpoint stands still."""
+        return np.asarray(np.maximum(np.abs(self.qd), np.abs(self.qdd)).max(axis=1) < REST)
+
+
+def _setpoint(x: Floats) -> Setpoint:
+    return Setpoint(q=x[:, 0], qd=x[:, 1], qdd=x[:, 2])

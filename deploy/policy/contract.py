@@ -1,0 +1,154 @@
+"""The policy contract: what the numbers of a policy mean, carried inside its ONNX file.
+
+The side that consumes it owns it: `policies` writes it, `deploy` moves nothing without it.
+"""
+
+import math
+from collections import Counter
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from deploy.motion.drive_law import Gains
+from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Numbers, Positive, Scales, Term
+from robots.errors import ContractError
+from robots.strict import Strict, parse, read_json
+
+CONTRACT_KEY = "firstshift.contract"
+MEMORY_MAX = 1 << 16  # numbers that one robot's policy may remember
+TEXT_MAX = 1 << 20  # characters of JSON
+
+Hertz = Annotated[int, Field(strict=True, ge=1, le=100_000)]
+Task = Literal["reach", "velocity"]
+
+
+class ActionSpec(Strict):
+    """What an action does.
+
+    Attributes:
+        mode: "position_increment": the target moves by scale · clip(action) each policy step; "position": it is
+            offset + scale · clip(action).
+        size: numbers in an action, one for each joint.
+        offset: (size,) rad, of "position" alone.
+        scale: (size,) rad per unit of action.
+        clip: bounds of the raw action; None: none.
+        leash_rad: rad, how far an increment may bring the target ahead of the smoother's setpoint.
+        kp, kd: (size,) N·m/rad and N·m·s/rad, the drives' gains in training; None: those of the robot's own drives.
+    """
+
+    mode: Literal["position_increment", "position"]
+    size: Count
+    offset: Numbers | None = None
+    scale: Scales
+    clip: Clip | None
+    leash_rad: Positive | None = None
+    kp: Scales | None = None
+    kd: Scales | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for name in ("offset", "scale", "kp", "kd"):
+            if (numbers := getattr(self, name)) is not None and len(numbers) != self.size:
+                raise ValueError(f"action {name} has {len(numbers)} numbers, size is {self.size}")
+        here = {"leash_rad": self.leash_rad is not None, "offset": self.offset is not None}
+        meant = {"leash_rad": self.mode == "position_increment", "offset": self.mode == "position"}
+        if wrong := [name for name in here if here[name] != meant[name]]:
+            found = "none" if meant[wrong[0]] else "one"
+            raise ValueError(f"action {wrong[0]}: found {found} in mode {self.mode!r}")
+        if (self.kp is None) != (self.kd is None):
+            raise ValueError("action: found one of kp and kd, expected both or none")
+        return self
+
+    @property
+    def gains(self) -> Gains | None:
+        """Of the drives, if the policy was trained with its own."""
+        return None if self.kp is None or self.kd is None else Gains(np.array(self.kp), np.array(self.kd))
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Of the raw action: `clip`, or all numbers."""
+        return self.clip or (-math.inf, math.inf)
+
+
+class Observed(Strict):
+    """What the numbers of observations were like in training, history included: for whoever judges, not for the policy.
+
+    Attributes:
+        mean: (N,) after scaling. deviation: (N,) standard deviation, or a little more.
+    """
+
+    mean: Numbers
+    deviation: Scales
+
+
+class Contract(Strict):
+    """Everything a policy assumes about the robot, its rates and its inputs.
+
+    Attributes:
+        robot_digest: `RobotSpec.digest` that the policy was trained with.
+        joint_names: order of every joint vector.
+        memory: M, how many numbers a policy hands on from each of its steps to the next; 0 when it begins. None of its
+            own: 0.
+        trained: provenance in free words: recipe, seed, versions.
+        observed: None where nobody wrote it down.
+    """
+
+    format: Literal[1] = 1
+    robot: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+    robot_digest: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    joint_names: Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
+    policy_hz: Hertz
+    control_hz: Hertz
+    task: Task
+    observation: Annotated[tuple[Term, ...], Field(min_length=1, max_length=SIZE_MAX)]
+    action: ActionSpec
+    memory: Annotated[int, Field(strict=True, ge=0, le=MEMORY_MAX)] = 0
+    trained: Annotated[dict[Name, str], Field(max_length=100)]
+    observed: Observed | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        times = Counter(term.name for term in self.observation)
+        if twice := [name for name in times if times[name] > 1]:
+            raise ValueError(f"observation: terms named twice: {', '.join(twice)}")
+        if self.observation_size > SIZE_MAX:
+            raise ValueError(f"observation: {self.observation_size} numbers, at most {SIZE_MAX}")
+        if len(periods := {term.period_s for term in self.observation if term.period_s}) > 1:
+            raise ValueError(f"observation: period_s: found {sorted(periods)}, expected the same for all")
+        sizes = {len(self.observed.mean), len(self.observed.deviation)} if self.observed else set()
+        if wrong := sizes - {self.observation_size}:
+            raise ValueError(f"observed: found {wrong.pop()} numbers, expected {self.observation_size}")
+        if self.control_hz % self.policy_hz:
+            raise ValueError(f"policy_hz {self.policy_hz} does not divide control_hz {self.control_hz}")
+        return self
+
+    @property
+    def observation_size(self) -> int:
+        """N, numbers in one observation, history included."""
+        return sum(term.size * term.history for term in self.observation)
+
+    @property
+    def period_s(self) -> float:
+        """s, of the gait, if a term is about one."""
+        return next((term.period_s for term in self.observation if term.period_s), math.inf)
+
+    @property
+    def action_size(self) -> int:
+        """A, numbers in one action."""
+        return self.action.size
+
+    def to_json(self) -> str:
+        """JSON in which every number reads back to the same bits."""
+        return self.model_dump_json()
+
+    @classmethod
+    def from_json(cls, text: str, source: str) -> Self:
+        """Read what `to_json` wrote; `source` names the file in messages.
+
+        Raises:
+            ContractError: one line for each field that is wrong.
+        """
+        return parse(
+            read_json(text, source, TEXT_MAX, ContractError), cls, source=source, error=ContractError
+        )

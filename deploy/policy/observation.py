@@ -1,0 +1,76 @@
+"""The only place where an observation is assembled, from the contract's terms."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.masks import every
+from deploy.policy.contract import Contract
+from deploy.policy.observation_terms import Term
+from deploy.stage import Stage
+from deploy.state import Bools, Floats, Ints
+
+Sources = Mapping[str, Callable[[], Floats]]
+"""For each source a contract may name: a reading (B, size), SI units."""
+
+
+class Observation(Stage):
+    """The policy's input (B, N) float32; each term's history oldest first, filled as the contract says."""
+
+    carried = ("frames", "started")
+
+    def __init__(self, contract: Contract, sources: Sources, robots: int) -> None:
+        """Allocate.
+
+        Args:
+            contract: names the terms; checked against the robot beforehand.
+            sources: where they come from.
+            robots: B.
+        """
+        terms = contract.observation
+        self.frames = np.zeros((robots, contract.observation_size), dtype=np.float32)
+        self.started = np.zeros(robots, dtype=bool)
+        self._sources = [sources[term.source] for term in terms]
+        offset = np.concatenate([term.offset or np.zeros(term.size) for term in terms])
+        self._offset = np.tile(offset, (robots, 1)) if offset.any() else None
+        self._scale = np.tile(np.concatenate([term.scale for term in terms]), (robots, 1))
+        bounds = [term.clip or (-np.inf, np.inf) for term in terms for _ in range(term.size)]
+        self._low, self._high = (np.tile(bound, (robots, 1)) for bound in zip(*bounds, strict=True))
+        self._filled, self._pushed = _columns(terms)
+        self._zeros = np.repeat([t.fill == "zeros" for t in terms], [t.size * t.history for t in terms])
+
+    def reset(self, ids: Bools) -> None:
+        """Forget the history of robots where `ids` (B,) holds."""
+        self.started[ids] = False
+
+    def step(self) -> NDArray[np.float32]:
+        """Assemble one observation for each robot."""
+        newest = np.concatenate([source() for source in self._sources], axis=1)
+        if self._offset is not None:
+            newest -= self._offset
+        newest /= self._scale
+        newest = np.minimum(np.maximum(newest, self._low), self._high)
+        if not every(self.started):
+            first = ~self.started
+            self.frames[first] = np.where(self._zeros, 0.0, newest[first].take(self._filled, axis=1))
+            self.started[:] = True
+        both = np.concatenate((self.frames, newest), axis=1, dtype=np.float32)
+        both.take(self._pushed, axis=1, out=self.frames)
+        return self.frames
+
+
+def _columns(terms: Sequence[Term]) -> tuple[Ints, Ints]:
+    """Where each column of the frames comes from.
+
+    Returns:
+        For a first frame, columns of the newest readings; for any other, columns of the old frames and the newest
+        readings side by side: a term's newest frame is its reading, every other is the one that followed it.
+    """
+    ends = np.cumsum([term.size for term in terms])
+    reading = [np.arange(end - term.size, end) for term, end in zip(terms, ends, strict=True)]
+    filled = np.concatenate([np.tile(r, term.history) for term, r in zip(terms, reading, strict=True)])
+    size = np.concatenate([np.full(term.size * term.history, term.size) for term in terms])
+    to_go = np.concatenate([np.arange(term.size * term.history)[::-1] for term in terms])
+    columns = np.arange(len(filled))
+    return filled, np.where(to_go < size, len(filled) + filled, columns + size)

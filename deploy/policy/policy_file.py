@@ -1,0 +1,146 @@
+"""What is inside a policy's ONNX file: its contract, its ends, what it must reproduce."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from onnx import GraphProto, ModelProto, TensorProto, ValueInfoProto
+from pydantic import Field, model_validator
+
+from deploy.policy.contract import CONTRACT_KEY, Contract
+from deploy.policy.observation_terms import Number
+from deploy.policy.onnx_graph import read_model
+from robots.errors import ContractError
+from robots.strict import Strict, parse, read_json
+
+GOLDEN_KEY = "firstshift.golden"
+INPUT, OUTPUT = "observation", "action"
+MEMORY, NEXT = "memory", "next_memory"
+"""Of a policy that remembers: what it remembers, and what it will."""
+FILE_BYTES_MAX = 256 << 20
+GOLDEN_CHARACTERS_MAX = 16 << 20
+
+Rows = Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1, max_length=1024)]
+Float32s = NDArray[np.float32]
+
+
+class Golden(Strict):
+    """Pairs that the policy must reproduce before it may move anything.
+
+    One that remembers must do so one after the other, from its beginning.
+
+    Attributes:
+        observation: (G, N) float32 values. action: (G, A) float32 values, as torch computed them.
+    """
+
+    observation: Rows
+    action: Rows
+
+    @model_validator(mode="after")
+    def _paired(self) -> Self:
+        if len(self.observation) != len(self.action):
+            raise ValueError(f"{len(self.observation)} observations but {len(self.action)} actions")
+        return self
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PolicyFile:
+    """A policy file that has passed every check that needs no robot.
+
+    Attributes:
+        data: the bytes that were checked, so that no other bytes are run.
+        digest: SHA-256 of `data`.
+        observation: (G, N) golden observations. action: (G, A) what must come out, in turn if the policy remembers.
+    """
+
+    data: bytes
+    digest: str
+    contract: Contract
+    observation: Float32s
+    action: Float32s
+
+
+def read_policy_file(path: Path) -> PolicyFile:
+    """Read one policy file and check everything in it.
+
+    Raises:
+        ContractError: naming the file, the part of it, what was found and what was expected.
+    """
+    data = _read(path)
+    model = read_model(data, str(path))
+    contract = Contract.from_json(_metadata(model, CONTRACT_KEY, path), f"{path}: {CONTRACT_KEY}")
+    _check_ends(model.graph, contract, path)
+    observation, action = _golden(model, contract, path)
+    digest = hashlib.sha256(data).hexdigest()
+    return PolicyFile(data=data, digest=digest, contract=contract, observation=observation, action=action)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        if path.stat().st_size > FILE_BYTES_MAX:
+            raise ContractError(f"{path}: {path.stat().st_size} bytes, at most {FILE_BYTES_MAX}")
+        return path.read_bytes()
+    except OSError as e:
+        raise ContractError(f"{path}: cannot be read: {e.strerror}, expected an ONNX policy") from e
+
+
+def _metadata(model: ModelProto, key: str, path: Path) -> str:
+    for entry in model.metadata_props:
+        if entry.key == key:
+            return str(entry.value)
+    found = ", ".join(repr(entry.key) for entry in model.metadata_props) or "none"
+    raise ContractError(
+        f"{path}: metadata {key}: missing, found keys: {found:.200}; expected a file written by policy-export or"
+        " policy-import"
+    )
+
+
+def _check_ends(graph: GraphProto, contract: Contract, path: Path) -> None:
+    weights = {tensor.name for tensor in graph.initializer}
+    inputs = [value for value in graph.input if value.name not in weights]
+    before, after = {INPUT: contract.observation_size}, {OUTPUT: contract.action_size}
+    if contract.memory:
+        before[MEMORY] = after[NEXT] = contract.memory
+    _check_end("input", inputs, before, path)
+    _check_end("output", list(graph.output), after, path)
+
+
+def _check_end(
+    kind: Literal["input", "output"], found: list[ValueInfoProto], sizes: dict[str, int], path: Path
+) -> None:
+    """Whether an end of the graph has just the tensors (batch, size) that it should, in order."""
+    wanted = " and ".join(f"{name!r} float32 (batch, {size})" for name, size in sizes.items())
+    expected = f"expected {'one' if len(sizes) == 1 else 'two'}, {wanted} with a batch of any size"
+    if [value.name for value in found] != list(sizes):
+        raise ContractError(f"{path}: {kind}: found {[value.name for value in found]!r:.200}, {expected}")
+    for value, (name, size) in zip(found, sizes.items(), strict=True):
+        _check_tensor(value, size, f"{path}: {kind} {name!r}", expected)
+
+
+def _check_tensor(value: ValueInfoProto, size: int, source: str, expected: str) -> None:
+    tensor = value.type.tensor_type
+    dims = [dim.dim_value if dim.HasField("dim_value") else dim.dim_param or "?" for dim in tensor.shape.dim]
+    fits = len(dims) == 2 and isinstance(dims[0], str) and dims[1] == size
+    if tensor.elem_type != TensorProto.FLOAT or not fits:
+        kinds = dict(zip(TensorProto.DataType.values(), TensorProto.DataType.keys(), strict=True))
+        kind_found = kinds.get(tensor.elem_type, f"kind {tensor.elem_type}")
+        raise ContractError(f"{source}: found {kind_found} {dims!r:.100}, {expected}")
+
+
+def _golden(model: ModelProto, contract: Contract, path: Path) -> tuple[Float32s, Float32s]:
+    source = f"{path}: {GOLDEN_KEY}"
+    data = read_json(_metadata(model, GOLDEN_KEY, path), source, GOLDEN_CHARACTERS_MAX, ContractError)
+    golden = parse(data, Golden, source=source, error=ContractError)
+    return (
+        _matrix(golden.observation, contract.observation_size, f"{source}: observation"),
+        _matrix(golden.action, contract.action_size, f"{source}: action"),
+    )
+
+
+def _matrix(rows: Rows, width: int, source: str) -> Float32s:
+    if widths := {len(row) for row in rows} - {width}:
+        raise ContractError(f"{source}: found a row of {widths.pop()} numbers, expected {width}")
+    return np.array(rows, dtype=np.float32)

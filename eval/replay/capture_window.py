@@ -1,0 +1,138 @@
+"""Some seconds in full: what every robot believed, was sent and truly did, tick by tick."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from foxglove import Channel
+from foxglove.channels import FrameTransformChannel, JointStatesChannel
+from foxglove.messages import FrameTransform, Quaternion, Timestamp, Vector3
+from numpy.typing import NDArray
+
+from deploy.runtime import Runtime
+from deploy.stage import Arrays
+from deploy.telemetry.recorder import Ring
+from deploy.telemetry.recording import Recording, row_type
+from eval.judge.truth import Truth
+from robots.errors import OutputError
+from robots.spec import RobotSpec
+
+Rows = NDArray[np.void]
+
+TRUE = ("q_true", "qd_true", "tau_true", "winding_true_c")
+FLAGS = ("powered", "self_collision", "valid")
+_NUMBERS = {"type": "array", "items": {"type": ["number", "null"]}}
+TRUE_SCHEMA = {
+    "title": "firstshift.True",
+    "type": "object",
+    "properties": {
+        "winding_c": _NUMBERS,
+        "tool": _NUMBERS,
+        "tool_velocity": _NUMBERS,
+        "powered": {"type": "boolean"},
+        "self_collision": {"type": "boolean"},
+        "valid": {"type": "boolean"},
+    },
+}
+
+
+def window_type(spec: RobotSpec) -> np.dtype[np.void]:
+    """One tick of one robot: what a robot records of itself, and what is true of it; flags are 0 or 1.
+
+    `base_true` is where a base is in the world, m, and its orientation, w first.
+    """
+    own = row_type(spec)
+    true = [(name, np.float64, (spec.n,)) for name in TRUE]
+    tool = [(name, np.float64, (3,)) for name in ("tool_true", "tool_velocity_true")]
+    flags = [(name, np.float64) for name in FLAGS]
+    base = [("base_true", np.float64, (7,))] if spec.base else []
+    return np.dtype([*((name, own[name]) for name in own.names or ()), *true, *tool, *flags, *base])
+
+
+class Window(Ring):
+    """The last ticks of B robots, of `window_type`."""
+
+    def __init__(self, spec: RobotSpec, robots: int, seconds: float) -> None:
+        """Allocate for B robots."""
+        super().__init__(spec, robots, seconds=seconds, row=window_type(spec))
+        self.rows["tick"] = -1
+
+    def see(self, runtime: Runtime, truth: Truth) -> None:
+        """Keep the tick that has just ended."""
+        true = truth.q, truth.qd, truth.tau, truth.winding_c, truth.tool_position, truth.tool_velocity
+        flags = runtime.command.powered, truth.self_collision, truth.valid
+        base = () if truth.base is None else (truth.base.position, truth.base.quat_wxyz)
+        self._keep(runtime, (*true, *(flag[:, None] for flag in flags), *base))
+
+    def between(self, begin: int, end: int, robot: int) -> Rows:
+        """(T,) what is kept of a robot from tick `begin` on, before tick `end`."""
+        rows = self.rows[np.arange(begin, end) % len(self.rows), robot]
+        return rows[rows["tick"] == np.arange(begin, end)]
+
+
+def columns(rows: Rows) -> Arrays:
+    """(T, ...) arrays of the signals, by name."""
+    return {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()}
+
+
+def from_columns(arrays: Mapping[str, NDArray[np.generic]], spec: RobotSpec) -> Rows:
+    """What `columns` took apart."""
+    rows = np.zeros(len(arrays["tick"]), dtype=window_type(spec))
+    for name, array in arrays.items():
+        rows[name] = array
+    return rows
+
+
+def write_mcap(path: Path, spec: RobotSpec, rows: Rows, *, goal_m: float, about: Mapping[str, str]) -> None:
+    """One MCAP file of a window, whose clock is the robot's: 0 at the start of its shift.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    recording = _Recording(path, spec, start_ns=0, goal_m=goal_m, about=about)
+    for row in rows:
+        recording.write(row)
+    recording.finish()
+    recording.wait()
+    if recording.error is not None:
+        raise OutputError(f"{path}: cannot be written: {recording.error.strerror}")
+
+
+class _Recording(Recording):
+    """With topics /true, /true_state and, of a base, /tf beside what a robot records of itself."""
+
+    def __init__(self, path: Path, spec: RobotSpec, **how: Any) -> None:
+        super().__init__(path, spec, **how)
+        self._true = JointStatesChannel("/true", context=self._context)
+        self._true_state = Channel("/true_state", schema=TRUE_SCHEMA, context=self._context)
+        self._tf = FrameTransformChannel("/tf", context=self._context)
+
+    def write(self, row: Any) -> None:
+        """Record one tick, of `window_type`."""
+        super().write(row)
+        ns, stamp = self._time(int(row["tick"]))
+        self._true.log(
+            self._joints(stamp, q=row["q_true"], qd=row["qd_true"], tau=row["tau_true"]), log_time=ns
+        )
+        flags = {name: bool(row[name]) for name in FLAGS}
+        vectors = {name: _known(row[name]) for name in ("tool_true", "tool_velocity_true", "winding_true_c")}
+        named = {name.replace("_true", ""): value for name, value in vectors.items()}
+        self._true_state.log(flags | named, log_time=ns)
+        if self._spec.base:
+            self._tf.log(_transform(stamp, row["base_true"].tolist()), log_time=ns)
+
+
+def _transform(stamp: Timestamp, base: list[float]) -> FrameTransform:
+    x, y, z, qw, qx, qy, qz = base
+    return FrameTransform(
+        timestamp=stamp,
+        parent_frame_id="world",
+        child_frame_id="base",
+        translation=Vector3(x=x, y=y, z=z),
+        rotation=Quaternion(x=qx, y=qy, z=qz, w=qw),
+    )
+
+
+def _known(values: NDArray[np.float64]) -> list[float | None]:
+    return [x if np.isfinite(x) else None for x in values.tolist()]

@@ -1,0 +1,168 @@
+"""policy-export: one ONNX file that carries its contract, written only if it computes what torch computes."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import torch
+import typer
+from rich.console import Console
+
+from deploy.command_line import PASSED, main
+from deploy.policy.compatibility import check_contract
+from deploy.policy.contract import CONTRACT_KEY, Contract
+from deploy.policy.policy import AGREEMENT, BATCHES, Policy
+from deploy.policy.policy_file import GOLDEN_KEY, INPUT, OUTPUT, Golden
+from deploy.telemetry.output_files import replacing
+from policies.export.tracing import to_onnx
+from policies.training.checkpoint import Checkpoint, load_checkpoint
+from robots.errors import ContractError
+from robots.spec import RobotSpec, load_robot
+from robots.strict import parse
+
+POLICIES = Path(__file__).parents[1]
+GOLDEN_PAIRS = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exported:
+    """What was written, and how well it agrees.
+
+    Attributes:
+        file_bytes: size of the file.
+        digest: SHA-256 of the file.
+        observations: how many were compared, at each batch.
+        deviation: worst |ONNX Runtime − torch| at each of `deploy.policy.policy.BATCHES`, raw action.
+    """
+
+    path: Path
+    file_bytes: int
+    digest: str
+    observations: int
+    deviation: tuple[float, ...]
+
+
+def export(checkpoint_path: Path, out_path: Path, robot: str | Path | None = None) -> Exported:
+    """Export a checkpoint; `out_path` is replaced only after every check has passed.
+
+    Args:
+        checkpoint_path: what `policy-train` left.
+        out_path: the ONNX file.
+        robot: name or folder; without it the robot that the contract names.
+
+    Raises:
+        ContractError: the checkpoint, or the file that came out of it, is not what was promised.
+        RobotError: the robot is unknown or unreadable.
+        OutputError: `out_path` cannot be written.
+    """
+    checkpoint = load_checkpoint(checkpoint_path)
+    spec = load_robot(robot or checkpoint.contract.robot)
+    check_contract(checkpoint.contract, spec, f"{checkpoint_path}: contract")
+    with replacing(out_path) as partial:
+        data = _onnx(checkpoint)
+        partial.write_bytes(data)
+        deviation = _compare(_loaded(partial, spec, out_path), checkpoint, checkpoint_path)
+    return Exported(
+        path=out_path,
+        file_bytes=len(data),
+        digest=hashlib.sha256(data).hexdigest(),
+        observations=len(checkpoint.rollout),
+        deviation=deviation,
+    )
+
+
+def _onnx(checkpoint: Checkpoint) -> bytes:
+    """The same checkpoint gives the same bytes, on any machine with the same library versions."""
+    example = torch.zeros(2, len(checkpoint.actor.mean))  # batch 1 would be taken for a constant
+    batch: dict[str, object] = {"observation": {0: torch.export.Dim("batch")}}
+    model = to_onnx(checkpoint.actor, (example,), [INPUT], [OUTPUT], batch)
+    metadata = {CONTRACT_KEY: _contract(checkpoint).to_json(), GOLDEN_KEY: _golden(checkpoint)}
+    for key, value in metadata.items():
+        model.metadata_props.add(key=key, value=value)
+    return model.SerializeToString(deterministic=True)
+
+
+def _contract(checkpoint: Checkpoint) -> Contract:
+    """With what the normalizer learned of the observations in training."""
+    actor = checkpoint.actor
+    observed = {"mean": tuple(actor.mean.tolist()), "deviation": tuple(actor.divisor.tolist())}
+    data = checkpoint.contract.model_dump() | {"observed": observed}
+    return parse(data, Contract, source="contract", error=ContractError)
+
+
+def _golden(checkpoint: Checkpoint) -> str:
+    rows = np.linspace(0, len(checkpoint.rollout) - 1, GOLDEN_PAIRS).round().astype(int)
+    observation = checkpoint.rollout[torch.from_numpy(rows)]
+    pairs = {"observation": observation.tolist(), "action": checkpoint.actor(observation).tolist()}
+    return parse(pairs, Golden, source="golden pairs").model_dump_json()
+
+
+def _loaded(partial: Path, spec: RobotSpec, out_path: Path) -> Policy:
+    """The new file behind every check that it will meet on the robot."""
+    try:
+        return Policy.load(partial, spec)
+    except ContractError as e:
+        raise ContractError(str(e).replace(str(partial), f"{out_path} (not written)")) from e
+
+
+def _compare(policy: Policy, checkpoint: Checkpoint, source: Path) -> tuple[float, ...]:
+    expected = checkpoint.actor(checkpoint.rollout)
+    worst = []
+    for batch in BATCHES:
+        found = policy.replay(checkpoint.rollout.numpy(), batch)
+        deviation = np.abs(found - expected.numpy()).max(axis=1)
+        if not (deviation <= AGREEMENT).all():
+            row = int(deviation.argmax())
+            raise ContractError(
+                f"{source}: rollout row {row}: ONNX Runtime and torch differ: found {deviation[row]:.3g} "
+                f"at batch {batch}, expected at most {AGREEMENT:g}"
+            )
+        worst.append(float(deviation.max()))
+    return tuple(worst)
+
+
+def find_checkpoint(policy: str) -> Path:
+    """The file of that path, or of that name among the shipped policies.
+
+    Raises:
+        ContractError: neither is there.
+    """
+    for path in (Path(policy), POLICIES / policy):
+        if path.is_file():
+            return path
+    known = ", ".join(sorted(path.name for path in POLICIES.glob("*.pt"))) or "none"
+    raise ContractError(f"--policy {policy}: no such file, expected a path or one of policies/: {known}")
+
+
+def policy_export(
+    policy: Annotated[str, typer.Option(help="Checkpoint: a name in policies/ or a path.")] = "arm.pt",
+    out: Annotated[
+        Path | None, typer.Option(help="ONNX file to write.", show_default="out/<policy>.onnx")
+    ] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="Robot: a name or a folder.", show_default="the contract's")
+    ] = None,
+) -> int:
+    """Export a checkpoint to one ONNX file with its contract, if ONNX Runtime agrees with torch."""
+    checkpoint_path = find_checkpoint(policy)
+    out_path = out or Path("out", f"{checkpoint_path.stem}.onnx")
+    with Console(stderr=True).status(f"exporting {checkpoint_path.name}, about 10 s"):
+        exported = export(checkpoint_path, out_path, robot)
+    print(_summary(exported))
+    return PASSED
+
+
+def _summary(exported: Exported) -> str:
+    worst = ", ".join(f"{d:.1e} at batch {b}" for d, b in zip(exported.deviation, BATCHES, strict=True))
+    return (
+        f"{exported.path}: {exported.file_bytes} bytes, sha256 {exported.digest}\n"
+        f"ONNX Runtime against torch on {exported.observations} observations of real rollouts: "
+        f"worst {worst} (at most {AGREEMENT:g})"
+    )
+
+
+def cli() -> None:
+    """Entry point of `policy-export`."""
+    main(policy_export)

@@ -1,0 +1,138 @@
+"""What ONNX files of holosoma say of themselves, each value as JSON.
+
+Source: amazon-far/holosoma 0.0.3, src/holosoma/holosoma: agents/ppo/ppo.py, utils/inference_helpers.py,
+managers/observation/manager.py, managers/action/terms/joint_control.py, envs/base_task/base_task.py, config_types/.
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import AliasPath, Field
+
+from deploy.policy.contract import TEXT_MAX, Hertz
+from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
+from policies.importers.vocabulary import contract, factors, gains, said, term
+from robots.errors import ContractError
+from robots.strict import Strict, parse, read_json
+
+POSITION = "JointPositionActionTerm"
+Path = Annotated[str, Field(max_length=1000)]
+"""module:name of Python."""
+
+
+class _Part(Strict, extra="ignore"):
+    """Of a larger record, what is asked for."""
+
+
+class _Term(_Part):
+    name: Name
+    func: Path
+    history_length: Count
+    scale: Number | Numbers
+    clip: Clip | None
+
+
+class _ActionTerm(_Part):
+    func: Path
+
+
+class _Experiment(_Part):
+    fps: Hertz = Field(validation_alias=AliasPath("simulator", "config", "sim", "fps"))
+    decimation: Count = Field(validation_alias=AliasPath("simulator", "config", "sim", "control_decimation"))
+    control_type: Name = Field(validation_alias=AliasPath("robot", "control", "control_type"))
+    clip_actions: bool = Field(validation_alias=AliasPath("robot", "control", "clip_actions"))
+    clip_value: Positive = Field(validation_alias=AliasPath("robot", "control", "action_clip_value"))
+    pose: dict[Name, Number] = Field(
+        validation_alias=AliasPath("robot", "init_state", "default_joint_angles"), max_length=SIZE_MAX
+    )
+    actions: dict[Name, _ActionTerm] = Field(
+        validation_alias=AliasPath("action", "terms"), max_length=SIZE_MAX
+    )
+
+    @property
+    def hertz(self) -> int | None:
+        """How often the policy is asked, where that is a whole number."""
+        return None if self.fps % self.decimation else self.fps // self.decimation
+
+
+class _Metadata(_Part):
+    dof_names: Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
+    kp: Numbers | None = None
+    kd: Numbers | None = None
+    action_scale: Number | Numbers | None = None
+    observation_layout: Annotated[tuple[_Term, ...], Field(max_length=SIZE_MAX)] | None = None
+    observation_clip: Positive | None = None
+    experiment_config: _Experiment | None = None
+
+
+def known_from(metadata: Mapping[str, str], source: str) -> dict[str, Any]:
+    """As `metadata.known_from` says.
+
+    Raises:
+        ContractError: one line naming the key, the value found and what was expected.
+    """
+    data = {
+        key: read_json(metadata[key], f"{source}: metadata {key!r}", TEXT_MAX, ContractError)
+        for key in _Metadata.model_fields
+        if key in metadata
+    }
+    theirs = parse(data, _Metadata, source=f"{source}: metadata", error=ContractError)
+    joints = list(theirs.dof_names)
+    for name in ("kp", "kd", "action_scale"):
+        numbers = getattr(theirs, name)
+        if isinstance(numbers, tuple) and len(numbers) != len(joints):
+            raise ContractError(
+                f"{source}: metadata {name!r}: found {len(numbers)} numbers, expected {len(joints)}, one for each of"
+                " dof_names"
+            )
+    experiment = theirs.experiment_config
+    pose = _pose(experiment, joints, source) if experiment else None
+    rate = experiment.hertz if experiment else None
+    action = said(
+        **(_action(experiment, pose) if experiment else {}),
+        multiply=factors(_listed(theirs.action_scale)),
+        **gains(theirs.kp, theirs.kd),
+    )
+    observation = [_term(each, pose, theirs.observation_clip) for each in theirs.observation_layout or ()]
+    return contract(observation or None, "zeros", joint_names=joints, policy_hz=rate, action=action)
+
+
+def _term(each: _Term, pose: list[float] | None, every: float | None) -> dict[str, Any]:
+    return term(
+        each.name,
+        each.func.rpartition(":")[2],
+        pose,
+        multiply=factors(_listed(each.scale)),
+        clip=_clip(each.clip, every),
+        clip_first=False,
+        history=each.history_length,
+    )
+
+
+def _pose(experiment: _Experiment, joints: list[str], source: str) -> list[float]:
+    if missing := [name for name in joints if name not in experiment.pose]:
+        raise ContractError(
+            f"{source}: metadata 'experiment_config': default_joint_angles: found none for {missing[0]!r:.100}"
+        )
+    return [experiment.pose[name] for name in joints]
+
+
+def _action(experiment: _Experiment, pose: list[float] | None) -> dict[str, Any]:
+    """Nothing, where it is not positions that are commanded."""
+    terms = [action.func.rpartition(":")[2] for action in experiment.actions.values()]
+    if experiment.control_type != "P" or terms != [POSITION]:
+        return {}
+    clip = [-experiment.clip_value, experiment.clip_value] if experiment.clip_actions else "none"
+    return said(mode="position", offset=pose, clip=clip)
+
+
+def _clip(own: tuple[float, float] | None, every: float | None) -> list[float] | None:
+    """Of one term and of all of them, both after scaling; None where the file is too old to say it."""
+    if every is None:
+        return None
+    low, high = own or (-every, every)
+    return [max(low, -every), min(high, every)]
+
+
+def _listed(numbers: float | tuple[float, ...] | None) -> tuple[float, ...] | None:
+    return (numbers,) if isinstance(numbers, int | float) else numbers

@@ -1,0 +1,217 @@
+"""Isaac Lab's I/O descriptors: the YAML that says of a task what its policy observes and does.
+
+Source: isaac-sim/IsaacLab 2.2 and 3.0, scripts/environments/export_io_descriptors.py and source/isaaclab/isaaclab:
+envs/utils/io_descriptors.py, managers/observation_manager.py, managers/action_manager.py, envs/mdp/observations.py,
+envs/mdp/actions/joint_actions.py.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
+from policies.importers.onnx_files.metadata import FAR
+from policies.importers.onnx_files.yaml_file import read_yaml
+from policies.importers.vocabulary import SOURCES, contract, factors, gains, said
+from robots.errors import ContractError
+from robots.strict import Strict, parse
+
+POSITION = ".JointPositionAction"
+
+
+def _first_row(value: object) -> object:
+    """Of one robot: some versions write the same row for each robot of the training."""
+    return value[0] if isinstance(value, tuple) and value and isinstance(value[0], tuple) else value
+
+
+def _near(value: object) -> object:
+    """Bounds that are none as large numbers."""
+    if isinstance(value, tuple):
+        return tuple(_near(number) for number in value)
+    return max(-FAR, min(value, FAR)) if isinstance(value, float) else value
+
+
+Names = Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
+Given = Annotated[Number | Numbers, BeforeValidator(_first_row)]
+"""One number for all, or one for each."""
+Bounds = Annotated[tuple[Clip, ...], BeforeValidator(_near), Field(max_length=SIZE_MAX)]
+
+
+class _Part(Strict, extra="ignore"):
+    """Of a larger record, what is asked for."""
+
+
+class _Overloads(_Part):
+    clip: Annotated[Clip | None, BeforeValidator(_near)]
+    scale: Number | Numbers | None
+    history_length: Annotated[int, Field(ge=0, le=SIZE_MAX)] | None
+    flatten_history_dim: bool
+
+
+class _Extras(_Part):
+    modifiers: None = None
+
+
+class _Term(_Part):
+    name: Name
+    shape: Annotated[tuple[Count, ...], Field(min_length=1, max_length=1)]
+    overloads: _Overloads
+    extras: _Extras
+    joint_names: Names | None = None
+    joint_pos_offsets: Numbers | None = None
+    joint_vel_offsets: Numbers | None = None
+
+
+class _Action(_Part):
+    full_path: Annotated[str, Field(max_length=1000)]
+    joint_names: Names
+    scale: Given
+    offset: Given
+    clip: Bounds | None
+
+
+class _Articulation(_Part):
+    joint_names: Names
+    default_joint_stiffness: Numbers
+    default_joint_damping: Numbers
+
+
+class _Observations(_Part):
+    policy: Annotated[tuple[_Term, ...], Field(min_length=1, max_length=SIZE_MAX)]
+
+
+class _Scene(_Part):
+    dt: Annotated[Positive, Field(ge=1e-5, le=100)]
+
+
+class _Descriptor(_Part):
+    actions: Annotated[tuple[_Action, ...], Field(min_length=1, max_length=1)]
+    articulations: Annotated[dict[Name, _Articulation], Field(max_length=100)]
+    observations: _Observations
+    scene: _Scene
+
+
+def read_descriptor(path: Path, observations: int) -> dict[str, Any]:
+    """Fields of the contract's TOML that a descriptor says.
+
+    Args:
+        path: the YAML.
+        observations: N of the policy, so that the descriptor of another is not taken for its own.
+
+    Raises:
+        ContractError: naming the file, the field, what was found and what was expected.
+    """
+    data = read_yaml(path)
+    descriptor = parse(data, _Descriptor, source=str(path), error=ContractError)
+    terms, (action,) = descriptor.observations.policy, descriptor.actions
+    total = sum(term.shape[0] * max(1, term.overloads.history_length or 0) for term in terms)
+    if total != observations:
+        raise ContractError(
+            f"{path}: observations.policy: found {total} numbers, the policy takes {observations}"
+        )
+    joints, *others = dict.fromkeys(t.joint_names for t in terms if t.joint_names) or [action.joint_names]
+    if others or not set(action.joint_names) <= set(joints):
+        raise ContractError(
+            f"{path}: observations.policy: joint_names: found {list(others[0] if others else joints)!s:.300},"
+            f" expected the same for each term, among them those of the action: {list(action.joint_names)!s:.300}"
+        )
+    _check_action(action, str(path))
+    hertz = 1 / descriptor.scene.dt
+    return contract(
+        _terms(terms, str(path)),
+        "first",
+        joint_names=list(joints),
+        action_joints=None if joints == action.joint_names else list(action.joint_names),
+        policy_hz=round(hertz) if abs(hertz - round(hertz)) < 1e-3 else None,
+        action=_action(action, descriptor.articulations),
+    )
+
+
+def _terms(terms: Sequence[_Term], source: str) -> list[dict[str, Any]]:
+    times: Counter[str] = Counter()
+    made = []
+    for term in terms:
+        times[term.name] += 1
+        where = f"{source}: observations.policy: {term.name}"
+        if term.overloads.history_length and not term.overloads.flatten_history_dim:
+            raise ContractError(f"{where}: flatten_history_dim: found false, expected true")
+        count = times[term.name]
+        made.append(_term(term, term.name if count == 1 else f"{term.name}_{count}"))
+    return made
+
+
+def _term(term: _Term, name: str) -> dict[str, Any]:
+    over, source = term.overloads, SOURCES.get(term.name)
+    offsets = {"joint_pos_rel": term.joint_pos_offsets, "joint_vel_rel": term.joint_vel_offsets}
+    offset = offsets.get(term.name)
+    none = None if term.name == "joint_pos_rel" else "none"
+    return said(
+        name=name,
+        source=source,
+        offset=None if source is None else list(offset) if offset and any(offset) else none,
+        multiply=1.0 if over.scale is None else factors(_listed(over.scale)),
+        clip=list(over.clip) if over.clip else "none",
+        clip_first=True,
+        history=max(1, over.history_length or 0),
+    )
+
+
+def _check_action(action: _Action, source: str) -> None:
+    count, scale = len(action.joint_names), _listed(action.scale)
+    for field, found in (("scale", scale), ("offset", _listed(action.offset)), ("clip", action.clip or ())):
+        fits = (0, count) if field == "clip" else (1, count)
+        if len(found) not in fits:
+            raise ContractError(f"{source}: actions.0.{field}: found {len(found)}, expected {count}")
+    if action.clip and 0.0 in scale:
+        raise ContractError(
+            f"{source}: actions.0.scale: found 0, expected another number: targets are bounded"
+        )
+
+
+def _action(action: _Action, articulations: Mapping[str, _Articulation]) -> dict[str, Any]:
+    """Nothing, where it is not positions that are commanded."""
+    if not action.full_path.endswith(POSITION):
+        return {}
+    offset, scale = _listed(action.offset), _listed(action.scale)
+    return said(
+        mode="position",
+        offset=list(offset) if any(offset) else "none",
+        multiply=factors(scale),
+        clip=_raw_clip(action, offset, scale) if action.clip else "none",
+        **_gains(action.joint_names, articulations),
+    )
+
+
+def _raw_clip(action: _Action, offset: Sequence[float], scale: Sequence[float]) -> list[float] | None:
+    """Isaac Lab bounds targets: that is one pair of bounds for raw actions, or none that can be said.
+
+    A scale below 0 exchanges the lower bound and the upper one.
+    """
+    count = len(action.joint_names)
+    raw = {
+        tuple(sorted(max(-FAR, min(round((bound - o) / s, 6), FAR)) for bound in clip))
+        for clip, o, s in zip(action.clip or (), _each(offset, count), _each(scale, count), strict=True)
+    }
+    return list(raw.pop()) if len(raw) == 1 else None
+
+
+def _gains(names: Sequence[str], articulations: Mapping[str, _Articulation]) -> dict[str, list[float]]:
+    """Of the articulation that has these joints."""
+    for arm in articulations.values():
+        both = (arm.default_joint_stiffness, arm.default_joint_damping)
+        if set(names) <= set(arm.joint_names) and all(len(n) == len(arm.joint_names) for n in both):
+            places = [arm.joint_names.index(name) for name in names]
+            kp, kd = ([numbers[k] for k in places] for numbers in both)
+            return gains(kp, kd)
+    return {}
+
+
+def _each(numbers: Sequence[float], count: int) -> list[float]:
+    return list(numbers) * count if len(numbers) == 1 else list(numbers)
+
+
+def _listed(numbers: float | tuple[float, ...]) -> tuple[float, ...]:
+    return (numbers,) if isinstance(numbers, int | float) else numbers

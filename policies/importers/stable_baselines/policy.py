@@ -1,0 +1,226 @@
+"""Policies of Stable-Baselines3: PPO, A2C, SAC, TD3 and DDPG, from the zip that `save` writes.
+
+The action is what `predict(deterministic=True)` computes, before it looks at the action space. Of SAC, TD3 and DDPG
+that is a number in [-1, 1], which `predict` would stretch to the bounds of the space: the contract's scale and offset
+do. Of PPO and A2C it has no bounds, and `predict` would clip it to the space: the contract's clip does.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from deploy.policy.observation_terms import SIZE_MAX
+from policies.importers.original import Facts, Original, UnansweredError
+from policies.importers.stable_baselines.archive import read_zip
+from policies.importers.stable_baselines.vec_normalize import VecNormalize, read_vec_normalize
+from policies.importers.torch_files.activations import ACTIVATIONS
+from policies.importers.torch_files.module import read_module
+from policies.importers.torch_files.network import Activation, Network
+from robots.errors import ContractError
+
+FLATTEN = "<class 'stable_baselines3.common.torch_layers.FlattenExtractor'>"
+
+
+class _Family(NamedTuple):
+    """Policies that share a layout.
+
+    Attributes:
+        kind: in words.
+        hidden: before the numbers of the actor's layers. head: those after them.
+        others: what names of tensors begin with that deterministic actions need not.
+        activation: unless it was told another.
+        squashed: whether a tanh comes last.
+    """
+
+    kind: str
+    hidden: str
+    head: tuple[str, ...]
+    others: tuple[str, ...]
+    activation: Activation
+    squashed: bool
+
+
+FAMILIES = {
+    "stable_baselines3.common.policies": _Family(
+        kind="PPO or A2C of Stable-Baselines3",
+        hidden="mlp_extractor.policy_net.",
+        head=("action_net",),
+        others=("log_std", "mlp_extractor.value_net.", "value_net."),
+        activation="tanh",
+        squashed=False,
+    ),
+    "stable_baselines3.sac.policies": _Family(
+        kind="SAC of Stable-Baselines3",
+        hidden="actor.latent_pi.",
+        head=("actor.mu",),
+        others=("actor.log_std.", "critic.", "critic_target."),
+        activation="relu",
+        squashed=True,
+    ),
+    "stable_baselines3.td3.policies": _Family(
+        kind="TD3 or DDPG of Stable-Baselines3",
+        hidden="actor.mu.",
+        head=(),
+        others=("actor_target.", "critic.", "critic_target."),
+        activation="relu",
+        squashed=True,
+    ),
+}
+"""By the module of the policy's class."""
+
+
+def read_stable_baselines(path: Path, network: Network) -> Original:
+    """The policy of a zip, behind the normalizer that `network` names.
+
+    Raises:
+        ContractError: it is none, or of a kind that is not imported.
+        UnansweredError: its activation or its normalizer is not known: no zip says whether VecNormalize was used.
+    """
+    settings, weights = read_zip(path)
+    family = _family(settings, str(path))
+    layers = list(_layers(weights, family, str(path)))
+    sizes = layers[0].in_features, layers[-1].out_features
+    for complaint in _inexpressible(settings, sizes):
+        raise ContractError(f"{path}: data: {complaint}")
+    activation = _activation(settings, family, network, str(path))
+    known: dict[str, Any] = {}
+    if clip := _clip(_part(settings, "action_space"), family):
+        known["action"] = {"clip": clip}
+    answers = {"activation": activation, "normalizer": network.normalizer}
+    if activation is None or network.normalizer is None:
+        asked = {name: "?" for name, answer in answers.items() if answer is None}
+        known["network"] = asked
+        facts = Facts(kind=family.kind, observations=sizes[0], actions=sizes[1], known=known)
+        raise UnansweredError(f"{path}: network: {' and '.join(asked)}: not said by its file", facts)
+    mlp = _mlp(layers, ACTIVATIONS[activation], squashed=family.squashed)
+    normalizer = _normalizer(network.normalizer_path(path), sizes[0])
+    if normalizer is None:
+        return read_module(mlp, sizes[0], str(path), kind=family.kind, known=known)
+    whole = nn.Sequential(_Normalize(normalizer), mlp)
+    return replace(
+        read_module(whole, sizes[0], str(path), kind=f"{family.kind} with VecNormalize", known=known),
+        mean=tuple(normalizer.mean.tolist()),
+        deviation=tuple(normalizer.divisor.tolist()),
+    )
+
+
+class _Normalize(nn.Module):
+    """In double precision, and single precision after it, as Stable-Baselines3 does."""
+
+    mean: Tensor
+    divisor: Tensor
+
+    def __init__(self, normalizer: VecNormalize) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.from_numpy(normalizer.mean))
+        self.register_buffer("divisor", torch.from_numpy(normalizer.divisor))
+        self.clip = normalizer.clip
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """(B, N) to (B, N)."""
+        return ((observation.double() - self.mean) / self.divisor).clamp(-self.clip, self.clip).float()
+
+
+def _family(settings: Mapping[str, object], source: str) -> _Family:
+    module = _part(settings, "policy_class").get("__module__")
+    if isinstance(module, str) and module in FAMILIES:
+        return FAMILIES[module]
+    raise ContractError(
+        f"{source}: data: policy_class: found one of {module!r:.100}, expected one of {', '.join(FAMILIES)}"
+    )
+
+
+def _layers(weights: Mapping[str, Tensor], family: _Family, source: str) -> Iterator[nn.Linear]:
+    count = next(k for k in itertools.count() if f"{family.hidden}{2 * k}.weight" not in weights)
+    names = [*(f"{family.hidden}{2 * k}" for k in range(count)), *family.head]
+    used = {f"{name}.{part}" for name in names for part in ("weight", "bias")}
+    if strange := [n for n in weights if n not in used and not n.startswith(family.others)]:
+        raise ContractError(f"{source}: policy.pth: found tensor {strange[0]!r:.100}, expected a plain MLP")
+    if missing := sorted(used - weights.keys()) or [f"{family.hidden}0.weight"] * (not names):
+        raise ContractError(f"{source}: policy.pth: found no tensor {missing[0]!r}, expected a plain MLP")
+    width: int | None = None
+    for name in names:
+        layer = _linear(weights[f"{name}.weight"], weights[f"{name}.bias"], width, f"{source}: {name}")
+        width = layer.out_features
+        yield layer
+
+
+def _linear(weight: Tensor, bias: Tensor, width: int | None, source: str) -> nn.Linear:
+    """Shape before values: a tensor of a few bytes can claim any number of elements."""
+    rows, columns = weight.shape if weight.dim() == 2 else (0, 0)
+    plain = all(
+        t.dtype == torch.float32 and t.layout == torch.strided and t.is_contiguous() for t in (weight, bias)
+    )
+    if not plain or tuple(bias.shape) != (rows,) or columns != (width or columns) or columns == 0:
+        found = f"{weight.dtype} {tuple(weight.shape)} and {tuple(bias.shape)}"
+        raise ContractError(f"{source}: found {found}, expected torch.float32 (n, {width or 'N'}) and (n,)")
+    if bad := int((~weight.isfinite()).sum() + (~bias.isfinite()).sum()):
+        raise ContractError(f"{source}: found {bad} values NaN or infinite, expected all finite")
+    layer = nn.Linear(columns, rows, device="meta")
+    layer.load_state_dict({"weight": weight, "bias": bias}, assign=True)
+    return layer.requires_grad_(False)
+
+
+def _mlp(layers: list[nn.Linear], activation: type[nn.Module], *, squashed: bool) -> nn.Sequential:
+    parts = [part for layer in layers for part in (layer, activation())]
+    return nn.Sequential(*parts[:-1], *([nn.Tanh()] if squashed else []))
+
+
+def _inexpressible(settings: Mapping[str, object], sizes: tuple[int, int]) -> Iterator[str]:
+    """By what the settings say in plain text; what they say in pickles stays unread."""
+    extractor = _part(settings, "policy_kwargs").get("features_extractor_class", FLATTEN)
+    if extractor != FLATTEN:
+        yield f"features_extractor_class: found {extractor!r:.100}, expected {FLATTEN}"
+    if settings.get("use_sde") is not False:
+        yield f"use_sde: found {settings.get('use_sde')!r:.20}, expected False: gSDE is not imported"
+    for name, size in zip(("observation_space", "action_space"), sizes, strict=True):
+        space = _part(settings, name)
+        kind, shape = str(space.get(":type:")), space.get("_shape")
+        if not kind.endswith("spaces.box.Box'>") or shape != [size] or size > SIZE_MAX:
+            yield f"{name}: found {kind:.100} {shape!r:.50}, expected a Box ({size},), {SIZE_MAX} at most"
+
+
+def _activation(
+    settings: Mapping[str, object], family: _Family, network: Network, source: str
+) -> Activation | None:
+    if "policy_kwargs" not in settings:
+        return network.activation
+    names: dict[object, Activation] = {str(kind): name for name, kind in ACTIVATIONS.items()}
+    text = _part(settings, "policy_kwargs").get("activation_fn", str(ACTIVATIONS[family.activation]))
+    found = names.get(str(text))
+    if found is None or network.activation not in (None, found):
+        expected = network.activation or f"one of {', '.join(ACTIVATIONS)}"
+        raise ContractError(f"{source}: data: activation_fn: found {text!r:.100}, expected {expected}")
+    return found
+
+
+def _clip(space: Mapping[str, object], family: _Family) -> list[float] | None:
+    """Bounds of the action, where one pair holds for all of it."""
+    if family.squashed:
+        return [-1.0, 1.0]
+    ends = [set(str(space.get(name)).strip("[]").split()) for name in ("low", "high")]
+    try:
+        bounds = [float(word) for words in ends for word in words]
+    except ValueError:
+        return None
+    return bounds if [len(words) for words in ends] == [1, 1] and math.isfinite(sum(bounds)) else None
+
+
+def _normalizer(path: Path | None, size: int) -> VecNormalize | None:
+    normalizer = None if path is None else read_vec_normalize(path)
+    if normalizer is not None and normalizer.mean.size != size:
+        raise ContractError(
+            f"{path}: found {normalizer.mean.size} numbers, expected {size}, as the policy has"
+        )
+    return normalizer
+
+
+def _part(settings: Mapping[str, object], name: str) -> Mapping[str, object]:
+    part = settings.get(name)
+    return part if isinstance(part, dict) else {}

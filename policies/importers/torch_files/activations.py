@@ -1,0 +1,16 @@
+"""Activations by the names that a contract's TOML gives them."""
+
+from torch import nn
+
+from policies.importers.torch_files.network import Activation
+
+ACTIVATIONS: dict[Activation, type[nn.Module]] = {
+    "elu": nn.ELU,
+    "relu": nn.ReLU,
+    "tanh": nn.Tanh,
+    "selu": nn.SELU,
+    "leaky_relu": nn.LeakyReLU,
+    "gelu": nn.GELU,
+    "silu": nn.SiLU,
+    "sigmoid": nn.Sigmoid,
+}

@@ -1,0 +1,81 @@
+"""Programs of torch.export: a graph as data, read without what its own reader would unpickle or evaluate."""
+
+import re
+from pathlib import Path
+
+from torch import nn
+from torch.export import ExportedProgram
+from torch.export.pt2_archive._package import load_pt2
+
+from deploy.policy.observation_terms import SIZE_MAX
+from deploy.policy.onnx_graph import shortened
+from policies.importers.original import Original
+from policies.importers.torch_files.exported_text import check_tensors, plain_program
+from policies.importers.torch_files.module import read_module
+from policies.importers.torch_files.zip_archive import packed, read_bytes, read_torch_members
+from robots.errors import ContractError
+
+PROGRAM, EXAMPLES = "models/model.json", "data/sample_inputs/model.pt"
+TENSORS = {
+    "data/weights/": "data/weights/model_weights_config.json",
+    "data/constants/": "data/constants/model_constants_config.json",
+}
+VERSIONS = ("archive_format", "archive_version", ".data/version", "byteorder")
+NEEDED = re.compile(
+    "|".join(map(re.escape, (PROGRAM, *TENSORS.values(), *VERSIONS)))
+    + r"|data/weights/weight_\d+|data/constants/tensor_\d+"
+)
+"""Not: examples and foreign objects, which are pickled, and compiled libraries."""
+EXPECTED = "expected a file of torch.export.save"
+
+
+def read_exported_program(path: Path) -> Original:
+    """What `torch.export.save` wrote: the buffers that a program changes are its memory.
+
+    Raises:
+        ContractError: it is no such file, holds more than operators of aten, or cannot be traced.
+    """
+    source = str(path)
+    members = read_torch_members(read_bytes(path, EXPECTED), NEEDED, source, EXPECTED)
+    if missing := [name for name in (PROGRAM, *TENSORS.values(), *VERSIONS) if name not in members]:
+        raise ContractError(f"{source}: found no {missing[0]}, {EXPECTED}")
+    for folder, config in TENSORS.items():
+        payloads = {
+            name.removeprefix(folder): data for name, data in members.items() if name.startswith(folder)
+        }
+        check_tensors(members[config], payloads, f"{source}: {config}")
+    members[PROGRAM] = plain_program(members[PROGRAM], f"{source}: {PROGRAM}")
+    members[EXAMPLES] = b""
+    program = _load(members, source)
+    return read_module(_module(program), _observations(program, source), source, kind="torch.export program")
+
+
+def _load(members: dict[str, bytes], source: str) -> ExportedProgram:
+    try:
+        return load_pt2(packed(members)).exported_programs["model"]
+    except Exception as e:  # text of unknown origin can fail in any way
+        raise ContractError(f"{source}: cannot be loaded: {shortened(e)}") from e
+
+
+def _module(program: ExportedProgram) -> nn.Module:
+    module = program.module(check_guards=False)
+    del module.train, module.eval  # both only refuse: a program is what it was when it was exported
+    return module
+
+
+def _observations(program: ExportedProgram, source: str) -> int:
+    names = program.graph_signature.user_inputs
+    shapes = [
+        tuple(n.meta["val"].shape) for n in program.graph.nodes if n.op == "placeholder" and n.name in names
+    ]
+    if len(shapes) != 1 or len(shapes[0]) != 2:
+        raise ContractError(
+            f"{source}: found inputs of shapes {shapes}, expected one of (batch, observations)"
+        )
+    batch, size = shapes[0]
+    if (isinstance(batch, int) and batch != 1) or not isinstance(size, int) or not 0 < size <= SIZE_MAX:
+        raise ContractError(
+            f"{source}: found observations of shape ({batch}, {size}), expected a batch of 1 or of any size,"
+            f" and 1 to {SIZE_MAX} numbers"
+        )
+    return size

@@ -1,0 +1,126 @@
+"""The text of exported programs: torch turns parts of it into Python and runs them, so only plain words pass."""
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from policies.importers.torch_files.torchscript_source import REFUSED
+from robots.errors import ContractError
+
+TEXT_MAX = 64 << 20
+WORD = re.compile(r"\w{0,200}", re.ASCII)
+DOTTED = re.compile(r"[\w.]{0,400}", re.ASCII)
+PATHS = frozenset({"target", "parameter_name", "buffer_name", "tensor_constant_name", "fqn"})
+SYMBOL = re.compile(
+    r"(Symbol\('s\d{1,4}', positive=True, integer=True\)|Integer\(-?\d{1,9}\)|Add|Mul|[(), ])+"
+)
+OPERATOR = re.compile(
+    r"torch\.ops\.aten\.(\w+)\.\w+|_operator\.(add|sub|mul|floordiv|neg|getitem|eq|ge|gt|le|lt)"
+)
+_ARGUMENTS = (
+    "none name expr tensor tensors optional_tensor optional_tensors int ints float floats bool bools string strings"
+    " sym_int sym_ints sym_float sym_floats sym_bool sym_bools scalar_type memory_format layout device"
+)
+ARGUMENTS = frozenset(_ARGUMENTS.split())
+LEAF: dict[str, object] = {"type": None, "context": None, "children_spec": []}
+ONE = {"type": "builtins.tuple", "context": "null", "children_spec": [LEAF]}
+NO_NAMES = {"type": "builtins.dict", "context": "[]", "children_spec": []}
+SPECS = {
+    "in_spec": json.dumps(
+        [1, {"type": "builtins.tuple", "context": "null", "children_spec": [ONE, NO_NAMES]}]
+    ),
+    "out_spec": json.dumps([1, LEAF]),
+}
+"""One tensor to one tensor."""
+
+
+def plain_program(text: bytes, source: str) -> bytes:
+    """A program without its notes and guards, all else looked at.
+
+    Raises:
+        ContractError: naming what is more than operators of aten on tensors.
+    """
+    program = _read(text, source)
+    try:
+        inner = program["graph_module"]
+        inner["metadata"], inner["treespec_namedtuple_fields"] = {}, {}
+        inner["module_call_graph"] = inner["module_call_graph"][:1]
+        program["guards_code"], program["torch_version"] = [], ""
+        for node in inner["graph"]["nodes"]:
+            node["metadata"] = {}
+        complaints = [*_symbols(program["range_constraints"]), *_foreign(program, "")]
+    except (KeyError, TypeError, AttributeError, RecursionError) as e:
+        raise ContractError(f"{source}: found no exported program: a {type(e).__name__}") from e
+    if complaints:
+        raise ContractError(f"{source}: {complaints[0]}; nothing of it was run")
+    return json.dumps(program).encode()
+
+
+def check_tensors(text: bytes, payloads: Mapping[str, bytes], source: str) -> None:
+    """Refuse tensors that are pickled, that are not there, or that claim more numbers than they have bytes.
+
+    Raises:
+        ContractError: naming the tensor.
+    """
+    config = _read(text, source)
+    try:
+        complaints = [*_foreign(config, "", names=DOTTED), *_unbacked(config["config"], payloads)]
+    except (KeyError, TypeError, AttributeError, RecursionError) as e:
+        raise ContractError(f"{source}: found no list of tensors: a {type(e).__name__}") from e
+    if complaints:
+        raise ContractError(f"{source}: {complaints[0]}; nothing of it was run")
+
+
+def _read(text: bytes, source: str) -> Any:
+    try:
+        if len(text) > TEXT_MAX:
+            raise ValueError
+        return json.loads(text)
+    except (ValueError, RecursionError) as e:
+        raise ContractError(f"{source}: found no JSON of at most {TEXT_MAX} characters") from e
+
+
+def _symbols(constraints: Mapping[str, object]) -> Iterator[str]:
+    for name in constraints:
+        if not re.fullmatch(r"s\d{1,4}", name):
+            yield f"range_constraints: found {name!r:.100}, expected the size of a batch"
+
+
+def _foreign(part: object, key: str, names: re.Pattern[str] = WORD) -> Iterator[str]:
+    """Whatever is no plain word in its place."""
+    if isinstance(part, dict):
+        for name, value in part.items():
+            if not names.fullmatch(name) or (name.startswith("as_") and name[3:] not in ARGUMENTS):
+                yield f"{key}: found {name!r:.100}, expected only tensors and numbers"
+            yield from _foreign(value, name, names)
+    elif isinstance(part, list):
+        for value in part:
+            yield from _foreign(value, key, names)
+    elif isinstance(part, str) and (expected := _expected(part, key)):
+        yield f"{key}: found {part!r:.100}, expected {expected}"
+
+
+def _expected(text: str, key: str) -> str | None:
+    """What should be there instead; None: it may be there."""
+    if key in SPECS:
+        return None if text == SPECS[key] else "one tensor of observations and one of actions"
+    if key == "expr_str":
+        return None if SYMBOL.fullmatch(text) else "the size of a batch"
+    if key == "target":
+        found = OPERATOR.fullmatch(text)
+        return None if found and found[1] not in REFUSED else "operators of aten"
+    if key == "type":
+        return None if text == "cpu" else "cpu, as for a program that was exported there"
+    return None if (DOTTED if key in PATHS else WORD).fullmatch(text) else "a plain word"
+
+
+def _unbacked(tensors: Mapping[str, Any], payloads: Mapping[str, bytes]) -> Iterator[str]:
+    for name, tensor in tensors.items():
+        if tensor["use_pickle"] is not False:
+            yield f"{name}: found a pickle, expected plain numbers"
+        elif (payload := payloads.get(tensor["path_name"])) is None:
+            yield f"{name}: found {tensor['path_name']!r}, which is none of the tensors in the file"
+        elif math.prod(size["as_int"] for size in tensor["tensor_meta"]["sizes"]) > len(payload):
+            yield f"{name}: found {len(payload)} bytes, expected all numbers of its shape"

@@ -1,0 +1,100 @@
+"""TorchScript: policies with their code, which torch runs; so every line of it is looked at before."""
+
+import re
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from deploy.policy.observation_terms import SIZE_MAX
+from deploy.policy.onnx_graph import shortened
+from policies.importers.original import Original
+from policies.importers.torch_files.module import read_module
+from policies.importers.torch_files.torchscript_pickle import check_pickle
+from policies.importers.torch_files.torchscript_source import check_source
+from policies.importers.torch_files.zip_archive import packed, read_bytes, read_torch_members
+from robots.errors import ContractError
+
+NEEDED = re.compile(r"data\.pkl|constants\.pkl|version|byteorder|(data|constants)/\d+|code/[\w/]+\.py")
+"""Not: debugging notes, other files that were packed along."""
+EXPECTED = "expected a file of torch.jit.save"
+TRIED_MAX = 32
+
+
+def read_torchscript(path: Path) -> Original:
+    """What `torch.jit.save` wrote: buffers that a step changes are its memory.
+
+    How many observations it takes it does not say: the first size that runs is taken, of those that its weights have.
+
+    Raises:
+        ContractError: it is no such file, would use more than tensors, or cannot be traced.
+    """
+    source = str(path)
+    members = read_torch_members(read_bytes(path, EXPECTED), NEEDED, source, EXPECTED)
+    _check(members, source)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "`torch.jit")  # deprecated; the files of others stay
+        observations = _observations(_load(members, source), source)
+        module = _load(members, source)  # afresh: what was tried is not remembered
+        return read_module(module, observations, source, kind="TorchScript")
+
+
+def _check(members: Mapping[str, bytes], source: str) -> None:
+    if not {"data.pkl", "constants.pkl"} <= members.keys():
+        raise ContractError(f"{source}: found no data.pkl and constants.pkl, {EXPECTED}")
+    for folder in ("data", "constants"):
+        prefix = f"{folder}/"
+        storages = {
+            name.removeprefix(prefix): data for name, data in members.items() if name.startswith(prefix)
+        }
+        check_pickle(members[f"{folder}.pkl"], storages, f"{source}: {folder}.pkl")
+    for name, text in members.items():
+        if name.endswith(".py"):
+            check_source(text, f"{source}: {name}")
+
+
+def _load(members: Mapping[str, bytes], source: str) -> torch.jit.ScriptModule:
+    try:
+        module = torch.jit.load(packed(members), map_location="cpu")
+        graph: Any = module.inlined_graph
+    except Exception as e:  # bytes of unknown origin can fail in any way
+        raise ContractError(f"{source}: cannot be loaded: {shortened(e)}") from e
+    buffers = {name.rpartition(".")[2] for name, _ in module.named_buffers()}
+    for node in graph.findAllNodes("prim::SetAttr"):
+        if (name := node.s("name")) not in buffers:
+            kind = list(node.inputs())[1].type()
+            raise ContractError(
+                f"{source}: {name}: found a memory ({kind}) that is no buffer, expected buffers"
+            )
+    return module
+
+
+def _observations(module: torch.jit.ScriptModule, source: str) -> int:
+    tried = list(dict.fromkeys(size for size in _sizes(module) if 0 < size <= SIZE_MAX))[:TRIED_MAX]
+    for size in tried:
+        if _runs(module, size):
+            return size
+    raise ContractError(f"{source}: cannot be run with as many observations as its weights take: {tried}")
+
+
+def _sizes(module: torch.jit.ScriptModule) -> Iterator[int]:
+    graph: Any = module.inlined_graph
+    constants = (
+        node.t("value")
+        for node in graph.findAllNodes("prim::Constant")
+        if node.hasAttribute("value") and node.kindOf("value") == "t"
+    )
+    for tensor in (*module.parameters(), *constants, *module.buffers()):
+        if tensor.dim() == 2:
+            yield tensor.shape[1]
+
+
+def _runs(module: torch.jit.ScriptModule, size: int) -> bool:
+    try:
+        with torch.no_grad():
+            return isinstance(module.eval()(torch.zeros(1, size)), Tensor)
+    except Exception:  # noqa: BLE001 - whatever a foreign module does
+        return False

@@ -1,0 +1,117 @@
+"""Checkpoints, from `policy-train` to `policy-export`: tensors, numbers and text; never code."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import torch
+from pydantic import ConfigDict, Field, StrictInt
+from torch import Tensor
+
+from deploy.policy.contract import Contract
+from deploy.policy.observation_terms import Count
+from deploy.telemetry.output_files import replacing
+from policies.training.archive import check_tensor, load_tensors
+from policies.training.networks import Actor
+from robots.errors import ContractError
+from robots.strict import Strict, parse
+
+ROLLOUT_MIN = 1000
+
+
+class _File(Strict):
+    """The keys of a checkpoint as torch stores them."""
+
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    format: Literal[1]
+    actor: dict[str, Tensor]
+    layers: Annotated[tuple[Count, ...], Field(min_length=1, max_length=16)]
+    activation: Literal["elu"]
+    contract: str
+    rollout: Tensor
+    seed: StrictInt
+    recipe: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checkpoint:
+    """A trained policy.
+
+    Attributes:
+        actor: the export view.
+        contract: what its numbers mean.
+        rollout: (K, N) float32 raw observations from real rollouts of this policy, K ≥ 1000, in time order.
+        seed: of the training.
+        recipe: its settings, in the text they were given in.
+    """
+
+    actor: Actor
+    contract: Contract
+    rollout: Tensor
+    seed: int
+    recipe: str
+
+
+def save_checkpoint(
+    path: Path, actor: Actor, contract: Contract, rollout: Tensor, *, seed: int, recipe: str
+) -> None:
+    """Write a checkpoint, whole or not at all; the arguments are the attributes of `Checkpoint`.
+
+    Raises:
+        ContractError: `load_checkpoint` would refuse it.
+        OutputError: the place cannot be written.
+    """
+    file = {
+        "format": 1,
+        "actor": {name: tensor.detach().cpu().clone() for name, tensor in actor.state_dict().items()},
+        "layers": list(actor.layers),
+        "activation": "elu",
+        "contract": contract.to_json(),
+        "rollout": rollout.detach().cpu().contiguous().clone(),
+        "seed": seed,
+        "recipe": recipe,
+    }
+    _checked(file, str(path))
+    with replacing(path) as partial, partial.open("wb") as stream:
+        torch.save(file, stream)
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Read a checkpoint; nothing that a file holds is ever run.
+
+    Raises:
+        ContractError: naming the file, the key, what was found and what was expected.
+    """
+    return _checked(load_tensors(path, "expected a checkpoint of policy-train"), str(path))
+
+
+def _checked(data: object, source: str) -> Checkpoint:
+    file = parse(data, _File, source=source, error=ContractError)
+    contract = Contract.from_json(file.contract, f"{source}: contract")
+    sizes = (contract.observation_size, contract.action_size)
+    with torch.device("meta"):  # shapes only
+        actor = Actor(*sizes, file.layers)
+    _check_weights(file.actor, actor.state_dict(), source)
+    if (rows := len(file.rollout) if file.rollout.dim() else 0) < ROLLOUT_MIN:
+        raise ContractError(f"{source}: rollout: found {rows} observations, expected at least {ROLLOUT_MIN}")
+    check_tensor(file.rollout, (rows, sizes[0]), f"{source}: rollout")
+    actor.load_state_dict(file.actor, assign=True)
+    return Checkpoint(
+        actor=actor.eval().requires_grad_(False),
+        contract=contract,
+        rollout=file.rollout,
+        seed=file.seed,
+        recipe=file.recipe,
+    )
+
+
+def _check_weights(found: Mapping[str, Tensor], expected: Mapping[str, Any], source: str) -> None:
+    if found.keys() != expected.keys():
+        names = [", ".join(sorted(keys)) for keys in (found, expected)]
+        raise ContractError(f"{source}: actor: found tensors {names[0]:.300}; expected {names[1]}")
+    for name, tensor in found.items():
+        check_tensor(tensor, tuple(expected[name].shape), f"{source}: actor.{name}")
+    if (least := found["divisor"].min().item()) <= 0:
+        raise ContractError(f"{source}: actor.divisor: found {least:g}, expected all above 0")

@@ -1,0 +1,136 @@
+"""policy-train: PPO of rsl-rl-lib, through the runtime that ships."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+import typer
+from rsl_rl.models import MLPModel
+from rsl_rl.runners import OnPolicyRunner
+from torch import Tensor
+
+from deploy.command_line import PASSED, main
+from deploy.telemetry.output_files import replacing
+from policies.training.checkpoint import save_checkpoint
+from policies.training.curves import draw_curves
+from policies.training.envs import RuntimeEnv
+from policies.training.networks import Actor
+from policies.training.recipe import Learner, Recipe, contract_of, find_recipe, load_recipe
+from robots.errors import ConfigError
+from robots.spec import load_robot
+
+SAVE_INTERVAL = 200
+ROLLOUT = 2048
+"""Observations kept in a checkpoint, for export to compare torch and ONNX Runtime on."""
+
+
+def train(recipe: Recipe, text: str, out: Path, *, threads: int) -> Path:
+    """Follow a recipe to a checkpoint.
+
+    Args:
+        recipe: the settings. text: of the recipe, kept in the checkpoint.
+        out: folder for TensorBoard's events, the curves and the checkpoint.
+        threads: for physics; results do not depend on it.
+
+    Returns:
+        The checkpoint's path.
+
+    Raises:
+        ConfigError: `out` holds another training.
+    """
+    if any(out.glob("events.*")):
+        raise ConfigError(f"--out {out}: holds another training, whose curves would mix with this one's")
+    torch.manual_seed(recipe.seed)
+    # One thread: torch's sums depend on how many share them, and a policy would depend on the machine.
+    torch.set_num_threads(1)
+    spec = load_robot(recipe.robot)
+    env = RuntimeEnv(recipe, spec, threads=threads)
+    runner = OnPolicyRunner(env, _settings(recipe.learner), log_dir=str(out), device="cpu")
+    for number, stage in enumerate(recipe.learner.stages):
+        _set_learning_rate(runner, stage.learning_rate)
+        runner.learn(stage.iterations, init_at_random_ep_len=number == 0)
+        runner.current_learning_iteration += 1
+    policy = runner.get_inference_policy()
+    rollout, success = roll_out(env, policy)
+    print(f"goals reached without exploration: {100 * success:.2f} %")
+    trained = {"recipe": recipe.name, "seed": str(recipe.seed), "goals_reached": f"{success:.4f}"}
+    actor, contract = Actor.from_rsl_rl(policy), contract_of(recipe, spec, trained)
+    path = out / f"{recipe.name}.pt"
+    save_checkpoint(path, actor, contract, rollout, seed=recipe.seed, recipe=text)
+    draw_curves(out, out / f"{recipe.name}.png")
+    return path
+
+
+def _set_learning_rate(runner: OnPolicyRunner, rate: float) -> None:
+    runner.alg.learning_rate = rate
+    for group in runner.alg.optimizer.param_groups:
+        group["lr"] = rate
+
+
+def roll_out(env: RuntimeEnv, policy: MLPModel) -> tuple[Tensor, float]:
+    """One episode without exploration.
+
+    Returns:
+        (ROLLOUT, N) observations spread over it, in time order, and the share of goals reached.
+    """
+    seen, due, reached = [], 0, 0
+    with torch.inference_mode():
+        for _ in range(env.max_episode_length):
+            observation = env.get_observations()
+            seen.append(observation["actor"])
+            env.step(policy(observation))
+            due += env.due
+            reached += env.reached
+    rows = np.linspace(0, len(seen) * env.num_envs - 1, ROLLOUT).round().astype(int)
+    return torch.cat(seen)[torch.from_numpy(rows)], reached / max(1, due)
+
+
+def _settings(learner: Learner) -> dict[str, Any]:
+    """The recipe in rsl_rl's words."""
+    network = {
+        "class_name": "MLPModel",
+        "hidden_dims": list(learner.hidden),
+        "activation": "elu",
+        "obs_normalization": True,
+    }
+    distribution = {"class_name": "GaussianDistribution", "init_std": learner.init_std, "std_type": "log"}
+    ppo = learner.model_dump(exclude={"stages", "num_steps_per_env", "hidden", "init_std"})
+    return {
+        "num_steps_per_env": learner.num_steps_per_env,
+        "save_interval": SAVE_INTERVAL,
+        "obs_groups": {"actor": ["actor"], "critic": ["actor", "privileged"]},
+        "actor": {**network, "distribution_cfg": distribution},
+        "critic": network,
+        "algorithm": {
+            "class_name": "PPO",
+            "schedule": "fixed",
+            "rnd_cfg": None,
+            "symmetry_cfg": None,
+            **ppo,
+        },
+    }
+
+
+def policy_train(
+    recipe: Annotated[str, typer.Option(help="Recipe: a name in policies/ or a path.")] = "arm",
+    out: Annotated[Path, typer.Option(help="Folder for checkpoint, curves and TensorBoard events.")] = Path(
+        "out/train"
+    ),
+    threads: Annotated[
+        int, typer.Option(help="Threads for physics; results do not depend on it.", min=1)
+    ] = 2,
+) -> int:
+    """Train a policy by a recipe; the checkpoint is <out>/<recipe>.pt."""
+    path = find_recipe(recipe)
+    settings = load_recipe(path)
+    with replacing(out / ".probe"):
+        pass
+    (out / ".probe").unlink()
+    print(f"checkpoint: {train(settings, path.read_text(encoding='utf-8'), out, threads=threads)}")
+    return PASSED
+
+
+def cli() -> None:
+    """Entry point of `policy-train`."""
+    main(policy_train)

@@ -1,0 +1,182 @@
+"""Where a policy learns: the runtime itself on the simulated robot, with the learner in the policy's place.
+
+Nothing here steps physics, filters or smooths: an environment step is `act`, then `sense` until the policy is due.
+"""
+
+import numpy as np
+import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+
+from deploy.backends.sim.robot import SimRobot
+from deploy.runtime import Runtime
+from deploy.state import Bools, Mode
+from deploy.tasks.reach import Reach
+from policies.training.recipe import Recipe, contract_of
+from policies.training.rewards import Limits, Step, reward, shaping
+from robots.errors import RobotError
+from robots.models.fleet import Fleet
+from robots.randomness import training_seed
+from robots.spec import RobotSpec
+
+
+class RuntimeEnv(VecEnv):
+    """B robots, each its own draw for the whole training; episodes of several goals, one after another.
+
+    Observation groups: `actor`, the contract's observation, and `privileged`, ground truth for the critic only.
+    """
+
+    def __init__(self, recipe: Recipe, spec: RobotSpec, *, threads: int) -> None:
+        """Build runtime and simulation, and arm every robot.
+
+        Args:
+            recipe: rewards and promises.
+            spec: its robot.
+            threads: for physics; results do not depend on it.
+        """
+        self.num_envs, self.num_actions, self.device = recipe.environment.robots, spec.n, "cpu"
+        self.cfg = recipe.model_dump()
+        seeds = [training_seed(recipe.seed, robot) for robot in range(self.num_envs)]
+        self._recipe, self._spec, self._robot = recipe, spec, SimRobot(spec, seeds, threads=threads)
+        self.runtime = Runtime(spec, contract_of(recipe, spec, {}), self._robot, seeds)
+        if not isinstance(self.runtime.task, Reach):
+            raise RobotError(
+                f"{spec.folder / 'robot.toml'}: base: found one, expected none: only reaching is trained"
+            )
+        self._task = self.runtime.task
+        self._fleet = Fleet(spec, self.num_envs)
+        self._limits = Limits(spec, recipe.reward.near_share)
+        self._rng = np.random.default_rng(recipe.seed)
+        period = round(self.runtime.task.config.period_s * recipe.promise.policy_hz)
+        self.max_episode_length = recipe.environment.goals_per_episode * period
+        self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long)
+        self._violations = {name: np.zeros(self.num_envs) for name in ("requested", "happened")}
+        self._last_action = np.zeros((self.num_envs, spec.n))
+        self._restart(np.ones(self.num_envs, dtype=bool))
+        # Out of step from the start: goals that change for all robots at once make every batch a different world.
+
+        self.runtime.task.elapsed[:] = self._rng.integers(period, size=self.num_envs)
+        self.runtime.task.elapsed *= self.runtime.decimation
+        self._observation = self._sense()
+
+    def get_observations(self) -> TensorDict:
+        """What actor and critic see now."""
+        truth, task = self._robot.truth(), self._task
+        privileged = np.concatenate(
+            (
+                truth.q,
+                truth.qd / self._spec.joint_array("qd_max"),
+                task.goal - truth.tool_position,
+                task.elapsed[:, None] * self._spec.dt / task.config.period_s,
+                self.runtime.supervisor.stopping[:, None],
+            ),
+            axis=1,
+        )
+        return TensorDict(
+            {
+                "actor": torch.from_numpy(self._observation.copy()),
+                "privileged": torch.from_numpy(privileged).float(),
+            },
+            batch_size=[self.num_envs],
+        )
+
+    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, object]]:
+        """One policy step."""
+        step = self._live(actions.numpy().astype(np.float64))
+        total, broken = reward(step, self._limits, self._recipe.reward)
+        total += shaping(step, self._limits, self._recipe.shaping)
+        self.episode_length_buf += 1
+        valid = self._robot.truth().valid
+        total = np.where(valid, total, self._recipe.reward.joint_limit)
+        time_out = (self.episode_length_buf >= self.max_episode_length).numpy()
+        done = broken | time_out | ~valid
+        # A goal that a broken limit or a diverged simulation cuts off counts as missed.
+        self.due = int((self.runtime.task.ended | broken | ~valid).sum())
+        self.reached = int(step.reached.sum())
+        log = self._log(step, broken, done)
+        if done.any():
+            self._restart(done)
+        self._observation = self._sense()
+        extras = {"time_outs": torch.from_numpy(time_out & ~broken).float(), "log": log}
+        return (
+            self.get_observations(),
+            torch.from_numpy(total).float(),
+            torch.from_numpy(done).float(),
+            extras,
+        )
+
+    def _live(self, action: np.ndarray) -> Step:
+        """Act until the policy is due again; the last `sense` is left to the caller, after resets."""
+        runtime, task = self.runtime, self._task
+        qdd, stopped = runtime.setpoint.qdd.copy(), np.zeros(self.num_envs, dtype=bool)
+        reached = np.zeros(self.num_envs, dtype=bool)
+        goal = task.goal.copy()
+        for tick in range(runtime.decimation):
+            if tick:
+                runtime.sense()
+            running = runtime.supervisor.mode == Mode.RUNNING
+            runtime.act(None if tick else action)
+            stopped |= running & (runtime.supervisor.mode == Mode.STOPPING)
+            reached |= task.ended & (self._distance(task.ended_goal) <= task.tolerance)
+        truth, change = self._robot.truth(), runtime.action.last - self._last_action
+        self._fleet.place(truth.q)
+        self._last_action[:] = runtime.action.last
+        running = runtime.supervisor.mode == Mode.RUNNING
+        return Step(
+            q=truth.q,
+            qd=truth.qd,
+            tau=truth.tau,
+            qdd_change=runtime.setpoint.qdd - qdd,
+            dt=runtime.decimation * self._spec.dt,
+            distance=self._distance(goal),
+            reached=reached & running,
+            q_target=runtime.target.q,
+            action_change=change,
+            action_excess=self._excess(action),
+            manipulability=self._fleet.manipulability(),
+            running=running,
+            stopped=stopped,
+        )
+
+    def _excess(self, action: np.ndarray) -> np.ndarray:
+        """Beyond the contract's clip; what is no number has its price already: it stops the robot."""
+        excess = action - np.clip(action, *self.runtime.contract.action.bounds)
+        return np.where(np.isfinite(action), excess, 0.0)
+
+    def _distance(self, goal: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(self._robot.truth().tool_position - goal, axis=1)
+
+    def _sense(self) -> np.ndarray:
+        """The observation, with robots that have just been put somewhere armed again."""
+        observation = self.runtime.sense()
+        if observation is None:
+            raise RuntimeError(f"tick {self.runtime.ticks} is between policy ticks")
+        off = ~self.runtime.supervisor.powered
+        if off.any():
+            self.runtime.arm(off)
+        return observation
+
+    def _restart(self, ids: Bools) -> None:
+        """Rest robots at random poses from which goals are drawn, and begin their episodes."""
+        poses = self._task.pool.q
+        q = poses[self._rng.integers(len(poses), size=self.num_envs)]
+        self._robot.reset(ids, q)
+        self.runtime.reset(ids)
+        self.episode_length_buf[torch.from_numpy(ids)] = 0
+        self._last_action[ids] = 0.0
+        for count in self._violations.values():
+            count[ids] = 0.0
+
+    def _log(self, step: Step, broken: Bools, done: Bools) -> dict[str, float]:
+        """What TensorBoard shows; violations are policy steps in which any joint was, or was asked, out of range."""
+        self._violations["requested"] += (self._limits.beyond(step.q_target) > 0).any(axis=1)
+        self._violations["happened"] += broken
+        log = {"Task/stops_per_step": float(step.stopped.mean()), "Task/running": float(step.running.mean())}
+        if self.due > 0:
+            log["Task/success"] = self.reached / self.due
+        if done.any():
+            log |= {
+                f"joint_limit_violations/{name}": float(count[done].mean())
+                for name, count in self._violations.items()
+            }
+        return log

@@ -1,0 +1,196 @@
+"""How a policy is taught: a recipe file, read strictly, and the contract that follows from it."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, PositiveFloat, PositiveInt
+
+from deploy.policy.contract import ActionSpec, Contract
+from deploy.policy.observation_terms import READINGS, Source, Term
+from robots.errors import ConfigError
+from robots.spec import RobotSpec
+from robots.strict import Strict, read_toml
+
+RECIPES = Path(__file__).parents[1]
+
+Penalty = Annotated[float, Field(le=0)]
+Share = Annotated[float, Field(gt=0, le=1)]
+
+
+class Promise(Strict):
+    """What the policy is promised at run time.
+
+    Attributes:
+        policy_hz: Hz. increment_rad: rad of target for a full action. leash_rad: rad of target ahead of the setpoint.
+        reach_m: m, what positions are divided by.
+    """
+
+    policy_hz: PositiveInt
+    increment_rad: PositiveFloat
+    leash_rad: PositiveFloat
+    reach_m: PositiveFloat
+
+
+class Environment(Strict):
+    """B robots taught at once, and the goals between two resets."""
+
+    robots: PositiveInt
+    goals_per_episode: PositiveInt
+
+
+class Reward(Strict):
+    """The reward proper, for each policy step.
+
+    Attributes:
+        success: for a goal reached, at the end of its time.
+        joint_limit: a joint beyond its working range; the episode ends.
+        near_limit: for each joint beyond `near_share` of its range.
+        power: for each W, jerk: for each rad/s³, survival: for each step.
+    """
+
+    success: PositiveFloat
+    joint_limit: Penalty
+    near_limit: Penalty
+    near_share: Share
+    power: Penalty
+    jerk: Penalty
+    survival: PositiveFloat
+
+
+class Shaping(Strict):
+    """Dense help towards the reward, for each policy step while running.
+
+    Attributes:
+        far_m, near_m: m, widths of 1 − tanh(d/width). here_m, here: m and weight of exp(−(d/here_m)²).
+        action_change: for each squared unit of action change.
+        action_excess: for each squared unit of action beyond its clip: out there exploring changes nothing, so
+            nothing would be learned.
+        request: for each rad that a target asks beyond the working range.
+        singular_below, singular: manipulability below which it costs, and how much it costs at none.
+        stop: for a safety stop.
+    """
+
+    far_m: PositiveFloat
+    near_m: PositiveFloat
+    here_m: PositiveFloat
+    here: PositiveFloat
+    action_change: Penalty
+    action_excess: Penalty
+    request: Penalty
+    singular_below: PositiveFloat
+    singular: Penalty
+    stop: Penalty
+
+
+class LearnerStage(Strict):
+    """Some iterations at one learning rate."""
+
+    iterations: PositiveInt
+    learning_rate: PositiveFloat
+
+
+class Learner(Strict):
+    """PPO of rsl-rl-lib. Source: Schulman et al. (2017); names as in rsl_rl."""
+
+    stages: Annotated[tuple[LearnerStage, ...], Field(min_length=1)]
+    num_steps_per_env: PositiveInt
+    hidden: tuple[PositiveInt, ...]
+    init_std: PositiveFloat
+    gamma: Share
+    lam: Share
+    entropy_coef: Annotated[float, Field(ge=0)]
+    num_learning_epochs: PositiveInt
+    num_mini_batches: PositiveInt
+    clip_param: Share
+    value_loss_coef: PositiveFloat
+    use_clipped_value_loss: bool
+    max_grad_norm: PositiveFloat
+
+
+class Recipe(Strict):
+    """Everything that makes a checkpoint."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+    robot: str
+    task: Literal["reach"]
+    seed: Annotated[int, Field(ge=0)]
+    promise: Promise
+    environment: Environment
+    reward: Reward
+    shaping: Shaping
+    learner: Learner
+
+
+def find_recipe(recipe: str) -> Path:
+    """The file of that path, or of that name among the shipped recipes.
+
+    Raises:
+        ConfigError: neither is there.
+    """
+    for path in (Path(recipe), RECIPES / f"{recipe}.toml"):
+        if path.is_file():
+            return path
+    known = ", ".join(sorted(path.stem for path in RECIPES.glob("*.toml")))
+    raise ConfigError(f"--recipe {recipe}: no such file, expected a path or one of policies/: {known}")
+
+
+def load_recipe(path: Path) -> Recipe:
+    """Read a recipe.
+
+    Raises:
+        ConfigError: unreadable, misspelt or out of bounds.
+    """
+    return read_toml(path, Recipe, ConfigError)
+
+
+def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Contract:
+    """The contract that a policy of this recipe signs.
+
+    Args:
+        recipe: the recipe.
+        spec: its robot.
+        trained: provenance.
+    """
+    n, promise = spec.n, recipe.promise
+    range_max = np.maximum(np.abs(spec.joint_array("q_min")), np.abs(spec.joint_array("q_max")))
+    return Contract(
+        robot=spec.name,
+        robot_digest=spec.digest,
+        joint_names=spec.joint_names,
+        policy_hz=promise.policy_hz,
+        control_hz=spec.rates.control_hz,
+        task=recipe.task,
+        observation=(
+            _term("joint_position", range_max.tolist()),
+            _term("joint_velocity", spec.joint_array("qd_max").tolist()),
+            _term("tool_position", [promise.reach_m] * 3),
+            _term("goal_from_tool", [promise.reach_m] * 3),
+            _term("goal_torque", [promise.reach_m**2] * n),
+            _term("target_offset", [promise.leash_rad] * n),
+            _term("last_action", [1.0] * n),
+        ),
+        action=ActionSpec(
+            mode="position_increment",
+            size=n,
+            scale=(promise.increment_rad,) * n,
+            clip=(-1.0, 1.0),
+            leash_rad=promise.leash_rad,
+        ),
+        trained=trained,
+    )
+
+
+def _term(source: Source, scale: list[float]) -> Term:
+    """A term without clip or history, divided by its physical maximum."""
+    frame, unit = READINGS[source][:2]
+    return Term.model_validate(
+        {
+            "name": source,
+            "source": source,
+            "frame": frame,
+            "unit": unit,
+            "size": len(scale),
+            "scale": tuple(scale),
+        }
+    )

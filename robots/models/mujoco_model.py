@@ -1,0 +1,196 @@
+"""MuJoCo's model of a robot, from the same model.xml."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from robots.drive import Drive
+from robots.errors import RobotError
+from robots.models.files import is_urdf, named_files, urdf_text
+from robots.spec import RobotSpec
+from robots.tables import Joint
+
+_INPUT = mujoco.mjtCtrlInput
+INPUTS = 3
+"""Controls of one `dcmotor` with `input="pos vel ff"`: motor angle, motor speed, motor torque."""
+SIGNATURE = sum(int(mode) for mode in (_INPUT.mjINPUT_POS, _INPUT.mjINPUT_VEL, _INPUT.mjINPUT_FF))
+"""What MuJoCo calls these."""
+
+
+def open_model(model: Path, folder: Path) -> mujoco.MjSpec:
+    """Read MJCF or URDF as its vendor wrote it.
+
+    Raises:
+        RobotError: MuJoCo cannot read it, or it names what is not in the folder.
+    """
+    named_files(model, folder)
+    try:
+        if is_urdf(model):
+            return mujoco.MjSpec.from_string(urdf_text(model, folder))
+        return mujoco.MjSpec.from_file(str(model))
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as e:
+        raise _unreadable(model, e) from e
+
+
+def compile_model(mjcf: mujoco.MjSpec, model: Path) -> mujoco.MjModel:
+    """Compile what was read from a file.
+
+    Raises:
+        RobotError: MuJoCo cannot, and says why.
+    """
+    try:
+        return mjcf.compile()
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as e:
+        raise _unreadable(model, e) from e
+
+
+def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
+    """Read the model at the robot's physics rate, with the drives of robot.toml, to compile or to add to.
+
+    Raises:
+        RobotError: MuJoCo cannot read it, or it lacks what robot.toml speaks of.
+    """
+    mjcf = open_model(spec.model_path, spec.folder)
+    if spec.base and is_urdf(spec.model_path):  # which has no words for a root that is free
+        mjcf.worldbody.bodies[0].add_freejoint()
+    mjcf.option.timestep = 1.0 / spec.rates.physics_hz
+    for element in (*mjcf.keys, *mjcf.sensors):  # they speak of actuators and joints that may not stay
+        mjcf.delete(element)
+    _lock(mjcf, spec)
+    if spec.drives:
+        _drive(mjcf, spec)
+    for pair in spec.neighbours:
+        for body in pair:
+            _check_known(spec, "neighbours", body, "a body", mjcf.bodies)
+        mjcf.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
+    _exclude_mount(mjcf)
+    if spec.tool and mjcf.site(spec.tool) is None and (body := mjcf.body(spec.tool)) is not None:
+        body.add_site(name=spec.tool)
+    return mjcf
+
+
+def _lock(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
+    """Take locked joints away, and with them whatever else moves or holds them."""
+    for name in spec.locked:
+        _check_known(spec, "locked", name, "joints", mjcf.joints)
+    joints = [joint for joint in mjcf.joints if joint.name in spec.locked]
+    for joint in joints:
+        if joint.ref != 0.0:
+            raise RobotError(
+                f"{spec.model_path}: joint {joint.name!r}: ref: found {joint.ref:g}, expected 0: it is locked"
+            )
+    tendons = [tendon for tendon in mjcf.tendons if any(wrap.target in joints for wrap in tendon.path)]
+    gone = {element.name for element in (*joints, *tendons)} - {""}
+    held = [equality for equality in mjcf.equalities if {equality.name1, equality.name2} & gone]
+    moved = [actuator for actuator in mjcf.actuators if actuator.target in gone]
+    for element in (*held, *moved, *tendons, *joints):
+        mjcf.delete(element)
+
+
+def _exclude_mount(mjcf: mujoco.MjSpec) -> None:
+    """Let the first link turn in what it is mounted on: MuJoCo spares parent and child only where both can move."""
+    fixed, excluded = {"world"}, {frozenset((each.bodyname1, each.bodyname2)) for each in mjcf.excludes}
+    for body in mjcf.bodies[1:]:
+        if body.parent.name not in fixed:
+            continue
+        if not body.joints:
+            fixed.add(body.name)
+            continue
+        for mount in sorted(fixed - {"world", ""}):
+            if body.name and frozenset((mount, body.name)) not in excluded:
+                mjcf.add_exclude(bodyname1=mount, bodyname2=body.name)
+
+
+def _check_known(spec: RobotSpec, field: str, found: str, expected: str, elements: Iterable[Any]) -> None:
+    names = [element.name for element in elements]
+    if found not in names:
+        raise RobotError(
+            f"{spec.folder / 'robot.toml'}: {field}: found {found!r}, expected {expected} of {spec.model_path.name}:"
+            f" {', '.join(filter(None, names))}"
+        )
+
+
+def _drive(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
+    """The drives of robot.toml in the place of the model's own actuators."""
+    if any(actuator.dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR for actuator in mjcf.actuators):
+        raise RobotError(
+            f"{spec.folder / 'robot.toml'}: motors.{spec.joints[0].motor}.drive: {spec.model_path.name} has a dcmotor"
+            " as well, expected drives in one of the two"
+        )
+    for actuator in mjcf.actuators:
+        mjcf.delete(actuator)
+    mjcf.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # the others do not bear stiff drives
+    for joint, drive in zip(spec.joints, spec.drives, strict=True):
+        _add_drive(mjcf, joint, drive, spec)
+
+
+def _add_drive(mjcf: mujoco.MjSpec, driven: Joint, drive: Drive, spec: RobotSpec) -> None:
+    """One drive. Its gains are on the motor's side, where an error of the joint is `gear` times as large."""
+    joint = mjcf.joint(driven.name)
+    if joint is None:
+        known = tuple(joint.name for joint in mjcf.joints)
+        raise RobotError(f"{spec.model_path}: joints are {known}; robot.toml lists {spec.joint_names}")
+    if not joint.actfrcrange[1] > 0:
+        most = _needed(drive.torque_max, "torque_max", "actuatorfrcrange", driven, spec)
+        joint.actfrclimited, joint.actfrcrange = True, [-most, most]
+    if not joint.armature > 0:
+        joint.armature = _needed(drive.armature, "armature", "armature", driven, spec)
+    motor = mjcf.add_actuator(name=driven.name, target=driven.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    motor.gear[0] = drive.gear
+    motor.set_to_dcmotor(
+        motorconst=[drive.torque_constant] * 2,
+        resistance=drive.resistance_ohm,
+        saturation=[joint.actfrcrange[1] / drive.gear, 0.0, 0.0],
+        controller=[drive.kp / drive.gear**2, 0.0, drive.kd / drive.gear**2, 0.0, 0.0, drive.supply_v],
+        thermal=[
+            drive.winding_resistance_k_per_w,
+            drive.winding_capacity_j_per_k,
+            0.0,
+            drive.copper_per_k,
+            drive.reference_c,
+            drive.reference_c,
+        ],
+        ctrlspec=SIGNATURE,
+    )
+
+
+def _needed(value: float | None, field: str, theirs: str, joint: Joint, spec: RobotSpec) -> float:
+    if value is None:
+        raise RobotError(
+            f"{spec.folder / 'robot.toml'}: motors.{joint.motor}.drive.{field}: missing, and joint {joint.name} has no"
+            f" {theirs} in {spec.model_path.name}"
+        )
+    return value
+
+
+def load_mujoco(spec: RobotSpec) -> mujoco.MjModel:
+    """Compile model.xml at the robot's physics rate.
+
+    Raises:
+        RobotError: MuJoCo cannot read it, or its joints, drives or tool are not those of robot.toml.
+    """
+    path, model = spec.model_path, compile_model(read_mjcf(spec), spec.model_path)
+    free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
+    if free.any() != (spec.base is not None):
+        raise RobotError(
+            f"{path}: found {free.sum()} free joints, expected as many as robot.toml has tables base"
+        )
+    joints = tuple(model.joint(i).name for i in np.flatnonzero(~free))
+    if joints != spec.joint_names:
+        raise RobotError(f"{path}: joints are {joints}; robot.toml lists {spec.joint_names}")
+    driven = tuple(model.joint(model.actuator(i).trnid[0]).name for i in range(model.nactuator))
+    if driven != spec.joint_names or model.nu != INPUTS * spec.n or model.na != spec.n:
+        raise RobotError(
+            f"{path}: drives move {driven} with {model.nu} controls and {model.na} states; expected one dcmotor"
+            f' for each of {spec.joint_names} with input="pos vel ff" and thermal'
+        )
+    if spec.tool and spec.tool not in {model.site(i).name for i in range(model.nsite)}:
+        raise RobotError(f"{path}: no site or body named {spec.tool!r}, which robot.toml calls the tool")
+    return model
+
+
+def _unreadable(model: Path, why: Exception) -> RobotError:
+    return RobotError(f"{model}: MuJoCo cannot read it: {why!s:.300}")

@@ -1,0 +1,166 @@
+"""A robot's model as Pinocchio reads it: MJCF or URDF, without the joints that are locked, with declared capsules."""
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from robots.capsule import Capsule
+from robots.errors import RobotError
+from robots.models.files import is_urdf, named_files, read_xml, urdf_text
+from robots.spec import RobotSpec
+
+Read = tuple[pin.Model, pin.GeometryModel]
+FLOATING = "JointModelFreeFlyer"
+"""What Pinocchio calls the joint of a base that nothing holds."""
+BODY, SITE = pin.FrameType.BODY, pin.FrameType.OP_FRAME
+_SET_ASIDE = "/body"
+
+
+def read_pinocchio(spec: RobotSpec) -> Read:
+    """Model and collision geometry, not yet compared with robot.toml; of a robot with a base, as seen from there.
+
+    Raises:
+        RobotError: Pinocchio cannot read the file or would leave a part of it out, or it has no such joint or body.
+    """
+    path = spec.model_path
+    named_files(path, spec.folder)
+    try:
+        model, geometry = _read_urdf(spec) if is_urdf(path) else _read_mjcf(spec)
+    except (ValueError, RuntimeError) as e:
+        raise RobotError(f"{path}: Pinocchio cannot read it: {e!s:.300}") from e
+    if spec.locked:
+        model, geometry = _lock(spec, model, geometry)
+    for body in {body for pair in spec.neighbours for body in pair}:
+        _frame(spec, model, body, "neighbours")
+    if spec.capsules:
+        geometry = _capsules(spec, model, geometry)
+    _add_rotors(spec, model)
+    return _from_base(spec, model, geometry)
+
+
+def _read_mjcf(spec: RobotSpec) -> Read:
+    path, root = str(spec.model_path), read_xml(spec.model_path)
+    links = len(root.findall("./worldbody/body"))
+    if links != 1:
+        raise RobotError(
+            f"{path}: worldbody holds {links} bodies, expected 1: Pinocchio would leave the others out"
+        )
+    model = pin.buildModelFromMJCF(path)
+    carried, shapes = (len(root.findall(f"./worldbody{parts}//geom")) for parts in ("/body", ""))
+    if spec.capsules and carried == shapes:  # in the place of all of them: meshes take seconds to load
+        return model, pin.GeometryModel()
+    return model, pin.buildGeomFromMJCF(model, path, pin.GeometryType.COLLISION)
+
+
+def _read_urdf(spec: RobotSpec) -> Read:
+    text = urdf_text(spec.model_path, spec.folder)
+    root = (pin.JointModelFreeFlyer(),) if spec.base else ()
+    model = pin.buildModelFromXML(text, *root)
+    if spec.capsules:  # in the place of all shapes: whatever stands still is a link here, too
+        return model, pin.GeometryModel()
+    return model, pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
+
+
+def _lock(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> Read:
+    names = list(model.names)
+    for name in spec.locked:
+        if name not in names[1:]:
+            raise RobotError(
+                f"{spec.folder / 'robot.toml'}: locked: found {name!r}, expected joints of {spec.model_path.name}:"
+                f" {', '.join(names[1:])}"
+            )
+    return _without(model, geometry, [names.index(name) for name in spec.locked])
+
+
+def _without(model: pin.Model, geometry: pin.GeometryModel, joints: list[int]) -> Read:
+    """The same with some joints held where they are neutral."""
+    # Pinocchio looks for a joint's frame by its name alone, which is often that of its body as well.
+    bodies = [frame for frame in model.frames if frame.type == BODY]
+    for frame in bodies:
+        frame.name += _SET_ASIDE
+    reduced, shapes = pin.buildReducedModel(model, geometry, joints, pin.neutral(model))
+    for frame in reduced.frames:
+        frame.name = frame.name.removesuffix(_SET_ASIDE)
+    return reduced, shapes
+
+
+def _from_base(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> Read:
+    """The same without the joint of a base: the world is where the base is, and no floor is there."""
+    floats = model.njoints > 1 and model.joints[1].shortname() == FLOATING
+    if floats != (spec.base is not None):
+        found, expected = ("a free joint", "none") if floats else ("no free joint", "one")
+        raise RobotError(
+            f"{spec.model_path}: found {found} at the root, expected {expected}: robot.toml has"
+            f" {'a' if spec.base else 'no'} base"
+        )
+    if not floats:
+        return model, geometry
+    for shape in [shape.name for shape in geometry.geometryObjects if shape.parentJoint == 0]:
+        geometry.removeGeometryObject(shape)
+    return _without(model, geometry, [1])
+
+
+def followed(spec: RobotSpec, model: pin.Model) -> list[int]:
+    """Frames of the sites or else the bodies that robot.toml calls the tool or the feet; joints may be called so too.
+
+    Raises:
+        RobotError: there is no such site or body.
+    """
+    named = [(spec.tool, "the tool")] if spec.tool else []
+    named += [(foot, "a foot") for foot in (spec.base.feet if spec.base else ())]
+    return [site_or_body(spec, model, name, what) for name, what in named]
+
+
+def site_or_body(spec: RobotSpec, model: pin.Model, name: str, what: str) -> int:
+    """The frame of a site or else a body.
+
+    Raises:
+        RobotError: there is no such one; `what` is what robot.toml calls it.
+    """
+    for kind in (SITE, BODY):
+        if model.existFrame(name, kind):
+            return int(model.getFrameId(name, kind))
+    raise RobotError(f"{spec.model_path}: no site or body named {name!r}, which robot.toml calls {what}")
+
+
+def _add_rotors(spec: RobotSpec, model: pin.Model) -> None:
+    """Those of drives, on joints for which the model has none."""
+    for joint, drive in zip(spec.joints, spec.drives, strict=False):
+        if drive.armature is not None and model.existJointName(joint.name):
+            place = model.joints[model.getJointId(joint.name)].idx_v
+            model.armature[place] = model.armature[place] or drive.armature
+
+
+def _capsules(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> pin.GeometryModel:
+    """Declared capsules in the place of the shapes of all bodies; what stands in the world itself stays."""
+    shapes = pin.GeometryModel()
+    for shape in geometry.geometryObjects:
+        if shape.parentFrame == 0:
+            shapes.addGeometryObject(shape)
+    for number, capsule in enumerate(spec.capsules):
+        frame = _frame(spec, model, capsule.body, f"capsules.{number}.body")
+        body = model.frames[frame]
+        place, shape = body.placement * _placement(capsule), coal.Capsule(capsule.radius, _length(capsule))
+        name = f"{capsule.body} {number}"
+        shapes.addGeometryObject(pin.GeometryObject(name, body.parentJoint, frame, place, shape))
+    return shapes
+
+
+def _length(capsule: Capsule) -> float:
+    return float(np.linalg.norm(np.subtract(capsule.end, capsule.start)))
+
+
+def _placement(capsule: Capsule) -> pin.SE3:
+    """Middle, and a rotation from z to the capsule's axis."""
+    along = np.subtract(capsule.end, capsule.start)
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along)
+    return pin.SE3(turn.toRotationMatrix(), np.add(capsule.start, capsule.end) / 2.0)
+
+
+def _frame(spec: RobotSpec, model: pin.Model, body: str, field: str) -> int:
+    if not model.existFrame(body, BODY):
+        known = ", ".join(frame.name for frame in model.frames if frame.type == BODY)
+        raise RobotError(
+            f"{spec.folder / 'robot.toml'}: {field}: found {body!r}, expected a body of {spec.model_path.name}: {known}"
+        )
+    return int(model.getFrameId(body, BODY))
