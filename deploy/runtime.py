@@ -18,26 +18,12 @@ from deploy.policy.policy import Policy
 from deploy.safety.safety import Safety
 from deploy.safety.supervisor import Supervisor
 from deploy.stage import Arrays, Stage, inside
-from deploy.state import (
-    BaseState,
-    Bools,
-    Command,
-    Floats,
-    Ints,
-    Reason,
-    Sample,
-    Setpoint,
-    State,
-    Target,
-    Verdict,
-)
+from deploy.state import BaseState, Command, Reason, Sample, Setpoint, State, Target, Verdict
 from deploy.tasks.reach import Reach
 from deploy.tasks.velocity import Velocity
+from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.models.fleet import Fleet
 from robots.spec import RobotSpec
-
-Float32s = NDArray[np.float32]
-
 
 UNSEEN_S = 1.0
 """s without a picture of it after which a goal is none any more."""

@@ -9,14 +9,8 @@ from collections.abc import Mapping
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from robots.arrays import Bools, Floats, Ints
 from robots.sensors import Kind
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 
 class Packet(NamedTuple):

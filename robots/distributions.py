@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Annotated, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
+from robots.arrays import Floats
 from robots.errors import ConfigError
 from robots.sensors import BUFFER_S, LOSS_MAX, Kind, Sensor
 from robots.spec import RobotSpec
 from robots.strict import Strict, read_toml
 from robots.tables import Celsius
-
-Floats = NDArray[np.float64]
 
 COMMAND_DELAY_S = 0.005
 """s, the longest that a command may be under way to a drive."""

@@ -10,15 +10,13 @@ from typing import Annotated, Any
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from robots.arrays import Floats
 from robots.distributions import Distributions, Quantity, Span, check_journey
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
 from robots.strict import Strict, parse, read_json
-
-Floats = NDArray[np.float64]
 
 FILE_MAX = 1 << 29
 """Characters of a stored draw: more than a soak may have robots."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from robots.capabilities import Capability
 from robots.capsule import Capsule
 from robots.drive import Drive
 from robots.errors import RobotError
@@ -156,6 +157,18 @@ class RobotSpec(Strict):
         if tool is None or space is None or margins.workspace_m is None or margins.singularity is None:
             return None
         return Tooling(tool, space, margins.workspace_m, margins.singularity)
+
+    @property
+    def capabilities(self) -> frozenset[Capability]:
+        """Optional parts that the robot has; declarations name those that they need."""
+        parts: dict[Capability, object] = {
+            "tool": self.tool,
+            "workspace": self.workspace,
+            "manipulability": self.margins.singularity,
+            "floating_base": self.base,
+            "self_collision": self.margins.collision_m,
+        }
+        return frozenset(name for name, part in parts.items() if part is not None)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -4,13 +4,12 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robots.arrays import Floats
 from robots.drive import Drive
 from robots.errors import RobotError
 from robots.spec import RobotSpec
 
-Floats = NDArray[np.float64]
 Attributes = dict[str, str]
 
 MAIN = "main"

@@ -3,7 +3,8 @@
 from typing import Protocol
 
 from deploy.motion.drive_law import Gains
-from deploy.state import Bools, Command, Floats, Sample
+from deploy.state import Command, Sample
+from robots.arrays import Bools, Floats
 
 
 class Robot(Protocol):

@@ -20,7 +20,8 @@ from deploy.estimation.base_model import ACC, PHI, Belief, G, V, diagonal, move,
 from deploy.estimation.rotations import exp, matrix, norm, product, skew, times, upright
 from deploy.masks import some
 from deploy.stage import Stage
-from deploy.state import BaseState, Bools, Floats
+from deploy.state import BaseState
+from robots.arrays import Bools, Floats
 
 RANGE = 1e4
 """rad/s, m/s² or m: a reading beyond it is no reading."""

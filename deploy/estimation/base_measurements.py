@@ -6,7 +6,7 @@ SI units; the base frame is the IMU's.
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from deploy.state import Bools, Floats
+from robots.arrays import Bools, Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

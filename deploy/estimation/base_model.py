@@ -12,7 +12,7 @@ import numpy as np
 
 from deploy.estimation.base_measurements import BaseNoise
 from deploy.estimation.rotations import exp, matrix, product, skew, times
-from deploy.state import Floats
+from robots.arrays import Floats
 
 G = 9.81
 """m/s²."""

@@ -17,7 +17,8 @@ from deploy.estimation.heat import Heat
 from deploy.masks import every, some
 from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Packet, Reason, Sample, Setpoint, State
+from deploy.state import Packet, Reason, Sample, Setpoint, State
+from robots.arrays import Bools, Floats
 from robots.models.fleet import torque_max
 from robots.spec import RobotSpec
 

@@ -12,7 +12,8 @@ with the motion that was sent in the place of the measured one.
 import numpy as np
 
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Packet
+from deploy.state import Packet
+from robots.arrays import Bools, Floats
 from robots.models.fleet import torque_max
 from robots.spec import RobotSpec
 from robots.windings import nominal_windings

@@ -9,7 +9,8 @@ from deploy.estimation.base_measurements import BaseNoise, Feet, Imu, Upright
 from deploy.estimation.rotations import matrix
 from deploy.masks import some
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Packet, Reason, Sample, State
+from deploy.state import Packet, Reason, Sample, State
+from robots.arrays import Bools, Floats
 from robots.models.fleet import Fleet
 from robots.sensors import Sensor
 from robots.spec import RobotSpec

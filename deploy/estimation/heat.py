@@ -10,7 +10,8 @@ import numpy as np
 
 from deploy.masks import some
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Packet, Sample
+from deploy.state import Packet, Sample
+from robots.arrays import Bools, Floats
 from robots.models.fleet import torque_max
 from robots.sensors import Sensor
 from robots.spec import RobotSpec

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from deploy.runtime import Runtime
-from deploy.state import Floats
 from deploy.telemetry.output_files import replacing
+from robots.arrays import Floats
 from robots.errors import ConfigError
 from robots.strict import Strict, parse, read_json
 

@@ -7,7 +7,7 @@ Source: Solà, Quaternion kinematics for the error-state Kalman filter (2017), s
 
 import numpy as np
 
-from deploy.state import Floats
+from robots.arrays import Floats
 
 _LEFT = np.array([(1, -2, -3, -4), (2, 1, -4, 3), (3, 4, 1, -2), (4, -3, 2, 1)])
 """±n stands for the n-th entry of a in the matrix whose product with b is a ⊗ b."""

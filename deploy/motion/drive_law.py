@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.state import Floats, State
+from deploy.state import State
+from robots.arrays import Floats
 from robots.models.fleet import Fleet, torque_max
 from robots.spec import RobotSpec
 

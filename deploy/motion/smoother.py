@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from deploy.masks import every, some
 from deploy.motion.trajectories import Stops, Ways, longest
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Setpoint
+from deploy.state import Setpoint
+from robots.arrays import Bools, Floats
 from robots.spec import RobotSpec
 
 REST = 1e-6

@@ -12,7 +12,7 @@ import numpy as np
 from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
 from deploy.masks import every, some
-from deploy.state import Bools, Floats, Ints
+from robots.arrays import Bools, Floats, Ints
 from robots.models.blocks import turns
 from robots.spec import RobotSpec
 

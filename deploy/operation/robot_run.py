@@ -15,8 +15,9 @@ from deploy.operation.signals import handled
 from deploy.runtime import Runtime
 from deploy.safety.diagnostics import Stops, Why, blame
 from deploy.safety.supervisor import CATEGORY_1
-from deploy.state import Floats, Reason
+from deploy.state import Reason
 from deploy.telemetry.recorder import Recorder
+from robots.arrays import Floats
 
 ARM_WITHIN_S = 1.0
 """Robot time in which the checks before arming must all have passed."""

@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from deploy.policy.contract import ActionSpec
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Target
+from deploy.state import Target
+from robots.arrays import Bools, Floats
 
 
 class Action(Stage):

@@ -9,7 +9,7 @@ from deploy.masks import every
 from deploy.policy.contract import Contract
 from deploy.policy.observation_terms import Term
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Ints
+from robots.arrays import Bools, Floats, Ints
 
 Sources = Mapping[str, Callable[[], Floats]]
 """For each source a contract may name: a reading (B, size), SI units."""

@@ -8,9 +8,9 @@ import onnxruntime as ort
 
 from deploy.policy.compatibility import check_contract
 from deploy.policy.onnx_graph import shortened
-from deploy.policy.policy_file import INPUT, MEMORY, NEXT, OUTPUT, Float32s, PolicyFile, read_policy_file
+from deploy.policy.policy_file import INPUT, MEMORY, NEXT, OUTPUT, PolicyFile, read_policy_file
 from deploy.stage import Stage
-from deploy.state import Bools
+from robots.arrays import Bools, Float32s
 from robots.errors import ContractError
 from robots.spec import RobotSpec
 

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from onnx import GraphProto, ModelProto, TensorProto, ValueInfoProto
 from pydantic import Field, model_validator
 
 from deploy.policy.contract import CONTRACT_KEY, Contract
 from deploy.policy.observation_terms import Number
 from deploy.policy.onnx_graph import read_model
+from robots.arrays import Float32s
 from robots.errors import ContractError
 from robots.strict import Strict, parse, read_json
 
@@ -24,7 +24,6 @@ FILE_BYTES_MAX = 256 << 20
 GOLDEN_CHARACTERS_MAX = 16 << 20
 
 Rows = Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1, max_length=1024)]
-Float32s = NDArray[np.float32]
 
 
 class Golden(Strict):

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from deploy.estimation.estimator import CONFIRMED
 from deploy.runtime import Runtime
 from deploy.safety.supervisor import WORDS
-from deploy.state import Bools, Mode, Reason
+from deploy.state import Mode, Reason
+from robots.arrays import Bools
 
 AGES = (Reason.STALE, Reason.LOST)
 """Reasons that are about the age of samples."""

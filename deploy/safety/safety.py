@@ -9,7 +9,8 @@ import numpy as np
 
 from deploy.masks import every
 from deploy.motion.drive_law import Effort, Feedforward
-from deploy.state import Bools, Floats, Ints, Reason, Setpoint, State, Verdict
+from deploy.state import Reason, Setpoint, State, Verdict
+from robots.arrays import Bools, Floats, Ints
 from robots.models.fleet import Fleet
 from robots.spec import RobotSpec
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from deploy.masks import every, some
 from deploy.stage import Stage
-from deploy.state import Bools, Ints, Mode, Reason
+from deploy.state import Mode, Reason
+from robots.arrays import Bools, Ints
 
 CATEGORY_1 = (
     Reason.LOST

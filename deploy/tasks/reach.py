@@ -12,7 +12,7 @@ import numpy as np
 from deploy.masks import some
 from deploy.safety.safety import Safety
 from deploy.stage import Stage
-from deploy.state import Bools, Floats
+from robots.arrays import Bools, Floats
 from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.randomness import keyed, keys

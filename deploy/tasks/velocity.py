@@ -7,7 +7,7 @@ import numpy as np
 
 from deploy.masks import some
 from deploy.stage import Stage
-from deploy.state import Bools, Floats
+from robots.arrays import Bools, Floats
 from robots.randomness import keyed, keys
 from robots.spec import RobotSpec
 from robots.tables import Base

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.runtime import Runtime
-from deploy.state import Bools, Floats, Mode, Reason
+from deploy.state import Mode, Reason
 from deploy.telemetry.recording import WHOLE, Recording, row_type
+from robots.arrays import Bools, Floats
 from robots.errors import OutputError
 from robots.spec import RobotSpec
 

@@ -19,10 +19,11 @@ from deploy.estimation.estimator import Estimator
 from deploy.estimation.heat import Heat
 from deploy.motion.smoother import Smoother
 from deploy.runtime import Runtime
-from deploy.state import Bools, Floats, Sample, Setpoint, State
+from deploy.state import Sample, Setpoint, State
 from deploy.telemetry.output_files import replacing
 from eval.bench.trial import Trial
 from eval.judge.counts import MONITORS
+from robots.arrays import Bools, Floats
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 

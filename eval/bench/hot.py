@@ -11,9 +11,10 @@ from rich.table import Table
 
 from deploy.estimation.estimator import Estimator
 from deploy.runtime import Runtime
-from deploy.state import Floats, Sample, Setpoint, State
+from deploy.state import Sample, Setpoint, State
 from eval.bench.ablation import Unguarded
 from eval.bench.trial import Trial
+from robots.arrays import Floats
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
 from robots.randomness import robot_seed

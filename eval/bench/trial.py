@@ -8,9 +8,9 @@ import numpy as np
 from deploy.backends.sim.robot import SimRobot
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
-from deploy.state import Floats
 from eval.judge.judge import Judge
 from eval.soak.shard import ARM_S, LOOK_S, judge_tick, rearm
+from robots.arrays import Floats
 from robots.draws import Draw
 from robots.models.fleet import torque_max
 from robots.spec import RobotSpec

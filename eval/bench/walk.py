@@ -18,11 +18,12 @@ from deploy.estimation.rotations import matrix, times
 from deploy.motion.drive_law import Gains
 from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
-from deploy.state import Floats, Mode
+from deploy.state import Mode
 from eval.bench.stopwatch import Stopwatch
 from eval.bench.trial import Trial
 from eval.judge.judge import of_base
 from eval.soak.shard import ARM_S
+from robots.arrays import Floats
 from robots.distributions import load_distributions
 from robots.draws import middle
 from robots.errors import ConfigError

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from deploy.backends.sim.truth import Truth
 from deploy.masks import some
 from deploy.stage import Stage
-from deploy.state import Bools, Command, Floats, Ints, Mode
+from deploy.state import Command, Mode
 from eval.faults.faults import Answer
 from eval.faults.schedule import Injection, Schedule
 from eval.judge.counts import MONITORS
 from eval.judge.judge import Judge
+from robots.arrays import Bools, Floats, Ints
 from robots.spec import RobotSpec
 
 SETTLE_S = 0.5

@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 from deploy.backends.sim.anatomy import CABLE
 from deploy.backends.sim.plant import Plant
 from deploy.stage import Stage
-from deploy.state import Floats
 from eval.faults.faults import POLICY
 from eval.faults.schedule import Injection, Schedule
+from robots.arrays import Float32s, Floats
 from robots.models.fleet import torque_max
 from robots.spec import RobotSpec
-
-Float32s = NDArray[np.float32]
 
 HOT_K_PER_S, SHORT_K_PER_S = 6.0, 15.0
 """How fast a housing is warmed from outside, and a winding by a short between its turns."""

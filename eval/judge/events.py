@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.stage import Stage
-from deploy.state import Floats, Ints
 from eval.judge.counts import MONITORS, monitor_of
+from robots.arrays import Floats, Ints
 
 EVENTS_KEPT = 500
 """Events of each monitor that a judge keeps one by one, the first ones; all are counted."""

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from deploy.policy.contract import Observed
 from deploy.stage import Arrays, Stage
-from deploy.state import Bools, Command, Floats, Ints, Mode, State, Target
+from deploy.state import Command, Mode, State, Target
 from eval.judge.counts import BINS, NAMES, REASONS, Counts
 from eval.judge.events import Bad, Events
 from eval.judge.limit_ratios import Block, Loads
 from eval.judge.limits import load_limits
 from eval.judge.tick_buffer import PAST, TOGETHER, Seen, Ticks
 from eval.judge.truth import BaseTruth, Truth
+from robots.arrays import Bools, Floats, Ints
 from robots.spec import RobotSpec
 
 REARM_S = 0.5

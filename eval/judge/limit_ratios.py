@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.policy.contract import Observed
-from deploy.state import Floats, Mode
+from deploy.state import Mode
 from eval.judge.counts import BINS, JOINT_MONITORS, PER_LOAD, ROBOT_MONITORS
 from eval.judge.limits import Limits
 from eval.judge.singularity import Axes
 from eval.judge.tick_buffer import PAST, TOGETHER, Ticks
+from robots.arrays import Floats
 from robots.spec import RobotSpec
 
 # Rounding, and the 1e-8 rad/s by which a planner may nudge its state: 2e-6 of the jerk limit at 200 Hz.

@@ -6,7 +6,7 @@ Robots are drawn with links of other lengths, and here all have those of model.x
 import mujoco
 import numpy as np
 
-from deploy.state import Floats
+from robots.arrays import Floats
 from robots.models.mujoco_model import load_mujoco
 from robots.spec import RobotSpec
 

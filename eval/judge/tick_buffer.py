@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.stage import Arrays, Stage
-from deploy.state import Bools, Floats, Ints
+from robots.arrays import Bools, Floats, Ints
 
 TOGETHER = 200
 """Ticks judged at once, which share what a call of numpy costs: results do not depend on it."""

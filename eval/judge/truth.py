@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from deploy.state import Bools, Floats
+from robots.arrays import Bools, Floats
 
 
 class BaseTruth(Protocol):

@@ -3,8 +3,8 @@
 import numpy as np
 
 from deploy.runtime import Runtime
-from deploy.state import Floats
 from eval.mutants.hostile import Says
+from robots.arrays import Floats
 
 
 def heads(**to: float) -> Says:

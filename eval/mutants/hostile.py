@@ -11,12 +11,12 @@ from deploy.backends.sim.robot import SimRobot
 from deploy.policy.contract import ActionSpec, Contract, Observed
 from deploy.policy.observation_terms import READINGS, Source, Term
 from deploy.runtime import Runtime
-from deploy.state import Floats
 from deploy.tasks import reach
 from deploy.tasks.reach import goal_pool
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
 from eval.soak.shard import ARM_S, judge_tick
+from robots.arrays import Floats
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
 from robots.models.fleet import torque_max

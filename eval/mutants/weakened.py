@@ -11,7 +11,8 @@ from deploy.estimation import estimator
 from deploy.estimation.estimator import Estimator
 from deploy.motion.smoother import Smoother
 from deploy.runtime import Runtime
-from deploy.state import Bools, Floats, Packet, Reason, Setpoint, State, Verdict
+from deploy.state import Packet, Reason, Setpoint, State, Verdict
+from robots.arrays import Bools, Floats
 
 Weaken = Callable[[Runtime], None]
 

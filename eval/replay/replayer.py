@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from deploy.safety.diagnostics import Stops, blame
 from deploy.stage import Arrays
-from deploy.state import Floats
 from eval.faults.schedule import hours_max
 from eval.judge.counts import JOINT_MONITORS, Counts
 from eval.replay import bundle
@@ -17,6 +16,7 @@ from eval.replay.bundle import About, Happened
 from eval.replay.capture_window import Rows, Window, columns, from_columns, window_type
 from eval.replay.event_capture import LOOKS, chosen
 from eval.soak.shard import LOOK_S, WIDTH, Shard, ShardJob, judge_of, judge_tick
+from robots.arrays import Floats
 from robots.distributions import Distributions, load_distributions
 from robots.draws import Draw, load_draw
 from robots.errors import ConfigError

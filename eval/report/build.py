@@ -6,7 +6,7 @@ import numpy as np
 
 from eval.history.night_record import Verdict
 from eval.judge.counts import REASONS, Counts
-from eval.report.schema.numbers import Ints, median, number, series
+from eval.report.schema.numbers import median, number, series
 from eval.report.schema.report_data import (
     Exposure,
     GoalBin,
@@ -26,6 +26,7 @@ from eval.report.sections.wear import wear
 from eval.statistics.budget import Budget, check
 from eval.statistics.evidence import share_interval
 from eval.statistics.per_draw_counts import Tally
+from robots.arrays import Ints
 
 TAIL = 1e-4
 POINTS = 500

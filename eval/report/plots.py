@@ -13,11 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from eval.judge.counts import PER_LOAD
-from eval.report.schema.numbers import Floats, Number
+from eval.report.schema.numbers import Number
 from eval.report.schema.report_data import GoalBin, Heat, Wear
 from eval.report.schema.rows import MonitorRow
 from eval.report.schema.trend_rows import Span, Trend
 from eval.report.sections.timeline import Timeline
+from robots.arrays import Floats
 
 # Colours that matplotlib writes, and the page's own that take their place.
 INK, GRID, COOL, WARM, SOFT, HARD = "#010101", "#020202", "#030303", "#040404", "#050505", "#060606"

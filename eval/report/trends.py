@@ -10,11 +10,11 @@ from tensorboard.compat.proto.event_pb2 import Event
 from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.record_writer import RecordWriter
 
-from deploy.state import Floats, Ints
 from eval.judge.counts import MONITORS
 from eval.report.assembly import running_total, side_by_side
 from eval.soak.configuration import Soak
 from eval.soak.shard import ShardResult
+from robots.arrays import Floats, Ints
 
 TRENDS = "tensorboard/events.out.tfevents.soak"
 """Always the same name, so that a later soak takes the place of an earlier one instead of being drawn over it."""

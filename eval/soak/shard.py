@@ -16,7 +16,6 @@ from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.stage import Arrays, Stage, inside
-from deploy.state import Floats, Ints
 from deploy.tasks.reach import ReachConfig
 from eval.faults.fault_response import Injections, Watch, injections
 from eval.faults.injector import Injector
@@ -26,6 +25,7 @@ from eval.judge.judge import Judge
 from eval.judge.truth import Truth
 from eval.soak.fingerprint import code_digest
 from eval.soak.profile import Faults
+from robots.arrays import Floats, Ints
 from robots.draws import Draw
 from robots.errors import ConfigError
 from robots.models.fleet import torque_max

@@ -17,7 +17,8 @@ import numpy as np
 
 from eval.statistics.dispersion import draw_rate_interval
 from eval.statistics.evidence import CONFIDENCE
-from eval.statistics.per_draw_counts import Floats, Ratio, Tally, stop_ticks
+from eval.statistics.per_draw_counts import Ratio, Tally, stop_ticks
+from robots.arrays import Floats
 from robots.errors import ConfigError
 
 

@@ -23,12 +23,11 @@ Source: Greenwood and Yule, An inquiry into the nature of frequency distribution
 from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
 from eval.statistics.evidence import CONFIDENCE
-
-Floats = NDArray[np.float64]
+from robots.arrays import Floats
 
 UNSEEN = 2.0  # gamma shape 1/2: 5 % of draws hold 28 % of the events
 RESAMPLES = 9999

@@ -8,10 +8,10 @@ of bad draws are both to be reported; `eval.statistics.dispersion` bounds the ra
 from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
-Floats = NDArray[np.float64]
+from robots.arrays import Floats
 
 CONFIDENCE = 0.95
 

@@ -5,13 +5,12 @@ from itertools import chain
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import NonNegativeInt, PositiveFloat
 
 from eval.judge.counts import MONITORS, Counts
+from robots.arrays import Floats
 from robots.strict import Strict
 
-Floats = NDArray[np.float64]
 Column = tuple[NonNegativeInt, ...]
 Ratio = tuple[Floats, Floats]
 """(R,) amounts and (R,) exposures, draw by draw: the sum of the former ÷ that of the latter is the figure of all."""

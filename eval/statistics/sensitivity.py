@@ -18,14 +18,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from eval.statistics.evidence import CONFIDENCE
+from robots.arrays import Floats
 from robots.distributions import Distributions
 from robots.draws import Draw
-
-Floats = NDArray[np.float64]
 
 RESAMPLES = 1999
 _SAME = 1e-9  # two correlations that differ by rounding alone

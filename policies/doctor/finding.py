@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.state import Bools, Floats, Ints
+from robots.arrays import Bools, Floats, Ints
 from robots.errors import harmless
 
 Places = Bools | Ints | slice

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from onnx import ModelProto
 
-from deploy.policy.policy_file import Float32s
+from robots.arrays import Float32s
 from robots.errors import ContractError
 
 STILL = -1

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.policy.policy import AGREEMENT, BATCHES, Policy
-from deploy.policy.policy_file import Float32s
-from deploy.state import Bools
 from policies.importers.original import Original
+from robots.arrays import Bools, Float32s
 from robots.errors import ContractError
 
 SINGLES, SEQUENCES, STEPS = 1024, 16, 200

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from robots.arrays import Floats
+
 AROUND = 32
 """Points of a circle that stand for all of it."""
 ROUNDED = 4

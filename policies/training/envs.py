@@ -10,10 +10,11 @@ from tensordict import TensorDict
 
 from deploy.backends.sim.robot import SimRobot
 from deploy.runtime import Runtime
-from deploy.state import Bools, Mode
+from deploy.state import Mode
 from deploy.tasks.reach import Reach
 from policies.training.recipe import Recipe, contract_of
 from policies.training.rewards import Limits, Step, reward, shaping
+from robots.arrays import Bools
 from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.randomness import training_seed

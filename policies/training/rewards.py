@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.state import Bools, Floats
 from policies.training.recipe import Reward, Shaping
+from robots.arrays import Bools, Floats
 from robots.spec import RobotSpec
 
 

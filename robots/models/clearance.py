@@ -7,11 +7,10 @@ from collections import deque
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from robots.arrays import Floats
 from robots.spec import RobotSpec
 
-Floats = NDArray[np.float64]
 Pairs = list[tuple[int, int]]
 
 BOXES = 2000

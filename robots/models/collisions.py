@@ -5,15 +5,12 @@ from collections.abc import Sequence
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from robots.arrays import Bools, Floats
 from robots.errors import RobotError
 from robots.models.blocks import lined_up
 from robots.models.clearance import Pairs
 from robots.spec import RobotSpec
-
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 
 SLACK = 1e-3
 """m. A capsule must be this much higher than need be to be spared: far more than the rounding of an exact answer."""

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from robots.arrays import Floats
 from robots.errors import RobotError
 from robots.models.blocks import lined_up, turns
 from robots.models.clearance import can_meet
@@ -21,8 +22,6 @@ from robots.models.inertial import check_contacts, imu_in_base
 from robots.models.pinocchio_model import followed, read_pinocchio
 from robots.spec import RobotSpec
 from robots.tables import Tooling
-
-Floats = NDArray[np.float64]
 
 HINGES = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 """What Pinocchio calls a hinge, by its axis."""

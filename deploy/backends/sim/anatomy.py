@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from deploy.state import Ints
+from robots.arrays import Ints
 from robots.distributions import Cable
 from robots.errors import ConfigError, RobotError
 from robots.models.mujoco_model import load_mujoco, read_mjcf

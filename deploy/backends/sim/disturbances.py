@@ -12,7 +12,7 @@ from mujoco.batch import Batch
 
 from deploy.backends.sim.anatomy import Anatomy
 from deploy.stage import Stage
-from deploy.state import Bools, Ints
+from robots.arrays import Bools, Ints
 from robots.draws import Draw
 from robots.randomness import keyed, keys
 

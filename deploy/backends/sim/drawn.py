@@ -6,7 +6,7 @@ from mujoco.batch import Batch
 
 from deploy.backends.sim.anatomy import Anatomy
 from deploy.estimation.rotations import upright
-from deploy.state import Floats
+from robots.arrays import Floats
 from robots.draws import Draw
 
 R, K, ALPHA, COLD, KP, KD, VOLTS = 0, 1, 2, 3, 4, 6, 7

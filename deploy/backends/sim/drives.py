@@ -9,7 +9,8 @@ from deploy.backends.sim import drawn
 from deploy.masks import every, some
 from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
-from deploy.state import Bools, Command, Floats
+from deploy.state import Command
+from robots.arrays import Bools, Floats
 from robots.distributions import COMMAND_DELAY_S
 from robots.draws import Draw
 from robots.models.mujoco_model import INPUTS

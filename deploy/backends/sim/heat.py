@@ -5,7 +5,7 @@ from mujoco.batch import Batch
 
 from deploy.backends.sim import drawn
 from deploy.stage import Stage
-from deploy.state import Floats
+from robots.arrays import Floats
 from robots.draws import Draw
 from robots.spec import RobotSpec
 

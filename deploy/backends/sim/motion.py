@@ -5,7 +5,7 @@ from mujoco.batch import Batch
 
 from deploy.backends.sim.anatomy import Anatomy
 from deploy.backends.sim.truth import BaseTruth
-from deploy.state import Floats
+from robots.arrays import Floats
 
 
 class Motion:

@@ -10,7 +10,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from deploy.state import Bools, Floats, Ints
+from robots.arrays import Bools, Floats, Ints
 from robots.draws import Draw
 from robots.errors import ConfigError
 from robots.randomness import Keys, keyed

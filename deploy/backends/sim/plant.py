@@ -18,7 +18,8 @@ from deploy.backends.sim.wear import Wear, Worn
 from deploy.masks import every, some
 from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
-from deploy.state import Bools, Command, Floats
+from deploy.state import Command
+from robots.arrays import Bools, Floats
 from robots.distributions import Distributions
 from robots.draws import Draw
 from robots.sensors import Kind

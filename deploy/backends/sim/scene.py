@@ -2,7 +2,7 @@
 
 import mujoco
 
-from deploy.state import Floats
+from robots.arrays import Floats
 from robots.models.mujoco_model import compile_model, read_mjcf
 from robots.spec import RobotSpec
 

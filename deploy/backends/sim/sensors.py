@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from deploy.backends.sim.packets import NEVER, WRONG, Failure, Fault, Packets, silent
 from deploy.masks import every
 from deploy.stage import Stage
-from deploy.state import Bools, Floats, Ints, Packet, Sample
+from deploy.state import Packet, Sample
+from robots.arrays import Bools, Floats, Ints
 from robots.draws import Draw
 from robots.randomness import keyed, keys
 from robots.sensors import AT_JOINTS, Kind

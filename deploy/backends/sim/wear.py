@@ -8,8 +8,8 @@ from mujoco.batch import Batch
 from deploy.backends.sim import drawn
 from deploy.backends.sim.anatomy import Anatomy
 from deploy.stage import Stage
-from deploy.state import Floats
 from robots import distributions
+from robots.arrays import Floats
 from robots.draws import Draw
 
 TWICE_K = 10.0

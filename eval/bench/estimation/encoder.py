@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deploy.state import Floats
 from eval.bench.estimation.recorded_packets import Heard, Motion
+from robots.arrays import Floats
 from robots.spec import RobotSpec
 
 WINDOW_S = 0.6

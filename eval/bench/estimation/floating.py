@@ -9,8 +9,9 @@ from rich.table import Table
 
 from deploy.estimation.base_filter import GATE, FloatingBase
 from deploy.estimation.rotations import matrix, times
-from deploy.state import BaseState, Bools, Floats
+from deploy.state import BaseState
 from eval.bench.estimation.quadruped import CONTACT_N, DT, FEET, NOISE, Truth, move, watch
+from robots.arrays import Bools, Floats
 from robots.randomness import robot_seed
 
 SEED, MOTIONS, DRAWS, MOVED_S, SETTLED_S = 11, 64, 1024, 5.0, 1.0

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from deploy.estimation.base_measurements import BaseNoise, Feet, Imu
-from deploy.state import Floats
+from robots.arrays import Floats
 
 MODEL = Path(__file__).with_name("quadruped.xml")
 DT = 0.005

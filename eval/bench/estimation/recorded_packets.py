@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.state import Floats
+from robots.arrays import Floats
 from robots.draws import Draw
 
 

@@ -4,11 +4,11 @@ import math
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from robots.arrays import Floats
+
 Count = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 # None stands for a number that is none: no exposure, a NaN, a diverged simulation.

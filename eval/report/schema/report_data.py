@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from eval.history.night_record import Night, Run, Settings
 from eval.judge.counts import Counts
 from eval.report.schema.fault_rows import FaultTable
-from eval.report.schema.numbers import Count, Floats, Ints, Number, Share
+from eval.report.schema.numbers import Count, Number, Share
 from eval.report.schema.rows import EventRow, Evidence, MonitorRow, RobotRow, Sensitivity
 from eval.report.schema.trend_rows import Trend
+from robots.arrays import Floats, Ints
 from robots.strict import Strict
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from eval.judge.counts import MONITORS, Counts
-from eval.report.schema.numbers import Floats, Number, figure, number
+from eval.report.schema.numbers import Number, figure, number
 from eval.report.schema.rows import Evidence, Further
 from eval.statistics.dispersion import dispersion_p, draw_rate_interval, draw_rate_upper
 from eval.statistics.evidence import (
@@ -14,6 +14,7 @@ from eval.statistics.evidence import (
     rate_upper,
     share_upper,
 )
+from robots.arrays import Floats
 
 MTBF_WANTED_H = (100.0, 1000.0)
 

@@ -3,12 +3,13 @@
 import numpy as np
 
 from eval.judge.counts import Counts
-from eval.report.schema.numbers import Floats, number
+from eval.report.schema.numbers import number
 from eval.report.schema.report_data import SoakResult
 from eval.report.schema.rows import Cause, Sensitivity
 from eval.report.sections.bounds import hours_under_way
 from eval.statistics.evidence import CONFIDENCE
 from eval.statistics.sensitivity import Found, explain
+from robots.arrays import Floats
 
 SHOWN = 10
 

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from deploy.state import Bools, Floats, Ints
 from eval.faults.fault_response import DIVERGED, NOT_AT_WORK, Injections
 from eval.faults.faults import JOINT, NOT_INJECTED, POLICY, WORDS, Answer, FaultClass, catalogue
 from eval.judge.counts import MONITORS
@@ -13,6 +12,7 @@ from eval.report.schema.numbers import number
 from eval.report.schema.report_data import Line
 from eval.soak.profile import Faults
 from eval.statistics.evidence import share_lower, trials_needed
+from robots.arrays import Bools, Floats, Ints
 from robots.sensors import AT_JOINTS
 from robots.spec import RobotSpec
 

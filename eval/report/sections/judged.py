@@ -7,12 +7,13 @@ import numpy as np
 
 from eval.judge.counts import JOINT_MONITORS, MONITORS, Counts, Event, Monitor, monitor_of
 from eval.replay.bundle import bundle_name
-from eval.report.schema.numbers import Floats, number
+from eval.report.schema.numbers import number
 from eval.report.schema.report_data import SoakResult
 from eval.report.schema.rows import Channel, EventRow, MonitorRow, RobotRow
 from eval.report.sections.bounds import each_confidence, hours_under_way, interval
 from eval.statistics.dispersion import draw_rate_upper
 from eval.statistics.evidence import rate_interval, rate_upper
+from robots.arrays import Floats
 
 
 def monitors(counts: Counts, tail_share: float) -> tuple[MonitorRow, ...]:

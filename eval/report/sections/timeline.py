@@ -4,11 +4,10 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from eval.report.schema.rows import EventRow, RobotRow
+from robots.arrays import Floats
 
-Floats = NDArray[np.float64]
 Span = tuple[int, float, float]
 """A robot, and from when to when, h."""
 

@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eval.report.schema.numbers import Floats, Ints, median, number, series
+from eval.report.schema.numbers import median, number, series
 from eval.report.schema.report_data import SoakResult, Wear, WornJoint
+from robots.arrays import Floats, Ints
 
 DIGITS = 4
 

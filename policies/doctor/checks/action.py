@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 import pinocchio as pin
 
-from deploy.state import Bools, Floats
 from policies.doctor.case import Case
 from policies.doctor.finding import NAMED_MAX, Note, failed, listed, passed, warned
+from robots.arrays import Bools, Floats
 from robots.models.fleet import load_pinocchio, torque_max
 
 LEAST = 0.02

@@ -6,9 +6,9 @@ from difflib import get_close_matches
 import numpy as np
 
 from deploy.policy.policy import BATCHES
-from deploy.state import Floats
 from policies.doctor.case import Case
 from policies.doctor.finding import NAMED_MAX, Note, failed, listed, passed, warned
+from robots.arrays import Floats
 from robots.errors import ContractError
 
 ROBOT = "give the robot that it was trained for, or export it again for this one"

@@ -16,7 +16,7 @@ from deploy.policy.contract import Observed
 from deploy.policy.onnx_graph import decode
 from deploy.policy.policy import session
 from deploy.policy.policy_file import INPUT, PolicyFile
-from deploy.state import Floats
+from robots.arrays import Floats
 
 WEIGHS = ("Gemm", "MatMul", "LSTM", "GRU", "RNN", "Conv", "Scan")
 """Operators that mix the numbers of an observation."""

@@ -4,11 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from deploy.policy.policy_file import Float32s
-from deploy.state import Bools, Floats, Ints
 from policies.doctor.case import Case
 from policies.doctor.checks.normalizer import Statistics
 from policies.doctor.finding import Note, failed, listed, passed, warned
+from robots.arrays import Bools, Float32s, Floats, Ints
 
 ORDER = (0.05, 5.0)
 """Root mean square of a number as the network gets it, if it was brought to an order of 1."""

@@ -12,11 +12,11 @@ import numpy as np
 
 from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
-from deploy.policy.policy_file import Float32s, PolicyFile
-from deploy.state import Floats, Ints
+from deploy.policy.policy_file import PolicyFile
 from policies.doctor.case import Case
 from policies.doctor.finding import Note, passed, warned
 from policies.doctor.trial.trial import PUNCTUAL, SECONDS, live
+from robots.arrays import Float32s, Floats, Ints
 
 EACH, SHORT_S = 2, 8.2
 """Robots of each variant, and how long they live, s: for two points each to reach; a speed to walk takes longer."""

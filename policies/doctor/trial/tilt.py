@@ -7,9 +7,9 @@ import numpy as np
 from deploy.estimation import rotations
 from deploy.policy.observation import Observation
 from deploy.policy.observation_terms import READINGS, Source, Term
-from deploy.state import Floats
 from policies.doctor.case import Case
 from policies.doctor.finding import Note, failed, passed, warned
+from robots.arrays import Floats
 
 LEAN_RAD = 0.2
 LEANS = ("upright", "forwards", "backwards", "right", "left")

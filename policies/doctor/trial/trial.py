@@ -12,14 +12,13 @@ import numpy as np
 
 from deploy.backends.sim.robot import SimRobot
 from deploy.policy.policy import Policy
-from deploy.policy.policy_file import Float32s
 from deploy.runtime import Runtime
 from deploy.safety.diagnostics import Stops, blame
-from deploy.state import Bools, Floats, Ints
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
 from eval.soak.shard import ARM_S, judge_tick
 from policies.doctor.trial.warmth import Thermometer, Warmth
+from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.distributions import load_distributions
 from robots.draws import middle
 from robots.errors import ConfigError

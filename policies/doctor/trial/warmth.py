@@ -6,7 +6,7 @@ import numpy as np
 
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.truth import Truth
-from deploy.state import Floats
+from robots.arrays import Floats
 from robots.motor import MotorHeat, temperatures
 from robots.spec import RobotSpec
 from robots.windings import nominal_windings

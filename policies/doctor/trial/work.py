@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from deploy.state import Floats
 from eval.judge.counts import MONITORS
 from policies.doctor.case import Case, UntriedError
 from policies.doctor.finding import Note, failed, listed, passed, warned
 from policies.doctor.trial.trial import HALF_OF, ROBOTS, SECONDS, Life
 from policies.doctor.trial.warmth import windings_after
+from robots.arrays import Floats
 
 MOSTLY = 0.9
 """Goals of a policy that works well."""

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from deploy.policy.observation_terms import SIZE_MAX
-from deploy.policy.policy_file import Float32s
 from policies.importers.original import Play
 from policies.importers.scaling import Scaling
 from policies.importers.torch_files.network import Activation
 from policies.importers.torch_files.state_dict import LAYERS_MAX, chain, mlp
 from policies.training.archive import check_tensor
+from robots.arrays import Float32s
 from robots.errors import ContractError
 
 NORMALIZER, MEMORY, MLP, SPREAD = PARTS = ("obs_normalizer.", "rnn.rnn.", "mlp.", "distribution.")

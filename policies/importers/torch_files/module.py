@@ -13,10 +13,10 @@ from torch import Tensor, nn
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from deploy.policy.onnx_graph import check_model, shortened
-from deploy.policy.policy_file import Float32s
 from policies.export.tracing import to_onnx
 from policies.importers.onnx_files.foreign_onnx import widened
 from policies.importers.original import Facts, Memory, Original
+from robots.arrays import Float32s
 from robots.errors import ContractError
 
 OBSERVATION, ACTION = "obs", "actions"
