@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from deploy.backends.backend import Robot
 from deploy.estimation.estimator import Estimator
 from deploy.estimation.floating_base import Walker
-from deploy.masks import every, some
+from deploy.masks import all_true, any_true
 from deploy.motion.drive_law import Springs, same
 from deploy.motion.smoother import Smoother
 from deploy.policy.action import Action
@@ -182,7 +182,7 @@ class Runtime(Stage):
         if not self.walker:
             self._look(sample)
         off = ~self.supervisor.powered
-        if some(off):  # a robot without power wants to be where it stands
+        if any_true(off):  # a robot without power wants to be where it stands
             self.action.reset(off, self.state.q)
         return self.observation.step()
 
@@ -205,9 +205,9 @@ class Runtime(Stage):
         ahead, q_midst, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_midst, q_rest)
         reason = self._reason()
-        at_rest = self.smoother.at_rest if some(stopping) else stopping  # only robots that stop are asked
+        at_rest = self.smoother.at_rest if any_true(stopping) else stopping  # only robots that stop are asked
         obey = self.supervisor.step(reason, at_rest)
-        if some(reason) or not every(np.isfinite(planned.q)):
+        if any_true(reason) or not all_true(np.isfinite(planned.q)):
             # A robot that stops already has nothing refused; a stop without a number is still not sent.
             self._send(*self._instead(obey & np.isfinite(planned.q).all(axis=1), planned))
         else:
@@ -219,7 +219,7 @@ class Runtime(Stage):
 
     def _reason(self) -> Ints:
         reason = self.verdict.reason | self.state.fault | self.asked
-        if not every(self.action.finite):
+        if not all_true(self.action.finite):
             reason[~self.action.finite] |= _NOT_FINITE
         return reason
 
@@ -244,12 +244,12 @@ class Runtime(Stage):
     def _current(self) -> Floats:
         """(B, n) share of each drive's current: all of it for a stop, which was checked with it."""
         fold, running = self.estimator.heat.fold, self.supervisor.running
-        return fold if every(running) else np.where(running[:, None], fold, 1.0)
+        return fold if all_true(running) else np.where(running[:, None], fold, 1.0)
 
     def _finite(self, planned: Setpoint) -> Setpoint:
         """Robots left without any plan rest where they were sent last, and lose their power."""
         lost = np.asarray(~np.isfinite(planned.q + planned.qd + planned.qdd).all(axis=1))
-        if not some(lost):
+        if not any_true(lost):
             return planned
         self.supervisor.latch(lost & self.supervisor.powered, Reason.NOT_FINITE)
         self.smoother.hold(lost, self.smoother.q)
@@ -307,7 +307,7 @@ _NOWHERE = Setpoint(q=np.array(np.nan), qd=np.array(np.nan), qdd=np.array(np.nan
 
 def _where(rows: Bools, here: Setpoint, elsewhere: Setpoint = _NOWHERE) -> Setpoint:
     """One setpoint where `rows` (B,) holds, another elsewhere; by default none, which is never sent."""
-    if every(rows):
+    if all_true(rows):
         return here
     pick = rows[:, None]
     return Setpoint(

@@ -18,7 +18,7 @@ import numpy as np
 from deploy.estimation.base_measurements import BaseNoise, Feet, Imu, Upright
 from deploy.estimation.base_model import ACC, PHI, Belief, G, V, diagonal, move, spread, whiten
 from deploy.estimation.rotations import exp, matrix, norm, product, skew, times, upright
-from deploy.masks import some
+from deploy.masks import any_true
 from deploy.stage import Stage
 from deploy.state import BaseState
 from robots.arrays import Bools, Floats
@@ -111,7 +111,7 @@ class FloatingBase(Stage):
         known &= np.maximum(imu.t, imu.t_accelerometer) <= t + self._dt
         arrived = imu.fresh & known & _credible(reading)
         newer = arrived & self.seeded & (imu.t > self.t_sample)
-        if some(arrived & ~self.seeded):
+        if any_true(arrived & ~self.seeded):
             self._seed(arrived & ~self.seeded, imu, reading)
         self._count_repeats(newer, imu.t_accelerometer, reading)
         fused = newer & ~self._stuck()

@@ -14,7 +14,7 @@ from filterpy.common import Q_continuous_white_noise
 
 from deploy.estimation.external_torque import Load
 from deploy.estimation.heat import Heat
-from deploy.masks import every, some
+from deploy.masks import all_true, any_true
 from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
 from deploy.state import Packet, Reason, Sample, Setpoint, State
@@ -129,7 +129,7 @@ class Estimator(Stage):
         there = self._there(t, packet)
         reference, _ = self._sent_at(packet.t, there, tick)
         deviation, finite = packet.value - self._expected(reference), np.isfinite(packet.value)
-        if not every(self.seeded):
+        if not all_true(self.seeded):
             self._seed(~self.seeded & there & finite.all(axis=1), packet, deviation)
         new = (packet.t[:, None] > self.t_sample) & (there & self.seeded)[:, None] & finite
         fused = self._fuse(packet, deviation, new)
@@ -173,7 +173,7 @@ class Estimator(Stage):
 
     def _sent_at(self, t: Floats, there: Bools, tick: int) -> tuple[Floats, Floats]:
         """(B, n) rad and rad/s, where the joints were sent for the times t (B,), and how fast; now is `tick`."""
-        ticks = (t if every(there) else np.where(there, t, 0.0)) / self._dt
+        ticks = (t if all_true(there) else np.where(there, t, 0.0)) / self._dt
         whole = np.minimum(np.rint(ticks), tick)
         place = self._row + whole.astype(np.int64) % self._depth
         sent = self.sent.reshape(-1, 2 * self._n).take(place, axis=0)
@@ -187,7 +187,7 @@ class Estimator(Stage):
 
     def _begin_anew(self, joints: Bools, packet: Packet, deviation: Floats) -> None:
         """Believe the sample of `joints` (B, n), at the speed that was sent."""
-        if not some(joints):
+        if not any_true(joints):
             return
         self.e[joints], self.ed[joints] = deviation[joints], 0.0
         self.p00[joints], self.p01[joints], self.p11[joints] = self._r[joints], 0.0, SPEED_STD**2
@@ -197,14 +197,14 @@ class Estimator(Stage):
     def _fuse(self, packet: Packet, deviation: Floats, new: Bools) -> Bools:
         """Predict to the packet and correct; a sample left out counts as the expected one with infinite variance."""
         dt = self._each_joint(packet.t) - self.t_sample
-        if not every(new):
+        if not all_true(new):
             dt[~new] = 0.0
         e, p00 = self.e + self.ed * dt, self._q_var(dt)
         residual, variance = deviation - e, p00 + self._r
         square = residual * residual / variance
         fused: Bools = np.asarray(new & (square <= GATE**2))
         self.many += fused
-        if every(fused):
+        if all_true(fused):
             self.nis += (square - self.nis) / MEMORY
             self.refused[:] = 0
         else:
@@ -268,16 +268,16 @@ class Estimator(Stage):
         self.same += fused
         np.copyto(self.same, 0, where=other)
         self.fault[:] = 0
-        if some(self.same >= self._stuck_many):
+        if any_true(self.same >= self._stuck_many):
             self.fault[self.stuck.any(axis=1)] |= np.int64(Reason.STUCK)
-        if some(diverged := self.diverged):
+        if any_true(diverged := self.diverged):
             self.fault[diverged.any(axis=1) & self.seeded] |= np.int64(Reason.DIVERGED)
 
     def _now(self, t: float, sample: Sample, sent: Setpoint) -> State:
         lag = t - self.t_sample
         age = lag.max(axis=1)
         confirmed = self.many >= CONFIRMED
-        if not every(confirmed):
+        if not all_true(confirmed):
             age[~(confirmed.all(axis=1) & self.seeded)] = np.inf
         return State(
             t=t,

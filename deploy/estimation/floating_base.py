@@ -7,7 +7,7 @@ import numpy as np
 from deploy.estimation.base_filter import FloatingBase
 from deploy.estimation.base_measurements import BaseNoise, Feet, Imu, Upright
 from deploy.estimation.rotations import matrix
-from deploy.masks import some
+from deploy.masks import any_true
 from deploy.stage import Stage
 from deploy.state import Packet, Reason, Sample, State
 from robots.arrays import Bools, Floats
@@ -74,7 +74,7 @@ class Walker(Stage):
         self.gravity[:] = base.gravity
         fault = state.fault.copy()
         for wrong, reason in ((base.stuck, Reason.STUCK), (base.diverged, Reason.DIVERGED)):
-            if some(wrong):
+            if any_true(wrong):
                 fault[wrong] |= np.int64(reason)
         return state._replace(age=np.maximum(state.age, base.age), fault=fault, base=base)
 

@@ -8,7 +8,7 @@ tick, the rest is done ten times a second.
 
 import numpy as np
 
-from deploy.masks import some
+from deploy.masks import any_true
 from deploy.stage import Stage
 from deploy.state import Packet, Sample
 from robots.arrays import Bools, Floats
@@ -116,7 +116,7 @@ class Heat(Stage):
         square = np.minimum(current.value * current.value, self._most)
         np.copyto(self.last, square, where=np.isfinite(square))
         self.square += self.last
-        if some(self.unknown):
+        if any_true(self.unknown):
             self._begin(t, current, housing)
         if (round(t / self._dt) + 1) % self._every == 0:
             self._warm(housing.value)
@@ -149,7 +149,7 @@ class Heat(Stage):
         np.copyto(self.taken, current.t, where=new[:, 0])
         self._hear(t, current, housing)
         deaf = (t - self.heard > DEAF_S) & ~self.unknown
-        if some(deaf):
+        if any_true(deaf):
             self.rise[deaf] = (self.winding - self.housing)[deaf]
             self.winding[deaf], self.hottest[deaf] = np.nan, np.nan
             self.unknown[deaf], self.heard[deaf] = True, -np.inf

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.masks import every, some
+from deploy.masks import all_true, any_true
 from deploy.motion.trajectories import Stops, Ways, longest
 from deploy.stage import Stage
 from deploy.state import Setpoint
@@ -57,7 +57,7 @@ class Smoother(Stage):
         """
         target, stops = np.minimum(np.maximum(q_target, self._q_min), self._q_max), stopping[:, None]
         pace = self.pace
-        if some(stopping):
+        if any_true(stopping):
             target[stopping] = 0.0  # no matter: it must not count as asked anew
             self.age -= stopping & self.at_rest  # or rounding would creep on
             pace = np.where(stopping, 1.0, pace)  # a stop has all of its limits, as it was checked
@@ -71,7 +71,7 @@ class Smoother(Stage):
         """A new trajectory for every robot that is not where it was expected, is asked anew, or was long on one."""
         as_expected = now == self.expected
         old = self.age >= self._renew
-        if every(as_expected) and not some(old):
+        if all_true(as_expected) and not any_true(old):
             return
         left = ~as_expected.all(axis=1) | old
         self.origin[left], self.age[left] = now[left], 1

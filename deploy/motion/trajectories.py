@@ -11,7 +11,7 @@ from itertools import chain
 import numpy as np
 from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
-from deploy.masks import every, some
+from deploy.masks import all_true, any_true
 from robots.arrays import Bools, Floats, Ints
 from robots.models.blocks import turns
 from robots.spec import RobotSpec
@@ -81,7 +81,7 @@ class Ways(_Plans):
             changed: robots with another origin than before; by default all.
         """
         for turn, rows in enumerate(self._turns):
-            if changed is None or some(changed[rows]):
+            if changed is None or any_true(changed[rows]):
                 self._planned[turn] = self._fill(origin, rows, self._rooms[turn])
 
     def at(self, ticks: Ints) -> Floats:
@@ -148,10 +148,10 @@ class _Planner:
     def plan(self, origin: Floats, trajectory: Trajectory) -> bool:
         """Fill `trajectory` for these robots, `origin` as in `Ways.plan`; whether Ruckig could."""
         self._brake(origin[:, -1] != 0)
-        if not every(origin[:, -2] == self._pace):
+        if not all_true(origin[:, -2] == self._pace):
             self._limit(origin[:, -2])
         self._joints[:] = origin[:, :-2].reshape(len(origin), 4, self._n).swapaxes(0, 1)
-        if not every(self._braking):  # a stop knows no limit of speed
+        if not all_true(self._braking):  # a stop knows no limit of speed
             self._move_inside()
         # As lists: Ruckig's binding reads an array number by number, in three times the time.
         q, qd, qdd, target = self._told.tolist()
@@ -165,7 +165,7 @@ class _Planner:
 
     def _brake(self, braking: Bools) -> None:
         """Choose for each robot: speed to zero, or position to a target."""
-        if every(braking == self._braking):
+        if all_true(braking == self._braking):
             return
         self._braking[:] = braking
         kinds = [ControlInterface.Velocity if b else ControlInterface.Position for b in braking]
@@ -184,7 +184,7 @@ class _Planner:
         _, qd, qdd, _ = self._joints
         bound = qd + qdd * np.abs(qdd) / self._twice_jerk
         edge = (np.abs(np.abs(bound) - self._speed) < EDGE) & ~self._braking[:, None]
-        if some(edge):
+        if any_true(edge):
             qd -= np.where(edge, np.sign(bound) * EDGE, 0.0)
 
 

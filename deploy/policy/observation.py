@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.masks import every
+from deploy.masks import all_true
 from deploy.policy.contract import Contract
 from deploy.policy.observation_terms import Term
 from deploy.stage import Stage
@@ -51,7 +51,7 @@ class Observation(Stage):
             newest -= self._offset
         newest /= self._scale
         newest = np.minimum(np.maximum(newest, self._low), self._high)
-        if not every(self.started):
+        if not all_true(self.started):
             first = ~self.started
             self.frames[first] = np.where(self._zeros, 0.0, newest[first].take(self._filled, axis=1))
             self.started[:] = True

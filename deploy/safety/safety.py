@@ -7,7 +7,7 @@ ends, and tool and collisions in its midst. What lies between is not looked at: 
 
 import numpy as np
 
-from deploy.masks import every
+from deploy.masks import all_true
 from deploy.motion.drive_law import Effort, Feedforward
 from deploy.state import Reason, Setpoint, State, Verdict
 from robots.arrays import Bools, Floats, Ints
@@ -71,7 +71,9 @@ class Safety:
         q, qd, qdd = (np.concatenate(pair) for pair in zip(setpoint, ahead, strict=True))
         tau = self._effort.torque(state, q, qd, qdd).copy()
         # A drive that is folded back has less to give than its range.
-        asked = tau if every(state.fold == 1.0) else np.concatenate((tau[:robots] / state.fold, tau[robots:]))
+        asked = (
+            tau if all_true(state.fold == 1.0) else np.concatenate((tau[:robots] / state.fold, tau[robots:]))
+        )
         poses = begin, on_the_way, end = self._effort.poses(state, setpoint.q, q_midst, q_rest)
         places = self._place(np.concatenate((begin, end)))
         self._on_the_way.glance(on_the_way)
@@ -208,7 +210,7 @@ class _Bounds:
     def reasons(self, x: Floats) -> Ints:
         """(R,) what speaks against each row of x (R, C)."""
         inside = (x >= self._low) & (x <= self._high)
-        if every(inside):
+        if all_true(inside):
             return np.zeros(len(x), dtype=np.int64)
         return np.asarray(np.bitwise_or.reduce(self._why(x, inside), axis=1))
 

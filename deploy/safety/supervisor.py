@@ -11,7 +11,7 @@ Nothing here depends on the policy.
 
 import numpy as np
 
-from deploy.masks import every, some
+from deploy.masks import all_true, any_true
 from deploy.stage import Stage
 from deploy.state import Mode, Reason
 from robots.arrays import Bools, Ints
@@ -125,7 +125,7 @@ class Supervisor(Stage):
         self.since += 1
         running = self.running
         refused: Bools = reason != 0
-        if not every(running) or some(refused):
+        if not all_true(running) or any_true(refused):
             self._others(reason, refused, running, at_rest)
         return ~(running & refused)
 
@@ -144,7 +144,7 @@ class Supervisor(Stage):
         self._enter(holding & ~latches & ~refused & (self.since >= self._hold), _RUNNING)
 
     def _enter(self, ids: Bools, mode: np.int8) -> None:
-        if not some(ids):
+        if not any_true(ids):
             return
         self.mode[ids] = mode
         self.since[ids] = 0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.masks import some
+from deploy.masks import any_true
 from deploy.safety.safety import Safety
 from deploy.stage import Stage
 from robots.arrays import Bools, Floats
@@ -91,7 +91,7 @@ class Reach(Stage):
         """
         self.elapsed += 1
         np.greater_equal(self.elapsed, self._period, out=self.ended)
-        if not some(self.ended):
+        if not any_true(self.ended):
             return
         near = ((tool - self.goal) ** 2).sum(axis=1) <= self.config.tolerance_m**2
         self.attempted += self.ended

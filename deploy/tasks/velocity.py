@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.masks import some
+from deploy.masks import any_true
 from deploy.stage import Stage
 from robots.arrays import Bools, Floats
 from robots.randomness import keyed, keys
@@ -79,7 +79,7 @@ class Velocity(Stage):
         self.gone += velocity
         self.worked &= running
         np.greater_equal(self.elapsed, self._period, out=self.ended)
-        if not some(self.ended):
+        if not any_true(self.ended):
             return
         missed = self.gone / self._period - self.goal
         near = (np.hypot(*missed.T[:2]) <= self.config.tolerance) & (

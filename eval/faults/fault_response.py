@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.backends.sim.truth import Truth
-from deploy.masks import some
+from deploy.masks import any_true
 from deploy.stage import Stage
 from deploy.state import Command, Mode
 from eval.faults.faults import Answer
@@ -129,7 +129,7 @@ class Watch(Stage):
     @property
     def following(self) -> bool:
         """Whether any story is open."""
-        return some(self.slot >= 0)
+        return any_true(self.slot >= 0)
 
     def step(self, tick: int, truth: Truth, command: Command, mode: Modes, judge: Judge) -> None:
         """Follow the stories that are open through the tick that has just been lived."""

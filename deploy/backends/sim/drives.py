@@ -6,7 +6,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deploy.backends.sim import drawn
-from deploy.masks import every, some
+from deploy.masks import all_true, any_true
 from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
 from deploy.state import Command
@@ -78,14 +78,14 @@ class Drives(Stage):
         self._old[:] = self._later
         np.multiply(self._to_go, way, out=self._new)
         self._new += self.goal
-        if not every(command.current == self._share):
+        if not all_true(command.current == self._share):
             self._share[:] = command.current
             self._limit[:] = self._nominal * self._share[:, :, None]
         off = ~command.powered
-        if some(self.braked & command.powered):
+        if any_true(self.braked & command.powered):
             self.braked &= off
             self.apply()
-        if some(off):
+        if any_true(off):
             self.brake(off, q)
         return self._rows.take(self._places, axis=0, out=self._control, mode="clip")
 
@@ -94,7 +94,7 @@ class Drives(Stage):
         closing = ids & ~self.braked
         self.held[closing] = q[closing]
         self.braked |= ids
-        if some(closing):
+        if any_true(closing):
             self.apply()
         self._hold(np.flatnonzero(self.braked))
 

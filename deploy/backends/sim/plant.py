@@ -15,7 +15,7 @@ from deploy.backends.sim.heat import Housings, Windings
 from deploy.backends.sim.motion import Motion
 from deploy.backends.sim.truth import Truth
 from deploy.backends.sim.wear import Wear, Worn
-from deploy.masks import every, some
+from deploy.masks import all_true, any_true
 from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
 from deploy.state import Command
@@ -199,21 +199,21 @@ class Plant(Stage):
         self.drives.brake(ids, self.motion.motor_q)
 
     def _roll(self, control: Floats) -> None:
-        ids = None if every(self.valid) else np.flatnonzero(self.valid)
+        ids = None if all_true(self.valid) else np.flatnonzero(self.valid)
         try:
             self.batch.rollout(
                 control.shape[1], control=control if ids is None else control[ids], record=(), ids=ids
             )
         except SimulationError as e:
             self.valid[e.ids] = False
-        if some(self._warned):
+        if any_true(self._warned):
             self.valid &= ~self._warned.any(axis=1)
 
     def _settle(self) -> None:
         """Read what the physics left."""
         self._observe()
         np.divide(self._force, self.wear.constant, out=self.current)
-        if some(self.braked):
+        if any_true(self.braked):
             self.current[self.braked] = 0.0
         self.windings.square += self.current * self.current
         self.sensed[:] = self._sensordata
@@ -228,7 +228,7 @@ class Plant(Stage):
     def _settle_slowly(self) -> None:
         """Heat and age, for all ticks since the last time; what a diverged simulation says of itself does not count."""
         lost = ~self.valid
-        if some(lost):
+        if any_true(lost):
             self.travel[lost] = self.turned[lost] = self.windings.square[lost] = self._rise[lost] = 0.0
         self.travel *= self._dt
         self.turned *= self._dt

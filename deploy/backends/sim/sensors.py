@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.backends.sim.packets import NEVER, WRONG, Failure, Fault, Packets, silent
-from deploy.masks import every
+from deploy.masks import all_true
 from deploy.stage import Stage
 from deploy.state import Packet, Sample
 from robots.arrays import Bools, Floats, Ints
@@ -118,7 +118,7 @@ class Sensors(Stage):
         place = tick % self._length
         arrived = self._arrived[place]
         self._fresh[:] = arrived
-        if not every(self.told):
+        if not all_true(self.told):
             self._fresh |= ~self.told
         np.copyto(self.taken, self._taken[place], where=arrived)
         self.ring.take(self._source[place], out=self._newest, mode="clip")
