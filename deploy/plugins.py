@@ -1,0 +1,52 @@
+"""Installed plug-ins, found by group and name through the entry points of the Python environment."""
+
+import sys
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from types import MappingProxyType
+from typing import Any
+
+from robots.errors import ConfigError
+
+BACKENDS, TASKS = "firstshift.backends", "firstshift.tasks"
+"""Groups of entry points: robot backends, and tasks of a policy."""
+
+
+def installed(group: str) -> Mapping[str, EntryPoint]:
+    """Return the entry points of a group by name, sorted; none of them is imported.
+
+    Raises:
+        ConfigError: two installed distributions claim the same name.
+    """
+    return _scan(group, tuple(sys.path))
+
+
+def load(group: str, name: str, given: str) -> Any:
+    """Import the plug-in `name` of a group and return the object that its entry point names.
+
+    Args:
+        group: of entry points.
+        name: looked up among installed names only, so that it may come from an untrusted file.
+        given: where the name was given, for the error: an option or a field, with its value.
+
+    Raises:
+        ConfigError: the name is unknown, or a module that the plug-in imports is missing.
+    """
+    known = installed(group)
+    if name not in known:
+        raise ConfigError(f"{given}: unknown; known: {', '.join(known)}")
+    try:
+        return known[name].load()
+    except (ImportError, AttributeError) as e:
+        raise ConfigError(f"{given}: {known[name].value} cannot be imported: {e}") from e
+
+
+@lru_cache
+def _scan(group: str, _path: tuple[str, ...]) -> Mapping[str, EntryPoint]:
+    found: dict[str, EntryPoint] = {}
+    for entry in sorted(entry_points(group=group)):
+        if entry.name in found:
+            raise ConfigError(f"{group}: {entry.name}: found {found[entry.name].value} and {entry.value}")
+        found[entry.name] = entry
+    return MappingProxyType(found)
