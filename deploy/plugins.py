@@ -39,7 +39,9 @@ def load(group: str, name: str, given: str) -> Any:
     try:
         return known[name].load()
     except (ImportError, AttributeError) as e:
-        raise ConfigError(f"{given}: {known[name].value} cannot be imported: {e}") from e
+        entry, owner = known[name], known[name].dist
+        extras = f"; pip extra: {owner.name}[{','.join(entry.extras)}]" if owner and entry.extras else ""
+        raise ConfigError(f"{given}: {entry.module} cannot be imported: {e}{extras}") from e
 
 
 @lru_cache

@@ -170,7 +170,6 @@ class Runtime(Stage):
 
     def sense(self) -> Float32s | None:
         """Read and estimate; the observation (B, N) when the policy is due, else None."""
-        self.robot.show(self.task.goal)
         sample = self.robot.read()
         self.state = self.estimator.step(self.t, sample, self.smoother.sent)
         if self.walker:

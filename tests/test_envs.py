@@ -7,8 +7,7 @@ pytest.importorskip("torch")
 
 import torch
 
-from deploy.backends.sim.robot import SimRobot
-from deploy.runtime import Runtime
+from deploy.backends.sim.backend import simulate
 from deploy.state import Mode
 from policies.training.envs import RuntimeEnv
 from policies.training.recipe import contract_of, find_recipe, load_recipe
@@ -40,8 +39,7 @@ def test_training_is_the_shipped_tick():
     seeds = [training_seed(1, robot) for robot in range(robots)]
     contract = contract_of(RECIPE, SPEC, {})
     learner = Learner(contract.observation_size)
-    robot = SimRobot(SPEC, seeds)
-    shipped = Runtime(SPEC, contract, robot, seeds, learner)
+    shipped, robot = simulate(SPEC, contract, seeds, learner)
     every = np.ones(robots, dtype=bool)
     q = env._robot.plant.q.copy()
     robot.reset(every, q)

@@ -8,7 +8,6 @@ from test_runtime import Saying, heard
 from test_spec import SPEC, copy_of_arm
 
 from deploy.motion.smoother import Smoother
-from deploy.runtime import Runtime
 from deploy.state import Mode, Reason
 from robots.randomness import robot_seed
 from robots.spec import load_robot
@@ -68,10 +67,9 @@ def hot_arm(tmp_path, **limits):
 
 def lived(spec, seconds):
     """(T,) °C, the hottest winding in truth, and the runtime, at home under power for as long as it is left on."""
-    backend = pytest.importorskip("deploy.backends.sim.robot")
+    backend = pytest.importorskip("deploy.backends.sim.backend")
     seeds, hottest = [robot_seed(3, 0)], []
-    robot = backend.SimRobot(spec, seeds)
-    runtime = Runtime(spec, arm_contract(), robot, seeds, Saying(1))
+    runtime, robot = backend.simulate(spec, arm_contract(), seeds, Saying(1))
     heard(runtime)
     assert runtime.arm(np.ones(1, dtype=bool))[0] == 0
     for _ in range(round(seconds / spec.dt)):
@@ -99,9 +97,9 @@ def test_no_winding_passes_its_hard_limit_under_the_guard(tmp_path):
 def test_a_robot_that_stops_has_all_of_its_current(tmp_path):
     """The stop was checked with it; a robot at work keeps to its share."""
     spec = hot_arm(tmp_path)
-    backend = pytest.importorskip("deploy.backends.sim.robot")
+    backend = pytest.importorskip("deploy.backends.sim.backend")
     seeds = [robot_seed(3, robot) for robot in range(2)]
-    runtime = Runtime(spec, arm_contract(), backend.SimRobot(spec, seeds), seeds, Saying(2))
+    runtime, _ = backend.simulate(spec, arm_contract(), seeds, Saying(2))
     heard(runtime)
     runtime.arm(np.ones(2, dtype=bool))
     for _ in range(103):

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 from test_walker import changed
-from walking import ARM_S, KD, KP, QUADRUPED, STAND, live, walking_contract
+from walking import ARM_S, QUADRUPED, STAND, live, walking_contract
 
 from deploy.estimation.rotations import matrix
-from deploy.motion.drive_law import Gains
-from deploy.runtime import Runtime
 from deploy.state import Mode, Packet, Reason
 from robots.distributions import load_distributions
 from robots.draws import middle
@@ -16,7 +14,7 @@ from robots.models.fleet import Fleet, load_pinocchio
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 
-SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
+simulate = pytest.importorskip("deploy.backends.sim.backend").simulate
 
 SENSOR = """[sensors.{kind}]
 unit = "{unit}"
@@ -48,8 +46,7 @@ def standing(tmp_path):
     feel = feeling("front_left", "front_right", "rear_left", "rear_right")
     spec = load_robot(changed(tmp_path, ("[motors.leg]\n", UPRIGHT), feel))
     seeds = [robot_seed(3, robot) for robot in range(2)]
-    robot = SimRobot(spec, seeds, gains=Gains(np.full(12, KP), np.full(12, KD)))
-    runtime = Runtime(spec, walking_contract(spec), robot, seeds)
+    runtime, _ = simulate(spec, walking_contract(spec), seeds)
     live(runtime, round(ARM_S / spec.dt))
     assert not runtime.arm(np.ones(2, dtype=bool)).any()
     live(runtime, 200)
@@ -97,8 +94,7 @@ def test_on_a_floor_that_leans_it_knows_that_it_stands(tmp_path, tilt):
     """What an IMU says of up is what its accelerometer feels: no acceleration is left over."""
     spec = load_robot(changed(tmp_path, ("[motors.leg]\n", UPRIGHT)))
     given = middle(load_distributions(spec), spec, 1).replaced({"mounting.tilt_rad": np.array([tilt])})
-    robot = SimRobot(spec, [robot_seed(3, 0)], given=given, gains=Gains(np.full(12, KP), np.full(12, KD)))
-    runtime = Runtime(spec, walking_contract(spec), robot, [robot_seed(3, 0)])
+    runtime, robot = simulate(spec, walking_contract(spec), [robot_seed(3, 0)], given=given)
     live(runtime, round(ARM_S / spec.dt))
     assert not runtime.arm(np.ones(1, dtype=bool)).any()
     live(runtime, 600)

@@ -19,9 +19,9 @@ from test_model_files import URDF, write_stl
 from test_runtime import Saying, every, heard
 from test_spec import SPEC, copy_of_arm
 
+from deploy.backends.sim.backend import simulate
 from deploy.backends.sim.robot import SimRobot
 from deploy.policy.action import ActionSpec
-from deploy.runtime import Runtime
 from deploy.state import Mode
 from eval.judge.limits import load_limits
 from policies.robot_init.always import always_near
@@ -134,7 +134,7 @@ def hold(spec, seconds, robots=2):
     seeds = [robot_seed(3, robot) for robot in range(robots)]
     policy = Saying(robots)
     policy.action = np.zeros((robots, size))
-    runtime = Runtime(spec, contract, SimRobot(spec, seeds), seeds, policy)
+    runtime, _ = simulate(spec, contract, seeds, policy)
     heard(runtime)
     assert not runtime.arm(every(runtime)).any()
     worst = 0.0

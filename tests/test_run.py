@@ -83,7 +83,7 @@ def test_a_robot_of_a_soak_comes_with_its_draw_its_noise_and_its_goals(
             super().__init__(*args, **how)
             made.append(self)
 
-    monkeypatch.setattr("deploy.backends.sim.robot.SimRobot", Seen)
+    monkeypatch.setattr("deploy.backends.sim.backend.SimRobot", Seen)
     code, *_ = command(
         "--policy", arm_policy, "--speed", "max", "--duration", 0.5, "--out", tmp_path, "--draw", which
     )
@@ -102,7 +102,7 @@ def test_a_robot_that_is_not_armed_is_exit_1(command, arm_policy, tmp_path, monk
             self.plant.housing[:] = 95.0
             self._settle(np.ones(1, dtype=bool))
 
-    monkeypatch.setattr("deploy.backends.sim.robot.SimRobot", Hot)
+    monkeypatch.setattr("deploy.backends.sim.backend.SimRobot", Hot)
     code, said, _ = command("--policy", arm_policy, "--speed", "max", "--out", tmp_path)
     assert code == 1
     assert "not armed: a motor is too hot" in said

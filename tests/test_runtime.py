@@ -12,6 +12,7 @@ from robots.models.fleet import Fleet
 from robots.randomness import robot_seed
 
 SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
+simulate = pytest.importorskip("deploy.backends.sim.backend").simulate
 ARM_S = pytest.importorskip("eval.soak.shard").ARM_S
 
 N, DT = SPEC.n, SPEC.dt
@@ -62,8 +63,8 @@ def built(robots=2, seed=5, *, policy=None, threads=1, only=None, contract=None,
     """A runtime on simulated robots, not yet armed; also for other test files."""
     contract = contract or arm_contract()
     seeds = [robot_seed(seed, robot) for robot in (range(robots) if only is None else only)]
-    robot = SimRobot(SPEC, seeds, threads=threads, faults=faults, gains=contract.action.gains)
-    return Runtime(SPEC, contract, robot, seeds, policy or Wandering(contract))
+    policy = policy or Wandering(contract)
+    return simulate(SPEC, contract, seeds, policy, threads=threads, faults=faults)[0]
 
 
 def every(runtime, value=True):

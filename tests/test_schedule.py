@@ -93,7 +93,7 @@ def test_every_fault_of_a_sensor_reaches_its_own_channels_and_no_others():
     differs = np.zeros((len(seeds), 300, len(SPEC.channels)), dtype=bool)
     for tick in range(300):
         for robot in (broken, clean):
-            robot.show(rest[:, :3] + 0.001 * tick)
+            robot.goal[:] = rest[:, :3] + 0.001 * tick
             robot.write(off)
             if tick == begins:
                 robot.plant.housing[:] += 20.0

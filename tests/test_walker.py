@@ -10,18 +10,17 @@ from walking import (
     QUADRUPED,
     STAND,
     TERMS,
-    SimRobot,
     live,
+    simulate,
     standing,
     walker,
     walking_contract,
 )
 
 from deploy.estimation.rotations import exp, matrix, times
-from deploy.motion.drive_law import Gains, Springs
+from deploy.motion.drive_law import Springs
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract import ActionSpec
-from deploy.runtime import Runtime
 from deploy.state import Mode, Reason
 from robots.errors import ContractError, RobotError
 from robots.models.fleet import Fleet, load_pinocchio, torque_max
@@ -93,8 +92,7 @@ def test_it_hangs_where_it_will_stand_wherever_its_model_holds_it(tmp_path):
     )
     spec, seeds = load_robot(folder), [robot_seed(3, 0)]
     contract = walking_contract(spec)
-    robot = SimRobot(spec, seeds, gains=contract.action.gains)
-    runtime = Runtime(spec, contract, robot, seeds)
+    runtime, robot = simulate(spec, contract, seeds)
     live(runtime, round(ARM_S / DT))
     np.testing.assert_allclose(robot.truth().base.position[0, 2], robot.plant._base.stands_m, atol=0.005)
     assert robot.plant._base.stands_m < 0.4
@@ -395,11 +393,7 @@ FORELEGS = '"front_left_shin", "front_right_shin"'
 def crossed(spec):
     """(B,) whether a robot touches itself that stands with its front feet together."""
     seeds = [robot_seed(3, 0)]
-    robot, contract = (
-        SimRobot(spec, seeds, gains=Gains(np.full(12, KP), np.full(12, KD))),
-        walking_contract(spec),
-    )
-    runtime = Runtime(spec, contract, robot, seeds)
+    runtime, robot = simulate(spec, walking_contract(spec), seeds)
     live(runtime, round(ARM_S / DT))
     assert not runtime.arm(np.ones(1, dtype=bool)).any()
     touched, legs = False, np.zeros(12)
@@ -426,7 +420,7 @@ def test_feet_that_may_touch_are_no_collision(tmp_path):
 def test_who_may_touch_must_be_there(tmp_path):
     may = ("foot_m = 0.01", f"foot_m = 0.01\nmay_touch = [[{FORELEGS.replace('left_shin', 'paw')}]]")
     with pytest.raises(RobotError, match=r"base\.may_touch: found 'front_paw', expected bodies of the model"):
-        SimRobot(load_robot(changed(tmp_path, may)), [robot_seed(3, 0)])
+        simulate(load_robot(changed(tmp_path, may)), walking_contract(), [robot_seed(3, 0)])
 
 
 def test_a_foot_that_is_not_there_is_said(tmp_path):

@@ -7,11 +7,10 @@ import pytest
 from test_contract import term
 
 from deploy.policy.contract import ActionSpec, Contract
-from deploy.runtime import Runtime
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 
-SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
+simulate = pytest.importorskip("deploy.backends.sim.backend").simulate
 
 QUADRUPED = load_robot(Path(__file__).parent / "quadruped")
 STAND = QUADRUPED.joint_array("q_home")
@@ -67,8 +66,7 @@ def walker(robots=2, seed=3, *, contract=None, faults=()):
     """A runtime without a policy, and its robots on their gantries, not armed."""
     contract = contract or walking_contract()
     seeds = [robot_seed(seed, robot) for robot in range(robots)]
-    robot = SimRobot(QUADRUPED, seeds, gains=contract.action.gains, faults=faults)
-    return Runtime(QUADRUPED, contract, robot, seeds)
+    return simulate(QUADRUPED, contract, seeds, faults=faults)[0]
 
 
 def live(runtime, ticks, action=None):

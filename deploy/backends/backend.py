@@ -1,28 +1,38 @@
-"""What a robot looks like to the runtime: simulated or on a bus, one or many."""
+"""A robot as the runtime sees it, and the backend that opens one: simulated, or on a wire."""
 
-from typing import Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Generic, Literal, Protocol, TypeVar
+
+import numpy as np
 
 from deploy.motion.drive_law import Gains
 from deploy.state import Command, Sample
-from robots.arrays import Bools, Floats
+from robots.arrays import Bools
+from robots.draws import Draw
+from robots.errors import ConfigError
+from robots.spec import RobotSpec
+
+if TYPE_CHECKING:
+    from deploy.runtime import Runtime
+
+ControlMode = Literal["position", "velocity", "torque"]
 
 
 class Robot(Protocol):
     """B robots behind one interface.
 
     Attributes:
-        gains: of the drives, where they have those of a policy's contract; None: their own.
+        robots: B.
+        gains: drive gains in force if they are those of a policy's contract; None: the drives' own.
     """
 
     robots: int
     gains: Gains | None
 
     def read(self) -> Sample:
-        """The newest packet of every sensor; never blocks longer than a control period."""
-        ...
-
-    def show(self, goal: Floats) -> None:
-        """Told on every tick where the goals are, (B, 3) m in the world; a real robot has cameras of its own."""
+        """Return the newest packet of every sensor; never block longer than a control period."""
         ...
 
     def write(self, command: Command) -> None:
@@ -30,5 +40,86 @@ class Robot(Protocol):
         ...
 
     def stop(self, ids: Bools) -> None:
-        """Category 0: cut power now, whatever the cause. Must work when nothing else does."""
+        """Category 0 stop: cut power now, whatever the cause. Must work when nothing else does."""
         ...
+
+    def close(self) -> None:
+        """Release the wire. Called once, after the last command or stop."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """The robot that a run asks a backend for.
+
+    Attributes:
+        spec: the robot as described by its folder.
+        seed: of everything random about a simulated robot.
+        gains: drive gains from the policy's contract; None: the drives' own.
+        mode: control mode of the commands.
+        draw: parameters of a simulated robot, in place of those that `seed` would draw.
+    """
+
+    spec: RobotSpec
+    seed: np.random.SeedSequence
+    gains: Gains | None = None
+    mode: ControlMode = "position"
+    draw: Draw | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Abilities:
+    """What the robots of a backend can do; a request beyond it is refused before anything is opened.
+
+    Attributes:
+        modes: control modes of its drives.
+        control_hz: lowest and highest control rate.
+        gains: whether the gains of its drives can be set.
+        simulated: whether a drawn robot can be asked for, and be viewed.
+    """
+
+    modes: tuple[ControlMode, ...]
+    control_hz: tuple[int, int]
+    gains: bool
+    simulated: bool = False
+
+
+R = TypeVar("R", bound=Robot)
+
+
+class Backend(ABC, Generic[R]):
+    """One kind of wire. Installed as an entry point of the group `firstshift.backends`."""
+
+    abilities: ClassVar[Abilities]
+
+    def check(self, request: Request) -> None:
+        """Refuse a request beyond the abilities.
+
+        Raises:
+            ConfigError: the control mode, the control rate or the gains.
+        """
+        can, hz = self.abilities, request.spec.rates.control_hz
+        low, high = can.control_hz
+        if request.mode not in can.modes:
+            raise ConfigError(
+                f"--backend: control mode: found {request.mode}, expected one of {', '.join(can.modes)}"
+            )
+        if not low <= hz <= high:
+            raise ConfigError(f"--backend: control_hz of the robot: found {hz}, expected {low} to {high}")
+        if request.gains is not None and not can.gains:
+            raise ConfigError("--backend: kp and kd of the policy's contract: found some, expected none")
+
+    @abstractmethod
+    def open(self, request: Request) -> R:
+        """Connect to one robot, drives off. `check` has accepted the request.
+
+        Raises:
+            FirstshiftError: it cannot be connected; nothing has moved.
+        """
+
+    def attach(self, robot: R, runtime: "Runtime") -> None:
+        """Connect a simulated world to the runtime, before the first tick; a robot on a wire needs none."""
+
+    def viewer(self, robot: R) -> Callable[[object], None]:
+        """Open a window on a simulated robot; return the call that brings it up to date."""
+        raise NotImplementedError

@@ -4,21 +4,23 @@ import gc
 import math
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
+from deploy.backends.backend import Backend, Request
 from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
 from deploy.estimation.heat_file import PERIOD_S as HEAT_S
 from deploy.estimation.heat_file import HeatFile
-from deploy.motion.drive_law import Gains
 from deploy.operation.clock import Unpaced, WallClock
 from deploy.operation.loop_timing import Every, Pace
 from deploy.operation.robot_run import Ending, Shift
 from deploy.operation.summary import report
+from deploy.plugins import BACKENDS, installed, load
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.telemetry.console import Show, snapshot
@@ -29,10 +31,6 @@ from robots.errors import ConfigError
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec, load_robot
 
-if TYPE_CHECKING:
-    from deploy.backends.sim.robot import SimRobot
-
-BACKENDS = ("sim",)
 SEED = 7
 SPEED_MAX = 1000.0
 SHOW_S, VIEW_S = 0.2, 1 / 30
@@ -42,7 +40,9 @@ EXIT = {Ending.DONE: PASSED, Ending.INTERRUPTED: INTERRUPTED}
 def run(
     policy: Annotated[Path, typer.Option(help="ONNX file that policy-export wrote")] = Path("out/arm.onnx"),
     robot: Annotated[str, typer.Option(help="name in robots/, or a folder")] = "arm6",
-    backend: Annotated[str, typer.Option(help=f"what stands behind it: {', '.join(BACKENDS)}")] = "sim",
+    backend: Annotated[
+        str, typer.Option(help=f"wire to the robot: {', '.join(installed(BACKENDS))}")
+    ] = "sim",
     duration: Annotated[float, typer.Option(help="s of robot time; inf: until Ctrl-C")] = math.inf,
     speed: Annotated[str, typer.Option(help="robot time by wall time: a factor, or max")] = "1",
     seed: Annotated[
@@ -65,25 +65,29 @@ def run(
     not go on, 2 bad input and nothing moved, 70 something broke, 130 interrupted.
     """
     factor = _factor(speed)
-    _check(backend, duration)
+    if not duration > 0:
+        raise ConfigError(f"--duration {duration}: expected s above 0, or inf")
+    wire = _backend(backend, {"--draw": draw is not None, "--view": view})
     spec = load_robot(robot)
     origin, source, given = _source(spec, seed, draw)
     brain = Policy.load(policy, spec)
+    request = Request(spec=spec, seed=source, gains=brain.contract.action.gains, draw=given)
+    wire.check(request)
     check_folder(out)
-    body = _simulated(spec, source, given, brain.contract.action.gains)
-    view_step = _viewer(body) if view else None
-    runtime = Runtime(spec, brain.contract, body, [source], brain)
     about = {"robot": spec.name, "robot_digest": spec.digest, "policy": str(policy)}
     about |= {"policy_digest": brain.digest, "backend": backend, "seed": origin, "speed": speed}
-    heat_file = HeatFile(out / "heat.json", runtime, same=draw is None)
-    body.warm(runtime.estimator.heat.rise)
-    recorder = Recorder(out, runtime, start_ns=time.time_ns(), about=about)
-    watchers: list[Every[Shift]] = [Every(HEAT_S, heat_file.offer)]
-    if view_step:
-        watchers.append(Every(VIEW_S, view_step))
-    return _lived(
-        runtime, recorder, heat_file, factor=factor, duration=duration, about=about, watchers=watchers
-    )
+    with closing(wire.open(request)) as body:
+        view_step = wire.viewer(body) if view else None
+        runtime = Runtime(spec, brain.contract, body, [source], brain)
+        heat_file = HeatFile(out / "heat.json", runtime, same=draw is None)
+        wire.attach(body, runtime)
+        recorder = Recorder(out, runtime, start_ns=time.time_ns(), about=about)
+        watchers: list[Every[Shift]] = [Every(HEAT_S, heat_file.offer)]
+        if view_step:
+            watchers.append(Every(VIEW_S, view_step))
+        return _lived(
+            runtime, recorder, heat_file, factor=factor, duration=duration, about=about, watchers=watchers
+        )
 
 
 def _factor(speed: str) -> float:
@@ -99,11 +103,12 @@ def _factor(speed: str) -> float:
     return factor
 
 
-def _check(backend: str, duration: float) -> None:
-    if backend not in BACKENDS:
-        raise ConfigError(f"--backend {backend}: unknown; known: {', '.join(BACKENDS)}")
-    if not duration > 0:
-        raise ConfigError(f"--duration {duration}: expected s above 0, or inf")
+def _backend(name: str, simulation_options: Mapping[str, bool]) -> Backend[Any]:
+    backend: Backend[Any] = load(BACKENDS, name, f"--backend {name}")()
+    given = [option for option, is_given in simulation_options.items() if is_given]
+    if given and not backend.abilities.simulated:
+        raise ConfigError(f"--backend {name}: found {given[0]}, which only simulated robots have")
+    return backend
 
 
 def _source(
@@ -129,22 +134,6 @@ def _source(
             f"--draw {draw}: found robot {robot}, expected one of the {robots.robots} from 0 on"
         )
     return draw, robot_seed(number, robot), robots.robot(robot)
-
-
-def _simulated(
-    spec: RobotSpec, source: np.random.SeedSequence, given: Draw | None, gains: Gains | None
-) -> "SimRobot":
-    try:
-        from deploy.backends.sim.robot import SimRobot
-    except ModuleNotFoundError as e:
-        raise ConfigError(f"--backend sim: needs {e.name}, which is not installed: firstshift[sim]") from e
-    return SimRobot(spec, [source], given=given, gains=gains)
-
-
-def _viewer(robot: "SimRobot") -> Callable[[object], None]:
-    from deploy.backends.sim.view import View
-
-    return View(robot).step
 
 
 def _lived(

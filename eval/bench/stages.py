@@ -9,9 +9,8 @@ from mujoco.batch import Batch
 from rich.console import Console
 from rich.table import Table
 
-from deploy.backends.sim.robot import SimRobot
+from deploy.backends.sim.backend import simulate
 from deploy.policy.policy import Policy
-from deploy.runtime import Runtime
 from eval.bench.plain import plain_rate
 from eval.bench.stopwatch import Stopwatch
 from eval.judge.judge import Judge
@@ -44,8 +43,7 @@ class Bench:
         """
         seeds = [robot_seed(SEED, robot) for robot in range(robots)]
         brain = Policy.load(policy, spec)
-        self.robot = SimRobot(spec, seeds, gains=brain.contract.action.gains, threads=1)
-        self.runtime = Runtime(spec, brain.contract, self.robot, seeds, brain)
+        self.runtime, self.robot = simulate(spec, brain.contract, seeds, brain)
         self.judge = Judge(spec, torque_max(spec), robots, observed=brain.contract.observed)
         self.watch, self.robots = Stopwatch(), robots
         self._watch(brain if every_stage else None)

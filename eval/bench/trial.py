@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.backends.sim.robot import SimRobot
+from deploy.backends.sim.backend import simulate
 from deploy.policy.policy import Policy
-from deploy.runtime import Runtime
 from eval.judge.judge import Judge
 from eval.soak.shard import ARM_S, LOOK_S, judge_tick, rearm
 from robots.arrays import Floats
@@ -37,8 +36,7 @@ class Trial:
             given: B robots as they are, in the place of those that the seeds would draw.
         """
         brain = Policy.load(policy, spec)
-        self.robot = SimRobot(spec, seeds, given=given, gains=brain.contract.action.gains)
-        self.runtime = Runtime(spec, brain.contract, self.robot, seeds, brain)
+        self.runtime, self.robot = simulate(spec, brain.contract, seeds, brain, given=given)
         goal_s = self.runtime.task.config.period_s
         self.judge = Judge(
             spec, torque_max(spec), len(seeds), observed=brain.contract.observed, goal_s=goal_s

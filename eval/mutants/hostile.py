@@ -6,6 +6,7 @@ from unittest.mock import patch
 
 import numpy as np
 
+from deploy.backends.sim.backend import simulate
 from deploy.backends.sim.packets import Fault
 from deploy.backends.sim.robot import SimRobot
 from deploy.policy.contract import ActionSpec, Contract, Observed
@@ -74,9 +75,9 @@ class Situation:
 def live(spec: RobotSpec, situation: Situation, weaken: Callable[[Runtime], None] = nobody) -> Counts:
     """What the judge finds in a situation, with a guard of the runtime weakened."""
     seeds = [robot_seed(SEED, robot) for robot in range(ROBOTS)]
-    robot = SimRobot(spec, seeds, given=_drawn(spec, seeds, situation), faults=situation.faults)
+    given, promise = _drawn(spec, seeds, situation), contract(spec, situation)
     with patch.object(reach, "goal_pool", _pool_once):
-        runtime = Runtime(spec, contract(spec, situation), robot, seeds)
+        runtime, robot = simulate(spec, promise, seeds, given=given, faults=situation.faults)
     observed, goal_s = runtime.contract.observed, runtime.task.config.period_s
     judge = Judge(spec, torque_max(spec), ROBOTS, observed=observed, goal_s=goal_s)
     situation.prepare(runtime)

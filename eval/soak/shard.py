@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.backends.sim.robot import SimRobot
+from deploy.backends.sim.backend import simulate
 from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
@@ -168,13 +168,8 @@ class Shard(Stage):
         policy = Policy.load(job.policy, spec)
         _same(job.policy_digest, policy.digest, job.policy)
         schedule = plan(spec, job.faults, seeds, job.first, job.ticks)
-        self._job, self.robot = (
-            job,
-            SimRobot(
-                spec, seeds, given=given, faults=schedule.of_sensors(), gains=policy.contract.action.gains
-            ),
-        )
-        self.runtime = Runtime(spec, policy.contract, self.robot, seeds, policy)
+        self._job, faults = job, schedule.of_sensors()
+        self.runtime, self.robot = simulate(spec, policy.contract, seeds, policy, given=given, faults=faults)
         self.judge = judge_of(spec, policy.contract, job.robots)
         self.injector = Injector(spec, schedule, self.robot.plant, policy.contract.action_size)
         self.watch, self._policy = Watch(spec, schedule), policy

@@ -8,8 +8,7 @@ import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
-from deploy.backends.sim.robot import SimRobot
-from deploy.runtime import Runtime
+from deploy.backends.sim.backend import simulate
 from deploy.state import Mode
 from deploy.tasks.reach import Reach
 from policies.training.recipe import Recipe, contract_of
@@ -38,8 +37,9 @@ class RuntimeEnv(VecEnv):
         self.num_envs, self.num_actions, self.device = recipe.environment.robots, spec.n, "cpu"
         self.cfg = recipe.model_dump()
         seeds = [training_seed(recipe.seed, robot) for robot in range(self.num_envs)]
-        self._recipe, self._spec, self._robot = recipe, spec, SimRobot(spec, seeds, threads=threads)
-        self.runtime = Runtime(spec, contract_of(recipe, spec, {}), self._robot, seeds)
+        self._recipe, self._spec = recipe, spec
+        contract = contract_of(recipe, spec, {})
+        self.runtime, self._robot = simulate(spec, contract, seeds, threads=threads)
         if not isinstance(self.runtime.task, Reach):
             raise RobotError(
                 f"{spec.folder / 'robot.toml'}: base: found one, expected none: only reaching is trained"

@@ -1,6 +1,6 @@
 """B simulated robots behind the interface of a real one."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -18,7 +18,12 @@ from robots.spec import RobotSpec
 
 
 class SimRobot(Stage):
-    """Physics advances one control period with every `write`."""
+    """Physics advances one control period with every `write`.
+
+    Attributes:
+        goal: (B, 3) m, world, as the simulated cameras see it; NaN: none.
+        goal_source: where `read` takes the goals from, or None.
+    """
 
     carried = ("goal",)
     parts = ("plant", "sensors")
@@ -48,6 +53,7 @@ class SimRobot(Stage):
         self.draw = given or draw(distributions, spec, seeds)
         self.plant = Plant(spec, distributions, self.draw, seeds, gains=gains, threads=threads)
         self.sensors = Sensors(spec, self.draw, seeds, faults)
+        self.goal_source: Callable[[], Floats] | None = None
         self.goal = np.full((self.robots, 3), np.nan)
         self._exposed = [
             self.goal if kind == "goal" else self.plant.reading(kind) for kind in self.spec.sensors
@@ -55,12 +61,10 @@ class SimRobot(Stage):
         self._settle(np.ones(self.robots, dtype=bool))
 
     def read(self) -> Sample:
-        """The newest packets."""
+        """Return the newest packets; goals that are visible from now on arrive in later ones."""
+        if self.goal_source is not None:
+            self.goal[:] = self.goal_source()
         return self.sensors.read()
-
-    def show(self, goal: Floats) -> None:
-        """Put goals (B, 3), m in the world, where the cameras can see them."""
-        self.goal[:] = goal
 
     def write(self, command: Command) -> None:
         """Command every robot for one control period and live through it."""
@@ -77,6 +81,9 @@ class SimRobot(Stage):
     def stop(self, ids: Bools) -> None:
         """Category 0: brakes close now on the pose they find."""
         self.plant.brake(ids)
+
+    def close(self) -> None:
+        """Nothing to release."""
 
     def reset(self, ids: Bools, q: Floats) -> None:
         """Rest robots where `ids` holds at `q` (B, n) rad, motors as at the start of the shift."""

@@ -13,11 +13,10 @@ from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
-from deploy.backends.sim.robot import SimRobot
+from deploy.backends.sim.backend import simulate
 from deploy.backends.sim.sensors import Sensors
 from deploy.estimation.estimator import Estimator
 from deploy.policy.policy import Policy
-from deploy.runtime import Runtime
 from deploy.state import Packet, Sample, Setpoint, State
 from deploy.telemetry.output_files import replacing
 from eval.bench.estimation.encoder import draw_encoder
@@ -66,8 +65,7 @@ def move(spec: RobotSpec, policy: Path, first: int) -> Motion:
     """Robots `first` and after, at work."""
     seeds = [robot_seed(SEED, robot) for robot in range(first, first + SHARD)]
     brain = Policy.load(policy, spec)
-    robot = SimRobot(spec, seeds, gains=brain.contract.action.gains)
-    runtime = Runtime(spec, brain.contract, robot, seeds, brain)
+    runtime, robot = simulate(spec, brain.contract, seeds, brain)
     for _ in range(round(ARM_S / spec.dt)):
         runtime.tick()
     runtime.arm(np.ones(SHARD, dtype=bool))

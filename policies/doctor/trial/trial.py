@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.backends.sim.robot import SimRobot
+from deploy.backends.sim.backend import simulate
 from deploy.policy.policy import Policy
-from deploy.runtime import Runtime
 from deploy.safety.diagnostics import Stops, blame
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
@@ -102,10 +101,8 @@ class _Trial:
         robots = len(seeds)
         self._policy, self._everybody = policy, np.ones(robots, dtype=bool)
         contract = policy.contract
-        self._robot = SimRobot(
-            spec, seeds, given=middle(load_distributions(spec), spec, robots), gains=contract.action.gains
-        )
-        self._runtime = Runtime(spec, contract, self._robot, seeds, policy)
+        given = middle(load_distributions(spec), spec, robots)
+        self._runtime, self._robot = simulate(spec, contract, seeds, policy, given=given)
         goal_s = self._runtime.task.config.period_s
         self._judge = Judge(spec, torque_max(spec), robots, observed=contract.observed, goal_s=goal_s)
         self._rng = np.random.default_rng(SEED)
