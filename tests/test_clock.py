@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from deploy.operation.clock import Unpaced, WallClock
-from deploy.operation.loop_timing import Every, Pace
+from deploy.operation.loop_timing import LoopTiming, RateLimited
 
 
 class FakeTime:
@@ -89,10 +89,10 @@ class Scripted:
 
 def paced(script):
     script = list(script)
-    pace = Pace(Scripted(script), 200, now=lambda: 0.0)
+    timing = LoopTiming(Scripted(script), 200, now=lambda: 0.0)
     for _ in script:
-        pace.wait()
-    return pace
+        timing.wait()
+    return timing
 
 
 def test_lateness_is_that_of_numpy():
@@ -110,8 +110,8 @@ def test_lateness_beyond_all_bins_is_counted():
 
 
 def test_nothing_waited_nothing_late():
-    pace = paced([])
-    assert (pace.lateness.p50_us, pace.lateness.max_us, pace.rate, pace.elapsed) == (0, 0, 0, 0)
+    timing = paced([])
+    assert (timing.lateness.p50_us, timing.lateness.max_us, timing.rate, timing.elapsed) == (0, 0, 0, 0)
 
 
 @pytest.mark.parametrize(("missed", "overrun"), [(20, False), (21, True)])
@@ -131,25 +131,25 @@ def test_an_overrun_is_forgotten_after_a_second():
 
 
 def test_rates(time):
-    pace = Pace(wall(time), 200, now=time.now)
+    timing = LoopTiming(wall(time), 200, now=time.now)
     for _ in range(400):
-        pace.wait()
-    assert pace.rate == pytest.approx(200)
-    assert pace.recent_rate() == 0.0
+        timing.wait()
+    assert timing.rate == pytest.approx(200)
+    assert timing.recent_rate() == 0.0
     for _ in range(10):
         time.t += 0.2  # 40 slots, one of them used
-        pace.wait()
-        recent = pace.recent_rate()
+        timing.wait()
+        recent = timing.recent_rate()
     assert recent == pytest.approx(5, rel=0.25)
-    assert pace.skipped == 10 * 39
-    assert pace.rate == pytest.approx(409 / (399 * 0.005 + 2.0), rel=0.01)
+    assert timing.skipped == 10 * 39
+    assert timing.rate == pytest.approx(409 / (399 * 0.005 + 2.0), rel=0.01)
 
 
-def test_every_is_called_at_most_once_in_a_while(time):
+def test_a_rate_limited_call_goes_through_at_most_once_in_a_while(time):
     called = []
-    every = Every(0.2, called.append, now=time.now)
+    limited = RateLimited(0.2, called.append, now=time.now)
     for k in range(100):
-        every(k)
+        limited(k)
         time.t += 0.0625
     assert called[:4] == [0, 4, 8, 12]
     assert len(called) == 25

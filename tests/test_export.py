@@ -184,8 +184,8 @@ def test_an_unwritable_out_is_named(tmp_path):
     checkpoint = saved(tmp_path)
     for out, why in (
         (tmp_path / "file" / "arm.onnx", "cannot be written: Not a directory"),
-        (tmp_path / "folder", "found something that is no file, expected a file or nothing"),
-        (Path("/dev/null"), "found something that is no file, expected a file or nothing"),
+        (tmp_path / "folder", "found a folder or a device, expected a file or nothing"),
+        (Path("/dev/null"), "found a folder or a device, expected a file or nothing"),
         (tmp_path / ("x" * 300), "cannot be written: File name too long"),
     ):
         with pytest.raises(OutputError) as caught:

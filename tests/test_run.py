@@ -35,7 +35,7 @@ class Blind:
 @pytest.fixture
 def command(monkeypatch, capsys):
     """Run the command line; return its exit code and what it said."""
-    monkeypatch.setattr(deploy.operation.cli, "Show", Blind)
+    monkeypatch.setattr(deploy.operation.cli, "ConsoleProcess", Blind)
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["deploy-run", *map(str, arguments)])

@@ -11,8 +11,8 @@ from walking import QUADRUPED, live, walker
 
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.scene import Scene
-from deploy.telemetry import console_display as show
-from deploy.telemetry.console import Screen
+from deploy.telemetry import console_display
+from deploy.telemetry.console import SnapshotPipe
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 
@@ -109,7 +109,7 @@ SNAPSHOT = {
 def drawn(snapshots, terminal):
     with open(os.devnull, "w") as nowhere:
         console = Console(file=nowhere, force_terminal=terminal, record=True, width=100)
-        show.follow([json.dumps(s) + "\n" for s in snapshots] + ['{"cut'], console)
+        console_display.follow([json.dumps(s) + "\n" for s in snapshots] + ['{"cut'], console)
         return console.export_text()
 
 
@@ -137,7 +137,7 @@ def test_lines_come_once_a_second_and_with_news():
 
 def test_a_screen_that_is_not_read_holds_nothing_up_and_tears_no_line():
     reading, writing = os.pipe()
-    screen, text = Screen(writing), {"x": "y" * 5000}  # longer than what a pipe takes whole
+    screen, text = SnapshotPipe(writing), {"x": "y" * 5000}  # longer than what a pipe takes whole
     for k in range(1000):  # far more than a pipe takes
         screen.offer({"k": k, **text})
     received = os.read(reading, 1 << 20)
@@ -155,7 +155,7 @@ def test_a_screen_that_is_not_read_holds_nothing_up_and_tears_no_line():
 
 def test_a_screen_that_has_gone_is_forgotten():
     reading, writing = os.pipe()
-    screen = Screen(writing)
+    screen = SnapshotPipe(writing)
     os.close(reading)
     for _ in range(3):
         screen.offer({})

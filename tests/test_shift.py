@@ -7,8 +7,8 @@ from test_clock import FakeTime
 from deploy.backends.sim.backend import connect
 from deploy.backends.sim.robot import SimRobot
 from deploy.operation.clock import WallClock
-from deploy.operation.loop_timing import Pace
-from deploy.operation.robot_run import Ending, Shift
+from deploy.operation.loop_timing import LoopTiming
+from deploy.operation.robot_run import Ending, RobotRun
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.state import Mode, Reason
@@ -46,9 +46,9 @@ class Bench:
         self.runtime = Runtime(SPEC, self.policy.contract, self.robot, seeds, self.policy)
         connect(self.robot, self.runtime)
         clock = WallClock(SPEC.dt, now=self.time.now, sleep=self.sleep)
-        self.pace = Pace(clock, SPEC.rates.control_hz, now=self.time.now)
+        self.timing = LoopTiming(clock, SPEC.rates.control_hz, now=self.time.now)
         self.recorder = Recorder(folder, self.runtime, start_ns=0, about={})
-        self.shift = Shift(self.runtime, self.pace, self.recorder, duration=duration)
+        self.run = RobotRun(self.runtime, self.timing, self.recorder, duration=duration)
 
     def sleep(self, seconds):
         self.time.sleep(seconds)
@@ -57,7 +57,7 @@ class Bench:
 
     def live(self):
         try:
-            return self.shift.live()
+            return self.run.run()
         finally:
             self.recorder.close()
 
@@ -98,8 +98,8 @@ def test_a_shift_arms_works_and_comes_to_rest(bench):
     powered = [powered for powered, _ in b.robot.sent]
     assert 200 <= sum(powered) <= 210
     assert not powered[0]
-    assert (b.robot.cut, b.pace.skipped) == (0, 0)
-    assert b.shift.tally.stops == {"operator": 1}
+    assert (b.robot.cut, b.timing.skipped) == (0, 0)
+    assert b.run.statistics.stops == {"operator": 1}
     assert b.recorder.events == ()
 
 
@@ -122,7 +122,7 @@ def test_numbers_that_are_none_stop_the_robot_and_are_never_sent(bench, monkeypa
     assert comes_to_rest(b)
     assert np.isfinite([numbers for _, numbers in b.robot.sent]).all()
     assert b.runtime.supervisor.reason[0] & Reason.NOT_FINITE
-    assert b.shift.tally.stops["not_finite"] == 1
+    assert b.run.statistics.stops["not_finite"] == 1
     assert 100 < b.runtime.ticks < 200
     assert len(b.recorder.events) == 1
     assert b.robot.cut == 0
@@ -163,12 +163,12 @@ def test_whoever_asks_again_later_is_heard(bench, monkeypatch):
     """A service manager knows no Ctrl-C."""
     b = bench(duration=60.0)
     moves(b, monkeypatch)
-    monkeypatch.setattr(b.shift.interrupts, "_now", b.time.now)
+    monkeypatch.setattr(b.run.interrupts, "now", b.time.now)
     b.at[100] = lambda: signal.raise_signal(signal.SIGTERM)
     b.at[103] = lambda: (b.time.sleep(0.6), signal.raise_signal(signal.SIGTERM))
     with pytest.raises(KeyboardInterrupt):
         b.live()
-    assert (b.robot.cut, b.shift.ending) == (1, Ending.FAILED)
+    assert (b.robot.cut, b.run.ending) == (1, Ending.FAILED)
 
 
 @pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
@@ -179,7 +179,7 @@ def test_a_second_interrupt_cuts_power(bench, monkeypatch, first):
     b.at[103] = lambda: signal.raise_signal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         b.live()
-    assert (b.robot.cut, b.shift.ending) == (1, Ending.FAILED)
+    assert (b.robot.cut, b.run.ending) == (1, Ending.FAILED)
     assert b.robot.plant.braked.all()
     assert b.runtime.ticks <= 104
 
@@ -193,7 +193,7 @@ def test_what_nobody_expected_cuts_power_and_is_raised(bench, monkeypatch):
     b.at[150] = fail
     with pytest.raises(ZeroDivisionError, match="a fault in the code"):
         b.live()
-    assert (b.robot.cut, b.shift.ending) == (1, Ending.FAILED)
+    assert (b.robot.cut, b.run.ending) == (1, Ending.FAILED)
     assert b.robot.plant.braked.all()
     assert len(b.recorder.events) == 1
 
@@ -212,8 +212,8 @@ def test_too_many_late_ticks_stop_the_robot(bench, lost_s, ending):
     b.at[100] = lambda: b.time.sleep(lost_s)
     assert b.live() is ending
     assert comes_to_rest(b)
-    assert b.pace.skipped == round(lost_s / SPEC.dt)
-    assert ("overrun" in b.shift.tally.stops) is (ending is Ending.STOPPED)
+    assert b.timing.skipped == round(lost_s / SPEC.dt)
+    assert ("overrun" in b.run.statistics.stops) is (ending is Ending.STOPPED)
 
 
 def test_a_robot_that_is_too_hot_is_not_armed(bench):
@@ -221,5 +221,5 @@ def test_a_robot_that_is_too_hot_is_not_armed(bench):
     b.robot.plant.housing[:] = 95.0
     b.robot._settle(np.ones(1, dtype=bool))
     assert b.live() is Ending.REFUSED
-    assert b.shift.reason == "a motor is too hot, or nobody knows how hot it is"  # all of them
+    assert b.run.reason == "a motor is too hot, or nobody knows how hot it is"  # all of them
     assert not any(powered for powered, _ in b.robot.sent)

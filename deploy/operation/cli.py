@@ -1,10 +1,10 @@
-"""deploy-run: a policy drives one robot at a fixed rate, from arming to rest."""
+"""deploy-run: drive one robot by a policy at a fixed rate, from arming to rest."""
 
 import gc
 import math
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,14 +16,14 @@ from deploy.backends.backend import Backend, Request
 from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
 from deploy.estimation.heat_file import PERIOD_S as HEAT_S
 from deploy.estimation.heat_file import HeatFile
-from deploy.operation.clock import Unpaced, WallClock
-from deploy.operation.loop_timing import Every, Pace
-from deploy.operation.robot_run import Ending, Shift
+from deploy.operation.clock import Clock, Unpaced, WallClock
+from deploy.operation.loop_timing import LoopTiming, RateLimited
+from deploy.operation.robot_run import Ending, RobotRun, Watcher
 from deploy.operation.summary import report
 from deploy.plugins import BACKENDS, installed, load
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
-from deploy.telemetry.console import Show, snapshot
+from deploy.telemetry.console import ConsoleProcess, snapshot
 from deploy.telemetry.recorder import Recorder, check_folder
 from robots.distributions import load_distributions
 from robots.draws import Draw, load_draw
@@ -33,65 +33,68 @@ from robots.spec import RobotSpec, load_robot
 
 SEED = 7
 SPEED_MAX = 1000.0
-SHOW_S, VIEW_S = 0.2, 1 / 30
+CONSOLE_S, VIEW_S = 0.2, 1 / 30
 EXIT = {Ending.DONE: PASSED, Ending.INTERRUPTED: INTERRUPTED}
+
+PolicyFile = Annotated[Path, typer.Option(help="ONNX file written by policy-export")]
+RobotName = Annotated[str, typer.Option(help="name in robots/, or a folder")]
+BackendName = Annotated[str, typer.Option(help=f"connection to the robot: {', '.join(installed(BACKENDS))}")]
+Duration = Annotated[float, typer.Option(help="s of robot time; inf: until Ctrl-C")]
+Speed = Annotated[str, typer.Option(help="robot time divided by wall time: a factor, or max")]
+Seed = Annotated[int | None, typer.Option(help=f"of the goals and of a simulated robot  [{SEED}]")]
+DrawName = Annotated[
+    str | None,
+    typer.Option(
+        help="robot of a soak, with its noise and its goals: SEED:ROBOT, or FILE:ROBOT with the soak's draws.json"
+    ),
+]
+Out = Annotated[
+    Path, typer.Option(help="folder; a previous run in it is replaced, motor temperatures are kept")
+]
+ViewFlag = Annotated[bool, typer.Option("--view", help="open MuJoCo's viewer")]
 
 
 def run(
-    policy: Annotated[Path, typer.Option(help="ONNX file that policy-export wrote")] = Path("out/arm.onnx"),
-    robot: Annotated[str, typer.Option(help="name in robots/, or a folder")] = "arm6",
-    backend: Annotated[
-        str, typer.Option(help=f"wire to the robot: {', '.join(installed(BACKENDS))}")
-    ] = "sim",
-    duration: Annotated[float, typer.Option(help="s of robot time; inf: until Ctrl-C")] = math.inf,
-    speed: Annotated[str, typer.Option(help="robot time by wall time: a factor, or max")] = "1",
-    seed: Annotated[
-        int | None, typer.Option(help=f"of the goals, and of the simulated robot  [{SEED}]")
-    ] = None,
-    draw: Annotated[
-        str | None,
-        typer.Option(
-            help="SEED:ROBOT, or FILE:ROBOT with a soak's draws.json: a robot of it, its noise, its goals"
-        ),
-    ] = None,
-    out: Annotated[
-        Path, typer.Option(help="folder; a former run in it is replaced, its motors stay warm")
-    ] = Path("out/run"),
-    view: Annotated[bool, typer.Option("--view", help="open MuJoCo's viewer")] = False,
+    policy: PolicyFile = Path("out/arm.onnx"),
+    robot: RobotName = "arm6",
+    backend: BackendName = "sim",
+    duration: Duration = math.inf,
+    speed: Speed = "1",
+    seed: Seed = None,
+    draw: DrawName = None,
+    out: Out = Path("out/run"),
+    view: ViewFlag = False,
 ) -> int:
     """Drive one robot by a policy: arm, work, and come to rest.
 
     Ctrl-C asks for a controlled stop, a second one cuts power. Exit codes: 0 done, 1 the robot stopped and could
-    not go on, 2 bad input and nothing moved, 70 something broke, 130 interrupted.
+    not go on, 2 bad input and nothing moved, 70 internal error, 130 interrupted.
     """
     factor = _factor(speed)
     if not duration > 0:
         raise ConfigError(f"--duration {duration}: expected s above 0, or inf")
-    wire = _backend(backend, {"--draw": draw is not None, "--view": view})
+    connection = _backend(backend, simulation={"--draw": draw is not None, "--view": view})
     spec = load_robot(robot)
-    origin, source, given = _source(spec, seed, draw)
+    seed_text, source, drawn = _source(spec, seed, draw)
     brain = Policy.load(policy, spec)
-    request = Request(spec=spec, seed=source, gains=brain.contract.action.gains, draw=given)
-    wire.check(request)
+    request = Request(spec=spec, seed=source, gains=brain.contract.action.gains, draw=drawn)
+    connection.check(request)
     check_folder(out)
     about = {"robot": spec.name, "robot_digest": spec.digest, "policy": str(policy)}
-    about |= {"policy_digest": brain.digest, "backend": backend, "seed": origin, "speed": speed}
-    with closing(wire.open(request)) as body:
-        view_step = wire.viewer(body) if view else None
+    about |= {"policy_digest": brain.digest, "backend": backend, "seed": seed_text, "speed": speed}
+    with closing(connection.open(request)) as body:
+        viewers = [RateLimited(VIEW_S, connection.viewer(body))] if view else []
         runtime = Runtime(spec, brain.contract, body, [source], brain)
         heat_file = HeatFile(out / "heat.json", runtime, same=draw is None)
-        wire.attach(body, runtime)
+        connection.attach(body, runtime)
         recorder = Recorder(out, runtime, start_ns=time.time_ns(), about=about)
-        watchers: list[Every[Shift]] = [Every(HEAT_S, heat_file.offer)]
-        if view_step:
-            watchers.append(Every(VIEW_S, view_step))
-        return _lived(
-            runtime, recorder, heat_file, factor=factor, duration=duration, about=about, watchers=watchers
-        )
+        timing = _timing(spec.rates.control_hz, factor)
+        files = recorder, heat_file
+        return _execute(runtime, timing, files, duration=duration, about=about, viewers=viewers)
 
 
 def _factor(speed: str) -> float:
-    """Robot time by wall time; infinite for `max`."""
+    """Return robot time divided by wall time; infinite for `max`."""
     if speed == "max":
         return math.inf
     try:
@@ -103,9 +106,10 @@ def _factor(speed: str) -> float:
     return factor
 
 
-def _backend(name: str, simulation_options: Mapping[str, bool]) -> Backend[Any]:
+def _backend(name: str, simulation: dict[str, bool]) -> Backend[Any]:
+    """Return the backend of that name; refuse given options of the `simulation` for any other."""
     backend: Backend[Any] = load(BACKENDS, name, f"--backend {name}")()
-    given = [option for option, is_given in simulation_options.items() if is_given]
+    given = [option for option, is_given in simulation.items() if is_given]
     if given and not backend.abilities.simulated:
         raise ConfigError(f"--backend {name}: found {given[0]}, which only simulated robots have")
     return backend
@@ -114,7 +118,7 @@ def _backend(name: str, simulation_options: Mapping[str, bool]) -> Backend[Any]:
 def _source(
     spec: RobotSpec, seed: int | None, draw: str | None
 ) -> tuple[str, np.random.SeedSequence, Draw | None]:
-    """All that is random about the robot, in words and as it is: the first of a seed, or one of a soak."""
+    """Return the seed of everything random, in words and as such, and the draw if a file holds it."""
     if draw is None:
         number = SEED if seed is None else seed
         if number < 0:
@@ -136,54 +140,48 @@ def _source(
     return draw, robot_seed(number, robot), robots.robot(robot)
 
 
-def _lived(
+def _timing(control_hz: int, factor: float) -> LoopTiming:
+    clock: Clock = Unpaced() if math.isinf(factor) else WallClock(1 / (control_hz * factor))
+    return LoopTiming(clock, control_hz)
+
+
+def _execute(
     runtime: Runtime,
-    recorder: Recorder,
-    heat_file: HeatFile,
+    timing: LoopTiming,
+    files: tuple[Recorder, HeatFile],
     *,
-    factor: float,
     duration: float,
     about: dict[str, str],
-    watchers: list[Every[Shift]],
+    viewers: Sequence[Watcher],
 ) -> int:
-    """Everything from the first tick to the summary."""
-    hz = runtime.spec.rates.control_hz
-    asked = None if math.isinf(factor) else hz * factor
-    pace = Pace(Unpaced() if asked is None else WallClock(1 / asked), hz)
-    screen, title = Show(), f"{about['robot']}  {about['policy']}  {about['backend']}"
+    """Run from the first tick to the summary; return the exit code."""
+    recorder, heat_file = files
+    console, title = ConsoleProcess(), f"{about['robot']}  {about['policy']}  {about['backend']}"
 
-    def show(shift: Shift) -> None:
-        picture = snapshot(
-            runtime,
-            pace,
-            title=title,
-            reason=shift.reason,
-            left=shift.left,
-            hz=asked,
-            stops=list(shift.tally.last),
-            notes=[lost for lost in (recorder.lost, heat_file.lost) if lost],
-        )
-        screen.offer(picture)
+    def show(run: RobotRun) -> None:
+        notes = [lost for lost in (recorder.lost, heat_file.lost) if lost]
+        console.offer(snapshot(run, title=title, notes=notes))
 
-    shift = Shift(runtime, pace, recorder, duration=duration, watchers=[Every(SHOW_S, show), *watchers])
-    # What was made for good is not looked at again in the middle of a tick.
+    watchers: list[Watcher] = [RateLimited(CONSOLE_S, show), RateLimited(HEAT_S, heat_file.offer), *viewers]
+    robot_run = RobotRun(runtime, timing, recorder, duration=duration, watchers=watchers)
+    # Objects made so far stay: the garbage collector shall not visit them in the middle of a tick.
     gc.collect()
     gc.freeze()
     try:
-        ending = shift.live()
+        ending = robot_run.run()
     finally:
         gc.unfreeze()
         if runtime.ticks:
-            show(shift)
+            show(robot_run)
         recorder.close()
         heat_file.close()
-        screen.close()
-        report(shift, about, recorder.path.parent / "summary.json", lost=heat_file.lost)
+        console.close()
+        report(robot_run, about, recorder.path.parent / "summary.json", lost=heat_file.lost)
     return EXIT.get(ending, BUDGET_EXCEEDED)
 
 
 def cli() -> None:
-    """The command line."""
+    """Run `deploy-run`."""
     main(run)
 
 

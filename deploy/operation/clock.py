@@ -1,4 +1,4 @@
-"""What paces the ticks: the wall's time on an absolute grid, or none."""
+"""Clocks that set the rate of ticks: wall time on an absolute grid, or none."""
 
 import time
 from collections.abc import Callable
@@ -6,12 +6,18 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Paces ticks and counts the slots that were missed."""
+    """Grid of slots, one for each tick; counts the slots that were missed.
+
+    Attributes:
+        skipped: slots that passed unused.
+        hz: slots in a second of wall time; None: as fast as possible.
+    """
 
     skipped: int
+    hz: float | None
 
     def wait(self) -> float:
-        """Block until the next slot of the grid; return how late it was met, in s."""
+        """Block until the next slot; return the lateness, s."""
         ...
 
 
@@ -19,6 +25,7 @@ class Unpaced:
     """As fast as possible: never waits, is never late."""
 
     skipped = 0
+    hz: float | None = None
 
     def wait(self) -> float:
         """Return at once."""
@@ -26,7 +33,7 @@ class Unpaced:
 
 
 class WallClock:
-    """Slots at t0 + k · period. A slot that passed unused is skipped and counted, never made up for."""
+    """Slots at t0 + k · period. A slot that passes unused is skipped and counted, never made up for."""
 
     def __init__(
         self,
@@ -43,11 +50,12 @@ class WallClock:
             sleep: blocks for s.
         """
         self.period, self.skipped = period, 0
+        self.hz: float | None = 1 / period
         self._now, self._sleep = now, sleep
         self._next: float | None = None
 
     def wait(self) -> float:
-        """Block until the next slot; return how late it was met, in s."""
+        """Block until the next slot; return the lateness, s."""
         if self._next is None:
             self._next = self._now()
         ahead = self._next - self._now()

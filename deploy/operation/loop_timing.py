@@ -1,4 +1,4 @@
-"""How well the ticks keep to their grid."""
+"""Loop timing: rate, lateness and skipped slots of the ticks, and calls limited to a rate."""
 
 import time
 from collections import deque
@@ -13,7 +13,7 @@ from deploy.operation.clock import Clock
 OVERRUN_SHARE = 0.1
 """Share of the slots of the last second that may be skipped before the robot is stopped."""
 BINS = 20_000
-"""Lateness is counted in bins of 1 µs; what is later than all of them counts in the last."""
+"""Bins of the histogram of lateness, 1 µs each; the last one counts everything later."""
 WINDOW_S = 1.0
 
 T = TypeVar("T")
@@ -21,53 +21,53 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lateness:
-    """How late slots were met, µs."""
+    """Percentiles of the lateness of ticks, µs."""
 
     p50_us: float
     p99_us: float
     max_us: float
 
 
-class Every(Generic[T]):
-    """Calls something at most once in a while of wall time."""
+class RateLimited(Generic[T]):
+    """Call that goes through at most once per period of wall time."""
 
     def __init__(
         self, period: float, call: Callable[[T], None], *, now: Callable[[], float] = time.monotonic
     ) -> None:
-        """The first call goes through.
+        """Let the first call through.
 
         Args:
             period: s.
-            call: what is called.
+            call: the function to call.
             now: s, a monotonic clock.
         """
         self._period, self._call, self._now, self._next = period, call, now, -np.inf
 
-    def __call__(self, what: T) -> None:
-        """Pass it on if it is time."""
+    def __call__(self, argument: T) -> None:
+        """Pass the argument on if a period has passed since the last call that went through."""
         if (now := self._now()) >= self._next:
             self._next = now + self._period
-            self._call(what)
+            self._call(argument)
 
 
-class Pace:
-    """A clock that is watched: rate, lateness, skipped slots. Its memory does not grow with time."""
+class LoopTiming:
+    """Statistics of a clock: rate, lateness, skipped slots. Memory does not grow with time."""
 
     def __init__(self, clock: Clock, hz: int, *, now: Callable[[], float] = time.monotonic) -> None:
-        """Nothing is counted before the first `wait`.
+        """Count from the first `wait` on.
 
         Args:
-            clock: what paces.
+            clock: sets the rate.
             hz: slots in a second of robot time.
             now: s, a monotonic clock.
         """
         self.ticks, self.late_max = 0, 0.0
         self._clock, self._hz, self._now = clock, hz, now
-        self._budget = round(OVERRUN_SHARE * hz)
-        self._late = np.zeros(BINS, dtype=np.int64)
+        self._skipped_max = round(OVERRUN_SHARE * hz)
+        self._histogram = np.zeros(BINS, dtype=np.int64)
         self._missed: deque[tuple[int, int]] = deque()
         self._marks: deque[tuple[float, int]] = deque()
-        self._begun = 0.0
+        self._begin = 0.0
 
     @property
     def skipped(self) -> int:
@@ -75,19 +75,24 @@ class Pace:
         return self._clock.skipped
 
     @property
+    def hz(self) -> float | None:
+        """Requested tick rate in wall time, Hz; None: as fast as possible."""
+        return self._clock.hz
+
+    @property
     def overrun(self) -> bool:
-        """Whether too many slots of the last second were skipped."""
-        return sum(missed for _, missed in self._missed) > self._budget
+        """True when more than `OVERRUN_SHARE` of the slots of the last second were skipped."""
+        return sum(missed for _, missed in self._missed) > self._skipped_max
 
     def wait(self) -> None:
         """Block until the next slot."""
         before = self._clock.skipped
         late = self._clock.wait()
         if self.ticks == 0:
-            self._begun = self._now()
+            self._begin = self._now()
         self.ticks += 1
         self.late_max = max(self.late_max, late)
-        self._late[min(max(int(late * 1e6), 0), BINS - 1)] += 1
+        self._histogram[min(max(int(late * 1e6), 0), BINS - 1)] += 1
         slot = self.ticks + self._clock.skipped
         if missed := self._clock.skipped - before:
             self._missed.append((slot, missed))
@@ -96,22 +101,22 @@ class Pace:
 
     @property
     def lateness(self) -> Lateness:
-        """Over the whole run."""
-        p50, p99 = np.searchsorted(np.cumsum(self._late), np.array([0.5, 0.99]) * self.ticks)
+        """Lateness over the whole run."""
+        p50, p99 = np.searchsorted(np.cumsum(self._histogram), np.array([0.5, 0.99]) * self.ticks)
         return Lateness(p50_us=float(p50), p99_us=float(p99), max_us=self.late_max * 1e6)
 
     @property
     def elapsed(self) -> float:
         """Wall time since the first tick, s."""
-        return self._now() - self._begun if self.ticks else 0.0
+        return self._now() - self._begin if self.ticks else 0.0
 
     @property
     def rate(self) -> float:
-        """Hz, over the whole run."""
+        """Tick rate over the whole run, Hz."""
         return (self.ticks - 1) / elapsed if (elapsed := self.elapsed) > 0 else 0.0
 
     def recent_rate(self) -> float:
-        """Hz, over about the last second before this call."""
+        """Tick rate over about the last second before this call, Hz."""
         now = self._now()
         while len(self._marks) > 1 and self._marks[0][0] < now - WINDOW_S:
             self._marks.popleft()

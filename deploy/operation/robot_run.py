@@ -1,35 +1,27 @@
-"""One robot's shift: armed, at work, brought to rest. The one place that catches everything and stops the robot."""
+"""One robot's run from arming to rest. The only place that catches everything and stops the robot."""
 
-import signal
-import time
-from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from enum import Enum
-from types import FrameType
 
 import numpy as np
 
-from deploy.operation.loop_timing import Pace
-from deploy.operation.signals import handled
+from deploy.operation.interrupts import Interrupts, handled
+from deploy.operation.loop_timing import LoopTiming
+from deploy.operation.run_statistics import RunStatistics
 from deploy.runtime import Runtime
-from deploy.safety.diagnostics import Stops, Why, blame
+from deploy.safety.diagnostics import Why, blame
 from deploy.safety.supervisor import CATEGORY_1
 from deploy.state import Reason
 from deploy.telemetry.recorder import Recorder
-from robots.arrays import Floats
 
 ARM_WITHIN_S = 1.0
-"""Robot time in which the checks before arming must all have passed."""
+"""Robot time within which all checks before arming must pass."""
 STOP_SLACK_S = 4.0
-"""Robot time in which a controlled stop must have ended, beyond what the longest one takes."""
-ECHO_S = 0.5
-"""Wall time after a signal in which another is no new wish, unless it is a Ctrl-C."""
-STOPS_SHOWN = 4
+"""Robot time that a controlled stop may take beyond the longest planned one."""
 
 
 class Ending(Enum):
-    """How a shift ended."""
+    """Result of a run."""
 
     DONE = "done"
     INTERRUPTED = "interrupted"
@@ -38,101 +30,51 @@ class Ending(Enum):
     FAILED = "failed"
 
 
-class Interrupts:
-    """Ctrl-C, termination, a lost terminal, counted: the first waits for the tick, one that follows cuts through.
-
-    A terminal that closes may say so twice in the same millisecond: that counts as one.
-    """
-
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        """Nothing is asked yet.
-
-        Args:
-            now: s, a monotonic clock.
-        """
-        self.count, self._now, self._first, self._cut = 0, now, np.inf, False
-
-    def __call__(self, which: int, _frame: FrameType | None) -> None:
-        """Handle a signal."""
-        self.count += 1
-        self._first = min(self._first, self._now())
-        meant = self.count > 1 and (which == signal.SIGINT or self._now() > self._first + ECHO_S)
-        if meant and not self._cut:
-            self._cut = True
-            raise KeyboardInterrupt
-
-
-@dataclass(slots=True, kw_only=True)
-class Tally:
-    """What the summary counts.
+class RobotRun:
+    """Ticks robot 0 of a runtime from arming to rest.
 
     Attributes:
-        stops: stops by reason. last: the newest of them in words, with their time.
-        housing_max_c, winding_max_c: °C, the hottest motor of all ticks, as believed; None before the first.
+        ending: None until the run has ended.
+        interrupts: signals received. statistics: for the summary.
     """
-
-    stops: Counter[str] = field(default_factory=Counter)
-    last: deque[str] = field(default_factory=lambda: deque(maxlen=STOPS_SHOWN))
-    housing_max_c: float | None = None
-    winding_max_c: float | None = None
-    _stops: Stops = field(default_factory=Stops)
-
-    def step(self, runtime: Runtime, why: str) -> None:
-        """Count the tick that has just ended, and why the robot does not run, in words."""
-        self.housing_max_c = _hotter(self.housing_max_c, runtime.state.temperature)
-        self.winding_max_c = _hotter(self.winding_max_c, runtime.state.winding)
-        if 0 in self._stops.begun(runtime):
-            reason = int(runtime.supervisor.reason[0])
-            self.stops.update(bit.name.lower() for bit in Reason(reason) if bit.name)
-            self.last.append(f"{runtime.t:.2f} s: {why}")
-
-
-def _hotter(so_far: float | None, now: Floats) -> float | None:
-    hottest = float(now.max())
-    if not np.isfinite(hottest):  # nobody knows yet
-        return so_far
-    return hottest if so_far is None else max(so_far, hottest)
-
-
-class Shift:
-    """Ticks robot 0 of a runtime from arming to rest."""
 
     def __init__(
         self,
         runtime: Runtime,
-        pace: Pace,
+        timing: LoopTiming,
         recorder: Recorder,
         *,
         duration: float,
-        watchers: Sequence[Callable[["Shift"], None]] = (),
+        watchers: "Sequence[Watcher]" = (),
     ) -> None:
-        """Nothing moves before `live`.
+        """Prepare a run; nothing moves before `run`.
 
         Args:
             runtime: disarmed.
-            pace: of its ticks.
+            timing: of its ticks.
             recorder: fed after each tick.
             duration: s of robot time from arming to the stop; may be infinite.
             watchers: called after each tick, when all of its work is done.
         """
-        self.runtime, self.pace, self.recorder, self.tally = runtime, pace, recorder, Tally()
+        self.runtime, self.timing, self.recorder = runtime, timing, recorder
+        self.statistics, self.interrupts = RunStatistics(), Interrupts()
         self.ending: Ending | None = None
-        self.interrupts, self._why = Interrupts(), Why()
+        self._stop_reasons, self._refused = Why(), 0
         self._all = np.ones(runtime.robot.robots, dtype=bool)
         self._duration, self._t_end, self._t_rest = duration, np.inf, np.inf
-        self._watchers, self._refused, self._stop_s = watchers, 0, runtime.spec.stop_s + STOP_SLACK_S
+        self._watchers, self._stop_s = watchers, runtime.spec.stop_s + STOP_SLACK_S
 
     @property
-    def left(self) -> float | None:
+    def time_left(self) -> float | None:
         """Robot time until the stop at the end, s; None if there is no end."""
         return max(0.0, self._t_end - self.runtime.t) if np.isfinite(self._t_end) else None
 
     @property
     def reason(self) -> str:
-        """Why the robot does not run, in words."""
-        return blame(self.runtime, self._refused) if self._refused else str(self._why)
+        """Reason in words why the robot does not run; empty while it runs."""
+        return blame(self.runtime, self._refused) if self._refused else str(self._stop_reasons)
 
-    def live(self) -> Ending:
+    def run(self) -> Ending:
         """Arm, work, and come to rest, whatever happens."""
         with handled(self.interrupts):
             try:
@@ -143,11 +85,11 @@ class Shift:
                 self.ending = Ending.FAILED
                 self.recorder.event()
                 raise
-        self.ending = self._ending()
+        self.ending = self._final_ending()
         return self.ending
 
-    def _ending(self) -> Ending:
-        """What was asked for, unless the robot had a reason of its own to latch."""
+    def _final_ending(self) -> Ending:
+        """Return the ending that was asked for, unless the robot latched for a reason of its own."""
         own = int(self.runtime.supervisor.reason[0]) & CATEGORY_1 & ~Reason.OPERATOR
         if self.ending is None or (own and self.ending is Ending.DONE):
             return Ending.STOPPED
@@ -171,21 +113,21 @@ class Shift:
 
     def _work(self) -> None:
         while self.runtime.supervisor.powered.any():
-            self._decide()
+            self._stop_if_due()
             self._tick()
             if self.runtime.t > self._t_rest:
                 raise RuntimeError(f"no rest within {self._stop_s:.1f} s of asking for a stop")
 
-    def _decide(self) -> None:
-        """Ask for a controlled stop when it is time for one."""
+    def _stop_if_due(self) -> None:
+        """Ask for a controlled stop after an interrupt, at the end of the duration, or after an overrun."""
         if self.interrupts.count and self.ending is not Ending.INTERRUPTED:
-            self._end(Ending.INTERRUPTED, Reason.OPERATOR)
+            self._stop(Ending.INTERRUPTED, Reason.OPERATOR)
         elif self.ending is None and self.runtime.t >= self._t_end:
-            self._end(Ending.DONE, Reason.OPERATOR)
-        elif self.ending is None and self.pace.overrun:
-            self._end(Ending.STOPPED, Reason.OVERRUN)
+            self._stop(Ending.DONE, Reason.OPERATOR)
+        elif self.ending is None and self.timing.overrun:
+            self._stop(Ending.STOPPED, Reason.OVERRUN)
 
-    def _end(self, ending: Ending, reason: Reason) -> None:
+    def _stop(self, ending: Ending, reason: Reason) -> None:
         self.ending = ending
         self._t_rest = min(self._t_rest, self.runtime.t + self._stop_s)
         self.runtime.stop(reason)
@@ -193,11 +135,15 @@ class Shift:
             self.recorder.event()
 
     def _tick(self) -> None:
-        self.pace.wait()
+        self.timing.wait()
         self.runtime.tick()
-        self._why.step(self.runtime)
-        why = str(self._why)
-        self.recorder.step(self.runtime, why)
-        self.tally.step(self.runtime, why)
+        self._stop_reasons.step(self.runtime)
+        reason = str(self._stop_reasons)
+        self.recorder.step(self.runtime, reason)
+        self.statistics.step(self.runtime, reason)
         for watch in self._watchers:
             watch(self)
+
+
+Watcher = Callable[[RobotRun], None]
+"""Called after each tick of a run."""

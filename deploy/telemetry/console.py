@@ -1,4 +1,4 @@
-"""The runtime's end of the picture that `deploy.telemetry.console_display` draws in another process."""
+"""Console of a running robot: snapshots are sent to a process that draws them, `console_display`."""
 
 import json
 import os
@@ -6,51 +6,53 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from deploy.operation.loop_timing import Pace
 from deploy.runtime import Runtime
 from deploy.state import Mode
+
+if TYPE_CHECKING:
+    from deploy.operation.robot_run import RobotRun
 
 WAIT_S = 5.0
 
 
-class Screen:
-    """Takes snapshots and never waits: what the other side is too slow for is left out."""
+class SnapshotPipe:
+    """Writing end of a pipe that takes snapshots and never blocks: those that find it full are dropped."""
 
     def __init__(self, pipe: int) -> None:
-        """Send to a pipe's writing end."""
+        """Write to the file descriptor of a pipe."""
         os.set_blocking(pipe, False)
         self._pipe: int | None = pipe
-        self._rest = b""
+        self._unsent = b""
 
     def offer(self, snapshot: dict[str, Any]) -> None:
-        """Send a snapshot, or the rest of the one before, which the pipe took half."""
+        """Send a snapshot, or the rest of an earlier one that was sent in part."""
         if self._pipe is None:
             return
-        data = self._rest or json.dumps(snapshot).encode() + b"\n"
+        data = self._unsent or json.dumps(snapshot).encode() + b"\n"
         try:
-            self._rest = data[os.write(self._pipe, data) :]
+            self._unsent = data[os.write(self._pipe, data) :]
         except BlockingIOError:
             pass
-        except OSError:  # nobody is looking any more
-            self._hang_up()
+        except OSError:  # the reader has gone
+            self._close()
 
     def close(self) -> None:
-        """No more snapshots."""
-        self._hang_up()
+        """End the stream of snapshots."""
+        self._close()
 
-    def _hang_up(self) -> None:
+    def _close(self) -> None:
         if self._pipe is not None:
             os.close(self._pipe)
         self._pipe = None
 
 
-class Show(Screen):
-    """A screen with somebody behind it: `deploy.telemetry.console_display` on this process's standard output."""
+class ConsoleProcess(SnapshotPipe):
+    """Snapshots drawn by `console_display`, a process of its own, on this process's standard output."""
 
     def __init__(self) -> None:
-        """Start the other process, out of reach of this terminal's Ctrl-C."""
+        """Start the process in its own group, so that Ctrl-C does not reach it."""
         reading, writing = os.pipe()
         command = [sys.executable, "-P", str(Path(__file__).with_name("console_display.py"))]
         self._process = subprocess.Popen(command, stdin=reading, process_group=0)
@@ -58,7 +60,7 @@ class Show(Screen):
         super().__init__(writing)
 
     def close(self) -> None:
-        """Let it draw the last picture."""
+        """Wait until the last snapshot is drawn, but not forever."""
         super().close()
         try:
             self._process.wait(WAIT_S)
@@ -67,43 +69,30 @@ class Show(Screen):
             self._process.wait()
 
 
-def snapshot(
-    runtime: Runtime,
-    pace: Pace,
-    *,
-    title: str,
-    reason: str,
-    left: float | None,
-    hz: float | None,
-    stops: Sequence[str],
-    notes: Sequence[str],
-) -> dict[str, Any]:
-    """Robot 0 now, as plain data.
+def snapshot(run: "RobotRun", *, title: str, notes: Sequence[str]) -> dict[str, Any]:
+    """Return the present state of robot 0 as plain data.
 
     Args:
-        runtime: after a tick.
-        pace: of its ticks.
-        title: which run this is. reason: why the robot does not run, in words.
-        left: s of robot time until the end, None if there is none.
-        hz: the rate asked for, None if it is as fast as possible.
-        stops: the last ones, in words.
-        notes: what else the operator should know.
+        run: after a tick.
+        title: robot, policy and backend.
+        notes: further news for the operator.
     """
-    late = pace.lateness
+    runtime, timing = run.runtime, run.timing
+    late = timing.lateness
     return {
         "title": title,
         "t": runtime.t,
-        "elapsed": pace.elapsed,
-        "left": left,
+        "elapsed": timing.elapsed,
+        "left": run.time_left,
         "mode": Mode(int(runtime.supervisor.mode[0])).name,
-        "reason": reason,
-        "rate": pace.recent_rate(),
-        "hz": hz,
-        "late_us": None if hz is None else (late.p50_us, late.p99_us, late.max_us),
-        "skipped": pace.skipped,
+        "reason": run.reason,
+        "rate": timing.recent_rate(),
+        "hz": timing.hz,
+        "late_us": None if timing.hz is None else (late.p50_us, late.p99_us, late.max_us),
+        "skipped": timing.skipped,
         "reached": int(runtime.task.reached[0]),
         "attempted": int(runtime.task.attempted[0]),
-        "stops": list(stops),
+        "stops": list(run.statistics.last_stops),
         "notes": list(notes),
         "joints": _joints(runtime),
     }

@@ -1,7 +1,7 @@
-"""What the operator sees: snapshots of a run, one JSON line each on standard input, drawn as they come.
+"""Display of the console: draws snapshots, read as JSON lines from standard input.
 
 Runs as a process of its own, started by `deploy.telemetry.console`: drawing a table takes longer than a tick, and a
-terminal that is stopped or slow must not stop a robot. Imports nothing of this project.
+stopped or slow terminal must not stop a robot. Imports nothing from this project.
 """
 
 import json
@@ -21,26 +21,28 @@ COLUMNS = ("joint", "q rad", "qd rad/s", "error mrad", "torque N·m", "housing �
 
 
 def table(s: Snapshot) -> RenderableType:
-    """The whole picture of one snapshot."""
-    head = Table.grid(padding=(0, 2))
-    for name, text in _head(s):
-        head.add_row(Text(name, style="dim"), text)
+    """Lay out one snapshot as a table of joints with a list of facts below."""
+    facts = Table.grid(padding=(0, 2))
+    for name, text in _facts(s):
+        facts.add_row(Text(name, style="dim"), text)
     joints = Table(title=s["title"], title_justify="left")
     for column in COLUMNS:
         joints.add_column(column, justify="left" if column == "joint" else "right")
     for name, q, qd, error, tau, *heat in s["joints"]:
         numbers = (f"{q:+.3f}", f"{qd:+.3f}", f"{error * 1e3:+.1f}", f"{tau:+.1f}")
         joints.add_row(name, *numbers, _heat(*heat[:3]), _heat(*heat[3:]))
-    return Group(joints, head)
+    return Group(joints, facts)
 
 
-def _head(s: Snapshot) -> Iterable[tuple[str, Text]]:
+def _facts(s: Snapshot) -> Iterable[tuple[str, Text]]:
+    left = "" if s["left"] is None else f", {s['left']:.1f} s left"
+    requested = "any" if s["hz"] is None else f"{s['hz']:.0f}"
     yield "mode", Text(f"{s['mode']} {s['reason']}".strip(), style=COLOURS.get(s["mode"], ""))
-    yield "time", Text(f"{s['t']:.1f} s{_left(s)}")
-    yield "rate", Text(f"{s['rate']:.0f} Hz of {_asked(s)}, {s['skipped']} slots skipped")
+    yield "time", Text(f"{s['t']:.1f} s{left}")
+    yield "rate", Text(f"{s['rate']:.0f} Hz of {requested}, {s['skipped']} slots skipped")
     if s["late_us"] is not None:
         p50, p99, worst = s["late_us"]
-        yield "late", Text(f"p50 {p50:.0f} µs, p99 {p99:.0f} µs, max {worst:.0f} µs")
+        yield "lateness", Text(f"p50 {p50:.0f} µs, p99 {p99:.0f} µs, max {worst:.0f} µs")
     yield "goals", Text(f"{s['reached']} of {s['attempted']} reached")
     yield "stops", Text("\n".join(s["stops"]) or "none")
     for note in s["notes"]:
@@ -52,16 +54,8 @@ def _heat(celsius: float, soft: float, limit: float) -> Text:
     return Text(f"{celsius:.0f} of {limit:.0f}", style=style)
 
 
-def _left(s: Snapshot) -> str:
-    return "" if s["left"] is None else f", {s['left']:.1f} s left"
-
-
-def _asked(s: Snapshot) -> str:
-    return "any" if s["hz"] is None else f"{s['hz']:.0f}"
-
-
 def line(s: Snapshot) -> str:
-    """One snapshot where there is no terminal to draw on."""
+    """Format one snapshot as a line, for an output that is no terminal."""
     hottest = max(joint[5] for joint in s["joints"])
     parts = [f"{s['t']:.1f} s", s["mode"], f"{s['rate']:.0f} Hz", f"{s['skipped']} skipped"]
     parts += [f"goals {s['reached']}/{s['attempted']}", f"{hottest:.0f} °C"]
@@ -69,42 +63,32 @@ def line(s: Snapshot) -> str:
 
 
 def follow(lines: Iterable[str], console: Console) -> None:
-    """Draw snapshots until there are no more."""
+    """Draw snapshots until the input ends."""
     with ExitStack() as stack:
-        draw: Callable[[Snapshot], None] = _Lines(console)
+        draw: Callable[[Snapshot], None] = _LinePrinter(console)
         if console.is_terminal:
-            draw = _Table(stack.enter_context(Live(console=console, auto_refresh=False)))
+            live = stack.enter_context(Live(console=console, auto_refresh=False))
+            draw = lambda s: live.update(table(s), refresh=True)  # noqa: E731
         for text in lines:
-            if text.endswith("\n"):  # the last one may have been cut
+            if text.endswith("\n"):  # the last line may have been cut
                 draw(json.loads(text))
 
 
-class _Table:
-    """The table, redrawn in place."""
-
-    def __init__(self, live: Live) -> None:
-        self._live = live
-
-    def __call__(self, s: Snapshot) -> None:
-        """Draw it."""
-        self._live.update(table(s), refresh=True)
-
-
-class _Lines:
-    """A line for every second of wall time, and one for everything new."""
+class _LinePrinter:
+    """One line per second of wall time, and one for each change of mode or notes."""
 
     def __init__(self, console: Console) -> None:
         self._console, self._second = console, -1
-        self._said: tuple[object, ...] = ()
+        self._printed: tuple[object, ...] = ()
 
     def __call__(self, s: Snapshot) -> None:
-        """Print it or not."""
+        """Print the snapshot if it is due."""
         news = (s["mode"], s["notes"])
-        if int(s["elapsed"]) != self._second or news != self._said:
+        if int(s["elapsed"]) != self._second or news != self._printed:
             self._console.print(line(s), soft_wrap=True, highlight=False, markup=False)
-            for note in s["notes"] if news != self._said else ():
+            for note in s["notes"] if news != self._printed else ():
                 self._console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
-        self._second, self._said = int(s["elapsed"]), news
+        self._second, self._printed = int(s["elapsed"]), news
 
 
 if __name__ == "__main__":

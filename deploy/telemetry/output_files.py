@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Output files that are written whole or not at all."""
 
 import os
 import secrets
@@ -11,14 +11,14 @@ from robots.errors import OutputError
 
 @contextmanager
 def replacing(path: Path, option: str = "--out") -> Iterator[Path]:
-    """An empty file beside `path`, to be filled; it takes the place of `path` when the block ends well.
+    """Yield an empty file beside `path`, to be filled; it replaces `path` if the block ends without an error.
 
     Args:
         path: of the file.
         option: that `path` was given as, for the error.
 
     Raises:
-        OutputError: the place cannot be written. What stood there stands there still.
+        OutputError: the place cannot be written. An earlier file there is left as it was.
     """
     partial = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
     try:
@@ -37,7 +37,7 @@ def replacing(path: Path, option: str = "--out") -> Iterator[Path]:
 
 def _check_replaceable(path: Path, option: str) -> None:
     if path.exists() and not path.is_file():
-        raise OutputError(f"{option} {path}: found something that is no file, expected a file or nothing")
+        raise OutputError(f"{option} {path}: found a folder or a device, expected a file or nothing")
     if path.exists() and not os.access(path, os.W_OK):
         raise OutputError(
             f"{option} {path}: found a write-protected file, expected a writable one or nothing"

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.clock import WallClock
-from deploy.operation.loop_timing import Every
+from deploy.operation.loop_timing import RateLimited
 from deploy.telemetry.output_files import replacing
 from eval.replay.capture_window import write_mcap
 from eval.replay.event_table import table
@@ -77,7 +77,7 @@ def _viewer(replay: Replay) -> Callable[[], None]:
     """Shows the robot in its own time."""
     from deploy.backends.sim.view import View
 
-    clock, window = WallClock(replay.spec.dt), Every(VIEW_S, View(replay.shard.robot, replay.row).step)
+    clock, window = WallClock(replay.spec.dt), RateLimited(VIEW_S, View(replay.shard.robot, replay.row).step)
 
     def step() -> None:
         clock.wait()

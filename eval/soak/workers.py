@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from deploy.operation.signals import handled
+from deploy.operation.interrupts import handled
 from eval.replay.event_capture import EVENTS, Witness
 from eval.soak.checkpoint import Checkpoint, make
 from eval.soak.configuration import Soak
