@@ -10,7 +10,8 @@ from mcap.reader import make_reader
 
 from deploy.safety.supervisor import words
 from deploy.state import Mode, Reason
-from deploy.telemetry.recorder import AFTER_S, EVENTS_MAX, RING_S, Recorder, Ring, check_folder
+from deploy.telemetry.recorder import AFTER_S, EVENTS_MAX, Recorder, check_folder
+from deploy.telemetry.ring import RING_S, Ring
 from robots.errors import OutputError
 from robots.spec import load_robot
 

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from deploy.runtime import Runtime
 from deploy.stage import Arrays
-from deploy.telemetry.recorder import Ring
-from deploy.telemetry.recording import Recording, row_type
+from deploy.telemetry.recording import Recording
+from deploy.telemetry.ring import Ring, Rows
+from deploy.telemetry.signals import row_type
 from eval.judge.truth import Truth
 from robots.errors import OutputError
 from robots.spec import RobotSpec
-
-Rows = NDArray[np.void]
 
 TRUE = ("q_true", "qd_true", "tau_true", "winding_true_c")
 FLAGS = ("powered", "self_collision", "valid")
@@ -63,7 +62,7 @@ class Window(Ring):
         true = truth.q, truth.qd, truth.tau, truth.winding_c, truth.tool_position, truth.tool_velocity
         flags = runtime.command.powered, truth.self_collision, truth.valid
         base = () if truth.base is None else (truth.base.position, truth.base.quat_wxyz)
-        self._keep(runtime, (*true, *(flag[:, None] for flag in flags), *base))
+        self.step(runtime, (*true, *(flag[:, None] for flag in flags), *base))
 
     def between(self, begin: int, end: int, robot: int) -> Rows:
         """(T,) what is kept of a robot from tick `begin` on, before tick `end`."""
@@ -104,22 +103,22 @@ class _Recording(Recording):
 
     def __init__(self, path: Path, spec: RobotSpec, **how: Any) -> None:
         super().__init__(path, spec, **how)
-        self._true = JointStatesChannel("/true", context=self._context)
-        self._true_state = Channel("/true_state", schema=TRUE_SCHEMA, context=self._context)
-        self._tf = FrameTransformChannel("/tf", context=self._context)
+        self._true = JointStatesChannel("/true", context=self.context)
+        self._true_state = Channel("/true_state", schema=TRUE_SCHEMA, context=self.context)
+        self._tf = FrameTransformChannel("/tf", context=self.context)
 
     def write(self, row: Any) -> None:
         """Record one tick, of `window_type`."""
         super().write(row)
-        ns, stamp = self._time(int(row["tick"]))
+        ns, stamp = self.time(int(row["tick"]))
         self._true.log(
-            self._joints(stamp, q=row["q_true"], qd=row["qd_true"], tau=row["tau_true"]), log_time=ns
+            self.joint_states(stamp, q=row["q_true"], qd=row["qd_true"], tau=row["tau_true"]), log_time=ns
         )
         flags = {name: bool(row[name]) for name in FLAGS}
         vectors = {name: _known(row[name]) for name in ("tool_true", "tool_velocity_true", "winding_true_c")}
         named = {name.replace("_true", ""): value for name, value in vectors.items()}
         self._true_state.log(flags | named, log_time=ns)
-        if self._spec.base:
+        if self.spec.base:
             self._tf.log(_transform(stamp, row["base_true"].tolist()), log_time=ns)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from deploy.safety.supervisor import words
 from deploy.state import Mode
-from eval.replay.capture_window import Rows
+from deploy.telemetry.ring import Rows
 from eval.replay.replayer import Again, Replay
 
 BEFORE, AFTER = 5, 10

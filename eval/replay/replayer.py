@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from deploy.safety.diagnostics import Stops, blame
 from deploy.stage import Arrays
+from deploy.telemetry.ring import Rows
 from eval.faults.schedule import hours_max
 from eval.judge.counts import JOINT_MONITORS, Counts
 from eval.replay import bundle
 from eval.replay.bundle import About, Happened
-from eval.replay.capture_window import Rows, Window, columns, from_columns, window_type
+from eval.replay.capture_window import Window, columns, from_columns, window_type
 from eval.replay.event_capture import LOOKS, chosen
 from eval.soak.shard import LOOK_S, WIDTH, Shard, ShardJob, judge_of, judge_tick
 from robots.arrays import Floats

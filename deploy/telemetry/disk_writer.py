@@ -1,0 +1,74 @@
+"""File written by a thread of its own, so that no disk can delay a tick."""
+
+import errno
+import os
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Event, Thread
+
+BACKLOG = 256
+"""Chunks that may wait for the disk before it counts as failed."""
+WAIT_S = 5.0
+
+
+class DiskWriter:
+    """Binary file whose `write` never blocks; after the first error nothing more is written.
+
+    Attributes:
+        error: the first error of the disk, or None.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open the file, in the thread."""
+        self.error: OSError | None = None
+        self._position = 0
+        self._queue: SimpleQueue[bytes | Event | None] = SimpleQueue()
+        self._thread = Thread(target=self._work, args=(path,), daemon=True)
+        self._thread.start()
+
+    def write(self, data: bytes | bytearray) -> int:
+        """Queue a chunk."""
+        if self._queue.qsize() > BACKLOG:
+            self.error = self.error or OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+        if self.error is None:
+            self._queue.put(bytes(data))
+        self._position += len(data)
+        return len(data)
+
+    def seek(self, _offset: int, _whence: int = 0) -> int:
+        """Return the position: the MCAP writer asks for nothing else."""
+        return self._position
+
+    def flush(self) -> None:
+        """Do nothing: the thread flushes after each chunk."""
+
+    def settle(self) -> None:
+        """Wait until all chunks so far are written or have failed."""
+        reached = Event()
+        self._queue.put(reached)
+        reached.wait()
+
+    def end(self) -> None:
+        """Close the file after the chunks so far, without waiting."""
+        self._queue.put(None)
+
+    def wait(self) -> None:
+        """Wait until the file is closed, at most `WAIT_S`."""
+        self._thread.join(WAIT_S)
+        if self._thread.is_alive():
+            self.error = self.error or OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+
+    def _work(self, path: Path) -> None:
+        try:
+            with path.open("wb") as file:
+                while (item := self._queue.get()) is not None:
+                    if isinstance(item, Event):
+                        item.set()
+                    else:
+                        file.write(item)
+                        file.flush()
+        except OSError as e:
+            self.error = e
+            while (item := self._queue.get()) is not None:
+                if isinstance(item, Event):
+                    item.set()

@@ -1,0 +1,101 @@
+"""Recorded signals: the columns of the ring buffer, of event files and of the topic /state, each declared once."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.runtime import Runtime
+from deploy.state import BaseState
+from robots.arrays import Floats
+from robots.capabilities import Capability
+from robots.spec import RobotSpec
+
+COUNTERS: dict[str, Callable[[Runtime], int | NDArray[np.integer]]] = {
+    "tick": lambda runtime: runtime.ticks - 1,
+    "mode": lambda runtime: runtime.supervisor.mode,
+    "reason": lambda runtime: runtime.supervisor.reason,
+    "reached": lambda runtime: runtime.task.reached,
+    "attempted": lambda runtime: runtime.task.attempted,
+}
+"""Integer columns, with their readers: one number for all robots, or (B,)."""
+
+
+def _base(runtime: Runtime) -> BaseState:
+    if runtime.state.base is None:
+        raise RuntimeError(f"{runtime.spec.name} has no floating base")
+    return runtime.state.base
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Signal:
+    """One recorded vector of floating-point numbers.
+
+    Attributes:
+        name: of the column, and in /state.
+        size: numbers of one robot; None: one for each joint, in the order of `spec.joint_names`.
+        read: (B, size) after a tick.
+        needs: capabilities of the robots that have it.
+        in_state: part of the topic /state; the others are in /measured and /setpoint.
+    """
+
+    name: str
+    size: int | None = None
+    read: Callable[[Runtime], Floats]
+    needs: frozenset[Capability] = frozenset()
+    in_state: bool = False
+
+
+SIGNALS = (
+    Signal(name="q", read=lambda runtime: runtime.state.q),
+    Signal(name="qd", read=lambda runtime: runtime.state.qd),
+    Signal(name="housing_c", read=lambda runtime: runtime.state.temperature, in_state=True),
+    Signal(name="winding_c", read=lambda runtime: runtime.state.winding, in_state=True),
+    Signal(name="q_target", read=lambda runtime: runtime.action.q, in_state=True),
+    Signal(name="q_sent", read=lambda runtime: runtime.setpoint.q),
+    Signal(name="qd_sent", read=lambda runtime: runtime.setpoint.qd),
+    Signal(name="qdd_sent", read=lambda runtime: runtime.setpoint.qdd),
+    Signal(name="tau_sent", read=lambda runtime: runtime.command.tau),
+    Signal(name="tool", size=3, read=lambda runtime: runtime.tool, in_state=True),
+    Signal(name="goal", size=3, read=lambda runtime: runtime.task.goal, in_state=True),
+    Signal(
+        name="orientation",  # of the base in the world, estimated, w first
+        size=4,
+        read=lambda runtime: _base(runtime).quat_wxyz,
+        needs=frozenset({"floating_base"}),
+        in_state=True,
+    ),
+)
+"""SI units, temperatures in °C. `tool` and `goal` of a robot with a floating base are its velocities: estimated, and
+commanded."""
+
+
+def recorded_signals(spec: RobotSpec) -> tuple[Signal, ...]:
+    """Return the signals that a robot with these capabilities has."""
+    return tuple(signal for signal in SIGNALS if signal.needs <= spec.capabilities)
+
+
+def row_type(spec: RobotSpec) -> np.dtype[np.void]:
+    """Return the type of one tick of one robot.
+
+    Counters come first; all numbers are 8 bytes wide, so that rows can be seen as plain arrays of either kind.
+    """
+    numbers = [(signal.name, np.float64, (signal.size or spec.n,)) for signal in recorded_signals(spec)]
+    return np.dtype([*((name, np.int64) for name in COUNTERS), *numbers])
+
+
+def state_schema() -> dict[str, Any]:
+    """Return the JSON schema of the topic /state."""
+    numbers = {"type": "array", "items": {"type": ["number", "null"]}}
+    texts, counts = (
+        dict.fromkeys(("mode", "reason"), "string"),
+        dict.fromkeys(("reached", "attempted"), "integer"),
+    )
+    return {
+        "title": "firstshift.State",
+        "type": "object",
+        "properties": {name: {"type": kind} for name, kind in (texts | counts).items()}
+        | {signal.name: numbers for signal in SIGNALS if signal.in_state},
+    }
