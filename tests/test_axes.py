@@ -10,7 +10,7 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
-from eval.judge.singularity import Axes
+from eval.judge.singularity import SingularityMetric
 from robots.models.mujoco_model import load_mujoco
 from robots.spec import load_robot
 
@@ -38,7 +38,7 @@ def test_it_is_the_determinant_of_the_jacobian_with_the_sign_of_home():
     q = np.vstack((HOME, poses(6, 200, 0)))
     expected = np.linalg.det(jacobians(SPEC, q))
     np.testing.assert_allclose(
-        Axes(SPEC).manipulability(q), expected * np.sign(expected[0]), rtol=0, atol=1e-14
+        SingularityMetric(SPEC).manipulability(q), expected * np.sign(expected[0]), rtol=0, atol=1e-14
     )
     assert (expected * expected[0] < 0).sum() > 20  # beyond a singularity
 
@@ -66,28 +66,30 @@ def test_of_other_numbers_of_joints_it_is_the_product_of_the_singular_values(n, 
     spec, q = with_joints(n, tmp_path), poses(n, 20, n)
     expected = np.prod(np.linalg.svd(jacobians(spec, q), compute_uv=False), axis=1)
     assert expected.max() > 0.01
-    np.testing.assert_allclose(Axes(spec).manipulability(q), expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(SingularityMetric(spec).manipulability(q), expected, rtol=0, atol=1e-9)
 
 
 def test_a_straight_wrist_or_elbow_is_a_singularity():
     wrist, elbow = HOME.copy(), HOME.copy()
     wrist[4], elbow[2] = 0.0, 0.0
-    np.testing.assert_allclose(Axes(SPEC).manipulability(np.stack((wrist, elbow))), 0.0, atol=1e-15)
+    np.testing.assert_allclose(
+        SingularityMetric(SPEC).manipulability(np.stack((wrist, elbow))), 0.0, atol=1e-15
+    )
 
 
 def test_home_says_which_side_is_home(tmp_path):
     ends = ("q_min = -2.6\nq_max = -0.5\nq_home = -1.5708", "q_min = 0.5\nq_max = 2.6\nq_home = 1.5708")
     turned = load_robot(copy_of_arm(tmp_path, toml=[ends]))
     q = np.stack((HOME, turned.joint_array("q_home")))
-    here, there = Axes(SPEC).manipulability(q)
+    here, there = SingularityMetric(SPEC).manipulability(q)
     assert here > 0.05
     np.testing.assert_allclose(there, -here, rtol=1e-12)
-    np.testing.assert_allclose(Axes(turned).manipulability(q), [-here, -there], rtol=1e-12)
+    np.testing.assert_allclose(SingularityMetric(turned).manipulability(q), [-here, -there], rtol=1e-12)
 
 
 @np.errstate(invalid="ignore")
 def test_neighbours_do_not_change_a_bit():
-    axes, q = Axes(SPEC), poses(6, 300, 1)
+    axes, q = SingularityMetric(SPEC), poses(6, 300, 1)
     q[::7] = np.nan
     whole = axes.manipulability(q)
     assert np.isnan(whole).tolist() == [row % 7 == 0 for row in range(300)]

@@ -11,7 +11,8 @@ pytest.importorskip("mujoco")
 
 from test_model_files import two_links
 
-from eval.judge.counts import MONITORS, NAMES, Event
+from eval.judge.counts import Event
+from eval.judge.monitors import MONITORS, NAMES
 from eval.replay import bundle
 from eval.replay.bundle import FILES, About, Happened, Job
 from eval.replay.event_capture import HARD_KEPT, SOFT_KEPT, chosen

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.special import ndtri
 
-from eval.judge.counts import MONITORS
 from eval.judge.judge import Judge
+from eval.judge.monitors import MONITORS
 from eval.statistics import compare as compared
 from eval.statistics.compare import paired_interval
 from eval.statistics.dispersion import draw_rate_interval, draw_rate_upper

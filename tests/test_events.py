@@ -7,8 +7,9 @@ import pytest
 from test_monitors import GAP, OBSERVED, SPEC, TORQUE_MAX, Bench, feed, random_series
 
 from eval.judge import events as event_log
-from eval.judge.counts import BINS, JOINT_MONITORS, Counts, merge
+from eval.judge.counts import BINS, Counts, merge
 from eval.judge.judge import Judge
+from eval.judge.monitors import MONITORS
 
 
 def flicker(bench, times):
@@ -65,7 +66,7 @@ def test_which_events_find_room_does_not_depend_on_who_asks(monkeypatch):
     again.restore(resumed.save())
     feed(again, series, range(50, ticks))
     wanted = list(left.counts().log())
-    assert len(wanted) > 5 * len(JOINT_MONITORS) / 2
+    assert len(wanted) > 5 * sum(monitor.per_joint for monitor in MONITORS) / 2
     assert list(asked.counts().log()) == wanted == list(again.counts().log())
 
 
@@ -73,8 +74,8 @@ def test_the_tail_is_numpys_quantile_rounded_up_to_its_bin():
     ticks, robots = 400, 3
     series = random_series(ticks, robots, seed=9)
     judge, loads = Judge(SPEC, TORQUE_MAX, robots, observed=OBSERVED), []
-    of = judge._loads.of
-    judge._loads.of = lambda seen: loads.append(of(seen)) or keep(loads)
+    evaluate = judge.ratios.evaluate
+    judge.ratios.evaluate = lambda window: loads.append(evaluate(window)) or keep(loads)
     feed(judge, series, range(ticks))
     counts = judge.counts()
     every = np.concatenate(loads, axis=1)

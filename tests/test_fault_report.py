@@ -9,7 +9,7 @@ from test_spec import SPEC
 
 from eval.faults.fault_response import Injections
 from eval.faults.faults import NOT_INJECTED, Answer, catalogue
-from eval.judge.counts import NAMES
+from eval.judge.monitors import NAMES
 from eval.report.build import build
 from eval.report.html import render
 from eval.report.junit import junit

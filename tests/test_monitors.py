@@ -10,9 +10,10 @@ pytest.importorskip("mujoco")
 
 from deploy.policy.contract import Observed
 from deploy.state import Command, Mode, Reason, State, Target
-from eval.judge.counts import JOINT_MONITORS, NAMES, REASONS, Counts, merge
-from eval.judge.judge import GOAL_S, REARM_S, Judge
+from eval.judge.counts import REASONS, Counts, merge
+from eval.judge.judge import EVENT_GAP_S, GOAL_S, Judge
 from eval.judge.limits import load_limits
+from eval.judge.monitors import MONITORS, NAMES
 from robots.errors import ConfigError
 from robots.models.fleet import Fleet
 from robots.spec import load_robot
@@ -22,7 +23,8 @@ N, DT = SPEC.n, SPEC.dt
 TORQUE_MAX = np.array([150.0, 150.0, 150.0, 28.0, 28.0, 28.0])
 HOME = SPEC.joint_array("q_home")
 Q_MIN, Q_MAX = SPEC.joint_array("q_min"), SPEC.joint_array("q_max")
-GAP = round(REARM_S / DT)
+GAP = round(EVENT_GAP_S / DT)
+PER_JOINT = [monitor for monitor in MONITORS if monitor.per_joint]
 
 
 @dataclass(frozen=True, slots=True)
@@ -555,7 +557,7 @@ def sent_loads(m):
 
 def reference(series, robot, joint, ticks):
     """Bad ticks, events and worst load of each joint monitor, one tick after another."""
-    found = {monitor.name: [0, 0, 0.0] for monitor in JOINT_MONITORS}
+    found = {monitor.name: [0, 0, 0.0] for monitor in PER_JOINT}
     last = {}
     for t in range(ticks):
         if not series["valid"][t, robot]:
@@ -586,7 +588,7 @@ def test_counts_equal_a_slow_reference():
                     events,
                 )
                 assert counts.worst[robot, channel] == pytest.approx(worst, rel=1e-6, abs=1e-6)
-    assert all(counts.total(monitor.name) for monitor in JOINT_MONITORS)
+    assert all(counts.total(monitor.name) for monitor in PER_JOINT)
 
 
 def test_stops_and_goals_equal_a_slow_reference():

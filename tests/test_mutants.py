@@ -10,7 +10,7 @@ pytest.importorskip("mujoco")
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED
 from deploy.state import Reason
-from eval.judge.counts import NAMES
+from eval.judge.monitors import NAMES
 from eval.mutants import __main__ as command
 from eval.mutants import suite
 from eval.mutants.hostile import live, nobody

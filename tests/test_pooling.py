@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eval.history.night_record import Night, Run, Settings
-from eval.judge.counts import MONITORS
+from eval.judge.monitors import MONITORS
 from eval.soak.profile import Faults
 from eval.statistics.dispersion import draw_rate_upper
 from eval.statistics.per_draw_counts import Tally, stop_ticks, together

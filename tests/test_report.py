@@ -10,8 +10,9 @@ from junitparser import JUnitXml
 
 from deploy.policy.contract import Observed
 from eval.history.night_record import Run, Settings
-from eval.judge.counts import MONITORS, REASONS
+from eval.judge.counts import REASONS
 from eval.judge.judge import Judge
+from eval.judge.monitors import Channels
 from eval.report.build import POINTS, build
 from eval.report.html import fixed, render
 from eval.report.junit import junit
@@ -23,6 +24,7 @@ from robots.errors import OutputError
 from robots.spec import load_robot
 
 SPEC = load_robot("arm6")
+HARD = [monitor for monitor in Channels.of_robot(SPEC).monitors if monitor.hard]
 OBSERVED = Observed(mean=(0.0,), deviation=(1.0,))
 ROBOTS, HOURS, TICKS = 16, 8.0, 8 * 3600 * 200
 
@@ -119,7 +121,7 @@ def test_a_clean_night_passes_with_the_honest_sentence():
     assert all(row.evaluations == ROBOTS * TICKS for row in found.monitors)
 
 
-@pytest.mark.parametrize("monitor", [m for m in MONITORS if m.hard and not m.base], ids=lambda m: m.name)
+@pytest.mark.parametrize("monitor", HARD, ids=lambda m: m.name)
 def test_a_hard_event_fails_and_is_found_everywhere(monitor):
     found = report([monitor.name])
     assert found.verdict == "failed"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_report import HOURS, ROBOTS, SPEC, TICKS, Page, build, load_budget, report, soak
 
-from eval.judge.counts import MONITORS, monitor_of
+from eval.judge.monitors import Channels
 from eval.report.html import EVENTS_SHOWN, cells, duration, margin, of_limit, plots, render
 from eval.report.junit import junit
 from eval.report.plots import heat_plot, wear_plot
@@ -17,7 +17,8 @@ from eval.report.schema.json_schema import SCHEMA, schema
 from eval.report.schema.numbers import figure
 from eval.report.schema.report_data import Report
 
-HARD = sum(monitor.hard and not monitor.base for monitor in MONITORS)
+CHANNELS = Channels.of_robot(SPEC)
+HARD = sum(monitor.hard for monitor in CHANNELS.monitors)
 BUNDLE = "events/0003-00720000-velocity"
 
 
@@ -150,7 +151,7 @@ def test_margins_are_distributions():
     assert sum(rows["workspace"].loads) == ROBOTS * TICKS
     picture = str(plots(found)["margins"])
     named = {row.name for row in found.monitors if f">{row.name}</text>" in picture}
-    assert named == {m.name for m in MONITORS if m.unit and not m.base}
+    assert named == {m.name for m in CHANNELS.monitors if m.unit}
     # One stroke for each bin in use: two of each monitor inside the limit, one of one beyond it.
     strokes = {
         c: sum(p.count("M ") for p in picture.split("<path ") if f"stroke: var({c}); stroke-opacity" in p)
@@ -228,7 +229,7 @@ def test_a_busy_night_stays_readable_and_small():
     assert EVENTS_SHOWN / 2 < len(shown) <= EVENTS_SHOWN
     page = Page(text)
     linked = {load[1:] for load in page.loads if load.startswith("#events")}
-    assert len(linked) == len(monitor_of(SPEC.n)) - sum(bool(monitor.base) for monitor in MONITORS)
+    assert len(linked) == len(CHANNELS.monitor_index) - (len(CHANNELS.catalogue) - len(CHANNELS.monitors))
     assert linked <= set(page.ids)
     assert "251 more in report.json" in words(found)
 

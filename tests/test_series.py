@@ -12,8 +12,8 @@ pytest.importorskip("mujoco")
 
 from deploy.policy.policy import Policy
 from eval.faults.fault_response import Injections
-from eval.judge.counts import MONITORS, NAMES
 from eval.judge.judge import Judge
+from eval.judge.monitors import MONITORS, NAMES
 from eval.report.assembly import running_total
 from eval.report.series import ABOUT, WORN, series
 from eval.soak.configuration import SAMPLES_MAX, Soak

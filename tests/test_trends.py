@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from eval.judge.counts import NAMES
+from eval.judge.monitors import NAMES
 from eval.report.trends import POINTS, TRENDS, stretches, trends
 
 STARTED, BEGUN = "2026-01-01T01:00:00+01:00", 1767225600.0

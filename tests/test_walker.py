@@ -30,7 +30,8 @@ from robots.spec import load_robot
 packets = pytest.importorskip("deploy.backends.sim.packets")
 Failure, Fault = packets.Failure, packets.Fault
 
-Judge, of_base = (getattr(pytest.importorskip("eval.judge.judge"), name) for name in ("Judge", "of_base"))
+Judge = pytest.importorskip("eval.judge.judge").Judge
+base_velocity_and_tilt = pytest.importorskip("eval.judge.truth").base_velocity_and_tilt
 BaseTruth = pytest.importorskip("deploy.backends.sim.truth").BaseTruth
 judge_tick = pytest.importorskip("eval.soak.shard").judge_tick
 blind = pytest.importorskip("eval.mutants.weakened").blind
@@ -330,7 +331,7 @@ def test_the_judge_knows_how_fast_a_base_turns():
     rng = np.random.default_rng(2)
     quat, turning = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
     up = np.tile([0.0, 0.0, 1.0], (50, 1))
-    velocity, _ = of_base(BaseTruth(np.zeros((50, 3)), quat, np.zeros((50, 3)), turning, up))
+    velocity, _ = base_velocity_and_tilt(BaseTruth(np.zeros((50, 3)), quat, np.zeros((50, 3)), turning, up))
     np.testing.assert_allclose(velocity[:, 2], times(matrix(quat), turning)[:, 2], atol=1e-12)
 
 
@@ -339,7 +340,7 @@ def test_the_judge_knows_how_far_a_base_leans_off_gravity():
     quat, up = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     zero = np.zeros((50, 3))
-    _, leans = of_base(BaseTruth(zero, quat, zero, zero, up))
+    _, leans = base_velocity_and_tilt(BaseTruth(zero, quat, zero, zero, up))
     upright = times(matrix(quat).swapaxes(1, 2), up)  # seen from the base
     np.testing.assert_allclose(leans, np.arctan2(np.hypot(*upright.T[:2]), upright[:, 2]), atol=1e-7)
 

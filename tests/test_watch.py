@@ -13,8 +13,8 @@ from deploy.policy.policy import Policy
 from deploy.state import Mode
 from eval.faults.fault_response import NOT_AT_WORK, SETTLE_S, Watch, injections, merged
 from eval.faults.faults import JOINT, POLICY, Answer
-from eval.judge.counts import NAMES
 from eval.judge.judge import Judge
+from eval.judge.monitors import NAMES
 from eval.mutants.hostile import nobody
 from eval.mutants.weakened import careless
 from eval.report.sections.faults import fault_line, fault_table

@@ -39,7 +39,8 @@ from eval.bench.pace import pace
 from eval.bench.same import same
 from eval.bench.stages import SEED, stages
 from eval.bench.walk import walk
-from eval.judge.counts import MONITORS, merge
+from eval.judge.counts import merge
+from eval.judge.monitors import MONITORS
 from eval.soak.configuration import Soak
 from eval.soak.shard import WIDTH, Shard, ShardJob
 from eval.soak.workers import run_soak

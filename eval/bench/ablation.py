@@ -22,7 +22,7 @@ from deploy.runtime import Runtime
 from deploy.state import Sample, Setpoint, State
 from deploy.telemetry.output_files import replacing
 from eval.bench.trial import Trial
-from eval.judge.counts import MONITORS
+from eval.judge.monitors import MONITORS
 from robots.arrays import Bools, Floats
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec

@@ -17,8 +17,8 @@ from deploy.stage import Stage
 from deploy.state import Command, Mode
 from eval.faults.faults import Answer
 from eval.faults.schedule import Injection, Schedule
-from eval.judge.counts import MONITORS
 from eval.judge.judge import Judge
+from eval.judge.monitors import MONITORS
 from robots.arrays import Bools, Floats, Ints
 from robots.spec import RobotSpec
 

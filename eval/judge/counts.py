@@ -1,7 +1,6 @@
-"""What the judge watches, and what it found: counts by robot that shards put side by side.
+"""Counts of the judge by robot: events, time, stops and goals; results of shards are merged.
 
-A channel is one monitor on one joint, or one monitor of the whole robot; joint monitors come first, joints
-within a monitor. Loads are fractions of the limit: above 1 is bad, so channels compare whatever their unit.
+Ratios are fractions of the limit. A ratio above 1 is bad, whatever the unit of the channel.
 """
 
 from collections.abc import Iterator
@@ -11,121 +10,14 @@ from typing import Any
 import numpy as np
 
 from deploy.state import Reason
+from eval.judge.monitor import Monitor
+from eval.judge.monitors import Channels
 from robots.arrays import Floats, Ints
 from robots.errors import ConfigError
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Monitor:
-    """One thing that must not happen.
-
-    Attributes:
-        unit: of the value and its limit; empty for yes or no, 1 for a plain number.
-        hard: whether one event alone makes a draw of the robot a bad one.
-        meaning: what is compared with what, for the reader of the report.
-        base: whether only a robot with a base has it, or only one that stands fixed; None: every robot.
-    """
-
-    name: str
-    unit: str
-    hard: bool
-    meaning: str
-    base: bool | None = None
-
-
-JOINT_MONITORS = (
-    Monitor(
-        name="position_requested",
-        unit="rad",
-        hard=False,
-        meaning="the policy's target, before it is clamped, beyond the working range",
-    ),
-    Monitor(
-        name="position_soft",
-        unit="rad",
-        hard=False,
-        meaning="true angle nearer to the range's end than its margin",
-    ),
-    Monitor(name="position_hard", unit="rad", hard=True, meaning="true angle beyond the working range"),
-    Monitor(name="velocity", unit="rad/s", hard=True, meaning="true joint speed"),
-    Monitor(name="torque", unit="N·m", hard=True, meaning="true actuator torque at the end of its range"),
-    Monitor(name="power", unit="W", hard=False, meaning="true mechanical power of a joint, given or taken"),
-    Monitor(name="heat_soft", unit="°C", hard=False, meaning="true winding temperature, warning"),
-    Monitor(name="heat_hard", unit="°C", hard=True, meaning="true winding temperature, damage"),
-    Monitor(name="tracking", unit="rad", hard=False, meaning="true angle away from the angle sent"),
-    Monitor(
-        name="estimate",
-        unit="1",
-        hard=False,
-        meaning="squared error of the estimated angle, in variances that the estimator claims",
-    ),
-    Monitor(
-        name="torque_rate",
-        unit="N·m/s",
-        hard=True,
-        meaning="1st backward difference of the feed-forward torques sent",
-    ),
-    Monitor(
-        name="command_jump",
-        unit="rad",
-        hard=True,
-        meaning="angle sent in the first tick of power, away from the true one by more than is allowed for arming, and"
-        " in the second, away from the first, by more than full acceleration from rest",
-    ),
-    Monitor(name="velocity_sent", unit="rad/s", hard=True, meaning="1st backward difference of angles sent"),
-    Monitor(name="acceleration", unit="rad/s²", hard=True, meaning="2nd backward difference of angles sent"),
-    Monitor(name="jerk", unit="rad/s³", hard=True, meaning="3rd backward difference of angles sent"),
-)
-ROBOT_MONITORS = (
-    Monitor(name="self_collision", unit="", hard=True, meaning="the robot touches itself or its table"),
-    Monitor(name="contact_force", unit="N", hard=True, meaning="true normal force of the strongest contact"),
-    Monitor(
-        name="workspace",
-        unit="m",
-        hard=True,
-        meaning="true tool position outside the workspace",
-        base=False,
-    ),
-    Monitor(
-        name="singularity",
-        unit="1/m³",
-        hard=False,
-        meaning="1 ÷ manipulability (Yoshikawa) at the true angles; in a singularity and beyond it 1000 × its limit",
-        base=False,
-    ),
-    Monitor(name="tool_speed", unit="m/s", hard=True, meaning="true tool speed", base=False),
-    Monitor(
-        name="tilt", unit="rad", hard=True, meaning="true tilt of a base: it falls, or has fallen", base=True
-    ),
-    Monitor(
-        name="fallen",
-        unit="rad",
-        hard=True,
-        meaning="true tilt of a base whose robot is still under way, by more than a stop needs to begin",
-        base=True,
-    ),
-    Monitor(name="robot_power", unit="W", hard=False, meaning="true mechanical power of all joints together"),
-    Monitor(
-        name="observation",
-        unit="1",
-        hard=False,
-        meaning="number of an observation furthest off what training saw, in its standard deviations, under way",
-    ),
-    Monitor(
-        name="action_finite", unit="", hard=True, meaning="under way a tick after the policy said NaN or inf"
-    ),
-)
-MONITORS = JOINT_MONITORS + ROBOT_MONITORS
-NAMES = tuple(monitor.name for monitor in MONITORS)
 REASONS = ("NONE", *(str(reason.name) for reason in Reason))
-BINS, PER_LOAD = 201, 100
-"""Loads are counted in bins of 0.01 of the limit, of which the last holds all from 2 on."""
-
-
-def monitor_of(joints: int) -> Ints:
-    """(C,) the number of each channel's monitor, for a robot of so many joints."""
-    of_joints = np.repeat(np.arange(len(JOINT_MONITORS)), joints)
-    return np.concatenate((of_joints, np.arange(len(JOINT_MONITORS), len(MONITORS))))
+BINS, BINS_PER_LIMIT = 201, 100
+"""Histogram of ratios: bins of 0.01 of the limit; the last holds all from 2 on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,9 +25,9 @@ class Event:
     """Consecutive bad ticks of one channel.
 
     Attributes:
-        joint: its name, None for a monitor of the whole robot.
-        start, ticks: control ticks, first bad one and from it to the last bad one, both included.
-        worst: the highest load. limit: what it is a fraction of, in the monitor's unit.
+        joint: name; None for a monitor of the whole robot.
+        start: first bad control tick. ticks: number of ticks from the first to the last bad one, both included.
+        worst: highest ratio. limit: in the monitor's unit.
     """
 
     robot: int
@@ -149,22 +41,22 @@ class Event:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Counts:
-    """R robots, C channels, L events kept one by one, by robots, channels and time.
+    """Counts of R robots with C channels, and a log of L events, sorted by robot, channel and time.
 
     Attributes:
-        joints: names, n of them. dt: s, the control period. goal_s: s that a goal lasts.
-        limits: (C,) in the unit of the channel's monitor; infinite where nothing says it, and nothing is judged.
-        ticks: (R,) lived through; invalid: (R,) of them with a diverged simulation, not judged;
-        running, moving: (R,) of them under way, and under way with a joint in motion.
-        stops: (R,) times that the robot left its work; reasons: (R, len(REASONS)) why, several may hold.
-        latches: (R,) times that it lost its power, to wait for its operator.
-        attempted, reached: (R,) goals, reached by ground truth.
-        bad_ticks, events: (R, C); worst: (R, C) highest load, bad or not.
-        bins: (C, BINS) ticks of all robots by load; invalid ones lie in the first. All 0 where it is not known.
-        log_robot, log_channel: (L,) rows and channels; log_start, log_last: (L,) ticks; log_worst: (L,) load.
+        channels: monitors and joints of the columns. dt: s, the control period. goal_s: s that a goal lasts.
+        limits: (C,) in the unit of the channel's monitor; infinite where unknown, and then nothing is judged.
+        ticks: (R,) simulated. invalid: (R,) of them with a diverged simulation, not judged.
+        running, moving: (R,) ticks in operation, and in operation with a joint in motion.
+        stops: (R,) times that the robot left operation. reasons: (R, len(REASONS)) why; several may hold.
+        latches: (R,) times that the robot lost its power and waited for its operator.
+        attempted, reached: (R,) goals; reached by ground truth.
+        bad_ticks, events: (R, C). worst: (R, C) highest ratio, bad or not.
+        bins: (C, BINS) histogram of the ratios of all robots; those of invalid ticks are in the first bin.
+        log_robot, log_channel: (L,) rows and columns. log_start, log_last: (L,) ticks. log_worst: (L,) ratio.
     """
 
-    joints: tuple[str, ...]
+    channels: Channels
     dt: float
     goal_s: float
     limits: Floats
@@ -193,14 +85,18 @@ class Counts:
         return len(self.ticks)
 
     @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return self.channels.joints
+
+    @property
     def monitors(self) -> tuple[Monitor, ...]:
-        """Those that concern such a robot, of which one with a base has a limit of tilt."""
-        walks = bool(np.isfinite(self.limits[self.columns("tilt")]).all())
-        return tuple(monitor for monitor in MONITORS if monitor.base in (None, walks))
+        """Monitors that the robots have."""
+        return self.channels.monitors
 
     @property
     def evaluations(self) -> int:
-        """Times that every one of the monitors was asked: ticks × robots, less the invalid ones."""
+        """Number of evaluations of each monitor: ticks × robots, less the invalid ones."""
         return int((self.ticks - self.invalid).sum())
 
     @property
@@ -210,12 +106,12 @@ class Counts:
 
     @property
     def running_hours(self) -> float:
-        """Hours armed and under way: the exposure that rates are per."""
+        """Hours in operation of all robots together: the exposure of rates."""
         return float(self.running.sum() * self.dt / 3600)
 
     @property
     def availability(self) -> float:
-        """Ticks under way ÷ ticks; 0 for none."""
+        """Ticks in operation ÷ ticks; 0 for none."""
         return float(self.running.sum() / max(1, self.ticks.sum()))
 
     @property
@@ -238,65 +134,66 @@ class Counts:
         return float(self.reached.sum() / max(1, self.goals_due))
 
     def columns(self, monitor: str) -> slice:
-        """The channels of a monitor: one a joint, or a single one."""
-        k, n, many = NAMES.index(monitor), len(self.joints), len(JOINT_MONITORS)
-        return slice(k * n, (k + 1) * n) if k < many else slice(many * n + k - many, many * n + k - many + 1)
+        """Return the columns of a monitor: one for each joint, or a single one."""
+        return self.channels.columns(monitor)
 
     def winding_c(self) -> Floats:
-        """(R, n) °C, the highest true temperature of each winding on any tick that was judged; NaN for none."""
+        """(R, n) °C, the highest true temperature of each winding in any tick that was judged; NaN for none."""
         heat, judged = self.columns("heat_hard"), self.ticks > self.invalid
         return np.where(judged[:, None], self.worst[:, heat] * self.limits[heat], np.nan)
 
     def hard_events(self) -> Ints:
-        """(R,) events of hard monitors, all of them and all joints together."""
-        hard = [self.events[:, self.columns(m.name)].sum(axis=1) for m in MONITORS if m.hard]
+        """(R,) events of all hard monitors together."""
+        hard = [self.events[:, self.columns(name)].sum(axis=1) for name in self._hard_names()]
         return np.asarray(np.sum(hard, axis=0))
 
     def total(self, monitor: str) -> int:
-        """Events of a monitor, all robots and joints."""
+        """Return the number of events of a monitor, all robots and joints together."""
         return int(self.events[:, self.columns(monitor)].sum())
 
     def by_monitor(self) -> Ints:
-        """(R, monitors) events, all joints together."""
-        return np.stack([self.events[:, self.columns(name)].sum(axis=1) for name in NAMES], axis=1)
+        """(R, monitors of the catalogue) events, all joints together."""
+        columns = (self.columns(monitor.name) for monitor in self.channels.catalogue)
+        return np.stack([self.events[:, each].sum(axis=1) for each in columns], axis=1)
 
     def bad_draws(self, monitor: str | None = None) -> int:
-        """Robots with an event of `monitor`; without one, of any hard one, and those whose simulation diverged."""
-        names = [monitor] if monitor else [m.name for m in MONITORS if m.hard]
+        """Number of robots with an event of `monitor`; None: of any hard one, or with a diverged simulation."""
+        names = [monitor] if monitor else self._hard_names()
         bad = [self.events[:, self.columns(name)].any(axis=1) for name in names]
         if monitor is None:
             bad.append(self.invalid > 0)
         return int(np.any(bad, axis=0).sum())
 
+    def _hard_names(self) -> list[str]:
+        return [monitor.name for monitor in self.channels.catalogue if monitor.hard]
+
     def left_out(self, monitor: str) -> int:
-        """Events of a monitor that were counted and not kept one by one."""
+        """Return the number of events of a monitor that were counted and not logged."""
         columns = self.columns(monitor)
-        kept = (self.log_channel >= columns.start) & (self.log_channel < columns.stop)
-        return self.total(monitor) - int(kept.sum())
+        logged = (self.log_channel >= columns.start) & (self.log_channel < columns.stop)
+        return self.total(monitor) - int(logged.sum())
 
     def tail(self, share: float) -> Floats:
-        """(C,) the load that a channel stayed below in all but a share of the ticks judged, rounded up to 0.01.
+        """(C,) ratio exceeded in no more than a share of the ticks judged, rounded up to 0.01.
 
-        Never below the quantile of all loads and at most so much above it, never above the worst; beyond the last bin
-        it is the worst. NaN where nothing was judged.
+        It is never below the quantile of all ratios, at most 0.01 above it, and never above the worst; beyond the last
+        bin it is the worst. NaN where nothing was judged.
         """
         below = np.cumsum(self.bins, axis=1)
         below -= self.invalid.sum()
-        many = below[:, -1:]
-        place = (below < np.ceil((1 - share) * many)).sum(axis=1)
-        edge = np.where(place < BINS - 1, (place + 1) / PER_LOAD, np.inf)
-        return np.where(many[:, 0] > 0, np.minimum(edge, self.worst.max(axis=0, initial=0.0)), np.nan)
+        judged = below[:, -1:]
+        place = (below < np.ceil((1 - share) * judged)).sum(axis=1)
+        edge = np.where(place < BINS - 1, (place + 1) / BINS_PER_LIMIT, np.inf)
+        return np.where(judged[:, 0] > 0, np.minimum(edge, self.worst.max(axis=0, initial=0.0)), np.nan)
 
     def log(self) -> Iterator[Event]:
-        """The events that were kept, in their order."""
-        monitors, n = monitor_of(len(self.joints)), len(self.joints)
-        of_joints = len(JOINT_MONITORS) * n
+        """Yield the logged events in their order."""
         for k in range(len(self.log_start)):
             channel, start = int(self.log_channel[k]), int(self.log_start[k])
             yield Event(
                 robot=int(self.log_robot[k]),
-                monitor=MONITORS[monitors[channel]],
-                joint=self.joints[channel % n] if channel < of_joints else None,
+                monitor=self.channels.catalogue[self.channels.monitor_index[channel]],
+                joint=self.channels.joint(channel),
                 start=start,
                 ticks=int(self.log_last[k]) - start + 1,
                 worst=float(self.log_worst[k]),
@@ -304,13 +201,13 @@ class Counts:
             )
 
 
-_SHARED = ("joints", "dt", "goal_s", "limits")
+_SHARED = ("channels", "dt", "goal_s", "limits")
 _LOG = ("log_robot", "log_channel", "log_start", "log_last", "log_worst")
 _ROWS = tuple(field.name for field in fields(Counts) if field.name not in (*_SHARED, *_LOG, "bins"))
 
 
 def merge(a: Counts, b: Counts) -> Counts:
-    """The robots of `a`, then those of `b`.
+    """Return the counts of the robots of `a`, then those of `b`.
 
     Raises:
         ConfigError: they were not judged by the same limits.
@@ -318,6 +215,6 @@ def merge(a: Counts, b: Counts) -> Counts:
     for name in _SHARED:
         if not np.array_equal(getattr(a, name), getattr(b, name)):
             raise ConfigError(f"counts: {name}: {getattr(a, name)} and {getattr(b, name)} cannot be merged")
-    together: dict[str, Any] = {n: np.concatenate([getattr(a, n), getattr(b, n)]) for n in (*_ROWS, *_LOG)}
-    together["log_robot"] = np.concatenate((a.log_robot, b.log_robot + a.robots))
-    return replace(a, bins=a.bins + b.bins, **together)
+    merged: dict[str, Any] = {n: np.concatenate([getattr(a, n), getattr(b, n)]) for n in (*_ROWS, *_LOG)}
+    merged["log_robot"] = np.concatenate((a.log_robot, b.log_robot + a.robots))
+    return replace(a, bins=a.bins + b.bins, **merged)

@@ -1,27 +1,26 @@
-"""What the judge holds a robot to beside its robot.toml: limits.toml in the robot's folder, read strictly.
+"""The judge's limits beside robot.toml: limits.toml in the robot's folder, read strictly.
 
-They are the judge's own: `deploy` cannot read them, so that nothing is tuned to them, and they are no part of the
-robot's digest.
+`deploy` cannot read them, so that nothing is tuned to them. They are not part of the robot's digest.
 """
 
 import hashlib
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import PositiveFloat
 
+from robots.arrays import Floats
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
 from robots.strict import Source, Strict, read_toml
 
 
 class MotorLimits(Strict):
-    """Of each joint that a motor drives.
+    """Limits of each joint with one type of motor.
 
     Attributes:
         power_w: W, mechanical.
-        torque_rate: N·m/s, of the feed-forward torque that is sent.
-        source: where the numbers come from.
+        torque_rate: N·m/s, of the feed-forward torque sent.
+        source: of the numbers.
     """
 
     power_w: PositiveFloat
@@ -30,15 +29,16 @@ class MotorLimits(Strict):
 
 
 class Limits(Strict):
-    """Of one robot.
+    """Limits of one robot.
 
     Attributes:
         power_w: W, mechanical, all joints together.
         contact_n: N, normal force of any one contact.
         nees: squared error of the estimated angle, in variances of the estimate.
-        deviations: standard deviations of the training by which a number of the observation may lie off its mean.
-        arming_rad: rad, by which the first angle sent may miss where the joint truly stands.
-        manipulability: m³ (six joints), the least that is not too near a singularity; of robots with a tool.
+        deviations: distance of an observed number from its mean in training, in standard deviations.
+        arming_rad: rad, distance of the first angle sent from the true angle.
+        manipulability: m³ (six joints), the least that is not too near a singularity; given exactly if the robot has
+            the capability of that name.
         motors: by the names of robot.toml.
     """
 
@@ -52,11 +52,11 @@ class Limits(Strict):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what the file says."""
+        """SHA-256 of the contents, without layout and comments."""
         return hashlib.sha256(self.model_dump_json(exclude_none=True).encode()).hexdigest()
 
-    def motor_array(self, field: str, spec: RobotSpec) -> NDArray[np.float64]:
-        """(n,) one number of every joint's motor, for example `power_w`."""
+    def motor_array(self, field: str, spec: RobotSpec) -> Floats:
+        """(n,) one field of every joint's motor, for example `power_w`."""
         return np.array([getattr(self.motors[joint.motor], field) for joint in spec.joints])
 
 
@@ -64,14 +64,20 @@ def load_limits(spec: RobotSpec) -> Limits:
     """Read the robot's limits.toml.
 
     Raises:
-        ConfigError: unreadable, misspelt, or not of the motors of robot.toml.
+        ConfigError: unreadable, misspelt, or not for the motors and capabilities of robot.toml.
     """
     path = spec.folder / "limits.toml"
     limits = read_toml(path, Limits, ConfigError)
     if limits.motors.keys() != spec.motors.keys():
         found, expected = (", ".join(sorted(motors)) for motors in (limits.motors, spec.motors))
         raise ConfigError(f"{path}: motors: found {found}, expected {expected}")
-    if (limits.manipulability is None) != (spec.tooling is None):
-        found, expected = ("one", "none of a robot with a base") if spec.base else ("none", "one")
-        raise ConfigError(f"{path}: manipulability: found {found}, expected {expected}")
+    needed = "manipulability" in spec.capabilities
+    if needed and limits.manipulability is None:
+        raise ConfigError(
+            f"{path}: manipulability: found none, expected one: robot.toml has margins.singularity"
+        )
+    if not needed and limits.manipulability is not None:
+        raise ConfigError(
+            f"{path}: manipulability: found one, expected none: robot.toml has no margins.singularity"
+        )
     return limits

@@ -1,27 +1,29 @@
-"""What the judge was shown: written down tick by tick, to be judged some ticks at a time."""
+"""Ring buffer of judge inputs, evaluated 200 ticks at a time."""
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.stage import Arrays, Stage
+from deploy.state import Mode
 from robots.arrays import Bools, Floats, Ints
 
-TOGETHER = 200
-"""Ticks judged at once, which share what a call of numpy costs: results do not depend on it."""
+BLOCK_TICKS = 200
+"""Ticks evaluated at once, to share the cost of numpy calls. Results do not depend on it."""
 PAST = 3
-"""Ticks remembered before those, as far as a third difference looks back."""
+"""Ticks kept from before the block: as many as a third difference needs."""
 
 
 class Ticks(NamedTuple):
-    """Arrays (PAST + T, B, ...) of what `Judge.step` is told, by its names; the first `PAST` were judged before.
+    """Arrays (PAST + T, B, ...) of the arguments of `Judge.step`. The first `PAST` ticks were judged before.
 
-    `target` and `sent` are angles and `tau_sent` torques of the command. What is not of the world is of the runtime:
-    `q_hat`, `q_var` and `age` are its belief before the physics of that tick. `sound`: whether what the policy said in
-    that tick, if anything, was numbers. `tool_velocity` of a robot with a base is the base's over the ground: m/s
-    forwards and to the left, and rad/s to the left. `tilt`: rad, of a base.
+    `target` and `sent` are angles, `tau_sent` feed-forward torques of the command. `q_hat`, `q_var` and `age` are the
+    estimate before the physics of that tick. `action_finite` is True where the policy was not called.
+    `tool_velocity` of a robot with a floating base is that of the base over the ground: m/s forwards, m/s to the left
+    and rad/s to the left. `tilt`: rad, of a floating base.
     """
 
     target: Floats
@@ -40,7 +42,7 @@ class Ticks(NamedTuple):
     contact_n: Floats
     tilt: Floats
     powered: Bools
-    sound: Bools
+    action_finite: Bools
     self_collision: Bools
     valid: Bools
     mode: Ints
@@ -49,55 +51,99 @@ class Ticks(NamedTuple):
     observation: NDArray[np.float32]
 
 
-class Seen(Stage):
-    """The ticks that wait, and those just before them. Before the first tick robots are disarmed and nothing is known.
+class TickWindow:
+    """Ticks to be judged, each beside the tick before it, and values that several monitors share.
 
     Attributes:
-        waiting: ticks that were put and not yet judged.
+        ticks: (PAST + T, R, ...). now: (T, R, ...) the ticks to be judged. before: (T, R, ...) the tick before each.
+        drives_on: (PAST + T, R) powered, and the simulation valid.
+    """
+
+    def __init__(self, ticks: Ticks) -> None:
+        """Split `ticks` (PAST + T, R, ...)."""
+        self.ticks = ticks
+        self.now, self.before = _rows(ticks, slice(PAST, None)), _rows(ticks, slice(PAST - 1, -1))
+        self.drives_on = ticks.powered & ticks.valid
+
+    @cached_property
+    def running(self) -> Bools:
+        """(T, R) mode is RUNNING."""
+        return self.now.mode == int(Mode.RUNNING)
+
+    @cached_property
+    def joint_power(self) -> Floats:
+        """(T, R, n) W, true mechanical power of each joint."""
+        return self.now.tau * self.now.qd
+
+    @cached_property
+    def sent_differences(self) -> tuple[tuple[Floats, Bools], ...]:
+        """First, second and third backward difference of the angles sent (T, R, n), in rad.
+
+        Each with (T, R): drives on in all ticks that the difference looks at.
+        """
+        values, on, found = self.ticks.sent, self.drives_on, []
+        for order in range(1, PAST + 1):
+            values, on = np.diff(values, axis=0), on[1:] & on[:-1]
+            found.append((values[PAST - order :], on[PAST - order :]))
+        return tuple(found)
+
+
+class TickBuffer(Stage):
+    """Ticks that were not judged yet, and the `PAST` ticks before them.
+
+    Before the first tick robots are disarmed, and all else is 0.
+
+    Attributes:
+        pending: number of ticks appended and not yet judged.
     """
 
     def __init__(self, robots: int, n: int, observation: int) -> None:
         """Allocate for B robots of n joints and observations of a size."""
-        shape = (PAST + TOGETHER, robots)
-        flags, whole = np.zeros((4, *shape), dtype=bool), np.zeros((3, *shape), dtype=np.int64)
-        room: tuple[Any, ...] = (
+        shape = (PAST + BLOCK_TICKS, robots)
+        flags, integers = np.zeros((4, *shape), dtype=bool), np.zeros((3, *shape), dtype=np.int64)
+        arrays: tuple[Any, ...] = (
             *np.zeros((9, *shape, n)),
             *np.zeros((3, *shape, 3)),
             *np.zeros((3, *shape)),
             *flags,
-            *whole,
+            *integers,
             np.zeros((*shape, observation), dtype=np.float32),
         )
-        self._ticks, self.waiting = Ticks(*room), 0
+        self._ticks, self.pending = Ticks(*arrays), 0
 
-    def put(self, now: tuple[NDArray[Any], ...]) -> None:
-        """One tick (B, ...) more, in the order of `Ticks`."""
-        at = PAST + self.waiting
-        places: tuple[NDArray[Any], ...] = self._ticks
-        for place, value in zip(places, now, strict=True):
-            place[at] = value
-        self.waiting += 1
+    def append(self, tick: tuple[NDArray[Any], ...]) -> None:
+        """Append one tick (B, ...), in the order of `Ticks`."""
+        row = PAST + self.pending
+        arrays: tuple[NDArray[Any], ...] = self._ticks
+        for array, value in zip(arrays, tick, strict=True):
+            array[row] = value
+        self.pending += 1
 
-    def first(self, robots: int) -> Ticks:
-        """What waits and what was before, of the first robots."""
-        rows: Any = (array[: PAST + self.waiting, :robots] for array in self._ticks)
-        return Ticks(*rows)
+    def window(self, robots: int) -> TickWindow:
+        """Return views of the pending ticks of the first robots."""
+        return TickWindow(_rows(self._ticks, (slice(PAST + self.pending), slice(robots))))
 
-    def turn(self) -> None:
-        """What waited is past."""
+    def clear(self) -> None:
+        """Drop all but the last `PAST` ticks."""
         for array in self._ticks:
-            array[:PAST] = array[self.waiting : self.waiting + PAST]
-        self.waiting = 0
+            array[:PAST] = array[self.pending : self.pending + PAST]
+        self.pending = 0
 
     def save(self) -> Arrays:
-        """Copies of the past (B, PAST, ...); what waits is to be judged before."""
+        """Return copies of the past (B, PAST, ...); pending ticks must have been judged before."""
         return {name: array.copy() for name, array in self._past().items()}
 
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-        """Put a saved past back, bit for bit; what waited is forgotten."""
+        """Restore a saved past, bit for bit, and drop pending ticks."""
         for name, array in self._past().items():
             array[...] = arrays[name]
-        self.waiting = 0
+        self.pending = 0
 
     def _past(self) -> dict[str, NDArray[Any]]:
         return {name: array[:PAST].swapaxes(0, 1) for name, array in self._ticks._asdict().items()}
+
+
+def _rows(ticks: Ticks, index: Any) -> Ticks:
+    """Return views of all arrays at an index."""
+    arrays: Any = (array[index] for array in ticks)
+    return Ticks(*arrays)

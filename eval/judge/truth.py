@@ -1,12 +1,14 @@
-"""What the judge must be told of the simulated world; the simulated robot's own record fits it."""
+"""Ground truth that the judge reads, as protocols; the truth of the simulated robot implements them."""
 
 from typing import Protocol
+
+import numpy as np
 
 from robots.arrays import Bools, Floats
 
 
 class BaseTruth(Protocol):
-    """Of a floating base."""
+    """Motion of a floating base."""
 
     @property
     def position(self) -> Floats:
@@ -26,11 +28,11 @@ class BaseTruth(Protocol):
 
     @property
     def up(self) -> Floats:
-        """(B, 3) of length 1, world: against gravity, to which the floor need not be square."""
+        """(B, 3) unit vector against gravity, world. The floor need not be perpendicular to it."""
 
 
 class Truth(Protocol):
-    """What the simulation knows and the robot does not: arrays (B, ...), world frame."""
+    """State of the simulation after a tick: arrays (B, ...), world frame."""
 
     @property
     def q(self) -> Floats:
@@ -58,7 +60,7 @@ class Truth(Protocol):
 
     @property
     def self_collision(self) -> Bools:
-        """(B,) whether the robot touches itself or its table."""
+        """(B,) the robot touches itself or its table."""
 
     @property
     def contact_n(self) -> Floats:
@@ -66,8 +68,28 @@ class Truth(Protocol):
 
     @property
     def valid(self) -> Bools:
-        """(B,) False once the simulation diverged: the row says nothing any more."""
+        """(B,) False once the simulation diverged: the row means nothing from then on."""
 
     @property
     def base(self) -> BaseTruth | None:
-        """Of a robot that has one."""
+        """Floating base; None for a robot without one."""
+
+
+def base_velocity_and_tilt(base: BaseTruth) -> tuple[Floats, Floats]:
+    """Velocity of a floating base over the ground, and its tilt off gravity.
+
+    Returns:
+        (B, 3) m/s forwards, m/s to the left, rad/s to the left; (B,) rad.
+    """
+    w, x, y, z = base.quat_wxyz.T
+    # First and last column of the rotation matrix: directions of the base's x and z axes in the world.
+    heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    upwards = 1.0 - 2.0 * (x * x + y * y)
+    cos, sin, (vx, vy, _) = np.cos(heading), np.sin(heading), base.velocity.T
+    # Last row of the rotation matrix: vertical component of each axis of the base.
+    up = np.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), upwards), axis=1)
+    turning = (up * base.angular_velocity).sum(axis=1)
+    velocity = np.stack((cos * vx + sin * vy, cos * vy - sin * vx, turning), axis=1)
+    # Last column: direction of the base's z axis in the world.
+    axis = np.stack((2.0 * (x * z + w * y), 2.0 * (y * z - w * x), upwards), axis=1)
+    return velocity, np.arccos(np.minimum(np.maximum((axis * base.up).sum(axis=1), -1.0), 1.0))

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 from deploy.state import Reason
-from eval.judge.counts import NAMES, Counts
+from eval.judge.counts import Counts
+from eval.judge.monitors import NAMES
 from eval.mutants.hostile import Situation
 from eval.mutants.weakened import Weaken
 

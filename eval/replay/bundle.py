@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from deploy.stage import Arrays
-from eval.judge.counts import NAMES, Event
+from eval.judge.counts import Event
+from eval.judge.monitors import NAMES
 from eval.soak.fingerprint import code_digest, processor, versions
 from eval.soak.profile import Faults
 from robots.errors import ConfigError, OutputError

@@ -11,7 +11,8 @@ from deploy.safety.diagnostics import Stops, blame
 from deploy.stage import Arrays
 from deploy.telemetry.ring import Rows
 from eval.faults.schedule import hours_max
-from eval.judge.counts import JOINT_MONITORS, Counts
+from eval.judge.counts import Counts
+from eval.judge.monitors import MONITORS
 from eval.replay import bundle
 from eval.replay.bundle import About, Happened
 from eval.replay.capture_window import Window, columns, from_columns, window_type
@@ -24,7 +25,7 @@ from robots.errors import ConfigError
 from robots.models.quarantine import check_compiles
 from robots.spec import RobotSpec, load_robot
 
-JOINT_NAMES = tuple(monitor.name for monitor in JOINT_MONITORS)
+JOINT_NAMES = tuple(monitor.name for monitor in MONITORS if monitor.per_joint)
 
 
 class Again(NamedTuple):

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from eval.judge.counts import PER_LOAD
+from eval.judge.counts import BINS_PER_LIMIT
 from eval.report.schema.numbers import Number
 from eval.report.schema.report_data import GoalBin, Heat, Wear
 from eval.report.schema.rows import MonitorRow
@@ -180,7 +180,7 @@ def margins_plot(rows: Sequence[MonitorRow]) -> str:
         axes.axvline(1.0, color=HARD, linewidth=1.1)
         strips = [_strip(row, place) for place, row in enumerate(rows)]
         # A hair wider than a bin: neighbours shall leave no seam.
-        bin_pt = 1.03 * 72 * 10.6 * axes.get_position().width / right / PER_LOAD
+        bin_pt = 1.03 * 72 * 10.6 * axes.get_position().width / right / BINS_PER_LIMIT
         for colour, parts in zip((COOL, SOFT, HARD), zip(*strips, strict=True), strict=True):
             at, foot, top = np.concatenate(parts).reshape(-1, 3).T
             _segments(axes, (at, at), (foot, top), colour, bin_pt, alpha=0.45)
@@ -202,8 +202,8 @@ def _strip(row: MonitorRow, place: int) -> tuple[Floats, Floats, Floats]:
     share = ticks / ticks.sum()
     some = np.flatnonzero(share > 0.1**DECADES)
     top = place - 0.8 * (1 + np.log10(share[some]) / DECADES)
-    bars = np.stack((some / PER_LOAD + 0.5 / PER_LOAD, np.full(len(some), place), top), axis=1)
-    inside, none = some < PER_LOAD, np.zeros((0, 3))
+    bars = np.stack((some / BINS_PER_LIMIT + 0.5 / BINS_PER_LIMIT, np.full(len(some), place), top), axis=1)
+    inside, none = some < BINS_PER_LIMIT, np.zeros((0, 3))
     beyond = bars[~inside]
     return bars[inside], (none if row.hard else beyond), (beyond if row.hard else none)
 

@@ -10,7 +10,7 @@ from arro3.core import Array, DataType, Field, RecordBatch, RecordBatchReader, S
 from arro3.io import write_parquet
 from numpy.typing import NDArray
 
-from eval.judge.counts import MONITORS
+from eval.judge.monitors import MONITORS
 from eval.soak.configuration import Soak
 from eval.soak.fingerprint import code_digest
 from eval.soak.shard import ShardResult

@@ -10,7 +10,7 @@ from tensorboard.compat.proto.event_pb2 import Event
 from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.record_writer import RecordWriter
 
-from eval.judge.counts import MONITORS
+from eval.judge.monitors import MONITORS
 from eval.report.assembly import running_total, side_by_side
 from eval.soak.configuration import Soak
 from eval.soak.shard import ShardResult

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from eval.judge.counts import MONITORS
+from eval.judge.monitors import MONITORS
 from eval.replay import bundle
 from eval.replay.capture_window import window_type
 from eval.replay.event_capture import HARD_KEPT, LOOKS, SOFT_KEPT

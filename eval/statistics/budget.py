@@ -7,7 +7,8 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, NonNegativeFloat, NonNegativeInt, model_validator
 
-from eval.judge.counts import NAMES, Counts
+from eval.judge.counts import Counts
+from eval.judge.monitors import NAMES
 from robots.strict import Strict, read_toml
 
 BUDGET = Path(__file__).parents[1] / "budget.toml"

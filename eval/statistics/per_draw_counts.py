@@ -7,7 +7,8 @@ from typing import Self
 import numpy as np
 from pydantic import NonNegativeInt, PositiveFloat
 
-from eval.judge.counts import MONITORS, Counts
+from eval.judge.counts import Counts
+from eval.judge.monitors import MONITORS
 from robots.arrays import Floats
 from robots.strict import Strict
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from eval.judge.counts import MONITORS, Counts
+from eval.judge.counts import Counts
+from eval.judge.monitors import MONITORS
 from eval.report.schema.numbers import Number, figure, number
 from eval.report.schema.rows import Evidence, Further
 from eval.statistics.dispersion import dispersion_p, draw_rate_interval, draw_rate_upper

@@ -6,7 +6,7 @@ import numpy as np
 
 from eval.faults.fault_response import DIVERGED, NOT_AT_WORK, Injections
 from eval.faults.faults import JOINT, NOT_INJECTED, POLICY, WORDS, Answer, FaultClass, catalogue
-from eval.judge.counts import MONITORS
+from eval.judge.monitors import MONITORS
 from eval.report.schema.fault_rows import FaultRow, FaultTable, Miss, Times
 from eval.report.schema.numbers import number
 from eval.report.schema.report_data import Line

@@ -5,7 +5,8 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from eval.judge.counts import JOINT_MONITORS, MONITORS, Counts, Event, Monitor, monitor_of
+from eval.judge.counts import Counts, Event
+from eval.judge.monitor import Monitor
 from eval.replay.bundle import bundle_name
 from eval.report.schema.numbers import number
 from eval.report.schema.report_data import SoakResult
@@ -48,7 +49,7 @@ def _monitor(counts: Counts, monitor: Monitor, tail: Floats) -> MonitorRow:
 
 def _channels(counts: Counts, monitor: Monitor, tail: Floats) -> tuple[Channel, ...]:
     columns = counts.columns(monitor.name)
-    names: Sequence[str | None] = counts.joints if monitor in JOINT_MONITORS else (None,)
+    names: Sequence[str | None] = counts.joints if monitor.per_joint else (None,)
     return tuple(
         Channel(
             joint=joint,
@@ -125,8 +126,8 @@ def robots(result: SoakResult) -> tuple[RobotRow, ...]:
 
 def _unlisted(counts: Counts, shard_width: int) -> Floats:
     """(R,) h from which on events of a robot were counted only: its shard had kept enough of that monitor."""
-    of, shard = monitor_of(len(counts.joints)), np.arange(counts.robots) // shard_width
-    kept, last = np.zeros_like(counts.events), np.zeros((1 + shard[-1], len(MONITORS)))
+    of, shard = counts.channels.monitor_index, np.arange(counts.robots) // shard_width
+    kept, last = np.zeros_like(counts.events), np.zeros((1 + shard[-1], len(counts.channels.catalogue)))
     np.add.at(kept, (counts.log_robot, counts.log_channel), 1)
     np.maximum.at(last, (shard[counts.log_robot], of[counts.log_channel]), counts.log_start)
     since = np.where(counts.events > kept, last[shard[:, None], of], np.inf).min(axis=1)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from eval.judge.counts import MONITORS
+from eval.judge.monitors import MONITORS
 from policies.doctor.case import Case, UntriedError
 from policies.doctor.finding import Note, failed, listed, passed, warned
 from policies.doctor.trial.trial import HALF_OF, ROBOTS, SECONDS, Life

@@ -1,0 +1,99 @@
+"""Monitors of the command that was sent: torque rate, jump, speed, acceleration and jerk of each joint.
+
+Speed, acceleration and jerk are backward differences of the angles sent. On a continuous trajectory each is a mean of
+the true derivative, weighted by a B-spline, so that it keeps the limits of the trajectory.
+Source: de Boor, A Practical Guide to Splines (1978), ch. IX.
+"""
+
+import numpy as np
+
+from eval.judge.monitor import JudgedRobot, Monitor, zero_unless
+from eval.judge.tick_buffer import PAST, TickWindow
+from robots.arrays import Floats
+
+SENT_TOLERANCE = 1e-4
+"""Rounding, and the 1e-8 rad/s by which a planner may change its state: 2e-6 of the jerk limit at 200 Hz."""
+
+
+def _difference(window: TickWindow, order: int) -> Floats:
+    """Difference of the angles sent, 0 where it looks at a tick without power."""
+    values, drives_on = window.sent_differences[order - 1]
+    return zero_unless(drives_on, values)
+
+
+def _torque_difference(window: TickWindow, robot: JudgedRobot) -> Floats:
+    _, drives_on = window.sent_differences[0]
+    return zero_unless(drives_on, window.now.tau_sent - window.before.tau_sent)
+
+
+def _jump(window: TickWindow, robot: JudgedRobot) -> Floats:
+    """Distance from the true angle in the first tick of power, and from rest in the second; else 0."""
+    on, jump = window.drives_on, np.zeros(window.now.q.shape)
+    if on[PAST - 2 :].all():
+        return jump
+    now, before = on[PAST:], on[PAST - 1 : -1]
+    first = now & ~before & window.before.valid
+    missed = np.abs(window.now.sent - window.before.q) - robot.limits.arming_rad
+    jump[first] = np.maximum(missed, 0.0)[first]
+    second = now & before & ~on[PAST - 2 : -2]
+    jump[second] = window.sent_differences[0][0][second]
+    return jump
+
+
+COMMAND_MONITORS = (
+    Monitor(
+        name="torque_rate",
+        unit="N·m/s",
+        hard=True,
+        per_joint=True,
+        meaning="1st backward difference of the feed-forward torques sent",
+        limit=lambda robot: robot.limits.motor_array("torque_rate", robot.spec),
+        value=_torque_difference,
+        difference_order=1,
+        tolerance=SENT_TOLERANCE,
+    ),
+    Monitor(
+        name="command_jump",
+        unit="rad",
+        hard=True,
+        per_joint=True,
+        meaning="angle sent in the first tick of power, away from the true one by more than is allowed for arming, and"
+        " in the second, away from the first, by more than full acceleration from rest",
+        limit=lambda robot: robot.spec.joint_array("qdd_max") * robot.spec.dt**2,
+        value=_jump,
+        tolerance=SENT_TOLERANCE,
+    ),
+    Monitor(
+        name="velocity_sent",
+        unit="rad/s",
+        hard=True,
+        per_joint=True,
+        meaning="1st backward difference of angles sent",
+        limit=lambda robot: robot.spec.joint_array("qd_max"),
+        value=lambda window, robot: _difference(window, 1),
+        difference_order=1,
+        tolerance=SENT_TOLERANCE,
+    ),
+    Monitor(
+        name="acceleration",
+        unit="rad/s²",
+        hard=True,
+        per_joint=True,
+        meaning="2nd backward difference of angles sent",
+        limit=lambda robot: robot.spec.joint_array("qdd_max"),
+        value=lambda window, robot: _difference(window, 2),
+        difference_order=2,
+        tolerance=SENT_TOLERANCE,
+    ),
+    Monitor(
+        name="jerk",
+        unit="rad/s³",
+        hard=True,
+        per_joint=True,
+        meaning="3rd backward difference of angles sent",
+        limit=lambda robot: robot.spec.joint_array("qddd_max"),
+        value=lambda window, robot: _difference(window, 3),
+        difference_order=3,
+        tolerance=SENT_TOLERANCE,
+    ),
+)

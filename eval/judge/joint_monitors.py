@@ -1,0 +1,128 @@
+"""Monitors of each joint's true state, of the policy's target and of the estimated angle."""
+
+import numpy as np
+
+from eval.judge.monitor import JudgedRobot, Monitor, zero_unless
+from eval.judge.tick_buffer import TickWindow
+from robots.arrays import Floats
+
+TORQUE_FULL = 0.999
+"""Share of the torque range that counts as its end: a drive saturates there and cannot exceed it."""
+
+
+def _q_from_middle(window: TickWindow, robot: JudgedRobot) -> Floats:
+    return window.now.q - robot.q_middle
+
+
+def _target_from_middle(window: TickWindow, robot: JudgedRobot) -> Floats:
+    """0 without power, when nobody follows the target."""
+    return zero_unless(window.now.powered, window.now.target - robot.q_middle)
+
+
+def _tracking_error(window: TickWindow, robot: JudgedRobot) -> Floats:
+    return zero_unless(window.drives_on[-len(window.now.q) :], window.now.q - window.now.sent)
+
+
+def _squared_estimate_error(window: TickWindow, robot: JudgedRobot) -> Floats:
+    """Normalized squared error of the angle. The estimate is for the end of the tick before.
+
+    Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), 5.4.
+    """
+    error = window.now.q_hat - window.before.q
+    error *= error
+    error /= window.now.q_var
+    return zero_unless(np.isfinite(window.now.age) & window.before.valid, error)
+
+
+JOINT_MONITORS = (
+    Monitor(
+        name="position_requested",
+        unit="rad",
+        hard=False,
+        per_joint=True,
+        meaning="the policy's target, before it is clamped, beyond the working range",
+        limit=lambda robot: robot.q_half_range,
+        value=_target_from_middle,
+    ),
+    Monitor(
+        name="position_soft",
+        unit="rad",
+        hard=False,
+        per_joint=True,
+        meaning="true angle nearer to the range's end than its margin",
+        limit=lambda robot: robot.q_half_range - robot.spec.margins.q_soft_rad,
+        value=_q_from_middle,
+    ),
+    Monitor(
+        name="position_hard",
+        unit="rad",
+        hard=True,
+        per_joint=True,
+        meaning="true angle beyond the working range",
+        limit=lambda robot: robot.q_half_range,
+        value=_q_from_middle,
+    ),
+    Monitor(
+        name="velocity",
+        unit="rad/s",
+        hard=True,
+        per_joint=True,
+        meaning="true joint speed",
+        limit=lambda robot: robot.spec.joint_array("qd_max"),
+        value=lambda window, robot: window.now.qd,
+    ),
+    Monitor(
+        name="torque",
+        unit="N·m",
+        hard=True,
+        per_joint=True,
+        meaning="true actuator torque at the end of its range",
+        limit=lambda robot: TORQUE_FULL * robot.torque_max,
+        value=lambda window, robot: window.now.tau,
+    ),
+    Monitor(
+        name="power",
+        unit="W",
+        hard=False,
+        per_joint=True,
+        meaning="true mechanical power of a joint, given or taken",
+        limit=lambda robot: robot.limits.motor_array("power_w", robot.spec),
+        value=lambda window, robot: window.joint_power,
+    ),
+    Monitor(
+        name="heat_soft",
+        unit="°C",
+        hard=False,
+        per_joint=True,
+        meaning="true winding temperature, warning",
+        limit=lambda robot: robot.spec.motor_array("winding_soft_c"),
+        value=lambda window, robot: window.now.winding_c,
+    ),
+    Monitor(
+        name="heat_hard",
+        unit="°C",
+        hard=True,
+        per_joint=True,
+        meaning="true winding temperature, damage",
+        limit=lambda robot: robot.spec.motor_array("winding_max_c"),
+        value=lambda window, robot: window.now.winding_c,
+    ),
+    Monitor(
+        name="tracking",
+        unit="rad",
+        hard=False,
+        per_joint=True,
+        meaning="true angle away from the angle sent",
+        limit=lambda robot: robot.spec.margins.tracking_rad,
+        value=_tracking_error,
+    ),
+    Monitor(
+        name="estimate",
+        unit="1",
+        hard=False,
+        per_joint=True,
+        meaning="squared error of the estimated angle, in variances that the estimator claims",
+        limit=lambda robot: robot.limits.nees,
+        value=_squared_estimate_error,
+    ),
+)

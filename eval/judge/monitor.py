@@ -1,0 +1,108 @@
+"""Monitor declarations: the value that is measured, its limit, its meaning, and what a robot needs to have it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.policy.contract import Observed
+from eval.judge.limits import Limits
+from eval.judge.singularity import SingularityMetric
+from eval.judge.tick_buffer import TickWindow
+from robots.arrays import Bools, Floats
+from robots.capabilities import Capability
+from robots.errors import ConfigError
+from robots.spec import RobotSpec
+
+Part = TypeVar("Part")
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedRobot:
+    """Constants of one robot that limits and values of monitors are computed from.
+
+    Attributes:
+        torque_max: (n,) N·m, each actuator's range at the joint.
+        limits: limits.toml.
+        observed: statistics of the observations in training; None if the contract has none.
+    """
+
+    spec: RobotSpec
+    torque_max: Floats
+    limits: Limits
+    observed: Observed | None
+
+    @cached_property
+    def q_middle(self) -> Floats:
+        """(n,) rad, middle of the working range."""
+        return (self.spec.joint_array("q_max") + self.spec.joint_array("q_min")) / 2
+
+    @cached_property
+    def q_half_range(self) -> Floats:
+        """(n,) rad, from the middle of the working range to its ends."""
+        return (self.spec.joint_array("q_max") - self.spec.joint_array("q_min")) / 2
+
+    @cached_property
+    def singularity(self) -> SingularityMetric:
+        """Manipulability at true angles."""
+        return SingularityMetric(self.spec)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Monitor:
+    """One quantity that must stay within its limit.
+
+    A tick is bad where |value| exceeds the limit, or is NaN.
+
+    Attributes:
+        unit: of value and limit; empty for yes or no, 1 for a plain number.
+        hard: one event is enough to make the robot's draw a bad one.
+        meaning: what is compared with what, for the report.
+        per_joint: one channel for each joint, not a single one for the robot.
+        limit: (n,) or a number; infinite if unknown, and then nothing is judged.
+        value: (T, R, n) per joint, else (T, R): the value in every tick of the window. 0 where it cannot be known.
+        needs: capabilities without which a robot does not have this monitor.
+        difference_order: order of a backward difference that `value` returns without dividing by dt**order.
+        tolerance: share by which the limit may be exceeded, for rounding.
+    """
+
+    name: str
+    unit: str
+    hard: bool
+    meaning: str
+    per_joint: bool = False
+    limit: Callable[[JudgedRobot], Floats | float]
+    value: Callable[[TickWindow, JudgedRobot], NDArray[Any]]
+    needs: frozenset[Capability] = frozenset()
+    difference_order: int = 0
+    tolerance: float = 0.0
+
+
+def zero_unless(mask: Bools, values: NDArray[Any]) -> NDArray[Any]:
+    """Return values (T, R, ...), replaced by 0 where the mask (T, R) does not hold."""
+    if mask.all():
+        return values
+    masked = values.copy()
+    masked[~mask] = 0.0
+    return masked
+
+
+def available(part: Part | None) -> Part:
+    """Return an optional part of a robot that the monitor's `needs` guarantee.
+
+    Raises:
+        ConfigError: the robot lacks it.
+    """
+    if part is None:
+        raise ConfigError(
+            "monitor: found a robot without a part that the monitor uses; expected it in `needs`"
+        )
+    return part
+
+
+def row_norms(vectors: Floats) -> Floats:
+    """(T, R) Euclidean norms of vectors (T, R, 3)."""
+    return np.asarray(np.sqrt(np.einsum("tbi,tbi->tb", vectors, vectors)))

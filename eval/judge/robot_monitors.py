@@ -1,0 +1,133 @@
+"""Monitors of the whole robot: contacts, tool, floating base, power, observation and action."""
+
+import numpy as np
+
+from eval.judge.monitor import JudgedRobot, Monitor, available, row_norms, zero_unless
+from eval.judge.tick_buffer import TickWindow
+from robots.arrays import Bools, Floats
+
+YES = 0.5
+"""Limit of a flag: 0 is good, 1 is bad."""
+SINGULAR = 1e-3
+"""Share of the manipulability limit below which a robot counts as in a singularity, or beyond it."""
+FALLING_RAD = 0.2
+"""Angle by which a base falling at 3 rad/s turns while its IMU's packets are 50 ms late, and some estimation error."""
+
+
+def _distance_outside(window: TickWindow, robot: JudgedRobot) -> Floats:
+    """Distance from the workspace's centre, or depth below its lowest point plus its radius if that is more, m."""
+    position, space = window.now.tool_position, available(robot.spec.workspace)
+    distance = row_norms(position - np.array(space.centre))
+    return np.maximum(distance, space.radius_max + space.z_min - position[:, :, 2])
+
+
+def _inverse_manipulability(window: TickWindow, robot: JudgedRobot) -> Floats:
+    q, least = window.now.q, available(robot.limits.manipulability) * SINGULAR
+    found = robot.singularity.manipulability(q.reshape(-1, q.shape[-1])).reshape(q.shape[:-1])
+    return 1.0 / np.maximum(found, least)
+
+
+def _largest_deviation(window: TickWindow, robot: JudgedRobot) -> Floats:
+    """Largest deviation of an observed number from its mean in training, in standard deviations, while running."""
+    if robot.observed is None:
+        return np.zeros(window.running.shape)
+    mean, deviation = (
+        np.array(values, dtype=np.float32) for values in (robot.observed.mean, robot.observed.deviation)
+    )
+    deviations = np.abs((window.now.observation - mean) / deviation)
+    return zero_unless(window.running, deviations.max(axis=2))
+
+
+def _ran_without_action(window: TickWindow, robot: JudgedRobot) -> Bools:
+    """True where a robot runs although the action of the tick before was not finite: it must stop by then."""
+    return window.running & ~window.before.action_finite & window.before.powered
+
+
+ROBOT_MONITORS = (
+    Monitor(
+        name="self_collision",
+        unit="",
+        hard=True,
+        meaning="the robot touches itself or its table",
+        needs=frozenset({"self_collision"}),
+        limit=lambda robot: YES,
+        value=lambda window, robot: window.now.self_collision,
+    ),
+    Monitor(
+        name="contact_force",
+        unit="N",
+        hard=True,
+        meaning="true normal force of the strongest contact",
+        limit=lambda robot: robot.limits.contact_n,
+        value=lambda window, robot: window.now.contact_n,
+    ),
+    Monitor(
+        name="workspace",
+        unit="m",
+        hard=True,
+        meaning="true tool position outside the workspace",
+        needs=frozenset({"workspace"}),
+        limit=lambda robot: available(robot.spec.workspace).radius_max,
+        value=_distance_outside,
+    ),
+    Monitor(
+        name="singularity",
+        unit="1/m³",
+        hard=False,
+        meaning="1 ÷ manipulability (Yoshikawa) at the true angles; in a singularity and beyond it 1000 × its limit",
+        needs=frozenset({"manipulability"}),
+        limit=lambda robot: 1.0 / available(robot.limits.manipulability),
+        value=_inverse_manipulability,
+    ),
+    Monitor(
+        name="tool_speed",
+        unit="m/s",
+        hard=True,
+        meaning="true tool speed",
+        needs=frozenset({"workspace"}),
+        limit=lambda robot: available(robot.spec.workspace).tool_speed_max,
+        value=lambda window, robot: row_norms(window.now.tool_velocity),
+    ),
+    Monitor(
+        name="tilt",
+        unit="rad",
+        hard=True,
+        meaning="true tilt of a base: it falls, or has fallen",
+        needs=frozenset({"floating_base"}),
+        limit=lambda robot: available(robot.spec.base).tilt_max_rad,
+        value=lambda window, robot: window.now.tilt,
+    ),
+    Monitor(
+        name="fallen",
+        unit="rad",
+        hard=True,
+        meaning="true tilt of a base whose robot is still under way, by more than a stop needs to begin",
+        needs=frozenset({"floating_base"}),
+        limit=lambda robot: available(robot.spec.base).tilt_max_rad + FALLING_RAD,
+        value=lambda window, robot: zero_unless(window.running, window.now.tilt),
+    ),
+    Monitor(
+        name="robot_power",
+        unit="W",
+        hard=False,
+        meaning="true mechanical power of all joints together",
+        limit=lambda robot: robot.limits.power_w,
+        value=lambda window, robot: np.sum(window.joint_power, axis=2),
+    ),
+    Monitor(
+        name="observation",
+        unit="1",
+        hard=False,
+        meaning="number of an observation furthest off what training saw, in its standard deviations, under way",
+        limit=lambda robot: robot.limits.deviations if robot.observed else np.inf,
+        value=_largest_deviation,
+    ),
+    Monitor(
+        name="action_finite",
+        unit="",
+        hard=True,
+        meaning="under way a tick after the policy said NaN or inf",
+        limit=lambda robot: YES,
+        value=_ran_without_action,
+    ),
+)
