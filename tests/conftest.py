@@ -2,13 +2,16 @@ import json
 
 import numpy as np
 import pytest
+
+pytest.register_assert_rewrite("support")
+
 from hypothesis import settings
 from onnx import numpy_helper
-from test_policy import A, golden, metadata, policy_model, saved, tensor, weights
 
 from deploy.policy.policy_file import GOLDEN_KEY
 from deploy.tasks import reach
 from robots.spec import load_robot
+from support.policies import A, golden, metadata, policy_model, saved, tensor, weights
 
 # Cases are the same for everybody, and none fails for a slow machine.
 settings.register_profile("same", derandomize=True, deadline=None)

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from test_monitors import DT, OBSERVED, SPEC, TORQUE_MAX, Bench, N, feed, random_series
 
 from eval.judge.judge import Judge
 from eval.judge.monitor import Monitor
 from eval.judge.monitors import MONITORS
 from robots.errors import ConfigError
+from support.arm6 import SPEC
+from support.judges import DT, OBSERVED, TORQUE_MAX, Bench, N, feed, random_series
 
 BRAKING = Monitor(
     name="braking",

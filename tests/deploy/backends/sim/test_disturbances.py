@@ -1,0 +1,150 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from support.plants import ANATOMY, BUSY, DT, HOME, command, drawn, exact
+
+mujoco = pytest.importorskip("mujoco")
+disturbances = pytest.importorskip("deploy.backends.sim.disturbances")
+
+
+def history(turns, ticks):
+    """(ticks, B) when it was there; as `Plant.step` asks."""
+    course = []
+    for tick in range(ticks):
+        turns.step(tick)
+        course.append(turns.on.copy())
+    return np.array(course)
+
+
+def lengths(course, value):
+    """Ticks of every whole run of `value` in (ticks,)."""
+    edges = np.flatnonzero(np.diff(course.astype(int))) + 1
+    return [b - a for a, b in pairwise(edges) if course[a] == value]
+
+
+def test_payloads_come_and_go_as_drawn():
+    """Carried and free for as long as drawn, to the tick, and each robot somewhere else in its cycle at first."""
+    plant = drawn(40, {"payload.carried_s": 0.35, "payload.free_s": 0.2})
+    at_first = plant.payload.on.copy()
+    course = history(plant.payload, 500)
+    for robot in range(40):
+        assert set(lengths(course[:, robot], True)) == {70}
+        assert set(lengths(course[:, robot], False)) == {40}
+    assert 15 < at_first.sum() < 35  # 35 of 55 of 40 on the average
+    np.testing.assert_array_equal(course[0], at_first)
+    starts = [np.flatnonzero(np.diff(course[:, robot].astype(int)))[0] for robot in range(40)]
+    assert len(set(starts)) > 20
+
+
+def test_a_payload_is_a_ball_of_aluminium_where_the_draw_says():
+    com = np.array([0.02, -0.01, 0.03])
+    plant = drawn(4, BUSY | {"payload.mass_kg": 0.8, "payload.com_m": com})
+    for tick in range(300):
+        plant.payload.step(tick)
+        for i in range(4):
+            own, on = plant.batch.get_model(i), bool(plant.payload.on[i])
+            body = own.body("firstshift/payload")
+            assert body.mass[0] == (0.8 if on else 0.0)
+            radius = (0.8 / (4 / 3 * np.pi * 2700.0)) ** (1 / 3)
+            np.testing.assert_allclose(body.inertia, on * 0.4 * 0.8 * radius**2 * np.ones(3))
+            np.testing.assert_array_equal(body.ipos, com)
+            np.testing.assert_allclose(body.pos, own.site("tool").pos)
+            bodies = own.body_mass[: ANATOMY.payload + 1]
+            assert own.body_subtreemass[1] == pytest.approx(bodies.sum(), rel=1e-12)
+
+
+def test_what_the_tool_carries_pulls_at_every_joint():
+    """Statics: the moments of its weight."""
+    loaded, free = (
+        exact(
+            1,
+            {"payload.mass_kg": mass, "payload.carried_s": 1e6, "payload.free_s": 0.1, "payload.com_m": 0.0},
+        )
+        for mass in (2.0, 0.0)
+    )
+    assert loaded.payload.on[0]
+    forces = []
+    for plant in (loaded, free):
+        model, data = plant.batch.get_model(0), plant.batch.get_data(0)
+        mujoco.mj_forward(model, data)
+        forces.append(data.qfrc_bias.copy())
+    jacobian = np.zeros((3, model.nv))
+    mujoco.mj_jacSite(model, data, jacobian, None, ANATOMY.tool)
+    np.testing.assert_allclose(forces[0] - forces[1], jacobian.T @ [0.0, 0.0, 2.0 * 9.81], atol=1e-9)
+
+
+def test_pushes_last_as_drawn_after_exponential_pauses():
+    plant = drawn(200, {"push.every_s": 2.0, "push.lasts_s": 0.1})
+    course = history(plant.pushes, 8000)
+    assert not course[0].any()
+    assert {n for robot in range(200) for n in lengths(course[:, robot], True)} == {20}
+    pauses = DT * np.array([n for robot in range(200) for n in lengths(course[:, robot], False)])
+    assert len(pauses) > 3000
+    assert pauses.mean() == pytest.approx(2.0, rel=0.12)  # whole pauses inside 40 s are a little short
+    assert pauses.std() == pytest.approx(pauses.mean(), rel=0.12)
+    assert pauses.min() < 0.05
+
+
+def test_pushes_come_from_everywhere_on_every_moving_link():
+    plant = drawn(100, {"push.every_s": 1.0, "push.lasts_s": 0.1, "push.force_n": 17.0})
+    applied, seen = plant.batch.bind("xfrc_applied"), []
+    for tick in range(2000):
+        plant.pushes.step(tick)
+        on = plant.pushes.on
+        assert not applied[~on].any()
+        if tick % 25 == 0:
+            seen.append(applied[on].copy())
+    forces = np.concatenate(seen)
+    assert not forces[:, :, 3:].any()
+    assert (np.count_nonzero(forces.any(axis=2), axis=1) == 1).all()
+    one = forces.sum(axis=1)[:, :3]
+    np.testing.assert_allclose(np.linalg.norm(one, axis=1), 17.0)
+    assert np.linalg.norm(one.mean(axis=0)) < 17.0 * 0.15
+    np.testing.assert_allclose((one**2).mean(axis=0), 17.0**2 / 3, rtol=0.2)
+    links = np.argmax(forces.any(axis=2), axis=1)
+    assert set(links) == set(ANATOMY.bodies)
+
+
+def test_a_push_is_felt_while_it_lasts():
+    plant = exact(1, {"push.every_s": 1.0, "push.lasts_s": 0.2, "push.force_n": 300.0})
+    moved = {True: 0.0, False: 0.0}
+    rest = plant.q[0].copy()
+    for tick in range(1000):
+        plant.step(command(HOME))
+        on = bool(plant.pushes.on[0])
+        moved[on] = (
+            max(moved[on], np.abs(plant.q[0] - rest).max()) if on or tick < plant.pushes.until[0] else 0
+        )
+    assert plant.pushes.turn[0] > 3
+    assert moved[True] > 1e-3
+
+
+def test_a_reset_does_not_end_a_push():
+    plant = exact(1, {"push.every_s": 1.0, "push.lasts_s": 1.0, "push.force_n": 30.0})
+    while not plant.pushes.on[0]:
+        plant.step(command(HOME))
+    before = plant.batch.bind("xfrc_applied").copy()
+    plant.reset(np.ones(1, dtype=bool), HOME[None])
+    assert before.any()
+    np.testing.assert_array_equal(plant.batch.bind("xfrc_applied"), before)
+
+
+def test_turns_are_the_seeds_and_not_the_groups():
+    many, alone = drawn(5, BUSY), drawn(5, BUSY, rows=slice(3, 4))
+    for name in ("payload", "pushes"):
+        courses = [history(getattr(plant, name), 600) for plant in (many, alone)]
+        np.testing.assert_array_equal(courses[0][:, 3:4], courses[1])
+        assert (courses[0] != courses[0][:, :1]).any()
+    assert disturbances.Payload.purpose != disturbances.Pushes.purpose
+
+
+def test_nothing_is_done_on_a_tick_on_which_nothing_changes(monkeypatch):
+    plant, done = drawn(3), []
+    monkeypatch.setattr(disturbances.Turns, "_time", lambda *_: done.append(1))
+    for tick in range(100):
+        plant.pushes.step(tick)
+        plant.payload.step(tick)
+    assert not done
+    assert min(plant.pushes.until.min(), plant.payload.until.min()) > 100

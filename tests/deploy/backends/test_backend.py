@@ -1,0 +1,134 @@
+import json
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from deploy.backends.backend import Request
+from deploy.backends.sim.backend import SimBackend
+from deploy.motion.drive_law import Gains
+from deploy.operation.cli import cli
+from robots.errors import ConfigError
+from robots.randomness import robot_seed
+from robots.spec import load_robot
+from support.contracts import arm_contract
+from support.policies import policy_model, saved
+
+SPEC = load_robot("arm6")
+OUTSIDE = '''
+"""A wire to arms that follow every command at once."""
+import numpy as np
+from deploy.backends.backend import Abilities, Backend
+from deploy.state import Packet
+
+OPENED = []
+
+class Arm:
+    robots, gains = 1, None
+
+    def __init__(self, spec):
+        self.spec, self.tick, self.calls = spec, 0, []
+        self.q, self.qd = spec.joint_array("q_home")[None], np.zeros((1, spec.n))
+
+    def read(self):
+        t, fresh = np.full(1, self.tick * self.spec.dt), np.ones(1, dtype=bool)
+        values = {"encoder": self.q, "velocity": self.qd, "temperature": np.full_like(self.q, 30.0)}
+        rest = {k: np.zeros((1, c)) for k, c in self.spec.channels.items()} | values
+        noise = 1e-5 * np.sin(self.tick * np.arange(1, self.spec.n + 1))
+        rest["encoder"] = rest["encoder"] + noise
+        return {kind: Packet(t=t, fresh=fresh, value=rest[kind]) for kind in self.spec.channels}
+
+    def write(self, command):
+        self.tick += 1
+        if command.powered[0]:
+            self.q, self.qd = command.q.copy(), command.qd.copy()
+        self.calls.append("write")
+
+    def stop(self, ids):
+        self.calls.append("stop")
+
+    def close(self):
+        self.calls.append("close")
+
+class Wire(Backend):
+    abilities = Abilities(modes=("position",), control_hz=(100, 1000), gains=False)
+
+    def open(self, request):
+        OPENED.append(Arm(request.spec))
+        return OPENED[-1]
+'''
+
+
+@pytest.fixture
+def outside(tmp_path, monkeypatch):
+    """A distribution of somebody else's, installed; its module."""
+    place = tmp_path / "site"
+    info = place / "echo_wire-1.0.dist-info"
+    info.mkdir(parents=True)
+    (place / "echo_wire.py").write_text(textwrap.dedent(OUTSIDE))
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: echo-wire\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[firstshift.backends]\necho = echo_wire:Wire\n")
+    monkeypatch.syspath_prepend(place)
+    yield lambda: sys.modules["echo_wire"]
+    sys.modules.pop("echo_wire", None)
+
+
+def deploy_run(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["deploy-run", *map(str, arguments)])
+    with pytest.raises(SystemExit) as caught:
+        cli()
+    return caught.value.code
+
+
+@pytest.mark.usefixtures("quick_goals")
+def test_a_backend_from_another_package_drives_a_robot(outside, arm_policy, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    options = ("--policy", arm_policy, "--backend", "echo", "--speed", "max", "--duration", 1, "--out", out)
+    code = deploy_run(monkeypatch, *options)
+    summary = json.loads((out / "summary.json").read_text())
+    assert (code, summary["ended"], summary["backend"]) == (0, "done", "echo")
+    (arm,) = outside().OPENED
+    assert arm.calls.count("write") == summary["ticks"] > 200
+    assert arm.calls[-1] == "close"
+
+
+@pytest.mark.usefixtures("outside")
+@pytest.mark.parametrize("option", [("--view",), ("--draw", "7:1")])
+def test_options_of_the_simulation_are_refused_for_other_backends(
+    arm_policy, tmp_path, monkeypatch, capsys, option
+):
+    out = tmp_path / "out"
+    assert deploy_run(monkeypatch, "--policy", arm_policy, "--backend", "echo", "--out", out, *option) == 2
+    expected = f"error: --backend echo: found {option[0]}, which only simulated robots have\n"
+    assert capsys.readouterr().err == expected
+    assert not out.exists()
+
+
+def test_gains_that_a_backend_cannot_set_are_refused(outside, tmp_path, monkeypatch, capsys):
+    soft = arm_contract().action.model_copy(update={"kp": (400.0,) * SPEC.n, "kd": (40.0,) * SPEC.n})
+    policy, out = saved(policy_model(arm_contract(action=soft)), tmp_path), tmp_path / "out"
+    assert deploy_run(monkeypatch, "--policy", policy, "--backend", "echo", "--out", out) == 2
+    assert "kp and kd of the policy's contract: found some, expected none" in capsys.readouterr().err
+    assert (outside().OPENED, out.exists()) == ([], False)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mode": "torque"}, "control mode: found torque, expected one of position"),
+        ({"spec": SPEC.model_copy(update={"rates": SPEC.rates.model_copy(update={"control_hz": 200_000})})},
+         "control_hz of the robot: found 200000, expected 1 to 100000"),
+    ],
+)  # fmt: skip
+def test_a_request_beyond_the_abilities_is_refused(changes, message):
+    request = {"spec": SPEC, "seed": robot_seed(3, 0)} | changes
+    with pytest.raises(ConfigError, match=message):
+        SimBackend().check(Request(**request))
+
+
+def test_the_simulation_sets_gains():
+    gains = Gains(np.full(SPEC.n, 400.0), np.full(SPEC.n, 40.0))
+    request = Request(spec=SPEC, seed=robot_seed(3, 0), gains=gains)
+    SimBackend().check(request)
+    assert SimBackend().open(request).gains is gains

@@ -1,0 +1,264 @@
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deploy.operation.cli
+from deploy.backends.sim.robot import SimRobot
+from deploy.policy.policy import Policy
+from deploy.runtime import Runtime
+from robots.distributions import load_distributions
+from robots.randomness import robot_seed
+from robots.spec import load_robot
+from support.contracts import SWAPPED, arm_contract
+from support.paths import ROOT
+from support.policies import policy_model, saved
+
+SPEC = load_robot("arm6")
+
+
+class Blind:
+    """A screen nobody looks at."""
+
+    def offer(self, snapshot):
+        json.dumps(snapshot)
+
+    def close(self):
+        """Nothing to close."""
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Run the command line; return its exit code and what it said."""
+    monkeypatch.setattr(deploy.operation.cli, "ConsoleProcess", Blind)
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["deploy-run", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            deploy.operation.cli.cli()
+        said = capsys.readouterr()
+        return caught.value.code, said.out, said.err
+
+    return run
+
+
+@pytest.mark.usefixtures("quick_goals")
+def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):
+    out = tmp_path / "a" / "b"
+    code, said, complaint = command(
+        "--policy", arm_policy, "--duration", 4.5, "--speed", "max", "--seed", 3, "--out", out
+    )
+    summary = json.loads((out / "summary.json").read_text())
+    assert (code, complaint) == (0, "")
+    assert (summary["ended"], summary["seed"], summary["stops"]) == ("done", "3", {"operator": 1})
+    assert [re.sub(r"^[\d.]+ s: ", "", stop) for stop in summary["last_stops"]] == ["it was told to stop"]
+    assert (summary["robot_digest"], summary["recording"]) == (SPEC.digest, str(out / "run.mcap"))
+    assert summary["policy_digest"] == Policy.load(arm_policy, SPEC).digest
+    assert summary["goals"]["attempted"] == 1
+    assert 900 <= summary["ticks"] <= 930  # some before it is armed, and the stop
+    assert 15 < summary["housing_max_c"] < 60
+    assert -2 <= summary["winding_max_c"] - summary["housing_max_c"] < 10  # the sensor's noise and steps
+    assert "0 of 1 reached" in said
+    assert {path.name for path in out.iterdir()} == {"run.mcap", "summary.json", "heat.json"}
+
+
+@pytest.mark.parametrize("stored", [False, True])
+@pytest.mark.usefixtures("quick_goals")
+def test_a_robot_of_a_soak_comes_with_its_draw_its_noise_and_its_goals(
+    command, arm_policy, tmp_path, monkeypatch, stored
+):
+    """By its number, or from what the soak stored of it."""
+    made, soaked = [], SimRobot(SPEC, [robot_seed(5, robot) for robot in range(4)])
+    if stored:
+        (tmp_path / "draws.json").write_text(soaked.draw.to_json(5, load_distributions(SPEC), SPEC))
+    which = f"{tmp_path / 'draws.json'}:3" if stored else "5:3"
+
+    class Seen(SimRobot):
+        def __init__(self, *args, **how):
+            super().__init__(*args, **how)
+            made.append(self)
+
+    monkeypatch.setattr("deploy.backends.sim.backend.SimRobot", Seen)
+    code, *_ = command(
+        "--policy", arm_policy, "--speed", "max", "--duration", 0.5, "--out", tmp_path, "--draw", which
+    )
+    assert code == 0
+    assert json.loads((tmp_path / "summary.json").read_text())["seed"] == which
+    for name, values in made[0].draw.items():
+        np.testing.assert_array_equal(values[0], soaked.draw[name][3])
+    np.testing.assert_array_equal(made[0].sensors._noise_keys[0], soaked.sensors._noise_keys[3])
+
+
+@pytest.mark.usefixtures("quick_goals")
+def test_a_robot_that_is_not_armed_is_exit_1(command, arm_policy, tmp_path, monkeypatch):
+    class Hot(SimRobot):
+        def __init__(self, *args, **how):
+            super().__init__(*args, **how)
+            self.plant.housing[:] = 95.0
+            self._settle(np.ones(1, dtype=bool))
+
+    monkeypatch.setattr("deploy.backends.sim.backend.SimRobot", Hot)
+    code, said, _ = command("--policy", arm_policy, "--speed", "max", "--out", tmp_path)
+    assert code == 1
+    assert "not armed: a motor is too hot" in said
+    assert json.loads((tmp_path / "summary.json").read_text())["ended"] == "not armed"
+
+
+@pytest.mark.usefixtures("quick_goals")
+def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(command, arm_policy, tmp_path, monkeypatch):
+    waits = iter(range(10_000))
+
+    def wait(_):
+        if next(waits) == 300:
+            signal.raise_signal(signal.SIGINT)
+        return 0.0
+
+    monkeypatch.setattr("deploy.operation.clock.Unpaced.wait", wait)
+    assert command("--policy", arm_policy, "--speed", "max", "--out", tmp_path)[0] == 130
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert (summary["ended"], summary["reason"]) == ("interrupted", "it was told to stop")
+    assert [Path(event).name for event in summary["events"]] == ["event-300.mcap"]
+
+
+def test_a_defect_is_exit_70_with_its_traceback(command, arm_policy, tmp_path, monkeypatch):
+    """1 would be a verdict."""
+
+    def fails(self, action):
+        raise ZeroDivisionError("of ours")
+
+    monkeypatch.setattr(Runtime, "act", fails)
+    code, _, complaint = command("--policy", arm_policy, "--out", tmp_path)
+    assert code == 70
+    assert complaint.rstrip().endswith("ZeroDivisionError: of ours")
+
+
+def swapped(folder):
+    return saved(policy_model(arm_contract(joint_names=SWAPPED)), folder)
+
+
+def for_another_robot(folder):
+    return saved(policy_model(arm_contract(robot="planar3")), folder)
+
+
+def missing(folder):
+    return folder / "no.onnx"
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (missing, "no.onnx: cannot be read: No such file or directory, expected an ONNX policy"),
+        (for_another_robot, "policy.onnx: contract: robot: found 'planar3', expected 'arm6'"),
+        (swapped, "policy.onnx: contract: joint_names: the right joints in another order: found"),
+    ],
+)
+def test_a_bad_policy_is_exit_2_and_nothing_is_made(command, tmp_path, policy, message):
+    out = tmp_path / "out"
+    code, said, complaint = command("--policy", policy(tmp_path), "--out", out)
+    assert (code, said) == (2, "")
+    assert complaint.startswith(f"error: {tmp_path}")
+    assert message in complaint
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--robot", "arm7"), "error: --robot arm7: no such folder with a robot.toml; known: arm6"),
+        (("--backend", "canopen"), "error: --backend canopen: unknown; known: sim"),
+        (("--speed", "fast"), "error: --speed fast: expected a factor above 0 and at most 1000, or max"),
+        (("--speed", "0"), "error: --speed 0: expected a factor above 0"),
+        (("--speed", "nan"), "error: --speed nan: expected a factor above 0"),
+        (("--speed", "inf"), "error: --speed inf: expected a factor above 0"),
+        (("--speed", "-1"), "error: --speed -1: expected a factor above 0"),
+        (("--duration", "0"), "error: --duration 0.0: expected s above 0, or inf"),
+        (("--duration", "nan"), "error: --duration nan: expected s above 0, or inf"),
+        (("--duration", "long"), "Invalid value for '--duration'"),
+        (("--seed", "-3"), "error: --seed -3: expected 0 or more"),
+        (("--draw", "7"), "error: --draw 7: expected SEED:ROBOT, or FILE:ROBOT of a soak's draws.json"),
+        (("--draw", "nothing.json:1"), "error: nothing.json: cannot be read"),
+        (("--draw", "7:-1"), "error: --draw 7:-1: expected SEED:ROBOT"),
+        (
+            ("--draw", "7:1", "--seed", "7"),
+            "error: --draw 7:1: found --seed 7 beside it, expected one of them",
+        ),
+        (("--sped", "2"), "No such option: --sped"),
+    ],
+)
+def test_a_bad_option_is_exit_2_and_nothing_is_made(command, arm_policy, tmp_path, arguments, message):
+    out = tmp_path / "out"
+    code, said, complaint = command("--policy", arm_policy, "--out", out, *arguments)
+    assert (code, said) == (2, "")
+    assert message in complaint
+    assert not out.exists()
+
+
+def test_motors_stay_warm_from_run_to_run_but_a_drawn_robot_has_no_past(
+    command, arm_policy, tmp_path, monkeypatch
+):
+    hot, begun = [60.0] * SPEC.n, []
+    warm = SimRobot.warm
+    monkeypatch.setattr(
+        SimRobot, "warm", lambda robot, rise: (warm(robot, rise), begun.append(robot.truth()))
+    )
+    for further in ((), ("--draw", "7:1")):
+        heat = {"robot": "arm6", "joints": SPEC.joint_names, "unix_s": time.time(), "rise_k": hot}
+        (tmp_path / "heat.json").write_text(json.dumps(heat))
+        options = ("--policy", arm_policy, "--duration", 0.5, "--speed", "max", "--out", tmp_path, *further)
+        assert command(*options)[0] == 0
+    rise = [(truth.winding_c - truth.housing_c)[0] for truth in begun]
+    assert ((rise[0] > 40) & (rise[0] <= 60)).all()
+    np.testing.assert_array_equal(rise[1], 0.0)
+
+
+def test_without_an_option_the_policy_is_the_one_that_make_export_writes(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, complaint = command()
+    assert code == 2
+    assert "out/arm.onnx: cannot be read" in complaint
+
+
+def test_a_place_that_cannot_be_written_is_exit_2_and_left_alone(command, arm_policy, tmp_path):
+    (tmp_path / "out").write_text("mine")
+    code, _, complaint = command("--policy", arm_policy, "--out", tmp_path / "out")
+    assert code == 2
+    assert (
+        complaint == f"error: --out {tmp_path / 'out'}: cannot be written: File exists, expected a folder\n"
+    )
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_a_view_without_a_display_is_exit_2(command, arm_policy, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    code, _, complaint = command("--policy", arm_policy, "--out", tmp_path, "--view")
+    assert code == 2
+    assert "--view: found neither DISPLAY nor WAYLAND_DISPLAY, expected a display" in complaint
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_real_thing_needs_no_torch_and_speaks_in_lines(arm_policy, tmp_path):
+    code = (
+        "import sys, deploy.operation.cli\n"
+        "try: deploy.operation.cli.cli()\n"
+        "finally: sys.exit(99) if 'torch' in sys.modules else None"
+    )
+    arguments = ["--policy", arm_policy, "--duration", "1", "--speed", "max", "--out", tmp_path]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    first, *_, last = done.stdout.partition("\nended")[0].splitlines()
+    assert "DISARMED" in first
+    assert "LATCHED" in last

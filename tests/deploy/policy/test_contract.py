@@ -1,0 +1,259 @@
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from deploy.policy.compatibility import check_contract
+from deploy.policy.contract import TEXT_MAX, ActionSpec, Contract, Observed
+from deploy.policy.observation_terms import READINGS
+from robots.errors import ContractError
+from robots.spec import load_robot
+from support.arm6 import SPEC, copy_of_arm
+from support.contracts import NAMES, SWAPPED, arm_contract, contracts, term
+
+
+@settings(max_examples=200)
+@given(contracts())
+def test_json_keeps_every_bit(contract):
+    back = Contract.from_json(contract.to_json(), "x.onnx")
+    assert back == contract
+    assert back.to_json() == contract.to_json()
+    assert back.observation_size == sum(len(t.scale) * t.history for t in contract.observation)
+
+
+def test_what_training_saw_is_of_every_number_of_the_observation():
+    seen = Observed(mean=(0.1,) * 30, deviation=(0.3,) * 30)
+    contract = arm_contract(observed=seen)
+    assert Contract.from_json(contract.to_json(), "here").observed == seen
+    check_contract(contract, SPEC, "here")
+    for short in ({"mean": (0.1,) * 29}, {"deviation": (0.3,) * 31}):
+        with pytest.raises(ValueError, match=r"observed: found (29|31) numbers, expected 30"):
+            arm_contract(observed=seen.model_copy(update=short))
+
+
+def test_the_arms_contract_fits_the_arm():
+    contract = arm_contract()
+    assert (contract.observation_size, contract.action_size) == (30, 6)
+    check_contract(contract, SPEC, "x.onnx")
+
+
+def edited(path, value):
+    """The arm's contract as JSON with one value changed; `...` removes it."""
+    data = json.loads(arm_contract().to_json())
+    place = data
+    for key in path[:-1]:
+        place = place[key]
+    if value is ...:
+        del place[path[-1]]
+    else:
+        place[path[-1]] = value
+    return json.dumps(data)
+
+
+BAD_FIELDS = {
+    "unknown key": (["gains"], 1, "gains: Extra inputs are not permitted, found 1"),
+    "missing key": (["task"], ..., "task: Field required"),
+    "other format": (["format"], 2, "format: Input should be 1, found 2"),
+    "number as text": (["policy_hz"], "50", "policy_hz: Input should be a valid integer, found '50'"),
+    "number as truth": (
+        ["action", "leash_rad"],
+        True,
+        "action.leash_rad: Input should be a valid number, found True",
+    ),
+    "rate of zero": (["policy_hz"], 0, "policy_hz: Input should be greater than or equal to 1, found 0"),
+    "rate no divisor": (["policy_hz"], 60, "policy_hz 60 does not divide control_hz 200"),
+    "scale of zero": (
+        ["observation", 0, "scale"],
+        [0.0] * 6,
+        "observation.0.scale.0: Input should be greater than 0",
+    ),
+    "scale too short": (
+        ["observation", 0, "scale"],
+        [1.0],
+        "'joint_position': scale has 1 numbers, size is 6",
+    ),
+    "scale NaN": (
+        ["action", "scale", 2],
+        math.nan,
+        "action.scale.2: Input should be a finite number, found nan",
+    ),
+    "scale infinite": (
+        ["action", "scale", 2],
+        math.inf,
+        "action.scale.2: Input should be a finite number, found inf",
+    ),
+    "action scale short": (["action", "scale"], [1.0], "action scale has 1 numbers, size is 6"),
+    "clip reversed": (["action", "clip"], [1.0, -1.0], "low 1.0 is not below high -1.0"),
+    "unknown mode": (
+        ["action", "mode"],
+        "torque",
+        "action.mode: Input should be 'position_increment' or 'position', found 'torque'",
+    ),
+    "unknown source": (["observation", 3, "source"], "base_velocity", "found 'base_velocity'"),
+    "unit of another": (
+        ["observation", 1, "unit"],
+        "deg/s",
+        "are 'joint' and 'deg/s', expected 'joint' and 'rad/s'",
+    ),
+    "frame of another": (
+        ["observation", 3, "frame"],
+        "joint",
+        "are 'joint' and 'm', expected 'world' and 'm'",
+    ),
+    "term twice": (
+        ["observation", 1, "name"],
+        "joint_position",
+        "observation: terms named twice: joint_position",
+    ),
+    "no term": (["observation"], [], "observation: Tuple should have at least 1 item"),
+    "size too large": (
+        ["observation", 0, "size"],
+        10**9,
+        "observation.0.size: Input should be less than or equal to 4096",
+    ),
+    "history too long": (["observation", 0, "history"], 4096, "observation: 24600 numbers, at most 4096"),
+    "digest cut": (["robot_digest"], "abc", "robot_digest: String should match pattern"),
+    "robot is a path": (["robot"], "../arm6", "robot: String should match pattern"),
+}
+
+
+@pytest.mark.parametrize(("path", "value", "message"), BAD_FIELDS.values(), ids=BAD_FIELDS)
+def test_a_bad_field_is_named(path, value, message):
+    with pytest.raises(ContractError) as caught:
+        Contract.from_json(edited(path, value), "x.onnx")
+    assert str(caught.value).startswith("x.onnx: ")
+    assert message in str(caught.value)
+
+
+NOT_JSON = {
+    "empty": ("", "x.onnx: not valid JSON: Expecting value"),
+    "cut": ('{"format": 1', "x.onnx: not valid JSON: Expecting ',' delimiter"),
+    "too deep": ("[" * 100_000, "x.onnx: not valid JSON: "),
+    "huge integer": ("9" * 5000, "x.onnx: not valid JSON: Exceeds the limit"),
+    "too long": (" " * (TEXT_MAX + 1), f"x.onnx: {TEXT_MAX + 1} characters of JSON, at most {TEXT_MAX}"),
+    "a list": ("[]", "x.onnx: (whole file): Input should be a valid dictionary"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), NOT_JSON.values(), ids=NOT_JSON)
+def test_what_is_no_contract_is_refused(text, message):
+    with pytest.raises(ContractError) as caught:
+        Contract.from_json(text, "x.onnx")
+    assert str(caught.value).startswith(message)
+
+
+OTHER = ("hip", *NAMES[1:])
+ESCAPES = ("\x1b[2J",) * 6  # what would clear the terminal is shown, not sent
+
+
+def misfits():
+    five = ActionSpec(mode="position_increment", size=5, scale=(0.05,) * 5, clip=(-1.0, 1.0), leash_rad=0.3)
+    yield {"robot": "planar3"}, ["robot: found 'planar3', expected 'arm6'"]
+    yield (
+        {"robot_digest": "0" * 64},
+        [
+            f"robot_digest: found {'0' * 64}, expected {SPEC.digest} of {SPEC.folder}: that has changed since the"
+            " policy was exported or imported: do it again"
+        ],
+    )
+    yield {"control_hz": 100}, ["control_hz: found 100 Hz, expected 200 Hz"]
+    yield (
+        {"joint_names": SWAPPED},
+        [
+            "joint_names: the right joints in another order: "
+            f"found [{', '.join(SWAPPED)}], expected [{', '.join(NAMES)}]"
+        ],
+    )
+    yield {"joint_names": OTHER}, [f"joint_names: found [{', '.join(OTHER)}], expected [{', '.join(NAMES)}]"]
+    yield (
+        {"joint_names": ESCAPES},
+        [f"joint_names: found {ESCAPES!r}, expected [{', '.join(NAMES)}]"],
+    )
+    yield (
+        {"observation": (term("joint_position", 5), term("tool_position", 2))},
+        [
+            "observation.joint_position.size: found 5, expected 6 for joint_position",
+            "observation.tool_position.size: found 2, expected 3 for tool_position",
+        ],
+    )
+    yield (
+        {"action": five},
+        [
+            "observation.last_action.size: found 6, expected 5 for last_action",
+            "action.size: found 5, expected 6, one for each joint",
+        ],
+    )
+
+
+def test_who_stands_fixed_has_nothing_of_a_base_that_floats():
+    sources = {name: reading for name, reading in READINGS.items() if reading.stands is False}
+    observation = tuple(term(name, reading.size) for name, reading in sources.items())
+    with pytest.raises(ContractError) as caught:
+        check_contract(arm_contract(observation=observation, task="velocity"), SPEC, "x.onnx")
+    assert str(caught.value).splitlines() == [
+        "x.onnx: task: found 'velocity', expected 'reach': arm6 stands fixed",
+        *[f"x.onnx: observation.{name}.source: {name} needs a base; arm6 stands fixed" for name in sources],
+    ]
+
+
+POSITION = {"mode": "position", "size": 6, "scale": (0.5,) * 6, "offset": (0.1,) * 6, "clip": (-9.0, 9.0)}
+
+
+def test_gains_come_with_the_policy():
+    action = ActionSpec(**POSITION, kp=(50.0,) * 6, kd=(1.0,) * 6)
+    check_contract(arm_contract(action=action), SPEC, "x.onnx")
+    np.testing.assert_array_equal(action.gains.kp, np.full(6, 50.0))
+    assert ActionSpec(**POSITION).gains is None
+
+
+def test_there_is_one_gait():
+    terms = [term("gait_phase", 2, period_s=s).model_copy(update={"name": f"{s}"}) for s in (0.8, 0.9)]
+    assert arm_contract(observation=tuple(terms[:1])).period_s == 0.8
+    with pytest.raises(ValueError, match=r"period_s: found \[0\.8, 0\.9\], expected the same for all"):
+        arm_contract(observation=tuple(terms))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"offset": None}, "action offset: found none in mode 'position'"),
+        ({"leash_rad": 0.3}, "action leash_rad: found one in mode 'position'"),
+        ({"offset": (0.1,) * 5}, "action offset has 5 numbers, size is 6"),
+        ({"kp": (1.0,) * 6}, "action: found one of kp and kd, expected both or none"),
+        ({"kp": (1.0,) * 6, "kd": (1.0,) * 4}, "action kd has 4 numbers, size is 6"),
+        ({"mode": "position_increment", "leash_rad": 0.3}, "action offset: found one in mode"),
+    ],
+)
+def test_an_action_is_of_one_mode(changes, message):
+    with pytest.raises(ValueError, match=message):
+        ActionSpec(**{**POSITION, **changes})
+
+
+def test_only_a_gait_has_a_period():
+    with pytest.raises(ValueError, match=r"period_s: found 0\.8, expected it of gait_phase alone"):
+        term("joint_position", 6, period_s=0.8)
+    with pytest.raises(ValueError, match="period_s: found none, expected s of one gait"):
+        term("gait_phase", 2, period_s=None)
+
+
+@pytest.mark.parametrize(("changes", "lines"), list(misfits()))
+def test_every_misfit_is_said_at_once(changes, lines):
+    with pytest.raises(ContractError) as caught:
+        check_contract(arm_contract(**changes), SPEC, "x.onnx")
+    assert str(caught.value) == "\n".join(f"x.onnx: {line}" for line in lines)
+
+
+def test_a_sensor_that_the_policy_needs_and_the_robot_lacks(tmp_path):
+    """Each term that needs it is named."""
+    folder = copy_of_arm(tmp_path, toml=[(r"(?s)\[sensors\.goal\].*?(?=# Drives)", "")])
+    blind = load_robot(folder)
+    assert "goal" not in blind.sensors
+    with pytest.raises(ContractError) as caught:
+        check_contract(arm_contract(robot_digest=blind.digest), blind, "policy.onnx")
+    assert str(caught.value).splitlines() == [
+        f"policy.onnx: observation.{name}.source: {name} needs a sensor of kind goal; arm6 has encoder, current,"
+        " temperature, force"
+        for name in ("goal_from_tool", "goal_torque")
+    ]

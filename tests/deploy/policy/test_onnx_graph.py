@@ -1,0 +1,97 @@
+"""What a graph inside a graph may hold: robots one after the other, and nothing that a graph outside may not."""
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from robots.errors import ContractError
+from support.policies import A, N, by_numpy, loaded, policy_model, weights
+
+
+def one_by_one():
+    """The small policy of test_policy, robot after robot."""
+    model = policy_model()
+    nodes, tensors = list(model.graph.node), list(model.graph.initializer)
+    shapes = {"row": [1, N], "flat": [A]}
+    tensors += [numpy_helper.from_array(np.array(s), name) for name, s in shapes.items()]
+    nodes[0].input[0], nodes[-1].output[0] = "as_row", "as_rows"
+    nodes.insert(0, helper.make_node("Reshape", ["seen", "row"], ["as_row"]))
+    nodes.append(helper.make_node("Reshape", ["as_rows", "flat"], ["done"]))
+    ends = [helper.make_tensor_value_info(*end) for end in (("seen", 1, [N]), ("done", 1, [A]))]
+    body = helper.make_graph(nodes, "one", ends[:1], ends[1:], tensors)
+    del model.graph.node[:], model.graph.initializer[:]
+    scan = helper.make_node("Scan", ["observation"], ["action"], name="robots", body=body, num_scan_inputs=1)
+    model.graph.node.append(scan)
+    return model
+
+
+def body_of(model):
+    return next(attribute.g for attribute in model.graph.node[0].attribute if attribute.name == "body")
+
+
+@pytest.mark.parametrize("robots", [1, 5, 64])
+def test_a_scan_over_robots_is_a_policy(tmp_path, robots):
+    observation = np.random.default_rng(robots).normal(size=(robots, N)).astype(np.float32)
+    action = loaded(tmp_path, one_by_one()).step(observation)
+    np.testing.assert_allclose(action, by_numpy(observation, weights()), rtol=0, atol=1e-5)
+
+
+def nested(body):
+    inner = helper.make_graph([], "inner", [], [])
+    body.node.append(helper.make_node("Scan", ["seen"], ["x"], name="again", body=inner, num_scan_inputs=1))
+
+
+def loop(body):
+    body.node.append(
+        helper.make_node("Loop", ["", ""], ["x"], name="spin", body=helper.make_graph([], "b", [], []))
+    )
+
+
+def foreign_node(body):
+    body.node[1].domain = "evil"
+
+
+def nan_weight(body):
+    array = numpy_helper.to_array(body.initializer[0]).copy()
+    array[0, 0] = np.nan
+    body.initializer[0].CopyFrom(numpy_helper.from_array(array, body.initializer[0].name))
+
+
+def external(body):
+    onnx.external_data_helper.set_external_data(body.initializer[0], "/etc/passwd")
+    body.initializer[0].data_location = TensorProto.EXTERNAL
+
+
+def sparse(body):
+    values = numpy_helper.from_array(np.ones(1, np.float32), "s")
+    body.sparse_initializer.append(
+        helper.make_sparse_tensor(values, numpy_helper.from_array(np.zeros(1, int), "i"), [9])
+    )
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (nested, "node 'again': found Scan with a graph of its own, expected none"),
+        (loop, "node 'spin': found Loop with a graph of its own, expected none"),
+        (foreign_node, "operator domain: found 'evil', expected only ai.onnx"),
+        (nan_weight, "found 1 of 960 weights NaN or infinite, expected all finite"),
+        (external, "found external data, expected all weights in the one file"),
+        (sparse, "found sparse weights, expected dense weights"),
+    ],
+)
+def test_what_is_refused_outside_is_refused_inside(tmp_path, spoil, message):
+    model = one_by_one()
+    spoil(body_of(model))
+    with pytest.raises(ContractError) as caught:
+        loaded(tmp_path, model)
+    assert str(caught.value).endswith(message)
+    assert "\n" not in str(caught.value)
+
+
+def test_only_a_scan_holds_a_graph(tmp_path):
+    model = one_by_one()
+    model.graph.node[0].op_type = "If"
+    with pytest.raises(ContractError, match="node 'robots': found If with a graph of its own, expected none"):
+        loaded(tmp_path, model)

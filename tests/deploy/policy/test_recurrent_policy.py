@@ -1,0 +1,149 @@
+"""Policies that remember: from the file to a soak that goes on."""
+
+import json
+
+import numpy as np
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from deploy.policy.contract import CONTRACT_KEY, Contract
+from deploy.policy.policy import Policy
+from deploy.policy.policy_file import GOLDEN_KEY
+from robots.errors import ContractError
+from support.arm6 import SPEC
+from support.contracts import arm_contract
+from support.policies import A, N, loaded, saved
+from support.runtimes import ARM_S, built, every
+
+M, STEPS = 7, 240
+
+
+def weights():
+    rng = np.random.default_rng(3)
+    shapes = {"w": (N, M), "u": (M, M), "v": (M, A)}
+    return {name: rng.normal(0, 0.3, shape).astype(np.float32) for name, shape in shapes.items()}
+
+
+def by_numpy(observations, forget=()):
+    """The oracle: float64, one robot, which forgets everything before some steps."""
+    w, h, actions = {name: array.astype(float) for name, array in weights().items()}, np.zeros(M), []
+    for step, observation in enumerate(observations):
+        h = np.zeros(M) if step in forget else h
+        h = np.tanh(observation.astype(float) @ w["w"] + h @ w["u"])
+        actions.append(h @ w["v"])
+    return np.array(actions)
+
+
+def remembering(*, memory=M, golden=None, frozen=False):
+    """A model with memory; `frozen`, it never hands on what it should remember."""
+    nodes = [
+        helper.make_node("MatMul", ["observation", "w"], ["seen"]),
+        helper.make_node("MatMul", ["memory", "u"], ["known"]),
+        helper.make_node("Add", ["seen", "known"], ["both"]),
+        helper.make_node("Tanh", ["both"], ["h"]),
+        helper.make_node("MatMul", ["h", "v"], ["action"]),
+        helper.make_node("Identity", ["memory" if frozen else "h"], ["next_memory"]),
+    ]
+    ends = {"observation": N, "memory": M, "action": A, "next_memory": M}
+    infos = [helper.make_tensor_value_info(k, TensorProto.FLOAT, ["batch", n]) for k, n in ends.items()]
+    tensors = [numpy_helper.from_array(array, name) for name, array in weights().items()]
+    graph = helper.make_graph(nodes, "policy", infos[:2], infos[2:], tensors)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+    observation = np.random.default_rng(1).normal(size=(16, N)).astype(np.float32)
+    pairs = {"observation": observation.tolist(), "action": by_numpy(observation).astype(np.float32).tolist()}
+    contract = arm_contract().model_dump() | {"memory": memory}
+    props = {CONTRACT_KEY: Contract(**contract).to_json(), GOLDEN_KEY: json.dumps(golden or pairs)}
+    helper.set_model_props(model, props)
+    return model
+
+
+@pytest.mark.parametrize("robots", [1, 3, 64])
+def test_a_sequence_is_that_of_numpy_and_robots_are_strangers(tmp_path, robots):
+    policy, rng = loaded(tmp_path, remembering()), np.random.default_rng(robots)
+    observations = rng.normal(size=(STEPS, robots, N)).astype(np.float32)
+    forget = [set(rng.integers(0, STEPS, 5).tolist()) for _ in range(robots)]
+    actions = []
+    policy.resize(robots)
+    for step, observation in enumerate(observations):
+        policy.reset(np.array([step in each for each in forget]))
+        actions.append(policy.step(observation).copy())
+    for robot in range(robots):
+        expected = by_numpy(observations[:, robot], forget[robot])
+        np.testing.assert_allclose(np.array(actions)[:, robot], expected, rtol=0, atol=1e-5)
+
+
+def test_what_it_remembers_goes_on_bit_for_bit(tmp_path):
+    one, other = (loaded(tmp_path, remembering()) for _ in range(2))
+    observations = np.random.default_rng(4).normal(size=(50, 5, N)).astype(np.float32)
+    other.resize(5)
+    for observation in observations[:30]:
+        one.step(observation)
+    other.restore(one.save())
+    for observation in observations[30:]:
+        assert one.step(observation).tobytes() == other.step(observation).tobytes()
+
+
+def test_another_width_begins_anew(tmp_path):
+    policy = loaded(tmp_path, remembering())
+    observation = np.ones((2, N), np.float32)
+    first = policy.step(observation).copy()
+    assert not np.array_equal(policy.step(observation), first)
+    policy.step(np.ones((3, N), np.float32))
+    np.testing.assert_array_equal(policy.step(observation), first)
+
+
+def test_a_bad_observation_spoils_one_memory_until_it_is_forgotten(tmp_path):
+    policy, good = loaded(tmp_path, remembering()), np.ones((3, N), np.float32)
+    bad = good.copy()
+    bad[1, 4] = np.nan
+    policy.step(bad)
+    assert np.isfinite(policy.step(good)).all(axis=1).tolist() == [True, False, True]
+    policy.reset(np.array([False, True, False]))
+    assert np.isfinite(policy.step(good)).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"frozen": True}, r"golden pairs: found a deviation of 0\.\d+ at batch 1, expected at most 1e-05"),
+        ({"memory": 0}, r"input: found \['observation', 'memory'\], expected one, 'observation' float32"),
+        (
+            {"memory": M + 1},
+            r"input 'memory': found FLOAT \['batch', 7\], expected two, 'observation' float32 \(batch, 30\) and"
+            r" 'memory' float32 \(batch, 8\) with a batch of any size",
+        ),
+    ],
+)
+def test_a_file_that_remembers_otherwise_is_refused(tmp_path, changes, message):
+    with pytest.raises(ContractError, match=message):
+        loaded(tmp_path, remembering(**changes))
+
+
+@pytest.mark.parametrize("memory", [-1, 1 << 20, 1.0, "3", True])
+def test_a_memory_of_no_size_is_refused(memory):
+    data = json.loads(arm_contract().to_json()) | {"memory": memory}
+    with pytest.raises(ContractError, match=rf"contract: memory: .*found {memory!r}"):
+        Contract.from_json(json.dumps(data), "contract")
+
+
+def test_robots_begin_anew_when_they_are_armed_and_a_runtime_goes_on(tmp_path):
+    path = saved(remembering(), tmp_path)
+    first, second = (built(2, policy=Policy.load(path, SPEC)) for _ in range(2))
+    for _ in range(round(ARM_S / SPEC.dt)):
+        first.tick()
+    assert np.abs(first.policy.memory).max(axis=1).all()
+    first.arm(every(first))
+    assert not first.policy.memory.any()
+    for _ in range(20):
+        first.tick()
+    assert first.policy.memory.any(axis=1).all()
+    robot = first.robot.save()
+    second.restore(first.save())
+    second.robot.restore(robot)
+    for _ in range(40):
+        first.tick()
+        second.tick()
+    assert first.policy.memory.tobytes() == second.policy.memory.tobytes()
+    assert first.command.q.tobytes() == second.command.q.tobytes()
+    first.reset(np.array([True, False]))
+    assert first.policy.memory.any(axis=1).tolist() == [False, True]

@@ -1,0 +1,277 @@
+"""Which joint or shapes a reason is about."""
+
+import numpy as np
+import pytest
+
+from support.arm6 import SPEC
+
+pytest.importorskip("mujoco")
+
+from deploy.estimation.estimator import DIVERGED
+from deploy.estimation.external_torque import LOOKS
+from deploy.safety.diagnostics import Stops, Why, blame
+from deploy.safety.supervisor import WORDS
+from deploy.state import Reason
+from support.runtimes import built, heard, running
+from support.walking import standing
+
+pytestmark = pytest.mark.usefixtures("quick_goals")
+
+WRIST = SPEC.joint_names.index("wrist_2")
+
+
+@pytest.fixture
+def runtime():
+    return running(2)
+
+
+def beyond(runtime, robot=0):
+    runtime.state.q[robot, WRIST] = SPEC.joints[WRIST].q_max + 0.01
+
+
+def astray(runtime, robot=0):
+    runtime.state.q[robot, WRIST] = runtime.setpoint.q[robot, WRIST] + 1.1 * SPEC.margins.tracking_rad
+
+
+def hot(runtime, robot=0):
+    runtime.state.temperature[robot, WRIST] = 500.0
+
+
+def lost(runtime, robot=0):
+    runtime.estimator.nis[robot, WRIST] = DIVERGED + 1
+
+
+def hanging(runtime, robot=0):
+    runtime.estimator.same[robot] = 10**6  # as at rest: nobody was sent away
+    runtime.estimator.moved[robot] = runtime.estimator.sent[robot, runtime.estimator._place, : SPEC.n]
+    runtime.estimator.moved[robot, WRIST] += 0.1
+
+
+def leaning(runtime, robot=0):
+    runtime.estimator.load.many[robot, WRIST] = LOOKS
+
+
+def moving(runtime, robot=0):
+    runtime.estimator.ed[robot, WRIST] = 10.0
+
+
+@pytest.mark.parametrize(
+    ("befall", "reason"),
+    [
+        (beyond, Reason.OUTSIDE),
+        (astray, Reason.TRACKING),
+        (hot, Reason.HEAT),
+        (lost, Reason.DIVERGED),
+        (hanging, Reason.STUCK),
+        (leaning, Reason.LOAD),
+        (moving, Reason.MOVING),
+    ],
+)
+@pytest.mark.parametrize("robot", range(2))
+def test_a_reason_names_its_joint(runtime, befall, reason, robot):
+    assert blame(runtime, int(reason), robot) == WORDS[reason]
+    befall(runtime, robot)
+    runtime.act(None)
+    assert blame(runtime, int(reason), robot) == f"{WORDS[reason]} (wrist_2)"
+    assert blame(runtime, int(reason), 1 - robot) == WORDS[reason]
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "reason"),
+    [("q", 10.0, Reason.POSITION), ("qd", 50.0, Reason.VELOCITY), ("qdd", 1e4, Reason.TORQUE)],
+)
+def test_a_refused_setpoint_names_its_joint_and_only_for_the_robot_that_has_it(runtime, part, value, reason):
+    planned = runtime.setpoint
+    getattr(planned, part)[1, WRIST] += value
+    here = runtime.state, runtime.setpoint, planned, planned, planned.q, planned.q
+    runtime.verdict = runtime.safety.step(*here)
+    assert runtime.verdict.reason[1] & reason
+    assert "wrist_2" in blame(runtime, int(reason), robot=1)
+    assert blame(runtime, int(reason)) == WORDS[reason]
+
+
+@pytest.mark.parametrize("late", range(2))
+def test_the_first_step_of_the_stop_names_its_joint_as_well(runtime, late):
+    """What would be sent, or what comes after it."""
+    here = runtime.setpoint
+    points = [here._replace(qd=here.qd.copy()) for _ in range(2)]
+    points[late].qd[1, WRIST] = 50.0
+    runtime.verdict = runtime.safety.step(runtime.state, here, *points, here.q, here.q)
+    assert blame(runtime, int(Reason.VELOCITY), robot=1) == f"{WORDS[Reason.VELOCITY]} (wrist_2)"
+
+
+@pytest.mark.parametrize("reason", [Reason.STALE, Reason.LOST])
+def test_a_joint_whose_encoder_is_not_believed_any_more_is_named(runtime, reason):
+    """Its readings come, and are refused one by one."""
+    read = runtime.robot.read
+
+    def astray():
+        sample = read()
+        sample["encoder"].value[1, WRIST] += np.random.default_rng(runtime.ticks).uniform(-1.0, 1.0)
+        return sample
+
+    runtime.robot.read = astray
+    while not runtime.verdict.reason[1] & reason:
+        runtime.tick()
+    assert blame(runtime, int(reason), robot=1) == f"{WORDS[reason]} (wrist_2)"
+
+
+@pytest.mark.parametrize("reason", [Reason.STALE, Reason.LOST])
+def test_an_imu_that_is_not_heard_is_named(reason):
+    runtime = standing(2)
+    read = runtime.robot.read
+
+    def silent():
+        sample = read()
+        gyro = sample["gyro"]
+        return sample | {"gyro": gyro._replace(fresh=gyro.fresh & [True, False])}
+
+    runtime.robot.read = silent
+    while not runtime.verdict.reason[1] & reason:
+        runtime.tick()
+    assert blame(runtime, int(reason), robot=1) == f"{WORDS[reason]} (IMU)"
+    assert blame(runtime, int(reason), robot=0) == WORDS[reason]
+
+
+@pytest.mark.parametrize("robot", range(2))
+def test_a_base_that_is_lost_is_named(robot):
+    runtime = standing(2)
+    runtime.walker.filter.P[robot] *= 1e6
+    runtime.tick()
+    assert blame(runtime, int(Reason.DIVERGED), robot) == f"{WORDS[Reason.DIVERGED]} (base)"
+    assert blame(runtime, int(Reason.DIVERGED), 1 - robot) == WORDS[Reason.DIVERGED]
+
+
+def test_who_loses_its_power_at_work_has_stopped(runtime):
+    stops = Stops()
+    assert stops.begun(runtime) == []
+    runtime.supervisor.latch(np.array([False, True]), Reason.OPERATOR)
+    assert stops.begun(runtime) == [1]
+    assert stops.begun(runtime) == []
+    runtime.stop(Reason.OPERATOR)
+    runtime.tick()
+    assert stops.begun(runtime) == [0]
+
+
+def test_a_joint_without_a_number_is_named(runtime):
+    runtime.state.q[0, WRIST] = np.nan
+    runtime.act(None)
+    assert blame(runtime, int(Reason.NOT_FINITE)) == f"{WORDS[Reason.NOT_FINITE]} (wrist_2)"
+
+
+def test_a_planned_joint_without_a_number_is_named_although_no_torque_is_one_then(runtime):
+    here = runtime.setpoint
+    planned = here._replace(q=here.q.copy())
+    planned.q[1, WRIST] = np.nan
+    runtime.verdict = runtime.safety.step(runtime.state, here, planned, here, here.q, here.q)
+    assert np.isnan(runtime.verdict.tau[1]).all()
+    assert blame(runtime, int(Reason.NOT_FINITE), robot=1) == f"{WORDS[Reason.NOT_FINITE]} (wrist_2)"
+
+
+@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize(
+    ("q", "shapes"),
+    [
+        ((0.3, -1.59, 2.64, 0.24, -1.16, 0.87), "upper_arm and wrist_3"),
+        ((-0.04, -0.53, 2.5, -1.82, -1.4, -1.03), "table and wrist_2"),
+    ],
+)
+def test_shapes_that_would_meet_are_named(runtime, place, q, shapes):
+    """Be it at the setpoint, in the midst of the stop or at its end."""
+    here = runtime.setpoint
+    poses = [here.q.copy() for _ in range(3)]
+    poses[place][0] = q
+    planned = here._replace(q=poses[0])
+    runtime.verdict = runtime.safety.step(runtime.state, here, planned, here, *poses[1:])
+    assert blame(runtime, int(Reason.COLLISION)) == f"{WORDS[Reason.COLLISION]} ({shapes})"
+    assert blame(runtime, int(Reason.COLLISION), robot=1) == WORDS[Reason.COLLISION]
+
+
+def test_a_pose_without_a_number_has_no_part_in_it(runtime):
+    here, midst = runtime.setpoint, runtime.setpoint.q.copy()
+    midst[0] = np.nan
+    rest = np.tile((0.3, -1.59, 2.64, 0.24, -1.16, 0.87), (2, 1))
+    runtime.verdict = runtime.safety.step(runtime.state, here, here, here, midst, rest)
+    assert blame(runtime, int(Reason.COLLISION)).endswith("(upper_arm and wrist_3)")
+
+
+def test_shapes_that_keep_apart_are_not_blamed_for_a_pose_without_a_number(runtime):
+    here, nowhere = runtime.setpoint, np.full_like(runtime.setpoint.q, np.nan)
+    one = here.q.copy()
+    one[0, WRIST] = np.nan
+    for planned, midst in ((nowhere, nowhere), (one, here.q)):
+        runtime.verdict = runtime.safety.step(
+            runtime.state, here, here._replace(q=planned), here, midst, planned
+        )
+        assert runtime.verdict.reason[0] & Reason.COLLISION
+        assert blame(runtime, int(Reason.COLLISION)) == WORDS[Reason.COLLISION]
+
+
+@pytest.mark.parametrize("value", [np.nan, 0.7])
+def test_a_motor_that_nobody_hears_of_is_named(runtime, value):
+    read = runtime.robot.read
+
+    def deaf():
+        sample = read()
+        sample["current"].value[0, WRIST] = value  # none, or always the same
+        return sample
+
+    runtime.robot.read = deaf
+    while not runtime.estimator.heat.unknown.any():
+        runtime.tick()
+    assert runtime.supervisor.reason[0] & Reason.HEAT
+    assert blame(runtime, int(Reason.HEAT)) == f"{WORDS[Reason.HEAT]} (wrist_2)"
+
+
+def test_why_is_told_in_the_words_of_the_tick_in_which_it_came(runtime):
+    why = Why()
+    why.step(runtime)
+    assert str(why) == ""
+    q = runtime.state.q[0, WRIST]
+    astray(runtime)
+    runtime.act(None)
+    why.step(runtime)
+    runtime.state.q[0, WRIST] = q
+    runtime.supervisor.reason[0] |= np.int64(Reason.OPERATOR)
+    runtime.act(None)
+    why.step(runtime)
+    assert blame(runtime, int(Reason.TRACKING)) == WORDS[Reason.TRACKING]  # not any more
+    assert str(why) == f"{WORDS[Reason.TRACKING]} (wrist_2); {WORDS[Reason.OPERATOR]}"
+    runtime.supervisor.reason[0] = 0
+    why.step(runtime)
+    assert str(why) == ""
+
+
+@pytest.mark.parametrize("reason", list(Reason))
+def test_every_reason_has_words(runtime, reason):
+    assert blame(runtime, int(reason)).startswith(WORDS[reason])
+
+
+def test_several_are_told_one_after_the_other(runtime):
+    beyond(runtime)
+    runtime.act(None)
+    said = blame(runtime, int(Reason.STALE | Reason.OUTSIDE))
+    assert said == "samples are missing; a joint is outside its working range (wrist_2)"
+
+
+def test_nothing_is_known_before_the_first_packet():
+    runtime = built(1)
+    runtime.tick()
+    assert blame(runtime, int(Reason.HEAT | Reason.OUTSIDE)).count("(") == 0
+
+
+def test_who_is_refused_is_told_which_joint_moves():
+    runtime = built(1)
+    heard(runtime)
+    runtime.estimator.ed[0, WRIST] = 1.0
+    refused = runtime.arm(np.ones(1, dtype=bool))
+    assert blame(runtime, int(refused[0])) == "a joint moves while the drives are off (wrist_2)"
+
+
+def test_who_is_refused_is_told_what_speaks_against_it_now():
+    """Not what did in the last tick: nobody asks a robot without power whether it may go on."""
+    runtime = built(1)
+    heard(runtime)
+    beyond(runtime)
+    refused = runtime.arm(np.ones(1, dtype=bool))
+    assert blame(runtime, int(refused[0])).endswith(f"{WORDS[Reason.OUTSIDE]} (wrist_2)")

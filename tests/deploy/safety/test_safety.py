@@ -1,0 +1,281 @@
+import numpy as np
+import pytest
+
+from deploy.safety.safety import Safety
+from deploy.safety.supervisor import CATEGORY_1
+from deploy.state import Reason, Setpoint, State
+from robots.models.fleet import Fleet, torque_max
+from support.arm6 import SPEC
+from support.safety import HIGH, HOME, LOW, MARGINS, SPACE, ZERO, N, judge, one, point, reasons
+
+TAU_MAX = MARGINS.tau * torque_max(SPEC)
+HAIR = 1e-6
+
+
+def test_at_home_nothing_speaks_against_moving():
+    verdict = judge()
+    assert verdict.reason.tolist() == [0]
+    np.testing.assert_array_equal(verdict.tau, verdict.tau_ahead)
+
+
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize("place", ["setpoint", "ahead", "q_rest"])
+def test_position(joint, place):
+    """The soft range, for what is sent, for the stop after it and for its end."""
+    for end, inwards in ((LOW[joint] + MARGINS.q_soft_rad, 1), (HIGH[joint] - MARGINS.q_soft_rad, -1)):
+        for beyond in (False, True):
+            q = one(joint, end + (-HAIR if beyond else HAIR) * inwards, HOME)
+            found = reasons(**{place: q if place == "q_rest" else point(q)}, q_hat=HOME)
+            assert (Reason.POSITION in found) == beyond
+
+
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_velocity(joint, sign):
+    limit = MARGINS.speed * SPEC.joints[joint].qd_max
+    for factor, beyond in ((1 - HAIR, False), (1.0, False), (1 + 3 * HAIR, True)):
+        fast = point(qd=one(joint, sign * factor * limit))
+        assert (Reason.VELOCITY in reasons(setpoint=fast)) == beyond
+        assert (Reason.VELOCITY in reasons(ahead=fast)) == beyond
+
+
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_velocity_that_a_stop_would_still_gain(joint, sign):
+    """A stop first brings the acceleration to rest at full jerk, and the speed grows by its square over twice that."""
+    limit, qdd = MARGINS.speed * SPEC.joints[joint].qd_max, SPEC.joints[joint].qdd_max
+    gain = qdd**2 / (2 * SPEC.joints[joint].qddd_max)
+    for factor, beyond in ((1 - HAIR, False), (1.0, False), (1 + 3 * HAIR, True)):
+        qd = sign * (factor * limit - gain)
+        rushing = point(qd=one(joint, qd), qdd=one(joint, sign * qdd))
+        assert (Reason.VELOCITY in reasons(setpoint=rushing)) == beyond
+        assert (Reason.VELOCITY in reasons(ahead=rushing)) == beyond
+        assert Reason.VELOCITY not in reasons(setpoint=point(qd=one(joint, qd), qdd=one(joint, -sign * qdd)))
+
+
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_torque(joint, sign):
+    """An acceleration that needs just less, or just more, than the joint may give."""
+    fleet = Fleet(SPEC, 1)
+    bias = fleet.torque(HOME[None], ZERO[None], ZERO[None])[0, joint].copy()
+    slope = fleet.torque(HOME[None], ZERO[None], one(joint, 1.0)[None])[0, joint] - bias
+    for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
+        qdd = (sign * factor * TAU_MAX[joint] - bias) / slope
+        hard = point(qdd=one(joint, qdd))
+        verdict = judge(setpoint=hard)
+        assert verdict.tau[0, joint] == pytest.approx(sign * factor * TAU_MAX[joint], rel=1e-9)
+        others = np.delete(np.abs(verdict.tau[0]) <= TAU_MAX, joint).all()
+        assert others
+        assert (Reason.TORQUE in Reason(int(verdict.reason[0]))) == beyond
+        assert (Reason.TORQUE in reasons(ahead=hard)) == beyond
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tool_speed(seed):
+    fleet, direction = Fleet(SPEC, 1), np.random.default_rng(seed).normal(size=N)
+    fleet.place(HOME[None])
+    direction /= np.linalg.norm(fleet.tool_velocity(direction[None]))
+    for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
+        limit = direction * factor * MARGINS.speed * SPACE.tool_speed_max
+        assert (Reason.TOOL_SPEED in reasons(setpoint=point(qd=limit))) == beyond
+
+
+@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_tool_speed_that_a_stop_would_still_gain(joint, sign):
+    """A stop first brings the acceleration to rest at full jerk, and the speed grows by its square over twice that."""
+    fleet, jerk = Fleet(SPEC, 1), SPEC.joint_array("qddd_max")[joint]
+    fleet.place(HOME[None])
+    per_speed = np.linalg.norm(fleet.tool_velocity(one(joint, 1.0)[None]))
+    limit, qdd = MARGINS.speed * SPACE.tool_speed_max / per_speed, 8.0
+    for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
+        qd = factor * limit - qdd**2 / (2 * jerk)
+        rushing = point(qd=one(joint, sign * qd), qdd=one(joint, sign * qdd))
+        assert (Reason.TOOL_SPEED in reasons(setpoint=rushing)) == beyond
+        easing = point(qd=one(joint, sign * qd), qdd=one(joint, -sign * qdd))
+        assert Reason.TOOL_SPEED not in reasons(setpoint=easing)
+
+
+def test_the_setpoint_itself_is_placed_too():
+    """Not only where the stop ends: a setpoint in the table, or in a singularity, is refused though its rest is not."""
+    low = one(1, -0.35, one(2, 1.2, HOME))
+    found = reasons(setpoint=point(low), ahead=point(), q_hat=HOME, q_rest=HOME)
+    assert Reason.COLLISION in found
+    assert Reason.WORKSPACE in found
+    straight = one(4, 0.0, HOME)
+    assert Reason.SINGULARITY in reasons(setpoint=point(straight), ahead=point(), q_hat=HOME, q_rest=HOME)
+
+
+@pytest.mark.parametrize("joint", range(N))
+def test_a_joint_found_outside_its_range_is_category_1(joint):
+    for end, outwards in ((LOW[joint], -1), (HIGH[joint], 1)):
+        for factor, beyond in ((-HAIR, False), (HAIR, True)):
+            q_hat = one(joint, end + outwards * factor, HOME)
+            assert (Reason.OUTSIDE in reasons(q_hat=q_hat)) == beyond
+    assert Reason.OUTSIDE & CATEGORY_1
+
+
+@pytest.mark.parametrize("joint", range(N))
+def test_heat(joint):
+    limit = SPEC.motor_array("housing_max_c")[joint]
+    assert reasons(temperature=one(joint, limit, np.full(N, 20.0))) == 0
+    assert reasons(temperature=one(joint, limit + HAIR, np.full(N, 20.0))) == Reason.HEAT
+    assert reasons(temperature=one(joint, np.nan, np.full(N, 20.0))) == Reason.HEAT
+
+
+@pytest.mark.parametrize("joint", range(N))
+def test_a_winding_that_may_be_above_its_limit_stops_the_robot(joint):
+    limit = SPEC.motor_array("winding_max_c")[joint]
+    assert reasons(hottest=one(joint, limit, np.full(N, 20.0))) == 0
+    assert reasons(hottest=one(joint, limit + HAIR, np.full(N, 20.0))) == Reason.HEAT
+    assert reasons(hottest=one(joint, np.nan, np.full(N, 20.0))) == Reason.HEAT
+
+
+@pytest.mark.parametrize(
+    ("age", "expected"),
+    [
+        (0.0, 0),
+        (MARGINS.stale_s - HAIR, 0),
+        (MARGINS.stale_s + HAIR, 0),
+        (MARGINS.stale_s + SPEC.dt - HAIR, Reason.STALE),
+        (MARGINS.lost_s + HAIR, Reason.STALE),
+        (MARGINS.lost_s + SPEC.dt - HAIR, Reason.STALE | Reason.LOST),
+        (np.inf, Reason.STALE | Reason.LOST),
+        (np.nan, Reason.STALE | Reason.LOST),
+    ],
+)
+def test_stale_and_lost(age, expected):
+    assert reasons(age=age) == expected
+
+
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_tracking_is_against_what_the_drives_follow_now(joint, sign):
+    for offset, expected in (
+        (MARGINS.tracking_rad - HAIR, 0),
+        (MARGINS.tracking_rad + HAIR, Reason.TRACKING),
+    ):
+        sent = point(one(joint, HOME[joint] + sign * offset, HOME))
+        assert reasons(sent=sent, q_hat=HOME) == expected
+        assert reasons(setpoint=sent, q_hat=HOME, q_rest=HOME, ahead=point()) & Reason.TRACKING == 0
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("joint", [0, 5])
+def test_not_finite_wherever_it_is(bad, joint):
+    for field in ("q", "qd", "qdd"):
+        broken = point(**{field: one(joint, bad, HOME if field == "q" else ZERO)})
+        for place in ("setpoint", "ahead"):
+            found = reasons(**{place: broken}, q_hat=HOME, q_rest=HOME)
+            assert Reason.NOT_FINITE in found, (place, field)
+    assert Reason.NOT_FINITE in reasons(q_hat=one(joint, bad, HOME), setpoint=point())
+    assert Reason.NOT_FINITE in reasons(qd_hat=one(joint, bad))
+    if np.isnan(bad):
+        assert reasons(q_rest=one(joint, bad, HOME)) != 0
+
+
+def by_mujoco(mujoco, poses):
+    """The oracle for poses: another library, other formulas. One row: height, radius, |det J|, nearest distance."""
+    from robots.models.mujoco_model import load_mujoco
+
+    model = load_mujoco(SPEC)
+    data, site = mujoco.MjData(model), model.site(SPEC.tool).id
+    bodies = model.geom_bodyid
+    pairs = [
+        (a, b)
+        for a in range(model.ngeom)
+        for b in range(a)
+        if max(bodies[a], bodies[b]) > 1 and abs(max(bodies[a], 1) - max(bodies[b], 1)) > 1
+    ]
+    rows, jacobian, fromto = [], np.zeros((6, N)), np.zeros(6)
+    for q in poses:
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
+        tool = data.site_xpos[site]
+        nearest = min(mujoco.mj_geomDistance(model, data, a, b, 0.1, fromto) for a, b in pairs)
+        rows.append((tool[2], np.linalg.norm(tool - SPACE.centre), np.linalg.det(jacobian), nearest))
+    return np.array(rows).T
+
+
+def test_poses_are_judged_as_another_library_judges_them():
+    """Workspace, singularity and collision of 3,000 random poses in the working range, each bit both ways."""
+    mujoco = pytest.importorskip("mujoco")
+    robots, width, rng = 3072, 64, np.random.default_rng(0)
+    q = rng.uniform(LOW, HIGH, (robots, N))
+    _, _, home_side, _ = np.sign(by_mujoco(mujoco, HOME[None]))
+    height, radius, determinant, nearest = by_mujoco(mujoco, q)
+    manipulability = home_side * determinant
+    singularity = 0.01  # more than the arm's own, so that enough poses lie on either side
+    spec = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"singularity": singularity})})
+    reason, safety = np.zeros(robots, dtype=np.int64), Safety(spec, Fleet(spec, width, collisions=True))
+    for rows in np.split(np.arange(robots), robots // width):
+        reason[rows] = safety.check_poses(q[rows])
+    soft = MARGINS.q_soft_rad
+    z_min, radius_max = SPACE.z_min + MARGINS.workspace_m, SPACE.radius_max - MARGINS.workspace_m
+    expected = {
+        Reason.POSITION: (((q < LOW + soft) | (q > HIGH - soft)).any(axis=1), np.ones(robots, dtype=bool)),
+        Reason.WORKSPACE: (
+            (height < z_min) | (radius > radius_max),
+            (np.abs(height - z_min) > 1e-9) & (np.abs(radius - radius_max) > 1e-9),
+        ),
+        Reason.SINGULARITY: (
+            manipulability < singularity,
+            np.abs(manipulability - singularity) > 1e-9,
+        ),
+        Reason.COLLISION: (nearest < MARGINS.collision_m, np.abs(nearest - MARGINS.collision_m) > 1e-4),
+    }
+    for bit, (refused, clear) in expected.items():
+        assert clear.sum() > 0.99 * robots
+        assert 10 < refused.sum() < robots - 10, bit
+        np.testing.assert_array_equal(((reason & int(bit)) != 0)[clear], refused[clear], err_msg=str(bit))
+    assert (reason & ~sum(int(bit) for bit in expected) == 0).all()
+
+
+def test_each_robot_is_judged_alone():
+    """Eleven robots, each with another fault, and every verdict is that of its own fault."""
+    faults = {
+        **{1: Reason.VELOCITY, 2: Reason.POSITION, 5: Reason.TRACKING, 6: Reason.HEAT},
+        **{4: Reason.TORQUE | Reason.VELOCITY, 7: Reason.TOOL_SPEED, 8: Reason.VELOCITY},
+        **dict.fromkeys((9, 10), Reason.SINGULARITY | Reason.POSITION),
+    }
+    robots, straight = 11, one(4, 0.0, HOME)
+    q, qd, qdd = np.tile(HOME, (robots, 1)), np.zeros((robots, N)), np.zeros((robots, N))
+    q_hat, sent, temperature, hottest = q.copy(), q.copy(), *np.full((2, robots, N), 30.0)
+    q[9] = straight
+    qd[1, 5], qdd[4, 5] = 4.0, 1000.0
+    # Only together: the speed that the acceleration will still add counts, and none of the others'.
+    qd[7, 1:3], qdd[7, 1:3] = -2.3, -8.0
+    rest = q_hat.copy()
+    rest[2, 0], rest[10], sent[5, 3], temperature[6, 2] = HIGH[0], straight, HOME[3] + 0.2, 95.0
+    state = State(
+        t=0.0,
+        q=q_hat,
+        qd=qd,
+        q_var=q,
+        age=np.zeros(robots),
+        nis=q,
+        temperature=temperature,
+        winding=q,
+        hottest=hottest,
+        fold=np.ones((robots, N)),
+        fault=np.zeros(robots, dtype=np.int64),
+    )
+    setpoint = Setpoint(q=q, qd=qd, qdd=qdd)
+    ahead = Setpoint(q=q_hat, qd=qd * 0, qdd=qdd * 0)
+    ahead.qd[8, 3] = 4.0
+    verdict = Safety(SPEC, Fleet(SPEC, 2 * robots, collisions=True)).step(
+        state, Setpoint(q=sent, qd=qd, qdd=qdd), setpoint, ahead, q_hat, rest
+    )
+    assert verdict.reason.tolist() == [int(faults.get(i, 0)) for i in range(robots)]
+
+
+def test_it_changes_none_of_its_inputs():
+    setpoint, rest = point(qd=one(0, 9.0)), np.tile(HIGH, (1, 1))
+    before = setpoint.q.copy(), setpoint.qd.copy(), rest.copy()
+    judge(setpoint=setpoint, q_rest=rest)
+    for array, old in zip((setpoint.q, setpoint.qd, rest), before, strict=True):
+        np.testing.assert_array_equal(array, old)

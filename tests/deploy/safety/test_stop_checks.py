@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+
+from deploy.motion.smoother import Smoother
+from deploy.safety.safety import Safety
+from deploy.state import Reason, Setpoint, State
+from robots.models.fleet import Fleet
+from support.arm6 import SPEC
+from support.safety import HIGH, HOME, LOW, MARGINS, SPACE, N, one, point, reasons
+
+
+@pytest.mark.parametrize("limit", ["z_min", "radius_max"])
+def test_the_tool_in_the_midst_of_a_stop_stays_in_the_workspace(limit):
+    """Though where the stop begins and ends is well inside: the arm is let down, or stretched, until it is refused."""
+    fleet, reach = Fleet(SPEC, 1), MARGINS.workspace_m
+    far = (
+        one(1, -0.35, one(2, 1.2, HOME))
+        if limit == "z_min"
+        else one(1, -2.27, one(2, 0.4, one(3, -2.72, HOME)))
+    )
+    verdicts = []
+    for share in np.linspace(0, 1, 200):
+        q = HOME + share * (far - HOME)
+        fleet.place(q[None])
+        (tool,) = fleet.tool_position
+        height, radius = tool[2] - SPACE.z_min, SPACE.radius_max - np.linalg.norm(tool - SPACE.centre)
+        found = reasons(q_midst=q)
+        verdicts.append(Reason.WORKSPACE in found)
+        assert verdicts[-1] == (min(height, radius) < reach)
+        assert found & ~(Reason.WORKSPACE | Reason.COLLISION) == 0
+    assert 0 < sum(verdicts) < 200
+    assert Reason.NOT_FINITE in reasons(q_midst=np.full(N, np.nan))
+
+
+def touching(fleet, q):
+    """(B,) where shapes touch, or the tool is outside, at poses (B, n)."""
+    fleet.glance(q)
+    tool = fleet.tool_position
+    return (
+        fleet.colliding
+        | (tool[:, 2] < SPACE.z_min)
+        | (np.linalg.norm(tool - SPACE.centre, axis=1) > SPACE.radius_max)
+    )
+
+
+@pytest.mark.parametrize("share", [0.5, 0.95])
+def test_stops_that_are_allowed_hurt_nothing_all_the_way(share):
+    """A hundred and fifty at up to this share of full speed, on their way to a forbidden place, every 20 ms of each."""
+    robots, rng, smoother = 64, np.random.default_rng(3), Smoother(SPEC, 64)
+    bare = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"collision_m": 1e-9})})
+    safety = Safety(SPEC, Fleet(SPEC, 2 * robots, collisions=True))
+    fleet, crowd = (Fleet(bare, many, collisions=True) for many in (robots, 40 * robots))
+    stopping, accepted, blocked = np.ones(robots, dtype=bool), 0, 0
+    while accepted < 150:
+        ahead = rng.uniform(LOW, HIGH, (40 * robots, N))
+        ahead = ahead[touching(crowd, ahead)][:robots]
+        qd = rng.uniform(-share, share, (robots, N)) * SPEC.joint_array("qd_max")
+        q = np.clip(ahead - qd * rng.uniform(0.02, 0.2, (robots, 1)), LOW + 0.03, HIGH - 0.03)
+        start = Setpoint(q=q, qd=qd, qdd=q * 0)
+        here = State(
+            t=0.0,
+            q=q,
+            qd=qd,
+            q_var=q * 0,
+            age=np.zeros(robots),
+            nis=q * 0,
+            temperature=q * 0 + 30,
+            winding=q * 0 + 30,
+            hottest=q * 0 + 30,
+            fold=np.ones(q.shape),
+            fault=np.zeros(robots, dtype=np.int64),
+        )
+        fine = safety.step(here, start, start, *smoother.brake(start)).reason == 0
+        smoother.commit(start)
+        for tick in range(80):
+            smoother.commit(smoother.next(q, stopping))
+            if tick % 4 == 0:
+                assert not touching(fleet, smoother.q)[fine].any()
+        accepted, blocked = accepted + fine.sum(), blocked + (~fine).sum()
+    assert blocked > accepted
+
+
+def test_a_stop_that_would_be_too_fast_is_refused_and_no_other():
+    """Stops of one joint from near the limit, at any acceleration, each lived through."""
+    robots, rng, smoother = 192, np.random.default_rng(4), Smoother(SPEC, 192)
+    qd_max, joint = MARGINS.speed * SPEC.joint_array("qd_max"), np.arange(robots)[:, None] % N == np.arange(N)
+    qd = joint * rng.uniform(0.8, 1.05, (robots, N)) * rng.choice([-1, 1], (robots, N)) * qd_max
+    qdd = joint * rng.uniform(-1, 1, (robots, N)) * SPEC.joint_array("qdd_max")
+    smoother.commit(Setpoint(q=np.tile(HOME, (robots, 1)), qd=qd, qdd=qdd))
+    fastest = np.abs(qd)
+    for _ in range(25):
+        smoother.commit(smoother.next(smoother.q, np.ones(robots, dtype=bool)))
+        fastest = np.maximum(fastest, np.abs(smoother.qd))
+    share = (fastest / qd_max).max(axis=1)
+    refused = np.array(
+        [Reason.VELOCITY in reasons(setpoint=point(qd=v, qdd=a)) for v, a in zip(qd, qdd, strict=True)]
+    )
+    between = np.abs(share - 1) < 1e-3  # the fastest moment lies between two ticks
+    np.testing.assert_array_equal((share > 1)[~between], refused[~between])
+    gains = share > (np.abs(qd) / qd_max).max(axis=1) + 1e-3
+    assert (refused & gains).sum() > 10
+    assert (~refused & gains).sum() > 10
+
+
+WRIST_INTO_TABLE = (
+    # Well clear at the start and at the end of a stop; between them the second wrist's link goes through the table.
+    ((-0.8234, -0.6038, 1.542, 0.27, -2.57, -0.0259), (-1.7182, 0.7, -2.1787, -2.4611, 1.3323, -1.6896)),
+    ((0.7534, -0.8255, 2.099, -0.1229, -0.5728, -1.8432), (1.5645, 0.8994, 2.8371, -1.5573, -0.6811, 0.1532)),
+)
+
+
+@pytest.mark.parametrize(("q", "qd"), WRIST_INTO_TABLE)
+def test_a_link_that_a_stop_would_drive_into_the_table(q, qd):
+    start, smoother = point(np.array(q), np.array(qd)), Smoother(SPEC, 1)
+    ahead, q_midst, q_rest = smoother.brake(start)
+    assert reasons(setpoint=start, qd_hat=start.qd, ahead=ahead, q_midst=start.q, q_rest=q_rest) == 0
+    assert (
+        reasons(setpoint=start, qd_hat=start.qd, ahead=ahead, q_midst=q_midst, q_rest=q_rest)
+        == Reason.COLLISION
+    )

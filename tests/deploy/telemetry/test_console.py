@@ -1,0 +1,162 @@
+import contextlib
+import json
+import os
+import shutil
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+from rich.console import Console
+
+from deploy.backends.sim.robot import SimRobot
+from deploy.backends.sim.scene import Scene
+from deploy.telemetry import console_display
+from deploy.telemetry.console import SnapshotPipe
+from robots.randomness import robot_seed
+from robots.spec import load_robot
+from support.walking import QUADRUPED, live, walker
+
+SPEC = load_robot("arm6")
+
+
+class Window:
+    """Stands in for MuJoCo's viewer."""
+
+    def __init__(self, model, data):
+        self.data, self.synced, self.open = data, [], True
+        self.cam = SimpleNamespace(lookat=np.zeros(3))
+
+    def is_running(self):
+        return self.open
+
+    def lock(self):
+        return contextlib.nullcontext()
+
+    def sync(self):
+        self.synced.append(self.data.qpos.copy())
+
+
+def test_the_view_follows_the_true_pose_until_it_is_closed(monkeypatch):
+    from deploy.backends.sim import view
+
+    windows = []
+    monkeypatch.setattr(view, "_check_display", lambda: None)
+    monkeypatch.setattr(
+        view.mujoco.viewer, "launch_passive", lambda *args: windows.append(Window(*args)) or windows[0]
+    )
+    robot = SimRobot(SPEC, [robot_seed(7, 0)])
+    seen, pose = view.View(robot), SPEC.joint_array("q_home") + 0.1
+    robot.reset(np.ones(1, dtype=bool), pose[None])
+    seen.step()
+    windows[0].open = False
+    seen.step()
+    np.testing.assert_array_equal(windows[0].synced, [pose])
+
+
+def test_the_view_goes_with_a_robot_that_walks(monkeypatch):
+    from deploy.backends.sim import view
+
+    windows = []
+    monkeypatch.setattr(view, "_check_display", lambda: None)
+    monkeypatch.setattr(
+        view.mujoco.viewer, "launch_passive", lambda *args: windows.append(Window(*args)) or windows[0]
+    )
+    runtime = walker(1)
+    live(runtime, 3)
+    view.View(runtime.robot).step()
+    truth = runtime.robot.truth()
+    place = truth.base.position[0]
+    assert place[2] > 0.1
+    np.testing.assert_array_equal(windows[0].cam.lookat, place)
+    np.testing.assert_array_equal(
+        windows[0].synced, [np.concatenate((place, truth.base.quat_wxyz[0], truth.q[0]))]
+    )
+
+
+def test_a_scene_has_one_floor(tmp_path):
+    """Its own, or else one to walk on; an arm stands on its table."""
+    tiled = shutil.copytree(QUADRUPED.folder, tmp_path / "tiled")
+    text = (tiled / "model.xml").read_text()
+    assert "plane" not in text
+    floor = '<worldbody><geom name="tiles" type="plane" size="5 5 1"/>'
+    (tiled / "model.xml").write_text(text.replace("<worldbody>", floor))
+    kinds = [Scene(spec).model.geom_type for spec in (QUADRUPED, load_robot(tiled), SPEC)]
+    assert [np.count_nonzero(kind == mujoco.mjtGeom.mjGEOM_PLANE) for kind in kinds] == [1, 1, 0]
+
+
+SNAPSHOT = {
+    "title": "arm6",
+    "t": 12.34,
+    "elapsed": 12.5,
+    "left": 7.66,
+    "mode": "HOLDING",
+    "reason": "samples are missing",
+    "rate": 199.6,
+    "hz": 200.0,
+    "late_us": [55.0, 410.0, 2100.0],
+    "skipped": 3,
+    "reached": 2,
+    "attempted": 3,
+    "stops": ["11.20 s: samples are missing"],
+    "notes": ["run.mcap: cannot be written: No space left on device"],
+    "joints": [
+        ["elbow", 1.5, -0.25, 0.0012, 33.3, 61.0, 60.0, 80.0, 111.0, 80.0, 110.0],
+        ["wrist_1", 0.1, 0, 0, 0, 24.0, 60.0, 80.0, 25.0, 80.0, 110.0],
+    ],
+}
+
+
+def drawn(snapshots, terminal):
+    with open(os.devnull, "w") as nowhere:
+        console = Console(file=nowhere, force_terminal=terminal, record=True, width=100)
+        console_display.follow([json.dumps(s) + "\n" for s in snapshots] + ['{"cut'], console)
+        return console.export_text()
+
+
+def test_the_table_shows_everything():
+    text = drawn([SNAPSHOT], terminal=True)
+    for part in (
+        *("HOLDING samples are missing", "12.3 s, 7.7 s left", "200 Hz of 200, 3 slots skipped"),
+        *("p50 55 µs, p99 410 µs, max 2100 µs", "2 of 3 reached", "11.20 s: samples are missing"),
+        *("elbow", "+1.500", "-0.250", "+1.2", "+33.3", "61 of 80", "111 of 110", "No space left on device"),
+    ):
+        assert part in text
+
+
+def test_lines_come_once_a_second_and_with_news():
+    quiet = {**SNAPSHOT, "notes": [], "mode": "RUNNING", "reason": ""}
+    snapshots = [{**quiet, "elapsed": k / 5} for k in range(15)]
+    text = drawn([*snapshots, {**SNAPSHOT, "elapsed": 2.9}, {**SNAPSHOT, "elapsed": 2.95}], terminal=False)
+    lines = text.splitlines()
+    assert lines[:3] == ["12.3 s  RUNNING  200 Hz  3 skipped  goals 2/3  61 °C"] * 3
+    assert lines[3:] == [
+        "12.3 s  HOLDING  200 Hz  3 skipped  goals 2/3  61 °C  samples are missing",
+        "note: run.mcap: cannot be written: No space left on device",
+    ]
+
+
+def test_a_screen_that_is_not_read_holds_nothing_up_and_tears_no_line():
+    reading, writing = os.pipe()
+    screen, text = SnapshotPipe(writing), {"x": "y" * 5000}  # longer than what a pipe takes whole
+    for k in range(1000):  # far more than a pipe takes
+        screen.offer({"k": k, **text})
+    received = os.read(reading, 1 << 20)
+    screen.offer({"k": 1000, **text})  # what is left of a line goes first
+    screen.offer({"k": 1001, **text})
+    screen.close()
+    with open(reading, "rb") as rest:
+        received += rest.read()
+    numbers = [json.loads(line)["k"] for line in received.splitlines()]
+    assert received.endswith(b"\n")
+    assert numbers[-1] == 1001
+    assert numbers == sorted(numbers)
+    assert len(numbers) < 200
+
+
+def test_a_screen_that_has_gone_is_forgotten():
+    reading, writing = os.pipe()
+    screen = SnapshotPipe(writing)
+    os.close(reading)
+    for _ in range(3):
+        screen.offer({})
+    screen.close()

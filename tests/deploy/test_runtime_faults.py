@@ -1,0 +1,310 @@
+"""What goes wrong in flight, and that the robot then stops as it should, and no other robot does."""
+
+import numpy as np
+import pytest
+
+from deploy.backends.sim.packets import Failure, Fault
+from deploy.motion.smoother import Smoother
+from deploy.runtime import UNSEEN_S
+from deploy.state import Mode, Reason, Setpoint
+from support.arm6 import SPEC
+from support.runtimes import Saying, assert_same, assert_within_limits, every, play, running
+
+pytestmark = pytest.mark.usefixtures("quick_goals")
+
+N, DT = SPEC.n, SPEC.dt
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_policy_that_says_nan_stops_its_robot(bad):
+    robots, policy = 3, Saying(3)
+    runtime = running(robots, policy=policy)
+    policy.action[:] = np.random.default_rng(0).uniform(-1, 1, (robots, N))
+    before, _ = play(runtime, 60)
+    assert np.abs(runtime.command.qd).max() > 0.3
+    policy.action[1, 4] = bad
+    after, modes = play(runtime, 200)
+    assert_within_limits(np.concatenate((before, after)))
+    assert (modes[-1] == Mode.LATCHED).tolist() == [False, True, False]
+    assert runtime.supervisor.reason[1] & Reason.NOT_FINITE
+    stopped = np.flatnonzero(modes[:, 1] == Mode.LATCHED)[0]
+    np.testing.assert_array_equal(
+        after[stopped:, 1], np.broadcast_to(after[stopped, 1], after[stopped:, 1].shape)
+    )
+    assert not runtime.command.powered[1]
+    policy.action[1, 4] = 0.0
+    assert (play(runtime, 100)[1][:, 1] == Mode.LATCHED).all()
+
+
+def test_an_operators_stop_is_controlled_latches_and_is_taken_back_by_arming():
+    runtime = running(3)
+    before, _ = play(runtime, 60)
+    runtime.stop(Reason.OPERATOR)
+    after, modes = play(runtime, 200)
+    assert_within_limits(np.concatenate((before, after)))
+    assert (modes[0] == Mode.STOPPING).all()
+    assert (modes[-1] == Mode.LATCHED).all()
+    assert (runtime.supervisor.reason & Reason.OPERATOR).all()
+    assert not runtime.command.powered.any()
+    assert not runtime.arm(every(runtime)).any()
+    _, modes = play(runtime, 60)
+    assert (modes == Mode.RUNNING).any(axis=0).all()
+
+
+def test_arming_a_moving_robot_does_nothing():
+    """The operator presses the button twice: no jump, and a stop that is under way goes on to its end."""
+    runtime, twin = running(3), running(3)
+    for each in (runtime, twin):
+        play(each, 60)
+    runtime.arm(every(runtime))
+    assert_same(runtime, twin)
+    for each in (runtime, twin):
+        each.stop(Reason.OPERATOR)
+        play(each, 3)
+    assert (runtime.supervisor.mode == Mode.STOPPING).all()
+    runtime.arm(every(runtime))
+    np.testing.assert_array_equal(play(runtime, 150)[0], play(twin, 150)[0])
+    assert (runtime.supervisor.mode == Mode.LATCHED).all()
+
+
+BEGINS = 70
+"""The tick at which sensors fail, with the robots well under way."""
+
+
+def failing(what, ticks, *, channel=None, sensor="encoder"):
+    """Two robots, of which the second has a sensor that fails for some ticks."""
+    fault = Fault(robot=1, sensor=sensor, what=what, channel=channel, begins=BEGINS, ends=BEGINS + ticks)
+    return running(2, faults=[fault])
+
+
+def reasons_of(runtime, robot, ticks):
+    """Commands, modes and reasons of some ticks; the reasons as safety and estimator have them, tick by tick."""
+    q, modes, reasons = [], [], []
+    for _ in range(ticks):
+        runtime.tick()
+        q.append(runtime.command.q.copy())
+        modes.append(runtime.supervisor.mode.copy())
+        reasons.append(Reason(int(runtime.verdict.reason[robot] | runtime.state.fault[robot])))
+    return np.array(q), np.array(modes), reasons
+
+
+def test_few_missing_packets_are_ridden_through():
+    _, modes, reasons = reasons_of(failing(Failure.OFF, 3), 1, 150)
+    assert (modes == Mode.RUNNING).all()
+    assert not any(reasons)
+
+
+def test_a_burst_of_losses_makes_it_hold_and_go_on():
+    runtime = failing(Failure.OFF, 15)
+    q, modes, reasons = reasons_of(runtime, 1, 300)
+    first = next(i for i, reason in enumerate(reasons) if reason) + runtime.ticks - 300 - BEGINS
+    assert 5 <= first <= 9  # packets on their way still arrive; five missing in a row
+    assert any(Reason.STALE in reason for reason in reasons)
+    assert not any(Reason.LOST in reason for reason in reasons)
+    assert Mode.HOLDING in modes[:, 1]
+    assert modes[-1, 1] == Mode.RUNNING
+    assert Mode.LATCHED not in modes
+    assert_within_limits(q)
+
+
+def test_silence_latches_after_a_stop_on_the_planned_way():
+    runtime = failing(Failure.OFF, 300)
+    q, modes, reasons = reasons_of(runtime, 1, 250)
+    first = (
+        next(i for i, reason in enumerate(reasons) if Reason.LOST in reason) + runtime.ticks - 250 - BEGINS
+    )
+    assert 20 <= first <= 25  # twenty in a row
+    assert modes[-1, 1] == Mode.LATCHED
+    assert modes[-1, 0] == Mode.RUNNING
+    assert_within_limits(q)
+    only = np.array([False, True])
+    assert Reason.LOST in Reason(int(runtime.arm(only)[1]))
+    assert runtime.supervisor.mode[1] == Mode.LATCHED
+    play(runtime, 200)
+    assert not runtime.arm(only).any()
+    assert (play(runtime, 40)[1] == Mode.RUNNING).any(axis=0).all()
+
+
+def test_one_channel_that_says_nan_is_an_encoder_that_is_silent():
+    runtime = failing(Failure.OFF, 300, channel=3)
+    q, modes, reasons = reasons_of(runtime, 1, 250)
+    assert any(Reason.LOST in reason for reason in reasons)
+    assert (modes[-1] == Mode.LATCHED).tolist() == [False, True]
+    assert_within_limits(q)
+
+
+STOPS = {
+    Failure.OFF: Reason.LOST,
+    Failure.STUCK: Reason.STUCK | Reason.LOST | Reason.TRACKING | Reason.DIVERGED,
+    Failure.GARBAGE: Reason.LOST | Reason.DIVERGED,
+    Failure.WRONG: Reason.LOST | Reason.DIVERGED,
+    Failure.SLOW: Reason.STALE,
+    Failure.DELAYED: Reason.LOST,
+    Failure.INTERMITTENT: Reason.LOST,
+}
+"""One of these must stop a robot whose encoder fails so; slow packets let it stop and go."""
+
+
+@pytest.mark.parametrize("what", Failure)
+def test_every_failure_of_an_encoder_stops_the_robot_before_it_errs(what):
+    """And no other robot; until then the estimate stays near the truth."""
+    runtime = failing(what, 400)
+    q, modes, reasons, errors = [], [], Reason.NONE, []
+    for _ in range(350):
+        runtime.tick()
+        q.append(runtime.command.q.copy())
+        modes.append(runtime.supervisor.mode.copy())
+        reasons |= Reason(int(runtime.verdict.reason[1] | runtime.state.fault[1]))
+        if modes[-1][1] == Mode.RUNNING:
+            errors.append(np.abs(runtime.state.q - runtime.robot.truth().q)[1].max())
+    assert reasons & STOPS[what]
+    assert (np.array(modes)[:, 0] == Mode.RUNNING).all()
+    assert (np.array(modes)[:, 1] != Mode.RUNNING).any()
+    assert max(errors) < SPEC.margins.tracking_rad
+    assert_within_limits(np.array(q))
+
+
+@pytest.mark.parametrize("sensor", ["current", "temperature", "force", "goal"])
+@pytest.mark.parametrize("what", Failure)
+def test_no_failure_of_another_sensor_breaks_a_limit(sensor, what):
+    """Whether it stops or not: commands stay finite and within the limits, and the neighbour does not notice."""
+    runtime, clean = failing(what, 300, sensor=sensor), running(2)
+    q, _ = play(runtime, 200)
+    assert np.isfinite(q).all()
+    assert_within_limits(q)
+    np.testing.assert_array_equal(q[:, 0], play(clean, 200)[0][:, 0])
+
+
+def test_a_camera_that_says_no_more_leaves_the_robot_where_it_is():
+    runtime = failing("off", 10_000, sensor="goal")
+    play(runtime, round((UNSEEN_S + 0.5) / SPEC.dt))
+    away = np.linalg.norm(runtime._goal - runtime.tool, axis=1)
+    assert away[0] > 0.01
+    assert away[1] == 0.0
+
+
+def test_no_plan_at_all_cuts_power_and_sends_no_nan(monkeypatch):
+    runtime = running(3)
+    play(runtime, 40)
+    smoother, here = runtime.smoother, runtime.command.q[1].copy()
+
+    def without(call):
+        def planless(*args):
+            plan = call(*args)
+            setpoint = plan if isinstance(plan, Setpoint) else plan[0]
+            for part in (setpoint.q, setpoint.qd, setpoint.qdd):
+                part[1] = np.nan
+            return plan
+
+        return planless
+
+    monkeypatch.setattr(smoother, "next", without(smoother.next))
+    monkeypatch.setattr(smoother, "brake", without(smoother.brake))
+    q, modes = play(runtime, 20)
+    assert modes[-1, 1] == Mode.LATCHED
+    assert (modes[:, [0, 2]] != Mode.LATCHED).all()
+    assert runtime.supervisor.reason[1] & Reason.NOT_FINITE
+    assert np.abs(q[:, 1] - here).max() < 0.05
+
+
+def test_a_hot_housing_stops_its_robot():
+    runtime = running(2)
+    runtime.robot.plant.housing[1, 2] = 95.0
+    _, modes = play(runtime, 150)
+    assert (modes[-1] == Mode.LATCHED).tolist() == [False, True]
+    assert runtime.supervisor.reason[1] & Reason.HEAT
+
+
+def test_a_joint_that_does_not_follow_stops_its_robot():
+    runtime = running(2)
+    play(runtime, 20)
+    runtime.robot.plant.batch.expand("dof_frictionloss")[1, 0] = 1e5
+    policy = Saying(2)
+    policy.action[:, 0] = 1.0
+    runtime.policy = policy
+    _, modes = play(runtime, 200)
+    assert modes[-1, 1] == Mode.LATCHED
+    assert runtime.supervisor.reason[1] & Reason.TRACKING
+
+
+@pytest.mark.parametrize("stopping_for", [0, 10])
+def test_a_setpoint_without_a_plan_is_never_sent(stopping_for, monkeypatch):
+    """Were planning to fail, before a stop or in it, what is sent stays finite and the robot ends without power."""
+    runtime, calls = running(3), []
+    before, _ = play(runtime, 40)
+    if stopping_for:
+        runtime.stop(Reason.OPERATOR)
+        before = np.concatenate((before, play(runtime, stopping_for)[0]))
+    planned = runtime.smoother.next
+
+    def without_a_plan(q_target, stopping):
+        setpoint = planned(q_target, stopping)
+        if not calls:
+            setpoint.q[1], setpoint.qd[1], setpoint.qdd[1] = np.nan, np.nan, np.nan
+        calls.append(None)
+        return setpoint
+
+    monkeypatch.setattr(runtime.smoother, "next", without_a_plan)
+    with np.errstate(invalid="ignore"):
+        after, modes = play(runtime, 150)
+    assert_within_limits(np.concatenate((before, after)))
+    assert modes[-1, 1] == Mode.LATCHED
+    assert not runtime.command.powered[1]
+    assert (modes[-1, [0, 2]] == Mode.LATCHED).all() == bool(stopping_for)
+
+
+def test_even_blind_checks_let_no_nan_through(monkeypatch):
+    """The last barrier before the bus asks nobody."""
+    runtime = running(3)
+    play(runtime, 40)
+    planned, judged = runtime.smoother.next, runtime.safety.step
+
+    def planless(q_target, stopping):
+        setpoint = planned(q_target, stopping)
+        setpoint.q[1], setpoint.qd[1], setpoint.qdd[1] = np.nan, np.nan, np.nan
+        return setpoint
+
+    def blind(*asked):
+        return judged(*asked)._replace(reason=np.zeros(3, dtype=np.int64))
+
+    monkeypatch.setattr(runtime.smoother, "next", planless)
+    monkeypatch.setattr(runtime.safety, "step", blind)
+    for _ in range(5):
+        runtime.tick()
+        command = runtime.command
+        assert np.isfinite(command.q).all()
+        assert np.isfinite(command.qd).all()
+        assert np.isfinite(command.tau).all()
+    assert runtime.robot.truth().valid.all()
+
+
+def test_what_is_judged_is_the_stop_that_would_begin_at_the_setpoint(monkeypatch):
+    """Its first step, a pose in its midst, and where it ends."""
+    runtime, asked = running(2), []
+    judged = runtime.safety.step
+
+    def listen(*what):
+        asked.append([np.copy(pose) for pose in (what[2].q, what[3].q, what[4], what[5])])
+        planned, stop = what[2], Smoother(SPEC, 2).brake(what[2])
+        np.testing.assert_array_equal(what[3].q, stop[0].q)
+        np.testing.assert_array_equal(what[4], stop[1])
+        np.testing.assert_array_equal(what[5], stop[2])
+        assert planned is not what[1]
+        return judged(*what)
+
+    monkeypatch.setattr(runtime.safety, "step", listen)
+    play(runtime, 60)
+    setpoint, ahead, midst, rest = np.array(asked).swapaxes(0, 1)
+    for one, other in ((setpoint, ahead), (ahead, midst), (midst, rest)):
+        assert (np.abs(one - other).max(axis=(1, 2)) > 1e-6).sum() > 20
+
+
+def test_a_diverged_simulation_stops_its_robot_only():
+    clean, broken = running(3), running(3)
+    broken.robot.plant.rows[1] = np.nan
+    with np.errstate(invalid="ignore"):
+        for _ in range(100):
+            clean.tick()
+            broken.tick()
+    assert broken.robot.truth().valid.tolist() == [True, False, True]
+    np.testing.assert_array_equal(broken.robot.plant.rows[[0, 2]], clean.robot.plant.rows[[0, 2]])

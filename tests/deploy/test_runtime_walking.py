@@ -1,0 +1,419 @@
+import shutil
+
+import numpy as np
+import pytest
+
+from deploy.estimation.rotations import exp, matrix, times
+from deploy.motion.drive_law import Springs
+from deploy.policy.compatibility import check_contract
+from deploy.policy.contract import ActionSpec
+from deploy.state import Mode, Reason
+from robots.errors import ContractError, RobotError
+from robots.models.fleet import Fleet, load_pinocchio, torque_max
+from robots.randomness import robot_seed
+from robots.spec import load_robot
+from support.walking import (
+    ARM_S,
+    KD,
+    KP,
+    PLACES,
+    QUADRUPED,
+    STAND,
+    TERMS,
+    changed,
+    live,
+    simulate,
+    standing,
+    walker,
+    walking_contract,
+)
+
+packets = pytest.importorskip("deploy.backends.sim.packets")
+Failure, Fault = packets.Failure, packets.Fault
+
+Judge = pytest.importorskip("eval.judge.judge").Judge
+base_velocity_and_tilt = pytest.importorskip("eval.judge.truth").base_velocity_and_tilt
+BaseTruth = pytest.importorskip("deploy.backends.sim.truth").BaseTruth
+judge_tick = pytest.importorskip("eval.soak.shard").judge_tick
+blind = pytest.importorskip("eval.mutants.weakened").blind
+
+DT, TORQUE_MAX = QUADRUPED.dt, torque_max(QUADRUPED)
+FRONT_HIPS, REAR_KNEES = [1, 4], [8, 11]
+
+
+def reading(observation, name):
+    """A term as it was measured."""
+    one = next(t for t in TERMS if t.name == name)
+    return observation[:, PLACES[name]] * one.scale + (one.offset or 0.0)
+
+
+def bits(runtime):
+    """Everything that a tick leaves behind."""
+    base = runtime.state.base
+    return np.concatenate(
+        [
+            runtime.robot.plant.rows,
+            runtime.command.q,
+            runtime.state.q,
+            base.quat_wxyz,
+            base.velocity_in_base,
+            runtime.walker.filter.P.reshape(len(base.age), -1),
+            runtime.task.gone,
+        ],
+        axis=1,
+    )
+
+
+def sway(tick):
+    """(12,) rad: something to do."""
+    return 0.1 * np.sin(2 * np.pi * (0.5 * tick * DT + np.arange(12) / 12))
+
+
+def test_it_hangs_until_it_is_armed_and_then_stands():
+    runtime = walker(3)
+    live(runtime, round(ARM_S / DT))
+    base = runtime.robot.truth().base
+    hung, plant = base.position.copy(), runtime.robot.plant
+    np.testing.assert_allclose(hung[:, 2], plant._base.stands_m, atol=0.005)  # what holds it gives a little
+    assert plant._held.all()
+    assert not runtime.arm(np.ones(3, dtype=bool)).any()
+    live(runtime, round(2.0 / DT))
+    assert (runtime.supervisor.mode == Mode.RUNNING).all()
+    assert not plant._held.any()
+    assert np.abs(base.position - hung).max() < 0.03
+    assert not runtime.robot.truth().self_collision.any()
+    assert (runtime.robot.truth().contact_n > 10.0).all()
+
+
+def test_it_hangs_where_it_will_stand_wherever_its_model_holds_it(tmp_path):
+    """Half a metre too high in model.xml: no gantry pulls it down while its orientation is first measured."""
+    folder = shutil.copytree(QUADRUPED.folder, tmp_path / "quadruped")
+    text = (folder / "model.xml").read_text()
+    (folder / "model.xml").write_text(
+        text.replace('name="trunk" pos="0 0 0.33"', 'name="trunk" pos="0 0 0.83"')
+    )
+    spec, seeds = load_robot(folder), [robot_seed(3, 0)]
+    contract = walking_contract(spec)
+    runtime, robot = simulate(spec, contract, seeds)
+    live(runtime, round(ARM_S / DT))
+    np.testing.assert_allclose(robot.truth().base.position[0, 2], robot.plant._base.stands_m, atol=0.005)
+    assert robot.plant._base.stands_m < 0.4
+    assert not runtime.arm(np.ones(1, dtype=bool)).any()
+
+
+def test_it_feels_what_its_base_does():
+    runtime = standing(4)
+    base = runtime.robot.truth().base
+    for tick in range(0, 400, 4):
+        observation = live(runtime, 4, sway(tick))
+        R = matrix(base.quat_wxyz)
+        for name, true, close in (
+            ("projected_gravity", -R[:, 2], 0.04),
+            ("base_linear_velocity", np.matvec(R.swapaxes(1, 2), base.velocity), 0.12),
+        ):
+            np.testing.assert_allclose(reading(observation, name), true, atol=close, err_msg=name)
+    turning = runtime.state.base.angular_velocity - base.angular_velocity
+    assert np.sqrt((turning**2).mean()) < 0.1
+    assert runtime.state.base.age.max() < 0.02
+
+
+def test_the_phase_of_the_gait_begins_when_it_is_armed():
+    runtime = standing(2)
+    observation = live(runtime, 1)
+    t = (runtime.since - 1) * DT
+    phase = 2 * np.pi * t / 0.4
+    np.testing.assert_allclose(
+        reading(observation, "gait_phase"), np.stack((np.sin(phase), np.cos(phase)), axis=1), atol=1e-5
+    )
+
+
+def test_the_drives_have_the_gains_of_the_contract_and_are_told_angles_alone():
+    runtime = standing(2)
+    live(runtime, 100, sway(30))
+    assert not runtime.command.qd.any()
+    assert not runtime.command.tau.any()
+    drawn, plant = runtime.robot.draw, runtime.robot.plant
+    stray = runtime.command.q - plant.motion.motor_q
+    law = KP * drawn["drives.kp"] * stray - KD * drawn["drives.kd"] * plant.motion.motor_qd
+    np.testing.assert_allclose(runtime.robot.truth().tau, law, atol=1.5)
+    np.testing.assert_allclose(runtime.verdict.tau, law, atol=10.0)  # of nominal gains and believed angles
+
+
+def test_brakes_are_as_stiff_as_they_are_whatever_the_policy_brings():
+    """Or a robot that has lost its power would hang in its policy's springs."""
+    action = walking_contract().action.model_copy(update={"kp": (90.0,) * 12, "kd": (3.0,) * 12})
+    drives = (runtime := walker(2, contract=walking_contract(action=action))).robot.plant.drives
+    own = [gain.copy() for gain in drives._gain]
+    square = runtime.robot.plant.batch.model.actuator_gear[:, 0] ** 2
+    live(runtime, round(ARM_S / DT))
+    runtime.arm(np.array([True, False]))
+    live(runtime, 20)
+    draw = runtime.robot.draw
+    for name, gain, brake, x in zip(("kp", "kd"), drives._gain, own, (90.0, 3.0), strict=True):
+        np.testing.assert_allclose(gain[0], (x / square * draw[f"drives.{name}"])[0])
+        np.testing.assert_array_equal(gain[1], brake[1])
+        assert (gain[0] != brake[0]).all()
+    kept = runtime.robot.save()
+    runtime.robot.stop(np.array([True, True]))
+    for gain, brake in zip(drives._gain, own, strict=True):
+        np.testing.assert_array_equal(gain, brake)
+    runtime.robot.restore(kept)
+    assert (drives._gain[0][0] != own[0][0]).all()
+
+
+def test_springs_give_no_more_than_a_drive_has():
+    runtime = standing(1)
+    springs, q = Springs(QUADRUPED, runtime.contract.action.gains), STAND + 2.0
+    tau = springs.torque(runtime.state, np.tile(q, (2, 1)), np.zeros((2, 12)), np.zeros((2, 12)))
+    np.testing.assert_array_equal(tau, np.full((2, 12), 40.0))
+
+
+def test_a_robot_is_the_same_alone_and_in_company():
+    three, alone = standing(3), standing(1)
+    for tick in range(60):
+        live(three, 1, sway(tick))
+        live(alone, 1, sway(tick))
+    np.testing.assert_array_equal(bits(three)[:1], bits(alone))
+
+
+def test_saved_and_restored_it_goes_on_bit_for_bit():
+    one = standing(2)
+    live(one, 50, sway(0))
+    kept, body = one.save(), one.robot.save()
+    live(one, 80, sway(7))
+    other = walker(2)
+    other.restore(kept)
+    other.robot.restore(body)
+    live(other, 80, sway(7))
+    np.testing.assert_array_equal(bits(other), bits(one))
+
+
+def test_who_falls_stops_for_good():
+    runtime = standing(2)
+    legs = np.zeros((2, 12))
+    legs[1, FRONT_HIPS], legs[1, REAR_KNEES] = 1.0, 1.0
+    for _ in range(40):
+        live(runtime, 20, legs)
+        runtime.robot.plant.batch.bind("xfrc_applied")[1, 1, :3] = 0.0, 150.0, 0.0  # somebody kicks it over
+    assert Reason(int(runtime.supervisor.reason[1])) & Reason.FALLEN
+    assert runtime.supervisor.mode.tolist() == [Mode.RUNNING, Mode.LATCHED]
+    assert runtime.supervisor.powered.tolist() == [True, False]
+    tilt = np.arccos(matrix(runtime.robot.truth().base.quat_wxyz)[:, 2, 2])
+    assert tilt[0] < 0.1 < QUADRUPED.base.tilt_max_rad < tilt[1]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "what", "reason"),
+    [
+        ("gyro", Failure.OFF, Reason.STALE),
+        ("gyro", Failure.STUCK, Reason.STUCK),
+        ("accelerometer", Failure.OFF, Reason.STALE),
+        ("accelerometer", Failure.STUCK, Reason.STUCK),
+    ],
+)
+def test_an_imu_that_fails_stops_the_robot(sensor, what, reason):
+    fault = Fault(robot=0, sensor=sensor, channel=None, what=what, begins=400, ends=10**6)
+    runtime = standing(2, faults=[fault])
+    assert (runtime.supervisor.mode == Mode.RUNNING).all()
+    live(runtime, 200)
+    assert Reason(int(runtime.supervisor.reason[0])) & reason
+    assert runtime.supervisor.mode.tolist() == [Mode.LATCHED, Mode.RUNNING]
+
+
+def test_commands_are_counted_as_followed():
+    runtime = standing(2)
+    period = round(QUADRUPED.base.command_s / DT)
+    runtime.task.elapsed[:], runtime.task.attempted[:], runtime.task.reached[:] = 0, 0, 0
+    runtime.task.gone[:], runtime.task.worked[:] = 0.0, True
+    live(runtime, period)
+    np.testing.assert_array_equal(runtime.task.goal, 0.0)  # it may be asked for nothing but to stand
+    assert runtime.task.attempted.tolist() == runtime.task.reached.tolist() == [1, 1]
+    runtime.stop(Reason.OPERATOR)
+    live(runtime, period)
+    assert runtime.task.attempted.tolist() == [2, 2]
+    assert runtime.task.reached.tolist() == [1, 1]
+
+
+def test_a_contract_must_be_of_a_robot_that_walks():
+    standing_still = TERMS[0].model_copy(
+        update={"name": "tool", "source": "tool_position", "frame": "world", "unit": "m"}
+    )
+    with pytest.raises(ContractError) as caught:
+        check_contract(walking_contract(task="reach", observation=(standing_still,)), QUADRUPED, "walk.onnx")
+    assert str(caught.value).splitlines() == [
+        "walk.onnx: task: found 'reach', expected 'velocity': quadruped has a base",
+        "walk.onnx: observation.tool.source: tool_position needs a robot that stands fixed; quadruped has a base",
+    ]
+    check_contract(walking_contract(), QUADRUPED, "walk.onnx")
+
+
+def test_a_policy_without_gains_is_fed_forward():
+    action = ActionSpec(mode="position", size=12, offset=tuple(STAND), scale=(1.0,) * 12, clip=(-1.0, 1.0))
+    runtime = walker(1, contract=walking_contract(action=action))
+    assert runtime.springs is None
+
+
+def test_feet_are_seen_from_the_base():
+    rng, robots, step = np.random.default_rng(0), 3, 1e-6
+    fleet = Fleet(QUADRUPED, robots)
+    q, qd = STAND + rng.uniform(-0.3, 0.3, (robots, 12)), rng.normal(size=(robots, 12))
+    fleet.place(q)
+    before, velocity = fleet.feet_position.copy(), fleet.feet_velocity(qd)
+    fleet.place(q + step * qd)
+    np.testing.assert_allclose((fleet.feet_position - before) / step, velocity, atol=1e-5)
+    fleet.place(np.tile(STAND, (robots, 1)))
+    np.testing.assert_allclose(fleet.feet_position[0, :, 0], [0.18, 0.18, -0.18, -0.18], atol=0.02)
+    assert (fleet.feet_position[0, :, 2] < -0.25).all()
+
+
+def judged(runtime, ticks, action=None):
+    """What the judge finds while it lives."""
+    judge = Judge(QUADRUPED, TORQUE_MAX, runtime.robot.robots, goal_s=QUADRUPED.base.command_s)
+    for tick in range(ticks):
+        live(runtime, 1, action if action is None else action(tick))
+        judge_tick(judge, runtime.robot.truth(), runtime, None)
+    return judge.counts()
+
+
+def test_the_judge_sees_who_falls_and_who_does_as_told():
+    runtime = standing(2)
+    period = round(QUADRUPED.base.command_s / DT)
+    runtime.task.elapsed[:], runtime.task.attempted[:] = 0, 0
+    kick = runtime.robot.plant.batch.bind("xfrc_applied")
+
+    def rocking(tick):
+        kick[1, 1, :3] = 0.0, 150.0 * (tick > period + 20), 0.0
+        legs = np.zeros((2, 12))
+        legs[1, FRONT_HIPS], legs[1, REAR_KNEES] = 1.0 * (tick > period), 1.0 * (tick > period)
+        return legs
+
+    counts = judged(runtime, 2 * period, rocking)
+    assert counts.events[:, counts.columns("tilt")].ravel().tolist() == [0, 1]
+    assert counts.attempted.tolist() == [2, 2]
+    assert counts.reached.tolist() == [2, 1]
+    assert counts.worst[0, counts.columns("tilt")][0] < 0.2
+    assert np.isinf(
+        counts.limits[[counts.columns(n).start for n in ("workspace", "singularity", "tool_speed")]]
+    ).all()
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_the_judge_notices_that_nobody_minds_a_fall(guarded):
+    """The mutant of FALLEN, which the arm of `make mutants` cannot have."""
+    runtime = standing(2)
+    if not guarded:
+        blind(Reason.FALLEN | Reason.DIVERGED)(runtime)
+    kick = runtime.robot.plant.batch.bind("xfrc_applied")
+
+    def rolls_over(tick):
+        kick[1, 1, 3:] = 60.0, 0.0, 0.0
+        return np.zeros((2, 12))
+
+    counts = judged(runtime, round(2.0 / DT), rolls_over)
+    assert counts.events[:, counts.columns("tilt")].ravel().tolist() == [0, 1]
+    assert counts.total("fallen") == (0 if guarded else 1)
+
+
+@pytest.mark.parametrize("asked", [[0.0, 0.6, 0.0], [0.0, 0.0, 0.6]])
+def test_who_does_something_else_than_asked_for_reaches_nothing(asked):
+    runtime = standing(1)
+    period = round(QUADRUPED.base.command_s / DT)
+    runtime.task.elapsed[:], runtime.task.attempted[:], runtime.task.reached[:] = 0, 0, 0
+    runtime.task.gone[:] = 0.0
+    runtime.task._low[:], runtime.task._high[:] = asked, asked
+    runtime.task.goal[:] = asked
+    counts = judged(runtime, 2 * period)
+    assert counts.attempted.tolist() == runtime.task.attempted.tolist() == [2]
+    assert counts.reached.tolist() == runtime.task.reached.tolist() == [0]
+
+
+def test_the_judge_knows_how_fast_a_base_turns():
+    """About what is up in the world, however it leans."""
+    rng = np.random.default_rng(2)
+    quat, turning = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
+    up = np.tile([0.0, 0.0, 1.0], (50, 1))
+    velocity, _ = base_velocity_and_tilt(BaseTruth(np.zeros((50, 3)), quat, np.zeros((50, 3)), turning, up))
+    np.testing.assert_allclose(velocity[:, 2], times(matrix(quat), turning)[:, 2], atol=1e-12)
+
+
+def test_the_judge_knows_how_far_a_base_leans_off_gravity():
+    rng = np.random.default_rng(2)
+    quat, up = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    zero = np.zeros((50, 3))
+    _, leans = base_velocity_and_tilt(BaseTruth(zero, quat, zero, zero, up))
+    upright = times(matrix(quat).swapaxes(1, 2), up)  # seen from the base
+    np.testing.assert_allclose(leans, np.arctan2(np.hypot(*upright.T[:2]), upright[:, 2]), atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            (('name = "quadruped"', 'name = "quadruped"\ntool = "imu"'),),
+            "tool: found one, of a robot with a base",
+        ),
+        (
+            (("collision_m = 0.005", "collision_m = 0.005\nsingularity = 0.1"),),
+            r"margins\.singularity: found one, of a robot with a base",
+        ),
+        ((("[sensors.gyro]", "[sensors.torque]"),), "sensors: no gyro, which a base needs"),
+        (
+            (("command_min = [0.0, 0.0, 0.0]", "command_min = [0.1, 0.0, 0.0]"),),
+            r"base\.command_min: found 0\.1, above command_max 0\.0",
+        ),
+    ],
+)
+def test_what_a_base_needs_is_said(tmp_path, changes, message):
+    text = (('unit = "rad/s"\nsites = ["imu"]', 'unit = "N*m"\nsites = ["imu"]'),)
+    torque = any("torque" in new for _, new in changes)
+    with pytest.raises(RobotError, match=message):
+        load_robot(changed(tmp_path, *changes, *(text if torque else ())))
+
+
+def test_a_base_and_a_free_joint_belong_together(tmp_path):
+    spec = load_robot(changed(tmp_path, ("      <freejoint/>\n", ""), file="model.xml"))
+    with pytest.raises(RobotError, match=r"model\.xml: found no free joint at the root, expected one"):
+        load_pinocchio(spec)
+
+
+FORELEGS = '"front_left_shin", "front_right_shin"'
+
+
+def crossed(spec):
+    """(B,) whether a robot touches itself that stands with its front feet together."""
+    seeds = [robot_seed(3, 0)]
+    runtime, robot = simulate(spec, walking_contract(spec), seeds)
+    live(runtime, round(ARM_S / DT))
+    assert not runtime.arm(np.ones(1, dtype=bool)).any()
+    touched, legs = False, np.zeros(12)
+    legs[[0, 3]] = -0.7, 0.7
+    for _ in range(200):
+        live(runtime, 1, legs)
+        touched |= bool(robot.truth().self_collision[0])
+    return touched
+
+
+def test_feet_that_may_touch_are_no_collision(tmp_path):
+    assert crossed(QUADRUPED)
+    may = ("foot_m = 0.01", f"foot_m = 0.01\nmay_touch = [[{FORELEGS}]]")
+    brushing = load_robot(changed(tmp_path, may))
+    assert not crossed(brushing)
+    together = STAND.copy()
+    together[[0, 3]] += -0.35, 0.35
+    for spec, hits in ((QUADRUPED, True), (brushing, False)):
+        fleet = Fleet(spec, 1, collisions=True)
+        fleet.place(together[None])
+        assert fleet.colliding.tolist() == [hits]
+
+
+def test_who_may_touch_must_be_there(tmp_path):
+    may = ("foot_m = 0.01", f"foot_m = 0.01\nmay_touch = [[{FORELEGS.replace('left_shin', 'paw')}]]")
+    with pytest.raises(RobotError, match=r"base\.may_touch: found 'front_paw', expected bodies of the model"):
+        simulate(load_robot(changed(tmp_path, may)), walking_contract(), [robot_seed(3, 0)])
+
+
+def test_a_foot_that_is_not_there_is_said(tmp_path):
+    spec = load_robot(changed(tmp_path, ('feet = ["front_left",', 'feet = ["paw",')))
+    with pytest.raises(RobotError, match=r"no site or body named 'paw', which robot\.toml calls a foot"):
+        load_pinocchio(spec)

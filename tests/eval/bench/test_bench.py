@@ -1,0 +1,169 @@
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from support.arm6 import SPEC
+from support.policies import N, policy_model, saved
+
+pytest.importorskip("mujoco")
+
+from mujoco.batch import Batch
+
+from deploy.policy.policy import Policy
+from eval.bench import __main__ as command
+from eval.bench import pace, same, stages, stopwatch
+from eval.bench.estimation import estimate
+from eval.bench.estimation.encoder import draw_encoder
+from eval.bench.estimation.recorded_packets import Motion
+from eval.bench.idle import make_idle
+from eval.bench.plain import PlainRobot
+from eval.bench.stopwatch import Stopwatch
+from robots.distributions import load_distributions
+from robots.draws import draw
+from robots.models.mujoco_model import load_mujoco
+from robots.randomness import robot_seed
+
+
+class Clock:
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+class Work:
+    def __init__(self, clock):
+        self.clock = clock
+
+    def outer(self):
+        self.clock.now += 1.0
+        self.inner()
+        self.inner()
+        return "done"
+
+    def inner(self):
+        self.clock.now += 0.25
+
+
+def test_time_is_counted_once_where_it_was_spent(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(stopwatch.time, "perf_counter", clock)
+    watch, work = Stopwatch(), Work(clock)
+    watch.watch("outer", work, "outer")
+    watch.watch("inner", work, "inner")
+    assert work.outer() == "done"
+    assert (watch.total("outer"), watch.total("inner")) == (1.0, 0.5)
+    watch.clear()
+    work.inner()
+    assert (watch.total("outer"), watch.total("inner")) == (0.0, 0.25)
+
+
+def test_a_bench_watches_every_stage_and_leaves_the_results_alone(arm_policy, quick_goals, monkeypatch):
+    monkeypatch.setattr(stages, "WARM_S", 0.25)
+    bench = stages.Bench(SPEC, arm_policy, 2, every_stage=True)
+    bench.run(8)
+    calls = {name: len(samples) for name, samples in bench.watch.samples.items()}
+    assert calls.pop("observation") == calls.pop("policy") == 2
+    assert calls.pop("action") == 2
+    assert set(calls.values()) == {8}
+    assert bench.judge.counts().running.min() > 30
+
+
+def test_physics_is_timed_on_the_very_steps_of_the_shift():
+    """From the same state, by the same controls, to the same state; and nothing but physics is done again."""
+    batch, rng = Batch(load_mujoco(SPEC), 3, nthread=1), np.random.default_rng(1)
+    steps = pace.Steps(batch)
+    for _ in range(2):
+        steps.record()
+        for _ in range(4):
+            batch.rollout(5, control=rng.normal(0, 1, (3, 5, batch.model.nu)), record=())
+        end = batch.state.copy()
+        batch.state[:] = 0.0
+        steps.again()
+        np.testing.assert_array_equal(batch.state, end)
+
+
+def test_the_plain_composition_moves_its_robot(arm_policy):
+    robot = PlainRobot(SPEC, Policy.load(arm_policy, SPEC).contract, arm_policy)
+    robot._target[:] += 0.2
+    robot._decimation = 10**9
+    for number in range(1, 400):
+        robot.tick(number)
+    np.testing.assert_allclose(robot._data.qpos, robot._target, atol=0.01)
+
+
+def test_the_worth_of_the_estimator_is_measured_against_what_really_happened(tmp_path):
+    """On a motion and a delay that are known: raw angles are two ticks old, estimates are not."""
+    seeds = [robot_seed(2, robot) for robot in range(4)]
+    plain = {f"sensors.{name}": 0.0 for name in ("bias", "drift", "jitter", "loss", "repeat")}
+    drawn = draw(load_distributions(SPEC), SPEC, seeds).replaced({**plain, "sensors.delay": 1.0})
+    t = SPEC.dt * np.arange(1, 1001)[:, None, None] + np.arange(4)[:, None] + np.arange(SPEC.n) / 2
+    q, qd = 0.2 * np.sin(2 * t), 0.4 * np.cos(2 * t)
+    sent = np.concatenate((q + 0.01, qd), axis=2)  # a steady error of what was sent
+    motion = Motion(q=q, qd=qd, seen=q, sent=sent, draw=drawn, seeds=seeds)
+    raw, q, differenced, qd, ratio, late, left = (
+        float(word.split()[0]) for word in estimate._errors(SPEC, [motion], 0.001)
+    )
+    assert late == pytest.approx(10.0, abs=0.2)
+    assert abs(left) < 1.0
+    assert raw == pytest.approx(np.hypot(1e3 * 0.010 * 0.4 / np.sqrt(2), 1.0), rel=0.03)
+    assert q < raw / 2
+    assert differenced == pytest.approx(
+        np.sqrt(2) * np.hypot(1.0, SPEC.sensors["encoder"].resolution * 1e3 / np.sqrt(12)) / SPEC.dt, rel=0.05
+    )
+    assert ratio == pytest.approx(qd / differenced, abs=0.001)
+    assert estimate._outage(SPEC, motion).startswith("100 ms without a packet: error up to ")
+    assert "mean NEES" in estimate._consistency(SPEC, [motion])
+    draw_encoder(SPEC, motion, estimate.hear(SPEC, motion, None), tmp_path / "encoder.png")
+    assert (tmp_path / "encoder.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_idle_policy_loads_and_asks_for_nothing(tmp_path):
+    working = saved(policy_model(), tmp_path)
+    idle = Policy.load(make_idle(working, tmp_path / "idle.onnx"), SPEC)
+    observation = np.random.default_rng(0).normal(size=(3, N)).astype(np.float32)
+    assert not idle.step(observation).any()
+    assert Policy.load(working, SPEC).step(observation).any()
+
+
+def test_an_unknown_bench_is_refused(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["bench", "nothing"])
+    with pytest.raises(SystemExit) as caught:
+        command.main(command.bench)
+    assert caught.value.code == 2
+    known = "stages, pace, same, estimate, floating, ablation, hot, start, memory, work, walk"
+    assert f"found 'nothing', expected one of {known} or all" in capsys.readouterr().err
+
+
+def test_a_picture_is_of_what_can_be_drawn(monkeypatch, capsys):
+    seen = []
+    monkeypatch.setitem(command.BENCHES, "ablation", lambda spec, policy, picture: seen.append(picture))
+    codes = []
+    for which in ("ablation", "start"):
+        monkeypatch.setattr(sys, "argv", ["bench", which, "--picture", "worth.png"])
+        with pytest.raises(SystemExit) as caught:
+            command.main(command.bench)
+        codes.append(caught.value.code)
+    assert (codes, seen) == ([0, 2], [Path("worth.png")])
+    assert "--picture worth.png: found 'start', expected estimate or ablation" in capsys.readouterr().err
+
+
+def test_differences_between_results_are_named():
+    @dataclass
+    class Lived:
+        heat: np.ndarray
+        names: tuple[str, ...] = ("a",)
+
+    one, other = (
+        [Lived(np.array([1.0, np.nan])), Lived(np.array(last))] for last in ([1.0, 2.0], [1.0, 2.5])
+    )
+    assert same.differences(one, one) == set()
+    assert same.differences(one, other) == {"shard 1 heat"}
+    other[0].names = ("b",)
+    assert same.differences(one, other) == {"shard 0 names", "shard 1 heat"}
+    with pytest.raises(ValueError, match="zip"):
+        same.differences(one, other[:1])

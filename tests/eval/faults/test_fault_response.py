@@ -1,0 +1,196 @@
+"""What is made of an injection: hand-made stories, and a shard that goes on in the midst of faults."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from deploy.policy.policy import Policy
+from deploy.state import Mode
+from eval.faults.fault_response import NOT_AT_WORK, SETTLE_S, Watch, injections, merged
+from eval.faults.faults import JOINT, POLICY, Answer
+from eval.judge.judge import Judge
+from eval.judge.monitors import NAMES
+from eval.mutants.hostile import nobody
+from eval.mutants.weakened import careless
+from eval.report.sections.faults import fault_line, fault_table
+from eval.soak import shard as shards
+from eval.soak.profile import Faults
+from eval.soak.shard import WIDTH, Shard, ShardJob
+from eval.statistics.evidence import share_lower
+from robots.models.fleet import torque_max
+from support.arm6 import SPEC
+from support.fault_schedules import CLASSES, DT, N, named, one_each
+from support.policies import policy_model, saved
+
+FAULTS = Faults(coverage=0.95, cycle_s=20.0, operator_s=5.0)
+RUN, STOP, HOLD, LATCHED = Mode.RUNNING, Mode.STOPPING, Mode.HOLDING, Mode.LATCHED
+BEGINS, SETTLE = 10, round(SETTLE_S / DT)
+
+
+def told(fault, story, *, lasts=50, speed=0.0, hurt=None, before=RUN):
+    """What is found of one injection.
+
+    The story is a list of (ticks, mode, true speed); `speed` is the one sent. `hurt` is a tick at which it collides.
+    """
+    schedule = one_each([(fault, None)], BEGINS, lasts=lasts)
+    watch, judge = Watch(SPEC, schedule), Judge(SPEC, torque_max(SPEC), 1)
+    still, tick = np.zeros((1, N)), BEGINS
+    watch.begin(tick, np.array([before]), judge)
+    for ticks, mode, moves in story:
+        for _ in range(ticks):
+            if tick - BEGINS == hurt:
+                judge.events.bad_ticks[0, judge.counts().columns("self_collision")] += 1
+            sent = np.full((1, N), speed if mode in (RUN, STOP) else 0.0)
+            command = SimpleNamespace(q=still, qd=sent, powered=np.array([mode != LATCHED]))
+            truth = SimpleNamespace(q=still + 0.01 * (moves > 0), qd=still + moves)
+            if watch.following:
+                watch.step(tick, truth, command, np.array([mode]), judge)
+            tick += 1
+    found = injections({f"watch.{name}": array for name, array in watch.save().items()}, 1)
+    return SimpleNamespace(**{name: getattr(found, name)[0, 0] for name in found.__slots__}), found
+
+
+def row(found, fault):
+    table = fault_table(SPEC, FAULTS, found)
+    return next(each for each in table.rows if (each.where, each.what) == (fault.where, fault.what))
+
+
+def test_a_fault_that_nobody_notices_is_handled_if_nothing_is_hurt():
+    fault = named("force off")
+    one, found = told(fault, [(400, RUN, 0.5)])
+    assert (one.answer, one.left, one.rest, one.again) == (Answer.WENT_ON, -1, -1, 0)
+    assert one.over == 50 + SETTLE
+    assert row(found, fault).handled == 1
+    one, found = told(fault, [(400, RUN, 0.5)], hurt=49)
+    assert one.hurt == 1 << NAMES.index("self_collision")
+    assert (row(found, fault).injections, row(found, fault).handled) == (1, 0)
+    assert row(found, fault).hurt == {"self_collision": 1}
+
+
+def test_what_hurts_before_or_after_is_not_the_faults():
+    fault = named("force off")
+    one, found = told(fault, [(400, RUN, 0.5)], hurt=50 + SETTLE + 1)
+    assert (one.hurt, row(found, fault).handled) == (0, 1)
+
+
+def test_a_hold_is_timed_from_the_injection_to_true_rest():
+    fault = named("force off")
+    one, found = told(
+        fault, [(7, RUN, 0.5), (20, STOP, 0.4), (3, HOLD, 0.2), (60, HOLD, 0.0), (200, RUN, 0.1)]
+    )
+    assert (one.answer, one.left, one.rest) == (Answer.HELD, 7, 30)
+    assert one.again == 90 - 50
+    assert one.over == 90 + SETTLE
+    assert one.astray == pytest.approx(0.01)
+    found = row(found, fault)
+    assert (found.left.median_s, found.rest.worst_s, found.again) == (7 * DT, 30 * DT, 1)
+    assert (found.handled, found.answers) == (1, {"category 2": 1})
+
+
+def test_an_answer_that_is_too_severe_is_not_handled():
+    story = [(5, RUN, 0.5), (10, STOP, 0.4), (100, LATCHED, 0.0), (200, RUN, 0.1)]
+    for name, handled in (("force off", 0), ("encoder off", 1)):
+        one, found = told(named(name), story)
+        assert one.answer == Answer.STOPPED
+        assert row(found, named(name)).handled == handled
+    (miss,) = fault_table(SPEC, FAULTS, told(named("force off"), story)[1]).misses
+    assert (miss.fault, miss.answer, miss.channel, miss.hurt) == ("force off", "category 1", None, ())
+    assert (miss.left_s, miss.rest_s) == (5 * DT, 15 * DT)
+
+
+@pytest.mark.parametrize(("speed", "answer"), [(0.5, Answer.CUT), (0.0, Answer.STOPPED)])
+def test_power_that_goes_in_motion_is_category_0(speed, answer):
+    one, found = told(
+        named("encoder off"), [(5, RUN, 0.5), (300, LATCHED, 0.0), (200, RUN, 0.1)], speed=speed
+    )
+    assert one.answer == answer
+    assert row(found, named("encoder off")).handled == (answer == Answer.STOPPED)
+
+
+def test_a_robot_that_never_comes_back_is_told_to_the_end_of_its_slot():
+    one, found = told(named("encoder off"), [(5, STOP, 0.4), (2_100, LATCHED, 0.0)])
+    assert (one.again, one.over) == (-1, 2_000)
+    assert (row(found, named("encoder off")).again, row(found, named("encoder off")).injections) == (0, 1)
+
+
+def test_a_robot_that_was_not_at_work_counts_not():
+    one, found = told(named("encoder off"), [(400, RUN, 0.0)], before=LATCHED)
+    assert one.begun == NOT_AT_WORK
+    assert (row(found, named("encoder off")).injections, row(found, named("encoder off")).not_at_work) == (
+        0,
+        1,
+    )
+
+
+def test_a_story_that_is_not_over_counts_not():
+    _, found = told(named("encoder off"), [(20, RUN, 0.0)])
+    assert row(found, named("encoder off")).injections == 0
+
+
+def test_the_budget_line_is_that_of_the_worst_class():
+    """One of each class handled, of the last one 59: still all others are shown too seldom."""
+    fault = named("force off")
+    _, found = told(fault, [(400, RUN, 0.5)])
+    many = merged([found] * 59)
+    table = fault_table(SPEC, FAULTS, many)
+    assert row(many, fault).handled_lower == pytest.approx(float(share_lower(59, 59)))
+    assert (fault_line(table).found, fault_line(table).passed) == (0.0, False)
+    alone = table.model_copy(update={"rows": (row(many, fault),)})
+    assert fault_line(alone).passed
+    missed = merged([found] * 58 + [told(fault, [(400, RUN, 0.5)], hurt=3)[1]])
+    assert not fault_line(table.model_copy(update={"rows": (row(missed, fault),)})).passed
+
+
+@pytest.fixture
+def restless(tmp_path, monkeypatch, quick_goals):
+    """A shard of a policy that throws the arms about, each with another fault from tick 70 to 570."""
+    path = saved(policy_model(), tmp_path)
+    names = (
+        "encoder stuck",
+        "encoder intermittent",
+        "policy stalls",
+        "joint housing hot",
+        "joint winding short",
+    )
+    names += ("joint blocked", "robot cable caught", "robot supply sags")
+    faults = [(named(name), 1 if named(name).where in (JOINT, POLICY) else None) for name in names]
+    faults += [None] * (WIDTH - len(faults))
+    monkeypatch.setattr(shards, "plan", lambda *_: one_each(faults, 70, lasts=500))
+    digests = {"robot_digest": SPEC.digest, "policy_digest": Policy.load(path, SPEC).digest}
+    job = ShardJob(
+        robot=SPEC.folder, policy=path, seed=3, first=0, robots=WIDTH, ticks=800, sample_ticks=100, **digests
+    )
+    return replace(job, faults=FAULTS.model_copy(update={"operator_s": 0.5}))
+
+
+def test_a_shard_goes_on_in_the_midst_of_faults_as_if_nothing_had_been(restless):
+    whole, first, second = (Shard(restless) for _ in range(3))
+    whole.run(lambda _: None, lambda: False)
+    seen, kept = [], []
+    first.run(seen.append, lambda: seen[-1] >= 400, lambda: kept.append(first.save()))
+    assert int(kept[-1]["runtime.ticks"]) == 400
+    second.restore(kept[-1])
+    result = second.run(lambda _: None, lambda: False)
+    a, b = second.save(), whole.save()
+    assert a.keys() == b.keys()
+    for name, array in a.items():
+        np.testing.assert_array_equal(array, b[name], err_msg=name)
+    found = result.injections
+    assert (found.begun[:8] == 70).all()
+    assert (found.left >= 0).sum() >= 2
+    assert CLASSES[found.kind[0, 0]].name == "encoder stuck"
+    assert found.answer[0, 0] == Answer.STOPPED
+
+
+@pytest.mark.parametrize(("weaken", "events"), [(nobody, [0, 0, 0]), (careless, [1, 1, 0])])
+def test_the_judge_hears_what_the_policy_is_made_to_say(restless, monkeypatch, weaken, events):
+    faults = [(named("policy nan"), 1), (named("policy infinite"), 3)] + [None] * (WIDTH - 2)
+    monkeypatch.setattr(shards, "plan", lambda *_: one_each(faults, 70))
+    shard = Shard(restless)
+    weaken(shard.runtime)
+    for _ in range(78):
+        shard.tick()
+    counts = shard.judge.counts()
+    assert counts.events[:3, counts.columns("action_finite")].ravel().tolist() == events

@@ -1,0 +1,186 @@
+"""Faults on schedule: who suffers what and when, and that what was scheduled really breaks."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from deploy.backends.sim.robot import SimRobot
+from deploy.state import Command, Mode
+from eval.faults.faults import JOINT, POLICY, ROBOT, Answer, catalogue
+from eval.faults.injector import JUMP, Injector
+from eval.faults.schedule import plan
+from eval.soak.profile import Faults
+from robots.randomness import robot_seed
+from support.arm6 import SPEC
+from support.fault_schedules import CLASSES, DT, N, named, one_each
+from support.runtimes import Saying, running
+from support.walking import QUADRUPED
+
+pytestmark = pytest.mark.usefixtures("quick_goals")
+
+FAULTS = Faults(coverage=0.95, cycle_s=20.0, operator_s=5.0)
+SEEDS = [robot_seed(7, robot) for robot in range(8)]
+TICKS = round((3.0 + 20.0 * 2 * len(CLASSES)) / DT)
+
+
+def test_every_class_and_every_channel_comes_up_equally_often():
+    schedule = plan(SPEC, FAULTS, SEEDS, 0, TICKS)
+    assert schedule.kind.shape == (8, 2 * len(CLASSES))
+    for row in schedule.kind:
+        np.testing.assert_array_equal(np.bincount(row[: len(CLASSES)]), 1)
+        assert not np.array_equal(row[: len(CLASSES)], row[len(CLASSES) :])
+    assert not np.array_equal(schedule.kind[0], schedule.kind[1])
+    for kind, fault in enumerate(CLASSES):
+        given = schedule.channel[schedule.kind == kind]
+        assert set(given.tolist()) == {-1 if c is None else c for c in fault.channels}, fault.name
+
+
+def test_slots_leave_time_to_recover_and_do_not_overlap():
+    injections = plan(SPEC, FAULTS, SEEDS, 0, TICKS).injections
+    assert max(each.over for each in injections) < TICKS
+    for robot in range(8):
+        mine = sorted((each for each in injections if each.robot == robot), key=lambda each: each.begins)
+        for one, other in pairwise(mine):
+            assert one.begins < one.ends < one.over < other.begins
+            assert (one.over - one.ends) * DT > FAULTS.operator_s
+    assert len({each.begins % 4000 for each in injections}) > 300  # not all at the same time of their slots
+
+
+def test_a_schedule_is_a_function_of_seed_and_robot_alone():
+    whole = plan(SPEC, FAULTS, SEEDS, 0, TICKS)
+    part, short = plan(SPEC, FAULTS, SEEDS[3:5], 3, TICKS), plan(SPEC, FAULTS, SEEDS, 0, TICKS // 3)
+    np.testing.assert_array_equal(part.kind, whole.kind[3:5])
+    np.testing.assert_array_equal(part.channel, whole.channel[3:5])
+    mine = [each._replace(robot=each.robot - 3) for each in whole.injections if 3 <= each.robot < 5]
+    assert mine == part.injections
+    np.testing.assert_array_equal(short.kind, whole.kind[:, : short.kind.shape[1]])
+    assert not plan(SPEC, None, SEEDS, 0, TICKS).injections
+
+
+OF_SENSORS = [each for each in CLASSES if each.failure is not None]
+
+
+def test_every_fault_of_a_sensor_reaches_its_own_channels_and_no_others():
+    """Robots that stand still, each with its own fault, beside twins that have none; a housing is warmed in both."""
+    begins, seeds = 130, [robot_seed(5, robot) for robot in range(len(OF_SENSORS))]
+    faults = [(each, each.channels[-1]) for each in OF_SENSORS]
+    broken = SimRobot(SPEC, seeds, faults=one_each(faults, begins, lasts=150).of_sensors())
+    clean, rest = SimRobot(SPEC, seeds), np.zeros((len(seeds), N))
+    off = Command(q=rest, qd=rest, tau=rest, powered=rest[:, 0] > 0, current=rest + 1)
+    differs = np.zeros((len(seeds), 300, len(SPEC.channels)), dtype=bool)
+    for tick in range(300):
+        for robot in (broken, clean):
+            robot.goal[:] = rest[:, :3] + 0.001 * tick
+            robot.write(off)
+            if tick == begins:
+                robot.plant.housing[:] += 20.0
+        a, b = broken.read(), clean.read()
+        for k, kind in enumerate(SPEC.channels):
+            same = a[kind].fresh == b[kind].fresh
+            same &= ((a[kind].value == b[kind].value) | np.isnan(b[kind].value)).all(axis=1)
+            differs[:, tick, k] = ~same
+    assert not differs[:, :begins].any()
+    for robot, fault in enumerate(OF_SENSORS):
+        expected = [kind == fault.where for kind in SPEC.channels]
+        assert differs[robot].any(axis=0).tolist() == expected, fault.name
+
+
+TIMED = ("encoder off", "encoder stuck", "current off", "current stuck", "temperature off")
+"""Faults that deploy has a timer for, which ends in a stop."""
+
+
+def test_faults_last_longer_than_the_timers_of_deploy_that_wait_for_them():
+    faults, begins = [named(name) for name in TIMED], 70
+    schedule = one_each([(each, None) for each in faults], begins)
+    runtime = running(len(faults), faults=schedule.of_sensors())
+    at_work = np.ones(len(faults), dtype=bool)
+    for tick in range(runtime.ticks, max(each.ends for each in schedule.injections)):
+        runtime.tick()
+        goes_on = np.array([tick < each.ends for each in schedule.injections])
+        at_work &= (runtime.supervisor.mode == Mode.RUNNING) | ~goes_on
+    assert [each.name for each, unnoticed in zip(faults, at_work, strict=True) if unnoticed] == []
+
+
+def test_every_fault_of_a_policy_is_heard():
+    faults = [each for each in CLASSES if each.where == POLICY]
+    schedule = one_each([(each, each.channels[-1]) for each in faults] + [None], 10, lasts=10)
+    injector = Injector(SPEC, schedule, running(len(faults) + 1).robot.plant, N)
+    rng = np.random.default_rng(0)
+    heard, said = [], []
+    for tick in range(0, 30, 4):
+        injector.step(tick)
+        said.append(rng.uniform(-1, 1, (len(faults) + 1, N)).astype(np.float32))
+        heard.append(injector.said(said[-1], tick // 4))
+    before, during, after = slice(0, 3), slice(3, 5), slice(5, None)
+    heard, said = np.array(heard), np.array(said)
+    np.testing.assert_array_equal(heard[before], said[before])
+    np.testing.assert_array_equal(heard[after], said[after])
+    np.testing.assert_array_equal(heard[:, -1], said[:, -1])
+    by = {each.what: heard[during, robot] for robot, each in enumerate(faults)}
+    assert np.isnan(by["nan"][:, -1]).all()
+    assert np.isinf(by["infinite"][:, -1]).all()
+    assert (by["runs away"][:, -1] == JUMP).all()
+    assert np.array_equal(by["stalls"], np.tile(heard[2, 2], (2, 1)))
+    assert np.array_equal(by["jumps"][:, 0], [JUMP, -JUMP])
+    assert len(by) == len(faults)
+
+
+def test_every_fault_of_a_body_changes_its_own_robot_while_it_lasts_and_is_mended():
+    faults = [each for each in CLASSES if each.where in {JOINT, ROBOT}]
+    joint, begins, lasts, robots = 1, 40, 60, len(faults) + 1
+    each_its_own = [(each, None if each.where == ROBOT else joint) for each in faults]
+    schedule, rows = one_each([*each_its_own, None], begins, lasts=lasts), [each.what for each in faults]
+    worlds = [running(robots, policy=Saying(robots)) for _ in range(2)]
+    for world in worlds:
+        world.policy.action[:, :2] = 0.4, -0.4
+    plant = worlds[0].robot.plant
+    injector, batch = Injector(SPEC, schedule, plant, N), plant.batch
+    as_built = {name: batch.expand(name).copy() for name in ("tendon_stiffness", "tendon_lengthspring")}
+    for tick in range(begins + lasts + 10):
+        injector.step(tick)
+        limit = plant.supply.limit.copy()
+        for world in worlds:
+            world.tick()
+        broken, clean = (world.robot.truth() for world in worlds)
+        same = ((broken.q == clean.q) & (broken.winding_c == clean.winding_c)).all(axis=1)
+        assert same.all() if tick < begins else same[-1]
+        if tick == begins + 5:  # later it has stopped, and brakes need no voltage
+            assert (limit[rows.index("supply sags")] < 20).all()
+            assert (limit[rows.index("supply drops")] < 1).all()
+            assert (limit[rows.index("drive dead")] < 1).tolist() == [k == joint for k in range(N)]
+        if tick == begins + lasts - 1:
+            alike = [what for what, one in zip(rows, same, strict=False) if one]
+            assert set(alike) <= {"supply sags"}  # which slows only who is fast
+            assert np.abs(broken.qd[rows.index("blocked"), joint]) < 0.05  # but for the play of its gear
+            housing = (broken.housing_c - clean.housing_c)[rows.index("housing hot")]
+            assert housing[joint] == pytest.approx(6.0 * lasts * DT)
+            winding = (broken.winding_c - clean.winding_c)[rows.index("winding short")]
+            assert winding[joint] == pytest.approx(15.0 * lasts * DT, rel=0.1)
+    for name, array in as_built.items():
+        np.testing.assert_array_equal(batch.expand(name), array)
+    np.testing.assert_array_equal(batch.expand("dof_frictionloss")[:, plant.wear._dofs], plant.wear.friction)
+    assert (plant.supply.limit > 20).all()
+    np.testing.assert_allclose(worlds[0].robot.truth().housing_c, worlds[1].robot.truth().housing_c, atol=1.0)
+
+
+def test_a_short_warms_nothing_without_power_and_brakes_need_none_to_hold():
+    runtime = running(3)
+    schedule = one_each(
+        [(named("joint winding short"), 2), (named("robot supply drops"), None), None], 0, lasts=50
+    )
+    injector = Injector(SPEC, schedule, runtime.robot.plant, N)
+    runtime.supervisor.disarm(np.ones(3, dtype=bool))
+    runtime.tick()
+    assert (runtime.supervisor.mode == Mode.DISARMED).all()
+    winding, limit = runtime.robot.truth().winding_c.copy(), runtime.robot.plant.supply.limit
+    for tick in range(50):
+        injector.step(tick)
+        assert (limit > 20).all()
+    np.testing.assert_array_equal(runtime.robot.truth().winding_c, winding)
+
+
+@pytest.mark.parametrize("kind", ["gyro", "accelerometer"])
+def test_a_robot_that_walks_stops_for_good_without_its_imu(kind):
+    answers = {each.answer for each in catalogue(QUADRUPED) if each.where == kind}
+    assert answers == {Answer.STOPPED}

@@ -1,0 +1,245 @@
+"""A history of nights: kept whole, never overwritten, and refused if it is not what was kept."""
+
+import json
+import sys
+from contextlib import contextmanager
+
+import pytest
+
+from eval.history import history
+from eval.history.history import SUFFIX, claim_history, keep, read_history, read_night
+from eval.history.night_record import Night
+from eval.report import write as written
+from eval.report.schema.report_data import Report
+from eval.report.write import write
+from eval.soak import cli as command
+from robots.errors import ConfigError, OutputError
+from support.nights import LATER, OTHER, SETTINGS, night
+from support.reports import report
+
+
+@pytest.mark.parametrize("module", [history, written])
+def test_two_soaks_may_claim_a_folder_at_once(tmp_path, monkeypatch, module):
+    """The other one deletes the probe of both."""
+    whole = module.replacing
+
+    @contextmanager
+    def deleted(path, **how):
+        with whole(path, **how) as partial:
+            yield partial
+        path.unlink()
+
+    monkeypatch.setattr(module, "replacing", deleted)
+    (module.claim if module is written else module.claim_history)(tmp_path)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_night_comes_back_as_it_was_kept(tmp_path):
+    kept = night(7)
+    path = keep(kept, tmp_path / "new" / "history")
+    assert path.name == "20260102T210000Z-seed7.night.json"
+    assert read_night(path) == kept
+    assert read_history(path.parent) == {str(path): kept}
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+
+
+def test_of_a_report_only_the_night_is_kept(tmp_path):
+    whole = report(["jerk"])
+    found = read_night(keep(whole, tmp_path))
+    assert type(found) is Night
+    assert found.model_dump() == whole.model_dump(include={*Night.model_fields})
+    assert (sum(found.tally.hard["jerk"]), found.tally.bad_draws) == (1, 1)
+    assert found.tally.hottest_c == (65.0,) * 5 + (80.0,) + (65.0,) * 10
+
+
+def test_a_report_and_its_folder_are_nights_too(tmp_path):
+    whole = report()
+    write(whole, tmp_path)
+    assert read_night(tmp_path) == read_night(tmp_path / "report.json") == whole
+    assert type(read_night(tmp_path)) is Report
+
+
+def test_nothing_is_overwritten_and_time_orders(tmp_path):
+    later = keep(night(9, started=LATER), tmp_path)
+    paths = [keep(night(7), tmp_path) for _ in range(3)]
+    assert [path.name.removesuffix(SUFFIX)[-7:] for path in paths] == ["Z-seed7", "seed7-2", "seed7-3"]
+    assert list(read_history(tmp_path))[-1] == str(later)
+    assert len(read_history(tmp_path)) == 4
+
+
+def test_the_same_moment_in_another_zone_is_not_later(tmp_path):
+    first = keep(night(1, started="2026-01-02T23:30:00+02:00"), tmp_path)
+    second = keep(night(2, started="2026-01-02T21:45:00+00:00"), tmp_path)
+    assert list(read_history(tmp_path)) == [str(first), str(second)]
+
+
+def test_what_a_killed_soak_left_and_other_files_are_no_nights(tmp_path):
+    path = keep(night(7), tmp_path)
+    path.with_name(f".1234abcd.{path.name}").write_text('{"format": 1, "res')
+    (tmp_path / "report.json").write_text("{}")
+    (tmp_path / "trend.html").write_text("")
+    assert list(read_history(tmp_path)) == [str(path)]
+    assert read_history(tmp_path / "nowhere") == {}
+
+
+def edited(path, change):
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+
+
+def hide(data):
+    data["tally"]["hard"]["jerk"][3] += 1
+
+
+SPOILT = {
+    "cut": (lambda path: path.write_text(path.read_text()[:500]), "not valid JSON"),
+    "empty": (lambda path: path.write_text(""), "not valid JSON"),
+    "no text": (lambda path: path.write_bytes(b"\xff\xfe\x00"), "not valid JSON"),
+    "a list": (lambda path: path.write_text("[7]"), "whole file"),
+    "a count": (lambda path: edited(path, hide), "results_digest: found .*, expected .*: edited"),
+    "a verdict": (lambda path: edited(path, lambda d: d.update(verdict="failed")), "results_digest: found"),
+    "a seed": (lambda path: edited(path, lambda d: d["settings"].update(seed=8)), "results_digest: found"),
+    "a policy": (
+        lambda path: edited(path, lambda d: d["settings"].update(policy_digest="z9")),
+        "results_digest: found",
+    ),
+    "faults": (
+        lambda path: edited(path, lambda d: d["settings"].update(faults={"coverage": 0.9})),
+        r"settings\.faults\.cycle_s: Field required",
+    ),
+    "unsealed": (
+        lambda path: edited(path, lambda d: d.pop("results_digest")),
+        "results_digest: found , expected",
+    ),
+    "a negative": (
+        lambda path: edited(path, lambda d: d["tally"]["stops"].__setitem__(0, -1)),
+        r"tally\.stops\.0: .* found -1",
+    ),
+    "no number": (
+        lambda path: edited(path, lambda d: d["tally"].update(dt=float("nan"))),
+        r"tally\.dt: .* found nan",
+    ),
+    "a missing key": (
+        lambda path: edited(path, lambda d: d["tally"].pop("due")),
+        r"tally\.due: Field required",
+    ),
+    "an unknown key": (
+        lambda path: edited(path, lambda d: d.update(note="mine")),
+        "note: Extra inputs[^\n]*$",
+    ),
+    "a format": (lambda path: edited(path, lambda d: d.update(format=1)), "format: .* found 1"),
+    "how much": (lambda path: edited(path, lambda d: d["run"].update(hours=9.0)), "results_digest: found"),
+    "robots": (lambda path: edited(path, lambda d: d["settings"].update(robots=8)), "results_digest: found"),
+    "no time": (
+        lambda path: edited(path, lambda d: d["run"].update(started="yesterday")),
+        r"run\.started: .* found 'yesterday'",
+    ),
+    "no zone": (
+        lambda path: edited(path, lambda d: d["run"].update(started="2026-01-02T22:00:00")),
+        r"run\.started: expected a time with its zone",
+    ),
+}
+
+
+@pytest.mark.parametrize(("spoil", "said"), SPOILT.values(), ids=SPOILT)
+def test_what_is_not_what_was_kept_is_refused_by_file_and_field(tmp_path, spoil, said):
+    keep(night(1), tmp_path)
+    path = keep(night(7, started=LATER), tmp_path)
+    spoil(path)
+    with pytest.raises(ConfigError, match=rf"seed7\.night\.json: .*{said}"):
+        read_history(tmp_path)
+
+
+def test_what_cannot_be_read_is_said(tmp_path):
+    (tmp_path / f"a{SUFFIX}").symlink_to(tmp_path / "gone")
+    with pytest.raises(ConfigError, match=r"a\.night\.json: cannot be read: No such file"):
+        read_history(tmp_path)
+    with pytest.raises(ConfigError, match=r"report\.json: cannot be read: No such file"):
+        read_night(tmp_path)
+
+
+def test_a_soak_that_did_not_end_is_no_night_and_cannot_be_made_one(tmp_path):
+    write(report(interrupted=True), tmp_path)
+    with pytest.raises(
+        ConfigError, match=r"report\.json: run\.interrupted: found true, expected a soak that ran"
+    ):
+        read_night(tmp_path)
+    edited(tmp_path / "report.json", lambda data: data["run"].update(interrupted=False))
+    with pytest.raises(ConfigError, match=r"report\.json: results_digest: found"):
+        read_night(tmp_path)
+
+
+@pytest.mark.parametrize("key", SETTINGS.task)
+def test_nights_of_another_task_are_refused_by_file_and_field(tmp_path, key):
+    first = keep(night(1), tmp_path)
+    odd = keep(night(2, started=LATER, **OTHER[key]), tmp_path)
+    with pytest.raises(ConfigError) as caught:
+        read_history(tmp_path)
+    found, expected = (read_night(path).settings.task[key] for path in (odd, first))
+    assert str(caught.value) == f"{odd}: {key}: found {found}, but {first} has {expected}"
+
+
+@pytest.mark.parametrize("key", sorted(SETTINGS.identity.keys() - SETTINGS.task.keys()))
+def test_what_is_under_test_may_change(tmp_path, key):
+    keep(night(1), tmp_path)
+    keep(night(2, started=LATER, **OTHER[key]), tmp_path)
+    assert len(read_history(tmp_path)) == 2
+
+
+def test_a_full_disk_leaves_no_part_of_a_night(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.write_text", full)
+    with pytest.raises(
+        OutputError, match=r"^--history .*seed7\.night\.json: cannot be written: No space left"
+    ):
+        keep(night(7), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_claim_leaves_only_the_folder(tmp_path):
+    claim_history(tmp_path / "new")
+    assert list((tmp_path / "new").iterdir()) == []
+
+
+def soak_test(monkeypatch, *options):
+    monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, options)])
+    with pytest.raises(SystemExit) as caught:
+        command.cli()
+    return caught.value.code
+
+
+def test_a_soak_is_kept_and_shown_beside_earlier_ones(arm_policy, tmp_path, monkeypatch, capsys):
+    """Nine seconds of eight idle arms; then the same of half the hours, which is another task."""
+    history, out = tmp_path / "history", tmp_path / "out"
+    asked = ("--policy", arm_policy, "--robots", 8, "--workers", 1, "--out", out, "--history", history)
+    assert soak_test(monkeypatch, *asked, "--hours", 0.0025) == 1
+    whole = Report.model_validate_json((out / "report.json").read_text())
+    (path, kept), *_ = read_history(history).items()
+    assert kept.model_dump() == whole.model_dump(include={*Night.model_fields})
+    assert (kept.tally.draws, sum(kept.tally.ticks)) == (8, 8 * 1800)
+    assert sum(kept.tally.due) == whole.goals.due
+    (row,) = whole.trend.nights
+    assert (row.hard_events, row.draws, row.goals.value) == (0, 8, whole.goals.success)
+    assert "Trend against earlier nights" in (out / "report.html").read_text()
+    assert f"\nnights like it: {whole.trend.last.statement}\nreport: " in capsys.readouterr().out
+    before = (out / "report.json").read_bytes()
+    assert soak_test(monkeypatch, *asked, "--hours", 0.00125) == 2
+    assert f"{path}: hours: found 0.0025, but this soak has 0.00125" in capsys.readouterr().err
+    assert (out / "report.json").read_bytes() == before
+    assert len(list(history.iterdir())) == 1
+
+
+@pytest.mark.parametrize("place", ["file", "file/below", "/dev/null/history"])
+def test_a_history_that_cannot_be_written_is_found_before_the_soak(
+    arm_policy, tmp_path, monkeypatch, capsys, place
+):
+    (tmp_path / "file").write_text("mine")
+    history = tmp_path / place
+    asked = ("--policy", arm_policy, "--hours", 100, "--out", tmp_path / "out", "--history", history)
+    assert soak_test(monkeypatch, *asked) == 2
+    assert f"error: --history {history}" in capsys.readouterr().err
+    assert list((tmp_path / "out").iterdir()) == []
+    assert (tmp_path / "file").read_text() == "mine"

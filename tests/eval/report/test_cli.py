@@ -1,0 +1,142 @@
+"""soak-report, over soaks as they were lived."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from support.arm6 import SPEC
+from support.nights import LATER, night
+from support.policies import policy_model, saved
+from support.reports import Page
+
+pytest.importorskip("mujoco")
+
+from deploy.policy.policy import Policy
+from eval.history.history import keep
+from eval.history.night_record import Run
+from eval.report.assembly import collect
+from eval.report.build import build
+from eval.report.cli import cli
+from eval.report.html import ends
+from eval.report.write import write
+from eval.soak.configuration import Soak
+from eval.soak.shard import Shard
+from eval.statistics.budget import BUDGET, load_budget
+from eval.statistics.compare import compare
+from eval.statistics.dispersion import draw_rate_interval
+
+RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, resumed_hours=0.0, interrupted=False)
+
+
+def soaked(path):
+    """4.7 s of 3 robots, as soak-test reports them."""
+    policy = Policy.load(path, SPEC)
+    soak = Soak(
+        spec=SPEC, policy=policy, policy_path=path, budget=BUDGET, hours=0.0013, robots=3, seed=3, workers=1
+    )
+    (job,) = soak.jobs()
+    shard = Shard(job).run(lambda ticks: None, lambda: False)
+    return build(collect(soak, [shard], RUN), load_budget())
+
+
+def soak_report(monkeypatch, *words):
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(sys, "argv", ["soak-report", *map(str, words)])
+    with pytest.raises(SystemExit) as caught:
+        cli()
+    return caught.value.code
+
+
+def test_two_policies_on_the_same_draws(arm_policy, quick_goals, tmp_path, monkeypatch, capsys):
+    """One does nothing, the other throws the arms about: a report's folder, and a night that was kept."""
+    idle, restless = soaked(arm_policy), soaked(saved(policy_model(), tmp_path))
+    write(idle, tmp_path / "idle")
+    assert soak_report(monkeypatch, "compare", tmp_path / "idle", keep(restless, tmp_path / "history")) == 0
+    said = capsys.readouterr().out
+    assert (
+        f"A: {idle.settings.policy} ({idle.settings.policy_digest[:12]}) on 3 draws of seed 3, 0.0013 h"
+        in said
+    )
+    for each in compare(idle.tally, restless.tally):
+        (line,) = [line for line in said.splitlines() if each.name in line]
+        per = 1.0 if each.unit else 100.0
+        numbers = [
+            float(x) for x in line.replace("−", "-").split() if x.lstrip("-").replace(".", "").isdigit()
+        ]
+        shown = [per * x for x in (each.a, each.b, each.b - each.a, each.low, each.high)]
+        np.testing.assert_allclose(numbers[:5], shown, atol=6e-4)
+        assert f"{each.differing} of 3" in line
+    assert sum(restless.tally.stops) > sum(idle.tally.stops) == 0
+    assert idle.tally.ticks == restless.tally.ticks == (936,) * 3
+    assert restless.results_digest != idle.results_digest == idle.sealed()
+
+
+def test_the_digest_of_results_leaves_out_how_the_run_went():
+    one = night(1)
+    otherwise = {"started": RUN.started, "wall_s": 9.0, "resumed_hours": 2.0}
+    again = one.model_copy(update={"run": one.run.model_copy(update=otherwise)})
+    assert (
+        again.sealed() == night(1, workers=5, command="make soak", policy="b.onnx").sealed() == one.sealed()
+    )
+    others = (night(2), night(1, rate=0.4), night(1, verdict="failed"), night(1, hours=8.5))
+    assert len({each.sealed() for each in (one, *others)}) == 5
+
+
+@pytest.fixture
+def refused(tmp_path, monkeypatch, capsys):
+    def attempt(*words):
+        assert soak_report(monkeypatch, *words) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        return said.err
+
+    return attempt
+
+
+def test_other_draws_are_refused(refused, tmp_path):
+    a, b = keep(night(1), tmp_path), keep(night(2), tmp_path)
+    assert refused("compare", a, b) == f"error: {b}: seed: found 2, but {a} has 1\n"
+    code = keep(night(1, code_digest="z9"), tmp_path)
+    assert refused("compare", a, code) == f"error: {code}: code_digest: found z9, but {a} has c1\n"
+
+
+def test_what_is_no_report_is_refused(refused, tmp_path):
+    (tmp_path / "report.json").write_text("{}")
+    assert f"error: {tmp_path / 'report.json'}: format: Field required" in refused(
+        "compare", tmp_path, tmp_path
+    )
+    assert f"error: {tmp_path / 'gone'}: cannot be read" in refused("compare", tmp_path / "gone", tmp_path)
+
+
+def test_a_trend_is_a_page_and_its_sentences(tmp_path, monkeypatch, capsys):
+    for seed, started in ((1, LATER), (2, "2026-01-04T22:00:00+01:00")):
+        keep(night(seed, started=started), tmp_path / "history")
+    assert soak_report(monkeypatch, "trend", tmp_path / "history") == 0
+    said = capsys.readouterr().out
+    assert "over 32 draws of 2 nights" in said
+    assert ("2026-01-03 22:00" in said, "2026-01-04 22:00" in said) == (True, True)
+    events, hours = night(1).tally.hard_events
+    assert "per h, 95 %" in said
+    assert ends(tuple(map(float, draw_rate_interval(events, hours)))) in said
+    page = tmp_path / "history" / "trend.html"
+    assert said.endswith(f"page: {page}\n")
+    assert Page(page.read_text()).open == []
+    assert soak_report(monkeypatch, "trend", tmp_path / "history", "--out", tmp_path / "a" / "b.html") == 0
+    assert (tmp_path / "a" / "b.html").read_bytes() == page.read_bytes()
+
+
+def test_no_nights_are_refused(refused, tmp_path):
+    said = refused("trend", tmp_path)
+    assert said == f"error: {tmp_path}: found no night, expected some that soak-test --history keeps\n"
+    assert refused("trend", tmp_path / "nowhere").startswith(f"error: {tmp_path / 'nowhere'}: found no night")
+
+
+def test_a_page_that_cannot_be_written_is_said(refused, tmp_path):
+    keep(night(1), tmp_path)
+    assert "error: --out /dev/null/trend.html" in refused("trend", tmp_path, "--out", "/dev/null/trend.html")
+
+
+@pytest.mark.parametrize("words", [(), ("forecast",), ("compare", "a")])
+def test_words_that_are_no_command_exit_with_2(monkeypatch, words):
+    assert soak_report(monkeypatch, *words) == 2

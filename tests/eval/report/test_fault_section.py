@@ -1,0 +1,95 @@
+"""What the report says of faults on schedule."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eval.faults.fault_response import Injections
+from eval.faults.faults import NOT_INJECTED, Answer, catalogue
+from eval.judge.monitors import NAMES
+from eval.report.build import build
+from eval.report.html import render
+from eval.report.junit import junit
+from eval.report.schema.report_data import Report
+from eval.report.sections.faults import fault_table
+from eval.soak.profile import Faults
+from eval.statistics.budget import load_budget
+from support.arm6 import SPEC
+from support.reports import Page, soak
+
+CLASSES, ROBOTS = catalogue(SPEC), 60
+
+
+def every_class_handled():
+    """One of each class for each of 60 robots: all hold after 0.1 s and rest after 0.2 to 0.495 s."""
+    shape = ROBOTS, len(CLASSES)
+    kind = np.tile(np.arange(len(CLASSES)), (ROBOTS, 1))
+    answer = np.array([min(each.answer, Answer.HELD) for each in CLASSES])[kind]
+    left, rest = np.where(answer == Answer.HELD, 20, -1), np.where(answer == Answer.HELD, 40, -1)
+    rest[:, :] = np.where(rest > 0, rest + np.arange(ROBOTS)[:, None], -1)
+    whole = {"begun": 720, "over": 400, "again": 30, "channel": 1, "hurt": 0}
+    astray, load = np.full(shape, 0.01), np.full(shape, 0.8)
+    filled = {name: np.full(shape, value) for name, value in whole.items()}
+    return Injections(kind=kind, answer=answer, left=left, rest=rest, astray=astray, load=load, **filled)
+
+
+def report(found):
+    table = fault_table(SPEC, Faults(coverage=0.95, cycle_s=20.0, operator_s=5.0), found)
+    return build(replace(soak(), faults=table), load_budget())
+
+
+def test_enough_that_are_handled_pass():
+    found = report(every_class_handled())
+    assert found.verdict == "passed"
+    assert found.budget[0].name == "fault_coverage"
+    assert found.budget[0].found == pytest.approx(0.05 ** (1 / ROBOTS))
+    first = f"{CLASSES[0].name}, 60 of 60 handled"
+    assert found.budget[0].about == f"least sure: {first}"
+    row = found.faults.rows[0]
+    assert (row.left.median_s, row.rest.worst_s) == (0.1, pytest.approx((40 + 59) * SPEC.dt))
+    assert (row.again, row.astray_rad, row.load) == (60, 0.01, 0.8)
+    assert Report.model_validate_json(found.model_dump_json()) == found
+
+
+def test_one_that_is_not_fails_and_is_named():
+    told = every_class_handled()
+    told.hurt[3, -1] = 1 << NAMES.index("torque")
+    told.astray[3, -1] = np.nan
+    found = report(told)
+    assert [line.name for line in found.budget if not line.passed] == ["fault_coverage"]
+    about = f"least sure: {CLASSES[-1].name}, 59 of 60 handled; with 1 missed, 95 % takes 93 injections"
+    assert found.budget[0].about == about
+    assert about in "".join(Page(render(found)).words)
+    assert f"allowed at least 0.95 ({about})" in junit(found)
+    assert (found.faults.rows[-1].handled, found.faults.rows[-1].hurt) == (59, {"torque": 1})
+    assert found.faults.rows[-1].astray_rad is None
+    (miss,) = found.faults.misses
+    assert (miss.fault, miss.robot, miss.start_h, miss.hurt) == (CLASSES[-1].name, 3, 0.001, ("torque",))
+
+
+def test_a_class_that_was_not_injected_is_no_failure_of_the_robot():
+    told = every_class_handled()
+    told.over[:, 0] = -1
+    page = render(report(told))
+    words = " ".join("".join(Page(page).words).split())
+    assert words.count("not injected") == 1
+    assert words.count("60 of 60") == len(CLASSES) - 1
+    about = f"least sure: {CLASSES[0].name}, 0 of 0 handled; 95 % takes 59 injections"
+    assert about in words
+    faults = page[page.index("Faults on schedule") : page.index("What this run could not see")]
+    assert 'class="hit' not in faults
+
+
+def test_the_page_shows_every_class_and_what_was_not_injected():
+    told = every_class_handled()
+    told.hurt[3, -1] = 1 << NAMES.index("torque")
+    words = " ".join("".join(Page(render(report(told))).words).split())
+    for each in CLASSES:
+        assert each.name in words
+    for sentence in NOT_INJECTED:
+        assert sentence in words
+    assert "0.10 / 0.10" in words
+    assert "category 1category 2 60" in words
+    assert "The first 1 that were not handled" in words
+    assert "Faults on schedule" not in render(build(soak(), load_budget()))

@@ -1,0 +1,185 @@
+import json
+import multiprocessing as mp
+import os
+import signal
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from support.arm6 import SPEC
+from support.policies import policy_model, saved
+
+pytest.importorskip("mujoco")
+
+from deploy.policy.policy import Policy
+from eval.soak.checkpoint import DAMAGED, Checkpoint, clear, make
+from eval.soak.configuration import Soak
+from eval.soak.fingerprint import code_digest
+from eval.soak.shard import WIDTH, Shard
+from eval.soak.workers import run_soak, take_up
+from eval.statistics.budget import BUDGET
+from robots.errors import ConfigError, OutputError
+
+IDENTITY = {"seed": 7, "robot_digest": "abc"}
+ARRAYS = {"judge.ticks": np.arange(5), "robot.goal": np.array([[0.1, np.nan, -np.inf]])}
+
+
+@pytest.fixture
+def restless(tmp_path):
+    """A soak of 4.7 s of two shards whose policy throws the arms about."""
+    path = saved(policy_model(), tmp_path)
+    return Soak(
+        spec=SPEC,
+        policy=Policy.load(path, SPEC),
+        policy_path=path,
+        budget=BUDGET,
+        hours=0.0013,
+        robots=WIDTH + 1,
+        seed=3,
+        workers=1,
+    )
+
+
+def assert_same(a, b):
+    """Two saved shards, bit for bit."""
+    assert a.keys() == b.keys()
+    for name, array in a.items():
+        np.testing.assert_array_equal(array, b[name], err_msg=name)
+        assert array.dtype == b[name].dtype
+
+
+def test_what_was_stored_comes_back_bit_for_bit(tmp_path):
+    checkpoint = Checkpoint(tmp_path / "kept" / "a.npz", IDENTITY)
+    assert checkpoint.load() is None
+    make(tmp_path / "kept")
+    checkpoint.store({"judge.ticks": np.zeros(3)})
+    checkpoint.store(ARRAYS)
+    assert_same(Checkpoint(checkpoint.path, IDENTITY).load(), ARRAYS)
+    assert [file.name for file in checkpoint.path.parent.iterdir()] == ["a.npz"]
+
+
+@pytest.mark.parametrize("change", [{"seed": 8}, {"hours": 1}])
+def test_nothing_goes_on_with_another_soak(tmp_path, change):
+    Checkpoint(tmp_path / "a.npz", IDENTITY).store(ARRAYS)
+    (key,) = change
+    found, expected = IDENTITY.get(key), change[key]
+    with pytest.raises(
+        ConfigError, match=rf"a\.npz: {key}: found {found}, expected {expected}: .* another --out"
+    ):
+        Checkpoint(tmp_path / "a.npz", IDENTITY | change).load()
+    assert (tmp_path / "a.npz").exists()
+
+
+def spoil(path, how):
+    data = bytearray(path.read_bytes())
+    if how == "cut":
+        path.write_bytes(data[: len(data) // 2])
+    elif how == "flipped":
+        data[data.index(b"judge.ticks") + 200] ^= 1
+        path.write_bytes(data)
+    elif how == "empty":
+        path.write_bytes(b"")
+    elif how == "nameless":
+        np.savez(path, **ARRAYS)
+    elif how == "no table":
+        np.savez(path, identity=np.array("[7]"))
+    else:
+        np.savez(path, identity=np.array([{}], dtype=object))
+
+
+@pytest.mark.parametrize("how", ["cut", "flipped", "empty", "nameless", "no table", "pickled"])
+def test_what_is_damaged_is_set_aside(tmp_path, how):
+    checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
+    checkpoint.store(ARRAYS)
+    spoil(checkpoint.path, how)
+    data = checkpoint.path.read_bytes()
+    assert checkpoint.load() is None
+    assert not checkpoint.path.exists()
+    assert (tmp_path / ("a.npz" + DAMAGED)).read_bytes() == data
+    checkpoint.store(ARRAYS)
+    clear(tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["a.npz" + DAMAGED]
+
+
+def test_what_cannot_be_read_is_left_where_it_is(tmp_path):
+    (tmp_path / "a.npz").mkdir()
+    with pytest.raises(ConfigError, match=r"a\.npz: cannot be read: Is a directory"):
+        Checkpoint(tmp_path / "a.npz", IDENTITY).load()
+    assert (tmp_path / "a.npz").exists()
+
+
+def test_a_place_that_cannot_be_written_keeps_what_it_holds(tmp_path, monkeypatch):
+    checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
+    checkpoint.store(ARRAYS)
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(OutputError, match=r"a\.npz: cannot be written: No space left on device"):
+        checkpoint.store({"judge.ticks": np.zeros(5)})
+    assert_same(checkpoint.load(), ARRAYS)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_shard_goes_on_as_if_nothing_had_been(restless, quick_goals):
+    """Kept in the midst of stops, latches and goals, and restored into another process' place."""
+    job = replace(restless.jobs()[0], ticks=1000, sample_ticks=90)
+    whole, first, second = Shard(job), Shard(job), Shard(job)
+    kept = []
+    whole.run(lambda _: None, lambda: False)
+    seen = []
+    first.run(seen.append, lambda: seen[-1] >= 400, lambda: kept.append(first.save()))
+    assert int(kept[-1]["runtime.ticks"]) == 400
+    second.restore(kept[-1])
+    result = second.run(lambda _: None, lambda: False)
+    assert_same(second.save(), whole.save())
+    assert result.counts.stops.sum() > 0
+
+
+def test_the_code_is_part_of_what_is_the_same(restless, tmp_path):
+    identity = restless.checkpoint(1, tmp_path)._identity
+    assert identity["code_digest"] == code_digest()
+    assert len(code_digest()) == 64
+    assert identity["first"] == WIDTH
+    assert json.loads(json.dumps(identity)) == identity
+
+
+def kill_a_worker_when(path):
+    """From a thread: as soon as there is something at `path`, a worker is killed as the system does it."""
+
+    def work():
+        while not path.exists():
+            over.wait(0.01)
+        for child in mp.active_children():
+            os.kill(child.pid, signal.SIGKILL)
+
+    over = threading.Event()
+    threading.Thread(target=work, daemon=True).start()
+
+
+def test_a_worker_that_dies_costs_nothing_but_time(restless, tmp_path, capsys):
+    undisturbed = run_soak(restless, tmp_path / "a", Console(quiet=True))
+    kill_a_worker_when(restless.checkpoint(0, tmp_path / "b").path)
+    disturbed = run_soak(restless, tmp_path / "b", Console())
+    assert "a worker died: its shards go on from where they were kept" in capsys.readouterr().out
+    assert len(undisturbed) == len(disturbed) == 2
+    for number in (0, 1):
+        a, b = (restless.checkpoint(number, tmp_path / name).load() for name in ("a", "b"))
+        assert_same(a, b)
+    assert take_up(restless, tmp_path / "b", Console(quiet=True)) == 2 * restless.ticks
+
+
+def test_damage_is_said_before_anything_runs(restless, tmp_path, capsys):
+    kept = restless.checkpoint(1, tmp_path / "kept")
+    make(tmp_path / "kept")
+    kept.store({"runtime.ticks": np.array(400)})
+    assert take_up(restless, tmp_path / "kept", Console()) == 400
+    spoil(kept.path, "cut")
+    assert take_up(restless, tmp_path / "kept", Console()) == 0
+    assert "shard-0001.npz: damaged and set aside: its robots begin anew" in capsys.readouterr().out.replace(
+        "\n", ""
+    )

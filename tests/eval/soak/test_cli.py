@@ -1,0 +1,333 @@
+import json
+import subprocess
+import sys
+from concurrent.futures import wait
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from support.arm6 import SPEC
+from support.policies import policy_model, saved
+from support.shards import job
+
+pytest.importorskip("mujoco")
+
+from deploy.policy.policy import Policy
+from eval.history.night_record import Run
+from eval.report.assembly import collect
+from eval.report.trends import TRENDS
+from eval.report.write import LOCK, alone, claim
+from eval.soak import cli as command
+from eval.soak import workers
+from eval.soak.configuration import Soak
+from eval.soak.fingerprint import code_digest
+from eval.soak.shard import COUNTED, WIDTH, Shard
+from eval.soak.workers import run_soak
+from eval.statistics.budget import BUDGET
+from robots.errors import ConfigError
+
+CONSOLE = Console(quiet=True)
+ROBOTS = WIDTH + 2
+RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, resumed_hours=0.0, interrupted=False)
+
+FILES = {"report.json", "report.html", "junit.xml", "draws.json", "series.parquet", "tensorboard"}
+
+
+@pytest.fixture
+def asked(arm_policy):
+    """A soak of 2.2 s of two shards, the second not full."""
+
+    def build(**changes):
+        idle = {"policy": Policy.load(arm_policy, SPEC), "policy_path": arm_policy}
+        wanted = {"hours": 0.0006, "robots": ROBOTS, "seed": 3, "workers": 1, **idle, **changes}
+        return Soak(spec=SPEC, budget=BUDGET, **wanted)
+
+    return build
+
+
+def assert_same(a, b):
+    """Two results of shards, bit for bit."""
+    for one, other in zip(a, b, strict=True):
+        for field in fields(one.counts):
+            np.testing.assert_array_equal(getattr(one.counts, field.name), getattr(other.counts, field.name))
+        for name in ("winding_c", "worn", "folded_back", "events", *COUNTED):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_results_do_not_depend_on_workers(asked, tmp_path):
+    """Five seconds of a policy that throws the arms about."""
+    path = saved(policy_model(), tmp_path)
+    policy = {"policy": Policy.load(path, SPEC), "policy_path": path}
+    one, two = (
+        run_soak(asked(workers=workers, hours=0.0013, **policy), tmp_path / str(workers), CONSOLE)
+        for workers in (1, 2)
+    )
+    assert_same(one, two)
+    counts = [shard.counts for shard in one]
+    assert [each.robots for each in counts] == [WIDTH, ROBOTS - WIDTH]
+    for each in counts:
+        assert (each.moving > 50).all()
+        assert (each.attempted == 1).all()
+    assert sum(each.stops.sum() for each in counts) > 10
+    assert (one[0].winding_c[-1] > one[0].winding_c[0]).mean() > 0.3
+    friction, backlash, encoder, constant = one[0].worn[-1] - one[0].worn[0]
+    assert (friction > 0).all()
+    assert (backlash > 0).all()
+    assert (encoder != 0).all()
+    assert (constant < 0).all()
+
+
+def lived(shard_job, stop_at=None):
+    seen = []
+    result = Shard(shard_job).run(seen.append, lambda: stop_at is not None and seen[-1] >= stop_at)
+    return result, seen
+
+
+def test_robots_that_do_not_count_change_nothing(arm_policy, quick_goals):
+    all_of_them, _ = lived(job(arm_policy))
+    some, _ = lived(job(arm_policy, robots=3))
+    assert some.counts.robots == 3
+    np.testing.assert_array_equal(some.counts.worst, all_of_them.counts.worst[:3])
+    np.testing.assert_array_equal(some.winding_c, all_of_them.winding_c[:, :3])
+    np.testing.assert_array_equal(some.worn, all_of_them.worn[:, :, :3])
+    assert some.attempted[-1].tolist() == [1, 1, 1]
+
+
+def test_a_stopped_shard_reports_what_was_done(arm_policy, quick_goals):
+    result, seen = lived(job(arm_policy), stop_at=400)
+    assert seen == [0, 200, 400, 400]
+    assert (result.counts.ticks == 400).all()
+    assert len(result.winding_c) == 5
+    whole, _ = lived(job(arm_policy))
+    np.testing.assert_array_equal(result.winding_c, whole.winding_c[:5])
+    np.testing.assert_array_equal(result.worn, whole.worn[:5])
+
+
+def test_robots_begin_new(arm_policy):
+    shard = Shard(job(arm_policy, ticks=1))
+    friction, backlash, encoder, constant = shard.run(lambda ticks: None, lambda: False).worn[0]
+    np.testing.assert_array_equal(friction, 1.0)
+    np.testing.assert_array_equal(backlash, shard.runtime.robot.draw["joints.backlash_rad"])
+    np.testing.assert_array_equal(encoder, 0.0)
+    np.testing.assert_array_equal(constant, 1.0)
+
+
+def test_wear_is_sampled_as_it_is_and_unknown_where_the_simulation_diverged(arm_policy):
+    shard = Shard(job(arm_policy, ticks=1))
+    plant = shard.runtime.robot.plant
+    plant.wear.life[:] = np.linspace(0.1, 2.0, WIDTH)[:, None]
+    plant.valid[2] = False
+    expected = np.stack(plant.worn())
+    expected[:, 2] = np.nan
+    found = shard.run(lambda ticks: None, lambda: False)
+    np.testing.assert_array_equal(found.worn[0], expected)
+    assert np.isnan(found.winding_c[0]).all(axis=1).tolist() == [row == 2 for row in range(WIDTH)]
+
+
+def test_the_operator_comes_to_latched_robots(arm_policy, quick_goals):
+    shard = Shard(job(arm_policy, ticks=13_000))
+    housing = shard.runtime.robot.plant.housing
+    housing[2, 1] = 95.0
+    result = shard.run(
+        lambda ticks: housing.__setitem__((2, 1), 30.0) if ticks == 2000 else None, lambda: False
+    )
+    assert (result.counts.running > 12_800).tolist() == [row != 2 for row in range(WIDTH)]
+    assert 0 < result.counts.running[2] < 2000
+
+
+def test_stops_are_sampled_as_they_stand(arm_policy):
+    shard = Shard(job(arm_policy, ticks=1, robots=3))
+    shard.judge.stops[:], shard.judge.latches[:] = (4, 0, 2), (1, 0, 0)
+    found = shard.run(lambda ticks: None, lambda: False)
+    assert (found.stops.tolist(), found.latches.tolist()) == ([[4, 0, 2]], [[1, 0, 0]])
+
+
+def test_goals_fall_into_bins_and_shards_side_by_side(asked, tmp_path):
+    soak = asked(hours=0.0013)
+    shards = run_soak(soak, tmp_path, CONSOLE)
+    result = collect(soak, shards, RUN)
+    assert result.winding_c.shape == (len(result.sample_h), ROBOTS, SPEC.n)
+    assert result.worn.shape == (len(result.sample_h), 4, ROBOTS, SPEC.n)
+    assert np.isfinite(result.winding_c).all()
+    np.testing.assert_array_equal(result.worn[:, :, WIDTH:], shards[1].worn)
+    assert result.sample_h[0] == 0.0
+    assert result.sample_h[-1] == pytest.approx(soak.hours, rel=0.05)
+    assert result.goals_attempted.sum() == result.counts.attempted.sum() == ROBOTS
+    assert (result.goals_reached <= result.goals_attempted).all()
+    assert len(result.goals_attempted) <= 8
+    assert result.stops.shape == result.latches.shape == (len(result.sample_h), ROBOTS)
+    np.testing.assert_array_equal(result.parameters["payload.mass_kg"], soak.drawn()["payload.mass_kg"])
+    assert {len(column) for column in result.parameters.values()} == {ROBOTS}
+
+
+def test_a_shard_cut_short_leaves_its_heat_unknown(arm_policy, asked, quick_goals):
+    short, _ = lived(job(arm_policy, ticks=1000, first=WIDTH), stop_at=400)
+    short = replace(short, stops=np.outer(range(5), range(WIDTH)))
+    whole, _ = lived(job(arm_policy, ticks=1000))
+    result = collect(asked(), [whole, short], RUN)
+    for unknown in (result.winding_c[5:, WIDTH:], result.worn[5:, :, WIDTH:]):
+        assert unknown.size
+        assert np.isnan(unknown).all()
+    assert np.isfinite(result.winding_c[:5]).all()
+    assert np.isfinite(result.worn[:, :, :WIDTH]).all()
+    assert np.isfinite(result.worn[:5]).all()
+    assert result.goals_attempted.sum() == whole.attempted[-1].sum() + short.attempted[-1].sum()
+    assert (result.stops[[0, 3, 4, -1], -1] == np.array([0, 3, 4, 4]) * (WIDTH - 1)).all()
+
+
+def soak_test(*options):
+    script = "from eval.soak.cli import cli; cli()"
+    return [sys.executable, "-c", script, *map(str, options)]
+
+
+def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
+    options = (
+        "--policy",
+        arm_policy,
+        "--hours",
+        0.012,
+        "--robots",
+        8,
+        "--workers",
+        1,
+        "--out",
+        tmp_path / "out",
+    )
+    done = subprocess.run(soak_test(*options), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, "")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["verdict"] == "failed"
+    assert report["goals"]["success"] < 0.1
+    assert [line["name"] for line in report["budget"] if not line["passed"]] == ["goal_success"]
+    assert report["exposure"]["evaluations"] == 8 * 8640
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
+
+
+def impatient(crew, futures):
+    """Somebody who presses Ctrl-C as soon as anything is done."""
+    while not sum(crew.progress):
+        wait(futures, timeout=0.1)
+    raise KeyboardInterrupt
+
+
+def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
+    monkeypatch.setattr(workers._Crew, "_watch", impatient)
+    options = (
+        "--policy",
+        arm_policy,
+        "--hours",
+        100,
+        "--robots",
+        24,
+        "--workers",
+        1,
+        "--out",
+        tmp_path / "out",
+    )
+    monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, options)])
+    with pytest.raises(SystemExit) as caught:
+        command.cli()
+    assert caught.value.code == 130
+    report = json.loads((tmp_path / "out" / "kept" / "report.json").read_text())
+    assert report["verdict"] == "interrupted"
+    assert report["exposure"]["draws"] == WIDTH
+    assert 0 < report["run"]["hours"] < 100
+
+
+def test_a_finished_night_is_replaced_by_a_finished_night_only(arm_policy, tmp_path, monkeypatch):
+    """Begun over one, interrupted, taken up, and ended."""
+    out = tmp_path / "out"
+    former = {*FILES - {"tensorboard"}, TRENDS, "events/old/bundle.json", "events/mine/note.txt"}
+    for name in former:
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_text("before")
+    options = ("--policy", arm_policy, "--hours", 0.002, "--robots", 1, "--workers", 1, "--out", out)
+    monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, options)])
+
+    def ended():
+        with pytest.raises(SystemExit) as caught:
+            command.cli()
+        files = {path.relative_to(out).as_posix(): path for path in out.rglob("*") if path.is_file()}
+        return caught.value.code, files
+
+    with monkeypatch.context() as patch:
+        patch.setattr(workers._Crew, "_watch", impatient)
+        code, files = ended()
+    assert code == 130
+    assert {name for name in files if not name.startswith("kept/")} == former
+    assert {files[name].read_text() for name in former} == {"before"}
+    assert {f"kept/{name}" for name in (*FILES - {"tensorboard"}, TRENDS)} < set(files)
+    (out / "kept" / "events" / "new").mkdir(parents=True)
+    (out / "kept" / "events" / "new" / "bundle.json").write_text("of its first part")
+    code, files = ended()
+    assert code == 1
+    assert set(files) == former - {"events/old/bundle.json"} | {"events/new/bundle.json"}
+    assert json.loads(files["report.json"].read_text())["verdict"] == "failed"
+    assert {name for name, path in files.items() if path.read_bytes() == b"before"} == {
+        "events/mine/note.txt"
+    }
+    assert not (out / "kept").exists()
+
+
+@pytest.mark.parametrize(
+    ("what", "named"),
+    [("policy", r"\w+\.onnx"), ("robot", "arm6"), ("code", "firstshift's code")],
+)
+def test_what_changes_meanwhile_is_seen(arm_policy, what, named):
+    said = rf"{named}: changed during the soak: digest found \w{{12}}, expected 0{{12}}$"
+    with pytest.raises(ConfigError, match=said):
+        Shard(job(arm_policy, **{f"{what}_digest": "0" * 64}))
+
+
+def test_a_job_knows_the_code_that_made_it(asked):
+    assert {each.code_digest for each in asked().jobs()} == {code_digest()}
+
+
+BAD = {
+    "hours": (("--hours", 0), "--hours: found 0.0, expected above 0"),
+    "robots": (("--robots", 0), "--robots: found 0, expected from 1"),
+    "seed": (("--seed", -1), "--seed: found -1, expected at least 0"),
+    "workers": (("--workers", 0), "--workers: found 0, expected from 1"),
+    "robot": (("--robot", "hexapod"), "--robot hexapod: no such folder with a robot.toml; known: arm6"),
+    "policy": (("--policy", "nothing.onnx"), "nothing.onnx: cannot be read"),
+    "budget": (("--budget", "nothing.toml"), "nothing.toml: cannot be read"),
+    "out": (("--out", "/dev/null/soak"), "--out /dev/null/soak"),
+}
+
+
+@pytest.mark.parametrize(("options", "message"), BAD.values(), ids=BAD)
+def test_bad_input_says_what_was_expected(arm_policy, tmp_path, monkeypatch, capsys, options, message):
+    given = [
+        "--policy",
+        str(arm_policy),
+        "--hours",
+        "0.001",
+        "--out",
+        str(tmp_path / "out"),
+        *map(str, options),
+    ]
+    monkeypatch.setattr(sys, "argv", ["soak-test", *given])
+    with pytest.raises(SystemExit) as caught:
+        command.cli()
+    assert caught.value.code == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.glob("out/*"))
+
+
+def test_a_folder_into_which_another_soak_writes_is_refused(arm_policy, tmp_path):
+    out = tmp_path / "out"
+    claim(out)
+    options = ("--policy", arm_policy, "--hours", 0.001, "--robots", 1, "--workers", 1, "--out", out)
+    with alone(out):
+        done = subprocess.run(soak_test(*options), capture_output=True, text=True, check=False)
+        assert done.returncode == 2
+        assert (
+            done.stderr
+            == f"error: --out {out}: another soak is writing there, expected a folder of its own\n"
+        )
+        assert {path.name for path in out.iterdir()} == {LOCK}
+    assert not any(out.iterdir())
+    with alone(out):
+        pass

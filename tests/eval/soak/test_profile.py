@@ -1,0 +1,126 @@
+"""Profiles: those that are shipped, one's own, and what is said of a wrong one."""
+
+import sys
+
+import pytest
+
+from eval.faults.faults import catalogue
+from eval.faults.schedule import plan
+from eval.soak import cli as command
+from eval.soak.profile import PROFILES, load_profile
+from eval.statistics.budget import BUDGET, load_budget
+from eval.statistics.evidence import trials_needed
+from robots.errors import ConfigError
+from robots.randomness import robot_seed
+from support.arm6 import SPEC
+
+GOOD = 'meaning = "mine"\nhours = 1.5\nrobots = 3\nbudget = "mine.toml"\n'
+FAULTS = "[faults]\ncoverage = 0.9\ncycle_s = 20.0\noperator_s = 5.0\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "robots", "hours"),
+    [
+        ("smoke", 32, 0.1),
+        ("shift", 32, 8.0),
+        ("nightly", 64, 8.0),
+        ("faults", 48, 0.69),
+        ("weekend", 256, 8.0),
+    ],
+)
+def test_shipped_profiles_are_what_they_are_called(name, robots, hours):
+    profile, budget = load_profile(name)
+    assert (profile.robots, profile.hours) == (robots, hours)
+    assert (profile.faults is not None) == (name == "faults")
+    load_budget(budget)
+
+
+def test_the_faults_profile_injects_enough_for_the_coverage_that_it_states():
+    profile, _ = load_profile("faults")
+    seeds, ticks = [robot_seed(7, 0)], round(profile.hours * 3600 / SPEC.dt)
+    each = len(plan(SPEC, profile.faults, seeds, 0, ticks).injections) // len(catalogue(SPEC))
+    assert each * profile.robots >= trials_needed(profile.faults.coverage) * 1.2  # some find no robot at work
+
+
+def test_a_profile_of_ones_own_finds_its_budget_beside_it(tmp_path):
+    (tmp_path / "mine.toml").write_text(BUDGET.read_text())
+    path = tmp_path / "own.toml"
+    path.write_text(GOOD + FAULTS)
+    profile, budget = load_profile(str(path))
+    assert (profile.hours, profile.robots, profile.faults.cycle_s) == (1.5, 3, 20.0)
+    assert budget == tmp_path / "mine.toml"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (GOOD + "draws = 3\n", r"own\.toml: draws: Extra inputs are not permitted, found 3"),
+        (
+            GOOD.replace("robots = 3", "robots = 0"),
+            r"own\.toml: robots: .* greater than or equal to 1, found 0",
+        ),
+        (GOOD.replace("robots = 3\n", ""), r"own\.toml: robots: Field required"),
+        (GOOD.replace("1.5", "0.0"), r"own\.toml: hours: .* greater than 0, found 0\.0"),
+        (GOOD + FAULTS.replace("0.9", "1.0"), r"own\.toml: faults\.coverage: .* less than 1, found 1\.0"),
+        (GOOD + FAULTS.replace("20.0", "2.0"), r"own\.toml: faults\.cycle_s: .* equal to 18, found 2\.0"),
+        (GOOD + FAULTS + "classes = 3\n", r"own\.toml: faults\.classes: Extra inputs"),
+    ],
+)
+def test_a_wrong_profile_is_named_with_its_field(tmp_path, text, message):
+    path = tmp_path / "own.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        load_profile(str(path))
+
+
+def asked(monkeypatch, *options):
+    """What `soak-test` with these options would run; it ends before it does."""
+    seen = {}
+
+    def stop(**what):
+        seen.update(what)
+        raise ConfigError("enough")
+
+    monkeypatch.setattr(command, "Soak", stop)
+    monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, options)])
+    with pytest.raises(SystemExit):
+        command.cli()
+    return seen
+
+
+def test_options_go_before_the_profile_and_without_one_nothing_changes(arm_policy, monkeypatch):
+    policy = ("--policy", arm_policy)
+    plain = asked(monkeypatch, *policy)
+    assert (plain["hours"], plain["robots"], plain["budget"], plain["faults"]) == (8.0, 32, BUDGET, None)
+    shift = asked(monkeypatch, *policy, "--profile", "shift")
+    assert (shift["hours"], shift["robots"], shift["budget"]) == (8.0, 32, BUDGET)
+    short = asked(
+        monkeypatch, *policy, "--profile", "faults", "--hours", 0.1, "--robots", 8, "--budget", BUDGET
+    )
+    assert (short["hours"], short["robots"], short["budget"]) == (0.1, 8, BUDGET)
+    assert short["faults"] == load_profile("faults")[0].faults
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            ("--profile", "night"),
+            "--profile night: found no such profile, expected a file.toml or one of: faults, ",
+        ),
+        (("--profile", "no.toml"), "no.toml: cannot be read: No such file"),
+        (("--profile", "smoke", "--robots", "0"), "--robots: found 0, expected from 1"),
+        (
+            ("--profile", "faults", "--hours", "0.007"),
+            "--hours: found 0.007, expected at least 0.0075: time for one fault",
+        ),
+        (
+            ("--profile", "faults", "--hours", "67"),
+            "--hours: found 67.0, expected above 0 and at most 66.668",
+        ),
+    ],
+)
+def test_a_profile_that_is_not_there_is_said(arm_policy, monkeypatch, capsys, options, message):
+    assert asked(monkeypatch, "--policy", arm_policy, *options) == {}
+    assert message in capsys.readouterr().err
+    assert len(list(PROFILES.glob("*.toml"))) == 5

@@ -1,0 +1,90 @@
+"""Nights are put together only if they are of the same thing, and each draw counts once."""
+
+import pytest
+
+from eval.statistics.dispersion import draw_rate_upper
+from eval.statistics.per_draw_counts import stop_ticks, together
+from eval.statistics.pooling import pool, same_draws, same_identity
+from robots.errors import ConfigError
+from support.nights import HOUR, OTHER, SETTINGS, named, night, tallied
+
+IDENTITY = SETTINGS.identity
+
+
+def test_a_pool_holds_every_draw_of_every_night_once():
+    nights = [night(seed, draws=16 * seed) for seed in (1, 2, 3)]
+    found = pool(named(*nights))
+    assert found.draws == 96
+    for name, column in found.model_dump().items():
+        if name not in {"dt", "hard"}:
+            assert column == sum((getattr(each.tally, name) for each in nights), ())
+    events, hours = found.hard_events
+    assert hours.sum() == pytest.approx(sum(found.running) / HOUR)
+    assert events.tolist() == [sum(row) for row in zip(*found.hard.values(), strict=True)]
+    assert events.sum() == sum(each.tally.hard_events[0].sum() for each in nights) > 20
+
+
+def test_bad_draws_are_those_with_events_and_those_that_diverged():
+    quiet = tallied(1, rate=0.0)
+    assert quiet.bad_draws == 0
+    events = quiet.hard | {"jerk": (0, 3, *(0,) * 14), "torque": (0, 1, 1, *(0,) * 13)}
+    odd = quiet.model_copy(update={"hard": events, "invalid": (0,) * 14 + (5, 0)})
+    assert odd.bad_draws == 3
+    assert together([odd, quiet, odd]).bad_draws == 6
+
+
+def test_a_stop_weighs_twice_its_mean_length():
+    one, two = tallied(1), tallied(2)
+    assert stop_ticks(one) == stop_ticks(one, two) == 24_000
+    still = one.model_copy(update={"stops": (0,) * 16, "running": one.ticks})
+    assert stop_ticks(still) is None
+
+
+def test_more_nights_say_more():
+    nights = named(*(night(seed) for seed in range(8)))
+    few, many = (pool(dict(list(nights.items())[:k])).hard_events for k in (2, 8))
+    assert (
+        draw_rate_upper(*many) - many[0].sum() / many[1].sum()
+        < draw_rate_upper(*few) - few[0].sum() / few[1].sum()
+    )
+
+
+@pytest.mark.parametrize("key", IDENTITY)
+def test_another_identity_is_refused_by_its_key_and_both_values(key):
+    odd = night(3, **OTHER[key])
+    found = odd.settings.identity[key]
+    with pytest.raises(ConfigError) as caught:
+        pool(named(night(1), night(2), odd))
+    assert str(caught.value) == f"night-2.json: {key}: found {found}, but night-0.json has {IDENTITY[key]}"
+
+
+def test_what_only_one_has_is_refused():
+    more = IDENTITY | {"mujoco": "4.0"}
+    with pytest.raises(ConfigError, match=r"^b: mujoco: found 4\.0, but a has nothing$"):
+        same_identity(IDENTITY, more, names=("a", "b"))
+    with pytest.raises(ConfigError, match=r"^b: mujoco: found nothing, but a has 4\.0$"):
+        same_identity(more, IDENTITY, names=("a", "b"))
+
+
+def test_the_same_draws_count_once():
+    with pytest.raises(ConfigError, match=r"^night-2\.json: seed: found 1, which is that of night-0\.json"):
+        pool(named(night(1), night(2), night(1)))
+
+
+def test_another_policy_and_another_budget_are_of_the_same_draws():
+    same_draws(
+        night(1), night(1, policy_digest="z9", policy="b.onnx", budget="b", workers=7), names=("a", "b")
+    )
+
+
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [
+        *((key, OTHER[key]) for key in IDENTITY if key != "policy_digest"),
+        ("seed", {"seed": 2}),
+        ("robots", {"draws": 32}),
+    ],
+)
+def test_anything_else_is_of_other_draws(key, changes):
+    with pytest.raises(ConfigError, match=rf"^b: {key}: found .*, but a has "):
+        same_draws(night(), night(**changes), names=("a", "b"))

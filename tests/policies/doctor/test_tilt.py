@@ -1,0 +1,134 @@
+"""Which way is down: small policies that balance, in our convention and in others."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from onnx import helper
+
+from deploy.policy.contract import ActionSpec, Observed
+from policies.doctor.case import Case
+from policies.doctor.checks.observations import training
+from policies.doctor.examination import row
+from policies.doctor.finding import Verdict
+from support.contracts import arm_contract, term
+from support.faulty_policies import written
+
+A = 4
+UPRIGHT = {"projected_gravity": (0.0, 0.0, -1.0), "base_orientation": (1.0, 0.0, 0.0, 0.0)}
+LEANING = {"projected_gravity": (0, 1), "base_orientation": (2, 1)}
+"""Which numbers of the term change with leaning forwards and to the right."""
+
+
+def balancing(folder, source="projected_gravity", *, even=False, gain=2.0, turned=None, mean=None, history=1):
+    """A policy that stands still upright, and answers a lean by opposite actions of both its pairs of joints.
+
+    Args:
+        source: what tells it. turned: how training wrote that, if not as we do. mean: of observations in training.
+        even: it answers leans to all sides alike. history: readings kept.
+    """
+    upright, size = np.array(UPRIGHT[source]), len(UPRIGHT[source])
+    weights = np.zeros((size, A))
+    for lean, place in enumerate(LEANING[source]):
+        weights[place, 2 * lean : 2 * lean + 2] = gain, -gain
+    tall = np.flatnonzero(upright)[0]
+    weights[tall] = 0.75 * gain  # a robot that lies on its back struggles
+    order = np.arange(size) if turned != "xyzw" else np.array([1, 2, 3, 0])
+    sign = -1.0 if turned == "sign" else 1.0
+    weights = sign * weights[order]
+    bias = -(sign * upright[order]) @ weights
+    columns = np.arange(size * (history - 1), size * history)
+    nodes = [helper.make_node("Gather", ["observation", "columns"], ["newest"], axis=1)]
+    nodes.append(helper.make_node("Gemm", ["newest", "w", "b"], ["said" if even else "action"]))
+    nodes += [helper.make_node("Abs", ["said"], ["action"])] if even else []
+    arrays = {"w": weights.astype(np.float32), "b": bias.astype(np.float32), "columns": columns}
+    contract = arm_contract(
+        observation=(term(source, size, scale=(1.0,) * size, history=history),),
+        action=ActionSpec(mode="position", size=A, offset=(0.0,) * A, scale=(0.25,) * A, clip=None),
+        observed=None if mean is None else Observed(mean=mean, deviation=(0.1,) * (size * history)),
+    )
+    return Case(written(folder, nodes, arrays, contract), "arm6")
+
+
+@pytest.mark.parametrize("source", UPRIGHT)
+@pytest.mark.parametrize("history", [1, 3])
+def test_a_policy_that_balances_as_we_write_it_passes(tmp_path, source, history):
+    found = row(balancing(tmp_path, source, history=history), "tilt")
+    assert found.verdict is Verdict.PASS
+    assert "opposite leans with opposite actions; upright 0." in found.said
+
+
+@pytest.mark.parametrize(
+    ("source", "turned", "said"),
+    [
+        ("projected_gravity", "sign", "upright it is calmer with gravity with the other sign, +1 upright"),
+        ("base_orientation", "xyzw", "upright it is calmer with the quaternion as x, y, z, w"),
+    ],
+)
+def test_a_policy_of_another_convention_is_calmer_with_it(tmp_path, source, turned, said):
+    found = row(balancing(tmp_path, source, turned=turned), "tilt")
+    assert found.verdict is Verdict.WARN
+    assert said in found.said
+
+
+def test_a_policy_that_works_as_it_is_is_not_doubted_for_that(tmp_path, monkeypatch):
+    """Upright and at rest a policy that walks may be calmer with anything."""
+    case = balancing(tmp_path, turned="sign")
+    monkeypatch.setattr(Case, "works", True)
+    assert row(case, "tilt").verdict is Verdict.PASS
+
+
+@pytest.mark.parametrize(
+    ("source", "mean", "said"),
+    [
+        ("projected_gravity", (0.0, 0.0, 0.98), "third number was 0.98 in the mean, ours is -1 upright"),
+        ("base_orientation", (0.0, 0.0, 0.1, 0.95), "fourth number was 0.95 in the mean and its first 0.00"),
+    ],
+)
+def test_numbers_of_training_tell_the_convention(tmp_path, source, mean, said):
+    found = row(balancing(tmp_path, source, mean=mean), "tilt")
+    assert found.verdict is Verdict.FAIL
+    assert said in found.said
+    ours = row(balancing(tmp_path, source, mean=UPRIGHT[source]), "tilt")
+    assert ours.verdict is Verdict.PASS
+
+
+def test_a_policy_that_does_not_hear_where_down_is(tmp_path):
+    found = row(balancing(tmp_path, gain=0.01), "tilt")
+    assert found.verdict is Verdict.WARN
+    assert found.said.count("rad changes actions by 0.002 at most: it does not hear where down is") == 2
+
+
+def test_a_policy_that_answers_all_leans_alike(tmp_path):
+    found = row(balancing(tmp_path, even=True), "tilt")
+    assert found.verdict is Verdict.WARN
+    assert "leaning forwards and backwards is answered alike" in found.said
+    assert "leaning right and left is answered alike" in found.said
+
+
+def test_a_robot_that_cannot_fall_is_not_asked(arm_policy):
+    found = row(Case(arm_policy), "tilt")
+    assert (found.verdict, found.said[:14]) == (Verdict.PASS, "does not apply")
+
+
+def test_frames_of_a_history_that_differ_stand_in_another_layout(tmp_path):
+    """Three frames of gravity: ours stand one after the other, theirs number by number."""
+    ours, theirs = (0.0, 0.0, -1.0) * 3, (0.0,) * 6 + (-1.0,) * 3
+    note = next(training(balancing(tmp_path, mean=theirs, history=3)))
+    assert note.verdict is Verdict.WARN
+    assert "frames of its history differ by more than a deviation of training" in note.said
+    assert row(balancing(tmp_path, mean=ours, history=3), "training").said == "not tried: see the trial."
+
+
+def test_terms_of_one_source_that_differ_in_size_are_named(tmp_path):
+    known = term("projected_gravity", 3, scale=(1.0,) * 3)
+    odd = known.model_copy(update={"name": "odd", "size": 2, "scale": (1.0,) * 2})
+    contract = arm_contract(observation=(odd, known))
+    nodes = [helper.make_node("MatMul", ["observation", "w"], ["action"])]
+    weights = np.ones((contract.observation_size, contract.action_size), np.float32)
+    found = row(Case(written(tmp_path, nodes, {"w": weights}, contract), "arm6"), "tilt")
+    assert (found.verdict, found.said) == (
+        Verdict.FAIL,
+        "odd: projected_gravity has 2 numbers here and 3 in another term.",
+    )

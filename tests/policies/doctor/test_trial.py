@@ -1,0 +1,418 @@
+"""What a short life in simulation shows the doctor: mistakes that the file alone does not."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import onnx
+import pytest
+
+pytest.importorskip("mujoco")
+
+from onnx import helper
+
+from deploy.policy.contract import CONTRACT_KEY
+from policies.doctor import cli as checking
+from policies.doctor.case import Case
+from policies.doctor.examination import CHECKS, examined, row
+from policies.doctor.finding import Verdict
+from policies.doctor.trial import orders
+from policies.doctor.trial.warmth import Warmth, windings_after
+from robots.motor import MotorHeat, temperatures
+from robots.spec import load_robot
+from support.arm6 import SPEC
+from support.contracts import arm_contract
+from support.faulty_policies import (
+    ailing,
+    answering,
+    in_another_order,
+    louder,
+    robot_and_digest,
+    without_normalizer,
+    written,
+)
+from support.paths import ROOT
+from support.policies import metadata
+from support.walking import PLACES, QUADRUPED, walking_contract
+
+pytestmark = pytest.mark.usefixtures("quick_goals")
+
+
+@pytest.fixture(scope="module")
+def sound(shipped_policy):
+    """Its lives are lived once for all tests here."""
+    return Case(shipped_policy)
+
+
+@pytest.fixture
+def sick(shipped_policy, tmp_path):
+    """The shipped policy with a change."""
+    return lambda robot=None, **how: Case(ailing(shipped_policy, tmp_path, **how), robot)
+
+
+@pytest.fixture(scope="module")
+def double(shipped_policy, tmp_path_factory):
+    """With twice the scale of its actions."""
+    twice = {"contract": lambda data: data["action"].update(scale=[0.1] * 6)}
+    return Case(ailing(shipped_policy, tmp_path_factory.mktemp("double"), **twice))
+
+
+@pytest.fixture(scope="module")
+def nervous(shipped_policy, tmp_path_factory):
+    """Six times as loud: a wrong scale inside the network, or too little of a price on its actions in training."""
+    return Case(ailing(shipped_policy, tmp_path_factory.mktemp("nervous"), graph=louder(6.0)))
+
+
+def unobserved(data):
+    data["observed"] = None
+
+
+def test_the_shipped_policy_passes_every_check_but_one(sound):
+    """Nobody told it of 20 ms more, and it says so: half of that it takes."""
+    found = {check: row(sound, check) for check in CHECKS}
+    odd = {check: each.verdict for check, each in found.items() if each.verdict is not Verdict.PASS}
+    assert odd == {"delay": Verdict.WARN}
+    assert re.match(r"8 robots reached 2\d of 24 goals in 12 s without a stop; ", found["trial"].said)
+    assert "10 ms do no harm" in found["delay"].said
+
+
+def test_the_first_target_is_what_one_action_may_ask_for(sound):
+    assert 0.03 < np.abs(sound.life.first).max() < 0.06
+
+
+# ---- the normalizer ----
+
+
+def test_a_normalizer_that_the_contract_remembers_and_the_graph_lost(sick):
+    case = sick(graph=without_normalizer)
+    found = row(case, "normalizer")
+    assert found.verdict is Verdict.FAIL
+    assert found.said.startswith("training normalized its observations, and nothing stands before the first")
+    assert row(case, "trial").verdict is Verdict.FAIL
+
+
+def test_a_normalizer_that_nobody_remembers_is_suspected_and_the_trial_fails(sick):
+    case = sick(graph=without_normalizer, contract=unobserved)
+    found = row(case, "normalizer")
+    assert found.verdict is Verdict.WARN
+    assert "whether training had one cannot be seen: ask" in found.said
+    assert "by the contract's scales it gets goal_torque wrist_2 0.0" in found.said
+    assert row(case, "training").verdict is Verdict.WARN
+    trial = row(case, "trial")
+    assert trial.verdict is Verdict.FAIL
+    assert "reached 0 of 24 goals" in trial.said
+
+
+def test_a_scale_in_degrees_feeds_it_raw_readings(sick):
+    def degrees(data):
+        term = data["observation"][0]
+        term["scale"] = [scale / 57.3 for scale in term["scale"]]
+
+    case = sick(contract=degrees)
+    found = row(case, "normalizer")
+    assert found.verdict is Verdict.WARN
+    assert "the network gets joint_position wrist_2 7" in found.said
+    training = row(case, "training")
+    assert training.verdict is Verdict.FAIL
+    assert "off training's, in deviations: joint_position wrist_2 7" in training.said
+
+
+def test_a_term_whose_scale_is_far_too_large_is_not_heard(sick):
+    def deafen(data):
+        data["observation"][3]["scale"] = [850.0] * 3
+
+    case = sick(contract=deafen)
+    heard = row(case, "normalizer")
+    assert heard.verdict is Verdict.WARN
+    assert "actions hardly change with goal_from_tool (" in heard.said
+    training = row(case, "training")
+    assert training.verdict is Verdict.WARN
+    assert "readings hardly vary, as a share of training's: goal_from_tool 0 " in training.said
+
+
+# ---- order and sign that the names do not show ----
+
+
+def test_joints_in_another_order_than_the_names_say_miss_every_goal(sick, shipped_policy):
+    terms = json.loads(metadata(onnx.load(shipped_policy), CONTRACT_KEY).value)["observation"]
+    case = sick(graph=in_another_order([2, 0, 1, 3, 5, 4], terms), contract=unobserved)
+    assert row(case, "trial").verdict is Verdict.FAIL
+    training = row(case, "training")
+    assert training.verdict is Verdict.FAIL
+    assert "joint_position shoulder_lift 8." in training.said
+    assert "order of these with training's" in training.said
+
+
+def test_actions_of_the_other_sign_miss_every_goal(sick):
+    case = sick(graph=answering(helper.make_node("Neg", ["said"], ["action"])))
+    trial = row(case, "trial")
+    assert trial.verdict is Verdict.FAIL
+    assert "signs and order inside the network" in trial.said
+    assert "links would come nearer than the collision margin" in trial.said
+    assert "of all actions are at their clip" in row(case, "normalizer").said
+    for check, said in (
+        ("delay", "cannot be seen"),
+        ("jitter", "cannot be seen"),
+        ("chatter", "says little"),
+    ):
+        after = row(case, check)
+        assert (after.verdict, said in after.said) == (Verdict.WARN, True)
+
+
+# ---- activation ----
+
+
+def test_a_default_pose_that_is_not_home_jumps_at_activation(sick):
+    def elsewhere(data):
+        offset = [0.0, -1.0, 1.0, -1.5, -1.5, 0.0]
+        data["action"].update(mode="position", offset=offset, leash_rad=None, scale=[0.05] * 6)
+
+    found = row(sick(contract=elsewhere), "activation")
+    assert found.verdict is Verdict.FAIL
+    assert "at the first step it sends shoulder_lift 0.6" in found.said
+    assert "the home pose of robot.toml is not training's default pose" in found.said
+
+
+def test_twice_the_scale_would_begin_too_fast(double):
+    found = row(double, "activation")
+    assert found.verdict is Verdict.WARN
+    assert "without the smoother the first step would go at shoulder_pan 5.0" in found.said
+
+
+# ---- delay, jitter, shaking ----
+
+
+def test_a_nervous_policy_shakes(nervous):
+    found = row(nervous, "chatter")
+    assert found.verdict is Verdict.WARN
+    assert re.match(r"it shakes: shoulder_pan [678][.\d]*, ", found.said)
+
+
+@pytest.mark.parametrize(
+    ("policy", "verdict", "said"),
+    [
+        ("nervous", Verdict.WARN, "with actions 20 ms late"),
+        ("double", Verdict.FAIL, "with actions only 10 ms late"),
+    ],
+)
+def test_a_delay_that_training_did_not_know_is_named(request, policy, verdict, said):
+    found = row(request.getfixturevalue(policy), "delay")
+    assert found.verdict is verdict
+    assert re.match(rf"{said} it reaches \d+ goals instead of \d+", found.said)
+    assert "measure the robot's delay from sensor to motion, and train with it" in found.said
+
+
+def test_a_policy_that_jitter_harms_is_named(nervous):
+    found = row(nervous, "jitter")
+    assert found.verdict is Verdict.WARN
+    assert re.search(
+        r"actions up to 20 ms late, each by another time, it reaches \d+ goals instead", found.said
+    )
+    assert "run it on a computer that keeps its time" in found.said
+
+
+def test_packets_so_late_that_the_robot_stops_for_them_are_named(sick, tmp_path):
+    robot, digest = robot_and_digest(tmp_path, toml=[("delay_s = 0.008", "delay_s = 0.025")])
+    found = row(sick(robot, contract=digest), "trial")
+    assert found.verdict is Verdict.WARN
+    assert re.search(r"stopped \d+ times: samples are missing \(\d+\)", found.said)
+
+
+# ---- heat ----
+
+
+def test_motors_that_cannot_get_rid_of_their_heat_are_named_with_the_hour(sick, tmp_path):
+    cool = ("housing_resistance_k_per_w = 4.0", "housing_resistance_k_per_w = 12.0")
+    robot, digest = robot_and_digest(tmp_path, toml=[cool])
+    found = row(sick(robot, contract=digest), "heat")
+    assert found.verdict is Verdict.FAIL
+    assert "after eight hours of this, in the middle of draws.toml, at 25 °C: shoulder_lift 13" in found.said
+    assert re.search(r"it will not last: the first is there within [345][.\d]* h", found.said)
+
+
+def test_eight_hours_are_those_of_the_two_node_model():
+    current, rubbed = np.array([1.0, 3.0, 2.0, 0.3, 0.2, 0.1]), np.zeros(6)
+    found = windings_after(SPEC, Warmth(current=current, rubbed=rubbed, ambient=25.0), 3600.0)
+    lift = MotorHeat(
+        resistance=0.5,
+        alpha=0.0039,
+        reference_c=25.0,
+        winding_to_housing=1.0,
+        housing_to_ambient=4.0,
+        winding_capacity=40.0,
+        housing_capacity=1200.0,
+    )
+    assert found[1] == pytest.approx(temperatures(lift, 3.0, 25.0, 3600.0)[0])
+    warmer = windings_after(SPEC, Warmth(current=current, rubbed=rubbed + 2.0, ambient=25.0), 1e6)
+    np.testing.assert_allclose(
+        (warmer - windings_after(SPEC, Warmth(current=current, rubbed=rubbed, ambient=25.0), 1e6))[3:],
+        14.0,  # 2 W times 7 K/W
+        rtol=1e-2,
+    )
+
+
+def test_friction_and_iron_are_a_few_watts(sound):
+    rubbed = sound.life.warmth.rubbed
+    assert ((rubbed > 0.01) & (rubbed < 10.0)).all()
+    assert rubbed[:3].sum() > rubbed[3:].sum()
+
+
+# ---- robots that walk ----
+
+
+@pytest.mark.parametrize(("trained_on", "robot"), [("walker", "arm6"), ("arm", QUADRUPED.folder)])
+def test_a_policy_of_quite_another_robot_gets_all_its_rows(tmp_path, trained_on, robot):
+    arm = arm_contract()
+    soft = arm.action.model_copy(update={"kp": (100.0,) * SPEC.n, "kd": (10.0,) * SPEC.n})
+    contract = walking_contract() if trained_on == "walker" else arm.model_copy(update={"action": soft})
+    w = np.zeros((contract.observation_size, contract.action_size), np.float32)
+    node = helper.make_node("MatMul", ["observation", "w"], ["action"])
+    case = Case(written(tmp_path, [node], {"w": w}, contract), robot)
+    found = {each.check: each for each in examined(case)}
+    assert list(found) == list(CHECKS)
+    assert found["loader"].verdict is Verdict.FAIL
+    assert f"found gains of {len(contract.joint_names)} joints, expected {case.spec.n}" in found["gains"].said
+
+
+def test_a_robot_that_walks_is_looked_at_as_well(tmp_path):
+    """A policy that only stands: it hears nothing, asks for nothing, and falls or not by its springs alone."""
+    contract = walking_contract()
+    w = np.zeros((contract.observation_size, contract.action_size), np.float32)
+    node = helper.make_node("MatMul", ["observation", "w"], ["action"])
+    case = Case(written(tmp_path, [node], {"w": w}, contract), QUADRUPED.folder)
+    assert row(case, "loader").verdict is Verdict.PASS
+    doubts = row(case, "sources")
+    assert doubts.verdict is Verdict.WARN
+    assert "base_linear_velocity (base_linear_velocity): no sensor measures it" in doubts.said
+    assert "base_orientation (base_orientation): no sensor measures yaw" in doubts.said
+    assert "it does not hear where down is" in row(case, "tilt").said
+    first = row(case, "activation")
+    assert first.verdict is Verdict.PASS
+    assert first.said.startswith("the first step asks for ")
+    assert "whether training had one cannot be seen" in row(case, "normalizer").said
+
+
+@pytest.mark.parametrize("command_s", [2.0, 30.0])
+def test_a_robot_that_walks_is_not_taken_to_work_because_no_command_ended(tmp_path, command_s):
+    """Trained with gravity of the other sign it asks for nothing upright; as it is here, it folds up."""
+    folder = shutil.copytree(QUADRUPED.folder, tmp_path / "robot")
+    text = (folder / "robot.toml").read_text()
+    (folder / "robot.toml").write_text(text.replace("command_s = 2.0", f"command_s = {command_s}"))
+    contract = walking_contract(load_robot(folder))
+    w = np.zeros((contract.observation_size, contract.action_size), np.float32)
+    w[PLACES["projected_gravity"]] = [[0.3, -0.3] * 6, [0.3, 0.3, -0.3, -0.3] * 3, [1.0] * 12]
+    node = helper.make_node("Gemm", ["observation", "w", "b"], ["action"])
+    case = Case(written(tmp_path, [node], {"w": w, "b": -np.ones(12, np.float32)}, contract), folder)
+    assert not case.works
+    assert "upright it is calmer with gravity with the other sign" in row(case, "tilt").said
+
+
+# ---- what cannot be lived ----
+
+
+def test_a_robot_that_nothing_can_be_lived_with_has_one_row_that_says_why(sick, tmp_path):
+    robot, digest = robot_and_digest(tmp_path, xml=[('actuatorfrcrange="-150 150" ', "")])
+    case = sick(robot, contract=digest)
+    trial = row(case, "trial")
+    assert trial.verdict is Verdict.FAIL
+    assert "not tried: " in trial.said
+    assert "no actuatorfrcrange on joints shoulder_pan, shoulder_lift, elbow" in trial.said
+    for check in ("training", "activation", "chatter", "delay", "jitter", "heat"):
+        assert (row(case, check).verdict, row(case, check).said) == (
+            Verdict.WARN,
+            "not tried: see the trial.",
+        )
+
+
+def test_a_policy_that_says_no_number_never_comes_under_way(sick):
+    nan = answering(
+        helper.make_node("Sub", ["said", "said"], ["none"]),
+        helper.make_node("Div", ["none", "none"], ["action"]),
+    )
+    case = sick(graph=lambda model: None)
+    broken = onnx.load(case.path)
+    nan(broken)
+    case.path.write_bytes(broken.SerializeToString())
+    found = row(Case(case.path), "trial")
+    assert found.verdict is Verdict.FAIL
+    assert "a robot never came under way: a number is not finite" in found.said
+
+
+def test_a_scale_so_small_that_readings_overflow_is_not_lived_with(sick):
+    def tiny(data):
+        data["observation"][0]["scale"] = [1e-300] * 6
+
+    case = sick(contract=tiny)
+    found = row(case, "trial")
+    assert found.verdict is Verdict.FAIL
+    assert found.said.startswith("not tried: a")
+    assert row(case, "training").said == "not tried: see the trial."
+
+
+# ---- the command ----
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["policy-check", *map(str, arguments)])
+        monkeypatch.setenv("COLUMNS", "400")
+        with pytest.raises(SystemExit) as caught:
+            checking.cli()
+        said = capsys.readouterr()
+        return caught.value.code, said.out, said.err
+
+    return run
+
+
+def test_the_command_says_every_row_and_ends_with_1_if_one_fails(command, arm_policy, monkeypatch):
+    monkeypatch.setattr(orders, "VARIANTS_MAX", 1)
+    code, said, _ = command(arm_policy)
+    assert code == 1
+    assert all(f" {check} " in said for check in CHECKS)
+    assert "8 robots reached 0 of 24 goals" in said
+    assert "6 joints have too many orders to try them" in said
+
+
+def test_the_command_ends_with_0_where_rows_only_warn(command, shipped_policy, monkeypatch, sound):
+    monkeypatch.setattr(checking, "Case", lambda path, robot: sound)
+    code, said, _ = command(shipped_policy, "--robot", "arm6")
+    assert code == 0
+    assert said.count(" pass ") == len(CHECKS) - 1
+    assert said.count(" warn ") == 1
+
+
+def test_a_network_for_one_robot_alone_is_bad_input(command, shipped_policy, tmp_path):
+    def one_only(model):
+        shape = helper.make_node("Reshape", ["said", "shape"], ["action"])
+        answering(shape, shape=np.array([1, 6]))(model)
+
+    model = onnx.load(shipped_policy)
+    one_only(model)
+    (tmp_path / "one.onnx").write_bytes(model.SerializeToString())
+    code, said, complaint = command(tmp_path / "one.onnx")
+    assert (code, said) == (2, "")
+    assert f"error: {tmp_path / 'one.onnx'}: cannot be run at batch 64: " in complaint
+
+
+def test_bad_input_ends_with_2_and_one_line(command, tmp_path, arm_policy):
+    (tmp_path / "evil.onnx").write_bytes(b"nothing good")
+    for arguments, why in (
+        ((tmp_path / "evil.onnx",), "not a"),
+        ((tmp_path / "none.onnx",), "cannot be read"),
+        ((arm_policy, "--robot", "hexapod"), "--robot hexapod: no such folder"),
+    ):
+        code, said, complaint = command(*arguments)
+        assert (code, said) == (2, "")
+        assert complaint.startswith("error: ")
+        assert why in complaint
+        assert complaint.count("\n") == 1
+
+
+def test_the_doctor_needs_no_torch():
+    code = "import sys, policies.doctor.cli; sys.exit('torch' in sys.modules)"
+    root = ROOT
+    assert subprocess.run([sys.executable, "-c", code], cwd=root, check=False).returncode == 0

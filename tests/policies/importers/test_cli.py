@@ -1,0 +1,113 @@
+"""policy-import, from files that rsl_rl itself exported to a policy that the arm loads."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnxscript")
+tensordict = pytest.importorskip("tensordict")
+models = pytest.importorskip("rsl_rl.models")
+
+from deploy.policy.policy import Policy
+from policies.importers.cli import import_policy, policy_import
+from policies.importers.draft import read_draft
+from robots.errors import ContractError, OutputError
+from support.arm6 import SPEC
+from support.contracts import NAMES
+from support.imports import CONTRACT, THEIRS, A, N, exported
+
+
+@pytest.fixture(scope="module", params=["mlp", "lstm"])
+def done(request, tmp_path_factory):
+    """A foreign file, the module behind it, and what was imported."""
+    folder = tmp_path_factory.mktemp(request.param)
+    path, view = exported(folder, request.param)
+    (folder / "contract.toml").write_text(CONTRACT)
+    imported = import_policy(path, folder / "contract.toml", folder / "policy.onnx")
+    return path, view, imported
+
+
+def test_the_arm_loads_what_was_imported_and_it_is_what_torch_says(done):
+    path, view, imported = done
+    assert 0 <= imported.deviation <= 1e-5
+    policy = Policy.load(path.parent / "policy.onnx", SPEC)
+    assert policy.digest == imported.digest
+    assert policy.contract.joint_names == SPEC.joint_names
+    rng, robots = np.random.default_rng(0), 5
+    theirs = rng.normal(size=(20, robots, N)).astype(np.float32)
+    order = [NAMES.index(name) for name in THEIRS]
+    columns = np.concatenate([order, np.array(order) + 6, [12, 13, 14], np.array(order) + 15])
+    ours = np.empty_like(theirs)
+    ours[..., columns] = theirs
+    policy.resize(robots)
+    found = np.stack([policy.step(row).copy() for row in ours])
+    for robot in range(robots):
+        known = [torch.zeros_like(piece) for piece in view.get_dummy_inputs()[1:]]
+        for step in range(len(theirs)):
+            said = view(torch.from_numpy(theirs[step, robot][None]), *known)
+            action, *known = said if isinstance(said, tuple) else (said,)
+            np.testing.assert_allclose(
+                found[step, robot, order], action[0].detach().numpy(), rtol=0, atol=2e-5
+            )
+
+
+def test_the_same_file_gives_the_same_bytes(done, tmp_path):
+    path, _, imported = done
+    again = import_policy(path, path.parent / "contract.toml", tmp_path / "again.onnx")
+    assert again == imported
+    assert (tmp_path / "again.onnx").read_bytes() == (path.parent / "policy.onnx").read_bytes()
+
+
+def test_a_template_is_what_the_contract_begins_with(done, tmp_path, capsys):
+    path, *_ = done
+    draft = tmp_path / "new.toml"
+    assert policy_import(path, contract=draft, template=True) == 0
+    assert re.search(
+        rf"new\.toml: ONNX.*, {N} observations, {A} actions; \d+ values marked \? are",
+        capsys.readouterr().out,
+    )
+    with pytest.raises(ContractError, match=r"new\.toml: policy_hz: still '\?', to be filled in"):
+        read_draft(draft)
+    with pytest.raises(ContractError, match="is there already"):
+        policy_import(path, contract=draft, template=True)
+
+
+def test_weights_outside_its_folder_are_refused(done, tmp_path):
+    path, *_ = done
+    model = onnx.load(path, load_external_data=False)
+    held = [tensor for tensor in model.graph.initializer if tensor.external_data]
+    if not held:
+        held = list(model.graph.initializer)[:1]
+        onnx.external_data_helper.set_external_data(held[0], "x")
+        held[0].data_location = onnx.TensorProto.EXTERNAL
+    for where in ("../secret", "/etc/passwd", "nowhere", ""):
+        for entry in held[0].external_data:
+            entry.value = where if entry.key == "location" else entry.value
+        (tmp_path / "bad.onnx").write_bytes(model.SerializeToString())
+        (tmp_path / "contract.toml").write_text(CONTRACT)
+        with pytest.raises(
+            ContractError, match=re.escape(f"found its weights in {where!r}, expected a file beside")
+        ):
+            import_policy(tmp_path / "bad.onnx", tmp_path / "contract.toml", tmp_path / "out.onnx")
+    assert not (tmp_path / "out.onnx").exists()
+
+
+def test_what_is_refused_leaves_the_file_of_before(done, tmp_path):
+    path, *_ = done
+    out, draft = tmp_path / "policy.onnx", tmp_path / "contract.toml"
+    out.write_bytes(b"before")
+    draft.write_text(
+        CONTRACT.replace("[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]\nmultiply = 0.5", "[0.1, 0.2]\nmultiply = 0.5")
+    )
+    with pytest.raises(ContractError, match="action: offset: found 2 numbers, expected 1 or 6"):
+        import_policy(path, draft, out)
+    draft.write_text(CONTRACT)
+    with pytest.raises(ContractError, match=r"nothing\.onnx: cannot be read: No such file"):
+        import_policy(Path("nothing.onnx"), draft, out)
+    with pytest.raises(OutputError):
+        import_policy(path, draft, out / "inside.onnx")
+    assert out.read_bytes() == b"before"

@@ -1,0 +1,190 @@
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnxscript")
+
+from torch import nn
+
+from policies.importers.torch_files.torchscript import read_torchscript
+from policies.importers.torch_files.torchscript_source import REFUSED, check_source
+from robots.errors import ContractError
+from support.import_parity import parity
+from support.paths import SHARED
+from support.torch_files import HIDDEN, A, N, Recurrent, changed, members, mlp, saved_script
+
+H1 = SHARED / "peers" / "h1" / "motion.pt"
+
+
+class Attribute(nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.layer = nn.Linear(N, A)
+        self.state = torch.zeros(1, A)
+
+    def forward(self, x):
+        self.state = torch.tanh(self.layer(x) + self.state)
+        return self.state
+
+
+class Hidden(Attribute):
+    def forward(self, x):
+        self.state.copy_(torch.tanh(self.layer(x) + self.state))
+        return self.state.clone()
+
+
+def refused(path):
+    with pytest.raises(ContractError) as caught:
+        read_torchscript(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return message.removeprefix(f"{path}: ")
+
+
+# ---- policies ----
+
+
+def test_a_scripted_network_is_reproduced_and_a_spoiled_weight_breaks_parity(tmp_path):
+    original = read_torchscript(saved_script(tmp_path / "policy.pt", mlp()))
+    assert (original.facts.kind, original.facts.observations, original.facts.actions) == ("TorchScript", N, A)
+    assert original.batched
+    assert parity(original) <= 1e-5
+    original.model.graph.initializer[0].raw_data = bytes(len(original.model.graph.initializer[0].raw_data))
+    with pytest.raises(ContractError, match="weights or a normalizer differ"):
+        parity(original)
+
+
+def test_what_buffers_remember_is_handed_on(tmp_path):
+    torch.manual_seed(1)
+    original = read_torchscript(saved_script(tmp_path / "policy.pt", Recurrent().eval()))
+    assert original.facts.observations == N
+    assert [memory.shape for memory in original.memory] == [(1, 1, HIDDEN)] * 2
+    assert parity(original) <= 1e-5
+
+
+@pytest.mark.parametrize("kind", ["MLPModel", "RNNModel"])
+def test_what_rsl_rl_exports_is_reproduced_with_its_normalizer(tmp_path, kind):
+    models = pytest.importorskip("rsl_rl.models")
+    tensordict = pytest.importorskip("tensordict")
+    torch.manual_seed(2)
+    groups = {"actor": ["policy"]}
+    observation = tensordict.TensorDict({"policy": torch.randn(64, N) * 3 + 1}, batch_size=[64])
+    more = {"rnn_hidden_dim": HIDDEN} if kind == "RNNModel" else {}
+    model = getattr(models, kind)(
+        observation, groups, "actor", A, hidden_dims=(16,), obs_normalization=True, **more
+    )
+    model.update_normalization(observation)
+    original = read_torchscript(saved_script(tmp_path / "policy.pt", model.eval().as_jit()))
+    assert (original.facts.observations, original.facts.actions) == (N, A)
+    assert original.memory_size == (2 * HIDDEN if more else 0)
+    assert parity(original) <= 1e-5
+
+
+@pytest.mark.parametrize("make", [lambda m: torch.jit.trace(m, torch.zeros(1, N)), "freeze"])
+def test_traced_and_frozen_networks_are_loaded(tmp_path, make):
+    make = (lambda m: torch.jit.freeze(torch.jit.script(m))) if make == "freeze" else make
+    original = read_torchscript(saved_script(tmp_path / "policy.pt", mlp(), make))
+    observation = torch.randn(1, N)
+    found = original.play(observation.numpy(), torch.ones(1, dtype=torch.bool).numpy())
+    torch.testing.assert_close(torch.from_numpy(found), mlp()(observation).detach(), rtol=0, atol=1e-6)
+
+
+@pytest.mark.skipif(not H1.exists(), reason="no policy of Unitree's beside this project")
+def test_unitrees_walking_policy_is_reproduced():
+    original = read_torchscript(H1)
+    assert (original.facts.observations, original.facts.actions, original.memory_size) == (41, 10, 128)
+    assert parity(original) <= 1e-5
+
+
+def test_a_memory_outside_the_buffers_is_refused(tmp_path):
+    message = refused(saved_script(tmp_path / "policy.pt", Attribute()))
+    assert message == "state: found a memory (Tensor) that is no buffer, expected buffers"
+
+
+def test_a_memory_that_nothing_shows_is_found_when_it_is_traced(tmp_path):
+    """Torch does not let a graph write into a tensor that is neither its own nor given."""
+    assert refused(saved_script(tmp_path / "policy.pt", Hidden())).startswith("cannot be run or traced: ")
+
+
+# ---- files that would do more ----
+
+
+def test_every_operator_that_is_given_a_file_is_refused():
+    given = {
+        schema.name.removeprefix("aten::")
+        for schema in torch._C._jit_get_all_schemas()
+        if schema.name.startswith("aten::")
+        for argument in schema.arguments
+        if str(argument.type) == "str"
+        and any(word in argument.name for word in ("file", "path", "dir", "url"))
+    }
+    assert given == REFUSED - {"classes"}
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("torch.save(x, 'out')", "torch.save"),
+        ("(x).save('out')", "x.save"),
+        ("('out').from_file()", "'out'.from_file"),
+        ("getattr(x, 'save')('out')", "'save'"),
+        ("t = torch", "torch"),
+        ("ops.quantized.add(x, x, 1., 0)", "ops.quantized"),
+        ("p = ops.prim", "ops.prim"),
+        ("ops.prim.rpc_sync('w', x)", "ops.prim.rpc_sync"),
+        ("fork(x)", "fork"),
+        ("print(x)", "print"),
+        ("torch.load('in')", "torch.load"),
+        ("__torch__.torch.classes.profiler.Profiler()", "__torch__.torch.classes"),
+    ],
+)
+def test_what_reaches_beyond_tensors_is_named(line, found):
+    text = f"def forward(self: Tensor,\n    x: Tensor) -> Tensor:\n  {line}\n  return x\n"
+    with pytest.raises(ContractError) as caught:
+        check_source(text.encode(), "f.py")
+    assert str(caught.value).startswith(f"f.py: line 3: found {found}")
+
+
+def test_code_that_runs_while_a_file_is_loaded_is_refused_before(tmp_path):
+    witness = tmp_path / "witness"
+
+    path = saved_script(tmp_path / "policy.pt", mlp())
+    (code,) = (name for name in members(path) if "container" in name and name.endswith(".py"))
+    evil = f"\n  def __setstate__(self, s: int) -> NoneType:\n    torch.save(1, {str(witness)!r})\n    return None\n"
+    message = refused(changed(path, code.partition("/")[2], lambda text: text + evil.encode()))
+    assert "found torch.save" in message
+    assert not witness.exists()
+
+
+def test_a_tensor_that_claims_more_bytes_than_it_has_is_refused(tmp_path):
+    path = changed(saved_script(tmp_path / "policy.pt", mlp()), "data/0", lambda data: data[:8])
+    assert refused(path).startswith("data.pkl: tensor 0: found 8 bytes, expected ")
+
+
+def test_a_foreign_class_in_the_pickle_is_refused(tmp_path):
+    def spoiled(data):
+        return data.replace(b"collections\nOrderedDict", b"posix\nsystem")
+
+    message = refused(changed(saved_script(tmp_path / "policy.pt", mlp()), "data.pkl", spoiled))
+    assert message.startswith("data.pkl: found 'posix system', expected only the file's own classes")
+
+
+def test_other_files_are_refused_in_one_line(tmp_path):
+    path = tmp_path / "policy.pt"
+    path.write_bytes(b"no zip")
+    assert refused(path).startswith("found no archive that can be read")
+    torch.save({"a": torch.zeros(1)}, path)
+    assert refused(path).startswith("found no data.pkl and constants.pkl")
+    assert refused(tmp_path / "none.pt").startswith("cannot be read: No such file")
+
+
+def test_a_network_that_runs_with_no_size_of_its_weights_is_refused(tmp_path):
+    class Images(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.layer = nn.Linear(N, A)
+
+        def forward(self, x):
+            return self.layer(x.view(1, 2, self.layer.in_features).sum(1))
+
+    assert refused(saved_script(tmp_path / "policy.pt", Images())).endswith(f"as its weights take: [{N}]")

@@ -1,0 +1,46 @@
+import sys
+
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnxscript")
+pytest.importorskip("rsl_rl.models")
+
+from policies import bench as command
+from policies.importers.draft import read_draft
+from policies.importers.recognize import read_original
+from support.arm6 import SPEC
+
+KINDS = {
+    "ONNX": "ONNX",
+    "rsl_rl, MLP": "rsl_rl MLP with a normalizer",
+    "rsl_rl, LSTM": "rsl_rl LSTM with a normalizer",
+    "TorchScript, LSTM": "TorchScript",
+    "torch.export": "torch.export program",
+    "state_dict": "state_dict of an MLP",
+}
+
+
+def test_each_kind_of_file_is_what_it_says_and_its_contract_fits(tmp_path):
+    files = command.made(tmp_path, SPEC, layers=(16, 8))
+    found = {}
+    for kind, (path, network) in files.items():
+        draft = tmp_path / "x.toml"
+        draft.write_text(command.contract(SPEC, network))
+        facts = read_original(path, read_draft(draft).network).facts
+        assert (facts.observations, facts.actions) == (21, 6)
+        found[kind] = facts.kind
+    assert found == KINDS
+
+
+def test_loading_says_how_long_it_took(arm_policy, capsys):
+    command.loads(SPEC, arm_policy)
+    assert ": loaded and verified in 0." in capsys.readouterr().out
+
+
+def test_an_unknown_bench_is_refused(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["bench", "nothing"])
+    with pytest.raises(SystemExit) as caught:
+        command.main(command.bench)
+    assert caught.value.code == 2
+    assert "found 'nothing', expected one of import, load or all" in capsys.readouterr().err

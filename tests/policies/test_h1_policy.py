@@ -1,0 +1,61 @@
+"""Unitree's own walking policy on its own robot, where both lie beside the project: no code was written for them."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
+
+from deploy.state import Mode
+from eval.bench.trial import Trial
+from eval.bench.walk import stroll
+from policies.doctor.case import Case
+from policies.doctor.examination import examined
+from policies.doctor.finding import Verdict
+from policies.importers.cli import import_policy
+from robots.distributions import load_distributions
+from robots.draws import middle
+from robots.randomness import robot_seed
+from robots.spec import load_robot
+from support.paths import SHARED, TEST_ROBOTS
+
+VENDOR = SHARED / "peers" / "h1"
+pytestmark = pytest.mark.skipif(not VENDOR.is_dir(), reason="the vendor's files are not beside the project")
+
+ROBOTS, WALKED_S = 2, 60.0
+
+
+@pytest.fixture(scope="module")
+def h1(tmp_path_factory):
+    """The robot's folder, with its policy in it."""
+    folder = tmp_path_factory.mktemp("robots") / "h1"
+    shutil.copytree(TEST_ROBOTS / "h1", folder)
+    shutil.copyfile(VENDOR / "h1.xml", folder / "model.xml")
+    shutil.copytree(VENDOR / "meshes", folder / "meshes")
+    import_policy(VENDOR / "motion.pt", folder / "contract.toml", folder / "walk.onnx", folder)
+    return folder
+
+
+def test_it_walks_for_a_minute_through_the_whole_stack(h1):
+    spec, seeds = load_robot(h1), [robot_seed(7, robot) for robot in range(ROBOTS)]
+    given = middle(load_distributions(spec), spec, ROBOTS)
+    trial = Trial(spec, h1 / "walk.onnx", seeds, given=given)
+    found, counts = stroll(trial, WALKED_S), trial.judge.counts()
+    assert (trial.runtime.supervisor.mode == Mode.RUNNING).all()
+    assert not counts.stops.any()
+    assert [m.name for m in counts.monitors if m.hard and counts.total(m.name)] == []
+    assert counts.worst[:, counts.columns("tilt")].max() < 0.5
+    assert (np.abs(found.forwards - 0.5) < 0.08).all()
+    assert found.lag < 0.06
+    assert counts.reached.sum() >= counts.attempted.sum() - ROBOTS  # the first begins at rest
+
+
+def test_the_doctor_finds_nothing_that_speaks_against_it(h1):
+    findings = list(examined(Case(h1 / "walk.onnx", h1)))
+    assert [finding.said for finding in findings if finding.verdict is Verdict.FAIL] == []
+    said = {finding.check: finding.verdict for finding in findings}
+    assert {
+        said[name] for name in ("loader", "gains", "sources", "protection", "tilt", "activation", "heat")
+    } == {Verdict.PASS}

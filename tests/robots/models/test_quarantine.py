@@ -1,0 +1,113 @@
+"""A model that somebody else wrote."""
+
+import subprocess
+import sys
+
+import pytest
+
+from support.arm6 import SPEC
+from support.model_files import write_stl
+
+pytest.importorskip("mujoco")
+
+from robots.errors import RobotError
+from robots.models.files import named_files
+from robots.models.quarantine import MEMORY_GIB, check_compiles
+
+BODY = '<body name="a"><joint name="j"/><geom size="0.1"/>{}</body>'
+
+
+def written(folder, inside="", body=""):
+    path = folder / "model.xml"
+    path.write_text(f"<mujoco>{inside}<worldbody>{BODY.format(body)}</worldbody></mujoco>")
+    return path
+
+
+def test_a_model_that_compiles_is_let_through(tmp_path):
+    check_compiles(SPEC.model_path, SPEC.folder)
+    check_compiles(written(tmp_path), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("inside", "body", "message"),
+    [
+        ("", "<geom/>", r"model\.xml: MuJoCo cannot read it: .*size"),
+        ('<size nuserdata="2000000000"/>', "", r"model\.xml: MuJoCo cannot read it: .*[Cc]ould not allocate"),
+    ],
+)
+def test_what_mujoco_refuses_is_said(tmp_path, inside, body, message):
+    path = written(tmp_path, inside, body)
+    with pytest.raises(RobotError, match=message) as caught:
+        check_compiles(path, tmp_path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_a_model_that_would_take_for_ever_is_given_up(tmp_path):
+    many = '<replicate count="2000000" offset="0.1 0 0"><geom size="0.01"/></replicate>'
+    path = written(tmp_path, body=many)
+    with pytest.raises(
+        RobotError, match=rf"cannot compile it within 3 s of a core and {MEMORY_GIB} GiB: exit code -"
+    ):
+        check_compiles(path, tmp_path, cpu_s=3)
+
+
+def test_no_code_of_the_folder_that_it_is_called_in_runs(tmp_path, monkeypatch):
+    for name in ("mujoco.py", "resource.py"):
+        (tmp_path / name).write_text("from pathlib import Path\nPath('ran').touch()\n")
+    monkeypatch.chdir(tmp_path)
+    check_compiles(written(tmp_path), tmp_path)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_machine_that_allows_less_is_no_obstacle(tmp_path):
+    """A process whose own hard limits are below those of the quarantine cannot raise them, and need not."""
+    path = written(tmp_path)
+    code = (
+        "import resource, sys; from pathlib import Path; from robots.models.quarantine import check_compiles\n"
+        "resource.setrlimit(resource.RLIMIT_CPU, (20, 20))\n"
+        "resource.setrlimit(resource.RLIMIT_DATA, (4 << 30, 4 << 30))\n"
+        "check_compiles(Path(sys.argv[1]), Path(sys.argv[1]).parent)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(path)], check=True)
+
+
+@pytest.mark.parametrize("decoy", [False, True])
+@pytest.mark.parametrize(
+    ("compiler", "file"),
+    [
+        ("", "../secret/a.stl"),
+        ("", "{}/secret/a.stl"),
+        ('<compiler meshdir="../secret"/>', "a.stl"),
+        ('<compiler assetdir="{}/secret"/>', "a.stl"),
+        ('<compiler strippath="true"/><compiler strippath="false"/>', "{}/secret/a.stl"),
+    ],
+)
+def test_a_file_outside_of_its_folder_is_not_even_opened(tmp_path, compiler, file, decoy):
+    """Not even where one of the same name lies inside, for MuJoCo would take the other."""
+    write_stl(tmp_path / "secret" / "a.stl")
+    (tmp_path / "robot").mkdir()
+    if decoy:
+        write_stl(tmp_path / "robot" / "a.stl")
+    mesh = f'{compiler}<asset><mesh name="m" file="{file}"/></asset>'.replace("{}", str(tmp_path))
+    with pytest.raises(RobotError, match="expected a file inside"):
+        check_compiles(written(tmp_path / "robot", mesh), tmp_path / "robot")
+
+
+@pytest.mark.parametrize(
+    ("compiler", "file", "found"),
+    [
+        ("", "a.stl", ["a.stl"]),
+        ('<compiler meshdir="m"/>', "a.stl", ["m/a.stl"]),
+        ('<compiler meshdir="m"/>', "../a.stl", ["a.stl"]),
+        ('<compiler texturedir="../t"/>', "a.stl", ["a.stl"]),  # no texture is named
+        ('<compiler assetdir="m"/>', "a.stl", ["m/a.stl"]),
+        ('<compiler assetdir="m" meshdir="n"/>', "a.stl", ["m/a.stl", "n/a.stl"]),  # one of them
+        ('<compiler meshdir="m" strippath="true"/>', "/home/vendor/a.stl", ["m/a.stl"]),
+    ],
+)
+def test_whatever_mujoco_may_take_is_a_file_of_the_model(tmp_path, compiler, file, found):
+    for name in ("a.stl", "m/a.stl", "n/a.stl"):
+        write_stl(tmp_path / name)
+    path = written(tmp_path, f'{compiler}<asset><mesh name="m" file="{file}"/></asset>')
+    assert [str(each.relative_to(tmp_path)) for each in named_files(path, tmp_path)] == found
+    check_compiles(path, tmp_path)

@@ -1,0 +1,195 @@
+import re
+
+import numpy as np
+import pytest
+
+from robots.errors import RobotError
+from robots.models.fleet import torque_max
+from robots.spec import load_robot
+from support.arm6 import ARM, SPEC, complaint, copy_of_arm
+
+
+def test_by_name_and_by_path_are_the_same_robot():
+    by_path = load_robot(ARM)
+    assert by_path == SPEC
+    assert (SPEC.name, SPEC.n, SPEC.dt, SPEC.tool) == ("arm6", 6, 0.005, "tool")
+    assert SPEC.folder.is_absolute()
+    assert len(set(SPEC.joint_names)) == SPEC.n
+
+
+def test_arrays_follow_joint_order():
+    assert SPEC.joint_array("q_home").shape == (6,)
+    for name in ("q_min", "qdd_max"):
+        assert SPEC.joint_array(name).tolist() == [getattr(joint, name) for joint in SPEC.joints]
+    expected = [SPEC.motors[joint.motor].housing_capacity_j_per_k for joint in SPEC.joints]
+    assert SPEC.motor_array("housing_capacity_j_per_k").tolist() == expected
+
+
+def test_unknown_robot_names_the_known_ones(tmp_path):
+    for robot in ("arm7", tmp_path, tmp_path / "nothing"):
+        message = complaint(robot)
+        assert str(robot) in message
+        assert "arm6" in message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("qdd_max = 10.3", "qdd_mx = 10.3", ["joints.0.qdd_mx", "Extra inputs", "10.3"]),
+        ("qdd_max = 10.3", "", ["joints.0.qdd_max", "required"]),
+        ("qdd_max = 10.3", "qdd_max = '10.3'", ["joints.0.qdd_max", "number", "'10.3'"]),
+        ("qdd_max = 10.3", "qdd_max = 0", ["joints.0.qdd_max", "greater than 0", "found 0"]),
+        ("qdd_max = 10.3", "qdd_max = nan", ["joints.0.qdd_max", "finite", "nan"]),
+        ("qddd_max = 173.0", "qddd_max = -inf", ["joints.0.qddd_max", "-inf"]),
+        ("control_hz = 200", "control_hz = 200.0", ["rates.control_hz", "integer", "200.0"]),
+        ("control_hz = 200", "control_hz = 0", ["rates.control_hz", "greater than 0"]),
+        ("physics_hz = 1000", "physics_hz = 900", ["rates", "900", "not a multiple", "200"]),
+        ("physics_hz = 1000", "physics_hz = 100", ["rates", "100", "not a multiple", "200"]),
+        ("tau = 0.9", "tau = 1.1", ["margins.tau", "less than or equal to 1", "1.1"]),
+        ("q_soft_rad = 0.03", "q_soft_rad = 0.06", ["margins", "q_soft_rad 0.06", "q_target_rad 0.05"]),
+        ("stale_s = 0.035", "stale_s = 0.2", ["margins", "stale_s 0.2", "lost_s 0.11"]),
+        ("q_home = 0.0", "q_home = 1.9", ["joints.0", "q_home of shoulder_pan is 1.9", "1.3"]),
+        ("q_home = 0.0", "q_home = -1.3", ["joints.0", "q_home of shoulder_pan", "outside"]),
+        ("q_min = -1.3", "q_min = 2.5", ["joints.0", "2.5"]),
+        ('motor = "size3"', 'motor = "size4"', ["shoulder_pan", "'size4'", "known: size3, size1"]),
+        ('name = "arm6"', "name = 6", ["name", "string", "6"]),
+        ('name = "arm6"', 'name = "arm6"\nfolder = "/"', ["folder"]),
+        ('name = "arm6"', 'name = "arm6"\nfolder = 3', ["folder"]),
+        ("delay_s = 0.008", "delay_s = 0.3", ["sensors.encoder.delay_s", "less than 0.25", "0.3"]),
+        (
+            "delay_s = 0.008",
+            "delay_s = 0.032",
+            ["encoder.delay_s: found 0.032", "every 0.005 s", "stale_s 0.035"],
+        ),
+        (
+            "rate_hz = 200",
+            "rate_hz = 30",
+            ["encoder.delay_s: found 0.008", "every 0.0333 s", "stale_s 0.035"],
+        ),
+        (
+            "noise = 0.001",
+            "noise = -0.001",
+            ["sensors.encoder.noise", "greater than or equal to 0", "-0.001"],
+        ),
+        ("loss = 0.005", "loss = 0.6", ["sensors.encoder.loss", "0.5", "0.6"]),
+        ('unit = "rad"', 'unit = "deg"', ["sensors", "encoder.unit", "found 'deg'", "expected 'rad'"]),
+        ('unit = "rad"', "", ["sensors.encoder.unit", "required"]),
+        (r'unit = "rad"', 'unit = "rad"\nsites = ["tool"]', ["encoder.sites", "['tool']", "expected none"]),
+        (r'sites = \["tool"\]', "", ["force.sites", "found []", "expected one"]),
+        (r'sites = \["tool"\]', 'sites = ["tool", "tool"]', ["force.sites", "expected one"]),
+        (r"\[sensors.encoder\]", "[sensors.encodr]", ["sensors", "encodr", "'encoder'"]),
+        (r"\[sensors.temperature\]", "[sensors.gyro]", ["sensors", "no temperature", "encoder, current"]),
+        ("rate_hz = 200", "rate_hz = 400", ["encoder.rate_hz", "found 400", "control_hz 200"]),
+        ("resolution = 0.01", "resolution = 50.0", ["sensors.current", "resolution 50.0", "range 40.0"]),
+        ("housing_capacity_j_per_k = 1200.0", "housing_capacity = 1200.0", ["motors.size3.housing_capacity"]),
+        ("centre = .*", "centre = [0.0, 0.0]", ["workspace.centre"]),
+        (
+            "housing_soft_c = 70.0",
+            "housing_soft_c = 95.0",
+            ["motors.size3", "95.0 is not below housing_max_c 90.0"],
+        ),
+        ("winding_max_c = 110.0", "winding_max_c = 400.0", ["winding_max_c", "300", "400"]),
+        ('source = "estimate: 14 bit.*"', 'source = ""', ["sensors.encoder.source", "at least 1 character"]),
+        (
+            'source = "estimate: to the room.*"',
+            'source = ""',
+            ["motors.size3.source", "at least 1 character"],
+        ),
+        ('source = "as shoulder_pan;.*"', 'source = ""', ["joints.1.source", "at least 1 character"]),
+        ("control_hz = 200", "control_hz = [", ["not valid TOML"]),
+    ],
+)
+def test_a_wrong_robot_file_is_one_clear_error(tmp_path, old, new, words):
+    folder = copy_of_arm(tmp_path, toml=[(old, new)])
+    message = complaint(folder)
+    assert message.startswith(str(folder / "robot.toml"))
+    for word in words:
+        assert word in message
+
+
+def test_a_robot_without_joints(tmp_path):
+    folder = copy_of_arm(tmp_path)
+    text = (folder / "robot.toml").read_text()
+    (folder / "robot.toml").write_text("joints = []\n" + text[: text.index("[[joints]]")])
+    assert "joints" in complaint(folder)
+
+
+def test_a_robot_file_that_is_a_folder(tmp_path):
+    folder = copy_of_arm(tmp_path)
+    (folder / "robot.toml").unlink()
+    (folder / "robot.toml").mkdir()
+    assert "robot.toml" in complaint(folder)
+
+
+def test_digest_does_not_see_layout_and_comments(tmp_path):
+    folder = copy_of_arm(tmp_path)
+    toml, xml = folder / "robot.toml", folder / "model.xml"
+    toml.write_text(
+        "# another comment\n\n" + toml.read_text().replace(" = ", "   =  ").replace("\n\n", "\n# c\n\n")
+    )
+    text = xml.read_text()
+    text = re.sub(r"<!--.*?-->", "<!-- said differently -->", text, flags=re.DOTALL)
+    text = text.replace(
+        '<light pos="1 -1 2.5" dir="-0.4 0.4 -1"', '<light dir="-0.4 0.4 -1"\n  pos="1 -1 2.5"'
+    )
+    xml.write_text(text.replace(">\n", ">\n\n\t"))
+    assert load_robot(folder).digest == SPEC.digest
+
+
+def _numbers(text):
+    """Where every number stands, comments and names left out."""
+    blank = re.sub(r"<!--.*?-->|#[^\n]*", lambda m: " " * len(m[0]), text, flags=re.DOTALL)
+    return [m.span() for m in re.finditer(r'(?<=[ "=\[])-?\d+\.?\d*(?=[ ",\n\]])', blank)]
+
+
+@pytest.mark.parametrize("name", ["robot.toml", "model.xml"])
+def test_digest_sees_every_number(tmp_path, name):
+    folder = copy_of_arm(tmp_path)
+    path = folder / name
+    text, seen = path.read_text(), {SPEC.digest}
+    spans = _numbers(text)
+    assert len(spans) > 60
+    for start, stop in spans:
+        number, is_rate = text[start:stop], "hz" in text[start - 13 : start]
+        nudged = str(int(number) * 2) if is_rate else repr(float(number) * (1 + 1e-12) + 1e-12)
+        path.write_text(text[:start] + nudged + text[stop:])
+        try:
+            seen.add(load_robot(folder).digest)
+        except RobotError as e:  # what cannot be loaded cannot be confused either
+            seen.add(f"{e} at {start}")
+    assert len(seen) == len(spans) + 1
+
+
+def test_digest_of_a_missing_or_broken_model(tmp_path):
+    folder = copy_of_arm(tmp_path, xml=[("</mujoco>", "")])
+    spec = load_robot(folder)
+    with pytest.raises(RobotError, match=re.escape(str(folder / "model.xml"))):
+        _ = spec.digest
+    (folder / "model.xml").unlink()
+    with pytest.raises(RobotError, match=re.escape(str(folder / "model.xml"))):
+        _ = spec.digest
+
+
+def test_working_range_lies_inside_the_mechanical_one():
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(SPEC.model_path))
+    for i, joint in enumerate(SPEC.joints):
+        low, high = model.joint(joint.name).range
+        assert low < joint.q_min < joint.q_max < high
+        assert joint.name == SPEC.joint_names[i]
+
+
+def test_drives_reach_the_published_torque_at_the_published_speed():
+    """The derivation that robot.toml claims: 150 and 28 N·m at 3.14 rad/s on 48 V."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(SPEC.model_path))
+    published_speed = np.pi
+    for i in range(SPEC.n):
+        gear = model.actuator_gear[i, 0]
+        resistance, constant = model.actuator_gainprm[i, :2]
+        amperes = torque_max(SPEC)[i] / (gear * constant)
+        back_emf = constant * gear * published_speed
+        assert amperes * resistance + back_emf <= 48.0
+        assert back_emf == pytest.approx(31.7, abs=0.05)
+        assert amperes == pytest.approx([14.85, 2.77][i >= 3], abs=0.01)
+    np.testing.assert_array_equal(torque_max(SPEC), [150, 150, 150, 28, 28, 28])

@@ -1,0 +1,27 @@
+from eval.faults.faults import catalogue
+from eval.faults.schedule import Injection, Schedule
+from support.arm6 import SPEC
+
+CLASSES, N, DT = catalogue(SPEC), SPEC.n, SPEC.dt
+
+
+def named(name):
+    return next(each for each in CLASSES if each.name == name)
+
+
+def one_each(faults, begins, *, lasts=None):
+    """A schedule that gives each robot one fault: (class, channel), or None for none."""
+    injections = [
+        Injection(
+            robot=robot,
+            slot=0,
+            fault=fault[0],
+            channel=fault[1],
+            begins=begins,
+            ends=begins + (round(fault[0].lasts_s / DT) if lasts is None else lasts),
+            over=begins + 2_000,
+        )
+        for robot, fault in enumerate(faults)
+        if fault is not None
+    ]
+    return Schedule(CLASSES, len(faults), injections)

@@ -1,0 +1,64 @@
+import numpy as np
+
+from deploy.safety.safety import Safety
+from deploy.state import Reason, Setpoint, State
+from robots.models.fleet import Fleet
+from support.arm6 import SPEC
+
+N = SPEC.n
+HOME = SPEC.joint_array("q_home")
+LOW, HIGH = (SPEC.joint_array(f"q_{end}") for end in ("min", "max"))
+MARGINS, SPACE = SPEC.margins, SPEC.workspace
+ZERO = np.zeros(N)
+SAFETY = Safety(SPEC, Fleet(SPEC, 2, collisions=True))
+
+
+def point(q=HOME, qd=ZERO, qdd=ZERO):
+    return Setpoint(q=np.atleast_2d(q).copy(), qd=np.atleast_2d(qd).copy(), qdd=np.atleast_2d(qdd).copy())
+
+
+def judge(
+    *,
+    q_hat=None,
+    qd_hat=ZERO,
+    sent=None,
+    age=0.0,
+    temperature=30.0,
+    hottest=40.0,
+    setpoint=None,
+    ahead=None,
+    q_midst=None,
+    q_rest=None,
+):
+    """The verdict on one robot, everything else being well."""
+    setpoint = setpoint or point()
+    q_hat = setpoint.q if q_hat is None else np.atleast_2d(q_hat)
+    state = State(
+        t=1.0,
+        q=q_hat,
+        qd=np.atleast_2d(qd_hat),
+        q_var=np.full((1, N), 1e-6),
+        age=np.array([age]),
+        nis=np.ones((1, N)),
+        temperature=np.broadcast_to(np.asarray(temperature, dtype=float), (1, N)),
+        winding=np.full((1, N), 40.0),
+        hottest=np.broadcast_to(np.asarray(hottest, dtype=float), (1, N)),
+        fold=np.ones((1, N)),
+        fault=np.zeros(1, dtype=np.int64),
+    )
+    ahead = setpoint if ahead is None else ahead
+    rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
+    midst = HOME[None] if q_midst is None else np.atleast_2d(q_midst)
+    return SAFETY.step(
+        state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, ahead, midst, rest
+    )
+
+
+def reasons(**situation):
+    return Reason(int(judge(**situation).reason[0]))
+
+
+def one(joint, value, base=ZERO):
+    array = np.array(base, dtype=float)
+    array[joint] = value
+    return array

@@ -1,0 +1,47 @@
+import pytest
+
+pytest.importorskip("mujoco")
+
+import numpy as np
+
+from deploy.policy.policy import Policy
+from eval.faults.fault_response import Injections
+from eval.judge.judge import Judge
+from eval.judge.monitors import MONITORS
+from eval.soak.configuration import Soak
+from eval.soak.shard import COUNTED, WIDTH, ShardJob, ShardResult
+from eval.statistics.budget import BUDGET
+from robots.models.fleet import torque_max
+from support.arm6 import SPEC
+
+
+def job(policy, **changes):
+    digests = {"robot_digest": SPEC.digest, "policy_digest": Policy.load(policy, SPEC).digest}
+    wanted = {"seed": 3, "first": 0, "robots": WIDTH, "ticks": 900, "sample_ticks": 100, **digests, **changes}
+    return ShardJob(robot=SPEC.folder, policy=policy, **wanted)
+
+
+N, M = SPEC.n, len(MONITORS)
+
+
+def asked(path):
+    """For 8 h of 10 robots, which is two shards."""
+    how = {"budget": BUDGET, "hours": 8.0, "robots": 10, "seed": 3, "workers": 1}
+    return Soak(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **how)
+
+
+def lived(samples, robots, seed=0):
+    """A shard's result of numbers that could be anything."""
+    rng = np.random.default_rng(seed)
+    counted = {name: rng.integers(0, 1 << 40, (samples, robots)) for name in COUNTED}
+    worn = rng.normal(size=(samples, 4, robots, N))
+    worn[-1, :, 0], winding = np.nan, rng.normal(40, 10, (samples, robots, N))
+    return ShardResult(
+        counts=Judge(SPEC, torque_max(SPEC), robots).counts(),
+        injections=Injections(**{name: np.zeros((robots, 0)) for name in Injections.__slots__}),
+        winding_c=winding,
+        worn=worn,
+        folded_back=rng.uniform(0, 1, (samples, robots, N)),
+        events=rng.integers(0, 9, (samples, robots, M)),
+        **counted,
+    )
