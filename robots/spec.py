@@ -20,7 +20,7 @@ from robots.errors import RobotError
 from robots.models.files import named_files, read_xml
 from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
 from robots.strict import Strict, read_toml
-from robots.tables import Base, Joint, Margins, Motor, Rates, Tooling, Workspace
+from robots.tables import Base, Joint, Margins, Motor, Rates, Workspace
 
 ROBOTS = Path(__file__).parent
 
@@ -43,11 +43,13 @@ def _unsaid(value: object) -> bool:
 class RobotSpec(Strict):
     """One robot folder: the strict reading of robot.toml, plus the folder itself.
 
-    A robot stands fixed and has a tool in a workspace, or walks and has a base.
+    Tool, workspace, base and the margins that belong to them are optional, each on its own: see `capabilities`.
 
     Attributes:
         model: file of the folder, MJCF (.xml) or URDF (.urdf).
         tool: a site or a body of the model.
+        workspace: bounds on the tool; of a robot with a base, in the frame of its root body.
+        base: a floating base; without one, the robot is fixed to the world.
         locked: joints of the model that stay at 0 and that nobody drives.
         capsules: what bodies are taken for where they might meet; empty for the shapes that the model has.
         neighbours: pairs of bodies that are always near, so that nobody asks whether they meet.
@@ -69,17 +71,18 @@ class RobotSpec(Strict):
     joints: Annotated[tuple[Joint, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _stands_or_walks(self) -> Self:
-        margins, names = self.margins, ("tool", "workspace", "margins.workspace_m", "margins.singularity")
-        tooling = self.tool, self.workspace, margins.workspace_m, margins.singularity
-        for name, found in zip(names, tooling, strict=True):
-            if (found is None) != (self.base is not None):
-                here = (
-                    "missing, of a robot without base"
-                    if found is None
-                    else "found one, of a robot with a base"
-                )
-                raise ValueError(f"{name}: {here}")
+    def _capabilities_complete(self) -> Self:
+        margins = self.margins
+        of_tool = {"workspace": self.workspace, "margins.singularity": margins.singularity}
+        for name, found in of_tool.items():
+            if found is not None and self.tool is None:
+                raise ValueError(f"{name}: found {found}, expected none of a robot without tool")
+        if self.workspace is None and margins.workspace_m is not None:
+            raise ValueError(
+                f"margins.workspace_m: found {margins.workspace_m}, expected none of a robot without workspace"
+            )
+        if self.workspace is not None and margins.workspace_m is None:
+            raise ValueError("margins.workspace_m: missing, expected one of a robot with a workspace")
         return self
 
     @model_validator(mode="after")
@@ -149,14 +152,6 @@ class RobotSpec(Strict):
                     f" {motor.winding_max_c} less margins.winding_k {self.margins.winding_k}"
                 )
         return self
-
-    @property
-    def tooling(self) -> Tooling | None:
-        """Tool and workspace of a robot that stands fixed; None of one that has a base."""
-        tool, space, margins = self.tool, self.workspace, self.margins
-        if tool is None or space is None or margins.workspace_m is None or margins.singularity is None:
-            return None
-        return Tooling(tool, space, margins.workspace_m, margins.singularity)
 
     @property
     def capabilities(self) -> frozenset[Capability]:

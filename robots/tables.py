@@ -1,6 +1,6 @@
 """The tables of robot.toml: joints, motors, rates, margins, and where a robot stands."""
 
-from typing import Annotated, NamedTuple, Self
+from typing import Annotated, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
@@ -100,9 +100,10 @@ class Margins(Strict):
         q_soft_rad: setpoints are refused, and the judge calls it soft, this far inside.
         speed: setpoint speed, as a fraction of qd_max and of tool_speed_max: the rest is for the drive's own ringing.
         tau: setpoint torque by the nominal model, as a fraction of the torque range.
-        collision_m: clearance kept between capsules.
-        workspace_m: how far inside the workspace setpoints stay, of robots with a tool.
-        singularity: least manipulability (`Fleet.manipulability`), m³ for a six-joint arm, of robots with a tool.
+        collision_m: clearance kept between capsules; without it, self-collision is not checked.
+        workspace_m: how far inside the workspace setpoints stay; of robots with a workspace, and of all of those.
+        singularity: least manipulability (`Kinematics.manipulability`), m³ for a six-joint arm, of robots with a tool;
+            without it, singularities are not checked.
         tracking_rad: setpoint minus estimate that stops the robot.
         stale_s: age of the newest sample that makes the robot slow down and hold.
         lost_s: age of the newest sample that makes it stop and cut power.
@@ -117,7 +118,7 @@ class Margins(Strict):
     q_soft_rad: PositiveFloat
     speed: Fraction
     tau: Fraction
-    collision_m: PositiveFloat
+    collision_m: PositiveFloat | None = None
     workspace_m: PositiveFloat | None = None
     singularity: PositiveFloat | None = None
     tracking_rad: PositiveFloat
@@ -151,15 +152,6 @@ class Workspace(Strict):
     radius_max: PositiveFloat
     centre: tuple[float, float, float]
     tool_speed_max: PositiveFloat
-
-
-class Tooling(NamedTuple):
-    """What a robot with a tool has beside one: where it may be, and the margins for that, as in `Margins`."""
-
-    name: str
-    workspace: Workspace
-    workspace_m: float
-    singularity: float
 
 
 class Base(Strict):

@@ -36,15 +36,16 @@ class Safety:
             effort: the law of its drives; by default they are stiff.
         """
         self._fleet, self._on_the_way = fleet, fleet.of(-(-fleet.robots // 2))
-        self._effort, self._tooling = effort or Feedforward(spec, fleet), spec.tooling
-        self._apart = spec.margins.collision_m + SAME_GAP_M
+        self._effort, self._tooling = effort or Feedforward(spec, fleet), spec.tool
+        self._apart = (spec.margins.collision_m or 0.0) + SAME_GAP_M
+        self._space, self._singularity = spec.workspace, spec.margins.singularity
         self._twice_jerk = 2 * spec.joint_array("qddd_max")
         self._state_and_midst = _Bounds(self._on_the_way.robots, spec.n, *_of_state(spec), *_of_place(spec))
         self._pose = _Bounds(fleet.robots, spec.n, *_of_pose(spec))
         motion = _of_motion(spec, self._effort.bound)
         self._plan = _Bounds(fleet.robots, spec.n, *motion, *_of_pose(spec), *_of_tool_speed(spec))
-        if self._tooling:
-            self._centre = np.array(self._tooling.workspace.centre)
+        if spec.workspace:
+            self._centre = np.array(spec.workspace.centre)
 
     # A setpoint without a number is refused by its own check; nobody else need complain.
     @np.errstate(invalid="ignore", over="ignore")
@@ -116,11 +117,12 @@ class Safety:
             self._fleet.glance(q)
             return self._clear(self._fleet)
         self._fleet.place(q)
-        return self._fleet.manipulability()[:, None], *self._clear(self._fleet)
+        measure = (self._fleet.manipulability()[:, None],) if self._singularity is not None else ()
+        return *measure, *self._clear(self._fleet)
 
     def _clear(self, fleet: Fleet) -> tuple[Floats | Bools, ...]:
         """Columns of where a fleet is: collision, m above the world's origin, m² from the workspace's centre."""
-        if not self._tooling:
+        if not self._space:
             return (fleet.colliding[:, None],)
         tool = fleet.tool_position
         arm = tool - self._centre
@@ -128,7 +130,7 @@ class Safety:
 
     def _tool_speeds(self, qd: Floats) -> tuple[Floats, ...]:
         """m²/s², a column of squared speeds of the tool at the first half's poses, for qd (R, n) rad/s."""
-        if not self._tooling:
+        if not self._space:
             return ()
         speeds = self._fleet.tool_velocity(qd, of=slice(0, self._on_the_way.robots))
         return (np.vecdot(speeds, speeds)[:, None],)
@@ -157,10 +159,9 @@ def _of_state(spec: RobotSpec) -> tuple[Column, ...]:
 
 def _of_place(spec: RobotSpec) -> tuple[Column, ...]:
     """Where a robot is: collision, and of a tool its height and squared distance from the workspace's centre."""
-    collision, tooling = (0.0, 0.0, Reason.COLLISION), spec.tooling
-    if tooling is None:
+    collision, space, margin = (0.0, 0.0, Reason.COLLISION), spec.workspace, spec.margins.workspace_m
+    if space is None or margin is None:
         return (collision,)
-    space, margin = tooling.workspace, tooling.workspace_m
     return (
         collision,
         (space.z_min + margin, ANY, Reason.WORKSPACE),
@@ -175,8 +176,8 @@ def _soft(spec: RobotSpec) -> Column:
 
 def _of_pose(spec: RobotSpec) -> tuple[Column, ...]:
     """Joint angles, manipulability of a tool, and the place."""
-    tooling = spec.tooling
-    measure: tuple[Column, ...] = ((tooling.singularity, ANY, Reason.SINGULARITY),) if tooling else ()
+    least = spec.margins.singularity
+    measure: tuple[Column, ...] = ((least, ANY, Reason.SINGULARITY),) if least is not None else ()
     return (_soft(spec), *measure, *_of_place(spec))
 
 
@@ -188,9 +189,9 @@ def _of_motion(spec: RobotSpec, tau_max: Floats) -> tuple[Column, ...]:
 
 
 def _of_tool_speed(spec: RobotSpec) -> tuple[Column, ...]:
-    if spec.tooling is None:
+    if spec.workspace is None:
         return ()
-    return ((0.0, (spec.margins.speed * spec.tooling.workspace.tool_speed_max) ** 2, Reason.TOOL_SPEED),)
+    return ((0.0, (spec.margins.speed * spec.workspace.tool_speed_max) ** 2, Reason.TOOL_SPEED),)
 
 
 class _Bounds:

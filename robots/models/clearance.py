@@ -30,7 +30,7 @@ def can_meet(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pai
     data, alone = model.createData(), geometry.copy()
     for a, b in pairs:
         alone.addCollisionPair(pin.CollisionPair(a, b))
-    places = alone.createData()
+    places, margin = alone.createData(), spec.margins.collision_m or 0.0
     low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
 
     def clear(number: int) -> bool:
@@ -44,7 +44,7 @@ def can_meet(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pai
                 return False
             least, most = boxes.popleft()
             pin.updateGeometryPlacements(model, data, alone, places, (least + most) / 2)
-            distance = pin.computeDistance(alone, places, number).min_distance - spec.margins.collision_m
+            distance = pin.computeDistance(alone, places, number).min_distance - margin
             if distance <= 0:
                 return False
             closing = reach * (most - least) / 2

@@ -121,13 +121,13 @@ def nearest(
 
 
 def check_home(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs) -> None:
-    """Shapes keep their distance in the pose where work begins.
+    """Check that shapes keep `margins.collision_m` apart in the home pose.
 
     Raises:
         RobotError: naming the two that are nearest, if they are too near.
     """
     gap, a, b = nearest(model, geometry, pairs, spec.joint_array("q_home")[None])
-    if gap < (margin := spec.margins.collision_m):
+    if gap < (margin := spec.margins.collision_m or 0.0):
         raise RobotError(
             f"{spec.folder / 'robot.toml'}: joints: q_home: there {a!r} and {b!r} are {1e3 * gap:.3g} mm"
             f" apart, expected margins.collision_m, {1e3 * margin:.3g} mm: mend their capsules, or let their bodies be"

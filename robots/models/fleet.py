@@ -19,9 +19,8 @@ from robots.models.blocks import lined_up, turns
 from robots.models.clearance import can_meet
 from robots.models.collisions import Collisions, check_home, collision_pairs, nearest
 from robots.models.inertial import check_contacts, imu_in_base
-from robots.models.pinocchio_model import followed, read_pinocchio
+from robots.models.pinocchio_model import foot_frames, read_pinocchio, tool_frame
 from robots.spec import RobotSpec
-from robots.tables import Tooling
 
 HINGES = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 """What Pinocchio calls a hinge, by its axis."""
@@ -55,7 +54,8 @@ def _check_parts(spec: RobotSpec, model: pin.Model) -> None:
             raise RobotError(
                 f"{path}: joint {model.names[joint.id]!r} is {joint.shortname()}, expected a hinge"
             )
-    followed(spec, model)
+    tool_frame(spec, model)
+    foot_frames(spec, model)
     if spec.base:
         imu_in_base(spec, model)
         check_contacts(spec, spec.base, model)
@@ -97,7 +97,7 @@ class Fleet:
         """
         self.n, self._looks = spec.n, collisions
         self._blocks = _Blocks(spec, collisions=collisions)
-        self._side = np.sign(_home(spec, spec.tooling, self._blocks.model)) if spec.tooling else 0.0
+        self._side = np.sign(_home(spec, self._blocks.model)) if spec.tool else 0.0
         self._resize(robots)
 
     def of(self, robots: int) -> "Fleet":
@@ -116,7 +116,7 @@ class Fleet:
             np.zeros((robots, self.n)),
             np.zeros((robots, len(self._blocks.followed), 3)),
         )
-        self._tool = self._points[:, 0]
+        self._tool, self._feet = self._points[:, 0:1].reshape(robots, -1), self._points[:, self._blocks.feet]
         self._jacobian, self._colliding = np.zeros((robots, 6, self.n)), np.zeros(robots, dtype=bool)
 
     def nearest(self, poses: Floats) -> tuple[float, str, str]:
@@ -168,13 +168,13 @@ class Fleet:
     @property
     def feet_position(self) -> Floats:
         """(B, F, 3) m, the feet as seen from the IMU."""
-        return self._points - self._blocks.imu
+        return self._feet - self._blocks.imu
 
     def feet_velocity(self, qd: Floats) -> Floats:
         """(B, F, 3) m/s, of the feet as seen from the IMU, for joint speeds (B, n) rad/s."""
         of_legs = (self._blocks.carried_by * qd[:, None]).swapaxes(1, 2)
         twist = (self._jacobian @ of_legs).swapaxes(1, 2)
-        return np.asarray(twist[..., :3] + np.cross(twist[..., 3:], self._points))
+        return np.asarray(twist[..., :3] + np.cross(twist[..., 3:], self._feet))
 
     def tool_velocity(self, qd: Floats, of: slice = slice(None)) -> Floats:
         """(R, 3) m/s, the tool in the world, for joint speeds (R, n) rad/s.
@@ -235,15 +235,15 @@ def _measure(jacobian: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(np.linalg.det(gram), 0.0)))
 
 
-def _home(spec: RobotSpec, tooling: Tooling, model: pin.Model) -> float:
+def _home(spec: RobotSpec, model: pin.Model) -> float:
     """`_measure` of the home pose, which must not be singular."""
-    frame, q = followed(spec, model)[0], spec.joint_array("q_home")
+    (frame,), q = tool_frame(spec, model), spec.joint_array("q_home")
     jacobian = pin.computeFrameJacobian(model, model.createData(), q, frame, pin.LOCAL_WORLD_ALIGNED)
     found = float(_measure(jacobian[None])[0])
-    if abs(found) < tooling.singularity:
+    if spec.margins.singularity is not None and abs(found) < spec.margins.singularity:
         raise RobotError(
             f"{spec.folder / 'robot.toml'}: joints: q_home: manipulability there is {abs(found):.2g}, expected at least"
-            f" margins.singularity, {tooling.singularity}"
+            f" margins.singularity, {spec.margins.singularity}"
         )
     return found
 
@@ -261,14 +261,16 @@ class _Blocks:
     def __init__(self, spec: RobotSpec, *, collisions: bool) -> None:
         self.model, self._geometry = load_pinocchio(spec)
         self._margin = spec.margins.collision_m
-        self.followed = [self.model.frames[frame] for frame in followed(spec, self.model)]
+        tool, feet = tool_frame(spec, self.model), foot_frames(spec, self.model)
+        self.followed = [self.model.frames[frame] for frame in (*tool, *feet)]
+        self.feet = slice(len(tool), None)
         self.imu = imu_in_base(spec, self.model) if spec.base else np.zeros(3)
-        supports = [list(self.model.supports[frame.parentJoint]) for frame in self.followed]
+        supports = [list(self.model.supports[frame.parentJoint]) for frame in self.followed[self.feet]]
         self.carried_by = np.array(
             [[j in some for j in range(1, self.model.njoints)] for some in supports], float
         )
         near = (*spec.neighbours, *(spec.base.may_touch if spec.base else ()))
-        pairs = collision_pairs(self.model, self._geometry, near) if collisions else []
+        pairs = collision_pairs(self.model, self._geometry, near) if collisions and self._margin else []
         check_home(spec, self.model, self._geometry, pairs)
         self._pairs = can_meet(spec, self.model, self._geometry, pairs)
         self._built: dict[int, _Block] = {}
@@ -286,13 +288,15 @@ class _Blocks:
             self._built[copies] = _Block(
                 model=wide,
                 data=data,
-                points=lined_up([data.oMf[f].translation for f in frames]).reshape(copies, -1, 3),
+                points=lined_up([data.oMf[f].translation for f in frames]).reshape(copies, -1, 3)
+                if frames
+                else np.zeros((copies, 0, 3)),
                 collisions=self._collisions(copies),
             )
         return self._built[copies]
 
     def _collisions(self, copies: int) -> Collisions | None:
-        if not self._pairs:
+        if not self._pairs or self._margin is None:
             return None
         return Collisions(self.model, self._geometry, self._pairs, copies, self._margin)
 

@@ -5,7 +5,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from robots.errors import RobotError
-from robots.models.pinocchio_model import followed, site_or_body
+from robots.models.pinocchio_model import foot_frames, site_or_body
 from robots.sensors import Kind
 from robots.spec import RobotSpec
 from robots.tables import Base
@@ -55,7 +55,7 @@ def check_contacts(spec: RobotSpec, base: Base, model: pin.Model) -> None:
         return
     sites = spec.sensors["contact"].sites
     joints = [model.frames[site_or_body(spec, model, site, "a contact sensor")].parentJoint for site in sites]
-    if joints != [model.frames[foot].parentJoint for foot in followed(spec, model)]:
+    if joints != [model.frames[foot].parentJoint for foot in foot_frames(spec, model)]:
         _refuse(
             spec,
             f"contact.sites: found {list(sites)}, expected one at each of {list(base.feet)}, in that order",

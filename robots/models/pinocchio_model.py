@@ -100,15 +100,22 @@ def _from_base(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -
     return _without(model, geometry, [1])
 
 
-def followed(spec: RobotSpec, model: pin.Model) -> list[int]:
-    """Frames of the sites or else the bodies that robot.toml calls the tool or the feet; joints may be called so too.
+def tool_frame(spec: RobotSpec, model: pin.Model) -> list[int]:
+    """Frame of the site or else the body that robot.toml calls the tool; empty for a robot without one.
 
     Raises:
         RobotError: there is no such site or body.
     """
-    named = [(spec.tool, "the tool")] if spec.tool else []
-    named += [(foot, "a foot") for foot in (spec.base.feet if spec.base else ())]
-    return [site_or_body(spec, model, name, what) for name, what in named]
+    return [site_or_body(spec, model, spec.tool, "the tool")] if spec.tool else []
+
+
+def foot_frames(spec: RobotSpec, model: pin.Model) -> list[int]:
+    """Frames of the sites or else the bodies that robot.toml calls feet; empty for a robot without a floating base.
+
+    Raises:
+        RobotError: there is no such site or body.
+    """
+    return [site_or_body(spec, model, foot, "a foot") for foot in (spec.base.feet if spec.base else ())]
 
 
 def site_or_body(spec: RobotSpec, model: pin.Model, name: str, what: str) -> int:

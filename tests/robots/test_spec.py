@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from robots.errors import RobotError
-from robots.models.fleet import torque_max
+from robots.models.fleet import Fleet, torque_max
 from robots.spec import load_robot
 from support.arm6 import ARM, SPEC, complaint, copy_of_arm
 
@@ -15,6 +15,53 @@ def test_by_name_and_by_path_are_the_same_robot():
     assert (SPEC.name, SPEC.n, SPEC.dt, SPEC.tool) == ("arm6", 6, 0.005, "tool")
     assert SPEC.folder.is_absolute()
     assert len(set(SPEC.joint_names)) == SPEC.n
+
+
+WORKSPACE = r"(?s)\[workspace\].*?tool_speed_max = 2.5"
+WITHOUT = {
+    "workspace": ((WORKSPACE, ""), ("workspace_m = 0.010", "")),
+    "manipulability": (("singularity = 0.0005", ""),),
+    "self_collision": (("collision_m = 0.01", ""),),
+    "tool": (
+        ('tool = "tool" ', ""),
+        (WORKSPACE, ""),
+        ("workspace_m = 0.010", ""),
+        ("singularity = 0.0005", ""),
+    ),
+}
+
+
+@pytest.mark.parametrize("capability", WITHOUT)
+def test_each_capability_is_optional_on_its_own(tmp_path, capability):
+    spec = load_robot(copy_of_arm(tmp_path, toml=WITHOUT[capability]))
+    with_tool = {"tool", "workspace", "manipulability"} if capability == "tool" else {capability}
+    assert spec.capabilities == SPEC.capabilities - with_tool
+    tau = Fleet(spec, 2, collisions=True).torque(*np.zeros((3, 2, spec.n)))
+    np.testing.assert_array_equal(tau, Fleet(SPEC, 2).torque(*np.zeros((3, 2, spec.n))))
+
+
+@pytest.mark.parametrize(
+    ("edits", "message"),
+    [
+        ((('tool = "tool" ', ""),), "workspace: found .*, expected none of a robot without tool"),
+        (
+            (('tool = "tool" ', ""), *WITHOUT["workspace"]),
+            r"margins\.singularity: found 0\.0005, expected none of a robot without tool",
+        ),
+        (
+            ((WORKSPACE, ""),),
+            r"margins\.workspace_m: found 0\.01, expected none of a robot without workspace",
+        ),
+        ((("workspace_m = 0.010", ""),), r"margins\.workspace_m: missing, expected one of a robot with a"),
+    ],
+)
+def test_a_capability_that_lacks_its_other_half_is_an_error(tmp_path, edits, message):
+    assert re.search(message, complaint(copy_of_arm(tmp_path, toml=edits)))
+
+
+def test_the_digest_of_the_arm_stays():
+    """Shipped contracts carry it."""
+    assert SPEC.digest == "c6f7554167702087e6e50387edd14de357ace124cfd6921025608764febca3c6"
 
 
 def test_arrays_follow_joint_order():
