@@ -7,16 +7,7 @@ import numpy as np
 from eval.history.night_record import Verdict
 from eval.judge.counts import REASONS, Counts
 from eval.report.schema.numbers import median, number, series
-from eval.report.schema.report_data import (
-    Exposure,
-    GoalBin,
-    Goals,
-    Heat,
-    Line,
-    Report,
-    SoakResult,
-    Stops,
-)
+from eval.report.schema.report_data import Exposure, GoalBin, Goals, Heat, Line, Report, SoakResult, Stops
 from eval.report.schema.rows import Evidence
 from eval.report.sections.bounds import evidence, statement
 from eval.report.sections.causes import sensitivity

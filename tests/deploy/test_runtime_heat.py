@@ -10,8 +10,8 @@ from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.contracts import arm_contract
+from support.deploy.thermal import HARD, PACE_MIN, SOFT, THERMAL
 from support.runtimes import Saying, heard
-from support.thermal import HARD, PACE_MIN, SOFT, THERMAL
 
 N, DT = SPEC.n, SPEC.dt
 

@@ -8,7 +8,7 @@ from robots.models.fleet import load_pinocchio, torque_max
 from robots.spec import load_robot
 from robots.windings import nominal_windings
 from support.arm6 import SPEC, complaint, copy_of_arm
-from support.motors import DRIVES, VENDOR, declared
+from support.robots.motors import DRIVES, VENDOR, declared
 
 mujoco = pytest.importorskip("mujoco")
 model_mujoco = pytest.importorskip("robots.models.mujoco_model")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from robots.motor import MotorHeat, temperatures
-from support.motors import RE40
+from support.robots.motors import RE40
 
 
 @pytest.mark.parametrize(("seconds", "winding"), [(60, 43), (600, 71), (3600, 121), (8 * 3600, 130)])

@@ -12,7 +12,7 @@ from deploy.estimation.base_filter import CONTRADICTED, GATE, NIS_SAMPLES, RANGE
 from deploy.estimation.base_measurements import Feet, Imu, Upright
 from deploy.estimation.base_model import G
 from deploy.estimation.rotations import matrix
-from support.floating_bases import DT, NOISE, F, World, one, settled
+from support.deploy.floating_bases import DT, NOISE, F, World, one, settled
 
 FIELDS = floating_base.BaseState._fields[1:]
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from deploy.estimation import base_filter as floating_base
 from deploy.estimation.base_filter import GATE, FloatingBase
 from deploy.estimation.base_model import G
-from support.floating_bases import DOWN, DT, NOISE, F, World, cross, one, settled
+from support.deploy.floating_bases import DOWN, DT, NOISE, F, World, cross, one, settled
 
 
 class ByFilterpy:

@@ -11,7 +11,7 @@ from deploy.state import Packet, Reason, Setpoint
 from robots.models.fleet import torque_max
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
-from support.estimators import DENSITY, DT, ENCODER, NOISE, N, begun, packets, sample, sent, still
+from support.deploy.estimators import DENSITY, DT, ENCODER, NOISE, N, begun, packets, sample, sent, still
 
 PLAY = SPEC.joint_array("play")
 UNSEEN = ENCODER.bias**2 / 3 + PLAY**2 / 12

@@ -6,7 +6,7 @@ import pytest
 from deploy.estimation.estimator import CONFIRMED, DIVERGED, GATE, REFUSED, STUCK_S, Estimator
 from deploy.state import Reason
 from support.arm6 import SPEC
-from support.estimators import DT, NOISE, N, begun, packets, sample, still
+from support.deploy.estimators import DT, NOISE, N, begun, packets, sample, still
 
 
 def test_nobody_is_believed_before_he_is_confirmed():

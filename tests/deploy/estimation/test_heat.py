@@ -14,7 +14,19 @@ from robots.spec import load_robot
 from robots.tables import Rates
 from robots.windings import nominal_windings
 from support.arm6 import SPEC, copy_of_arm
-from support.thermal import DT, FOLD_MIN, HARD, LIMIT, NOMINAL, PACE_MIN, SOFT, THERMAL, N, live, sample
+from support.deploy.thermal import (
+    DT,
+    FOLD_MIN,
+    HARD,
+    LIMIT,
+    NOMINAL,
+    PACE_MIN,
+    SOFT,
+    THERMAL,
+    N,
+    live,
+    sample,
+)
 
 CURRENT_MAX = np.array([14.9] * 3 + [2.8] * 3)
 """A at the end of each actuator's range, as robot.toml works them out."""

@@ -10,7 +10,7 @@ from deploy.estimation.heat import Heat
 from deploy.estimation.heat_file import HeatFile
 from robots.errors import ConfigError, OutputError
 from support.arm6 import SPEC
-from support.thermal import NOMINAL, live, sample
+from support.deploy.thermal import NOMINAL, live, sample
 
 N, THEN = SPEC.n, 1_700_000_000.0
 TAU = NOMINAL.to_housing * NOMINAL.capacity

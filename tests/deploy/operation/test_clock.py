@@ -3,7 +3,7 @@ import pytest
 
 from deploy.operation.clock import Unpaced, WallClock
 from deploy.operation.loop_timing import LoopTiming, RateLimited
-from support.fake_time import FakeTime
+from support.deploy.fake_time import FakeTime
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from deploy.state import Mode, Reason
 from deploy.telemetry.recorder import Recorder
 from robots.randomness import robot_seed
 from robots.spec import load_robot
-from support.fake_time import FakeTime
+from support.deploy.fake_time import FakeTime
 
 SPEC = load_robot("arm6")
 

@@ -6,7 +6,7 @@ from deploy.safety.supervisor import CATEGORY_1
 from deploy.state import Reason, Setpoint, State
 from robots.models.fleet import Fleet, torque_max
 from support.arm6 import SPEC
-from support.safety import HIGH, HOME, LOW, MARGINS, SPACE, ZERO, N, judge, one, point, reasons
+from support.deploy.safety import HIGH, HOME, LOW, MARGINS, SPACE, ZERO, N, judge, one, point, reasons
 
 TAU_MAX = MARGINS.tau * torque_max(SPEC)
 HAIR = 1e-6

@@ -6,7 +6,7 @@ from deploy.safety.safety import Safety
 from deploy.state import Reason, Setpoint, State
 from robots.models.fleet import Fleet
 from support.arm6 import SPEC
-from support.safety import HIGH, HOME, LOW, MARGINS, SPACE, N, one, point, reasons
+from support.deploy.safety import HIGH, HOME, LOW, MARGINS, SPACE, N, one, point, reasons
 
 
 @pytest.mark.parametrize("limit", ["z_min", "radius_max"])

@@ -21,7 +21,7 @@ from eval.soak.shard import WIDTH, Shard, ShardJob
 from eval.statistics.evidence import share_lower
 from robots.models.fleet import torque_max
 from support.arm6 import SPEC
-from support.fault_schedules import CLASSES, DT, N, named, one_each
+from support.eval.fault_schedules import CLASSES, DT, N, named, one_each
 from support.policies import policy_model, saved
 
 FAULTS = Faults(coverage=0.95, cycle_s=20.0, operator_s=5.0)

@@ -13,7 +13,7 @@ from eval.faults.schedule import plan
 from eval.soak.profile import Faults
 from robots.randomness import robot_seed
 from support.arm6 import SPEC
-from support.fault_schedules import CLASSES, DT, N, named, one_each
+from support.eval.fault_schedules import CLASSES, DT, N, named, one_each
 from support.runtimes import Saying, running
 from support.walking import QUADRUPED
 

@@ -14,8 +14,8 @@ from eval.report.schema.report_data import Report
 from eval.report.write import write
 from eval.soak import cli as command
 from robots.errors import ConfigError, OutputError
-from support.nights import LATER, OTHER, SETTINGS, night
-from support.reports import report
+from support.eval.nights import LATER, OTHER, SETTINGS, night
+from support.eval.reports import report
 
 
 @pytest.mark.parametrize("module", [history, written])

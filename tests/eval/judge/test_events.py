@@ -10,7 +10,7 @@ from eval.judge.counts import BINS, Counts, merge
 from eval.judge.judge import Judge
 from eval.judge.monitors import MONITORS
 from support.arm6 import SPEC
-from support.judges import GAP, OBSERVED, TORQUE_MAX, Bench, feed, random_series
+from support.eval.judges import GAP, OBSERVED, TORQUE_MAX, Bench, feed, random_series
 
 
 def flicker(bench, times):

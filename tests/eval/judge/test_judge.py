@@ -15,7 +15,7 @@ from eval.judge.monitors import MONITORS
 from robots.errors import ConfigError
 from robots.models.fleet import Fleet
 from support.arm6 import SPEC
-from support.judges import (
+from support.eval.judges import (
     CENTRE,
     DT,
     GAP,

@@ -16,7 +16,7 @@ from eval.replay.bundle import FILES, About, Happened, Job
 from eval.replay.event_capture import HARD_KEPT, SOFT_KEPT, chosen
 from robots.errors import ConfigError, OutputError
 from robots.spec import load_robot
-from support.model_files import two_links
+from support.robots.model_files import two_links
 
 ARRAYS = {
     "a.ticks": np.array(7),

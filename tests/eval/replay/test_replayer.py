@@ -1,109 +1,28 @@
 import json
 import re
-import shutil
-import subprocess
 import sys
-from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from onnx import helper
-from PIL import Image
-from rich.console import Console
 
-from support.faulty_policies import written
-from support.policies import policy_model, saved
-from support.walking import PLACES, QUADRUPED, walking_contract
+from support.policies import policy_model
 
 pytest.importorskip("mujoco")
 
-from deploy.policy.policy import Policy
-from deploy.tasks import reach
 from eval.replay import bundle
 from eval.replay import cli as command
 from eval.replay.capture_window import columns
-from eval.replay.event_capture import Witness
-from eval.replay.event_video import _context
 from eval.replay.replayer import Replay, difference, why_not
-from eval.soak.configuration import Soak
 from eval.soak.profile import Faults
-from eval.soak.shard import Shard
-from eval.soak.workers import run_soak
-from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError, RobotError
-from robots.spec import ROBOTS, load_robot
-
-PUSHES = {"force_n": (2000.0, 3000.0), "lasts_s": (0.1, 0.2), "every_s": (1.5, 2.0)}
-"""What no robot withstands."""
-TICKS, ROBOTS_COUNTED = 650, 3
-
-
-@pytest.fixture(scope="session")
-def pushed(tmp_path_factory):
-    """A soak of 3.25 s of three arms that are thrown about, by their policy and by somebody else."""
-    folder = tmp_path_factory.mktemp("pushed")
-    robot = shutil.copytree(ROBOTS / "arm6", folder / "arm6")
-    draws = (robot / "draws.toml").read_text()
-    for name, (low, high) in PUSHES.items():
-        draws = re.sub(rf"(?m)^{name} = .*$", f"{name} = {{ low = {low}, high = {high} }}", draws)
-    (robot / "draws.toml").write_text(draws)
-    spec, path = load_robot(robot), saved(policy_model(), folder)
-    policy = Policy.load(path, spec)
-    how = {
-        "budget": BUDGET,
-        "hours": TICKS * spec.dt / 3600,
-        "robots": ROBOTS_COUNTED,
-        "seed": 3,
-        "workers": 1,
-    }
-    return Soak(spec=spec, policy=policy, policy_path=path, **how)
-
-
-@pytest.fixture(scope="session")
-def events(pushed, tmp_path_factory):
-    """Bundles that its workers wrote."""
-    folder = tmp_path_factory.mktemp("soak")
-    run_soak(pushed, folder, Console(quiet=True))
-    return folder / "events"
-
-
-@pytest.fixture(scope="session")
-def lived(events, _goals):
-    """The bundle of a monitor and its window, lived again once for all who only look at it."""
-
-    @cache
-    def lived(monitor):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(reach, "goal_pool", lambda spec, config: _goals)
-            replay = Replay(first(events, monitor))
-            return replay, replay.live()
-
-    return lived
-
-
-@pytest.fixture
-def one(events, tmp_path, quick_goals):
-    """A copy of the bundle of an excess of a joint's speed."""
-    return shutil.copytree(first(events, "velocity"), tmp_path / "one")
-
-
-def first(events, monitor):
-    return min(events.glob(f"*-{monitor}"))
+from support.eval.bundles import ROBOTS_COUNTED, TICKS, first, replayed
 
 
 def resealed(folder, **changes):
     """As somebody writes it who means to mislead."""
     about = bundle.About.model_validate_json((folder / "bundle.json").read_text())
     bundle.seal(folder, about.model_copy(update=changes))
-
-
-def replayed(*arguments):
-    script = "from eval.replay.cli import cli; cli()"
-    return subprocess.run(
-        [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, check=False
-    )
 
 
 def test_an_event_is_reproduced_bit_for_bit_in_a_fresh_process(events, tmp_path):
@@ -335,93 +254,6 @@ def test_no_display_is_bad_input(one, run, monkeypatch):
     assert "--view: found neither DISPLAY" in complaint
 
 
-def test_an_event_becomes_a_moving_picture(events, tmp_path):
-    """In a process of its own: Mesa's LLVM and the one that comes with torch do not bear each other."""
-    done = replayed(first(events, "velocity"), "--video", tmp_path / "a.gif")
-    if "needs OpenGL" in done.stderr:
-        pytest.skip("there is no OpenGL")
-    assert (done.returncode, done.stderr) == (0, "")
-    about = bundle.open_bundle(first(events, "velocity"))
-    with Image.open(tmp_path / "a.gif") as picture:
-        assert picture.n_frames == pytest.approx((about.end - about.begin) / 8, abs=2)
-        assert picture.info["duration"] == 40
-        frames = []
-        for place in (0, picture.n_frames - 1):
-            picture.seek(place)
-            frames.append(np.asarray(picture.convert("RGB"), dtype=float))
-    assert frames[0].std() > 10
-    assert np.abs(frames[1] - frames[0])[:300].max() > 50
-
-
-@pytest.fixture(scope="module")
-def fallen(tmp_path_factory):
-    """The bundle of a quadruped whose policy folds it up, in a soak of a few seconds."""
-    folder, contract = tmp_path_factory.mktemp("fallen"), walking_contract()
-    w = np.zeros((contract.observation_size, contract.action_size), np.float32)
-    w[PLACES["projected_gravity"].stop - 1] = -2.0
-    node = helper.make_node("MatMul", ["observation", "w"], ["action"])
-    path = written(folder, [node], {"w": w}, contract)
-    how = {"budget": BUDGET, "hours": 4 / 3600, "robots": 1, "seed": 3, "workers": 1}
-    policy = Policy.load(path, QUADRUPED)
-    run_soak(Soak(spec=QUADRUPED, policy=policy, policy_path=path, **how), folder, Console(quiet=True))
-    return min((folder / "events").iterdir())
-
-
-def test_where_a_base_was_is_kept(fallen):
-    replay = Replay(fallen)
-    rows = replay.recorded
-    height, lean = rows["base_true"][:, 2], rows["base_true"][:, 3:]
-    assert (np.diff(rows["tick"]) == 1).all()
-    assert 0.1 < height[0] < 1.0
-    assert np.ptp(height) > 0.02
-    np.testing.assert_allclose(np.linalg.norm(lean, axis=1), 1.0, atol=1e-9)
-    np.testing.assert_allclose(rows["orientation"], lean, atol=0.2)  # as believed
-    with (fallen / "window.mcap").open("rb") as file:
-        transforms = [m for _, channel, m in make_reader(file).iter_messages() if channel.topic == "/tf"]
-    assert len(transforms) == len(rows)
-
-
-def test_a_robot_that_walks_is_filmed_where_it_goes(fallen, tmp_path):
-    done = replayed(fallen, "--video", tmp_path / "a.gif")
-    if "needs OpenGL" in done.stderr:
-        pytest.skip("there is no OpenGL")
-    assert (done.returncode, done.stderr) == (0, "")
-    with Image.open(tmp_path / "a.gif") as picture:
-        frames = []
-        for place in (0, picture.n_frames - 1):
-            picture.seek(place)
-            frames.append(np.asarray(picture.convert("RGB"), dtype=float))
-    assert frames[0].std() > 10
-    assert np.abs(frames[1] - frames[0])[:300].max() > 50
-
-
-FAR = """
-from eval.replay import cli as replay
-from eval.replay import event_video as film
-class Far(film.Film):
-    def _picture(self, row):
-        row = row.copy()
-        row["base_true"][0] += 500.0
-        return super()._picture(row)
-replay.Film = Far
-replay.cli()
-"""
-
-
-def test_the_first_picture_of_one_that_has_walked_far_is_as_bright_as_the_others(fallen, tmp_path):
-    code = [sys.executable, "-c", FAR, str(fallen), "--video", str(tmp_path / "a.gif")]
-    done = subprocess.run(code, capture_output=True, text=True, check=False)
-    if "needs OpenGL" in done.stderr:
-        pytest.skip("there is no OpenGL")
-    assert (done.returncode, done.stderr) == (0, "")
-    with Image.open(tmp_path / "a.gif") as picture:
-        bright = []
-        for place in range(3):
-            picture.seek(place)
-            bright.append(np.asarray(picture.convert("L"), dtype=float)[:300].mean())
-    assert bright == pytest.approx([bright[-1]] * 3, rel=0.1)
-
-
 def test_a_bundle_of_a_model_that_does_not_compile_within_bounds_is_not_opened(one, monkeypatch):
     def refused(model, folder):
         raise RobotError(f"{model}: too dear")
@@ -429,57 +261,6 @@ def test_a_bundle_of_a_model_that_does_not_compile_within_bounds_is_not_opened(o
     monkeypatch.setattr("eval.replay.replayer.check_compiles", refused)
     with pytest.raises(RobotError, match=r"model\.xml: too dear"):
         Replay(one)
-
-
-def test_no_opengl_is_bad_input(monkeypatch):
-    monkeypatch.setattr("eval.replay.event_video.CONTEXTS", ("none", "either"))
-    with pytest.raises(
-        ConfigError, match="--video: needs OpenGL, found none of none, either: No module named"
-    ):
-        _context()
-
-
-def live(shard, witness, *, until=10**9):
-    def keep():
-        witness.begin(shard)
-        kept.append(shard.save())
-
-    kept, seen = [], []
-    shard.run(seen.append, lambda: seen[-1] >= until, keep, witness.watch)
-    return kept
-
-
-def files(folder):
-    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
-def test_a_shard_that_was_taken_up_leaves_the_same_bundles(pushed, tmp_path, quick_goals):
-    """Kept after 1 s of 2.2; and nobody who looks on changes anything."""
-    job = replace(pushed.jobs()[0], ticks=440)
-    whole, cut, rest, alone = (Shard(job) for _ in range(4))
-    whole._keep = rest._keep = 200
-    live(whole, Witness(job, whole, tmp_path / "whole"))
-    rest.restore(live(cut, Witness(job, cut, tmp_path / "parts"), until=200)[-1])
-    live(rest, Witness(job, rest, tmp_path / "parts"))
-    alone.run(lambda _: None, lambda: False)
-    assert len({bundle.state_digest(shard.save()) for shard in (whole, rest, alone)}) == 1
-    assert files(tmp_path / "whole") == files(tmp_path / "parts")
-    starts = [bundle.open_bundle(path).event.start for path in (tmp_path / "whole").iterdir()]
-    assert min(starts) < 200 <= max(starts)
-
-
-def test_a_shard_that_does_not_come_to_the_same_again_leaves_no_bundle(pushed, tmp_path, quick_goals):
-    job = replace(pushed.jobs()[0], ticks=240)
-    shard = Shard(job)
-    witness = Witness(job, shard, tmp_path / "events")
-
-    def meddle(shard):
-        shard.runtime.task.number += shard.runtime.ticks == 100
-        witness.watch(shard)
-
-    with pytest.raises(RuntimeError, match="ticks 0 to 240 were not the same"):
-        shard.run(lambda _: None, lambda: False, lambda: witness.begin(shard), meddle)
-    assert not (tmp_path / "events").exists()
 
 
 def test_signals_are_taken_apart_and_put_together(one):

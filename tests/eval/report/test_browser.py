@@ -12,7 +12,7 @@ import pytest
 from eval.report.build import build
 from eval.report.html import render
 from eval.statistics.budget import load_budget
-from support.reports import BUNDLE, soak
+from support.eval.reports import BUNDLE, soak
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 BROWSER = next((name for name in BROWSERS if shutil.which(name)), None)

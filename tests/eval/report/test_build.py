@@ -17,7 +17,7 @@ from eval.report.write import claim, write
 from eval.statistics.budget import load_budget
 from robots.errors import OutputError
 from support.arm6 import SPEC
-from support.reports import HOURS, ROBOTS, TICKS, Page, report, soak
+from support.eval.reports import HOURS, ROBOTS, TICKS, Page, report, soak
 
 HARD = [monitor for monitor in Channels.of_robot(SPEC).monitors if monitor.hard]
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from support.arm6 import SPEC
-from support.nights import LATER, night
+from support.eval.nights import LATER, night
+from support.eval.reports import Page
 from support.policies import policy_model, saved
-from support.reports import Page
 
 pytest.importorskip("mujoco")
 

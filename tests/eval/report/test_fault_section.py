@@ -16,7 +16,7 @@ from eval.report.sections.faults import fault_table
 from eval.soak.profile import Faults
 from eval.statistics.budget import load_budget
 from support.arm6 import SPEC
-from support.reports import Page, soak
+from support.eval.reports import Page, soak
 
 CLASSES, ROBOTS = catalogue(SPEC), 60
 

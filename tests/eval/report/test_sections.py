@@ -18,7 +18,7 @@ from eval.report.schema.numbers import figure
 from eval.report.schema.report_data import Report
 from eval.statistics.budget import load_budget
 from support.arm6 import SPEC
-from support.reports import BUNDLE, HOURS, ROBOTS, TICKS, Page, report, soak
+from support.eval.reports import BUNDLE, HOURS, ROBOTS, TICKS, Page, report, soak
 
 CHANNELS = Channels.of_robot(SPEC)
 HARD = sum(monitor.hard for monitor in CHANNELS.monitors)

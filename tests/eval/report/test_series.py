@@ -7,7 +7,7 @@ import pytest
 from arro3.io import read_parquet
 
 from support.arm6 import SPEC
-from support.shards import N, asked, job, lived
+from support.eval.shards import N, asked, job, lived
 
 pytest.importorskip("mujoco")
 

@@ -13,7 +13,7 @@ from eval.report.plots import timeline_plot
 from eval.report.schema.rows import EventRow
 from eval.report.sections.timeline import STEPS, bars, timeline
 from eval.statistics.budget import load_budget
-from support.reports import TICKS, report, soak
+from support.eval.reports import TICKS, report, soak
 
 ROBOTS, END_H = 5, 8.0
 STEP = END_H / STEPS

@@ -15,8 +15,8 @@ from eval.report.schema.trend_rows import Trend
 from eval.report.sections.trend import TONIGHT, trend
 from eval.statistics.dispersion import dispersion_p, draw_rate_interval, draw_rate_upper
 from eval.statistics.evidence import rate_upper, share_upper
-from support.nights import OTHER, named, night
-from support.reports import Page, report
+from support.eval.nights import OTHER, named, night
+from support.eval.reports import Page, report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 B, C = OTHER["policy_digest"], {**OTHER["policy_digest"], **OTHER["code_digest"], **OTHER["numpy"]}

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from support.shards import M, N, asked, lived
+from support.eval.shards import M, N, asked, lived
 
 pytest.importorskip("mujoco")
 

@@ -9,8 +9,8 @@ import pytest
 from rich.console import Console
 
 from support.arm6 import SPEC
+from support.eval.shards import job
 from support.policies import policy_model, saved
-from support.shards import job
 
 pytest.importorskip("mujoco")
 

@@ -6,7 +6,7 @@ from eval.statistics.dispersion import draw_rate_upper
 from eval.statistics.per_draw_counts import stop_ticks, together
 from eval.statistics.pooling import pool, same_draws, same_identity
 from robots.errors import ConfigError
-from support.nights import HOUR, OTHER, SETTINGS, named, night, tallied
+from support.eval.nights import HOUR, OTHER, SETTINGS, named, night, tallied
 
 IDENTITY = SETTINGS.identity
 

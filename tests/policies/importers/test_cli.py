@@ -18,7 +18,7 @@ from policies.importers.draft import read_draft
 from robots.errors import ContractError, OutputError
 from support.arm6 import SPEC
 from support.contracts import NAMES
-from support.imports import CONTRACT, THEIRS, A, N, exported
+from support.importers.imports import CONTRACT, THEIRS, A, N, exported
 
 
 @pytest.fixture(scope="module", params=["mlp", "lstm"])

@@ -17,12 +17,12 @@ from policies.importers.cli import cli
 from robots.strict import open_fields
 from support.arm6 import SPEC
 from support.contracts import NAMES
-from support.exported_programs import saved as saved_program
-from support.imports import CONTRACT, THEIRS, A, N, exported
-from support.rsl_rl_files import KINDS as ACTORS
-from support.rsl_rl_files import Env
-from support.rsl_rl_files import saved as saved_checkpoint
-from support.torch_files import Recurrent, saved_script
+from support.importers.exported_programs import saved as saved_program
+from support.importers.imports import CONTRACT, THEIRS, A, N, exported
+from support.importers.rsl_rl_files import KINDS as ACTORS
+from support.importers.rsl_rl_files import Env
+from support.importers.rsl_rl_files import saved as saved_checkpoint
+from support.importers.torch_files import Recurrent, saved_script
 
 STEPS = 40
 ORDER = np.array([NAMES.index(name) for name in THEIRS])
@@ -64,7 +64,7 @@ def checkpoint(folder, kind):
 
 
 def stable_baselines(folder):
-    stable = pytest.importorskip("support.stable_baselines")
+    stable = pytest.importorskip("support.importers.stable_baselines")
     from gymnasium import spaces
 
     class Arm(stable.Tiny):

@@ -10,9 +10,9 @@ from torch import nn
 
 from policies.importers.torch_files.exported_program import read_exported_program
 from robots.errors import ContractError
-from support.exported_programs import saved
-from support.import_parity import parity
-from support.torch_files import HIDDEN, A, N, changed
+from support.importers.exported_programs import saved
+from support.importers.parity import parity
+from support.importers.torch_files import HIDDEN, A, N, changed
 
 PROGRAM, WEIGHTS = "models/model.json", "data/weights/model_weights_config.json"
 

@@ -20,7 +20,7 @@ from policies.importers.onnx_files.yaml_file import CHARACTERS_MAX
 from robots.errors import ConfigError, ContractError
 from support.arm6 import SPEC
 from support.contracts import NAMES
-from support.onnx_metadata import graph
+from support.importers.onnx_metadata import graph
 from support.paths import DATA, TEST_ROBOTS
 
 ANYMAL = DATA / "isaac_lab_anymal_d_io_descriptors.yaml"
@@ -181,7 +181,7 @@ def test_joints_that_the_robot_has_not_are_seen_at_rest_in_their_default_pose(tm
 
 
 def test_where_both_speak_the_policys_own_file_is_right(tmp_path):
-    from support.onnx_metadata import MJLAB
+    from support.importers.onnx_metadata import MJLAB
 
     model = graph({"joint_names": MJLAB["joint_names"], "action_scale": "0.25"}, 48, 3)
     (tmp_path / "a.onnx").write_bytes(model.SerializeToString())

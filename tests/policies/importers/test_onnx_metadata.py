@@ -3,7 +3,7 @@ import pytest
 from policies.importers.onnx_files.foreign_onnx import read_onnx
 from policies.importers.onnx_files.metadata import known_from
 from robots.errors import ContractError
-from support.onnx_metadata import MJLAB, graph
+from support.importers.onnx_metadata import MJLAB, graph
 
 JOINTS = ["FR_hip_joint", "FR_thigh_joint", "FR_calf_joint"]
 POSE = [0.1, 0.9, -1.8]

@@ -21,9 +21,9 @@ from policies.importers.rsl_rl.actor import Actor
 from policies.importers.rsl_rl.checkpoint import read_rsl_rl
 from policies.importers.torch_files.network import Network
 from robots.errors import ContractError
-from support.import_parity import parity
+from support.importers.parity import parity
+from support.importers.rsl_rl_files import KINDS, A, Env, N, saved
 from support.paths import DATA
-from support.rsl_rl_files import KINDS, A, Env, N, saved
 
 ELU = Network(activation="elu")
 

@@ -16,8 +16,8 @@ from policies.importers.original import UnansweredError
 from policies.importers.stable_baselines.policy import read_stable_baselines
 from policies.importers.torch_files.network import Network, Statistics
 from robots.errors import ContractError
-from support.import_parity import parity
-from support.stable_baselines import (
+from support.importers.parity import parity
+from support.importers.stable_baselines import (
     HIGH,
     LOW,
     SMALL,

@@ -13,7 +13,7 @@ from policies.importers.torch_files.network import Network, Statistics
 from policies.importers.torch_files.state_dict import read_state_dict
 from robots.errors import ContractError
 from robots.strict import parse
-from support.import_parity import parity
+from support.importers.parity import parity
 
 TANH = Network(activation="tanh", normalizer="none")
 

@@ -8,9 +8,9 @@ from torch import nn
 from policies.importers.torch_files.torchscript import read_torchscript
 from policies.importers.torch_files.torchscript_source import REFUSED, check_source
 from robots.errors import ContractError
-from support.import_parity import parity
+from support.importers.parity import parity
+from support.importers.torch_files import HIDDEN, A, N, Recurrent, changed, members, mlp, saved_script
 from support.paths import SHARED
-from support.torch_files import HIDDEN, A, N, Recurrent, changed, members, mlp, saved_script
 
 H1 = SHARED / "peers" / "h1" / "motion.pt"
 

@@ -23,18 +23,18 @@ from policies.importers.recognize import read_original
 from policies.importers.torch_files import zip_archive
 from policies.importers.torch_files.network import Network
 from robots.errors import ContractError
-from support.exported_programs import saved as saved_program
-from support.imports import exported
+from support.importers.exported_programs import saved as saved_program
+from support.importers.imports import exported
+from support.importers.rsl_rl_files import KINDS, saved
+from support.importers.torch_files import Recurrent, members, mlp, saved_script
 from support.paths import ROOT
-from support.rsl_rl_files import KINDS, saved
-from support.torch_files import Recurrent, members, mlp, saved_script
 
 ELU, ASKED = Network(activation="elu", normalizer="none"), Network(normalizer="none")
 LINES_MAX, CHARACTERS_MAX = 5, 1200
 
 
 def stable_baselines(folder):
-    stable = pytest.importorskip("support.stable_baselines")
+    stable = pytest.importorskip("support.importers.stable_baselines")
     return stable.saved(folder, policy_kwargs=stable.SMALL)[2]
 
 

@@ -7,7 +7,7 @@ import pytest
 from policies.importers.stable_baselines.vec_normalize import read_vec_normalize
 from policies.importers.torch_files.inert_pickle import OPCODES_MAX, Inert, read_pickle
 from robots.errors import ContractError
-from support.stable_baselines import Command, Tiny, kept, normalizing
+from support.importers.stable_baselines import Command, Tiny, kept, normalizing
 
 gymnasium = pytest.importorskip("gymnasium")
 pytest.importorskip("stable_baselines3")

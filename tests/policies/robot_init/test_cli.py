@@ -26,10 +26,10 @@ from robots.models.mujoco_model import load_mujoco
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
-from support.model_files import URDF, write_stl
-from support.motors import VENDOR
 from support.paths import TEST_ROBOTS
 from support.robot_init import ANSWERS, fill_in, hold
+from support.robots.model_files import URDF, write_stl
+from support.robots.motors import VENDOR
 
 HOME = SPEC.joint_array("q_home")
 ACTING = "".join(

@@ -10,7 +10,7 @@ from robots.models.collisions import collision_pairs
 from robots.models.fleet import Fleet, load_pinocchio
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
-from support.model_files import POST
+from support.robots.model_files import POST
 
 N = SPEC.n
 LOW, HIGH = SPEC.joint_array("q_min"), SPEC.joint_array("q_max")

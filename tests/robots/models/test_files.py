@@ -11,7 +11,7 @@ from robots.models.fleet import Fleet, load_pinocchio, torque_max
 from robots.models.pinocchio_model import read_pinocchio
 from robots.spec import RobotSpec, load_robot
 from support.arm6 import SPEC, complaint, copy_of_arm
-from support.model_files import TETRAHEDRON, two_links, write_stl
+from support.robots.model_files import TETRAHEDRON, two_links, write_stl
 
 mujoco = pytest.importorskip("mujoco")
 model_mujoco = pytest.importorskip("robots.models.mujoco_model")

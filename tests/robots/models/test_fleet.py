@@ -11,7 +11,7 @@ from robots.models.collisions import collision_pairs
 from robots.models.fleet import Fleet, load_pinocchio, torque_max
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
-from support.model_files import POST
+from support.robots.model_files import POST
 
 mujoco = pytest.importorskip("mujoco")
 load_mujoco = pytest.importorskip("robots.models.mujoco_model").load_mujoco

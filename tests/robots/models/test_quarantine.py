@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from support.arm6 import SPEC
-from support.model_files import write_stl
+from support.robots.model_files import write_stl
 
 pytest.importorskip("mujoco")
 

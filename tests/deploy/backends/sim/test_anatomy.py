@@ -15,7 +15,7 @@ from robots.randomness import robot_seed
 from robots.spec import load_robot
 from robots.windings import nominal_windings
 from support.arm6 import SPEC, copy_of_arm
-from support.plants import ANATOMY, BUSY, HOME, PLAIN, N, command, drawn, exact
+from support.deploy.plants import ANATOMY, BUSY, HOME, PLAIN, N, command, drawn, exact
 
 mujoco = pytest.importorskip("mujoco")
 DISTRIBUTIONS = load_distributions(SPEC)

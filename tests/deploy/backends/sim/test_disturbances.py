@@ -3,7 +3,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from support.plants import ANATOMY, BUSY, DT, HOME, command, drawn, exact
+from support.deploy.plants import ANATOMY, BUSY, DT, HOME, command, drawn, exact
 
 mujoco = pytest.importorskip("mujoco")
 disturbances = pytest.importorskip("deploy.backends.sim.disturbances")

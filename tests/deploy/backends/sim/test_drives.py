@@ -3,7 +3,7 @@ import pytest
 
 from robots.tables import Rates
 from support.arm6 import SPEC
-from support.plants import ANATOMY, DT, HOME, N, command, exact
+from support.deploy.plants import ANATOMY, DT, HOME, N, command, exact
 
 pytest.importorskip("mujoco")
 Drives = pytest.importorskip("deploy.backends.sim.drives").Drives

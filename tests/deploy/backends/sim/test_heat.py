@@ -3,8 +3,8 @@ import pytest
 
 from robots.motor import temperatures
 from support.arm6 import SPEC
-from support.motors import RE40
-from support.plants import DT, HOME, N, command, exact
+from support.deploy.plants import DT, HOME, N, command, exact
+from support.robots.motors import RE40
 
 pytest.importorskip("mujoco")
 Housings = pytest.importorskip("deploy.backends.sim.heat").Housings

@@ -7,7 +7,7 @@ import pytest
 from robots.motor import MotorHeat, temperatures
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
-from support.plants import ANATOMY, BUSY, DT, HOME, N, command, drawn, exact
+from support.deploy.plants import ANATOMY, BUSY, DT, HOME, N, command, drawn, exact
 
 mujoco = pytest.importorskip("mujoco")
 Plant = pytest.importorskip("deploy.backends.sim.plant").Plant

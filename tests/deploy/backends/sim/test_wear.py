@@ -3,7 +3,7 @@ import pytest
 
 from robots.distributions import load_distributions
 from support.arm6 import SPEC
-from support.plants import ANATOMY, DT, HOME, N, command, drawn, exact
+from support.deploy.plants import ANATOMY, DT, HOME, N, command, drawn, exact
 
 pytest.importorskip("mujoco")
 WEAR = load_distributions(SPEC).wear

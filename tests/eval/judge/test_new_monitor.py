@@ -8,7 +8,7 @@ from eval.judge.monitor import Monitor
 from eval.judge.monitors import MONITORS
 from robots.errors import ConfigError
 from support.arm6 import SPEC
-from support.judges import DT, OBSERVED, TORQUE_MAX, Bench, N, feed, random_series
+from support.eval.judges import DT, OBSERVED, TORQUE_MAX, Bench, N, feed, random_series
 
 BRAKING = Monitor(
     name="braking",

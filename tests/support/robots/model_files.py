@@ -1,8 +1,8 @@
 import re
 import struct
 
-from support.motors import DRIVES, declared
 from support.paths import DATA
+from support.robots.motors import DRIVES, declared
 
 URDF = DATA / "two.urdf"
 TETRAHEDRON = (0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.2)

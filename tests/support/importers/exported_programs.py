@@ -3,7 +3,7 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnxscript")
 
-from support.torch_files import N, mlp
+from support.importers.torch_files import N, mlp
 
 
 def saved(folder, module=None, batch=1, observations=N, **how):

@@ -1,0 +1,121 @@
+"""Films of events."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from onnx import helper
+from PIL import Image
+from rich.console import Console
+
+from support.eval.bundles import first, replayed
+from support.faulty_policies import written
+from support.walking import PLACES, QUADRUPED, walking_contract
+
+pytest.importorskip("mujoco")
+
+from deploy.policy.policy import Policy
+from eval.replay import bundle
+from eval.replay.event_video import _context
+from eval.replay.replayer import Replay
+from eval.soak.configuration import Soak
+from eval.soak.workers import run_soak
+from eval.statistics.budget import BUDGET
+from robots.errors import ConfigError
+
+
+def test_an_event_becomes_a_moving_picture(events, tmp_path):
+    """In a process of its own: Mesa's LLVM and the one that comes with torch do not bear each other."""
+    done = replayed(first(events, "velocity"), "--video", tmp_path / "a.gif")
+    if "needs OpenGL" in done.stderr:
+        pytest.skip("there is no OpenGL")
+    assert (done.returncode, done.stderr) == (0, "")
+    about = bundle.open_bundle(first(events, "velocity"))
+    with Image.open(tmp_path / "a.gif") as picture:
+        assert picture.n_frames == pytest.approx((about.end - about.begin) / 8, abs=2)
+        assert picture.info["duration"] == 40
+        frames = []
+        for place in (0, picture.n_frames - 1):
+            picture.seek(place)
+            frames.append(np.asarray(picture.convert("RGB"), dtype=float))
+    assert frames[0].std() > 10
+    assert np.abs(frames[1] - frames[0])[:300].max() > 50
+
+
+@pytest.fixture(scope="module")
+def fallen(tmp_path_factory):
+    """The bundle of a quadruped whose policy folds it up, in a soak of a few seconds."""
+    folder, contract = tmp_path_factory.mktemp("fallen"), walking_contract()
+    w = np.zeros((contract.observation_size, contract.action_size), np.float32)
+    w[PLACES["projected_gravity"].stop - 1] = -2.0
+    node = helper.make_node("MatMul", ["observation", "w"], ["action"])
+    path = written(folder, [node], {"w": w}, contract)
+    how = {"budget": BUDGET, "hours": 4 / 3600, "robots": 1, "seed": 3, "workers": 1}
+    policy = Policy.load(path, QUADRUPED)
+    run_soak(Soak(spec=QUADRUPED, policy=policy, policy_path=path, **how), folder, Console(quiet=True))
+    return min((folder / "events").iterdir())
+
+
+def test_where_a_base_was_is_kept(fallen):
+    replay = Replay(fallen)
+    rows = replay.recorded
+    height, lean = rows["base_true"][:, 2], rows["base_true"][:, 3:]
+    assert (np.diff(rows["tick"]) == 1).all()
+    assert 0.1 < height[0] < 1.0
+    assert np.ptp(height) > 0.02
+    np.testing.assert_allclose(np.linalg.norm(lean, axis=1), 1.0, atol=1e-9)
+    np.testing.assert_allclose(rows["orientation"], lean, atol=0.2)  # as believed
+    with (fallen / "window.mcap").open("rb") as file:
+        transforms = [m for _, channel, m in make_reader(file).iter_messages() if channel.topic == "/tf"]
+    assert len(transforms) == len(rows)
+
+
+def test_a_robot_that_walks_is_filmed_where_it_goes(fallen, tmp_path):
+    done = replayed(fallen, "--video", tmp_path / "a.gif")
+    if "needs OpenGL" in done.stderr:
+        pytest.skip("there is no OpenGL")
+    assert (done.returncode, done.stderr) == (0, "")
+    with Image.open(tmp_path / "a.gif") as picture:
+        frames = []
+        for place in (0, picture.n_frames - 1):
+            picture.seek(place)
+            frames.append(np.asarray(picture.convert("RGB"), dtype=float))
+    assert frames[0].std() > 10
+    assert np.abs(frames[1] - frames[0])[:300].max() > 50
+
+
+FAR = """
+from eval.replay import cli as replay
+from eval.replay import event_video as film
+class Far(film.Film):
+    def _picture(self, row):
+        row = row.copy()
+        row["base_true"][0] += 500.0
+        return super()._picture(row)
+replay.Film = Far
+replay.cli()
+"""
+
+
+def test_the_first_picture_of_one_that_has_walked_far_is_as_bright_as_the_others(fallen, tmp_path):
+    code = [sys.executable, "-c", FAR, str(fallen), "--video", str(tmp_path / "a.gif")]
+    done = subprocess.run(code, capture_output=True, text=True, check=False)
+    if "needs OpenGL" in done.stderr:
+        pytest.skip("there is no OpenGL")
+    assert (done.returncode, done.stderr) == (0, "")
+    with Image.open(tmp_path / "a.gif") as picture:
+        bright = []
+        for place in range(3):
+            picture.seek(place)
+            bright.append(np.asarray(picture.convert("L"), dtype=float)[:300].mean())
+    assert bright == pytest.approx([bright[-1]] * 3, rel=0.1)
+
+
+def test_no_opengl_is_bad_input(monkeypatch):
+    monkeypatch.setattr("eval.replay.event_video.CONTEXTS", ("none", "either"))
+    with pytest.raises(
+        ConfigError, match="--video: needs OpenGL, found none of none, either: No module named"
+    ):
+        _context()
