@@ -1,7 +1,7 @@
-"""What robots did about the faults that befell them, from ground truth, and whether that was right.
+"""Fault response: the answer of each robot to its injected faults, from ground truth.
 
-A fault is handled if from its begin until the robot is at work again no hard monitor of the judge says anything, and
-if the robot's answer is the one that its class asks for, or a gentler one.
+A fault is handled if no hard monitor of the judge fires from its begin until the robot works again, and if the robot's
+answer is not more severe than the expected one of its class.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,153 +15,157 @@ from deploy.backends.sim.truth import Truth
 from deploy.masks import any_true
 from deploy.stage import Stage
 from deploy.state import Command, Mode
-from eval.faults.faults import Answer
-from eval.faults.schedule import Injection, Schedule
+from eval.faults.fault_class import Answer, Injection
+from eval.faults.schedule import Schedule
 from eval.judge.judge import Judge
 from eval.judge.monitors import MONITORS
 from robots.arrays import Bools, Floats, Ints
 from robots.spec import RobotSpec
 
 SETTLE_S = 0.5
-"""s that a robot must have been at work after a fault is over for its story to be over too."""
-RESTS = 0.05
-"""rad/s below which a joint rests."""
-NOT_YET, NOT_AT_WORK = -1, -2
-"""In the place of the tick of an injection that has not begun, or that found its robot not at work: it counts not."""
+"""Time in operation after the end of a fault until the response is complete, s."""
+REST_RAD_S = 0.05
+"""Speed below which a joint is at rest."""
+NOT_BEGUN, NOT_RUNNING = -1, -2
+"""In place of the tick of an injection that has not begun, or found its robot not in operation and does not count."""
 HARD = tuple(k for k, monitor in enumerate(MONITORS) if monitor.hard)
 DIVERGED = len(MONITORS)
-"""Bit of a simulation that diverged, beside those of the monitors, in their order."""
+"""Bit of a diverged simulation, after those of the monitors in the order of the catalogue."""
 
 Modes = NDArray[np.integer]
+Place = tuple[Ints, Ints]
+"""Robots and slots."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Injections:
-    """What became of S injections into each of R robots; ticks are since the injection began, -1 for never.
+class FaultResponses:
+    """Responses of R robots to the injections in S slots. Ticks count from the begin of the injection; -1 for never.
 
     Attributes:
-        kind: (R, S) place in the catalogue. channel: (R, S), -1 for all.
-        begun: (R, S) tick, or `NOT_YET` or `NOT_AT_WORK`. over: (R, S) when its story was.
-        left: (R, S) when the robot left its work for the first time. rest: (R, S) when it then truly stood still.
-        again: (R, S) when it was at work again after the fault's end.
+        class_index: (R, S) place in the catalogue. channel: (R, S), -1 for all.
+        began: (R, S) tick of the soak, or `NOT_BEGUN` or `NOT_RUNNING`. complete: (R, S) end of the response.
+        stopped: (R, S) first tick out of operation. rest: (R, S) first tick at rest by ground truth after that.
+        resumed: (R, S) ticks from the end of the fault until the robot was in operation.
         answer: (R, S) the most severe `Answer`.
-        hurt: (R, S) bit set of hard monitors, in their order, that had something to say.
-        astray: (R, S) rad, the farthest that a true angle was from the one sent, until it rested.
-        load: (R, S) the largest share of the limits of angle and speed.
+        violated: (R, S) bit set of the hard monitors that fired.
+        tracking_error: (R, S) rad, largest distance of a true angle from the one sent, until rest.
+        limit_ratio: (R, S) largest share of the limits of angle and speed.
     """
 
-    kind: Ints
+    class_index: Ints
     channel: Ints
-    begun: Ints
-    over: Ints
-    left: Ints
+    began: Ints
+    complete: Ints
+    stopped: Ints
     rest: Ints
-    again: Ints
+    resumed: Ints
     answer: Ints
-    hurt: Ints
-    astray: Floats
-    load: Floats
+    violated: Ints
+    tracking_error: Floats
+    limit_ratio: Floats
 
 
-_NAMES = tuple(field.name for field in fields(Injections))
+_NAMES = tuple(field.name for field in fields(FaultResponses))
 
 
-def injections(saved: Mapping[str, Any], robots: int) -> Injections:
-    """Those of the first robots of a shard, as it was saved."""
-    return Injections(**{name: saved[f"watch.{name}"][:robots] for name in _NAMES})
+def saved_responses(saved: Mapping[str, Any], robots: int) -> FaultResponses:
+    """Return those of the first robots of a `FaultResponseTracker`, as it was saved."""
+    return FaultResponses(**{name: saved[name][:robots] for name in _NAMES})
 
 
-def merged(parts: Sequence[Injections]) -> Injections:
-    """The robots of all parts, one after the other."""
+def merge_responses(parts: Sequence[FaultResponses]) -> FaultResponses:
+    """Return the robots of all parts, one after the other."""
     rows: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in _NAMES}
-    return Injections(**rows)
+    return FaultResponses(**rows)
 
 
-class Watch(Stage):
-    """Follows each robot from a fault's begin until it is at work again, or until its slot is over.
+class FaultResponseTracker(Stage):
+    """Follows each robot from the begin of a fault until it works again, or until the end of its slot.
 
     Attributes:
-        slot: (B,) whose injection is being followed, -1 for none.
-        before: (B, monitors + 1) bad ticks of each hard monitor when it began.
-        ends, ending: (B,) ticks at which its fault is over, and its slot.
+        slot: (B,) slot of the injection that is followed, -1 for none.
+        bad_before: (B, monitors + 1) bad ticks of each hard monitor when the injection began.
+        fault_end, slot_end: (B,) ticks.
         speed: (B,) rad/s, sent in the last tick. powered: (B,) in the last tick.
     """
 
-    carried: ClassVar[tuple[str, ...]] = (*_NAMES, "slot", "before", "speed", "powered", "ends", "ending")
+    carried: ClassVar[tuple[str, ...]] = (
+        *(*_NAMES, "slot", "bad_before", "speed", "powered", "fault_end", "slot_end"),
+    )
 
     def __init__(self, spec: RobotSpec, schedule: Schedule) -> None:
         """Allocate."""
-        self._schedule, shape = schedule, schedule.kind.shape
-        self.kind, self.channel = schedule.kind.copy(), schedule.channel.copy()
-        self.begun, self.over, self.left, self.rest, self.again = np.full((5, *shape), NOT_YET)
-        self.answer, self.hurt = np.zeros((2, *shape), dtype=np.int64)
-        self.astray, self.load = np.zeros((2, *shape))
+        self._schedule, shape = schedule, schedule.class_index.shape
+        self.class_index, self.channel = schedule.class_index.copy(), schedule.channel.copy()
+        self.began, self.complete, self.stopped, self.rest, self.resumed = np.full((5, *shape), NOT_BEGUN)
+        self.answer, self.violated = np.zeros((2, *shape), dtype=np.int64)
+        self.tracking_error, self.limit_ratio = np.zeros((2, *shape))
         robots = shape[0]
-        self.slot, self.ends, self.ending = np.full((3, robots), -1)
-        self.before = np.zeros((robots, len(MONITORS) + 1), dtype=np.int64)
+        self.slot, self.fault_end, self.slot_end = np.full((3, robots), -1)
+        self.bad_before = np.zeros((robots, len(MONITORS) + 1), dtype=np.int64)
         self.speed, self.powered = np.zeros(robots), np.zeros(robots, dtype=bool)
         low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
-        self._middle, self._half = (low + high) / 2, (high - low) / 2
-        self._speed, self._settle = spec.joint_array("qd_max"), round(SETTLE_S / spec.dt)
+        self._q_middle, self._q_half_range = (low + high) / 2, (high - low) / 2
+        self._qd_max, self._settle_ticks = spec.joint_array("qd_max"), round(SETTLE_S / spec.dt)
 
     def begin(self, tick: int, mode: Modes, judge: Judge) -> None:
-        """Open the stories of faults that begin now, before the tick is lived.
+        """Start to follow injections that begin at a tick, before that tick.
 
         Args:
-            tick: now. mode: (B,) of `Mode`, since the last tick.
+            tick: now. mode: (B,) of `Mode`, after the last tick.
             judge: of all ticks so far.
         """
-        starting = self._schedule.beginning(tick)
-        if not starting:
+        beginning = self._schedule.beginning(tick)
+        if not beginning:
             return
         bad = _bad_ticks(judge, len(self.slot))
-        for each in starting:
-            self._open(each, tick, mode)
-            self.before[each.robot] = bad[each.robot]
+        for injection in beginning:
+            self._follow(injection, tick, mode)
+            self.bad_before[injection.robot] = bad[injection.robot]
 
-    def _open(self, each: Injection, tick: int, mode: Modes) -> None:
-        robot, at_work = each.robot, mode[each.robot] == Mode.RUNNING
-        self.begun[robot, each.slot] = tick if at_work else NOT_AT_WORK
-        self.slot[robot] = each.slot if at_work else -1
-        self.ends[robot], self.ending[robot] = each.ends, each.over
+    def _follow(self, injection: Injection, tick: int, mode: Modes) -> None:
+        robot, slot, running = injection.robot, injection.slot, mode[injection.robot] == Mode.RUNNING
+        self.began[robot, slot] = tick if running else NOT_RUNNING
+        self.slot[robot] = slot if running else -1
+        self.fault_end[robot], self.slot_end[robot] = injection.ends, injection.slot_end
         self.powered[robot], self.speed[robot] = True, 0.0
 
     @property
     def following(self) -> bool:
-        """Whether any story is open."""
+        """Some injection is followed."""
         return any_true(self.slot >= 0)
 
     def step(self, tick: int, truth: Truth, command: Command, mode: Modes, judge: Judge) -> None:
-        """Follow the stories that are open through the tick that has just been lived."""
+        """Follow open injections through the tick that has just ended."""
         rows = np.flatnonzero(self.slot >= 0)
         place, now = (rows, self.slot[rows]), mode[rows]
-        since = tick - self.begun[place]
+        since = tick - self.began[place]
         qd = truth.qd[rows]
         self._measure(place, truth.q[rows], qd, command.q[rows])
-        self._answer(place, now, command)
-        working, still = now == Mode.RUNNING, (np.abs(qd) < RESTS).all(axis=1)
-        resting = ~working & (now != Mode.STOPPING) & (now != Mode.ARMING) & still
-        _note(self.left, place, since, ~working)
-        _note(self.rest, place, since, resting & (self.left[place] >= 0))
-        after = tick - self.ends[rows]
-        self.again[place] = np.where(working & (after >= 0), self.again[place], NOT_YET)
-        _note(self.again, place, after, working & (after >= 0))
-        settled = working & (after >= 0) & (after - self.again[place] >= self._settle)
-        self._close(rows[settled | (tick >= self.ending[rows])], tick, judge)
+        self._note_answer(place, now, command)
+        running, still = now == Mode.RUNNING, (np.abs(qd) < REST_RAD_S).all(axis=1)
+        resting = ~running & (now != Mode.STOPPING) & (now != Mode.ARMING) & still
+        _note_first(self.stopped, place, since, ~running)
+        _note_first(self.rest, place, since, resting & (self.stopped[place] >= 0))
+        after = tick - self.fault_end[rows]
+        self.resumed[place] = np.where(running & (after >= 0), self.resumed[place], NOT_BEGUN)
+        _note_first(self.resumed, place, after, running & (after >= 0))
+        settled = running & (after >= 0) & (after - self.resumed[place] >= self._settle_ticks)
+        self._close(rows[settled | (tick >= self.slot_end[rows])], tick, judge)
 
-    def _measure(self, place: tuple[Ints, Ints], q: Floats, qd: Floats, sent: Floats) -> None:
-        """How far a joint is from where it was sent, until it rests, and how near to its limits."""
+    def _measure(self, place: Place, q: Floats, qd: Floats, sent: Floats) -> None:
+        """Update the largest tracking error, until rest, and the largest share of the limits."""
         moving = self.rest[place] < 0
-        astray = np.where(moving, np.abs(q - sent).max(axis=1), 0.0)
-        load = np.maximum(np.abs(q - self._middle) / self._half, np.abs(qd) / self._speed).max(axis=1)
-        self.astray[place] = np.maximum(self.astray[place], astray)
-        self.load[place] = np.maximum(self.load[place], load)
+        error = np.where(moving, np.abs(q - sent).max(axis=1), 0.0)
+        ratio = np.maximum(np.abs(q - self._q_middle) / self._q_half_range, np.abs(qd) / self._qd_max)
+        self.tracking_error[place] = np.maximum(self.tracking_error[place], error)
+        self.limit_ratio[place] = np.maximum(self.limit_ratio[place], ratio.max(axis=1))
 
-    def _answer(self, place: tuple[Ints, Ints], now: Modes, command: Command) -> None:
-        """Power that goes while the robot is still sent along is category 0."""
+    def _note_answer(self, place: Place, now: Modes, command: Command) -> None:
+        """Update the most severe answer. Power loss during motion counts as a category 0 stop."""
         rows = place[0]
         powered = command.powered[rows]
-        cut = self.powered[rows] & ~powered & (self.speed[rows] > RESTS)
+        cut = self.powered[rows] & ~powered & (self.speed[rows] > REST_RAD_S)
         answer = np.select(
             (cut, now == Mode.LATCHED, (now == Mode.STOPPING) | (now == Mode.HOLDING)),
             (Answer.CUT, Answer.STOPPED, Answer.HELD),
@@ -174,18 +178,18 @@ class Watch(Stage):
         if not len(rows):
             return
         place = rows, self.slot[rows]
-        hurt = (_bad_ticks(judge, len(self.slot)) > self.before)[rows]
-        self.hurt[place] = (hurt << np.arange(hurt.shape[1])).sum(axis=1)
-        self.over[place], self.slot[rows] = tick - self.begun[place], -1
+        violated = (_bad_ticks(judge, len(self.slot)) > self.bad_before)[rows]
+        self.violated[place] = (violated << np.arange(violated.shape[1])).sum(axis=1)
+        self.complete[place], self.slot[rows] = tick - self.began[place], -1
 
 
-def _note(when: Ints, place: tuple[Ints, Ints], tick: Ints, holds: Bools) -> None:
-    """Write down the first tick at which something holds."""
-    when[place] = np.where(holds & (when[place] < 0), tick, when[place])
+def _note_first(ticks: Ints, place: Place, now: Ints, holds: Bools) -> None:
+    """Set ticks that are not set yet, where a condition holds."""
+    ticks[place] = np.where(holds & (ticks[place] < 0), now, ticks[place])
 
 
 def _bad_ticks(judge: Judge, robots: int) -> Ints:
-    """(B, monitors + 1) bad ticks so far of each hard monitor, and unjudged ones; 0 of robots that do not count."""
+    """(B, monitors + 1) bad ticks so far of each hard monitor, and invalid ticks; 0 of robots that do not count."""
     counts = judge.counts()
     bad = np.zeros((robots, len(MONITORS) + 1), dtype=np.int64)
     for k in HARD:

@@ -1,135 +1,121 @@
-"""When which fault befalls which robot: a function of seed, robot and tick."""
+"""Fault schedule: the fault of each robot in each slot, as a function of seed, robot and tick."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, cast
+from typing import cast
 
 import numpy as np
 
 from deploy.backends.sim.packets import Fault
-from eval.faults.faults import FaultClass, catalogue
+from eval.faults.catalogue import catalogue
+from eval.faults.fault_class import FaultClass, Injection, SensorFault
 from eval.soak.profile import HOURS_MAX, Faults
 from robots.randomness import Keys, keyed, keys
 from robots.sensors import Kind
 from robots.spec import RobotSpec
 
 PURPOSE = 6
-"""Of the stream of random numbers."""
+"""Number of the stream of random numbers."""
 FIRST_S, SPREAD_S = 3.0, 2.0
-"""s until the first slot of a robot begins, and s over which a fault may begin in its slot: each in another motion."""
+"""Begin of the first slot, s, and span in which a fault begins in its slot, s, so that each meets another motion."""
 SLOTS_MAX = 10_000
-"""Faults of a robot: all of them are planned before the first."""
-
-
-class Injection(NamedTuple):
-    """One fault of one robot, ticks from `begins` to just before `ends`; `over` is the last tick of its slot."""
-
-    robot: int
-    slot: int
-    fault: FaultClass
-    channel: int | None
-    begins: int
-    ends: int
-    over: int
+"""Most faults of a robot, since all are planned at the start."""
 
 
 class Schedule:
-    """What is to befall B robots, each once in each of its S slots.
+    """Injections of B robots, one in each of S slots.
 
     Attributes:
         injections: all of them.
-        kind: (B, S) place in the catalogue. channel: (B, S), -1 for all.
+        class_index: (B, S) place in the catalogue. channel: (B, S), -1 for all.
     """
 
     def __init__(self, classes: Sequence[FaultClass], robots: int, injections: Sequence[Injection]) -> None:
-        """Put them in order.
+        """Sort by ticks.
 
         Args:
-            classes: the catalogue. robots: B. injections: one for every robot and slot.
+            classes: the catalogue. robots: B. injections: one for each robot and slot.
         """
         self.injections = injections
-        shape = robots, 1 + max((each.slot for each in injections), default=-1)
-        self.kind, self.channel = np.zeros((2, *shape), dtype=np.int64)
-        self._begin, self._end = (
-            defaultdict[int, list[Injection]](list),
-            defaultdict[int, list[Injection]](list),
-        )
-        for each in injections:
-            place = each.robot, each.slot
-            self.kind[place] = classes.index(each.fault)
-            self.channel[place] = -1 if each.channel is None else each.channel
-            self._begin[each.begins].append(each)
-            self._end[each.ends].append(each)
+        shape = robots, 1 + max((injection.slot for injection in injections), default=-1)
+        self.class_index, self.channel = np.zeros((2, *shape), dtype=np.int64)
+        self._begin, self._end = (defaultdict[int, list[Injection]](list) for _ in range(2))
+        for injection in injections:
+            place = injection.robot, injection.slot
+            self.class_index[place] = classes.index(injection.fault)
+            self.channel[place] = -1 if injection.channel is None else injection.channel
+            self._begin[injection.begins].append(injection)
+            self._end[injection.ends].append(injection)
 
     def beginning(self, tick: int) -> Sequence[Injection]:
-        """What begins at a tick."""
+        """Return the injections whose first tick it is."""
         return self._begin.get(tick, ())
 
     def ending(self, tick: int) -> Sequence[Injection]:
-        """What is over at a tick, for the first time."""
+        """Return the injections whose first tick without fault it is."""
         return self._end.get(tick, ())
 
-    def during(self, tick: int) -> list[Injection]:
-        """What goes on at a tick."""
-        return [each for each in self.injections if each.begins <= tick < each.ends]
+    def active(self, tick: int) -> list[Injection]:
+        """Return the injections that are active at a tick."""
+        return [injection for injection in self.injections if injection.begins <= tick < injection.ends]
 
-    def of_sensors(self) -> tuple[Fault, ...]:
-        """What sensors must be told in advance."""
+    def sensor_faults(self) -> tuple[Fault, ...]:
+        """Return the faults that simulated sensors must know in advance."""
         return tuple(
             Fault(
-                robot=each.robot,
-                sensor=cast(Kind, each.fault.where),
-                what=each.fault.failure,
-                channel=each.channel,
-                begins=each.begins,
-                ends=each.ends,
+                robot=robot,
+                sensor=cast(Kind, fault.where),
+                what=fault.failure,
+                channel=channel,
+                begins=begins,
+                ends=ends,
             )
-            for each in self.injections
-            if each.fault.failure is not None
+            for robot, _, fault, channel, begins, ends, _ in self.injections
+            if isinstance(fault, SensorFault)
         )
 
 
 def hours_max(faults: Faults | None) -> float:
-    """Hours that a robot may be asked to live; None for no fault."""
+    """Return the most hours that can be simulated; None for no faults."""
     return min(HOURS_MAX, (FIRST_S + SLOTS_MAX * faults.cycle_s) / 3600) if faults else HOURS_MAX
 
 
 def plan(
     spec: RobotSpec, faults: Faults | None, seeds: Sequence[np.random.SeedSequence], first: int, ticks: int
 ) -> Schedule:
-    """Slots of one length, in each of which every robot suffers one fault and has time to recover.
+    """Plan slots of equal length, with one fault and the time to recover in each slot of every robot.
 
     Args:
         spec: the robot.
-        faults: what was asked for; None for no fault.
-        seeds: B seeds. first: the number of the first of these robots in the soak.
-        ticks: that will be lived; a slot that does not fit is left out.
+        faults: settings; None for no faults.
+        seeds: B seeds. first: number of the first of these robots in the soak.
+        ticks: of the simulation; a slot that does not fit is left out.
     """
     classes = catalogue(spec)
     if faults is None:
         return Schedule(classes, len(seeds), ())
-    opens = range(round(FIRST_S / spec.dt), ticks, round(faults.cycle_s / spec.dt))
+    slots = range(round(FIRST_S / spec.dt), ticks, round(faults.cycle_s / spec.dt))
     injections = [
         injection
         for robot, key in enumerate(keys(seeds, PURPOSE))
-        for injection in _of_robot(classes, robot, first + robot, key, opens, spec.dt)
-        if opens[injection.slot] + opens.step <= ticks
+        for injection in _robot_injections(classes, robot, first + robot, key, slots, spec.dt)
+        if slots[injection.slot] + slots.step <= ticks
     ]
     return Schedule(classes, len(seeds), injections)
 
 
-def _of_robot(
-    classes: Sequence[FaultClass], robot: int, number: int, key: Keys, opens: range, dt: float
+def _robot_injections(
+    classes: Sequence[FaultClass], robot: int, number: int, key: Keys, slots: range, dt: float
 ) -> Iterator[Injection]:
-    """All classes in a new order each time; channels in turn, so that each comes up as often as any other."""
-    many, spread = len(classes), round(SPREAD_S / dt)
-    for slot, begin in enumerate(opens):
-        turn, place = divmod(slot, many)
+    """Yield all classes in a new order in each round; channels take turns, so that each comes up equally often."""
+    count, spread = len(classes), round(SPREAD_S / dt)
+    for slot, begin in enumerate(slots):
+        turn, place = divmod(slot, count)
         if place == 0:
             rng = keyed(key, turn)
-            order, late = rng.permutation(many), rng.integers(0, spread, many)
+            order, delay = rng.permutation(count), rng.integers(0, spread, count)
         fault = classes[order[place]]
-        begins = begin + int(late[place])
+        begins = begin + int(delay[place])
         yield Injection(
             robot=robot,
             slot=slot,
@@ -137,5 +123,5 @@ def _of_robot(
             channel=fault.channels[(number + turn + order[place]) % len(fault.channels)],
             begins=begins,
             ends=begins + round(fault.lasts_s / dt),
-            over=begin + opens.step - 1,
+            slot_end=begin + slots.step - 1,
         )

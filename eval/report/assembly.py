@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from eval.faults.fault_response import merged
+from eval.faults.fault_response import merge_responses
 from eval.history.night_record import Run, Settings
 from eval.judge.counts import merge
 from eval.judge.limits import load_limits
@@ -59,7 +59,7 @@ def collect(soak: Soak, shards: Sequence[ShardResult], run: Run, bundles: Sequen
     counts = reduce(merge, (shard.counts for shard in shards))
     drawn = parameters(soak.drawn(), load_distributions(soak.spec))
     samples = max(len(shard.attempted) for shard in shards) - 1
-    found = merged([shard.injections for shard in shards])
+    found = merge_responses([shard.injections for shard in shards])
     per_bin, sample_h = max(1, -(-samples // GOAL_BINS)), soak.sample_ticks * soak.spec.dt / 3600
     return SoakResult(
         settings=settings(soak),

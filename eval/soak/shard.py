@@ -17,7 +17,7 @@ from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.stage import Arrays, Stage, inside
 from deploy.tasks.reach import ReachConfig
-from eval.faults.fault_response import Injections, Watch, injections
+from eval.faults.fault_response import FaultResponses, FaultResponseTracker, saved_responses
 from eval.faults.injector import Injector
 from eval.faults.schedule import plan
 from eval.judge.counts import Counts
@@ -94,7 +94,7 @@ class ShardResult:
     """
 
     counts: Counts
-    injections: Injections
+    injections: FaultResponses
     winding_c: Floats
     worn: Floats
     folded_back: Floats
@@ -150,7 +150,7 @@ class Shard(Stage):
         heard: what the policy was heard to say in the last tick. truth: what was true when it ended.
     """
 
-    parts = ("runtime", "robot", "judge", "injector", "watch")
+    parts = ("runtime", "robot", "judge", "injector", "responses")
 
     truth: Truth
 
@@ -168,11 +168,11 @@ class Shard(Stage):
         policy = Policy.load(job.policy, spec)
         _same(job.policy_digest, policy.digest, job.policy)
         schedule = plan(spec, job.faults, seeds, job.first, job.ticks)
-        self._job, faults = job, schedule.of_sensors()
+        self._job, faults = job, schedule.sensor_faults()
         self.runtime, self.robot = simulate(spec, policy.contract, seeds, policy, given=given, faults=faults)
         self.judge = judge_of(spec, policy.contract, job.robots)
         self.injector = Injector(spec, schedule, self.robot.plant, policy.contract.action_size)
-        self.watch, self._policy = Watch(spec, schedule), policy
+        self.responses, self._policy = FaultResponseTracker(spec, schedule), policy
         self.heard: Said = None
         self._operator_s = job.faults.operator_s if job.faults else OPERATOR_S
         self._look, self._arm, self._keep = (round(s / spec.dt) for s in (LOOK_S, ARM_S, KEEP_S))
@@ -219,16 +219,16 @@ class Shard(Stage):
     def _live(self, tick: int) -> None:
         """The runtime's tick, with what the schedule breaks in the robot and in what the policy says."""
         runtime, mode = self.runtime, self.runtime.supervisor.mode
-        self.watch.begin(tick, mode, self.judge)
+        self.responses.begin(tick, mode, self.judge)
         self.injector.step(tick)
         observation = runtime.sense()
         said = None if observation is None else self._policy.step(observation)
-        self.heard = said if said is None else self.injector.said(said, tick // runtime.decimation)
+        self.heard = said if said is None else self.injector.action(said, tick // runtime.decimation)
         runtime.act(self.heard)
         self.truth = self.robot.truth()
         judge_tick(self.judge, self.truth, runtime, self.heard)
-        if self.watch.following:
-            self.watch.step(tick, self.truth, runtime.command, mode, self.judge)
+        if self.responses.following:
+            self.responses.step(tick, self.truth, runtime.command, mode, self.judge)
 
     def _looked(
         self, tick: int, progress: Callable[[int], None], stop: Callable[[], bool], keep: Callable[[], None]
@@ -282,7 +282,8 @@ def shard_result(spec: RobotSpec, contract: Contract, robots: int, saved: Mappin
     """
     judge = judge_of(spec, contract, robots)
     judge.restore(inside(saved, "judge"))
-    return ShardResult(counts=judge.counts(), injections=injections(saved, robots), **_sampled(saved))
+    responses = saved_responses(inside(saved, "responses"), robots)
+    return ShardResult(counts=judge.counts(), injections=responses, **_sampled(saved))
 
 
 def _sampled(saved: Mapping[str, Any]) -> dict[str, Any]:

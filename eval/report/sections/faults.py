@@ -4,8 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from eval.faults.fault_response import DIVERGED, NOT_AT_WORK, Injections
-from eval.faults.faults import JOINT, NOT_INJECTED, POLICY, WORDS, Answer, FaultClass, catalogue
+from eval.faults.catalogue import NOT_INJECTED, catalogue
+from eval.faults.fault_class import ANSWER_WORDS, JOINT, POLICY, Answer, FaultClass
+from eval.faults.fault_response import DIVERGED, NOT_RUNNING, FaultResponses
 from eval.judge.monitors import MONITORS
 from eval.report.schema.fault_rows import FaultRow, FaultTable, Miss, Times
 from eval.report.schema.numbers import number
@@ -20,17 +21,19 @@ MISSES_LISTED = 500
 _HURT = {k: monitor.name for k, monitor in enumerate(MONITORS) if monitor.hard} | {DIVERGED: "diverged"}
 
 
-def fault_table(spec: RobotSpec, asked: Faults, found: Injections) -> FaultTable:
+def fault_table(spec: RobotSpec, asked: Faults, found: FaultResponses) -> FaultTable:
     """Every class of the catalogue, injected or not, and the first faults that were not handled."""
     classes = catalogue(spec)
-    most = np.array([each.answer for each in classes])[found.kind]
-    told = found.over >= 0
-    handled = told & (found.hurt == 0) & (found.answer <= most)
+    most = np.array([each.answer for each in classes])[found.class_index]
+    told = found.complete >= 0
+    handled = told & (found.violated == 0) & (found.answer <= most)
     missed = np.argwhere(told & ~handled)[:MISSES_LISTED].tolist()
     return FaultTable(
         coverage=asked.coverage,
         injections=int(told.sum()),
-        rows=tuple(_row(spec, found, each, found.kind == k, handled) for k, each in enumerate(classes)),
+        rows=tuple(
+            _row(spec, found, each, found.class_index == k, handled) for k, each in enumerate(classes)
+        ),
         misses=tuple(_miss(spec, classes, found, (robot, slot)) for robot, slot in missed),
         not_injected=NOT_INJECTED,
     )
@@ -61,26 +64,28 @@ def _about(row: FaultRow, coverage: float) -> str:
     return f"{told}; {given}{100 * coverage:g} % takes {needed:,} injections"
 
 
-def _row(spec: RobotSpec, found: Injections, each: FaultClass, mine: Bools, handled: Bools) -> FaultRow:
-    told, dt = mine & (found.over >= 0), spec.dt
+def _row(spec: RobotSpec, found: FaultResponses, each: FaultClass, mine: Bools, handled: Bools) -> FaultRow:
+    told, dt = mine & (found.complete >= 0), spec.dt
     many, well = int(told.sum()), int((told & handled).sum())
-    answers, hurt = found.answer[told], found.hurt[told]
+    answers, hurt = found.answer[told], found.violated[told]
     return FaultRow(
         where=each.where,
         what=each.what,
         meaning=each.meaning,
-        asked=WORDS[each.answer],
+        asked=ANSWER_WORDS[each.answer],
         injections=many,
-        not_at_work=int((mine & (found.begun == NOT_AT_WORK)).sum()),
+        not_at_work=int((mine & (found.began == NOT_RUNNING)).sum()),
         handled=well,
         handled_lower=float(share_lower(well, many)) if many else 0.0,
-        answers={WORDS[answer]: int(np.sum(answers == answer)) for answer in Answer if answer in answers},
+        answers={
+            ANSWER_WORDS[answer]: int(np.sum(answers == answer)) for answer in Answer if answer in answers
+        },
         hurt={name: int(np.sum(hurt >> k & 1)) for k, name in _HURT.items() if np.any(hurt >> k & 1)},
-        left=_times(found.left[told], dt),
+        left=_times(found.stopped[told], dt),
         rest=_times(found.rest[told], dt),
-        again=int(np.sum(found.again[told] >= 0)),
-        astray_rad=_worst(found.astray[told]),
-        load=_worst(found.load[told]),
+        again=int(np.sum(found.resumed[told] >= 0)),
+        astray_rad=_worst(found.tracking_error[told]),
+        load=_worst(found.limit_ratio[told]),
     )
 
 
@@ -100,19 +105,19 @@ def _worst(values: Floats) -> float | None:
 
 
 def _miss(
-    spec: RobotSpec, classes: tuple[FaultClass, ...], found: Injections, place: tuple[int, int]
+    spec: RobotSpec, classes: tuple[FaultClass, ...], found: FaultResponses, place: tuple[int, int]
 ) -> Miss:
-    fault, channel = classes[found.kind[place]], int(found.channel[place])
+    fault, channel = classes[found.class_index[place]], int(found.channel[place])
     return Miss(
         robot=place[0],
         fault=fault.name,
         channel=None if channel < 0 else _channel(spec, fault, channel),
-        start_h=round(float(found.begun[place]) * spec.dt / 3600, 5),
-        answer=WORDS[Answer(found.answer[place])],
-        hurt=tuple(_hurt(int(found.hurt[place]))),
-        left_s=_since(int(found.left[place]), spec.dt),
+        start_h=round(float(found.began[place]) * spec.dt / 3600, 5),
+        answer=ANSWER_WORDS[Answer(found.answer[place])],
+        hurt=tuple(_hurt(int(found.violated[place]))),
+        left_s=_since(int(found.stopped[place]), spec.dt),
         rest_s=_since(int(found.rest[place]), spec.dt),
-        astray_rad=number(float(found.astray[place]), 4),
+        astray_rad=number(float(found.tracking_error[place]), 4),
     )
 
 

@@ -8,8 +8,14 @@ import pytest
 
 from deploy.policy.policy import Policy
 from deploy.state import Mode
-from eval.faults.fault_response import NOT_AT_WORK, SETTLE_S, Watch, injections, merged
-from eval.faults.faults import JOINT, POLICY, Answer
+from eval.faults.fault_class import JOINT, POLICY, Answer
+from eval.faults.fault_response import (
+    NOT_RUNNING,
+    SETTLE_S,
+    FaultResponseTracker,
+    merge_responses,
+    saved_responses,
+)
 from eval.judge.judge import Judge
 from eval.judge.monitors import NAMES
 from eval.mutants.hostile import nobody
@@ -35,9 +41,9 @@ def told(fault, story, *, lasts=50, speed=0.0, hurt=None, before=RUN):
     The story is a list of (ticks, mode, true speed); `speed` is the one sent. `hurt` is a tick at which it collides.
     """
     schedule = one_each([(fault, None)], BEGINS, lasts=lasts)
-    watch, judge = Watch(SPEC, schedule), Judge(SPEC, torque_max(SPEC), 1)
+    tracker, judge = FaultResponseTracker(SPEC, schedule), Judge(SPEC, torque_max(SPEC), 1)
     still, tick = np.zeros((1, N)), BEGINS
-    watch.begin(tick, np.array([before]), judge)
+    tracker.begin(tick, np.array([before]), judge)
     for ticks, mode, moves in story:
         for _ in range(ticks):
             if tick - BEGINS == hurt:
@@ -45,10 +51,10 @@ def told(fault, story, *, lasts=50, speed=0.0, hurt=None, before=RUN):
             sent = np.full((1, N), speed if mode in (RUN, STOP) else 0.0)
             command = SimpleNamespace(q=still, qd=sent, powered=np.array([mode != LATCHED]))
             truth = SimpleNamespace(q=still + 0.01 * (moves > 0), qd=still + moves)
-            if watch.following:
-                watch.step(tick, truth, command, np.array([mode]), judge)
+            if tracker.following:
+                tracker.step(tick, truth, command, np.array([mode]), judge)
             tick += 1
-    found = injections({f"watch.{name}": array for name, array in watch.save().items()}, 1)
+    found = saved_responses(tracker.save(), 1)
     return SimpleNamespace(**{name: getattr(found, name)[0, 0] for name in found.__slots__}), found
 
 
@@ -60,11 +66,11 @@ def row(found, fault):
 def test_a_fault_that_nobody_notices_is_handled_if_nothing_is_hurt():
     fault = named("force off")
     one, found = told(fault, [(400, RUN, 0.5)])
-    assert (one.answer, one.left, one.rest, one.again) == (Answer.WENT_ON, -1, -1, 0)
-    assert one.over == 50 + SETTLE
+    assert (one.answer, one.stopped, one.rest, one.resumed) == (Answer.WENT_ON, -1, -1, 0)
+    assert one.complete == 50 + SETTLE
     assert row(found, fault).handled == 1
     one, found = told(fault, [(400, RUN, 0.5)], hurt=49)
-    assert one.hurt == 1 << NAMES.index("self_collision")
+    assert one.violated == 1 << NAMES.index("self_collision")
     assert (row(found, fault).injections, row(found, fault).handled) == (1, 0)
     assert row(found, fault).hurt == {"self_collision": 1}
 
@@ -72,7 +78,7 @@ def test_a_fault_that_nobody_notices_is_handled_if_nothing_is_hurt():
 def test_what_hurts_before_or_after_is_not_the_faults():
     fault = named("force off")
     one, found = told(fault, [(400, RUN, 0.5)], hurt=50 + SETTLE + 1)
-    assert (one.hurt, row(found, fault).handled) == (0, 1)
+    assert (one.violated, row(found, fault).handled) == (0, 1)
 
 
 def test_a_hold_is_timed_from_the_injection_to_true_rest():
@@ -80,10 +86,10 @@ def test_a_hold_is_timed_from_the_injection_to_true_rest():
     one, found = told(
         fault, [(7, RUN, 0.5), (20, STOP, 0.4), (3, HOLD, 0.2), (60, HOLD, 0.0), (200, RUN, 0.1)]
     )
-    assert (one.answer, one.left, one.rest) == (Answer.HELD, 7, 30)
-    assert one.again == 90 - 50
-    assert one.over == 90 + SETTLE
-    assert one.astray == pytest.approx(0.01)
+    assert (one.answer, one.stopped, one.rest) == (Answer.HELD, 7, 30)
+    assert one.resumed == 90 - 50
+    assert one.complete == 90 + SETTLE
+    assert one.tracking_error == pytest.approx(0.01)
     found = row(found, fault)
     assert (found.left.median_s, found.rest.worst_s, found.again) == (7 * DT, 30 * DT, 1)
     assert (found.handled, found.answers) == (1, {"category 2": 1})
@@ -111,13 +117,13 @@ def test_power_that_goes_in_motion_is_category_0(speed, answer):
 
 def test_a_robot_that_never_comes_back_is_told_to_the_end_of_its_slot():
     one, found = told(named("encoder off"), [(5, STOP, 0.4), (2_100, LATCHED, 0.0)])
-    assert (one.again, one.over) == (-1, 2_000)
+    assert (one.resumed, one.complete) == (-1, 2_000)
     assert (row(found, named("encoder off")).again, row(found, named("encoder off")).injections) == (0, 1)
 
 
 def test_a_robot_that_was_not_at_work_counts_not():
     one, found = told(named("encoder off"), [(400, RUN, 0.0)], before=LATCHED)
-    assert one.begun == NOT_AT_WORK
+    assert one.began == NOT_RUNNING
     assert (row(found, named("encoder off")).injections, row(found, named("encoder off")).not_at_work) == (
         0,
         1,
@@ -133,13 +139,13 @@ def test_the_budget_line_is_that_of_the_worst_class():
     """One of each class handled, of the last one 59: still all others are shown too seldom."""
     fault = named("force off")
     _, found = told(fault, [(400, RUN, 0.5)])
-    many = merged([found] * 59)
+    many = merge_responses([found] * 59)
     table = fault_table(SPEC, FAULTS, many)
     assert row(many, fault).handled_lower == pytest.approx(float(share_lower(59, 59)))
     assert (fault_line(table).found, fault_line(table).passed) == (0.0, False)
     alone = table.model_copy(update={"rows": (row(many, fault),)})
     assert fault_line(alone).passed
-    missed = merged([found] * 58 + [told(fault, [(400, RUN, 0.5)], hurt=3)[1]])
+    missed = merge_responses([found] * 58 + [told(fault, [(400, RUN, 0.5)], hurt=3)[1]])
     assert not fault_line(table.model_copy(update={"rows": (row(missed, fault),)})).passed
 
 
@@ -178,9 +184,9 @@ def test_a_shard_goes_on_in_the_midst_of_faults_as_if_nothing_had_been(restless)
     for name, array in a.items():
         np.testing.assert_array_equal(array, b[name], err_msg=name)
     found = result.injections
-    assert (found.begun[:8] == 70).all()
-    assert (found.left >= 0).sum() >= 2
-    assert CLASSES[found.kind[0, 0]].name == "encoder stuck"
+    assert (found.began[:8] == 70).all()
+    assert (found.stopped >= 0).sum() >= 2
+    assert CLASSES[found.class_index[0, 0]].name == "encoder stuck"
     assert found.answer[0, 0] == Answer.STOPPED
 
 

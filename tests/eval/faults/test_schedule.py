@@ -7,8 +7,10 @@ import pytest
 
 from deploy.backends.sim.robot import SimRobot
 from deploy.state import Command, Mode
-from eval.faults.faults import JOINT, POLICY, ROBOT, Answer, catalogue
-from eval.faults.injector import JUMP, Injector
+from eval.faults.catalogue import catalogue
+from eval.faults.fault_class import JOINT, POLICY, ROBOT, Answer, SensorFault
+from eval.faults.injector import Injector
+from eval.faults.policy_faults import JUMP
 from eval.faults.schedule import plan
 from eval.soak.profile import Faults
 from robots.randomness import robot_seed
@@ -26,46 +28,46 @@ TICKS = round((3.0 + 20.0 * 2 * len(CLASSES)) / DT)
 
 def test_every_class_and_every_channel_comes_up_equally_often():
     schedule = plan(SPEC, FAULTS, SEEDS, 0, TICKS)
-    assert schedule.kind.shape == (8, 2 * len(CLASSES))
-    for row in schedule.kind:
+    assert schedule.class_index.shape == (8, 2 * len(CLASSES))
+    for row in schedule.class_index:
         np.testing.assert_array_equal(np.bincount(row[: len(CLASSES)]), 1)
         assert not np.array_equal(row[: len(CLASSES)], row[len(CLASSES) :])
-    assert not np.array_equal(schedule.kind[0], schedule.kind[1])
+    assert not np.array_equal(schedule.class_index[0], schedule.class_index[1])
     for kind, fault in enumerate(CLASSES):
-        given = schedule.channel[schedule.kind == kind]
+        given = schedule.channel[schedule.class_index == kind]
         assert set(given.tolist()) == {-1 if c is None else c for c in fault.channels}, fault.name
 
 
 def test_slots_leave_time_to_recover_and_do_not_overlap():
     injections = plan(SPEC, FAULTS, SEEDS, 0, TICKS).injections
-    assert max(each.over for each in injections) < TICKS
+    assert max(each.slot_end for each in injections) < TICKS
     for robot in range(8):
         mine = sorted((each for each in injections if each.robot == robot), key=lambda each: each.begins)
         for one, other in pairwise(mine):
-            assert one.begins < one.ends < one.over < other.begins
-            assert (one.over - one.ends) * DT > FAULTS.operator_s
+            assert one.begins < one.ends < one.slot_end < other.begins
+            assert (one.slot_end - one.ends) * DT > FAULTS.operator_s
     assert len({each.begins % 4000 for each in injections}) > 300  # not all at the same time of their slots
 
 
 def test_a_schedule_is_a_function_of_seed_and_robot_alone():
     whole = plan(SPEC, FAULTS, SEEDS, 0, TICKS)
     part, short = plan(SPEC, FAULTS, SEEDS[3:5], 3, TICKS), plan(SPEC, FAULTS, SEEDS, 0, TICKS // 3)
-    np.testing.assert_array_equal(part.kind, whole.kind[3:5])
+    np.testing.assert_array_equal(part.class_index, whole.class_index[3:5])
     np.testing.assert_array_equal(part.channel, whole.channel[3:5])
     mine = [each._replace(robot=each.robot - 3) for each in whole.injections if 3 <= each.robot < 5]
     assert mine == part.injections
-    np.testing.assert_array_equal(short.kind, whole.kind[:, : short.kind.shape[1]])
+    np.testing.assert_array_equal(short.class_index, whole.class_index[:, : short.class_index.shape[1]])
     assert not plan(SPEC, None, SEEDS, 0, TICKS).injections
 
 
-OF_SENSORS = [each for each in CLASSES if each.failure is not None]
+OF_SENSORS = [each for each in CLASSES if isinstance(each, SensorFault)]
 
 
 def test_every_fault_of_a_sensor_reaches_its_own_channels_and_no_others():
     """Robots that stand still, each with its own fault, beside twins that have none; a housing is warmed in both."""
     begins, seeds = 130, [robot_seed(5, robot) for robot in range(len(OF_SENSORS))]
     faults = [(each, each.channels[-1]) for each in OF_SENSORS]
-    broken = SimRobot(SPEC, seeds, faults=one_each(faults, begins, lasts=150).of_sensors())
+    broken = SimRobot(SPEC, seeds, faults=one_each(faults, begins, lasts=150).sensor_faults())
     clean, rest = SimRobot(SPEC, seeds), np.zeros((len(seeds), N))
     off = Command(q=rest, qd=rest, tau=rest, powered=rest[:, 0] > 0, current=rest + 1)
     differs = np.zeros((len(seeds), 300, len(SPEC.channels)), dtype=bool)
@@ -93,7 +95,7 @@ TIMED = ("encoder off", "encoder stuck", "current off", "current stuck", "temper
 def test_faults_last_longer_than_the_timers_of_deploy_that_wait_for_them():
     faults, begins = [named(name) for name in TIMED], 70
     schedule = one_each([(each, None) for each in faults], begins)
-    runtime = running(len(faults), faults=schedule.of_sensors())
+    runtime = running(len(faults), faults=schedule.sensor_faults())
     at_work = np.ones(len(faults), dtype=bool)
     for tick in range(runtime.ticks, max(each.ends for each in schedule.injections)):
         runtime.tick()
@@ -111,7 +113,7 @@ def test_every_fault_of_a_policy_is_heard():
     for tick in range(0, 30, 4):
         injector.step(tick)
         said.append(rng.uniform(-1, 1, (len(faults) + 1, N)).astype(np.float32))
-        heard.append(injector.said(said[-1], tick // 4))
+        heard.append(injector.action(said[-1], tick // 4))
     before, during, after = slice(0, 3), slice(3, 5), slice(5, None)
     heard, said = np.array(heard), np.array(said)
     np.testing.assert_array_equal(heard[before], said[before])

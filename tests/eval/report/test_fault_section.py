@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eval.faults.fault_response import Injections
-from eval.faults.faults import NOT_INJECTED, Answer, catalogue
+from eval.faults.catalogue import NOT_INJECTED, catalogue
+from eval.faults.fault_class import Answer
+from eval.faults.fault_response import FaultResponses
 from eval.judge.monitors import NAMES
 from eval.report.build import build
 from eval.report.html import render
@@ -28,10 +29,11 @@ def every_class_handled():
     answer = np.array([min(each.answer, Answer.HELD) for each in CLASSES])[kind]
     left, rest = np.where(answer == Answer.HELD, 20, -1), np.where(answer == Answer.HELD, 40, -1)
     rest[:, :] = np.where(rest > 0, rest + np.arange(ROBOTS)[:, None], -1)
-    whole = {"begun": 720, "over": 400, "again": 30, "channel": 1, "hurt": 0}
-    astray, load = np.full(shape, 0.01), np.full(shape, 0.8)
+    whole = {"began": 720, "complete": 400, "resumed": 30, "channel": 1, "violated": 0}
+    error, ratio = np.full(shape, 0.01), np.full(shape, 0.8)
     filled = {name: np.full(shape, value) for name, value in whole.items()}
-    return Injections(kind=kind, answer=answer, left=left, rest=rest, astray=astray, load=load, **filled)
+    filled |= {"class_index": kind, "answer": answer, "tracking_error": error, "limit_ratio": ratio}
+    return FaultResponses(stopped=left, rest=rest, **filled)
 
 
 def report(found):
@@ -54,8 +56,8 @@ def test_enough_that_are_handled_pass():
 
 def test_one_that_is_not_fails_and_is_named():
     told = every_class_handled()
-    told.hurt[3, -1] = 1 << NAMES.index("torque")
-    told.astray[3, -1] = np.nan
+    told.violated[3, -1] = 1 << NAMES.index("torque")
+    told.tracking_error[3, -1] = np.nan
     found = report(told)
     assert [line.name for line in found.budget if not line.passed] == ["fault_coverage"]
     about = f"least sure: {CLASSES[-1].name}, 59 of 60 handled; with 1 missed, 95 % takes 93 injections"
@@ -70,7 +72,7 @@ def test_one_that_is_not_fails_and_is_named():
 
 def test_a_class_that_was_not_injected_is_no_failure_of_the_robot():
     told = every_class_handled()
-    told.over[:, 0] = -1
+    told.complete[:, 0] = -1
     page = render(report(told))
     words = " ".join("".join(Page(page).words).split())
     assert words.count("not injected") == 1
@@ -83,7 +85,7 @@ def test_a_class_that_was_not_injected_is_no_failure_of_the_robot():
 
 def test_the_page_shows_every_class_and_what_was_not_injected():
     told = every_class_handled()
-    told.hurt[3, -1] = 1 << NAMES.index("torque")
+    told.violated[3, -1] = 1 << NAMES.index("torque")
     words = " ".join("".join(Page(render(report(told))).words).split())
     for each in CLASSES:
         assert each.name in words

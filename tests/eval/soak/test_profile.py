@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from eval.faults.faults import catalogue
+from eval.faults.catalogue import catalogue
 from eval.faults.schedule import plan
 from eval.soak import cli as command
 from eval.soak.profile import PROFILES, load_profile

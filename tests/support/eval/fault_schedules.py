@@ -1,5 +1,6 @@
-from eval.faults.faults import catalogue
-from eval.faults.schedule import Injection, Schedule
+from eval.faults.catalogue import catalogue
+from eval.faults.fault_class import Injection
+from eval.faults.schedule import Schedule
 from support.arm6 import SPEC
 
 CLASSES, N, DT = catalogue(SPEC), SPEC.n, SPEC.dt
@@ -9,7 +10,7 @@ def named(name):
     return next(each for each in CLASSES if each.name == name)
 
 
-def one_each(faults, begins, *, lasts=None):
+def one_each(faults, begins, *, lasts=None, classes=CLASSES):
     """A schedule that gives each robot one fault: (class, channel), or None for none."""
     injections = [
         Injection(
@@ -19,9 +20,9 @@ def one_each(faults, begins, *, lasts=None):
             channel=fault[1],
             begins=begins,
             ends=begins + (round(fault[0].lasts_s / DT) if lasts is None else lasts),
-            over=begins + 2_000,
+            slot_end=begins + 2_000,
         )
         for robot, fault in enumerate(faults)
         if fault is not None
     ]
-    return Schedule(CLASSES, len(faults), injections)
+    return Schedule(classes, len(faults), injections)

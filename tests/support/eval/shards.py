@@ -5,7 +5,7 @@ pytest.importorskip("mujoco")
 import numpy as np
 
 from deploy.policy.policy import Policy
-from eval.faults.fault_response import Injections
+from eval.faults.fault_response import FaultResponses
 from eval.judge.judge import Judge
 from eval.judge.monitors import MONITORS
 from eval.soak.configuration import Soak
@@ -38,7 +38,7 @@ def lived(samples, robots, seed=0):
     worn[-1, :, 0], winding = np.nan, rng.normal(40, 10, (samples, robots, N))
     return ShardResult(
         counts=Judge(SPEC, torque_max(SPEC), robots).counts(),
-        injections=Injections(**{name: np.zeros((robots, 0)) for name in Injections.__slots__}),
+        injections=FaultResponses(**{name: np.zeros((robots, 0)) for name in FaultResponses.__slots__}),
         winding_c=winding,
         worn=worn,
         folded_back=rng.uniform(0, 1, (samples, robots, N)),

@@ -1,0 +1,121 @@
+"""Fault classes: one declaration for each, with what it injects and the expected answer of the robot.
+
+Source of classes and answers: PX4 Autopilot, failure injection (sensors); Franka Control Interface, 20 missed packets
+(bursts); stop categories of IEC 60204-1. Sizes and durations are estimates.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+from deploy.backends.sim.packets import Failure
+from eval.faults.plant_access import PlantAccess
+from robots.arrays import Float32s
+
+
+class Answer(IntEnum):
+    """What a robot did about a fault, in the order of severity."""
+
+    WENT_ON = 0
+    HELD = 1
+    STOPPED = 2
+    CUT = 3
+
+
+ANSWER_WORDS = {
+    Answer.WENT_ON: "go on",
+    Answer.HELD: "category 2",
+    Answer.STOPPED: "category 1",
+    Answer.CUT: "category 0",
+}
+"""Names of the answers in IEC 60204-1."""
+
+SOON_S = 3.0
+"""Duration of most faults, s: longer than the timers of deploy that wait for them."""
+POLICY, JOINT, ROBOT = "policy", "joint", "robot"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultClass:
+    """One thing that can fail, in one place.
+
+    Attributes:
+        where: a kind of sensor, the policy, a joint or the whole robot. what: fails there.
+        channels: numbers of the sensor's channels, or of joints, that can fail alone; None for all at once.
+        lasts_s: s, from the first sign to the last.
+        answer: the most severe one that is right; a gentler one is too, as long as no hard monitor fires.
+        meaning: for the report.
+    """
+
+    where: str
+    what: str
+    channels: tuple[int | None, ...] = (None,)
+    lasts_s: float = SOON_S
+    answer: Answer = Answer.STOPPED
+    meaning: str
+
+    @property
+    def name(self) -> str:
+        """Unique name in the catalogue."""
+        return f"{self.where} {self.what}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorFault(FaultClass):
+    """Failure of a sensor's packets, injected by the simulated sensors.
+
+    Attributes:
+        failure: of the packets.
+    """
+
+    failure: Failure
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PolicyFault(FaultClass):
+    """Wrong action of the policy.
+
+    Attributes:
+        effect: changes the action (A,) of the robot in place, at each call of the policy.
+    """
+
+    where: str = POLICY
+    effect: Callable[["ActionFault"], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantFault(FaultClass):
+    """Defect of the simulated body, its drives or its supply.
+
+    Attributes:
+        effect: applies the defect before each tick of the fault, and repairs it once at the end.
+    """
+
+    effect: Callable[["PlantAccess", "Injection", bool], None]
+
+
+class Injection(NamedTuple):
+    """One fault of one robot, in ticks from `begins` to just before `ends`; `slot_end` is the last tick of its slot."""
+
+    robot: int
+    slot: int
+    fault: FaultClass
+    channel: int | None
+    begins: int
+    ends: int
+    slot_end: int
+
+
+class ActionFault(NamedTuple):
+    """Action of one call of the policy, to be changed in place.
+
+    Attributes:
+        action: (A,) of the robot. last: (A,) the action of the call before, faults included.
+        channel: number of the action; None for all. call: number of the policy's call, from 0.
+    """
+
+    action: Float32s
+    last: Float32s
+    channel: int | None
+    call: int

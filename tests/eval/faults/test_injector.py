@@ -1,0 +1,41 @@
+"""Fault classes that are declared here, outside the catalogue, are injected like those of the catalogue."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from eval.faults.fault_class import JOINT, Answer, PlantFault, PolicyFault
+from eval.faults.injector import Injector
+from support.arm6 import SPEC
+from support.fault_schedules import CLASSES, N, one_each
+from support.runtimes import running
+
+pytestmark = pytest.mark.usefixtures("quick_goals")
+
+
+def weaken(access, injection, active):
+    access.set_voltage(injection.robot, 0.5 if active else 1.0, injection.channel)
+
+
+def negate(call):
+    call.action[call.channel] *= -1.0
+
+
+WEAK = PlantFault(where=JOINT, what="weak", channels=(2,), meaning="half of its voltage", effect=weaken)
+MIRRORED = PolicyFault(what="mirrored", answer=Answer.HELD, meaning="one sign is wrong", effect=negate)
+
+
+def test_faults_from_outside_the_catalogue():
+    assert (WEAK.name, MIRRORED.name) == ("joint weak", "policy mirrored")
+    plant = running(3).robot.plant
+    schedule = one_each([(WEAK, 2), (MIRRORED, 1), None], 10, lasts=5, classes=(*CLASSES, WEAK, MIRRORED))
+    injector, usual = Injector(SPEC, schedule, plant, N), plant.supply.limit.copy()
+    action = np.ones((3, N), dtype=np.float32)
+    share, mirrored = np.ones((3, N)), action.copy()
+    share[0, 2], mirrored[1, 1] = 0.5, -1.0
+    for tick in range(20):
+        injector.step(tick)
+        active = 10 <= tick < 15
+        np.testing.assert_array_equal(plant.supply.limit, usual * share if active else usual)
+        np.testing.assert_array_equal(injector.action(action, tick), mirrored if active else action)
