@@ -7,18 +7,12 @@ Source: de Boor, A Practical Guide to Splines (1978), ch. IX.
 
 import numpy as np
 
-from eval.judge.monitor import JudgedRobot, Monitor, zero_unless
+from eval.judge.monitor import JointMonitor, JudgedRobot, Monitor, zero_unless
 from eval.judge.tick_buffer import PAST, TickWindow
 from robots.arrays import Floats
 
 SENT_TOLERANCE = 1e-4
 """Rounding, and the 1e-8 rad/s by which a planner may change its state: 2e-6 of the jerk limit at 200 Hz."""
-
-
-def _difference(window: TickWindow, order: int) -> Floats:
-    """Difference of the angles sent, 0 where it looks at a tick without power."""
-    values, drives_on = window.sent_differences[order - 1]
-    return zero_unless(drives_on, values)
 
 
 def _torque_difference(window: TickWindow, robot: JudgedRobot) -> Floats:
@@ -40,60 +34,47 @@ def _jump(window: TickWindow, robot: JudgedRobot) -> Floats:
     return jump
 
 
+def _motion_sent(name: str, unit: str, limit: str, order: int, ordinal: str) -> Monitor:
+    """Declare the monitor of a difference of the angles sent, 0 where it looks at a tick without power."""
+
+    def difference(window: TickWindow, robot: JudgedRobot) -> Floats:
+        values, drives_on = window.sent_differences[order - 1]
+        return zero_unless(drives_on, values)
+
+    return JointMonitor(
+        name=name,
+        unit=unit,
+        hard=True,
+        meaning=f"{ordinal} backward difference of angles sent",
+        limit=lambda robot: robot.spec.joint_array(limit),
+        value=difference,
+        difference_order=order,
+        tolerance=SENT_TOLERANCE,
+    )
+
+
 COMMAND_MONITORS = (
-    Monitor(
+    JointMonitor(
         name="torque_rate",
         unit="N·m/s",
         hard=True,
-        per_joint=True,
         meaning="1st backward difference of the feed-forward torques sent",
         limit=lambda robot: robot.limits.motor_array("torque_rate", robot.spec),
         value=_torque_difference,
         difference_order=1,
         tolerance=SENT_TOLERANCE,
     ),
-    Monitor(
+    JointMonitor(
         name="command_jump",
         unit="rad",
         hard=True,
-        per_joint=True,
         meaning="angle sent in the first tick of power, away from the true one by more than is allowed for arming, and"
         " in the second, away from the first, by more than full acceleration from rest",
         limit=lambda robot: robot.spec.joint_array("qdd_max") * robot.spec.dt**2,
         value=_jump,
         tolerance=SENT_TOLERANCE,
     ),
-    Monitor(
-        name="velocity_sent",
-        unit="rad/s",
-        hard=True,
-        per_joint=True,
-        meaning="1st backward difference of angles sent",
-        limit=lambda robot: robot.spec.joint_array("qd_max"),
-        value=lambda window, robot: _difference(window, 1),
-        difference_order=1,
-        tolerance=SENT_TOLERANCE,
-    ),
-    Monitor(
-        name="acceleration",
-        unit="rad/s²",
-        hard=True,
-        per_joint=True,
-        meaning="2nd backward difference of angles sent",
-        limit=lambda robot: robot.spec.joint_array("qdd_max"),
-        value=lambda window, robot: _difference(window, 2),
-        difference_order=2,
-        tolerance=SENT_TOLERANCE,
-    ),
-    Monitor(
-        name="jerk",
-        unit="rad/s³",
-        hard=True,
-        per_joint=True,
-        meaning="3rd backward difference of angles sent",
-        limit=lambda robot: robot.spec.joint_array("qddd_max"),
-        value=lambda window, robot: _difference(window, 3),
-        difference_order=3,
-        tolerance=SENT_TOLERANCE,
-    ),
+    _motion_sent("velocity_sent", "rad/s", "qd_max", 1, "1st"),
+    _motion_sent("acceleration", "rad/s²", "qdd_max", 2, "2nd"),
+    _motion_sent("jerk", "rad/s³", "qddd_max", 3, "3rd"),
 )

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from eval.judge.monitor import JudgedRobot, Monitor, zero_unless
+from eval.judge.monitor import JointMonitor, JudgedRobot, zero_unless
 from eval.judge.tick_buffer import TickWindow
 from robots.arrays import Floats
 
@@ -35,92 +35,82 @@ def _squared_estimate_error(window: TickWindow, robot: JudgedRobot) -> Floats:
 
 
 JOINT_MONITORS = (
-    Monitor(
+    JointMonitor(
         name="position_requested",
         unit="rad",
         hard=False,
-        per_joint=True,
         meaning="the policy's target, before it is clamped, beyond the working range",
         limit=lambda robot: robot.q_half_range,
         value=_target_from_middle,
     ),
-    Monitor(
+    JointMonitor(
         name="position_soft",
         unit="rad",
         hard=False,
-        per_joint=True,
         meaning="true angle nearer to the range's end than its margin",
         limit=lambda robot: robot.q_half_range - robot.spec.margins.q_soft_rad,
         value=_q_from_middle,
     ),
-    Monitor(
+    JointMonitor(
         name="position_hard",
         unit="rad",
         hard=True,
-        per_joint=True,
         meaning="true angle beyond the working range",
         limit=lambda robot: robot.q_half_range,
         value=_q_from_middle,
     ),
-    Monitor(
+    JointMonitor(
         name="velocity",
         unit="rad/s",
         hard=True,
-        per_joint=True,
         meaning="true joint speed",
         limit=lambda robot: robot.spec.joint_array("qd_max"),
         value=lambda window, robot: window.now.qd,
     ),
-    Monitor(
+    JointMonitor(
         name="torque",
         unit="N·m",
         hard=True,
-        per_joint=True,
         meaning="true actuator torque at the end of its range",
         limit=lambda robot: TORQUE_FULL * robot.torque_max,
         value=lambda window, robot: window.now.tau,
     ),
-    Monitor(
+    JointMonitor(
         name="power",
         unit="W",
         hard=False,
-        per_joint=True,
         meaning="true mechanical power of a joint, given or taken",
         limit=lambda robot: robot.limits.motor_array("power_w", robot.spec),
         value=lambda window, robot: window.joint_power,
     ),
-    Monitor(
+    JointMonitor(
         name="heat_soft",
         unit="°C",
         hard=False,
-        per_joint=True,
         meaning="true winding temperature, warning",
         limit=lambda robot: robot.spec.motor_array("winding_soft_c"),
         value=lambda window, robot: window.now.winding_c,
     ),
-    Monitor(
+    JointMonitor(
         name="heat_hard",
         unit="°C",
         hard=True,
-        per_joint=True,
         meaning="true winding temperature, damage",
         limit=lambda robot: robot.spec.motor_array("winding_max_c"),
         value=lambda window, robot: window.now.winding_c,
     ),
-    Monitor(
+    JointMonitor(
         name="tracking",
         unit="rad",
         hard=False,
-        per_joint=True,
         meaning="true angle away from the angle sent",
         limit=lambda robot: robot.spec.margins.tracking_rad,
         value=_tracking_error,
     ),
-    Monitor(
+    JointMonitor(
         name="estimate",
         unit="1",
         hard=False,
-        per_joint=True,
         meaning="squared error of the estimated angle, in variances that the estimator claims",
         limit=lambda robot: robot.limits.nees,
         value=_squared_estimate_error,

@@ -81,6 +81,13 @@ class Monitor:
     tolerance: float = 0.0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointMonitor(Monitor):
+    """Monitor of every joint."""
+
+    per_joint: bool = True
+
+
 def zero_unless(mask: Bools, values: NDArray[Any]) -> NDArray[Any]:
     """Return values (T, R, ...), replaced by 0 where the mask (T, R) does not hold."""
     if mask.all():

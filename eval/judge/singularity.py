@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from robots.arrays import Floats
+from robots.errors import ConfigError
 from robots.models.mujoco_model import load_mujoco
 from robots.spec import RobotSpec
 
@@ -22,8 +23,14 @@ class SingularityMetric:
     """
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Read the joint axes at angles of 0, and on which side of a singularity home is."""
+        """Read the joint axes at angles of 0, and on which side of a singularity home is.
+
+        Raises:
+            ConfigError: the robot has other joints, such as a floating base.
+        """
         model = load_mujoco(spec)
+        if model.nq != spec.n:
+            raise ConfigError(f"{spec.folder}: margins.singularity: expected none, robot is no fixed chain")
         data = mujoco.MjData(model)
         data.qpos[:] = 0.0
         mujoco.mj_kinematics(model, data)

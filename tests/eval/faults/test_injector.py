@@ -8,7 +8,7 @@ pytest.importorskip("mujoco")
 from eval.faults.fault_class import JOINT, Answer, PlantFault, PolicyFault
 from eval.faults.injector import Injector
 from support.arm6 import SPEC
-from support.fault_schedules import CLASSES, N, one_each
+from support.eval.fault_schedules import CLASSES, N, one_each
 from support.runtimes import running
 
 pytestmark = pytest.mark.usefixtures("quick_goals")

@@ -18,6 +18,7 @@ LIMITS_TEXT = (SPEC.folder / "limits.toml").read_text()
         ("contact_n = 140.0", "contact_n = 0.0", r"contact_n: .* found 0\.0"),
         ("nees = 64.0", "", "nees: Field required"),
         ("manipulability = 0.00025", "manipulability = -1.0", r"manipulability: .* found -1\.0"),
+        ("manipulability = 0.00025", "", "manipulability: found none, expected one"),
         ("[motors.size3]", "[motors.size9]", "motors: found size1, size9, expected size1, size3"),
     ],
 )

@@ -1,20 +1,22 @@
-"""A monitor that neither `eval` nor the arm knows is declared here, and judged, counted and logged like all others."""
+"""A monitor that is declared here, outside the catalogue; and robots without the capabilities of some monitors."""
+
+import re
 
 import numpy as np
 import pytest
 
 from eval.judge.judge import Judge
-from eval.judge.monitor import Monitor
+from eval.judge.monitor import JointMonitor, Monitor
 from eval.judge.monitors import MONITORS
 from robots.errors import ConfigError
-from support.arm6 import SPEC
+from robots.spec import load_robot
+from support.arm6 import SPEC, copy_of_arm
 from support.eval.judges import DT, OBSERVED, TORQUE_MAX, Bench, N, feed, random_series
 
-BRAKING = Monitor(
+BRAKING = JointMonitor(
     name="braking",
     unit="W",
     hard=True,
-    per_joint=True,
     meaning="true mechanical power that a joint takes",
     limit=lambda robot: 0.5 * robot.limits.motor_array("power_w", robot.spec),
     value=lambda window, robot: np.minimum(window.joint_power, 0.0),
@@ -92,3 +94,36 @@ def test_it_changes_nothing_of_all_others():
 def test_two_monitors_of_one_name_are_refused():
     with pytest.raises(ConfigError, match="'braking' 2 times"):
         Judge(SPEC, TORQUE_MAX, 1, monitors=(*MONITORS, BRAKING, BRAKING))
+
+
+WITHOUT_WORKSPACE = ((r"(?s)\[workspace\].*?tool_speed_max = 2.5", ""), ("workspace_m = 0.010", ""))
+WITHOUT_MANIPULABILITY = (("singularity = 0.0005", ""),)
+WITHOUT_TOOL = (*WITHOUT_WORKSPACE, *WITHOUT_MANIPULABILITY, ('tool = "tool" ', ""))
+
+
+@pytest.mark.parametrize(
+    ("edits", "missing"),
+    [
+        (WITHOUT_WORKSPACE, {"workspace", "tool_speed"}),
+        (WITHOUT_MANIPULABILITY, {"singularity"}),
+        (WITHOUT_TOOL, {"workspace", "tool_speed", "singularity"}),
+        ((("collision_m = 0.01", ""),), {"self_collision"}),
+    ],
+)
+def test_an_arm_without_a_capability_is_judged_without_its_monitors(tmp_path, edits, missing):
+    folder, series = copy_of_arm(tmp_path, toml=edits), random_series(300, 2, seed=13)
+    path = folder / "limits.toml"
+    if "singularity" in missing:
+        path.write_text(re.sub("manipulability = .*\n", "", path.read_text()))
+    usual, less = (Judge(spec, TORQUE_MAX, 2, observed=OBSERVED) for spec in (SPEC, load_robot(folder)))
+    for judge in (usual, less):
+        feed(judge, series, range(300))
+    a, b = usual.counts(), less.counts()
+    assert {monitor.name for monitor in a.monitors} - {monitor.name for monitor in b.monitors} == missing
+    for monitor in MONITORS:
+        columns = a.columns(monitor.name)
+        judged = monitor.name not in missing and "floating_base" not in monitor.needs
+        assert bool(a.worst[:, columns].any()) == ("floating_base" not in monitor.needs)
+        wanted = a.worst[:, columns] if judged else np.zeros_like(a.worst[:, columns])
+        np.testing.assert_array_equal(b.worst[:, columns], wanted)
+        np.testing.assert_array_equal(np.isfinite(b.limits[columns]), judged)
