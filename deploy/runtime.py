@@ -264,7 +264,7 @@ class Runtime(Stage):
         here = Setpoint(q=self.state.q, qd=np.zeros_like(self.state.q), qdd=np.zeros_like(self.state.q))
         self.verdict = self.safety.step(self.state, here, here, here, here.q, here.q)
         reason = np.where(ids, self.verdict.reason | self.state.fault, 0)
-        reason[ids & self.estimator.moving] |= _MOVING
+        reason[ids & self.estimator.moving.any(axis=1)] |= _MOVING
         self.asked[ids], self.since[ids] = 0, 0
         granted = ids & (reason == 0)
         self.supervisor.arm(granted)

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.estimation.estimator import CONFIRMED
 from deploy.runtime import Runtime
 from deploy.safety.supervisor import WORDS
 from deploy.state import Mode, Reason
@@ -70,13 +69,13 @@ def _meant(runtime: Runtime, bit: Reason, robot: int) -> Bools:
     if bit is Reason.HEAT and heat.unknown[robot]:
         return np.asarray(~heat.clear[robot])
     if bit in AGES:
-        old = runtime.state.t - estimator.t_sample[robot] > _oldest(runtime, bit)
-        return np.asarray(old | (estimator.many[robot] < CONFIRMED))
+        old = runtime.state.t - estimator.joints.t_sample[robot] > _oldest(runtime, bit)
+        return np.asarray(old | ~estimator.divergence.confirmed[robot])
     known = {
         Reason.DIVERGED: estimator.diverged,
         Reason.STUCK: estimator.stuck,
         Reason.LOAD: estimator.load.against,
-        Reason.MOVING: estimator.strays,
+        Reason.MOVING: estimator.moving,
     }
     if bit in known:
         return np.asarray(known[bit][robot])

@@ -64,11 +64,12 @@ class Late(Estimator):
     def step(self, t: float, sample: Sample, sent: Setpoint) -> State:
         """What was, for what is."""
         state = super().step(t, sample, sent)
-        whole = np.rint(self.t_sample / self._dt)
-        robots, joints = np.ogrid[: len(whole), : self._n]
-        place = whole.astype(np.int64) % self._depth
-        q, qd = self.sent[robots, place, joints], self.sent[robots, place, joints + self._n]
-        return state._replace(q=q + qd * (self.t_sample - whole * self._dt) + self.e, qd=qd + self.ed)
+        history, belief = self.setpoints, self.joints
+        whole = np.rint(belief.t_sample / self.dt)
+        robots, joints = np.ogrid[: len(whole), : whole.shape[1]]
+        place = whole.astype(np.int64) % history.depth
+        q, qd = history.ring[robots, place, joints], history.ring[robots, place, joints + whole.shape[1]]
+        return state._replace(q=q + qd * (belief.t_sample - whole * self.dt) + belief.e, qd=qd + belief.ed)
 
 
 class Unsmoothed(Smoother):

@@ -3,15 +3,13 @@
 from collections.abc import Callable
 from functools import partial
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 
-from deploy.estimation import estimator
 from deploy.estimation.estimator import Estimator
 from deploy.motion.smoother import Smoother
 from deploy.runtime import Runtime
-from deploy.state import Packet, Reason, Setpoint, State, Verdict
+from deploy.state import Reason, Setpoint, State, Verdict
 from robots.arrays import Bools, Floats
 
 Weaken = Callable[[Runtime], None]
@@ -187,7 +185,7 @@ class Restless(Estimator):
     @property
     def moving(self) -> Bools:
         """Nothing ever does."""
-        return np.zeros(len(self.e), dtype=bool)
+        return np.zeros_like(self.joints.e, dtype=bool)
 
 
 def restless(runtime: Runtime) -> None:
@@ -195,27 +193,18 @@ def restless(runtime: Runtime) -> None:
     runtime.estimator = Restless(runtime.spec, runtime.robot.robots)
 
 
-class Open(Estimator):
-    """No sample is beyond the gate."""
-
-    def _fuse(self, packet: Packet, deviation: Floats, new: Bools) -> Bools:
-        """All of them count."""
-        with patch.object(estimator, "GATE", np.inf):
-            return super()._fuse(packet, deviation, new)
-
-
 def gateless(runtime: Runtime) -> None:
     """No sample is left out."""
-    runtime.estimator = Open(runtime.spec, runtime.robot.robots)
+    runtime.estimator.joints.gate = np.inf
 
 
 def hasty(runtime: Runtime) -> None:
     """A filter is believed from its first sample on."""
 
-    def now(tell: Callable[..., State], t: float, *heard: Any) -> State:
-        return tell(t, *heard)._replace(age=(t - runtime.estimator.t_sample).max(axis=1))
+    def now(step: Callable[..., State], t: float, *heard: Any) -> State:
+        return step(t, *heard)._replace(age=(t - runtime.estimator.joints.t_sample).max(axis=1))
 
-    around(runtime.estimator, "_now", now)
+    around(runtime.estimator, "step", now)
 
 
 def undoubting(runtime: Runtime) -> None:

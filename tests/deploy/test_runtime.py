@@ -84,7 +84,7 @@ def test_a_robot_that_moves_is_not_armed():
     """Somebody leads it by hand, say, or its brake slips."""
     runtime = built(2)
     heard(runtime)
-    runtime.estimator.ed[1, 2] = 0.5
+    runtime.estimator.joints.ed[1, 2] = 0.5
     refused = [Reason(int(r)) for r in runtime.arm(every(runtime))]
     assert refused == [Reason.NONE, Reason.MOVING]
     assert runtime.supervisor.powered.tolist() == [True, False]

@@ -130,9 +130,10 @@ def _nees(spec: RobotSpec, estimator: Estimator, state: State, q: Floats, qd: Fl
 
     Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sec. 5.4.
     """
-    lag, density = state.t - estimator.t_sample, spec.joint_array("acceleration_density")
-    p00, p11 = state.q_var, estimator.p11 + density * lag
-    p01 = estimator.p01 + lag * estimator.p11 + density * lag**2 / 2
+    joints = estimator.joints
+    lag, density = state.t - joints.t_sample, spec.joint_array("acceleration_density")
+    p00, p11 = state.q_var, joints.p11 + density * lag
+    p01 = joints.p01 + lag * joints.p11 + density * lag**2 / 2
     return np.asarray((p11 * q**2 - 2 * p01 * q * qd + p00 * qd**2) / (p00 * p11 - p01**2))
 
 

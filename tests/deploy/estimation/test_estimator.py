@@ -5,7 +5,11 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.estimation.estimator import CONFIRMED, MEMORY, REMEMBERED_S, SPEED_STD, STUCK_SHARE, Estimator
+from deploy.estimation.divergence import CONFIRMED_S, NIS_S
+from deploy.estimation.estimator import Estimator
+from deploy.estimation.joint_filter import SEED_SPEED_STD
+from deploy.estimation.setpoint_history import HISTORY_S
+from deploy.estimation.stuck_detection import STUCK_SHARE
 from deploy.motion.drive_law import Gains
 from deploy.state import Packet, Reason, Setpoint
 from robots.models.fleet import torque_max
@@ -16,6 +20,7 @@ from support.deploy.estimators import DENSITY, DT, ENCODER, NOISE, N, begun, pac
 PLAY = SPEC.joint_array("play")
 UNSEEN = ENCODER.bias**2 / 3 + PLAY**2 / 12
 SPEED_NOISE = 0.005
+CONFIRMED, NIS_SAMPLES = round(CONFIRMED_S / DT), round(NIS_S / DT)
 SOFT = Gains(kp=np.full(N, 100.0), kd=np.full(N, 5.0))
 NAMES = ("q", "qd", "q_var", "age", "nis", "fault")
 
@@ -55,13 +60,13 @@ class ByFilterpy:
             kf = self.filters[robot][joint] = KalmanFilter(dim_x=2, dim_z=1)
             speed = sent(round(t / DT), len(self.t)).qd[robot, joint]
             kf.x = np.array([[z], [speed]])
-            kf.P = np.diag([NOISE**2, SPEED_STD**2])
+            kf.P = np.diag([NOISE**2, SEED_SPEED_STD**2])
             kf.H, kf.R, self.nis[robot, joint] = np.array([[1.0, 0.0]]), np.array([[NOISE**2]]), 1.0
         else:
             kf.F, kf.Q = _model(t - self.t[robot, joint], joint)
             kf.predict(u=_input(robot, joint, self.t[robot, joint], t, len(self.t)), B=np.eye(2))
             kf.update(z)
-            self.nis[robot, joint] += (kf.y[0, 0] ** 2 / kf.S[0, 0] - self.nis[robot, joint]) / MEMORY
+            self.nis[robot, joint] += (kf.y[0, 0] ** 2 / kf.S[0, 0] - self.nis[robot, joint]) / NIS_SAMPLES
         self.t[robot, joint] = t
         self.many[robot, joint] += 1
 
@@ -103,7 +108,8 @@ def test_covariance_stays_positive_and_state_finite(seed, loss):
     estimator = begun(4)
     for tick, s, setpoint in packets(np.random.default_rng(seed), 4, 250, loss):
         state = estimator.step(tick * DT, s, setpoint)
-        p00, p01, p11 = (p[estimator.seeded] for p in (estimator.p00, estimator.p01, estimator.p11))
+        joints = estimator.joints
+        p00, p01, p11 = (p[joints.seeded] for p in (joints.p00, joints.p01, joints.p11))
         assert (p00 > 0).all()
         assert (p11 > 0).all()
         assert (p00 * p11 > p01**2).all()
@@ -209,7 +215,10 @@ def test_measured_speed_equals_filterpys_second_update(with_speed):
         state = estimator.step(tick * DT, packets, still(1))
         for joint in range(N):
             if tick == 0:
-                kf[joint].x, kf[joint].P = np.array([[z[0, joint]], [0.0]]), np.diag([NOISE**2, SPEED_STD**2])
+                kf[joint].x, kf[joint].P = (
+                    np.array([[z[0, joint]], [0.0]]),
+                    np.diag([NOISE**2, SEED_SPEED_STD**2]),
+                )
             else:
                 kf[joint].F, kf[joint].Q = _model(DT, joint)
                 kf[joint].predict()
@@ -308,11 +317,11 @@ def test_saved_arrays_are_copies():
     saved = estimator.save()
     for tick, s, setpoint in packets(np.random.default_rng(8), 1, 20, 0.0):
         estimator.step(tick * DT, s, setpoint)
-    np.testing.assert_array_equal(saved["e"], 0.0)
-    assert not saved["seeded"].any()
+    np.testing.assert_array_equal(saved["joints.e"], 0.0)
+    assert not saved["joints.seeded"].any()
 
 
-@pytest.mark.parametrize("taken", [5, 9 - round(REMEMBERED_S / DT)])
+@pytest.mark.parametrize("taken", [5, 9 - round(HISTORY_S / DT)])
 def test_an_older_packet_than_the_last_is_left_out(taken):
     estimator = Estimator(SPEC, 1)
     for tick in range(10):
@@ -342,7 +351,7 @@ def test_on_soft_drives_what_is_sent_says_nothing_of_where_a_joint_is():
         for name in ("q", "qd", "q_var", "age", "nis"):
             np.testing.assert_array_equal(getattr(believed, name), getattr(expected, name))
     soft.follow(np.array([True, False]), jerked, still(2))
-    np.testing.assert_array_equal(soft.e, stiff.e)
+    np.testing.assert_array_equal(soft.joints.e, stiff.joints.e)
 
 
 @pytest.mark.parametrize(("share", "stuck"), [(0.9, False), (1.1, True)])

@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from deploy.estimation.estimator import CONFIRMED, DIVERGED, GATE, REFUSED, STUCK_S, Estimator
+from deploy.estimation.divergence import CONFIRMED_S, NIS_MAX, REFUSED_S
+from deploy.estimation.estimator import Estimator
+from deploy.estimation.joint_filter import GATE
+from deploy.estimation.stuck_detection import STUCK_S
 from deploy.state import Reason
 from support.arm6 import SPEC
 from support.deploy.estimators import DT, NOISE, N, begun, packets, sample, still
+
+CONFIRMED, REFUSED = round(CONFIRMED_S / DT), round(REFUSED_S / DT)
 
 
 def test_nobody_is_believed_before_he_is_confirmed():
@@ -44,7 +49,7 @@ def test_a_robot_that_moves_without_being_sent_is_seen_to_move():
         z = rng.normal(0, NOISE, (2, N))
         z[1] += 0.3 * tick * DT
         estimator.step(tick * DT, sample([tick * DT] * 2, [True] * 2, z), still(2))
-    assert estimator.moving.tolist() == [False, True]
+    assert estimator.moving.any(axis=1).tolist() == [False, True]
 
 
 def test_a_joint_that_does_not_obey_is_seen_where_it_is():
@@ -85,7 +90,7 @@ def test_a_gross_error_is_a_packet_that_never_came():
         expected = clean.step(tick * DT, sample([tick * DT], [True], lost), still(1))
         np.testing.assert_array_equal(state.q, expected.q)
         assert state.age[0] == expected.age[0]
-    assert 1.0 < estimator.nis[0, 3] < DIVERGED
+    assert 1.0 < estimator.divergence.nis[0, 3] < NIS_MAX
 
 
 def test_a_joint_that_really_jumped_is_found_again_and_the_jump_is_told():
@@ -108,7 +113,7 @@ def test_the_gate_stands_where_it_says(standard_deviations):
     estimator, rng = Estimator(SPEC, 1), np.random.default_rng(10)
     for tick in range(100):
         estimator.step(tick * DT, sample([tick * DT], [True], rng.normal(0, NOISE, (1, N))), still(1))
-    away = still(1).q + standard_deviations * np.sqrt(estimator.p00 + NOISE**2)
+    away = still(1).q + standard_deviations * np.sqrt(estimator.joints.p00 + NOISE**2)
     state = estimator.step(100 * DT, sample([100 * DT], [True], away), still(1))
     assert state.age[0] == pytest.approx(0.0 if standard_deviations < GATE else DT)
 

@@ -7,7 +7,7 @@ from support.arm6 import SPEC
 
 pytest.importorskip("mujoco")
 
-from deploy.estimation.estimator import DIVERGED
+from deploy.estimation.divergence import NIS_MAX
 from deploy.estimation.external_torque import LOOKS
 from deploy.safety.diagnostics import Stops, Why, blame
 from deploy.safety.supervisor import WORDS
@@ -38,13 +38,14 @@ def hot(runtime, robot=0):
 
 
 def lost(runtime, robot=0):
-    runtime.estimator.nis[robot, WRIST] = DIVERGED + 1
+    runtime.estimator.divergence.nis[robot, WRIST] = NIS_MAX + 1
 
 
 def hanging(runtime, robot=0):
-    runtime.estimator.same[robot] = 10**6  # as at rest: nobody was sent away
-    runtime.estimator.moved[robot] = runtime.estimator.sent[robot, runtime.estimator._place, : SPEC.n]
-    runtime.estimator.moved[robot, WRIST] += 0.1
+    detection = runtime.estimator.stuck_detection
+    detection.repeats[robot] = 10**6  # as at rest: nobody was sent away
+    detection.setpoint[robot] = runtime.estimator.setpoints.q[robot]
+    detection.setpoint[robot, WRIST] += 0.1
 
 
 def leaning(runtime, robot=0):
@@ -52,7 +53,7 @@ def leaning(runtime, robot=0):
 
 
 def moving(runtime, robot=0):
-    runtime.estimator.ed[robot, WRIST] = 10.0
+    runtime.estimator.joints.ed[robot, WRIST] = 10.0
 
 
 @pytest.mark.parametrize(
@@ -263,7 +264,7 @@ def test_nothing_is_known_before_the_first_packet():
 def test_who_is_refused_is_told_which_joint_moves():
     runtime = built(1)
     heard(runtime)
-    runtime.estimator.ed[0, WRIST] = 1.0
+    runtime.estimator.joints.ed[0, WRIST] = 1.0
     refused = runtime.arm(np.ones(1, dtype=bool))
     assert blame(runtime, int(refused[0])) == "a joint moves while the drives are off (wrist_2)"
 

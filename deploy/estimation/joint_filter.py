@@ -1,0 +1,159 @@
+"""Kalman filter of a joint's deviation from its setpoint; B × n independent filters in one pass.
+
+    state             x = [e, ed]          rad, rad/s: deviation from the setpoint and its rate, at t_sample
+    covariance        P = [p00  p01]       rad², rad²/s
+                          [p01  p11]       rad²/s, rad²/s²
+    motion            d(ed)/dt = w         w: white noise of spectral density s, rad²/s³ (acceleration_density)
+    transition        F = [1  dt]          dt: s, from t_sample to the time at which a packet was taken
+                          [0   1]
+    process noise     Q = s [dt³/3  dt²/2]
+                            [dt²/2  dt   ]
+    angle packet      z = H x + v,  H = [1  0],  variance of v: r, rad²
+    speed packet      z = H x + v,  H = [0  1],  variance of v: r_speed, rad²/s²
+
+A deviation changes far less than an angle, so that s can be small. A joint on a soft drive does not follow its
+setpoint: its deviation is measured from an angle of 0. filterpy gives the process noise and is the oracle of the tests.
+
+Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sec. 5.2 (Kalman
+filter) and 6.2 (white-noise acceleration).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from filterpy.common import Q_continuous_white_noise
+
+from deploy.masks import all_true
+from deploy.stage import Stage
+from robots.arrays import Bools, Floats
+from robots.spec import RobotSpec
+
+GATE = 8.0
+"""Standard deviations of an innovation above which a sample is rejected: a gross error, not noise."""
+SEED_SPEED_STD = 1.0
+"""rad/s, standard deviation of the speed of a filter that was started from one sample."""
+
+
+class Innovation(NamedTuple):
+    """Prediction to a packet's time, compared with the packet; every array (B, n).
+
+    Attributes:
+        dt: s, time predicted over.
+        e: rad. p00: rad². Predicted deviation and its variance.
+        y: rad, innovation. s: rad², its variance. nis: y²/s, normalized innovation squared.
+    """
+
+    dt: Floats
+    e: Floats
+    p00: Floats
+    y: Floats
+    s: Floats
+    nis: Floats
+
+
+class JointFilter(Stage):
+    """The Kalman equations; selection of packets, confirmation and restarts are decided by `Estimator`.
+
+    Attributes:
+        e, ed: (B, n) rad and rad/s. p00, p01, p11: (B, n) their covariance.
+        t_sample: (B, n) s, time of the state: when the last fused angle was taken.
+        t_speed: (B,) s, when the last fused speed packet was taken.
+        seeded: (B,) whether the filters of a robot were started.
+        gate: standard deviations.
+    """
+
+    carried = ("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "seeded")
+
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        """Allocate; not seeded."""
+        shape, sensors = (robots, spec.n), spec.sensors
+        self.e, self.ed, self.p00, self.p01, self.p11, self.t_sample = np.zeros((6, *shape))
+        self.t_speed, self.seeded = np.full(robots, -np.inf), np.zeros(robots, dtype=bool)
+        self.gate = GATE
+        # numpy is fastest where all shapes are equal.
+        self._wide, self._r = np.zeros(shape), np.full(shape, sensors["encoder"].variance)
+        self._r_speed = sensors["velocity"].variance if "velocity" in sensors else np.inf
+        density = np.tile(spec.joint_array("acceleration_density"), (robots, 1))
+        unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=1.0)  # [[1/3, 1/2], [1/2, 1]]
+        self._s_3, self._s_2, self._s = (density * unit[place] for place in ((0, 0), (0, 1), (1, 1)))
+
+    def seed(self, joints: Bools, t: Floats, z: Floats) -> None:
+        """Start the filters of `joints` (B, n) from samples z (B, n) rad taken at t (B,) s, at the setpoint's speed.
+
+        x = [z, 0],  P = diag(r, SEED_SPEED_STD²)
+        """
+        self.e[joints], self.ed[joints] = z[joints], 0.0
+        self.p00[joints], self.p01[joints], self.p11[joints] = self._r[joints], 0.0, SEED_SPEED_STD**2
+        np.copyto(self.t_sample, t[:, None], where=joints)
+
+    def angle_variance(self, dt: Floats) -> Floats:
+        """Return element 00 of F P Fᵀ + Q, (B, n) rad², after dt (B, n) s.
+
+        p00 + 2 dt p01 + dt² p11 + s dt³/3
+        """
+        variance: Floats = self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._s_3 * dt))
+        return variance
+
+    def innovate(self, t: Floats, z: Floats, new: Bools) -> Innovation:
+        """Predict to the packets' times and compare.
+
+        x⁻ = F x,  P⁻ = F P Fᵀ + Q,  y = z − H x⁻,  S = H P⁻ Hᵀ + r
+
+        Args:
+            t: (B,) s, when the packets were taken.
+            z: (B, n) rad, measured deviations.
+            new: (B, n) samples that may be fused; the others are predicted over 0 s.
+        """
+        dt = self._per_joint(t) - self.t_sample
+        if not all_true(new):
+            dt[~new] = 0.0
+        e, p00 = self.e + self.ed * dt, self.angle_variance(dt)
+        y, s = z - e, p00 + self._r
+        return Innovation(dt, e, p00, y, s, y * y / s)
+
+    def correct(self, t: Floats, innovation: Innovation, fused: Bools) -> None:
+        """Correct by the samples `fused` (B, n) taken at t (B,) s; elsewhere nothing changes.
+
+        K = P⁻ Hᵀ / S,  x = x⁻ + K y,  P = (I − K H) P⁻
+        """
+        dt, e, p00, y, s, _ = innovation
+        if not all_true(fused):  # predicted over 0 s and corrected by a sample of infinite variance
+            missing = ~fused
+            e[missing], p00[missing] = self.e[missing], self.p00[missing]
+            dt[missing], y[missing], s[missing] = 0.0, 0.0, np.inf
+        np.copyto(self.t_sample, t[:, None], where=fused)
+        p01, p11 = self.p01 + dt * (self.p11 + self._s_2 * dt), self.p11 + self._s * dt
+        k0, k1 = p00 / s, p01 / s
+        np.add(e, k0 * y, out=self.e)
+        self.ed += k1 * y
+        np.subtract(p00, k0 * p00, out=self.p00)
+        np.subtract(p01, k0 * p01, out=self.p01)
+        np.subtract(p11, k1 * p01, out=self.p11)
+
+    def correct_by_speed(self, t: Floats, z: Floats, new: Bools) -> None:
+        """Correct by measured speeds that are inside the gate.
+
+        y = z − H x,  S = H P Hᵀ + r_speed + s |t − t_sample|,  K = P Hᵀ / S,  x = x + K y,  P = (I − K H) P
+
+        Args:
+            t: (B,) s, when the speeds were taken: where it is not t_sample, its distance adds process noise.
+            z: (B, n) rad/s, measured rates of the deviations.
+            new: (B,) robots whose packets may be fused.
+        """
+        y, apart = z - self.ed, np.abs(self._per_joint(t) - self.t_sample)
+        s = self.p11 + self._r_speed + self._s * apart
+        fused = new[:, None] & (y * y <= self.gate**2 * s)
+        np.copyto(self.t_speed, t, where=new)
+        np.copyto(y, 0.0, where=~fused)
+        np.copyto(s, np.inf, where=~fused)
+        k0, k1 = self.p01 / s, self.p11 / s
+        self.e += k0 * y
+        self.ed += k1 * y
+        self.p00 -= k0 * self.p01
+        self.p01 -= k0 * self.p11
+        self.p11 -= k1 * self.p11
+
+    def _per_joint(self, robots: Floats) -> Floats:
+        """Return (B,) values as (B, n) in a buffer that the next call overwrites."""
+        np.copyto(self._wide, robots[:, None])
+        return self._wide
