@@ -199,7 +199,7 @@ class Runtime(Stage):
             self.action.step(action, self.smoother.q)
         stopping = self.supervisor.stopping
         self.action.hold(stopping, self.smoother.q)
-        self.smoother.pace = self.estimator.heat.pace
+        self.smoother.pace = self.estimator.windings.foldback.speed_share
         planned = self.smoother.next(self.action.q, stopping)
         ahead, q_midst, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_midst, q_rest)
@@ -237,12 +237,12 @@ class Runtime(Stage):
             powered=self.supervisor.powered,
             current=self._current(),
         )
-        self.estimator.load.ask(tau, self.command.powered)
+        self.estimator.external_torque.command(tau, self.command.powered)
         self.robot.write(self.command)
 
     def _current(self) -> Floats:
         """(B, n) share of each drive's current: all of it for a stop, which was checked with it."""
-        fold, running = self.estimator.heat.fold, self.supervisor.running
+        fold, running = self.estimator.windings.foldback.current_share, self.supervisor.running
         return fold if all_true(running) else np.where(running[:, None], fold, 1.0)
 
     def _finite(self, planned: Setpoint) -> Setpoint:

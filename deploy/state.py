@@ -43,7 +43,7 @@ class BaseState(NamedTuple):
         age: (B,) s since the newest samples were taken, of gyro or accelerometer whichever is older.
         innovation: (B, F, 3) of the newest sample, whitened by its covariance; 0 where a foot did not stand.
         stuck: (B,) the IMU repeats itself: its samples are left out.
-        diverged: (B,) not to be believed: see `FloatingBase`.
+        diverged: (B,) not to be believed: see `BaseFilter`.
     """
 
     t: float
@@ -70,7 +70,7 @@ class State(NamedTuple):
         nis: (B, n) running mean of squared innovations, in variances: far above 1 where the filter does not fit.
         temperature: (B, n) °C, motor housing.
         winding: (B, n) °C, hottest: (B, n) °C that it may have, and fold: (B, n) share of its current that a drive may
-            use at work, as `Heat` has them.
+            use at work, see `WindingObserver` and `Foldback`.
         fault: (B,) int64 bit sets of `Reason`, why the estimate is not to be trusted; 0 where it is.
         base: of a robot that has one.
     """

@@ -9,12 +9,12 @@ from typing import ClassVar
 import numpy as np
 
 from deploy.estimation.divergence import Divergence
-from deploy.estimation.external_torque import Load
-from deploy.estimation.heat import Heat
+from deploy.estimation.external_torque import ExternalTorque
 from deploy.estimation.joint_filter import JointFilter
 from deploy.estimation.sample_count import sample_count
 from deploy.estimation.setpoint_history import SetpointHistory
 from deploy.estimation.stuck_detection import StuckDetection
+from deploy.estimation.winding_observer import WindingObserver
 from deploy.masks import all_true, any_true
 from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
@@ -37,7 +37,7 @@ class Estimator(Stage):
     """
 
     carried: ClassVar[tuple[str, ...]] = ("fault",)
-    parts = ("joints", "setpoints", "stuck_detection", "divergence", "heat", "load")
+    parts = ("joints", "setpoints", "stuck_detection", "divergence", "windings", "external_torque")
 
     def __init__(self, spec: RobotSpec, robots: int, *, springs: Gains | None = None) -> None:
         """Allocate.
@@ -48,10 +48,12 @@ class Estimator(Stage):
             springs: gains of soft drives; None: drives hold joints at their setpoints.
         """
         self._look = sample_count(LOOK_S, spec.dt)
+        look_s = self._look * spec.dt
         self.joints, self.setpoints = JointFilter(spec, robots), SetpointHistory(spec, robots)
-        self.stuck_detection = StuckDetection(spec, robots, self._look * spec.dt, springs)
+        self.stuck_detection = StuckDetection(spec, robots, look_s, springs)
         self.divergence = Divergence(spec, robots)
-        self.heat, self.load = Heat(spec, robots), Load(spec, robots)
+        self.windings = WindingObserver(spec, robots)
+        self.external_torque = ExternalTorque(spec, robots, look_s)
         self.fault = np.zeros(robots, dtype=np.int64)
         self._stiff, self.dt, self._zero = springs is None, spec.dt, np.zeros((robots, spec.n))
         # Errors that no sample shows: a constant one, uniform in ± bias, and the link's place in its play.
@@ -61,8 +63,8 @@ class Estimator(Stage):
         """Forget robots `ids` (B,), whose setpoint has long been `sent`; their next sample seeds them."""
         self.joints.seeded[ids], self.divergence.accepted[ids] = False, 0
         self.follow(ids, sent, sent)
-        self.heat.reset(ids)
-        self.load.reset(ids)
+        self.windings.reset(ids)
+        self.external_torque.reset(ids)
 
     def follow(self, ids: Bools, old: Setpoint, new: Setpoint) -> None:
         """Replace the setpoint of robots `ids` (B,) by another one; the joints have not moved."""
@@ -97,7 +99,7 @@ class Estimator(Stage):
         if tick % self._look == 0:
             self.stuck_detection.look(packet.value, setpoint, fused)
             self._detect_faults(sample["current"])
-        self.heat.step(t, sample)
+        self.windings.step(t, sample)
         return self._state(t, sample, sent)
 
     def _origin(self, setpoint: Floats) -> Floats:
@@ -140,7 +142,7 @@ class Estimator(Stage):
             self.fault[self.stuck.any(axis=1)] |= np.int64(Reason.STUCK)
         if any_true(diverged := self.diverged):
             self.fault[diverged.any(axis=1) & self.joints.seeded] |= np.int64(Reason.DIVERGED)
-        self.fault[self.load.look(current)] |= np.int64(Reason.LOAD)
+        self.fault[self.external_torque.look(current)] |= np.int64(Reason.LOAD)
 
     @property
     def moving(self) -> Bools:
@@ -171,8 +173,8 @@ class Estimator(Stage):
             age=age,
             nis=self.divergence.nis,
             temperature=sample["temperature"].value,
-            winding=self.heat.winding,
-            hottest=self.heat.hottest,
-            fold=self.heat.fold,
+            winding=self.windings.winding,
+            hottest=self.windings.hottest,
+            fold=self.windings.foldback.current_share,
             fault=self.fault,
         )

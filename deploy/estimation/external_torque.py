@@ -1,16 +1,20 @@
-"""Whether motors work against something: what their current says of torque, against what their motion needs.
+"""Detection of external torque: the motor's current does not fit the commanded torque.
 
-A joint that is blocked, brakes that close, a cable that is caught: nobody measures them, and the joint hardly strays,
-but within milliseconds its drive leans against them with all that it has.
+A blocked joint, a closed brake or a caught cable is not measured, and the joint hardly leaves its setpoint. But within
+milliseconds its drive pushes against it with all of its torque.
 
     r = k I − τ
 
+    r  N·m    residual          k  N·m/A  torque constant at the joint
+    I  A      measured current  τ  N·m    commanded feed-forward torque
+
 Source: Haddadin, De Luca and Albu-Schäffer, Robot Collisions: A Survey (2017), direct estimation of an external torque,
-with the motion that was sent in the place of the measured one.
+with the commanded motion in the place of the measured one.
 """
 
 import numpy as np
 
+from deploy.estimation.sample_count import sample_count
 from deploy.stage import Stage
 from deploy.state import Packet
 from robots.arrays import Bools, Floats
@@ -18,54 +22,55 @@ from robots.models.fleet import torque_max
 from robots.spec import RobotSpec
 from robots.windings import nominal_windings
 
-SHARE = 0.5
-"""Of a joint's torque, that its motor may give more or less than its motion needs by the nominal model. Friction,
-other masses, payloads, cables, pushes and worn magnets come to 0.3 for so long as `LOOKS` are apart; a block to 1."""
-LOOKS = 3
-"""Packets in a row in which a motor must have been beyond that: less than a moment's ringing does not count."""
+TORQUE_SHARE = 0.5
+"""Residual above which torque is external, as share of the joint's torque. Friction, other masses, payloads, cables,
+pushes and worn magnets reach 0.3 for `DETECTION_S`; a block reaches 1."""
+DETECTION_S = 0.06
+"""s of packets in a row above the bound, after which the torque is external: a moment's ringing does not count."""
 
 
-class Load(Stage):
-    """What B × n motors do beside what they were asked to.
+class ExternalTorque(Stage):
+    """Residuals of B × n motors, compared with their bounds.
 
     Attributes:
-        tau: (B, n) N·m, feed-forward that was sent last. powered: (B,) whether the drives were on then.
-        many: (B, n) packets in a row that were beyond the bound. t: (B,) s, when the last of them was taken.
+        tau: (B, n) N·m, feed-forward sent last. powered: (B,) whether the drives were on then.
+        packets: (B, n) packets in a row above the bound. t: (B,) s, when the last of them was taken.
     """
 
-    carried = ("tau", "powered", "many", "t")
+    carried = ("tau", "powered", "packets", "t")
 
-    def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Nothing was sent yet.
+    def __init__(self, spec: RobotSpec, robots: int, look_s: float) -> None:
+        """Allocate; `look_s` is the period of `look`.
 
         Raises:
             RobotError: a motor's constant, or a joint's range of torque, is not in model.xml.
         """
         self.tau, self.powered = np.zeros((robots, spec.n)), np.zeros(robots, dtype=bool)
-        self.many, self.t = np.zeros((robots, spec.n), dtype=np.int64), np.full(robots, -np.inf)
-        self._constant, self._bound = nominal_windings(spec).constant, SHARE * torque_max(spec)
+        self.packets, self.t = np.zeros((robots, spec.n), dtype=np.int64), np.full(robots, -np.inf)
+        self.packets_min = sample_count(DETECTION_S, max(look_s, 1.0 / spec.sensors["current"].rate_hz))
+        self._constant, self._bound = nominal_windings(spec).constant, TORQUE_SHARE * torque_max(spec)
 
     def reset(self, ids: Bools) -> None:
-        """Robots where `ids` (B,) holds have been asked for nothing."""
-        self.powered[ids], self.many[ids] = False, 0
+        """Forget robots `ids` (B,): their drives are off."""
+        self.powered[ids], self.packets[ids] = False, 0
 
-    def ask(self, tau: Floats, powered: Bools) -> None:
-        """Remember what is sent: feed-forward (B, n) N·m, and whether drives are on (B,)."""
+    def command(self, tau: Floats, powered: Bools) -> None:
+        """Store what is sent: feed-forward (B, n) N·m and whether drives are on (B,)."""
         self.tau[:], self.powered[:] = tau, powered
 
     def look(self, current: Packet) -> Bools:
-        """(B,) whether a motor works against something, by the newest currents (B, n) A.
+        """Return (B,) robots with an external torque, by the newest currents (B, n) A.
 
-        A packet that is looked at again, and a current that is no number, say nothing and take nothing back.
+        A packet that was seen before and a current that is not finite leave the counts as they are.
         """
-        beyond = np.abs(current.value * self._constant - self.tau) > self._bound
-        said = (current.t != self.t)[:, None] & np.isfinite(current.value)
+        above = np.abs(current.value * self._constant - self.tau) > self._bound
+        new = (current.t != self.t)[:, None] & np.isfinite(current.value)
         self.t[:] = current.t
-        self.many += said
-        self.many *= (beyond | ~said) & self.powered[:, None]
-        return np.asarray(self.against.any(axis=1))
+        self.packets += new
+        self.packets *= (above | ~new) & self.powered[:, None]
+        return np.asarray(self.detected.any(axis=1))
 
     @property
-    def against(self) -> Bools:
-        """(B, n) motors that work against something."""
-        return np.asarray(self.many >= LOOKS)
+    def detected(self) -> Bools:
+        """(B, n) motors with an external torque."""
+        return np.asarray(self.packets >= self.packets_min)

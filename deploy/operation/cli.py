@@ -14,8 +14,8 @@ import typer
 
 from deploy.backends.backend import Backend, Request
 from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
-from deploy.estimation.heat_file import PERIOD_S as HEAT_S
-from deploy.estimation.heat_file import HeatFile
+from deploy.estimation.temperature_file import PERIOD_S as HEAT_S
+from deploy.estimation.temperature_file import TemperatureFile
 from deploy.operation.clock import Clock, Unpaced, WallClock
 from deploy.operation.loop_timing import LoopTiming, RateLimited
 from deploy.operation.robot_run import Ending, RobotRun, Watcher
@@ -85,7 +85,7 @@ def run(
     with closing(connection.open(request)) as body:
         viewers = [RateLimited(VIEW_S, connection.viewer(body))] if view else []
         runtime = Runtime(spec, brain.contract, body, [source], brain)
-        heat_file = HeatFile(out / "heat.json", runtime, same=draw is None)
+        heat_file = TemperatureFile(out / "heat.json", spec, runtime.estimator.windings, same=draw is None)
         connection.attach(body, runtime)
         recorder = Recorder(out, runtime, start_ns=time.time_ns(), about=about)
         timing = _timing(spec.rates.control_hz, factor)
@@ -148,7 +148,7 @@ def _timing(control_hz: int, factor: float) -> LoopTiming:
 def _execute(
     runtime: Runtime,
     timing: LoopTiming,
-    files: tuple[Recorder, HeatFile],
+    files: tuple[Recorder, TemperatureFile],
     *,
     duration: float,
     about: dict[str, str],
@@ -159,10 +159,10 @@ def _execute(
     console, title = ConsoleProcess(), f"{about['robot']}  {about['policy']}  {about['backend']}"
 
     def show(run: RobotRun) -> None:
-        notes = [lost for lost in (recorder.lost, heat_file.lost) if lost]
+        notes = [lost for lost in (recorder.lost, heat_file.error) if lost]
         console.offer(snapshot(run, title=title, notes=notes))
 
-    watchers: list[Watcher] = [RateLimited(CONSOLE_S, show), RateLimited(HEAT_S, heat_file.offer), *viewers]
+    watchers: list[Watcher] = [RateLimited(CONSOLE_S, show), RateLimited(HEAT_S, heat_file.save), *viewers]
     robot_run = RobotRun(runtime, timing, recorder, duration=duration, watchers=watchers)
     # Objects made so far stay: the garbage collector shall not visit them in the middle of a tick.
     gc.collect()
@@ -176,7 +176,7 @@ def _execute(
         recorder.close()
         heat_file.close()
         console.close()
-        report(robot_run, about, recorder.path.parent / "summary.json", lost=heat_file.lost)
+        report(robot_run, about, recorder.path.parent / "summary.json", lost=heat_file.error)
     return EXIT.get(ending, BUDGET_EXCEEDED)
 
 

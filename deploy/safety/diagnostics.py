@@ -65,16 +65,16 @@ def _joints(runtime: Runtime, bit: Reason, robot: int) -> Iterator[str]:
 
 def _meant(runtime: Runtime, bit: Reason, robot: int) -> Bools:
     """(n,) joints that a reason is about; none where it is about the robot as a whole."""
-    estimator, heat = runtime.estimator, runtime.estimator.heat
-    if bit is Reason.HEAT and heat.unknown[robot]:
-        return np.asarray(~heat.clear[robot])
+    estimator, windings = runtime.estimator, runtime.estimator.windings
+    if bit is Reason.HEAT and windings.unknown[robot]:
+        return np.asarray(~windings.valid[robot])
     if bit in AGES:
         old = runtime.state.t - estimator.joints.t_sample[robot] > _oldest(runtime, bit)
         return np.asarray(old | ~estimator.divergence.confirmed[robot])
     known = {
         Reason.DIVERGED: estimator.diverged,
         Reason.STUCK: estimator.stuck,
-        Reason.LOAD: estimator.load.against,
+        Reason.LOAD: estimator.external_torque.detected,
         Reason.MOVING: estimator.moving,
     }
     if bit in known:

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.estimation.estimator import Estimator
-from deploy.estimation.heat import Heat
+from deploy.estimation.winding_observer import WindingObserver
 from deploy.motion.smoother import Smoother
 from deploy.runtime import Runtime
 from deploy.state import Sample, Setpoint, State
@@ -92,7 +92,7 @@ class Unsmoothed(Smoother):
         return rest, start.q, start.q
 
 
-class Unguarded(Heat):
+class Unguarded(WindingObserver):
     """Windings are taken to be as warm as their housings: nothing is folded back or stopped for them."""
 
     def step(self, t: float, sample: Sample) -> None:
@@ -113,7 +113,7 @@ def _unsmoothed(runtime: Runtime) -> None:
 
 
 def _unguarded(runtime: Runtime) -> None:
-    runtime.estimator.heat = Unguarded(runtime.spec, runtime.robot.robots)
+    runtime.estimator.windings = Unguarded(runtime.spec, runtime.robot.robots)
 
 
 def _whole(runtime: Runtime) -> None:

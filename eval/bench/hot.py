@@ -34,7 +34,7 @@ class Careless(Estimator):
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """As ever, with another stage for heat."""
         super().__init__(spec, robots)
-        self.heat = Unguarded(spec, robots)
+        self.windings = Unguarded(spec, robots)
 
     def step(self, t: float, sample: Sample, sent: Setpoint) -> State:
         """The estimate, but for what is warm."""

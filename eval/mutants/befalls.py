@@ -93,6 +93,6 @@ def begins_hot(housing_c: float, rise_k: float) -> Befalls:
             robot._settle(np.ones(robot.robots, dtype=bool))
             rise = np.full(robot.plant.housing.shape, rise_k)
             robot.warm(rise)
-            runtime.estimator.heat.resume(rise, 0.0)
+            runtime.estimator.windings.resume(rise, 0.0)
 
     return befall

@@ -209,25 +209,26 @@ def hasty(runtime: Runtime) -> None:
 
 def undoubting(runtime: Runtime) -> None:
     """A winding is as warm as it is believed to be, and no warmer."""
-    runtime.estimator.heat._doubt_k = runtime.estimator.heat._doubt_share = 0.0
+    runtime.estimator.windings.margin_k = runtime.estimator.windings.margin_share = 0.0
 
 
 def unfolded(runtime: Runtime) -> None:
     """Hot motors go on as cold ones do, up to the stop."""
+    foldback = runtime.estimator.windings.foldback
 
-    def fold_back(fold: Callable[[], None]) -> None:
-        fold()
-        runtime.estimator.heat.fold[:] = 1.0
-        runtime.estimator.heat.pace[:] = 1.0
+    def step(fold_back: Callable[..., None], *heat: Any) -> None:
+        fold_back(*heat)
+        foldback.current_share[:] = 1.0
+        foldback.speed_share[:] = 1.0
 
-    around(runtime.estimator.heat, "_fold_back", fold_back)
+    around(foldback, "step", step)
 
 
 def deaf(runtime: Runtime) -> None:
     """What is not heard any more stays as it was last heard."""
-    around(runtime.estimator.heat, "_listen", lambda *_: None)
+    around(runtime.estimator.windings, "check_sensors", lambda *_: None)
 
 
 def unwary(runtime: Runtime) -> None:
     """A current may repeat itself for ever."""
-    runtime.estimator.heat._stuck = np.inf
+    runtime.estimator.windings.stuck_repeats = np.inf

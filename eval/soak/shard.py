@@ -266,7 +266,10 @@ class Shard(Stage):
     def sample(self) -> None:
         """Keep what a `ShardResult` shows of this moment."""
         truth, counts, rows = self.robot.truth(), self.judge.counts(), slice(0, self._job.robots)
-        known, folded_back = truth.valid[:, None], 1.0 - self.runtime.estimator.heat.fold
+        known, folded_back = (
+            truth.valid[:, None],
+            1.0 - self.runtime.estimator.windings.foldback.current_share,
+        )
         winding, folded_back = (np.where(known, x, np.nan)[rows] for x in (truth.winding_c, folded_back))
         worn = np.where(known, np.stack(self.robot.plant.worn()), np.nan)[:, rows]
         counted = (getattr(counts, name) for name in COUNTED)

@@ -69,7 +69,7 @@ def test_without_safety_the_same_policy_does_hurt_it():
         return verdict
 
     runtime.safety.step = blind
-    runtime.estimator.load.look = lambda current: np.zeros(16, dtype=bool)
+    runtime.estimator.external_torque.look = lambda current: np.zeros(16, dtype=bool)
     _, _, _, (_, _, collision, tool) = hostile(runtime, 2000)
     assert collision.any(axis=0).sum() >= 4
     assert tool[..., 2].min() < SPACE.z_min - 0.02

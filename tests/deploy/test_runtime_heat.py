@@ -90,7 +90,7 @@ def test_no_winding_passes_its_hard_limit_under_the_guard(tmp_path):
     assert SOFT[0] < hottest.max() < HARD[0]
     assert runtime.supervisor.mode[0] == Mode.LATCHED
     assert Reason(int(runtime.supervisor.reason[0])) == Reason.HEAT
-    assert runtime.estimator.heat.pace[0] == PACE_MIN
+    assert runtime.estimator.windings.foldback.speed_share[0] == PACE_MIN
     np.testing.assert_allclose(runtime.state.winding.max(), hottest[-1], atol=8)
 
 
@@ -105,7 +105,7 @@ def test_a_robot_that_stops_has_all_of_its_current(tmp_path):
     runtime.arm(np.ones(2, dtype=bool))
     for _ in range(103):
         runtime.tick()
-    runtime.estimator.heat.fold[:] = 0.7
+    runtime.estimator.windings.foldback.current_share[:] = 0.7
     runtime.asked[1] = int(Reason.OPERATOR)
     runtime.tick()
     assert runtime.supervisor.mode.tolist() == [Mode.RUNNING, Mode.STOPPING]

@@ -3,14 +3,15 @@ from itertools import count
 import numpy as np
 import pytest
 
-from deploy.estimation.external_torque import LOOKS, SHARE, Load
+from deploy.estimation.external_torque import DETECTION_S, TORQUE_SHARE, ExternalTorque
 from deploy.safety.supervisor import CATEGORY_1
 from deploy.state import Mode, Packet, Reason
 from robots.models.fleet import torque_max
 from robots.windings import nominal_windings
 from support.arm6 import SPEC
 
-N = SPEC.n
+N, LOOK_S = SPEC.n, 0.02
+LOOKS = round(DETECTION_S / LOOK_S)
 CONSTANT, LIMIT = nominal_windings(SPEC).constant, torque_max(SPEC)
 TAU = np.array([40.0, -60.0, 20.0, 4.0, -2.0, 1.0])
 HAIR = 1e-6
@@ -32,8 +33,8 @@ def look(load, value, t=None):
 
 
 def asked(robots=1):
-    load = Load(SPEC, robots)
-    load.ask(np.tile(TAU, (robots, 1)), np.ones(robots, dtype=bool))
+    load = ExternalTorque(SPEC, robots, LOOK_S)
+    load.command(np.tile(TAU, (robots, 1)), np.ones(robots, dtype=bool))
     return load
 
 
@@ -48,7 +49,7 @@ def strayed(joint, share):
 def test_a_motor_that_gives_more_or_less_than_it_should_is_seen_at_the_last_of_some_looks(joint, sign):
     for factor, seen in ((1 - HAIR, False), (1 + HAIR, True)):
         load = asked()
-        found = [look(load, strayed(joint, sign * factor * SHARE))[0] for _ in range(LOOKS + 1)]
+        found = [look(load, strayed(joint, sign * factor * TORQUE_SHARE))[0] for _ in range(LOOKS + 1)]
         assert found == [False] * (LOOKS - 1) + [seen] * 2
 
 
@@ -83,7 +84,7 @@ def test_each_robot_is_looked_at_alone_and_none_without_power():
     load, hard = asked(4), np.repeat(strayed(0, 1.0), 4, axis=0)
     hard[1] = current(TAU)
     for _ in range(LOOKS):
-        load.ask(load.tau, np.array([True, True, False, True]))
+        load.command(load.tau, np.array([True, True, False, True]))
         found = look(load, hard)
     assert found.tolist() == [True, False, False, True]
     load.reset(np.array([True, False, False, False]))
@@ -91,7 +92,7 @@ def test_each_robot_is_looked_at_alone_and_none_without_power():
 
 
 def test_what_is_saved_is_what_decides():
-    load, other = asked(), Load(SPEC, 1)
+    load, other = asked(), ExternalTorque(SPEC, 1, LOOK_S)
     for _ in range(LOOKS - 1):
         look(load, strayed(4, -1.0))
     other.restore(load.save())

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from deploy.estimation.heat import CHANCE, CREDIBLE, DEAF_S, PERIOD_S, STEPS, Heat, stuck_after
+from deploy.estimation.foldback import STEPS, Foldback
+from deploy.estimation.winding_observer import (
+    CURRENT_MAX,
+    PERIOD_S,
+    STUCK_CHANCE,
+    TIMEOUT_S,
+    WindingObserver,
+    stuck_repeats,
+)
 from robots.distributions import load_distributions
 from robots.errors import RobotError
 from robots.models.fleet import torque_max
@@ -28,13 +36,13 @@ from support.deploy.thermal import (
     sample,
 )
 
-CURRENT_MAX = np.array([14.9] * 3 + [2.8] * 3)
+ACTUATOR_MAX = np.array([14.9] * 3 + [2.8] * 3)
 """A at the end of each actuator's range, as robot.toml works them out."""
 
 
 def at(winding):
     """An observer that has just come to believe in windings of so many °C, under no current."""
-    heat = Heat(SPEC, 1)
+    heat = WindingObserver(SPEC, 1)
     live(heat, sample(0.0, 30.0))
     heat.winding[:] = winding
     heat.housing[:] = winding  # nothing flows
@@ -58,7 +66,7 @@ def test_windings_are_those_that_mujoco_compiles():
 def test_a_slow_bus_warms_its_windings_at_every_tick(hz):
     """A housing that stays as it is, 0.6 of each current: a tick is longer than the pause between two temperatures."""
     spec = SPEC.model_copy(update={"rates": Rates(control_hz=hz, physics_hz=hz)})
-    heat, current = Heat(spec, 1), 0.6 * CURRENT_MAX
+    heat, current = WindingObserver(spec, 1), 0.6 * ACTUATOR_MAX
     for tick in range(20 * hz + 1):
         heat.step(tick / hz, {k: p._replace(t=p.t + tick / hz) for k, p in sample(current, 30.0).items()})
     loss = current**2 * NOMINAL.resistance * (1.0 + NOMINAL.alpha * (30.0 - NOMINAL.reference_c))
@@ -107,7 +115,7 @@ def test_windings_are_read_however_they_are_written(tmp_path, old, new, found):
 def test_motors_whose_heat_cannot_be_known_are_refused(tmp_path, old, new, words):
     spec = load_robot(copy_of_arm(tmp_path, xml=[(old, new)]))
     with pytest.raises(RobotError, match=words) as caught:
-        Heat(spec, 1)
+        WindingObserver(spec, 1)
     assert "model.xml" in str(caught.value)
 
 
@@ -123,10 +131,10 @@ def test_a_guard_without_room_is_refused(tmp_path, name):
 
 def test_follows_the_equation_through_changing_current_and_housing():
     """To a tenth of a kelvin: the housing is measured, the current is not constant."""
-    heat = Heat(SPEC, 1)
+    heat = WindingObserver(SPEC, 1)
 
     def current(t):
-        return (0.3 + 0.25 * np.sin(2 * t) + 0.6 * (int(t) % 20 < 4)) * CURRENT_MAX
+        return (0.3 + 0.25 * np.sin(2 * t) + 0.6 * (int(t) % 20 < 4)) * ACTUATOR_MAX
 
     def housing(t):
         return 30.0 + 10.0 * (1 - np.exp(-t / 60.0))
@@ -150,7 +158,7 @@ def test_follows_the_equation_through_changing_current_and_housing():
 
 
 def test_what_is_no_number_counts_as_the_last_one():
-    heat, clean, rng, whole = Heat(SPEC, 1), Heat(SPEC, 1), np.random.default_rng(0), sample(0.0, 30.0)
+    heat, clean, rng, whole = WindingObserver(SPEC, 1), WindingObserver(SPEC, 1), np.random.default_rng(0), sample(0.0, 30.0)
     for tick in range(400):
         lost, housing = tick % 7 == 3, 30.0 + tick // 100
         current = whole["current"].value if lost else sample(rng.uniform(0, 9, N), housing)["current"].value
@@ -163,9 +171,9 @@ def test_what_is_no_number_counts_as_the_last_one():
 
 def test_no_reading_warms_a_winding_more_than_its_drive_could():
     """Whatever a sensor says that has gone mad; half as much again as the drive's own limit still counts in full."""
-    most, windings = CREDIBLE * torque_max(SPEC) / NOMINAL.constant, []
+    most, windings = CURRENT_MAX * torque_max(SPEC) / NOMINAL.constant, []
     for current in (0.99 * most, most, -2 * most, SPEC.sensors["current"].range):
-        heat = Heat(SPEC, 1)
+        heat = WindingObserver(SPEC, 1)
         for _ in range(round(1.0 / DT)):
             live(heat, sample(current, 30.0))
         windings.append(heat.winding[0].copy())
@@ -175,7 +183,7 @@ def test_no_reading_warms_a_winding_more_than_its_drive_could():
 
 
 def test_without_any_current_nothing_is_known_and_nothing_is_asked():
-    heat = Heat(SPEC, 1)
+    heat = WindingObserver(SPEC, 1)
     for _ in range(40):
         live(heat, sample(np.nan, 30.0))
     assert np.isnan(heat.winding).all()
@@ -184,7 +192,7 @@ def test_without_any_current_nothing_is_known_and_nothing_is_asked():
 @pytest.mark.parametrize(("current", "housing"), [(np.nan, 30.0), (2.0, np.nan), (np.nan, np.nan)])
 def test_begins_with_the_first_sample_that_is_whole(current, housing):
     """A bus whose packets come one after the other must not keep the robot from its shift."""
-    heat, clean = Heat(SPEC, 1), Heat(SPEC, 1)
+    heat, clean = WindingObserver(SPEC, 1), WindingObserver(SPEC, 1)
     for _ in range(60):
         live(heat, sample(current, housing))
     assert np.isnan(heat.winding).all()
@@ -199,7 +207,8 @@ def test_begins_with_the_first_sample_that_is_whole(current, housing):
 @pytest.mark.parametrize("share", [-0.5, 0.0, 0.24, 0.5, 0.99, 1.0, 1.5])
 def test_folds_back_in_a_straight_line(share):
     heat = at(SOFT + share * (LIMIT - SOFT))
-    for found, least in ((heat.fold, FOLD_MIN), (heat.pace, PACE_MIN)):
+    shares = heat.foldback.current_share, heat.foldback.speed_share
+    for found, least in zip(shares, (FOLD_MIN, PACE_MIN), strict=True):
         line = np.clip(1 - (1 - least) * share, least, 1)
         assert (found >= line - 1e-9).all()
         assert (found <= np.minimum(line + (1 - least) / STEPS, 1) + 1e-9).all()
@@ -207,19 +216,17 @@ def test_folds_back_in_a_straight_line(share):
 
 def test_gives_back_only_what_has_cooled_for_more_than_a_step():
     """A reading that goes to and fro by a kelvin changes nothing, however near to an edge it is."""
-    heat, band = at(SOFT + 0.5 * (LIMIT - SOFT)), LIMIT - SOFT
+    foldback, band, margin = Foldback(SPEC, 1), LIMIT - SOFT, np.full((1, N), SPEC.margins.winding_k)
     step = band / STEPS
     for middle in np.linspace(0.4, 0.6, 21):
         folds = set()
         for noise in (0.45, -0.45) * 4:
-            heat.winding[:] = SOFT + middle * band + noise * step
-            heat._fold_back()
-            folds.add(heat.fold[0, 0])
+            foldback.step((SOFT + middle * band + noise * step)[None], margin)
+            folds.add(foldback.current_share[0, 0])
         assert len(folds) <= 2
-        assert list(folds)[-1] == heat.fold[0, 0]
-    heat.winding[:] = SOFT - 0.6 * step
-    heat._fold_back()
-    np.testing.assert_array_equal(heat.fold, 1.0)
+        assert list(folds)[-1] == foldback.current_share[0, 0]
+    foldback.step((SOFT - 0.6 * step)[None], margin)
+    np.testing.assert_array_equal(foldback.current_share, 1.0)
 
 
 @pytest.mark.parametrize("kind", ["current", "temperature"])
@@ -228,7 +235,7 @@ def test_a_robot_that_is_not_heard_for_long_does_not_know_its_windings(kind, how
     """And believes in no cooler ones when it is heard again."""
     heat = at(SOFT - 5.0)
     t, known = (heat.lived + 1) * DT, heat.winding.copy()
-    for tick in range(round((DEAF_S + 0.3) / DT)):
+    for tick in range(round((TIMEOUT_S + 0.3) / DT)):
         packets = sample(6.0, SOFT - 20.0)
         if how == "nan":
             packets[kind].value[0, 2] = np.nan
@@ -237,9 +244,9 @@ def test_a_robot_that_is_not_heard_for_long_does_not_know_its_windings(kind, how
         late = {k: packet._replace(t=packet.t + stamps[k]) for k, packet in packets.items()}
         known = np.where(np.isfinite(heat.winding), heat.winding, known)
         heat.step(t + tick * DT, late)
-        assert np.isfinite(heat.winding).all() or tick * DT > DEAF_S - 0.2
+        assert np.isfinite(heat.winding).all() or tick * DT > TIMEOUT_S - 0.2
     assert np.isnan(heat.winding).all()
-    assert heat.pace[0] == PACE_MIN
+    assert heat.foldback.speed_share[0] == PACE_MIN
     heat.lived += tick + 1
     live(heat, sample(6.0, SOFT - 20.0))
     np.testing.assert_allclose(heat.winding, known, rtol=0, atol=1.5)  # a period of warming
@@ -249,13 +256,14 @@ def test_the_pace_is_that_of_the_hottest_motor():
     winding = SOFT - 20.0
     winding[3] = LIMIT[3]
     heat = at(winding)
-    assert (heat.pace[0], heat.fold[0, 3]) == (PACE_MIN, FOLD_MIN)
-    np.testing.assert_array_equal(np.delete(heat.fold[0], 3), 1.0)
+    foldback = heat.foldback
+    assert (foldback.speed_share[0], foldback.current_share[0, 3]) == (PACE_MIN, FOLD_MIN)
+    np.testing.assert_array_equal(np.delete(foldback.current_share[0], 3), 1.0)
 
 
 def test_begins_with_what_was_left_of_the_last_run():
     """A winding that was 50 K above its housing is 50/e K above it after its time constant without power."""
-    heat = Heat(SPEC, 2)
+    heat = WindingObserver(SPEC, 2)
     tau = NOMINAL.to_housing * NOMINAL.capacity
     heat.resume(np.full((2, N), 50.0), off_s=tau[0])
     live(heat, sample(0.0, [[35.0], [28.0]], 2))
@@ -264,7 +272,7 @@ def test_begins_with_what_was_left_of_the_last_run():
 
 
 def test_reset_of_a_subset():
-    heat = Heat(SPEC, 3)
+    heat = WindingObserver(SPEC, 3)
     for _ in range(200):
         live(heat, sample(9.0, 30.0, 3))
     before = heat.winding.copy()
@@ -275,7 +283,7 @@ def test_reset_of_a_subset():
 
 
 def test_saved_and_restored_goes_on_bit_for_bit():
-    heat, other, rng = Heat(SPEC, 2), Heat(SPEC, 2), np.random.default_rng(1)
+    heat, other, rng = WindingObserver(SPEC, 2), WindingObserver(SPEC, 2), np.random.default_rng(1)
     for _ in range(123):
         live(heat, sample(rng.uniform(0, 12, (2, N)), 30.0, 2))
     saved = heat.save()
@@ -285,8 +293,8 @@ def test_saved_and_restored_goes_on_bit_for_bit():
     for one in rest:
         live(heat, one)
         live(other, one)
-    for name in Heat.carried:
-        np.testing.assert_array_equal(getattr(other, name), getattr(heat, name))
+    for name, expected in heat.save().items():
+        np.testing.assert_array_equal(other.save()[name], expected)
 
 
 def test_no_motor_that_can_be_drawn_comes_to_its_limit_unnoticed():
@@ -299,9 +307,9 @@ def test_no_motor_that_can_be_drawn_comes_to_its_limit_unnoticed():
         ]
     )
     housing, share = np.meshgrid([15.0, 40.0, 65.0, 85.0], [0.5, 0.65, 0.8, 1.0], indexing="ij")
-    current = share.reshape(-1, 1) * CURRENT_MAX
+    current = share.reshape(-1, 1) * ACTUATOR_MAX
     for ohm, out, capacity in itertools.product(*corners):
-        heat, true = Heat(SPEC, len(current)), np.repeat(housing.reshape(-1, 1), N, axis=1)
+        heat, true = WindingObserver(SPEC, len(current)), np.repeat(housing.reshape(-1, 1), N, axis=1)
         around, tau = true.copy(), PERIOD_S / (NOMINAL.capacity * capacity)
         stopped = np.zeros(true.shape, dtype=bool)
         for tick in range(round(200 / DT)):
@@ -317,23 +325,23 @@ def test_no_motor_that_can_be_drawn_comes_to_its_limit_unnoticed():
 
 def test_a_current_that_never_moves_is_not_heard():
     """Neither by its noise: what it says now is not known, and without that no winding is."""
-    heat, stuck, found = Heat(SPEC, 2), sample(3.0, 30.0, 2), []
-    for _ in range(round((DEAF_S + 3.0) / DT)):
+    heat, stuck, found = WindingObserver(SPEC, 2), sample(3.0, 30.0, 2), []
+    for _ in range(round((TIMEOUT_S + 3.0) / DT)):
         packets = sample(3.0, 30.0, 2)
         packets["current"].value[1, 4] = stuck["current"].value[1, 4]
         live(heat, packets)
         found.append(np.isfinite(heat.winding).all(axis=1))
     assert np.all(found, axis=0).tolist() == [True, False]
     blind = np.argmin(np.array(found)[:, 1]) * DT
-    assert DEAF_S < blind < DEAF_S + 2.0
+    assert TIMEOUT_S < blind < TIMEOUT_S + 2.0
 
 
 def test_how_often_a_reading_may_repeat_itself():
     """By its own noise and steps: never by chance, and what is too coarse for its noise may stand still for ever."""
     current, rng = SPEC.sensors["current"], np.random.default_rng(3)
-    most = stuck_after(current)
+    most = stuck_repeats(current)
     readings = np.rint(rng.normal(0.0, current.noise / 2, 1_000_000) / current.resolution)
     again = np.mean(readings[1:] == readings[:-1])
-    assert again ** (most - 1) > CHANCE > 0.5 * again**most
-    assert stuck_after(SPEC.sensors["temperature"]) == np.inf
-    assert stuck_after(current.model_copy(update={"noise": 0.0})) == np.inf
+    assert again ** (most - 1) > STUCK_CHANCE > 0.5 * again**most
+    assert stuck_repeats(SPEC.sensors["temperature"]) == np.inf
+    assert stuck_repeats(current.model_copy(update={"noise": 0.0})) == np.inf

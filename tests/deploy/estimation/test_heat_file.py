@@ -1,13 +1,12 @@
 """Motor temperatures from one run to the next."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from deploy.estimation.heat import Heat
-from deploy.estimation.heat_file import HeatFile
+from deploy.estimation.temperature_file import TemperatureFile
+from deploy.estimation.winding_observer import WindingObserver
 from robots.errors import ConfigError, OutputError
 from support.arm6 import SPEC
 from support.deploy.thermal import NOMINAL, live, sample
@@ -23,10 +22,9 @@ GOOD = {
 
 
 def opened(path, at=THEN, **how):
-    """A file on the heat of a runtime that has not ticked yet, and that heat."""
-    heat = Heat(SPEC, 1)
-    runtime = SimpleNamespace(spec=SPEC, estimator=SimpleNamespace(heat=heat))
-    return HeatFile(path, runtime, now=lambda: at, **how), heat
+    """A file of an observer that has not ticked yet, and that observer."""
+    heat = WindingObserver(SPEC, 1)
+    return TemperatureFile(path, SPEC, heat, now=lambda: at, **how), heat
 
 
 def test_another_robot_begins_as_cold_as_it_is(tmp_path):
@@ -43,9 +41,9 @@ def test_a_winding_stays_warm_through_a_restart_and_cools_while_it_is_off(tmp_pa
     file, heat = opened(path)
     live(heat, sample(0.0, 40.0))
     heat.winding[:] = 40.0 + np.array(GOOD["rise_k"])
-    file.offer()
+    file.save()
     file.close()
-    assert file.lost is None
+    assert file.error is None
     assert json.loads(path.read_text()) == GOOD
     for off in (0.0, 30.0, 86_400.0):
         _, later = opened(path, THEN + off)
@@ -59,9 +57,9 @@ def test_what_no_winding_can_be_is_cut_and_stops_no_tick(tmp_path):
     file, heat = opened(tmp_path / "heat.json")
     live(heat, sample(0.0, 40.0))
     heat.winding[:] = 1e6
-    file.offer()
+    file.save()
     file.close()
-    assert file.lost is None
+    assert file.error is None
     assert json.loads((tmp_path / "heat.json").read_text())["rise_k"] == [500.0] * N
 
 
@@ -124,6 +122,6 @@ def test_a_disk_that_fails_later_is_said_and_holds_nothing_up(tmp_path):
     (folder / "heat.json").unlink()
     folder.rmdir()
     folder.write_text("")
-    file.offer()
+    file.save()
     file.close()
-    assert "cannot be written" in file.lost
+    assert "cannot be written" in file.error

@@ -8,7 +8,6 @@ from support.arm6 import SPEC
 pytest.importorskip("mujoco")
 
 from deploy.estimation.divergence import NIS_MAX
-from deploy.estimation.external_torque import LOOKS
 from deploy.safety.diagnostics import Stops, Why, blame
 from deploy.safety.supervisor import WORDS
 from deploy.state import Reason
@@ -49,7 +48,8 @@ def hanging(runtime, robot=0):
 
 
 def leaning(runtime, robot=0):
-    runtime.estimator.load.many[robot, WRIST] = LOOKS
+    detection = runtime.estimator.external_torque
+    detection.packets[robot, WRIST] = detection.packets_min
 
 
 def moving(runtime, robot=0):
@@ -218,7 +218,7 @@ def test_a_motor_that_nobody_hears_of_is_named(runtime, value):
         return sample
 
     runtime.robot.read = deaf
-    while not runtime.estimator.heat.unknown.any():
+    while not runtime.estimator.windings.unknown.any():
         runtime.tick()
     assert runtime.supervisor.reason[0] & Reason.HEAT
     assert blame(runtime, int(Reason.HEAT)) == f"{WORDS[Reason.HEAT]} (wrist_2)"

@@ -11,7 +11,7 @@ from support.arm6 import SPEC
 pytest.importorskip("mujoco")
 
 from deploy.estimation.estimator import Estimator
-from deploy.estimation.heat import Heat
+from deploy.estimation.winding_observer import WindingObserver
 from deploy.state import Packet, Setpoint
 from eval.bench import ablation, hot
 from eval.bench.ablation import VARIANTS, Late, Measured, Newest, Unguarded, Unsmoothed
@@ -95,12 +95,12 @@ def test_without_a_smoother_the_target_is_sent_and_derivatives_are_its_differenc
     np.testing.assert_array_equal(rest.qd, 0.0)
 
 
-@pytest.mark.parametrize(("kind", "folds"), [(Heat, True), (Unguarded, False)])
+@pytest.mark.parametrize(("kind", "folds"), [(WindingObserver, True), (Unguarded, False)])
 def test_without_its_guard_a_robot_knows_nothing_of_its_windings(kind, folds):
     heat = kind(SPEC, 1)
     for tick in range(round(20 / DT)):
         heat.step(tick * DT, heard(tick * DT, np.zeros((1, N)), housing=75.0, current=10.0 + tick * 1e-6))
-    assert (heat.fold < 1).all() == (heat.pace < 1).all() == folds
+    assert (heat.foldback.current_share < 1).all() == (heat.foldback.speed_share < 1).all() == folds
     assert (heat.winding > 76).all() == (heat.hottest > 79).all() == folds
     assert (heat.hottest >= heat.winding).all()
 
@@ -161,7 +161,7 @@ def parts(runtime):
     stages = {
         name: type(getattr(runtime, name)) for name in ("estimator", "smoother", "safety", "supervisor")
     }
-    return {**stages, "heat": type(runtime.estimator.heat)}
+    return {**stages, "heat": type(runtime.estimator.windings)}
 
 
 def test_losses_that_last_lead_to_what_the_closed_form_leads_to():

@@ -92,7 +92,7 @@ def test_the_same_shards_give_the_same_bytes(soak):
 
 def test_the_last_sample_is_what_the_judge_found(arm_policy, quick_goals):
     shard = Shard(job(arm_policy, ticks=600, sample_ticks=200, robots=5))
-    shard.runtime.estimator.heat.fold[3, 2] = 0.75
+    shard.runtime.estimator.windings.foldback.current_share[3, 2] = 0.75
     shard.robot.plant.valid[4] = False
     at_tick = {}
 
