@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from deploy.backends.backend import Robot
 from deploy.estimation.estimator import Estimator
-from deploy.estimation.floating_base import Walker
+from deploy.estimation.floating_base.floating_base import FloatingBase
 from deploy.masks import all_true, any_true
 from deploy.motion.drive_law import Springs, same
 from deploy.motion.smoother import Smoother
@@ -78,7 +78,7 @@ class Runtime(Stage):
         self.action = Action(contract.action, robots)
         self.smoother = Smoother(spec, robots)
         self.supervisor = Supervisor(robots, spec.dt)
-        self.walker = Walker(spec, spec.base, robots) if spec.base else None
+        self.walker = FloatingBase(spec, spec.base, robots) if spec.base else None
         self.task = Velocity(spec, spec.base, seeds) if spec.base else Reach(spec, seeds)
         self.observation = Observation(contract, self._sources(), robots)
         self.asked, self.since = np.zeros((2, robots), dtype=np.int64)

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.backends.sim.robot import SimRobot
-from deploy.estimation.rotations import matrix, times
+from deploy.estimation.rotations import matrix, matvec
 from deploy.motion.drive_law import Gains
 from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
@@ -132,7 +132,7 @@ def _moves(robot: SimRobot) -> tuple[Floats, Floats, Floats]:
     truth = robot.truth()
     if truth.base is None:
         raise ValueError(f"{robot.spec.name} stands fixed")
-    velocity = times(matrix(truth.base.quat_wxyz).transpose(0, 2, 1), truth.base.velocity)
+    velocity = matvec(matrix(truth.base.quat_wxyz).transpose(0, 2, 1), truth.base.velocity)
     return base_velocity_and_tilt(truth.base)[0][:, 0], velocity, truth.qd.copy()
 
 

@@ -3,7 +3,7 @@ import shutil
 import numpy as np
 import pytest
 
-from deploy.estimation.rotations import exp, matrix, times
+from deploy.estimation.rotations import exp, matrix, matvec
 from deploy.motion.drive_law import Springs
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract import ActionSpec
@@ -345,7 +345,7 @@ def test_the_judge_knows_how_fast_a_base_turns():
     quat, turning = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
     up = np.tile([0.0, 0.0, 1.0], (50, 1))
     velocity, _ = base_velocity_and_tilt(BaseTruth(np.zeros((50, 3)), quat, np.zeros((50, 3)), turning, up))
-    np.testing.assert_allclose(velocity[:, 2], times(matrix(quat), turning)[:, 2], atol=1e-12)
+    np.testing.assert_allclose(velocity[:, 2], matvec(matrix(quat), turning)[:, 2], atol=1e-12)
 
 
 def test_the_judge_knows_how_far_a_base_leans_off_gravity():
@@ -354,7 +354,7 @@ def test_the_judge_knows_how_far_a_base_leans_off_gravity():
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     zero = np.zeros((50, 3))
     _, leans = base_velocity_and_tilt(BaseTruth(zero, quat, zero, zero, up))
-    upright = times(matrix(quat).swapaxes(1, 2), up)  # seen from the base
+    upright = matvec(matrix(quat).swapaxes(1, 2), up)  # seen from the base
     np.testing.assert_allclose(leans, np.arctan2(np.hypot(*upright.T[:2]), upright[:, 2]), atol=1e-7)
 
 

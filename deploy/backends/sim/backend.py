@@ -26,7 +26,7 @@ class SimBackend(Backend[SimRobot]):
     def attach(self, robot: SimRobot, runtime: Runtime) -> None:
         """Show the goals to the simulated cameras, and warm the windings as the runtime believes them to be."""
         connect(robot, runtime)
-        robot.warm(runtime.estimator.heat.rise)
+        robot.warm(runtime.estimator.windings.rise)
 
     def viewer(self, robot: SimRobot) -> Callable[[object], None]:
         """Open MuJoCo's viewer."""

@@ -5,7 +5,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deploy.backends.sim.anatomy import Anatomy
-from deploy.estimation.rotations import upright
+from deploy.estimation.rotations import from_up
 from robots.arrays import Floats
 from robots.draws import Draw
 
@@ -68,7 +68,7 @@ def _mounting(batch: Batch, anatomy: Anatomy, draw: Draw) -> None:
     gravity = tilted(anatomy.model.opt.gravity, draw["mounting.tilt_rad"])
     batch.expand("opt.gravity")[:] = gravity
     if anatomy.level is not None:
-        batch.expand("body_quat")[:, anatomy.level] = upright(-gravity) * (1, -1, -1, -1)  # its inverse
+        batch.expand("body_quat")[:, anatomy.level] = from_up(-gravity) * (1, -1, -1, -1)  # its inverse
     batch.expand("geom_friction")[:, :, 0] *= draw["mounting.contact_friction"][:, None]
 
 

@@ -7,8 +7,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from deploy.estimation.base_filter import GATE, FloatingBase
-from deploy.estimation.rotations import matrix, times
+from deploy.estimation.floating_base.base_divergence import GATE
+from deploy.estimation.floating_base.base_filter import BaseFilter
+from deploy.estimation.rotations import matrix, matvec
 from deploy.state import BaseState
 from eval.bench.estimation.quadruped import CONTACT_N, DT, FEET, NOISE, Truth, move, watch
 from robots.arrays import Bools, Floats
@@ -60,7 +61,7 @@ def follow(truth: Truth, first: int, robots: int, *, feet: bool) -> Followed:
     who, rows = np.arange(robots) % truth.gyro.shape[1], []
     R = matrix(truth.quat_wxyz.reshape(-1, 4)).reshape(*truth.gyro.shape, 3)
     up, velocity = R[..., 2, :], (R.swapaxes(2, 3) @ truth.velocity_in_world[..., None])[..., 0]
-    base = FloatingBase(NOISE, DT, robots, FEET)
+    base = BaseFilter(NOISE, DT, robots, FEET)
     for t, imu, legs in watch(truth, NOISE, seeds):
         state = base.step(t, imu, legs._replace(stance=legs.stance & feet))
         if t < SETTLED_S:
@@ -73,12 +74,12 @@ def follow(truth: Truth, first: int, robots: int, *, feet: bool) -> Followed:
     return Followed(gravity, speed, turning, nees, float(refused.mean()))
 
 
-def _nees(base: FloatingBase, up: Floats, velocity: Floats) -> Floats:
+def _nees(base: BaseFilter, up: Floats, velocity: Floats) -> Floats:
     """(B,) squared errors of roll, pitch and velocity by their joint covariance: 5 on average if it is true.
 
     Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sec. 5.4.
     """
-    leans = times(matrix(base.quat_wxyz), up)
+    leans = matvec(matrix(base.quat_wxyz), up)
     error = np.stack([leans[:, 1], -leans[:, 0], *(velocity - base.velocity).T], axis=1)
     P = base.P[:, KNOWN][:, :, KNOWN]
     return np.asarray((error * np.linalg.solve(P, error[..., None])[..., 0]).sum(axis=1))
@@ -116,7 +117,7 @@ def _consistency(found: list[Followed]) -> str:
 def _cost(truth: Truth) -> str:
     spent = []
     for robots in (MOTIONS, 1):
-        base = FloatingBase(NOISE, DT, robots, FEET)
+        base = BaseFilter(NOISE, DT, robots, FEET)
         packets = list(watch(truth, NOISE, [robot_seed(WATCHERS, robot) for robot in range(robots)]))
         began = time.perf_counter()
         for t, imu, legs in packets:

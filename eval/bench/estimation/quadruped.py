@@ -12,7 +12,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from deploy.estimation.base_measurements import BaseNoise, Feet, Imu
+from deploy.estimation.floating_base.base_measurements import BaseNoise, Feet, Imu
 from robots.arrays import Floats
 
 MODEL = Path(__file__).with_name("quadruped.xml")

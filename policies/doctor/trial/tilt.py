@@ -122,7 +122,7 @@ def _answers(case: Case, conventions: dict[str, Convention] | None = None) -> Fl
 def _standing(case: Case) -> dict[str, Callable[[], Floats]]:
     """Readings (5, size) of a robot that stands still in the pose that its policy calls zero."""
     quat = rotations.exp(TURNS)
-    down = rotations.times(rotations.matrix(quat).transpose(0, 2, 1), _all(DOWN))
+    down = rotations.matvec(rotations.matrix(quat).transpose(0, 2, 1), _all(DOWN))
     known = {"base_orientation": quat, "projected_gravity": down, "gait_phase": _all(np.array([0.0, 1.0]))}
     readings: dict[str, Floats] = {}
     for term in case.contract.observation:

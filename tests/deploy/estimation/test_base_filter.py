@@ -7,14 +7,18 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from deploy.estimation import base_filter as floating_base
-from deploy.estimation.base_filter import CONTRADICTED, GATE, NIS_SAMPLES, RANGE, STUCK_SAMPLES, FloatingBase
-from deploy.estimation.base_measurements import Feet, Imu, Upright
-from deploy.estimation.base_model import G
+from deploy.estimation.floating_base.base_divergence import CONTRADICTED_S, GATE, NIS_S
+from deploy.estimation.floating_base.base_measurements import Feet, Imu, Upright
+from deploy.estimation.floating_base.base_model import G
+from deploy.estimation.floating_base.imu_check import RANGE, STUCK_S
 from deploy.estimation.rotations import matrix
-from support.deploy.floating_bases import DT, NOISE, F, World, one, settled
+from deploy.state import BaseState
+from support.deploy.floating_bases import DT, LOOK_S, NOISE, F, World, base_filter, one, settled
 
-FIELDS = floating_base.BaseState._fields[1:]
+STUCK_SAMPLES, NIS_SAMPLES = round(STUCK_S / DT), round(NIS_S / LOOK_S)
+CONTRADICTED = round(CONTRADICTED_S / LOOK_S)
+
+FIELDS = BaseState._fields[1:]
 
 
 def assert_same(one, other):
@@ -64,7 +68,7 @@ def test_nothing_but_the_heading_depends_on_where_north_is():
 def test_robots_do_not_touch_each_other():
     """The row of 64 equals the row alone, bit for bit."""
     robots, some = 64, (0, 1, 30, 63)
-    together, alone = FloatingBase(NOISE, DT, robots, F), {i: FloatingBase(NOISE, DT, 1, F) for i in some}
+    together, alone = base_filter(robots), {i: base_filter(1) for i in some}
     for t, imu, feet in World(6, robots, 230).packets(loss=0.2, lag_max=2, slipping=0.1):
         state = together.step(t, imu, feet)
         for i, base in alone.items():
@@ -79,8 +83,8 @@ def test_saved_and_restored_goes_on_bit_for_bit():
     base, stream = settled()
     saved = base.save()
     expected = [base.step(*packets) for packets in stream][-1]
-    other = FloatingBase(NOISE, DT, 2, F)
-    assert set(base.carried) == {name for name in vars(base) if not name.startswith("_")}
+    other = base_filter(2)
+    assert {*base.carried, *base.parts} == {name for name in vars(base) if not name.startswith("_")}
     other.restore(saved)
     state = [other.step(*packets) for packets in stream][-1]
     for name in FIELDS:
@@ -183,7 +187,7 @@ def test_silence_is_told_by_age_and_the_packet_after_it_knows_less():
 
 def test_a_gap_is_integrated():
     """A known turn and push while nobody listened: both ends of the gap tell."""
-    base = FloatingBase(NOISE, DT, 1, F)
+    base = base_filter(1)
     feet = Feet(
         stance=np.zeros((1, F), dtype=bool), position=np.zeros((1, F, 3)), velocity=np.zeros((1, F, 3))
     )
@@ -276,8 +280,8 @@ def test_garbage_neither_raises_nor_reaches_the_neighbour(seed):
     """In packets, and in the belief itself; where the estimate is no number, it says so."""
     rng, base, clean = (
         np.random.default_rng(seed),
-        FloatingBase(NOISE, DT, 2, F),
-        FloatingBase(NOISE, DT, 1, F),
+        base_filter(2),
+        base_filter(1),
     )
     for t, imu, feet in World(8, 2, 80).packets():
         imu.t[0] = rng.choice([t, t, t, t - 1e6, t - 1e300, np.nan])
@@ -314,7 +318,7 @@ def test_reset_of_a_subset():
 @given(up=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda up: np.linalg.norm(up) > 0.1))
 def test_gravity_seeds_the_tilt_and_nothing_else(up):
     up = np.array(up) / np.linalg.norm(up)
-    base = FloatingBase(NOISE, DT, 1, F)
+    base = base_filter(1)
     feet = Feet(stance=np.ones((1, F), dtype=bool), position=np.ones((1, F, 3)), velocity=np.ones((1, F, 3)))
     state = base.step(
         0.0, Imu(np.zeros(1), np.ones(1, dtype=bool), np.ones((1, 3)), G * up[None], np.zeros(1)), feet
@@ -328,7 +332,7 @@ def test_gravity_seeds_the_tilt_and_nothing_else(up):
 
 
 def test_nobody_is_seeded_in_free_fall_or_before_time_began():
-    base = FloatingBase(NOISE, DT, 4, F)
+    base = base_filter(4)
     feet = Feet(np.zeros((4, F), dtype=bool), *np.zeros((2, 4, F, 3)))
     force = np.outer([0.1, 2.0, 1.0, 1.0], [0.0, 0.0, G])
     t = np.array([0.0, 0.0, 0.0, -np.inf])
@@ -341,7 +345,7 @@ def test_nobody_is_seeded_in_free_fall_or_before_time_began():
 @settings(max_examples=8)
 @given(seed=st.integers(0, 2**31), loss=st.floats(0, 0.95))
 def test_covariance_stays_that_of_something(seed, loss):
-    base = FloatingBase(NOISE, DT, 4, F)
+    base = base_filter(4)
     for t, imu, feet in World(seed, 4, 250).packets(loss, lag_max=2, slipping=0.1):
         state = base.step(t, imu, feet)
     np.testing.assert_array_equal(base.P, base.P.swapaxes(1, 2))
@@ -352,7 +356,7 @@ def test_covariance_stays_that_of_something(seed, loss):
 
 def test_more_noise_is_less_certainty():
     stream = list(World(9, 2, 150).packets())
-    quiet, loud = FloatingBase(NOISE, DT, 2, F), FloatingBase(replace(NOISE, slip=2 * NOISE.slip), DT, 2, F)
+    quiet, loud = base_filter(2), base_filter(2, replace(NOISE, slip=2 * NOISE.slip))
     for packets in stream:
         quiet.step(*packets)
         loud.step(*packets)
@@ -371,7 +375,7 @@ def said_upright(world, k, variance, rng):
 def tilt_errors(*, told, feet=False, ticks=2000):
     """(B,) rad, and what the filter says of them, after a while with or without being told where up is."""
     world, rng, robots = World(5, 64, ticks), np.random.default_rng(6), 64
-    base = FloatingBase(NOISE, DT, robots, F)
+    base = base_filter(robots)
     for t, imu, legs in world.packets():
         upright = said_upright(world, round(t / DT), 1e-4, rng) if told else None
         state = base.step(t, imu, legs._replace(stance=legs.stance & feet), upright)
@@ -388,7 +392,7 @@ def test_who_is_told_where_up_is_needs_no_feet_for_its_tilt():
 
 
 def test_up_is_not_believed_where_it_cannot_be():
-    world, base = World(7, 2, 200), FloatingBase(NOISE, DT, 2, F)
+    world, base = World(7, 2, 200), base_filter(2)
     for t, imu, legs in world.packets():
         quiet = base.step(t, imu, legs)
     down = Upright(np.array([True, False]), np.tile([0.0, 0.0, -1.0], (2, 1)), 1e-4, 1e-4)
@@ -399,7 +403,7 @@ def test_up_is_not_believed_where_it_cannot_be():
 
 def test_who_is_told_again_and_again_that_up_is_elsewhere_is_lost():
     """What it believes of up would otherwise be believed on its back."""
-    world, base = World(7, 2, 200), FloatingBase(NOISE, DT, 2, F)
+    world, base = World(7, 2, 200), base_filter(2)
     for t, imu, legs in world.packets():
         base.step(t, imu, legs)
     silent = imu._replace(fresh=np.zeros(2, dtype=bool))
@@ -409,7 +413,7 @@ def test_who_is_told_again_and_again_that_up_is_elsewhere_is_lost():
 
 
 def test_one_word_that_fits_takes_back_what_was_said_before():
-    world, base = World(7, 1, 200), FloatingBase(NOISE, DT, 1, F)
+    world, base = World(7, 1, 200), base_filter(1)
     for t, imu, legs in world.packets():
         up = -base.step(t, imu, legs).gravity
     silent, told = imu._replace(fresh=np.zeros(1, dtype=bool)), np.ones(1, dtype=bool)

@@ -6,10 +6,10 @@ from filterpy.common import Q_continuous_white_noise, van_loan_discretization
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.spatial.transform import Rotation
 
-from deploy.estimation import base_filter as floating_base
-from deploy.estimation.base_filter import GATE, FloatingBase
-from deploy.estimation.base_model import G
-from support.deploy.floating_bases import DOWN, DT, NOISE, F, World, cross, one, settled
+from deploy.estimation.floating_base.base_divergence import GATE
+from deploy.estimation.floating_base.base_filter import SEED_ACCELERATION_STD, SEED_SPEED_STD
+from deploy.estimation.floating_base.base_model import G
+from support.deploy.floating_bases import DOWN, DT, NOISE, F, World, base_filter, cross, one, settled
 
 
 class ByFilterpy:
@@ -25,11 +25,11 @@ class ByFilterpy:
         # Tilt is the accelerometer's answer: its errors are those of rest and of the bias.
         tilt_by_bias = cross(np.array([0, 0, 1 / G])) @ self.R.as_matrix()
         bias = NOISE.accelerometer_bias**2 * np.eye(3)
-        level = np.diag([1.0, 1.0, 0.0]) * floating_base.SEED_ACCELERATION_STD**2 / G**2
+        level = np.diag([1.0, 1.0, 0.0]) * SEED_ACCELERATION_STD**2 / G**2
         P = np.zeros((12, 12))
         P[:3, :3] = tilt_by_bias @ bias @ tilt_by_bias.T + level
         P[:3, 9:], P[9:, :3], P[9:, 9:] = tilt_by_bias @ bias, bias @ tilt_by_bias.T, bias
-        P[3:6, 3:6] = floating_base.SEED_SPEED_STD**2 * np.eye(3)
+        P[3:6, 3:6] = SEED_SPEED_STD**2 * np.eye(3)
         P[6:9, 6:9] = NOISE.gyro_bias**2 * np.eye(3)
         self.kf.P = P
 
@@ -93,7 +93,7 @@ class ByFilterpy:
 @pytest.mark.parametrize(("seed", "loss", "slipping"), [(0, 0.0, 0.0), (1, 0.2, 0.05), (2, 0.6, 0.2)])
 def test_equals_filterpy(seed, loss, slipping):
     robots = 2
-    base, oracles, refused = FloatingBase(NOISE, DT, robots, F), [None] * robots, 0
+    base, oracles, refused = base_filter(robots), [None] * robots, 0
     for t, imu, feet in World(seed, robots, 260).packets(loss, lag_max=3, slipping=slipping):
         state = base.step(t, imu, feet)
         for robot in range(robots):
@@ -173,7 +173,7 @@ def test_believes_what_its_model_says():
     """On robots that move as the model says, errors and innovations have the claimed size (NEES, NIS)."""
     robots, nees, nis = 200, [], []
     world = World(5, robots, 300)
-    base = FloatingBase(NOISE, DT, robots, F)
+    base = base_filter(robots)
     for t, imu, feet in world.packets():
         state, k = base.step(t, imu, feet), round(t / DT)
         if k < 100:

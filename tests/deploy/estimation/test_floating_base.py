@@ -115,8 +115,8 @@ def test_what_is_said_of_up_counts_once_and_not_for_long(standing):
     gyro = Packet(np.full(2, now), np.ones(2, dtype=bool), np.zeros((2, 3)))
     told = Packet(np.array([now, now - 0.2]), np.ones(2, dtype=bool), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
     walker.t_up[:] = -np.inf
-    assert walker._upright(now, {"orientation": told}, gyro).fresh.tolist() == [True, False]
-    assert walker._upright(now, {"orientation": told}, gyro).fresh.tolist() == [False, False]
+    assert walker.measured_up(now, {"orientation": told}, gyro).fresh.tolist() == [True, False]
+    assert walker.measured_up(now, {"orientation": told}, gyro).fresh.tolist() == [False, False]
 
 
 def test_feet_are_seen_from_where_the_imu_sits(tmp_path):

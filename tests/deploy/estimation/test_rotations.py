@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from deploy.estimation.rotations import exp, matrix, product, skew, upright
+from deploy.estimation.rotations import exp, from_up, matrix, product, skew
 
 RNG = np.random.default_rng(0)
 TURNS = np.concatenate([np.zeros((1, 3)), 1e-9 * np.eye(3), RNG.uniform(-3, 3, (60, 3))])
@@ -39,6 +39,6 @@ def test_skew_is_the_cross_product(shape):
 def test_upright_puts_up_on_top_and_turns_nobody_around():
     up = RNG.normal(size=(200, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
-    rotation = by_scipy(upright(up))
+    rotation = by_scipy(from_up(up))
     np.testing.assert_allclose(rotation.apply(up), np.tile([0, 0, 1.0], (200, 1)), atol=1e-14)
     np.testing.assert_allclose(rotation.as_euler("ZYX")[:, 0], 0.0, atol=1e-12)

@@ -3,11 +3,11 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from deploy.estimation.base_filter import FloatingBase
-from deploy.estimation.base_measurements import BaseNoise, Feet, Imu
-from deploy.estimation.base_model import G
+from deploy.estimation.floating_base.base_filter import BaseFilter
+from deploy.estimation.floating_base.base_measurements import BaseNoise, Feet, Imu
+from deploy.estimation.floating_base.base_model import G
 
-DT, F = 0.005, 4
+DT, LOOK_S, F = 0.005, 0.015, 4
 NOISE = BaseNoise(
     gyro=5e-4,
     accelerometer=5e-3,
@@ -20,6 +20,10 @@ NOISE = BaseNoise(
     jerk=20.0,
 )
 DOWN = np.array([0.0, 0.0, -G])
+
+
+def base_filter(robots, noise=NOISE):
+    return BaseFilter(noise, DT, robots, F, look_s=LOOK_S)
 
 
 def cross(v):
@@ -93,7 +97,7 @@ def one(record, robot):
 @cache
 def worked():
     """What two robots carry in the middle of their work, and what comes next."""
-    stream, base = list(World(3, 2, 460).packets()), FloatingBase(NOISE, DT, 2, F)
+    stream, base = list(World(3, 2, 460).packets()), base_filter(2)
     for packets in stream[:200]:
         base.step(*packets)
     return base.save(), stream[200:]
@@ -101,6 +105,6 @@ def worked():
 
 def settled():
     """An estimator of two robots in the middle of its work, and what comes next."""
-    base, (carried, stream) = FloatingBase(NOISE, DT, 2, F), worked()
+    base, (carried, stream) = base_filter(2), worked()
     base.restore(carried)
     return base, stream

@@ -1,7 +1,4 @@
-"""What flows into the estimate of a floating base: every array (B, ...) with B robots, F feet.
-
-SI units; the base frame is the IMU's.
-"""
+"""Inputs of the floating base's filter. SI units; B robots, F feet; the base frame is the IMU's."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,14 +8,14 @@ from robots.arrays import Bools, Floats
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaseNoise:
-    """How much an IMU and standing feet lie: densities are standard deviations of 1 s of white noise.
+    """Noise of an IMU and of standing feet. Densities are standard deviations of white noise averaged over 1 s.
 
     Attributes:
         gyro: rad/s/√Hz. accelerometer: m/s²/√Hz.
-        gyro_walk: rad/s²/√Hz, accelerometer_walk: m/s³/√Hz, of the biases.
+        gyro_walk: rad/s²/√Hz, accelerometer_walk: m/s³/√Hz, random walks of the biases.
         gyro_bias: rad/s, accelerometer_bias: m/s², standard deviations when the IMU is switched on.
         slip: m/s/√Hz, velocity of a standing foot, with the errors of its kinematics.
-        angular_acceleration: rad/s²/√Hz, jerk: m/s³/√Hz, of the motion that nobody saw between lost samples.
+        angular_acceleration: rad/s²/√Hz, jerk: m/s³/√Hz, of unmeasured motion between lost samples.
     """
 
     gyro: float
@@ -33,14 +30,14 @@ class BaseNoise:
 
 
 class Imu(NamedTuple):
-    """What the IMU's bus delivered.
+    """Newest packets of gyro and accelerometer.
 
     Attributes:
         t: (B,) s, when the gyro's sample was taken, on the runtime's clock.
-        fresh: (B,) whether a packet of the gyro arrived since the last read.
+        fresh: (B,) whether a gyro packet arrived since the last read.
         gyro: (B, 3) rad/s in the base frame.
-        accelerometer: (B, 3) m/s² in the base frame, specific force: at rest +G along up; the newest, be it older.
-        t_accelerometer: (B,) s, when that was taken.
+        accelerometer: (B, 3) m/s² in the base frame, specific force: at rest +G along up. It may be older than `gyro`.
+        t_accelerometer: (B,) s, when it was taken.
     """
 
     t: Floats
@@ -51,7 +48,7 @@ class Imu(NamedTuple):
 
 
 class Feet(NamedTuple):
-    """The feet at the time of the IMU's sample.
+    """Feet at the time of the gyro's sample.
 
     Attributes:
         stance: (B, F) whether a foot stands.
@@ -64,16 +61,16 @@ class Feet(NamedTuple):
 
 
 class Upright(NamedTuple):
-    """Where an IMU that estimates its orientation itself says up is; its yaw is not believed.
+    """Direction of up by an IMU that estimates its own orientation; its yaw is not used.
 
     Attributes:
-        fresh: (B,) whether it said so since the last look.
-        up: (B, 3) unit vector, in the base frame at the time of the IMU's sample.
-        variance: rad², of each of its two angles.
-        weighed: rad², variance with which it counts: what is wrong with it in the same way again and again is more.
+        fresh: (B,) whether there is a new one.
+        up: (B, 3) unit vector, in the base frame at the time of the gyro's sample.
+        variance: rad², of each of its two angles, for the gate.
+        correlated_variance: rad², larger, for the correction: its bias is the same in many samples.
     """
 
     fresh: Bools
     up: Floats
     variance: float
-    weighed: float
+    correlated_variance: float

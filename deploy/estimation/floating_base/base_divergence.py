@@ -1,0 +1,54 @@
+"""Divergence of a floating base's filter: uncertain, contradicted by its feet, or by the IMU's own orientation."""
+
+import numpy as np
+
+from deploy.estimation.floating_base.base_model import V, diagonal
+from deploy.estimation.sample_count import sample_count
+from deploy.stage import Stage
+from robots.arrays import Bools, Floats
+
+GATE = 16.27
+"""Normalized innovation squared (NIS) above which a foot is left out: χ² with 3 degrees of freedom, 1 of 1000."""
+NIS_S, NIS_MAX = 1.5, 4 * GATE
+"""s of the running mean of the best foot's NIS, and the largest value that one sample may add to it."""
+CONTRADICTED_S = 0.08
+"""s of measured tilts in a row outside the gate: a blow to the IMU is over by then."""
+TILT_STD_MAX, SPEED_STD_MAX = 0.5, 2.0
+"""rad, m/s: standard deviations above which the base is lost."""
+
+
+class BaseDivergence(Stage):
+    """Consistency of B filters with their measurements.
+
+    Attributes:
+        nis: (B,) running mean of the NIS of the best foot. contradictions: (B,) tilts in a row outside the gate.
+    """
+
+    carried = ("nis", "contradictions")
+
+    def __init__(self, robots: int, look_s: float, tilt_s: float) -> None:
+        """Allocate; `look_s` and `tilt_s` are the periods of `add_feet` and `add_tilt`."""
+        self.nis, self.contradictions = np.zeros(robots), np.zeros(robots, dtype=np.int64)
+        self._nis_samples = sample_count(NIS_S, look_s)
+        self._contradictions_max = sample_count(CONTRADICTED_S, tilt_s)
+
+    def reset(self, ids: Bools) -> None:
+        """Forget robots `ids` (B,)."""
+        self.nis[ids], self.contradictions[ids] = 0.0, 0
+
+    def add_feet(self, nis: Floats, stands: Bools) -> None:
+        """Add the NIS (B, F) of the feet that stand (B, F)."""
+        best = np.where(stands, np.minimum(nis, NIS_MAX), NIS_MAX).min(axis=1)
+        self.nis += np.where(stands.any(axis=1), (best - self.nis) / self._nis_samples, 0.0)
+
+    def add_tilt(self, measured: Bools, used: Bools) -> None:
+        """Count measured tilts (B,) that were not `used` (B,)."""
+        self.contradictions += measured & ~used
+        self.contradictions[used] = 0
+
+    def consistent(self, P: Floats) -> Bools:
+        """Return (B,) filters that may be used, given their covariance P (B, 12, 12)."""
+        var = diagonal(P)
+        tilt_var, speed_var = var[:, :2].sum(axis=1), var[:, V].max(axis=1)
+        known = (tilt_var <= TILT_STD_MAX**2) & (speed_var <= SPEED_STD_MAX**2) & (self.nis <= GATE)
+        return np.asarray(known & (self.contradictions < self._contradictions_max))
