@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.estimation.heat import STEPS
+from deploy.estimation.foldback import STEPS
 from deploy.motion.smoother import Smoother
 from deploy.state import Mode, Reason
 from robots.randomness import robot_seed

@@ -158,7 +158,12 @@ def test_follows_the_equation_through_changing_current_and_housing():
 
 
 def test_what_is_no_number_counts_as_the_last_one():
-    heat, clean, rng, whole = WindingObserver(SPEC, 1), WindingObserver(SPEC, 1), np.random.default_rng(0), sample(0.0, 30.0)
+    heat, clean, rng, whole = (
+        WindingObserver(SPEC, 1),
+        WindingObserver(SPEC, 1),
+        np.random.default_rng(0),
+        sample(0.0, 30.0),
+    )
     for tick in range(400):
         lost, housing = tick % 7 == 3, 30.0 + tick // 100
         current = whole["current"].value if lost else sample(rng.uniform(0, 9, N), housing)["current"].value
