@@ -48,16 +48,19 @@ class Estimator(Stage):
             springs: gains of soft drives; None: drives hold joints at their setpoints.
         """
         self._look = sample_count(LOOK_S, spec.dt)
-        look_s = self._look * spec.dt
+        look_s, encoder = self._look * spec.dt, spec.sensors["encoder"]
         self.joints, self.setpoints = JointFilter(spec, robots), SetpointHistory(spec, robots)
-        self.stuck_detection = StuckDetection(spec, robots, look_s, springs)
+        # Packets of an encoder slower than the control rate could always arrive between two looks.
+        self._stuck_look = self._look if encoder.rate_hz == spec.rates.control_hz else 1
+        stuck_look_s = look_s if self._stuck_look > 1 else 1.0 / encoder.rate_hz
+        self.stuck_detection = StuckDetection(spec, robots, stuck_look_s, springs)
         self.divergence = Divergence(spec, robots)
         self.windings = WindingObserver(spec, robots)
         self.external_torque = ExternalTorque(spec, robots, look_s)
         self.fault = np.zeros(robots, dtype=np.int64)
         self._stiff, self.dt, self._zero = springs is None, spec.dt, np.zeros((robots, spec.n))
         # Errors that no sample shows: a constant one, uniform in ± bias, and the link's place in its play.
-        self._hidden_var = spec.sensors["encoder"].bias ** 2 / 3.0 + spec.joint_array("play") ** 2 / 12.0
+        self._hidden_var = encoder.bias**2 / 3.0 + spec.joint_array("play") ** 2 / 12.0
 
     def reset(self, ids: Bools, sent: Setpoint) -> None:
         """Forget robots `ids` (B,), whose setpoint has long been `sent`; their next sample seeds them."""
@@ -96,8 +99,9 @@ class Estimator(Stage):
         fused = self._fuse(packet.t, z, new)
         if "velocity" in sample:
             self._fuse_speed(t, sample["velocity"], tick)
-        if tick % self._look == 0:
+        if tick % self._stuck_look == 0:
             self.stuck_detection.look(packet.value, setpoint, fused)
+        if tick % self._look == 0:
             self._detect_faults(sample["current"])
         self.windings.step(t, sample)
         return self._state(t, sample, sent)

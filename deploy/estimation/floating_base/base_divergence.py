@@ -29,8 +29,8 @@ class BaseDivergence(Stage):
     def __init__(self, robots: int, look_s: float, tilt_s: float) -> None:
         """Allocate; `look_s` and `tilt_s` are the periods of `add_feet` and `add_tilt`."""
         self.nis, self.contradictions = np.zeros(robots), np.zeros(robots, dtype=np.int64)
-        self._nis_samples = sample_count(NIS_S, look_s)
-        self._contradictions_max = sample_count(CONTRADICTED_S, tilt_s)
+        self.nis_samples = sample_count(NIS_S, look_s)
+        self.contradictions_max = sample_count(CONTRADICTED_S, tilt_s)
 
     def reset(self, ids: Bools) -> None:
         """Forget robots `ids` (B,)."""
@@ -39,7 +39,7 @@ class BaseDivergence(Stage):
     def add_feet(self, nis: Floats, stands: Bools) -> None:
         """Add the NIS (B, F) of the feet that stand (B, F)."""
         best = np.where(stands, np.minimum(nis, NIS_MAX), NIS_MAX).min(axis=1)
-        self.nis += np.where(stands.any(axis=1), (best - self.nis) / self._nis_samples, 0.0)
+        self.nis += np.where(stands.any(axis=1), (best - self.nis) / self.nis_samples, 0.0)
 
     def add_tilt(self, measured: Bools, used: Bools) -> None:
         """Count measured tilts (B,) that were not `used` (B,)."""
@@ -51,4 +51,4 @@ class BaseDivergence(Stage):
         var = diagonal(P)
         tilt_var, speed_var = var[:, :2].sum(axis=1), var[:, V].max(axis=1)
         known = (tilt_var <= TILT_STD_MAX**2) & (speed_var <= SPEED_STD_MAX**2) & (self.nis <= GATE)
-        return np.asarray(known & (self.contradictions < self._contradictions_max))
+        return np.asarray(known & (self.contradictions < self.contradictions_max))

@@ -24,7 +24,7 @@ class ImuCheck(Stage):
     def __init__(self, dt: float, robots: int) -> None:
         """Allocate; dt is the period of samples in s."""
         self.repeats = np.zeros((robots, 2), dtype=np.int64)
-        self._samples = sample_count(STUCK_S, dt)
+        self.samples = sample_count(STUCK_S, dt)
 
     def step(self, new: Bools, reading: Floats, last: Floats) -> None:
         """Compare readings (B, 6) with the last ones where `new` (B, 2): a sensor without new samples is not stuck."""
@@ -34,7 +34,7 @@ class ImuCheck(Stage):
     @property
     def stuck(self) -> Bools:
         """(B,) whether gyro or accelerometer repeats itself."""
-        return np.asarray((self.repeats >= self._samples - 1).any(axis=1))
+        return np.asarray((self.repeats >= self.samples - 1).any(axis=1))
 
 
 def in_range(*readings: Floats) -> Bools:
