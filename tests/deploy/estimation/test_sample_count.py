@@ -11,8 +11,8 @@ from deploy.estimation.stuck_detection import STUCK_S
 from deploy.state import Reason
 from robots.tables import Rates
 from support.arm6 import SPEC
-from support.estimators import sample, still
-from support.floating_bases import NOISE
+from support.deploy.estimators import sample, still
+from support.deploy.floating_bases import NOISE
 
 
 def at_rate(control_hz, sensor_hz):
