@@ -43,14 +43,9 @@ class Divergence(Stage):
         self.accepted[joints], self.refused[joints] = 1, 0
 
     def step(self, nis: Floats, new: Bools, fused: Bools) -> Bools | None:
-        """Count the samples of a tick.
+        """Count samples that arrived (`new`) and those inside the gate (`fused`), with their NIS; all (B, n).
 
-        Args:
-            nis: (B, n) NIS of each sample.
-            new: (B, n) samples that arrived. fused: (B, n) those inside the gate.
-
-        Returns:
-            (B, n) filters that must be restarted from this sample; None if all samples were fused.
+        Returns the filters (B, n) that must be restarted from this sample; None if all samples were fused.
         """
         self.accepted += fused
         if all_true(fused):

@@ -3,15 +3,15 @@
     state             x = [e, ed]          rad, rad/s: deviation from the setpoint and its rate, at t_sample
     covariance        P = [p00  p01]       rad², rad²/s
                           [p01  p11]       rad²/s, rad²/s²
-    motion            d(ed)/dt = w         w: white noise of spectral density s, rad²/s³ (acceleration_density)
+    motion            d(ed)/dt = w         w: white noise of spectral density q, rad²/s³ (acceleration_density)
     transition        F = [1  dt]          dt: s, from t_sample to the time at which a packet was taken
                           [0   1]
-    process noise     Q = s [dt³/3  dt²/2]
+    process noise     Q = q [dt³/3  dt²/2]
                             [dt²/2  dt   ]
     angle packet      z = H x + v,  H = [1  0],  variance of v: r, rad²
     speed packet      z = H x + v,  H = [0  1],  variance of v: r_speed, rad²/s²
 
-A deviation changes far less than an angle, so that s can be small. A joint on a soft drive does not follow its
+A deviation changes far less than an angle, so that q can be small. A joint on a soft drive does not follow its
 setpoint: its deviation is measured from an angle of 0. filterpy gives the process noise and is the oracle of the tests.
 
 Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sec. 5.2 (Kalman
@@ -75,7 +75,7 @@ class JointFilter(Stage):
         self._r_speed = sensors["velocity"].variance if "velocity" in sensors else np.inf
         density = np.tile(spec.joint_array("acceleration_density"), (robots, 1))
         unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=1.0)  # [[1/3, 1/2], [1/2, 1]]
-        self._s_3, self._s_2, self._s = (density * unit[place] for place in ((0, 0), (0, 1), (1, 1)))
+        self._q_3, self._q_2, self._q = (density * unit[place] for place in ((0, 0), (0, 1), (1, 1)))
 
     def seed(self, joints: Bools, t: Floats, z: Floats) -> None:
         """Start the filters of `joints` (B, n) from samples z (B, n) rad taken at t (B,) s, at the setpoint's speed.
@@ -89,9 +89,9 @@ class JointFilter(Stage):
     def angle_variance(self, dt: Floats) -> Floats:
         """Return element 00 of F P Fᵀ + Q, (B, n) rad², after dt (B, n) s.
 
-        p00 + 2 dt p01 + dt² p11 + s dt³/3
+        p00 + 2 dt p01 + dt² p11 + q dt³/3
         """
-        variance: Floats = self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._s_3 * dt))
+        variance: Floats = self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._q_3 * dt))
         return variance
 
     def innovate(self, t: Floats, z: Floats, new: Bools) -> Innovation:
@@ -112,17 +112,14 @@ class JointFilter(Stage):
         return Innovation(dt, e, p00, y, s, y * y / s)
 
     def correct(self, t: Floats, innovation: Innovation, fused: Bools) -> None:
-        """Correct by the samples `fused` (B, n) taken at t (B,) s; elsewhere nothing changes.
-
-        K = P⁻ Hᵀ / S,  x = x⁻ + K y,  P = (I − K H) P⁻
-        """
+        """Correct where `fused` (B, n), by packets taken at t (B,) s: K = P⁻ Hᵀ/S, x = x⁻ + K y, P = (I − K H) P⁻."""
         dt, e, p00, y, s, _ = innovation
         if not all_true(fused):  # predicted over 0 s and corrected by a sample of infinite variance
             missing = ~fused
             e[missing], p00[missing] = self.e[missing], self.p00[missing]
             dt[missing], y[missing], s[missing] = 0.0, 0.0, np.inf
         np.copyto(self.t_sample, t[:, None], where=fused)
-        p01, p11 = self.p01 + dt * (self.p11 + self._s_2 * dt), self.p11 + self._s * dt
+        p01, p11 = self.p01 + dt * (self.p11 + self._q_2 * dt), self.p11 + self._q * dt
         k0, k1 = p00 / s, p01 / s
         np.add(e, k0 * y, out=self.e)
         self.ed += k1 * y
@@ -131,17 +128,10 @@ class JointFilter(Stage):
         np.subtract(p11, k1 * p01, out=self.p11)
 
     def correct_by_speed(self, t: Floats, z: Floats, new: Bools) -> None:
-        """Correct by measured speeds that are inside the gate.
-
-        y = z − H x,  S = H P Hᵀ + r_speed + s |t − t_sample|,  K = P Hᵀ / S,  x = x + K y,  P = (I − K H) P
-
-        Args:
-            t: (B,) s, when the speeds were taken: where it is not t_sample, its distance adds process noise.
-            z: (B, n) rad/s, measured rates of the deviations.
-            new: (B,) robots whose packets may be fused.
-        """
+        """Correct robots `new` (B,) by rates z (B, n) rad/s measured at t (B,) s, where they are inside the gate."""
+        # y = z − H x, S = H P Hᵀ + r_speed + q |t − t_sample|: process noise for the time between the two samples
         y, apart = z - self.ed, np.abs(self._per_joint(t) - self.t_sample)
-        s = self.p11 + self._r_speed + self._s * apart
+        s = self.p11 + self._r_speed + self._q * apart
         fused = new[:, None] & (y * y <= self.gate**2 * s)
         np.copyto(self.t_speed, t, where=new)
         np.copyto(y, 0.0, where=~fused)

@@ -134,31 +134,29 @@ class BaseFilter(Stage):
         return self._state(t)
 
     def _seed(self, ids: Bools, imu: Imu, reading: Floats) -> None:
-        """Start robots `ids` (B,) at rest: the accelerometer measures tilt, with the error of its unknown bias."""
+        """Start robots `ids` (B,) that are at rest, with the tilt that the accelerometer measures."""
         force = norm(reading[:, 3:])[:, 0]
         ids = ids & (force >= REST_BAND[0] * G) & (force <= REST_BAND[1] * G)
-        noise, n = self._noise, np.count_nonzero(ids)
         quat_wxyz = from_up(reading[ids, 3:])
-        bias_var = noise.accelerometer_bias**2
-        tilt_var = (bias_var + SEED_ACCELERATION_STD**2) / G**2
-        P = np.zeros((n, 12, 12))
-        diagonal(P)[:] = np.repeat([tilt_var, SEED_SPEED_STD**2, noise.gyro_bias**2, bias_var], 3)
-        P[:, 2, 2] = 0.0  # yaw is counted from here
-        tilt_by_bias = skew(np.array([0.0, 0.0, bias_var / G])) @ matrix(quat_wxyz)
-        P[:, PHI, ACC], P[:, ACC, PHI] = tilt_by_bias, tilt_by_bias.swapaxes(1, 2)
-        self.P[ids], self.quat_wxyz[ids] = P, quat_wxyz
+        self.P[ids], self.quat_wxyz[ids] = self._seed_covariance(quat_wxyz), quat_wxyz
         self.velocity[ids], self.bias[ids], self.reading[ids] = 0.0, 0.0, reading[ids]
         self.innovation[ids], self.imu_check.repeats[ids], self.seeded[ids] = 0.0, 0, True
         self.t_sample[ids], self.t_accelerometer[ids] = imu.t[ids], imu.t_accelerometer[ids]
         self.divergence.reset(ids)
 
-    def _predict(self, fused: Bools, t: Floats, reading: Floats) -> None:
-        """Predict from the last sample to this one: x = move(x), P = F P Fᵀ + Q, by blocks: the biases' F is I.
+    def _seed_covariance(self, quat_wxyz: Floats) -> Floats:
+        """Return P (N, 12, 12) of robots at rest: their tilt has the error of the accelerometer's bias."""
+        noise, bias_var = self._noise, self._noise.accelerometer_bias**2
+        tilt_var = (bias_var + SEED_ACCELERATION_STD**2) / G**2
+        P = np.zeros((len(quat_wxyz), 12, 12))
+        diagonal(P)[:] = np.repeat([tilt_var, SEED_SPEED_STD**2, noise.gyro_bias**2, bias_var], 3)
+        P[:, 2, 2] = 0.0  # yaw is counted from here
+        tilt_by_bias = skew(np.array([0.0, 0.0, bias_var / G])) @ matrix(quat_wxyz)
+        P[:, PHI, ACC], P[:, ACC, PHI] = tilt_by_bias, tilt_by_bias.swapaxes(1, 2)
+        return P
 
-        Args:
-            fused: (B,); elsewhere dt is 0.
-            t: (B,) s, when the readings (B, 6) were taken.
-        """
+    def _predict(self, fused: Bools, t: Floats, reading: Floats) -> None:
+        """Predict to t (B,) s where `fused` (B,): x = move(x), P = F P Fᵀ + Q, by blocks, for the biases' F is I."""
         rows = fused[:, None]
         dt, reading = np.where(fused, t - self.t_sample, 0.0), np.where(rows, reading, self.reading)
         unseen = np.maximum(dt - self._dt, 0.0) ** 3 / 12  # a bridge between two measured ends
@@ -211,10 +209,9 @@ class BaseFilter(Stage):
         return np.asarray(stands & (nis <= GATE))
 
     def _correct_by_up(self, ids: Bools, upright: Upright) -> None:
-        """Correct the tilt of robots `ids` (B,) where the measured one is inside the gate and up is not below.
+        """Correct the tilt of robots `ids` (B,) where up is inside the gate: K = P Hᵀ S⁻¹,  x += K y,  P −= K H P.
 
-        K = P Hᵀ S⁻¹,  x += K y,  P −= K H P. Outside the gate, one of the two is wrong: a robot that lies on its back
-        must not be estimated to stand.
+        A robot that lies on its back must not be estimated to stand: up must not be below the base.
         """
         up = matvec(matrix(self.quat_wxyz), upright.up)
         y, S = np.stack([up[:, 1], -up[:, 0]], axis=1), self.P[:, :2, :2].copy()

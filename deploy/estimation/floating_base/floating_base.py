@@ -42,12 +42,7 @@ class FloatingBase(Stage):
     parts = ("filter",)
 
     def __init__(self, spec: RobotSpec, base: Base, robots: int) -> None:
-        """Allocate a filter for the IMU's data sheet.
-
-        Args:
-            spec: the robot. base: its base.
-            robots: B.
-        """
+        """Allocate; the filter's noise comes from the IMU's data sheet and from `base`."""
         dt = 1.0 / spec.sensors["gyro"].rate_hz
         self._dt, self._look = spec.dt, sample_count(LOOK_S, spec.dt)
         look_s, orientation = self._look * spec.dt, spec.sensors.get("orientation")
