@@ -124,8 +124,8 @@ class Estimator(Stage):
 
     def _fuse(self, t: Floats, z: Floats, new: Bools) -> Bools:
         """Correct by deviations z (B, n) rad taken at t (B,) s where `new`; return where they were inside the gate."""
-        innovation = self.joints.innovate(t, z, new)
-        fused: Bools = new & (innovation.nis <= self.joints.gate**2)
+        innovation = self.joints.predict(t, z, new)
+        fused = new & self.joints.inside_gate(innovation)
         restarted = self.divergence.step(innovation.nis, new, fused)
         if restarted is not None:
             self._restart(restarted, t, z)

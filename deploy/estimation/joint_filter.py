@@ -94,7 +94,7 @@ class JointFilter(Stage):
         variance: Floats = self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._q_3 * dt))
         return variance
 
-    def innovate(self, t: Floats, z: Floats, new: Bools) -> Innovation:
+    def predict(self, t: Floats, z: Floats, new: Bools) -> Innovation:
         """Predict to the packets' times and compare.
 
         x⁻ = F x,  P⁻ = F P Fᵀ + Q,  y = z − H x⁻,  S = H P⁻ Hᵀ + r
@@ -110,6 +110,11 @@ class JointFilter(Stage):
         e, p00 = self.e + self.ed * dt, self.angle_variance(dt)
         y, s = z - e, p00 + self._r
         return Innovation(dt, e, p00, y, s, y * y / s)
+
+    def inside_gate(self, innovation: Innovation) -> Bools:
+        """Return (B, n) samples with y² <= gate² S."""
+        inside: Bools = innovation.nis <= self.gate**2
+        return inside
 
     def correct(self, t: Floats, innovation: Innovation, fused: Bools) -> None:
         """Correct where `fused` (B, n), by packets taken at t (B,) s: K = P⁻ Hᵀ/S, x = x⁻ + K y, P = (I − K H) P⁻."""

@@ -58,7 +58,7 @@ class TemperatureFile:
         spec: RobotSpec,
         windings: WindingObserver,
         *,
-        same: bool = True,
+        same_robot: bool = True,
         now: Callable[[], float] = time.time,
     ) -> None:
         """Read the file, if there is one, and start the observer from it.
@@ -67,7 +67,7 @@ class TemperatureFile:
             path: the file.
             spec: the robot.
             windings: its observer, before the first tick.
-            same: True if the file is about the robot that will run; else its contents are replaced.
+            same_robot: True if the file is about the robot that will run; else its contents are replaced.
             now: clock, s since 1970.
 
         Raises:
@@ -77,7 +77,7 @@ class TemperatureFile:
         self._path, self._windings, self._now = path, windings, now
         self._robot, self._joints = spec.name, spec.joint_names
         self.error: str | None = None
-        previous = self._read() if same else None
+        previous = self._read() if same_robot else None
         if previous:
             self._windings.resume(np.array([previous.rise_k]), max(0.0, now() - previous.unix_s))
         self._write(previous or self._temperatures(np.zeros(spec.n)))

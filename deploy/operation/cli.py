@@ -85,7 +85,9 @@ def run(
     with closing(connection.open(request)) as body:
         viewers = [RateLimited(VIEW_S, connection.viewer(body))] if view else []
         runtime = Runtime(spec, brain.contract, body, [source], brain)
-        heat_file = TemperatureFile(out / "heat.json", spec, runtime.estimator.windings, same=draw is None)
+        heat_file = TemperatureFile(
+            out / "heat.json", spec, runtime.estimator.windings, same_robot=draw is None
+        )
         connection.attach(body, runtime)
         recorder = Recorder(out, runtime, start_ns=time.time_ns(), about=about)
         timing = _timing(spec.rates.control_hz, factor)

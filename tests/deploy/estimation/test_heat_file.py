@@ -31,7 +31,7 @@ def test_another_robot_begins_as_cold_as_it_is(tmp_path):
     path = tmp_path / "heat.json"
     path.write_text(json.dumps(GOOD))
     assert (opened(path)[1].rise > 0).any()
-    _, heat = opened(path, same=False)
+    _, heat = opened(path, same_robot=False)
     np.testing.assert_array_equal(heat.rise, 0.0)
     assert not any(json.loads(path.read_text())["rise_k"])
 
