@@ -182,7 +182,7 @@ class Measured:
         truth = robot.truth()
         live = command.powered & truth.valid
         self._whole = np.where(live, self._whole + 1, 0)
-        whole, difference = self._whole > JERK, robot.plant.motion.motor_q.copy()
+        whole, difference = self._whole > JERK, robot.plant.kinematics.motor_q.copy()
         for last in self._last:
             last[:], difference = difference, difference - last
         self._jerk[whole] += difference[whole] ** 2

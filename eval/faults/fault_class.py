@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
-from deploy.backends.sim.packets import Failure
+from deploy.backends.sim.sensor_faults import Failure
 from eval.faults.plant_access import PlantAccess
 from robots.arrays import Float32s
 

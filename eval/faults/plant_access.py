@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deploy.backends.sim.anatomy import CABLE
+from deploy.backends.sim.model.attachments import CABLE
 from deploy.backends.sim.plant import Plant
 from robots.models.fleet import torque_max
 from robots.spec import RobotSpec

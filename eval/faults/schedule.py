@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from deploy.backends.sim.packets import Fault
+from deploy.backends.sim.sensor_faults import Fault
 from eval.faults.catalogue import catalogue
 from eval.faults.fault_class import FaultClass, Injection, SensorFault
 from eval.soak.profile import HOURS_MAX, Faults

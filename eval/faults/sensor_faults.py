@@ -1,6 +1,6 @@
 """Fault classes of sensors: seven failures of each kind, and bursts of lost encoder packets."""
 
-from deploy.backends.sim.packets import ON_THE_WAY, Failure
+from deploy.backends.sim.sensor_faults import OF_PACKETS, Failure
 from eval.faults.fault_class import SOON_S, Answer, SensorFault
 from robots.sensors import NEEDED, Kind
 from robots.spec import INERTIAL, RobotSpec
@@ -32,7 +32,7 @@ def sensor_faults(spec: RobotSpec) -> tuple[SensorFault, ...]:
             where=kind,
             what=failure,
             failure=failure,
-            channels=(None,) if failure in ON_THE_WAY else (None, *range(channels)),
+            channels=(None,) if failure in OF_PACKETS else (None, *range(channels)),
             lasts_s=LONGER_S.get((kind, failure), SOON_S),
             answer=Answer.STOPPED if kind in needed else Answer.HELD,
             meaning=meaning,

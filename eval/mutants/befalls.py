@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from deploy.backends.sim.packets import Failure, Fault
 from deploy.backends.sim.robot import SimRobot
+from deploy.backends.sim.sensor_faults import Failure, Fault
 from deploy.runtime import Runtime
 from eval.mutants.hostile import ROBOTS, Befalls
 from robots.sensors import Kind
@@ -44,7 +44,7 @@ def jams(joint: int, at: float) -> Befalls:
 
     def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
         if t >= at:  # anew each time: wear writes friction too
-            robot.plant.batch.expand("dof_frictionloss")[:, robot.plant._dofs[joint]] = JAMMED
+            robot.plant.batch.expand("dof_frictionloss")[:, robot.plant.dofs[joint]] = JAMMED
 
     return befall
 
@@ -57,7 +57,7 @@ def leans(
     def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
         if t >= at:
             torque = (newton_metres + per_s * (t - at)) * np.array(axis)
-            robot.plant.batch.bind("xfrc_applied")[:, robot.plant.pushes._bodies[joint], 3:] = torque
+            robot.plant.batch.bind("xfrc_applied")[:, robot.plant.pushes.bodies[joint], 3:] = torque
 
     return befall
 
@@ -66,7 +66,7 @@ def sinks(share: float) -> Befalls:
     """Brakes that slip: they hold with this share of the drives' torque, and the arm sinks."""
 
     def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
-        limit, nominal = robot.plant.drives._limit, robot.plant.drives._nominal
+        limit, nominal = robot.plant.drives.torque_limit, robot.plant.drives.torque_limit_nominal
         limit[:] = nominal * np.where(runtime.supervisor.powered, 1.0, share)[:, None, None]
 
     return befall
@@ -90,7 +90,7 @@ def begins_hot(housing_c: float, rise_k: float) -> Befalls:
         if t == 0:
             robot.plant.housing[:] = housing_c
             robot.plant.housings.apply()
-            robot._settle(np.ones(robot.robots, dtype=bool))
+            robot.settle_sensors(np.ones(robot.robots, dtype=bool))
             rise = np.full(robot.plant.housing.shape, rise_k)
             robot.warm(rise)
             runtime.estimator.windings.resume(rise, 0.0)

@@ -7,8 +7,8 @@ from unittest.mock import patch
 import numpy as np
 
 from deploy.backends.sim.backend import simulate
-from deploy.backends.sim.packets import Fault
 from deploy.backends.sim.robot import SimRobot
+from deploy.backends.sim.sensor_faults import Fault
 from deploy.policy.contract import ActionSpec, Contract, Observed
 from deploy.policy.observation_terms import READINGS, Source, Term
 from deploy.runtime import Runtime

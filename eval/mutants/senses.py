@@ -1,6 +1,6 @@
 """Guards of what is believed: by the estimator, by what asks it, and by the supervisor."""
 
-from deploy.backends.sim.packets import Failure
+from deploy.backends.sim.sensor_faults import Failure
 from deploy.state import Reason
 from eval.mutants.asks import creeps, heads
 from eval.mutants.befalls import begins_hot, begins_wrong, fails, jams, leans, sinks, together

@@ -1,6 +1,6 @@
 """Guards of the windings: by safety, by the observer of heat, and by the supervisor."""
 
-from deploy.backends.sim.packets import Failure
+from deploy.backends.sim.sensor_faults import Failure
 from deploy.state import Reason
 from eval.mutants.asks import heads, visits
 from eval.mutants.befalls import begins_hot, fails

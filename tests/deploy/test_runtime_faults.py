@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.backends.sim.packets import Failure, Fault
+from deploy.backends.sim.sensor_faults import Failure, Fault
 from deploy.motion.smoother import Smoother
 from deploy.runtime import UNSEEN_S
 from deploy.state import Mode, Reason, Setpoint

@@ -28,8 +28,8 @@ from support.walking import (
     walking_contract,
 )
 
-packets = pytest.importorskip("deploy.backends.sim.packets")
-Failure, Fault = packets.Failure, packets.Fault
+sensor_faults = pytest.importorskip("deploy.backends.sim.sensor_faults")
+Failure, Fault = sensor_faults.Failure, sensor_faults.Fault
 
 Judge = pytest.importorskip("eval.judge.judge").Judge
 base_velocity_and_tilt = pytest.importorskip("eval.judge.truth").base_velocity_and_tilt
@@ -74,12 +74,12 @@ def test_it_hangs_until_it_is_armed_and_then_stands():
     live(runtime, round(ARM_S / DT))
     base = runtime.robot.truth().base
     hung, plant = base.position.copy(), runtime.robot.plant
-    np.testing.assert_allclose(hung[:, 2], plant._base.stands_m, atol=0.005)  # what holds it gives a little
-    assert plant._held.all()
+    np.testing.assert_allclose(hung[:, 2], plant.base.stands_m, atol=0.005)  # what holds it gives a little
+    assert plant.on_gantry.all()
     assert not runtime.arm(np.ones(3, dtype=bool)).any()
     live(runtime, round(2.0 / DT))
     assert (runtime.supervisor.mode == Mode.RUNNING).all()
-    assert not plant._held.any()
+    assert not plant.on_gantry.any()
     assert np.abs(base.position - hung).max() < 0.03
     assert not runtime.robot.truth().self_collision.any()
     assert (runtime.robot.truth().contact_n > 10.0).all()
@@ -96,8 +96,8 @@ def test_it_hangs_where_it_will_stand_wherever_its_model_holds_it(tmp_path):
     contract = walking_contract(spec)
     runtime, robot = simulate(spec, contract, seeds)
     live(runtime, round(ARM_S / DT))
-    np.testing.assert_allclose(robot.truth().base.position[0, 2], robot.plant._base.stands_m, atol=0.005)
-    assert robot.plant._base.stands_m < 0.4
+    np.testing.assert_allclose(robot.truth().base.position[0, 2], robot.plant.base.stands_m, atol=0.005)
+    assert robot.plant.base.stands_m < 0.4
     assert not runtime.arm(np.ones(1, dtype=bool)).any()
 
 
@@ -133,8 +133,8 @@ def test_the_drives_have_the_gains_of_the_contract_and_are_told_angles_alone():
     assert not runtime.command.qd.any()
     assert not runtime.command.tau.any()
     drawn, plant = runtime.robot.draw, runtime.robot.plant
-    stray = runtime.command.q - plant.motion.motor_q
-    law = KP * drawn["drives.kp"] * stray - KD * drawn["drives.kd"] * plant.motion.motor_qd
+    stray = runtime.command.q - plant.kinematics.motor_q
+    law = KP * drawn["drives.kp"] * stray - KD * drawn["drives.kd"] * plant.kinematics.motor_qd
     np.testing.assert_allclose(runtime.robot.truth().tau, law, atol=1.5)
     np.testing.assert_allclose(runtime.verdict.tau, law, atol=10.0)  # of nominal gains and believed angles
 
@@ -143,22 +143,22 @@ def test_brakes_are_as_stiff_as_they_are_whatever_the_policy_brings():
     """Or a robot that has lost its power would hang in its policy's springs."""
     action = walking_contract().action.model_copy(update={"kp": (90.0,) * 12, "kd": (3.0,) * 12})
     drives = (runtime := walker(2, contract=walking_contract(action=action))).robot.plant.drives
-    own = [gain.copy() for gain in drives._gain]
+    own = [gain.copy() for gain in drives.gains]
     square = runtime.robot.plant.batch.model.actuator_gear[:, 0] ** 2
     live(runtime, round(ARM_S / DT))
     runtime.arm(np.array([True, False]))
     live(runtime, 20)
     draw = runtime.robot.draw
-    for name, gain, brake, x in zip(("kp", "kd"), drives._gain, own, (90.0, 3.0), strict=True):
+    for name, gain, brake, x in zip(("kp", "kd"), drives.gains, own, (90.0, 3.0), strict=True):
         np.testing.assert_allclose(gain[0], (x / square * draw[f"drives.{name}"])[0])
         np.testing.assert_array_equal(gain[1], brake[1])
         assert (gain[0] != brake[0]).all()
     kept = runtime.robot.save()
     runtime.robot.stop(np.array([True, True]))
-    for gain, brake in zip(drives._gain, own, strict=True):
+    for gain, brake in zip(drives.gains, own, strict=True):
         np.testing.assert_array_equal(gain, brake)
     runtime.robot.restore(kept)
-    assert (drives._gain[0][0] != own[0][0]).all()
+    assert (drives.gains[0][0] != own[0][0]).all()
 
 
 def test_springs_give_no_more_than_a_drive_has():

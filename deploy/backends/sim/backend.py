@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from deploy.backends.backend import Abilities, Backend, Request
-from deploy.backends.sim.packets import Fault
 from deploy.backends.sim.robot import SimRobot
+from deploy.backends.sim.sensor_faults import Fault
 from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime

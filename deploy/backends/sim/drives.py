@@ -1,11 +1,11 @@
-"""The drives of B robots: what they follow and how late, their brakes, their current, and the supply they share."""
+"""Drives of B robots: interpolated setpoints and their delay, brakes, current limits, and the supply they share."""
 
 import math
 
 import numpy as np
 from mujoco.batch import Batch
 
-from deploy.backends.sim import drawn
+from deploy.backends.sim.model.motor_parameters import KD, KP, VOLTAGE_MAX
 from deploy.masks import all_true, any_true
 from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
@@ -19,48 +19,55 @@ from robots.tables import Rates
 
 
 class Drives(Stage):
-    """Drives interpolate what a bus sends: taken as steps it would saturate the motors at every tick.
-
-    `lines` (B, periods of physics, controls), newest last, is what they follow, on the motor's side: straight from
-    command to command. Each robot's drives are at a place of it that lies `drives.delay_s` back.
+    """Drives interpolate linearly between commands: taken as steps these would saturate the motors at every tick.
 
     MuJoCo has no brakes: where they are closed the drive holds the pose that they closed on, with the gains that it has
-    of its own, and the plant says that it takes no current for that.
+    of its own, and the plant reports no current for that.
+
+    Attributes:
+        history: (B, periods of physics, controls), newest last: setpoints on the motor's side. Each robot's drives
+            follow them `drives.delay_s` late.
+        command: (B, controls) the newest command, on the motor's side.
+        held: (B, n) rad, pose held by the brakes. braked: (B,) brakes closed.
+        gear: (B, n) ratio.
+        gains: kp and kd in force, (B, n) each, on the motor's side.
+        torque_limit: (B, n, 2) N·m on the motor's side, in force. torque_limit_nominal: (n, 2) at full current.
     """
 
-    carried = ("lines", "held", "braked")
+    carried = ("history", "held", "braked")
 
     def __init__(self, spec: RobotSpec, batch: Batch, draw: Draw, gains: Gains | None = None) -> None:
-        """Read gears, limits and delays; every drive begins with its brakes on at 0 rad.
+        """Read gears, limits and delays; every drive begins with its brakes closed at 0 rad.
 
         Args:
             spec: rates. batch: simulations of the robots. draw: the robots.
-            gains: with power; None: their own.
+            gains: with power; None: the drives' own.
         """
         robots, n = draw.robots, spec.n
         self.gear = np.ones((robots, n)) * batch.model.actuator_gear[:, 0]
-        self.goal = np.zeros((robots, n * INPUTS))
-        self._q, self._qd, self._feed = self.goal.reshape(robots, n, INPUTS).transpose(2, 0, 1)
+        self.command = np.zeros((robots, n * INPUTS))
+        self._q, self._qd, self._tau = self.command.reshape(robots, n, INPUTS).transpose(2, 0, 1)
         self.held, self.braked = np.zeros((robots, n)), np.ones(robots, dtype=bool)
-        self._limit, self._nominal = batch.expand("actuator_forcerange"), batch.model.actuator_forcerange
-        self._share = np.ones((robots, n))
+        self.torque_limit = batch.expand("actuator_forcerange")
+        self.torque_limit_nominal = batch.model.actuator_forcerange
+        self._current = np.ones((robots, n))
         gain = batch.expand("actuator_gainprm")
-        self._gain = gain[:, :, drawn.KP], gain[:, :, drawn.KD]
-        self._brakes = self._gain[0].copy(), self._gain[1].copy()
-        self._powered = self._brakes
+        self.gains = gain[:, :, KP], gain[:, :, KD]
+        self._own = self.gains[0].copy(), self.gains[1].copy()
+        self._powered = self._own
         if gains:  # on the motor's side of the gear: an angle is that much larger there, and a torque smaller
             square = batch.model.actuator_gear[:, 0] ** 2
             self._powered = (gains.kp / square * draw["drives.kp"], gains.kd / square * draw["drives.kd"])
-        self._lay_out(spec.rates, draw["drives.delay_s"])
+        self._allocate(spec.rates, draw["drives.delay_s"])
 
-    def _lay_out(self, rates: Rates, delay_s: Floats) -> None:
-        """As many periods of control as the slowest bus needs. In memory time comes first: numpy is quicker so."""
-        robots, controls = self.goal.shape
+    def _allocate(self, rates: Rates, delay_s: Floats) -> None:
+        """Allocate the history, as long as the slowest bus needs. Time comes first in memory, which is faster."""
+        robots, controls = self.command.shape
         substeps = rates.physics_hz // rates.control_hz
         late = np.rint(delay_s * rates.physics_hz).astype(np.int64)
         length = substeps * (1 + math.ceil(COMMAND_DELAY_S * rates.control_hz))
         course = np.zeros((length, robots, controls))
-        self.lines = course.transpose(1, 0, 2)
+        self.history = course.transpose(1, 0, 2)
         self._old, self._later = course[:-substeps], course[substeps:]
         self._new, self._last = course[-substeps:], course[-1]
         self._to_go = np.arange(1 - substeps, 1)[:, None, None] / substeps
@@ -69,18 +76,23 @@ class Drives(Stage):
         self._places = place * robots + np.arange(robots)[:, None]
         self._control = np.zeros((robots, substeps, controls))
 
-    def follow(self, command: Command, q: Floats) -> Floats:
-        """(B, substeps, controls) for the coming period; where the drives are off, brakes close on `q` (B, n) rad."""
+    def step(self, command: Command, q: Floats) -> Floats:
+        """Return the controls (B, substeps, controls) of the coming period.
+
+        Args:
+            command: where its drives are off, brakes close.
+            q: (B, n) rad, angles of the motors, which the brakes close on.
+        """
         np.multiply(command.q, self.gear, out=self._q)
         np.multiply(command.qd, self.gear, out=self._qd)
-        np.divide(command.tau, self.gear, out=self._feed)
-        way = self.goal - self._last
+        np.divide(command.tau, self.gear, out=self._tau)
+        difference = self.command - self._last
         self._old[:] = self._later
-        np.multiply(self._to_go, way, out=self._new)
-        self._new += self.goal
-        if not all_true(command.current == self._share):
-            self._share[:] = command.current
-            self._limit[:] = self._nominal * self._share[:, :, None]
+        np.multiply(self._to_go, difference, out=self._new)
+        self._new += self.command
+        if not all_true(command.current == self._current):
+            self._current[:] = command.current
+            self.torque_limit[:] = self.torque_limit_nominal * self._current[:, :, None]
         off = ~command.powered
         if any_true(self.braked & command.powered):
             self.braked &= off
@@ -99,51 +111,52 @@ class Drives(Stage):
         self._hold(np.flatnonzero(self.braked))
 
     def rest(self, rows: np.ndarray, q: Floats) -> None:
-        """Robots `rows` have stood at `q` (B, n) rad for a while, brakes on."""
+        """Put robots `rows` to rest at `q` (B, n) rad, brakes closed, as if they had stood there for a while."""
         self.held[rows], self.braked[rows] = q[rows], True
         self.apply()
         self._hold(rows)
 
     def apply(self) -> None:
-        """Give drives with power the gains of the policy, those in the brakes their own."""
-        for gain, brakes, powered in zip(self._gain, self._brakes, self._powered, strict=True):
-            gain[:] = np.where(self.braked[:, None], brakes, powered)
+        """Write the gains: the requested ones where there is power, the drives' own where brakes are closed."""
+        for gain, own, powered in zip(self.gains, self._own, self._powered, strict=True):
+            gain[:] = np.where(self.braked[:, None], own, powered)
 
     def _hold(self, rows: np.ndarray) -> None:
         self._q[rows] = (self.held * self.gear)[rows]
-        self._qd[rows] = self._feed[rows] = 0.0
-        self.lines[rows] = self.goal[rows, None]
+        self._qd[rows] = self._tau[rows] = 0.0
+        self.history[rows] = self.command[rows, None]
 
 
 class Supply(Stage):
-    """One source behind the resistance of its lines, whose voltage sinks under what the drives draw.
+    """One voltage source behind the resistance of its lines, whose voltage drops under the power of the drives.
 
     Drives are converters: each takes the power u I of its motor from the bus, whatever current that is, so that the bus
-    settles where V = V0 - R P / V. What one brakes with feeds the others, what all brake with goes to a resistor.
+    settles where V = V0 - R P / V. Regenerated power feeds the other drives; a net surplus goes to a resistor.
     Source: Erickson and Maksimovic, Fundamentals of Power Electronics (2001), ch. 3: an ideal converter as a DC
     transformer.
 
-    `limit` (B, n) V is what MuJoCo's drives may put on their motors.
+    Attributes:
+        limit: (B, n) V that MuJoCo's drives may put on their motors.
     """
 
     carried = ("limit",)
 
     def __init__(self, batch: Batch, draw: Draw, gear: Floats) -> None:
         """Read voltages."""
-        self.limit = batch.expand("actuator_gainprm")[:, :, drawn.VOLTS]
+        self.limit = batch.expand("actuator_gainprm")[:, :, VOLTAGE_MAX]
         self._gear, self._volts = gear, self.limit.copy()
         self._ohm4 = 4.0 * draw["drives.supply_ohm"]
 
     def rest(self, rows: np.ndarray) -> None:
-        """Robots `rows` draw nothing."""
+        """Set robots `rows` to no load."""
         self.limit[rows] = self._volts[rows]
 
-    def sink(self, current: Floats, qd: Floats, constant: Floats, ohm: Floats) -> None:
-        """Follow what is drawn.
+    def update(self, current: Floats, qd: Floats, constant: Floats, ohm: Floats) -> None:
+        """Set the voltage for the present power.
 
         Args:
             current: (B, n) A, of the motors. qd: (B, n) rad/s, of the joints.
-            constant: (B, n) N·m/A. ohm: (B, n), of the windings as warm as they are.
+            constant: (B, n) N·m/A. ohm: (B, n), of the windings at their temperature.
         """
         volts = qd * self._gear * constant + current * ohm
         power = np.maximum((volts * current).sum(axis=1), 0.0)

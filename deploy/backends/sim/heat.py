@@ -1,26 +1,33 @@
-"""How B robots' motors warm: the windings, whose resistance MuJoCo's motors know, and the housings, which they lack."""
+"""Motor temperatures of B plants: the windings, which MuJoCo's motors have, and the housings, which they lack."""
 
 import numpy as np
 from mujoco.batch import Batch
 
-from deploy.backends.sim import drawn
+from deploy.backends.sim.model.motor_parameters import (
+    AMBIENT_C,
+    REFERENCE_C,
+    RESISTANCE,
+    RESISTANCE_PER_K,
+    WINDING_CAPACITY,
+    WINDING_TO_HOUSING,
+)
 from deploy.stage import Stage
 from robots.arrays import Floats
 from robots.draws import Draw
 from robots.spec import RobotSpec
 
-STILL = 1e12
-"""J/K: the capacity by which MuJoCo's own winding does not warm."""
+CAPACITY_OFF = 1e12
+"""J/K: heat capacity by which MuJoCo's own winding does not warm."""
 
 
 class Windings(Stage):
-    """The winding's node is MuJoCo's activation, a rise over the housing, which its resistance follows.
+    """The winding's temperature is MuJoCo's activation, a rise over the housing, which its resistance follows.
 
     It is integrated here: MuJoCo heats a saturated motor by the current that its voltage would drive, not by the one
     that its limit of torque lets through.
 
     Attributes:
-        square: (B, n) A², the squared currents of the ticks since the last time.
+        square: (B, n) A², sum of the squared currents of the ticks since the last `warm`.
         to_housing: (B, n) K/W. capacity: (B, n) J/K.
     """
 
@@ -29,24 +36,26 @@ class Windings(Stage):
     def __init__(self, batch: Batch, draw: Draw) -> None:
         """Read the motors, and keep MuJoCo from warming them."""
         gain, dynamics = batch.expand("actuator_gainprm"), batch.expand("actuator_dynprm")
-        self._ohm, self._alpha, self._cold = (
-            gain[:, :, place].copy() for place in (drawn.R, drawn.ALPHA, drawn.COLD)
+        self._ohm, self._per_k, self._reference_c = (
+            gain[:, :, place].copy() for place in (RESISTANCE, RESISTANCE_PER_K, REFERENCE_C)
         )
-        self.to_housing, self.capacity = (dynamics[:, :, place].copy() for place in (drawn.RWH, drawn.CW))
-        dynamics[:, :, drawn.CW] = STILL
+        self.to_housing, self.capacity = (
+            dynamics[:, :, place].copy() for place in (WINDING_TO_HOUSING, WINDING_CAPACITY)
+        )
+        dynamics[:, :, WINDING_CAPACITY] = CAPACITY_OFF
         self.square = np.zeros((draw.robots, self._ohm.shape[1]))
 
     def ohm(self, celsius: Floats) -> Floats:
-        """(B, n) what windings of (B, n) °C resist."""
-        ohm: Floats = self._ohm * (1.0 + self._alpha * (celsius - self._cold))
+        """Return the resistance (B, n) of windings at (B, n) °C."""
+        ohm: Floats = self._ohm * (1.0 + self._per_k * (celsius - self._reference_c))
         return ohm
 
     def warm(self, rise: Floats, housing: Floats, ticks: int, dt: float) -> None:
-        """Live through some ticks of `dt` s. Source: see `robots.motor`; steps are far below the windings' seconds.
+        """Integrate over some ticks. Source: see `robots.motor`; steps are far below the windings' seconds.
 
         Args:
             rise: (B, n) K, written. housing: (B, n) °C.
-            ticks: how many `square` is of. dt: s.
+            ticks: number of ticks summed in `square`. dt: s.
         """
         loss = self.square * self.ohm(housing + rise)
         rise += dt / self.capacity * (loss - ticks * rise / self.to_housing)
@@ -54,9 +63,9 @@ class Windings(Stage):
 
 
 class Housings(Stage):
-    """What the windings lie in, and what MuJoCo's motors take for their ambient.
+    """Motor housings, the ambient of MuJoCo's motors.
 
-    Source: see `robots.motor`. Iron loss, iron (gear qd)², and what the joint's friction and damping turn into heat
+    Source: see `robots.motor`. Iron loss, iron (gear qd)², and the heat of the joint's friction and damping
     warm the housing, where rotor, gear and bearings sit.
 
     Attributes:
@@ -70,36 +79,37 @@ class Housings(Stage):
         """Read the motors; every housing begins as warm as drawn."""
         each = np.ones((draw.robots, spec.n))
         self._ambient = each * draw["climate.ambient_c"][:, None]
-        self._warm = self._ambient + draw["climate.warm_start_k"][:, None]
+        self._start = self._ambient + draw["climate.warm_start_k"][:, None]
         dynamics = batch.expand("actuator_dynprm")
-        self._node, self._to_housing = dynamics[:, :, drawn.AMBIENT], dynamics[:, :, drawn.RWH].copy()
+        self._ambient_of_winding = dynamics[:, :, AMBIENT_C]
+        self._winding_to_housing = dynamics[:, :, WINDING_TO_HOUSING].copy()
         self.to_ambient = draw["drives.housing_to_ambient"] * spec.motor_array("housing_resistance_k_per_w")
         self.capacity = draw["drives.housing_capacity"] * spec.motor_array("housing_capacity_j_per_k")
         gear = batch.model.actuator_gear[:, 0]
         self._iron = draw["drives.iron_loss"] * spec.motor_array("iron_w_s2") * gear**2
-        self.celsius = self._warm.copy()
+        self.celsius = self._start.copy()
         self.apply()
 
     def reset(self, rows: np.ndarray) -> None:
-        """As at the start of the shift."""
-        self.celsius[rows] = self._warm[rows]
+        """Set robots `rows` to their temperature at the start."""
+        self.celsius[rows] = self._start[rows]
         self.apply()
 
     def apply(self) -> None:
-        """Tell MuJoCo's windings what they lie in."""
-        self._node[:] = self.celsius
+        """Write the temperatures into the model."""
+        self._ambient_of_winding[:] = self.celsius
 
-    def warm(self, rise: Floats, rubbed: Floats, turned: Floats, dt: float) -> None:
-        """Let `dt` s pass; the windings keep their temperature when their ambient moves.
+    def warm(self, rise: Floats, friction_j: Floats, speed_square: Floats, dt: float) -> None:
+        """Integrate over `dt`; the windings keep their temperature when their ambient changes.
 
         Args:
             rise: (B, n) K, windings over housings, written.
-            rubbed: (B, n) J, by friction.
-            turned: (B, n) rad²/s, the joints' squared speed over that time.
+            friction_j: (B, n) J, heat of friction.
+            speed_square: (B, n) rad²/s, integral of the joints' squared speed over that time.
             dt: s, far below the housings' minutes.
         """
-        watts = rise / self._to_housing - (self.celsius - self._ambient) / self.to_ambient
-        warming = (watts * dt + rubbed + self._iron * turned) / self.capacity
+        watts = rise / self._winding_to_housing - (self.celsius - self._ambient) / self.to_ambient
+        warming = (watts * dt + friction_j + self._iron * speed_square) / self.capacity
         self.celsius += warming
         rise -= warming
         self.apply()

@@ -1,68 +1,28 @@
-"""How packets travel: late by a time that changes, lost in bursts, twice, and after ones that were taken later.
+"""Packets of simulated sensors: variable delay, loss in bursts, repetition, reordering.
 
-All of it is a function of seed, robot and tick, worked out for many ticks at once: for each tick, when the packet that
-arrives was taken. Nothing has to be saved.
+All of it is a function of seed, robot and tick, computed in chunks of ticks: for each tick, when the packet that
+arrives was sampled. Nothing has to be saved.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
+from deploy.backends.sim.sensor_faults import LATE_S, SLOW, Failure, Fault, checked, silent
 from robots.arrays import Bools, Floats, Ints
 from robots.draws import Draw
-from robots.errors import ConfigError
 from robots.randomness import Keys, keyed
-from robots.sensors import BUFFER_S, Kind
+from robots.sensors import BUFFER_S
 from robots.spec import RobotSpec
 
 CHUNK = 128
-"""Ticks worked out at once, where the buffer is not longer."""
+"""Ticks computed at once, unless the buffer is longer."""
 NEVER = np.iinfo(np.int64).min
-"""In the place of the tick at which a packet was taken: none arrived."""
-SLOW, LATE_S, BLINK_S = 10, 0.1, 0.2
-"""A slow sensor sends one packet of so many; a delayed one so much later; an intermittent one is on and off so long."""
-WRONG = 0.1
-"""A wrong channel is off by this share of its range."""
-
-
-class Failure(StrEnum):
-    """Seven ways in which a sensor fails. Source: PX4 Autopilot, failure injection."""
-
-    OFF = "off"
-    STUCK = "stuck"
-    GARBAGE = "garbage"
-    WRONG = "wrong"
-    SLOW = "slow"
-    DELAYED = "delayed"
-    INTERMITTENT = "intermittent"
-
-
-ON_THE_WAY = (Failure.SLOW, Failure.DELAYED)
-"""They happen to packets, so to all channels of a sensor."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fault:
-    """A sensor of one robot fails for a while.
-
-    Attributes:
-        robot: row. sensor: kind. what: how.
-        channel: one of its channels; None for all.
-        begins, ends: control ticks; it holds from the first to just before the last.
-    """
-
-    robot: int
-    sensor: Kind
-    what: Failure
-    channel: int | None = None
-    begins: int
-    ends: int
+"""In place of the tick at which a packet was sampled: none arrived."""
 
 
 class Packets:
-    """When packets of B robots' G sensors arrive, in the order of `spec.sensors`.
+    """Arrival of the packets of B robots' G sensors, in the order of `spec.sensors`.
 
     Attributes:
         depth: ticks of the buffer. length: ticks of a chunk: all of it arrives in that chunk or the next.
@@ -78,19 +38,19 @@ class Packets:
         self._keys, self._dt, self._control_hz = keys, spec.dt, spec.rates.control_hz
         self._rates = np.array([sensor.rate_hz for sensor in sheet])
         delay, loss = np.array([s.delay_s for s in sheet]), np.array([s.loss for s in sheet])
-        self._least, self._most = draw["sensors.delay"] * delay, draw["sensors.jitter"] * delay
+        self._delay_min, self._jitter = draw["sensors.delay"] * delay, draw["sensors.jitter"] * delay
         self._hold, self._repeat, self._burst = (
             draw[f"sensors.{name}"] for name in ("hold", "repeat", "burst")
         )
-        self._begins = loss * draw["sensors.loss"] / self._burst
+        self._burst_begins = loss * draw["sensors.loss"] / self._burst
         self.robots, self.sensors = self._hold.shape
-        self.depth = round(BUFFER_S / spec.dt) + 2  # one that comes again is a tick older still
+        self.depth = round(BUFFER_S / spec.dt) + 2  # a repeated packet is a tick older still
         self.length = max(CHUNK, self.depth)
         self._next = NEVER  # the chunk that the tail of the last one leads into
-        self._faults = [(list(spec.sensors).index(f.sensor), f) for f in _checked(faults, spec, self.robots)]
+        self._faults = [(list(spec.sensors).index(f.sensor), f) for f in checked(faults, spec, self.robots)]
 
     def arriving(self, chunk: int) -> Ints:
-        """(length, B, G) for each tick of a chunk, the tick at which the packet that arrives then was taken."""
+        """Return (length, B, G) for each tick of a chunk the tick at which the packet that arrives was sampled."""
         if chunk != self._next:
             self._tail = self._sent(chunk - 1, self._uniform(chunk - 1))[self.length :]
         u = self._uniform(chunk)
@@ -104,17 +64,19 @@ class Packets:
         return np.asarray(np.where(again, before, arrivals))
 
     def due(self, ticks: Ints) -> Bools:
-        """(T, G) whether a sensor takes a packet at each of some ticks (T,)."""
+        """Return (T, G) the sensors that sample at each of `ticks` (T,)."""
         counts = ticks[:, None] * self._rates // self._control_hz
         return np.asarray(counts != (ticks[:, None] - 1) * self._rates // self._control_hz)
 
-    def last_taken(self, tick: int) -> Ints:
-        """(B, G) the newest packet of each sensor, had it always stood still and lost nothing."""
-        count = (tick - np.ceil(self._least / self._dt).astype(np.int64)) * self._rates // self._control_hz
+    def last_sampled(self, tick: int) -> Ints:
+        """Return (B, G) the tick of each sensor's newest packet, without jitter and losses."""
+        count = (
+            (tick - np.ceil(self._delay_min / self._dt).astype(np.int64)) * self._rates // self._control_hz
+        )
         return np.asarray(-(-count * self._control_hz // self._rates))
 
     def _sent(self, chunk: int, u: Floats) -> Ints:
-        """(length + depth, B, G) packets taken in a chunk, each at the tick of its arrival; the latest taken wins."""
+        """Return (length + depth, B, G) packets sampled in a chunk, at the tick of their arrival; the newest wins."""
         ticks = chunk * self.length + np.arange(self.length)
         late = np.ceil(self._delay(u) / self._dt - 1e-9).astype(np.int64)
         goes = self.due(ticks)[:, None, :] & ~self._lost(u)
@@ -125,28 +87,28 @@ class Packets:
         return arrivals
 
     def _uniform(self, chunk: int) -> Floats:
-        """(length, B, G, 5) in [0, 1)."""
+        """Return (length, B, G, 5) in [0, 1)."""
         shape = (self.length, self.sensors, 5)
         return np.stack([keyed(key, chunk + 1).random(shape) for key in self._keys], axis=1)
 
     def _delay(self, u: Floats) -> Floats:
-        """(length, B, G) s. A chunk begins with a delay of its own; after that each holds with its probability."""
+        """Return (length, B, G) s. A chunk begins with a new delay; after that each holds with its probability."""
         new = u[..., 0] >= self._hold
         new[0] = True
         since = np.maximum.accumulate(np.where(new, np.arange(self.length)[:, None, None], 0), axis=0)
-        return np.asarray(self._least + self._most * np.take_along_axis(u[..., 1], since, axis=0))
+        return np.asarray(self._delay_min + self._jitter * np.take_along_axis(u[..., 1], since, axis=0))
 
     def _lost(self, u: Floats) -> Bools:
-        """(length, B, G) Packets lost in bursts, geometric. Source: Gilbert (1960), without its good losses."""
+        """Return (length, B, G) losses in geometric bursts. Source: Gilbert (1960), without its good losses."""
         until = np.zeros(u.shape[:-1])
-        place, robot, sensor = begins = np.nonzero(u[..., 2] < self._begins)
+        place, robot, sensor = begins = np.nonzero(u[..., 2] < self._burst_begins)
         with np.errstate(divide="ignore"):  # bursts of one packet: the logarithm of 0
             ends = np.log1p(-u[..., 3][begins]) / np.log1p(-1 / self._burst[robot, sensor])
         until[begins] = place + 1 + np.floor(ends)
         return np.asarray(np.maximum.accumulate(until, axis=0) > np.arange(self.length)[:, None, None])
 
     def _fail(self, ticks: Ints, goes: Bools, late: Ints) -> None:
-        """What faults do to packets on their way."""
+        """Apply faults of packets to `goes` and `late`, in place."""
         for sensor, fault in self._faults:
             if fault.begins > ticks[-1] or fault.ends <= ticks[0]:
                 continue
@@ -159,23 +121,3 @@ class Packets:
             elif fault.channel is None and fault.what in (Failure.OFF, Failure.INTERMITTENT):
                 goes[silent(fault, ticks, self._dt), fault.robot, sensor] = False
         np.minimum(late, self.depth - 2, out=late)
-
-
-def silent(fault: Fault, ticks: Ints, dt: float) -> Bools:
-    """(T,) whether a sensor that is off, or off and on, says nothing at each of some ticks."""
-    now = (ticks >= fault.begins) & (ticks < fault.ends)
-    if fault.what == Failure.INTERMITTENT:
-        now &= (ticks - fault.begins) // max(1, round(BLINK_S / dt)) % 2 == 0
-    return np.asarray(now)
-
-
-def _checked(faults: Sequence[Fault], spec: RobotSpec, robots: int) -> Sequence[Fault]:
-    for fault in faults:
-        known = spec.channels
-        if fault.sensor not in known:
-            raise ConfigError(f"{fault}: sensor {fault.sensor}: unknown; known: {', '.join(known)}")
-        if not 0 <= fault.robot < robots or not 0 <= (fault.channel or 0) < known[fault.sensor]:
-            raise ConfigError(f"{fault}: found {robots} robots and {known[fault.sensor]} channels")
-        if fault.what in ON_THE_WAY and fault.channel is not None:
-            raise ConfigError(f"{fault}: {fault.what} happens to all channels of a sensor")
-    return faults

@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from deploy.backends.sim.packets import Fault
 from deploy.backends.sim.plant import Plant
+from deploy.backends.sim.sensor_faults import Fault
 from deploy.backends.sim.sensors import Sensors
 from deploy.backends.sim.truth import Truth
 from deploy.motion.drive_law import Gains
@@ -18,7 +18,7 @@ from robots.spec import RobotSpec
 
 
 class SimRobot(Stage):
-    """Physics advances one control period with every `write`.
+    """Plant and sensors of B robots. Physics advances one control period with every `write`.
 
     Attributes:
         goal: (B, 3) m, world, as the simulated cameras see it; NaN: none.
@@ -38,12 +38,12 @@ class SimRobot(Stage):
         gains: Gains | None = None,
         threads: int = 1,
     ) -> None:
-        """Draw B robots and put them at home, brakes on.
+        """Draw B robots and put them at home, brakes closed.
 
         Args:
             spec: the robot as it should be.
             seeds: B seeds: one draw, one stream of noise each.
-            given: B robots as they are, in the place of those that the seeds would draw.
+            given: B robots as they are, in place of those that the seeds would draw.
             faults: of their sensors.
             gains: of their drives, as the policy's contract has them; None: the drives' own.
             threads: for physics; results do not depend on it.
@@ -55,10 +55,10 @@ class SimRobot(Stage):
         self.sensors = Sensors(spec, self.draw, seeds, faults)
         self.goal_source: Callable[[], Floats] | None = None
         self.goal = np.full((self.robots, 3), np.nan)
-        self._exposed = [
+        self._true_values = [
             self.goal if kind == "goal" else self.plant.reading(kind) for kind in self.spec.sensors
         ]
-        self._settle(np.ones(self.robots, dtype=bool))
+        self.settle_sensors(np.ones(self.robots, dtype=bool))
 
     def read(self) -> Sample:
         """Return the newest packets; goals that are visible from now on arrive in later ones."""
@@ -67,33 +67,34 @@ class SimRobot(Stage):
         return self.sensors.read()
 
     def write(self, command: Command) -> None:
-        """Command every robot for one control period and live through it."""
+        """Advance every robot one control period under its command."""
         self.plant.step(command)
-        self.sensors.take(self._readings())
+        self.sensors.sample(self._channels())
 
-    def _readings(self) -> Floats:
-        """(B, C) what is true where each sensor sits."""
-        return np.concatenate(self._exposed, axis=1)
+    def _channels(self) -> Floats:
+        """Return the true values (B, C) of all channels."""
+        return np.concatenate(self._true_values, axis=1)
 
-    def _settle(self, ids: Bools) -> None:
-        self.sensors.reset(ids, self._readings())
+    def settle_sensors(self, ids: Bools) -> None:
+        """Reset sensors where `ids` holds, as if the present values had been there for a while."""
+        self.sensors.reset(ids, self._channels())
 
     def stop(self, ids: Bools) -> None:
-        """Category 0: brakes close now on the pose they find."""
+        """Category 0 stop: brakes close now on the present pose."""
         self.plant.brake(ids)
 
     def close(self) -> None:
         """Nothing to release."""
 
     def reset(self, ids: Bools, q: Floats) -> None:
-        """Rest robots where `ids` holds at `q` (B, n) rad, motors as at the start of the shift."""
+        """Rest robots where `ids` holds at `q` (B, n) rad, motors as at the start."""
         self.plant.reset(ids, q)
-        self._settle(ids)
+        self.settle_sensors(ids)
 
     def warm(self, rise: Floats) -> None:
-        """Windings are (B, n) K warmer than their housings, from a life before this one."""
+        """Set the windings (B, n) K above their housings, from work before this run."""
         self.plant.warm(rise)
 
     def truth(self) -> Truth:
-        """What really holds now: not for the runtime."""
+        """Return the ground truth now: not for the runtime."""
         return self.plant.truth(float(self.sensors.tick[0]) * self.spec.dt)

@@ -1,4 +1,4 @@
-"""A robot to look at, in the viewer and in films."""
+"""Scene for the viewer and for videos: MuJoCo's nominal model of one robot at a given pose."""
 
 import mujoco
 
@@ -6,31 +6,36 @@ from robots.arrays import Floats
 from robots.models.mujoco_model import compile_model, read_mjcf
 from robots.spec import RobotSpec
 
-FLOOR = "firstshift/seen floor"
+FLOOR = "firstshift/visible floor"
 SQUARE_M, LIGHT, DARK = 0.5, (0.78, 0.8, 0.82), (0.66, 0.69, 0.72)
 
 
 class Scene:
-    """MuJoCo's nominal model, put where somebody says; a robot with a base gets a floor where model.xml has none.
+    """Model of one robot; one with a floating base gets a floor if model.xml has none.
 
     Attributes:
-        model: of one robot. data: its pose.
+        model: MuJoCo's. data: its pose.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Build it.
+        """Compile the model.
 
         Raises:
             RobotError: as `read_mjcf`.
         """
         mjcf = read_mjcf(spec)
-        if spec.base:
+        if "floating_base" in spec.capabilities:
             _add_floor(mjcf)
         self.model = compile_model(mjcf, spec.model_path)
         self.data, self._n = mujoco.MjData(self.model), spec.n
 
     def pose(self, q: Floats, base: Floats | None) -> None:
-        """Joints at q (n,) rad, and a base (7,) at a place in the world, m, and an orientation, w first."""
+        """Set the pose.
+
+        Args:
+            q: (n,) rad.
+            base: (7,) position in the world, m, and orientation, w first; None for a robot that is mounted.
+        """
         if base is not None:
             self.data.qpos[:7] = base
         self.data.qpos[-self._n :] = q
@@ -40,16 +45,8 @@ class Scene:
 def _add_floor(mjcf: mujoco.MjSpec) -> None:
     if any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in mjcf.worldbody.geoms):
         return
-    checker = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
-    mjcf.add_texture(
-        name=FLOOR,
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=checker,
-        width=64,
-        height=64,
-        rgb1=LIGHT,
-        rgb2=DARK,
-    )
+    texture = mjcf.add_texture(name=FLOOR, type=mujoco.mjtTexture.mjTEXTURE_2D, width=64, height=64)
+    texture.builtin, texture.rgb1, texture.rgb2 = mujoco.mjtBuiltin.mjBUILTIN_CHECKER, LIGHT, DARK
     mjcf.visual.headlight.ambient[:] = mjcf.visual.headlight.diffuse[:] = 0.45
     material = mjcf.add_material(name=FLOOR, texuniform=True, texrepeat=[0.5 / SQUARE_M] * 2)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = FLOOR

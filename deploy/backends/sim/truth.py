@@ -1,4 +1,4 @@
-"""What really happened, which no robot can know: for the judge and for rewards, never for the runtime."""
+"""Ground truth of a simulation, which no robot can know: for the judge and for rewards, never for the runtime."""
 
 from typing import NamedTuple
 
@@ -6,12 +6,14 @@ from robots.arrays import Bools, Floats
 
 
 class BaseTruth(NamedTuple):
-    """Of a floating base. The world is that of the model: `mounting.tilt_rad` leans gravity in it, not the floor.
+    """True state of a floating base.
+
+    The world is that of the model: `mounting.tilt_rad` tilts gravity in it, not the floor.
 
     Attributes:
         position: (B, 3) m, world. quat_wxyz: (B, 4), base in world.
         velocity: (B, 3) m/s, world. angular_velocity: (B, 3) rad/s, base frame.
-        up: (B, 3) of length 1, world: against gravity.
+        up: (B, 3) unit vector against gravity, world.
     """
 
     position: Floats
@@ -28,15 +30,15 @@ class Truth(NamedTuple):
 
     Attributes:
         t: s.
-        q: (B, n) rad. qd: (B, n) rad/s. Of the links, beyond the play of their gears.
+        q: (B, n) rad. qd: (B, n) rad/s. Of the links, behind the backlash.
         tau: (B, n) N·m, actuator torque at the joint.
         tool_position: (B, 3) m, world.
         tool_velocity: (B, 3) m/s, world, mean over the last control period.
-        self_collision: (B,) any contact between links or with the table; floors are there to be stood on.
+        self_collision: (B,) any contact between links or with the table; contacts with a floor do not count.
         contact_n: (B,) N, normal force of the strongest contact, 0 where there is none.
         winding_c, housing_c: (B, n) °C.
         valid: (B,) False from the moment the simulation of a robot diverged.
-        base: of a robot that has one.
+        base: of a robot with a floating base.
     """
 
     t: float

@@ -14,7 +14,7 @@ from robots.errors import ConfigError
 
 
 class View:
-    """Shows the true pose of one robot; closing the window ends the view, not the run."""
+    """Window on the true pose of one robot; closing it ends the view, not the run."""
 
     def __init__(self, robot: SimRobot, row: int = 0) -> None:
         """Open the window on robot `row`.
@@ -22,26 +22,30 @@ class View:
         Raises:
             ConfigError: there is no display.
         """
-        _check_display()
+        check_display()
         self._robot, self._row, self._scene = robot, row, Scene(robot.spec)
         self._viewer = mujoco.viewer.launch_passive(self._scene.model, self._scene.data)
 
     def step(self, _: object = None) -> None:
-        """Bring the window up to date."""
+        """Update the window."""
         if not self._viewer.is_running():
             return
         plant, row = self._robot.plant, self._row
-        base = plant.motion.base
+        base = plant.kinematics.base
         with self._viewer.lock():
-            place = None if base is None else np.concatenate((base.position[row], base.quat_wxyz[row]))
-            self._scene.pose(plant.q[row], place)
-            if place is not None:
-                self._viewer.cam.lookat[:] = place[:3]
+            pose = None if base is None else np.concatenate((base.position[row], base.quat_wxyz[row]))
+            self._scene.pose(plant.q[row], pose)
+            if pose is not None:
+                self._viewer.cam.lookat[:] = pose[:3]
         self._viewer.sync()
 
 
-def _check_display() -> None:
-    """The viewer's own thread would wait forever for a window that cannot be opened."""
+def check_display() -> None:
+    """Check that a window can be opened: the viewer's own thread would wait forever for it.
+
+    Raises:
+        ConfigError: it cannot.
+    """
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ConfigError("--view: found neither DISPLAY nor WAYLAND_DISPLAY, expected a display")
     with warnings.catch_warnings():

@@ -90,7 +90,7 @@ def _samples(spec: RobotSpec, motion: Motion, noise: float | None) -> Iterator[t
     sensors.reset(np.ones(motion.robots, dtype=bool), truth)
     for tick, (seen, sent) in enumerate(zip(motion.seen, motion.sent, strict=True), start=1):
         truth[:, columns] = seen
-        sensors.take(truth)
+        sensors.sample(truth)
         yield (
             tick,
             sensors.read(),

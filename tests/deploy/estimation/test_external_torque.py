@@ -120,7 +120,7 @@ def test_a_blocked_joint_that_is_pushed_on_a_little_stops_its_robot(joint):
     modes, reasons = [], Reason.NONE
     plant = runtime.robot.plant
     for _ in range(60):
-        plant.batch.expand("dof_frictionloss")[1, plant._dofs[joint]] = 1e5
+        plant.batch.expand("dof_frictionloss")[1, plant.dofs[joint]] = 1e5
         policy.action[:, joint] = (goal - runtime.action.q[:, joint]) / runtime.contract.action.scale[joint]
         runtime.tick()
         reasons |= Reason(int(runtime.verdict.reason[1] | runtime.state.fault[1]))

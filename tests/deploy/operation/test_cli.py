@@ -92,7 +92,7 @@ def test_a_robot_of_a_soak_comes_with_its_draw_its_noise_and_its_goals(
     assert json.loads((tmp_path / "summary.json").read_text())["seed"] == which
     for name, values in made[0].draw.items():
         np.testing.assert_array_equal(values[0], soaked.draw[name][3])
-    np.testing.assert_array_equal(made[0].sensors._noise_keys[0], soaked.sensors._noise_keys[3])
+    np.testing.assert_array_equal(made[0].sensors.noise_keys[0], soaked.sensors.noise_keys[3])
 
 
 @pytest.mark.usefixtures("quick_goals")
@@ -101,7 +101,7 @@ def test_a_robot_that_is_not_armed_is_exit_1(command, arm_policy, tmp_path, monk
         def __init__(self, *args, **how):
             super().__init__(*args, **how)
             self.plant.housing[:] = 95.0
-            self._settle(np.ones(1, dtype=bool))
+            self.settle_sensors(np.ones(1, dtype=bool))
 
     monkeypatch.setattr("deploy.backends.sim.backend.SimRobot", Hot)
     code, said, _ = command("--policy", arm_policy, "--speed", "max", "--out", tmp_path)

@@ -219,7 +219,7 @@ def test_too_many_late_ticks_stop_the_robot(bench, lost_s, ending):
 def test_a_robot_that_is_too_hot_is_not_armed(bench):
     b = bench()
     b.robot.plant.housing[:] = 95.0
-    b.robot._settle(np.ones(1, dtype=bool))
+    b.robot.settle_sensors(np.ones(1, dtype=bool))
     assert b.live() is Ending.REFUSED
     assert b.run.reason == "a motor is too hot, or nobody knows how hot it is"  # all of them
     assert not any(powered for powered, _ in b.robot.sent)

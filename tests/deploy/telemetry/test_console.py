@@ -40,7 +40,7 @@ def test_the_view_follows_the_true_pose_until_it_is_closed(monkeypatch):
     from deploy.backends.sim import view
 
     windows = []
-    monkeypatch.setattr(view, "_check_display", lambda: None)
+    monkeypatch.setattr(view, "check_display", lambda: None)
     monkeypatch.setattr(
         view.mujoco.viewer, "launch_passive", lambda *args: windows.append(Window(*args)) or windows[0]
     )
@@ -57,7 +57,7 @@ def test_the_view_goes_with_a_robot_that_walks(monkeypatch):
     from deploy.backends.sim import view
 
     windows = []
-    monkeypatch.setattr(view, "_check_display", lambda: None)
+    monkeypatch.setattr(view, "check_display", lambda: None)
     monkeypatch.setattr(
         view.mujoco.viewer, "launch_passive", lambda *args: windows.append(Window(*args)) or windows[0]
     )

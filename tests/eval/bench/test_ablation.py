@@ -118,7 +118,7 @@ def moving(power_from=0, ticks=400):
     measured, w = Measured(trial), 2 * np.pi * 2
     for tick in range(ticks):
         q = np.full((1, N), 0.5 * np.sin(w * tick * DT)) + (tick < power_from) * tick % 2
-        robot.plant.motion.motor_q[:] = q
+        robot.plant.kinematics.motor_q[:] = q
         robot.truth = lambda q=q: SimpleNamespace(
             q=q, valid=np.array([True]), winding_c=np.full((1, N), 60.0)
         )

@@ -161,7 +161,7 @@ def test_every_fault_of_a_body_changes_its_own_robot_while_it_lasts_and_is_mende
             assert winding[joint] == pytest.approx(15.0 * lasts * DT, rel=0.1)
     for name, array in as_built.items():
         np.testing.assert_array_equal(batch.expand(name), array)
-    np.testing.assert_array_equal(batch.expand("dof_frictionloss")[:, plant.wear._dofs], plant.wear.friction)
+    np.testing.assert_array_equal(batch.expand("dof_frictionloss")[:, plant.wear.dofs], plant.wear.friction)
     assert (plant.supply.limit > 20).all()
     np.testing.assert_allclose(worlds[0].robot.truth().housing_c, worlds[1].robot.truth().housing_c, atol=1.0)
 

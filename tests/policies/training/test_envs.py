@@ -104,7 +104,7 @@ def test_goals_are_due_at_their_end_and_where_a_broken_limit_ends_them():
     env.runtime.task.elapsed[:] = [last, 0, 0]
     beyond = env._robot.truth().q.copy()
     beyond[1, 0] = SPEC.joint_array("q_max")[0] + 0.1
-    env._robot.plant.motion.place(np.array([1]), beyond)
+    env._robot.plant.kinematics.place(np.array([1]), beyond)
     env.step(torch.zeros(3, N))
     assert env.due == 2
 

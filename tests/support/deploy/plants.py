@@ -8,12 +8,12 @@ from robots.randomness import robot_seed
 from support.arm6 import SPEC
 
 Plant = pytest.importorskip("deploy.backends.sim.plant").Plant
-build = pytest.importorskip("deploy.backends.sim.anatomy").build
+build = pytest.importorskip("deploy.backends.sim.model.plant_model").build
 
 
 N, DT = SPEC.n, SPEC.dt
 HOME = SPEC.joint_array("q_home")
-ANATOMY = build(SPEC, load_distributions(SPEC).cable)
+PLANT_MODEL = build(SPEC, load_distributions(SPEC).cable)
 FACTORS = (
     *("links.mass", "links.length", "joints.friction", "joints.damping", "joints.armature"),
     *("drives.kp", "drives.kd", "drives.torque_constant", "drives.resistance", "drives.voltage"),

@@ -3,7 +3,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from support.deploy.plants import ANATOMY, BUSY, DT, HOME, command, drawn, exact
+from support.deploy.plants import BUSY, DT, HOME, PLANT_MODEL, command, drawn, exact
 
 mujoco = pytest.importorskip("mujoco")
 disturbances = pytest.importorskip("deploy.backends.sim.disturbances")
@@ -51,7 +51,7 @@ def test_a_payload_is_a_ball_of_aluminium_where_the_draw_says():
             np.testing.assert_allclose(body.inertia, on * 0.4 * 0.8 * radius**2 * np.ones(3))
             np.testing.assert_array_equal(body.ipos, com)
             np.testing.assert_allclose(body.pos, own.site("tool").pos)
-            bodies = own.body_mass[: ANATOMY.payload + 1]
+            bodies = own.body_mass[: PLANT_MODEL.payload + 1]
             assert own.body_subtreemass[1] == pytest.approx(bodies.sum(), rel=1e-12)
 
 
@@ -71,7 +71,7 @@ def test_what_the_tool_carries_pulls_at_every_joint():
         mujoco.mj_forward(model, data)
         forces.append(data.qfrc_bias.copy())
     jacobian = np.zeros((3, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian, None, ANATOMY.tool)
+    mujoco.mj_jacSite(model, data, jacobian, None, PLANT_MODEL.tool)
     np.testing.assert_allclose(forces[0] - forces[1], jacobian.T @ [0.0, 0.0, 2.0 * 9.81], atol=1e-9)
 
 
@@ -104,7 +104,7 @@ def test_pushes_come_from_everywhere_on_every_moving_link():
     assert np.linalg.norm(one.mean(axis=0)) < 17.0 * 0.15
     np.testing.assert_allclose((one**2).mean(axis=0), 17.0**2 / 3, rtol=0.2)
     links = np.argmax(forces.any(axis=2), axis=1)
-    assert set(links) == set(ANATOMY.bodies)
+    assert set(links) == set(PLANT_MODEL.bodies)
 
 
 def test_a_push_is_felt_while_it_lasts():
@@ -117,7 +117,7 @@ def test_a_push_is_felt_while_it_lasts():
         moved[on] = (
             max(moved[on], np.abs(plant.q[0] - rest).max()) if on or tick < plant.pushes.until[0] else 0
         )
-    assert plant.pushes.turn[0] > 3
+    assert plant.pushes.phase[0] > 3
     assert moved[True] > 1e-3
 
 
@@ -142,7 +142,7 @@ def test_turns_are_the_seeds_and_not_the_groups():
 
 def test_nothing_is_done_on_a_tick_on_which_nothing_changes(monkeypatch):
     plant, done = drawn(3), []
-    monkeypatch.setattr(disturbances.Turns, "_time", lambda *_: done.append(1))
+    monkeypatch.setattr(disturbances.Intermittent, "_extend", lambda *_: done.append(1))
     for tick in range(100):
         plant.pushes.step(tick)
         plant.payload.step(tick)

@@ -3,7 +3,7 @@ import pytest
 
 from robots.tables import Rates
 from support.arm6 import SPEC
-from support.deploy.plants import ANATOMY, DT, HOME, N, command, exact
+from support.deploy.plants import DT, HOME, PLANT_MODEL, N, command, exact
 
 pytest.importorskip("mujoco")
 Drives = pytest.importorskip("deploy.backends.sim.drives").Drives
@@ -15,7 +15,7 @@ def followed(delay_s, rates=SPEC.rates, periods=40):
     drives = exact(1, {"drives.delay_s": delay_s}, spec=spec).drives
     drives.rest(np.arange(1), np.zeros((1, N)))
     points = (np.arange(1, periods + 1) / rates.control_hz) ** 2
-    course = [drives.follow(command(np.full((1, N), q)), np.zeros((1, N)))[0, :, 0].copy() for q in points]
+    course = [drives.step(command(np.full((1, N), q)), np.zeros((1, N)))[0, :, 0].copy() for q in points]
     return points, np.concatenate(course) / drives.gear[0, 0]
 
 
@@ -49,15 +49,15 @@ def test_brakes_wait_for_no_bus():
     for k in range(40):
         plant.step(command(HOME + 0.4 * k * DT, 0.4))
     plant.brake(np.ones(1, dtype=bool))
-    np.testing.assert_array_equal(plant.drives.lines[0], np.tile(plant.drives.goal[0], (10, 1)))
-    control = plant.drives.follow(command(HOME, powered=False), plant.motion.motor_q)
+    np.testing.assert_array_equal(plant.drives.history[0], np.tile(plant.drives.command[0], (10, 1)))
+    control = plant.drives.step(command(HOME, powered=False), plant.kinematics.motor_q)
     np.testing.assert_array_equal(control[0, :, ::3], np.tile(plant.drives.held * plant.drives.gear, (5, 1)))
     assert not control[0, :, 1::3].any()
 
 
 def sink(plant, current, qd):
     """Cold windings draw."""
-    plant.supply.sink(current, qd, plant.wear.constant, plant.windings.ohm(25.0))
+    plant.supply.update(current, qd, plant.wear.constant, plant.windings.ohm(25.0))
 
 
 def volts(current, qd, ohm):
@@ -70,7 +70,7 @@ def volts(current, qd, ohm):
 def test_the_bus_settles_where_the_power_drawn_is_the_power_delivered():
     """V = V0 - R P / V with P of all motors, u I; no drive has a voltage of its own."""
     found = volts(2.0, 1.5, 0.3)
-    model = ANATOMY.model
+    model = PLANT_MODEL.model
     resistance, constant = model.actuator_gainprm[:, 0], model.actuator_gainprm[:, 1]
     power = (2.0 * (resistance * 2.0 + constant * 101 * 1.5)).sum()
     assert power > 200.0
@@ -94,7 +94,9 @@ def test_hot_windings_take_more_from_the_bus():
             plant.step(command(HOME))
         own = plant.batch.get_model(0)
         resistance = own.actuator_gainprm[:, 0] * (1.0 + 0.0039 * (plant.truth(0.0).winding_c[0] - 25.0))
-        motor = plant.current[0] * resistance + own.actuator_gainprm[:, 1] * 101 * plant.motion.motor_qd[0]
+        motor = (
+            plant.current[0] * resistance + own.actuator_gainprm[:, 1] * 101 * plant.kinematics.motor_qd[0]
+        )
         drawn.append((motor * plant.current[0]).sum())
         bus = plant.supply.limit[0, 0]
         assert bus * (48.0 - bus) == pytest.approx(drawn[-1], rel=1e-9)

@@ -7,11 +7,11 @@ import pytest
 from robots.motor import MotorHeat, temperatures
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
-from support.deploy.plants import ANATOMY, BUSY, DT, HOME, N, command, drawn, exact
+from support.deploy.plants import BUSY, DT, HOME, PLANT_MODEL, N, command, drawn, exact
 
 mujoco = pytest.importorskip("mujoco")
 Plant = pytest.importorskip("deploy.backends.sim.plant").Plant
-build = pytest.importorskip("deploy.backends.sim.anatomy").build
+build = pytest.importorskip("deploy.backends.sim.model.plant_model").build
 load_mujoco = pytest.importorskip("robots.models.mujoco_model").load_mujoco
 
 
@@ -62,7 +62,7 @@ def test_brakes_close_on_the_pose_they_find():
     plant = exact(2)
     for k in range(60):
         plant.step(command(np.tile(HOME + 0.5 * k * DT, (2, 1)), 0.5))
-    closed = plant.motion.motor_q.copy()
+    closed = plant.kinematics.motor_q.copy()
     only = np.array([True, False])
     for k in range(60, 160):
         plant.step(command(np.tile(HOME + 0.5 * k * DT, (2, 1)), 0.5, powered=~only))
@@ -113,10 +113,10 @@ def test_drive_tracks_a_ramp_within_10_mrad(speed):
 
 def test_drives_go_in_straight_lines_from_setpoint_to_setpoint():
     """As MuJoCo alone goes when it is led there step by step; taken at once, each would saturate the motor."""
-    plant, model = exact(), copy(ANATOMY.model)
+    plant, model = exact(), copy(PLANT_MODEL.model)
     data, gear = mujoco.MjData(model), model.actuator_gear[:, 0]
-    joints, play = model.jnt_qposadr[ANATOMY.joints], model.jnt_qposadr[ANATOMY.play]
-    model.jnt_range[ANATOMY.play] = model.tendon_stiffness[:] = 0.0
+    joints, play = model.jnt_qposadr[PLANT_MODEL.joints], model.jnt_qposadr[PLANT_MODEL.backlash]
+    model.jnt_range[PLANT_MODEL.backlash] = model.tendon_stiffness[:] = 0.0
     data.qpos[joints] = HOME
     last, qd, worst = np.array((HOME, HOME * 0, HOME * 0)), np.zeros(N), 0.0
     for k in range(60):
@@ -176,8 +176,8 @@ def test_a_robot_alone_is_the_robot_in_a_group():
     for q in wild(5, 450):
         group.step(command(q))
         alone.step(command(q[2:3]))
-    assert group.payload.turn[2] > 1
-    assert group.pushes.turn[2] > 1
+    assert group.payload.phase[2] > 1
+    assert group.pushes.phase[2] > 1
     assert group.wear.life[2].min() > 0
     assert_same(group, alone, slice(2, 3))
 
@@ -201,7 +201,7 @@ def test_saved_and_restored_goes_on_bit_for_bit():
         one.step(command(path[k]))
         other.step(command(path[k]))
         assert_same(one, other)
-    assert one.pushes.turn.max() > 2
+    assert one.pushes.phase.max() > 2
     assert other.valid.all()
 
 

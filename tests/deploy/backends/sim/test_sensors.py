@@ -5,7 +5,8 @@ from support.arm6 import SPEC, copy_of_arm
 
 pytest.importorskip("mujoco")
 
-from deploy.backends.sim.packets import BLINK_S, CHUNK, LATE_S, SLOW, WRONG, Failure, Fault, silent
+from deploy.backends.sim.packets import CHUNK
+from deploy.backends.sim.sensor_faults import BLINK_S, LATE_S, SLOW, WRONG, Failure, Fault, silent
 from deploy.backends.sim.sensors import Sensors
 from robots.distributions import load_distributions
 from robots.draws import draw
@@ -44,7 +45,7 @@ def play(sensors, ticks, motion=np.sin, kind="encoder"):
     t, fresh, value = [], [], []
     for _ in range(ticks):
         now = motion(DT * (sensors.tick[0] + 1))
-        sensors.take(np.zeros(sensors.value.shape) + now)
+        sensors.sample(np.zeros(sensors.value.shape) + now)
         packet = sensors.read()[kind]
         t.append(packet.t.copy())
         fresh.append(packet.fresh.copy())
@@ -71,7 +72,7 @@ def test_a_quick_bus_delivers_what_is_long_under_way(tmp_path, hz):
     late = round(BUFFER_S * hz) - 1
     sensors = honest(spec=load_robot(copy_of_arm(tmp_path, toml=rates)), delay=late / hz / ENCODER.delay_s)
     for tick in range(1, 3 * CHUNK + 2 * late):
-        sensors.take(np.full((1, WIDTH), tick / hz))
+        sensors.sample(np.full((1, WIDTH), tick / hz))
         packet = sensors.read()["encoder"]
         if packet.fresh[0] and tick > late + 1:
             np.testing.assert_allclose(packet.value[0], packet.t[0], rtol=0, atol=ENCODER.resolution)
@@ -132,10 +133,10 @@ def test_a_drift_walks_as_the_square_root_of_time():
     sensors = honest(range(200), drift=1.0)
     steps = 40
     for _ in range(steps * CHUNK):
-        sensors.take(np.zeros(sensors.value.shape))
+        sensors.sample(np.zeros(sensors.value.shape))
     hours = steps * CHUNK * DT / 3600
     for kind, sensor in SPEC.sensors.items():
-        walked = sensors.walk[:, sensors.columns[kind]]
+        walked = sensors.bias_walk[:, sensors.columns[kind]]
         assert walked.std() == pytest.approx(sensor.drift * np.sqrt(hours), rel=0.12, abs=1e-15)
 
 
@@ -148,7 +149,7 @@ def test_force_drifts_with_the_warmth_of_the_last_motor():
     sensors, warm = honest(range(2), drift_per_k=per_k), np.zeros((2, WIDTH))
     warm[:, sensors.columns["temperature"]] = np.arange(N) * 10.0
     for _ in range(CHUNK + 10):
-        sensors.take(warm)
+        sensors.sample(warm)
         packet = sensors.read()["force"]
     expected = factors * SPEC.sensors["force"].drift_per_k * (N - 1) * 10.0
     np.testing.assert_allclose(
@@ -200,7 +201,7 @@ def test_what_is_read_is_a_function_of_seed_robot_and_tick():
             np.testing.assert_array_equal(a[:, 0], b[:, 2])
     twice = built([2])
     for tick in range(1, 60):
-        twice.take(np.full((1, WIDTH), np.sin(tick * DT)))
+        twice.sample(np.full((1, WIDTH), np.sin(tick * DT)))
         first = [np.copy(part) for part in twice.read()[kind]]
         for a, b in zip(first, twice.read()[kind], strict=True):
             np.testing.assert_array_equal(a, b)
@@ -226,7 +227,7 @@ def test_reset_of_a_subset_delivers_only_the_new_place_and_at_once():
             assert packet.fresh[1] or tick
             np.testing.assert_allclose(packet.value, place[:, : packet.value.shape[1]], atol=0.5)
         np.testing.assert_allclose(sensors.read()["encoder"].value, place[:, :N], atol=ENCODER.resolution)
-        sensors.take(place)
+        sensors.sample(place)
 
 
 FAILS = {"robot": 1, "sensor": "encoder", "begins": 300, "ends": 500}

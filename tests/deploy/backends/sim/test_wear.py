@@ -3,7 +3,7 @@ import pytest
 
 from robots.distributions import load_distributions
 from support.arm6 import SPEC
-from support.deploy.plants import ANATOMY, DT, HOME, N, command, drawn, exact
+from support.deploy.plants import DT, HOME, PLANT_MODEL, N, command, drawn, exact
 
 pytest.importorskip("mujoco")
 WEAR = load_distributions(SPEC).wear
@@ -19,12 +19,12 @@ WORN = {
 def test_life_is_travel_counted_double_for_each_10_k():
     plant, travel = exact(2), np.linspace(0.0, 500.0, 2 * N).reshape(2, N)
     winding = WEAR.life_c + np.array([[0.0, 10.0, -10.0, 20.0, 5.0, -30.0]] * 2)
-    plant.wear.age(travel, winding)
+    plant.wear.step(travel, winding)
     np.testing.assert_allclose(
         plant.wear.life, travel / WEAR.life_rad * [1.0, 2.0, 0.5, 4.0, np.sqrt(2.0), 0.125], rtol=1e-12
     )
     once = plant.wear.life.copy()
-    plant.wear.age(travel, winding)
+    plant.wear.step(travel, winding)
     np.testing.assert_allclose(plant.wear.life, 2.0 * once)
 
 
@@ -34,10 +34,10 @@ def test_all_that_wears_grows_in_proportion_to_the_life():
     plant.wear.apply()
     own, life = plant.batch.get_model(0), plant.wear.life[0]
     np.testing.assert_allclose(
-        own.dof_frictionloss[ANATOMY.dofs], new.dof_frictionloss[ANATOMY.dofs] * (1.0 + 0.5 * life)
+        own.dof_frictionloss[PLANT_MODEL.dofs], new.dof_frictionloss[PLANT_MODEL.dofs] * (1.0 + 0.5 * life)
     )
     play = 0.0004 + 0.001 * life
-    np.testing.assert_allclose(own.jnt_range[ANATOMY.play], np.stack((-play / 2, play / 2), axis=1))
+    np.testing.assert_allclose(own.jnt_range[PLANT_MODEL.backlash], np.stack((-play / 2, play / 2), axis=1))
     np.testing.assert_allclose(own.actuator_gainprm[:, 1], new.actuator_gainprm[:, 1] * (1.0 - 0.1 * life))
     worn = plant.worn()
     np.testing.assert_allclose(worn.friction[0], 1.0 + 0.5 * life)
@@ -64,7 +64,7 @@ def test_no_life_is_so_long_that_a_joint_becomes_what_none_can_be():
     np.testing.assert_array_equal(worn.friction, 20.0)
     np.testing.assert_array_equal(worn.backlash_rad, 0.05)
     np.testing.assert_array_equal(worn.encoder_rad[0], [-0.1] * 3 + [0.1] * 3)
-    assert np.abs(plant.batch.get_model(0).jnt_range[ANATOMY.play]).max() == 0.025
+    assert np.abs(plant.batch.get_model(0).jnt_range[PLANT_MODEL.backlash]).max() == 0.025
 
 
 def test_an_encoder_that_slipped_reads_what_is_not_there():
@@ -72,7 +72,7 @@ def test_an_encoder_that_slipped_reads_what_is_not_there():
     plant.wear.life[:] = 1.5
     plant.wear.apply()
     plant.step(command(HOME))
-    np.testing.assert_allclose(plant.reading("encoder") - plant.motion.motor_q, -0.003, rtol=1e-9)
+    np.testing.assert_allclose(plant.reading("encoder") - plant.kinematics.motor_q, -0.003, rtol=1e-9)
 
 
 def test_the_current_is_that_of_the_worn_motor():
@@ -107,7 +107,7 @@ def test_joints_age_by_the_way_they_go():
 def test_restored_wear_is_the_same_to_the_bit():
     old, new = drawn(3), drawn(3)
     rng = np.random.default_rng(0)
-    old.wear.age(rng.uniform(0, 5000, (3, N)), rng.uniform(20, 100, (3, N)))
+    old.wear.step(rng.uniform(0, 5000, (3, N)), rng.uniform(20, 100, (3, N)))
     new.restore(old.save())
     for name in ("dof_frictionloss", "jnt_range", "actuator_gainprm"):
         np.testing.assert_array_equal(new.batch.expand(name), old.batch.expand(name))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from deploy.backends.sim.anatomy import build
+from deploy.backends.sim.model.plant_model import build
 from deploy.backends.sim.plant import Plant
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
@@ -15,7 +15,7 @@ from robots.randomness import robot_seed
 from robots.spec import load_robot
 from robots.windings import nominal_windings
 from support.arm6 import SPEC, copy_of_arm
-from support.deploy.plants import ANATOMY, BUSY, HOME, PLAIN, N, command, drawn, exact
+from support.deploy.plants import BUSY, HOME, PLAIN, PLANT_MODEL, N, command, drawn, exact
 
 mujoco = pytest.importorskip("mujoco")
 DISTRIBUTIONS = load_distributions(SPEC)
@@ -62,17 +62,17 @@ def test_without_a_draw_the_plant_is_model_xml():
     for name in ("body_pos", "body_ipos", "body_inertia"):
         np.testing.assert_array_equal(getattr(own, name)[: nominal.nbody], getattr(nominal, name))
     np.testing.assert_array_equal(own.actuator_gainprm, nominal.actuator_gainprm)
-    np.testing.assert_array_equal(own.dof_armature[ANATOMY.dofs], nominal.dof_armature)
+    np.testing.assert_array_equal(own.dof_armature[PLANT_MODEL.dofs], nominal.dof_armature)
     data, plain = mujoco.MjData(own), mujoco.MjData(nominal)
-    data.qpos[own.jnt_qposadr[ANATOMY.joints]] = plain.qpos[:] = HOME
+    data.qpos[own.jnt_qposadr[PLANT_MODEL.joints]] = plain.qpos[:] = HOME
     mujoco.mj_forward(own, data)
     mujoco.mj_forward(nominal, plain)
-    np.testing.assert_allclose(data.qfrc_bias[ANATOMY.dofs], plain.qfrc_bias, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(data.qfrc_bias[PLANT_MODEL.dofs], plain.qfrc_bias, rtol=1e-12, atol=1e-12)
     assert not data.qfrc_passive.any()
 
 
 def test_mass_and_inertia_scale_together_and_everything_derived_follows():
-    plant, links, model = drawn(3), slice(2, 8), ANATOMY.model
+    plant, links, model = drawn(3), slice(2, 8), PLANT_MODEL.model
     for i in range(3):
         own = plant.batch.get_model(i)
         ratio = own.body_mass[links] / model.body_mass[links]
@@ -92,7 +92,7 @@ def test_mass_and_inertia_scale_together_and_everything_derived_follows():
 
 
 def test_no_plant_equals_the_model_that_deploy_computes_with():
-    model, plant, dofs, windings = load_mujoco(SPEC), drawn(8), ANATOMY.dofs, nominal_windings(SPEC)
+    model, plant, dofs, windings = load_mujoco(SPEC), drawn(8), PLANT_MODEL.dofs, nominal_windings(SPEC)
     for i in range(8):
         own = plant.batch.get_model(i)
         for name in ("body_mass", "body_inertia", "body_ipos"):
@@ -116,7 +116,7 @@ def test_longer_links_stretch_the_arm_about_its_first_joint():
         one, other = (getattr(data, name)[2:8] - data.xpos[2] for _, data in (short, long))
         np.testing.assert_allclose(other, 1.1 * one, atol=1e-12)
     origin = short[1].xpos[2]
-    for name, which in (("geom_xpos", slice(2, None)), ("site_xpos", ANATOMY.tool)):
+    for name, which in (("geom_xpos", slice(2, None)), ("site_xpos", PLANT_MODEL.tool)):
         one, other = (getattr(data, name)[which] - origin for _, data in (short, long))
         np.testing.assert_allclose(other, 1.1 * one, atol=1e-12)
     np.testing.assert_allclose(long[0].geom_size[2:, 1], 1.1 * short[0].geom_size[2:, 1])
@@ -169,7 +169,7 @@ def test_a_link_hangs_in_its_play_on_the_side_of_its_load(load):
     """Half of the play each way; the motor and its encoder stand where they were told to."""
     play = 0.004
     plant = exact(1, {"joints.backlash_rad": play})
-    plant.batch.bind("qfrc_applied")[0, ANATOMY.dofs[5] + 1] = load
+    plant.batch.bind("qfrc_applied")[0, PLANT_MODEL.dofs[5] + 1] = load
     for _ in range(100):
         plant.step(command(HOME))
     motor = plant.reading("encoder")[0, 5]
@@ -181,7 +181,7 @@ def test_an_encoder_on_the_motor_does_not_see_the_play():
     """A link pushed to and fro inside its play: the encoder stands still."""
     plant, ways = exact(1, {"joints.backlash_rad": 0.004}), []
     for k in range(200):
-        plant.batch.bind("qfrc_applied")[0, ANATOMY.dofs[5] + 1] = 0.3 * (-1) ** (k // 50)
+        plant.batch.bind("qfrc_applied")[0, PLANT_MODEL.dofs[5] + 1] = 0.3 * (-1) ** (k // 50)
         plant.step(command(HOME))
         ways.append((plant.q[0, 5], plant.reading("encoder")[0, 5]))
     link, motor = np.ptp(np.array(ways)[50:], axis=0)
@@ -223,7 +223,7 @@ def test_sensors_of_every_kind_read_their_sites(tmp_path, tilt):
     assert (said * attitude.inv()).magnitude() < 0.02  # what is left is yaw, which gravity does not know
     assert plant.reading("torque").shape == (1, 3)
     assert not plant.reading("contact").any()
-    np.testing.assert_array_equal(plant.reading("velocity"), plant.motion.motor_qd)
+    np.testing.assert_array_equal(plant.reading("velocity"), plant.kinematics.motor_qd)
     for kind, channels in spec.channels.items():
         if kind != "goal":
             assert plant.reading(kind).shape == (1, channels)
@@ -258,13 +258,13 @@ def test_what_stands_in_the_way_in_model_xml_does_not_stop_the_plant(tmp_path):
             (r'<joint axis="0 0 1" ', '<joint axis="0 0 1" frictionloss="5" stiffness="7" ref="0.1" '),
         ],
     )
-    anatomy = build(load_robot(folder), DISTRIBUTIONS.cable)
-    play, model = anatomy.play, anatomy.model
+    plant_model = build(load_robot(folder), DISTRIBUTIONS.cable)
+    play, model = plant_model.backlash, plant_model.model
     dofs = model.jnt_dofadr[play]
     assert not model.dof_frictionloss[dofs].any()
     assert not model.jnt_stiffness[play].any()
     assert not model.qpos0[model.jnt_qposadr[play]].any()
-    assert (model.dof_frictionloss[anatomy.dofs] > 0).all()
+    assert (model.dof_frictionloss[plant_model.dofs] > 0).all()
     assert model.jnt_limited[play].all()
     assert PLAIN["joints.backlash_rad"] == 0.0
 
@@ -279,11 +279,15 @@ def test_frames_in_model_xml_turn_what_is_added_with_them(tmp_path):
             (r'(<site name="tool".*?/>)', r'<frame pos="0 0 0.01" euler="0.3 0 0">\1</frame>'),
         ],
     )
-    anatomy = build(load_robot(folder), DISTRIBUTIONS.cable)
-    model, last = anatomy.model, N - 1
-    joint, play = anatomy.joints[last], anatomy.play[last]
+    plant_model = build(load_robot(folder), DISTRIBUTIONS.cable)
+    model, last = plant_model.model, N - 1
+    joint, play = plant_model.joints[last], plant_model.backlash[last]
     assert abs(model.jnt_axis[joint][0]) > 0.4
     np.testing.assert_array_equal(model.jnt_axis[play], model.jnt_axis[joint])
     np.testing.assert_array_equal(model.jnt_pos[play], model.jnt_pos[joint])
-    np.testing.assert_allclose(model.body_pos[anatomy.payload], model.site_pos[anatomy.tool], atol=1e-12)
-    np.testing.assert_allclose(model.body_quat[anatomy.payload], model.site_quat[anatomy.tool], atol=1e-12)
+    np.testing.assert_allclose(
+        model.body_pos[plant_model.payload], model.site_pos[plant_model.tool], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        model.body_quat[plant_model.payload], model.site_quat[plant_model.tool], atol=1e-12
+    )
