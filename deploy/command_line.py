@@ -1,4 +1,4 @@
-"""What all commands share: exit codes, and where a mistake is said."""
+"""Command lines: exit codes, and errors printed on standard error."""
 
 import functools
 import sys
@@ -13,12 +13,15 @@ PASSED, BUDGET_EXCEEDED, BAD_INPUT, BROKEN, INTERRUPTED = 0, 1, 2, 70, 130
 
 
 def main(*commands: Callable[..., int]) -> None:
-    """Run one command line: the function's result, or its error, becomes the exit code.
+    """Run one command line; the function's result, or its error, becomes the exit code.
 
-    `commands` have typer's annotations and return an exit code; if there are several, the first word names one. An
-    option that typer refuses and a `FirstshiftError` are said on standard error and exit with 2; Ctrl-C that a command
-    did not handle itself exits with 130; any other exception, of firstshift or of a robot's bus, is shown with its
-    traceback and exits with 70, which is no verdict.
+    An option that typer refuses and a `FirstshiftError` are printed on standard error and exit with 2. Ctrl-C that a
+    command did not handle itself exits with 130. Any other exception, of firstshift or of a robot's bus, is printed
+    with its traceback and exits with 70, which is no verdict about the robot.
+
+    Args:
+        commands: functions with typer's annotations that return an exit code. If there are several, the first word of
+            the command line names one.
     """
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     for command in commands:

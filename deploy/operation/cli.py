@@ -2,14 +2,12 @@
 
 import gc
 import math
-import re
 import time
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from deploy.backends.backend import Backend, Request
@@ -18,6 +16,7 @@ from deploy.estimation.temperature_file import PERIOD_S as HEAT_S
 from deploy.estimation.temperature_file import TemperatureFile
 from deploy.operation.clock import Clock, Unpaced, WallClock
 from deploy.operation.loop_timing import LoopTiming, RateLimited
+from deploy.operation.options import SEED, random_source, speed_factor
 from deploy.operation.robot_run import Ending, RobotRun, Watcher
 from deploy.operation.summary import report
 from deploy.plugins import BACKENDS, installed, load
@@ -25,14 +24,9 @@ from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.telemetry.console import ConsoleProcess, snapshot
 from deploy.telemetry.recorder import Recorder, check_folder
-from robots.distributions import load_distributions
-from robots.draws import Draw, load_draw
 from robots.errors import ConfigError
-from robots.randomness import robot_seed
-from robots.spec import RobotSpec, load_robot
+from robots.spec import load_robot
 
-SEED = 7
-SPEED_MAX = 1000.0
 CONSOLE_S, VIEW_S = 0.2, 1 / 30
 EXIT = {Ending.DONE: PASSED, Ending.INTERRUPTED: INTERRUPTED}
 
@@ -70,12 +64,12 @@ def run(
     Ctrl-C asks for a controlled stop, a second one cuts power. Exit codes: 0 done, 1 the robot stopped and could
     not go on, 2 bad input and nothing moved, 70 internal error, 130 interrupted.
     """
-    factor = _factor(speed)
+    factor = speed_factor(speed)
     if not duration > 0:
         raise ConfigError(f"--duration {duration}: expected s above 0, or inf")
     connection = _backend(backend, simulation={"--draw": draw is not None, "--view": view})
     spec = load_robot(robot)
-    seed_text, source, drawn = _source(spec, seed, draw)
+    seed_text, source, drawn = random_source(spec, seed, draw)
     brain = Policy.load(policy, spec)
     request = Request(spec=spec, seed=source, gains=brain.contract.action.gains, draw=drawn)
     connection.check(request)
@@ -95,19 +89,6 @@ def run(
         return _execute(runtime, timing, files, duration=duration, about=about, viewers=viewers)
 
 
-def _factor(speed: str) -> float:
-    """Return robot time divided by wall time; infinite for `max`."""
-    if speed == "max":
-        return math.inf
-    try:
-        factor = float(speed)
-    except ValueError:
-        factor = math.nan
-    if not 0 < factor <= SPEED_MAX:
-        raise ConfigError(f"--speed {speed}: expected a factor above 0 and at most {SPEED_MAX:g}, or max")
-    return factor
-
-
 def _backend(name: str, simulation: dict[str, bool]) -> Backend[Any]:
     """Return the backend of that name; refuse given options of the `simulation` for any other."""
     backend: Backend[Any] = load(BACKENDS, name, f"--backend {name}")()
@@ -115,31 +96,6 @@ def _backend(name: str, simulation: dict[str, bool]) -> Backend[Any]:
     if given and not backend.abilities.simulated:
         raise ConfigError(f"--backend {name}: found {given[0]}, which only simulated robots have")
     return backend
-
-
-def _source(
-    spec: RobotSpec, seed: int | None, draw: str | None
-) -> tuple[str, np.random.SeedSequence, Draw | None]:
-    """Return the seed of everything random, in words and as such, and the draw if a file holds it."""
-    if draw is None:
-        number = SEED if seed is None else seed
-        if number < 0:
-            raise ConfigError(f"--seed {number}: expected 0 or more")
-        return str(number), robot_seed(number, 0), None
-    match = re.fullmatch(r"(.+):(\d{1,9})", draw)
-    if not match:
-        raise ConfigError(f"--draw {draw}: expected SEED:ROBOT, or FILE:ROBOT of a soak's draws.json")
-    if seed is not None:
-        raise ConfigError(f"--draw {draw}: found --seed {seed} beside it, expected one of them")
-    robot = int(match[2])
-    if re.fullmatch(r"\d{1,18}", match[1]):
-        return draw, robot_seed(int(match[1]), robot), None
-    number, robots = load_draw(Path(match[1]), load_distributions(spec), spec)
-    if robot >= robots.robots:
-        raise ConfigError(
-            f"--draw {draw}: found robot {robot}, expected one of the {robots.robots} from 0 on"
-        )
-    return draw, robot_seed(number, robot), robots.robot(robot)
 
 
 def _timing(control_hz: int, factor: float) -> LoopTiming:

@@ -291,3 +291,21 @@ def test_frames_in_model_xml_turn_what_is_added_with_them(tmp_path):
     np.testing.assert_allclose(
         model.body_quat[plant_model.payload], model.site_quat[plant_model.tool], atol=1e-12
     )
+
+
+def test_an_arm_without_a_tool_carries_its_payload_on_its_last_link(tmp_path):
+    """It comes to rest where it is sent, with a payload and without."""
+    edits = [(r"(?s)\[workspace\].*?tool_speed_max = 2.5", ""), ("workspace_m = 0.010", "")]
+    edits += [("singularity = 0.0005", ""), ('tool = "tool" ', "")]
+    spec = load_robot(copy_of_arm(tmp_path, toml=edits))
+    plant_model = build(spec, DISTRIBUTIONS.cable)
+    model = plant_model.model
+    assert model.body_parentid[plant_model.payload] == plant_model.bodies[-1]
+    assert model.site_bodyid[plant_model.tool] == plant_model.bodies[-1]
+    load = {"payload.mass_kg": 3.0, "payload.free_s": 1e-3, "payload.carried_s": 1e6}
+    plant = exact(1, load, spec=spec)
+    for _ in range(400):
+        plant.step(command(HOME))
+    assert plant.valid.all()
+    assert plant.payload.on.all()
+    np.testing.assert_allclose(plant.q[0], HOME, atol=0.05)

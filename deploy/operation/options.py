@@ -1,0 +1,67 @@
+"""Options of deploy-run: speed, and the seed or draw of a robot."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+
+from robots.distributions import load_distributions
+from robots.draws import Draw, load_draw
+from robots.errors import ConfigError
+from robots.randomness import robot_seed
+from robots.spec import RobotSpec
+
+SEED = 7
+SPEED_MAX = 1000.0
+
+
+def speed_factor(speed: str) -> float:
+    """Return robot time divided by wall time; infinite for `max`.
+
+    Raises:
+        ConfigError: it is neither `max` nor a factor within bounds.
+    """
+    if speed == "max":
+        return math.inf
+    try:
+        factor = float(speed)
+    except ValueError:
+        factor = math.nan
+    if not 0 < factor <= SPEED_MAX:
+        raise ConfigError(f"--speed {speed}: expected a factor above 0 and at most {SPEED_MAX:g}, or max")
+    return factor
+
+
+def random_source(
+    spec: RobotSpec, seed: int | None, draw: str | None
+) -> tuple[str, np.random.SeedSequence, Draw | None]:
+    """Return the seed of everything random, in words and as such, and the draw if a file holds it.
+
+    Args:
+        spec: the robot.
+        seed: of a robot that is drawn now; None: `SEED`, unless there is a draw.
+        draw: robot of a soak, as SEED:ROBOT or FILE:ROBOT.
+
+    Raises:
+        ConfigError: a number out of bounds, a draw that cannot be read, or both seed and draw.
+    """
+    if draw is None:
+        number = SEED if seed is None else seed
+        if number < 0:
+            raise ConfigError(f"--seed {number}: expected 0 or more")
+        return str(number), robot_seed(number, 0), None
+    match = re.fullmatch(r"(.+):(\d{1,9})", draw)
+    if not match:
+        raise ConfigError(f"--draw {draw}: expected SEED:ROBOT, or FILE:ROBOT of a soak's draws.json")
+    if seed is not None:
+        raise ConfigError(f"--draw {draw}: found --seed {seed} beside it, expected one of them")
+    robot = int(match[2])
+    if re.fullmatch(r"\d{1,18}", match[1]):
+        return draw, robot_seed(int(match[1]), robot), None
+    number, robots = load_draw(Path(match[1]), load_distributions(spec), spec)
+    if robot >= robots.robots:
+        raise ConfigError(
+            f"--draw {draw}: found robot {robot}, expected one of the {robots.robots} from 0 on"
+        )
+    return draw, robot_seed(number, robot), robots.robot(robot)
