@@ -203,12 +203,12 @@ class Runtime(Stage):
         planned = self.smoother.next(self.action.q, stopping)
         ahead, q_midst, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_midst, q_rest)
-        reason = self._reason()
+        reason = self.stop_reasons()
         at_rest = self.smoother.at_rest if any_true(stopping) else stopping  # only robots that stop are asked
         obey = self.supervisor.step(reason, at_rest)
         if any_true(reason) or not all_true(np.isfinite(planned.q)):
             # A robot that stops already has nothing refused; a stop without a number is still not sent.
-            self._send(*self._instead(obey & np.isfinite(planned.q).all(axis=1), planned))
+            self._send(*self.obeyed_or_stop(obey & np.isfinite(planned.q).all(axis=1), planned))
         else:
             self._send(planned, self.verdict.tau)
         self._ahead, self._tau_ahead = _where(obey, ahead), self.verdict.tau_ahead
@@ -216,16 +216,17 @@ class Runtime(Stage):
         self.since += 1
         self.ticks += 1
 
-    def _reason(self) -> Ints:
+    def stop_reasons(self) -> Ints:
+        """(B,) reasons to stop: of safety, of the estimator, asked for, and of actions that are not finite."""
         reason = self.verdict.reason | self.state.fault | self.asked
         if not all_true(self.action.finite):
             reason[~self.action.finite] |= _NOT_FINITE
         return reason
 
-    def _instead(self, obey: Bools, planned: Setpoint) -> tuple[Setpoint, Floats]:
+    def obeyed_or_stop(self, obey: Bools, planned: Setpoint) -> tuple[Setpoint, Floats]:
         """What was planned where it is obeyed; elsewhere the stop that the last tick prepared and checked."""
         tau = np.nan_to_num(np.where(obey[:, None], self.verdict.tau, self._tau_ahead))
-        return self._finite(_where(obey, planned, self._ahead)), tau
+        return self.replace_non_finite(_where(obey, planned, self._ahead)), tau
 
     def _send(self, setpoint: Setpoint, tau: Floats) -> None:
         self.smoother.commit(setpoint)
@@ -245,7 +246,7 @@ class Runtime(Stage):
         fold, running = self.estimator.windings.foldback.current_share, self.supervisor.running
         return fold if all_true(running) else np.where(running[:, None], fold, 1.0)
 
-    def _finite(self, planned: Setpoint) -> Setpoint:
+    def replace_non_finite(self, planned: Setpoint) -> Setpoint:
         """Robots left without any plan rest where they were sent last, and lose their power."""
         lost = np.asarray(~np.isfinite(planned.q + planned.qd + planned.qdd).all(axis=1))
         if not any_true(lost):

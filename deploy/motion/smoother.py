@@ -42,8 +42,8 @@ class Smoother(Stage):
         self.origin = np.full((robots, 4 * spec.n + 2), np.nan)
         self.expected, self.age = self.origin.copy(), np.zeros(robots, dtype=np.int64)
         margin = spec.margins.q_target_rad
-        self._q_min = np.tile(spec.joint_array("q_min") + margin, (robots, 1))
-        self._q_max = np.tile(spec.joint_array("q_max") - margin, (robots, 1))
+        self.q_min = np.tile(spec.joint_array("q_min") + margin, (robots, 1))
+        self.q_max = np.tile(spec.joint_array("q_max") - margin, (robots, 1))
         self._ways, self._stops = Ways(spec, robots), Stops(spec, robots)
         self._renew = round(longest(spec) / spec.dt)
         self.pace, self._whole = np.ones(robots), np.ones((robots, 1))
@@ -55,7 +55,7 @@ class Smoother(Stage):
             q_target: (B, n) rad, clamped here to the working range less its margin.
             stopping: (B,) robots that brake to rest instead.
         """
-        target, stops = np.minimum(np.maximum(q_target, self._q_min), self._q_max), stopping[:, None]
+        target, stops = np.minimum(np.maximum(q_target, self.q_min), self.q_max), stopping[:, None]
         pace = self.pace
         if any_true(stopping):
             target[stopping] = 0.0  # no matter: it must not count as asked anew

@@ -16,10 +16,10 @@ class Action(Stage):
 
     def __init__(self, spec: ActionSpec, robots: int) -> None:
         """Allocate for B robots."""
-        self._scale = np.tile(spec.scale, (robots, 1))
-        self._low, self._high = spec.bounds
+        self.scale = np.tile(spec.scale, (robots, 1))
+        self.low, self.high = spec.bounds
         self._from = None if spec.offset is None else np.tile(spec.offset, (robots, 1))
-        self._leash = spec.leash_rad or np.inf
+        self.leash = spec.leash_rad or np.inf
         self.q = np.zeros((robots, spec.size))
         self.last = np.zeros((robots, spec.size))
         self.finite = np.ones(robots, dtype=bool)
@@ -41,9 +41,9 @@ class Action(Stage):
         """
         np.isfinite(action).all(axis=1, out=self.finite)
         use = self.finite[:, None]
-        np.copyto(self.last, np.minimum(np.maximum(action, self._low), self._high), where=use)
-        moved = (self.q if self._from is None else self._from) + self._scale * self.last
-        leashed = np.minimum(np.maximum(moved, q_setpoint - self._leash), q_setpoint + self._leash)
+        np.copyto(self.last, np.minimum(np.maximum(action, self.low), self.high), where=use)
+        moved = (self.q if self._from is None else self._from) + self.scale * self.last
+        leashed = np.minimum(np.maximum(moved, q_setpoint - self.leash), q_setpoint + self.leash)
         np.copyto(self.q, leashed, where=use)
         return self.target
 

@@ -39,7 +39,7 @@ class Safety:
         self._effort, self._tooling = effort or Feedforward(spec, fleet), spec.tool
         self._apart = (spec.margins.collision_m or 0.0) + SAME_GAP_M
         self._space, self._singularity = spec.workspace, spec.margins.singularity
-        self._twice_jerk = 2 * spec.joint_array("qddd_max")
+        self.twice_jerk = 2 * spec.joint_array("qddd_max")
         self._state_and_midst = _Bounds(self._on_the_way.robots, spec.n, *_of_state(spec), *_of_place(spec))
         self._pose = _Bounds(fleet.robots, spec.n, *_of_pose(spec))
         motion = _of_motion(spec, self._effort.bound)
@@ -79,7 +79,7 @@ class Safety:
         places = self._place(np.concatenate((begin, end)))
         self._on_the_way.glance(on_the_way)
         # A stop first lets the acceleration run out, and the speed that it gains until then counts.
-        qd_peak = qd + qdd * np.abs(qdd) / self._twice_jerk
+        qd_peak = qd + qdd * np.abs(qdd) / self.twice_jerk
         speeds = self._tool_speeds(np.concatenate((setpoint.qd, qd_peak[:robots])))
         q_ends = np.concatenate((setpoint.q, q_rest))
         plan: Floats = np.concatenate((q, qd, qd_peak, asked, q_ends, *places, *speeds), axis=1)

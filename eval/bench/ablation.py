@@ -82,7 +82,7 @@ class Unsmoothed(Smoother):
 
     def next(self, q_target: Floats, stopping: Bools) -> Setpoint:
         """The target, clamped as the smoother clamps it."""
-        q = np.where(stopping[:, None], self.q, np.minimum(np.maximum(q_target, self._q_min), self._q_max))
+        q = np.where(stopping[:, None], self.q, np.minimum(np.maximum(q_target, self.q_min), self.q_max))
         qd = (q - self.q) / self._dt
         return Setpoint(q=q, qd=qd, qdd=(qd - self.qd) / self._dt)
 

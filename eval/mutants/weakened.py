@@ -65,7 +65,7 @@ def looks(*, ahead: bool = True, midst: bool = True, rest: bool = True) -> Weake
 
 def unforeseen(runtime: Runtime) -> None:
     """The speed that a stop would still gain, until its acceleration has run out, is none."""
-    runtime.safety._twice_jerk = np.full(runtime.spec.n, np.inf)
+    runtime.safety.twice_jerk = np.full(runtime.spec.n, np.inf)
 
 
 def planner(**factors: float) -> Weaken:
@@ -102,8 +102,8 @@ def rash(**factors: float) -> Weaken:
 
 def unclamped(runtime: Runtime) -> None:
     """Targets may lie a radian beyond the working range."""
-    runtime.smoother._q_min -= 1.0
-    runtime.smoother._q_max += 1.0
+    runtime.smoother.q_min -= 1.0
+    runtime.smoother.q_max += 1.0
 
 
 def planless(t: float, *, angles: bool) -> Weaken:
@@ -124,8 +124,8 @@ def planless(t: float, *, angles: bool) -> Weaken:
 
 def unbarred(runtime: Runtime) -> None:
     """The runtime sends what it is given, number or not."""
-    around(runtime, "_finite", lambda _, planned: planned)
-    around(runtime, "_instead", lambda _, obey, planned: (planned, runtime.verdict.tau))
+    around(runtime, "replace_non_finite", lambda _, planned: planned)
+    around(runtime, "obeyed_or_stop", lambda _, obey, planned: (planned, runtime.verdict.tau))
 
 
 def abrupt(runtime: Runtime) -> None:
@@ -137,12 +137,12 @@ def abrupt(runtime: Runtime) -> None:
         parts = [np.where(obey[:, None], *pair) for pair in zip(setpoint, stands, strict=True)]
         return Setpoint(*parts), tau
 
-    around(runtime, "_instead", instead)
+    around(runtime, "obeyed_or_stop", instead)
 
 
 def careless(runtime: Runtime) -> None:
     """The runtime does not mind an action that is no number; `Action` still leaves it out."""
-    around(runtime, "_reason", lambda _: runtime.verdict.reason | runtime.state.fault | runtime.asked)
+    around(runtime, "stop_reasons", lambda _: runtime.verdict.reason | runtime.state.fault | runtime.asked)
 
 
 def credulous(runtime: Runtime) -> None:
@@ -150,7 +150,7 @@ def credulous(runtime: Runtime) -> None:
 
     def step(_: object, action: Floats, q_setpoint: Floats) -> object:
         stage = runtime.action
-        stage.q += stage._scale * action
+        stage.q += stage.scale * action
         return stage.target
 
     around(runtime.action, "step", step)
@@ -158,12 +158,12 @@ def credulous(runtime: Runtime) -> None:
 
 def unclipped(runtime: Runtime) -> None:
     """An action may be as large as it likes."""
-    runtime.action._low, runtime.action._high = -np.inf, np.inf
+    runtime.action.low, runtime.action.high = -np.inf, np.inf
 
 
 def unleashed(runtime: Runtime) -> None:
     """The target may run away from the setpoint."""
-    runtime.action._leash = np.inf
+    runtime.action.leash = np.inf
 
 
 def forgiving(reasons: Reason) -> Weaken:
