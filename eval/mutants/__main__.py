@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
-from eval.mutants.hostile import ROBOTS
+from eval.mutants.situation import ROBOTS
 from eval.mutants.suite import MUTANTS, Row, idle_fails, rows, silent
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from deploy.state import Reason
 from eval.judge.counts import Counts
 from eval.judge.monitors import NAMES
-from eval.mutants.hostile import Situation
-from eval.mutants.weakened import Weaken
+from eval.mutants.guard_removal import Weaken
+from eval.mutants.situation import Situation
 
 LATCHES, INVALID = "latches", "invalid"
 """What the judge counts beside its monitors, and a budget limits as it limits them."""

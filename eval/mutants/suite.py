@@ -5,49 +5,58 @@ from dataclasses import dataclass
 
 from deploy.state import Reason
 from eval.judge.counts import Counts
-from eval.mutants.asks import falls_silent, visits
-from eval.mutants.befalls import begins_hot, begins_wrong
-from eval.mutants.hostile import Situation, live
-from eval.mutants.limits import FAR, SAFETY, SENT
+from eval.mutants.command_guards import FAR, SAFETY, SENT
+from eval.mutants.disturbances import encoder_offset_at_start, hot_motors_at_start
+from eval.mutants.estimation_guards import ESTIMATION
+from eval.mutants.guard_removal import (
+    ignore_non_finite_action,
+    ignore_reasons,
+    remove_all,
+    remove_foldback,
+    remove_heat_margin,
+    scale_planner_limits,
+    trust_first_sample,
+    widen_target_range,
+)
+from eval.mutants.heat_guards import HEAT_GUARDS
+from eval.mutants.hostile_policies import cycle_poses, nan_after
 from eval.mutants.mutant import Mutant, heard
-from eval.mutants.senses import SENSES
-from eval.mutants.warmth import WARMTH
-from eval.mutants.weakened import blind, both, careless, hasty, planner, unclamped, undoubting, unfolded
+from eval.mutants.situation import Situation, live
 from eval.statistics.budget import check, load_budget
 from robots.spec import RobotSpec
 
-MUTANTS = SAFETY + SENT + SENSES + WARMTH
+MUTANTS = SAFETY + SENT + ESTIMATION + HEAT_GUARDS
 
 EVERYTHING = ~Reason.NONE
-UNGUARDED = both(
-    planner(qd_max=1.3, qdd_max=2.0, qddd_max=2.0),
-    unclamped,
-    undoubting,
-    unfolded,
-    hasty,
-    careless,
-    blind(EVERYTHING),
+UNGUARDED = remove_all(
+    scale_planner_limits(qd_max=1.3, qdd_max=2.0, qddd_max=2.0),
+    widen_target_range,
+    remove_heat_margin,
+    remove_foldback,
+    trust_first_sample,
+    ignore_non_finite_action,
+    ignore_reasons(EVERYTHING),
 )
 """Safety and estimator find nothing, the planner keeps no limit, no motor is folded back, and nobody waits for a
 filter to be sure or minds what the policy says."""
 FURY = (
     Situation(
         words="an arm whose windings have 106 °C is thrown about",
-        says=visits(
+        says=cycle_poses(
             0.7,
             FAR | {"shoulder_pan": -1.2},
             FAR | {"shoulder_pan": 1.2, "wrist_3": 3.4},
             {"shoulder_lift": -0.2, "elbow": 1.6, "wrist_1": 0.6, "wrist_3": -3.4},
             {"shoulder_lift": -2.2, "elbow": 0.2},
         ),
-        befalls=begins_hot(90.0, 16.0),
+        befalls=hot_motors_at_start(90.0, 16.0),
         spread=2.0,
         seconds=4.0,
     ),
     Situation(
         words="armed at once, on first packets that are off by 0.6 rad, and soon the policy says NaN",
-        says=falls_silent(0.1),
-        befalls=begins_wrong(5, 0.6),
+        says=nan_after(0.1),
+        befalls=encoder_offset_at_start(5, 0.6),
         spread=2.0,
         arm_s=0.005,
         seconds=0.2,

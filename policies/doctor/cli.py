@@ -9,9 +9,9 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
-from policies.doctor.case import Case
-from policies.doctor.examination import CHECKS, examined
-from policies.doctor.finding import Finding, Verdict
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Finding, Verdict
+from policies.doctor.checklist import CHECKS, examined
 
 STYLES = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "red"}
 

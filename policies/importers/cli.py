@@ -17,16 +17,16 @@ from deploy.policy.contract import CONTRACT_KEY
 from deploy.policy.policy import Policy
 from deploy.policy.policy_file import GOLDEN_KEY, Golden
 from deploy.telemetry.output_files import replacing
-from policies.importers.bounds import bounded
-from policies.importers.draft import read_draft
-from policies.importers.ends import with_our_ends
+from policies.importers.contract_builder import Settled, settle
+from policies.importers.contract_draft import read_draft
+from policies.importers.file_formats import read_original
 from policies.importers.onnx_files.isaac_lab import read_descriptor
-from policies.importers.original import Facts, Original, UnansweredError
 from policies.importers.parity import check_parity, trials
-from policies.importers.recognize import read_original
-from policies.importers.settle import Settled, settle
+from policies.importers.reference_policy import Facts, Original, UnansweredError
+from policies.importers.standard_graph import with_our_ends
 from policies.importers.template import written
-from policies.importers.torch_files.network import Network
+from policies.importers.torch_files.network_settings import Network
+from policies.importers.untrusted.resource_limits import bounded
 from robots.errors import ConfigError, ContractError
 from robots.models.fleet import Fleet
 from robots.spec import RobotSpec, load_robot

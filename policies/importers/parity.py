@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.policy.policy import AGREEMENT, BATCHES, Policy
-from policies.importers.original import Original
+from policies.importers.reference_policy import Original
 from robots.arrays import Bools, Float32s
 from robots.errors import ContractError
 

@@ -7,8 +7,8 @@ import tomlkit
 from tomlkit.items import Table
 
 from deploy.policy.observation_terms import READINGS
-from policies.importers.original import Facts
-from policies.importers.torch_files.network import Activation
+from policies.importers.reference_policy import Facts
+from policies.importers.torch_files.network_settings import Activation
 from robots.strict import OPEN, open_fields
 
 Part = TypeVar("Part", tomlkit.TOMLDocument, Table)

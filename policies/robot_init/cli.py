@@ -10,9 +10,9 @@ import tomlkit
 import typer
 
 from deploy.command_line import PASSED, main
-from policies.robot_init.always import always_near
-from policies.robot_init.facts import Facts, read_facts
-from policies.robot_init.tables import draws_toml, limits_toml, robot_toml
+from policies.robot_init.permanent_contacts import always_near
+from policies.robot_init.robot_files import draws_toml, limits_toml, robot_toml
+from policies.robot_init.vendor_model import Facts, read_facts
 from robots.errors import OutputError, RobotError
 from robots.models.files import is_urdf, named_files
 from robots.models.quarantine import check_compiles

@@ -12,7 +12,7 @@ from torch import Tensor
 from deploy.policy.contract import Contract
 from deploy.policy.observation_terms import Count
 from deploy.telemetry.output_files import replacing
-from policies.training.archive import check_tensor, load_tensors
+from policies.importers.untrusted.tensor_archive import check_tensor, load_tensors
 from policies.training.networks import Actor
 from robots.errors import ContractError
 from robots.strict import Strict, parse

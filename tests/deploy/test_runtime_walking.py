@@ -35,7 +35,7 @@ Judge = pytest.importorskip("eval.judge.judge").Judge
 base_velocity_and_tilt = pytest.importorskip("eval.judge.truth").base_velocity_and_tilt
 BaseTruth = pytest.importorskip("deploy.backends.sim.truth").BaseTruth
 judge_tick = pytest.importorskip("eval.soak.shard").judge_tick
-blind = pytest.importorskip("eval.mutants.weakened").blind
+ignore_reasons = pytest.importorskip("eval.mutants.guard_removal").ignore_reasons
 
 DT, TORQUE_MAX = QUADRUPED.dt, torque_max(QUADRUPED)
 FRONT_HIPS, REAR_KNEES = [1, 4], [8, 11]
@@ -314,7 +314,7 @@ def test_the_judge_notices_that_nobody_minds_a_fall(guarded):
     """The mutant of FALLEN, which the arm of `make mutants` cannot have."""
     runtime = standing(2)
     if not guarded:
-        blind(Reason.FALLEN | Reason.DIVERGED)(runtime)
+        ignore_reasons(Reason.FALLEN | Reason.DIVERGED)(runtime)
     kick = runtime.robot.plant.batch.bind("xfrc_applied")
 
     def rolls_over(tick):

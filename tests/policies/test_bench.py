@@ -7,8 +7,8 @@ pytest.importorskip("onnxscript")
 pytest.importorskip("rsl_rl.models")
 
 from policies import bench as command
-from policies.importers.draft import read_draft
-from policies.importers.recognize import read_original
+from policies.importers.contract_draft import read_draft
+from policies.importers.file_formats import read_original
 from support.arm6 import SPEC
 
 KINDS = {

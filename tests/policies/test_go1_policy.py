@@ -16,9 +16,9 @@ from deploy.policy.policy import Policy
 from deploy.state import Mode
 from eval.bench.trial import Trial
 from eval.bench.walk import stroll
-from policies.doctor.case import Case
-from policies.doctor.examination import examined
-from policies.doctor.finding import Verdict
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Verdict
+from policies.doctor.checklist import examined
 from policies.importers.cli import import_policy, write_template
 from robots.distributions import load_distributions
 from robots.draws import middle

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 import pinocchio as pin
 
-from policies.doctor.case import Case
-from policies.doctor.finding import NAMED_MAX, Note, failed, listed, passed, warned
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import NAMED_MAX, Note, failed, listed, passed, warned
 from robots.arrays import Bools, Floats
 from robots.models.fleet import load_pinocchio, torque_max
 

@@ -6,8 +6,8 @@ from difflib import get_close_matches
 import numpy as np
 
 from deploy.policy.policy import BATCHES
-from policies.doctor.case import Case
-from policies.doctor.finding import NAMED_MAX, Note, failed, listed, passed, warned
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import NAMED_MAX, Note, failed, listed, passed, warned
 from robots.arrays import Floats
 from robots.errors import ContractError
 

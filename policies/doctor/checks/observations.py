@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from policies.doctor.case import Case
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Note, failed, listed, passed, warned
 from policies.doctor.checks.normalizer import Statistics
-from policies.doctor.finding import Note, failed, listed, passed, warned
 from robots.arrays import Bools, Float32s, Floats, Ints
 
 ORDER = (0.05, 5.0)

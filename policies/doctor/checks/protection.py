@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from policies.doctor.case import Case
-from policies.doctor.finding import Note, failed, listed, passed
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Note, failed, listed, passed
 from robots.errors import RobotError
 from robots.models.collisions import collision_pairs
 from robots.models.fleet import load_pinocchio, torque_max

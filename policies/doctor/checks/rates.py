@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from policies.doctor.case import Case
-from policies.doctor.finding import Note, failed, passed, warned
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Note, failed, passed, warned
 from robots.sensors import Kind
 
 HZ, SECONDS = ("policy_hz",), ("policy_dt", "control_dt", "step_dt")

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 from deploy.policy.observation_terms import READINGS, Source
-from policies.doctor.case import Case
-from policies.doctor.finding import Note, failed, passed, warned
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Note, failed, passed, warned
 from robots.spec import INERTIAL
 
 SUPPLY: dict[Source, str] = {

@@ -12,8 +12,8 @@ from deploy.policy.observation_terms import SIZE_MAX
 from deploy.policy.onnx_graph import check_model, decode, graphs, shortened, tensors
 from deploy.policy.policy import AGREEMENT, session
 from policies.importers.onnx_files.metadata import known_from
-from policies.importers.original import Facts, Memory, Original
-from policies.importers.torch_files.zip_archive import BYTES_MAX, read_bytes
+from policies.importers.reference_policy import Facts, Memory, Original
+from policies.importers.untrusted.zip_archive import BYTES_MAX, read_bytes
 from robots.arrays import Float32s
 from robots.errors import ContractError
 

@@ -11,7 +11,7 @@ from pydantic import AliasPath, Field
 
 from deploy.policy.contract import TEXT_MAX, Hertz
 from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
-from policies.importers.vocabulary import contract, factors, gains, said, term
+from policies.importers.draft_fields import contract, factors, gains, said, term
 from robots.errors import ContractError
 from robots.strict import Strict, parse, read_json
 

@@ -13,9 +13,9 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
+from policies.importers.draft_fields import SOURCES, contract, factors, gains, said
 from policies.importers.onnx_files.metadata import FAR
-from policies.importers.onnx_files.yaml_file import read_yaml
-from policies.importers.vocabulary import SOURCES, contract, factors, gains, said
+from policies.importers.untrusted.yaml_file import read_yaml
 from robots.errors import ContractError
 from robots.strict import Strict, parse
 

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from deploy.policy.observation_terms import SIZE_MAX
+from policies.importers.draft_fields import contract, factors, gains, said, term
 from policies.importers.onnx_files import holosoma
-from policies.importers.vocabulary import contract, factors, gains, said, term
 from robots.errors import ContractError
 from robots.strict import OPEN
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from deploy.policy.observation_terms import SIZE_MAX
-from policies.importers.original import Play
-from policies.importers.scaling import Scaling
-from policies.importers.torch_files.network import Activation
+from policies.importers.normalizer import Scaling
+from policies.importers.reference_policy import Play
+from policies.importers.torch_files.network_settings import Activation
 from policies.importers.torch_files.state_dict import LAYERS_MAX, chain, mlp
-from policies.training.archive import check_tensor
+from policies.importers.untrusted.tensor_archive import check_tensor
 from robots.arrays import Float32s
 from robots.errors import ContractError
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from torch import Tensor
 
-from policies.importers.original import Facts, Original
+from policies.importers.reference_policy import Facts, Original
 from policies.importers.rsl_rl.actor import COUNT, read_actor
-from policies.importers.torch_files.module import read_module
-from policies.importers.torch_files.network import Network
+from policies.importers.torch_files.network_settings import Network
 from policies.importers.torch_files.state_dict import answered, weights_of
-from policies.training.archive import load_tensors
+from policies.importers.torch_files.traced_module import read_module
+from policies.importers.untrusted.tensor_archive import load_tensors
 from robots.errors import ContractError
 
 ACTORS = ("actor_state_dict", "model_state_dict")

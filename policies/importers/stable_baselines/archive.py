@@ -5,8 +5,8 @@ from pathlib import Path
 
 from torch import Tensor
 
-from policies.importers.torch_files.zip_archive import read_bytes, read_members
-from policies.training.archive import tensors_of
+from policies.importers.untrusted.tensor_archive import tensors_of
+from policies.importers.untrusted.zip_archive import read_bytes, read_members
 from robots.errors import ContractError
 from robots.strict import read_json
 

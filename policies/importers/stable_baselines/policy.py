@@ -16,12 +16,12 @@ import torch
 from torch import Tensor, nn
 
 from deploy.policy.observation_terms import SIZE_MAX
-from policies.importers.original import Facts, Original, UnansweredError
+from policies.importers.reference_policy import Facts, Original, UnansweredError
 from policies.importers.stable_baselines.archive import read_zip
 from policies.importers.stable_baselines.vec_normalize import VecNormalize, read_vec_normalize
 from policies.importers.torch_files.activations import ACTIVATIONS
-from policies.importers.torch_files.module import read_module
-from policies.importers.torch_files.network import Activation, Network
+from policies.importers.torch_files.network_settings import Activation, Network
+from policies.importers.torch_files.traced_module import read_module
 from robots.errors import ContractError
 
 FLATTEN = "<class 'stable_baselines3.common.torch_layers.FlattenExtractor'>"

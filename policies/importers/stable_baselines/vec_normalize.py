@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.policy.observation_terms import SIZE_MAX
-from policies.importers.torch_files.inert_pickle import Inert, read_pickle
+from policies.importers.untrusted.pickle_reader import Inert, read_pickle
 from robots.errors import ContractError
 
 FILE_BYTES_MAX = 64 << 20

@@ -2,7 +2,7 @@
 
 from torch import nn
 
-from policies.importers.torch_files.network import Activation
+from policies.importers.torch_files.network_settings import Activation
 
 ACTIVATIONS: dict[Activation, type[nn.Module]] = {
     "elu": nn.ELU,

@@ -9,10 +9,10 @@ from torch.export.pt2_archive._package import load_pt2
 
 from deploy.policy.observation_terms import SIZE_MAX
 from deploy.policy.onnx_graph import shortened
-from policies.importers.original import Original
-from policies.importers.torch_files.exported_text import check_tensors, plain_program
-from policies.importers.torch_files.module import read_module
-from policies.importers.torch_files.zip_archive import packed, read_bytes, read_torch_members
+from policies.importers.reference_policy import Original
+from policies.importers.torch_files.exported_program_check import check_tensors, plain_program
+from policies.importers.torch_files.traced_module import read_module
+from policies.importers.untrusted.zip_archive import packed, read_bytes, read_torch_members
 from robots.errors import ContractError
 
 PROGRAM, EXAMPLES = "models/model.json", "data/sample_inputs/model.pt"

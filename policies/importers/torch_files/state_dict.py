@@ -10,13 +10,13 @@ import torch
 from torch import Tensor, nn
 
 from deploy.policy.observation_terms import SIZE_MAX
-from policies.importers.original import Facts, Original, UnansweredError
-from policies.importers.scaling import Scaling
+from policies.importers.normalizer import Scaling
+from policies.importers.reference_policy import Facts, Original, UnansweredError
 from policies.importers.torch_files.activations import ACTIVATIONS
-from policies.importers.torch_files.module import read_module
-from policies.importers.torch_files.network import Activation, Network
-from policies.importers.torch_files.zip_archive import BYTES_MAX
-from policies.training.archive import check_tensor, load_tensors
+from policies.importers.torch_files.network_settings import Activation, Network
+from policies.importers.torch_files.traced_module import read_module
+from policies.importers.untrusted.tensor_archive import check_tensor, load_tensors
+from policies.importers.untrusted.zip_archive import BYTES_MAX
 from robots.errors import ContractError
 
 LAYERS_MAX = 16

@@ -11,11 +11,11 @@ from torch import Tensor
 
 from deploy.policy.observation_terms import SIZE_MAX
 from deploy.policy.onnx_graph import shortened
-from policies.importers.original import Original
-from policies.importers.torch_files.module import read_module
+from policies.importers.reference_policy import Original
+from policies.importers.torch_files.torchscript_check import check_source
 from policies.importers.torch_files.torchscript_pickle import check_pickle
-from policies.importers.torch_files.torchscript_source import check_source
-from policies.importers.torch_files.zip_archive import packed, read_bytes, read_torch_members
+from policies.importers.torch_files.traced_module import read_module
+from policies.importers.untrusted.zip_archive import packed, read_bytes, read_torch_members
 from robots.errors import ContractError
 
 NEEDED = re.compile(r"data\.pkl|constants\.pkl|version|byteorder|(data|constants)/\d+|code/[\w/]+\.py")

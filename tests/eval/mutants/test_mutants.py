@@ -14,8 +14,8 @@ from deploy.state import Reason
 from eval.judge.monitors import NAMES
 from eval.mutants import __main__ as command
 from eval.mutants import suite
-from eval.mutants.hostile import live, nobody
 from eval.mutants.mutant import INVALID, LATCHES
+from eval.mutants.situation import live, nobody
 from eval.mutants.suite import FURY, MUTANTS, Row, rows
 from robots.errors import ConfigError
 

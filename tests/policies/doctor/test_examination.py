@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from onnx import helper, numpy_helper
 
 from deploy.policy.contract import CONTRACT_KEY
-from policies.doctor.case import Case
-from policies.doctor.examination import CHECKS, examined, row
-from policies.doctor.finding import Finding, Verdict, failed, listed, passed, summed_up, warned
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Finding, Verdict, failed, listed, passed, summed_up, warned
+from policies.doctor.checklist import CHECKS, examined, row
 from robots.errors import ContractError, RobotError
 from support.contracts import NAMES, SWAPPED, contracts
 from support.faulty_policies import (

@@ -8,10 +8,10 @@ pytest.importorskip("mujoco")
 from onnx import helper
 
 from deploy.policy.contract import ActionSpec, Observed
-from policies.doctor.case import Case
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Verdict
+from policies.doctor.checklist import row
 from policies.doctor.checks.observations import training
-from policies.doctor.examination import row
-from policies.doctor.finding import Verdict
 from support.contracts import arm_contract, term
 from support.faulty_policies import written
 

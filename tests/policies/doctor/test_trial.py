@@ -16,11 +16,11 @@ from onnx import helper
 
 from deploy.policy.contract import CONTRACT_KEY
 from policies.doctor import cli as checking
-from policies.doctor.case import Case
-from policies.doctor.examination import CHECKS, examined, row
-from policies.doctor.finding import Verdict
-from policies.doctor.trial import orders
-from policies.doctor.trial.warmth import Warmth, windings_after
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Verdict
+from policies.doctor.checklist import CHECKS, examined, row
+from policies.doctor.simulation import joint_order
+from policies.doctor.simulation.heat_extrapolation import Warmth, windings_after
 from robots.motor import MotorHeat, temperatures
 from robots.spec import load_robot
 from support.arm6 import SPEC
@@ -369,7 +369,7 @@ def command(monkeypatch, capsys):
 
 
 def test_the_command_says_every_row_and_ends_with_1_if_one_fails(command, arm_policy, monkeypatch):
-    monkeypatch.setattr(orders, "VARIANTS_MAX", 1)
+    monkeypatch.setattr(joint_order, "VARIANTS_MAX", 1)
     code, said, _ = command(arm_policy)
     assert code == 1
     assert all(f" {check} " in said for check in CHECKS)

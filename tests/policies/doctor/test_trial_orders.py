@@ -9,14 +9,14 @@ import pytest
 pytest.importorskip("mujoco")
 
 from onnx import helper
+from policies.doctor.trial import orders
 
 from deploy.policy.contract import CONTRACT_KEY
 from deploy.policy.policy import Policy
-from policies.doctor.case import Case
-from policies.doctor.examination import row
-from policies.doctor.finding import Verdict
-from policies.doctor.trial import orders
-from policies.doctor.trial.orders import EACH, Varied, variants
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Verdict
+from policies.doctor.checklist import row
+from policies.doctor.simulation.joint_order import EACH, Varied, variants
 from support.contracts import NAMES
 from support.faulty_policies import ailing, answering, in_another_order, in_front
 from support.policies import metadata
@@ -58,7 +58,7 @@ def reversed_joint(joint, terms):
     ],
 )
 def test_what_would_help_is_named(shipped_policy, terms, tmp_path, monkeypatch, change, said):
-    monkeypatch.setattr(orders, "variants", some)
+    monkeypatch.setattr(joint_order, "variants", some)
     case = Case(ailing(shipped_policy, tmp_path, graph=change(terms)))
     assert row(case, "trial").verdict is Verdict.FAIL
     found = row(case, "orders")
@@ -70,7 +70,7 @@ def test_what_would_help_is_named(shipped_policy, terms, tmp_path, monkeypatch, 
 @pytest.mark.usefixtures("quick_goals")
 def test_what_does_not_help_is_not_named(arm_policy, monkeypatch):
     """A policy that asks for nothing reaches nothing in any order."""
-    monkeypatch.setattr(orders, "variants", some)
+    monkeypatch.setattr(joint_order, "variants", some)
     found = row(Case(arm_policy), "orders")
     assert found.verdict is Verdict.WARN
     assert "of 7 exchanges of two joints and reversals of one none helps" in found.said

@@ -14,7 +14,7 @@ models = pytest.importorskip("rsl_rl.models")
 
 from deploy.policy.policy import Policy
 from policies.importers.cli import import_policy, policy_import
-from policies.importers.draft import read_draft
+from policies.importers.contract_draft import read_draft
 from robots.errors import ContractError, OutputError
 from support.arm6 import SPEC
 from support.contracts import NAMES

@@ -14,9 +14,9 @@ from onnx import numpy_helper
 
 from deploy.policy.policy import Policy
 from policies.importers.cli import import_policy, policy_import, write_template
-from policies.importers.draft import read_draft
+from policies.importers.contract_draft import read_draft
 from policies.importers.onnx_files.isaac_lab import read_descriptor
-from policies.importers.onnx_files.yaml_file import CHARACTERS_MAX
+from policies.importers.untrusted.yaml_file import CHARACTERS_MAX
 from robots.errors import ConfigError, ContractError
 from support.arm6 import SPEC
 from support.contracts import NAMES

@@ -16,10 +16,10 @@ pytest.importorskip("onnxscript")
 
 from onnx import numpy_helper
 
-from policies.importers.original import UnansweredError
+from policies.importers.reference_policy import UnansweredError
 from policies.importers.rsl_rl.actor import Actor
 from policies.importers.rsl_rl.checkpoint import read_rsl_rl
-from policies.importers.torch_files.network import Network
+from policies.importers.torch_files.network_settings import Network
 from robots.errors import ContractError
 from support.importers.parity import parity
 from support.importers.rsl_rl_files import KINDS, A, Env, N, saved

@@ -9,9 +9,9 @@ import pytest
 from deploy.policy.action import Action
 from deploy.policy.compatibility import check_contract
 from deploy.policy.observation import Observation
-from policies.importers.draft import Draft
-from policies.importers.original import STILL, Facts
-from policies.importers.settle import settle
+from policies.importers.contract_builder import settle
+from policies.importers.contract_draft import Draft
+from policies.importers.reference_policy import STILL, Facts
 from robots.errors import ContractError
 from robots.strict import parse
 from support.arm6 import SPEC

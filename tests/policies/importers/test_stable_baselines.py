@@ -12,9 +12,9 @@ pytest.importorskip("stable_baselines3")
 from gymnasium import spaces
 from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 
-from policies.importers.original import UnansweredError
+from policies.importers.reference_policy import UnansweredError
 from policies.importers.stable_baselines.policy import read_stable_baselines
-from policies.importers.torch_files.network import Network, Statistics
+from policies.importers.torch_files.network_settings import Network, Statistics
 from robots.errors import ContractError
 from support.importers.parity import parity
 from support.importers.stable_baselines import (
@@ -238,7 +238,7 @@ def test_pickles_among_the_settings_are_not_run(ppo, tmp_path):
 def test_bombs_are_not_unpacked(ppo, tmp_path, monkeypatch):
     path = tmp_path / "policy.zip"
     path.write_bytes(ppo[2].read_bytes())
-    monkeypatch.setattr("policies.importers.torch_files.zip_archive.BYTES_MAX", 10**6)
+    monkeypatch.setattr("policies.importers.untrusted.zip_archive.BYTES_MAX", 10**6)
     zeros = bytes(10**6 + 1)
     assert "bytes unpacked, expected at most 1000000" in refused(
         rewritten(path, zipfile.ZIP_DEFLATED, policy_pth=zeros)

@@ -8,8 +8,8 @@ pytest.importorskip("onnxscript")
 
 from torch import nn
 
-from policies.importers.original import UnansweredError
-from policies.importers.torch_files.network import Network, Statistics
+from policies.importers.reference_policy import UnansweredError
+from policies.importers.torch_files.network_settings import Network, Statistics
 from policies.importers.torch_files.state_dict import read_state_dict
 from robots.errors import ContractError
 from robots.strict import parse

@@ -6,7 +6,7 @@ pytest.importorskip("onnxscript")
 from torch import nn
 
 from policies.importers.torch_files.torchscript import read_torchscript
-from policies.importers.torch_files.torchscript_source import REFUSED, check_source
+from policies.importers.torch_files.torchscript_check import REFUSED, check_source
 from robots.errors import ContractError
 from support.importers.parity import parity
 from support.importers.torch_files import HIDDEN, A, N, Recurrent, changed, members, mlp, saved_script

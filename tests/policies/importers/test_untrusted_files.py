@@ -19,9 +19,9 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("onnxscript")
 pytest.importorskip("rsl_rl.models")
 
-from policies.importers.recognize import read_original
+from policies.importers.file_formats import read_original
 from policies.importers.torch_files import zip_archive
-from policies.importers.torch_files.network import Network
+from policies.importers.torch_files.network_settings import Network
 from robots.errors import ContractError
 from support.importers.exported_programs import saved as saved_program
 from support.importers.imports import exported
@@ -384,8 +384,8 @@ def test_weights_that_are_claimed_many_times_over_are_read_only_as_far_as_a_file
 
 SCRIPT = """
 import sys
-from policies.importers import bounds
-bounds.SECONDS_MAX, bounds.MEMORY_BYTES_MAX = float(sys.argv.pop()), 4 << 30
+from policies.importers.untrusted import resource_limits
+resource_limits.SECONDS_MAX, resource_limits.MEMORY_BYTES_MAX = float(sys.argv.pop()), 4 << 30
 from policies.importers.cli import cli
 cli()
 """

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from policies.importers.stable_baselines.vec_normalize import read_vec_normalize
-from policies.importers.torch_files.inert_pickle import OPCODES_MAX, Inert, read_pickle
+from policies.importers.untrusted.pickle_reader import OPCODES_MAX, Inert, read_pickle
 from robots.errors import ContractError
 from support.importers.stable_baselines import Command, Tiny, kept, normalizing
 

@@ -16,10 +16,10 @@ import pinocchio as pin
 from deploy.backends.sim.robot import SimRobot
 from deploy.state import Mode
 from eval.judge.limits import load_limits
-from policies.robot_init.always import always_near
+from policies.robot_init.capsules import around
 from policies.robot_init.cli import cli, init_robot, package_of
-from policies.robot_init.facts import read_facts
-from policies.robot_init.shapes import around
+from policies.robot_init.permanent_contacts import always_near
+from policies.robot_init.vendor_model import read_facts
 from robots.errors import OutputError, RobotError
 from robots.models.fleet import Fleet, load_pinocchio, torque_max
 from robots.models.mujoco_model import load_mujoco

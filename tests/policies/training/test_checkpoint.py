@@ -93,7 +93,7 @@ def test_other_files_are_refused(tmp_path):
 
 
 def test_a_bomb_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("policies.importers.torch_files.zip_archive.BYTES_MAX", 10**6)
+    monkeypatch.setattr("policies.importers.untrusted.zip_archive.BYTES_MAX", 10**6)
     zipped(tmp_path / "x.pt", data=bytes(10**6 + 1))
     assert (tmp_path / "x.pt").stat().st_size < 10**4
     assert refused(tmp_path / "x.pt") == "found 1000001 bytes unpacked, expected at most 1000000"

@@ -6,8 +6,8 @@ import numpy as np
 
 from deploy.policy.onnx_graph import check_model
 from deploy.policy.policy import Policy
-from policies.importers.ends import with_our_ends
 from policies.importers.parity import check_parity, trials
+from policies.importers.standard_graph import with_our_ends
 
 
 def parity(original, source="file", seed=5):

@@ -6,7 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from policies.robot_init.facts import Facts
+from policies.robot_init.vendor_model import Facts
 from robots.models.mujoco_model import compile_model, open_model
 
 POSES = 200

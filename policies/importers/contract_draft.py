@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from deploy.policy.contract import Hertz, Task
 from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Positive, Source
-from policies.importers.torch_files.network import Network
+from policies.importers.torch_files.network_settings import Network
 from robots.errors import ContractError
 from robots.strict import Strict, parse, refuse_open
 

@@ -16,7 +16,7 @@ from deploy.safety.diagnostics import Stops, blame
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
 from eval.soak.shard import ARM_S, judge_tick
-from policies.doctor.trial.warmth import Thermometer, Warmth
+from policies.doctor.simulation.heat_extrapolation import Thermometer, Warmth
 from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.distributions import load_distributions
 from robots.draws import middle

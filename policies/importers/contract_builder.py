@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from deploy.policy.contract import Contract
 from deploy.policy.observation_terms import READINGS, Source
-from policies.importers.draft import Draft, TermDraft
-from policies.importers.original import STILL, Original
+from policies.importers.contract_draft import Draft, TermDraft
+from policies.importers.reference_policy import STILL, Original
 from robots.errors import ContractError
 from robots.spec import RobotSpec
 from robots.strict import parse

@@ -7,8 +7,8 @@ import numpy as np
 from deploy.estimation import rotations
 from deploy.policy.observation import Observation
 from deploy.policy.observation_terms import READINGS, Source, Term
-from policies.doctor.case import Case
-from policies.doctor.finding import Note, failed, passed, warned
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Note, failed, passed, warned
 from robots.arrays import Floats
 
 LEAN_RAD = 0.2

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from policies.doctor.case import Case
-from policies.doctor.finding import Note, failed, listed, passed, warned
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Note, failed, listed, passed, warned
 from robots.models.fleet import torque_max
 
 FAR = 0.5

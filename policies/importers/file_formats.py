@@ -5,9 +5,9 @@ from io import BytesIO
 from pathlib import Path
 
 from policies.importers.onnx_files.foreign_onnx import load_onnx, read_onnx
-from policies.importers.original import Original
-from policies.importers.torch_files.network import Network
-from policies.importers.torch_files.zip_archive import read_bytes, read_names
+from policies.importers.reference_policy import Original
+from policies.importers.torch_files.network_settings import Network
+from policies.importers.untrusted.zip_archive import read_bytes, read_names
 from robots.errors import ContractError
 
 ZIP = b"PK\x03\x04"
@@ -55,7 +55,7 @@ def _read_archive(path: Path, names: set[str], network: Network) -> Original:
 def _read_tensors(path: Path, network: Network) -> Original:
     from policies.importers.rsl_rl.checkpoint import ACTORS, read_rsl_rl
     from policies.importers.torch_files.state_dict import read_state_dict
-    from policies.training.archive import load_tensors
+    from policies.importers.untrusted.tensor_archive import load_tensors
 
     data = load_tensors(path, EXPECTED)
     keys = set(data) if isinstance(data, dict) else set()

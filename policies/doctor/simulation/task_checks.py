@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from eval.judge.monitors import MONITORS
-from policies.doctor.case import Case, UntriedError
-from policies.doctor.finding import Note, failed, listed, passed, warned
-from policies.doctor.trial.trial import HALF_OF, ROBOTS, SECONDS, Life
-from policies.doctor.trial.warmth import windings_after
+from policies.doctor.check_context import Case, UntriedError
+from policies.doctor.check_result import Note, failed, listed, passed, warned
+from policies.doctor.simulation.heat_extrapolation import windings_after
+from policies.doctor.simulation.simulated_run import HALF_OF, ROBOTS, SECONDS, Life
 from robots.arrays import Floats
 
 MOSTLY = 0.9

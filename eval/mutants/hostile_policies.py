@@ -3,11 +3,11 @@
 import numpy as np
 
 from deploy.runtime import Runtime
-from eval.mutants.hostile import Says
+from eval.mutants.situation import HostilePolicy
 from robots.arrays import Floats
 
 
-def heads(**to: float) -> Says:
+def move_to(**to: float) -> HostilePolicy:
     """Some joints are to be at so many rad, as fast as they are let; the others at home."""
 
     def says(runtime: Runtime) -> Floats:
@@ -19,20 +19,20 @@ def heads(**to: float) -> Says:
     return says
 
 
-def visits(every_s: float, *poses: dict[str, float]) -> Says:
+def cycle_poses(every_s: float, *poses: dict[str, float]) -> HostilePolicy:
     """One pose after the other, again and again."""
-    each = [heads(**pose) for pose in poses]
+    each = [move_to(**pose) for pose in poses]
     return lambda runtime: each[int(runtime.t / every_s) % len(each)](runtime)
 
 
-def then(t: float, first: Says, second: Says) -> Says:
+def switch_policy(t: float, first: HostilePolicy, second: HostilePolicy) -> HostilePolicy:
     """One policy until s, another from there on."""
     return lambda runtime: (first if runtime.t < t else second)(runtime)
 
 
-def creeps(rad_s: float, **to: float) -> Says:
+def move_slowly_to(rad_s: float, **to: float) -> HostilePolicy:
     """As `heads`, no joint faster than this."""
-    go = heads(**to)
+    go = move_to(**to)
 
     def says(runtime: Runtime) -> Floats:
         most = rad_s / runtime.contract.policy_hz / np.array(runtime.contract.action.scale)
@@ -41,20 +41,20 @@ def creeps(rad_s: float, **to: float) -> Says:
     return says
 
 
-def turns(until: float) -> Says:
+def turn_last_joint(until: float) -> HostilePolicy:
     """The last joint turns at full action until s, and is then left alone."""
     return lambda runtime: _last(runtime, float(runtime.t < until))
 
 
-def shouts(t: float, until: float, **near: float) -> Says:
+def action_spike(t: float, until: float, **near: float) -> HostilePolicy:
     """As `heads`, but from s to s the last joint is to move by 100, where 1 is the most, and is then left alone."""
-    go = heads(**near)
+    go = move_to(**near)
     return lambda runtime: go(runtime) if runtime.t < t else _last(runtime, 100.0 * (runtime.t < until))
 
 
-def falls_silent(t: float, **to: float) -> Says:
+def nan_after(t: float, **to: float) -> HostilePolicy:
     """As `heads`; from s on what it says is no number."""
-    go = heads(**to)
+    go = move_to(**to)
     return lambda runtime: np.full_like(runtime.action.last, np.nan) if runtime.t >= t else go(runtime)
 
 

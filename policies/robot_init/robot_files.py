@@ -7,8 +7,8 @@ from typing import Any
 import tomlkit
 from tomlkit.items import AoT, Table
 
-from policies.robot_init import walker
-from policies.robot_init.facts import Facts, JointFacts
+from policies.robot_init import legged_defaults
+from policies.robot_init.vendor_model import Facts, JointFacts
 from robots.spec import ROBOTS
 from robots.strict import OPEN
 
@@ -73,10 +73,10 @@ def robot_toml(
     if neighbours:
         near = _said([list(pair) for pair in neighbours], "excluded by the model, or near in every pose")
         document.add("neighbours", near)
-    document.add("rates", tomlkit.item(walker.RATES if facts.floats else example["rates"]))
+    document.add("rates", tomlkit.item(legged_defaults.RATES if facts.floats else example["rates"]))
     document.add("margins", _margins(facts, example["margins"]))
     if facts.floats:
-        document.add("base", _table(walker.base(facts), walker.asked(facts)))
+        document.add("base", _table(legged_defaults.base(facts), legged_defaults.asked(facts)))
     else:
         document.add("workspace", _workspace(facts, example["workspace"]))
     document.add("sensors", _sensors(facts, example["sensors"]))
@@ -107,7 +107,7 @@ def limits_toml(facts: Facts, name: str) -> tomlkit.TOMLDocument:
     )
     example = tomllib.loads((EXAMPLE / "limits.toml").read_text(encoding="utf-8"))
     left_out = {"motors", "manipulability"} if facts.floats else {"motors"}
-    asked = {"power_w": OPEN} | (walker.LIMITS | {"contact_n": OPEN} if facts.floats else {})
+    asked = {"power_w": OPEN} | (legged_defaults.LIMITS | {"contact_n": OPEN} if facts.floats else {})
     document |= {key: value for key, value in example.items() if key not in left_out} | asked
     motors = {
         motor: {"power_w": OPEN, "torque_rate": OPEN, "source": OPEN}
@@ -147,8 +147,8 @@ def _workspace(facts: Facts, example: Mapping[str, Any]) -> Table:
 
 
 def _margins(facts: Facts, example: Mapping[str, Any]) -> Table:
-    walks = walker.MARGINS if facts.floats else {}
-    left_out = walker.NO_TOOL if facts.floats else ()
+    walks = legged_defaults.MARGINS if facts.floats else {}
+    left_out = legged_defaults.NO_TOOL if facts.floats else ()
     margins = {key: value for key, value in {**example, **walks}.items() if key not in left_out}
     table = tomlkit.table()
     table.update(margins)
@@ -158,7 +158,7 @@ def _margins(facts: Facts, example: Mapping[str, Any]) -> Table:
 
 def _sensors(facts: Facts, example: Mapping[str, Any]) -> Any:
     found = {kind: example[kind] for kind in SENSORS}
-    found = walker.sensors(facts, found) if facts.floats else {**found, "goal": example["goal"]}
+    found = legged_defaults.sensors(facts, found) if facts.floats else {**found, "goal": example["goal"]}
     return tomlkit.item({kind: {**sensor, "source": ESTIMATE} for kind, sensor in found.items()})
 
 
@@ -194,7 +194,7 @@ def _motor_tables(facts: Facts, motors: Mapping[str, str]) -> Table:
 
 def _joints(facts: Facts, motors: Mapping[str, str]) -> AoT:
     tables = tomlkit.aot()
-    estimates = {"acceleration_density": walker.RESTLESS if facts.floats else 0.02, "play": 0.0005}
+    estimates = {"acceleration_density": legged_defaults.RESTLESS if facts.floats else 0.02, "play": 0.0005}
     for joint in _driven(facts):
         low, high = (joint.low, joint.high) if facts.floats else _inside(joint)
         known = {"q_min": low, "q_max": high, "q_home": joint.home, "qd_max": joint.qd_max}

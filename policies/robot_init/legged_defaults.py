@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from policies.robot_init.facts import Facts
+from policies.robot_init.vendor_model import Facts
 from robots.models.inertial import AT_THE_IMU
 
 FOOT = re.compile("foot|feet|sole|toe|ankle", re.IGNORECASE)

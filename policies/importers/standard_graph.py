@@ -9,7 +9,7 @@ import onnx
 from onnx import GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, helper, numpy_helper
 
 from deploy.policy.policy_file import INPUT, MEMORY, NEXT, OUTPUT
-from policies.importers.original import STILL, Original
+from policies.importers.reference_policy import STILL, Original
 
 INSIDE = "policy/"
 """Before every name of the foreign graph, so that none is one of ours."""

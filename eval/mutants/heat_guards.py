@@ -2,12 +2,19 @@
 
 from deploy.backends.sim.sensor_faults import Failure
 from deploy.state import Reason
-from eval.mutants.asks import heads, visits
-from eval.mutants.befalls import begins_hot, fails
-from eval.mutants.hostile import Situation
-from eval.mutants.limits import FAR
+from eval.mutants.command_guards import FAR
+from eval.mutants.disturbances import hot_motors_at_start, sensor_faults
+from eval.mutants.guard_removal import (
+    accept_stuck_currents,
+    downgrade_to_category_2,
+    freeze_lost_currents,
+    ignore_reasons,
+    remove_foldback,
+    remove_heat_margin,
+)
+from eval.mutants.hostile_policies import cycle_poses, move_to
 from eval.mutants.mutant import Mutant
-from eval.mutants.weakened import blind, deaf, forgiving, undoubting, unfolded, unwary
+from eval.mutants.situation import Situation
 
 HZ = 200
 BURDEN = {"payload.mass_kg": 4.0, "payload.carried_s": 1e6, "payload.free_s": 0.01}
@@ -22,67 +29,69 @@ WORST = {
 
 HELD = Situation(
     words="motors hot from work hold 4 kg at arm's length",
-    says=heads(**FAR),
+    says=move_to(**FAR),
     draws=BURDEN | WORST,
-    befalls=begins_hot(86.0, 13.0),
+    befalls=hot_motors_at_start(86.0, 13.0),
     seconds=11.0,
 )
 
-WARMTH = (
+HEAT_GUARDS = (
     Mutant(
         guard="safety: heat, off",
-        weaken=blind(Reason.HEAT),
+        weaken=ignore_reasons(Reason.HEAT),
         reasons=Reason.HEAT,
         situation=HELD,
         monitor="heat_hard",
     ),
     Mutant(
         guard="supervisor: heat is category 2: the power stays",
-        weaken=forgiving(Reason.HEAT),
+        weaken=downgrade_to_category_2(Reason.HEAT),
         situation=HELD,
         monitor="heat_hard",
     ),
     Mutant(
         guard="heat: a winding is believed to be no warmer than it is computed to be",
-        weaken=undoubting,
+        weaken=remove_heat_margin,
         situation=HELD,
         monitor="heat_hard",
     ),
     Mutant(
         guard="heat: no foldback",
-        weaken=unfolded,
+        weaken=remove_foldback,
         situation=Situation(
             words="a hot arm swings 4 kg to and fro as fast as it is let; safety is blind to heat",
-            says=visits(0.6, {"shoulder_lift": -1.9, "elbow": 0.9}, {"shoulder_lift": -1.2, "elbow": 0.9}),
-            prepare=blind(Reason.HEAT),
+            says=cycle_poses(
+                0.6, {"shoulder_lift": -1.9, "elbow": 0.9}, {"shoulder_lift": -1.2, "elbow": 0.9}
+            ),
+            prepare=ignore_reasons(Reason.HEAT),
             draws=BURDEN,
-            befalls=begins_hot(86.0, 21.0),
+            befalls=hot_motors_at_start(86.0, 21.0),
             seconds=8.0,
         ),
         monitor="heat_hard",
     ),
     Mutant(
         guard="heat: currents that are not heard stay as they were",
-        weaken=deaf,
+        weaken=freeze_lost_currents,
         situation=Situation(
             words="currents are no longer heard; then motors hot from work hold 4 kg at arm's length",
-            says=heads(**FAR),
+            says=move_to(**FAR),
             draws=BURDEN | WORST,
-            befalls=begins_hot(86.0, 13.0),
-            faults=fails(Failure.OFF, 0.15, HZ, sensor="current"),
+            befalls=hot_motors_at_start(86.0, 13.0),
+            faults=sensor_faults(Failure.OFF, 0.15, HZ, sensor="current"),
             seconds=11.0,
         ),
         monitor="heat_hard",
     ),
     Mutant(
         guard="heat: a current may repeat itself for ever",
-        weaken=unwary,
+        weaken=accept_stuck_currents,
         situation=Situation(
             words="currents stay as they were said; then motors hot from work hold 4 kg at arm's length",
-            says=heads(**FAR),
+            says=move_to(**FAR),
             draws=BURDEN | WORST,
-            befalls=begins_hot(86.0, 13.0),
-            faults=fails(Failure.STUCK, 0.15, HZ, sensor="current"),
+            befalls=hot_motors_at_start(86.0, 13.0),
+            faults=sensor_faults(Failure.STUCK, 0.15, HZ, sensor="current"),
             seconds=11.0,
         ),
         monitor="heat_hard",

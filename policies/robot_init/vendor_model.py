@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 import mujoco
 import numpy as np
 
-from policies.robot_init.shapes import Shape, shape_of
+from policies.robot_init.capsules import Shape, shape_of
 from robots.errors import RobotError
 from robots.models.files import is_urdf, read_xml
 from robots.models.mujoco_model import compile_model, open_model

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from policies.importers.torch_files.torchscript_source import REFUSED
+from policies.importers.torch_files.torchscript_check import REFUSED
 from robots.errors import ContractError
 
 TEXT_MAX = 64 << 20

@@ -8,7 +8,7 @@ from deploy.policy.onnx_graph import shortened
 from deploy.policy.policy import BATCHES, Policy
 from deploy.policy.policy_file import read_policy_file
 from policies.doctor.checks.normalizer import Statistics, normalizer_of
-from policies.doctor.trial.trial import HALF, JITTERING, LATE, PUNCTUAL, Life, live
+from policies.doctor.simulation.simulated_run import HALF, JITTERING, LATE, PUNCTUAL, Life, live
 from robots.errors import ContractError, FirstshiftError
 from robots.spec import load_robot
 

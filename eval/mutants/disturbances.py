@@ -5,14 +5,14 @@ import numpy as np
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.sensor_faults import Failure, Fault
 from deploy.runtime import Runtime
-from eval.mutants.hostile import ROBOTS, Befalls
+from eval.mutants.situation import ROBOTS, Disturbance
 from robots.sensors import Kind
 
 JAMMED = 1e5
 """N·m of friction."""
 
 
-def fails(
+def sensor_faults(
     what: Failure,
     at: float,
     control_hz: int,
@@ -29,7 +29,7 @@ def fails(
     )
 
 
-def together(*befalls: Befalls) -> Befalls:
+def apply_all(*befalls: Disturbance) -> Disturbance:
     """One after the other, before the same tick."""
 
     def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
@@ -39,7 +39,7 @@ def together(*befalls: Befalls) -> Befalls:
     return befall
 
 
-def jams(joint: int, at: float) -> Befalls:
+def jam_joint(joint: int, at: float) -> Disturbance:
     """A joint's gear jams."""
 
     def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
@@ -49,9 +49,9 @@ def jams(joint: int, at: float) -> Befalls:
     return befall
 
 
-def leans(
+def push_link(
     joint: int, axis: tuple[float, float, float], at: float, newton_metres: float, per_s: float
-) -> Befalls:
+) -> Disturbance:
     """Something leans on a joint's link, ever harder, by a torque about an axis of the world."""
 
     def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
@@ -62,7 +62,7 @@ def leans(
     return befall
 
 
-def sinks(share: float) -> Befalls:
+def slipping_brakes(share: float) -> Disturbance:
     """Brakes that slip: they hold with this share of the drives' torque, and the arm sinks."""
 
     def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
@@ -72,7 +72,7 @@ def sinks(share: float) -> Befalls:
     return befall
 
 
-def begins_wrong(channel: int, rad: float) -> Befalls:
+def encoder_offset_at_start(channel: int, rad: float) -> Disturbance:
     """All that an encoder has on its way when the robot is switched on is wrong."""
 
     def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
@@ -83,7 +83,7 @@ def begins_wrong(channel: int, rad: float) -> Befalls:
     return befall
 
 
-def begins_hot(housing_c: float, rise_k: float) -> Befalls:
+def hot_motors_at_start(housing_c: float, rise_k: float) -> Disturbance:
     """Motors have worked before: housings at so many °C, windings warmer by so many K, and the runtime knows it."""
 
     def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:

@@ -13,9 +13,9 @@ import numpy as np
 from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
 from deploy.policy.policy_file import PolicyFile
-from policies.doctor.case import Case
-from policies.doctor.finding import Note, passed, warned
-from policies.doctor.trial.trial import PUNCTUAL, SECONDS, live
+from policies.doctor.check_context import Case
+from policies.doctor.check_result import Note, passed, warned
+from policies.doctor.simulation.simulated_run import PUNCTUAL, SECONDS, live
 from robots.arrays import Float32s, Floats, Ints
 
 EACH, SHORT_S = 2, 8.2

@@ -30,8 +30,8 @@ SCALE, LEASH = 0.5, 1.5
 SAW = 0.5
 """rad around home and rad/s, standard deviations of what its training saw: about what the shipped one's did."""
 
-Says = Callable[[Runtime], Floats]
-Befalls = Callable[[Runtime, SimRobot, float], None]
+HostilePolicy = Callable[[Runtime], Floats]
+Disturbance = Callable[[Runtime, SimRobot, float], None]
 
 
 def _nothing(runtime: Runtime, robot: SimRobot, t: float) -> None:
@@ -60,9 +60,9 @@ class Situation:
     """
 
     words: str
-    says: Says
+    says: HostilePolicy
     seconds: float = 2.5
-    befalls: Befalls = _nothing
+    befalls: Disturbance = _nothing
     prepare: Callable[[Runtime], None] = nobody
     draws: Mapping[str, float] = field(default_factory=dict)
     spread: float = 1.0

@@ -15,7 +15,7 @@ from torch.fx.experimental.proxy_tensor import make_fx
 from deploy.policy.onnx_graph import check_model, shortened
 from policies.export.tracing import to_onnx
 from policies.importers.onnx_files.foreign_onnx import widened
-from policies.importers.original import Facts, Memory, Original
+from policies.importers.reference_policy import Facts, Memory, Original
 from robots.arrays import Float32s
 from robots.errors import ContractError
 

@@ -15,12 +15,12 @@ from robots.arrays import Bools, Floats
 Weaken = Callable[[Runtime], None]
 
 
-def around(owner: object, name: str, call: Callable[..., Any]) -> None:
+def wrap_method(owner: object, name: str, call: Callable[..., Any]) -> None:
     """Let `call` answer in the place of a method: it is given the method, then what the method is called with."""
     setattr(owner, name, partial(call, getattr(owner, name)))
 
 
-def both(*weakens: Weaken) -> Weaken:
+def remove_all(*weakens: Weaken) -> Weaken:
     """One after the other."""
 
     def weaken(runtime: Runtime) -> None:
@@ -30,7 +30,7 @@ def both(*weakens: Weaken) -> Weaken:
     return weaken
 
 
-def blind(reasons: Reason) -> Weaken:
+def ignore_reasons(reasons: Reason) -> Weaken:
     """Neither safety nor the estimator ever has these reasons."""
     seen = ~np.int64(reasons)
 
@@ -43,13 +43,13 @@ def blind(reasons: Reason) -> Weaken:
         return state._replace(fault=state.fault & seen)
 
     def weaken(runtime: Runtime) -> None:
-        around(runtime.safety, "step", judge)
-        around(runtime.estimator, "step", believe)
+        wrap_method(runtime.safety, "step", judge)
+        wrap_method(runtime.estimator, "step", believe)
 
     return weaken
 
 
-def looks(*, ahead: bool = True, midst: bool = True, rest: bool = True) -> Weaken:
+def skip_stop_checks(*, ahead: bool = True, midst: bool = True, rest: bool = True) -> Weaken:
     """Safety is shown the setpoint itself in the place of these parts of the stop that would begin there."""
 
     def judge(
@@ -60,15 +60,15 @@ def looks(*, ahead: bool = True, midst: bool = True, rest: bool = True) -> Weake
             state, sent, now, first if ahead else now, q_midst if midst else now.q, q_rest if rest else now.q
         )
 
-    return lambda runtime: around(runtime.safety, "step", judge)
+    return lambda runtime: wrap_method(runtime.safety, "step", judge)
 
 
-def unforeseen(runtime: Runtime) -> None:
+def ignore_speed_overshoot(runtime: Runtime) -> None:
     """The speed that a stop would still gain, until its acceleration has run out, is none."""
     runtime.safety.twice_jerk = np.full(runtime.spec.n, np.inf)
 
 
-def planner(**factors: float) -> Weaken:
+def scale_planner_limits(**factors: float) -> Weaken:
     """The planner keeps to limits that are so many times those of robot.toml."""
 
     def weaken(runtime: Runtime) -> None:
@@ -82,7 +82,7 @@ def planner(**factors: float) -> Weaken:
     return weaken
 
 
-def rash(**factors: float) -> Weaken:
+def scale_limits_while_following(**factors: float) -> Weaken:
     """As `planner`, where a target is followed; stops keep to the limits."""
 
     def plan(right: Callable[..., Setpoint], runtime: Runtime, wild: Smoother, *asked: Any) -> Setpoint:
@@ -93,20 +93,20 @@ def rash(**factors: float) -> Weaken:
 
     def weaken(runtime: Runtime) -> None:
         right = runtime.smoother
-        planner(**factors)(runtime)
+        scale_planner_limits(**factors)(runtime)
         wild, runtime.smoother = runtime.smoother, right
-        around(right, "next", lambda step, *asked: plan(step, runtime, wild, *asked))
+        wrap_method(right, "next", lambda step, *asked: plan(step, runtime, wild, *asked))
 
     return weaken
 
 
-def unclamped(runtime: Runtime) -> None:
+def widen_target_range(runtime: Runtime) -> None:
     """Targets may lie a radian beyond the working range."""
     runtime.smoother.q_min -= 1.0
     runtime.smoother.q_max += 1.0
 
 
-def planless(t: float, *, angles: bool) -> Weaken:
+def plan_nan_at(t: float, *, angles: bool) -> Weaken:
     """At one tick the planner's next setpoint is no number: in its speeds, or in its angles too."""
 
     def plan(step: Callable[..., Setpoint], runtime: Runtime, *asked: Any) -> Setpoint:
@@ -117,18 +117,18 @@ def planless(t: float, *, angles: bool) -> Weaken:
         return setpoint
 
     def weaken(runtime: Runtime) -> None:
-        around(runtime.smoother, "next", lambda step, *asked: plan(step, runtime, *asked))
+        wrap_method(runtime.smoother, "next", lambda step, *asked: plan(step, runtime, *asked))
 
     return weaken
 
 
-def unbarred(runtime: Runtime) -> None:
+def send_non_finite(runtime: Runtime) -> None:
     """The runtime sends what it is given, number or not."""
-    around(runtime, "replace_non_finite", lambda _, planned: planned)
-    around(runtime, "obeyed_or_stop", lambda _, obey, planned: (planned, runtime.verdict.tau))
+    wrap_method(runtime, "replace_non_finite", lambda _, planned: planned)
+    wrap_method(runtime, "obeyed_or_stop", lambda _, obey, planned: (planned, runtime.verdict.tau))
 
 
-def abrupt(runtime: Runtime) -> None:
+def stop_instantly(runtime: Runtime) -> None:
     """What is refused is answered by standing still at once, not by the stop that was prepared."""
 
     def instead(ask: Callable[..., tuple[Setpoint, Floats]], obey: Bools, planned: Setpoint) -> object:
@@ -137,15 +137,17 @@ def abrupt(runtime: Runtime) -> None:
         parts = [np.where(obey[:, None], *pair) for pair in zip(setpoint, stands, strict=True)]
         return Setpoint(*parts), tau
 
-    around(runtime, "obeyed_or_stop", instead)
+    wrap_method(runtime, "obeyed_or_stop", instead)
 
 
-def careless(runtime: Runtime) -> None:
+def ignore_non_finite_action(runtime: Runtime) -> None:
     """The runtime does not mind an action that is no number; `Action` still leaves it out."""
-    around(runtime, "stop_reasons", lambda _: runtime.verdict.reason | runtime.state.fault | runtime.asked)
+    wrap_method(
+        runtime, "stop_reasons", lambda _: runtime.verdict.reason | runtime.state.fault | runtime.asked
+    )
 
 
-def credulous(runtime: Runtime) -> None:
+def follow_non_finite_action(runtime: Runtime) -> None:
     """An action that is no number moves the target all the same."""
 
     def step(_: object, action: Floats, q_setpoint: Floats) -> object:
@@ -153,20 +155,20 @@ def credulous(runtime: Runtime) -> None:
         stage.q += stage.scale * action
         return stage.target
 
-    around(runtime.action, "step", step)
+    wrap_method(runtime.action, "step", step)
 
 
-def unclipped(runtime: Runtime) -> None:
+def remove_action_clip(runtime: Runtime) -> None:
     """An action may be as large as it likes."""
     runtime.action.low, runtime.action.high = -np.inf, np.inf
 
 
-def unleashed(runtime: Runtime) -> None:
+def remove_leash(runtime: Runtime) -> None:
     """The target may run away from the setpoint."""
     runtime.action.leash = np.inf
 
 
-def forgiving(reasons: Reason) -> Weaken:
+def downgrade_to_category_2(reasons: Reason) -> Weaken:
     """The supervisor takes these reasons for category 2: the power stays, and the robot goes on by itself."""
 
     def step(advance: Callable[..., Bools], runtime: Runtime, *asked: Any) -> Bools:
@@ -174,12 +176,12 @@ def forgiving(reasons: Reason) -> Weaken:
         return advance(*asked)
 
     def weaken(runtime: Runtime) -> None:
-        around(runtime.supervisor, "step", lambda advance, *asked: step(advance, runtime, *asked))
+        wrap_method(runtime.supervisor, "step", lambda advance, *asked: step(advance, runtime, *asked))
 
     return weaken
 
 
-class Restless(Estimator):
+class NeverMovingEstimator(Estimator):
     """It never says that a joint moves."""
 
     @property
@@ -188,31 +190,31 @@ class Restless(Estimator):
         return np.zeros_like(self.joints.e, dtype=bool)
 
 
-def restless(runtime: Runtime) -> None:
+def arm_while_moving(runtime: Runtime) -> None:
     """Robots are armed whether or not a joint moves."""
-    runtime.estimator = Restless(runtime.spec, runtime.robot.robots)
+    runtime.estimator = NeverMovingEstimator(runtime.spec, runtime.robot.robots)
 
 
-def gateless(runtime: Runtime) -> None:
+def open_innovation_gate(runtime: Runtime) -> None:
     """No sample is left out."""
     runtime.estimator.joints.gate = np.inf
 
 
-def hasty(runtime: Runtime) -> None:
+def trust_first_sample(runtime: Runtime) -> None:
     """A filter is believed from its first sample on."""
 
     def now(step: Callable[..., State], t: float, *heard: Any) -> State:
         return step(t, *heard)._replace(age=(t - runtime.estimator.joints.t_sample).max(axis=1))
 
-    around(runtime.estimator, "step", now)
+    wrap_method(runtime.estimator, "step", now)
 
 
-def undoubting(runtime: Runtime) -> None:
+def remove_heat_margin(runtime: Runtime) -> None:
     """A winding is as warm as it is believed to be, and no warmer."""
     runtime.estimator.windings.margin_k = runtime.estimator.windings.margin_share = 0.0
 
 
-def unfolded(runtime: Runtime) -> None:
+def remove_foldback(runtime: Runtime) -> None:
     """Hot motors go on as cold ones do, up to the stop."""
     foldback = runtime.estimator.windings.foldback
 
@@ -221,14 +223,14 @@ def unfolded(runtime: Runtime) -> None:
         foldback.current_share[:] = 1.0
         foldback.speed_share[:] = 1.0
 
-    around(foldback, "step", step)
+    wrap_method(foldback, "step", step)
 
 
-def deaf(runtime: Runtime) -> None:
+def freeze_lost_currents(runtime: Runtime) -> None:
     """What is not heard any more stays as it was last heard."""
-    around(runtime.estimator.windings, "check_sensors", lambda *_: None)
+    wrap_method(runtime.estimator.windings, "check_sensors", lambda *_: None)
 
 
-def unwary(runtime: Runtime) -> None:
+def accept_stuck_currents(runtime: Runtime) -> None:
     """A current may repeat itself for ever."""
     runtime.estimator.windings.stuck_repeats = np.inf

@@ -8,8 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from policies.importers.torch_files.inert_pickle import DICT, OPCODES_MAX, Inert, read_pickle
-from policies.importers.torch_files.zip_archive import read_bytes, read_torch_members
+from policies.importers.untrusted.pickle_reader import DICT, OPCODES_MAX, Inert, read_pickle
+from policies.importers.untrusted.zip_archive import read_bytes, read_torch_members
 from robots.errors import ContractError
 
 NEEDED = re.compile(r"data\.pkl|byteorder|data/\d+")

@@ -4,18 +4,18 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from policies.doctor.case import Case, UntriedError
+from policies.doctor.check_context import Case, UntriedError
+from policies.doctor.check_result import Finding, Note, failed, summed_up, warned
 from policies.doctor.checks.action import action, gains
-from policies.doctor.checks.activation import activation
+from policies.doctor.checks.first_target import activation
 from policies.doctor.checks.identity import joints, loader
 from policies.doctor.checks.observations import normalizer, training
 from policies.doctor.checks.protection import protection
 from policies.doctor.checks.rates import rates
 from policies.doctor.checks.sources import sources
-from policies.doctor.finding import Finding, Note, failed, summed_up, warned
-from policies.doctor.trial.orders import orders
-from policies.doctor.trial.tilt import tilt
-from policies.doctor.trial.work import chatter, delay, heat, jitter, trial
+from policies.doctor.simulation.joint_order import orders
+from policies.doctor.simulation.task_checks import chatter, delay, heat, jitter, trial
+from policies.doctor.simulation.tilt import tilt
 from robots.errors import FirstshiftError
 
 CHECKS: dict[str, Callable[[Case], Iterator[Note]]] = {
