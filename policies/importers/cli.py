@@ -1,4 +1,4 @@
-"""policy-import: what people already trained, as one ONNX file with its contract, if it says what the original says."""
+"""Command policy-import: convert a policy of another library to one ONNX file with its contract."""
 
 import hashlib
 import time
@@ -17,16 +17,16 @@ from deploy.policy.contract import CONTRACT_KEY
 from deploy.policy.policy import Policy
 from deploy.policy.policy_file import GOLDEN_KEY, Golden
 from deploy.telemetry.output_files import replacing
-from policies.importers.contract_builder import Settled, settle
+from policies.importers.contract_builder import BuiltContract, build_contract
 from policies.importers.contract_draft import read_draft
-from policies.importers.file_formats import read_original
+from policies.importers.file_formats import read_policy
 from policies.importers.onnx_files.isaac_lab import read_descriptor
-from policies.importers.parity import check_parity, trials
-from policies.importers.reference_policy import Facts, Original, UnansweredError
-from policies.importers.standard_graph import with_our_ends
-from policies.importers.template import written
-from policies.importers.torch_files.network_settings import Network
-from policies.importers.untrusted.resource_limits import bounded
+from policies.importers.parity import check_parity, record_reference
+from policies.importers.reference_policy import MissingSettingError, PolicyFacts, ReferencePolicy
+from policies.importers.standard_graph import to_standard_graph
+from policies.importers.template import render_template
+from policies.importers.torch_files.network_settings import NetworkSettings
+from policies.importers.untrusted.resource_limits import limit_resources
 from robots.errors import ConfigError, ContractError
 from robots.models.fleet import Fleet
 from robots.spec import RobotSpec, load_robot
@@ -36,63 +36,66 @@ GOLDEN_STEPS = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Imported:
-    """What was written.
+class ImportResult:
+    """Result of an import.
 
     Attributes:
-        facts: what the foreign file said. digest: SHA-256 of ours. deviation: the worst, as in `check_parity`.
+        facts: description of the imported file. digest: SHA-256 of the written file.
+        deviation: largest deviation from the reference, as in `check_parity`.
     """
 
-    facts: Facts
+    facts: PolicyFacts
     digest: str
     deviation: float
 
 
-def import_policy(path: Path, draft_path: Path, out_path: Path, robot: str | Path | None = None) -> Imported:
-    """Import a policy; `out_path` is replaced only after every check has passed.
+def import_policy(
+    path: Path, draft_path: Path, out_path: Path, robot: str | Path | None = None
+) -> ImportResult:
+    """Import a policy; `out_path` is replaced only after all checks passed.
 
     Args:
-        path: the foreign file. draft_path: its contract's TOML. out_path: the ONNX file.
-        robot: name or folder; without it the robot that the TOML names.
+        path: the policy's file. draft_path: its contract's TOML. out_path: the ONNX file to write.
+        robot: name or folder; None for the robot named in the TOML.
 
     Raises:
-        ContractError: a file is not what it should be, or ours says something else than the original.
+        ContractError: a file is invalid, or the ONNX file computes other actions than the reference.
         RobotError: the robot is unknown or unreadable.
         OutputError: `out_path` cannot be written.
     """
     draft = read_draft(draft_path)
     spec = load_robot(robot or draft.robot)
-    # What speaks against the folder is said now, not by whoever runs the policy.
+    # Errors in the robot's folder are reported now, not when the policy is run.
     Fleet(spec, 1, collisions=True)
-    original = read_original(path, draft.network)
-    settled = settle(draft, original, spec, str(draft_path))
-    data, played = _onnx(original, settled), trials(original, settled.columns, settled.joints)
+    reference = read_policy(path, draft.network)
+    built = build_contract(draft, reference, spec, str(draft_path))
+    data, runs = _onnx(reference, built), record_reference(reference, built.columns, built.joints)
     with replacing(out_path) as partial:
         partial.write_bytes(data)
-        deviation = check_parity(_loaded(partial, spec, out_path), played, str(path))
-    return Imported(facts=original.facts, digest=hashlib.sha256(data).hexdigest(), deviation=deviation)
+        deviation = check_parity(_load_written(partial, spec, out_path), runs, str(path))
+    return ImportResult(facts=reference.facts, digest=hashlib.sha256(data).hexdigest(), deviation=deviation)
 
 
-def _onnx(original: Original, settled: Settled) -> bytes:
-    model = with_our_ends(original, settled.columns.tolist(), settled.joints.tolist())
+def _onnx(reference: ReferencePolicy, built: BuiltContract) -> bytes:
+    model = to_standard_graph(reference, built.columns.tolist(), built.joints.tolist())
     helper.set_model_props(
         model,
-        {CONTRACT_KEY: settled.contract.to_json(), GOLDEN_KEY: _golden(original, settled).model_dump_json()},
+        {CONTRACT_KEY: built.contract.to_json(), GOLDEN_KEY: _golden(reference, built).model_dump_json()},
     )
     return model.SerializeToString(deterministic=True)
 
 
-def _golden(original: Original, settled: Settled) -> Golden:
-    """One life of the original, from its beginning."""
-    theirs = original.scattered(np.random.default_rng(1), (GOLDEN_STEPS,))
-    ours = original.exchanged(theirs, settled.columns)
-    action = original.play(theirs, np.arange(GOLDEN_STEPS) == 0)[:, settled.joints]
-    pairs = {"observation": ours.tolist(), "action": action.tolist()}
+def _golden(reference: ReferencePolicy, built: BuiltContract) -> Golden:
+    """Return golden pairs: one sequence of the reference from its initial state."""
+    theirs = reference.sample_observations(np.random.default_rng(1), (GOLDEN_STEPS,))
+    observation = reference.reorder_observations(theirs, built.columns)
+    action = reference.run(theirs, np.arange(GOLDEN_STEPS) == 0)[:, built.joints]
+    pairs = {"observation": observation.tolist(), "action": action.tolist()}
     return parse(pairs, Golden, source="golden pairs", error=ContractError)
 
 
-def _loaded(partial: Path, spec: RobotSpec, out_path: Path) -> Policy:
-    """The new file behind every check that it will meet on the robot."""
+def _load_written(partial: Path, spec: RobotSpec, out_path: Path) -> Policy:
+    """Load the written file with all the checks made on the robot."""
     try:
         return Policy.load(partial, spec)
     except ContractError as e:
@@ -101,89 +104,94 @@ def _loaded(partial: Path, spec: RobotSpec, out_path: Path) -> Policy:
 
 def write_template(
     path: Path, draft_path: Path, descriptor: Path | None = None, robot: str | Path | None = None
-) -> tuple[Facts, int]:
-    """Write the contract's TOML with all that the policy's file says; returns that, and how much is still open.
+) -> tuple[PolicyFacts, int]:
+    """Write the contract's TOML, filled in from the policy's file; return the facts and the number of open values.
 
     Args:
-        path: the foreign file. draft_path: the TOML.
-        descriptor: Isaac Lab's I/O descriptors of the task, which says what the file does not.
-        robot: name or folder of the one that the policy is for, if it is known.
+        path: the policy's file. draft_path: the TOML.
+        descriptor: YAML of Isaac Lab's I/O descriptors, for values that the policy's file does not have.
+        robot: name or folder of the policy's robot, if known.
 
     Raises:
         RobotError: the robot is unknown or unreadable.
-        ContractError: the policy or its descriptor cannot be read, or the TOML is there already.
-        OutputError: it cannot be written.
+        ContractError: the policy or the descriptor is unreadable, or the TOML exists.
+        OutputError: the TOML cannot be written.
     """
     if draft_path.exists():
-        raise ContractError(f"{draft_path}: is there already, expected another place, or to remove it first")
+        raise ContractError(f"{draft_path}: exists already, expected another path, or remove it first")
     try:
-        facts = read_original(path, Network()).facts
-    except UnansweredError as e:
+        facts = read_policy(path, NetworkSettings()).facts
+    except MissingSettingError as e:
         facts = e.facts
     if descriptor is not None:
-        facts = _described(facts, read_descriptor(descriptor, facts.observations))
+        facts = _merge_descriptor(facts, read_descriptor(descriptor, facts.observations))
     if robot is not None:
         spec = load_robot(robot)
         facts = replace(facts, known={**facts.known, "robot": spec.name, "task": task_of(spec)})
-    text, still_open = written(facts, path.name)
+    text, open_count = render_template(facts, path.name)
     with replacing(draft_path) as partial:
         partial.write_text(text, encoding="utf-8")
-    return facts, still_open
+    return facts, open_count
 
 
-def _described(facts: Facts, descriptor: dict[str, Any]) -> Facts:
-    """Where both speak, the policy's own file is right."""
+def _merge_descriptor(facts: PolicyFacts, descriptor: dict[str, Any]) -> PolicyFacts:
+    """Add the descriptor's values; the policy's own file takes precedence."""
     action = {**descriptor.get("action", {}), **facts.known.get("action", {})}
     return replace(facts, known={**descriptor, **facts.known, "action": action})
 
 
 def policy_import(
-    file: Annotated[Path, typer.Argument(help="the policy's file, as its library wrote it")],
-    as_: Annotated[Literal["firstshift"], typer.Option("--as", help="what it becomes")] = "firstshift",
+    file: Annotated[Path, typer.Argument(help="policy file as written by its library")],
+    as_: Annotated[Literal["firstshift"], typer.Option("--as", help="output format")] = "firstshift",
     contract: Annotated[
-        Path | None, typer.Option(help="what its numbers mean", show_default="<file>.toml")
+        Path | None, typer.Option(help="TOML of its contract", show_default="<file>.toml")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="ONNX file to write", show_default="out/<file>.onnx")
     ] = None,
-    robot: Annotated[str | None, typer.Option(help="name or folder", show_default="the contract's")] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="robot: name or folder", show_default="the contract's")
+    ] = None,
     template: Annotated[
-        bool, typer.Option("--template", help="write the contract as far as the file says it, and stop")
+        bool,
+        typer.Option(
+            "--template", help="write the contract's TOML with the values known from the file, and stop"
+        ),
     ] = False,
     descriptor: Annotated[
-        Path | None, typer.Option(help="YAML of Isaac Lab's I/O descriptors, for --template")
+        Path | None, typer.Option(help="YAML of Isaac Lab's I/O descriptors; only with --template")
     ] = None,
 ) -> int:
     """Import a policy: ONNX, rsl_rl, Stable-Baselines3, TorchScript, torch.export, or weights with their contract."""
     draft_path = contract or file.with_suffix(".toml")
     if descriptor is not None and not template:
-        raise ConfigError(f"--descriptor {descriptor}: found no --template, expected it beside")
-    with bounded(file):
+        raise ConfigError(f"--descriptor {descriptor}: found without --template, expected both")
+    with limit_resources(file):
         if template:
-            _write(file, draft_path, descriptor, robot)
+            _run_template(file, draft_path, descriptor, robot)
         else:
-            _import(file, draft_path, out or Path("out", f"{file.stem}.onnx"), robot)
+            _run_import(file, draft_path, out or Path("out", f"{file.stem}.onnx"), robot)
     return PASSED
 
 
-def _write(file: Path, draft_path: Path, descriptor: Path | None, robot: str | None) -> None:
-    facts, still_open = write_template(file, draft_path, descriptor, robot)
-    todo = f"{still_open} values marked ? are to be filled in" if still_open else "nothing is left to fill in"
-    print(f"{draft_path}: {_said(facts)}; {todo}")
+def _run_template(file: Path, draft_path: Path, descriptor: Path | None, robot: str | None) -> None:
+    facts, open_count = write_template(file, draft_path, descriptor, robot)
+    todo = f"fill in {open_count} values marked ?" if open_count else "all values are filled in"
+    print(f"{draft_path}: {_describe(facts)}; {todo}")
 
 
-def _import(file: Path, draft_path: Path, out_path: Path, robot: str | None) -> None:
-    begun = time.monotonic()
+def _run_import(file: Path, draft_path: Path, out_path: Path, robot: str | None) -> None:
+    started = time.monotonic()
     with Console(stderr=True).status(f"importing {file.name}"):
         imported = import_policy(file, draft_path, out_path, robot)
-    print(f"{out_path}: {_said(imported.facts)}, sha256 {imported.digest}")
+    print(f"{out_path}: {_describe(imported.facts)}, sha256 {imported.digest}")
     print(
-        f"the same as the original over 1,024 observations and 16 sequences of 200, for 1 and 64 robots:"
-        f" worst {imported.deviation:.1e}, in {time.monotonic() - begun:.0f} s"
+        f"agrees with the original on 1,024 observations and 16 sequences of 200 steps, for 1 and 64 robots:"
+        f" largest deviation {imported.deviation:.1e}, in {time.monotonic() - started:.0f} s"
     )
 
 
-def _said(facts: Facts) -> str:
+def _describe(facts: PolicyFacts) -> str:
     return f"{facts.kind}, {facts.observations} observations, {facts.actions} actions"
 
 

@@ -1,4 +1,4 @@
-"""From a draft in the policy's order to a contract in the robot's, and the way between the two."""
+"""Contract in the robot's joint order from a draft in the policy's, with the permutations between the two."""
 
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from deploy.policy.contract import Contract
 from deploy.policy.observation_terms import READINGS, Source
-from policies.importers.contract_draft import Draft, TermDraft
-from policies.importers.reference_policy import STILL, Original
+from policies.importers.contract_draft import ContractDraft, TermDraft
+from policies.importers.reference_policy import ABSENT, ReferencePolicy
 from robots.errors import ContractError
 from robots.spec import RobotSpec
 from robots.strict import parse
@@ -19,13 +19,13 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Settled:
-    """A contract and two orders.
+class BuiltContract:
+    """Contract and permutations.
 
     Attributes:
         contract: in the robot's order.
-        columns: (N,) which of our observation's numbers stands where in the policy's; STILL: none, but 0.
-        joints: (A,) which of the policy's joints stands where in ours.
+        columns: (N,) for each number of the policy's observation, its index in the contract's; ABSENT where it is 0.
+        joints: (A,) for each of the robot's joints, its index in the policy's action.
     """
 
     contract: Contract
@@ -34,36 +34,38 @@ class Settled:
 
 
 class _Joints(NamedTuple):
-    """Names of joints, in three orders.
+    """Joint names in three orders.
 
     Attributes:
-        observed, moved: by the policy. ours: by the robot.
+        observed, driven: in the policy's observation and action. robot: in the robot's own order.
     """
 
     observed: tuple[str, ...]
-    moved: tuple[str, ...]
-    ours: tuple[str, ...]
+    driven: tuple[str, ...]
+    robot: tuple[str, ...]
 
-    def of(self, source: Source) -> tuple[str, ...]:
-        """Those of a reading, as the policy has them."""
-        return self.moved if source == "last_action" else self.observed
+    def names_for(self, source: Source) -> tuple[str, ...]:
+        """Return the joints of a source in the policy's order."""
+        return self.driven if source == "last_action" else self.observed
 
     @property
     def action(self) -> Indices:
-        """Which of the policy's joints stands where in ours."""
-        return _places(self.moved, self.ours)
+        """(A,) for each of the robot's joints, its index in the policy's action."""
+        return _positions_of(self.driven, self.robot)
 
 
-def settle(draft: Draft, original: Original, spec: RobotSpec, source: str) -> Settled:
-    """Put a draft in the order of a robot; `source` names it in messages.
+def build_contract(
+    draft: ContractDraft, reference: ReferencePolicy, spec: RobotSpec, source: str
+) -> BuiltContract:
+    """Build the contract in the robot's joint order; `source` names the draft in error messages.
 
     Raises:
-        ContractError: it does not fit the policy's file, or names other joints than the robot has.
+        ContractError: the draft does not fit the policy's file, or names other joints than the robot's.
     """
     joints = _Joints(draft.joint_names, draft.action_joints or draft.joint_names, spec.joint_names)
     _check_joints(joints, draft, spec, source)
-    sizes = [READINGS[term.source].size or len(joints.of(term.source)) for term in draft.observation]
-    _check_sizes(draft, joints, sizes, original, source)
+    sizes = [READINGS[term.source].size or len(joints.names_for(term.source)) for term in draft.observation]
+    _check_sizes(draft, joints, sizes, reference, source)
     columns = _columns(draft, joints)
     data = {
         "robot": draft.robot,
@@ -74,52 +76,54 @@ def settle(draft: Draft, original: Original, spec: RobotSpec, source: str) -> Se
         "task": draft.task,
         "observation": tuple(_term(term, joints, draft, source) for term in draft.observation),
         "action": _action(draft, joints, source),
-        "memory": original.memory_size,
-        "trained": {"imported": original.facts.kind},
-        "observed": _observed(original, columns),
+        "memory": reference.memory_size,
+        "trained": {"imported": reference.facts.kind},
+        "observed": _observed(reference, columns),
     }
     contract = parse(data, Contract, source=source, error=ContractError)
-    return Settled(contract=contract, columns=columns, joints=joints.action)
+    return BuiltContract(contract=contract, columns=columns, joints=joints.action)
 
 
-def _check_joints(joints: _Joints, draft: Draft, spec: RobotSpec, source: str) -> None:
+def _check_joints(joints: _Joints, draft: ContractDraft, spec: RobotSpec, source: str) -> None:
     field = "joint_names" if draft.action_joints is None else "action_joints"
-    for name in (*joints.moved, *joints.ours):
-        if name not in joints.ours:
-            near = ", ".join(get_close_matches(name, joints.ours)) or ", ".join(joints.ours)
+    for name in (*joints.driven, *joints.robot):
+        if name not in joints.robot:
+            near = ", ".join(get_close_matches(name, joints.robot)) or ", ".join(joints.robot)
             raise ContractError(
                 f"{source}: {field}: {spec.name} has no joint {name!r}, expected one of {near}"
             )
-        _check_once(joints.moved, name, f"{source}: {field}")
-    for name in (*joints.observed, *joints.ours):
+        _check_once(joints.driven, name, f"{source}: {field}")
+    for name in (*joints.observed, *joints.robot):
         _check_once(joints.observed, name, f"{source}: joint_names")
-    if others := [name for name in joints.observed if name not in joints.ours]:
+    if others := [name for name in joints.observed if name not in joints.robot]:
         for term in draft.observation:
-            _check_still(
-                term, f"{source}: observation {term.name!r}", f"{others[0]!r}, which {spec.name} has not"
+            _check_constant(
+                term, f"{source}: observation {term.name!r}", f"{others[0]!r}, not a joint of {spec.name}"
             )
 
 
 def _check_once(names: tuple[str, ...], name: str, source: str) -> None:
     if names.count(name) != 1:
-        raise ContractError(f"{source}: found {name!r} {names.count(name)} times, expected it once")
+        raise ContractError(f"{source}: found {name!r} {names.count(name)} times, expected once")
 
 
-def _check_still(term: TermDraft, source: str, joint: str) -> None:
-    """Whether 0 stands for a joint that never leaves its default position."""
+def _check_constant(term: TermDraft, source: str, joint: str) -> None:
+    """Refuse a term that is not 0 for a joint resting at its default position."""
     if READINGS[term.source].frame != "joint" or term.source == "last_action":
         return
     low, high = term.clip or (0.0, 0.0)
     at_rest = {"joint_position": bool(term.offset), "joint_velocity": not any(term.offset)}
     if not at_rest.get(term.source) or not low <= 0 <= high:
         raise ContractError(
-            f"{source}: {term.source}: cannot be known of {joint}: expected a position with its default pose for an"
-            " offset, or a velocity without one, and 0 inside clip"
+            f"{source}: {term.source}: cannot be known of {joint}: expected a position with the default pose as"
+            " offset, or a velocity without offset, and 0 inside clip"
         )
 
 
-def _check_sizes(draft: Draft, joints: _Joints, sizes: list[int], original: Original, source: str) -> None:
-    facts = original.facts
+def _check_sizes(
+    draft: ContractDraft, joints: _Joints, sizes: list[int], reference: ReferencePolicy, source: str
+) -> None:
+    facts = reference.facts
     total = sum(term.history * size for term, size in zip(draft.observation, sizes, strict=True))
     if total != facts.observations:
         parts = " + ".join(
@@ -129,36 +133,36 @@ def _check_sizes(draft: Draft, joints: _Joints, sizes: list[int], original: Orig
         raise ContractError(
             f"{source}: observation: found {total} numbers ({parts}), the policy takes {facts.observations}"
         )
-    if facts.actions != (count := len(joints.moved)):
+    if facts.actions != (count := len(joints.driven)):
         field = "joint_names" if draft.action_joints is None else "action_joints"
         raise ContractError(f"{source}: {field}: found {count}, the policy gives {facts.actions} actions")
 
 
-def _columns(draft: Draft, joints: _Joints) -> Indices:
-    """Ours stands by term, oldest first, joints as the robot has them."""
-    places, start = [], 0  # of each term: (history, size), our columns in the policy's order of joints
+def _columns(draft: ContractDraft, joints: _Joints) -> Indices:
+    """Return `BuiltContract.columns`; contracts are ordered by term, oldest reading first, robot's joint order."""
+    blocks, start = [], 0  # per term: (history, size) columns of the contract in the policy's joint order
     for term in draft.observation:
-        size = READINGS[term.source].size or len(joints.ours)
+        size = READINGS[term.source].size or len(joints.robot)
         block = start + np.arange(term.history * size).reshape(term.history, size)
         start += block.size
         if READINGS[term.source].frame == "joint":
-            with_still = np.pad(block, ((0, 0), (0, 1)), constant_values=STILL)
-            theirs = joints.of(term.source)
-            block = with_still[:, [joints.ours.index(n) if n in joints.ours else size for n in theirs]]
-        places.append(block[::-1] if draft.frames == "newest_first" else block)
+            padded = np.pad(block, ((0, 0), (0, 1)), constant_values=ABSENT)
+            size_in_file = joints.names_for(term.source)
+            block = padded[:, [joints.robot.index(n) if n in joints.robot else size for n in size_in_file]]
+        blocks.append(block[::-1] if draft.frames == "newest_first" else block)
     if draft.layout == "by_time":
-        return np.concatenate(places, axis=1).ravel()
-    return np.concatenate([block.ravel() for block in places])
+        return np.concatenate(blocks, axis=1).ravel()
+    return np.concatenate([block.ravel() for block in blocks])
 
 
-def _term(term: TermDraft, joints: _Joints, draft: Draft, source: str) -> dict[str, object]:
-    size = READINGS[term.source].size or len(joints.ours)
-    theirs, order = size, np.arange(size)
+def _term(term: TermDraft, joints: _Joints, draft: ContractDraft, source: str) -> dict[str, object]:
+    size = READINGS[term.source].size or len(joints.robot)
+    size_in_file, order = size, np.arange(size)
     if READINGS[term.source].frame == "joint":
-        names = joints.of(term.source)
-        theirs, order = len(names), _places(names, joints.ours)
+        names = joints.names_for(term.source)
+        size_in_file, order = len(names), _positions_of(names, joints.robot)
     where = f"{source}: observation {term.name!r}"
-    multiply = _each(term.multiply, theirs, order, f"{where}: multiply")
+    multiply = _expand(term.multiply, size_in_file, order, f"{where}: multiply")
     clip = term.clip
     if clip is not None and term.clip_first:
         clip = (clip[0] * term.multiply[0], clip[1] * term.multiply[0])
@@ -169,7 +173,7 @@ def _term(term: TermDraft, joints: _Joints, draft: Draft, source: str) -> dict[s
         "frame": frame,
         "unit": unit,
         "size": size,
-        "offset": _each(term.offset, theirs, order, f"{where}: offset") if term.offset else None,
+        "offset": _expand(term.offset, size_in_file, order, f"{where}: offset") if term.offset else None,
         "scale": tuple(1.0 / factor for factor in multiply),
         "clip": clip,
         "history": term.history,
@@ -178,36 +182,36 @@ def _term(term: TermDraft, joints: _Joints, draft: Draft, source: str) -> dict[s
     }
 
 
-def _action(draft: Draft, joints: _Joints, source: str) -> dict[str, object]:
-    action, where, size, order = draft.action, f"{source}: action", len(joints.moved), joints.action
+def _action(draft: ContractDraft, joints: _Joints, source: str) -> dict[str, object]:
+    action, where, size, order = draft.action, f"{source}: action", len(joints.driven), joints.action
     given = {name: getattr(action, name) for name in ("offset", "kp", "kd")}
     return {
         "mode": action.mode,
         "size": size,
-        "scale": _each(action.multiply, size, order, f"{where}: multiply"),
+        "scale": _expand(action.multiply, size, order, f"{where}: multiply"),
         "clip": action.clip,
         "leash_rad": action.leash_rad,
-        **{name: _each(n, size, order, f"{where}: {name}") if n else None for name, n in given.items()},
+        **{name: _expand(n, size, order, f"{where}: {name}") if n else None for name, n in given.items()},
     }
 
 
-def _places(names: tuple[str, ...], ours: tuple[str, ...]) -> Indices:
-    """Where in `names` each of ours stands."""
-    return np.array([names.index(name) for name in ours])
+def _positions_of(names: tuple[str, ...], robot: tuple[str, ...]) -> Indices:
+    """Return for each of the robot's joints its index in `names`."""
+    return np.array([names.index(name) for name in robot])
 
 
-def _each(numbers: tuple[float, ...], size: int, order: Indices, source: str) -> tuple[float, ...]:
-    """One for each, in our order, from one for all or `size` in theirs."""
+def _expand(numbers: tuple[float, ...], size: int, order: Indices, source: str) -> tuple[float, ...]:
+    """Return one number per element in the robot's order, from one for all or `size` in the policy's order."""
     if len(numbers) not in (1, size):
         raise ContractError(f"{source}: found {len(numbers)} numbers, expected 1 or {size}")
     return tuple(float(numbers[k if len(numbers) > 1 else 0]) for k in order)
 
 
-def _observed(original: Original, columns: Indices) -> dict[str, object] | None:
-    if original.mean is None or original.deviation is None:
+def _observed(reference: ReferencePolicy, columns: Indices) -> dict[str, object] | None:
+    if reference.mean is None or reference.deviation is None:
         return None
-    ours = np.argsort(columns)[np.count_nonzero(columns == STILL) :]
+    robot = np.argsort(columns)[np.count_nonzero(columns == ABSENT) :]
     return {
-        "mean": tuple(original.mean[k] for k in ours),
-        "deviation": tuple(original.deviation[k] for k in ours),
+        "mean": tuple(reference.mean[k] for k in robot),
+        "deviation": tuple(reference.deviation[k] for k in robot),
     }

@@ -1,4 +1,4 @@
-"""Words of the field for what a policy observes, and the fields of a contract's TOML that they fill."""
+"""Fields of the contract's TOML from observation names and settings of common training libraries."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -20,52 +20,52 @@ SOURCES: dict[str, Source] = {
     "actions": "last_action",
     "last_action": "last_action",
 }
-"""Where all agree. Positions of joints are differences from a default pose, whatever the word says of it."""
+"""Names with the same meaning in all libraries. Joint positions are relative to a default pose in each of them."""
 
 
-def said(**fields: Any) -> dict[str, Any]:
-    """What a file says: None, what it does not, is left out."""
+def without_none(**fields: Any) -> dict[str, Any]:
+    """Return the fields that are known: not None."""
     return {name: value for name, value in fields.items() if value is not None}
 
 
-def factors(numbers: Sequence[float] | None) -> float | list[float] | None:
-    """One number for all or one for each; None where one is not positive: rounded away, or without meaning."""
+def multiply_field(numbers: Sequence[float] | None) -> float | list[float] | None:
+    """Return one number for all or one each; None if one is not positive, as after rounding to 0."""
     if numbers is None or min(numbers) <= 0:
         return None
     return numbers[0] if len(numbers) == 1 else list(numbers)
 
 
-def gains(kp: Sequence[float] | None, kd: Sequence[float] | None) -> dict[str, list[float]]:
-    """Both or none: exporters write 0 for drives that they cannot read."""
+def gain_fields(kp: Sequence[float] | None, kd: Sequence[float] | None) -> dict[str, list[float]]:
+    """Return both gains or none: exporters write 0 for drives that they cannot read."""
     if kp is None or kd is None or min(*kp, *kd) <= 0:
         return {}
     return {"kp": list(kp), "kd": list(kd)}
 
 
-def term(name: str, word: str, pose: list[float] | None, **fields: Any) -> dict[str, Any]:
-    """One part of the observation.
+def term_fields(name: str, field_name: str, pose: list[float] | None, **fields: Any) -> dict[str, Any]:
+    """Return the fields of one observation term.
 
     Args:
-        name: its own. word: that of the field for it.
-        pose: (n,) rad, what joint positions are differences from.
-        fields: what else is said.
+        name: of the term. field_name: its name in the training library.
+        pose: (n,) rad, default pose that joint positions are relative to.
+        fields: other known fields.
     """
-    source = SOURCES.get(word)
+    source = SOURCES.get(field_name)
     offset = None if source is None else pose if source == "joint_position" else "none"
-    return said(name=name, source=source, offset=offset, **fields)
+    return without_none(name=name, source=source, offset=offset, **fields)
 
 
-def contract(observation: list[dict[str, Any]] | None, fill: str, **fields: Any) -> dict[str, Any]:
-    """All that is said. Wherever these words are used, readings of each term stand together, oldest first.
+def contract_fields(observation: list[dict[str, Any]] | None, fill: str, **fields: Any) -> dict[str, Any]:
+    """Return all known fields of the contract. These libraries group histories by term, oldest reading first.
 
     Args:
-        observation: its terms.
-        fill: what stands before the first reading.
-        fields: what else is said.
+        observation: fields of the terms.
+        fill: values before the first reading.
+        fields: other known fields.
     """
     terms = observation or []
-    velocity = any(term.get("source") == "velocity_command" for term in terms)
-    remembered = any(term.get("history", 1) > 1 for term in terms)
-    history = {"layout": "by_term", "frames": "oldest_first", "fill": fill} if remembered else {}
-    task = "velocity" if velocity else None
-    return said(task=task, observation=observation, **history, **fields)
+    has_command = any(term_fields.get("source") == "velocity_command" for term_fields in terms)
+    has_history = any(term_fields.get("history", 1) > 1 for term_fields in terms)
+    history = {"layout": "by_term", "frames": "oldest_first", "fill": fill} if has_history else {}
+    task = "velocity" if has_command else None
+    return without_none(task=task, observation=observation, **history, **fields)

@@ -1,26 +1,30 @@
-"""Which reader a file belongs to, by what is in it and not by its name."""
+"""Recognition of a policy's file format by content, not by name, and dispatch to its reader."""
 
 import zipfile
 from io import BytesIO
 from pathlib import Path
 
 from policies.importers.onnx_files.foreign_onnx import load_onnx, read_onnx
-from policies.importers.reference_policy import Original
-from policies.importers.torch_files.network_settings import Network
+from policies.importers.reference_policy import ReferencePolicy
+from policies.importers.torch_files.network_settings import NetworkSettings
 from policies.importers.untrusted.zip_archive import read_bytes, read_names
 from robots.errors import ContractError
 
 ZIP = b"PK\x03\x04"
-"""How an archive begins: what torch and Stable-Baselines3 save."""
+"""Signature of an archive, as torch and Stable-Baselines3 save."""
 EXPECTED = "expected a policy: ONNX, rsl_rl, Stable-Baselines3 or torch"
 
 
-def read_original(path: Path, network: Network) -> Original:
-    """Read a policy of another library; `network` answers what bare weights do not say.
+def read_policy(path: Path, network: NetworkSettings) -> ReferencePolicy:
+    """Read a policy of another library.
+
+    Args:
+        path: the file.
+        network: settings that a weights file does not hold.
 
     Raises:
-        UnansweredError: `network` says too little.
-        ContractError: it is none that is known, or its reader refuses it.
+        MissingSettingError: `network` lacks a setting.
+        ContractError: the format is unknown, or its reader refuses the file.
     """
     data = read_bytes(path, EXPECTED)
     if not data:
@@ -28,14 +32,12 @@ def read_original(path: Path, network: Network) -> Original:
     if zipfile.is_zipfile(BytesIO(data)):
         return _read_archive(path, read_names(data, str(path), EXPECTED), network)
     if data.startswith(ZIP):
-        raise ContractError(
-            f"{path}: found the beginning of an archive without its end, expected the whole file"
-        )
+        raise ContractError(f"{path}: found a truncated archive, expected the whole file")
     return read_onnx(load_onnx(path), str(path))
 
 
-def _read_archive(path: Path, names: set[str], network: Network) -> Original:
-    """Torch is imported by the readers that need it: ONNX does without."""
+def _read_archive(path: Path, names: set[str], network: NetworkSettings) -> ReferencePolicy:
+    """Import torch only in the readers that need it."""
     inner = {name.partition("/")[2] for name in names}
     if {"data", "policy.pth"} <= names:
         from policies.importers.stable_baselines.policy import read_stable_baselines
@@ -52,7 +54,7 @@ def _read_archive(path: Path, names: set[str], network: Network) -> Original:
     return _read_tensors(path, network)
 
 
-def _read_tensors(path: Path, network: Network) -> Original:
+def _read_tensors(path: Path, network: NetworkSettings) -> ReferencePolicy:
     from policies.importers.rsl_rl.checkpoint import ACTORS, read_rsl_rl
     from policies.importers.torch_files.state_dict import read_state_dict
     from policies.importers.untrusted.tensor_archive import load_tensors
@@ -60,5 +62,5 @@ def _read_tensors(path: Path, network: Network) -> Original:
     data = load_tensors(path, EXPECTED)
     keys = set(data) if isinstance(data, dict) else set()
     if {"contract", "recipe"} <= keys:
-        raise ContractError(f"{path}: found a checkpoint of policy-train, expected policy-export for it")
+        raise ContractError(f"{path}: found a checkpoint of policy-train: use policy-export")
     return (read_rsl_rl if keys & set(ACTORS) else read_state_dict)(path, network)

@@ -1,13 +1,13 @@
-"""What a normalizer does to observations."""
+"""Observation normalizer as a torch module."""
 
 from torch import Tensor, nn
 
 
-class Scaling(nn.Module):
+class Normalizer(nn.Module):
     """(observation - mean) / divisor.
 
     Attributes:
-        mean, divisor: (N,) of the observations in training.
+        mean, divisor: (N,) mean and standard deviation of the observations in training.
     """
 
     mean: Tensor

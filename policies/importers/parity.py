@@ -1,4 +1,4 @@
-"""Parity or nothing: our file against the original, step by step, for one robot and for a shard of them."""
+"""Comparison of the converted policy with the reference, step by step, at batch 1 and at the shard width."""
 
 from dataclasses import dataclass
 
@@ -6,98 +6,103 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.policy.policy import AGREEMENT, BATCHES, Policy
-from policies.importers.reference_policy import Original
+from policies.importers.reference_policy import ReferencePolicy
 from robots.arrays import Bools, Float32s
 from robots.errors import ContractError
 
 SINGLES, SEQUENCES, STEPS = 1024, 16, 200
-FORGOTTEN = 0.01
-"""Chance of a reset before any step of a sequence."""
+RESET_CHANCE = 0.01
+"""Probability of a reset before each step of a sequence."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
-    """What an original does.
+class ReferenceRun:
+    """Observations and actions of the reference.
 
     Attributes:
-        name: in messages.
-        observation: (S, T, N) in our order. forget: (S, T) before which steps all is forgotten.
-        action: (S, T, A) in our order, as the original computed them.
+        name: for error messages.
+        observation: (S, T, N) in the contract's order. resets: (S, T) steps before which the memory is reset.
+        action: (S, T, A) of the reference, in the contract's order.
     """
 
     name: str
     observation: Float32s
-    forget: Bools
+    resets: Bools
     action: Float32s
 
 
-def trials(
-    original: Original, columns: NDArray[np.int64], joints: NDArray[np.int64], seed: int = 0
-) -> list[Trial]:
-    """Single observations, each from the beginning, and sequences with resets; as `ends.with_our_ends` orders them."""
-    rng, made = np.random.default_rng(seed), []
+def record_reference(
+    reference: ReferencePolicy, columns: NDArray[np.int64], joints: NDArray[np.int64], seed: int = 0
+) -> list[ReferenceRun]:
+    """Run the reference on single observations after a reset, and on sequences with random resets.
+
+    Args:
+        reference: the policy. columns, joints: permutations as in `contract_builder.BuiltContract`.
+        seed: of the observations.
+    """
+    rng, runs = np.random.default_rng(seed), []
     for name, shape, chance in (
         ("observation", (SINGLES, 1), 1.0),
-        ("sequence", (SEQUENCES, STEPS), FORGOTTEN),
+        ("sequence", (SEQUENCES, STEPS), RESET_CHANCE),
     ):
-        theirs = original.scattered(rng, shape)
-        ours = original.exchanged(theirs, columns)
-        forget = rng.random(shape) < chance
-        forget[:, 0] = True
-        flat = original.play(theirs.reshape(-1, original.facts.observations), forget.ravel())
-        action = flat.reshape(*shape, original.facts.actions)[..., joints]
-        made.append(Trial(name=name, observation=ours, forget=forget, action=action))
-    return made
+        theirs = reference.sample_observations(rng, shape)
+        ours = reference.reorder_observations(theirs, columns)
+        resets = rng.random(shape) < chance
+        resets[:, 0] = True
+        flat = reference.run(theirs.reshape(-1, reference.facts.observations), resets.ravel())
+        action = flat.reshape(*shape, reference.facts.actions)[..., joints]
+        runs.append(ReferenceRun(name=name, observation=ours, resets=resets, action=action))
+    return runs
 
 
-def check_parity(policy: Policy, played: list[Trial], source: str) -> float:
-    """The worst deviation at batches of one and of a shard, as a part of the largest action, or of 1 if that is less.
+def check_parity(policy: Policy, runs: list[ReferenceRun], source: str) -> float:
+    """Return the largest deviation at batch 1 and at the shard width, relative to max(1, largest action).
 
-    Single precision rounds by parts of what it holds, and a memory carries roundings on.
+    The deviation is relative because single precision rounds relative to the value, and memories accumulate it.
 
     Raises:
-        ContractError: it is too large, naming the first step and output that differ, and the likely cause.
+        ContractError: the deviation is too large; names the first step and output that differ and the likely cause.
     """
-    return max(_compare(policy, trial, batch, source) for trial in played for batch in BATCHES)
+    return max(_compare(policy, run, batch, source) for run in runs for batch in BATCHES)
 
 
-def _compare(policy: Policy, trial: Trial, batch: int, source: str) -> float:
-    rows = np.arange(-(-len(trial.forget) // batch) * batch) % len(trial.forget)
-    found = np.concatenate([_replayed(policy, trial, chunk) for chunk in rows.reshape(-1, batch)])
-    found = found[: len(trial.forget)]
-    deviation = np.abs(found - trial.action) / max(1.0, np.abs(trial.action).max())
+def _compare(policy: Policy, run: ReferenceRun, batch: int, source: str) -> float:
+    rows = np.arange(-(-len(run.resets) // batch) * batch) % len(run.resets)
+    found = np.concatenate([_run_batch(policy, run, chunk) for chunk in rows.reshape(-1, batch)])
+    found = found[: len(run.resets)]
+    deviation = np.abs(found - run.action) / max(1.0, np.abs(run.action).max())
     if (deviation <= AGREEMENT).all():
         return float(deviation.max())
     row, step, output = np.argwhere(~(deviation <= AGREEMENT))[0]
     raise ContractError(
-        f"{source}: parity: {trial.name} {row}, step {step}, action {output}, batch {batch}: found"
-        f" {found[row, step, output]:.6g}, expected {trial.action[row, step, output]:.6g} of the original:"
-        f" {_cause(found[row, step], trial, row, step)}"
+        f"{source}: parity: {run.name} {row}, step {step}, action {output}, batch {batch}: found"
+        f" {found[row, step, output]:.6g}, expected {run.action[row, step, output]:.6g} of the original:"
+        f" {_cause(found[row, step], run, row, step)}"
     )
 
 
-def _replayed(policy: Policy, trial: Trial, rows: NDArray[np.int64]) -> Float32s:
-    """(len(rows), T, A): so many robots beside each other."""
+def _run_batch(policy: Policy, run: ReferenceRun, rows: NDArray[np.int64]) -> Float32s:
+    """Return actions (len(rows), T, A) of sequences run side by side as one batch."""
     policy.resize(len(rows))
     actions = []
-    for step in range(trial.forget.shape[1]):
-        policy.reset(trial.forget[rows, step])
-        actions.append(policy.step(trial.observation[rows, step]).copy())
+    for step in range(run.resets.shape[1]):
+        policy.reset(run.resets[rows, step])
+        actions.append(policy.step(run.observation[rows, step]).copy())
     return np.stack(actions, axis=1)
 
 
-def _cause(found: Float32s, trial: Trial, row: int, step: int) -> str:
-    expected = trial.action[row, step]
-    if _same(np.sort(found), np.sort(expected)):
-        return "the joints stand in another order"
-    if _same(found, np.tanh(expected)):
-        return "the action is squashed by tanh, the original's is not"
-    if _same(np.tanh(found), expected):
-        return "the original's action is squashed by tanh"
-    if not trial.forget[row, step]:
-        return "all before agreed: what it remembers is not handed on"
+def _cause(found: Float32s, run: ReferenceRun, row: int, step: int) -> str:
+    expected = run.action[row, step]
+    if _close(np.sort(found), np.sort(expected)):
+        return "the joints are in another order"
+    if _close(found, np.tanh(expected)):
+        return "the action is squashed by tanh, that of the original is not"
+    if _close(np.tanh(found), expected):
+        return "the action of the original is squashed by tanh"
+    if not run.resets[row, step]:
+        return "all earlier steps agree: the memory is not passed on"
     return "weights or a normalizer differ"
 
 
-def _same(found: Float32s, expected: Float32s) -> bool:
+def _close(found: Float32s, expected: Float32s) -> bool:
     return np.allclose(found, expected, rtol=AGREEMENT, atol=AGREEMENT)

@@ -1,4 +1,4 @@
-"""A policy as the library that trained it runs it, and its graph: what every reader of a foreign file gives."""
+"""The reference policy: its ONNX graph, and a function that runs it with the library that trained it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -11,39 +11,39 @@ from onnx import ModelProto
 from robots.arrays import Float32s
 from robots.errors import ContractError
 
-STILL = -1
-"""Stands for a number of a policy's observation that we have not: it is 0."""
-Play = Callable[[Float32s, NDArray[np.bool_]], Float32s]
-"""Observations (T, N) one after the other, and before which of them (T,) all is forgotten: actions (T, A)."""
+ABSENT = -1
+"""Marks a number of a policy's observation that the robot does not measure; it is set to 0."""
+RunSequence = Callable[[Float32s, NDArray[np.bool_]], Float32s]
+"""Function from observations (T, N) in time order, and resets (T,) before steps, to actions (T, A)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Memory:
-    """What one step of a graph hands on to the next.
+    """Recurrent state of a graph.
 
     Attributes:
-        before, after: names of its input and its output.
-        shape: of one robot's, its batch of one included.
+        input_name, output_name: of the graph.
+        shape: for one robot, including the batch dimension of 1.
     """
 
-    before: str
-    after: str
+    input_name: str
+    output_name: str
     shape: tuple[int, ...]
 
     @property
     def size(self) -> int:
-        """How many numbers."""
+        """Number of elements."""
         return int(np.prod(self.shape))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Facts:
-    """What a file says without being asked.
+class PolicyFacts:
+    """Properties read from the policy's file.
 
     Attributes:
-        kind: what it was recognized as, in words.
-        observations, actions: N and A, numbers in an observation and in an action.
-        known: fields of its contract, as `draft.Draft` names them.
+        kind: recognized format, in words.
+        observations, actions: sizes N and A.
+        known: known fields of its contract, named as in `contract_draft.ContractDraft`.
     """
 
     kind: str
@@ -52,60 +52,61 @@ class Facts:
     known: Mapping[str, Any] = field(default_factory=dict)
 
 
-class UnansweredError(ContractError):
-    """Something that decides what a policy computes is not in its file.
+class MissingSettingError(ContractError):
+    """A setting that decides what the policy computes is missing in its file.
 
     Attributes:
-        facts: what is; in `known`, what is not is "?".
+        facts: the known properties; missing ones are "?" in `known`.
     """
 
-    def __init__(self, message: str, facts: Facts) -> None:
+    def __init__(self, message: str, facts: PolicyFacts) -> None:
         super().__init__(message)
         self.facts = facts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Original:
-    """A foreign policy.
+class ReferencePolicy:
+    """A policy of another library.
 
     Attributes:
-        facts: what its file says.
+        facts: properties read from its file.
         model: its graph, float32.
         observation, action: names of the input (batch, N) and the output (batch, A).
-        memory: what it remembers; nothing: ().
-        batched: whether the graph takes any batch; else just one robot.
-        play: the original itself, one robot.
-        mean, deviation: (N,) of the observations in training, where the file knows them.
+        memory: recurrent states; () for a feed-forward policy.
+        batched: True if the graph takes any batch, False if only one robot.
+        run: the original policy, for one robot.
+        mean, deviation: (N,) statistics of the observations in training; None if unknown.
     """
 
-    facts: Facts
+    facts: PolicyFacts
     model: ModelProto
     observation: str
     action: str
     memory: tuple[Memory, ...] = ()
     batched: bool
-    play: Play
+    run: RunSequence
     mean: tuple[float, ...] | None = None
     deviation: tuple[float, ...] | None = None
 
     @property
     def memory_size(self) -> int:
-        """M, numbers that it remembers."""
+        """M, number of recurrent state elements."""
         return sum(memory.size for memory in self.memory)
 
-    def exchanged(self, theirs: Float32s, columns: NDArray[np.int64]) -> Float32s:
-        """Observations (..., N) in our order, (..., M); where `columns` (N,) says STILL, 0 is put into theirs.
+    def reorder_observations(self, theirs: Float32s, columns: NDArray[np.int64]) -> Float32s:
+        """Return observations (..., N) in the contract's order, (..., M), and set absent numbers of `theirs` to 0.
 
         Args:
-            theirs: changed in place. columns: as `settle.Settled` has them.
+            theirs: (..., N) in the policy's order, changed in place.
+            columns: (N,) as in `contract_builder.BuiltContract`.
         """
-        moves = columns != STILL
-        theirs[..., ~moves] = 0.0
-        ours = np.empty((*theirs.shape[:-1], np.count_nonzero(moves)), np.float32)
-        ours[..., columns[moves]] = theirs[..., moves]
+        present = columns != ABSENT
+        theirs[..., ~present] = 0.0
+        ours = np.empty((*theirs.shape[:-1], np.count_nonzero(present)), np.float32)
+        ours[..., columns[present]] = theirs[..., present]
         return ours
 
-    def scattered(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Float32s:
-        """(*shape, N) observations, as far apart as those in training where the file knows them, else by 1."""
+    def sample_observations(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Float32s:
+        """Draw observations (*shape, N) with the mean and deviation of training, or 0 and 1 if unknown."""
         noise = rng.normal(size=(*shape, self.facts.observations)) * (self.deviation or 1.0)
         return (noise + (self.mean or 0.0)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""From a foreign graph to the ends that every policy file has: (observation, memory) to (action, next_memory)."""
+"""ONNX graph with the standard inputs and outputs: (observation, memory) to (action, next_memory)."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -9,49 +9,52 @@ import onnx
 from onnx import GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, helper, numpy_helper
 
 from deploy.policy.policy_file import INPUT, MEMORY, NEXT, OUTPUT
-from policies.importers.reference_policy import STILL, Original
+from policies.importers.reference_policy import ABSENT, ReferencePolicy
 
-INSIDE = "policy/"
-"""Before every name of the foreign graph, so that none is one of ours."""
+PREFIX = "policy/"
+"""Prefix of every name of the imported graph, to avoid collisions."""
 IR_MIN = 4
-"""From this version of ONNX on, weights need not be inputs."""
+"""First IR version of ONNX in which weights need not be inputs."""
 
 
-def with_our_ends(original: Original, columns: Sequence[int], joints: Sequence[int]) -> ModelProto:
-    """One model with our ends, for a batch of any size.
+def to_standard_graph(
+    reference: ReferencePolicy, columns: Sequence[int], joints: Sequence[int]
+) -> ModelProto:
+    """Return a model with the standard inputs and outputs, for a batch of any size.
 
-    A graph for one robot, or one that remembers, becomes the body of a Scan over robots: it is asked for one after the
-    other, as its owners ask it, and no robot can know of another.
+    A graph for one robot, or one with memory, becomes the body of a Scan over robots: it runs for one robot after the
+    other, so that robots cannot influence each other.
 
     Args:
-        original: the foreign policy.
-        columns: (N,) which of our observation's numbers stands where in its own; STILL: none, but 0.
-        joints: (A,) which of its action's numbers stands where in ours.
+        reference: the imported policy.
+        columns, joints: permutations as in `contract_builder.BuiltContract`.
     """
-    inner = onnx.compose.add_prefix(_plain(original.model), INSIDE)
-    build = _Graph()
-    ours = sum(column != STILL for column in columns)
-    seen = INPUT if ours == len(columns) else build.with_zero(INPUT)
-    observation = build.gather(seen, [ours if column == STILL else column for column in columns], axis=1)
-    scanned = bool(original.memory) or not original.batched
-    action = (_scanned if scanned else _joined)(build, inner.graph, original, observation)
-    build.same(build.gather(action, joints, axis=1), OUTPUT)
-    before, after = {INPUT: ours}, {OUTPUT: original.facts.actions}
-    if size := original.memory_size:
-        before[MEMORY] = after[NEXT] = size
+    inner = onnx.compose.add_prefix(_strip_annotations(reference.model), PREFIX)
+    build = _GraphBuilder()
+    robot_size = sum(column != ABSENT for column in columns)
+    source = INPUT if robot_size == len(columns) else build.append_zero(INPUT)
+    observation = build.gather(
+        source, [robot_size if column == ABSENT else column for column in columns], axis=1
+    )
+    scanned = bool(reference.memory) or not reference.batched
+    action = (_scan_over_robots if scanned else _inline_batched)(build, inner.graph, reference, observation)
+    build.identity(build.gather(action, joints, axis=1), OUTPUT)
+    inputs, outputs = {INPUT: robot_size}, {OUTPUT: reference.facts.actions}
+    if size := reference.memory_size:
+        inputs[MEMORY] = outputs[NEXT] = size
     graph = helper.make_graph(
         build.nodes,
         "policy",
-        [_info(*e) for e in before.items()],
-        [_info(*e) for e in after.items()],
+        [_tensor_info(*e) for e in inputs.items()],
+        [_tensor_info(*e) for e in outputs.items()],
         build.weights,
     )
-    version = max(IR_MIN, original.model.ir_version)
-    return helper.make_model(graph, opset_imports=original.model.opset_import, ir_version=version)
+    version = max(IR_MIN, reference.model.ir_version)
+    return helper.make_model(graph, opset_imports=reference.model.opset_import, ir_version=version)
 
 
-def _plain(model: ModelProto) -> ModelProto:
-    """Without what is only said, and without shapes that a batch of another size would break."""
+def _strip_annotations(model: ModelProto) -> ModelProto:
+    """Return a copy without comments, metadata, and shapes that hold for one batch size only."""
     plain = ModelProto()
     plain.CopyFrom(model)
     del plain.metadata_props[:], plain.graph.value_info[:]
@@ -62,8 +65,8 @@ def _plain(model: ModelProto) -> ModelProto:
     return plain
 
 
-class _Graph:
-    """Nodes and weights under construction."""
+class _GraphBuilder:
+    """Builder of nodes and weights."""
 
     def __init__(self) -> None:
         self.nodes: list[NodeProto] = []
@@ -79,7 +82,7 @@ class _Graph:
         self.nodes.append(helper.make_node(kind, inputs, [output], **attributes))
         return output
 
-    def same(self, value: str, output: str) -> str:
+    def identity(self, value: str, output: str) -> str:
         return self.add("Identity", [value], output)
 
     def gather(self, value: str, indices: Sequence[int], *, axis: int) -> str:
@@ -87,45 +90,51 @@ class _Graph:
             return value
         return self.add("Gather", [value, self.integers(indices)], f"{value}_ordered", axis=axis)
 
-    def with_zero(self, value: str) -> str:
-        """One more column, of 0 for each robot."""
+    def append_zero(self, value: str) -> str:
+        """Append a column of zeros."""
         first = self.add("Gather", [value, self.integers([0])], f"{value}_first", axis=1)
         zero = self.add("Sub", [first, first], f"{value}_zero")
         return self.add("Concat", [value, zero], f"{value}_and_zero", axis=1)
 
-    def shaped(self, value: str, shape: Sequence[int], output: str) -> str:
+    def reshape(self, value: str, shape: Sequence[int], output: str) -> str:
         return self.add("Reshape", [value, self.integers(shape)], output)
 
 
-def _joined(build: _Graph, inner: GraphProto, original: Original, observation: str) -> str:
-    """All robots at once."""
-    build.same(observation, INSIDE + original.observation)
+def _inline_batched(
+    build: _GraphBuilder, inner: GraphProto, reference: ReferencePolicy, observation: str
+) -> str:
+    """Insert the graph itself: it takes all robots at once."""
+    build.identity(observation, PREFIX + reference.observation)
     build.nodes.extend(inner.node)
     build.weights.extend(inner.initializer)
-    return INSIDE + original.action
+    return PREFIX + reference.action
 
 
-def _scanned(build: _Graph, inner: GraphProto, original: Original, observation: str) -> str:
-    """One robot after the other."""
-    body, size = _Graph(), original.memory_size
-    body.shaped("seen", [1, original.facts.observations], INSIDE + original.observation)
-    ends = np.cumsum([0, *(memory.size for memory in original.memory)])
-    for (start, stop), memory in zip(pairwise(ends.tolist()), original.memory, strict=True):
+def _scan_over_robots(
+    build: _GraphBuilder, inner: GraphProto, reference: ReferencePolicy, observation: str
+) -> str:
+    """Insert the graph as the body of a Scan over robots."""
+    body, size = _GraphBuilder(), reference.memory_size
+    body.reshape("seen", [1, reference.facts.observations], PREFIX + reference.observation)
+    ends = np.cumsum([0, *(memory.size for memory in reference.memory)])
+    for (start, stop), memory in zip(pairwise(ends.tolist()), reference.memory, strict=True):
         part = body.add("Gather", ["known", body.integers(range(start, stop))], f"known_{start}", axis=0)
-        body.shaped(part, memory.shape, INSIDE + memory.before)
+        body.reshape(part, memory.shape, PREFIX + memory.input_name)
     body.nodes.extend(inner.node)
     body.weights.extend(inner.initializer)
-    body.shaped(INSIDE + original.action, [original.facts.actions], "done")
-    flat = [body.shaped(INSIDE + m.after, [m.size], f"flat_{k}") for k, m in enumerate(original.memory)]
+    body.reshape(PREFIX + reference.action, [reference.facts.actions], "done")
+    flat = [
+        body.reshape(PREFIX + m.output_name, [m.size], f"flat_{k}") for k, m in enumerate(reference.memory)
+    ]
     inputs, outputs = (
-        [_info("seen", original.facts.observations, batch=False)],
-        [_info("done", original.facts.actions, batch=False)],
+        [_tensor_info("seen", reference.facts.observations, batch=False)],
+        [_tensor_info("done", reference.facts.actions, batch=False)],
     )
     from_outside, to_outside = [observation], [f"{OUTPUT}_theirs"]
     if size:
         body.add("Concat", flat, "knows", axis=0)
-        inputs.append(_info("known", size, batch=False))
-        outputs.append(_info("knows", size, batch=False))
+        inputs.append(_tensor_info("known", size, batch=False))
+        outputs.append(_tensor_info("knows", size, batch=False))
         from_outside.append(MEMORY)
         to_outside.append(NEXT)
     graph = helper.make_graph(body.nodes, "one_robot", inputs, outputs, body.weights)
@@ -135,5 +144,5 @@ def _scanned(build: _Graph, inner: GraphProto, original: Original, observation: 
     return f"{OUTPUT}_theirs"
 
 
-def _info(name: str, size: int, *, batch: bool = True) -> ValueInfoProto:
+def _tensor_info(name: str, size: int, *, batch: bool = True) -> ValueInfoProto:
     return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size] if batch else [size])

@@ -1,4 +1,4 @@
-"""The first draft of a contract: all that the policy's file says, and a question mark for all that it does not."""
+"""Template of a contract's TOML: values known from the policy's file, and "?" for the others."""
 
 from collections.abc import Mapping
 from typing import Any, TypeVar, get_args
@@ -7,54 +7,54 @@ import tomlkit
 from tomlkit.items import Table
 
 from deploy.policy.observation_terms import READINGS
-from policies.importers.reference_policy import Facts
+from policies.importers.reference_policy import PolicyFacts
 from policies.importers.torch_files.network_settings import Activation
 from robots.strict import OPEN, open_fields
 
 Part = TypeVar("Part", tomlkit.TOMLDocument, Table)
 
-HEAD = """What the numbers of {name} mean: {kind}, {observations} observations, {actions} actions.
-Every "{open}" is to be filled in, from the code that trained it. "none" stands for nothing, said on purpose.
-Sources of an observation, each with its frame and unit:
+HEAD = """Contract of {name}: {kind}, {observations} observations, {actions} actions.
+Replace every "{open}", using the training code. "none" means that there is no such value.
+Observation sources, each with frame and unit:
 {sources}"""
 FIELDS = {
     "robot": "name of the robot",
     "task": '"reach" or "velocity"',
-    "policy_hz": "Hz, how often it is asked",
-    "joint_names": "the robot's joints in the policy's own order",
+    "policy_hz": "Hz, rate of the policy",
+    "joint_names": "the robot's joints in the policy's order",
 }
-MOVED = {"action_joints": "those of joint_names that it moves, in the order of its action"}
+ACTION_JOINTS = {"action_joints": "those of joint_names that the action moves, in the order of the action"}
 HISTORY = {
-    "layout": '"by_term" or "by_time": whether readings of each term stand together, or those of each time',
+    "layout": '"by_term" or "by_time": readings grouped by term, or by time',
     "frames": '"oldest_first" or "newest_first"',
-    "fill": '"first" or "zeros": what stands there before the first reading',
+    "fill": '"first" (repeat the first reading) or "zeros": values before the first reading',
 }
 TERM = {
-    "name": "a name of its own; one such table for each term, in the policy's order",
-    "source": "what is measured: one of the sources above",
-    "offset": "taken away from the reading; one number, one for each, or none",
-    "multiply": "then multiplied; one number, or one for each",
+    "name": "unique name; one such table per term, in the policy's order",
+    "source": "one of the sources above",
+    "offset": "subtracted from the reading; one number, one per element, or none",
+    "multiply": "then multiplied; one number, or one per element",
     "clip": "[low, high] or none",
-    "clip_first": "true: clipped before multiplied",
-    "history": "readings kept, 1 for none but the newest; gait_phase has period_s too, s of one gait",
+    "clip_first": "true: clip before multiply; false: after",
+    "history": "number of readings, 1 for the newest only; gait_phase also needs period_s, s, gait period",
 }
 ACTION = {
     "mode": '"position" (target = offset + multiply * action) or "position_increment"',
-    "offset": "rad, the pose of an action of 0; none for increments",
+    "offset": "rad, joint positions at an action of 0; none for increments",
     "multiply": "rad per unit of action",
     "clip": "[low, high] of the raw action, or none",
-    "kp": "N·m/rad, gains of the drives in training; none: the robot's own",
+    "kp": "N·m/rad, drive gains in training; none: the robot's own",
     "kd": "N·m·s/rad",
 }
 
 NETWORK = {
-    "activation": f"between layers: {', '.join(get_args(Activation))}",
-    "normalizer": 'of observations: "none", { mean = [...], std = [...] } of weights, or the file of a VecNormalize',
+    "activation": f"activation between layers: {', '.join(get_args(Activation))}",
+    "normalizer": 'of observations: "none", { mean = [...], std = [...] }, or the path of a VecNormalize file',
 }
 
 
-def written(facts: Facts, name: str) -> tuple[str, int]:
-    """The text of the TOML, and how many of its values are still open."""
+def render_template(facts: PolicyFacts, name: str) -> tuple[str, int]:
+    """Return the text of the TOML, and the number of open values."""
     known = facts.known
     document = tomlkit.document()
     sources = "\n".join(f"  {name}: {frame}, {unit}" for name, (frame, unit, *_) in READINGS.items())
@@ -69,26 +69,28 @@ def written(facts: Facts, name: str) -> tuple[str, int]:
     for line in head.splitlines():
         document.add(tomlkit.comment(line))
     terms = known.get("observation") or [{}]
-    moved = MOVED if "action_joints" in known else {}
-    asked = FIELDS | moved | (HISTORY if any(term.get("history", 1) != 1 for term in terms) else {})
-    _fill(document, {key: known[key] for key in asked if key in known}, asked)
+    action_joints = ACTION_JOINTS if "action_joints" in known else {}
+    descriptions = (
+        FIELDS | action_joints | (HISTORY if any(term.get("history", 1) != 1 for term in terms) else {})
+    )
+    _fill(document, {key: known[key] for key in descriptions if key in known}, descriptions)
     observation = tomlkit.aot()
     for term in terms:
         observation.append(_fill(tomlkit.table(), term, TERM))
     document.add("observation", observation)
     document.add("action", _fill(tomlkit.table(), known.get("action") or {}, ACTION))
     if network := known.get("network"):
-        about = {key: meaning for key, meaning in NETWORK.items() if key in network}
-        document.add("network", _fill(tomlkit.table(), network, about))
+        settings = {key: meaning for key, meaning in NETWORK.items() if key in network}
+        document.add("network", _fill(tomlkit.table(), network, settings))
     text = tomlkit.dumps(document)
     return text, len(list(open_fields(document.unwrap())))
 
 
-def _fill(table: Part, known: Mapping[str, Any], asked: Mapping[str, str]) -> Part:
-    """What is asked and what else is known, each with its meaning behind it."""
-    for key in [*asked, *(key for key in known if key not in asked)]:
+def _fill(table: Part, known: Mapping[str, Any], descriptions: Mapping[str, str]) -> Part:
+    """Add the described keys and other known keys, each with its description as a comment."""
+    for key in [*descriptions, *(key for key in known if key not in descriptions)]:
         item = tomlkit.item(known.get(key, OPEN))
-        if key in asked:
-            item.comment(asked[key])
+        if key in descriptions:
+            item.comment(descriptions[key])
         table.add(key, item)
     return table

@@ -8,7 +8,7 @@ pytest.importorskip("rsl_rl.models")
 
 from policies import bench as command
 from policies.importers.contract_draft import read_draft
-from policies.importers.file_formats import read_original
+from policies.importers.file_formats import read_policy
 from support.arm6 import SPEC
 
 KINDS = {
@@ -27,7 +27,7 @@ def test_each_kind_of_file_is_what_it_says_and_its_contract_fits(tmp_path):
     for kind, (path, network) in files.items():
         draft = tmp_path / "x.toml"
         draft.write_text(command.contract(SPEC, network))
-        facts = read_original(path, read_draft(draft).network).facts
+        facts = read_policy(path, read_draft(draft).network).facts
         assert (facts.observations, facts.actions) == (21, 6)
         found[kind] = facts.kind
     assert found == KINDS

@@ -1,4 +1,4 @@
-"""What ONNX files of holosoma say of themselves, each value as JSON.
+"""Metadata of ONNX files of holosoma, with values in JSON.
 
 Source: amazon-far/holosoma 0.0.3, src/holosoma/holosoma: agents/ppo/ppo.py, utils/inference_helpers.py,
 managers/observation/manager.py, managers/action/terms/joint_control.py, envs/base_task/base_task.py, config_types/.
@@ -11,7 +11,13 @@ from pydantic import AliasPath, Field
 
 from deploy.policy.contract import TEXT_MAX, Hertz
 from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
-from policies.importers.draft_fields import contract, factors, gains, said, term
+from policies.importers.draft_fields import (
+    contract_fields,
+    gain_fields,
+    multiply_field,
+    term_fields,
+    without_none,
+)
 from robots.errors import ContractError
 from robots.strict import Strict, parse, read_json
 
@@ -21,7 +27,7 @@ Path = Annotated[str, Field(max_length=1000)]
 
 
 class _Part(Strict, extra="ignore"):
-    """Of a larger record, what is asked for."""
+    """Part of a record: other keys are ignored."""
 
 
 class _Term(_Part):
@@ -51,7 +57,7 @@ class _Experiment(_Part):
 
     @property
     def hertz(self) -> int | None:
-        """How often the policy is asked, where that is a whole number."""
+        """Rate of the policy, Hz; None if it is no whole number."""
         return None if self.fps % self.decimation else self.fps // self.decimation
 
 
@@ -66,7 +72,7 @@ class _Metadata(_Part):
 
 
 def known_from(metadata: Mapping[str, str], source: str) -> dict[str, Any]:
-    """As `metadata.known_from` says.
+    """Return the contract's known fields, as `metadata.known_from`.
 
     Raises:
         ContractError: one line naming the key, the value found and what was expected.
@@ -76,36 +82,39 @@ def known_from(metadata: Mapping[str, str], source: str) -> dict[str, Any]:
         for key in _Metadata.model_fields
         if key in metadata
     }
-    theirs = parse(data, _Metadata, source=f"{source}: metadata", error=ContractError)
-    joints = list(theirs.dof_names)
+    metadata_values = parse(data, _Metadata, source=f"{source}: metadata", error=ContractError)
+    joints = list(metadata_values.dof_names)
     for name in ("kp", "kd", "action_scale"):
-        numbers = getattr(theirs, name)
+        numbers = getattr(metadata_values, name)
         if isinstance(numbers, tuple) and len(numbers) != len(joints):
             raise ContractError(
                 f"{source}: metadata {name!r}: found {len(numbers)} numbers, expected {len(joints)}, one for each of"
                 " dof_names"
             )
-    experiment = theirs.experiment_config
+    experiment = metadata_values.experiment_config
     pose = _pose(experiment, joints, source) if experiment else None
     rate = experiment.hertz if experiment else None
-    action = said(
+    action = without_none(
         **(_action(experiment, pose) if experiment else {}),
-        multiply=factors(_listed(theirs.action_scale)),
-        **gains(theirs.kp, theirs.kd),
+        multiply=multiply_field(_as_tuple(metadata_values.action_scale)),
+        **gain_fields(metadata_values.kp, metadata_values.kd),
     )
-    observation = [_term(each, pose, theirs.observation_clip) for each in theirs.observation_layout or ()]
-    return contract(observation or None, "zeros", joint_names=joints, policy_hz=rate, action=action)
+    observation = [
+        _term(entry, pose, metadata_values.observation_clip)
+        for entry in metadata_values.observation_layout or ()
+    ]
+    return contract_fields(observation or None, "zeros", joint_names=joints, policy_hz=rate, action=action)
 
 
-def _term(each: _Term, pose: list[float] | None, every: float | None) -> dict[str, Any]:
-    return term(
-        each.name,
-        each.func.rpartition(":")[2],
+def _term(entry: _Term, pose: list[float] | None, common: float | None) -> dict[str, Any]:
+    return term_fields(
+        entry.name,
+        entry.func.rpartition(":")[2],
         pose,
-        multiply=factors(_listed(each.scale)),
-        clip=_clip(each.clip, every),
+        multiply=multiply_field(_as_tuple(entry.scale)),
+        clip=_clip(entry.clip, common),
         clip_first=False,
-        history=each.history_length,
+        history=entry.history_length,
     )
 
 
@@ -118,21 +127,21 @@ def _pose(experiment: _Experiment, joints: list[str], source: str) -> list[float
 
 
 def _action(experiment: _Experiment, pose: list[float] | None) -> dict[str, Any]:
-    """Nothing, where it is not positions that are commanded."""
+    """Return the action's fields; none unless joint positions are commanded."""
     terms = [action.func.rpartition(":")[2] for action in experiment.actions.values()]
     if experiment.control_type != "P" or terms != [POSITION]:
         return {}
     clip = [-experiment.clip_value, experiment.clip_value] if experiment.clip_actions else "none"
-    return said(mode="position", offset=pose, clip=clip)
+    return without_none(mode="position", offset=pose, clip=clip)
 
 
-def _clip(own: tuple[float, float] | None, every: float | None) -> list[float] | None:
-    """Of one term and of all of them, both after scaling; None where the file is too old to say it."""
-    if every is None:
+def _clip(own: tuple[float, float] | None, common: float | None) -> list[float] | None:
+    """Return the tighter of the term's clip and the common clip, after scaling; None in files without the latter."""
+    if common is None:
         return None
-    low, high = own or (-every, every)
-    return [max(low, -every), min(high, every)]
+    low, high = own or (-common, common)
+    return [max(low, -common), min(high, common)]
 
 
-def _listed(numbers: float | tuple[float, ...] | None) -> tuple[float, ...] | None:
+def _as_tuple(numbers: float | tuple[float, ...] | None) -> tuple[float, ...] | None:
     return (numbers,) if isinstance(numbers, int | float) else numbers

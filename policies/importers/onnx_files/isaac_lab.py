@@ -1,4 +1,4 @@
-"""Isaac Lab's I/O descriptors: the YAML that says of a task what its policy observes and does.
+"""Reader of Isaac Lab's I/O descriptors: the YAML with the observation and action terms of a task.
 
 Source: isaac-sim/IsaacLab 2.2 and 3.0, scripts/environments/export_io_descriptors.py and source/isaaclab/isaaclab:
 envs/utils/io_descriptors.py, managers/observation_manager.py, managers/action_manager.py, envs/mdp/observations.py,
@@ -13,7 +13,13 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
-from policies.importers.draft_fields import SOURCES, contract, factors, gains, said
+from policies.importers.draft_fields import (
+    SOURCES,
+    contract_fields,
+    gain_fields,
+    multiply_field,
+    without_none,
+)
 from policies.importers.onnx_files.metadata import FAR
 from policies.importers.untrusted.yaml_file import read_yaml
 from robots.errors import ContractError
@@ -23,29 +29,29 @@ POSITION = ".JointPositionAction"
 
 
 def _first_row(value: object) -> object:
-    """Of one robot: some versions write the same row for each robot of the training."""
+    """Return the first row: some versions repeat it for each robot of the training."""
     return value[0] if isinstance(value, tuple) and value and isinstance(value[0], tuple) else value
 
 
-def _near(value: object) -> object:
-    """Bounds that are none as large numbers."""
+def _bounded(value: object) -> object:
+    """Replace infinite bounds by large numbers."""
     if isinstance(value, tuple):
-        return tuple(_near(number) for number in value)
+        return tuple(_bounded(number) for number in value)
     return max(-FAR, min(value, FAR)) if isinstance(value, float) else value
 
 
 Names = Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
 Given = Annotated[Number | Numbers, BeforeValidator(_first_row)]
-"""One number for all, or one for each."""
-Bounds = Annotated[tuple[Clip, ...], BeforeValidator(_near), Field(max_length=SIZE_MAX)]
+"""One number for all, or one per element."""
+Bounds = Annotated[tuple[Clip, ...], BeforeValidator(_bounded), Field(max_length=SIZE_MAX)]
 
 
 class _Part(Strict, extra="ignore"):
-    """Of a larger record, what is asked for."""
+    """Part of a record: other keys are ignored."""
 
 
 class _Overloads(_Part):
-    clip: Annotated[Clip | None, BeforeValidator(_near)]
+    clip: Annotated[Clip | None, BeforeValidator(_bounded)]
     scale: Number | Numbers | None
     history_length: Annotated[int, Field(ge=0, le=SIZE_MAX)] | None
     flatten_history_dim: bool
@@ -95,11 +101,11 @@ class _Descriptor(_Part):
 
 
 def read_descriptor(path: Path, observations: int) -> dict[str, Any]:
-    """Fields of the contract's TOML that a descriptor says.
+    """Return the contract's fields that a descriptor gives.
 
     Args:
         path: the YAML.
-        observations: N of the policy, so that the descriptor of another is not taken for its own.
+        observations: N of the policy, to detect the descriptor of another policy.
 
     Raises:
         ContractError: naming the file, the field, what was found and what was expected.
@@ -116,11 +122,11 @@ def read_descriptor(path: Path, observations: int) -> dict[str, Any]:
     if others or not set(action.joint_names) <= set(joints):
         raise ContractError(
             f"{path}: observations.policy: joint_names: found {list(others[0] if others else joints)!s:.300},"
-            f" expected the same for each term, among them those of the action: {list(action.joint_names)!s:.300}"
+            f" expected the same joints for each term, including those of the action: {list(action.joint_names)!s:.300}"
         )
     _check_action(action, str(path))
     hertz = 1 / descriptor.scene.dt
-    return contract(
+    return contract_fields(
         _terms(terms, str(path)),
         "first",
         joint_names=list(joints),
@@ -131,87 +137,87 @@ def read_descriptor(path: Path, observations: int) -> dict[str, Any]:
 
 
 def _terms(terms: Sequence[_Term], source: str) -> list[dict[str, Any]]:
-    times: Counter[str] = Counter()
-    made = []
+    counts: Counter[str] = Counter()
+    fields = []
     for term in terms:
-        times[term.name] += 1
+        counts[term.name] += 1
         where = f"{source}: observations.policy: {term.name}"
         if term.overloads.history_length and not term.overloads.flatten_history_dim:
             raise ContractError(f"{where}: flatten_history_dim: found false, expected true")
-        count = times[term.name]
-        made.append(_term(term, term.name if count == 1 else f"{term.name}_{count}"))
-    return made
+        count = counts[term.name]
+        fields.append(_term(term, term.name if count == 1 else f"{term.name}_{count}"))
+    return fields
 
 
 def _term(term: _Term, name: str) -> dict[str, Any]:
-    over, source = term.overloads, SOURCES.get(term.name)
+    overloads, source = term.overloads, SOURCES.get(term.name)
     offsets = {"joint_pos_rel": term.joint_pos_offsets, "joint_vel_rel": term.joint_vel_offsets}
     offset = offsets.get(term.name)
     none = None if term.name == "joint_pos_rel" else "none"
-    return said(
+    return without_none(
         name=name,
         source=source,
         offset=None if source is None else list(offset) if offset and any(offset) else none,
-        multiply=1.0 if over.scale is None else factors(_listed(over.scale)),
-        clip=list(over.clip) if over.clip else "none",
+        multiply=1.0 if overloads.scale is None else multiply_field(_as_tuple(overloads.scale)),
+        clip=list(overloads.clip) if overloads.clip else "none",
         clip_first=True,
-        history=max(1, over.history_length or 0),
+        history=max(1, overloads.history_length or 0),
     )
 
 
 def _check_action(action: _Action, source: str) -> None:
-    count, scale = len(action.joint_names), _listed(action.scale)
-    for field, found in (("scale", scale), ("offset", _listed(action.offset)), ("clip", action.clip or ())):
-        fits = (0, count) if field == "clip" else (1, count)
-        if len(found) not in fits:
+    count, scale = len(action.joint_names), _as_tuple(action.scale)
+    for field, found in (("scale", scale), ("offset", _as_tuple(action.offset)), ("clip", action.clip or ())):
+        expected = (0, count) if field == "clip" else (1, count)
+        if len(found) not in expected:
             raise ContractError(f"{source}: actions.0.{field}: found {len(found)}, expected {count}")
     if action.clip and 0.0 in scale:
         raise ContractError(
-            f"{source}: actions.0.scale: found 0, expected another number: targets are bounded"
+            f"{source}: actions.0.scale: found 0, expected another number, since targets are clipped"
         )
 
 
 def _action(action: _Action, articulations: Mapping[str, _Articulation]) -> dict[str, Any]:
-    """Nothing, where it is not positions that are commanded."""
+    """Return the action's fields; none unless joint positions are commanded."""
     if not action.full_path.endswith(POSITION):
         return {}
-    offset, scale = _listed(action.offset), _listed(action.scale)
-    return said(
+    offset, scale = _as_tuple(action.offset), _as_tuple(action.scale)
+    return without_none(
         mode="position",
         offset=list(offset) if any(offset) else "none",
-        multiply=factors(scale),
+        multiply=multiply_field(scale),
         clip=_raw_clip(action, offset, scale) if action.clip else "none",
         **_gains(action.joint_names, articulations),
     )
 
 
 def _raw_clip(action: _Action, offset: Sequence[float], scale: Sequence[float]) -> list[float] | None:
-    """Isaac Lab bounds targets: that is one pair of bounds for raw actions, or none that can be said.
+    """Return the raw action's clip from Isaac Lab's clip of targets; None if it differs between joints.
 
-    A scale below 0 exchanges the lower bound and the upper one.
+    A negative scale swaps the lower and the upper bound.
     """
     count = len(action.joint_names)
     raw = {
         tuple(sorted(max(-FAR, min(round((bound - o) / s, 6), FAR)) for bound in clip))
-        for clip, o, s in zip(action.clip or (), _each(offset, count), _each(scale, count), strict=True)
+        for clip, o, s in zip(action.clip or (), _expand(offset, count), _expand(scale, count), strict=True)
     }
     return list(raw.pop()) if len(raw) == 1 else None
 
 
 def _gains(names: Sequence[str], articulations: Mapping[str, _Articulation]) -> dict[str, list[float]]:
-    """Of the articulation that has these joints."""
+    """Return the gains from the articulation with these joints."""
     for arm in articulations.values():
         both = (arm.default_joint_stiffness, arm.default_joint_damping)
         if set(names) <= set(arm.joint_names) and all(len(n) == len(arm.joint_names) for n in both):
             places = [arm.joint_names.index(name) for name in names]
             kp, kd = ([numbers[k] for k in places] for numbers in both)
-            return gains(kp, kd)
+            return gain_fields(kp, kd)
     return {}
 
 
-def _each(numbers: Sequence[float], count: int) -> list[float]:
+def _expand(numbers: Sequence[float], count: int) -> list[float]:
     return list(numbers) * count if len(numbers) == 1 else list(numbers)
 
 
-def _listed(numbers: float | tuple[float, ...]) -> tuple[float, ...]:
+def _as_tuple(numbers: float | tuple[float, ...]) -> tuple[float, ...]:
     return (numbers,) if isinstance(numbers, int | float) else numbers

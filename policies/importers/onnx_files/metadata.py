@@ -1,4 +1,4 @@
-"""What ONNX files of the field say of themselves: the metadata of mjlab, BeyondMimic and holosoma.
+"""Metadata of ONNX files of mjlab, BeyondMimic and holosoma.
 
 Source: mujocolab/mjlab, src/mjlab/rl/exporter_utils.py (1.6.0, and 1.4.0 without `observation_terms_...`) and
 src/mjlab/managers/observation_manager.py; whole_body_tracking of BeyondMimic,
@@ -11,23 +11,29 @@ from collections.abc import Mapping
 from typing import Any
 
 from deploy.policy.observation_terms import SIZE_MAX
-from policies.importers.draft_fields import contract, factors, gains, said, term
+from policies.importers.draft_fields import (
+    contract_fields,
+    gain_fields,
+    multiply_field,
+    term_fields,
+    without_none,
+)
 from policies.importers.onnx_files import holosoma
 from robots.errors import ContractError
 from robots.strict import OPEN
 
 CHARACTERS_MAX = 1 << 20
 ENTRY = re.compile(r"[\[(][^\[\]()]*[\])]|[^,]+")
-"""Lists inside a list: 1;2 by mjlab 1.5.3, and [1, 2] as Python writes them."""
+"""One entry of a list. Nested lists are 1;2 in mjlab 1.5.3, or [1, 2]."""
 NAME = re.compile(r"[^\[\]{}\"',;]{1,100}")
 VELOCITIES = (["twist"], ["base_velocity"])
-"""Names of the one command that is a velocity."""
+"""Values of command_names if the only command is a velocity."""
 FAR = 1e30
-"""Stands for no bound, where the other side has one."""
+"""Stands for infinity where only one side is bounded."""
 
 
 def known_from(metadata: Mapping[str, str], source: str) -> dict[str, Any]:
-    """Fields of the contract's TOML that the metadata of an ONNX file says; `source` names the file in messages.
+    """Return the contract's fields known from ONNX metadata; `source` names the file in error messages.
 
     Raises:
         ContractError: one line naming the key, the value found and what was expected.
@@ -36,27 +42,29 @@ def known_from(metadata: Mapping[str, str], source: str) -> dict[str, Any]:
         return holosoma.known_from(metadata, source)
     if not metadata.keys() & {"joint_names", "observation_names"}:
         return {}
-    table = _Table(metadata, source)
-    joints = table.names("joint_names")
-    pose = table.numbers("default_joint_pos", joints)
-    driven = _driven(table, joints)
-    kp, kd = (table.numbers(key, driven) for key in ("joint_stiffness", "joint_damping"))
-    scale = table.numbers("action_scale", driven if "," in metadata.get("action_scale", "") else None)
-    action = said(mode="position", multiply=factors(scale), **gains(kp, kd))
-    observation = _observation(table, pose)
-    if driven != joints:
-        return contract(observation, "first", joint_names=joints, action_joints=OPEN, action=action)
-    return contract(observation, "first", joint_names=joints, action=said(offset=pose, **action))
+    lists = _MetadataLists(metadata, source)
+    joints = lists.names("joint_names")
+    pose = lists.numbers("default_joint_pos", joints)
+    actuated = _actuated_joints(lists, joints)
+    kp, kd = (lists.numbers(key, actuated) for key in ("joint_stiffness", "joint_damping"))
+    scale = lists.numbers("action_scale", actuated if "," in metadata.get("action_scale", "") else None)
+    action = without_none(mode="position", multiply=multiply_field(scale), **gain_fields(kp, kd))
+    observation = _observation(lists, pose)
+    if actuated != joints:
+        return contract_fields(observation, "first", joint_names=joints, action_joints=OPEN, action=action)
+    return contract_fields(
+        observation, "first", joint_names=joints, action=without_none(offset=pose, **action)
+    )
 
 
-def _driven(table: "_Table", joints: list[str] | None) -> list[str] | None:
-    """As many of the joints as have gains: which those are the metadata does not say."""
-    count = len(table.entries("joint_stiffness") or joints or ())
+def _actuated_joints(lists: "_MetadataLists", joints: list[str] | None) -> list[str] | None:
+    """Return as many joints as there are gains; the metadata does not tell which joints are actuated."""
+    count = len(lists.entries("joint_stiffness") or joints or ())
     return joints[:count] if joints else joints
 
 
-class _Table:
-    """Lists in text."""
+class _MetadataLists:
+    """Metadata values that are lists in text."""
 
     def __init__(self, metadata: Mapping[str, str], source: str) -> None:
         self._metadata, self._source = metadata, source
@@ -65,7 +73,7 @@ class _Table:
         return ContractError(f"{self._source}: metadata {key!r}: found {found!r:.80}, expected {expected}")
 
     def entries(self, key: str) -> list[str] | None:
-        """None: not said."""
+        """Return the entries of a list, or None if the key is missing."""
         text = self._metadata.get(key, "")
         entries = ENTRY.findall(text) if len(text) <= CHARACTERS_MAX else []
         if ",".join(entries) != text or len(entries) > SIZE_MAX:
@@ -73,19 +81,23 @@ class _Table:
         return entries or None
 
     def names(self, key: str) -> list[str] | None:
-        """None: not said."""
+        """Return a list of names, or None if the key is missing."""
         names = self.entries(key)
         for name in names or ():
             if not NAME.fullmatch(name):
                 raise self.error(key, name, "a name of at most 100 characters")
         return names
 
-    def rows(self, key: str, each: list[str] | None) -> list[list[float]] | None:
-        """Numbers, one entry for each of some names; None: not said."""
+    def rows(self, key: str, expected_names: list[str] | None) -> list[list[float]] | None:
+        """Return a list of number lists, one per name in `expected_names`, or None if the key is missing."""
         if (entries := self.entries(key)) is None:
             return None
-        if each is not None and len(entries) != len(each):
-            raise self.error(key, self._metadata[key], f"{len(each)} entries, one for each of {each!r:.200}")
+        if expected_names is not None and len(entries) != len(expected_names):
+            raise self.error(
+                key,
+                self._metadata[key],
+                f"{len(expected_names)} entries, one per name of {expected_names!r:.200}",
+            )
         return [self._row(key, entry) for entry in entries]
 
     def _row(self, key: str, entry: str) -> list[float]:
@@ -97,29 +109,29 @@ class _Table:
             raise self.error(key, entry, f"at most {SIZE_MAX} numbers")
         return row
 
-    def numbers(self, key: str, each: list[str] | None) -> list[float] | None:
-        """Finite, one for each of some names; None: not said."""
-        rows = self.rows(key, each)
+    def numbers(self, key: str, expected_names: list[str] | None) -> list[float] | None:
+        """Return finite numbers, one per name in `expected_names`, or None if the key is missing."""
+        rows = self.rows(key, expected_names)
         for row in rows or ():
             if len(row) != 1 or math.isinf(row[0]):
-                raise self.error(key, row, "one finite number for each")
+                raise self.error(key, row, "one finite number each")
         return None if rows is None else [row[0] for row in rows]
 
 
-def _observation(table: _Table, pose: list[float] | None) -> list[dict[str, Any]] | None:
-    if (names := table.names("observation_names")) is None:
+def _observation(lists: _MetadataLists, pose: list[float] | None) -> list[dict[str, Any]] | None:
+    if (names := lists.names("observation_names")) is None:
         return None
-    velocity = table.names("command_names") in VELOCITIES
-    words = ["velocity_command" if velocity and name == "command" else name for name in names]
-    scales = table.rows("observation_terms_scale", names)
-    clips = _clips(table, names)
-    histories = _histories(table, names)
+    velocity = lists.names("command_names") in VELOCITIES
+    field_names = ["velocity_command" if velocity and name == "command" else name for name in names]
+    scales = lists.rows("observation_terms_scale", names)
+    clips = _clips(lists, names)
+    histories = _histories(lists, names)
     return [
-        term(
+        term_fields(
             name,
-            words[k],
+            field_names[k],
             pose,
-            multiply=factors(scales[k] if scales else None),
+            multiply=multiply_field(scales[k] if scales else None),
             clip=clips[k] if clips else None,
             clip_first=True if clips else None,
             history=histories[k] if histories else None,
@@ -128,21 +140,21 @@ def _observation(table: _Table, pose: list[float] | None) -> list[dict[str, Any]
     ]
 
 
-def _clips(table: _Table, names: list[str]) -> list[str | list[float]] | None:
-    if (rows := table.rows("observation_terms_clip", names)) is None:
+def _clips(lists: _MetadataLists, names: list[str]) -> list[str | list[float]] | None:
+    if (rows := lists.rows("observation_terms_clip", names)) is None:
         return None
     for row in rows:
         if len(row) != 2 or not row[0] < row[1]:
-            raise table.error("observation_terms_clip", row, "low and high")
+            raise lists.error("observation_terms_clip", row, "low and high")
     return ["none" if row == [-math.inf, math.inf] else [max(row[0], -FAR), min(row[1], FAR)] for row in rows]
 
 
-def _histories(table: _Table, names: list[str]) -> list[int] | None:
-    """Lengths: mjlab's, in which 0 is none but the newest, or BeyondMimic's."""
+def _histories(lists: _MetadataLists, names: list[str]) -> list[int] | None:
+    """Return history lengths, of mjlab (0 means the newest reading only) or of BeyondMimic."""
     key = "observation_terms_history_length"
-    lengths = table.numbers(key, names) or table.numbers("observation_history_lengths", names)
-    flat = table.numbers("observation_terms_flatten_history_dim", names) or [1.0] * len(names)
+    lengths = lists.numbers(key, names) or lists.numbers("observation_history_lengths", names)
+    flat = lists.numbers("observation_terms_flatten_history_dim", names) or [1.0] * len(names)
     for name, length, flattened in zip(names, lengths or (), flat, strict=False):
         if length not in range(SIZE_MAX + 1) or (length > 1 and not flattened):
-            raise table.error(key, (name, length, flattened), f"0 to {SIZE_MAX}, and flattened")
+            raise lists.error(key, (name, length, flattened), f"a length of 0 to {SIZE_MAX}, flattened")
     return None if lengths is None else [max(1, int(length)) for length in lengths]

@@ -1,4 +1,4 @@
-"""An actor of rsl_rl from its weights: as a plain module for one robot, and played by its own library."""
+"""Actor of rsl_rl from its weights, as a plain torch module and as a model of rsl_rl."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,27 +10,27 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from deploy.policy.observation_terms import SIZE_MAX
-from policies.importers.normalizer import Scaling
-from policies.importers.reference_policy import Play
+from policies.importers.normalizer import Normalizer
+from policies.importers.reference_policy import RunSequence
 from policies.importers.torch_files.network_settings import Activation
-from policies.importers.torch_files.state_dict import LAYERS_MAX, chain, mlp
+from policies.importers.torch_files.state_dict import LAYERS_MAX, build_mlp, linear_layers
 from policies.importers.untrusted.tensor_archive import check_tensor
 from robots.arrays import Float32s
 from robots.errors import ContractError
 
-NORMALIZER, MEMORY, MLP, SPREAD = PARTS = ("obs_normalizer.", "rnn.rnn.", "mlp.", "distribution.")
+NORMALIZER, RNN, MLP, DISTRIBUTION = PARTS = ("obs_normalizer.", "rnn.rnn.", "mlp.", "distribution.")
 COUNT = "obs_normalizer.count"
-"""Of observations in training, an integer; nothing is computed with it."""
+"""Number of observations in training; not used."""
 STD_TYPES = {"std_param": "scalar", "log_std_param": "log"}
 GATES: dict[int, type[nn.LSTM] | type[nn.GRU]] = {4: nn.LSTM, 3: nn.GRU}
 EPS = 1e-2
-"""What every version of EmpiricalNormalization adds to a deviation."""
+"""Added to the deviation by EmpiricalNormalization in every version."""
 NAMES: dict[Activation, str] = {"leaky_relu": "lrelu", "silu": "swish"}
-"""Activations that rsl_rl calls by another name."""
+"""Activations with other names in rsl_rl."""
 
 
-class Remembering(nn.Module):
-    """An LSTM or a GRU that keeps in buffers what one robot's steps hand on."""
+class StatefulRnn(nn.Module):
+    """LSTM or GRU for one robot, with its state in buffers."""
 
     hidden: Tensor
     cell: Tensor
@@ -42,7 +42,7 @@ class Remembering(nn.Module):
             self.register_buffer(name, torch.zeros(rnn.num_layers, 1, rnn.hidden_size))
 
     def forward(self, observation: Tensor) -> Tensor:
-        """(1, N) to (1, H)."""
+        """Return (1, H) for an observation (1, N)."""
         if isinstance(self.rnn, nn.LSTM):
             out, (self.hidden, self.cell) = self.rnn(observation[None], (self.hidden, self.cell))
         else:
@@ -52,45 +52,49 @@ class Remembering(nn.Module):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Actor:
-    """What the weights of an actor say of it.
+    """Parts of an actor.
 
     Attributes:
-        weights: as version 5 of rsl_rl names them.
-        scaling: its normalizer, if it has one. rnn: its memory, if it has one.
-        layers: of its MLP.
-        std_type: how it keeps its spread, which decides nothing here.
+        weights: named as in version 5 of rsl_rl.
+        normalizer: of observations, or None. rnn: recurrent layers, or None.
+        layers: of the MLP.
+        std_type: parametrization of the action's standard deviation; not used for the mean.
     """
 
     weights: Mapping[str, Tensor]
-    scaling: Scaling | None
+    normalizer: Normalizer | None
     rnn: nn.LSTM | nn.GRU | None
     layers: tuple[nn.Linear, ...]
     std_type: str
 
     @property
     def kind(self) -> str:
-        """In words."""
+        """Architecture in words."""
         return (type(self.rnn).__name__ if self.rnn else "MLP") + (
-            " with a normalizer" if self.scaling else ""
+            " with a normalizer" if self.normalizer else ""
         )
 
     @property
     def observations(self) -> int:
-        """N."""
+        """Observation size N."""
         return self.rnn.input_size if self.rnn else self.layers[0].in_features
 
     @property
     def actions(self) -> int:
-        """A."""
+        """Action size A."""
         return self.layers[-1].out_features
 
     def module(self, activation: Activation) -> nn.Sequential:
-        """(1, N) to (1, A), to be traced."""
-        parts = [self.scaling, Remembering(self.rnn) if self.rnn else None, mlp(self.layers, activation)]
+        """Return the module from (1, N) to (1, A), for tracing."""
+        parts = [
+            self.normalizer,
+            StatefulRnn(self.rnn) if self.rnn else None,
+            build_mlp(self.layers, activation),
+        ]
         return nn.Sequential(*(part for part in parts if part is not None))
 
-    def play(self, activation: Activation) -> Play | None:
-        """By rsl_rl's own classes; None: they are not installed."""
+    def runner(self, activation: Activation) -> RunSequence | None:
+        """Return a function that runs rsl_rl's own classes; None if rsl_rl is not installed."""
         try:
             from rsl_rl.models import MLPModel, RNNModel
         except ImportError:
@@ -98,7 +102,7 @@ class Actor:
         settings: dict[str, Any] = {
             "hidden_dims": [layer.out_features for layer in self.layers[:-1]],
             "activation": NAMES.get(activation, activation),
-            "obs_normalization": self.scaling is not None,
+            "obs_normalization": self.normalizer is not None,
             "distribution_cfg": {"class_name": "GaussianDistribution", "std_type": self.std_type},
         }
         if self.rnn:
@@ -107,26 +111,26 @@ class Actor:
         example = {"policy": torch.zeros(1, self.observations)}
         kind = RNNModel if self.rnn else MLPModel
         model = kind(example, {"actor": ["policy"]}, "actor", self.actions, **settings)
-        count = {COUNT: torch.tensor(0)} if self.scaling else {}
+        count = {COUNT: torch.tensor(0)} if self.normalizer else {}
         model.load_state_dict({**self.weights, **count})
-        return _player(model.eval())
+        return _runner(model.eval())
 
 
-def _player(model: Any) -> Play:
-    def play(observations: Float32s, forget: NDArray[np.bool_]) -> Float32s:
+def _runner(model: Any) -> RunSequence:
+    def runner(observations: Float32s, resets: NDArray[np.bool_]) -> Float32s:
         actions = []
         with torch.no_grad():
-            for row, anew in zip(torch.from_numpy(observations), forget, strict=True):
-                if anew:
+            for row, reset in zip(torch.from_numpy(observations), resets, strict=True):
+                if reset:
                     model.reset()
                 actions.append(model({"policy": row[None]})[0].numpy())
         return np.array(actions, dtype=np.float32)
 
-    return play
+    return runner
 
 
 def read_actor(weights: Mapping[str, Tensor], source: str) -> Actor:
-    """An actor from weights that are named as version 5 names them.
+    """Build an actor from weights named as in version 5.
 
     Raises:
         ContractError: a tensor is missing, unknown, or of another shape.
@@ -136,15 +140,17 @@ def read_actor(weights: Mapping[str, Tensor], source: str) -> Actor:
             expected = ", ".join(f"{part}*" for part in PARTS)
             raise ContractError(f"{source}: {name!r:.100}: unknown in an actor, expected {expected}")
     layers = _layers(_part(weights, MLP), f"{source}: mlp")
-    memory, normalizer = _part(weights, MEMORY), _part(weights, NORMALIZER)
-    rnn = _rnn(memory, layers[0].in_features, f"{source}: rnn") if memory else None
+    rnn_weights, normalizer_weights = _part(weights, RNN), _part(weights, NORMALIZER)
+    rnn = _rnn(rnn_weights, layers[0].in_features, f"{source}: rnn") if rnn_weights else None
     size = rnn.input_size if rnn else layers[0].in_features
     return Actor(
         weights=weights,
-        scaling=_scaling(normalizer, size, f"{source}: obs_normalizer") if normalizer else None,
+        normalizer=_normalizer(normalizer_weights, size, f"{source}: obs_normalizer")
+        if normalizer_weights
+        else None,
         rnn=rnn,
         layers=layers,
-        std_type=_std_type(_part(weights, SPREAD), layers[-1].out_features, f"{source}: distribution"),
+        std_type=_std_type(_part(weights, DISTRIBUTION), layers[-1].out_features, f"{source}: distribution"),
     )
 
 
@@ -153,7 +159,7 @@ def _part(weights: Mapping[str, Tensor], part: str) -> dict[str, Tensor]:
 
 
 def _layers(found: Mapping[str, Tensor], source: str) -> tuple[nn.Linear, ...]:
-    layers = chain(found, source)
+    layers = linear_layers(found, source)
     names = {f"{2 * k}.{end}" for k in range(len(layers)) for end in ("weight", "bias")}
     if found.keys() != names or len(layers) < 2:
         raise ContractError(
@@ -163,7 +169,7 @@ def _layers(found: Mapping[str, Tensor], source: str) -> tuple[nn.Linear, ...]:
 
 
 def _rnn(found: Mapping[str, Tensor], size: int, source: str) -> nn.LSTM | nn.GRU:
-    """From the rows of its weights; `size`: what the MLP expects of it."""
+    """Infer the RNN from the shapes of its weights; `size` is the input size of the MLP."""
     first = found.get("weight_ih_l0")
     shape = () if first is None else tuple(first.shape)
     layers = sum(name.startswith("weight_hh_l") for name in found)
@@ -179,15 +185,15 @@ def _rnn(found: Mapping[str, Tensor], size: int, source: str) -> nn.LSTM | nn.GR
     return rnn.requires_grad_(False)
 
 
-def _scaling(found: Mapping[str, Tensor], size: int, source: str) -> Scaling:
+def _normalizer(found: Mapping[str, Tensor], size: int, source: str) -> Normalizer:
     _check(found, dict.fromkeys(("_mean", "_var", "_std"), (1, size)), source)
     if (least := found["_std"].min().item()) < 0:
         raise ContractError(f"{source}._std: found {least:g}, expected none below 0")
-    return Scaling(found["_mean"][0], found["_std"][0] + EPS)
+    return Normalizer(found["_mean"][0], found["_std"][0] + EPS)
 
 
 def _std_type(found: Mapping[str, Tensor], size: int, source: str) -> str:
-    """Another distribution than a Gaussian of its own spread makes its mean of twice as many outputs."""
+    """Refuse distributions other than a Gaussian with its own deviation: their mean has twice as many outputs."""
     name = next(iter(found), "")
     if len(found) != 1 or name not in STD_TYPES:
         raise ContractError(

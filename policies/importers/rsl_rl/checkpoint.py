@@ -1,4 +1,4 @@
-"""Checkpoints of rsl_rl: the actor that its runner saved, whichever version wrote it."""
+"""Reader of checkpoints of rsl_rl, versions 2 to 5."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -6,23 +6,23 @@ from pathlib import Path
 
 from torch import Tensor
 
-from policies.importers.reference_policy import Facts, Original
+from policies.importers.reference_policy import PolicyFacts, ReferencePolicy
 from policies.importers.rsl_rl.actor import COUNT, read_actor
-from policies.importers.torch_files.network_settings import Network
-from policies.importers.torch_files.state_dict import answered, weights_of
-from policies.importers.torch_files.traced_module import read_module
+from policies.importers.torch_files.network_settings import NetworkSettings
+from policies.importers.torch_files.state_dict import check_weights, required_activation
+from policies.importers.torch_files.traced_module import trace_module
 from policies.importers.untrusted.tensor_archive import load_tensors
 from robots.errors import ContractError
 
 ACTORS = ("actor_state_dict", "model_state_dict")
-"""Since version 4; before it, when actor and critic were one model."""
+"""Key of the actor since version 4, and of the joint actor-critic model before."""
 NORMALIZER = "obs_norm_state_dict"
-"""Before version 3, beside the model."""
-OTHERS = {
+"""Key of the normalizer before version 3."""
+IGNORED_KEYS = {
     *("critic_state_dict", "optimizer_state_dict", "rnd_state_dict", "rnd_optimizer_state_dict"),
     *("privileged_obs_norm_state_dict", "critic_obs_norm_state_dict", "iter", "infos"),
 }
-"""What no actor needs; nor does it need these parts of a model."""
+"""Keys that the actor does not need."""
 CRITIC = ("critic.", "memory_c.", "critic_obs_normalizer.")
 RENAMED = {
     "actor_obs_normalizer.": "obs_normalizer.",
@@ -31,50 +31,50 @@ RENAMED = {
     "std": "distribution.std_param",
     "log_std": "distribution.log_std_param",
 }
-"""Parts before version 4, and spreads before version 5, as version 5 calls them."""
+"""Prefixes before version 4 and standard deviations before version 5, with their names in version 5."""
 
 
-def read_rsl_rl(path: Path, network: Network) -> Original:
-    """The mean of a Gaussian actor: an MLP, alone or behind an LSTM or a GRU, with or without a normalizer.
+def read_rsl_rl(path: Path, network: NetworkSettings) -> ReferencePolicy:
+    """Read the mean of a Gaussian actor: an MLP with optional LSTM or GRU and optional normalizer.
 
-    Where rsl_rl is installed, its own classes play it.
+    The reference is run by rsl_rl's own classes if rsl_rl is installed.
 
     Raises:
-        UnansweredError: its activation is not answered.
+        MissingSettingError: `network` lacks the activation.
         ContractError: the file holds code, or an actor of another kind.
     """
     source = str(path)
     actor = read_actor(_weights(load_tensors(path, "expected a checkpoint of rsl_rl"), source), source)
-    facts = Facts(kind=f"rsl_rl {actor.kind}", observations=actor.observations, actions=actor.actions)
-    activation = answered(network, facts, source)
+    facts = PolicyFacts(kind=f"rsl_rl {actor.kind}", observations=actor.observations, actions=actor.actions)
+    activation = required_activation(network, facts, source)
     if network.normalizer not in (None, "none"):
         found = f"network.normalizer: found {network.normalizer!r:.100}"
-        raise ContractError(f"{source}: {found}, expected none: a checkpoint of rsl_rl has its own")
-    original = read_module(actor.module(activation), facts.observations, source, kind=facts.kind)
-    scaling = actor.scaling
+        raise ContractError(f"{source}: {found}, expected no setting: the checkpoint has its own")
+    reference = trace_module(actor.module(activation), facts.observations, source, kind=facts.kind)
+    normalizer = actor.normalizer
     return replace(
-        original,
-        play=actor.play(activation) or original.play,
-        mean=tuple(scaling.mean.tolist()) if scaling else None,
-        deviation=tuple(scaling.divisor.tolist()) if scaling else None,
+        reference,
+        run=actor.runner(activation) or reference.run,
+        mean=tuple(normalizer.mean.tolist()) if normalizer else None,
+        deviation=tuple(normalizer.divisor.tolist()) if normalizer else None,
     )
 
 
 def _weights(data: object, source: str) -> dict[str, Tensor]:
-    """Of the actor alone, as version 5 names them."""
+    """Return the actor's weights, named as in version 5."""
     if not isinstance(data, dict) or len(models := [name for name in ACTORS if name in data]) != 1:
         found = list(data) if isinstance(data, dict) else type(data).__name__
-        raise ContractError(f"{source}: found {found!s:.300}, expected just one of {', '.join(ACTORS)}")
+        raise ContractError(f"{source}: found {found!s:.300}, expected exactly one of {', '.join(ACTORS)}")
     for name in data:
-        if name not in {*models, NORMALIZER, *OTHERS}:
-            raise ContractError(f"{source}: {name!r:.100}: unknown, expected no more than rsl_rl writes")
+        if name not in {*models, NORMALIZER, *IGNORED_KEYS}:
+            raise ContractError(f"{source}: {name!r:.100}: unknown, expected the keys of rsl_rl only")
     named: dict[str, object] = {}
     for prefix, key in (("", models[0]), ("obs_normalizer.", NORMALIZER)):
         for name, tensor in _items(data.get(key, {}), f"{source}: {key}"):
             if (new := prefix + _renamed(name)) in named:
                 raise ContractError(f"{source}: {key}: {name!r:.100}: found {new!r:.100} twice")
             named[new] = tensor
-    return weights_of({name: tensor for name, tensor in named.items() if name != COUNT}, source)
+    return check_weights({name: tensor for name, tensor in named.items() if name != COUNT}, source)
 
 
 def _items(state: object, source: str) -> list[tuple[str, object]]:

@@ -1,11 +1,11 @@
-"""The zip that Stable-Baselines3 saves: the text of its settings and the tensors of its policy; never code."""
+"""Reader of zip files of Stable-Baselines3: settings and policy tensors; no code is run."""
 
 import re
 from pathlib import Path
 
 from torch import Tensor
 
-from policies.importers.untrusted.tensor_archive import tensors_of
+from policies.importers.untrusted.tensor_archive import parse_tensors
 from policies.importers.untrusted.zip_archive import read_bytes, read_members
 from robots.errors import ContractError
 from robots.strict import read_json
@@ -17,15 +17,15 @@ EXPECTED = "expected a zip of Stable-Baselines3"
 
 
 def read_zip(path: Path) -> tuple[dict[str, object], dict[str, Tensor]]:
-    """Settings, whose pickled parts stay text, and weights by name. No other member is read, none is written.
+    """Return settings, with pickled parts left as text, and weights by name. Other members are not read.
 
     Raises:
-        ContractError: it is no such archive, is too large, or holds code where weights belong.
+        ContractError: the file is no such archive, is too large, or holds code in place of weights.
     """
     members = read_members(read_bytes(path, EXPECTED), NEEDED, str(path), EXPECTED)
     if missing := [name for name in (SETTINGS, WEIGHTS) if name not in members]:
         raise ContractError(f"{path}: found no {missing[0]!r} in it, {EXPECTED}")
-    weights = tensors_of(members[WEIGHTS], f"{path}: {WEIGHTS}", "expected tensors by name")
+    weights = parse_tensors(members[WEIGHTS], f"{path}: {WEIGHTS}", "expected tensors by name")
     if not isinstance(weights, dict) or not all(isinstance(item, Tensor) for item in weights.values()):
         raise ContractError(f"{path}: {WEIGHTS}: found a {type(weights).__name__}, expected tensors by name")
     return _settings(members[SETTINGS], f"{path}: {SETTINGS}"), weights

@@ -1,8 +1,8 @@
-"""Policies of Stable-Baselines3: PPO, A2C, SAC, TD3 and DDPG, from the zip that `save` writes.
+"""Reader of policies of Stable-Baselines3: PPO, A2C, SAC, TD3 and DDPG, from the zip that `save` writes.
 
-The action is what `predict(deterministic=True)` computes, before it looks at the action space. Of SAC, TD3 and DDPG
-that is a number in [-1, 1], which `predict` would stretch to the bounds of the space: the contract's scale and offset
-do. Of PPO and A2C it has no bounds, and `predict` would clip it to the space: the contract's clip does.
+The action is that of `predict(deterministic=True)` before the action space is applied. For SAC, TD3 and DDPG it is in
+[-1, 1], and the contract's scale and offset map it to the space's bounds instead of `predict`. For PPO and A2C it is
+unbounded, and the contract's clip replaces the clipping of `predict`.
 """
 
 import itertools
@@ -16,32 +16,32 @@ import torch
 from torch import Tensor, nn
 
 from deploy.policy.observation_terms import SIZE_MAX
-from policies.importers.reference_policy import Facts, Original, UnansweredError
+from policies.importers.reference_policy import MissingSettingError, PolicyFacts, ReferencePolicy
 from policies.importers.stable_baselines.archive import read_zip
 from policies.importers.stable_baselines.vec_normalize import VecNormalize, read_vec_normalize
 from policies.importers.torch_files.activations import ACTIVATIONS
-from policies.importers.torch_files.network_settings import Activation, Network
-from policies.importers.torch_files.traced_module import read_module
+from policies.importers.torch_files.network_settings import Activation, NetworkSettings
+from policies.importers.torch_files.traced_module import trace_module
 from robots.errors import ContractError
 
 FLATTEN = "<class 'stable_baselines3.common.torch_layers.FlattenExtractor'>"
 
 
 class _Family(NamedTuple):
-    """Policies that share a layout.
+    """Algorithms with the same tensor names.
 
     Attributes:
         kind: in words.
-        hidden: before the numbers of the actor's layers. head: those after them.
-        others: what names of tensors begin with that deterministic actions need not.
-        activation: unless it was told another.
-        squashed: whether a tanh comes last.
+        hidden: prefix of the actor's hidden layers. head: name of its last layer, if separate.
+        ignored: prefixes of tensors that deterministic actions do not use.
+        activation: default between layers.
+        squashed: True if the last operation is tanh.
     """
 
     kind: str
     hidden: str
     head: tuple[str, ...]
-    others: tuple[str, ...]
+    ignored: tuple[str, ...]
     activation: Activation
     squashed: bool
 
@@ -51,7 +51,7 @@ FAMILIES = {
         kind="PPO or A2C of Stable-Baselines3",
         hidden="mlp_extractor.policy_net.",
         head=("action_net",),
-        others=("log_std", "mlp_extractor.value_net.", "value_net."),
+        ignored=("log_std", "mlp_extractor.value_net.", "value_net."),
         activation="tanh",
         squashed=False,
     ),
@@ -59,7 +59,7 @@ FAMILIES = {
         kind="SAC of Stable-Baselines3",
         hidden="actor.latent_pi.",
         head=("actor.mu",),
-        others=("actor.log_std.", "critic.", "critic_target."),
+        ignored=("actor.log_std.", "critic.", "critic_target."),
         activation="relu",
         squashed=True,
     ),
@@ -67,26 +67,26 @@ FAMILIES = {
         kind="TD3 or DDPG of Stable-Baselines3",
         hidden="actor.mu.",
         head=(),
-        others=("actor_target.", "critic.", "critic_target."),
+        ignored=("actor_target.", "critic.", "critic_target."),
         activation="relu",
         squashed=True,
     ),
 }
-"""By the module of the policy's class."""
+"""Families by the module of the policy's class."""
 
 
-def read_stable_baselines(path: Path, network: Network) -> Original:
-    """The policy of a zip, behind the normalizer that `network` names.
+def read_stable_baselines(path: Path, network: NetworkSettings) -> ReferencePolicy:
+    """Read the policy of a zip, with the normalizer named by `network`.
 
     Raises:
-        ContractError: it is none, or of a kind that is not imported.
-        UnansweredError: its activation or its normalizer is not known: no zip says whether VecNormalize was used.
+        ContractError: the file is invalid, or of an unsupported kind.
+        MissingSettingError: the activation or the normalizer is unknown: the zip does not name VecNormalize.
     """
     settings, weights = read_zip(path)
     family = _family(settings, str(path))
     layers = list(_layers(weights, family, str(path)))
     sizes = layers[0].in_features, layers[-1].out_features
-    for complaint in _inexpressible(settings, sizes):
+    for complaint in _unsupported(settings, sizes):
         raise ContractError(f"{path}: data: {complaint}")
     activation = _activation(settings, family, network, str(path))
     known: dict[str, Any] = {}
@@ -94,24 +94,24 @@ def read_stable_baselines(path: Path, network: Network) -> Original:
         known["action"] = {"clip": clip}
     answers = {"activation": activation, "normalizer": network.normalizer}
     if activation is None or network.normalizer is None:
-        asked = {name: "?" for name, answer in answers.items() if answer is None}
-        known["network"] = asked
-        facts = Facts(kind=family.kind, observations=sizes[0], actions=sizes[1], known=known)
-        raise UnansweredError(f"{path}: network: {' and '.join(asked)}: not said by its file", facts)
+        missing = {name: "?" for name, answer in answers.items() if answer is None}
+        known["network"] = missing
+        facts = PolicyFacts(kind=family.kind, observations=sizes[0], actions=sizes[1], known=known)
+        raise MissingSettingError(f"{path}: network: {' and '.join(missing)}: not in the file", facts)
     mlp = _mlp(layers, ACTIVATIONS[activation], squashed=family.squashed)
     normalizer = _normalizer(network.normalizer_path(path), sizes[0])
     if normalizer is None:
-        return read_module(mlp, sizes[0], str(path), kind=family.kind, known=known)
-    whole = nn.Sequential(_Normalize(normalizer), mlp)
+        return trace_module(mlp, sizes[0], str(path), kind=family.kind, known=known)
+    normalized = nn.Sequential(_Normalize(normalizer), mlp)
     return replace(
-        read_module(whole, sizes[0], str(path), kind=f"{family.kind} with VecNormalize", known=known),
+        trace_module(normalized, sizes[0], str(path), kind=f"{family.kind} with VecNormalize", known=known),
         mean=tuple(normalizer.mean.tolist()),
         deviation=tuple(normalizer.divisor.tolist()),
     )
 
 
 class _Normalize(nn.Module):
-    """In double precision, and single precision after it, as Stable-Baselines3 does."""
+    """Normalizer in double precision with a single-precision result, as in Stable-Baselines3."""
 
     mean: Tensor
     divisor: Tensor
@@ -123,7 +123,7 @@ class _Normalize(nn.Module):
         self.clip = normalizer.clip
 
     def forward(self, observation: Tensor) -> Tensor:
-        """(B, N) to (B, N)."""
+        """Return normalized observations (B, N)."""
         return ((observation.double() - self.mean) / self.divisor).clamp(-self.clip, self.clip).float()
 
 
@@ -140,8 +140,8 @@ def _layers(weights: Mapping[str, Tensor], family: _Family, source: str) -> Iter
     count = next(k for k in itertools.count() if f"{family.hidden}{2 * k}.weight" not in weights)
     names = [*(f"{family.hidden}{2 * k}" for k in range(count)), *family.head]
     used = {f"{name}.{part}" for name in names for part in ("weight", "bias")}
-    if strange := [n for n in weights if n not in used and not n.startswith(family.others)]:
-        raise ContractError(f"{source}: policy.pth: found tensor {strange[0]!r:.100}, expected a plain MLP")
+    if unknown := [n for n in weights if n not in used and not n.startswith(family.ignored)]:
+        raise ContractError(f"{source}: policy.pth: found tensor {unknown[0]!r:.100}, expected a plain MLP")
     if missing := sorted(used - weights.keys()) or [f"{family.hidden}0.weight"] * (not names):
         raise ContractError(f"{source}: policy.pth: found no tensor {missing[0]!r}, expected a plain MLP")
     width: int | None = None
@@ -152,7 +152,7 @@ def _layers(weights: Mapping[str, Tensor], family: _Family, source: str) -> Iter
 
 
 def _linear(weight: Tensor, bias: Tensor, width: int | None, source: str) -> nn.Linear:
-    """Shape before values: a tensor of a few bytes can claim any number of elements."""
+    """Build a layer; shapes are checked before values: a tensor of a few bytes can claim any number of elements."""
     rows, columns = weight.shape if weight.dim() == 2 else (0, 0)
     plain = all(
         t.dtype == torch.float32 and t.layout == torch.strided and t.is_contiguous() for t in (weight, bias)
@@ -172,8 +172,8 @@ def _mlp(layers: list[nn.Linear], activation: type[nn.Module], *, squashed: bool
     return nn.Sequential(*parts[:-1], *([nn.Tanh()] if squashed else []))
 
 
-def _inexpressible(settings: Mapping[str, object], sizes: tuple[int, int]) -> Iterator[str]:
-    """By what the settings say in plain text; what they say in pickles stays unread."""
+def _unsupported(settings: Mapping[str, object], sizes: tuple[int, int]) -> Iterator[str]:
+    """Yield unsupported settings, from the plain text only; pickled settings are not read."""
     extractor = _part(settings, "policy_kwargs").get("features_extractor_class", FLATTEN)
     if extractor != FLATTEN:
         yield f"features_extractor_class: found {extractor!r:.100}, expected {FLATTEN}"
@@ -187,7 +187,7 @@ def _inexpressible(settings: Mapping[str, object], sizes: tuple[int, int]) -> It
 
 
 def _activation(
-    settings: Mapping[str, object], family: _Family, network: Network, source: str
+    settings: Mapping[str, object], family: _Family, network: NetworkSettings, source: str
 ) -> Activation | None:
     if "policy_kwargs" not in settings:
         return network.activation
@@ -201,23 +201,21 @@ def _activation(
 
 
 def _clip(space: Mapping[str, object], family: _Family) -> list[float] | None:
-    """Bounds of the action, where one pair holds for all of it."""
+    """Return the bounds of the action, if they are the same for all numbers."""
     if family.squashed:
         return [-1.0, 1.0]
     ends = [set(str(space.get(name)).strip("[]").split()) for name in ("low", "high")]
     try:
-        bounds = [float(word) for words in ends for word in words]
+        bounds = [float(text) for texts in ends for text in texts]
     except ValueError:
         return None
-    return bounds if [len(words) for words in ends] == [1, 1] and math.isfinite(sum(bounds)) else None
+    return bounds if [len(texts) for texts in ends] == [1, 1] and math.isfinite(sum(bounds)) else None
 
 
 def _normalizer(path: Path | None, size: int) -> VecNormalize | None:
     normalizer = None if path is None else read_vec_normalize(path)
     if normalizer is not None and normalizer.mean.size != size:
-        raise ContractError(
-            f"{path}: found {normalizer.mean.size} numbers, expected {size}, as the policy has"
-        )
+        raise ContractError(f"{path}: found {normalizer.mean.size} numbers, expected {size} as in the policy")
     return normalizer
 
 

@@ -1,4 +1,4 @@
-"""Activations by the names that a contract's TOML gives them."""
+"""Activation modules by their names in a contract's TOML."""
 
 from torch import nn
 

@@ -1,4 +1,4 @@
-"""Programs of torch.export: a graph as data, read without what its own reader would unpickle or evaluate."""
+"""Reader of torch.export programs, without the parts that torch would unpickle or evaluate."""
 
 import re
 from pathlib import Path
@@ -9,10 +9,10 @@ from torch.export.pt2_archive._package import load_pt2
 
 from deploy.policy.observation_terms import SIZE_MAX
 from deploy.policy.onnx_graph import shortened
-from policies.importers.reference_policy import Original
-from policies.importers.torch_files.exported_program_check import check_tensors, plain_program
-from policies.importers.torch_files.traced_module import read_module
-from policies.importers.untrusted.zip_archive import packed, read_bytes, read_torch_members
+from policies.importers.reference_policy import ReferencePolicy
+from policies.importers.torch_files.exported_program_check import check_tensors, sanitize_program
+from policies.importers.torch_files.traced_module import trace_module
+from policies.importers.untrusted.zip_archive import read_bytes, read_torch_members, repack
 from robots.errors import ContractError
 
 PROGRAM, EXAMPLES = "models/model.json", "data/sample_inputs/model.pt"
@@ -25,15 +25,15 @@ NEEDED = re.compile(
     "|".join(map(re.escape, (PROGRAM, *TENSORS.values(), *VERSIONS)))
     + r"|data/weights/weight_\d+|data/constants/tensor_\d+"
 )
-"""Not: examples and foreign objects, which are pickled, and compiled libraries."""
+"""Members that are read; excluded are pickled examples and objects, and compiled libraries."""
 EXPECTED = "expected a file of torch.export.save"
 
 
-def read_exported_program(path: Path) -> Original:
-    """What `torch.export.save` wrote: the buffers that a program changes are its memory.
+def read_exported_program(path: Path) -> ReferencePolicy:
+    """Read a file of `torch.export.save`; buffers that the program changes become its memory.
 
     Raises:
-        ContractError: it is no such file, holds more than operators of aten, or cannot be traced.
+        ContractError: the file is invalid, holds more than aten operators, or cannot be traced.
     """
     source = str(path)
     members = read_torch_members(read_bytes(path, EXPECTED), NEEDED, source, EXPECTED)
@@ -44,22 +44,22 @@ def read_exported_program(path: Path) -> Original:
             name.removeprefix(folder): data for name, data in members.items() if name.startswith(folder)
         }
         check_tensors(members[config], payloads, f"{source}: {config}")
-    members[PROGRAM] = plain_program(members[PROGRAM], f"{source}: {PROGRAM}")
+    members[PROGRAM] = sanitize_program(members[PROGRAM], f"{source}: {PROGRAM}")
     members[EXAMPLES] = b""
     program = _load(members, source)
-    return read_module(_module(program), _observations(program, source), source, kind="torch.export program")
+    return trace_module(_module(program), _observations(program, source), source, kind="torch.export program")
 
 
 def _load(members: dict[str, bytes], source: str) -> ExportedProgram:
     try:
-        return load_pt2(packed(members)).exported_programs["model"]
+        return load_pt2(repack(members)).exported_programs["model"]
     except Exception as e:  # text of unknown origin can fail in any way
         raise ContractError(f"{source}: cannot be loaded: {shortened(e)}") from e
 
 
 def _module(program: ExportedProgram) -> nn.Module:
     module = program.module(check_guards=False)
-    del module.train, module.eval  # both only refuse: a program is what it was when it was exported
+    del module.train, module.eval  # both raise for exported programs
     return module
 
 

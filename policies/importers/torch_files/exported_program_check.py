@@ -1,4 +1,4 @@
-"""The text of exported programs: torch turns parts of it into Python and runs them, so only plain words pass."""
+"""Check of the JSON of exported programs: torch evaluates parts of it as Python, so only plain words are accepted."""
 
 import json
 import math
@@ -10,8 +10,8 @@ from policies.importers.torch_files.torchscript_check import REFUSED
 from robots.errors import ContractError
 
 TEXT_MAX = 64 << 20
-WORD = re.compile(r"\w{0,200}", re.ASCII)
-DOTTED = re.compile(r"[\w.]{0,400}", re.ASCII)
+PLAIN_WORD = re.compile(r"\w{0,200}", re.ASCII)
+DOTTED_NAME = re.compile(r"[\w.]{0,400}", re.ASCII)
 PATHS = frozenset({"target", "parameter_name", "buffer_name", "tensor_constant_name", "fqn"})
 SYMBOL = re.compile(
     r"(Symbol\('s\d{1,4}', positive=True, integer=True\)|Integer\(-?\d{1,9}\)|Add|Mul|[(), ])+"
@@ -25,22 +25,22 @@ _ARGUMENTS = (
 )
 ARGUMENTS = frozenset(_ARGUMENTS.split())
 LEAF: dict[str, object] = {"type": None, "context": None, "children_spec": []}
-ONE = {"type": "builtins.tuple", "context": "null", "children_spec": [LEAF]}
-NO_NAMES = {"type": "builtins.dict", "context": "[]", "children_spec": []}
+ONE_TENSOR = {"type": "builtins.tuple", "context": "null", "children_spec": [LEAF]}
+NO_KEYWORDS = {"type": "builtins.dict", "context": "[]", "children_spec": []}
 SPECS = {
     "in_spec": json.dumps(
-        [1, {"type": "builtins.tuple", "context": "null", "children_spec": [ONE, NO_NAMES]}]
+        [1, {"type": "builtins.tuple", "context": "null", "children_spec": [ONE_TENSOR, NO_KEYWORDS]}]
     ),
     "out_spec": json.dumps([1, LEAF]),
 }
-"""One tensor to one tensor."""
+"""Signature: one tensor in, one tensor out."""
 
 
-def plain_program(text: bytes, source: str) -> bytes:
-    """A program without its notes and guards, all else looked at.
+def sanitize_program(text: bytes, source: str) -> bytes:
+    """Return the program without metadata and guards, with every other value checked.
 
     Raises:
-        ContractError: naming what is more than operators of aten on tensors.
+        ContractError: naming a value that is not part of aten operators on tensors.
     """
     program = _read(text, source)
     try:
@@ -50,7 +50,7 @@ def plain_program(text: bytes, source: str) -> bytes:
         program["guards_code"], program["torch_version"] = [], ""
         for node in inner["graph"]["nodes"]:
             node["metadata"] = {}
-        complaints = [*_symbols(program["range_constraints"]), *_foreign(program, "")]
+        complaints = [*_symbols(program["range_constraints"]), *_unexpected(program, "")]
     except (KeyError, TypeError, AttributeError, RecursionError) as e:
         raise ContractError(f"{source}: found no exported program: a {type(e).__name__}") from e
     if complaints:
@@ -59,14 +59,17 @@ def plain_program(text: bytes, source: str) -> bytes:
 
 
 def check_tensors(text: bytes, payloads: Mapping[str, bytes], source: str) -> None:
-    """Refuse tensors that are pickled, that are not there, or that claim more numbers than they have bytes.
+    """Refuse tensors that are pickled, missing, or larger than their bytes.
 
     Raises:
         ContractError: naming the tensor.
     """
     config = _read(text, source)
     try:
-        complaints = [*_foreign(config, "", names=DOTTED), *_unbacked(config["config"], payloads)]
+        complaints = [
+            *_unexpected(config, "", names=DOTTED_NAME),
+            *_invalid_tensors(config["config"], payloads),
+        ]
     except (KeyError, TypeError, AttributeError, RecursionError) as e:
         raise ContractError(f"{source}: found no list of tensors: a {type(e).__name__}") from e
     if complaints:
@@ -88,22 +91,22 @@ def _symbols(constraints: Mapping[str, object]) -> Iterator[str]:
             yield f"range_constraints: found {name!r:.100}, expected the size of a batch"
 
 
-def _foreign(part: object, key: str, names: re.Pattern[str] = WORD) -> Iterator[str]:
-    """Whatever is no plain word in its place."""
+def _unexpected(part: object, key: str, names: re.Pattern[str] = PLAIN_WORD) -> Iterator[str]:
+    """Yield a complaint for each key or value that is not expected there."""
     if isinstance(part, dict):
         for name, value in part.items():
             if not names.fullmatch(name) or (name.startswith("as_") and name[3:] not in ARGUMENTS):
                 yield f"{key}: found {name!r:.100}, expected only tensors and numbers"
-            yield from _foreign(value, name, names)
+            yield from _unexpected(value, name, names)
     elif isinstance(part, list):
         for value in part:
-            yield from _foreign(value, key, names)
+            yield from _unexpected(value, key, names)
     elif isinstance(part, str) and (expected := _expected(part, key)):
         yield f"{key}: found {part!r:.100}, expected {expected}"
 
 
 def _expected(text: str, key: str) -> str | None:
-    """What should be there instead; None: it may be there."""
+    """Return what is expected instead of `text`; None if `text` is allowed."""
     if key in SPECS:
         return None if text == SPECS[key] else "one tensor of observations and one of actions"
     if key == "expr_str":
@@ -113,10 +116,10 @@ def _expected(text: str, key: str) -> str | None:
         return None if found and found[1] not in REFUSED else "operators of aten"
     if key == "type":
         return None if text == "cpu" else "cpu, as for a program that was exported there"
-    return None if (DOTTED if key in PATHS else WORD).fullmatch(text) else "a plain word"
+    return None if (DOTTED_NAME if key in PATHS else PLAIN_WORD).fullmatch(text) else "a plain word"
 
 
-def _unbacked(tensors: Mapping[str, Any], payloads: Mapping[str, bytes]) -> Iterator[str]:
+def _invalid_tensors(tensors: Mapping[str, Any], payloads: Mapping[str, bytes]) -> Iterator[str]:
     for name, tensor in tensors.items():
         if tensor["use_pickle"] is not False:
             yield f"{name}: found a pickle, expected plain numbers"

@@ -1,4 +1,4 @@
-"""What a file of bare weights does not say of the network that they belong to."""
+"""Network settings that a file of weights does not hold."""
 
 from pathlib import Path
 from typing import Literal, Self
@@ -12,11 +12,11 @@ from robots.strict import Strict
 Activation = Literal["elu", "relu", "tanh", "selu", "leaky_relu", "gelu", "silu", "sigmoid"]
 
 
-class Statistics(Strict):
+class NormalizerStatistics(Strict):
     """(observation - mean) / std.
 
     Attributes:
-        mean, std: (N,) what is taken away, and what the rest is divided by.
+        mean, std: (N,) subtracted, and divided by.
     """
 
     mean: Numbers
@@ -31,37 +31,39 @@ class Statistics(Strict):
         return self
 
 
-class Network(Strict):
-    """Answers, from the contract's TOML.
+class NetworkSettings(Strict):
+    """Table [network] of the contract's TOML.
 
     Attributes:
-        activation: between its layers; None: not answered.
-        normalizer: of its observations: numbers, or a file with it; "none": it had none; None: not answered.
+        activation: between layers; None if not given.
+        normalizer: of observations: statistics, or the path of a file; "none" if there is none; None if not given.
     """
 
     activation: Activation | None = None
-    normalizer: Statistics | str | None = None
+    normalizer: NormalizerStatistics | str | None = None
 
     def normalizer_path(self, beside: Path) -> Path | None:
-        """Where the normalizer is, relative to the folder of the policy's file; None: it had none.
+        """Return the path of the normalizer's file, relative to the policy's folder; None if there is none.
 
         Raises:
-            ContractError: it was given as numbers.
+            ContractError: the normalizer is given as numbers.
         """
-        if isinstance(self.normalizer, Statistics):
-            raise ContractError(f"{beside}: network.normalizer: found numbers, expected a file, or none")
+        if isinstance(self.normalizer, NormalizerStatistics):
+            raise ContractError(
+                f"{beside}: network.normalizer: found numbers, expected the path of a file, or 'none'"
+            )
         return None if self.normalizer in (None, "none") else beside.parent / str(self.normalizer)
 
-    def statistics(self, size: int, source: str) -> Statistics | None:
-        """Numbers of the normalizer, one for each of so many observations; None: it had none.
+    def statistics(self, size: int, source: str) -> NormalizerStatistics | None:
+        """Return the normalizer's statistics for `size` observations; None if there is none.
 
         Raises:
-            ContractError: it was given as a file, or with other numbers.
+            ContractError: the normalizer is given as a file, or has another size.
         """
         if self.normalizer in (None, "none"):
             return None
         expected = f'expected {{ mean = [...], std = [...] }} with {size} numbers each, or "none"'
-        if not isinstance(self.normalizer, Statistics):
+        if not isinstance(self.normalizer, NormalizerStatistics):
             raise ContractError(f"{source}: network.normalizer: found {self.normalizer!r:.100}, {expected}")
         if (found := len(self.normalizer.mean)) != size:
             raise ContractError(f"{source}: network.normalizer: found {found} numbers, {expected}")

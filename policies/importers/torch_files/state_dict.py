@@ -1,4 +1,4 @@
-"""Bare weights of an MLP, as torch.save keeps a state_dict: its layers follow from names and shapes."""
+"""Reader of the state_dict of an MLP: layers are found by names and shapes."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -10,11 +10,11 @@ import torch
 from torch import Tensor, nn
 
 from deploy.policy.observation_terms import SIZE_MAX
-from policies.importers.normalizer import Scaling
-from policies.importers.reference_policy import Facts, Original, UnansweredError
+from policies.importers.normalizer import Normalizer
+from policies.importers.reference_policy import MissingSettingError, PolicyFacts, ReferencePolicy
 from policies.importers.torch_files.activations import ACTIVATIONS
-from policies.importers.torch_files.network_settings import Activation, Network
-from policies.importers.torch_files.traced_module import read_module
+from policies.importers.torch_files.network_settings import Activation, NetworkSettings
+from policies.importers.torch_files.traced_module import trace_module
 from policies.importers.untrusted.tensor_archive import check_tensor, load_tensors
 from policies.importers.untrusted.zip_archive import BYTES_MAX
 from robots.errors import ContractError
@@ -23,49 +23,51 @@ LAYERS_MAX = 16
 WRAPPER = "state_dict"
 
 
-def read_state_dict(path: Path, network: Network) -> Original:
-    """The MLP of a state_dict, or of {"state_dict": ...}, behind the normalizer that `network` holds.
+def read_state_dict(path: Path, network: NetworkSettings) -> ReferencePolicy:
+    """Read the MLP of a state_dict, or of {"state_dict": ...}, with the normalizer given in `network`.
 
-    Nothing squashes its actions.
+    The actions are the output of the last linear layer.
 
     Raises:
-        UnansweredError: its activation is not answered, or whether a normalizer went with it.
+        MissingSettingError: `network` lacks the activation or the normalizer.
         ContractError: the file holds code, or anything but the weights of one MLP.
     """
     data = load_tensors(path, "expected the state_dict of an MLP")
     if isinstance(data, dict) and data.keys() == {WRAPPER}:
         data = data[WRAPPER]
-    weights = weights_of(data, str(path))
-    layers = chain(weights, str(path))
-    facts = Facts(
+    weights = check_weights(data, str(path))
+    layers = linear_layers(weights, str(path))
+    facts = PolicyFacts(
         kind="state_dict of an MLP", observations=layers[0].in_features, actions=layers[-1].out_features
     )
     statistics = network.statistics(facts.observations, str(path))
     if network.normalizer is None:
-        asked = {} if network.activation else {"activation": "?"}
-        message = f"{path}: network.normalizer: not in the file, expected an answer: numbers, or none"
-        raise UnansweredError(message, replace(facts, known={"network": {**asked, "normalizer": "?"}}))
-    module = mlp(layers, answered(network, facts, str(path)))
+        missing = {} if network.activation else {"activation": "?"}
+        message = f"{path}: network.normalizer: not in the file, expected mean and std, or 'none'"
+        raise MissingSettingError(message, replace(facts, known={"network": {**missing, "normalizer": "?"}}))
+    module = build_mlp(layers, required_activation(network, facts, str(path)))
     if statistics is None:
-        return read_module(module, facts.observations, str(path), kind=facts.kind)
+        return trace_module(module, facts.observations, str(path), kind=facts.kind)
     mean, std = statistics.mean, statistics.std
-    whole = nn.Sequential(Scaling(torch.tensor(mean), torch.tensor(std)), module)
-    original = read_module(whole, facts.observations, str(path), kind=f"{facts.kind} with a normalizer")
-    return replace(original, mean=mean, deviation=std)
+    normalized = nn.Sequential(Normalizer(torch.tensor(mean), torch.tensor(std)), module)
+    reference = trace_module(
+        normalized, facts.observations, str(path), kind=f"{facts.kind} with a normalizer"
+    )
+    return replace(reference, mean=mean, deviation=std)
 
 
-def weights_of(data: object, source: str) -> dict[str, Tensor]:
-    """Named tensors that can be weights: finite float32, and no more of them than a file may hold.
+def check_weights(data: object, source: str) -> dict[str, Tensor]:
+    """Return named tensors after checking that they are finite float32 of limited total size.
 
     Raises:
-        ContractError: something else is among them.
+        ContractError: naming what else was found.
     """
     if not isinstance(data, dict) or not data:
-        raise ContractError(f"{source}: found {type(data).__name__} of no tensors, expected a state_dict")
+        raise ContractError(f"{source}: found {type(data).__name__} without tensors, expected a state_dict")
     for name, tensor in data.items():
         if not isinstance(name, str) or not isinstance(tensor, Tensor):
             kind = type(tensor).__name__
-            raise ContractError(f"{source}: {name!r:.100}: found {kind}, expected only named tensors")
+            raise ContractError(f"{source}: {name!r:.100}: found {kind}, expected named tensors only")
     if (size := sum(4 * tensor.numel() for tensor in data.values())) > BYTES_MAX:  # tensors may overlap
         raise ContractError(f"{source}: found {size} bytes of weights, expected at most {BYTES_MAX}")
     for name, tensor in data.items():
@@ -73,46 +75,47 @@ def weights_of(data: object, source: str) -> dict[str, Tensor]:
     return dict(data)
 
 
-def chain(weights: Mapping[str, Tensor], source: str) -> list[nn.Linear]:
-    """Linear layers, each as wide as the one before it, by their names or as they stand in the file.
+def linear_layers(weights: Mapping[str, Tensor], source: str) -> list[nn.Linear]:
+    """Return linear layers in the one order, by name or as stored, in which their widths match.
 
     Raises:
-        ContractError: another tensor is among them, or no order or more than one is possible.
+        ContractError: there is another tensor, or no order or more than one matches.
     """
     names = [name.removesuffix("weight") for name in weights if name == "weight" or name.endswith(".weight")]
     known = {name + end for name in names for end in ("weight", "bias")}
     for name, tensor in weights.items():
         if name not in known or tensor.dim() != (2 if name.endswith("weight") else 1):
             raise ContractError(
-                f"{source}: {name!r:.100}: found shape {tuple(tensor.shape)}, expected only weights (out, in)"
+                f"{source}: {name!r:.100}: found shape {tuple(tensor.shape)}, expected weights (out, in)"
                 " and biases (out,) of linear layers"
             )
     layers = {name: _linear(name, weights, source) for name in names}
-    possible = [order for order in {tuple(names), tuple(sorted(names, key=_natural))} if _fits(order, layers)]
-    if len(possible) != 1 or len(names) > LAYERS_MAX:
+    candidates = {tuple(names), tuple(sorted(names, key=_natural_sort_key))}
+    orders = [order for order in candidates if _widths_match(order, layers)]
+    if len(orders) != 1 or len(names) > LAYERS_MAX:
         shapes = ", ".join(f"{name + 'weight'!r} {tuple(layers[name].weight.shape)}" for name in names)
         raise ContractError(
-            f"{source}: found {shapes:.300}; expected 1 to {LAYERS_MAX} layers, each of the width that the one"
-            " before it gives, in one order, by their names or as they stand"
+            f"{source}: found {shapes:.300}; expected 1 to {LAYERS_MAX} layers with matching widths,"
+            " in exactly one order, by name or as stored"
         )
-    return [layers[name] for name in possible[0]]
+    return [layers[name] for name in orders[0]]
 
 
-def answered(network: Network, facts: Facts, source: str) -> Activation:
-    """The activation between the layers of a file that has no words for it.
+def required_activation(network: NetworkSettings, facts: PolicyFacts, source: str) -> Activation:
+    """Return the activation given in `network`.
 
     Raises:
-        UnansweredError: nobody answered.
+        MissingSettingError: it is not given.
     """
     if network.activation is None:
         expected = ", ".join(ACTIVATIONS)
-        message = f"{source}: network.activation: not in the file, expected an answer: {expected}"
-        raise UnansweredError(message, replace(facts, known={"network": {"activation": "?"}}))
+        message = f"{source}: network.activation: not in the file, expected one of {expected}"
+        raise MissingSettingError(message, replace(facts, known={"network": {"activation": "?"}}))
     return network.activation
 
 
-def mlp(layers: Sequence[nn.Linear], activation: Activation) -> nn.Sequential:
-    """An activation between layers, none after the last."""
+def build_mlp(layers: Sequence[nn.Linear], activation: Activation) -> nn.Sequential:
+    """Return an MLP with the activation between layers, none after the last."""
     parts = [part for layer in layers for part in (layer, ACTIVATIONS[activation]())]
     return nn.Sequential(*parts[:-1])
 
@@ -131,11 +134,11 @@ def _linear(name: str, weights: Mapping[str, Tensor], source: str) -> nn.Linear:
     return layer
 
 
-def _natural(name: str) -> str:
-    """So that layer 10 comes after layer 2."""
+def _natural_sort_key(name: str) -> str:
+    """Return a sort key that puts layer 10 after layer 2."""
     return re.sub(r"\d+", lambda number: number[0].zfill(9), name)
 
 
-def _fits(order: Sequence[str], layers: Mapping[str, nn.Linear]) -> bool:
-    joints = pairwise(layers[name] for name in order)
-    return bool(order) and all(before.out_features == after.in_features for before, after in joints)
+def _widths_match(order: Sequence[str], layers: Mapping[str, nn.Linear]) -> bool:
+    pairs = pairwise(layers[name] for name in order)
+    return bool(order) and all(before.out_features == after.in_features for before, after in pairs)

@@ -1,4 +1,4 @@
-"""TorchScript: policies with their code, which torch runs; so every line of it is looked at before."""
+"""Reader of TorchScript policies; torch runs their code, so every line is checked before loading."""
 
 import re
 import warnings
@@ -11,26 +11,26 @@ from torch import Tensor
 
 from deploy.policy.observation_terms import SIZE_MAX
 from deploy.policy.onnx_graph import shortened
-from policies.importers.reference_policy import Original
+from policies.importers.reference_policy import ReferencePolicy
 from policies.importers.torch_files.torchscript_check import check_source
 from policies.importers.torch_files.torchscript_pickle import check_pickle
-from policies.importers.torch_files.traced_module import read_module
-from policies.importers.untrusted.zip_archive import packed, read_bytes, read_torch_members
+from policies.importers.torch_files.traced_module import trace_module
+from policies.importers.untrusted.zip_archive import read_bytes, read_torch_members, repack
 from robots.errors import ContractError
 
 NEEDED = re.compile(r"data\.pkl|constants\.pkl|version|byteorder|(data|constants)/\d+|code/[\w/]+\.py")
-"""Not: debugging notes, other files that were packed along."""
+"""Members that are read; debug files and extra files are excluded."""
 EXPECTED = "expected a file of torch.jit.save"
 TRIED_MAX = 32
 
 
-def read_torchscript(path: Path) -> Original:
-    """What `torch.jit.save` wrote: buffers that a step changes are its memory.
+def read_torchscript(path: Path) -> ReferencePolicy:
+    """Read a file of `torch.jit.save`; buffers that a step changes become the memory.
 
-    How many observations it takes it does not say: the first size that runs is taken, of those that its weights have.
+    The file does not state the observation size: the first size among its weights that runs is taken.
 
     Raises:
-        ContractError: it is no such file, would use more than tensors, or cannot be traced.
+        ContractError: the file is invalid, its code uses more than tensors, or it cannot be traced.
     """
     source = str(path)
     members = read_torch_members(read_bytes(path, EXPECTED), NEEDED, source, EXPECTED)
@@ -38,8 +38,8 @@ def read_torchscript(path: Path) -> Original:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "`torch.jit")  # deprecated; the files of others stay
         observations = _observations(_load(members, source), source)
-        module = _load(members, source)  # afresh: what was tried is not remembered
-        return read_module(module, observations, source, kind="TorchScript")
+        module = _load(members, source)  # loaded again: trial runs may have changed its buffers
+        return trace_module(module, observations, source, kind="TorchScript")
 
 
 def _check(members: Mapping[str, bytes], source: str) -> None:
@@ -58,7 +58,7 @@ def _check(members: Mapping[str, bytes], source: str) -> None:
 
 def _load(members: Mapping[str, bytes], source: str) -> torch.jit.ScriptModule:
     try:
-        module = torch.jit.load(packed(members), map_location="cpu")
+        module = torch.jit.load(repack(members), map_location="cpu")
         graph: Any = module.inlined_graph
     except Exception as e:  # bytes of unknown origin can fail in any way
         raise ContractError(f"{source}: cannot be loaded: {shortened(e)}") from e
@@ -67,7 +67,7 @@ def _load(members: Mapping[str, bytes], source: str) -> torch.jit.ScriptModule:
         if (name := node.s("name")) not in buffers:
             kind = list(node.inputs())[1].type()
             raise ContractError(
-                f"{source}: {name}: found a memory ({kind}) that is no buffer, expected buffers"
+                f"{source}: {name}: found state ({kind}) in an attribute, expected it in a buffer"
             )
     return module
 
@@ -77,7 +77,7 @@ def _observations(module: torch.jit.ScriptModule, source: str) -> int:
     for size in tried:
         if _runs(module, size):
             return size
-    raise ContractError(f"{source}: cannot be run with as many observations as its weights take: {tried}")
+    raise ContractError(f"{source}: cannot be run with any observation size of its weights: {tried}")
 
 
 def _sizes(module: torch.jit.ScriptModule) -> Iterator[int]:
@@ -96,5 +96,5 @@ def _runs(module: torch.jit.ScriptModule, size: int) -> bool:
     try:
         with torch.no_grad():
             return isinstance(module.eval()(torch.zeros(1, size)), Tensor)
-    except Exception:  # noqa: BLE001 - whatever a foreign module does
+    except Exception:  # noqa: BLE001 - a foreign module can raise anything
         return False

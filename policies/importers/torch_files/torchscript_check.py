@@ -1,4 +1,4 @@
-"""The text of TorchScript programs, read before torch is: some of it runs as soon as a file is loaded."""
+"""Check of TorchScript source before torch loads it: some of the code runs while loading."""
 
 import ast
 from collections.abc import Iterator
@@ -10,8 +10,8 @@ from robots.errors import ContractError
 
 TEXT_MAX = 1 << 20
 REFUSED = frozenset({"from_file", "save", "classes"})
-"""Operators of aten that are given the name of a file, and the name under which foreign C++ classes are found. Any
-tensor or text has the operators as its methods too, so no method may be called so."""
+"""Operators of aten that take a file name, and the namespace of foreign C++ classes. Operators are also methods of
+tensors and strings, so methods with these names are refused too."""
 _PRIM = (
     "RaiseException NumToTensor Uninitialized abs data device dtype grad id is_cpu is_cuda is_mps is_mkldnn is_nested"
     " is_quantized is_sparse itemsize layout max min name nbytes rangelist requires_grad tolist type unchecked_cast"
@@ -23,11 +23,11 @@ _NAMES = (
     " NoneType Device Module NamedTuple Interface Enum Exception Stream Generator"
 )
 PRIM, NAMES = frozenset(_PRIM.split()), frozenset(_NAMES.split())
-"""Of those that TorchScript knows by themselves. Not among them: fork, rpc_async, print."""
+"""Allowed built-ins of TorchScript. Excluded: fork, rpc_async, print."""
 
 
 def check_source(text: bytes, source: str) -> None:
-    """Refuse what could touch more than tensors; how long it takes nobody can say.
+    """Refuse code that could access more than tensors. Its run time stays unknown.
 
     Raises:
         ContractError: naming the line and what it would use.
@@ -39,13 +39,13 @@ def check_source(text: bytes, source: str) -> None:
         nodes = list(ast.walk(tree))
     except (SyntaxError, ValueError, RecursionError, MemoryError) as e:
         raise ContractError(f"{source}: found no TorchScript: a {type(e).__name__}") from e
-    for line, name in _foreign(nodes):
+    for line, name in _forbidden(nodes):
         raise ContractError(
             f"{source}: line {line}: found {name:.100}, expected only arithmetic on tensors; nothing of it was run"
         )
 
 
-def _foreign(nodes: list[ast.AST]) -> Iterator[tuple[int, str]]:
+def _forbidden(nodes: list[ast.AST]) -> Iterator[tuple[int, str]]:
     inner = {id(node.value) for node in nodes if isinstance(node, ast.Attribute)}
     own = set(_own_names(nodes))
     for node in nodes:
@@ -53,9 +53,9 @@ def _foreign(nodes: list[ast.AST]) -> Iterator[tuple[int, str]]:
             if node.id not in own | NAMES or (node.id in ("torch", "ops") and id(node) not in inner):
                 yield node.lineno, node.id
         elif isinstance(node, ast.Attribute):
-            if not _plain(node, whole=id(node) not in inner):
+            if not _is_allowed(node, outermost=id(node) not in inner):
                 yield node.lineno, ast.unparse(node)
-        elif isinstance(node, ast.Constant) and node.value in REFUSED:  # what getattr would be asked for
+        elif isinstance(node, ast.Constant) and node.value in REFUSED:  # an argument of getattr
             yield node.lineno, repr(node.value)
 
 
@@ -69,12 +69,12 @@ def _own_names(nodes: list[ast.AST]) -> Iterator[str]:
             yield node.name
 
 
-def _plain(node: ast.Attribute, *, whole: bool) -> bool:
+def _is_allowed(node: ast.Attribute, *, outermost: bool) -> bool:
     owner = ast.unparse(node.value) if isinstance(node.value, ast.Name | ast.Attribute) else ""
     if owner == "torch":
         return node.attr in _operators()
     if owner == "ops":
-        return node.attr == "prim" and not whole
+        return node.attr == "prim" and not outermost
     if owner == "ops.prim":
         return node.attr in PRIM
     return node.attr not in REFUSED

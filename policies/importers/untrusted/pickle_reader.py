@@ -1,24 +1,31 @@
-"""Pickles of unknown origin, walked and never run: of whatever one would call or build, a note is made."""
+"""Reader of untrusted pickles: plain values only; no class is imported, called or built.
+
+The one reader for files of torch.save, TorchScript and VecNormalize. A sandbox would have to run the pickle, that is a
+stranger's code; this reader interprets its opcodes as data.
+"""
 
 import pickletools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from typing import NamedTuple
 
 from robots.errors import ContractError
 
 OPCODES_MAX = 100_000
 DICT = "collections OrderedDict"
+GLOBALS = frozenset({"GLOBAL", "STACK_GLOBAL", "INST", "EXT1", "EXT2", "EXT4"})
+"""Opcodes that would import something."""
 
 
 @dataclass(slots=True, eq=False, repr=False)
-class Inert:
-    """What a pickle would have made, had it been run.
+class UnresolvedCall:
+    """A call that the pickle asks for, recorded and not made.
 
     Attributes:
-        callee: "module name" of what it would have called, or the opcode.
-        arguments: what with.
-        state: what the result would have been given afterwards.
+        callee: "module name" of the function or class, or the name of the opcode.
+        arguments: of the call.
+        state: set on the result by BUILD, if any.
     """
 
     callee: object
@@ -26,24 +33,54 @@ class Inert:
     state: object = None
 
 
-def read_pickle(data: bytes, source: str) -> object:
-    """Numbers, text, bytes, tuples, lists and dicts with keys of text as they are; an `Inert` for everything else.
+class PickleRules(NamedTuple):
+    """Limits of one kind of pickle. Each function returns the complaint, or None if it accepts.
 
-    No class is looked up, nothing is imported, nothing is called: what a pickle can do ends here.
+    Attributes:
+        check_global: given "module name" of an import; for opcodes other than GLOBAL their own name.
+        check_storage: given a persistent identifier, by which torch refers to the numbers of a tensor.
+        opcodes_max: length of the pickle.
+    """
+
+    check_global: Callable[[str], str | None] = lambda _: None
+    check_storage: Callable[[object], str | None] = lambda _: None
+    opcodes_max: int = OPCODES_MAX
+
+
+NO_RULES = PickleRules()
+
+
+def read_pickle(data: bytes, source: str, rules: PickleRules = NO_RULES) -> object:
+    """Return numbers, text, bytes, tuples, lists and dicts with text keys; everything else is an `UnresolvedCall`.
 
     Raises:
-        ContractError: it is no pickle, or a longer one than any that is read here.
+        ContractError: the bytes are no pickle, the pickle is too long, or `rules` refuse it.
     """
     stacks: list[list[object]] = [[]]
     memo: dict[int, object] = {}
     try:
-        for opcode, argument, _ in islice(pickletools.genops(data), OPCODES_MAX):
+        opcodes = islice(pickletools.genops(data), rules.opcodes_max)
+        for step, (opcode, argument, _) in enumerate(opcodes):
             if opcode.name == "STOP":
                 return stacks[-1].pop()
+            if complaint := _complaint(opcode.name, argument, stacks[-1], step, rules):
+                raise ContractError(f"{source}: {complaint}; nothing of it was run")
             _step(opcode, argument, stacks, memo)
+    except ContractError:
+        raise
     except Exception as e:  # bytes of unknown origin can fail in any way
         raise ContractError(f"{source}: found no pickle that can be read: a {type(e).__name__}") from e
-    raise ContractError(f"{source}: found more than {OPCODES_MAX} steps, expected a pickle of fewer")
+    raise ContractError(f"{source}: found more than {rules.opcodes_max} steps, expected a pickle of fewer")
+
+
+def _complaint(name: str, argument: object, stack: list[object], step: int, rules: PickleRules) -> str | None:
+    if name in GLOBALS:
+        return rules.check_global(str(argument) if name == "GLOBAL" else name)
+    if name == "BINPERSID":
+        return rules.check_storage(stack[-1])
+    if name in ("BINPUT", "LONG_BINPUT") and int(str(argument)) > step:  # torch would allocate that many
+        return f"found memo index {argument} at step {step}, expected at most {step}"
+    return None
 
 
 def _step(
@@ -56,69 +93,69 @@ def _step(
     elif opcode.name in ("GET", "BINGET", "LONG_BINGET"):
         stacks[-1].append(memo[int(str(argument))])
     else:
-        taken = _take(stacks, opcode.stack_before)
+        operands = _pop_operands(stacks, opcode.stack_before)
         if opcode.stack_after:
-            stacks[-1].append(_made(opcode.name, argument, taken))
+            stacks[-1].append(_result(opcode.name, argument, operands))
 
 
-def _take(stacks: list[list[object]], before: Sequence[object]) -> list[object]:
-    """Off the stack what an opcode is given, with all above the last mark where it wants that."""
-    marked = pickletools.markobject in before
+def _pop_operands(stacks: list[list[object]], expected: Sequence[object]) -> list[object]:
+    """Pop the operands of an opcode, with everything above the last mark if the opcode takes a mark."""
+    marked = pickletools.markobject in expected
     above = stacks.pop() if marked else []
-    start = len(stacks[-1]) - (before.index(pickletools.markobject) if marked else len(before))
+    start = len(stacks[-1]) - (expected.index(pickletools.markobject) if marked else len(expected))
     if start < 0:
         raise IndexError("nothing left on the stack")
-    taken = stacks[-1][start:]
+    operands = stacks[-1][start:]
     del stacks[-1][start:]
-    return taken + above
+    return operands + above
 
 
-def _made(name: str, argument: object, taken: list[object]) -> object:
-    if name in _MAKERS:
-        return _MAKERS[name](taken)
-    return Inert(name, taken) if argument is None else argument
+def _result(name: str, argument: object, operands: list[object]) -> object:
+    if name in _RESULTS:
+        return _RESULTS[name](operands)
+    return UnresolvedCall(name, operands) if argument is None else argument
 
 
-def _filled(taken: list[object]) -> object:
-    """Keys that are no text are left out: to hash what a stranger nested can take forever."""
-    target, *items = taken
+def _update_dict(operands: list[object]) -> object:
+    """Leave out keys other than text: hashing a stranger's nested values can take forever."""
+    target, *items = operands
     if isinstance(target, dict):
         pairs = zip(items[::2], items[1::2], strict=True)
         target.update((key, value) for key, value in pairs if isinstance(key, str))
     return target
 
 
-def _extended(taken: list[object]) -> object:
-    target, *items = taken
+def _extend_list(operands: list[object]) -> object:
+    target, *items = operands
     if isinstance(target, list):
         target.extend(items)
     return target
 
 
-def _reduced(taken: list[object]) -> object:
-    callee, arguments = taken
-    return {} if callee == DICT and arguments == () else Inert(callee, arguments)
+def _reduce(operands: list[object]) -> object:
+    callee, arguments = operands
+    return {} if callee == DICT and arguments == () else UnresolvedCall(callee, arguments)
 
 
-def _built(taken: list[object]) -> object:
-    target, state = taken
-    if isinstance(target, Inert):
+def _build(operands: list[object]) -> object:
+    target, state = operands
+    if isinstance(target, UnresolvedCall):
         target.state = state
     return target
 
 
-_MAKERS: dict[str, Callable[[list], object]] = {
+_RESULTS: dict[str, Callable[[list], object]] = {
     "NONE": lambda _: None,
     "NEWTRUE": lambda _: True,
     "NEWFALSE": lambda _: False,
     **dict.fromkeys(("EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3"), tuple),
     "EMPTY_DICT": lambda _: {},
-    **dict.fromkeys(("SETITEM", "SETITEMS"), _filled),
+    **dict.fromkeys(("SETITEM", "SETITEMS"), _update_dict),
     "EMPTY_LIST": lambda _: [],
-    **dict.fromkeys(("APPEND", "APPENDS"), _extended),
-    "ADDITEMS": lambda taken: taken[0],
+    **dict.fromkeys(("APPEND", "APPENDS"), _extend_list),
+    "ADDITEMS": lambda operands: operands[0],
     "STACK_GLOBAL": " ".join,
-    "REDUCE": _reduced,
-    "NEWOBJ": lambda taken: Inert(*taken),
-    "BUILD": _built,
+    "REDUCE": _reduce,
+    "NEWOBJ": lambda operands: UnresolvedCall(*operands),
+    "BUILD": _build,
 }

@@ -1,4 +1,4 @@
-"""How much of this machine a foreign policy may take: what runs it cannot know before what it will cost."""
+"""Time and memory limits for importing an untrusted policy, whose cost is unknown before it runs."""
 
 import os
 import resource
@@ -17,29 +17,29 @@ MEMORY_BYTES_MAX = 8 << 30
 
 
 @contextmanager
-def bounded(path: Path) -> Iterator[None]:
-    """Ends the process with one line if the block takes too long, and refuses it more memory than that.
+def limit_resources(path: Path) -> Iterator[None]:
+    """Limit a block's memory, and end the process with a message if the block takes longer than `SECONDS_MAX`.
 
-    Where the system cannot bound the memory of a process, as macOS, only time is bounded.
+    On systems that cannot limit the memory of a process, such as macOS, only the time is limited.
 
     Raises:
-        ContractError: the block asked for more memory.
+        ContractError: the block needs more than `MEMORY_BYTES_MAX`.
     """
     before = resource.getrlimit(resource.RLIMIT_DATA)
-    watchdog = threading.Timer(SECONDS_MAX, _give_up, [path])
+    watchdog = threading.Timer(SECONDS_MAX, _abort, [path])
     watchdog.daemon = True
     watchdog.start()
     try:
         bound(resource.RLIMIT_DATA, MEMORY_BYTES_MAX)
         yield
     except MemoryError as e:
-        raise ContractError(f"{path}: found more than {MEMORY_BYTES_MAX} bytes of memory in use") from e
+        raise ContractError(f"{path}: needs more memory than {MEMORY_BYTES_MAX} bytes") from e
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, before)
         watchdog.cancel()
 
 
-def _give_up(path: Path) -> None:
-    """From another thread: the one that runs the policy may be deep in it."""
-    print(f"error: {path}: found no end after {SECONDS_MAX:g} s", file=sys.stderr, flush=True)
+def _abort(path: Path) -> None:
+    """Exit from the watchdog thread: the main thread may be inside the policy."""
+    print(f"error: {path}: not finished after {SECONDS_MAX:g} s", file=sys.stderr, flush=True)
     os._exit(BAD_INPUT)

@@ -1,6 +1,5 @@
-"""Files of torch.save from anywhere: tensors, numbers and text; never code."""
+"""Reader of untrusted torch.save files: tensors, numbers and text; no code is run."""
 
-import pickletools
 import re
 from pathlib import Path
 from typing import Any
@@ -8,12 +7,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from policies.importers.untrusted.pickle_reader import DICT, OPCODES_MAX, Inert, read_pickle
+from policies.importers.untrusted.pickle_reader import (
+    DICT,
+    OPCODES_MAX,
+    PickleRules,
+    UnresolvedCall,
+    read_pickle,
+)
 from policies.importers.untrusted.zip_archive import read_bytes, read_torch_members
 from robots.errors import ContractError
 
 NEEDED = re.compile(r"data\.pkl|byteorder|data/\d+")
-NUMBERS = {
+DTYPES = {
     "DoubleStorage": torch.float64,
     "FloatStorage": torch.float32,
     "HalfStorage": torch.float16,
@@ -26,84 +31,74 @@ NUMBERS = {
     "BoolStorage": torch.bool,
 }
 REBUILT = {"torch._utils _rebuild_tensor_v2", "torch._utils _rebuild_parameter"}
-KNOWN = frozenset({DICT, *REBUILT, *(f"torch {name}" for name in NUMBERS)})
-"""What the pickle of such a file may name."""
+KNOWN = frozenset({DICT, *REBUILT, *(f"torch {name}" for name in DTYPES)})
+"""Globals that the pickle of such a file may name."""
 
 
 def load_tensors(path: Path, expected: str) -> object:
-    """What a file holds; nothing in it is ever run. `expected` ends messages: "expected a checkpoint of …".
+    """Return the contents of a torch.save file. `expected` ends error messages: "expected a checkpoint of …".
 
     Raises:
-        ContractError: it is no such archive, is too large, or holds code.
+        ContractError: the file is no such archive, is too large, or holds code.
     """
-    return tensors_of(read_bytes(path, expected), str(path), expected)
+    return parse_tensors(read_bytes(path, expected), str(path), expected)
 
 
-def tensors_of(data: bytes, source: str, expected: str) -> object:
-    """The same from the bytes of a file. Its pickle is walked, not run, and torch is given the numbers alone.
+def parse_tensors(data: bytes, source: str, expected: str) -> object:
+    """Return the contents of the bytes of a torch.save file. Torch gets only the numbers, never the pickle.
 
     Raises:
         ContractError: as `load_tensors` does.
     """
     members = read_torch_members(data, NEEDED, source, expected)
     if (pickled := members.get("data.pkl")) is None or members.get("byteorder", b"little") != b"little":
-        raise ContractError(f"{source}: found no data.pkl with its least byte first, {expected}")
+        raise ContractError(f"{source}: found no data.pkl in little-endian byte order, {expected}")
     source = f"{source}: data.pkl"
-    if code := _globals(pickled, source) - KNOWN:
-        found = ", ".join(repr(name.replace(" ", ".")) for name in sorted(code))
-        only = "expected only tensors, numbers and text; nothing of it was run"
-        raise ContractError(f"{source}: found {found:.300}, {only}")
-    value = read_pickle(pickled, source)
+    value = read_pickle(pickled, source, PickleRules(check_global=_check_global))
     try:
-        return _Rebuilt(members).of(value)
+        return _TensorBuilder(members).build(value)
     except Exception as e:  # numbers of unknown origin can fail in any way
         raise ContractError(f"{source}: corrupt: a {type(e).__name__}") from e
 
 
-def _globals(pickled: bytes, source: str) -> set[str]:
-    """What a pickle would look up, had it been run."""
-    try:
-        return {
-            str(argument) if opcode.name == "GLOBAL" else opcode.name
-            for opcode, argument, _ in pickletools.genops(pickled)
-            if opcode.name in ("GLOBAL", "STACK_GLOBAL", "INST", "EXT1", "EXT2", "EXT4")
-        }
-    except Exception as e:  # bytes of unknown origin can fail in any way
-        raise ContractError(f"{source}: corrupt: a {type(e).__name__}") from e
+def _check_global(name: str) -> str | None:
+    if name in KNOWN:
+        return None
+    return f"found {name.replace(' ', '.')!r:.300}, expected only tensors, numbers and text"
 
 
-class _Rebuilt:
-    """Plain values and tensors from the notes of a pickle; those that share numbers share them again."""
+class _TensorBuilder:
+    """Build plain values and tensors from a parsed pickle; tensors that share a storage share it again."""
 
     def __init__(self, members: dict[str, bytes]) -> None:
-        self._members, self._storages, self._seen = members, dict[tuple[str, str], Tensor](), 0
+        self._members, self._storages, self._steps = members, dict[tuple[str, str], Tensor](), 0
 
-    def of(self, part: Any) -> Any:
-        self._seen += 1
-        if self._seen > OPCODES_MAX:  # few bytes can hold a thing twice in twice in twice, or in itself
+    def build(self, part: Any) -> Any:
+        self._steps += 1
+        if self._steps > OPCODES_MAX:  # a value may contain itself, or grow exponentially by references
             raise OverflowError
         match part:
             case dict():
-                return {name: self.of(value) for name, value in part.items()}
+                return {name: self.build(value) for name, value in part.items()}
             case list() | tuple():
-                return type(part)(self.of(value) for value in part)
-            case Inert(callee="torch._utils _rebuild_parameter", arguments=(inner, *_)):
-                return self.of(inner)
-            case Inert(
+                return type(part)(self.build(value) for value in part)
+            case UnresolvedCall(callee="torch._utils _rebuild_parameter", arguments=(inner, *_)):
+                return self.build(inner)
+            case UnresolvedCall(
                 callee="torch._utils _rebuild_tensor_v2",
                 arguments=(storage, int(offset), tuple(size), tuple(stride), *_),
             ):
                 return self._storage(storage).as_strided(size, stride, offset)
-            case Inert():
+            case UnresolvedCall():
                 raise TypeError
         return part
 
-    def _storage(self, note: Any) -> Tensor:
-        match note:
-            case Inert(callee="BINPERSID", arguments=[("storage", str(kind), str(key), _, _)]):
+    def _storage(self, call: Any) -> Tensor:
+        match call:
+            case UnresolvedCall(callee="BINPERSID", arguments=[("storage", str(kind), str(key), _, _)]):
                 if (kind, key) not in self._storages:
                     numbers = bytearray(self._members[f"data/{key}"])
-                    dtype = NUMBERS[kind.removeprefix("torch ")]
+                    dtype = DTYPES[kind.removeprefix("torch ")]
                     self._storages[kind, key] = (
                         torch.frombuffer(numbers, dtype=dtype) if numbers else torch.empty(0, dtype=dtype)
                     )
@@ -112,14 +107,16 @@ class _Rebuilt:
 
 
 def check_tensor(tensor: Tensor, shape: tuple[int, ...], source: str) -> None:
-    """Shape before values: a tensor of a few bytes can claim any number of elements.
+    """Refuse a tensor that is not float32, contiguous, finite and of this shape.
+
+    The shape is checked before the values: a tensor of a few bytes can claim any number of elements.
 
     Raises:
-        ContractError: it is not of this shape, not float32, not laid out plainly, or not finite.
+        ContractError: naming what was found and what was expected.
     """
     plain = tensor.layout == torch.strided and tensor.device.type == "cpu" and tensor.is_contiguous()
     if tuple(tensor.shape) != shape or tensor.dtype != torch.float32 or not plain:
-        found = f"{tensor.dtype} {tuple(tensor.shape)} {'contiguous' if plain else 'not plain'}"
+        found = f"{tensor.dtype} {tuple(tensor.shape)} {'contiguous' if plain else 'not contiguous'}"
         raise ContractError(f"{source}: found {found}, expected torch.float32 {shape} contiguous")
     if bad := int((~tensor.isfinite()).sum()):
         raise ContractError(f"{source}: found {bad} values NaN or infinite, expected all finite")

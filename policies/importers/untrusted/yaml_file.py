@@ -1,4 +1,4 @@
-"""YAML of unknown origin: plain data of a bounded size; no tags of anybody's own, nothing that stands for another."""
+"""Reader of untrusted YAML: plain data of limited size and depth, without custom tags and aliases."""
 
 from pathlib import Path
 
@@ -9,10 +9,10 @@ DEPTH_MAX = 20
 
 
 def read_yaml(path: Path) -> object:
-    """What a file holds.
+    """Return the contents of a YAML file.
 
     Raises:
-        ContractError: it cannot be read, is too long, is no plain YAML, or names parts of itself.
+        ContractError: the file is unreadable, too long, too deeply nested, not plain YAML, or has an alias.
     """
     import yaml
 
@@ -24,14 +24,14 @@ def read_yaml(path: Path) -> object:
         depth = 0
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if isinstance(event, yaml.AliasEvent):  # a few can stand for more than there is memory
+            if isinstance(event, yaml.AliasEvent):  # nested aliases can expand to more than the memory
                 found = f"line {event.start_mark.line + 1}: found the alias {event.anchor!r:.100}"
                 raise ContractError(f"{path}: {found}, expected each value in full")
             if depth > DEPTH_MAX:
-                raise ContractError(f"{path}: found more than {DEPTH_MAX} parts inside each other")
+                raise ContractError(f"{path}: found more than {DEPTH_MAX} nested levels")
         return yaml.safe_load(text)
     except OSError as e:
         raise ContractError(f"{path}: cannot be read: {e.strerror}") from e
     except (yaml.YAMLError, ValueError, RecursionError) as e:
-        said = " ".join(str(getattr(e, "problem", None) or type(e).__name__).split())
-        raise ContractError(f"{path}: not valid YAML: {said:.200}") from e
+        problem = " ".join(str(getattr(e, "problem", None) or type(e).__name__).split())
+        raise ContractError(f"{path}: not valid YAML: {problem:.200}") from e

@@ -1,4 +1,4 @@
-"""Zip archives of unknown origin, torch's and others': only what is needed of one is read, nothing is written."""
+"""Reader of untrusted zip archives: selected members, read in memory with limits; nothing is extracted to disk."""
 
 import io
 import re
@@ -10,47 +10,52 @@ from typing import TypeVar
 from robots.errors import ContractError
 
 BYTES_MAX = 256 << 20
-"""Of a file, and of all that it unpacks to."""
+"""Limit of a file, and of the total size of an archive's members unpacked."""
 MEMBERS_MAX = 10_000
 FOLDER = "policy"
 RECORD = b"PK\x01\x02"
-"""Begins each line of an archive's table of contents."""
+"""Signature of each entry of an archive's central directory."""
 UNPACKERS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""Python bounds what it unpacks at once in these two alone."""
+"""The only two methods for which Python limits the size of one decompression step."""
 
 T = TypeVar("T")
 
 
-def read_bytes(path: Path, expected: str) -> bytes:
-    """All of a file; `expected` ends messages: "expected a checkpoint of …".
+def read_bytes(path: Path, expected: str, bytes_max: int | None = None) -> bytes:
+    """Return the bytes of a file, at most `bytes_max` (default `BYTES_MAX`).
+
+    Args:
+        path: the file. expected: end of error messages: "expected a checkpoint of …".
+        bytes_max: largest accepted size.
 
     Raises:
-        ContractError: it cannot be read, or is too large.
+        ContractError: the file is unreadable or too large.
     """
+    limit = BYTES_MAX if bytes_max is None else bytes_max
     try:
         with path.open("rb") as stream:
-            data = stream.read(BYTES_MAX + 1)
+            data = stream.read(limit + 1)
     except OSError as e:
         raise ContractError(f"{path}: cannot be read: {e.strerror}, {expected}") from e
-    if len(data) > BYTES_MAX:
-        raise ContractError(f"{path}: found more than {BYTES_MAX} bytes, {expected}")
+    if len(data) > limit:
+        raise ContractError(f"{path}: found more than {limit} bytes, {expected}")
     return data
 
 
 def read_names(data: bytes, source: str, expected: str) -> set[str]:
-    """The names of all that an archive holds.
+    """Return the names of all members of an archive.
 
     Raises:
-        ContractError: it is none, or holds too much.
+        ContractError: the bytes are no archive, or it is too large.
     """
-    return _asked(data, source, expected, lambda archive: set(archive.namelist()))
+    return _with_archive(data, source, expected, lambda archive: set(archive.namelist()))
 
 
 def read_members(data: bytes, needed: re.Pattern[str], source: str, expected: str) -> dict[str, bytes]:
-    """What an archive holds under names that match.
+    """Return the members whose names match `needed`.
 
     Raises:
-        ContractError: it is none, holds too much, or is packed in another way than torch packs.
+        ContractError: the bytes are no archive, it is too large, or a member has another compression than torch uses.
     """
 
     def read(archive: zipfile.ZipFile) -> dict[str, bytes]:
@@ -61,14 +66,14 @@ def read_members(data: bytes, needed: re.Pattern[str], source: str, expected: st
                 raise ContractError(f"{source}: {found}, expected none")
         return {record.filename: archive.read(record) for record in records}
 
-    return _asked(data, source, expected, read)
+    return _with_archive(data, source, expected, read)
 
 
 def read_torch_members(data: bytes, needed: re.Pattern[str], source: str, expected: str) -> dict[str, bytes]:
-    """The same of an archive of torch, by names inside its one outer folder.
+    """Return matching members of an archive of torch, named relative to its single outer folder.
 
     Raises:
-        ContractError: as `read_members` does, or there are more such folders.
+        ContractError: as `read_members` does, or the archive has more than one outer folder.
     """
     if len(folders := {name.partition("/")[0] for name in read_names(data, source, expected)}) != 1:
         raise ContractError(f"{source}: found {len(folders)} outer folders, expected one")
@@ -77,8 +82,8 @@ def read_torch_members(data: bytes, needed: re.Pattern[str], source: str, expect
     return {name.partition("/")[2]: content for name, content in members.items()}
 
 
-def packed(members: Mapping[str, bytes]) -> io.BytesIO:
-    """The same again as torch reads it; what another reading of the file would have found is gone."""
+def repack(members: Mapping[str, bytes]) -> io.BytesIO:
+    """Return a new archive of only these members, so that torch reads exactly what was checked."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         for name, data in members.items():
@@ -87,8 +92,8 @@ def packed(members: Mapping[str, bytes]) -> io.BytesIO:
     return stream
 
 
-def _asked(data: bytes, source: str, expected: str, question: Callable[[zipfile.ZipFile], T]) -> T:
-    """An archive's answer, if it is no larger than it may be: its table is counted before any of it is kept."""
+def _with_archive(data: bytes, source: str, expected: str, read: Callable[[zipfile.ZipFile], T]) -> T:
+    """Apply `read` to an archive within the limits; its entries are counted before Python parses them."""
     if (count := data.count(RECORD)) > MEMBERS_MAX:
         raise ContractError(f"{source}: found {count} members, expected at most {MEMBERS_MAX}")
     try:
@@ -96,7 +101,7 @@ def _asked(data: bytes, source: str, expected: str, question: Callable[[zipfile.
             size = sum(record.file_size for record in archive.infolist())
             if size > BYTES_MAX:
                 raise ContractError(f"{source}: found {size} bytes unpacked, expected at most {BYTES_MAX}")
-            return question(archive)
+            return read(archive)
     except ContractError:
         raise
     except Exception as e:  # bytes of unknown origin can fail in any way

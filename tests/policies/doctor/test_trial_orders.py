@@ -9,13 +9,13 @@ import pytest
 pytest.importorskip("mujoco")
 
 from onnx import helper
-from policies.doctor.trial import orders
 
 from deploy.policy.contract import CONTRACT_KEY
 from deploy.policy.policy import Policy
 from policies.doctor.check_context import Case
 from policies.doctor.check_result import Verdict
 from policies.doctor.checklist import row
+from policies.doctor.simulation import joint_order
 from policies.doctor.simulation.joint_order import EACH, Varied, variants
 from support.contracts import NAMES
 from support.faulty_policies import ailing, answering, in_another_order, in_front

@@ -67,12 +67,12 @@ def test_a_template_is_what_the_contract_begins_with(done, tmp_path, capsys):
     draft = tmp_path / "new.toml"
     assert policy_import(path, contract=draft, template=True) == 0
     assert re.search(
-        rf"new\.toml: ONNX.*, {N} observations, {A} actions; \d+ values marked \? are",
+        rf"new\.toml: ONNX.*, {N} observations, {A} actions; fill in \d+ values marked \?",
         capsys.readouterr().out,
     )
     with pytest.raises(ContractError, match=r"new\.toml: policy_hz: still '\?', to be filled in"):
         read_draft(draft)
-    with pytest.raises(ContractError, match="is there already"):
+    with pytest.raises(ContractError, match="exists already"):
         policy_import(path, contract=draft, template=True)
 
 

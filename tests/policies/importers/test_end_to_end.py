@@ -167,7 +167,7 @@ def test_what_a_library_wrote_becomes_a_policy_that_says_the_same(kind, tmp_path
     code, said, _ = run(path, "--out", out)
     assert code == 0
     assert said.startswith(f"{out}: ")
-    assert "the same as the original over 1,024 observations and 16 sequences of 200" in said
+    assert "agrees with the original on 1,024 observations and 16 sequences of 200" in said
 
     policy = Policy.load(out, SPEC)
     theirs = (np.random.default_rng(0).normal(size=(STEPS, N)) * 2 + 1).astype(np.float32)

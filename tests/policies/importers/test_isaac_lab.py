@@ -136,7 +136,7 @@ def test_a_template_with_its_descriptor_needs_little_more(tmp_path, capsys):
     (tmp_path / "policy.onnx").write_bytes(model.SerializeToString())
     draft, said = tmp_path / "policy.toml", written(tmp_path, data)
     assert policy_import(tmp_path / "policy.onnx", template=True, descriptor=said) == 0
-    assert capsys.readouterr().out.endswith("; 4 values marked ? are to be filled in\n")
+    assert capsys.readouterr().out.endswith("; fill in 4 values marked ?\n")
     text = draft.read_text()
     for field, answer in {"robot": '"arm6"', "task": '"reach"', "kp": '"none"', "kd": '"none"'}.items():
         assert f'{field} = "?"' in text
@@ -203,7 +203,7 @@ def test_a_template_for_a_robot_names_it_and_its_task(tmp_path, robot, name, tas
 
 
 def test_a_descriptor_is_for_templates(tmp_path):
-    with pytest.raises(ConfigError, match=r"--descriptor .*: found no --template, expected it beside"):
+    with pytest.raises(ConfigError, match=r"--descriptor .*: found without --template, expected both"):
         policy_import(tmp_path / "a.onnx", descriptor=ANYMAL)
 
 
@@ -271,8 +271,8 @@ BOMB = "0: &0 [x, x]\n" + "".join(f"{k}: &{k} [*{k - 1}, *{k - 1}]\n" for k in r
             "a: !!python/object/apply:os.system [touch escaped]",
             "not valid YAML: could not determine a constructor",
         ),
-        ("[" * 100_000, "found more than 20 parts inside each other"),
-        ("{" * 5_000, "found more than 20 parts inside each other"),
+        ("[" * 100_000, "found more than 20 nested levels"),
+        ("{" * 5_000, "found more than 20 nested levels"),
         ("a: " + "9" * 10_000, "not valid YAML: "),
         ("a: [1", "not valid YAML: expected ',' or ']'"),
         ("\x00", "not valid YAML: "),

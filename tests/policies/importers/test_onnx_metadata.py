@@ -190,7 +190,7 @@ def test_a_file_without_such_metadata_says_nothing():
         ("action_scale", "0.1,0.2", "expected 3 entries"),
         ("observation_terms_clip", ",".join(["1;-1"] * 8), "found [1.0, -1.0], expected low and high"),
         ("observation_terms_history_length", ",".join(["2.5"] * 8), "('base_lin_vel', 2.5, 1.0)"),
-        ("observation_terms_history_length", ",".join(["1e9"] * 8), "expected 0 to 4096"),
+        ("observation_terms_history_length", ",".join(["1e9"] * 8), "expected a length of 0 to 4096"),
         ("observation_terms_flatten_history_dim", ",".join(["0.000"] * 8), "('joint_pos', 5.0, 0.0)"),
     ],
 )
@@ -267,7 +267,7 @@ def test_metadata_of_holosoma_that_makes_no_sense_is_refused(key, value, complai
 
 
 def test_an_onnx_file_carries_what_its_metadata_says_into_the_template():
-    written = pytest.importorskip("policies.importers.template", exc_type=ImportError).written
+    written = pytest.importorskip("policies.importers.template", exc_type=ImportError).render_template
     facts = read_onnx(graph(MJLAB), "a.onnx").facts
     assert facts.known == known_from(MJLAB, "a.onnx")
     text, still_open = written(facts, "a.onnx")

@@ -16,16 +16,16 @@ pytest.importorskip("onnxscript")
 
 from onnx import numpy_helper
 
-from policies.importers.reference_policy import UnansweredError
+from policies.importers.reference_policy import MissingSettingError
 from policies.importers.rsl_rl.actor import Actor
 from policies.importers.rsl_rl.checkpoint import read_rsl_rl
-from policies.importers.torch_files.network_settings import Network
+from policies.importers.torch_files.network_settings import NetworkSettings
 from robots.errors import ContractError
 from support.importers.parity import parity
 from support.importers.rsl_rl_files import KINDS, A, Env, N, saved
 from support.paths import DATA
 
-ELU = Network(activation="elu")
+ELU = NetworkSettings(activation="elu")
 
 
 def spoil(original, change):
@@ -40,7 +40,7 @@ def spoil(original, change):
 def test_our_file_agrees_with_rsl_rl(tmp_path, kind):
     path, model = saved(tmp_path, **KINDS[kind])
     plain = kind == "GRU"
-    original = read_rsl_rl(path, Network(activation="silu" if plain else "elu"))
+    original = read_rsl_rl(path, NetworkSettings(activation="silu" if plain else "elu"))
     assert original.facts.kind == f"rsl_rl {kind}" + ("" if plain else " with a normalizer")
     assert (original.facts.observations, original.facts.actions) == (N, A)
     assert original.memory_size == {"MLP": 0, "LSTM": 24, "GRU": 12}[kind]
@@ -54,7 +54,7 @@ def test_our_file_agrees_with_rsl_rl(tmp_path, kind):
         model.reset()
         expected = torch.cat([model(row[None]) for row in rows]).numpy()
     forget = np.arange(len(rows)) == 0
-    np.testing.assert_allclose(original.play(rows["policy"].numpy(), forget), expected, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(original.run(rows["policy"].numpy(), forget), expected, rtol=0, atol=1e-6)
     assert parity(original) <= 1e-5
     spoil(original, lambda values: values * np.float32(1.01))
     with pytest.raises(ContractError, match="parity"):
@@ -71,7 +71,7 @@ def test_older_versions_computed_the_same(name):
     assert original.facts.kind == f"rsl_rl {OLD[name]} with a normalizer"
     infos = torch.load(path, weights_only=True)["infos"]
     forget = np.arange(len(infos["observations"])) == 0
-    found = original.play(infos["observations"].numpy(), forget)
+    found = original.run(infos["observations"].numpy(), forget)
     np.testing.assert_allclose(found, infos["actions"], rtol=0, atol=1e-6)
     assert parity(original) <= 1e-5
 
@@ -89,23 +89,23 @@ def test_without_rsl_rl_the_plain_module_says_the_same(tmp_path, monkeypatch, ki
     path, _ = saved(tmp_path, **KINDS[kind])
     rows = Env().get_observations()["policy"].numpy()
     forget = np.arange(len(rows)) % 7 == 0
-    played = read_rsl_rl(path, ELU).play(rows, forget)
-    monkeypatch.setattr(Actor, "play", lambda self, activation: None)
-    np.testing.assert_allclose(read_rsl_rl(path, ELU).play(rows, forget), played, rtol=0, atol=1e-6)
+    played = read_rsl_rl(path, ELU).run(rows, forget)
+    monkeypatch.setattr(Actor, "runner", lambda self, activation: None)
+    np.testing.assert_allclose(read_rsl_rl(path, ELU).run(rows, forget), played, rtol=0, atol=1e-6)
 
 
 def test_what_the_file_does_not_say_is_asked(tmp_path):
-    with pytest.raises(UnansweredError, match=r"network\.activation: not in the file") as caught:
-        read_rsl_rl(saved(tmp_path)[0], Network())
+    with pytest.raises(MissingSettingError, match=r"network\.activation: not in the file") as caught:
+        read_rsl_rl(saved(tmp_path)[0], NetworkSettings())
     facts = caught.value.facts
     assert (facts.observations, facts.actions, facts.known) == (N, A, {"network": {"activation": "?"}})
 
 
 def test_a_normalizer_from_elsewhere_is_not_passed_over(tmp_path):
     with pytest.raises(
-        ContractError, match=r"network\.normalizer: found 'n\.pkl', expected none: a checkpoint"
+        ContractError, match=r"network\.normalizer: found 'n\.pkl', expected no setting: the checkpoint"
     ):
-        read_rsl_rl(saved(tmp_path)[0], Network(activation="elu", normalizer="n.pkl"))
+        read_rsl_rl(saved(tmp_path)[0], NetworkSettings(activation="elu", normalizer="n.pkl"))
 
 
 # ---- what is refused ----
@@ -138,7 +138,7 @@ BAD = {
     "unknown part": (
         "MLP",
         {"estimator_state_dict": {}},
-        "'estimator_state_dict': unknown, expected no more",
+        "'estimator_state_dict': unknown, expected the keys",
     ),
     "two actors": ("MLP", {"model_state_dict": {}}, "found ['actor_state_dict', 'critic_state_dict'"),
     "no dict": ("MLP", {"actor_state_dict": 3}, "actor_state_dict: found int, expected a state_dict"),
@@ -164,7 +164,7 @@ BAD = {
         "obs_normalizer._std: found -1, expected",
     ),
     "NaN": ("MLP", put(MEAN, torch.full((1, N), torch.nan)), f"'{MEAN}': found 5 values NaN or infinite"),
-    "no layer": ("MLP", put("mlp.2.weight", None), "mlp: '2.bias': found shape (7,), expected only weights"),
+    "no layer": ("MLP", put("mlp.2.weight", None), "mlp: '2.bias': found shape (7,), expected weights"),
     "no bias": ("MLP", put("mlp.2.bias", None), "mlp: found ['0.weight', '0.bias', '2.weight', '4.weight'"),
     "no spread": (
         "MLP",

@@ -9,9 +9,9 @@ import pytest
 from deploy.policy.action import Action
 from deploy.policy.compatibility import check_contract
 from deploy.policy.observation import Observation
-from policies.importers.contract_builder import settle
-from policies.importers.contract_draft import Draft
-from policies.importers.reference_policy import STILL, Facts
+from policies.importers.contract_builder import build_contract
+from policies.importers.contract_draft import ContractDraft
+from policies.importers.reference_policy import ABSENT, PolicyFacts
 from robots.errors import ContractError
 from robots.strict import parse
 from support.arm6 import SPEC
@@ -46,11 +46,11 @@ def drafted(history=1, **changes):
 
 
 def settled(data, observations=None, actions=6, **original):
-    draft = parse(data, Draft, source="x.toml", error=ContractError)
+    draft = parse(data, ContractDraft, source="x.toml", error=ContractError)
     total = sum(t.history * (3 if t.source == "goal_position" else 6) for t in draft.observation)
-    facts = Facts(kind="a test", observations=observations or total, actions=actions)
+    facts = PolicyFacts(kind="a test", observations=observations or total, actions=actions)
     known = {"mean": None, "deviation": None, "memory_size": 0, **original}
-    return settle(draft, SimpleNamespace(facts=facts, **known), SPEC, "x.toml")
+    return build_contract(draft, SimpleNamespace(facts=facts, **known), SPEC, "x.toml")
 
 
 class Owner:
@@ -139,18 +139,18 @@ def without(key, term=None):
         (without("offset", 0), "x.toml: observation.0.offset: Field required"),
         (
             without("clip_first", 1),
-            "observation 'qd': clip_first: missing: clip comes before multiply, or after",
+            "observation 'qd': clip_first: missing, expected true (clip before multiply) or false",
         ),
-        (drafted(history=2), "x.toml: layout: missing: needed where a term has a history"),
+        (drafted(history=2), "x.toml: layout: missing, required where a term has a history"),
         (
             drafted(joint_names=("elbo", *THEIRS[1:])),
             "joint_names: arm6 has no joint 'elbo', expected one of elbow",
         ),
         (
             drafted(joint_names=(THEIRS[1], *THEIRS[1:])),
-            f"joint_names: found '{THEIRS[1]}' 2 times, expected it once",
+            f"joint_names: found '{THEIRS[1]}' 2 times, expected once",
         ),
-        (drafted(joint_names=THEIRS[:5]), f"joint_names: found '{THEIRS[5]}' 0 times, expected it once"),
+        (drafted(joint_names=THEIRS[:5]), f"joint_names: found '{THEIRS[5]}' 0 times, expected once"),
         (
             drafted(action=drafted()["action"] | {"multiply": (1.0, 2.0)}),
             "x.toml: action: multiply: found 2 numbers, expected 1 or 6",
@@ -179,7 +179,7 @@ def still(**changes):
 def test_a_joint_that_the_robot_has_not_stands_still():
     result = settled(still(), observations=7 + 7 + 3 + 6)
     check_contract(result.contract, SPEC, "x.toml")
-    assert np.flatnonzero(result.columns == STILL).tolist() == [2, 9]
+    assert np.flatnonzero(result.columns == ABSENT).tolist() == [2, 9]
     assert result.contract.observation_size == 21
     ours = [NAMES.index(name) for name in THEIRS]
     assert result.columns[[0, 1, 3, 4, 5, 6]].tolist() == ours
@@ -203,18 +203,18 @@ def changed_term(place, **changes):
             still(action_joints=("finger", *THEIRS)),
             "action_joints: arm6 has no joint 'finger', expected one of",
         ),
-        (still(action_joints=THEIRS[:5]), f"action_joints: found '{THEIRS[5]}' 0 times, expected it once"),
+        (still(action_joints=THEIRS[:5]), f"action_joints: found '{THEIRS[5]}' 0 times, expected once"),
         (
             still(joint_names=(*THEIRS[:5], "finger")),
-            f"joint_names: found '{THEIRS[5]}' 0 times, expected it once",
+            f"joint_names: found '{THEIRS[5]}' 0 times, expected once",
         ),
         (
             changed_term(0, offset="none"),
-            "observation 'q': joint_position: cannot be known of 'finger', which",
+            "observation 'q': joint_position: cannot be known of 'finger', not",
         ),
         (
             changed_term(1, offset=1.0),
-            "observation 'qd': joint_velocity: cannot be known of 'finger', which",
+            "observation 'qd': joint_velocity: cannot be known of 'finger', not",
         ),
         (changed_term(1, clip=(0.5, 1.0)), "observation 'qd': joint_velocity: cannot be known of 'finger'"),
         (

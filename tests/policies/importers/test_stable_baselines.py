@@ -12,9 +12,9 @@ pytest.importorskip("stable_baselines3")
 from gymnasium import spaces
 from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 
-from policies.importers.reference_policy import UnansweredError
+from policies.importers.reference_policy import MissingSettingError
 from policies.importers.stable_baselines.policy import read_stable_baselines
-from policies.importers.torch_files.network_settings import Network, Statistics
+from policies.importers.torch_files.network_settings import NetworkSettings, NormalizerStatistics
 from robots.errors import ContractError
 from support.importers.parity import parity
 from support.importers.stable_baselines import (
@@ -30,25 +30,25 @@ from support.importers.stable_baselines import (
     settings,
 )
 
-NONE = Network(normalizer="none")
-NORMALIZED = Network(normalizer="vecnormalize.pkl")
+NONE = NetworkSettings(normalizer="none")
+NORMALIZED = NetworkSettings(normalizer="vecnormalize.pkl")
 
 
 def played(original, count=300):
     observations = np.random.default_rng(0).normal(3, 4, (count, 5)).astype(np.float32)
-    return observations, original.play(observations, np.zeros(count, bool))
+    return observations, original.run(observations, np.zeros(count, bool))
 
 
 def refused(path, network=NONE):
     with pytest.raises(ContractError) as caught:
         read_stable_baselines(path, network)
     assert "\n" not in str(caught.value)
-    assert not isinstance(caught.value, UnansweredError)
+    assert not isinstance(caught.value, MissingSettingError)
     return str(caught.value).removeprefix(f"{path}: ")
 
 
 def asked(path, network):
-    with pytest.raises(UnansweredError) as caught:
+    with pytest.raises(MissingSettingError) as caught:
         read_stable_baselines(path, network)
     return caught.value.facts.known["network"]
 
@@ -109,7 +109,7 @@ def test_without_its_normalizer_it_is_another_policy(ppo):
     *_, path = ppo
     observations, bare = played(read_stable_baselines(path, NONE))
     normalized = read_stable_baselines(path, NORMALIZED)
-    assert np.abs(bare - normalized.play(observations, np.zeros(300, bool))).max() > 0.1
+    assert np.abs(bare - normalized.run(observations, np.zeros(300, bool))).max() > 0.1
     lost = read_stable_baselines(path, NONE)
     object.__setattr__(normalized, "model", lost.model)
     with pytest.raises(ContractError, match="weights or a normalizer differ"):
@@ -126,18 +126,18 @@ def test_its_normalizer_tells_what_observations_were_like(ppo):
 
 def test_what_no_file_says_is_asked(tmp_path, ppo):
     *_, path = ppo
-    assert asked(path, Network()) == {"normalizer": "?"}
+    assert asked(path, NetworkSettings()) == {"normalizer": "?"}
     *_, path = saved(tmp_path, policy_kwargs=SMALL, exclude=["policy_kwargs"])
-    assert asked(path, Network()) == {"activation": "?", "normalizer": "?"}
+    assert asked(path, NetworkSettings()) == {"activation": "?", "normalizer": "?"}
     assert asked(path, NONE) == {"activation": "?"}
-    answer = Network(activation="tanh", normalizer="none")
+    answer = NetworkSettings(activation="tanh", normalizer="none")
     assert read_stable_baselines(path, answer).facts.observations == 5
 
 
 def test_bounds_of_the_action_are_known_where_they_are_one_pair(tmp_path, ppo):
     def known(path):
-        with pytest.raises(UnansweredError) as caught:
-            read_stable_baselines(path, Network())
+        with pytest.raises(MissingSettingError) as caught:
+            read_stable_baselines(path, NetworkSettings())
         return caught.value.facts.known.get("action")
 
     assert known(ppo[2]) is None
@@ -152,7 +152,7 @@ def test_bounds_of_the_action_are_known_where_they_are_one_pair(tmp_path, ppo):
 
 
 def test_an_answer_that_the_file_denies_is_refused(ppo):
-    message = refused(ppo[2], Network(activation="relu", normalizer="none"))
+    message = refused(ppo[2], NetworkSettings(activation="relu", normalizer="none"))
     assert message.startswith("data: activation_fn: found \"<class 'torch.nn.modules.activation.Tanh'>\"")
     assert message.endswith("expected relu")
 
@@ -160,7 +160,7 @@ def test_an_answer_that_the_file_denies_is_refused(ppo):
 def test_an_activation_of_no_known_name_is_refused(tmp_path):
     *_, path = saved(tmp_path, policy_kwargs=SMALL | {"activation_fn": torch.nn.Mish})
     assert "activation_fn: found \"<class 'torch.nn.modules.activation.Mish'>\"" in refused(path)
-    assert "activation_fn" in refused(path, Network(activation="relu", normalizer="none"))
+    assert "activation_fn" in refused(path, NetworkSettings(activation="relu", normalizer="none"))
 
 
 def test_other_kinds_of_policy_are_refused_by_name(tmp_path):
@@ -273,7 +273,9 @@ def test_a_normalizer_that_does_not_fit_or_is_not_there_is_refused(ppo, tmp_path
     path = tmp_path / "policy.zip"
     path.write_bytes(ppo[2].read_bytes())
     assert "vecnormalize.pkl: cannot be read" in refused(path, NORMALIZED)
-    numbers = Network(normalizer=Statistics(mean=(0.0,) * 5, std=(1.0,) * 5))
-    assert refused(path, numbers) == "network.normalizer: found numbers, expected a file, or none"
+    numbers = NetworkSettings(normalizer=NormalizerStatistics(mean=(0.0,) * 5, std=(1.0,) * 5))
+    assert (
+        refused(path, numbers) == "network.normalizer: found numbers, expected the path of a file, or 'none'"
+    )
     kept(normalizing(lambda: Tiny((4,))), tmp_path)
     assert "vecnormalize.pkl: found 4 numbers, expected 5" in refused(path, NORMALIZED)

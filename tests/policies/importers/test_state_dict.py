@@ -8,14 +8,14 @@ pytest.importorskip("onnxscript")
 
 from torch import nn
 
-from policies.importers.reference_policy import UnansweredError
-from policies.importers.torch_files.network_settings import Network, Statistics
+from policies.importers.reference_policy import MissingSettingError
+from policies.importers.torch_files.network_settings import NetworkSettings, NormalizerStatistics
 from policies.importers.torch_files.state_dict import read_state_dict
 from robots.errors import ContractError
 from robots.strict import parse
 from support.importers.parity import parity
 
-TANH = Network(activation="tanh", normalizer="none")
+TANH = NetworkSettings(activation="tanh", normalizer="none")
 
 
 def net(seed=0):
@@ -45,7 +45,7 @@ def test_an_mlp_is_what_its_module_computes(tmp_path):
     assert original.batched
     assert not original.memory
     rows = np.random.default_rng(0).normal(size=(20, 7)).astype(np.float32)
-    found = original.play(rows, np.ones(20, dtype=bool))
+    found = original.run(rows, np.ones(20, dtype=bool))
     np.testing.assert_allclose(found, module(torch.from_numpy(rows)).detach(), rtol=0, atol=1e-6)
     assert parity(original) <= 1e-5
     weight = next(t for t in original.model.graph.initializer if sorted(t.dims) == [9, 12])
@@ -66,16 +66,16 @@ def named(*layers):
 def test_layers_stand_in_the_order_that_fits(tmp_path):
     ten = [(f"net.{2 * k}", 4, 4) for k in range(6)]  # net.10 is after net.2
     for state in (named(*ten), named(("trunk.0", 8, 5), ("trunk.2", 8, 8), ("head", 2, 8))):
-        message = refused(file_of(tmp_path, state), Network(normalizer="none"), UnansweredError)
-        assert message.startswith("network.activation: not in the file, expected an answer: elu, relu, tanh")
+        message = refused(file_of(tmp_path, state), NetworkSettings(normalizer="none"), MissingSettingError)
+        assert message.startswith("network.activation: not in the file, expected one of elu, relu, tanh")
 
 
 def test_what_the_file_does_not_say_is_asked(tmp_path):
-    with pytest.raises(UnansweredError) as caught:
-        read_state_dict(file_of(tmp_path, net().state_dict()), Network())
+    with pytest.raises(MissingSettingError) as caught:
+        read_state_dict(file_of(tmp_path, net().state_dict()), NetworkSettings())
     assert caught.value.facts.known == {"network": {"activation": "?", "normalizer": "?"}}
-    with pytest.raises(UnansweredError, match=r"network\.normalizer: not in the file") as asked:
-        read_state_dict(file_of(tmp_path, net().state_dict()), Network(activation="elu"))
+    with pytest.raises(MissingSettingError, match=r"network\.normalizer: not in the file") as asked:
+        read_state_dict(file_of(tmp_path, net().state_dict()), NetworkSettings(activation="elu"))
     assert asked.value.facts.known == {"network": {"normalizer": "?"}}
     assert (caught.value.facts.observations, caught.value.facts.actions) == (7, 3)
 
@@ -83,51 +83,53 @@ def test_what_the_file_does_not_say_is_asked(tmp_path):
 def test_a_normalizer_that_went_with_it_comes_before_it(tmp_path):
     rng, module = np.random.default_rng(1), net()
     mean, std = rng.normal(size=7) * 3, rng.uniform(0.1, 4, 7)
-    said = Network(
-        activation="tanh", normalizer=Statistics(mean=tuple(mean.tolist()), std=tuple(std.tolist()))
+    said = NetworkSettings(
+        activation="tanh", normalizer=NormalizerStatistics(mean=tuple(mean.tolist()), std=tuple(std.tolist()))
     )
     original = read_state_dict(file_of(tmp_path, module.state_dict()), said)
     assert original.facts.kind == "state_dict of an MLP with a normalizer"
     assert (original.mean, original.deviation) == (tuple(mean), tuple(std))
     rows = rng.normal(size=(20, 7)).astype(np.float32)
     expected = module(torch.from_numpy(((rows - mean) / std).astype(np.float32))).detach()
-    np.testing.assert_allclose(original.play(rows, np.ones(20, dtype=bool)), expected, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(original.run(rows, np.ones(20, dtype=bool)), expected, rtol=0, atol=1e-5)
     assert parity(original) <= 1e-5
 
 
 def test_a_normalizer_that_cannot_be_its_own_is_refused(tmp_path):
     path = file_of(tmp_path, net().state_dict())
     expected = 'expected { mean = [...], std = [...] } with 7 numbers each, or "none"'
-    message = refused(path, Network(activation="elu", normalizer="n.npz"))
+    message = refused(path, NetworkSettings(activation="elu", normalizer="n.npz"))
     assert message == f"network.normalizer: found 'n.npz', {expected}"
-    few = Statistics(mean=(0.0,), std=(1.0,))
-    assert refused(path, Network(normalizer=few)) == f"network.normalizer: found 1 numbers, {expected}"
+    few = NormalizerStatistics(mean=(0.0,), std=(1.0,))
+    assert (
+        refused(path, NetworkSettings(normalizer=few)) == f"network.normalizer: found 1 numbers, {expected}"
+    )
     with pytest.raises(ContractError, match=r"network\.normalizer: 2 numbers of mean but 1 of std"):
-        parse({"mean": (0.0, 1.0), "std": (1.0,)}, Statistics, source="x", error=ContractError)
+        parse({"mean": (0.0, 1.0), "std": (1.0,)}, NormalizerStatistics, source="x", error=ContractError)
     with pytest.raises(ContractError, match=r"std\.0: Input should be greater than 0"):
-        parse({"mean": (0.0,), "std": (0.0,)}, Statistics, source="x", error=ContractError)
+        parse({"mean": (0.0,), "std": (0.0,)}, NormalizerStatistics, source="x", error=ContractError)
 
 
 HUGE = torch.zeros(1).expand(10**6, 10**6)
 BAD = {
-    "empty": ({}, "found dict of no tensors, expected a state_dict"),
-    "a list": ([torch.zeros(2)], "found list of no tensors, expected a state_dict"),
-    "text": ({"0.weight": "a"}, "'0.weight': found str, expected only named tensors"),
+    "empty": ({}, "found dict without tensors, expected a state_dict"),
+    "a list": ([torch.zeros(2)], "found list without tensors, expected a state_dict"),
+    "text": ({"0.weight": "a"}, "'0.weight': found str, expected named tensors only"),
     "other key": (
         {**net().state_dict(), "log_std": torch.zeros(3)},
-        "'log_std': found shape (3,), expected only",
+        "'log_std': found shape (3,), expected weights",
     ),
     "other\nkey": (
         {**net().state_dict(), "a\nb": torch.zeros(3)},
-        "'a\\nb': found shape (3,), expected only",
+        "'a\\nb': found shape (3,), expected weights",
     ),
     "beside": (
         {"state_dict": net().state_dict(), "epoch": 3},
-        "'state_dict': found dict, expected only",
+        "'state_dict': found dict, expected named",
     ),
     "norm": (
         {**named(("0", 3, 3)), "1.weight": torch.zeros(3)},
-        "'1.weight': found shape (3,), expected only",
+        "'1.weight': found shape (3,), expected weights",
     ),
     "broken chain": (
         named(("0", 3, 4), ("2", 2, 5)),

@@ -85,7 +85,7 @@ def test_traced_and_frozen_networks_are_loaded(tmp_path, make):
     make = (lambda m: torch.jit.freeze(torch.jit.script(m))) if make == "freeze" else make
     original = read_torchscript(saved_script(tmp_path / "policy.pt", mlp(), make))
     observation = torch.randn(1, N)
-    found = original.play(observation.numpy(), torch.ones(1, dtype=torch.bool).numpy())
+    found = original.run(observation.numpy(), torch.ones(1, dtype=torch.bool).numpy())
     torch.testing.assert_close(torch.from_numpy(found), mlp()(observation).detach(), rtol=0, atol=1e-6)
 
 

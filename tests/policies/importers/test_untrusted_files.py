@@ -19,9 +19,9 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("onnxscript")
 pytest.importorskip("rsl_rl.models")
 
-from policies.importers.file_formats import read_original
-from policies.importers.torch_files import zip_archive
-from policies.importers.torch_files.network_settings import Network
+from policies.importers.file_formats import read_policy
+from policies.importers.torch_files.network_settings import NetworkSettings
+from policies.importers.untrusted import zip_archive
 from robots.errors import ContractError
 from support.importers.exported_programs import saved as saved_program
 from support.importers.imports import exported
@@ -29,7 +29,7 @@ from support.importers.rsl_rl_files import KINDS, saved
 from support.importers.torch_files import Recurrent, members, mlp, saved_script
 from support.paths import ROOT
 
-ELU, ASKED = Network(activation="elu", normalizer="none"), Network(normalizer="none")
+ELU, ASKED = NetworkSettings(activation="elu", normalizer="none"), NetworkSettings(normalizer="none")
 LINES_MAX, CHARACTERS_MAX = 5, 1200
 
 
@@ -66,7 +66,7 @@ def answers(path):
 def refused(path):
     """The message, if it is one that a person can read."""
     with pytest.raises(ContractError) as caught:
-        read_original(path, answers(path))
+        read_policy(path, answers(path))
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
     assert message.count("\n") < LINES_MAX
@@ -116,7 +116,7 @@ def test_a_spoiled_file_is_read_or_refused_in_few_lines(files, kind, seed, insid
     inside = inside and zipfile.is_zipfile(good)
     path.write_bytes(spoiled_inside(good, rng) if inside else spoiled(good.read_bytes(), rng))
     try:
-        read_original(path, answers(path))
+        read_policy(path, answers(path))
     except ContractError:
         refused(path)
 
@@ -129,7 +129,7 @@ def test_a_file_that_came_only_in_part_is_said_to_be_that(files, kind):
     assert "found an empty file" in refused(path)
     path.write_bytes(good.read_bytes()[:600])
     archived = zipfile.is_zipfile(good)
-    assert ("the beginning of an archive without its end" in refused(path)) == archived
+    assert ("a truncated archive" in refused(path)) == archived
 
 
 # ---- archives ----
@@ -182,7 +182,7 @@ def test_members_that_would_escape_their_folder_are_written_nowhere(tmp_path, fi
         path = inner / files[kind].name
         path.write_bytes(zipped(members(files[kind]) | dict.fromkeys(ESCAPES, b"x")))
         if kind == "Stable-Baselines3":  # has no outer folder
-            assert read_original(path, ASKED).facts.actions == 3
+            assert read_policy(path, ASKED).facts.actions == 3
         else:
             assert refused(path) == "found 5 outer folders, expected one"
         assert [each for each in tmp_path.rglob("*") if each.is_file()] == [path]
@@ -193,7 +193,7 @@ def test_members_that_would_escape_their_folder_are_written_nowhere(tmp_path, fi
 def test_an_archive_inside_an_archive_is_not_opened(tmp_path, files):
     path = tmp_path / "x.pt"
     path.write_bytes(zipped({"x/x.pt": files["rsl_rl"].read_bytes()}))
-    assert refused(path).startswith("found no data.pkl with its least byte first, expected a policy")
+    assert refused(path).startswith("found no data.pkl in little-endian byte order, expected a policy")
 
 
 # ---- pickles ----
@@ -330,7 +330,7 @@ ONNX = {
     "many words": (words, None),
     "words for actions": (
         lambda: graph(node("Identity", "word", "actions"), held=[("word", [["a", "b", "c"]])]),
-        "output 'actions': found none of 'obs' in it, expected an action that depends on it",
+        "output 'actions': does not depend on 'obs', expected an action computed from the observation",
     ),
     "above its folder": (
         elsewhere("../../etc/passwd"),
@@ -348,7 +348,7 @@ ONNX = {
     "huge": (claiming, ""),
     "huge observations": (
         lambda: graph(node("Identity", "obs", "actions"), observations=(1, 1 << 40), actions=(1, 1 << 40)),
-        "'obs': found FLOAT (1, 1099511627776), expected FLOAT and 1 to 4096 numbers",
+        "'obs': found FLOAT (1, 1099511627776), expected FLOAT with 1 to 4096 numbers",
     ),
 }
 
@@ -361,7 +361,7 @@ def test_a_graph_that_would_do_more_than_arithmetic_is_refused(tmp_path, kind):
     (tmp_path / "link").symlink_to("/etc/passwd")
     path.write_bytes(make().SerializeToString())
     if message is None:  # what the action does not depend on is left out
-        assert read_original(path, answers(path)).facts.actions == 3
+        assert read_policy(path, answers(path)).facts.actions == 3
     else:
         assert refused(path).startswith(message)
 
@@ -437,5 +437,5 @@ def test_a_graph_without_an_end_is_given_up(tmp_path):
     model.graph.initializer[0].dims[0] = 1 << 40
     path.write_bytes(model.SerializeToString())
     code, said = command(path, 2)
-    assert (code, said) == (2, f"error: {path}: found no end after 2 s\n")
+    assert (code, said) == (2, f"error: {path}: not finished after 2 s\n")
     assert os.listdir(tmp_path) == ["x.onnx"]

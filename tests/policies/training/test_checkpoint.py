@@ -65,9 +65,7 @@ def test_a_bare_pickle_is_never_run(tmp_path):
 
 def test_a_whole_module_is_refused(tmp_path):
     torch.save(made_actor(), tmp_path / "x.pt")
-    assert refused(tmp_path / "x.pt").startswith(
-        "data.pkl: found '__builtin__.set', 'policies.training.networks.Actor'"
-    )
+    assert refused(tmp_path / "x.pt").startswith("data.pkl: found 'policies.training.networks.Actor'")
 
 
 def zipped(path, **records):
@@ -88,7 +86,7 @@ def test_other_files_are_refused(tmp_path):
         )
     zipped(path, note="hello")
     assert refused(path).startswith(
-        "found no data.pkl with its least byte first, expected a checkpoint of policy-train"
+        "found no data.pkl in little-endian byte order, expected a checkpoint of policy-train"
     )
 
 
@@ -155,7 +153,7 @@ BAD = {
     ),
     "claims to be huge": (
         put("rollout", value=torch.zeros(1).expand(10**12, 30)),
-        "rollout: found torch.float32 (1000000000000, 30) not plain, expected",
+        "rollout: found torch.float32 (1000000000000, 30) not contiguous, expected",
     ),
     "strided": (
         put("actor", "mean", value=torch.zeros(30, 2)[:, 0]),
