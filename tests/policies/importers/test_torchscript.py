@@ -98,7 +98,7 @@ def test_unitrees_walking_policy_is_reproduced():
 
 def test_a_memory_outside_the_buffers_is_refused(tmp_path):
     message = refused(saved_script(tmp_path / "policy.pt", Attribute()))
-    assert message == "state: found a memory (Tensor) that is no buffer, expected buffers"
+    assert message == "state: found state (Tensor) in an attribute, expected it in a buffer"
 
 
 def test_a_memory_that_nothing_shows_is_found_when_it_is_traced(tmp_path):
@@ -187,4 +187,4 @@ def test_a_network_that_runs_with_no_size_of_its_weights_is_refused(tmp_path):
         def forward(self, x):
             return self.layer(x.view(1, 2, self.layer.in_features).sum(1))
 
-    assert refused(saved_script(tmp_path / "policy.pt", Images())).endswith(f"as its weights take: [{N}]")
+    assert refused(saved_script(tmp_path / "policy.pt", Images())).endswith(f"any observation size of its weights: [{N}]")
