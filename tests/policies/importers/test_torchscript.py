@@ -187,4 +187,6 @@ def test_a_network_that_runs_with_no_size_of_its_weights_is_refused(tmp_path):
         def forward(self, x):
             return self.layer(x.view(1, 2, self.layer.in_features).sum(1))
 
-    assert refused(saved_script(tmp_path / "policy.pt", Images())).endswith(f"any observation size of its weights: [{N}]")
+    assert refused(saved_script(tmp_path / "policy.pt", Images())).endswith(
+        f"any observation size of its weights: [{N}]"
+    )
