@@ -1,8 +1,8 @@
 """Catalogue of the fault classes that are injected into simulated robots."""
 
 from eval.faults.fault_class import FaultClass
-from eval.faults.plant_faults import plant_faults
-from eval.faults.policy_faults import policy_faults
+from eval.faults.plant_faults import PLANT_FAULTS
+from eval.faults.policy_faults import POLICY_FAULTS
 from eval.faults.sensor_faults import sensor_faults
 from robots.spec import RobotSpec
 
@@ -20,4 +20,5 @@ NOT_INJECTED = (
 
 def catalogue(spec: RobotSpec) -> tuple[FaultClass, ...]:
     """Return all fault classes of a robot, in the order of the report."""
-    return (*sensor_faults(spec), *policy_faults(spec), *plant_faults(spec))
+    others = (fault.of_robot(spec) for fault in (*POLICY_FAULTS, *PLANT_FAULTS))
+    return (*sensor_faults(spec), *others)

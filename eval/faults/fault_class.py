@@ -5,17 +5,18 @@ Source of classes and answers: PX4 Autopilot, failure injection (sensors); Frank
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from deploy.backends.sim.sensor_faults import Failure
 from eval.faults.plant_access import PlantAccess
 from robots.arrays import Float32s
+from robots.spec import RobotSpec
 
 
 class Answer(IntEnum):
-    """What a robot did about a fault, in the order of severity."""
+    """Answers of a robot to a fault, in the order of severity."""
 
     WENT_ON = 0
     HELD = 1
@@ -43,6 +44,7 @@ class FaultClass:
     Attributes:
         where: a kind of sensor, the policy, a joint or the whole robot. what: fails there.
         channels: numbers of the sensor's channels, or of joints, that can fail alone; None for all at once.
+        per_joint: each joint of a robot can fail alone.
         lasts_s: s, from the first sign to the last.
         answer: the most severe one that is right; a gentler one is too, as long as no hard monitor fires.
         meaning: for the report.
@@ -51,6 +53,7 @@ class FaultClass:
     where: str
     what: str
     channels: tuple[int | None, ...] = (None,)
+    per_joint: bool = False
     lasts_s: float = SOON_S
     answer: Answer = Answer.STOPPED
     meaning: str
@@ -59,6 +62,10 @@ class FaultClass:
     def name(self) -> str:
         """Unique name in the catalogue."""
         return f"{self.where} {self.what}"
+
+    def of_robot(self, spec: RobotSpec) -> Self:
+        """Return the class with the channels of a robot."""
+        return replace(self, channels=tuple(range(spec.n))) if self.per_joint else self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,29 +77,6 @@ class SensorFault(FaultClass):
     """
 
     failure: Failure
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PolicyFault(FaultClass):
-    """Wrong action of the policy.
-
-    Attributes:
-        effect: changes the action (A,) of the robot in place, at each call of the policy.
-    """
-
-    where: str = POLICY
-    effect: Callable[["ActionFault"], None]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlantFault(FaultClass):
-    """Defect of the simulated body, its drives or its supply.
-
-    Attributes:
-        effect: applies the defect before each tick of the fault, and repairs it once at the end.
-    """
-
-    effect: Callable[["PlantAccess", "Injection", bool], None]
 
 
 class Injection(NamedTuple):
@@ -119,3 +103,30 @@ class ActionFault(NamedTuple):
     last: Float32s
     channel: int | None
     call: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PolicyFault(FaultClass):
+    """Wrong action of the policy.
+
+    Attributes:
+        effect: changes the action (A,) of the robot in place, at each call of the policy.
+    """
+
+    where: str = POLICY
+    effect: Callable[[ActionFault], None]
+
+
+Effect = Callable[[PlantAccess, Injection, bool], None]
+"""Change of the plant for an injection; True while it is active, False once when it has ended."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantFault(FaultClass):
+    """Defect of the simulated body, its drives or its supply.
+
+    Attributes:
+        effect: applies the defect before each tick of the fault, and repairs it once at the end.
+    """
+
+    effect: Effect

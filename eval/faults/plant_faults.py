@@ -1,8 +1,7 @@
 """Fault classes of joints, brakes, cable and supply of the simulated robot."""
 
-from eval.faults.fault_class import JOINT, ROBOT, Injection, PlantFault
+from eval.faults.fault_class import JOINT, ROBOT, Effect, Injection, PlantFault
 from eval.faults.plant_access import PlantAccess
-from robots.spec import RobotSpec
 
 HOT_K_PER_S, SHORT_K_PER_S = 6.0, 15.0
 """Warming of a housing from outside, and of a winding by a short between its turns."""
@@ -43,10 +42,6 @@ def _block(access: PlantAccess, injection: Injection, active: bool) -> None:
     access.friction_loss[injection.robot, column] = BLOCKED_NM if active else friction
 
 
-def _kill_drive(access: PlantAccess, injection: Injection, active: bool) -> None:
-    access.set_voltage(injection.robot, NO_VOLTAGE if active else 1.0, injection.channel)
-
-
 def _close_brakes(access: PlantAccess, injection: Injection, active: bool) -> None:
     robot, friction = injection.robot, access.plant.wear.friction[injection.robot]
     access.friction_loss[robot, access.dofs] = BRAKE_SHARE * access.torque_max if active else friction
@@ -60,51 +55,49 @@ def _catch_cable(access: PlantAccess, injection: Injection, active: bool) -> Non
         access.repair_cables(robot)
 
 
-def _sag(access: PlantAccess, injection: Injection, active: bool) -> None:
-    access.set_voltage(injection.robot, SAG if active else 1.0)
+def _supply(share: float) -> Effect:
+    """Return an effect that leaves a share of its voltage to a joint's drive, or to all drives of the robot."""
+
+    def effect(access: PlantAccess, injection: Injection, active: bool) -> None:
+        access.set_voltage(injection.robot, share if active else 1.0, injection.channel)
+
+    return effect
 
 
-def _drop(access: PlantAccess, injection: Injection, active: bool) -> None:
-    access.set_voltage(injection.robot, NO_VOLTAGE if active else 1.0)
-
-
-def plant_faults(spec: RobotSpec) -> tuple[PlantFault, ...]:
-    """Return the classes of joints, then of the whole robot."""
-    joints = tuple(range(spec.n))
-    return (
-        PlantFault(
-            where=JOINT,
-            what="housing hot",
-            channels=joints,
-            lasts_s=12.0,
-            meaning="warmed by 6 K/s from outside",
-            effect=_heat_housing,
-        ),
-        PlantFault(
-            where=JOINT,
-            what="winding short",
-            channels=joints,
-            lasts_s=8.0,
-            meaning="a short between turns warms the winding by 15 K/s while it has power",
-            effect=_short_winding,
-        ),
-        PlantFault(where=JOINT, what="blocked", channels=joints, meaning="cannot be moved", effect=_block),
-        PlantFault(
-            where=JOINT,
-            what="drive dead",
-            channels=joints,
-            meaning="its amplifier gives no voltage",
-            effect=_kill_drive,
-        ),
-        PlantFault(
-            where=ROBOT,
-            what="brakes close",
-            meaning="without a command, with 1.5 times the joints' torque",
-            effect=_close_brakes,
-        ),
-        PlantFault(
-            where=ROBOT, what="cable caught", meaning="pulls with 200 N per metre", effect=_catch_cable
-        ),
-        PlantFault(where=ROBOT, what="supply sags", meaning="to 30 % of its voltage", effect=_sag),
-        PlantFault(where=ROBOT, what="supply drops", lasts_s=0.3, meaning="to no voltage", effect=_drop),
-    )
+PLANT_FAULTS = (
+    PlantFault(
+        where=JOINT,
+        what="housing hot",
+        per_joint=True,
+        lasts_s=12.0,
+        meaning="warmed by 6 K/s from outside",
+        effect=_heat_housing,
+    ),
+    PlantFault(
+        where=JOINT,
+        what="winding short",
+        per_joint=True,
+        lasts_s=8.0,
+        meaning="a short between turns warms the winding by 15 K/s while it has power",
+        effect=_short_winding,
+    ),
+    PlantFault(where=JOINT, what="blocked", per_joint=True, meaning="cannot be moved", effect=_block),
+    PlantFault(
+        where=JOINT,
+        what="drive dead",
+        per_joint=True,
+        meaning="its amplifier gives no voltage",
+        effect=_supply(NO_VOLTAGE),
+    ),
+    PlantFault(
+        where=ROBOT,
+        what="brakes close",
+        meaning="without a command, with 1.5 times the joints' torque",
+        effect=_close_brakes,
+    ),
+    PlantFault(where=ROBOT, what="cable caught", meaning="pulls with 200 N per metre", effect=_catch_cable),
+    PlantFault(where=ROBOT, what="supply sags", meaning="to 30 % of its voltage", effect=_supply(SAG)),
+    PlantFault(
+        where=ROBOT, what="supply drops", lasts_s=0.3, meaning="to no voltage", effect=_supply(NO_VOLTAGE)
+    ),
+)

@@ -1,24 +1,22 @@
 """Fault classes of the policy: actions that are not numbers, that stall, jump or run away."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from eval.faults.fault_class import ActionFault, Answer, PolicyFault
-from robots.spec import RobotSpec
 
 JUMP = 1e6
 """Action far beyond the contract's clip."""
 
 
-def _nan(call: ActionFault) -> None:
-    call.action[call.channel] = np.nan
+def _set(value: float) -> Callable[[ActionFault], None]:
+    """Return an effect that sets one number of the action."""
 
+    def effect(call: ActionFault) -> None:
+        call.action[call.channel] = value
 
-def _infinite(call: ActionFault) -> None:
-    call.action[call.channel] = np.inf
-
-
-def _run_away(call: ActionFault) -> None:
-    call.action[call.channel] = JUMP
+    return effect
 
 
 def _stall(call: ActionFault) -> None:
@@ -29,29 +27,26 @@ def _jump(call: ActionFault) -> None:
     call.action[:] = JUMP if call.call % 2 else -JUMP
 
 
-def policy_faults(spec: RobotSpec) -> tuple[PolicyFault, ...]:
-    """Return the classes of the policy of a robot."""
-    joints = tuple(range(spec.n))
-    return (
-        PolicyFault(what="nan", channels=joints, meaning="one number of the action is NaN", effect=_nan),
-        PolicyFault(
-            what="infinite",
-            channels=joints,
-            meaning="one number of the action is infinite",
-            effect=_infinite,
-        ),
-        PolicyFault(what="stalls", answer=Answer.HELD, meaning="repeats its last action", effect=_stall),
-        PolicyFault(
-            what="jumps",
-            answer=Answer.HELD,
-            meaning="outputs ±1e6 for every joint, with the other sign in each call",
-            effect=_jump,
-        ),
-        PolicyFault(
-            what="runs away",
-            channels=joints,
-            answer=Answer.HELD,
-            meaning="drives one joint towards its limit",
-            effect=_run_away,
-        ),
-    )
+POLICY_FAULTS = (
+    PolicyFault(what="nan", per_joint=True, meaning="one number of the action is NaN", effect=_set(np.nan)),
+    PolicyFault(
+        what="infinite",
+        per_joint=True,
+        meaning="one number of the action is infinite",
+        effect=_set(np.inf),
+    ),
+    PolicyFault(what="stalls", answer=Answer.HELD, meaning="repeats its last action", effect=_stall),
+    PolicyFault(
+        what="jumps",
+        answer=Answer.HELD,
+        meaning="outputs ±1e6 for every joint, with the other sign in each call",
+        effect=_jump,
+    ),
+    PolicyFault(
+        what="runs away",
+        per_joint=True,
+        answer=Answer.HELD,
+        meaning="drives one joint towards its limit",
+        effect=_set(JUMP),
+    ),
+)
