@@ -7,27 +7,28 @@ Source: de Boor, A Practical Guide to Splines (1978), ch. IX.
 
 import numpy as np
 
-from eval.judge.monitor import JointMonitor, JudgedRobot, Monitor, zero_unless
-from eval.judge.tick_buffer import PAST, TickWindow
+from eval.judge.monitor import JointMonitor, Monitor, zero_unless
+from eval.judge.tick_buffer import PAST
+from eval.judge.tick_window import TickWindow
 from robots.arrays import Floats
 
 SENT_TOLERANCE = 1e-4
 """Rounding, and the 1e-8 rad/s by which a planner may change its state: 2e-6 of the jerk limit at 200 Hz."""
 
 
-def _torque_difference(window: TickWindow, robot: JudgedRobot) -> Floats:
+def _torque_difference(window: TickWindow) -> Floats:
     _, drives_on = window.sent_differences[0]
     return zero_unless(drives_on, window.now.tau_sent - window.before.tau_sent)
 
 
-def _jump(window: TickWindow, robot: JudgedRobot) -> Floats:
+def _jump(window: TickWindow) -> Floats:
     """Distance from the true angle in the first tick of power, and from rest in the second; else 0."""
     on, jump = window.drives_on, np.zeros(window.now.q.shape)
     if on[PAST - 2 :].all():
         return jump
     now, before = on[PAST:], on[PAST - 1 : -1]
     first = now & ~before & window.before.valid
-    missed = np.abs(window.now.sent - window.before.q) - robot.limits.arming_rad
+    missed = np.abs(window.now.sent - window.before.q) - window.robot.limits.arming_rad
     jump[first] = np.maximum(missed, 0.0)[first]
     second = now & before & ~on[PAST - 2 : -2]
     jump[second] = window.sent_differences[0][0][second]
@@ -37,7 +38,7 @@ def _jump(window: TickWindow, robot: JudgedRobot) -> Floats:
 def _motion_sent(name: str, unit: str, limit: str, order: int, ordinal: str) -> Monitor:
     """Declare the monitor of a difference of the angles sent, 0 where it looks at a tick without power."""
 
-    def difference(window: TickWindow, robot: JudgedRobot) -> Floats:
+    def difference(window: TickWindow) -> Floats:
         values, drives_on = window.sent_differences[order - 1]
         return zero_unless(drives_on, values)
 

@@ -2,28 +2,25 @@
 
 import numpy as np
 
-from eval.judge.monitor import JointMonitor, JudgedRobot, zero_unless
-from eval.judge.tick_buffer import TickWindow
+from eval.judge.monitor import JointMonitor, zero_unless
+from eval.judge.tick_buffer import PAST
+from eval.judge.tick_window import TickWindow
 from robots.arrays import Floats
 
 TORQUE_FULL = 0.999
 """Share of the torque range that counts as its end: a drive saturates there and cannot exceed it."""
 
 
-def _q_from_middle(window: TickWindow, robot: JudgedRobot) -> Floats:
-    return window.now.q - robot.q_middle
-
-
-def _target_from_middle(window: TickWindow, robot: JudgedRobot) -> Floats:
+def _target_from_middle(window: TickWindow) -> Floats:
     """0 without power, when nobody follows the target."""
-    return zero_unless(window.now.powered, window.now.target - robot.q_middle)
+    return zero_unless(window.now.powered, window.now.target - window.robot.q_middle)
 
 
-def _tracking_error(window: TickWindow, robot: JudgedRobot) -> Floats:
-    return zero_unless(window.drives_on[-len(window.now.q) :], window.now.q - window.now.sent)
+def _tracking_error(window: TickWindow) -> Floats:
+    return zero_unless(window.drives_on[PAST:], window.now.q - window.now.sent)
 
 
-def _squared_estimate_error(window: TickWindow, robot: JudgedRobot) -> Floats:
+def _squared_estimate_error(window: TickWindow) -> Floats:
     """Normalized squared error of the angle. The estimate is for the end of the tick before.
 
     Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), 5.4.
@@ -49,7 +46,7 @@ JOINT_MONITORS = (
         hard=False,
         meaning="true angle nearer to the range's end than its margin",
         limit=lambda robot: robot.q_half_range - robot.spec.margins.q_soft_rad,
-        value=_q_from_middle,
+        value=lambda window: window.q_from_middle,
     ),
     JointMonitor(
         name="position_hard",
@@ -57,7 +54,7 @@ JOINT_MONITORS = (
         hard=True,
         meaning="true angle beyond the working range",
         limit=lambda robot: robot.q_half_range,
-        value=_q_from_middle,
+        value=lambda window: window.q_from_middle,
     ),
     JointMonitor(
         name="velocity",
@@ -65,7 +62,7 @@ JOINT_MONITORS = (
         hard=True,
         meaning="true joint speed",
         limit=lambda robot: robot.spec.joint_array("qd_max"),
-        value=lambda window, robot: window.now.qd,
+        value=lambda window: window.now.qd,
     ),
     JointMonitor(
         name="torque",
@@ -73,7 +70,7 @@ JOINT_MONITORS = (
         hard=True,
         meaning="true actuator torque at the end of its range",
         limit=lambda robot: TORQUE_FULL * robot.torque_max,
-        value=lambda window, robot: window.now.tau,
+        value=lambda window: window.now.tau,
     ),
     JointMonitor(
         name="power",
@@ -81,7 +78,7 @@ JOINT_MONITORS = (
         hard=False,
         meaning="true mechanical power of a joint, given or taken",
         limit=lambda robot: robot.limits.motor_array("power_w", robot.spec),
-        value=lambda window, robot: window.joint_power,
+        value=lambda window: window.joint_power,
     ),
     JointMonitor(
         name="heat_soft",
@@ -89,7 +86,7 @@ JOINT_MONITORS = (
         hard=False,
         meaning="true winding temperature, warning",
         limit=lambda robot: robot.spec.motor_array("winding_soft_c"),
-        value=lambda window, robot: window.now.winding_c,
+        value=lambda window: window.now.winding_c,
     ),
     JointMonitor(
         name="heat_hard",
@@ -97,7 +94,7 @@ JOINT_MONITORS = (
         hard=True,
         meaning="true winding temperature, damage",
         limit=lambda robot: robot.spec.motor_array("winding_max_c"),
-        value=lambda window, robot: window.now.winding_c,
+        value=lambda window: window.now.winding_c,
     ),
     JointMonitor(
         name="tracking",

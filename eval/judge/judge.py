@@ -17,9 +17,10 @@ from eval.judge.counts import BINS, REASONS, Counts
 from eval.judge.events import BadTicks, EventLog
 from eval.judge.limit_ratios import LimitRatios, RatioBlock
 from eval.judge.limits import load_limits
-from eval.judge.monitor import JudgedRobot, Monitor
+from eval.judge.monitor import Monitor
 from eval.judge.monitors import MONITORS, Channels
-from eval.judge.tick_buffer import BLOCK_TICKS, PAST, TickBuffer, Ticks, TickWindow
+from eval.judge.tick_buffer import BLOCK_TICKS, PAST, TickBuffer, Ticks
+from eval.judge.tick_window import JudgedRobot, TickWindow
 from eval.judge.truth import Truth, base_velocity_and_tilt
 from robots.arrays import Bools, Floats, Ints
 from robots.spec import RobotSpec
@@ -141,7 +142,7 @@ class Judge(Stage):
         """Judge the pending ticks."""
         if not self.buffer.pending:
             return
-        window = self.buffer.window(self._robots)
+        window = TickWindow(self.buffer.pending_ticks(self._robots), self.ratios.robot)
         block = self.ratios.evaluate(window)
         self._compare(block)
         self.bins += self.ratios.histogram(block)

@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from eval.judge.counts import BINS, BINS_PER_LIMIT
-from eval.judge.monitor import JudgedRobot, Monitor
+from eval.judge.monitor import Monitor
 from eval.judge.monitors import Channels
-from eval.judge.tick_buffer import BLOCK_TICKS, TickWindow
+from eval.judge.tick_buffer import BLOCK_TICKS
+from eval.judge.tick_window import JudgedRobot, TickWindow
 from robots.arrays import Floats, Ints
 
 
@@ -35,12 +36,12 @@ class LimitRatios:
     """Evaluation of all monitors of R robots.
 
     Attributes:
-        limits: (C,) in the units of the monitors; positions are from the middle of the working range.
+        robot: constants. limits: (C,) in the units of the monitors; positions are from the middle of the working range.
     """
 
     def __init__(self, channels: Channels, robot: JudgedRobot, robots: int) -> None:
         """Compute the limits and allocate."""
-        self._channels, self._robot, self._robots = channels, robot, robots
+        self._channels, self.robot, self._robots = channels, robot, robots
         self._n, self._joint_monitors = len(channels.joints), channels.joint_monitors
         self._applies = [monitor in channels.monitors for monitor in channels.catalogue]
         limits = [self._limit(*each) for each in zip(channels.catalogue, self._applies, strict=True)]
@@ -52,7 +53,7 @@ class LimitRatios:
 
     def _limit(self, monitor: Monitor, applies: bool) -> Floats:
         """(n,) or (1,); infinite where the robot does not have the monitor."""
-        limit = monitor.limit(self._robot) if applies else np.inf
+        limit = monitor.limit(self.robot) if applies else np.inf
         return np.full(self._n if monitor.per_joint else 1, limit, dtype=float)
 
     def _allocate(self) -> None:
@@ -80,7 +81,7 @@ class LimitRatios:
         outs = (*joints, *block.robots)
         for monitor, applies, out in zip(self._channels.catalogue, self._applies, outs, strict=True):
             if applies:
-                np.abs(monitor.value(window, self._robot), out=out)
+                np.abs(monitor.value(window), out=out)
             else:
                 out[:] = 0.0
         if not (valid := window.now.valid).all():

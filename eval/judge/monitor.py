@@ -2,53 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, TypeVar
 
-import numpy as np
 from numpy.typing import NDArray
 
-from deploy.policy.contract import Observed
-from eval.judge.limits import Limits
-from eval.judge.singularity import SingularityMetric
-from eval.judge.tick_buffer import TickWindow
+from eval.judge.tick_window import JudgedRobot, TickWindow
 from robots.arrays import Bools, Floats
 from robots.capabilities import Capability
 from robots.errors import ConfigError
-from robots.spec import RobotSpec
 
 Part = TypeVar("Part")
-
-
-@dataclass(frozen=True, kw_only=True)
-class JudgedRobot:
-    """Constants of one robot that limits and values of monitors are computed from.
-
-    Attributes:
-        torque_max: (n,) N·m, each actuator's range at the joint.
-        limits: limits.toml.
-        observed: statistics of the observations in training; None if the contract has none.
-    """
-
-    spec: RobotSpec
-    torque_max: Floats
-    limits: Limits
-    observed: Observed | None
-
-    @cached_property
-    def q_middle(self) -> Floats:
-        """(n,) rad, middle of the working range."""
-        return (self.spec.joint_array("q_max") + self.spec.joint_array("q_min")) / 2
-
-    @cached_property
-    def q_half_range(self) -> Floats:
-        """(n,) rad, from the middle of the working range to its ends."""
-        return (self.spec.joint_array("q_max") - self.spec.joint_array("q_min")) / 2
-
-    @cached_property
-    def singularity(self) -> SingularityMetric:
-        """Manipulability at true angles."""
-        return SingularityMetric(self.spec)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +38,7 @@ class Monitor:
     meaning: str
     per_joint: bool = False
     limit: Callable[[JudgedRobot], Floats | float]
-    value: Callable[[TickWindow, JudgedRobot], NDArray[Any]]
+    value: Callable[[TickWindow], NDArray[Any]]
     needs: frozenset[Capability] = frozenset()
     difference_order: int = 0
     tolerance: float = 0.0
@@ -108,8 +71,3 @@ def available(part: Part | None) -> Part:
             "monitor: found a robot without a part that the monitor uses; expected it in `needs`"
         )
     return part
-
-
-def row_norms(vectors: Floats) -> Floats:
-    """(T, R) Euclidean norms of vectors (T, R, 3)."""
-    return np.asarray(np.sqrt(np.einsum("tbi,tbi->tb", vectors, vectors)))

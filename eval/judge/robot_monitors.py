@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from eval.judge.monitor import JudgedRobot, Monitor, available, row_norms, zero_unless
-from eval.judge.tick_buffer import TickWindow
+from eval.judge.monitor import Monitor, available, zero_unless
+from eval.judge.tick_window import TickWindow
 from robots.arrays import Bools, Floats
 
 YES = 0.5
@@ -14,31 +14,39 @@ FALLING_RAD = 0.2
 """Angle by which a base falling at 3 rad/s turns while its IMU's packets are 50 ms late, and some estimation error."""
 
 
-def _distance_outside(window: TickWindow, robot: JudgedRobot) -> Floats:
+def _norms(vectors: Floats) -> Floats:
+    """(T, R) Euclidean norms of vectors (T, R, 3)."""
+    return np.asarray(np.sqrt(np.einsum("tbi,tbi->tb", vectors, vectors)))
+
+
+def _workspace_distance(window: TickWindow) -> Floats:
     """Distance from the workspace's centre, or depth below its lowest point plus its radius if that is more, m."""
-    position, space = window.now.tool_position, available(robot.spec.workspace)
-    distance = row_norms(position - np.array(space.centre))
+    position, space = window.now.tool_position, available(window.robot.spec.workspace)
+    distance = _norms(position - np.array(space.centre))
     return np.maximum(distance, space.radius_max + space.z_min - position[:, :, 2])
 
 
-def _inverse_manipulability(window: TickWindow, robot: JudgedRobot) -> Floats:
-    q, least = window.now.q, available(robot.limits.manipulability) * SINGULAR
-    found = robot.singularity.manipulability(q.reshape(-1, q.shape[-1])).reshape(q.shape[:-1])
+def _inverse_manipulability(window: TickWindow) -> Floats:
+    q, least = window.now.q, available(window.robot.limits.manipulability) * SINGULAR
+    found = window.robot.singularity.manipulability(q.reshape(-1, q.shape[-1])).reshape(q.shape[:-1])
     return 1.0 / np.maximum(found, least)
 
 
-def _largest_deviation(window: TickWindow, robot: JudgedRobot) -> Floats:
+def _largest_deviation(window: TickWindow) -> Floats:
     """Largest deviation of an observed number from its mean in training, in standard deviations, while running."""
-    if robot.observed is None:
+    if window.robot.observed is None:
         return np.zeros(window.running.shape)
     mean, deviation = (
-        np.array(values, dtype=np.float32) for values in (robot.observed.mean, robot.observed.deviation)
+        np.array(values, dtype=np.float32)
+        for values in (window.robot.observed.mean, window.robot.observed.deviation)
     )
-    deviations = np.abs((window.now.observation - mean) / deviation)
+    deviations = window.now.observation - mean
+    deviations /= deviation
+    np.abs(deviations, out=deviations)
     return zero_unless(window.running, deviations.max(axis=2))
 
 
-def _ran_without_action(window: TickWindow, robot: JudgedRobot) -> Bools:
+def _ran_without_action(window: TickWindow) -> Bools:
     """True where a robot runs although the action of the tick before was not finite: it must stop by then."""
     return window.running & ~window.before.action_finite & window.before.powered
 
@@ -51,7 +59,7 @@ ROBOT_MONITORS = (
         meaning="the robot touches itself or its table",
         needs=frozenset({"self_collision"}),
         limit=lambda robot: YES,
-        value=lambda window, robot: window.now.self_collision,
+        value=lambda window: window.now.self_collision,
     ),
     Monitor(
         name="contact_force",
@@ -59,7 +67,7 @@ ROBOT_MONITORS = (
         hard=True,
         meaning="true normal force of the strongest contact",
         limit=lambda robot: robot.limits.contact_n,
-        value=lambda window, robot: window.now.contact_n,
+        value=lambda window: window.now.contact_n,
     ),
     Monitor(
         name="workspace",
@@ -68,7 +76,7 @@ ROBOT_MONITORS = (
         meaning="true tool position outside the workspace",
         needs=frozenset({"workspace"}),
         limit=lambda robot: available(robot.spec.workspace).radius_max,
-        value=_distance_outside,
+        value=_workspace_distance,
     ),
     Monitor(
         name="singularity",
@@ -86,7 +94,7 @@ ROBOT_MONITORS = (
         meaning="true tool speed",
         needs=frozenset({"workspace"}),
         limit=lambda robot: available(robot.spec.workspace).tool_speed_max,
-        value=lambda window, robot: row_norms(window.now.tool_velocity),
+        value=lambda window: _norms(window.now.tool_velocity),
     ),
     Monitor(
         name="tilt",
@@ -95,7 +103,7 @@ ROBOT_MONITORS = (
         meaning="true tilt of a base: it falls, or has fallen",
         needs=frozenset({"floating_base"}),
         limit=lambda robot: available(robot.spec.base).tilt_max_rad,
-        value=lambda window, robot: window.now.tilt,
+        value=lambda window: window.now.tilt,
     ),
     Monitor(
         name="fallen",
@@ -104,7 +112,7 @@ ROBOT_MONITORS = (
         meaning="true tilt of a base whose robot is still under way, by more than a stop needs to begin",
         needs=frozenset({"floating_base"}),
         limit=lambda robot: available(robot.spec.base).tilt_max_rad + FALLING_RAD,
-        value=lambda window, robot: zero_unless(window.running, window.now.tilt),
+        value=lambda window: zero_unless(window.running, window.now.tilt),
     ),
     Monitor(
         name="robot_power",
@@ -112,7 +120,7 @@ ROBOT_MONITORS = (
         hard=False,
         meaning="true mechanical power of all joints together",
         limit=lambda robot: robot.limits.power_w,
-        value=lambda window, robot: np.sum(window.joint_power, axis=2),
+        value=lambda window: np.sum(window.joint_power, axis=2),
     ),
     Monitor(
         name="observation",

@@ -1,14 +1,12 @@
 """Ring buffer of judge inputs, evaluated 200 ticks at a time."""
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.stage import Arrays, Stage
-from deploy.state import Mode
 from robots.arrays import Bools, Floats, Ints
 
 BLOCK_TICKS = 200
@@ -50,42 +48,10 @@ class Ticks(NamedTuple):
     attempted: Ints
     observation: NDArray[np.float32]
 
-
-class TickWindow:
-    """Ticks to be judged, each beside the tick before it, and values that several monitors share.
-
-    Attributes:
-        ticks: (PAST + T, R, ...). now: (T, R, ...) the ticks to be judged. before: (T, R, ...) the tick before each.
-        drives_on: (PAST + T, R) powered, and the simulation valid.
-    """
-
-    def __init__(self, ticks: Ticks) -> None:
-        """Split `ticks` (PAST + T, R, ...)."""
-        self.ticks = ticks
-        self.now, self.before = _rows(ticks, slice(PAST, None)), _rows(ticks, slice(PAST - 1, -1))
-        self.drives_on = ticks.powered & ticks.valid
-
-    @cached_property
-    def running(self) -> Bools:
-        """(T, R) mode is RUNNING."""
-        return self.now.mode == int(Mode.RUNNING)
-
-    @cached_property
-    def joint_power(self) -> Floats:
-        """(T, R, n) W, true mechanical power of each joint."""
-        return self.now.tau * self.now.qd
-
-    @cached_property
-    def sent_differences(self) -> tuple[tuple[Floats, Bools], ...]:
-        """First, second and third backward difference of the angles sent (T, R, n), in rad.
-
-        Each with (T, R): drives on in all ticks that the difference looks at.
-        """
-        values, on, found = self.ticks.sent, self.drives_on, []
-        for order in range(1, PAST + 1):
-            values, on = np.diff(values, axis=0), on[1:] & on[:-1]
-            found.append((values[PAST - order :], on[PAST - order :]))
-        return tuple(found)
+    def at(self, index: Any) -> "Ticks":
+        """Return views of all arrays at an index."""
+        arrays: Any = (array[index] for array in self)
+        return Ticks(*arrays)
 
 
 class TickBuffer(Stage):
@@ -119,9 +85,9 @@ class TickBuffer(Stage):
             array[row] = value
         self.pending += 1
 
-    def window(self, robots: int) -> TickWindow:
-        """Return views of the pending ticks of the first robots."""
-        return TickWindow(_rows(self._ticks, (slice(PAST + self.pending), slice(robots))))
+    def pending_ticks(self, robots: int) -> Ticks:
+        """Return views of the pending ticks of the first robots, and of the `PAST` ticks before."""
+        return self._ticks.at((slice(PAST + self.pending), slice(robots)))
 
     def clear(self) -> None:
         """Drop all but the last `PAST` ticks."""
@@ -141,9 +107,3 @@ class TickBuffer(Stage):
 
     def _past(self) -> dict[str, NDArray[Any]]:
         return {name: array[:PAST].swapaxes(0, 1) for name, array in self._ticks._asdict().items()}
-
-
-def _rows(ticks: Ticks, index: Any) -> Ticks:
-    """Return views of all arrays at an index."""
-    arrays: Any = (array[index] for array in ticks)
-    return Ticks(*arrays)

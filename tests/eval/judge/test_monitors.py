@@ -19,7 +19,7 @@ BRAKING = JointMonitor(
     hard=True,
     meaning="true mechanical power that a joint takes",
     limit=lambda robot: 0.5 * robot.limits.motor_array("power_w", robot.spec),
-    value=lambda window, robot: np.minimum(window.joint_power, 0.0),
+    value=lambda window: np.minimum(window.joint_power, 0.0),
 )
 TOOL_ACCELERATION = Monitor(
     name="tool_acceleration",
@@ -27,7 +27,7 @@ TOOL_ACCELERATION = Monitor(
     hard=False,
     meaning="1st backward difference of the true height's speed",
     limit=lambda robot: 9.81,
-    value=lambda window, robot: window.now.tool_velocity[..., 2] - window.before.tool_velocity[..., 2],
+    value=lambda window: window.now.tool_velocity[..., 2] - window.before.tool_velocity[..., 2],
     needs=frozenset({"tool"}),
     difference_order=1,
 )
@@ -37,7 +37,7 @@ KNEELING = Monitor(
     hard=True,
     meaning="a monitor of robots that the arm is not one of",
     limit=lambda robot: robot.spec.base.tilt_max_rad,
-    value=lambda window, robot: window.now.tilt / 0.0,
+    value=lambda window: window.now.tilt / 0.0,
     needs=frozenset({"floating_base"}),
 )
 ALL = (KNEELING, TOOL_ACCELERATION, *MONITORS, BRAKING)

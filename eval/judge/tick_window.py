@@ -1,0 +1,88 @@
+"""Window of ticks that monitors are evaluated on, with the constants of the robot."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from deploy.policy.contract import Observed
+from deploy.state import Mode
+from eval.judge.limits import Limits
+from eval.judge.singularity import SingularityMetric
+from eval.judge.tick_buffer import PAST, Ticks
+from robots.arrays import Bools, Floats
+from robots.spec import RobotSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedRobot:
+    """Constants of one robot that limits and values of monitors are computed from.
+
+    Attributes:
+        torque_max: (n,) N·m, each actuator's range at the joint.
+        limits: limits.toml.
+        observed: statistics of the observations in training; None if the contract has none.
+    """
+
+    spec: RobotSpec
+    torque_max: Floats
+    limits: Limits
+    observed: Observed | None
+
+    @cached_property
+    def q_middle(self) -> Floats:
+        """(n,) rad, middle of the working range."""
+        return (self.spec.joint_array("q_max") + self.spec.joint_array("q_min")) / 2
+
+    @cached_property
+    def q_half_range(self) -> Floats:
+        """(n,) rad, from the middle of the working range to its ends."""
+        return (self.spec.joint_array("q_max") - self.spec.joint_array("q_min")) / 2
+
+    @cached_property
+    def singularity(self) -> SingularityMetric:
+        """Manipulability at true angles."""
+        return SingularityMetric(self.spec)
+
+
+class TickWindow:
+    """Ticks to be judged, each beside the tick before it, and values that several monitors share.
+
+    Attributes:
+        robot: constants.
+        ticks: (PAST + T, R, ...). now: (T, R, ...) the ticks to be judged. before: (T, R, ...) the tick before each.
+        drives_on: (PAST + T, R) powered, and the simulation valid.
+    """
+
+    def __init__(self, ticks: Ticks, robot: JudgedRobot) -> None:
+        """Split `ticks` (PAST + T, R, ...)."""
+        self.robot, self.ticks = robot, ticks
+        self.now, self.before = ticks.at(slice(PAST, None)), ticks.at(slice(PAST - 1, -1))
+        self.drives_on = ticks.powered & ticks.valid
+
+    @cached_property
+    def running(self) -> Bools:
+        """(T, R) mode is RUNNING."""
+        return self.now.mode == int(Mode.RUNNING)
+
+    @cached_property
+    def q_from_middle(self) -> Floats:
+        """(T, R, n) rad, true angle from the middle of the working range."""
+        return self.now.q - self.robot.q_middle
+
+    @cached_property
+    def joint_power(self) -> Floats:
+        """(T, R, n) W, true mechanical power of each joint."""
+        return self.now.tau * self.now.qd
+
+    @cached_property
+    def sent_differences(self) -> tuple[tuple[Floats, Bools], ...]:
+        """First, second and third backward difference of the angles sent (T, R, n), in rad.
+
+        Each with (T, R): drives on in all ticks that the difference looks at.
+        """
+        values, on, found = self.ticks.sent, self.drives_on, []
+        for order in range(1, PAST + 1):
+            values, on = np.diff(values, axis=0), on[1:] & on[:-1]
+            found.append((values[PAST - order :], on[PAST - order :]))
+        return tuple(found)
