@@ -59,9 +59,14 @@ def random_source(
     robot = int(match[2])
     if re.fullmatch(r"\d{1,18}", match[1]):
         return draw, robot_seed(int(match[1]), robot), None
-    number, robots = load_draw(Path(match[1]), load_distributions(spec), spec)
+    return draw, *_stored(spec, draw, Path(match[1]), robot)
+
+
+def _stored(spec: RobotSpec, draw: str, path: Path, robot: int) -> tuple[np.random.SeedSequence, Draw]:
+    """Return seed and draw of one robot of a soak's draws.json."""
+    number, robots = load_draw(path, load_distributions(spec), spec)
     if robot >= robots.robots:
         raise ConfigError(
             f"--draw {draw}: found robot {robot}, expected one of the {robots.robots} from 0 on"
         )
-    return draw, robot_seed(number, robot), robots.robot(robot)
+    return robot_seed(number, robot), robots.robot(robot)

@@ -51,7 +51,7 @@ WORDS = {
     Reason.TRACKING: "a joint does not follow its setpoint",
     Reason.NOT_FINITE: "a number is not finite",
     Reason.OVERRUN: "too many ticks came late",
-    Reason.OPERATOR: "it was told to stop",
+    Reason.OPERATOR: "stopped by the operator",
     Reason.OUTSIDE: "a joint is outside its working range",
     Reason.STUCK: "a sensor says the same, again and again",
     Reason.MOVING: "a joint moves while the drives are off",

@@ -83,16 +83,12 @@ class Plant(Stage):
         self.payload = Payload(self.batch, model, draw, seeds, spec.dt)
         self.pushes = Pushes(self.batch, model, draw, seeds, spec.dt)
         self._dt = spec.dt
-        self._supply, self._slow = (max(1, round(s * spec.rates.control_hz)) for s in (SUPPLY_S, SLOW_S))
+        self._supply_ticks, self._slow_ticks = (
+            max(1, round(s * spec.rates.control_hz)) for s in (SUPPLY_S, SLOW_S)
+        )
         self._bind(model)
         self._allocate(draw.robots, spec.n)
-        self._readings: dict[Kind, Floats] = {
-            "encoder": self._encoder,
-            "velocity": self.kinematics.motor_qd,
-            "current": self.current,
-            "temperature": self.housings.celsius,
-        }
-        self._readings |= {kind: self.sensed[:, places] for kind, places in model.site_sensors.items()}
+        self._readings = self._readings_of(model)
         self.reset(self.valid.copy(), np.tile(spec.joint_array("q_home"), (draw.robots, 1)))
 
     def _bind(self, model: PlantModel) -> None:
@@ -113,6 +109,15 @@ class Plant(Stage):
         self.tool, self.tool_velocity = np.zeros((robots, 3)), np.zeros((robots, 3))
         self.travel, self.turned = np.zeros((robots, n)), np.zeros((robots, n))
         self._encoder, self._speed = np.zeros((robots, n)), np.zeros((robots, n))
+
+    def _readings_of(self, model: PlantModel) -> dict[Kind, Floats]:
+        readings: dict[Kind, Floats] = {
+            "encoder": self._encoder,
+            "velocity": self.kinematics.motor_qd,
+            "current": self.current,
+            "temperature": self.housings.celsius,
+        }
+        return readings | {kind: self.sensed[:, places] for kind, places in model.site_sensors.items()}
 
     @property
     def q(self) -> Floats:
@@ -154,15 +159,18 @@ class Plant(Stage):
         self.wear.reset(rows)
         self.pushes.apply(rows)
         self.travel[rows] = self.turned[rows] = 0.0
+        self._forward(rows)
+        self.current[rows] = 0.0
+        self.sensed[rows] = self._sensordata[rows]
+        self.tool[rows], self.tool_velocity[rows] = self._site[rows], 0.0
+        self._update_kinematics()
+
+    def _forward(self, rows: np.ndarray) -> None:
         self.valid[rows] = True
         try:
             self.batch.forward(rows)
         except SimulationError as e:
             self.valid[e.ids] = False
-        self.current[rows] = 0.0
-        self.sensed[rows] = self._sensordata[rows]
-        self.tool[rows], self.tool_velocity[rows] = self._site[rows], 0.0
-        self._update_kinematics()
 
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         """Restore saved arrays, bit for bit; torque and contacts read zero until the next step."""
@@ -186,11 +194,11 @@ class Plant(Stage):
         self._roll(self.drives.step(command, self.kinematics.motor_q))
         self.tick[0] = tick = tick + 1
         self._read_physics()
-        if tick % self._supply == 0:
-            self.windings.warm(self._rise, self.housing, self._supply, self._dt)
+        if tick % self._supply_ticks == 0:
+            self.windings.warm(self._rise, self.housing, self._supply_ticks, self._dt)
             ohm = self.windings.ohm(self.housing + self._rise)
             self.supply.update(self.current, self.kinematics.motor_qd, self.wear.constant, ohm)
-        if tick % self._slow == 0:
+        if tick % self._slow_ticks == 0:
             self._step_slowly()
 
     def warm(self, rise: Floats) -> None:
@@ -235,7 +243,7 @@ class Plant(Stage):
         self.travel *= self._dt
         self.turned *= self._dt
         friction_j = self.wear.friction * self.travel + self._damping * self.turned
-        self.housings.warm(self._rise, friction_j, self.turned, self._slow * self._dt)
+        self.housings.warm(self._rise, friction_j, self.turned, self._slow_ticks * self._dt)
         self.wear.step(self.travel, self.housing + self._rise)
         self.travel[:] = self.turned[:] = 0.0
 

@@ -57,7 +57,7 @@ def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):
     summary = json.loads((out / "summary.json").read_text())
     assert (code, complaint) == (0, "")
     assert (summary["ended"], summary["seed"], summary["stops"]) == ("done", "3", {"operator": 1})
-    assert [re.sub(r"^[\d.]+ s: ", "", stop) for stop in summary["last_stops"]] == ["it was told to stop"]
+    assert [re.sub(r"^[\d.]+ s: ", "", stop) for stop in summary["last_stops"]] == ["stopped by the operator"]
     assert (summary["robot_digest"], summary["recording"]) == (SPEC.digest, str(out / "run.mcap"))
     assert summary["policy_digest"] == Policy.load(arm_policy, SPEC).digest
     assert summary["goals"]["attempted"] == 1
@@ -122,7 +122,7 @@ def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(command, arm_polic
     monkeypatch.setattr("deploy.operation.clock.Unpaced.wait", wait)
     assert command("--policy", arm_policy, "--speed", "max", "--out", tmp_path)[0] == 130
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert (summary["ended"], summary["reason"]) == ("interrupted", "it was told to stop")
+    assert (summary["ended"], summary["reason"]) == ("interrupted", "stopped by the operator")
     assert [Path(event).name for event in summary["events"]] == ["event-300.mcap"]
 
 
