@@ -9,7 +9,7 @@ from deploy.backends.backend import Robot
 from deploy.estimation.estimator import Estimator
 from deploy.estimation.floating_base.floating_base import FloatingBase
 from deploy.masks import all_true, any_true
-from deploy.motion.drive_law import Springs, same
+from deploy.motion.drive_law import SpringDrives
 from deploy.motion.smoother import Smoother
 from deploy.policy.action import Action
 from deploy.policy.contract import Contract
@@ -22,7 +22,9 @@ from deploy.state import BaseState, Command, Reason, Sample, Setpoint, State, Ta
 from deploy.tasks.reach import Reach
 from deploy.tasks.velocity import Velocity
 from robots.arrays import Bools, Float32s, Floats, Ints
+from robots.gains import same_gains
 from robots.models.fleet import Fleet
+from robots.models.kinematics import Kinematics
 from robots.spec import RobotSpec
 
 UNSEEN_S = 1.0
@@ -43,6 +45,7 @@ class Runtime(Stage):
     state: State
     verdict: Verdict
     command: Command
+    _kinematics: Kinematics
 
     def __init__(
         self,
@@ -70,9 +73,9 @@ class Runtime(Stage):
         self._period_s = contract.period_s
         self.fleet, checked = Fleet(spec, robots), Fleet(spec, 2 * robots, collisions=True)
         gains = contract.action.gains
-        if not same(gains, robot.gains):
+        if not same_gains(gains, robot.gains):
             raise RuntimeError("the robot's drives have other gains than the policy's contract")
-        self.springs = Springs(spec, gains) if gains and spec.base else None
+        self.springs = SpringDrives(spec, gains) if gains and spec.base else None
         self.estimator = Estimator(spec, robots, springs=gains if self.springs else None)
         self.safety = Safety(spec, checked, self.springs)
         self.action = Action(contract.action, robots)
@@ -117,7 +120,7 @@ class Runtime(Stage):
             "tool_position": lambda: self._tool,
             "goal_position": lambda: self._goal,
             "goal_from_tool": lambda: self._goal - self._tool,
-            "goal_torque": lambda: self.fleet.tool_pull(self._goal - self._tool),
+            "goal_torque": lambda: self._kinematics.torque_of_tool_force(self._goal - self._tool),
             "target_offset": lambda: self.action.q - self.state.q,
             "last_action": lambda: self.action.last,
             "base_angular_velocity": lambda: self._base.angular_velocity,
@@ -187,8 +190,8 @@ class Runtime(Stage):
 
     def _look(self, sample: Sample) -> None:
         """Where tool and goal are; who sees no goal, or none any more, stays where it is."""
-        self.fleet.place(self.state.q)
-        self._tool[:] = self.fleet.tool_position
+        self._kinematics = self.fleet.kinematics(self.state.q)
+        self._tool[:] = self._kinematics.tool_position
         if "goal" in sample:
             seen, old = sample["goal"].value, self.t - sample["goal"].t > UNSEEN_S
             self._goal[:] = np.where(np.isfinite(seen) & ~old[:, None], seen, self._tool)
@@ -199,10 +202,10 @@ class Runtime(Stage):
             self.action.step(action, self.smoother.q)
         stopping = self.supervisor.stopping
         self.action.hold(stopping, self.smoother.q)
-        self.smoother.pace = self.estimator.windings.foldback.speed_share
+        self.smoother.speed_scale = self.estimator.windings.foldback.speed_share
         planned = self.smoother.next(self.action.q, stopping)
-        ahead, q_midst, q_rest = self.smoother.brake(planned)
-        self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_midst, q_rest)
+        ahead, q_mid_stop, q_rest = self.smoother.brake(planned)
+        self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_mid_stop, q_rest)
         reason = self.stop_reasons()
         at_rest = self.smoother.at_rest if any_true(stopping) else stopping  # only robots that stop are asked
         obey = self.supervisor.step(reason, at_rest)

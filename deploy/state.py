@@ -114,7 +114,7 @@ class Setpoint(NamedTuple):
 
 
 class Reason(IntFlag):
-    """Why a setpoint is refused or a robot stopped; one bit each, several may hold."""
+    """Reasons to refuse a setpoint or to stop a robot, one bit each; several may hold."""
 
     NONE = 0
     POSITION = 1 << 0
@@ -140,21 +140,21 @@ class Reason(IntFlag):
 
 
 class Verdict(NamedTuple):
-    """What safety thinks of one setpoint.
+    """Result of the safety checks of one setpoint.
 
     Attributes:
         reason: (B,) int64 bit sets of `Reason`, 0 where the setpoint may be sent.
         tau: (B, n) N·m, inverse-dynamics torque of the setpoint (nominal model).
         tau_ahead: (B, n) N·m, the same one step into a stop that would begin there.
-        poses: (B, n) rad each, where nothing may meet: at the setpoint, in the midst of that stop, and at its end.
-        read: (2B, P) of setpoint and stop, and (B, S) of the belief, what was compared with bounds: for `Safety`.
+        poses: (B, n) rad each, checked for collisions: at the setpoint, in the middle of that stop, and at its end.
+        values: (2B, P) of setpoint and stop, and (B, S) of the estimate, compared with bounds: for `Safety.failed`.
     """
 
     reason: Ints
     tau: Floats
     tau_ahead: Floats
     poses: tuple[Floats, Floats, Floats]
-    read: tuple[Floats, Floats]
+    values: tuple[Floats, Floats]
 
 
 class Mode(IntEnum):

@@ -4,8 +4,21 @@ Safety checks, monitors, observation sources and log columns name the capabiliti
 whose needs it meets. Nothing else asks what kind of robot it is.
 """
 
-from typing import Literal
+from typing import Literal, TypeVar
 
 Capability = Literal["tool", "workspace", "manipulability", "floating_base", "self_collision"]
 """tool: a site or body with a pose of its own. workspace: bounds on the tool's position and speed. manipulability: a
 least distance from singularities. floating_base: the robot stands on feet. self_collision: shapes kept apart."""
+
+Part = TypeVar("Part")
+
+
+def required(part: Part | None) -> Part:
+    """Return an optional part of a robot, where a declaration names the capability.
+
+    Raises:
+        RuntimeError: the robot has no such part: the declaration does not name what it needs.
+    """
+    if part is None:
+        raise RuntimeError("a part of the robot was read without its capability being declared as needed")
+    return part

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, ClassVar, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 
-from deploy.motion.drive_law import Gains
 from deploy.state import Command, Sample
 from robots.arrays import Bools
 from robots.draws import Draw
 from robots.errors import ConfigError
+from robots.gains import Gains
 from robots.spec import RobotSpec
 
 if TYPE_CHECKING:

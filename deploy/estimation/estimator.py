@@ -16,10 +16,10 @@ from deploy.estimation.setpoint_history import SetpointHistory
 from deploy.estimation.stuck_detection import StuckDetection
 from deploy.estimation.winding_observer import WindingObserver
 from deploy.masks import all_true, any_true
-from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
 from deploy.state import Packet, Reason, Sample, Setpoint, State
 from robots.arrays import Bools, Floats
+from robots.gains import Gains
 from robots.spec import RobotSpec
 
 LOOK_S = 0.02

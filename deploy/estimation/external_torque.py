@@ -18,7 +18,7 @@ from deploy.estimation.sample_count import sample_count
 from deploy.stage import Stage
 from deploy.state import Packet
 from robots.arrays import Bools, Floats
-from robots.models.fleet import torque_max
+from robots.models.nominal_model import torque_max
 from robots.spec import RobotSpec
 from robots.windings import nominal_windings
 

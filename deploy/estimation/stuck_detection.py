@@ -3,10 +3,10 @@
 import numpy as np
 
 from deploy.estimation.sample_count import sample_count
-from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
 from robots.arrays import Bools, Floats
-from robots.models.fleet import torque_max
+from robots.gains import Gains
+from robots.models.nominal_model import torque_max
 from robots.spec import RobotSpec
 
 STUCK_S = 0.1

@@ -14,7 +14,7 @@ from deploy.masks import any_true
 from deploy.stage import Stage
 from deploy.state import Packet, Sample
 from robots.arrays import Bools, Floats
-from robots.models.fleet import torque_max
+from robots.models.nominal_model import torque_max
 from robots.sensors import Sensor
 from robots.spec import RobotSpec
 from robots.windings import nominal_windings

@@ -1,7 +1,7 @@
-"""Jerk-limited setpoints; a stop is one of the ways to go on.
+"""Jerk-limited setpoints, towards a target or into a stop.
 
-A robot that does what was planned, for a target that has not changed, stays on its trajectory; any other gets a new
-one.
+A robot that is where it was planned to be, for a target that has not changed, stays on its trajectory; any other gets
+a new one.
 """
 
 from collections.abc import Mapping
@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.masks import all_true, any_true
-from deploy.motion.trajectories import Stops, Ways, longest
+from deploy.motion.ruckig_planner import horizon_s
+from deploy.motion.trajectories import StopTrajectories, TrackingTrajectories
 from deploy.stage import Stage
 from deploy.state import Setpoint
 from robots.arrays import Bools, Floats
 from robots.spec import RobotSpec
 
 REST = 1e-6
-"""rad/s and rad/s². What is left below is rounding, which Ruckig may take many periods to bring to nothing."""
+"""rad/s and rad/s². Below it is rounding, which Ruckig may take many periods to bring to nothing."""
 
 
 class Smoother(Stage):
@@ -25,18 +26,19 @@ class Smoother(Stage):
 
     Attributes:
         q, qd, qdd: (B, n) rad, rad/s, rad/s², the last setpoint sent.
-        origin: (B, 4n + 2) where each robot's trajectory began and what was asked then: q, qd, qdd, target, pace,
+        origin: (B, 4n + 2) where each robot's trajectory began, and its inputs then: q, qd, qdd, target, speed scale,
             stopping.
         expected: (B, 4n + 2) the same of now, if all went as planned: a robot that differs gets a new trajectory.
-        pace: (B,) share of its speed and acceleration that a robot may use to follow a target; an input. One that falls
-            while the robot brakes carries it beyond its target: it should fall in small steps.
+        speed_scale: (B,) share of its speed and acceleration that a robot may use to follow a target; an input. One
+            that falls while the robot brakes carries it beyond its target: it should fall in small steps.
+        q_min, q_max: (B, n) rad, to which targets are clamped.
         age: (B,) ticks since `origin`, less those at rest after a stop.
     """
 
     carried = ("q", "qd", "qdd", "origin", "expected", "age")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Build the planners: one for what comes next, one for stops."""
+        """Build the planners: one for the trajectories that robots are on, one for stops."""
         shape = (robots, spec.n)
         self.q, self.qd, self.qdd = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self.origin = np.full((robots, 4 * spec.n + 2), np.nan)
@@ -44,44 +46,46 @@ class Smoother(Stage):
         margin = spec.margins.q_target_rad
         self.q_min = np.tile(spec.joint_array("q_min") + margin, (robots, 1))
         self.q_max = np.tile(spec.joint_array("q_max") - margin, (robots, 1))
-        self._ways, self._stops = Ways(spec, robots), Stops(spec, robots)
-        self._renew = round(longest(spec) / spec.dt)
-        self.pace, self._whole = np.ones(robots), np.ones((robots, 1))
+        self._tracking, self._stops = TrackingTrajectories(spec, robots), StopTrajectories(spec, robots)
+        self._age_max = round(horizon_s(spec) / spec.dt)
+        self.speed_scale, self._full = np.ones(robots), np.ones((robots, 1))
 
     def next(self, q_target: Floats, stopping: Bools) -> Setpoint:
-        """One step from the last sent setpoint: towards a target, or towards rest; NaN where Ruckig has no plan.
+        """Return one step from the last sent setpoint: towards a target, or towards rest; NaN where Ruckig has no plan.
 
         Args:
             q_target: (B, n) rad, clamped here to the working range less its margin.
             stopping: (B,) robots that brake to rest instead.
         """
         target, stops = np.minimum(np.maximum(q_target, self.q_min), self.q_max), stopping[:, None]
-        pace = self.pace
+        speed_scale = self.speed_scale
         if any_true(stopping):
-            target[stopping] = 0.0  # no matter: it must not count as asked anew
+            target[stopping] = 0.0  # unused: it must not count as a new target
             self.age -= stopping & self.at_rest  # or rounding would creep on
-            pace = np.where(stopping, 1.0, pace)  # a stop has all of its limits, as it was checked
+            speed_scale = np.where(
+                stopping, 1.0, speed_scale
+            )  # a stop has its full limits, as it was checked
         self.age += 1
-        self._plan(np.concatenate((self.q, self.qd, self.qdd, target, pace[:, None], stops), axis=1))
-        planned = self._ways.at(self.age)
+        self._plan(np.concatenate((self.q, self.qd, self.qdd, target, speed_scale[:, None], stops), axis=1))
+        planned = self._tracking.at(self.age)
         self.expected[:, : planned[0].size] = planned.reshape(len(planned), -1)
         return _setpoint(planned)
 
     def _plan(self, now: Floats) -> None:
-        """A new trajectory for every robot that is not where it was expected, is asked anew, or was long on one."""
+        """Plan again for robots that are not where they were expected, have new inputs, or were on one for too long."""
         as_expected = now == self.expected
-        old = self.age >= self._renew
+        old = self.age >= self._age_max
         if all_true(as_expected) and not any_true(old):
             return
-        left = ~as_expected.all(axis=1) | old
-        self.origin[left], self.age[left] = now[left], 1
+        changed = ~as_expected.all(axis=1) | old
+        self.origin[changed], self.age[changed] = now[changed], 1
         self.expected[:] = now
-        self._ways.plan(self.origin, left)
+        self._tracking.plan(self.origin, changed)
 
     def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
-        """A stop that would begin at `start`: its first step, and (B, n) rad in its midst and where it would end."""
+        """Return the stop that would begin at `start`: its first step, and (B, n) rad in its middle and at its end."""
         stop = self._stops.points(
-            np.concatenate((start.q, start.qd, start.qdd, start.q, self._whole, self._whole), axis=1)
+            np.concatenate((start.q, start.qd, start.qdd, start.q, self._full, self._full), axis=1)
         )
         return _setpoint(stop), stop[:, 3], stop[:, 4]
 
@@ -90,13 +94,13 @@ class Smoother(Stage):
         self.q[:], self.qd[:], self.qdd[:] = sent.q, sent.qd, sent.qdd
 
     def hold(self, ids: Bools, q: Floats) -> None:
-        """Rest robots where `ids` (B,) holds at `q` (B, n) rad."""
+        """Put robots at rest where `ids` (B,) holds at `q` (B, n) rad."""
         self.q[ids], self.qd[ids], self.qdd[ids] = q[ids], 0.0, 0.0
 
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-        """Put saved arrays back and plan the trajectories that they stand for."""
+        """Put saved arrays back and plan their trajectories again."""
         super().restore(arrays)
-        self._ways.plan(self.origin)
+        self._tracking.plan(self.origin)
 
     @property
     def sent(self) -> Setpoint:
@@ -105,7 +109,7 @@ class Smoother(Stage):
 
     @property
     def at_rest(self) -> Bools:
-        """(B,) whether the last sent setpoint stands still."""
+        """(B,) whether the last sent setpoint is at rest."""
         return np.asarray(np.maximum(np.abs(self.qd), np.abs(self.qdd)).max(axis=1) < REST)
 
 

@@ -9,7 +9,7 @@ from deploy.operation.interrupts import Interrupts, handled
 from deploy.operation.loop_timing import LoopTiming
 from deploy.operation.run_statistics import RunStatistics
 from deploy.runtime import Runtime
-from deploy.safety.diagnostics import Why, blame
+from deploy.safety.diagnostics import StopExplanation, explain_reasons
 from deploy.safety.supervisor import CATEGORY_1
 from deploy.state import Reason
 from deploy.telemetry.recorder import Recorder
@@ -59,7 +59,7 @@ class RobotRun:
         self.runtime, self.timing, self.recorder = runtime, timing, recorder
         self.statistics, self.interrupts = RunStatistics(), Interrupts()
         self.ending: Ending | None = None
-        self._stop_reasons, self._refused = Why(), 0
+        self._stop_reasons, self._refused = StopExplanation(), 0
         self._all = np.ones(runtime.robot.robots, dtype=bool)
         self._duration, self._t_end, self._t_rest = duration, np.inf, np.inf
         self._watchers, self._stop_s = watchers, runtime.spec.stop_s + STOP_SLACK_S
@@ -72,7 +72,7 @@ class RobotRun:
     @property
     def reason(self) -> str:
         """Reason in words why the robot does not run; empty while it runs."""
-        return blame(self.runtime, self._refused) if self._refused else str(self._stop_reasons)
+        return explain_reasons(self.runtime, self._refused) if self._refused else str(self._stop_reasons)
 
     def run(self) -> Ending:
         """Arm, work, and come to rest, whatever happens."""

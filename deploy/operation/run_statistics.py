@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deploy.runtime import Runtime
-from deploy.safety.diagnostics import Stops
+from deploy.safety.diagnostics import StopDetector
 from deploy.state import Reason
 from robots.arrays import Floats
 
@@ -26,13 +26,13 @@ class RunStatistics:
     last_stops: deque[str] = field(default_factory=lambda: deque(maxlen=STOPS_SHOWN))
     housing_max_c: float | None = None
     winding_max_c: float | None = None
-    _stop_events: Stops = field(default_factory=Stops)
+    _stop_events: StopDetector = field(default_factory=StopDetector)
 
     def step(self, runtime: Runtime, reason: str) -> None:
         """Count the tick that has just ended; `reason` says in words why the robot does not run."""
         self.housing_max_c = _maximum(self.housing_max_c, runtime.state.temperature)
         self.winding_max_c = _maximum(self.winding_max_c, runtime.state.winding)
-        if 0 in self._stop_events.begun(runtime):
+        if 0 in self._stop_events.step(runtime):
             bits = int(runtime.supervisor.reason[0])
             self.stops.update(bit.name.lower() for bit in Reason(bits) if bit.name)
             self.last_stops.append(f"{runtime.t:.2f} s: {reason}")

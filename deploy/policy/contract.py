@@ -10,9 +10,9 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from deploy.motion.drive_law import Gains
 from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Numbers, Positive, Scales, Term
 from robots.errors import ContractError
+from robots.gains import Gains
 from robots.strict import Strict, parse, read_json
 
 CONTRACT_KEY = "firstshift.contract"

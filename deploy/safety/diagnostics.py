@@ -1,4 +1,4 @@
-"""Which joints or shapes a reason is about: for the operator, who has to do something about it."""
+"""Explanation of reasons for the operator: the joints, shapes or checks that each one is about."""
 
 from collections.abc import Iterator
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.runtime import Runtime
-from deploy.safety.supervisor import WORDS
+from deploy.safety.supervisor import REASON_TEXT
 from deploy.state import Mode, Reason
 from robots.arrays import Bools
 
@@ -14,15 +14,15 @@ AGES = (Reason.STALE, Reason.LOST)
 """Reasons that are about the age of samples."""
 
 
-class Stops:
-    """Notices robots that leave their work, in the tick in which they do: only then it is known what it was about."""
+class StopDetector:
+    """Detector of robots that begin to stop, in the tick in which they do: only then the cause can be read."""
 
     def __init__(self) -> None:
-        """Nobody works yet."""
+        """Start with all robots disarmed."""
         self._mode: NDArray[np.int8] | Mode = Mode.DISARMED
 
-    def begun(self, runtime: Runtime) -> list[int]:
-        """Robots that began to stop, or lost their power at work, in the tick that has just ended."""
+    def step(self, runtime: Runtime) -> list[int]:
+        """Return robots that began to stop, or lost power while running, in the tick that has just ended."""
         mode, before = runtime.supervisor.mode, self._mode
         stopping = (mode == Mode.STOPPING) & (before != Mode.STOPPING)
         cut = (mode == Mode.LATCHED) & (before == Mode.RUNNING)
@@ -30,74 +30,79 @@ class Stops:
         return np.flatnonzero(stopping | cut).tolist()
 
 
-class Why:
-    """Why robot 0 does not run, each reason in the words of the tick in which it came: later it may be about less."""
+class StopExplanation:
+    """Explanation of the reasons of robot 0, each as of the tick in which it came: later its cause may be gone."""
 
     def __init__(self) -> None:
-        """It has none yet."""
-        self._told: dict[Reason, str] = {}
+        """Start without reasons."""
+        self._texts: dict[Reason, str] = {}
 
     def __str__(self) -> str:
-        """In words; empty where it has none."""
-        return "; ".join(self._told.values())
+        """All of them; empty where there is none."""
+        return "; ".join(self._texts.values())
 
     def step(self, runtime: Runtime) -> None:
-        """Look at the tick that has just ended."""
+        """Read the tick that has just ended."""
         reasons = Reason(int(runtime.supervisor.reason[0]))
-        self._told = {bit: self._told.get(bit) or blame(runtime, bit) for bit in reasons}
+        self._texts = {bit: self._texts.get(bit) or explain_reasons(runtime, bit) for bit in reasons}
 
 
-def blame(runtime: Runtime, reason: int, robot: int = 0) -> str:
-    """A bit set of reasons of a robot in words, each with the joints or shapes that it is about in this tick."""
-    said = []
+def explain_reasons(runtime: Runtime, reason: int, robot: int = 0) -> str:
+    """Return a robot's bit set of reasons as text, each with the joints, shapes or checks that it is about."""
+    texts = []
     for bit in Reason(reason):
-        about = [*_joints(runtime, bit, robot), *_parts(runtime, bit, robot)]
-        said.append(f"{WORDS[bit]} ({', '.join(about)})" if about else WORDS[bit])
-    return "; ".join(said) or "no reason"
+        about = [*_joint_names(runtime, bit, robot), *_parts(runtime, bit, robot)]
+        texts.append(f"{REASON_TEXT[bit]} ({', '.join(about)})" if about else REASON_TEXT[bit])
+    return "; ".join(texts) or "no reason"
 
 
-def _joints(runtime: Runtime, bit: Reason, robot: int) -> Iterator[str]:
+def _joint_names(runtime: Runtime, bit: Reason, robot: int) -> Iterator[str]:
     """Names of joints; none where all are meant."""
-    meant = _meant(runtime, bit, robot)
-    if not meant.all():
-        yield from np.array(runtime.spec.joint_names)[meant].tolist()
+    joints = _joints(runtime, bit, robot)
+    if not joints.all():
+        yield from np.array(runtime.spec.joint_names)[joints].tolist()
 
 
-def _meant(runtime: Runtime, bit: Reason, robot: int) -> Bools:
-    """(n,) joints that a reason is about; none where it is about the robot as a whole."""
+def _joints(runtime: Runtime, bit: Reason, robot: int) -> Bools:
+    """Return (n,) joints that a reason is about; none where it is about the robot as a whole."""
     estimator, windings = runtime.estimator, runtime.estimator.windings
     if bit is Reason.HEAT and windings.unknown[robot]:
         return np.asarray(~windings.valid[robot])
     if bit in AGES:
-        old = runtime.state.t - estimator.joints.t_sample[robot] > _oldest(runtime, bit)
+        old = runtime.state.t - estimator.joints.t_sample[robot] > _age_max(runtime, bit)
         return np.asarray(old | ~estimator.divergence.confirmed[robot])
-    known = {
+    estimated = {
         Reason.DIVERGED: estimator.diverged,
         Reason.STUCK: estimator.stuck,
         Reason.LOAD: estimator.external_torque.detected,
         Reason.MOVING: estimator.moving,
     }
-    if bit in known:
-        return np.asarray(known[bit][robot])
-    return runtime.safety.joints(runtime.verdict, robot, bit)
+    if bit in estimated:
+        return np.asarray(estimated[bit][robot])
+    joints = np.zeros(runtime.spec.n, dtype=bool)
+    for failed in runtime.safety.failed(runtime.verdict, robot, bit).values():
+        joints |= failed
+    return joints
 
 
 def _parts(runtime: Runtime, bit: Reason, robot: int) -> Iterator[str]:
-    """What else a robot has."""
-    if bit is Reason.COLLISION and (shapes := runtime.safety.meeting(runtime.verdict, robot)):
+    """Shapes, checks where several have the reason, and sensors of a floating base."""
+    safety, base = runtime.safety, runtime.state.base
+    if bit is Reason.COLLISION and (shapes := safety.colliding_shapes(runtime.verdict, robot)):
         yield " and ".join(shapes)
-    base = runtime.state.base
+    if len(names := safety.names(bit)) > 1:
+        yield from (name for name in safety.failed(runtime.verdict, robot, bit) if name in names)
     if base is None:
         return
     if bit is Reason.DIVERGED and base.diverged[robot]:
         yield "base"
     if (bit is Reason.STUCK and base.stuck[robot]) or (
-        bit in AGES and base.age[robot] > _oldest(runtime, bit)
+        bit in AGES and base.age[robot] > _age_max(runtime, bit)
     ):
         yield "IMU"
 
 
-def _oldest(runtime: Runtime, bit: Reason) -> float:
-    """S that a sample may be old."""
+def _age_max(runtime: Runtime, bit: Reason) -> float:
+    """Return s that a sample may be old."""
     margins = runtime.spec.margins
     return margins.stale_s if bit is Reason.STALE else margins.lost_s

@@ -1,11 +1,11 @@
-"""Who may move, who must stop, and why: one ordered state machine for each robot.
+"""State machine of each robot, from disarmed to latched: the categories of its stops and their reasons.
 
     DISARMED ─arm─▶ ARMING ──▶ RUNNING ──▶ STOPPING ─category 2─▶ HOLDING ──▶ RUNNING
         ▲                                     │
         └────────disarm─────── LATCHED ◀──category 1
 
-Category 2 (IEC 60204-1): a controlled stop, power kept; it clears by itself when the cause is gone.
-Category 1: a controlled stop, then power is cut; only an operator's `arm` clears it. The higher category wins.
+Category 2 (IEC 60204-1): a controlled stop, power kept; the robot goes on by itself when the cause is gone.
+Category 1: a controlled stop, then power is cut; only an operator's `arm` clears it. If both apply, it is category 1.
 Nothing here depends on the policy.
 """
 
@@ -29,56 +29,61 @@ CATEGORY_1 = (
     | Reason.OVERRUN
     | Reason.OPERATOR
 )
-"""Reasons after which the robot may not go on by itself; every other reason is category 2."""
+"""Reasons of category 1; every other reason is category 2."""
 
 _DISARMED, _ARMING, _RUNNING, _STOPPING, _HOLDING, _LATCHED = (np.int8(mode) for mode in Mode)
 _LATCHING = np.int64(CATEGORY_1)
-"""The same as numpy's own numbers: it is five times as fast with them as with an enumeration's."""
+"""As numpy's own numbers, which are five times as fast as an enumeration's."""
 _POWERED = np.array([mode not in (Mode.DISARMED, Mode.LATCHED) for mode in Mode])
 """Whether drives are on, by mode."""
 
-WORDS = {
+REASON_TEXT = {
     Reason.POSITION: "a joint would leave its working range",
-    Reason.VELOCITY: "a joint would exceed its speed",
-    Reason.TORQUE: "a joint would need more torque than it has",
+    Reason.VELOCITY: "a joint would exceed its speed limit",
+    Reason.TORQUE: "a joint would need more torque than its drive has",
     Reason.WORKSPACE: "the tool would leave its workspace",
-    Reason.COLLISION: "links would come nearer than the collision margin",
-    Reason.SINGULARITY: "the arm would come too near a singularity, or pass it",
-    Reason.TOOL_SPEED: "the tool would be too fast",
-    Reason.HEAT: "a motor is too hot, or nobody knows how hot it is",
-    Reason.STALE: "samples are missing",
-    Reason.LOST: "samples stay away",
+    Reason.COLLISION: "links would come closer than the collision margin",
+    Reason.SINGULARITY: "the arm would come too close to a singularity, or pass through it",
+    Reason.TOOL_SPEED: "the tool would exceed its speed limit",
+    Reason.HEAT: "a motor is too hot, or its temperature is unknown",
+    Reason.STALE: "sensor samples are missing",
+    Reason.LOST: "sensor samples have been missing for too long",
     Reason.TRACKING: "a joint does not follow its setpoint",
     Reason.NOT_FINITE: "a number is not finite",
-    Reason.OVERRUN: "too many ticks came late",
+    Reason.OVERRUN: "too many ticks were late",
     Reason.OPERATOR: "stopped by the operator",
     Reason.OUTSIDE: "a joint is outside its working range",
-    Reason.STUCK: "a sensor says the same, again and again",
+    Reason.STUCK: "a sensor repeats the same reading",
     Reason.MOVING: "a joint moves while the drives are off",
-    Reason.DIVERGED: "an estimate does not fit what is measured",
-    Reason.LOAD: "a motor's current does not fit what its motion needs",
-    Reason.FALLEN: "the robot leans too far: it falls, or has fallen",
+    Reason.DIVERGED: "an estimate does not fit the measurements",
+    Reason.LOAD: "a motor's current does not fit its motion",
+    Reason.FALLEN: "the base tilts beyond its limit: the robot is falling or has fallen",
 }
 
 
-def words(reason: int) -> str:
-    """A bit set of reasons in words."""
-    return "; ".join(WORDS[bit] for bit in Reason(reason)) or "no reason"
+def describe(reason: int) -> str:
+    """Return a bit set of reasons as text."""
+    return "; ".join(REASON_TEXT[bit] for bit in Reason(reason)) or "no reason"
 
 
 class Supervisor(Stage):
-    """Modes of B robots."""
+    """Modes of B robots.
+
+    Attributes:
+        mode: (B,) of `Mode`. reason: (B,) bit sets of `Reason` since the last stop began.
+        since: (B,) ticks in this mode.
+    """
 
     carried = ("mode", "reason", "since")
 
     def __init__(self, robots: int, dt: float, *, arming_s: float = 0.1, hold_s: float = 0.25) -> None:
-        """All robots disarmed.
+        """Start with all robots disarmed.
 
         Args:
             robots: B.
             dt: s, control period.
             arming_s: s, powered at rest before running.
-            hold_s: s, at rest and without a cause before running again.
+            hold_s: s, at rest and without a reason before running again.
         """
         self.mode = np.full(robots, _DISARMED, dtype=np.int8)
         self.reason = np.zeros(robots, dtype=np.int64)
@@ -97,7 +102,7 @@ class Supervisor(Stage):
 
     @property
     def stopping(self) -> Bools:
-        """(B,) whether the smoother brakes or rests instead of following the policy."""
+        """(B,) whether the smoother stops or rests instead of following the policy."""
         return ~self.running
 
     def arm(self, ids: Bools) -> None:
@@ -107,30 +112,30 @@ class Supervisor(Stage):
         self.reason[off] = 0
 
     def disarm(self, ids: Bools) -> None:
-        """Cut power at once: only for robots that rest, or when nothing else is left."""
+        """Cut power at once: only for robots at rest, or as the last resort."""
         self._enter(ids, _DISARMED)
 
     def latch(self, ids: Bools, reason: Reason) -> None:
-        """Category 0: cut power now, where `ids` (B,) holds, until an operator arms again."""
+        """Cut power at once (category 0) where `ids` (B,) holds, until an operator arms again."""
         self._enter(ids, _LATCHED)
         self.reason[ids] |= np.int64(reason)
 
     def step(self, reason: Ints, at_rest: Bools) -> Bools:
-        """Advance every robot; return (B,) whose setpoint may be sent (others take the planned stop).
+        """Advance every robot; return (B,) whether its setpoint may be sent (others take the planned stop).
 
         Args:
-            reason: (B,) why the setpoint is refused, 0 where it is not.
-            at_rest: (B,) whether the last sent setpoint stands still.
+            reason: (B,) bit sets against the setpoint, 0 where it is accepted.
+            at_rest: (B,) whether the last sent setpoint is at rest.
         """
         self.since += 1
         running = self.running
         refused: Bools = reason != 0
         if not all_true(running) or any_true(refused):
-            self._others(reason, refused, running, at_rest)
+            self._change_modes(reason, refused, running, at_rest)
         return ~(running & refused)
 
-    def _others(self, reason: Ints, refused: Bools, running: Bools, at_rest: Bools) -> None:
-        """Every transition but staying in RUNNING; each robot takes at most one a tick."""
+    def _change_modes(self, reason: Ints, refused: Bools, running: Bools, at_rest: Bools) -> None:
+        """Take every transition but staying in RUNNING; each robot takes at most one a tick."""
         latches = (self.reason & _LATCHING) != 0
         stopping, holding, arming = (self.mode == m for m in (_STOPPING, _HOLDING, _ARMING))
         self.reason |= np.where(self.powered & ~(running & ~refused), reason, 0)

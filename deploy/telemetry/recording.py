@@ -24,7 +24,7 @@ from foxglove.messages import (
     Vector3,
 )
 
-from deploy.safety.supervisor import words
+from deploy.safety.supervisor import describe
 from deploy.state import Mode
 from deploy.telemetry.disk_writer import DiskWriter
 from deploy.telemetry.signals import recorded_signals, state_schema
@@ -134,7 +134,7 @@ class Recording:
         numbers = {n: [x if isfinite(x) else None for x in row[n].tolist()] for n in self._state_names}
         counts = {name: int(row[name]) for name in ("reached", "attempted")}
         mode, reason = Mode(int(row["mode"])).name, int(row["reason"])
-        return {"mode": mode, "reason": words(reason) if reason else "", **counts, **numbers}
+        return {"mode": mode, "reason": describe(reason) if reason else "", **counts, **numbers}
 
 
 def _sphere(stamp: Timestamp, name: str, at: list[float], size: float, color: Color) -> SceneEntity:

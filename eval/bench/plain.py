@@ -17,8 +17,8 @@ from ruckig import InputParameter, OutputParameter, Ruckig
 
 from deploy.policy.contract import Contract
 from robots.models.collisions import collision_pairs
-from robots.models.fleet import load_pinocchio
 from robots.models.mujoco_model import load_mujoco
+from robots.models.nominal_model import load_pinocchio
 from robots.spec import RobotSpec
 
 

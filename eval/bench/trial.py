@@ -11,7 +11,7 @@ from eval.judge.judge import Judge
 from eval.soak.shard import ARM_S, LOOK_S, judge_tick, rearm
 from robots.arrays import Floats
 from robots.draws import Draw
-from robots.models.fleet import torque_max
+from robots.models.nominal_model import torque_max
 from robots.spec import RobotSpec
 from robots.windings import nominal_windings
 

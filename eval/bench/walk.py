@@ -15,7 +15,6 @@ from rich.table import Table
 
 from deploy.backends.sim.robot import SimRobot
 from deploy.estimation.rotations import matrix, matvec
-from deploy.motion.drive_law import Gains
 from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
 from deploy.state import Mode
@@ -27,7 +26,8 @@ from robots.arrays import Floats
 from robots.distributions import load_distributions
 from robots.draws import middle
 from robots.errors import ConfigError
-from robots.models.fleet import torque_max
+from robots.gains import Gains
+from robots.models.nominal_model import torque_max
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 from robots.tables import Base

@@ -4,7 +4,7 @@ import numpy as np
 
 from deploy.backends.sim.model.attachments import CABLE
 from deploy.backends.sim.plant import Plant
-from robots.models.fleet import torque_max
+from robots.models.nominal_model import torque_max
 from robots.spec import RobotSpec
 
 

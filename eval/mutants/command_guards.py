@@ -173,8 +173,8 @@ SAFETY = (
         monitor=INVALID,
     ),
     Mutant(
-        guard="safety: the stop's first step, midst and end are not looked at",
-        weaken=skip_stop_checks(ahead=False, midst=False, rest=False),
+        guard="safety: the stop's first step, middle and end are not looked at",
+        weaken=skip_stop_checks(ahead=False, mid_stop=False, rest=False),
         situation=TABLE,
         monitor="workspace",
     ),

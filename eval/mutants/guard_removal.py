@@ -49,15 +49,20 @@ def ignore_reasons(reasons: Reason) -> Weaken:
     return weaken
 
 
-def skip_stop_checks(*, ahead: bool = True, midst: bool = True, rest: bool = True) -> Weaken:
+def skip_stop_checks(*, ahead: bool = True, mid_stop: bool = True, rest: bool = True) -> Weaken:
     """Safety is shown the setpoint itself in the place of these parts of the stop that would begin there."""
 
     def judge(
         step: Callable[..., Verdict], state: State, sent: Setpoint, now: Setpoint, *stop: Any
     ) -> Verdict:
-        first, q_midst, q_rest = stop
+        first, q_mid_stop, q_rest = stop
         return step(
-            state, sent, now, first if ahead else now, q_midst if midst else now.q, q_rest if rest else now.q
+            state,
+            sent,
+            now,
+            first if ahead else now,
+            q_mid_stop if mid_stop else now.q,
+            q_rest if rest else now.q,
         )
 
     return lambda runtime: wrap_method(runtime.safety, "step", judge)

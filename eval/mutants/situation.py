@@ -20,7 +20,7 @@ from eval.soak.shard import ARM_S, judge_tick
 from robots.arrays import Floats
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
-from robots.models.fleet import torque_max
+from robots.models.nominal_model import torque_max
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from deploy.safety.supervisor import words
+from deploy.safety.supervisor import describe
 from deploy.state import Mode
 from deploy.telemetry.ring import Rows
 from eval.replay.replayer import Again, Replay
@@ -26,7 +26,7 @@ def table(replay: Replay, again: Again) -> Iterator[str]:
         mark, reason = " " if load <= 1 else "!", int(row["reason"])
         shown = tuple(f"{x:.4g}" for x in numbers)
         tick, mode = f"{mark}{place - start:+4d}", Mode(int(row["mode"])).name
-        yield _line(tick, mode, f"{load:.4g}", shown, words(reason) if reason else "")
+        yield _line(tick, mode, f"{load:.4g}", shown, describe(reason) if reason else "")
     for place, why in again.stops.items():
         yield f"stopped in tick {place - start:+d}: {why}"
 

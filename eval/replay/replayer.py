@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.safety.diagnostics import Stops, blame
+from deploy.safety.diagnostics import StopDetector, explain_reasons
 from deploy.stage import Arrays
 from deploy.telemetry.ring import Rows
 from eval.faults.schedule import hours_max
@@ -109,13 +109,13 @@ class Replay:
         load = np.zeros(len(self.recorded))
         ticker.restore(shard.judge.save())
         channel = _channel(ticker.counts(), about.event)
-        leaving, stops = Stops(), dict[int, str]()
-        leaving.begun(shard.runtime)  # before the window
+        leaving, stops = StopDetector(), dict[int, str]()
+        leaving.step(shard.runtime)  # before the window
         for place in range(len(load)):
             shard.tick()
-            if self.row in leaving.begun(shard.runtime):
+            if self.row in leaving.step(shard.runtime):
                 reason = int(shard.runtime.supervisor.reason[self.row])
-                stops[place] = blame(shard.runtime, reason, self.row)
+                stops[place] = explain_reasons(shard.runtime, reason, self.row)
             window.see(shard.runtime, shard.truth)
             ticker.worst[:] = 0.0
             judge_tick(ticker, shard.truth, shard.runtime, shard.heard)

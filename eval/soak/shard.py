@@ -28,7 +28,7 @@ from eval.soak.profile import Faults
 from robots.arrays import Floats, Ints
 from robots.draws import Draw
 from robots.errors import ConfigError
-from robots.models.fleet import torque_max
+from robots.models.nominal_model import torque_max
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec, load_robot
 

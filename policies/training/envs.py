@@ -120,7 +120,6 @@ class RuntimeEnv(VecEnv):
             stopped |= running & (runtime.supervisor.mode == Mode.STOPPING)
             reached |= task.ended & (self._distance(task.ended_goal) <= task.tolerance)
         truth, change = self._robot.truth(), runtime.action.last - self._last_action
-        self._fleet.place(truth.q)
         self._last_action[:] = runtime.action.last
         running = runtime.supervisor.mode == Mode.RUNNING
         return Step(
@@ -134,7 +133,7 @@ class RuntimeEnv(VecEnv):
             q_target=runtime.target.q,
             action_change=change,
             action_excess=self._excess(action),
-            manipulability=self._fleet.manipulability(),
+            manipulability=self._fleet.kinematics(truth.q).manipulability(),
             running=running,
             stopped=stopped,
         )

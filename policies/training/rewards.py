@@ -18,7 +18,7 @@ class Step:
         qdd_change: (B, n) rad/s², of the sent setpoint over the step. dt: s, the step.
         distance: (B,) m, true tool to goal. reached: (B,) a goal ended, and was reached.
         q_target: (B, n) rad, as requested. action_change: (B, n). action_excess: (B, n) beyond the action's clip.
-        manipulability: (B,) at the true angles, as `Fleet.manipulability`.
+        manipulability: (B,) at the true angles, as `Kinematics.manipulability`.
         running, stopped: (B,) may move; was stopped in this step.
     """
 

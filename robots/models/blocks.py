@@ -1,29 +1,30 @@
-"""How many robots share one call of a library, who is next, and how to read what it holds of all of them."""
+"""Blocks: the number of robots that share one call of a library, the rows of each, and one view of their records."""
 
 import numpy as np
-from numpy.typing import NDArray
+
+from robots.arrays import Floats
 
 BLOCK = 16
-"""Robots in one call: enough to share its cost, few enough that what it works with stays in the cache."""
+"""Robots in one call: enough to share its cost, few enough that its working memory stays in the cache."""
 
 
-def turns(robots: int) -> list[slice]:
-    """Rows of each turn, all of one width.
+def block_rows(robots: int) -> list[slice]:
+    """Return the rows of each block, all of one width.
 
-    The last may repeat robots of the one before: a robot's result depends on nobody, so it is the same again.
+    The last may repeat robots of the one before: a robot's result depends on no neighbour, so it is the same again.
     """
     width = -(-robots // -(-robots // BLOCK))
     return [slice(start, start + width) for start in (*range(0, robots - width, width), robots - width)]
 
 
-def lined_up(views: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """One live view (V, ...) of V ≥ 1 views (...) that lie at equal distances, read in a seventh of their time.
+def strided_view(views: list[Floats]) -> Floats:
+    """Return one live view (V, ...) of V ≥ 1 views (...) at equal distances in memory: read in a seventh of the time.
 
     Raises:
-        RuntimeError: they do not.
+        RuntimeError: the distances differ.
     """
     first, address = views[0], [view.ctypes.data for view in views]
     stride = address[1] - address[0] if len(views) > 1 else 0
     if address != [address[0] + stride * place for place in range(len(views))]:
-        raise RuntimeError("a library does not keep its records side by side any more")
+        raise RuntimeError("records of a library are no longer side by side in memory")
     return np.lib.stride_tricks.as_strided(first, (len(views), *first.shape), (stride, *first.strides))

@@ -203,8 +203,8 @@ def test_an_arm_with_gains_of_its_policy_is_judged_where_it_is_sent():
     fleet, heights = Fleet(SPEC, 8), []
     for _ in range(1100):
         runtime.tick()
-        fleet.place(runtime.command.q)
-        heights.append(fleet.tool_position[:, 2].min())
+        kinematics = fleet.kinematics(runtime.command.q)
+        heights.append(kinematics.tool_position[:, 2].min())
         assert not runtime.robot.truth().self_collision.any()
     assert SPEC.workspace.z_min <= np.min(heights) < SPEC.workspace.z_min + 0.02
 

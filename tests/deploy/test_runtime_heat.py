@@ -25,7 +25,7 @@ def test_a_pace_that_falls_by_a_step_while_a_robot_brakes_leaves_it_inside_its_r
     beyond = 0.0
     target = np.minimum(far, SPEC.joint_array("q_max") - SPEC.margins.q_target_rad)
     for tick in range(400):
-        smoother.pace[tick >= 40 + 3 * np.arange(40)] = 1.0 - (1.0 - PACE_MIN) / STEPS
+        smoother.speed_scale[tick >= 40 + 3 * np.arange(40)] = 1.0 - (1.0 - PACE_MIN) / STEPS
         smoother.commit(smoother.next(far, still))
         beyond = max(beyond, (smoother.q - target).max())
     assert 0.0 < beyond < room
@@ -38,7 +38,7 @@ def test_a_slower_pace_is_kept_and_a_stop_has_all_of_its_limits():
     home = np.tile(SPEC.joint_array("q_home"), (2, 1))
     for one in (smoother, whole):
         one.hold(np.ones(2, dtype=bool), home)
-    smoother.pace[1] = 0.5
+    smoother.speed_scale[1] = 0.5
     far = home + np.array([1.0, -0.6, 0.8, 1.2, -0.8, 2.0])
     sent = [smoother.q.copy()]
     for tick in range(300):

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from deploy.estimation.rotations import exp, matrix, matvec
-from deploy.motion.drive_law import Springs
+from deploy.motion.drive_law import SpringDrives
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract import ActionSpec
 from deploy.state import Mode, Reason
 from robots.errors import ContractError, RobotError
-from robots.models.fleet import Fleet, load_pinocchio, torque_max
+from robots.models.fleet import Fleet
+from robots.models.nominal_model import load_pinocchio, torque_max
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.walking import (
@@ -163,7 +164,7 @@ def test_brakes_are_as_stiff_as_they_are_whatever_the_policy_brings():
 
 def test_springs_give_no_more_than_a_drive_has():
     runtime = standing(1)
-    springs, q = Springs(QUADRUPED, runtime.contract.action.gains), STAND + 2.0
+    springs, q = SpringDrives(QUADRUPED, runtime.contract.action.gains), STAND + 2.0
     tau = springs.torque(runtime.state, np.tile(q, (2, 1)), np.zeros((2, 12)), np.zeros((2, 12)))
     np.testing.assert_array_equal(tau, np.full((2, 12), 40.0))
 
@@ -227,8 +228,8 @@ def test_a_base_may_carry_a_tool(tmp_path):
     q, qd, both = STAND[None], np.ones((1, 12)), []
     for robot in (spec, QUADRUPED):
         fleet = Fleet(robot, 1, collisions=True)
-        fleet.place(q)
-        both.append((fleet.feet_position, fleet.feet_velocity(qd)))
+        kinematics = fleet.kinematics(q)
+        both.append((kinematics.feet_position, kinematics.feet_velocity(qd)))
     np.testing.assert_array_equal(*both)
 
 
@@ -269,13 +270,13 @@ def test_feet_are_seen_from_the_base():
     rng, robots, step = np.random.default_rng(0), 3, 1e-6
     fleet = Fleet(QUADRUPED, robots)
     q, qd = STAND + rng.uniform(-0.3, 0.3, (robots, 12)), rng.normal(size=(robots, 12))
-    fleet.place(q)
-    before, velocity = fleet.feet_position.copy(), fleet.feet_velocity(qd)
-    fleet.place(q + step * qd)
-    np.testing.assert_allclose((fleet.feet_position - before) / step, velocity, atol=1e-5)
-    fleet.place(np.tile(STAND, (robots, 1)))
-    np.testing.assert_allclose(fleet.feet_position[0, :, 0], [0.18, 0.18, -0.18, -0.18], atol=0.02)
-    assert (fleet.feet_position[0, :, 2] < -0.25).all()
+    kinematics = fleet.kinematics(q)
+    before, velocity = kinematics.feet_position.copy(), kinematics.feet_velocity(qd)
+    kinematics = fleet.kinematics(q + step * qd)
+    np.testing.assert_allclose((kinematics.feet_position - before) / step, velocity, atol=1e-5)
+    kinematics = fleet.kinematics(np.tile(STAND, (robots, 1)))
+    np.testing.assert_allclose(kinematics.feet_position[0, :, 0], [0.18, 0.18, -0.18, -0.18], atol=0.02)
+    assert (kinematics.feet_position[0, :, 2] < -0.25).all()
 
 
 def judged(runtime, ticks, action=None):
@@ -411,8 +412,8 @@ def test_feet_that_may_touch_are_no_collision(tmp_path):
     together[[0, 3]] += -0.35, 0.35
     for spec, hits in ((QUADRUPED, True), (brushing, False)):
         fleet = Fleet(spec, 1, collisions=True)
-        fleet.place(together[None])
-        assert fleet.colliding.tolist() == [hits]
+        kinematics = fleet.kinematics(together[None])
+        assert kinematics.colliding.tolist() == [hits]
 
 
 def test_who_may_touch_must_be_there(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from robots.errors import RobotError
-from robots.models.fleet import load_pinocchio, torque_max
+from robots.models.nominal_model import load_pinocchio, torque_max
 from robots.spec import load_robot
 from robots.windings import nominal_windings
 from support.arm6 import SPEC, complaint, copy_of_arm

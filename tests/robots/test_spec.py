@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from robots.errors import RobotError
-from robots.models.fleet import Fleet, torque_max
+from robots.models.fleet import Fleet
+from robots.models.nominal_model import torque_max
 from robots.spec import load_robot
 from support.arm6 import ARM, SPEC, complaint, copy_of_arm
 

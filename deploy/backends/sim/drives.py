@@ -7,12 +7,12 @@ from mujoco.batch import Batch
 
 from deploy.backends.sim.model.motor_parameters import KD, KP, VOLTAGE_MAX
 from deploy.masks import all_true, any_true
-from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
 from deploy.state import Command
 from robots.arrays import Bools, Floats
 from robots.distributions import COMMAND_DELAY_S
 from robots.draws import Draw
+from robots.gains import Gains
 from robots.models.mujoco_model import INPUTS
 from robots.spec import RobotSpec
 from robots.tables import Rates

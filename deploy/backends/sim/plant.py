@@ -16,12 +16,12 @@ from deploy.backends.sim.model.plant_model import PlantModel, build
 from deploy.backends.sim.truth import Truth
 from deploy.backends.sim.wear import Wear, WornJoints
 from deploy.masks import all_true, any_true
-from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
 from deploy.state import Command
 from robots.arrays import Bools, Floats
 from robots.distributions import Distributions
 from robots.draws import Draw
+from robots.gains import Gains
 from robots.sensors import Kind
 from robots.spec import RobotSpec
 

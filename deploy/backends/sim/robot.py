@@ -8,12 +8,12 @@ from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.sensor_faults import Fault
 from deploy.backends.sim.sensors import Sensors
 from deploy.backends.sim.truth import Truth
-from deploy.motion.drive_law import Gains
 from deploy.stage import Stage
 from deploy.state import Command, Sample
 from robots.arrays import Bools, Floats
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
+from robots.gains import Gains
 from robots.spec import RobotSpec
 
 

@@ -76,9 +76,9 @@ class FloatingBase(Stage):
         return state._replace(age=np.maximum(state.age, base.age), fault=fault, base=base)
 
     def _feet(self, sample: Sample, state: State) -> Feet:
-        self._fleet.place(state.q)
-        position = self._fleet.feet_position
-        return Feet(self._stance(sample, position), position, self._fleet.feet_velocity(state.qd))
+        kinematics = self._fleet.kinematics(state.q)
+        position = kinematics.feet_position
+        return Feet(self._stance(sample, position), position, kinematics.feet_velocity(state.qd))
 
     def _stance(self, sample: Sample, position: Floats) -> Bools:
         """Return the feet (B, F) that stand: by contact sensors, else those within `foot_m` of the lowest."""

@@ -8,7 +8,7 @@ import pinocchio as pin
 from policies.doctor.check_context import Case
 from policies.doctor.check_result import NAMED_MAX, Note, failed, listed, passed, warned
 from robots.arrays import Bools, Floats
-from robots.models.fleet import load_pinocchio, torque_max
+from robots.models.nominal_model import load_pinocchio, torque_max
 
 LEAST = 0.02
 """Of a joint's range, or of its speed: an action of 1 that moves it by less hardly moves it."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from policies.doctor.check_context import Case
 from policies.doctor.check_result import Note, failed, listed, passed, warned
-from robots.models.fleet import torque_max
+from robots.models.nominal_model import torque_max
 
 FAR = 0.5
 """rad. A robot that is sent farther at once is not where its policy takes it to be."""

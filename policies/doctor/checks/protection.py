@@ -8,7 +8,7 @@ from policies.doctor.check_context import Case
 from policies.doctor.check_result import Note, failed, listed, passed
 from robots.errors import RobotError
 from robots.models.collisions import collision_pairs
-from robots.models.fleet import load_pinocchio, torque_max
+from robots.models.nominal_model import load_pinocchio, torque_max
 from robots.windings import nominal_windings
 
 

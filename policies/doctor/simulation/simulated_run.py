@@ -12,7 +12,7 @@ import numpy as np
 
 from deploy.backends.sim.backend import simulate
 from deploy.policy.policy import Policy
-from deploy.safety.diagnostics import Stops, blame
+from deploy.safety.diagnostics import StopDetector, explain_reasons
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
 from eval.soak.shard import ARM_S, judge_tick
@@ -21,7 +21,7 @@ from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.distributions import load_distributions
 from robots.draws import middle
 from robots.errors import ConfigError
-from robots.models.fleet import torque_max
+from robots.models.nominal_model import torque_max
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
@@ -113,7 +113,7 @@ class _Trial:
         self._speeds: list[Floats] = []
         self._first = np.full((robots, spec.n), np.nan)
         self._thermometer = Thermometer(self._robot)
-        self._leaving, self._stops = Stops(), Counter[str]()
+        self._leaving, self._stops = StopDetector(), Counter[str]()
 
     def tick(self, tick: int) -> None:
         """One tick, in which a late action may come."""
@@ -126,7 +126,7 @@ class _Trial:
             self._think(tick, observation)
         said, led = self._coming.pop(tick, None), runtime.supervisor.running
         runtime.act(said)
-        leaving = self._leaving.begun(runtime)
+        leaving = self._leaving.step(runtime)
         self._stops.update(self._why(robot, runtime.supervisor.reason) for robot in leaving)
         truth = self._robot.truth()
         judge_tick(self._judge, truth, runtime, said)
@@ -138,7 +138,7 @@ class _Trial:
             self._begin(led)
 
     def _why(self, robot: int, reason: Ints) -> str:
-        return blame(self._runtime, int(reason[robot]), robot)
+        return explain_reasons(self._runtime, int(reason[robot]), robot)
 
     def _think(self, tick: int, observation: Float32s) -> None:
         action = self._policy.step(observation).copy()

@@ -6,7 +6,7 @@ import pytest
 from deploy.estimation.external_torque import DETECTION_S, TORQUE_SHARE, ExternalTorque
 from deploy.safety.supervisor import CATEGORY_1
 from deploy.state import Mode, Packet, Reason
-from robots.models.fleet import torque_max
+from robots.models.nominal_model import torque_max
 from robots.windings import nominal_windings
 from support.arm6 import SPEC
 

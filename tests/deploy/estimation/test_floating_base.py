@@ -8,7 +8,8 @@ from deploy.state import Mode, Packet, Reason
 from robots.distributions import load_distributions
 from robots.draws import middle
 from robots.errors import RobotError
-from robots.models.fleet import Fleet, load_pinocchio
+from robots.models.fleet import Fleet
+from robots.models.nominal_model import load_pinocchio
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.walking import ARM_S, QUADRUPED, STAND, changed, live, walking_contract
@@ -126,8 +127,8 @@ def test_feet_are_seen_from_where_the_imu_sits(tmp_path):
     seen = []
     for spec in (QUADRUPED, moved):
         fleet = Fleet(spec, 1)
-        fleet.place(STAND[None])
-        seen.append(fleet.feet_position.copy())
+        kinematics = fleet.kinematics(STAND[None])
+        seen.append(kinematics.feet_position.copy())
     np.testing.assert_allclose(seen[0] - seen[1], np.tile([0.1, 0.0, -0.02], (1, 4, 1)), atol=1e-12)
 
 

@@ -17,7 +17,7 @@ from deploy.estimation.winding_observer import (
 )
 from robots.distributions import load_distributions
 from robots.errors import RobotError
-from robots.models.fleet import torque_max
+from robots.models.nominal_model import torque_max
 from robots.spec import load_robot
 from robots.tables import Rates
 from robots.windings import nominal_windings

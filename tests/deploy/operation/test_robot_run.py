@@ -221,5 +221,5 @@ def test_a_robot_that_is_too_hot_is_not_armed(bench):
     b.robot.plant.housing[:] = 95.0
     b.robot.settle_sensors(np.ones(1, dtype=bool))
     assert b.live() is Ending.REFUSED
-    assert b.run.reason == "a motor is too hot, or nobody knows how hot it is"  # all of them
+    assert b.run.reason == "a motor is too hot, or its temperature is unknown"  # all of them
     assert not any(powered for powered, _ in b.robot.sent)

@@ -8,8 +8,8 @@ from support.arm6 import SPEC
 pytest.importorskip("mujoco")
 
 from deploy.estimation.divergence import NIS_MAX
-from deploy.safety.diagnostics import Stops, Why, blame
-from deploy.safety.supervisor import WORDS
+from deploy.safety.diagnostics import StopDetector, StopExplanation, explain_reasons
+from deploy.safety.supervisor import REASON_TEXT
 from deploy.state import Reason
 from support.runtimes import built, heard, running
 from support.walking import standing
@@ -70,11 +70,11 @@ def moving(runtime, robot=0):
 )
 @pytest.mark.parametrize("robot", range(2))
 def test_a_reason_names_its_joint(runtime, befall, reason, robot):
-    assert blame(runtime, int(reason), robot) == WORDS[reason]
+    assert explain_reasons(runtime, int(reason), robot) == REASON_TEXT[reason]
     befall(runtime, robot)
     runtime.act(None)
-    assert blame(runtime, int(reason), robot) == f"{WORDS[reason]} (wrist_2)"
-    assert blame(runtime, int(reason), 1 - robot) == WORDS[reason]
+    assert explain_reasons(runtime, int(reason), robot) == f"{REASON_TEXT[reason]} (wrist_2)"
+    assert explain_reasons(runtime, int(reason), 1 - robot) == REASON_TEXT[reason]
 
 
 @pytest.mark.parametrize(
@@ -87,8 +87,8 @@ def test_a_refused_setpoint_names_its_joint_and_only_for_the_robot_that_has_it(r
     here = runtime.state, runtime.setpoint, planned, planned, planned.q, planned.q
     runtime.verdict = runtime.safety.step(*here)
     assert runtime.verdict.reason[1] & reason
-    assert "wrist_2" in blame(runtime, int(reason), robot=1)
-    assert blame(runtime, int(reason)) == WORDS[reason]
+    assert "wrist_2" in explain_reasons(runtime, int(reason), robot=1)
+    assert explain_reasons(runtime, int(reason)) == REASON_TEXT[reason]
 
 
 @pytest.mark.parametrize("late", range(2))
@@ -98,7 +98,9 @@ def test_the_first_step_of_the_stop_names_its_joint_as_well(runtime, late):
     points = [here._replace(qd=here.qd.copy()) for _ in range(2)]
     points[late].qd[1, WRIST] = 50.0
     runtime.verdict = runtime.safety.step(runtime.state, here, *points, here.q, here.q)
-    assert blame(runtime, int(Reason.VELOCITY), robot=1) == f"{WORDS[Reason.VELOCITY]} (wrist_2)"
+    assert (
+        explain_reasons(runtime, int(Reason.VELOCITY), robot=1) == f"{REASON_TEXT[Reason.VELOCITY]} (wrist_2)"
+    )
 
 
 @pytest.mark.parametrize("reason", [Reason.STALE, Reason.LOST])
@@ -114,7 +116,7 @@ def test_a_joint_whose_encoder_is_not_believed_any_more_is_named(runtime, reason
     runtime.robot.read = astray
     while not runtime.verdict.reason[1] & reason:
         runtime.tick()
-    assert blame(runtime, int(reason), robot=1) == f"{WORDS[reason]} (wrist_2)"
+    assert explain_reasons(runtime, int(reason), robot=1) == f"{REASON_TEXT[reason]} (wrist_2)"
 
 
 @pytest.mark.parametrize("reason", [Reason.STALE, Reason.LOST])
@@ -130,8 +132,8 @@ def test_an_imu_that_is_not_heard_is_named(reason):
     runtime.robot.read = silent
     while not runtime.verdict.reason[1] & reason:
         runtime.tick()
-    assert blame(runtime, int(reason), robot=1) == f"{WORDS[reason]} (IMU)"
-    assert blame(runtime, int(reason), robot=0) == WORDS[reason]
+    assert explain_reasons(runtime, int(reason), robot=1) == f"{REASON_TEXT[reason]} (IMU)"
+    assert explain_reasons(runtime, int(reason), robot=0) == REASON_TEXT[reason]
 
 
 @pytest.mark.parametrize("robot", range(2))
@@ -139,25 +141,25 @@ def test_a_base_that_is_lost_is_named(robot):
     runtime = standing(2)
     runtime.walker.filter.P[robot] *= 1e6
     runtime.tick()
-    assert blame(runtime, int(Reason.DIVERGED), robot) == f"{WORDS[Reason.DIVERGED]} (base)"
-    assert blame(runtime, int(Reason.DIVERGED), 1 - robot) == WORDS[Reason.DIVERGED]
+    assert explain_reasons(runtime, int(Reason.DIVERGED), robot) == f"{REASON_TEXT[Reason.DIVERGED]} (base)"
+    assert explain_reasons(runtime, int(Reason.DIVERGED), 1 - robot) == REASON_TEXT[Reason.DIVERGED]
 
 
 def test_who_loses_its_power_at_work_has_stopped(runtime):
-    stops = Stops()
-    assert stops.begun(runtime) == []
+    stops = StopDetector()
+    assert stops.step(runtime) == []
     runtime.supervisor.latch(np.array([False, True]), Reason.OPERATOR)
-    assert stops.begun(runtime) == [1]
-    assert stops.begun(runtime) == []
+    assert stops.step(runtime) == [1]
+    assert stops.step(runtime) == []
     runtime.stop(Reason.OPERATOR)
     runtime.tick()
-    assert stops.begun(runtime) == [0]
+    assert stops.step(runtime) == [0]
 
 
 def test_a_joint_without_a_number_is_named(runtime):
     runtime.state.q[0, WRIST] = np.nan
     runtime.act(None)
-    assert blame(runtime, int(Reason.NOT_FINITE)) == f"{WORDS[Reason.NOT_FINITE]} (wrist_2)"
+    assert explain_reasons(runtime, int(Reason.NOT_FINITE)) == f"{REASON_TEXT[Reason.NOT_FINITE]} (wrist_2)"
 
 
 def test_a_planned_joint_without_a_number_is_named_although_no_torque_is_one_then(runtime):
@@ -166,7 +168,10 @@ def test_a_planned_joint_without_a_number_is_named_although_no_torque_is_one_the
     planned.q[1, WRIST] = np.nan
     runtime.verdict = runtime.safety.step(runtime.state, here, planned, here, here.q, here.q)
     assert np.isnan(runtime.verdict.tau[1]).all()
-    assert blame(runtime, int(Reason.NOT_FINITE), robot=1) == f"{WORDS[Reason.NOT_FINITE]} (wrist_2)"
+    assert (
+        explain_reasons(runtime, int(Reason.NOT_FINITE), robot=1)
+        == f"{REASON_TEXT[Reason.NOT_FINITE]} (wrist_2)"
+    )
 
 
 @pytest.mark.parametrize("place", range(3))
@@ -184,8 +189,8 @@ def test_shapes_that_would_meet_are_named(runtime, place, q, shapes):
     poses[place][0] = q
     planned = here._replace(q=poses[0])
     runtime.verdict = runtime.safety.step(runtime.state, here, planned, here, *poses[1:])
-    assert blame(runtime, int(Reason.COLLISION)) == f"{WORDS[Reason.COLLISION]} ({shapes})"
-    assert blame(runtime, int(Reason.COLLISION), robot=1) == WORDS[Reason.COLLISION]
+    assert explain_reasons(runtime, int(Reason.COLLISION)) == f"{REASON_TEXT[Reason.COLLISION]} ({shapes})"
+    assert explain_reasons(runtime, int(Reason.COLLISION), robot=1) == REASON_TEXT[Reason.COLLISION]
 
 
 def test_a_pose_without_a_number_has_no_part_in_it(runtime):
@@ -193,7 +198,7 @@ def test_a_pose_without_a_number_has_no_part_in_it(runtime):
     midst[0] = np.nan
     rest = np.tile((0.3, -1.59, 2.64, 0.24, -1.16, 0.87), (2, 1))
     runtime.verdict = runtime.safety.step(runtime.state, here, here, here, midst, rest)
-    assert blame(runtime, int(Reason.COLLISION)).endswith("(upper_arm and wrist_3)")
+    assert explain_reasons(runtime, int(Reason.COLLISION)).endswith("(upper_arm and wrist_3)")
 
 
 def test_shapes_that_keep_apart_are_not_blamed_for_a_pose_without_a_number(runtime):
@@ -205,7 +210,7 @@ def test_shapes_that_keep_apart_are_not_blamed_for_a_pose_without_a_number(runti
             runtime.state, here, here._replace(q=planned), here, midst, planned
         )
         assert runtime.verdict.reason[0] & Reason.COLLISION
-        assert blame(runtime, int(Reason.COLLISION)) == WORDS[Reason.COLLISION]
+        assert explain_reasons(runtime, int(Reason.COLLISION)) == REASON_TEXT[Reason.COLLISION]
 
 
 @pytest.mark.parametrize("value", [np.nan, 0.7])
@@ -221,11 +226,11 @@ def test_a_motor_that_nobody_hears_of_is_named(runtime, value):
     while not runtime.estimator.windings.unknown.any():
         runtime.tick()
     assert runtime.supervisor.reason[0] & Reason.HEAT
-    assert blame(runtime, int(Reason.HEAT)) == f"{WORDS[Reason.HEAT]} (wrist_2)"
+    assert explain_reasons(runtime, int(Reason.HEAT)) == f"{REASON_TEXT[Reason.HEAT]} (wrist_2)"
 
 
 def test_why_is_told_in_the_words_of_the_tick_in_which_it_came(runtime):
-    why = Why()
+    why = StopExplanation()
     why.step(runtime)
     assert str(why) == ""
     q = runtime.state.q[0, WRIST]
@@ -236,8 +241,8 @@ def test_why_is_told_in_the_words_of_the_tick_in_which_it_came(runtime):
     runtime.supervisor.reason[0] |= np.int64(Reason.OPERATOR)
     runtime.act(None)
     why.step(runtime)
-    assert blame(runtime, int(Reason.TRACKING)) == WORDS[Reason.TRACKING]  # not any more
-    assert str(why) == f"{WORDS[Reason.TRACKING]} (wrist_2); {WORDS[Reason.OPERATOR]}"
+    assert explain_reasons(runtime, int(Reason.TRACKING)) == REASON_TEXT[Reason.TRACKING]  # not any more
+    assert str(why) == f"{REASON_TEXT[Reason.TRACKING]} (wrist_2); {REASON_TEXT[Reason.OPERATOR]}"
     runtime.supervisor.reason[0] = 0
     why.step(runtime)
     assert str(why) == ""
@@ -245,20 +250,20 @@ def test_why_is_told_in_the_words_of_the_tick_in_which_it_came(runtime):
 
 @pytest.mark.parametrize("reason", list(Reason))
 def test_every_reason_has_words(runtime, reason):
-    assert blame(runtime, int(reason)).startswith(WORDS[reason])
+    assert explain_reasons(runtime, int(reason)).startswith(REASON_TEXT[reason])
 
 
 def test_several_are_told_one_after_the_other(runtime):
     beyond(runtime)
     runtime.act(None)
-    said = blame(runtime, int(Reason.STALE | Reason.OUTSIDE))
-    assert said == "samples are missing; a joint is outside its working range (wrist_2)"
+    said = explain_reasons(runtime, int(Reason.STALE | Reason.OUTSIDE))
+    assert said == "sensor samples are missing; a joint is outside its working range (wrist_2)"
 
 
 def test_nothing_is_known_before_the_first_packet():
     runtime = built(1)
     runtime.tick()
-    assert blame(runtime, int(Reason.HEAT | Reason.OUTSIDE)).count("(") == 0
+    assert explain_reasons(runtime, int(Reason.HEAT | Reason.OUTSIDE)).count("(") == 0
 
 
 def test_who_is_refused_is_told_which_joint_moves():
@@ -266,7 +271,7 @@ def test_who_is_refused_is_told_which_joint_moves():
     heard(runtime)
     runtime.estimator.joints.ed[0, WRIST] = 1.0
     refused = runtime.arm(np.ones(1, dtype=bool))
-    assert blame(runtime, int(refused[0])) == "a joint moves while the drives are off (wrist_2)"
+    assert explain_reasons(runtime, int(refused[0])) == "a joint moves while the drives are off (wrist_2)"
 
 
 def test_who_is_refused_is_told_what_speaks_against_it_now():
@@ -275,4 +280,4 @@ def test_who_is_refused_is_told_what_speaks_against_it_now():
     heard(runtime)
     beyond(runtime)
     refused = runtime.arm(np.ones(1, dtype=bool))
-    assert blame(runtime, int(refused[0])).endswith(f"{WORDS[Reason.OUTSIDE]} (wrist_2)")
+    assert explain_reasons(runtime, int(refused[0])).endswith(f"{REASON_TEXT[Reason.OUTSIDE]} (wrist_2)")

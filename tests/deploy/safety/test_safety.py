@@ -4,7 +4,8 @@ import pytest
 from deploy.safety.safety import Safety
 from deploy.safety.supervisor import CATEGORY_1
 from deploy.state import Reason, Setpoint, State
-from robots.models.fleet import Fleet, torque_max
+from robots.models.fleet import Fleet
+from robots.models.nominal_model import torque_max
 from support.arm6 import SPEC
 from support.deploy.safety import HIGH, HOME, LOW, MARGINS, SPACE, ZERO, N, judge, one, point, reasons
 
@@ -74,8 +75,8 @@ def test_torque(joint, sign):
 @pytest.mark.parametrize("seed", range(3))
 def test_tool_speed(seed):
     fleet, direction = Fleet(SPEC, 1), np.random.default_rng(seed).normal(size=N)
-    fleet.place(HOME[None])
-    direction /= np.linalg.norm(fleet.tool_velocity(direction[None]))
+    kinematics = fleet.kinematics(HOME[None])
+    direction /= np.linalg.norm(kinematics.tool_velocity(direction[None]))
     for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
         limit = direction * factor * MARGINS.speed * SPACE.tool_speed_max
         assert (Reason.TOOL_SPEED in reasons(setpoint=point(qd=limit))) == beyond
@@ -86,8 +87,8 @@ def test_tool_speed(seed):
 def test_tool_speed_that_a_stop_would_still_gain(joint, sign):
     """A stop first brings the acceleration to rest at full jerk, and the speed grows by its square over twice that."""
     fleet, jerk = Fleet(SPEC, 1), SPEC.joint_array("qddd_max")[joint]
-    fleet.place(HOME[None])
-    per_speed = np.linalg.norm(fleet.tool_velocity(one(joint, 1.0)[None]))
+    kinematics = fleet.kinematics(HOME[None])
+    per_speed = np.linalg.norm(kinematics.tool_velocity(one(joint, 1.0)[None]))
     limit, qdd = MARGINS.speed * SPACE.tool_speed_max / per_speed, 8.0
     for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
         qd = factor * limit - qdd**2 / (2 * jerk)

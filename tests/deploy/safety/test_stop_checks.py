@@ -21,23 +21,23 @@ def test_the_tool_in_the_midst_of_a_stop_stays_in_the_workspace(limit):
     verdicts = []
     for share in np.linspace(0, 1, 200):
         q = HOME + share * (far - HOME)
-        fleet.place(q[None])
-        (tool,) = fleet.tool_position
+        kinematics = fleet.kinematics(q[None])
+        (tool,) = kinematics.tool_position
         height, radius = tool[2] - SPACE.z_min, SPACE.radius_max - np.linalg.norm(tool - SPACE.centre)
-        found = reasons(q_midst=q)
+        found = reasons(q_mid_stop=q)
         verdicts.append(Reason.WORKSPACE in found)
         assert verdicts[-1] == (min(height, radius) < reach)
         assert found & ~(Reason.WORKSPACE | Reason.COLLISION) == 0
     assert 0 < sum(verdicts) < 200
-    assert Reason.NOT_FINITE in reasons(q_midst=np.full(N, np.nan))
+    assert Reason.NOT_FINITE in reasons(q_mid_stop=np.full(N, np.nan))
 
 
 def touching(fleet, q):
     """(B,) where shapes touch, or the tool is outside, at poses (B, n)."""
-    fleet.glance(q)
-    tool = fleet.tool_position
+    kinematics = fleet.kinematics(q, jacobians=False)
+    tool = kinematics.tool_position
     return (
-        fleet.colliding
+        kinematics.colliding
         | (tool[:, 2] < SPACE.z_min)
         | (np.linalg.norm(tool - SPACE.centre, axis=1) > SPACE.radius_max)
     )
@@ -112,9 +112,9 @@ WRIST_INTO_TABLE = (
 @pytest.mark.parametrize(("q", "qd"), WRIST_INTO_TABLE)
 def test_a_link_that_a_stop_would_drive_into_the_table(q, qd):
     start, smoother = point(np.array(q), np.array(qd)), Smoother(SPEC, 1)
-    ahead, q_midst, q_rest = smoother.brake(start)
-    assert reasons(setpoint=start, qd_hat=start.qd, ahead=ahead, q_midst=start.q, q_rest=q_rest) == 0
+    ahead, q_mid_stop, q_rest = smoother.brake(start)
+    assert reasons(setpoint=start, qd_hat=start.qd, ahead=ahead, q_mid_stop=start.q, q_rest=q_rest) == 0
     assert (
-        reasons(setpoint=start, qd_hat=start.qd, ahead=ahead, q_midst=q_midst, q_rest=q_rest)
+        reasons(setpoint=start, qd_hat=start.qd, ahead=ahead, q_mid_stop=q_mid_stop, q_rest=q_rest)
         == Reason.COLLISION
     )

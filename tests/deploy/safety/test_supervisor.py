@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.safety.supervisor import CATEGORY_1, WORDS, Supervisor, words
+from deploy.safety.supervisor import CATEGORY_1, REASON_TEXT, Supervisor, describe
 from deploy.state import Mode, Reason
 
 DT, ARMING, HOLD = 0.01, 3, 4
@@ -234,6 +234,8 @@ def test_saved_and_restored():
 
 
 def test_every_reason_has_words():
-    assert set(WORDS) == set(Reason)
-    assert words(0) == "no reason"
-    assert words(int(Reason.HEAT | Reason.LOST)) == f"{WORDS[Reason.HEAT]}; {WORDS[Reason.LOST]}"
+    assert set(REASON_TEXT) == set(Reason)
+    assert describe(0) == "no reason"
+    assert (
+        describe(int(Reason.HEAT | Reason.LOST)) == f"{REASON_TEXT[Reason.HEAT]}; {REASON_TEXT[Reason.LOST]}"
+    )

@@ -8,7 +8,7 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
-from deploy.safety.supervisor import words
+from deploy.safety.supervisor import describe
 from deploy.state import Mode, Reason
 from deploy.telemetry.recorder import AFTER_S, EVENTS_MAX, Recorder, check_folder
 from deploy.telemetry.ring import RING_S, Ring
@@ -62,7 +62,7 @@ def record(folder, ticks, *, stops=None):
         runtime.supervisor.mode[0] = Mode.STOPPING if reason else Mode.RUNNING
         runtime.supervisor.reason[0] = reason
         runtime.tick()
-        writer.step(runtime, f"{words(reason)} (elbow)" if reason else "")
+        writer.step(runtime, f"{describe(reason)} (elbow)" if reason else "")
     writer.close()
     return writer
 
@@ -129,7 +129,7 @@ def test_changes_of_mode_are_said_with_their_reasons(tmp_path):
     record(tmp_path, 20, stops={11: both, 12: both})
     found = messages(tmp_path / "run.mcap")
     said = [((time - START_NS) // TICK_NS, log.message) for time, _, log in found["/log"]]
-    why = "a motor is too hot, or nobody knows how hot it is; a joint does not follow its setpoint"
+    why = "a motor is too hot, or its temperature is unknown; a joint does not follow its setpoint"
     assert said == [
         (0, "DISARMED → RUNNING"),
         (11, f"RUNNING → STOPPING: {why} (elbow)"),
@@ -198,7 +198,7 @@ def test_the_operators_stop_is_an_event_only_when_asked_for(tmp_path):
     runtime.supervisor.mode[0], runtime.supervisor.reason[0] = Mode.STOPPING, Reason.OPERATOR
     for _ in range(AFTER + 2):
         runtime.tick()
-        writer.step(runtime, words(int(Reason.OPERATOR)))
+        writer.step(runtime, describe(int(Reason.OPERATOR)))
     assert writer.events == ()
     writer.event()
     writer.close()

@@ -25,7 +25,7 @@ from eval.soak import shard as shards
 from eval.soak.profile import Faults
 from eval.soak.shard import WIDTH, Shard, ShardJob
 from eval.statistics.evidence import share_lower
-from robots.models.fleet import torque_max
+from robots.models.nominal_model import torque_max
 from support.arm6 import SPEC
 from support.eval.fault_schedules import CLASSES, DT, N, named, one_each
 from support.policies import policy_model, saved

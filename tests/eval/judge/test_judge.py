@@ -165,8 +165,8 @@ def beside_singularity(w):
     high[4] *= -1
     while abs(low[4] - high[4]) > 1e-12:
         middle = (low + high) / 2
-        fleet.place(middle[None])
-        low, high = (middle, high) if fleet.manipulability()[0] > w else (low, middle)
+        kinematics = fleet.kinematics(middle[None])
+        low, high = (middle, high) if kinematics.manipulability()[0] > w else (low, middle)
     return low
 
 

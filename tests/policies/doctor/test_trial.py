@@ -151,7 +151,7 @@ def test_actions_of_the_other_sign_miss_every_goal(sick):
     trial = row(case, "trial")
     assert trial.verdict is Verdict.FAIL
     assert "signs and order inside the network" in trial.said
-    assert "links would come nearer than the collision margin" in trial.said
+    assert "links would come closer than the collision margin" in trial.said
     assert "of all actions are at their clip" in row(case, "normalizer").said
     for check, said in (
         ("delay", "cannot be seen"),
@@ -218,7 +218,7 @@ def test_packets_so_late_that_the_robot_stops_for_them_are_named(sick, tmp_path)
     robot, digest = robot_and_digest(tmp_path, toml=[("delay_s = 0.008", "delay_s = 0.025")])
     found = row(sick(robot, contract=digest), "trial")
     assert found.verdict is Verdict.WARN
-    assert re.search(r"stopped \d+ times: samples are missing \(\d+\)", found.said)
+    assert re.search(r"stopped \d+ times: sensor samples are missing \(\d+\)", found.said)
 
 
 # ---- heat ----

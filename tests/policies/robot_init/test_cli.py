@@ -21,8 +21,9 @@ from policies.robot_init.cli import cli, init_robot, package_of
 from policies.robot_init.permanent_contacts import always_near
 from policies.robot_init.vendor_model import read_facts
 from robots.errors import OutputError, RobotError
-from robots.models.fleet import Fleet, load_pinocchio, torque_max
+from robots.models.fleet import Fleet
 from robots.models.mujoco_model import load_mujoco
+from robots.models.nominal_model import load_pinocchio, torque_max
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm

@@ -15,8 +15,9 @@ import tomlkit
 
 from deploy.state import Mode
 from policies.robot_init.cli import init_robot
-from robots.models.fleet import Fleet, load_pinocchio, torque_max
+from robots.models.fleet import Fleet
 from robots.models.mujoco_model import load_mujoco
+from robots.models.nominal_model import load_pinocchio, torque_max
 from support.robot_init import ANSWERS, fill_in, hold
 
 PACKAGE = find_spec("robosuite")
@@ -75,8 +76,8 @@ def test_capsules_are_found_where_the_panda_folds_onto_itself(panda):
     fleet, home = Fleet(panda, 2, collisions=True), panda.joint_array("q_home")
     folded = home.copy()
     folded[[1, 3, 5]] = -1.6, -3.0, 0.1
-    fleet.place(np.stack((home, folded)))
-    np.testing.assert_array_equal(fleet.colliding, [False, True])
+    kinematics = fleet.kinematics(np.stack((home, folded)))
+    np.testing.assert_array_equal(kinematics.colliding, [False, True])
 
 
 def test_a_panda_holds_its_home_through_the_whole_runtime(panda):

@@ -4,10 +4,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from robots.models import collisions
-from robots.models.blocks import BLOCK, turns
-from robots.models.collisions import collision_pairs
-from robots.models.fleet import Fleet, load_pinocchio
+from robots.models.blocks import BLOCK, block_rows
+from robots.models.collisions import PairChecks, collision_pairs
+from robots.models.fleet import Fleet
+from robots.models.nominal_model import load_pinocchio
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 
@@ -80,13 +80,13 @@ def poses(count):
 
 def counted(monkeypatch):
     """A list that grows by one whenever shapes are looked at."""
-    asked, look = [], collisions._Shapes.look
+    asked, look = [], PairChecks.check
 
     def looked(shapes, *at):
         asked.append(shapes)
         return look(shapes, *at)
 
-    monkeypatch.setattr(collisions._Shapes, "look", looked)
+    monkeypatch.setattr(PairChecks, "check", looked)
     return asked
 
 
@@ -96,8 +96,8 @@ def test_nothing_that_is_too_near_is_spared(tmp_path, monkeypatch, around):
     spec, asked = load_robot(copy_of_arm(tmp_path, xml=edits)), counted(monkeypatch)
     fleet, q, found = Fleet(spec, 1, collisions=True), poses(POSES), []
     for pose in q:
-        fleet.place(pose[None])
-        found.append(fleet.colliding[0])
+        kinematics = fleet.kinematics(pose[None])
+        found.append(kinematics.colliding[0])
     distance = distances(spec, q)
     clear = np.abs(distance - MARGIN) > 1e-4
     np.testing.assert_array_equal(np.array(found)[clear], (distance < MARGIN)[clear])
@@ -114,13 +114,13 @@ def test_one_low_robot_is_seen_whatever_its_place(monkeypatch):
     low[1] = -0.3
     assert distances(SPEC, [low], "table")[0] < MARGIN < 0.1 < distances(SPEC, [home], "table")[0]
     fleet, asked = Fleet(SPEC, robots, collisions=True), counted(monkeypatch)
-    fleet.place(np.tile(home, (robots, 1)))
-    assert len(asked) == len(turns(robots))
+    kinematics = fleet.kinematics(np.tile(home, (robots, 1)))
+    assert len(asked) == len(block_rows(robots))
     for robot in range(robots):
         q = np.tile(home, (robots, 1))
         q[robot] = low
-        fleet.place(q)
-        np.testing.assert_array_equal(np.flatnonzero(fleet.colliding), [robot])
+        kinematics = fleet.kinematics(q)
+        np.testing.assert_array_equal(np.flatnonzero(kinematics.colliding), [robot])
 
 
 def test_a_robot_without_shapes_collides_with_nothing(tmp_path):
@@ -129,26 +129,26 @@ def test_a_robot_without_shapes_collides_with_nothing(tmp_path):
     lines = [line for line in text.splitlines() if "<geom name" not in line and "<exclude" not in line]
     spec.model_path.write_text("\n".join(lines))
     fleet = Fleet(spec, 3, collisions=True)
-    fleet.place(np.zeros((3, N)))
-    assert not fleet.colliding.any()
+    kinematics = fleet.kinematics(np.zeros((3, N)))
+    assert not kinematics.colliding.any()
 
 
 def test_fleets_that_share_a_block_share_no_reading():
     rng = np.random.default_rng(2)
     fleet, apart = Fleet(SPEC, 2 * BLOCK, collisions=True), Fleet(SPEC, 2 * BLOCK, collisions=True)
-    other = fleet.of(BLOCK)
+    other = fleet.resized(BLOCK)
     for _ in range(20):
         q, qd = rng.uniform(LOW, HIGH, (2 * BLOCK, N)), rng.normal(size=(2 * BLOCK, N))
         tau = fleet.torque(q, qd, qd)
-        fleet.place(q)
-        apart.place(q)
-        other.glance(q[BLOCK:])
-        np.testing.assert_array_equal(other.tool_position, apart.tool_position[BLOCK:])
-        np.testing.assert_array_equal(other.colliding, apart.colliding[BLOCK:])
+        kinematics = fleet.kinematics(q)
+        apart_kinematics = apart.kinematics(q)
+        other_kinematics = other.kinematics(q[BLOCK:], jacobians=False)
+        np.testing.assert_array_equal(other_kinematics.tool_position, apart_kinematics.tool_position[BLOCK:])
+        np.testing.assert_array_equal(other_kinematics.colliding, apart_kinematics.colliding[BLOCK:])
         other.torque(q[:BLOCK], qd[:BLOCK], qd[:BLOCK])
-        other.place(q[:BLOCK])
-        np.testing.assert_array_equal(fleet.tool_position, apart.tool_position)
-        np.testing.assert_array_equal(fleet.tool_velocity(qd), apart.tool_velocity(qd))
-        np.testing.assert_array_equal(fleet.manipulability(), apart.manipulability())
-        np.testing.assert_array_equal(fleet.colliding, apart.colliding)
+        other_kinematics = other.kinematics(q[:BLOCK])
+        np.testing.assert_array_equal(kinematics.tool_position, apart_kinematics.tool_position)
+        np.testing.assert_array_equal(kinematics.tool_velocity(qd), apart_kinematics.tool_velocity(qd))
+        np.testing.assert_array_equal(kinematics.manipulability(), apart_kinematics.manipulability())
+        np.testing.assert_array_equal(kinematics.colliding, apart_kinematics.colliding)
         np.testing.assert_array_equal(tau, apart.torque(q, qd, qd))

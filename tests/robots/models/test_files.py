@@ -7,7 +7,8 @@ import pytest
 from robots.errors import RobotError
 from robots.models import files as model_files
 from robots.models.collisions import collision_pairs
-from robots.models.fleet import Fleet, load_pinocchio, torque_max
+from robots.models.fleet import Fleet
+from robots.models.nominal_model import load_pinocchio, torque_max
 from robots.models.pinocchio_model import read_pinocchio
 from robots.spec import RobotSpec, load_robot
 from support.arm6 import SPEC, complaint, copy_of_arm
@@ -43,9 +44,9 @@ def test_urdf_is_one_robot_to_both_libraries(tmp_path):
 
 def test_the_fleet_of_a_urdf_robot_sees_its_tool(tmp_path):
     fleet = Fleet(load_robot(two_links(tmp_path)), 3, collisions=True)
-    fleet.place(np.array([[0.0, 0.5], [0.0, 1.0], [0.5, 1.5]]))
-    assert len({tuple(tool) for tool in fleet.tool_position.round(6)}) == 3
-    assert not fleet.colliding.any()
+    kinematics = fleet.kinematics(np.array([[0.0, 0.5], [0.0, 1.0], [0.5, 1.5]]))
+    assert len({tuple(tool) for tool in kinematics.tool_position.round(6)}) == 3
+    assert not kinematics.colliding.any()
 
 
 def test_the_digest_covers_what_the_model_names(tmp_path):

@@ -5,10 +5,11 @@ import pinocchio as pin
 import pytest
 
 from robots.errors import RobotError
-from robots.models import fleet as model_pinocchio
 from robots.models.blocks import BLOCK
 from robots.models.collisions import collision_pairs
-from robots.models.fleet import Fleet, load_pinocchio, torque_max
+from robots.models.fleet import Fleet
+from robots.models.kinematics import yoshikawa
+from robots.models.nominal_model import load_pinocchio, torque_max
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.robots.model_files import POST
@@ -146,8 +147,8 @@ def test_fleet_keeps_the_collision_margin(both):
     shapes_data, q = shapes.createData(), np.random.default_rng(5).uniform(LOW, HIGH, (512, N))
     fleet, margin, found, counted = Fleet(SPEC, 32, collisions=True), SPEC.margins.collision_m, [], 0
     for block in np.split(q, 16):
-        fleet.place(block)
-        found.extend(fleet.colliding)
+        kinematics = fleet.kinematics(block)
+        found.extend(kinematics.colliding)
     for i in range(512):
         pin.computeDistances(arm, arm_data, shapes, shapes_data, q[i])
         nearest = min(result.min_distance for result in shapes_data.distanceResults)
@@ -169,20 +170,20 @@ def test_no_pair_of_neighbours_and_no_pair_left_out(both):
 
 def test_a_fleet_that_does_not_look_says_so():
     fleet = Fleet(SPEC, 1)
-    fleet.place(SPEC.joint_array("q_home")[None])
+    kinematics = fleet.kinematics(SPEC.joint_array("q_home")[None])
     with pytest.raises(RuntimeError, match="without collisions"):
-        _ = fleet.colliding
+        _ = kinematics.colliding
 
 
 def test_a_glance_sees_the_tool_and_the_collisions_of_a_place():
     fleet, other = Fleet(SPEC, 40, collisions=True), Fleet(SPEC, 40, collisions=True)
     q = np.random.default_rng(0).uniform(LOW, HIGH, (40, N))
-    other.place(q)
-    fleet.place(np.tile(SPEC.joint_array("q_home"), (40, 1)))
-    fleet.glance(q)
-    np.testing.assert_array_equal(fleet.tool_position, other.tool_position)
-    np.testing.assert_array_equal(fleet.colliding, other.colliding)
-    assert 0 < fleet.colliding.sum() < 40
+    other_kinematics = other.kinematics(q)
+    kinematics = fleet.kinematics(np.tile(SPEC.joint_array("q_home"), (40, 1)))
+    kinematics = fleet.kinematics(q, jacobians=False)
+    np.testing.assert_array_equal(kinematics.tool_position, other_kinematics.tool_position)
+    np.testing.assert_array_equal(kinematics.colliding, other_kinematics.colliding)
+    assert 0 < kinematics.colliding.sum() < 40
 
 
 @pytest.mark.parametrize("robots", [1, 16, 17, 64])
@@ -196,15 +197,15 @@ def test_a_fleet_is_so_many_single_robots(robots):
             rng.normal(0, 2, (robots, N)),
             rng.normal(0, 9, (robots, N)),
         )
-        tau = fleet.torque(q, qd, qdd).copy()
-        fleet.place(q)
-        velocity, manipulability = fleet.tool_velocity(qd), fleet.manipulability()
+        tau = fleet.torque(q, qd, qdd)
+        kinematics = fleet.kinematics(q)
+        velocity, manipulability = kinematics.tool_velocity(qd), kinematics.manipulability()
         for i in range(robots):
             np.testing.assert_allclose(tau[i], pin.rnea(arm, data, q[i], qd[i], qdd[i]), rtol=0, atol=1e-11)
             jacobian = pin.computeFrameJacobian(arm, data, q[i], frame, pin.LOCAL_WORLD_ALIGNED)
             pin.framesForwardKinematics(arm, data, q[i])
             np.testing.assert_allclose(
-                fleet.tool_position[i], data.oMf[frame].translation, rtol=0, atol=1e-12
+                kinematics.tool_position[i], data.oMf[frame].translation, rtol=0, atol=1e-12
             )
             np.testing.assert_allclose(velocity[i], jacobian[:3] @ qd[i], rtol=0, atol=1e-12)
             expected = np.sqrt(max(0.0, np.linalg.det(jacobian @ jacobian.T)))
@@ -220,41 +221,43 @@ def test_neighbours_do_not_change_a_bit():
         Fleet(SPEC, 1, collisions=True),
     )
     q, qd = rng.uniform(LOW, HIGH, (robots, N)), rng.normal(0, 1, (robots, N))
-    tau = fleet.torque(q, qd, qd).copy()
-    fleet.place(q)
+    tau = fleet.torque(q, qd, qd)
+    kinematics = fleet.kinematics(q)
     for i in range(robots):
         one = slice(i, i + 1)
         np.testing.assert_array_equal(alone.torque(q[one], qd[one], qd[one])[0], tau[i])
-        alone.place(q[one])
-        np.testing.assert_array_equal(alone.tool_position[0], fleet.tool_position[i])
-        np.testing.assert_array_equal(alone.tool_velocity(qd[one])[0], fleet.tool_velocity(qd)[i])
-        assert alone.colliding[0] == fleet.colliding[i]
-    assert 0 < fleet.colliding.sum() < robots
+        alone_kinematics = alone.kinematics(q[one])
+        np.testing.assert_array_equal(alone_kinematics.tool_position[0], kinematics.tool_position[i])
+        np.testing.assert_array_equal(
+            alone_kinematics.tool_velocity(qd[one])[0], kinematics.tool_velocity(qd)[i]
+        )
+        assert alone_kinematics.colliding[0] == kinematics.colliding[i]
+    assert 0 < kinematics.colliding.sum() < robots
 
 
 def test_a_robot_of_nan_spoils_no_neighbour():
     q = np.tile(SPEC.joint_array("q_home"), (18, 1))
     fleet = Fleet(SPEC, 18, collisions=True)
-    fleet.place(q)
-    clean = fleet.tool_position.copy(), fleet.torque(q, q, q).copy(), fleet.colliding.copy()
+    kinematics = fleet.kinematics(q)
+    clean = kinematics.tool_position.copy(), fleet.torque(q, q, q), kinematics.colliding.copy()
     q[[0, 5, 17]] = np.nan
-    fleet.place(q)
+    kinematics = fleet.kinematics(q)
     others = np.isfinite(q).all(axis=1)
-    np.testing.assert_array_equal(fleet.tool_position[others], clean[0][others])
+    np.testing.assert_array_equal(kinematics.tool_position[others], clean[0][others])
     np.testing.assert_array_equal(fleet.torque(q, q, q)[others], clean[1][others])
-    np.testing.assert_array_equal(fleet.colliding[others], clean[2][others])
-    assert np.isnan(fleet.tool_position[~others]).all()
+    np.testing.assert_array_equal(kinematics.colliding[others], clean[2][others])
+    assert np.isnan(kinematics.tool_position[~others]).all()
 
 
 def test_tool_velocity_is_the_derivative_of_tool_position():
     rng, fleet, h = np.random.default_rng(1), Fleet(SPEC, 50), 1e-6
     q, qd = rng.uniform(LOW, HIGH, (50, N)), rng.normal(0, 2, (50, N))
-    fleet.place(q + h * qd)
-    ahead = fleet.tool_position.copy()
-    fleet.place(q - h * qd)
-    difference = (ahead - fleet.tool_position) / (2 * h)
-    fleet.place(q)
-    np.testing.assert_allclose(fleet.tool_velocity(qd), difference, rtol=0, atol=1e-7)
+    kinematics = fleet.kinematics(q + h * qd)
+    ahead = kinematics.tool_position.copy()
+    kinematics = fleet.kinematics(q - h * qd)
+    difference = (ahead - kinematics.tool_position) / (2 * h)
+    kinematics = fleet.kinematics(q)
+    np.testing.assert_allclose(kinematics.tool_velocity(qd), difference, rtol=0, atol=1e-7)
 
 
 def test_manipulability_vanishes_where_the_arm_is_singular():
@@ -263,8 +266,8 @@ def test_manipulability_vanishes_where_the_arm_is_singular():
     wrist, elbow = home.copy(), home.copy()
     wrist[4], elbow[2] = 0.0, 0.0
     fleet = Fleet(SPEC, 3)
-    fleet.place(np.stack((wrist, elbow, home)))
-    lost_wrist, lost_elbow, free = fleet.manipulability()
+    kinematics = fleet.kinematics(np.stack((wrist, elbow, home)))
+    lost_wrist, lost_elbow, free = kinematics.manipulability()
     assert abs(lost_wrist) < 1e-12
     assert abs(lost_elbow) < 1e-12
     assert free > 10 * SPEC.margins.singularity
@@ -275,8 +278,8 @@ def test_manipulability_is_negative_beyond_a_singularity():
     home, fleet = SPEC.joint_array("q_home"), Fleet(SPEC, 2)
     beyond = home.copy()
     beyond[4] *= -1  # wrist 2, singular at 0
-    fleet.place(np.stack((home, beyond)))
-    here, there = fleet.manipulability()
+    kinematics = fleet.kinematics(np.stack((home, beyond)))
+    here, there = kinematics.manipulability()
     assert here > 10 * SPEC.margins.singularity
     assert there < -10 * SPEC.margins.singularity
 
@@ -286,8 +289,8 @@ def test_the_home_pose_says_which_side_of_a_singularity_is_home(tmp_path):
     ends = ("q_min = -2.6\nq_max = -0.5\nq_home = -1.5708", "q_min = 0.5\nq_max = 2.6\nq_home = 1.5708")
     turned = load_robot(copy_of_arm(tmp_path, toml=[ends]))
     fleet = Fleet(turned, 2)
-    fleet.place(np.stack((turned.joint_array("q_home"), SPEC.joint_array("q_home"))))
-    here, there = fleet.manipulability()
+    kinematics = fleet.kinematics(np.stack((turned.joint_array("q_home"), SPEC.joint_array("q_home"))))
+    here, there = kinematics.manipulability()
     assert here > 10 * SPEC.margins.singularity
     assert there < -10 * SPEC.margins.singularity
 
@@ -303,7 +306,7 @@ def test_manipulability_of_other_numbers_of_joints(n):
     """The product of the singular values, however many columns there are."""
     jacobians = np.random.default_rng(n).normal(size=(4, 6, n))
     expected = [np.prod(np.linalg.svd(jacobian, compute_uv=False)) for jacobian in jacobians]
-    np.testing.assert_allclose(model_pinocchio._measure(jacobians), expected, rtol=1e-9)
+    np.testing.assert_allclose(yoshikawa(jacobians), expected, rtol=1e-9)
 
 
 WRIST_3 = r'(?s)<joint name="wrist_3" class="size1"/>'

@@ -27,8 +27,9 @@ def judge(
     hottest=40.0,
     setpoint=None,
     ahead=None,
-    q_midst=None,
+    q_mid_stop=None,
     q_rest=None,
+    safety=SAFETY,
 ):
     """The verdict on one robot, everything else being well."""
     setpoint = setpoint or point()
@@ -48,9 +49,9 @@ def judge(
     )
     ahead = setpoint if ahead is None else ahead
     rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
-    midst = HOME[None] if q_midst is None else np.atleast_2d(q_midst)
-    return SAFETY.step(
-        state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, ahead, midst, rest
+    mid_stop = HOME[None] if q_mid_stop is None else np.atleast_2d(q_mid_stop)
+    return safety.step(
+        state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, ahead, mid_stop, rest
     )
 
 

@@ -11,7 +11,7 @@ from eval.judge.monitors import MONITORS
 from eval.soak.configuration import Soak
 from eval.soak.shard import COUNTED, WIDTH, ShardJob, ShardResult
 from eval.statistics.budget import BUDGET
-from robots.models.fleet import torque_max
+from robots.models.nominal_model import torque_max
 from support.arm6 import SPEC
 
 

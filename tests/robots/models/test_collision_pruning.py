@@ -5,9 +5,10 @@ import pinocchio as pin
 import pytest
 
 from robots.errors import RobotError
-from robots.models.clearance import can_meet
+from robots.models.collision_pruning import prune_pairs
 from robots.models.collisions import collision_pairs
-from robots.models.fleet import Fleet, load_pinocchio
+from robots.models.fleet import Fleet
+from robots.models.nominal_model import load_pinocchio
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.robots.model_files import POST
@@ -24,7 +25,7 @@ def test_pairs_that_are_not_checked_cannot_meet():
     """Proven for every pose of the working ranges; looked at here in its corners and in 5,000 poses."""
     arm, shapes = load_pinocchio(SPEC)
     pairs = collision_pairs(arm, shapes)
-    idle = [pair for pair in pairs if pair not in can_meet(SPEC, arm, shapes, pairs)]
+    idle = [pair for pair in pairs if pair not in prune_pairs(SPEC, arm, shapes, pairs)]
     assert names_of(shapes, idle) == {
         *{("table", "upper_arm"), ("shoulder", "forearm"), ("shoulder", "wrist_1"), ("upper_arm", "wrist_1")},
         *{("forearm", "wrist_2"), ("wrist_1", "wrist_3")},
@@ -45,7 +46,7 @@ def test_pairs_nearer_than_the_margin_are_checked():
     pairs = collision_pairs(arm, shapes)
     for margin, kept in ((0.015, False), (0.028, True)):
         spec = SPEC.model_copy(update={"margins": SPEC.margins.model_copy(update={"collision_m": margin})})
-        found = names_of(shapes, can_meet(spec, arm, shapes, pairs))
+        found = names_of(shapes, prune_pairs(spec, arm, shapes, pairs))
         assert (("wrist_1", "wrist_3") in found) == kept
 
 
@@ -56,7 +57,7 @@ def test_a_post_on_the_base_is_checked_whatever_its_place_in_the_file(tmp_path):
     spec = load_robot(copy_of_arm(tmp_path, xml=xml, toml=away))
     arm, shapes = load_pinocchio(spec)
     pairs = collision_pairs(arm, shapes)
-    kept = names_of(shapes, can_meet(spec, arm, shapes, pairs))
+    kept = names_of(shapes, prune_pairs(spec, arm, shapes, pairs))
     assert {("forearm", "post"), ("wrist_3", "post")} <= kept
     fleet, rng, hits = Fleet(spec, 16, collisions=True), np.random.default_rng(0), 0
     data, alone = arm.createData(), shapes.copy()
@@ -64,11 +65,11 @@ def test_a_post_on_the_base_is_checked_whatever_its_place_in_the_file(tmp_path):
         alone.addCollisionPair(pin.CollisionPair(*pair))
     places = alone.createData()
     for q in rng.uniform(LOW, HIGH, (40, 16, N)):
-        fleet.place(q)
+        kinematics = fleet.kinematics(q)
         for i in range(16):
             pin.computeDistances(arm, data, alone, places, q[i])
             nearest = min(found.min_distance for found in places.distanceResults) - spec.margins.collision_m
-            assert fleet.colliding[i] == (nearest < 0) or abs(nearest) < 1e-4
+            assert kinematics.colliding[i] == (nearest < 0) or abs(nearest) < 1e-4
             hits += nearest < 0
     assert hits > 30
 
@@ -83,7 +84,7 @@ def test_a_home_pose_in_which_shapes_touch_is_refused(tmp_path):
     Fleet(spec, 1)
 
 
-def test_shapes_on_different_branches_of_a_robot_can_meet():
+def test_shapes_on_different_branches_of_a_robot_prune_pairs():
     """Neither carries the other: both move."""
     arm, shapes = load_pinocchio(SPEC)
     joint = arm.addJoint(1, pin.JointModelRZ(), pin.SE3(np.eye(3), np.array([0.3, -0.13, 0.2])), "other")
@@ -94,4 +95,4 @@ def test_shapes_on_different_branches_of_a_robot_can_meet():
     joints = (*SPEC.joints, SPEC.joints[0].model_copy(update={"name": "other"}))
     spec = SPEC.model_copy(update={"joints": joints})
     for pair in ((forearm, number), (number, forearm)):
-        assert can_meet(spec, arm, shapes, [pair]) == [pair]
+        assert prune_pairs(spec, arm, shapes, [pair]) == [pair]

@@ -1,6 +1,7 @@
-"""Which pairs of shapes can meet inside the working ranges: the others need no check on every tick.
+"""Pruning of collision pairs: those that cannot meet inside the working ranges need no check on every tick.
 
-No sampling: a box of joint angles is clear if the distance at its middle is more than any pose of the box can close.
+A proof, not a sample: a box of joint angles is clear if the distance at its middle is more than any pose of the box can
+close. Boxes that are not clear are halved.
 """
 
 from collections import deque
@@ -13,43 +14,43 @@ from robots.spec import RobotSpec
 
 Pairs = list[tuple[int, int]]
 
-BOXES = 2000
-"""Boxes looked at for a pair, the largest first; one that needs more stays a pair to check."""
+BOXES_MAX = 2000
+"""Boxes examined for a pair, the largest first; a pair that needs more is kept."""
 HOPELESS = 500
-"""Boxes of which none is clear: a pair with so many joints between its shapes does not come to an end."""
+"""Boxes after which a pair is kept if none was clear: so many joints between its shapes take too many boxes."""
 
 
-def can_meet(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs) -> Pairs:
-    """Those of the pairs that are not proven to stay farther apart than the collision margin.
+def prune_pairs(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs) -> Pairs:
+    """Return the pairs that are not proven to stay farther apart than the collision margin.
 
     Args:
-        spec: the robot, of which working ranges and margin count.
+        spec: the robot: its working ranges and its margin.
         model, geometry: as `load_pinocchio`, all joints hinges; without pairs of their own.
         pairs: indices of shapes.
     """
     data, alone = model.createData(), geometry.copy()
     for a, b in pairs:
         alone.addCollisionPair(pin.CollisionPair(a, b))
-    places, margin = alone.createData(), spec.margins.collision_m or 0.0
+    placements, margin = alone.createData(), spec.margins.collision_m or 0.0
     low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
 
     def clear(number: int) -> bool:
         a, b = (geometry.geometryObjects[shape] for shape in pairs[number])
         reach = _reach(model, a, b.parentJoint) + _reach(model, b, a.parentJoint)
-        boxes, apart = deque([(low, high)]), 0
-        for looked in range(BOXES):
+        boxes, cleared = deque([(low, high)]), 0
+        for examined in range(BOXES_MAX):
             if not boxes:
                 return True
-            if looked == HOPELESS and not apart:
+            if examined == HOPELESS and not cleared:
                 return False
             least, most = boxes.popleft()
-            pin.updateGeometryPlacements(model, data, alone, places, (least + most) / 2)
-            distance = pin.computeDistance(alone, places, number).min_distance - margin
+            pin.updateGeometryPlacements(model, data, alone, placements, (least + most) / 2)
+            distance = pin.computeDistance(alone, placements, number).min_distance - margin
             if distance <= 0:
                 return False
             closing = reach * (most - least) / 2
             if distance > closing.sum():
-                apart += 1
+                cleared += 1
             else:
                 boxes.extend(_halves(least, most, int(closing.argmax())))
         return False
@@ -58,7 +59,7 @@ def can_meet(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pai
 
 
 def _reach(model: pin.Model, shape: pin.GeometryObject, other: int) -> Floats:
-    """(n,) m/rad, how fast any point of a shape can move for each hinge that carries it and not joint `other`.
+    """Return (n,) m/rad, the speed bound of the shape's points for each hinge that carries it and not joint `other`.
 
     The axis passes through the hinge's origin, and no point of the shape is farther from there than all the links
     after it and the shape itself, end to end.

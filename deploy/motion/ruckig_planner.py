@@ -1,0 +1,92 @@
+"""One Ruckig instance that plans the joints of several robots in one call."""
+
+import numpy as np
+from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
+
+from deploy.masks import all_true, any_true
+from robots.arrays import Bools, Floats
+from robots.spec import RobotSpec
+
+EDGE = 1e-8
+"""rad/s. Ruckig may plan badly when the speed it is bound to reach is this near the limit: it is moved inside."""
+
+RENEW_S = 1.0
+"""s. No trajectory is read later than this, so that rounding at its end cannot add up to a drift; only where a stop
+may take longer than this, it is that long."""
+
+
+def horizon_s(spec: RobotSpec) -> float:
+    """Return s after which no trajectory is read any more."""
+    return max(RENEW_S, spec.stop_s)
+
+
+class RuckigPlanner:
+    """Planner of R robots.
+
+    After the joints of the robots comes a clock: a joint that moves for longer than any trajectory is read. Beyond the
+    end of the last joint Ruckig computes in another order, with other last bits; with the clock that never comes, and
+    no robot's bits depend on when its neighbours arrive.
+    """
+
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        """Set the limits of robot.toml, speed less its margin."""
+        self._n, self._size = spec.n, robots * spec.n + 1
+        self._otg, self._in = Ruckig(self._size, spec.dt), InputParameter(self._size)
+        self._qd_max = np.tile(spec.margins.speed * spec.joint_array("qd_max"), (robots, 1))
+        self._twice_jerk = np.tile(2 * spec.joint_array("qddd_max"), (robots, 1))
+        self._qdd_max = np.tile(spec.joint_array("qdd_max"), (robots, 1))
+        self._in.max_jerk = [*self._twice_jerk.ravel() / 2, 1.0]
+        self._in.synchronization = Synchronization.No
+        self._in.per_dof_control_interface = [ControlInterface.Position] * self._size
+        self._stopping = np.zeros(robots, dtype=bool)
+        self._set_limits(np.ones(robots))
+        # Ruckig's inputs q, qd, qdd and target, with the clock at the end of each.
+        self._inputs = np.zeros((4, self._size))
+        self._inputs[3, -1] = 2 * horizon_s(spec)
+        self._joints = self._inputs[:, :-1].reshape(4, robots, spec.n)
+
+    def empty_trajectory(self) -> Trajectory:
+        """Return memory for a trajectory of these robots and the clock."""
+        return Trajectory(self._size)
+
+    def plan(self, origin: Floats, trajectory: Trajectory) -> bool:
+        """Fill `trajectory`, `origin` as in `TrackingTrajectories.plan`; return False where Ruckig has no plan."""
+        self._set_stopping(origin[:, -1] != 0)
+        if not all_true(origin[:, -2] == self._speed_scale):
+            self._set_limits(origin[:, -2])
+        self._joints[:] = origin[:, :-2].reshape(len(origin), 4, self._n).swapaxes(0, 1)
+        if not all_true(self._stopping):  # a stop has no limit of speed
+            self._move_inside()
+        # As lists: Ruckig's binding reads an array number by number, in three times the time.
+        q, qd, qdd, target = self._inputs.tolist()
+        self._in.current_position, self._in.current_velocity, self._in.current_acceleration = q, qd, qdd
+        self._in.target_position = target
+        try:
+            self._otg.calculate(self._in, trajectory)
+        except RuckigError:
+            return False
+        return True
+
+    def _set_stopping(self, stopping: Bools) -> None:
+        """Choose for each robot: speed to zero, or position to a target."""
+        if all_true(stopping == self._stopping):
+            return
+        self._stopping[:] = stopping
+        kinds = [ControlInterface.Velocity if stops else ControlInterface.Position for stops in stopping]
+        by_joint = [kind for kind in kinds for _ in range(self._n)]
+        self._in.per_dof_control_interface = [*by_joint, ControlInterface.Position]
+
+    def _set_limits(self, speed_scale: Floats) -> None:
+        """Limit speed and acceleration of each robot to its scale (R,)."""
+        self._speed_scale = speed_scale.copy()
+        self._speed = self._qd_max * speed_scale[:, None]
+        self._in.max_velocity = [*self._speed.ravel().tolist(), 1.0]
+        self._in.max_acceleration = [*(self._qdd_max * speed_scale[:, None]).ravel().tolist(), 1.0]
+
+    def _move_inside(self) -> None:
+        """Move speeds that end near the limit inside, where a target is followed."""
+        _, qd, qdd, _ = self._joints
+        peak = qd + qdd * np.abs(qdd) / self._twice_jerk
+        edge = (np.abs(np.abs(peak) - self._speed) < EDGE) & ~self._stopping[:, None]
+        if any_true(edge):
+            qd -= np.where(edge, np.sign(peak) * EDGE, 0.0)

@@ -1,0 +1,108 @@
+"""A safety check as one named row, and the records that rows read."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from deploy.state import Reason, Setpoint, State
+from robots.arrays import Bools, Floats
+from robots.capabilities import Capability
+from robots.models.kinematics import Kinematics
+from robots.spec import RobotSpec
+
+LARGEST = float(np.finfo(np.float64).max)
+"""The largest finite number: as a bound it refuses only what is not finite."""
+
+
+class Belief(NamedTuple):
+    """Estimate and last setpoint of B robots."""
+
+    state: State
+    sent: Setpoint
+
+
+class Motion(NamedTuple):
+    """Points of trajectories: the setpoints of B robots, then the first steps of the stops that would begin there.
+
+    Attributes:
+        q: (2B, n) rad. qd: (2B, n) rad/s.
+        qd_peak: (2B, n) rad/s, the speed when a stop has brought the acceleration to zero.
+        tau: (2B, n) N·m, divided by the share of current that each drive has left.
+        kinematics: of B poses at the setpoint, then B at rest.
+    """
+
+    q: Floats
+    qd: Floats
+    qd_peak: Floats
+    tau: Floats
+    kinematics: Kinematics
+
+    @property
+    def tool_speed_squared(self) -> Floats:
+        """(2B, 1) m²/s², at the pose of the setpoint, for its speed and then for its peak speed."""
+        robots = len(self.qd) // 2
+        qd = np.concatenate((self.qd[:robots], self.qd_peak[:robots]))
+        velocity = self.kinematics.tool_velocity(qd, robots=slice(0, robots))
+        return np.asarray(np.vecdot(velocity, velocity)[:, None])
+
+
+class Pose(NamedTuple):
+    """Poses of R robots.
+
+    Attributes:
+        q: (R, n) rad, where joints are sent.
+        kinematics: where they are expected, which differs for drives that act as springs.
+        workspace_centre: (3,) m; 0 without workspace.
+    """
+
+    q: Floats
+    kinematics: Kinematics
+    workspace_centre: Floats
+
+    @property
+    def tool_radius_squared(self) -> Floats:
+        """(R, 1) m², squared distance of the tool from the workspace's centre."""
+        arm = self.kinematics.tool_position - self.workspace_centre
+        return np.asarray(np.vecdot(arm, arm)[:, None])
+
+
+class Limits(NamedTuple):
+    """Data from which bounds are computed.
+
+    Attributes:
+        robot: its limits and margins.
+        torque: (n,) N·m that a setpoint may need; infinite where drives saturate instead.
+    """
+
+    robot: RobotSpec
+    torque: Floats
+
+
+Record = TypeVar("Record")
+Bound = float | Floats | Callable[[Limits], float | Floats]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check(Generic[Record]):
+    """One safety check.
+
+    Attributes:
+        name: unique in its table.
+        value: reader of (R, n) numbers where `per_joint`, else of (R, 1).
+        low, high: bounds of the value: a number, (n,) numbers, or a function of the limits.
+        reason: given where a value is outside its bounds.
+        reason_not_finite: given where a value is not finite.
+        per_joint: whether each joint has a value of its own.
+        needs: capabilities that the robot must have.
+    """
+
+    name: str
+    value: Callable[[Record], Floats | Bools]
+    low: Bound = -LARGEST
+    high: Bound = LARGEST
+    reason: Reason
+    reason_not_finite: Reason = Reason.NOT_FINITE
+    per_joint: bool = False
+    needs: frozenset[Capability] = frozenset()

@@ -1,0 +1,105 @@
+"""Safety checks compared with their bounds in one operation for all robots."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from deploy.masks import all_true
+from deploy.safety.check import Bound, Check, Limits
+from deploy.state import Reason
+from robots.arrays import Bools, Floats, Ints
+
+
+class CheckTable:
+    """Checks of R rows, each with its own columns in arrays (R, C) of values and bounds.
+
+    Attributes:
+        checks: those that the robot has.
+    """
+
+    def __init__(self, rows: int, limits: Limits, *groups: Sequence[Check[Any]]) -> None:
+        """Compute the bounds of those checks whose needs the robot meets.
+
+        Args:
+            rows: R.
+            limits: data from which bounds are computed.
+            groups: checks that read one record each.
+
+        Raises:
+            ValueError: two checks of one name, or a bound of the wrong shape.
+        """
+        has, self._rows, self._n = limits.robot.capabilities, rows, limits.robot.n
+        chosen = [(group, check) for group, some in enumerate(groups) for check in some if check.needs <= has]
+        self._readers = [(group, check.value) for group, check in chosen]
+        self.checks = [check for _, check in chosen]
+        names = [check.name for check in self.checks]
+        if len(set(names)) < len(names):
+            raise ValueError(f"safety checks: found the names {', '.join(names)}, expected each once")
+        self._widths = [self._n if check.per_joint else 1 for check in self.checks]
+        self._low = np.tile(self._bounds("low", limits), (rows, 1))
+        self._high = np.tile(self._bounds("high", limits), (rows, 1))
+        self._reason, self._reason_not_finite = (
+            np.repeat([int(getattr(check, field)) for check in self.checks], self._widths)
+            for field in ("reason", "reason_not_finite")
+        )
+        self._verified = False
+
+    def _bounds(self, field: str, limits: Limits) -> Floats:
+        bounds = []
+        for check, width in zip(self.checks, self._widths, strict=True):
+            bound: Bound = getattr(check, field)
+            value = np.asarray(bound(limits) if callable(bound) else bound, dtype=float)
+            if value.shape not in {(), (width,)}:
+                raise ValueError(
+                    f"safety check {check.name}: {field}: found shape {value.shape}, expected a number or ({width},)"
+                )
+            bounds.append(np.broadcast_to(value, width))
+        return np.concatenate(bounds)
+
+    def values(self, *records: Any) -> Floats:
+        """Return (R, C) values, one record for each group.
+
+        Raises:
+            ValueError: at first use, a check whose value has the wrong shape.
+        """
+        columns = [read(records[group]) for group, read in self._readers]
+        if not self._verified:
+            self._verify([column.shape for column in columns])
+        return np.concatenate(columns, axis=1)
+
+    def _verify(self, shapes: list[tuple[int, ...]]) -> None:
+        for check, width, found in zip(self.checks, self._widths, shapes, strict=True):
+            if found != (self._rows, width):
+                raise ValueError(
+                    f"safety check {check.name}: value: found shape {found}, expected {(self._rows, width)}"
+                )
+        self._verified = True
+
+    def reasons(self, values: Floats) -> Ints:
+        """Return (R,) bit sets of `Reason`, 0 where every value is inside its bounds."""
+        inside = (values >= self._low) & (values <= self._high)
+        if all_true(inside):
+            return np.zeros(len(values), dtype=np.int64)
+        return np.asarray(np.bitwise_or.reduce(self._given(values, inside), axis=1))
+
+    def _given(self, values: Floats, inside: Bools) -> Ints:
+        reason = np.where(np.isfinite(values), self._reason, self._reason_not_finite)
+        return np.where(inside, 0, reason)
+
+    def failed(self, values: Floats, reason: Reason) -> dict[str, Bools]:
+        """Return the checks that give a reason for one row of values (C,): by name, (n,) joints that it is about.
+
+        No joint is meant by a check of the robot as a whole. A joint angle that is not finite leaves no finite torque:
+        torques do not count for `Reason.NOT_FINITE`.
+        """
+        inside = (values >= self._low[0]) & (values <= self._high[0])
+        if reason is Reason.NOT_FINITE:
+            inside |= self._reason == Reason.TORQUE
+        given = self._given(values, inside) & int(reason) != 0
+        columns = np.split(given, np.cumsum(self._widths)[:-1])
+        return {
+            check.name: column if check.per_joint else np.zeros(self._n, dtype=bool)
+            for check, column in zip(self.checks, columns, strict=True)
+            if column.any()
+        }

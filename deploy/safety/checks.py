@@ -1,0 +1,213 @@
+"""The safety checks, one row each, in tables by the record that they read.
+
+To add a check, append a row, here or to a copy of `CHECKS` that is given to `Safety`. A robot has those checks whose
+needs it meets.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from deploy.safety.check import LARGEST, Belief, Check, Limits, Motion, Pose
+from deploy.state import Reason
+from robots.arrays import Floats
+from robots.capabilities import required
+
+SPEED_TOLERANCE = 1e-6
+"""Relative tolerance on speed: Ruckig meets its limits exactly, up to rounding."""
+
+
+def _joint(field: str) -> Callable[[Limits], Floats]:
+    return lambda limits: limits.robot.joint_array(field)
+
+
+def _motor(field: str) -> Callable[[Limits], Floats]:
+    return lambda limits: limits.robot.motor_array(field)
+
+
+def _soft_min(limits: Limits) -> Floats:
+    return limits.robot.joint_array("q_min") + limits.robot.margins.q_soft_rad
+
+
+def _soft_max(limits: Limits) -> Floats:
+    return limits.robot.joint_array("q_max") - limits.robot.margins.q_soft_rad
+
+
+def _speed_max(limits: Limits) -> Floats:
+    return limits.robot.margins.speed * limits.robot.joint_array("qd_max") * (1 + SPEED_TOLERANCE)
+
+
+def _torque_max(limits: Limits) -> Floats:
+    return np.minimum(limits.torque, LARGEST)
+
+
+BELIEF: tuple[Check[Belief], ...] = (
+    Check(
+        name="estimated_joint_angle",
+        value=lambda belief: belief.state.q,
+        low=_joint("q_min"),
+        high=_joint("q_max"),
+        reason=Reason.OUTSIDE,
+        per_joint=True,
+    ),
+    Check(
+        name="estimated_joint_speed",  # only that it is finite: the setpoint's speed is what has a limit
+        value=lambda belief: belief.state.qd,
+        reason=Reason.NOT_FINITE,
+        per_joint=True,
+    ),
+    Check(
+        name="tracking_error",
+        value=lambda belief: belief.sent.q - belief.state.q,
+        low=lambda limits: -limits.robot.margins.tracking_rad,
+        high=lambda limits: limits.robot.margins.tracking_rad,
+        reason=Reason.TRACKING,
+        per_joint=True,
+    ),
+    Check(
+        name="housing_temperature",
+        value=lambda belief: belief.state.temperature,
+        high=_motor("housing_max_c"),
+        reason=Reason.HEAT,
+        reason_not_finite=Reason.HEAT,
+        per_joint=True,
+    ),
+    Check(
+        name="winding_temperature",
+        value=lambda belief: belief.state.hottest,
+        high=_motor("winding_max_c"),
+        reason=Reason.HEAT,
+        reason_not_finite=Reason.HEAT,
+        per_joint=True,
+    ),
+    # Ages are whole ticks but for rounding: half a tick keeps a limit that is one of them in its place.
+    Check(
+        name="stale_samples",
+        value=lambda belief: belief.state.age[:, None],
+        high=lambda limits: limits.robot.margins.stale_s + limits.robot.dt / 2,
+        reason=Reason.STALE,
+        reason_not_finite=Reason.STALE,
+    ),
+    Check(
+        name="lost_samples",
+        value=lambda belief: belief.state.age[:, None],
+        high=lambda limits: limits.robot.margins.lost_s + limits.robot.dt / 2,
+        reason=Reason.LOST,
+        reason_not_finite=Reason.LOST,
+    ),
+    Check(
+        name="base_tilt",
+        value=lambda belief: -required(belief.state.base).gravity[:, 2:],
+        low=lambda limits: np.cos(required(limits.robot.base).tilt_max_rad),
+        reason=Reason.FALLEN,
+        needs=frozenset({"floating_base"}),
+    ),
+)
+"""Of the estimate."""
+
+MOTION: tuple[Check[Motion], ...] = (
+    Check(
+        name="joint_angle",
+        value=lambda motion: motion.q,
+        low=_soft_min,
+        high=_soft_max,
+        reason=Reason.POSITION,
+        per_joint=True,
+    ),
+    Check(
+        name="joint_speed",
+        value=lambda motion: motion.qd,
+        low=lambda limits: -_speed_max(limits),
+        high=_speed_max,
+        reason=Reason.VELOCITY,
+        per_joint=True,
+    ),
+    Check(
+        name="joint_peak_speed",
+        value=lambda motion: motion.qd_peak,
+        low=lambda limits: -_speed_max(limits),
+        high=_speed_max,
+        reason=Reason.VELOCITY,
+        per_joint=True,
+    ),
+    Check(
+        name="joint_torque",
+        value=lambda motion: motion.tau,
+        low=lambda limits: -_torque_max(limits),
+        high=_torque_max,
+        reason=Reason.TORQUE,
+        per_joint=True,
+    ),
+    Check(
+        name="tool_speed",
+        value=lambda motion: motion.tool_speed_squared,
+        high=lambda limits: (
+            (limits.robot.margins.speed * required(limits.robot.workspace).tool_speed_max) ** 2
+        ),
+        reason=Reason.TOOL_SPEED,
+        needs=frozenset({"workspace"}),
+    ),
+)
+"""Of a setpoint, and of the first step of the stop that would begin there."""
+
+POSE: tuple[Check[Pose], ...] = (
+    Check(
+        name="joint_angle_of_pose",
+        value=lambda pose: pose.q,
+        low=_soft_min,
+        high=_soft_max,
+        reason=Reason.POSITION,
+        per_joint=True,
+    ),
+    Check(
+        name="manipulability",
+        value=lambda pose: pose.kinematics.manipulability()[:, None],
+        low=lambda limits: required(limits.robot.margins.singularity),
+        reason=Reason.SINGULARITY,
+        needs=frozenset({"manipulability"}),
+    ),
+)
+"""Of the poses at a setpoint and at the end of its stop."""
+
+PLACE: tuple[Check[Pose], ...] = (
+    Check(
+        name="self_collision",
+        value=lambda pose: pose.kinematics.colliding[:, None],
+        low=0.0,
+        high=0.0,
+        reason=Reason.COLLISION,
+        needs=frozenset({"self_collision"}),
+    ),
+    Check(
+        name="tool_height",
+        value=lambda pose: pose.kinematics.tool_position[:, 2:],
+        low=lambda limits: (
+            required(limits.robot.workspace).z_min + required(limits.robot.margins.workspace_m)
+        ),
+        reason=Reason.WORKSPACE,
+        needs=frozenset({"workspace"}),
+    ),
+    Check(
+        name="tool_radius",
+        value=lambda pose: pose.tool_radius_squared,
+        high=lambda limits: (
+            (required(limits.robot.workspace).radius_max - required(limits.robot.margins.workspace_m)) ** 2
+        ),
+        reason=Reason.WORKSPACE,
+        needs=frozenset({"workspace"}),
+    ),
+)
+"""Of the poses at a setpoint, in the middle of its stop and at its end; velocities are not known there."""
+
+
+class Checks(NamedTuple):
+    """All checks, by the record that they read and the moments at which they are made."""
+
+    belief: tuple[Check[Belief], ...] = BELIEF
+    motion: tuple[Check[Motion], ...] = MOTION
+    pose: tuple[Check[Pose], ...] = POSE
+    place: tuple[Check[Pose], ...] = PLACE
+
+
+CHECKS = Checks()

@@ -1,0 +1,101 @@
+"""A safety check is one named row: added from outside, chosen by capability, refused where it does not fit."""
+
+import numpy as np
+import pytest
+from support.safety import HOME, judge, point
+
+from deploy.safety.check import Check, Limits
+from deploy.safety.check_table import CheckTable
+from deploy.safety.checks import CHECKS
+from deploy.safety.safety import Safety
+from deploy.state import Reason
+from robots.models.fleet import Fleet
+from robots.spec import load_robot
+from support.arm6 import SPEC, copy_of_arm
+from support.paths import TEST_ROBOTS
+
+FENCE = Check(
+    name="fence",
+    value=lambda pose: pose.kinematics.tool_position[:, 1:2],
+    low=-0.3,
+    reason=Reason.WORKSPACE,
+    needs=frozenset({"tool"}),
+)
+"""A plane that the tool must not pass, to the right of the arm."""
+
+
+def arm(spec=SPEC, **more):
+    checks = CHECKS._replace(**{table: (*getattr(CHECKS, table), check) for table, check in more.items()})
+    return Safety(spec, Fleet(spec, 2, collisions=True), checks=checks)
+
+
+@pytest.mark.parametrize("moment", ["setpoint", "q_mid_stop", "q_rest"])
+def test_a_check_from_outside_is_made_like_any_other(moment):
+    safety, right = arm(place=FENCE), HOME + np.eye(SPEC.n)[0]
+    assert judge(safety=safety).reason[0] == 0
+    verdict = judge(safety=safety, q_hat=HOME, **{moment: point(right) if moment == "setpoint" else right})
+    assert Reason(int(verdict.reason[0])) & Reason.WORKSPACE
+    assert set(safety.failed(verdict, 0, Reason.WORKSPACE)) == {"fence"}
+    assert safety.names(Reason.WORKSPACE) == {"tool_height", "tool_radius", "fence"}
+
+
+def test_robots_have_the_checks_whose_needs_they_meet(tmp_path):
+    bare = load_robot(copy_of_arm(tmp_path, toml=[("singularity = 0.0005", ""), ("collision_m = 0.01", "")]))
+    walker = load_robot(TEST_ROBOTS / "quadruped")
+    for spec, missing in (
+        (SPEC, {"base_tilt"}),
+        (bare, {"base_tilt", "manipulability", "self_collision"}),
+        (walker, {"manipulability", "tool_height", "tool_radius", "tool_speed"}),
+    ):
+        table = CheckTable(2, Limits(spec, np.zeros(spec.n)), *CHECKS)
+        every = {check.name for checks in CHECKS for check in checks}
+        assert every - {check.name for check in table.checks} == missing
+    assert judge(safety=arm(bare)).reason[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("per_joint", "expected"), [(False, r"found shape \(1, 6\), expected \(1, 1\)"), (True, None)]
+)
+def test_a_reader_of_the_wrong_width_fails_at_its_first_use(per_joint, expected):
+    check = Check(
+        name="own_angle",
+        value=lambda belief: belief.state.q,
+        reason=Reason.OUTSIDE,
+        per_joint=per_joint,
+    )
+    safety = arm(belief=check)
+    if expected is None:
+        assert judge(safety=safety).reason[0] == 0
+        return
+    with pytest.raises(ValueError, match=rf"safety check own_angle: value: {expected}"):
+        judge(safety=safety)
+
+
+def test_a_bound_of_the_wrong_width_fails_at_construction():
+    check = Check(name="own", value=lambda belief: belief.state.q, high=np.zeros(2), reason=Reason.OUTSIDE)
+    with pytest.raises(ValueError, match=r"safety check own: high: found shape \(2,\), expected a number or"):
+        arm(belief=check)
+
+
+def test_a_name_is_given_once():
+    with pytest.raises(ValueError, match="tool_height, tool_radius, tool_height, expected each once"):
+        arm(place=next(check for check in CHECKS.place if check.name == "tool_height"))
+
+
+def test_rows_may_stand_in_any_order():
+    """No check knows its place: the same verdicts come from tables that are turned round."""
+    turned = Safety(
+        SPEC, Fleet(SPEC, 2, collisions=True), checks=type(CHECKS)(*(table[::-1] for table in CHECKS))
+    )
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        wild = point(HOME + rng.normal(size=SPEC.n), rng.normal(size=SPEC.n), 20 * rng.normal(size=SPEC.n))
+        ours, theirs = judge(setpoint=wild), judge(safety=turned, setpoint=wild)
+        assert ours.reason.tolist() == theirs.reason.tolist()
+        for reason in Reason(int(ours.reason[0])):
+            found, expected = (
+                safety.failed(verdict, 0, reason) for safety, verdict in ((turned, theirs), (arm(), ours))
+            )
+            assert {name: joints.tolist() for name, joints in found.items()} == {
+                name: joints.tolist() for name, joints in expected.items()
+            }
