@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.safety import HOME, judge, point
+from support.deploy.safety import HOME, judge, point
 
 from deploy.safety.check import Check, Limits
 from deploy.safety.check_table import CheckTable
