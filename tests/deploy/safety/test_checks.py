@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from support.deploy.safety import HOME, judge, point
 
 from deploy.safety.check import Check, Limits
 from deploy.safety.check_table import CheckTable
@@ -12,6 +11,7 @@ from deploy.state import Reason
 from robots.models.fleet import Fleet
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
+from support.deploy.safety import HOME, judge, point
 from support.paths import TEST_ROBOTS
 
 FENCE = Check(
