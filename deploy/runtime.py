@@ -1,51 +1,69 @@
-"""The tick, in order, and nothing else: on one robot or on five hundred, simulated or real, soaked or shipped."""
+"""The tick of B robots under one policy, in order: on one robot or five hundred, simulated or real."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.backends.backend import Robot
+from deploy.estimation.capabilities import CapabilityEstimators
 from deploy.estimation.estimator import Estimator
-from deploy.estimation.floating_base.floating_base import FloatingBase
+from deploy.estimation.tool_kinematics import ToolKinematics
 from deploy.masks import all_true, any_true
+<<<<<<< HEAD
 from deploy.motion.drive_law import SpringDrives
+=======
+from deploy.motion.drive_law import Springs, same
+from deploy.motion.prepared_stop import PreparedStop, select
+>>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
 from deploy.motion.smoother import Smoother
 from deploy.policy.action import Action
 from deploy.policy.contract import Contract
-from deploy.policy.observation import Observation, Sources
+from deploy.policy.observation import Observation
 from deploy.policy.policy import Policy
 from deploy.safety.safety import Safety
 from deploy.safety.supervisor import Supervisor
-from deploy.stage import Arrays, Stage, inside
-from deploy.state import BaseState, Command, Reason, Sample, Setpoint, State, Target, Verdict
-from deploy.tasks.reach import Reach
-from deploy.tasks.velocity import Velocity
+from deploy.stage import Arrays, Stage
+from deploy.state import BaseState, Command, Reason, Setpoint, State, Target, Verdict
+from deploy.tasks.task import Task, find_task, sources_of
 from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.gains import same_gains
 from robots.models.fleet import Fleet
 from robots.models.kinematics import Kinematics
 from robots.spec import RobotSpec
 
-UNSEEN_S = 1.0
-"""s without a picture of it after which a goal is none any more."""
+_NOT_FINITE, _MOVING = np.int64(Reason.NOT_FINITE), np.int64(Reason.MOVING)
+"""As numpy numbers, which are five times as fast in array expressions as members of an enumeration."""
 
 
 class Runtime(Stage):
-    """B robots under one policy.
+    """Stages of the tick for B robots.
 
     `sense` and `act` are the two halves of a tick; a policy, shipped or in training, sits between them. After a tick
-    every record of it can be read: `state`, `target`, `verdict`, `setpoint`, `command`; after a restore only once it
-    has ticked. What is saved is what decides the next tick, without the robot's own.
+    its records can be read: `state`, `target`, `verdict`, `setpoint`, `command`; after a restore only once it has
+    ticked. Saved arrays decide the next tick, the robot's own state aside.
+
+    Attributes:
+        ticks: control ticks so far. decimation: control ticks for each step of the policy.
+        requested_stop: (B,) bit sets of `Reason`, stops asked for by `stop`. since: (B,) ticks since arming.
     """
 
-    carried = ("asked", "since", "_tool", "_goal")
-    parts = ("estimator", "action", "smoother", "supervisor", "task", "observation")
+    carried = ("requested_stop", "since")
+    parts = (
+        *("estimator", "action", "smoother", "supervisor", "task", "observation"),
+        *("capabilities", "prepared_stop"),
+    )
 
     state: State
     verdict: Verdict
     command: Command
+<<<<<<< HEAD
     _kinematics: Kinematics
+=======
+    action: Action
+>>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
 
     def __init__(
         self,
@@ -59,8 +77,8 @@ class Runtime(Stage):
 
         Args:
             spec: the robot.
-            contract: what the policy was promised, checked against `spec` beforehand.
-            robot: the backend, B robots wide.
+            contract: of the policy, checked against `spec` beforehand.
+            robot: opened by a backend, B robots wide.
             seeds: B seeds, from which each robot's goals follow.
             policy: None where the caller puts its own between `sense` and `act`.
 
@@ -68,51 +86,49 @@ class Runtime(Stage):
             RuntimeError: the drives have other gains than the contract.
         """
         self.spec, self.contract, self.robot, self.policy = spec, contract, robot, policy
-        robots = robot.robots
+        robots, gains = robot.robots, contract.action.gains
         self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
+<<<<<<< HEAD
         self._period_s = contract.period_s
         self.fleet, checked = Fleet(spec, robots), Fleet(spec, 2 * robots, collisions=True)
         gains = contract.action.gains
         if not same_gains(gains, robot.gains):
             raise RuntimeError("the robot's drives have other gains than the policy's contract")
         self.springs = SpringDrives(spec, gains) if gains and spec.base else None
+=======
+        if not same(gains, robot.gains):
+            raise RuntimeError("the robot's drives have other gains than the policy's contract")
+        self.springs = Springs(spec, gains) if gains and "floating_base" in spec.capabilities else None
+>>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
         self.estimator = Estimator(spec, robots, springs=gains if self.springs else None)
-        self.safety = Safety(spec, checked, self.springs)
+        self.capabilities = CapabilityEstimators(spec, robots)
+        self.safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True), self.springs)
         self.action = Action(contract.action, robots)
         self.smoother = Smoother(spec, robots)
+        self.prepared_stop = PreparedStop(robots, spec.n)
         self.supervisor = Supervisor(robots, spec.dt)
-        self.walker = FloatingBase(spec, spec.base, robots) if spec.base else None
-        self.task = Velocity(spec, spec.base, seeds) if spec.base else Reach(spec, seeds)
-        self.observation = Observation(contract, self._sources(), robots)
-        self.asked, self.since = np.zeros((2, robots), dtype=np.int64)
-        rest = np.zeros((robots, spec.n))
-        self._nothing = rest, rest
-        self._ahead, self._tau_ahead = Setpoint(q=rest, qd=rest, qdd=rest), rest
-        self._tool, self._goal = np.zeros((2, robots, 3))
+        self.task: Task = find_task(contract.task, f"contract: task {contract.task!r}")(spec, seeds)
+        readers = {name: partial(source.read, self) for name, source in sources_of(contract.task).items()}
+        self.observation = Observation(contract, readers, robots)
+        self.requested_stop, self.since = np.zeros((2, robots), dtype=np.int64)
+        self._zeros = np.zeros((robots, spec.n))
         if policy is not None:
             policy.resize(robots)
 
+    def stages(self) -> dict[str, Stage]:
+        """Every stage with state, the policy's memory included."""
+        return super().stages() | ({} if self.policy is None else {"policy": self.policy})
+
     def save(self) -> Arrays:
-        """Copies of what every stage carries, of the stop that is prepared, and of the number of ticks."""
-        ahead = {"q": self._ahead.q, "qd": self._ahead.qd, "qdd": self._ahead.qdd, "tau": self._tau_ahead}
-        stop: Arrays = {f"ahead.{name}": array.copy() for name, array in ahead.items()}
-        others = {"policy": self.policy, "walker": self.walker}
-        known = {f"{part}.{n}": a for part, stage in others.items() if stage for n, a in stage.save().items()}
-        return super().save() | stop | known | {"ticks": np.array(self.ticks)}
+        """Copies of all arrays of all stages, and the number of ticks."""
+        return super().save() | {"ticks": np.array(self.ticks)}
 
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         """Put saved arrays back, bit for bit."""
         super().restore(arrays)
-        q, qd, qdd, tau = (
-            np.array(arrays[f"ahead.{name}"], dtype=float) for name in ("q", "qd", "qdd", "tau")
-        )
-        self._ahead, self._tau_ahead = Setpoint(q=q, qd=qd, qdd=qdd), tau
-        if self.policy is not None:
-            self.policy.restore(inside(arrays, "policy"))
-        if self.walker is not None:
-            self.walker.restore(inside(arrays, "walker"))
         self.ticks = int(arrays["ticks"])
 
+<<<<<<< HEAD
     def _sources(self) -> Sources:
         return {
             "joint_position": lambda: self.state.q,
@@ -142,52 +158,56 @@ class Runtime(Stage):
         phase = 2.0 * np.pi / self._period_s * self.spec.dt * self.since
         return np.stack((np.sin(phase), np.cos(phase)), axis=1)
 
+=======
+>>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
     @property
     def t(self) -> float:
-        """s, when the coming tick is due."""
+        """s, time of the coming tick."""
         return self.ticks * self.spec.dt
 
     @property
     def target(self) -> Target:
-        """What the policy wants, before any limit."""
+        """Target of the policy, before any limit."""
         return self.action.target
 
     @property
     def setpoint(self) -> Setpoint:
-        """What was sent last."""
+        """Setpoint that was sent last."""
         return self.smoother.sent
 
     @property
-    def tool(self) -> Floats:
-        """(B, 3) what a goal of the task is compared with.
+    def base(self) -> BaseState:
+        """Estimate of the floating base; only for robots with one."""
+        if self.state.base is None:
+            raise RuntimeError(f"{self.spec.name} has no floating base")
+        return self.state.base
 
-        m, where the tool is believed to be in the world; renewed whenever the policy is due. Of a robot with a base m/s
-        forwards, m/s to the left, rad/s to the left, as it is believed to move.
-        """
-        return self._tool
+    @property
+    def tool(self) -> ToolKinematics:
+        """Tool at the estimated joint angles; only for robots with one."""
+        if "tool" not in self.capabilities:
+            raise RuntimeError(f"{self.spec.name} has no tool")
+        return cast(ToolKinematics, self.capabilities["tool"])
 
     def tick(self) -> None:
-        """Sense, think when it is time to, act."""
+        """Sense, run the policy when it is due, act."""
         observation = self.sense()
         self.act(None if observation is None or self.policy is None else self.policy.step(observation))
 
     def sense(self) -> Float32s | None:
-        """Read and estimate; the observation (B, N) when the policy is due, else None."""
-        sample = self.robot.read()
+        """Read and estimate; return the observation (B, N) when the policy is due, else None."""
+        sample, due = self.robot.read(), self.ticks % self.decimation == 0
         self.state = self.estimator.step(self.t, sample, self.smoother.sent)
-        if self.walker:
-            self.state = self.walker.step(self.t, sample, self.state)
-            self._tool[:, :2] = self._base.velocity_in_base[:, :2]
-            self._tool[:, 2] = self._base.angular_velocity[:, 2]
-        if self.ticks % self.decimation:
+        self.state = self.capabilities.step(self.t, sample, self.state, due)
+        self.task.observe(self, sample, due)
+        if not due:
             return None
-        if not self.walker:
-            self._look(sample)
         off = ~self.supervisor.powered
-        if any_true(off):  # a robot without power wants to be where it stands
+        if any_true(off):  # the target of a robot without power follows its joints
             self.action.reset(off, self.state.q)
         return self.observation.step()
 
+<<<<<<< HEAD
     def _look(self, sample: Sample) -> None:
         """Where tool and goal are; who sees no goal, or none any more, stays where it is."""
         self._kinematics = self.fleet.kinematics(self.state.q)
@@ -196,8 +216,14 @@ class Runtime(Stage):
             seen, old = sample["goal"].value, self.t - sample["goal"].t > UNSEEN_S
             self._goal[:] = np.where(np.isfinite(seen) & ~old[:, None], seen, self._tool)
 
+=======
+>>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
     def act(self, action: Floats | Float32s | None) -> None:
-        """Plan, check, decide and send; `action` (B, A) where the policy has spoken, else None."""
+        """Plan, check, decide and send.
+
+        Args:
+            action: (B, A) of the policy if it was due, else None.
+        """
         if action is not None:
             self.action.step(action, self.smoother.q)
         stopping = self.supervisor.stopping
@@ -207,59 +233,55 @@ class Runtime(Stage):
         ahead, q_mid_stop, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_mid_stop, q_rest)
         reason = self.stop_reasons()
-        at_rest = self.smoother.at_rest if any_true(stopping) else stopping  # only robots that stop are asked
+        at_rest = self.smoother.at_rest if any_true(stopping) else stopping  # asked of stopping robots only
         obey = self.supervisor.step(reason, at_rest)
         if any_true(reason) or not all_true(np.isfinite(planned.q)):
-            # A robot that stops already has nothing refused; a stop without a number is still not sent.
+            # A robot that is stopping is obeyed whatever the reason; a stop that is not finite is still not sent.
             self._send(*self.obeyed_or_stop(obey & np.isfinite(planned.q).all(axis=1), planned))
         else:
             self._send(planned, self.verdict.tau)
-        self._ahead, self._tau_ahead = _where(obey, ahead), self.verdict.tau_ahead
-        self.task.step(self._tool, self.supervisor.running)
+        self.prepared_stop.prepare(obey, ahead, self.verdict.tau_ahead)
+        self.task.step(self.supervisor.running)
         self.since += 1
         self.ticks += 1
 
     def stop_reasons(self) -> Ints:
-        """(B,) reasons to stop: of safety, of the estimator, asked for, and of actions that are not finite."""
-        reason = self.verdict.reason | self.state.fault | self.asked
+        """(B,) bit sets of everything against the planned setpoint."""
+        reason = self.verdict.reason | self.state.fault | self.requested_stop
         if not all_true(self.action.finite):
             reason[~self.action.finite] |= _NOT_FINITE
         return reason
 
     def obeyed_or_stop(self, obey: Bools, planned: Setpoint) -> tuple[Setpoint, Floats]:
-        """What was planned where it is obeyed; elsewhere the stop that the last tick prepared and checked."""
-        tau = np.nan_to_num(np.where(obey[:, None], self.verdict.tau, self._tau_ahead))
-        return self.replace_non_finite(_where(obey, planned, self._ahead)), tau
-
-    def _send(self, setpoint: Setpoint, tau: Floats) -> None:
-        self.smoother.commit(setpoint)
-        told = self._nothing if self.springs else (setpoint.qd, tau)
-        self.command = Command(
-            q=setpoint.q,
-            qd=told[0],
-            tau=told[1],
-            powered=self.supervisor.powered,
-            current=self._current(),
-        )
-        self.estimator.external_torque.command(tau, self.command.powered)
-        self.robot.write(self.command)
-
-    def _current(self) -> Floats:
-        """(B, n) share of each drive's current: all of it for a stop, which was checked with it."""
-        fold, running = self.estimator.windings.foldback.current_share, self.supervisor.running
-        return fold if all_true(running) else np.where(running[:, None], fold, 1.0)
+        """Return setpoint and torque as planned where `obey` holds, elsewhere those of the prepared stop."""
+        tau = np.nan_to_num(np.where(obey[:, None], self.verdict.tau, self.prepared_stop.tau))
+        return self.replace_non_finite(select(obey, planned, self.prepared_stop.setpoint)), tau
 
     def replace_non_finite(self, planned: Setpoint) -> Setpoint:
-        """Robots left without any plan rest where they were sent last, and lose their power."""
+        """Cut power of robots without any finite plan; they rest at the setpoint sent last."""
         lost = np.asarray(~np.isfinite(planned.q + planned.qd + planned.qdd).all(axis=1))
         if not any_true(lost):
             return planned
         self.supervisor.latch(lost & self.supervisor.powered, Reason.NOT_FINITE)
         self.smoother.hold(lost, self.smoother.q)
-        return _where(~lost, planned, self.smoother.sent)
+        return select(~lost, planned, self.smoother.sent)
+
+    def _send(self, setpoint: Setpoint, tau: Floats) -> None:
+        self.smoother.commit(setpoint)
+        qd, feed_forward = (self._zeros, self._zeros) if self.springs else (setpoint.qd, tau)
+        powered = self.supervisor.powered
+        current = self._current()
+        self.command = Command(q=setpoint.q, qd=qd, tau=feed_forward, powered=powered, current=current)
+        self.estimator.external_torque.command(tau, powered)
+        self.robot.write(self.command)
+
+    def _current(self) -> Floats:
+        """(B, n) share of each drive's current limit; a stop has all of it, as it was checked with all of it."""
+        fold, running = self.estimator.windings.foldback.current_share, self.supervisor.running
+        return fold if all_true(running) else np.where(running[:, None], fold, 1.0)
 
     def arm(self, ids: Bools) -> Ints:
-        """Power robots where `ids` holds, drives are off, joints rest and nothing speaks against it.
+        """Power robots where `ids` holds, drives are off, joints rest and every check passes.
 
         Returns:
             (B,) reasons of those that were refused, 0 elsewhere.
@@ -269,52 +291,32 @@ class Runtime(Stage):
         self.verdict = self.safety.step(self.state, here, here, here, here.q, here.q)
         reason = np.where(ids, self.verdict.reason | self.state.fault, 0)
         reason[ids & self.estimator.moving.any(axis=1)] |= _MOVING
-        self.asked[ids], self.since[ids] = 0, 0
+        self.requested_stop[ids], self.since[ids] = 0, 0
         granted = ids & (reason == 0)
         self.supervisor.arm(granted)
         self.estimator.follow(granted, self.smoother.sent, here)
         self.smoother.hold(granted, self.state.q)
-        self._ahead = _where(~granted, self._ahead, here)
+        self.prepared_stop.rest(granted, here)
         self.action.reset(granted, self.state.q)
-        if self.walker:
-            self.task.reset(granted)  # nobody walks before
-        self._forget(granted)
+        self.task.arm(granted)
+        self._reset_policy(granted)
         return reason
 
-    def _forget(self, ids: Bools) -> None:
-        """What the policy of robots where `ids` holds remembers of another life."""
+    def _reset_policy(self, ids: Bools) -> None:
         if self.policy is not None:
             self.policy.reset(ids)
 
     def stop(self, reason: Reason) -> None:
-        """Ask every robot for a controlled stop; arming takes it back."""
-        self.asked |= np.int64(reason)
+        """Request a controlled stop of every robot; arming withdraws it."""
+        self.requested_stop |= np.int64(reason)
 
     def reset(self, ids: Bools) -> None:
-        """Robots where `ids` holds begin anew, disarmed: their backend has put them somewhere else."""
+        """Begin anew, disarmed, with robots where `ids` holds: their backend has put them somewhere else."""
         self.smoother.hold(ids, self.smoother.q)
         self.estimator.reset(ids, self.smoother.sent)
-        if self.walker:
-            self.walker.reset(ids)
+        self.capabilities.reset(ids)
         self.observation.reset(ids)
-        self._forget(ids)
+        self._reset_policy(ids)
         self.supervisor.disarm(ids)
         self.task.reset(ids)
-        self.asked[ids] = 0
-
-
-_NOT_FINITE, _MOVING = np.int64(Reason.NOT_FINITE), np.int64(Reason.MOVING)
-"""As numpy's own numbers, which are five times as fast as an enumeration's."""
-_NOWHERE = Setpoint(q=np.array(np.nan), qd=np.array(np.nan), qdd=np.array(np.nan))
-
-
-def _where(rows: Bools, here: Setpoint, elsewhere: Setpoint = _NOWHERE) -> Setpoint:
-    """One setpoint where `rows` (B,) holds, another elsewhere; by default none, which is never sent."""
-    if all_true(rows):
-        return here
-    pick = rows[:, None]
-    return Setpoint(
-        q=np.where(pick, here.q, elsewhere.q),
-        qd=np.where(pick, here.qd, elsewhere.qd),
-        qdd=np.where(pick, here.qdd, elsewhere.qdd),
-    )
+        self.requested_stop[ids] = 0

@@ -9,8 +9,6 @@ from hypothesis import settings
 from onnx import numpy_helper
 
 from deploy.policy.policy_file import GOLDEN_KEY
-from deploy.tasks import reach
-from robots.spec import load_robot
 from support.policies import A, golden, metadata, policy_model, saved, tensor, weights
 
 # Cases are the same for everybody, and none fails for a slow machine.
@@ -38,14 +36,3 @@ def shipped_policy(tmp_path_factory):
     from policies.export.cli import POLICIES, export
 
     return export(POLICIES / "arm.pt", tmp_path_factory.mktemp("shipped") / "arm.onnx").path
-
-
-@pytest.fixture(scope="session")
-def _goals():
-    return reach.goal_pool(load_robot("arm6"), reach.ReachConfig())
-
-
-@pytest.fixture
-def quick_goals(monkeypatch, _goals):
-    """The pool of goals is the same for everybody: sample it once."""
-    monkeypatch.setattr(reach, "goal_pool", lambda spec, config: _goals)

@@ -13,6 +13,8 @@ class Action(Stage):
     """Joint targets: where an action says, or moved by it, on a leash around the trajectory."""
 
     carried = ("q", "last", "finite")
+    q: Floats
+    last: Floats
 
     def __init__(self, spec: ActionSpec, robots: int) -> None:
         """Allocate for B robots."""

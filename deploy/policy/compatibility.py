@@ -1,15 +1,17 @@
-"""Whether a policy's contract fits a robot."""
+"""Compatibility of a policy's contract with a robot."""
 
 from collections.abc import Iterator
 
-from deploy.policy.contract import Contract, Task
-from deploy.policy.observation_terms import READINGS, Term
+from deploy.policy.contract import Contract
+from deploy.policy.observation_source import ObservationSource
+from deploy.policy.observation_terms import Term
+from deploy.tasks.task import find_task, sources_of
 from robots.errors import ContractError
 from robots.spec import RobotSpec
 
 
 def check_contract(contract: Contract, spec: RobotSpec, source: str) -> None:
-    """Compare what a policy assumes with the robot it is to move.
+    """Compare the assumptions of a policy with the robot that it is to move.
 
     Raises:
         ContractError: one line for each field: found, expected.
@@ -19,7 +21,7 @@ def check_contract(contract: Contract, spec: RobotSpec, source: str) -> None:
 
 
 def mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
-    """Each field of a contract that is not as the robot needs it, in a line: found, expected."""
+    """Yield one line for each field of a contract that does not fit the robot: found, expected."""
     if contract.robot != spec.name:
         yield f"robot: found {contract.robot!r}, expected {spec.name!r}"
         return  # nothing else can be expected to agree
@@ -31,21 +33,21 @@ def mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
         )
     if contract.control_hz != spec.rates.control_hz:
         yield f"control_hz: found {contract.control_hz} Hz, expected {spec.rates.control_hz} Hz"
-    if contract.task != (task := task_of(spec)):
-        yield f"task: found {contract.task!r}, expected {task!r}: {spec.name} {_stands(spec)}"
+    yield from _task(contract.task, spec)
+    sources = sources_of(contract.task)
     for term in contract.observation:
-        yield from _term(term, contract.action_size, spec)
+        yield from _term(term, sources[term.source], contract.action_size, spec)
     if contract.action_size != spec.n:
         yield f"action.size: found {contract.action_size}, expected {spec.n}, one for each joint"
 
 
-def task_of(spec: RobotSpec) -> Task:
-    """What such a robot is asked to do."""
-    return "velocity" if spec.base else "reach"
+def _task(name: str, spec: RobotSpec) -> Iterator[str]:
+    if missing := find_task(name, f"task: found {name!r}").needs - spec.capabilities:
+        yield f"task: found {name!r}, which needs {_listed(tuple(sorted(missing)))}; {_has(spec)}"
 
 
-def _stands(spec: RobotSpec) -> str:
-    return "has a base" if spec.base else "stands fixed"
+def _has(spec: RobotSpec) -> str:
+    return f"{spec.name} has {', '.join(sorted(spec.capabilities)) or 'none of the optional capabilities'}"
 
 
 def _joints(found: tuple[str, ...], spec: RobotSpec) -> Iterator[str]:
@@ -64,16 +66,15 @@ def _listed(names: tuple[str, ...]) -> str:
     )
 
 
-def _term(term: Term, actions: int, spec: RobotSpec) -> Iterator[str]:
-    reading, field = READINGS[term.source], f"observation.{term.name}"
-    expected = actions if term.source == "last_action" else reading.size or spec.n
+def _term(term: Term, source: ObservationSource, actions: int, spec: RobotSpec) -> Iterator[str]:
+    field = f"observation.{term.name}"
+    expected = actions if term.source == "last_action" else source.size or spec.n
     if term.size != expected:
         yield f"{field}.size: found {term.size}, expected {expected} for {term.source}"
-    if reading.stands is not None and reading.stands != (spec.base is None):
-        needed = "a robot that stands fixed" if reading.stands else "a base"
-        yield f"{field}.source: {term.source} needs {needed}; {spec.name} {_stands(spec)}"
-    elif reading.sensor not in spec.sensors:
+    if missing := source.needs - spec.capabilities:
+        yield f"{field}.source: {term.source} needs {', '.join(sorted(missing))}; {_has(spec)}"
+    elif missing_sensors := [kind for kind in source.sensors if kind not in spec.sensors]:
         yield (
-            f"{field}.source: {term.source} needs a sensor of kind {reading.sensor}; {spec.name} has"
+            f"{field}.source: {term.source} needs a sensor of kind {' and '.join(missing_sensors)}; {spec.name} has"
             f" {', '.join(spec.sensors)}"
         )

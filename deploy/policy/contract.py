@@ -11,8 +11,13 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Numbers, Positive, Scales, Term
+<<<<<<< HEAD
 from robots.errors import ContractError
 from robots.gains import Gains
+=======
+from deploy.tasks.task import sources_of
+from robots.errors import ConfigError, ContractError
+>>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
 from robots.strict import Strict, parse, read_json
 
 CONTRACT_KEY = "firstshift.contract"
@@ -20,7 +25,6 @@ MEMORY_MAX = 1 << 16  # numbers that one robot's policy may remember
 TEXT_MAX = 1 << 20  # characters of JSON
 
 Hertz = Annotated[int, Field(strict=True, ge=1, le=100_000)]
-Task = Literal["reach", "velocity"]
 
 
 class ActionSpec(Strict):
@@ -100,7 +104,7 @@ class Contract(Strict):
     joint_names: Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
     policy_hz: Hertz
     control_hz: Hertz
-    task: Task
+    task: Name
     observation: Annotated[tuple[Term, ...], Field(min_length=1, max_length=SIZE_MAX)]
     action: ActionSpec
     memory: Annotated[int, Field(strict=True, ge=0, le=MEMORY_MAX)] = 0
@@ -109,6 +113,7 @@ class Contract(Strict):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        self._check_sources()
         times = Counter(term.name for term in self.observation)
         if twice := [name for name in times if times[name] > 1]:
             raise ValueError(f"observation: terms named twice: {', '.join(twice)}")
@@ -122,6 +127,23 @@ class Contract(Strict):
         if self.control_hz % self.policy_hz:
             raise ValueError(f"policy_hz {self.policy_hz} does not divide control_hz {self.control_hz}")
         return self
+
+    def _check_sources(self) -> None:
+        """Compare frame and unit of every term with those of its source."""
+        try:
+            sources = sources_of(self.task)
+        except ConfigError as e:
+            raise ValueError(str(e)) from e
+        for term in self.observation:
+            if (source := sources.get(term.source)) is None:
+                raise ValueError(
+                    f"term {term.name!r}: source: found {term.source!r}, expected one of {', '.join(sources)}"
+                )
+            if (term.frame, term.unit) != (source.frame, source.unit):
+                raise ValueError(
+                    f"term {term.name!r}: frame and unit of {term.source} are {term.frame!r} and {term.unit!r}, "
+                    f"expected {source.frame!r} and {source.unit!r}"
+                )
 
     @property
     def observation_size(self) -> int:

@@ -1,37 +1,40 @@
-"""The only place where an observation is assembled, from the contract's terms."""
+"""Assembly of the policy's observation from the contract's terms: the only place where that is done."""
 
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deploy.masks import all_true
 from deploy.policy.contract import Contract
 from deploy.policy.observation_terms import Term
 from deploy.stage import Stage
-from robots.arrays import Bools, Floats, Ints
+from robots.arrays import Bools, Float32s, Floats, Ints
 
-Sources = Mapping[str, Callable[[], Floats]]
-"""For each source a contract may name: a reading (B, size), SI units."""
+Readers = Mapping[str, Callable[[], Floats]]
+"""Readings (B, size) of observation sources, by name."""
 
 
 class Observation(Stage):
-    """The policy's input (B, N) float32; each term's history oldest first, filled as the contract says."""
+    """Policy input (B, N) float32; the history of each term oldest first, filled as the contract says.
+
+    Attributes:
+        frames: (B, N) the newest observations. started: (B,) robots whose history has begun.
+    """
 
     carried = ("frames", "started")
 
-    def __init__(self, contract: Contract, sources: Sources, robots: int) -> None:
+    def __init__(self, contract: Contract, readers: Readers, robots: int) -> None:
         """Allocate.
 
         Args:
             contract: names the terms; checked against the robot beforehand.
-            sources: where they come from.
+            readers: of every source that the contract names.
             robots: B.
         """
         terms = contract.observation
         self.frames = np.zeros((robots, contract.observation_size), dtype=np.float32)
         self.started = np.zeros(robots, dtype=bool)
-        self._sources = [sources[term.source] for term in terms]
+        self._readers = [readers[term.source] for term in terms]
         offset = np.concatenate([term.offset or np.zeros(term.size) for term in terms])
         self._offset = np.tile(offset, (robots, 1)) if offset.any() else None
         self._scale = np.tile(np.concatenate([term.scale for term in terms]), (robots, 1))
@@ -44,9 +47,9 @@ class Observation(Stage):
         """Forget the history of robots where `ids` (B,) holds."""
         self.started[ids] = False
 
-    def step(self) -> NDArray[np.float32]:
+    def step(self) -> Float32s:
         """Assemble one observation for each robot."""
-        newest = np.concatenate([source() for source in self._sources], axis=1)
+        newest = np.concatenate([read() for read in self._readers], axis=1)
         if self._offset is not None:
             newest -= self._offset
         newest /= self._scale

@@ -1,69 +1,13 @@
-"""The words of an observation: what may be measured, in which frame and unit, and what a term makes of it."""
+"""Terms of an observation: source, frame, unit, offset, scale, clip and history of each."""
 
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from robots.sensors import Kind
+from deploy.policy.observation_source import Frame
 from robots.strict import Strict
 
 SIZE_MAX = 4096  # numbers in one observation: a bound on memory, far above any policy here
-
-Source = Literal[
-    "joint_position",
-    "joint_velocity",
-    "tool_position",
-    "goal_position",
-    "goal_from_tool",
-    "goal_torque",
-    "target_offset",
-    "last_action",
-    "base_angular_velocity",
-    "base_linear_velocity",
-    "base_orientation",
-    "projected_gravity",
-    "velocity_command",
-    "gait_phase",
-]
-Frame = Literal["joint", "world", "base", "clock"]
-
-
-class Reading(NamedTuple):
-    """What a source gives.
-
-    Attributes:
-        frame, unit: of its numbers.
-        size: how many; None: one for each joint.
-        sensor: the kind it needs.
-        stands: whether only a robot that stands fixed has it, or only one with a base; None: every robot.
-    """
-
-    frame: Frame
-    unit: str
-    size: int | None = None
-    sensor: Kind = "encoder"
-    stands: bool | None = None
-
-
-READINGS: dict[Source, Reading] = {
-    "joint_position": Reading("joint", "rad"),
-    "joint_velocity": Reading("joint", "rad/s"),
-    "tool_position": Reading("world", "m", 3, stands=True),
-    "goal_position": Reading("world", "m", 3, "goal", stands=True),
-    "goal_from_tool": Reading("world", "m", 3, "goal", stands=True),
-    "goal_torque": Reading("joint", "N·m", None, "goal", stands=True),
-    "target_offset": Reading("joint", "rad"),
-    "last_action": Reading("joint", "1"),
-    "base_angular_velocity": Reading("base", "rad/s", 3, "gyro", stands=False),
-    "base_linear_velocity": Reading("base", "m/s", 3, "gyro", stands=False),
-    "base_orientation": Reading("world", "1", 4, "gyro", stands=False),
-    "projected_gravity": Reading("base", "1", 3, "gyro", stands=False),
-    "velocity_command": Reading("base", "m/s, m/s, rad/s", 3, stands=False),
-    "gait_phase": Reading("clock", "1", 2, stands=False),
-}
-"""goal_torque: joint torques of a spring of 1 N/m that pulls the tool to the goal. base_orientation: quat_wxyz.
-projected_gravity: the unit vector downwards. velocity_command: forwards, to the left, and turning to the left.
-gait_phase: sine and cosine of 2π t / period_s."""
 
 
 def _ordered(clip: tuple[float, float]) -> tuple[float, float]:
@@ -83,11 +27,11 @@ Clip = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
 
 
 class Term(Strict):
-    """One part of the observation: clip((reading - offset) / scale), the newest and those before it.
+    """One part of the observation: clip((reading - offset) / scale), with its history.
 
     Attributes:
         name: unique in the contract.
-        source: what is measured.
+        source: name of an observation source of the robot or the task.
         frame: "joint", in the order of `joint_names`, "world", "base" or "clock".
         unit: of the source, before scaling.
         size: numbers in one reading.
@@ -95,12 +39,12 @@ class Term(Strict):
         scale: (size,) units for each unit of observation.
         clip: bounds after scaling.
         history: readings kept, oldest first.
-        fill: what stands for readings before the first: "first", that one, or "zeros".
+        fill: readings before the first one: "first" repeats that one, "zeros".
         period_s: s, of gait_phase alone.
     """
 
     name: Name
-    source: Source
+    source: Name
     frame: Frame
     unit: Name
     size: Count
@@ -118,11 +62,6 @@ class Term(Strict):
                 raise ValueError(
                     f"term {self.name!r}: {name} has {len(numbers)} numbers, size is {self.size}"
                 )
-        if (self.frame, self.unit) != (meant := READINGS[self.source][:2]):
-            raise ValueError(
-                f"term {self.name!r}: frame and unit of {self.source} are {self.frame!r} and {self.unit!r}, "
-                f"expected {meant[0]!r} and {meant[1]!r}"
-            )
         if (self.period_s is not None) != (self.source == "gait_phase"):
             raise ValueError(
                 f"term {self.name!r}: period_s: found {self.period_s or 'none'}, expected"

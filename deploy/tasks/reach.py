@@ -1,87 +1,103 @@
-"""Reach: bring the tool to a point, then to the next, for a whole shift.
+"""Reach: bring the tool to one point after another."""
 
-Goals are uniform in volume over what the arm can reach: every goal is the tool position of a joint configuration
-inside the working range that every safety check accepts.
-"""
-
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from deploy.masks import any_true
-from deploy.safety.safety import Safety
-from deploy.stage import Stage
-from robots.arrays import Bools, Floats
-from robots.errors import RobotError
-from robots.models.fleet import Fleet
-from robots.randomness import keyed, keys
+from deploy.backends.sim.truth import Truth
+from deploy.policy.observation_source import ObservationSource
+from deploy.state import Sample
+from deploy.tasks.goal_pool import ReachConfig, goal_pool
+from deploy.tasks.score import Scoring
+from deploy.tasks.task import Task
+from robots.arrays import Floats
+from robots.capabilities import Capability
 from robots.spec import RobotSpec
 
-GOALS_SEED = 20_250_811
-"""One pool of goals for everybody: what a robot's seed chooses is the order."""
+if TYPE_CHECKING:
+    from deploy.runtime import Runtime
+
+UNSEEN_S = 1.0
+"""s without a packet of the goal camera after which a goal counts as unknown: the tool then stays where it is."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReachConfig:
-    """The task.
+def _torque_to_goal(runtime: "Runtime") -> Floats:
+    """(B, n) N·m, joint torques of a spring of 1 N/m that pulls the tool to the goal."""
+    return runtime.tool.joint_torque(_seen(runtime) - runtime.tool.position)
+
+
+def _seen(runtime: "Runtime") -> Floats:
+    task = runtime.task
+    if not isinstance(task, Reach):
+        raise RuntimeError(f"task {task.name} has no goal that a camera sees")
+    return task.seen
+
+
+class Reach(Task):
+    """Tool positions in the world, m, drawn from the pool of reachable goals.
 
     Attributes:
-        radius_min, radius_max: m, the shell around the workspace's centre.
-        z_min: m, least height of a goal.
-        axis_min: m, least distance from the world's z axis: the vendor warns of the cylinder above and below the base,
-            where the shoulder is near its singularity. Source: Universal Robots, UR5e User Manual, Workspace.
-        manipulability_min: least manipulability, m³, of the configuration that reaches a goal, so that the way there
-            need not brush a singularity.
-        period_s: s for each goal. tolerance_m: m, how near counts.
-        candidates: joint configurations tried for the pool. cell_m: m, grid on which volume is counted.
+        seen: (B, 3) m, the goal as the camera saw it last; the tool's position where it is unknown.
     """
 
-    radius_min: float = 0.25
-    radius_max: float = 0.80
-    z_min: float = 0.10
-    axis_min: float = 0.25
-    period_s: float = 4.0
-    tolerance_m: float = 0.02
-    manipulability_min: float = 0.004
-    candidates: int = 80_000
-    cell_m: float = 0.05
+    name = "reach"
+    size = 3
+    needs: ClassVar[frozenset[Capability]] = frozenset({"tool", "workspace"})
+    config: ClassVar[ReachConfig] = ReachConfig()
+    carried: ClassVar[tuple[str, ...]] = (*Task.carried, "seen")
+    sources: ClassVar[Mapping[str, ObservationSource]] = {
+        "goal_position": ObservationSource("world", "m", 3, _seen, "goal camera", ("goal",)),
+        "goal_from_tool": ObservationSource(
+            "world", "m", 3, lambda r: _seen(r) - r.tool.position, "goal camera and encoder", ("goal",)
+        ),
+        "goal_torque": ObservationSource(
+            "joint", "N·m", None, _torque_to_goal, "goal camera and encoder", ("goal",)
+        ),
+    }
 
+    def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> None:
+        """Sample the pool of goals and give every robot its first one."""
+        self.pool, self.seen = goal_pool(spec, self.config), np.zeros((len(seeds), 3))
+        super().__init__(spec, seeds)
 
-class Reach(Stage):
-    """Goals of B robots, by the robot's own estimate: `reached` is what the runtime believes, not a proof."""
+    @classmethod
+    def scoring(cls, spec: RobotSpec) -> Scoring:
+        """Within 2 cm when the period ends."""
+        return Scoring(size=3, period_s=cls.config.period_s, tolerance=cls.config.tolerance_m)
 
-    carried = ("goal", "elapsed", "number", "attempted", "reached", "ended", "ended_goal")
+    @classmethod
+    def true_achieved(cls, truth: Truth) -> Floats:
+        """(B, 3) m, the tool in the world."""
+        return truth.tool_position
 
-    def __init__(
-        self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence], config: ReachConfig | None = None
-    ) -> None:
-        """Sample the pool and give every robot its first goal.
+    def sample_goal(self, rng: np.random.Generator) -> Floats:
+        """(3,) m, uniform in the volume of the pool."""
+        goal: Floats = self.pool.tool[np.searchsorted(self.pool.chance, rng.random())]
+        return goal
 
-        Args:
-            spec: the robot.
-            seeds: B seeds.
-            config: the task; the standard one by default.
-        """
-        self.config, robots = config or ReachConfig(), len(seeds)
-        self._keys = keys(seeds, purpose=0)
-        self.pool = goal_pool(spec, self.config)
-        self._period = round(self.config.period_s / spec.dt)
-        self.goal, self.ended_goal = np.zeros((robots, 3)), np.zeros((robots, 3))
-        self.elapsed, self.number, self.attempted, self.reached = np.zeros((4, robots), dtype=np.int64)
-        self.ended = np.zeros(robots, dtype=bool)
-        self._choose(np.ones(robots, dtype=bool))
+    def observe(self, runtime: "Runtime", sample: Sample, due: bool) -> None:
+        """Read tool and camera when the policy is due."""
+        if not due:
+            return
+        self.achieved[:] = runtime.tool.position
+        if "goal" in sample:
+            packet = sample["goal"]
+            old = runtime.t - packet.t > UNSEEN_S
+            known = np.isfinite(packet.value) & ~old[:, None]
+            self.seen[:] = np.where(known, packet.value, self.achieved)
 
     @property
-    def tolerance(self) -> float:
-        """m, how near to a goal counts."""
-        return self.config.tolerance_m
+    def goal_position(self) -> Floats:
+        """(B, 3) m in the world."""
+        return self.goal
 
-    def reset(self, ids: Bools) -> None:
-        """A fresh goal and a full period for robots where `ids` (B,) holds."""
-        self.elapsed[ids] = 0
-        self._choose(ids)
+    def start_poses(self, rng: np.random.Generator) -> Floats:
+        """(B, n) rad, joint configurations of the pool."""
+        q: Floats = self.pool.q[rng.integers(len(self.pool.q), size=len(self.goal))]
+        return q
 
+<<<<<<< HEAD
     def step(self, tool: Floats, running: Bools) -> None:
         """Count one tick.
 
@@ -168,3 +184,20 @@ def _poses_in_shell(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Float
     fine &= np.hypot(tool[:, 0], tool[:, 1]) >= config.axis_min
     fine &= kinematics.manipulability() >= config.manipulability_min
     return q[fine], tool[fine]
+=======
+    @classmethod
+    def observation_scales(
+        cls, spec: RobotSpec, *, reach_m: float, leash_rad: float
+    ) -> dict[str, list[float]]:
+        """Tool, goal and the torque towards it beside what every task has."""
+        joints = super().observation_scales(spec, reach_m=reach_m, leash_rad=leash_rad)
+        return {
+            "joint_position": joints["joint_position"],
+            "joint_velocity": joints["joint_velocity"],
+            "tool_position": [reach_m] * 3,
+            "goal_from_tool": [reach_m] * 3,
+            "goal_torque": [reach_m**2] * spec.n,
+            "target_offset": joints["target_offset"],
+            "last_action": joints["last_action"],
+        }
+>>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)

@@ -1,97 +1,98 @@
-"""Velocity: walk as you are told, then as you are told next, for a whole shift."""
+"""Velocity: walk at the commanded velocity, one command after another."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from deploy.masks import any_true
-from deploy.stage import Stage
+from deploy.backends.sim.truth import Truth
+from deploy.policy.observation_source import BASE, ObservationSource
+from deploy.state import Sample
+from deploy.tasks.score import Scoring
+from deploy.tasks.task import Task
 from robots.arrays import Bools, Floats
-from robots.randomness import keyed, keys
+from robots.capabilities import Capability
+from robots.errors import RobotError
 from robots.spec import RobotSpec
 from robots.tables import Base
 
+if TYPE_CHECKING:
+    from deploy.runtime import Runtime
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VelocityConfig:
-    """The task.
-
-    Attributes:
-        period_s: s for each command.
-        tolerance: m/s, by which the mean speed over the ground may miss what was asked for.
-        turning: rad/s, by which the mean rate of turning may.
-    """
-
-    period_s: float
-    tolerance: float = 0.2
-    turning: float = 0.3
+SPEED_TOLERANCE, TURN_TOLERANCE = 0.2, 0.3
+"""m/s and rad/s by which the mean velocity over the ground and the mean rate of turning may miss the command."""
 
 
-class Velocity(Stage):
-    """Commands of B robots: uniform in what a robot may be asked for.
+def command_error(achieved: Floats, goal: Floats) -> Floats:
+    """(...,) largest error of velocity or turning rate (..., 3), as a multiple of its tolerance."""
+    missed = achieved - goal
+    speed = np.hypot(missed[..., 0], missed[..., 1]) / SPEED_TOLERANCE
+    return np.maximum(speed, np.abs(missed[..., 2]) / TURN_TOLERANCE)
 
-    `reached` counts commands that were followed from beginning to end, as the robot itself believes: it was at work all
-    the time, and its mean velocity was as asked.
 
-    Attributes:
-        goal: (B, 3) m/s forwards, m/s to the left, rad/s to the left.
-        gone: (B, 3) as `goal`, sum over the ticks of what the robot believed that it did.
-        worked: (B,) whether it has been at work since the command came.
-    """
+class Velocity(Task):
+    """Commands of m/s forwards, m/s to the left and rad/s to the left, uniform in the robot's command range."""
 
-    carried = ("goal", "gone", "worked", "elapsed", "number", "attempted", "reached", "ended", "ended_goal")
+    name = "velocity"
+    size = 3
+    needs: ClassVar[frozenset[Capability]] = BASE
+    sources: ClassVar[Mapping[str, ObservationSource]] = {
+        "velocity_command": ObservationSource(
+            "base", "m/s, m/s, rad/s", 3, lambda r: r.task.goal, "operator"
+        ),
+    }
 
-    def __init__(self, spec: RobotSpec, base: Base, seeds: Sequence[np.random.SeedSequence]) -> None:
-        """Give every robot its first command.
-
-        Args:
-            spec: the robot. base: its base, which says what it may be asked for.
-            seeds: B seeds.
-        """
-        self.config, robots = VelocityConfig(period_s=base.command_s), len(seeds)
-        self._keys, self._period = keys(seeds, purpose=0), round(base.command_s / spec.dt)
+    def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> None:
+        """Give every robot its first command."""
+        base = _base(spec)
         self._low, self._high = np.array(base.command_min), np.array(base.command_max)
-        self.goal, self.ended_goal = np.zeros((robots, 3)), np.zeros((robots, 3))
-        self.gone, self.worked = np.zeros((robots, 3)), np.ones(robots, dtype=bool)
-        self.elapsed, self.number, self.attempted, self.reached = np.zeros((4, robots), dtype=np.int64)
-        self.ended = np.zeros(robots, dtype=bool)
-        self._choose(np.ones(robots, dtype=bool))
+        super().__init__(spec, seeds)
 
-    @property
-    def tolerance(self) -> float:
-        """m/s, how near to what was asked for counts."""
-        return self.config.tolerance
-
-    def reset(self, ids: Bools) -> None:
-        """A fresh command and a full period for robots where `ids` (B,) holds."""
-        self.elapsed[ids], self.gone[ids], self.worked[ids] = 0, 0.0, True
-        self._choose(ids)
-
-    def step(self, velocity: Floats, running: Bools) -> None:
-        """Count one tick.
-
-        Args:
-            velocity: (B, 3) as in `goal`, what the robot believes that it does.
-            running: (B,) whether it is at work.
-        """
-        self.elapsed += 1
-        self.gone += velocity
-        self.worked &= running
-        np.greater_equal(self.elapsed, self._period, out=self.ended)
-        if not any_true(self.ended):
-            return
-        missed = self.gone / self._period - self.goal
-        near = (np.hypot(*missed.T[:2]) <= self.config.tolerance) & (
-            np.abs(missed[:, 2]) <= self.config.turning
+    @classmethod
+    def scoring(cls, spec: RobotSpec) -> Scoring:
+        """Mean velocity of the whole period within tolerance of the command."""
+        return Scoring(
+            size=3, period_s=_base(spec).command_s, tolerance=1.0, distance=command_error, mean=True
         )
-        self.attempted += self.ended
-        self.reached += self.ended & near & self.worked
-        self.ended_goal[self.ended] = self.goal[self.ended]
-        self.reset(self.ended)
 
-    def _choose(self, ids: Bools) -> None:
-        for robot in np.flatnonzero(ids):
-            rng = keyed(self._keys[robot], int(self.number[robot]))
-            self.goal[robot] = rng.uniform(self._low, self._high)
-            self.number[robot] += 1
+    @classmethod
+    def shorten_period(cls, spec: RobotSpec, period_s: float) -> RobotSpec:
+        """Return the robot with commands of at most `period_s` s."""
+        base = _base(spec)
+        shorter = base.model_copy(update={"command_s": min(base.command_s, period_s)})
+        return spec.model_copy(update={"base": shorter})
+
+    @classmethod
+    def true_achieved(cls, truth: Truth) -> Floats:
+        """(B, 3) velocity over the floor, along the heading and to its left, and turning rate about its normal."""
+        base = truth.base
+        if base is None:
+            raise RuntimeError("task velocity: the robot has no floating base")
+        w, x, y, z = base.quat_wxyz.T
+        # The first column of the rotation: the base's x axis in the world.
+        heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        cos, sin, (vx, vy, _) = np.cos(heading), np.sin(heading), base.velocity.T
+        # The last row of the rotation: the upward part of each axis of the base.
+        up = np.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)), axis=1)
+        turning = (up * base.angular_velocity).sum(axis=1)
+        return np.stack((cos * vx + sin * vy, cos * vy - sin * vx, turning), axis=1)
+
+    def sample_goal(self, rng: np.random.Generator) -> Floats:
+        """(3,) as `goal`."""
+        return rng.uniform(self._low, self._high)
+
+    def observe(self, runtime: "Runtime", sample: Sample, due: bool) -> None:
+        """Read the estimated velocity of the base."""
+        del sample, due
+        self.achieved[:, :2] = runtime.base.velocity_in_base[:, :2]
+        self.achieved[:, 2] = runtime.base.angular_velocity[:, 2]
+
+    def arm(self, ids: Bools) -> None:
+        """Begin a new command: a robot without power cannot follow one."""
+        self.reset(ids)
+
+
+def _base(spec: RobotSpec) -> Base:
+    if spec.base is None:
+        raise RobotError(f"{spec.folder / 'robot.toml'}: base: missing, task velocity needs one")
+    return spec.base

@@ -8,6 +8,7 @@ from deploy.runtime import Runtime
 from deploy.state import Mode, Reason
 from deploy.telemetry.recording import Recording
 from deploy.telemetry.ring import Ring
+from deploy.telemetry.signals import row_type
 from robots.errors import OutputError
 
 STREAM_HZ = 50
@@ -51,8 +52,8 @@ class Recorder:
         self._events: list[Recording] = []
         self.lost: str | None = None
         self._folder, self._spec, self._start_ns, self._about = folder, runtime.spec, start_ns, dict(about)
-        self._goal_m = runtime.task.tolerance
-        self._ring = Ring(runtime.spec, runtime.robot.robots)
+        self._goal_m = runtime.task.rule.tolerance
+        self._ring = Ring(runtime.spec, runtime.robot.robots, row_type(runtime.spec, runtime.task.size))
         self._every = max(1, runtime.spec.rates.control_hz // STREAM_HZ)
         self._after = round(AFTER_S / runtime.spec.dt)
         self._tick, self._mode, self._due, self._newest = -1, int(Mode.DISARMED), -1, -1

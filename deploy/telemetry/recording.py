@@ -87,8 +87,12 @@ class Recording:
         self._setpoint.log(self.joint_states(stamp, **sent), log_time=ns)
         self._state.log(self._state_of(row), log_time=ns)
         if "tool" in self.spec.capabilities:
-            spheres = (("goal", 2 * self._goal_m, GREEN), ("tool", TOOL_M, BLUE))
-            entities = [_sphere(stamp, n, row[n].tolist(), size, color) for n, size, color in spheres]
+            spheres = (("goal", "goal_position", 2 * self._goal_m, GREEN), ("tool", "tool", TOOL_M, BLUE))
+            entities = [
+                _sphere(stamp, name, row[column].tolist(), size, color)
+                for name, column, size, color in spheres
+                if np.isfinite(row[column]).all()
+            ]
             self._scene.log(SceneUpdate(entities=entities), log_time=ns)
 
     def log(self, tick: int, message: str, *, warning: bool) -> None:

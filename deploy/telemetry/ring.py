@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.runtime import Runtime
-from deploy.telemetry.signals import COUNTERS, recorded_signals, row_type
+from deploy.telemetry.signals import COUNTERS, recorded_signals
 from robots.arrays import Bools, Floats
 from robots.spec import RobotSpec
 
@@ -17,10 +17,10 @@ class Ring:
     """One preallocated array (T, B) of `row_type`, overwritten from the oldest tick on."""
 
     def __init__(
-        self, spec: RobotSpec, robots: int, *, seconds: float = RING_S, row: np.dtype[np.void] | None = None
+        self, spec: RobotSpec, robots: int, row: np.dtype[np.void], *, seconds: float = RING_S
     ) -> None:
-        """Allocate for B robots, in rows of `row_type(spec)` or of `row`, which has extra columns."""
-        self.rows: Rows = np.zeros((round(seconds / spec.dt), robots), dtype=row or row_type(spec))
+        """Allocate for B robots, in rows of `row_type` or of a type that adds columns to it."""
+        self.rows: Rows = np.zeros((round(seconds / spec.dt), robots), dtype=row)
         self._ticks, self._counters = 0, tuple(COUNTERS.values())
         self._readers = tuple(signal.read for signal in recorded_signals(spec))
         plain = (*self.rows.shape, -1)

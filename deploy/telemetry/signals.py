@@ -2,13 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.runtime import Runtime
-from deploy.state import BaseState
 from robots.arrays import Floats
 from robots.capabilities import Capability
 from robots.spec import RobotSpec
@@ -23,26 +22,20 @@ COUNTERS: dict[str, Callable[[Runtime], int | NDArray[np.integer]]] = {
 """Integer columns, with their readers: one number for all robots, or (B,)."""
 
 
-def _base(runtime: Runtime) -> BaseState:
-    if runtime.state.base is None:
-        raise RuntimeError(f"{runtime.spec.name} has no floating base")
-    return runtime.state.base
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signal:
     """One recorded vector of floating-point numbers.
 
     Attributes:
         name: of the column, and in /state.
-        size: numbers of one robot; None: one for each joint, in the order of `spec.joint_names`.
+        size: numbers of one robot, or as many as it has joints, in the order of `spec.joint_names`, or as a goal has.
         read: (B, size) after a tick.
         needs: capabilities of the robots that have it.
         in_state: part of the topic /state; the others are in /measured and /setpoint.
     """
 
     name: str
-    size: int | None = None
+    size: int | Literal["joints", "goal"] = "joints"
     read: Callable[[Runtime], Floats]
     needs: frozenset[Capability] = frozenset()
     in_state: bool = False
@@ -58,18 +51,25 @@ SIGNALS = (
     Signal(name="qd_sent", read=lambda runtime: runtime.setpoint.qd),
     Signal(name="qdd_sent", read=lambda runtime: runtime.setpoint.qdd),
     Signal(name="tau_sent", read=lambda runtime: runtime.command.tau),
-    Signal(name="tool", size=3, read=lambda runtime: runtime.tool, in_state=True),
-    Signal(name="goal", size=3, read=lambda runtime: runtime.task.goal, in_state=True),
+    Signal(name="achieved", size="goal", read=lambda runtime: runtime.task.achieved, in_state=True),
+    Signal(name="goal", size="goal", read=lambda runtime: runtime.task.goal, in_state=True),
+    Signal(name="goal_position", size=3, read=lambda runtime: runtime.task.goal_position),
+    Signal(
+        name="tool",
+        size=3,
+        read=lambda runtime: runtime.tool.position,
+        needs=frozenset({"tool"}),
+        in_state=True,
+    ),
     Signal(
         name="orientation",  # of the base in the world, estimated, w first
         size=4,
-        read=lambda runtime: _base(runtime).quat_wxyz,
+        read=lambda runtime: runtime.base.quat_wxyz,
         needs=frozenset({"floating_base"}),
         in_state=True,
     ),
 )
-"""SI units, temperatures in °C. `tool` and `goal` of a robot with a floating base are its velocities: estimated, and
-commanded."""
+"""SI units, temperatures in °C. `goal`, and `achieved` by the robot's belief, are in the units of the task."""
 
 
 def recorded_signals(spec: RobotSpec) -> tuple[Signal, ...]:
@@ -77,12 +77,16 @@ def recorded_signals(spec: RobotSpec) -> tuple[Signal, ...]:
     return tuple(signal for signal in SIGNALS if signal.needs <= spec.capabilities)
 
 
-def row_type(spec: RobotSpec) -> np.dtype[np.void]:
-    """Return the type of one tick of one robot.
+def row_type(spec: RobotSpec, goal_size: int) -> np.dtype[np.void]:
+    """Return the type of one tick of one robot, under a task whose goals have so many numbers.
 
     Counters come first; all numbers are 8 bytes wide, so that rows can be seen as plain arrays of either kind.
     """
-    numbers = [(signal.name, np.float64, (signal.size or spec.n,)) for signal in recorded_signals(spec)]
+    sizes = {"joints": spec.n, "goal": goal_size}
+    numbers = [
+        (signal.name, np.float64, (signal.size if isinstance(signal.size, int) else sizes[signal.size],))
+        for signal in recorded_signals(spec)
+    ]
     return np.dtype([*((name, np.int64) for name in COUNTERS), *numbers])
 
 

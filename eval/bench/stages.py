@@ -44,13 +44,14 @@ class Bench:
         seeds = [robot_seed(SEED, robot) for robot in range(robots)]
         brain = Policy.load(policy, spec)
         self.runtime, self.robot = simulate(spec, brain.contract, seeds, brain)
-        self.judge = Judge(spec, torque_max(spec), robots, observed=brain.contract.observed)
+        rule, observed = self.runtime.task.rule, brain.contract.observed
+        self.judge = Judge(spec, torque_max(spec), robots, scoring=rule, observed=observed)
         self.watch, self.robots = Stopwatch(), robots
         self._watch(brain if every_stage else None)
         self.run(round(ARM_S / spec.dt))
         self.runtime.arm(np.ones(robots, dtype=bool))
         # Goals out of step, as in any hour of a shift but the first: or all would rest at once.
-        period = round(self.runtime.task.config.period_s / spec.dt)
+        period = round(self.runtime.task.rule.period_s / spec.dt)
         self.runtime.task.elapsed[:] = np.arange(robots) * period // robots
         self.run(round(WARM_S / spec.dt))
         self.watch.clear()

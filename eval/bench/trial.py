@@ -37,9 +37,12 @@ class Trial:
         """
         brain = Policy.load(policy, spec)
         self.runtime, self.robot = simulate(spec, brain.contract, seeds, brain, given=given)
-        goal_s = self.runtime.task.config.period_s
         self.judge = Judge(
-            spec, torque_max(spec), len(seeds), observed=brain.contract.observed, goal_s=goal_s
+            spec,
+            torque_max(spec),
+            len(seeds),
+            observed=brain.contract.observed,
+            scoring=self.runtime.task.rule,
         )
         self._motors = nominal_windings(spec)
         self._ohm = self._motors.resistance * self.robot.draw["drives.resistance"]

@@ -18,9 +18,9 @@ from deploy.estimation.rotations import matrix, matvec
 from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
 from deploy.state import Mode
+from deploy.tasks.velocity import Velocity
 from eval.bench.stopwatch import Stopwatch
 from eval.bench.trial import Trial
-from eval.judge.truth import base_velocity_and_tilt
 from eval.soak.shard import ARM_S
 from robots.arrays import Floats
 from robots.distributions import load_distributions
@@ -133,7 +133,7 @@ def _moves(robot: SimRobot) -> tuple[Floats, Floats, Floats]:
     if truth.base is None:
         raise ValueError(f"{robot.spec.name} stands fixed")
     velocity = matvec(matrix(truth.base.quat_wxyz).transpose(0, 2, 1), truth.base.velocity)
-    return base_velocity_and_tilt(truth.base)[0][:, 0], velocity, truth.qd.copy()
+    return Velocity.true_achieved(truth)[:, 0], velocity, truth.qd.copy()
 
 
 def _plain(spec: RobotSpec, base: Base, brain: Policy, gains: Gains) -> tuple[float, bool, float]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from deploy.policy.contract import Observed
 from deploy.stage import Arrays, Stage
 from deploy.state import Command, Mode, State, Target
+from deploy.tasks.score import Score, Scoring
 from eval.judge.counts import BINS, REASONS, Counts
 from eval.judge.events import BadTicks, EventLog
 from eval.judge.limit_ratios import LimitRatios, RatioBlock
@@ -21,19 +22,14 @@ from eval.judge.monitor import Monitor
 from eval.judge.monitors import MONITORS, Channels
 from eval.judge.tick_buffer import BLOCK_TICKS, PAST, TickBuffer, Ticks
 from eval.judge.tick_window import JudgedRobot, TickWindow
-from eval.judge.truth import Truth, base_velocity_and_tilt
-from robots.arrays import Bools, Floats, Ints
+from eval.judge.truth import Truth, true_tilt
+from robots.arrays import Floats, Ints
 from robots.spec import RobotSpec
 
 EVENT_GAP_S = 0.5
 """s between bad ticks of one event, at most."""
 MOVING = 0.01
 """Share of a joint's speed limit above which it is in motion."""
-GOAL_M = 0.02
-GOAL_S = 4.0
-SPEED_M_S, TURN_RAD_S = 0.2, 0.3
-"""By which the mean velocity over the ground, and the mean rate of turning, may miss what a robot with a base was asked
-for."""
 _COUNTED = (
     *("ticks", "invalid", "running", "moving", "stops", "reasons", "latches", "attempted", "reached"),
     *("worst", "bins"),
@@ -45,13 +41,12 @@ class Judge(Stage):
     """All monitors of B robots, evaluated in every tick.
 
     Attributes:
-        walked: (R, 3) m/s, m/s, rad/s, sum over the ticks since the last command, of robots with a base.
         worst: (R, C) highest ratio. bins: (C, BINS) histogram of the ratios of all robots.
         ratios: evaluation of the monitors.
     """
 
-    carried: ClassVar[tuple[str, ...]] = (*_COUNTED, "walked")
-    parts = ("buffer", "events")
+    carried: ClassVar[tuple[str, ...]] = _COUNTED
+    parts = ("buffer", "events", "score")
 
     def __init__(
         self,
@@ -59,9 +54,9 @@ class Judge(Stage):
         torque_max: Floats,
         robots: int,
         *,
+        scoring: Scoring,
         counted: int | None = None,
         observed: Observed | None = None,
-        goal_s: float = GOAL_S,
         monitors: Sequence[Monitor] = MONITORS,
     ) -> None:
         """Allocate.
@@ -70,26 +65,26 @@ class Judge(Stage):
             spec: limits and margins.
             torque_max: (n,) N·m, each actuator's range at the joint.
             robots: B.
+            scoring: rule by which the task's goals count as reached.
             counted: R, number of robots that are judged, the first ones; all by default.
             observed: statistics of the observations in training; without them observations are not judged.
-            goal_s: s that the task gives to a goal.
             monitors: the catalogue; `MONITORS` and any others. The robot gets those whose needs it meets.
 
         Raises:
             ConfigError: the robot's limits.toml.
         """
-        self._dt, self._goal_s = spec.dt, goal_s
+        self._dt, self._goal_s = spec.dt, scoring.period_s
         self._robots, self._size = counted or robots, len(observed.mean) if observed else 0
         self._channels = Channels.of_robot(spec, monitors)
         judged = JudgedRobot(spec=spec, torque_max=torque_max, limits=load_limits(spec), observed=observed)
         self.ratios = LimitRatios(self._channels, judged, self._robots)
         self._sent_speed = [monitor.name for monitor in self._channels.catalogue].index("velocity_sent")
-        self.buffer = TickBuffer(robots, spec.n, self._size)
+        self.buffer = TickBuffer(robots, spec.n, self._size, scoring.size)
+        self.score = Score(scoring, self._robots, spec.dt)
         channels = len(self.ratios.limits)
         self.events = EventLog(self._channels, self._robots, round(EVENT_GAP_S / spec.dt))
         self.ticks, self.invalid, self.running, self.moving = np.zeros((4, self._robots), dtype=np.int64)
         self.stops, self.latches, self.attempted, self.reached = np.zeros((4, self._robots), dtype=np.int64)
-        self._walks, self.walked = spec.base is not None, np.zeros((self._robots, 3))
         self.reasons = np.zeros((self._robots, len(REASONS)), dtype=np.int64)
         self.worst, self.bins = np.zeros((self._robots, channels)), np.zeros((channels, BINS), dtype=np.int64)
 
@@ -104,6 +99,7 @@ class Judge(Stage):
         command: Command,
         mode: NDArray[np.integer],
         reason: Ints,
+        achieved: Floats,
         goal: Floats,
         attempted: Ints,
     ) -> None:
@@ -117,18 +113,15 @@ class Judge(Stage):
             action: (B, A) the policy's output in this tick; None where it was not called.
             command: sent in this tick.
             mode: (B,) of `Mode`. reason: (B,) bit sets of `Reason`.
-            goal: (B, 3) m, the tool's present goal in the world; of a robot with a base m/s forwards, m/s to the left
-                and rad/s to the left.
+            achieved: (B, G) what goals are compared with, by ground truth. goal: (B, G) the present goals.
             attempted: (B,) goals over so far. Where it rises, the goal of the tick before is over.
         """
-        velocity, tilt = (
-            (truth.tool_velocity, 0.0) if truth.base is None else base_velocity_and_tilt(truth.base)
-        )
+        tilt = 0.0 if truth.base is None else true_tilt(truth.base)
         # In the order of `Ticks`: keywords would cost as much as the copying.
         tick: tuple[Any, ...] = (
             *(target.q, truth.q, truth.qd, truth.tau, truth.winding_c),
             *(command.q, command.tau, state.q, state.q_var),
-            *(truth.tool_position, velocity, goal),
+            *(truth.tool_position, truth.tool_velocity, achieved, goal),
             *(state.age, truth.contact_n, tilt),
             *(command.powered, _finite(action), truth.self_collision, truth.valid),
             *(mode, reason, attempted, observation[:, : self._size]),
@@ -204,29 +197,16 @@ class Judge(Stage):
             self.reasons[:, 0] += stop[tick] & (reason == 0)
             self.reasons[:, 1:] += stop[tick][:, None] & (reason[:, None] >> np.arange(len(REASONS) - 1)) & 1
 
-    def _count_goals(self, seen: Ticks) -> None:
-        """A goal is reached if the tool is there when its time is over, with the robot still at work.
-
-        One of a robot with a base is a speed, and reached if that was its mean over the time.
-        """
-        over = seen.attempted[PAST:] > seen.attempted[PAST - 1 : -1]
-        at_work = (seen.mode[PAST:] == int(Mode.RUNNING)) & seen.valid[PAST:]
-        if self._walks:
-            self._count_speeds(seen, over, at_work)
-        elif over.any():
-            missed = np.linalg.norm(seen.tool_position[PAST:] - seen.goal[PAST - 1 : -1], axis=2)
-            self.reached += (over & (missed <= GOAL_M) & at_work).sum(axis=0)
-        self.attempted[:] = seen.attempted[-1]
-
-    def _count_speeds(self, seen: Ticks, over: Bools, at_work: Bools) -> None:
-        """Add up what was walked since the last command, and compare its mean with what was asked for."""
-        for tick, ended in enumerate(over):
-            self.walked += seen.tool_velocity[PAST + tick]
-            if ended.any():
-                missed = self.walked * (self._dt / self._goal_s) - seen.goal[PAST + tick - 1]
-                near = (np.hypot(*missed.T[:2]) <= SPEED_M_S) & (np.abs(missed[:, 2]) <= TURN_RAD_S)
-                self.reached += ended & near & at_work[tick]
-                self.walked[ended] = 0.0
+    def _count_goals(self, ticks: Ticks) -> None:
+        """Count goals that are over: where `attempted` rises, the goal of the tick before was the last tick's."""
+        over = ticks.attempted[PAST:] > ticks.attempted[PAST - 1 : -1]
+        running = (ticks.mode[PAST:] == int(Mode.RUNNING)) & ticks.valid[PAST:]
+        for tick in range(len(over)) if self.score.rule.mean else np.flatnonzero(over.any(axis=1)):
+            now, goal = PAST + tick, ticks.goal[PAST + tick - 1]
+            reached = self.score.step(ticks.achieved[now], goal, over[tick], running[tick])
+            if reached is not None:
+                self.reached += reached
+        self.attempted[:] = ticks.attempted[-1]
 
 
 def _finite(action: NDArray[np.floating] | None) -> Any:

@@ -20,8 +20,7 @@ class Ticks(NamedTuple):
 
     `target` and `sent` are angles, `tau_sent` feed-forward torques of the command. `q_hat`, `q_var` and `age` are the
     estimate before the physics of that tick. `action_finite` is True where the policy was not called.
-    `tool_velocity` of a robot with a floating base is that of the base over the ground: m/s forwards, m/s to the left
-    and rad/s to the left. `tilt`: rad, of a floating base.
+    `achieved` is what `goal` is compared with, by ground truth. `tilt`: rad, of a floating base.
     """
 
     target: Floats
@@ -35,6 +34,7 @@ class Ticks(NamedTuple):
     q_var: Floats
     tool_position: Floats
     tool_velocity: Floats
+    achieved: Floats
     goal: Floats
     age: Floats
     contact_n: Floats
@@ -63,13 +63,14 @@ class TickBuffer(Stage):
         pending: number of ticks appended and not yet judged.
     """
 
-    def __init__(self, robots: int, n: int, observation: int) -> None:
-        """Allocate for B robots of n joints and observations of a size."""
+    def __init__(self, robots: int, n: int, observation: int, goal: int) -> None:
+        """Allocate for B robots of n joints, observations and goals of so many numbers."""
         shape = (PAST + BLOCK_TICKS, robots)
         flags, integers = np.zeros((4, *shape), dtype=bool), np.zeros((3, *shape), dtype=np.int64)
         arrays: tuple[Any, ...] = (
             *np.zeros((9, *shape, n)),
-            *np.zeros((3, *shape, 3)),
+            *np.zeros((2, *shape, 3)),
+            *np.zeros((2, *shape, goal)),
             *np.zeros((3, *shape)),
             *flags,
             *integers,

@@ -75,21 +75,9 @@ class Truth(Protocol):
         """Floating base; None for a robot without one."""
 
 
-def base_velocity_and_tilt(base: BaseTruth) -> tuple[Floats, Floats]:
-    """Velocity of a floating base over the ground, and its tilt off gravity.
-
-    Returns:
-        (B, 3) m/s forwards, m/s to the left, rad/s to the left; (B,) rad.
-    """
+def true_tilt(base: BaseTruth) -> Floats:
+    """(B,) rad, angle between the base's z axis and the direction against gravity."""
     w, x, y, z = base.quat_wxyz.T
-    # First and last column of the rotation matrix: directions of the base's x and z axes in the world.
-    heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    upwards = 1.0 - 2.0 * (x * x + y * y)
-    cos, sin, (vx, vy, _) = np.cos(heading), np.sin(heading), base.velocity.T
-    # Last row of the rotation matrix: vertical component of each axis of the base.
-    up = np.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), upwards), axis=1)
-    turning = (up * base.angular_velocity).sum(axis=1)
-    velocity = np.stack((cos * vx + sin * vy, cos * vy - sin * vx, turning), axis=1)
-    # Last column: direction of the base's z axis in the world.
-    axis = np.stack((2.0 * (x * z + w * y), 2.0 * (y * z - w * x), upwards), axis=1)
-    return velocity, np.arccos(np.minimum(np.maximum((axis * base.up).sum(axis=1), -1.0), 1.0))
+    # Last column of the rotation matrix: direction of the base's z axis in the world.
+    axis = np.stack((2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)), axis=1)
+    return np.asarray(np.arccos(np.minimum(np.maximum((axis * base.up).sum(axis=1), -1.0), 1.0)))

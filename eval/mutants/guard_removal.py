@@ -148,7 +148,9 @@ def stop_instantly(runtime: Runtime) -> None:
 def ignore_non_finite_action(runtime: Runtime) -> None:
     """The runtime does not mind an action that is no number; `Action` still leaves it out."""
     wrap_method(
-        runtime, "stop_reasons", lambda _: runtime.verdict.reason | runtime.state.fault | runtime.asked
+        runtime,
+        "stop_reasons",
+        lambda _: runtime.verdict.reason | runtime.state.fault | runtime.requested_stop,
     )
 
 

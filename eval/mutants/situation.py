@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from unittest.mock import patch
 
 import numpy as np
 
@@ -10,10 +9,9 @@ from deploy.backends.sim.backend import simulate
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.sensor_faults import Fault
 from deploy.policy.contract import ActionSpec, Contract, Observed
-from deploy.policy.observation_terms import READINGS, Source, Term
+from deploy.policy.observation_source import SOURCES
+from deploy.policy.observation_terms import Term
 from deploy.runtime import Runtime
-from deploy.tasks import reach
-from deploy.tasks.reach import goal_pool
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
 from eval.soak.shard import ARM_S, judge_tick
@@ -76,10 +74,9 @@ def live(spec: RobotSpec, situation: Situation, weaken: Callable[[Runtime], None
     """What the judge finds in a situation, with a guard of the runtime weakened."""
     seeds = [robot_seed(SEED, robot) for robot in range(ROBOTS)]
     given, promise = _drawn(spec, seeds, situation), contract(spec, situation)
-    with patch.object(reach, "goal_pool", _pool_once):
-        runtime, robot = simulate(spec, promise, seeds, given=given, faults=situation.faults)
-    observed, goal_s = runtime.contract.observed, runtime.task.config.period_s
-    judge = Judge(spec, torque_max(spec), ROBOTS, observed=observed, goal_s=goal_s)
+    runtime, robot = simulate(spec, promise, seeds, given=given, faults=situation.faults)
+    observed, scoring = runtime.contract.observed, runtime.task.rule
+    judge = Judge(spec, torque_max(spec), ROBOTS, observed=observed, scoring=scoring)
     situation.prepare(runtime)
     weaken(runtime)
     for tick in range(round(situation.seconds / spec.dt)):
@@ -90,16 +87,6 @@ def live(spec: RobotSpec, situation: Situation, weaken: Callable[[Runtime], None
         runtime.act(said)
         judge_tick(judge, robot.truth(), runtime, said)
     return judge.counts()
-
-
-_POOLS: dict[str, reach.GoalPool] = {}
-
-
-def _pool_once(spec: RobotSpec, config: reach.ReachConfig) -> reach.GoalPool:
-    """Every runtime of a robot samples the same pool, which takes as long as half a second of life."""
-    if spec.digest not in _POOLS:
-        _POOLS[spec.digest] = goal_pool(spec, config)
-    return _POOLS[spec.digest]
 
 
 def _drawn(spec: RobotSpec, seeds: Sequence[np.random.SeedSequence], situation: Situation) -> Draw:
@@ -138,8 +125,8 @@ def contract(spec: RobotSpec, situation: Situation) -> Contract:
     )
 
 
-def _term(spec: RobotSpec, source: Source) -> Term:
-    frame, unit = READINGS[source][:2]
+def _term(spec: RobotSpec, source: str) -> Term:
+    frame, unit = SOURCES[source].frame, SOURCES[source].unit
     return Term.model_validate(
         {"name": source, "source": source, "frame": frame, "unit": unit, "size": spec.n}
         | {"scale": (1.0,) * spec.n}

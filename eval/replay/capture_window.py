@@ -36,12 +36,12 @@ TRUE_SCHEMA = {
 }
 
 
-def window_type(spec: RobotSpec) -> np.dtype[np.void]:
+def window_type(spec: RobotSpec, goal_size: int) -> np.dtype[np.void]:
     """One tick of one robot: what a robot records of itself, and what is true of it; flags are 0 or 1.
 
     `base_true` is where a base is in the world, m, and its orientation, w first.
     """
-    own = row_type(spec)
+    own = row_type(spec, goal_size)
     true = [(name, np.float64, (spec.n,)) for name in TRUE]
     tool = [(name, np.float64, (3,)) for name in ("tool_true", "tool_velocity_true")]
     flags = [(name, np.float64) for name in FLAGS]
@@ -52,9 +52,9 @@ def window_type(spec: RobotSpec) -> np.dtype[np.void]:
 class Window(Ring):
     """The last ticks of B robots, of `window_type`."""
 
-    def __init__(self, spec: RobotSpec, robots: int, seconds: float) -> None:
-        """Allocate for B robots."""
-        super().__init__(spec, robots, seconds=seconds, row=window_type(spec))
+    def __init__(self, spec: RobotSpec, robots: int, goal_size: int, seconds: float) -> None:
+        """Allocate for B robots, under a task whose goals have so many numbers."""
+        super().__init__(spec, robots, window_type(spec, goal_size), seconds=seconds)
         self.rows["tick"] = -1
 
     def see(self, runtime: Runtime, truth: Truth) -> None:
@@ -75,9 +75,9 @@ def columns(rows: Rows) -> Arrays:
     return {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()}
 
 
-def from_columns(arrays: Mapping[str, NDArray[np.generic]], spec: RobotSpec) -> Rows:
-    """What `columns` took apart."""
-    rows = np.zeros(len(arrays["tick"]), dtype=window_type(spec))
+def from_columns(arrays: Mapping[str, NDArray[np.generic]], row: np.dtype[np.void]) -> Rows:
+    """Return rows of a type from the arrays that `columns` made of them."""
+    rows = np.zeros(len(arrays["tick"]), dtype=row)
     for name, array in arrays.items():
         rows[name] = array
     return rows

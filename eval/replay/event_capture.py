@@ -67,7 +67,7 @@ class Witness:
         counts = shard.judge.counts()
         new = self._new(counts, before)
         if new:
-            end, goal_m = shard.runtime.ticks, shard.runtime.task.tolerance
+            end, goal_m = shard.runtime.ticks, shard.runtime.task.rule.tolerance
             window, end_digest = self._again(shard, *self._before(min(e.start for e in new)))
             for event in new:
                 self._write(event, window, end, end_digest, goal_m)
@@ -80,7 +80,9 @@ class Witness:
             RuntimeError: it leads to another state than it did, so that no bundle would tell the truth.
         """
         end, expected = shard.runtime.ticks, bundle.state_digest(shard.snapshot())
-        window = Window(self._spec, shard.robot.robots, (end - begin) * self._spec.dt)
+        window = Window(
+            self._spec, shard.robot.robots, shard.runtime.task.size, (end - begin) * self._spec.dt
+        )
         shard.live_again(state, lambda: window.see(shard.runtime, shard.truth))
         if bundle.state_digest(shard.snapshot()) != expected:
             raise RuntimeError(f"ticks {begin} to {end} were not the same when they were lived again")

@@ -81,8 +81,9 @@ class Replay:
         state = self._arrays(folder / bundle.STATE, self.shard.snapshot())
         _equal(folder / bundle.STATE, "runtime.ticks", int(state["runtime.ticks"]), about.begin)
         self.shard.restore(state)
-        room = columns(np.zeros(about.end - about.begin, dtype=window_type(self.spec)))
-        self.recorded = from_columns(self._arrays(folder / bundle.WINDOW, room), self.spec)
+        row = window_type(self.spec, self.shard.runtime.task.size)
+        room = columns(np.zeros(about.end - about.begin, dtype=row))
+        self.recorded = from_columns(self._arrays(folder / bundle.WINDOW, room), row)
 
     def _arrays(self, path: Path, room: Arrays) -> Arrays:
         """What is in a file of the bundle, as large as `room`; other code may have kept other arrays."""
@@ -98,12 +99,12 @@ class Replay:
     @property
     def goal_m(self) -> float:
         """How near to a goal counts, m."""
-        return self.shard.runtime.task.tolerance
+        return self.shard.runtime.task.rule.tolerance
 
     def live(self, watch: Callable[[], None] = lambda: None) -> Again:
         """Live the window, once; `watch` is called after every tick."""
         shard, about = self.shard, self.about
-        window = Window(self.spec, WIDTH, len(self.recorded) * self.spec.dt)
+        window = Window(self.spec, WIDTH, self.shard.runtime.task.size, len(self.recorded) * self.spec.dt)
         # A judge of its own, whose highest load begins anew with each tick.
         ticker = judge_of(self.spec, shard.runtime.contract, about.job.robots)
         load = np.zeros(len(self.recorded))

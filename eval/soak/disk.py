@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from deploy.tasks.task import find_task
 from eval.judge.monitors import MONITORS
 from eval.replay import bundle
 from eval.replay.capture_window import window_type
@@ -113,7 +114,7 @@ def _npz(arrays: Mapping[str, NDArray[np.generic]]) -> int:
 
 def _window(soak: Soak) -> int:
     """Of the longest window of an event, as numpy's arrays and as a recording."""
-    row = window_type(soak.spec)
+    row = window_type(soak.spec, find_task(soak.policy.contract.task, "contract: task").size)
     ticks = round((LOOKS + 1) * LOOK_S / soak.spec.dt)
     arrays = row.itemsize * ticks + MEMBER_BYTES * len(row.names or ())
     return arrays + ticks * (MCAP_NUMBER * row.itemsize + MCAP_ROW_BYTES)

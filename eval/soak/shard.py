@@ -12,17 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.backends.sim.backend import simulate
+from deploy.backends.sim.truth import Truth
 from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.stage import Arrays, Stage, inside
-from deploy.tasks.reach import ReachConfig
+from deploy.tasks.task import find_task
 from eval.faults.fault_response import FaultResponses, FaultResponseTracker, saved_responses
 from eval.faults.injector import Injector
 from eval.faults.schedule import plan
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
-from eval.judge.truth import Truth
 from eval.soak.fingerprint import code_digest
 from eval.soak.profile import Faults
 from robots.arrays import Floats, Ints
@@ -123,6 +123,7 @@ def judge_tick(judge: Judge, truth: Truth, runtime: Runtime, action: Said) -> No
         command=runtime.command,
         mode=runtime.supervisor.mode,
         reason=runtime.supervisor.reason,
+        achieved=runtime.task.true_achieved(truth),
         goal=runtime.task.goal,
         attempted=runtime.task.attempted,
     )
@@ -295,5 +296,5 @@ def _sampled(saved: Mapping[str, Any]) -> dict[str, Any]:
 
 def judge_of(spec: RobotSpec, contract: Contract, robots: int) -> Judge:
     """The judge of a shard of which so many robots count, before its first tick."""
-    period_s = spec.base.command_s if spec.base else ReachConfig().period_s
-    return Judge(spec, torque_max(spec), WIDTH, counted=robots, observed=contract.observed, goal_s=period_s)
+    scoring = find_task(contract.task, "contract: task").scoring(spec)
+    return Judge(spec, torque_max(spec), WIDTH, scoring=scoring, counted=robots, observed=contract.observed)

@@ -12,10 +12,10 @@ from onnx import helper
 from rich.console import Console
 
 from deploy.command_line import PASSED, main
-from deploy.policy.compatibility import task_of
 from deploy.policy.contract import CONTRACT_KEY
 from deploy.policy.policy import Policy
 from deploy.policy.policy_file import GOLDEN_KEY, Golden
+from deploy.tasks.task import tasks_of
 from deploy.telemetry.output_files import replacing
 from policies.importers.contract_builder import BuiltContract, build_contract
 from policies.importers.contract_draft import read_draft
@@ -127,7 +127,9 @@ def write_template(
         facts = _merge_descriptor(facts, read_descriptor(descriptor, facts.observations))
     if robot is not None:
         spec = load_robot(robot)
-        facts = replace(facts, known={**facts.known, "robot": spec.name, "task": task_of(spec)})
+        fitting = tasks_of(spec)
+        task = {"task": fitting[0]} if len(fitting) == 1 else {}
+        facts = replace(facts, known={**facts.known, "robot": spec.name, **task})
     text, open_count = render_template(facts, path.name)
     with replacing(draft_path) as partial:
         partial.write_text(text, encoding="utf-8")

@@ -1,5 +1,6 @@
 """Contract in the robot's joint order from a draft in the policy's, with the permutations between the two."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import NamedTuple
@@ -8,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.policy.contract import Contract
-from deploy.policy.observation_terms import READINGS, Source
+from deploy.policy.observation_source import ObservationSource
+from deploy.tasks.task import sources_of
 from policies.importers.contract_draft import ContractDraft, TermDraft
 from policies.importers.reference_policy import ABSENT, ReferencePolicy
-from robots.errors import ContractError
+from robots.errors import ConfigError, ContractError
 from robots.spec import RobotSpec
 from robots.strict import parse
 
@@ -38,13 +40,15 @@ class _Joints(NamedTuple):
 
     Attributes:
         observed, driven: in the policy's observation and action. robot: in the robot's own order.
+        sources: observation sources of robot and task.
     """
 
     observed: tuple[str, ...]
     driven: tuple[str, ...]
     robot: tuple[str, ...]
+    sources: Mapping[str, ObservationSource]
 
-    def names_for(self, source: Source) -> tuple[str, ...]:
+    def names_for(self, source: str) -> tuple[str, ...]:
         """Return the joints of a source in the policy's order."""
         return self.driven if source == "last_action" else self.observed
 
@@ -62,9 +66,12 @@ def build_contract(
     Raises:
         ContractError: the draft does not fit the policy's file, or names other joints than the robot's.
     """
-    joints = _Joints(draft.joint_names, draft.action_joints or draft.joint_names, spec.joint_names)
+    sources, driven = _sources(draft, source), draft.action_joints or draft.joint_names
+    joints = _Joints(draft.joint_names, driven, spec.joint_names, sources)
     _check_joints(joints, draft, spec, source)
-    sizes = [READINGS[term.source].size or len(joints.names_for(term.source)) for term in draft.observation]
+    sizes = [
+        joints.sources[term.source].size or len(joints.names_for(term.source)) for term in draft.observation
+    ]
     _check_sizes(draft, joints, sizes, reference, source)
     columns = _columns(draft, joints)
     data = {
@@ -84,6 +91,25 @@ def build_contract(
     return BuiltContract(contract=contract, columns=columns, joints=joints.action)
 
 
+def _sources(draft: ContractDraft, source: str) -> Mapping[str, ObservationSource]:
+    """Return the observation sources that a draft may name.
+
+    Raises:
+        ContractError: its task is not installed, or it names another source.
+    """
+    try:
+        sources = sources_of(draft.task)
+    except ConfigError as e:
+        raise ContractError(f"{source}: {e}") from e
+    for term in draft.observation:
+        if term.source not in sources:
+            raise ContractError(
+                f"{source}: observation {term.name!r}: source: found {term.source!r}, expected one of"
+                f" {', '.join(sources)}"
+            )
+    return sources
+
+
 def _check_joints(joints: _Joints, draft: ContractDraft, spec: RobotSpec, source: str) -> None:
     field = "joint_names" if draft.action_joints is None else "action_joints"
     for name in (*joints.driven, *joints.robot):
@@ -97,9 +123,8 @@ def _check_joints(joints: _Joints, draft: ContractDraft, spec: RobotSpec, source
         _check_once(joints.observed, name, f"{source}: joint_names")
     if others := [name for name in joints.observed if name not in joints.robot]:
         for term in draft.observation:
-            _check_constant(
-                term, f"{source}: observation {term.name!r}", f"{others[0]!r}, not a joint of {spec.name}"
-            )
+            where = f"{source}: observation {term.name!r}"
+            _check_constant(term, joints, where, f"{others[0]!r}, not a joint of {spec.name}")
 
 
 def _check_once(names: tuple[str, ...], name: str, source: str) -> None:
@@ -107,9 +132,9 @@ def _check_once(names: tuple[str, ...], name: str, source: str) -> None:
         raise ContractError(f"{source}: found {name!r} {names.count(name)} times, expected once")
 
 
-def _check_constant(term: TermDraft, source: str, joint: str) -> None:
+def _check_constant(term: TermDraft, joints: _Joints, source: str, joint: str) -> None:
     """Refuse a term that is not 0 for a joint resting at its default position."""
-    if READINGS[term.source].frame != "joint" or term.source == "last_action":
+    if joints.sources[term.source].frame != "joint" or term.source == "last_action":
         return
     low, high = term.clip or (0.0, 0.0)
     at_rest = {"joint_position": bool(term.offset), "joint_velocity": not any(term.offset)}
@@ -142,10 +167,10 @@ def _columns(draft: ContractDraft, joints: _Joints) -> Indices:
     """Return `BuiltContract.columns`; contracts are ordered by term, oldest reading first, robot's joint order."""
     blocks, start = [], 0  # per term: (history, size) columns of the contract in the policy's joint order
     for term in draft.observation:
-        size = READINGS[term.source].size or len(joints.robot)
+        size = joints.sources[term.source].size or len(joints.robot)
         block = start + np.arange(term.history * size).reshape(term.history, size)
         start += block.size
-        if READINGS[term.source].frame == "joint":
+        if joints.sources[term.source].frame == "joint":
             padded = np.pad(block, ((0, 0), (0, 1)), constant_values=ABSENT)
             size_in_file = joints.names_for(term.source)
             block = padded[:, [joints.robot.index(n) if n in joints.robot else size for n in size_in_file]]
@@ -156,9 +181,9 @@ def _columns(draft: ContractDraft, joints: _Joints) -> Indices:
 
 
 def _term(term: TermDraft, joints: _Joints, draft: ContractDraft, source: str) -> dict[str, object]:
-    size = READINGS[term.source].size or len(joints.robot)
+    size = joints.sources[term.source].size or len(joints.robot)
     size_in_file, order = size, np.arange(size)
-    if READINGS[term.source].frame == "joint":
+    if joints.sources[term.source].frame == "joint":
         names = joints.names_for(term.source)
         size_in_file, order = len(names), _positions_of(names, joints.robot)
     where = f"{source}: observation {term.name!r}"
@@ -166,12 +191,12 @@ def _term(term: TermDraft, joints: _Joints, draft: ContractDraft, source: str) -
     clip = term.clip
     if clip is not None and term.clip_first:
         clip = (clip[0] * term.multiply[0], clip[1] * term.multiply[0])
-    frame, unit = READINGS[term.source][:2]
+    declared = joints.sources[term.source]
     return {
         "name": term.name,
         "source": term.source,
-        "frame": frame,
-        "unit": unit,
+        "frame": declared.frame,
+        "unit": declared.unit,
         "size": size,
         "offset": _expand(term.offset, size_in_file, order, f"{where}: offset") if term.offset else None,
         "scale": tuple(1.0 / factor for factor in multiply),

@@ -6,8 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from deploy.policy.contract import Hertz, Task
-from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Positive, Source
+from deploy.policy.contract import Hertz
+from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Positive
 from policies.importers.torch_files.network_settings import NetworkSettings
 from robots.errors import ContractError
 from robots.strict import Strict, parse, refuse_open
@@ -39,14 +39,14 @@ class TermDraft(Strict):
     """One term of the observation: (reading - offset) · multiply, clipped.
 
     Attributes:
-        name: unique name. source: one of `deploy.policy.observation_terms.Source`.
+        name: unique name. source: an observation source of the robot or the task.
         offset: in units of the source. multiply: factors per unit.
         clip: (low, high). clip_first: True if clipped before multiplied; required where it makes a difference.
         history: number of readings kept. period_s: s, period of gait_phase.
     """
 
     name: Name
-    source: Source
+    source: Name
     offset: Values
     multiply: PositiveValues
     clip: OptionalClip
@@ -94,7 +94,7 @@ class ContractDraft(Strict):
     """
 
     robot: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-    task: Task
+    task: Name
     policy_hz: Hertz
     joint_names: Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
     action_joints: Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)] | None = None

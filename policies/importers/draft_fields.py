@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
-from deploy.policy.observation_terms import Source
+from deploy.plugins import TASKS, installed
+from deploy.tasks.task import find_task
 
-SOURCES: dict[str, Source] = {
+SOURCES: dict[str, str] = {
     "joint_pos": "joint_position",
     "joint_pos_rel": "joint_position",
     "dof_pos": "joint_position",
@@ -64,8 +65,9 @@ def contract_fields(observation: list[dict[str, Any]] | None, fill: str, **field
         fields: other known fields.
     """
     terms = observation or []
-    has_command = any(term_fields.get("source") == "velocity_command" for term_fields in terms)
     has_history = any(term_fields.get("history", 1) > 1 for term_fields in terms)
     history = {"layout": "by_term", "frames": "oldest_first", "fill": fill} if has_history else {}
-    task = "velocity" if has_command else None
+    named = {term_fields.get("source") for term_fields in terms}
+    tasks = [name for name in installed(TASKS) if named & find_task(name, name).sources.keys()]
+    task = tasks[0] if len(tasks) == 1 else None
     return without_none(task=task, observation=observation, **history, **fields)

@@ -6,7 +6,8 @@ from typing import Any, TypeVar, get_args
 import tomlkit
 from tomlkit.items import Table
 
-from deploy.policy.observation_terms import READINGS
+from deploy.plugins import TASKS, installed
+from deploy.tasks.task import installed_sources
 from policies.importers.reference_policy import PolicyFacts
 from policies.importers.torch_files.network_settings import Activation
 from robots.strict import OPEN, open_fields
@@ -19,7 +20,7 @@ Observation sources, each with frame and unit:
 {sources}"""
 FIELDS = {
     "robot": "name of the robot",
-    "task": '"reach" or "velocity"',
+    "task": f"one of {', '.join(installed(TASKS))}",
     "policy_hz": "Hz, rate of the policy",
     "joint_names": "the robot's joints in the policy's order",
 }
@@ -57,7 +58,7 @@ def render_template(facts: PolicyFacts, name: str) -> tuple[str, int]:
     """Return the text of the TOML, and the number of open values."""
     known = facts.known
     document = tomlkit.document()
-    sources = "\n".join(f"  {name}: {frame}, {unit}" for name, (frame, unit, *_) in READINGS.items())
+    sources = "\n".join(f"  {name}: {s.frame}, {s.unit}" for name, s in installed_sources().items())
     head = HEAD.format(
         name=name,
         kind=facts.kind,

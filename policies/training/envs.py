@@ -10,11 +10,9 @@ from tensordict import TensorDict
 
 from deploy.backends.sim.backend import simulate
 from deploy.state import Mode
-from deploy.tasks.reach import Reach
 from policies.training.recipe import Recipe, contract_of
 from policies.training.rewards import Limits, Step, reward, shaping
-from robots.arrays import Bools
-from robots.errors import RobotError
+from robots.arrays import Bools, Floats
 from robots.models.fleet import Fleet
 from robots.randomness import training_seed
 from robots.spec import RobotSpec
@@ -40,15 +38,11 @@ class RuntimeEnv(VecEnv):
         self._recipe, self._spec = recipe, spec
         contract = contract_of(recipe, spec, {})
         self.runtime, self._robot = simulate(spec, contract, seeds, threads=threads)
-        if not isinstance(self.runtime.task, Reach):
-            raise RobotError(
-                f"{spec.folder / 'robot.toml'}: base: found one, expected none: only reaching is trained"
-            )
-        self._task = self.runtime.task
+        self._task, self._rule = self.runtime.task, self.runtime.task.rule
         self._fleet = Fleet(spec, self.num_envs)
         self._limits = Limits(spec, recipe.reward.near_share)
         self._rng = np.random.default_rng(recipe.seed)
-        period = round(self.runtime.task.config.period_s * recipe.promise.policy_hz)
+        period = round(self._rule.period_s * recipe.promise.policy_hz)
         self.max_episode_length = recipe.environment.goals_per_episode * period
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long)
         self._violations = {name: np.zeros(self.num_envs) for name in ("requested", "happened")}
@@ -67,8 +61,8 @@ class RuntimeEnv(VecEnv):
             (
                 truth.q,
                 truth.qd / self._spec.joint_array("qd_max"),
-                task.goal - truth.tool_position,
-                task.elapsed[:, None] * self._spec.dt / task.config.period_s,
+                task.goal - task.true_achieved(truth),
+                task.elapsed[:, None] * self._spec.dt / self._rule.period_s,
                 self.runtime.supervisor.stopping[:, None],
             ),
             axis=1,
@@ -118,7 +112,7 @@ class RuntimeEnv(VecEnv):
             running = runtime.supervisor.mode == Mode.RUNNING
             runtime.act(None if tick else action)
             stopped |= running & (runtime.supervisor.mode == Mode.STOPPING)
-            reached |= task.ended & (self._distance(task.ended_goal) <= task.tolerance)
+            reached |= task.ended & (self._distance(task.ended_goal) <= self._rule.tolerance)
         truth, change = self._robot.truth(), runtime.action.last - self._last_action
         self._last_action[:] = runtime.action.last
         running = runtime.supervisor.mode == Mode.RUNNING
@@ -133,10 +127,21 @@ class RuntimeEnv(VecEnv):
             q_target=runtime.target.q,
             action_change=change,
             action_excess=self._excess(action),
+<<<<<<< HEAD
             manipulability=self._fleet.kinematics(truth.q).manipulability(),
+=======
+            manipulability=self._manipulability(truth.q),
+>>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
             running=running,
             stopped=stopped,
         )
+
+    def _manipulability(self, q: Floats) -> Floats:
+        """(B,) at joint angles (B, n) rad; infinite for robots without a tool."""
+        if "manipulability" not in self._spec.capabilities:
+            return np.full(self.num_envs, np.inf)
+        self._fleet.place(q)
+        return self._fleet.manipulability()
 
     def _excess(self, action: np.ndarray) -> np.ndarray:
         """Beyond the contract's clip; what is no number has its price already: it stops the robot."""
@@ -144,7 +149,7 @@ class RuntimeEnv(VecEnv):
         return np.where(np.isfinite(action), excess, 0.0)
 
     def _distance(self, goal: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(self._robot.truth().tool_position - goal, axis=1)
+        return self._rule.distance(self._task.true_achieved(self._robot.truth()), goal)
 
     def _sense(self) -> np.ndarray:
         """The observation, with robots that have just been put somewhere armed again."""
@@ -157,10 +162,8 @@ class RuntimeEnv(VecEnv):
         return observation
 
     def _restart(self, ids: Bools) -> None:
-        """Rest robots at random poses from which goals are drawn, and begin their episodes."""
-        poses = self._task.pool.q
-        q = poses[self._rng.integers(len(poses), size=self.num_envs)]
-        self._robot.reset(ids, q)
+        """Rest robots at start poses of the task, and begin their episodes."""
+        self._robot.reset(ids, self._task.start_poses(self._rng))
         self.runtime.reset(ids)
         self.episode_length_buf[torch.from_numpy(ids)] = 0
         self._last_action[ids] = 0.0

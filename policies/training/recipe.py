@@ -1,13 +1,14 @@
 """How a policy is taught: a recipe file, read strictly, and the contract that follows from it."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
-import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from deploy.policy.contract import ActionSpec, Contract
-from deploy.policy.observation_terms import READINGS, Source, Term
+from deploy.policy.observation_source import ObservationSource
+from deploy.policy.observation_terms import Term
+from deploy.tasks.task import find_task, sources_of
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
 from robots.strict import Strict, read_toml
@@ -113,7 +114,7 @@ class Recipe(Strict):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
     robot: str
-    task: Literal["reach"]
+    task: str
     seed: Annotated[int, Field(ge=0)]
     promise: Promise
     environment: Environment
@@ -152,8 +153,9 @@ def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Con
         spec: its robot.
         trained: provenance.
     """
-    n, promise = spec.n, recipe.promise
-    range_max = np.maximum(np.abs(spec.joint_array("q_min")), np.abs(spec.joint_array("q_max")))
+    n, promise, sources = spec.n, recipe.promise, sources_of(recipe.task)
+    task = find_task(recipe.task, "recipe: task")
+    scales = task.observation_scales(spec, reach_m=promise.reach_m, leash_rad=promise.leash_rad)
     return Contract(
         robot=spec.name,
         robot_digest=spec.digest,
@@ -161,15 +163,7 @@ def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Con
         policy_hz=promise.policy_hz,
         control_hz=spec.rates.control_hz,
         task=recipe.task,
-        observation=(
-            _term("joint_position", range_max.tolist()),
-            _term("joint_velocity", spec.joint_array("qd_max").tolist()),
-            _term("tool_position", [promise.reach_m] * 3),
-            _term("goal_from_tool", [promise.reach_m] * 3),
-            _term("goal_torque", [promise.reach_m**2] * n),
-            _term("target_offset", [promise.leash_rad] * n),
-            _term("last_action", [1.0] * n),
-        ),
+        observation=tuple(_term(name, sources[name], scale) for name, scale in scales.items()),
         action=ActionSpec(
             mode="position_increment",
             size=n,
@@ -181,16 +175,8 @@ def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Con
     )
 
 
-def _term(source: Source, scale: list[float]) -> Term:
+def _term(name: str, source: ObservationSource, scale: list[float]) -> Term:
     """A term without clip or history, divided by its physical maximum."""
-    frame, unit = READINGS[source][:2]
-    return Term.model_validate(
-        {
-            "name": source,
-            "source": source,
-            "frame": frame,
-            "unit": unit,
-            "size": len(scale),
-            "scale": tuple(scale),
-        }
+    return Term(
+        name=name, source=name, frame=source.frame, unit=source.unit, size=len(scale), scale=tuple(scale)
     )

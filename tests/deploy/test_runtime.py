@@ -3,8 +3,7 @@ import pytest
 
 from deploy.runtime import Runtime
 from deploy.state import Mode, Reason
-from deploy.tasks import reach
-from deploy.tasks.reach import ReachConfig, goal_pool
+from deploy.tasks.goal_pool import ReachConfig, goal_pool
 from robots.models.fleet import Fleet
 from robots.randomness import robot_seed
 from support.arm6 import SPEC
@@ -28,12 +27,6 @@ simulate = pytest.importorskip("deploy.backends.sim.backend").simulate
 ARM_S = pytest.importorskip("eval.soak.shard").ARM_S
 
 POOL = goal_pool(SPEC, ReachConfig())
-
-
-@pytest.fixture(autouse=True)
-def one_pool(monkeypatch):
-    """Every task samples the same pool: once is enough."""
-    monkeypatch.setattr(reach, "goal_pool", lambda spec, config: POOL)
 
 
 def test_nothing_moves_before_it_is_armed():

@@ -5,12 +5,10 @@ import pytest
 
 from deploy.backends.sim.sensor_faults import Failure, Fault
 from deploy.motion.smoother import Smoother
-from deploy.runtime import UNSEEN_S
 from deploy.state import Mode, Reason, Setpoint
+from deploy.tasks.reach import UNSEEN_S
 from support.arm6 import SPEC
 from support.runtimes import Saying, assert_same, assert_within_limits, every, play, running
-
-pytestmark = pytest.mark.usefixtures("quick_goals")
 
 N, DT = SPEC.n, SPEC.dt
 
@@ -178,7 +176,7 @@ def test_no_failure_of_another_sensor_breaks_a_limit(sensor, what):
 def test_a_camera_that_says_no_more_leaves_the_robot_where_it_is():
     runtime = failing("off", 10_000, sensor="goal")
     play(runtime, round((UNSEEN_S + 0.5) / SPEC.dt))
-    away = np.linalg.norm(runtime._goal - runtime.tool, axis=1)
+    away = np.linalg.norm(runtime.task.seen - runtime.tool.position, axis=1)
     assert away[0] > 0.01
     assert away[1] == 0.0
 

@@ -81,7 +81,6 @@ def lived(spec, seconds):
     return np.array(hottest), runtime
 
 
-@pytest.mark.usefixtures("quick_goals")
 def test_no_winding_passes_its_hard_limit_under_the_guard(tmp_path):
     """It passes it without: the same arm, whose robot.toml says that its windings stand 300 °C."""
     unguarded, _ = lived(hot_arm(tmp_path / "off", winding_max_c=300.0, winding_soft_c=250.0), 40.0)
@@ -94,7 +93,6 @@ def test_no_winding_passes_its_hard_limit_under_the_guard(tmp_path):
     np.testing.assert_allclose(runtime.state.winding.max(), hottest[-1], atol=8)
 
 
-@pytest.mark.usefixtures("quick_goals")
 def test_a_robot_that_stops_has_all_of_its_current(tmp_path):
     """The stop was checked with it; a robot at work keeps to its share."""
     spec = hot_arm(tmp_path)
@@ -106,7 +104,7 @@ def test_a_robot_that_stops_has_all_of_its_current(tmp_path):
     for _ in range(103):
         runtime.tick()
     runtime.estimator.windings.foldback.current_share[:] = 0.7
-    runtime.asked[1] = int(Reason.OPERATOR)
+    runtime.requested_stop[1] = int(Reason.OPERATOR)
     runtime.tick()
     assert runtime.supervisor.mode.tolist() == [Mode.RUNNING, Mode.STOPPING]
     np.testing.assert_array_equal(runtime.command.current, np.repeat([[0.7], [1.0]], N, axis=1))

@@ -1,4 +1,5 @@
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from deploy.motion.drive_law import SpringDrives
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract import ActionSpec
 from deploy.state import Mode, Reason
+from deploy.tasks.velocity import Velocity
 from robots.errors import ContractError, RobotError
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import load_pinocchio, torque_max
@@ -33,7 +35,7 @@ sensor_faults = pytest.importorskip("deploy.backends.sim.sensor_faults")
 Failure, Fault = sensor_faults.Failure, sensor_faults.Fault
 
 Judge = pytest.importorskip("eval.judge.judge").Judge
-base_velocity_and_tilt = pytest.importorskip("eval.judge.truth").base_velocity_and_tilt
+true_tilt = pytest.importorskip("eval.judge.truth").true_tilt
 BaseTruth = pytest.importorskip("deploy.backends.sim.truth").BaseTruth
 judge_tick = pytest.importorskip("eval.soak.shard").judge_tick
 ignore_reasons = pytest.importorskip("eval.mutants.guard_removal").ignore_reasons
@@ -58,8 +60,8 @@ def bits(runtime):
             runtime.state.q,
             base.quat_wxyz,
             base.velocity_in_base,
-            runtime.walker.filter.P.reshape(len(base.age), -1),
-            runtime.task.gone,
+            runtime.capabilities["floating_base"].filter.P.reshape(len(base.age), -1),
+            runtime.task.score.total,
         ],
         axis=1,
     )
@@ -237,7 +239,7 @@ def test_commands_are_counted_as_followed():
     runtime = standing(2)
     period = round(QUADRUPED.base.command_s / DT)
     runtime.task.elapsed[:], runtime.task.attempted[:], runtime.task.reached[:] = 0, 0, 0
-    runtime.task.gone[:], runtime.task.worked[:] = 0.0, True
+    runtime.task.score.total[:] = 0.0
     live(runtime, period)
     np.testing.assert_array_equal(runtime.task.goal, 0.0)  # it may be asked for nothing but to stand
     assert runtime.task.attempted.tolist() == runtime.task.reached.tolist() == [1, 1]
@@ -254,8 +256,8 @@ def test_a_contract_must_be_of_a_robot_that_walks():
     with pytest.raises(ContractError) as caught:
         check_contract(walking_contract(task="reach", observation=(standing_still,)), QUADRUPED, "walk.onnx")
     assert str(caught.value).splitlines() == [
-        "walk.onnx: task: found 'reach', expected 'velocity': quadruped has a base",
-        "walk.onnx: observation.tool.source: tool_position needs a robot that stands fixed; quadruped has a base",
+        "walk.onnx: task: found 'reach', which needs [tool, workspace]; quadruped has floating_base, self_collision",
+        "walk.onnx: observation.tool.source: tool_position needs tool; quadruped has floating_base, self_collision",
     ]
     check_contract(walking_contract(), QUADRUPED, "walk.onnx")
 
@@ -281,7 +283,7 @@ def test_feet_are_seen_from_the_base():
 
 def judged(runtime, ticks, action=None):
     """What the judge finds while it lives."""
-    judge = Judge(QUADRUPED, TORQUE_MAX, runtime.robot.robots, goal_s=QUADRUPED.base.command_s)
+    judge = Judge(QUADRUPED, TORQUE_MAX, runtime.robot.robots, scoring=runtime.task.rule)
     for tick in range(ticks):
         live(runtime, 1, action if action is None else action(tick))
         judge_tick(judge, runtime.robot.truth(), runtime, None)
@@ -332,7 +334,7 @@ def test_who_does_something_else_than_asked_for_reaches_nothing(asked):
     runtime = standing(1)
     period = round(QUADRUPED.base.command_s / DT)
     runtime.task.elapsed[:], runtime.task.attempted[:], runtime.task.reached[:] = 0, 0, 0
-    runtime.task.gone[:] = 0.0
+    runtime.task.score.total[:] = 0.0
     runtime.task._low[:], runtime.task._high[:] = asked, asked
     runtime.task.goal[:] = asked
     counts = judged(runtime, 2 * period)
@@ -345,7 +347,8 @@ def test_the_judge_knows_how_fast_a_base_turns():
     rng = np.random.default_rng(2)
     quat, turning = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
     up = np.tile([0.0, 0.0, 1.0], (50, 1))
-    velocity, _ = base_velocity_and_tilt(BaseTruth(np.zeros((50, 3)), quat, np.zeros((50, 3)), turning, up))
+    base = BaseTruth(np.zeros((50, 3)), quat, np.zeros((50, 3)), turning, up)
+    velocity = Velocity.true_achieved(SimpleNamespace(base=base))
     np.testing.assert_allclose(velocity[:, 2], matvec(matrix(quat), turning)[:, 2], atol=1e-12)
 
 
@@ -354,7 +357,7 @@ def test_the_judge_knows_how_far_a_base_leans_off_gravity():
     quat, up = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     zero = np.zeros((50, 3))
-    _, leans = base_velocity_and_tilt(BaseTruth(zero, quat, zero, zero, up))
+    leans = true_tilt(BaseTruth(zero, quat, zero, zero, up))
     upright = matvec(matrix(quat).swapaxes(1, 2), up)  # seen from the base
     np.testing.assert_allclose(leans, np.arctan2(np.hypot(*upright.T[:2]), upright[:, 2]), atol=1e-7)
 

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from deploy.tasks.reach import Reach
+from eval.judge.judge import Judge
 from robots.errors import RobotError
 from robots.spec import ROBOTS, load_robot
 
@@ -23,6 +25,11 @@ def copy_of_arm(folder, *, toml=(), xml=()):
             text = re.sub(old, new, text, count=1)
         path.write_text(text)
     return folder
+
+
+def arm_judge(torque_max, robots, **how):
+    """A judge of the arm at its task."""
+    return Judge(SPEC, torque_max, robots, scoring=Reach.scoring(SPEC), **how)
 
 
 def complaint(folder):

@@ -1,7 +1,8 @@
 from hypothesis import strategies as st
 
 from deploy.policy.contract import ActionSpec, Contract
-from deploy.policy.observation_terms import READINGS, Term
+from deploy.policy.observation_terms import Term
+from deploy.tasks.task import installed_sources, sources_of
 from support.arm6 import SPEC
 
 POSITIVE = st.floats(min_value=0, exclude_min=True, allow_infinity=False)
@@ -10,8 +11,9 @@ BOUNDS = st.tuples(FINITE, FINITE).filter(lambda c: c[0] < c[1])
 
 
 def term(source, size, **changes):
-    frame, unit = READINGS[source][:2]
-    fields = {"name": source, "source": source, "frame": frame, "unit": unit, "size": size}
+    declared = installed_sources()[source]
+    fields = {"name": source, "source": source, "size": size}
+    fields |= {"frame": declared.frame, "unit": declared.unit}
     if source == "gait_phase":
         fields["period_s"] = 0.8
     return Term(**{**fields, "scale": (1.5,) * size, **changes})
@@ -44,7 +46,7 @@ def arm_contract(**changes):
 
 @st.composite
 def terms(draw, name):
-    source = draw(st.sampled_from(sorted(READINGS)))
+    source = draw(st.sampled_from(sorted(sources_of("reach"))))
     size = draw(st.integers(1, 8))
     scale = draw(st.lists(POSITIVE, min_size=size, max_size=size).map(tuple))
     clip, history = draw(st.none() | BOUNDS), draw(st.integers(1, 5))

@@ -1,17 +1,19 @@
 """Floating base in the tick: IMU packets, feet by joint kinematics, and the filter of both."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
+from deploy.estimation.capability import CapabilityEstimator
 from deploy.estimation.floating_base.base_filter import BaseFilter
 from deploy.estimation.floating_base.base_measurements import BaseNoise, Feet, Imu, Upright
 from deploy.estimation.rotations import matrix
 from deploy.estimation.sample_count import sample_count
 from deploy.masks import any_true
-from deploy.stage import Stage
 from deploy.state import Packet, Reason, Sample, State
 from robots.arrays import Bools, Floats
+from robots.capabilities import Capability
 from robots.models.fleet import Fleet
 from robots.sensors import Sensor
 from robots.spec import RobotSpec
@@ -30,7 +32,7 @@ CORRELATION_S = 1.0
 as drawn then have about the errors that the filter claims."""
 
 
-class FloatingBase(Stage):
+class FloatingBase(CapabilityEstimator):
     """Orientation and velocity of B bases.
 
     Attributes:
@@ -38,11 +40,14 @@ class FloatingBase(Stage):
         t_up: (B,) s, when the newest used orientation of the IMU was taken.
     """
 
+    capability: ClassVar[Capability] = "floating_base"
     carried = ("gravity", "t_up")
     parts = ("filter",)
 
-    def __init__(self, spec: RobotSpec, base: Base, robots: int) -> None:
-        """Allocate; the filter's noise comes from the IMU's data sheet and from `base`."""
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        """Allocate; the filter's noise comes from the IMU's data sheet and from the base's table."""
+        if (base := spec.base) is None:
+            raise RuntimeError(f"{spec.name} has no floating base")
         dt = 1.0 / spec.sensors["gyro"].rate_hz
         self._dt, self._look = spec.dt, sample_count(LOOK_S, spec.dt)
         look_s, orientation = self._look * spec.dt, spec.sensors.get("orientation")
@@ -60,8 +65,9 @@ class FloatingBase(Stage):
         self.filter.reset(ids)
         self.gravity[ids], self.t_up[ids] = DOWN, -np.inf
 
-    def step(self, t: float, sample: Sample, state: State) -> State:
+    def step(self, t: float, sample: Sample, state: State, due: bool) -> State:
         """Return the state with the base in it; the base's faults and age become the state's."""
+        del due
         gyro, accelerometer = sample["gyro"], sample["accelerometer"]
         imu = Imu(gyro.t, gyro.fresh, gyro.value, accelerometer.value, accelerometer.t)
         feet, up = None, None

@@ -13,6 +13,7 @@ import numpy as np
 from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
 from deploy.policy.policy_file import PolicyFile
+from deploy.tasks.task import find_task
 from policies.doctor.check_context import Case
 from policies.doctor.check_result import Note, passed, warned
 from policies.doctor.simulation.simulated_run import PUNCTUAL, SECONDS, live
@@ -121,6 +122,6 @@ def _reached(case: Case, tried: list[Variant]) -> tuple[Ints, int]:
     """Goals that each variant reached, and how many each had."""
     varied = Varied(case.file, str(case.path), tried)
     rows = [k % EACH for k in range(EACH * len(tried))]
-    seconds = SHORT_S if case.contract.task == "reach" else SECONDS
+    seconds = SECONDS if find_task(case.contract.task, "contract: task").scoring(case.spec).mean else SHORT_S
     counts = live(case.spec, varied, PUNCTUAL, rows, seconds).counts
     return counts.reached.reshape(-1, EACH).sum(axis=1), int(counts.attempted[:EACH].sum())

@@ -12,7 +12,12 @@ import numpy as np
 
 from deploy.backends.sim.backend import simulate
 from deploy.policy.policy import Policy
+<<<<<<< HEAD
 from deploy.safety.diagnostics import StopDetector, explain_reasons
+=======
+from deploy.safety.diagnostics import Stops, blame
+from deploy.tasks.task import find_task
+>>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
 from eval.soak.shard import ARM_S, judge_tick
@@ -79,9 +84,7 @@ def live(
     Raises:
         FirstshiftError: the robot's files do not suffice for a simulation or its judge.
     """
-    if spec.base and spec.base.command_s > COMMAND_S:
-        often = spec.base.model_copy(update={"command_s": COMMAND_S})
-        spec = spec.model_copy(update={"base": often})
+    spec = find_task(policy.contract.task, "contract: task").shorten_period(spec, COMMAND_S)
     trial = _Trial(spec, policy, lateness, [robot_seed(SEED, row) for row in rows])
     for tick in range(round(seconds / spec.dt)):
         trial.tick(tick)
@@ -103,8 +106,8 @@ class _Trial:
         contract = policy.contract
         given = middle(load_distributions(spec), spec, robots)
         self._runtime, self._robot = simulate(spec, contract, seeds, policy, given=given)
-        goal_s = self._runtime.task.config.period_s
-        self._judge = Judge(spec, torque_max(spec), robots, observed=contract.observed, goal_s=goal_s)
+        rule, observed = self._runtime.task.rule, contract.observed
+        self._judge = Judge(spec, torque_max(spec), robots, scoring=rule, observed=observed)
         self._rng = np.random.default_rng(SEED)
         self._least, self._most = (int(share * self._runtime.decimation) for share in lateness)
         self._coming: dict[int, Float32s] = {}

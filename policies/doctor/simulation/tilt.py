@@ -6,7 +6,8 @@ import numpy as np
 
 from deploy.estimation import rotations
 from deploy.policy.observation import Observation
-from deploy.policy.observation_terms import READINGS, Source, Term
+from deploy.policy.observation_source import SOURCES
+from deploy.policy.observation_terms import Term
 from policies.doctor.check_context import Case
 from policies.doctor.check_result import Note, failed, passed, warned
 from robots.arrays import Floats
@@ -20,7 +21,7 @@ DEAF = 0.01
 """Of a raw action: a policy that balances changes it by more where it leans by `LEAN_RAD`."""
 CALMER = 0.75
 """Times the actions of the usual convention."""
-TOLD: tuple[Source, ...] = ("projected_gravity", "base_orientation")
+TOLD: tuple[str, ...] = ("projected_gravity", "base_orientation")
 
 Convention = Callable[[Floats], Floats]
 
@@ -58,7 +59,7 @@ def tilt(case: Case) -> Iterator[Note]:
 
 
 def _tells(term: Term) -> bool:
-    return term.source in TOLD and term.size == READINGS[term.source].size
+    return term.source in TOLD and term.size == SOURCES[term.source].size
 
 
 def _size(action: Floats) -> float:
@@ -129,8 +130,8 @@ def _standing(case: Case) -> dict[str, Callable[[], Floats]]:
         rest = np.array(term.offset) if term.offset else np.zeros(term.size)
         if term.source == "joint_position" and not term.offset and term.size == case.spec.n:
             rest = case.spec.joint_array("q_home")
-        fits = term.size == READINGS[term.source].size
-        readings[term.source] = known[term.source] if fits and term.source in known else _all(rest)
+        fits = term.source in known and term.size == known[term.source].shape[1]
+        readings[term.source] = known[term.source] if fits else _all(rest)
     return {source: _constant(value) for source, value in readings.items()}
 
 

@@ -81,7 +81,6 @@ def deploy_run(monkeypatch, *arguments):
     return caught.value.code
 
 
-@pytest.mark.usefixtures("quick_goals")
 def test_a_backend_from_another_package_drives_a_robot(outside, arm_policy, tmp_path, monkeypatch):
     out = tmp_path / "out"
     options = ("--policy", arm_policy, "--backend", "echo", "--speed", "max", "--duration", 1, "--out", out)

@@ -106,7 +106,6 @@ def running(**how):
     return running(2, **how)
 
 
-@pytest.mark.usefixtures("quick_goals")
 @pytest.mark.parametrize("joint", [0, 3])
 def test_a_blocked_joint_that_is_pushed_on_a_little_stops_its_robot(joint):
     """By 20 mrad, which no bound of tracking sees; nobody else stops."""

@@ -48,7 +48,6 @@ def command(monkeypatch, capsys):
     return run
 
 
-@pytest.mark.usefixtures("quick_goals")
 def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):
     out = tmp_path / "a" / "b"
     code, said, complaint = command(
@@ -69,7 +68,6 @@ def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):
 
 
 @pytest.mark.parametrize("stored", [False, True])
-@pytest.mark.usefixtures("quick_goals")
 def test_a_robot_of_a_soak_comes_with_its_draw_its_noise_and_its_goals(
     command, arm_policy, tmp_path, monkeypatch, stored
 ):
@@ -95,7 +93,6 @@ def test_a_robot_of_a_soak_comes_with_its_draw_its_noise_and_its_goals(
     np.testing.assert_array_equal(made[0].sensors.noise_keys[0], soaked.sensors.noise_keys[3])
 
 
-@pytest.mark.usefixtures("quick_goals")
 def test_a_robot_that_is_not_armed_is_exit_1(command, arm_policy, tmp_path, monkeypatch):
     class Hot(SimRobot):
         def __init__(self, *args, **how):
@@ -110,7 +107,6 @@ def test_a_robot_that_is_not_armed_is_exit_1(command, arm_policy, tmp_path, monk
     assert json.loads((tmp_path / "summary.json").read_text())["ended"] == "not armed"
 
 
-@pytest.mark.usefixtures("quick_goals")
 def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(command, arm_policy, tmp_path, monkeypatch):
     waits = iter(range(10_000))
 

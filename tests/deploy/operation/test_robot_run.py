@@ -67,7 +67,7 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path, arm_policy, quick_goals):
+def bench(tmp_path, arm_policy):
     return lambda **kwargs: Bench(tmp_path, arm_policy, **kwargs)
 
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract import TEXT_MAX, ActionSpec, Contract, Observed
-from deploy.policy.observation_terms import READINGS
+from deploy.policy.observation_source import SOURCES
 from robots.errors import ContractError
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
@@ -187,14 +187,20 @@ def misfits():
     )
 
 
+HAS = "manipulability, self_collision, tool, workspace"
+
+
 def test_who_stands_fixed_has_nothing_of_a_base_that_floats():
-    sources = {name: reading for name, reading in READINGS.items() if reading.stands is False}
-    observation = tuple(term(name, reading.size) for name, reading in sources.items())
+    sources = {name: source for name, source in SOURCES.items() if "floating_base" in source.needs}
+    observation = tuple(term(name, source.size) for name, source in sources.items())
     with pytest.raises(ContractError) as caught:
         check_contract(arm_contract(observation=observation, task="velocity"), SPEC, "x.onnx")
     assert str(caught.value).splitlines() == [
-        "x.onnx: task: found 'velocity', expected 'reach': arm6 stands fixed",
-        *[f"x.onnx: observation.{name}.source: {name} needs a base; arm6 stands fixed" for name in sources],
+        f"x.onnx: task: found 'velocity', which needs [floating_base]; arm6 has {HAS}",
+        *[
+            f"x.onnx: observation.{name}.source: {name} needs floating_base; arm6 has {HAS}"
+            for name in sources
+        ],
     ]
 
 

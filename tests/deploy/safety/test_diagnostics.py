@@ -14,8 +14,6 @@ from deploy.state import Reason
 from support.runtimes import built, heard, running
 from support.walking import standing
 
-pytestmark = pytest.mark.usefixtures("quick_goals")
-
 WRIST = SPEC.joint_names.index("wrist_2")
 
 
@@ -139,7 +137,7 @@ def test_an_imu_that_is_not_heard_is_named(reason):
 @pytest.mark.parametrize("robot", range(2))
 def test_a_base_that_is_lost_is_named(robot):
     runtime = standing(2)
-    runtime.walker.filter.P[robot] *= 1e6
+    runtime.capabilities["floating_base"].filter.P[robot] *= 1e6
     runtime.tick()
     assert explain_reasons(runtime, int(Reason.DIVERGED), robot) == f"{REASON_TEXT[Reason.DIVERGED]} (base)"
     assert explain_reasons(runtime, int(Reason.DIVERGED), 1 - robot) == REASON_TEXT[Reason.DIVERGED]

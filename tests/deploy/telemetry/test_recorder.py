@@ -12,6 +12,7 @@ from deploy.safety.supervisor import describe
 from deploy.state import Mode, Reason
 from deploy.telemetry.recorder import AFTER_S, EVENTS_MAX, Recorder, check_folder
 from deploy.telemetry.ring import RING_S, Ring
+from deploy.telemetry.signals import row_type
 from robots.errors import OutputError
 from robots.spec import load_robot
 
@@ -27,7 +28,7 @@ class Scripted:
 
     def __init__(self, robots=1):
         self.spec, self.robot, self.ticks = SPEC, SimpleNamespace(robots=robots), 0
-        self.task = SimpleNamespace(tolerance=0.02)
+        self.task = SimpleNamespace(size=3, rule=SimpleNamespace(tolerance=0.02))
         self.supervisor = SimpleNamespace(
             mode=np.full(robots, Mode.RUNNING, np.int8), reason=np.zeros(robots, np.int64)
         )
@@ -43,7 +44,8 @@ class Scripted:
         self.action = SimpleNamespace(q=joints[3])
         self.setpoint = SimpleNamespace(q=joints[4], qd=joints[5], qdd=joints[6])
         self.command = SimpleNamespace(tau=joints[7])
-        self.tool, self.task.goal = (self.numbers(self.ticks, part, 3) for part in (8, 9))
+        self.task.achieved, self.task.goal = (self.numbers(self.ticks, part, 3) for part in (8, 9))
+        self.task.goal_position, self.tool = self.task.goal, SimpleNamespace(position=self.task.achieved)
         self.task.reached = np.full(self.robot.robots, self.ticks // 800)
         self.task.attempted = np.full(self.robot.robots, self.ticks // 400)
         self.ticks += 1
@@ -208,7 +210,7 @@ def test_the_operators_stop_is_an_event_only_when_asked_for(tmp_path):
 @pytest.mark.parametrize("robots", [1, 3])
 def test_the_ring_holds_the_last_ticks_of_every_robot(robots):
     runtime = Scripted(robots)
-    ring = Ring(SPEC, robots)
+    ring = Ring(SPEC, robots, row_type(SPEC, 3))
     assert ring.last().shape == (0, robots)
     for count in range(1, 3 * DEPTH):
         runtime.tick()

@@ -138,7 +138,7 @@ def test_figures_are_those_of_a_motion_that_is_known(power_from):
     assert worth.which == "torque 4"
 
 
-def test_every_variant_lives_and_has_a_row_and_a_picture(arm_policy, quick_goals, monkeypatch, tmp_path):
+def test_every_variant_lives_and_has_a_row_and_a_picture(arm_policy, monkeypatch, tmp_path):
     monkeypatch.setattr(ablation, "ROBOTS", 1)
     monkeypatch.setattr(ablation, "LIVED_S", 0.25)
     console, picture = Console(record=True, width=160), tmp_path / "worth.png"
@@ -149,7 +149,7 @@ def test_every_variant_lives_and_has_a_row_and_a_picture(arm_policy, quick_goals
 
 
 @pytest.mark.parametrize("name", VARIANTS)
-def test_a_variant_swaps_one_stage(name, arm_policy, quick_goals):
+def test_a_variant_swaps_one_stage(name, arm_policy):
     runtime = Trial(SPEC, arm_policy, [robot_seed(1, 0)]).runtime
     before = parts(runtime)
     VARIANTS[name](runtime)
@@ -221,7 +221,7 @@ def test_a_careless_robot_neither_folds_back_nor_stops_for_heat():
     assert (state.fold == 1.0).all()
 
 
-def test_the_hot_shift_of_robots_that_stand_still(arm_policy, quick_goals, monkeypatch):
+def test_the_hot_shift_of_robots_that_stand_still(arm_policy, monkeypatch):
     """A row for each robot and variant; what it lacks of the limit is what its winding has not reached."""
     small = {"TRIED": 3, "TRIED_S": 1.0, "ROBOTS": 2, "LIVED_S": 3.0}
     for name, value in small.items():

@@ -62,7 +62,7 @@ def test_time_is_counted_once_where_it_was_spent(monkeypatch):
     assert (watch.total("outer"), watch.total("inner")) == (0.0, 0.25)
 
 
-def test_a_bench_watches_every_stage_and_leaves_the_results_alone(arm_policy, quick_goals, monkeypatch):
+def test_a_bench_watches_every_stage_and_leaves_the_results_alone(arm_policy, monkeypatch):
     monkeypatch.setattr(stages, "WARM_S", 0.25)
     bench = stages.Bench(SPEC, arm_policy, 2, every_stage=True)
     bench.run(8)

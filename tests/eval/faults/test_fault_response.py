@@ -16,7 +16,6 @@ from eval.faults.fault_response import (
     merge_responses,
     saved_responses,
 )
-from eval.judge.judge import Judge
 from eval.judge.monitors import NAMES
 from eval.mutants.guard_removal import ignore_non_finite_action
 from eval.mutants.situation import nobody
@@ -25,8 +24,13 @@ from eval.soak import shard as shards
 from eval.soak.profile import Faults
 from eval.soak.shard import WIDTH, Shard, ShardJob
 from eval.statistics.evidence import share_lower
+<<<<<<< HEAD
 from robots.models.nominal_model import torque_max
 from support.arm6 import SPEC
+=======
+from robots.models.fleet import torque_max
+from support.arm6 import SPEC, arm_judge
+>>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
 from support.eval.fault_schedules import CLASSES, DT, N, named, one_each
 from support.policies import policy_model, saved
 
@@ -41,7 +45,7 @@ def told(fault, story, *, lasts=50, speed=0.0, hurt=None, before=RUN):
     The story is a list of (ticks, mode, true speed); `speed` is the one sent. `hurt` is a tick at which it collides.
     """
     schedule = one_each([(fault, None)], BEGINS, lasts=lasts)
-    tracker, judge = FaultResponseTracker(SPEC, schedule), Judge(SPEC, torque_max(SPEC), 1)
+    tracker, judge = FaultResponseTracker(SPEC, schedule), arm_judge(torque_max(SPEC), 1)
     still, tick = np.zeros((1, N)), BEGINS
     tracker.begin(tick, np.array([before]), judge)
     for ticks, mode, moves in story:
@@ -150,7 +154,7 @@ def test_the_budget_line_is_that_of_the_worst_class():
 
 
 @pytest.fixture
-def restless(tmp_path, monkeypatch, quick_goals):
+def restless(tmp_path, monkeypatch):
     """A shard of a policy that throws the arms about, each with another fault from tick 70 to 570."""
     path = saved(policy_model(), tmp_path)
     names = (

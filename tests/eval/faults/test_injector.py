@@ -11,8 +11,6 @@ from support.arm6 import SPEC
 from support.eval.fault_schedules import CLASSES, N, one_each
 from support.runtimes import running
 
-pytestmark = pytest.mark.usefixtures("quick_goals")
-
 
 def weaken(access, injection, active):
     access.set_voltage(injection.robot, 0.5 if active else 1.0, injection.channel)

@@ -19,8 +19,6 @@ from support.eval.fault_schedules import CLASSES, DT, N, named, one_each
 from support.runtimes import Saying, running
 from support.walking import QUADRUPED
 
-pytestmark = pytest.mark.usefixtures("quick_goals")
-
 FAULTS = Faults(coverage=0.95, cycle_s=20.0, operator_s=5.0)
 SEEDS = [robot_seed(7, robot) for robot in range(8)]
 TICKS = round((3.0 + 20.0 * 2 * len(CLASSES)) / DT)

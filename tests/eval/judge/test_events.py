@@ -7,9 +7,8 @@ import pytest
 
 from eval.judge import events as event_log
 from eval.judge.counts import BINS, Counts, merge
-from eval.judge.judge import Judge
 from eval.judge.monitors import MONITORS
-from support.arm6 import SPEC
+from support.arm6 import arm_judge
 from support.eval.judges import GAP, OBSERVED, TORQUE_MAX, Bench, feed, random_series
 
 
@@ -57,13 +56,13 @@ def test_which_events_find_room_does_not_depend_on_who_asks(monkeypatch):
     monkeypatch.setattr(event_log, "EVENTS_KEPT", 5)
     ticks = 120
     series = random_series(ticks, 3, seed=8)
-    asked, left, resumed = (Judge(SPEC, TORQUE_MAX, 3, observed=OBSERVED) for _ in range(3))
+    asked, left, resumed = (arm_judge(TORQUE_MAX, 3, observed=OBSERVED) for _ in range(3))
     feed(left, series, range(ticks))
     for tick in range(ticks):
         feed(asked, series, [tick])
         asked.counts()
     feed(resumed, series, range(50))
-    again = Judge(SPEC, TORQUE_MAX, 3, observed=OBSERVED)
+    again = arm_judge(TORQUE_MAX, 3, observed=OBSERVED)
     again.restore(resumed.save())
     feed(again, series, range(50, ticks))
     wanted = list(left.counts().log())
@@ -74,7 +73,7 @@ def test_which_events_find_room_does_not_depend_on_who_asks(monkeypatch):
 def test_the_tail_is_numpys_quantile_rounded_up_to_its_bin():
     ticks, robots = 400, 3
     series = random_series(ticks, robots, seed=9)
-    judge, loads = Judge(SPEC, TORQUE_MAX, robots, observed=OBSERVED), []
+    judge, loads = arm_judge(TORQUE_MAX, robots, observed=OBSERVED), []
     evaluate = judge.ratios.evaluate
     judge.ratios.evaluate = lambda window: loads.append(evaluate(window)) or keep(loads)
     feed(judge, series, range(ticks))
@@ -105,14 +104,14 @@ def keep(loads):
 
 
 def test_the_tail_of_nothing_is_not_known():
-    assert np.isnan(Judge(SPEC, TORQUE_MAX, 1).counts().tail(1e-4)).all()
+    assert np.isnan(arm_judge(TORQUE_MAX, 1).counts().tail(1e-4)).all()
 
 
 def test_robots_that_do_not_count_leave_no_trace():
     ticks = 200
     series = random_series(ticks, 4, seed=10)
-    wide = Judge(SPEC, TORQUE_MAX, 4, counted=2, observed=OBSERVED)
-    narrow = Judge(SPEC, TORQUE_MAX, 2, observed=OBSERVED)
+    wide = arm_judge(TORQUE_MAX, 4, counted=2, observed=OBSERVED)
+    narrow = arm_judge(TORQUE_MAX, 2, observed=OBSERVED)
     feed(wide, series, range(ticks))
     feed(narrow, series, range(ticks), slice(0, 2))
     for field in fields(Counts):
@@ -123,8 +122,8 @@ def test_robots_that_do_not_count_leave_no_trace():
 
 def test_loads_of_shards_are_counted_together():
     ticks, series = 150, random_series(150, 4, seed=11)
-    whole = Judge(SPEC, TORQUE_MAX, 4, observed=OBSERVED)
-    parts = [Judge(SPEC, TORQUE_MAX, 2, observed=OBSERVED) for _ in range(2)]
+    whole = arm_judge(TORQUE_MAX, 4, observed=OBSERVED)
+    parts = [arm_judge(TORQUE_MAX, 2, observed=OBSERVED) for _ in range(2)]
     feed(whole, series, range(ticks))
     for judge, rows in zip(parts, (slice(0, 2), slice(2, 4)), strict=True):
         feed(judge, series, range(ticks), rows)

@@ -9,12 +9,12 @@ import ruckig
 pytest.importorskip("mujoco")
 
 from deploy.state import Mode, Reason
+from deploy.tasks.reach import Reach
 from eval.judge.counts import REASONS, Counts, merge
-from eval.judge.judge import GOAL_S, Judge
 from eval.judge.monitors import MONITORS
 from robots.errors import ConfigError
 from robots.models.fleet import Fleet
-from support.arm6 import SPEC
+from support.arm6 import SPEC, arm_judge
 from support.eval.judges import (
     CENTRE,
     DT,
@@ -330,7 +330,7 @@ def test_an_observation_that_training_never_saw(which, by, fires):
 
 def test_without_a_memory_of_training_observations_are_not_judged():
     bench = Bench()
-    bench.judge = Judge(SPEC, TORQUE_MAX, 1)
+    bench.judge = arm_judge(TORQUE_MAX, 1)
     bench.observation[:] = 1e9
     bench.step(3)
     counts = bench.judge.counts()
@@ -442,7 +442,7 @@ def reference(series, robot, joint, ticks):
 def test_counts_equal_a_slow_reference():
     ticks, robots = 600, 3
     series = random_series(ticks, robots, seed=3)
-    judge = Judge(SPEC, TORQUE_MAX, robots, observed=OBSERVED)
+    judge = arm_judge(TORQUE_MAX, robots, observed=OBSERVED)
     feed(judge, series, range(ticks))
     counts = judge.counts()
     for robot in range(robots):
@@ -460,7 +460,7 @@ def test_counts_equal_a_slow_reference():
 def test_stops_and_goals_equal_a_slow_reference():
     ticks, robots = 2000, 2
     series = random_series(ticks, robots, seed=4)
-    judge = Judge(SPEC, TORQUE_MAX, robots, observed=OBSERVED)
+    judge = arm_judge(TORQUE_MAX, robots, observed=OBSERVED)
     feed(judge, series, range(ticks))
     stops, latches, reached, reasons = *np.zeros((3, robots)), np.zeros((robots, len(REASONS)))
     before = [Mode.DISARMED] * robots
@@ -487,12 +487,12 @@ def test_stops_and_goals_equal_a_slow_reference():
 def test_resumed_and_split_runs_give_the_same_counts():
     ticks = 300
     series = random_series(ticks, 4, seed=5)
-    whole, first, second = (Judge(SPEC, TORQUE_MAX, 4, observed=OBSERVED) for _ in range(3))
+    whole, first, second = (arm_judge(TORQUE_MAX, 4, observed=OBSERVED) for _ in range(3))
     feed(whole, series, range(ticks))
     feed(first, series, range(140))
     second.restore(first.save())
     feed(second, series, range(140, ticks))
-    halves = [Judge(SPEC, TORQUE_MAX, 2, observed=OBSERVED) for _ in range(2)]
+    halves = [arm_judge(TORQUE_MAX, 2, observed=OBSERVED) for _ in range(2)]
     for judge, rows in zip(halves, (slice(0, 2), slice(2, 4)), strict=True):
         feed(judge, series, range(ticks), rows)
     merged = merge(halves[0].counts(), halves[1].counts())
@@ -506,7 +506,7 @@ def test_asking_in_between_changes_nothing():
     """Ticks wait to be judged together; whoever asks for counts makes the judge look at what waits."""
     ticks = 150
     series = random_series(ticks, 2, seed=6)
-    asked, left = Judge(SPEC, TORQUE_MAX, 2), Judge(SPEC, TORQUE_MAX, 2)
+    asked, left = arm_judge(TORQUE_MAX, 2), arm_judge(TORQUE_MAX, 2)
     feed(left, series, range(ticks))
     for tick in range(ticks):
         feed(asked, series, [tick])
@@ -518,14 +518,14 @@ def test_asking_in_between_changes_nothing():
 
 
 def test_counts_by_other_limits_do_not_merge():
-    other = Judge(SPEC, 2 * TORQUE_MAX, 1).counts()
+    other = arm_judge(2 * TORQUE_MAX, 1).counts()
     with pytest.raises(ConfigError, match="limits"):
-        merge(Judge(SPEC, TORQUE_MAX, 1).counts(), other)
+        merge(arm_judge(TORQUE_MAX, 1).counts(), other)
 
 
 def test_a_skipped_goal_is_a_goal_missed():
     bench = Bench()
-    bench.step(round(5.5 * GOAL_S / DT))
+    bench.step(round(5.5 * Reach.scoring(SPEC).period_s / DT))
     assert bench.judge.counts().goals_due == 4
     bench.attempted[:] = 5
     bench.step()

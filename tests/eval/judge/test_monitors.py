@@ -5,12 +5,13 @@ import re
 import numpy as np
 import pytest
 
+from deploy.tasks.reach import Reach
 from eval.judge.judge import Judge
 from eval.judge.monitor import JointMonitor, Monitor
 from eval.judge.monitors import MONITORS
 from robots.errors import ConfigError
 from robots.spec import load_robot
-from support.arm6 import SPEC, copy_of_arm
+from support.arm6 import SPEC, arm_judge, copy_of_arm
 from support.eval.judges import DT, OBSERVED, TORQUE_MAX, Bench, N, feed, random_series
 
 BRAKING = JointMonitor(
@@ -45,7 +46,7 @@ ALL = (KNEELING, TOOL_ACCELERATION, *MONITORS, BRAKING)
 
 def bench(robots):
     found = Bench(robots=robots)
-    found.judge = Judge(SPEC, TORQUE_MAX, robots, observed=OBSERVED, monitors=ALL)
+    found.judge = arm_judge(TORQUE_MAX, robots, observed=OBSERVED, monitors=ALL)
     return found
 
 
@@ -79,7 +80,7 @@ def test_a_robot_has_the_monitors_whose_needs_it_meets():
 
 def test_it_changes_nothing_of_all_others():
     ticks, series = 300, random_series(300, 2, seed=12)
-    usual, more = (Judge(SPEC, TORQUE_MAX, 2, observed=OBSERVED, monitors=each) for each in (MONITORS, ALL))
+    usual, more = (arm_judge(TORQUE_MAX, 2, observed=OBSERVED, monitors=each) for each in (MONITORS, ALL))
     for judge in (usual, more):
         feed(judge, series, range(ticks))
     a, b = usual.counts(), more.counts()
@@ -93,7 +94,7 @@ def test_it_changes_nothing_of_all_others():
 
 def test_two_monitors_of_one_name_are_refused():
     with pytest.raises(ConfigError, match="'braking' 2 times"):
-        Judge(SPEC, TORQUE_MAX, 1, monitors=(*MONITORS, BRAKING, BRAKING))
+        arm_judge(TORQUE_MAX, 1, monitors=(*MONITORS, BRAKING, BRAKING))
 
 
 WITHOUT_WORKSPACE = ((r"(?s)\[workspace\].*?tool_speed_max = 2.5", ""), ("workspace_m = 0.010", ""))
@@ -115,7 +116,10 @@ def test_an_arm_without_a_capability_is_judged_without_its_monitors(tmp_path, ed
     path = folder / "limits.toml"
     if "singularity" in missing:
         path.write_text(re.sub("manipulability = .*\n", "", path.read_text()))
-    usual, less = (Judge(spec, TORQUE_MAX, 2, observed=OBSERVED) for spec in (SPEC, load_robot(folder)))
+    usual, less = (
+        Judge(spec, TORQUE_MAX, 2, scoring=Reach.scoring(SPEC), observed=OBSERVED)
+        for spec in (SPEC, load_robot(folder))
+    )
     for judge in (usual, less):
         feed(judge, series, range(300))
     a, b = usual.counts(), less.counts()

@@ -6,7 +6,6 @@ import pytest
 from rich.console import Console
 
 from deploy.policy.policy import Policy
-from deploy.tasks import reach
 from eval.statistics.budget import BUDGET
 from robots.spec import ROBOTS, load_robot
 from support.eval.bundles import ROBOTS_COUNTED, TICKS, first
@@ -50,21 +49,19 @@ def events(pushed, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def lived(events, _goals):
+def lived(events):
     """The bundle of a monitor and its window, lived again once for all who only look at it."""
     from eval.replay.replayer import Replay
 
     @cache
     def lived(monitor):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(reach, "goal_pool", lambda spec, config: _goals)
-            replay = Replay(first(events, monitor))
-            return replay, replay.live()
+        replay = Replay(first(events, monitor))
+        return replay, replay.live()
 
     return lived
 
 
 @pytest.fixture
-def one(events, tmp_path, quick_goals):
+def one(events, tmp_path):
     """A copy of the bundle of an excess of a joint's speed."""
     return shutil.copytree(first(events, "velocity"), tmp_path / "one")

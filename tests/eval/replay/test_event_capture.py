@@ -25,7 +25,7 @@ def files(folder):
     return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_shard_that_was_taken_up_leaves_the_same_bundles(pushed, tmp_path, quick_goals):
+def test_a_shard_that_was_taken_up_leaves_the_same_bundles(pushed, tmp_path):
     """Kept after 1 s of 2.2; and nobody who looks on changes anything."""
     job = replace(pushed.jobs()[0], ticks=440)
     whole, cut, rest, alone = (Shard(job) for _ in range(4))
@@ -40,7 +40,7 @@ def test_a_shard_that_was_taken_up_leaves_the_same_bundles(pushed, tmp_path, qui
     assert min(starts) < 200 <= max(starts)
 
 
-def test_a_shard_that_does_not_come_to_the_same_again_leaves_no_bundle(pushed, tmp_path, quick_goals):
+def test_a_shard_that_does_not_come_to_the_same_again_leaves_no_bundle(pushed, tmp_path):
     job = replace(pushed.jobs()[0], ticks=240)
     shard = Shard(job)
     witness = Witness(job, shard, tmp_path / "events")

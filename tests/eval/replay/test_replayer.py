@@ -161,7 +161,7 @@ def test_what_it_is_lived_with_may_differ(one):
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        (lambda a: a.pop("runtime.asked"), "runtime.asked: missing"),
+        (lambda a: a.pop("runtime.requested_stop"), "runtime.requested_stop: missing"),
         (lambda a: a.update(x=np.zeros(2)), "x: unknown"),
         (lambda a: a.update({"judge.worst": np.zeros(3)}), r"judge.worst: found float64 \(3,\), expected"),
         (lambda a: a.update({"runtime.ticks": np.array(5)}), r"runtime.ticks: found 5, expected"),
@@ -175,12 +175,13 @@ def test_a_state_that_does_not_fit_is_refused_by_name(one, run, change, complain
 
 
 def test_a_state_that_other_code_kept_is_said_to_be_that(one, run):
-    changed(one, "state.npz", lambda arrays: arrays.pop("runtime.asked"))
+    changed(one, "state.npz", lambda arrays: arrays.pop("runtime.requested_stop"))
     resealed(one, identity={"code_digest": "ab" * 32})
     code, _, said = run(one)
     assert code == 2
     assert re.search(
-        r"runtime\.asked: missing; code_digest: found \w{12} here, abababababab in the bundle: replay", said
+        r"runtime\.requested_stop: missing; code_digest: found \w{12} here, abababababab in the bundle: replay",
+        said,
     )
 
 

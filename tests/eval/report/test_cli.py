@@ -48,7 +48,7 @@ def soak_report(monkeypatch, *words):
     return caught.value.code
 
 
-def test_two_policies_on_the_same_draws(arm_policy, quick_goals, tmp_path, monkeypatch, capsys):
+def test_two_policies_on_the_same_draws(arm_policy, tmp_path, monkeypatch, capsys):
     """One does nothing, the other throws the arms about: a report's folder, and a night that was kept."""
     idle, restless = soaked(arm_policy), soaked(saved(policy_model(), tmp_path))
     write(idle, tmp_path / "idle")

@@ -90,7 +90,7 @@ def test_the_same_shards_give_the_same_bytes(soak):
     assert len({series(soak, shards) for _ in range(8)}) == 1
 
 
-def test_the_last_sample_is_what_the_judge_found(arm_policy, quick_goals):
+def test_the_last_sample_is_what_the_judge_found(arm_policy):
     shard = Shard(job(arm_policy, ticks=600, sample_ticks=200, robots=5))
     shard.runtime.estimator.windings.foldback.current_share[3, 2] = 0.75
     shard.robot.plant.valid[4] = False

@@ -125,7 +125,7 @@ def test_a_place_that_cannot_be_written_keeps_what_it_holds(tmp_path, monkeypatc
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_a_shard_goes_on_as_if_nothing_had_been(restless, quick_goals):
+def test_a_shard_goes_on_as_if_nothing_had_been(restless):
     """Kept in the midst of stops, latches and goals, and restored into another process' place."""
     job = replace(restless.jobs()[0], ticks=1000, sample_ticks=90)
     whole, first, second = Shard(job), Shard(job), Shard(job)

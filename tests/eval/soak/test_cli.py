@@ -85,7 +85,7 @@ def lived(shard_job, stop_at=None):
     return result, seen
 
 
-def test_robots_that_do_not_count_change_nothing(arm_policy, quick_goals):
+def test_robots_that_do_not_count_change_nothing(arm_policy):
     all_of_them, _ = lived(job(arm_policy))
     some, _ = lived(job(arm_policy, robots=3))
     assert some.counts.robots == 3
@@ -95,7 +95,7 @@ def test_robots_that_do_not_count_change_nothing(arm_policy, quick_goals):
     assert some.attempted[-1].tolist() == [1, 1, 1]
 
 
-def test_a_stopped_shard_reports_what_was_done(arm_policy, quick_goals):
+def test_a_stopped_shard_reports_what_was_done(arm_policy):
     result, seen = lived(job(arm_policy), stop_at=400)
     assert seen == [0, 200, 400, 400]
     assert (result.counts.ticks == 400).all()
@@ -126,7 +126,7 @@ def test_wear_is_sampled_as_it_is_and_unknown_where_the_simulation_diverged(arm_
     assert np.isnan(found.winding_c[0]).all(axis=1).tolist() == [row == 2 for row in range(WIDTH)]
 
 
-def test_the_operator_comes_to_latched_robots(arm_policy, quick_goals):
+def test_the_operator_comes_to_latched_robots(arm_policy):
     shard = Shard(job(arm_policy, ticks=13_000))
     housing = shard.runtime.robot.plant.housing
     housing[2, 1] = 95.0
@@ -162,7 +162,7 @@ def test_goals_fall_into_bins_and_shards_side_by_side(asked, tmp_path):
     assert {len(column) for column in result.parameters.values()} == {ROBOTS}
 
 
-def test_a_shard_cut_short_leaves_its_heat_unknown(arm_policy, asked, quick_goals):
+def test_a_shard_cut_short_leaves_its_heat_unknown(arm_policy, asked):
     short, _ = lived(job(arm_policy, ticks=1000, first=WIDTH), stop_at=400)
     short = replace(short, stops=np.outer(range(5), range(WIDTH)))
     whole, _ = lived(job(arm_policy, ticks=1000))

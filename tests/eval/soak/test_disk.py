@@ -77,7 +77,7 @@ def test_a_soak_writes_no_more_than_was_said(restless, tmp_path):
 
 
 def test_a_window_of_numbers_that_do_not_compress_is_within_its_bound(restless, tmp_path):
-    rng, kind = np.random.default_rng(0), window_type(SPEC)
+    rng, kind = np.random.default_rng(0), window_type(SPEC, 3)
     rows = np.zeros(round(4 / SPEC.dt), dtype=kind)
     for name in kind.names:
         if rows[name].dtype.kind == "f":

@@ -6,11 +6,11 @@ import tomllib
 import numpy as np
 import pytest
 
-from eval.judge.judge import Judge
 from eval.judge.monitors import MONITORS, Channels
 from eval.statistics.budget import BUDGET, check, load_budget
 from robots.errors import ConfigError
 from robots.spec import load_robot
+from support.arm6 import arm_judge
 
 SPEC = load_robot("arm6")
 HARD = [monitor for monitor in Channels.of_robot(SPEC).monitors if monitor.hard]
@@ -18,7 +18,7 @@ HARD = [monitor for monitor in Channels.of_robot(SPEC).monitors if monitor.hard]
 
 def counts(events=(), *, hours=2.0, running=1.0, reached=1.0, invalid=0, latches=0):
     """Two robots' counts, with the monitors in `events` having fired on robot 0."""
-    found = Judge(SPEC, np.full(6, 100.0), robots=2).counts()
+    found = arm_judge(np.full(6, 100.0), robots=2).counts()
     ticks = round(hours / 2 * 3600 / found.dt)
     goals = round(hours / 2 * 900)
     found.ticks[:] = ticks

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.special import ndtri
 
-from eval.judge.judge import Judge
 from eval.judge.monitors import MONITORS
 from eval.statistics import compare as compared
 from eval.statistics.compare import paired_interval
@@ -15,6 +14,7 @@ from eval.statistics.dispersion import draw_rate_interval, draw_rate_upper
 from eval.statistics.per_draw_counts import Tally
 from robots.errors import ConfigError
 from robots.spec import load_robot
+from support.arm6 import arm_judge
 
 SPEC = load_robot("arm6")
 NIGHT = np.full(16, 8.0)
@@ -70,7 +70,7 @@ def test_of_many_draws_it_is_students_t():
 def soaked(seed, hard=0.0, missed=0.02, stops=0.0, robots=16):
     """A shift of robots in which events, goals missed and stops of ten minutes came by chance."""
     rng = np.random.default_rng(seed)
-    counts = Judge(SPEC, np.full(6, 100.0), robots).counts()
+    counts = arm_judge(np.full(6, 100.0), robots).counts()
     counts.ticks[:] = TICKS
     counts.stops[:] = rng.poisson(stops, robots)
     counts.running[:] = TICKS - 120_000 * counts.stops

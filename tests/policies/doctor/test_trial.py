@@ -38,8 +38,6 @@ from support.paths import ROOT
 from support.policies import metadata
 from support.walking import PLACES, QUADRUPED, walking_contract
 
-pytestmark = pytest.mark.usefixtures("quick_goals")
-
 
 @pytest.fixture(scope="module")
 def sound(shipped_policy):

@@ -49,7 +49,6 @@ def reversed_joint(joint, terms):
     return change
 
 
-@pytest.mark.usefixtures("quick_goals")
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -67,7 +66,6 @@ def test_what_would_help_is_named(shipped_policy, terms, tmp_path, monkeypatch, 
     assert "name the joints so, and import or export it again" in found.said
 
 
-@pytest.mark.usefixtures("quick_goals")
 def test_what_does_not_help_is_not_named(arm_policy, monkeypatch):
     """A policy that asks for nothing reaches nothing in any order."""
     monkeypatch.setattr(joint_order, "variants", some)

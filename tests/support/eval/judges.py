@@ -8,10 +8,10 @@ import numpy as np
 
 from deploy.policy.contract import Observed
 from deploy.state import Command, Mode, State, Target
-from eval.judge.judge import EVENT_GAP_S, Judge
+from eval.judge.judge import EVENT_GAP_S
 from eval.judge.limits import load_limits
 from eval.judge.monitors import NAMES
-from support.arm6 import SPEC
+from support.arm6 import SPEC, arm_judge
 
 N, DT = SPEC.n, SPEC.dt
 TORQUE_MAX = np.array([150.0, 150.0, 150.0, 28.0, 28.0, 28.0])
@@ -50,7 +50,7 @@ class Bench:
     """A judge over robots at rest at home, under way, on which nothing is wrong until a test says so."""
 
     def __init__(self, robots=1):
-        self.judge = Judge(SPEC, TORQUE_MAX, robots, observed=OBSERVED)
+        self.judge = arm_judge(TORQUE_MAX, robots, observed=OBSERVED)
         self.truth = World(
             q=np.tile(HOME, (robots, 1)),
             qd=np.zeros((robots, N)),
@@ -92,6 +92,7 @@ class Bench:
                 command=command,
                 mode=self.mode,
                 reason=self.reason,
+                achieved=self.truth.tool_position,
                 goal=self.goal,
                 attempted=self.attempted,
             )
@@ -162,6 +163,7 @@ def feed(judge, series, ticks, rows=slice(None)):
             ),
             mode=at["mode"],
             reason=at["reason"],
+            achieved=at["tool_position"],
             goal=at["goal"],
             attempted=at["attempted"],
         )

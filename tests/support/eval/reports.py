@@ -5,11 +5,10 @@ import numpy as np
 
 from deploy.policy.contract import Observed
 from eval.history.night_record import Run, Settings
-from eval.judge.judge import Judge
 from eval.report.build import build
 from eval.report.schema.report_data import SoakResult
 from eval.statistics.budget import load_budget
-from support.arm6 import SPEC
+from support.arm6 import SPEC, arm_judge
 
 OBSERVED = Observed(mean=(0.0,), deviation=(1.0,))
 ROBOTS, HOURS, TICKS = 16, 8.0, 8 * 3600 * 200
@@ -23,7 +22,7 @@ def wearing(hours, robots=ROBOTS):
 
 def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.onnx", robots=ROBOTS):
     """A shift of robots in which only `events` went wrong, on robot 3 and the monitor's first channel."""
-    counts = Judge(SPEC, np.full(6, 100.0), robots, observed=OBSERVED).counts()
+    counts = arm_judge(np.full(6, 100.0), robots, observed=OBSERVED).counts()
     counts.ticks[:] = counts.running[:] = ticks
     counts.attempted[:] = counts.reached[:] = ticks // 800
     counts.worst[:, counts.columns("tracking")] = 0.705

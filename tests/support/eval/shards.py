@@ -6,7 +6,6 @@ import numpy as np
 
 from deploy.policy.policy import Policy
 from eval.faults.fault_response import FaultResponses
-from eval.judge.judge import Judge
 from eval.judge.monitors import MONITORS
 from eval.soak.configuration import Soak
 from eval.soak.shard import COUNTED, WIDTH, ShardJob, ShardResult
@@ -37,7 +36,7 @@ def lived(samples, robots, seed=0):
     worn = rng.normal(size=(samples, 4, robots, N))
     worn[-1, :, 0], winding = np.nan, rng.normal(40, 10, (samples, robots, N))
     return ShardResult(
-        counts=Judge(SPEC, torque_max(SPEC), robots).counts(),
+        counts=arm_judge(torque_max(SPEC), robots).counts(),
         injections=FaultResponses(**{name: np.zeros((robots, 0)) for name in FaultResponses.__slots__}),
         winding_c=winding,
         worn=worn,

@@ -1,0 +1,34 @@
+"""Estimator stage that a capability of a robot brings into the tick."""
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+from deploy.stage import Stage
+from deploy.state import Sample, State
+from robots.arrays import Bools
+from robots.capabilities import Capability
+from robots.spec import RobotSpec
+
+
+class CapabilityEstimator(Stage, ABC):
+    """Stage after the joints' estimator, present in robots with `capability`."""
+
+    capability: ClassVar[Capability]
+
+    @abstractmethod
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        """Allocate for B robots."""
+
+    @abstractmethod
+    def step(self, t: float, sample: Sample, state: State, due: bool) -> State:
+        """Return the state with this capability's estimate.
+
+        Args:
+            t: s, now.
+            sample: newest packets. state: of the joints, and of capabilities before this one.
+            due: True in ticks in which the policy observes.
+        """
+
+    @abstractmethod
+    def reset(self, ids: Bools) -> None:
+        """Forget robots where `ids` (B,) holds."""

@@ -1,0 +1,74 @@
+"""Score of goals: the rule by which a goal counts as reached, and its evaluation tick by tick.
+
+The runtime evaluates it on its belief, the judge on ground truth.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from deploy.masks import any_true
+from deploy.stage import Stage
+from robots.arrays import Bools, Floats
+
+
+def euclidean(achieved: Floats, goal: Floats) -> Floats:
+    """Return the length (...,) of the difference of (..., G) numbers."""
+    return np.asarray(np.linalg.norm(achieved - goal, axis=-1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scoring:
+    """Rule by which a goal counts as reached.
+
+    Attributes:
+        size: G, numbers in a goal.
+        period_s: s for each goal.
+        tolerance: largest distance that counts, in the unit of `distance`.
+        distance: (..., G) achieved and (..., G) goal to (...,).
+        mean: compare the mean of what was achieved over the period, not its last value.
+    """
+
+    size: int
+    period_s: float
+    tolerance: float
+    distance: Callable[[Floats, Floats], Floats] = euclidean
+    mean: bool = False
+
+
+class Score(Stage):
+    """Evaluation of a `Scoring` for B robots.
+
+    Attributes:
+        total: (B, G) sum of what was achieved since the goal was given, where the rule takes the mean.
+    """
+
+    carried = ("total",)
+
+    def __init__(self, rule: Scoring, robots: int, dt: float) -> None:
+        """Allocate for B robots with a control period of `dt` s."""
+        self.rule, self.total = rule, np.zeros((robots, rule.size))
+        self._share = dt / rule.period_s
+
+    def reset(self, ids: Bools) -> None:
+        """Begin anew for robots where `ids` (B,) holds."""
+        self.total[ids] = 0.0
+
+    def step(self, achieved: Floats, goal: Floats, ended: Bools, running: Bools) -> Bools | None:
+        """Count one tick; return (B,) goals that ended and were reached, None if none ended.
+
+        Args:
+            achieved: (B, G) in this tick. goal: (B, G).
+            ended: (B,) goals whose period ends with this tick.
+            running: (B,) robots that follow their policy.
+        """
+        if self.rule.mean:
+            self.total += achieved
+        if not any_true(ended):
+            return None
+        if self.rule.mean:
+            achieved = self.total * self._share
+            self.total[ended] = 0.0
+        near = self.rule.distance(achieved, goal) <= self.rule.tolerance
+        return np.asarray(ended & near & running)

@@ -1,0 +1,200 @@
+"""Task: goals or commands of B robots, their progress, their score, and what a policy may observe of them.
+
+The runtime, the judge and the training environment know a task by these members only. Tasks are found by the name in
+a policy's contract among the entry points of the group `firstshift.tasks`; a package that declares one is enough.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from deploy.backends.sim.truth import Truth
+from deploy.plugins import TASKS, installed, load
+from deploy.policy.observation_source import SOURCES, ObservationSource
+from deploy.stage import Stage
+from deploy.state import Sample
+from deploy.tasks.score import Score, Scoring
+from robots.arrays import Bools, Floats
+from robots.capabilities import Capability
+from robots.errors import ConfigError
+from robots.randomness import keyed, keys
+from robots.spec import RobotSpec
+
+if TYPE_CHECKING:
+    from deploy.runtime import Runtime
+
+
+class Task(Stage, ABC):
+    """Goals of B robots, each with G numbers, one period after another.
+
+    `reached` counts by the robot's own belief; the judge counts by ground truth, by the same `scoring`.
+
+    Attributes:
+        goal: (B, G) the present goal. achieved: (B, G) the robots' belief of what a goal is compared with.
+        elapsed: (B,) ticks of the present period. number: (B,) goals given so far.
+        attempted, reached: (B,) goals whose period ended, and those that were reached.
+        ended: (B,) goals whose period ended in the last tick. ended_goal: (B, G) the last of them.
+    """
+
+    name: ClassVar[str]
+    size: ClassVar[int]
+    """G, numbers in a goal."""
+    needs: ClassVar[frozenset[Capability]] = frozenset()
+    """Capabilities without which a robot cannot do the task."""
+    sources: ClassVar[Mapping[str, ObservationSource]] = {}
+    """Observation sources that only this task has, by name."""
+
+    carried: ClassVar[tuple[str, ...]] = (
+        "goal",
+        "achieved",
+        "elapsed",
+        "number",
+        "attempted",
+        "reached",
+        "ended",
+        "ended_goal",
+    )
+    parts = ("score",)
+
+    def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> None:
+        """Give every robot its first goal.
+
+        Args:
+            spec: the robot.
+            seeds: B seeds, from which each robot's goals follow.
+        """
+        self.spec, robots = spec, len(seeds)
+        self.rule = self.scoring(spec)
+        self.score = Score(self.rule, robots, spec.dt)
+        self._keys, self._period = keys(seeds, purpose=0), round(self.rule.period_s / spec.dt)
+        self.goal, self.achieved, self.ended_goal = np.zeros((3, robots, self.size))
+        self._invisible = np.full((robots, 3), np.nan)
+        self.elapsed, self.number, self.attempted, self.reached = np.zeros((4, robots), dtype=np.int64)
+        self.ended = np.zeros(robots, dtype=bool)
+        self._choose(np.ones(robots, dtype=bool))
+
+    @classmethod
+    @abstractmethod
+    def scoring(cls, spec: RobotSpec) -> Scoring:
+        """Return the rule by which goals count as reached, for belief and for ground truth alike."""
+
+    @classmethod
+    def shorten_period(cls, spec: RobotSpec, period_s: float) -> RobotSpec:
+        """Return the robot with goals of at most `period_s` s, where the robot decides how long they last."""
+        del period_s
+        return spec
+
+    @classmethod
+    @abstractmethod
+    def true_achieved(cls, truth: Truth) -> Floats:
+        """Return (B, G) what a goal is compared with, from ground truth."""
+
+    @abstractmethod
+    def sample_goal(self, rng: np.random.Generator) -> Floats:
+        """Draw one goal (G,)."""
+
+    @abstractmethod
+    def observe(self, runtime: "Runtime", sample: Sample, due: bool) -> None:
+        """Update `achieved`, and what else the task's sources read, from a new estimate.
+
+        Args:
+            runtime: has just estimated.
+            sample: newest packets.
+            due: True in ticks in which the policy observes.
+        """
+
+    @property
+    def goal_position(self) -> Floats:
+        """(B, 3) m in the world, of goals that cameras can see; NaN by default."""
+        return self._invisible
+
+    def start_poses(self, rng: np.random.Generator) -> Floats:
+        """Draw (B, n) rad, poses in which training episodes begin; the home pose by default."""
+        del rng
+        return np.tile(self.spec.joint_array("q_home"), (len(self.goal), 1))
+
+    @classmethod
+    def observation_scales(
+        cls, spec: RobotSpec, *, reach_m: float, leash_rad: float
+    ) -> dict[str, list[float]]:
+        """Return the observation terms of a policy trained for this task: the maximum of each number, by source.
+
+        Args:
+            spec: the robot.
+            reach_m: m, maximum of positions. leash_rad: rad, maximum of a target ahead of its setpoint.
+        """
+        range_max = np.maximum(np.abs(spec.joint_array("q_min")), np.abs(spec.joint_array("q_max")))
+        return {
+            "joint_position": range_max.tolist(),
+            "joint_velocity": spec.joint_array("qd_max").tolist(),
+            "target_offset": [leash_rad] * spec.n,
+            "last_action": [1.0] * spec.n,
+        }
+
+    def arm(self, ids: Bools) -> None:
+        """React to robots `ids` (B,) being armed; goals stay by default."""
+
+    def reset(self, ids: Bools) -> None:
+        """Give a new goal and a full period to robots where `ids` (B,) holds."""
+        self.elapsed[ids] = 0
+        self.score.reset(ids)
+        self._choose(ids)
+
+    def step(self, running: Bools) -> None:
+        """Count one tick.
+
+        Args:
+            running: (B,) robots that follow their policy: a stopped robot reaches nothing.
+        """
+        self.elapsed += 1
+        np.greater_equal(self.elapsed, self._period, out=self.ended)
+        success = self.score.step(self.achieved, self.goal, self.ended, running)
+        if success is None:
+            return
+        self.attempted += self.ended
+        self.reached += success
+        self.ended_goal[self.ended] = self.goal[self.ended]
+        self.reset(self.ended)
+
+    def _choose(self, ids: Bools) -> None:
+        for robot in np.flatnonzero(ids):
+            self.goal[robot] = self.sample_goal(keyed(self._keys[robot], int(self.number[robot])))
+            self.number[robot] += 1
+
+
+def find_task(name: str, given: str) -> type[Task]:
+    """Return the installed task of that name.
+
+    Args:
+        name: as in a contract.
+        given: where the name was given, for the error.
+
+    Raises:
+        ConfigError: no such task is installed.
+    """
+    task: Any = load(TASKS, name, given)
+    return task  # type: ignore[no-any-return]
+
+
+def sources_of(name: str) -> Mapping[str, ObservationSource]:
+    """Return the observation sources of every robot and those of a task, by name.
+
+    Raises:
+        ConfigError: no such task is installed, or it declares a source that robots have.
+    """
+    task = find_task(name, f"task: found {name!r}")
+    if twice := sorted(task.sources.keys() & SOURCES.keys()):
+        raise ConfigError(f"task {name!r}: sources: found {', '.join(twice)}, which every robot has")
+    return {**SOURCES, **task.sources}
+
+
+def installed_sources() -> dict[str, ObservationSource]:
+    """Return the observation sources of every robot and of every installed task, by name."""
+    return {name: source for task in installed(TASKS) for name, source in sources_of(task).items()}
+
+
+def tasks_of(spec: RobotSpec) -> tuple[str, ...]:
+    """Return the names of the installed tasks that a robot has the capabilities for."""
+    return tuple(name for name in installed(TASKS) if find_task(name, name).needs <= spec.capabilities)
