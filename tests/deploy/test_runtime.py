@@ -171,7 +171,7 @@ def test_saved_and_restored_goes_on_bit_for_bit(at):
 
 
 def test_without_the_prepared_stop_a_restored_runtime_would_stop_elsewhere():
-    """Why `save` above needs `_ahead`: refused in its first tick, the robot takes the stop of the tick before."""
+    """Why `save` needs the prepared stop: refused in its first tick, the robot takes the stop of the tick before."""
     one, other = running(2), running(2)
     play(one, 60)
     play(other, 200)
@@ -179,8 +179,11 @@ def test_without_the_prepared_stop_a_restored_runtime_would_stop_elsewhere():
     for each in (one, other):
         each.stop(Reason.OPERATOR)
     own, backend = complete
-    own["asked"][:] = int(Reason.OPERATOR)
-    still = {f"ahead.{name}": getattr(other._ahead, name).copy() for name in ("q", "qd", "qdd")}
+    own["requested_stop"][:] = int(Reason.OPERATOR)
+    still = {
+        f"prepared_stop.{name}": getattr(other.prepared_stop.setpoint, name).copy()
+        for name in ("q", "qd", "qdd")
+    }
     restore(other, (own | still, backend))
     one.tick()
     other.tick()
