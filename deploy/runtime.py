@@ -12,12 +12,8 @@ from deploy.estimation.capabilities import CapabilityEstimators
 from deploy.estimation.estimator import Estimator
 from deploy.estimation.tool_kinematics import ToolKinematics
 from deploy.masks import all_true, any_true
-<<<<<<< HEAD
 from deploy.motion.drive_law import SpringDrives
-=======
-from deploy.motion.drive_law import Springs, same
 from deploy.motion.prepared_stop import PreparedStop, select
->>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
 from deploy.motion.smoother import Smoother
 from deploy.policy.action import Action
 from deploy.policy.contract import Contract
@@ -31,7 +27,6 @@ from deploy.tasks.task import Task, find_task, sources_of
 from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.gains import same_gains
 from robots.models.fleet import Fleet
-from robots.models.kinematics import Kinematics
 from robots.spec import RobotSpec
 
 _NOT_FINITE, _MOVING = np.int64(Reason.NOT_FINITE), np.int64(Reason.MOVING)
@@ -59,11 +54,7 @@ class Runtime(Stage):
     state: State
     verdict: Verdict
     command: Command
-<<<<<<< HEAD
-    _kinematics: Kinematics
-=======
     action: Action
->>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
 
     def __init__(
         self,
@@ -88,18 +79,9 @@ class Runtime(Stage):
         self.spec, self.contract, self.robot, self.policy = spec, contract, robot, policy
         robots, gains = robot.robots, contract.action.gains
         self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
-<<<<<<< HEAD
-        self._period_s = contract.period_s
-        self.fleet, checked = Fleet(spec, robots), Fleet(spec, 2 * robots, collisions=True)
-        gains = contract.action.gains
         if not same_gains(gains, robot.gains):
             raise RuntimeError("the robot's drives have other gains than the policy's contract")
-        self.springs = SpringDrives(spec, gains) if gains and spec.base else None
-=======
-        if not same(gains, robot.gains):
-            raise RuntimeError("the robot's drives have other gains than the policy's contract")
-        self.springs = Springs(spec, gains) if gains and "floating_base" in spec.capabilities else None
->>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
+        self.springs = SpringDrives(spec, gains) if gains and "floating_base" in spec.capabilities else None
         self.estimator = Estimator(spec, robots, springs=gains if self.springs else None)
         self.capabilities = CapabilityEstimators(spec, robots)
         self.safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True), self.springs)
@@ -128,38 +110,6 @@ class Runtime(Stage):
         super().restore(arrays)
         self.ticks = int(arrays["ticks"])
 
-<<<<<<< HEAD
-    def _sources(self) -> Sources:
-        return {
-            "joint_position": lambda: self.state.q,
-            "joint_velocity": lambda: self.state.qd,
-            "tool_position": lambda: self._tool,
-            "goal_position": lambda: self._goal,
-            "goal_from_tool": lambda: self._goal - self._tool,
-            "goal_torque": lambda: self._kinematics.torque_of_tool_force(self._goal - self._tool),
-            "target_offset": lambda: self.action.q - self.state.q,
-            "last_action": lambda: self.action.last,
-            "base_angular_velocity": lambda: self._base.angular_velocity,
-            "base_linear_velocity": lambda: self._base.velocity_in_base,
-            "base_orientation": lambda: self._base.quat_wxyz,
-            "projected_gravity": lambda: self._base.gravity,
-            "velocity_command": lambda: self.task.goal,
-            "gait_phase": self._phase,
-        }
-
-    @property
-    def _base(self) -> BaseState:
-        if self.state.base is None:
-            raise RuntimeError("a robot without a base was asked for it")
-        return self.state.base
-
-    def _phase(self) -> Floats:
-        """(B, 2) sine and cosine of the time since arming."""
-        phase = 2.0 * np.pi / self._period_s * self.spec.dt * self.since
-        return np.stack((np.sin(phase), np.cos(phase)), axis=1)
-
-=======
->>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
     @property
     def t(self) -> float:
         """s, time of the coming tick."""
@@ -207,17 +157,6 @@ class Runtime(Stage):
             self.action.reset(off, self.state.q)
         return self.observation.step()
 
-<<<<<<< HEAD
-    def _look(self, sample: Sample) -> None:
-        """Where tool and goal are; who sees no goal, or none any more, stays where it is."""
-        self._kinematics = self.fleet.kinematics(self.state.q)
-        self._tool[:] = self._kinematics.tool_position
-        if "goal" in sample:
-            seen, old = sample["goal"].value, self.t - sample["goal"].t > UNSEEN_S
-            self._goal[:] = np.where(np.isfinite(seen) & ~old[:, None], seen, self._tool)
-
-=======
->>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
     def act(self, action: Floats | Float32s | None) -> None:
         """Plan, check, decide and send.
 

@@ -9,6 +9,7 @@ from deploy.state import Sample, State
 from robots.arrays import Bools, Floats
 from robots.capabilities import Capability
 from robots.models.fleet import Fleet
+from robots.models.kinematics import Kinematics
 from robots.spec import RobotSpec
 
 
@@ -25,18 +26,25 @@ class ToolKinematics(CapabilityEstimator):
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Allocate for B robots."""
         self._fleet, self.position = Fleet(spec, robots), np.zeros((robots, 3))
+        self._kinematics: Kinematics | None = None
 
     def step(self, t: float, sample: Sample, state: State, due: bool) -> State:
         """Place the tool at the estimated angles, if the policy is due."""
         del t, sample
         if due:
-            self._fleet.place(state.q)
-            self.position[:] = self._fleet.tool_position
+            self._kinematics = self._fleet.kinematics(state.q)
+            self.position[:] = self._kinematics.tool_position
         return state
 
     def reset(self, ids: Bools) -> None:
         """Keep everything: the tool follows from the joints."""
 
     def joint_torque(self, force: Floats) -> Floats:
-        """(B, n) N·m, joint torques equal to a force (B, 3) N on the tool where it was placed last: Jᵀf."""
-        return self._fleet.tool_pull(force)
+        """(B, n) N·m, joint torques equal to a force (B, 3) N on the tool where it was placed last: Jᵀf.
+
+        Raises:
+            RuntimeError: the tool was not placed yet.
+        """
+        if self._kinematics is None:
+            raise RuntimeError("the tool was not placed yet")
+        return self._kinematics.torque_of_tool_force(force)

@@ -11,13 +11,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Numbers, Positive, Scales, Term
-<<<<<<< HEAD
-from robots.errors import ContractError
-from robots.gains import Gains
-=======
 from deploy.tasks.task import sources_of
 from robots.errors import ConfigError, ContractError
->>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
+from robots.gains import Gains
 from robots.strict import Strict, parse, read_json
 
 CONTRACT_KEY = "firstshift.contract"

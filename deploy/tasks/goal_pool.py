@@ -113,11 +113,10 @@ def _poses_in_shell(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Float
     low, high = (spec.joint_array(f"q_{end}") for end in ("min", "max"))
     margin = 2 * spec.margins.q_target_rad
     q = np.random.default_rng(GOALS_SEED).uniform(low + margin, high - margin, (config.candidates, spec.n))
-    fleet = Fleet(spec, len(q))
-    fleet.place(q)
-    tool = fleet.tool_position
+    kinematics = Fleet(spec, len(q)).kinematics(q)
+    tool = kinematics.tool_position
     radius = np.linalg.norm(tool - np.array(spec.workspace.centre), axis=1)
     fine = (radius >= config.radius_min) & (radius <= config.radius_max) & (tool[:, 2] >= config.z_min)
     fine &= np.hypot(tool[:, 0], tool[:, 1]) >= config.axis_min
-    fine &= fleet.manipulability() >= config.manipulability_min
+    fine &= kinematics.manipulability() >= config.manipulability_min
     return q[fine], tool[fine]

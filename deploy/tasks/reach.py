@@ -97,94 +97,6 @@ class Reach(Task):
         q: Floats = self.pool.q[rng.integers(len(self.pool.q), size=len(self.goal))]
         return q
 
-<<<<<<< HEAD
-    def step(self, tool: Floats, running: Bools) -> None:
-        """Count one tick.
-
-        Args:
-            tool: (B, 3) m, where the robot believes its tool is.
-            running: (B,) whether it is at work: a robot that is stopped reaches nothing.
-        """
-        self.elapsed += 1
-        np.greater_equal(self.elapsed, self._period, out=self.ended)
-        if not any_true(self.ended):
-            return
-        near = ((tool - self.goal) ** 2).sum(axis=1) <= self.config.tolerance_m**2
-        self.attempted += self.ended
-        self.reached += self.ended & near & running
-        self.ended_goal[self.ended] = self.goal[self.ended]
-        self.reset(self.ended)
-
-    def _choose(self, ids: Bools) -> None:
-        for robot in np.flatnonzero(ids):
-            u = keyed(self._keys[robot], int(self.number[robot])).random()
-            self.goal[robot] = self.pool.tool[np.searchsorted(self.pool.chance, u)]
-            self.number[robot] += 1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GoalPool:
-    """Points the arm can reach.
-
-    Attributes:
-        q: (K, n) rad, a configuration that reaches each. tool: (K, 3) m. chance: (K,) cumulative, ends at 1.
-    """
-
-    q: Floats
-    tool: Floats
-    chance: Floats
-
-
-def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
-    """Sample the pool.
-
-    Tool positions of uniform joint configurations crowd where the arm folds; weighting each by one over the number
-    of its cell makes the choice uniform in volume.
-
-    Raises:
-        RobotError: there is none.
-    """
-    q, tool = _poses_in_shell(spec, config)
-    safe = (
-        Safety(spec, Fleet(spec, len(q), collisions=True)).check_poses(q) == 0
-        if len(q)
-        else np.zeros(0, bool)
-    )
-    if not safe.any():
-        raise RobotError(
-            f"{spec.folder / 'robot.toml'}: of {config.candidates} poses inside the working ranges {len(q)} have the"
-            f" tool where goals may be ({config.radius_min} to {config.radius_max} m from workspace.centre, z at least"
-            f" {config.z_min} m, {config.axis_min} m from the z axis) and a manipulability of at least"
-            f" {config.manipulability_min} with the sign of the home pose's; none of them is safe: no goal can be set,"
-            " expected at least 1"
-        )
-    q, tool = q[safe], tool[safe]
-    _, cell, count = np.unique(
-        np.floor(tool / config.cell_m), axis=0, return_inverse=True, return_counts=True
-    )
-    weight = 1.0 / count[cell]
-    return GoalPool(q=q, tool=tool, chance=np.cumsum(weight) / np.cumsum(weight)[-1])
-
-
-def _poses_in_shell(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Floats]:
-    """(K, n) rad and (K, 3) m: configurations with their tool where goals may be; whether they are safe costs more.
-
-    Beyond a singularity lies another branch of the arm, and the singularity check lets nobody through: only
-    configurations on the home pose's branch count.
-    """
-    if spec.workspace is None:
-        raise RobotError(f"{spec.folder / 'robot.toml'}: workspace: found none, expected one to reach in")
-    low, high = (spec.joint_array(f"q_{end}") for end in ("min", "max"))
-    margin = 2 * spec.margins.q_target_rad
-    q = np.random.default_rng(GOALS_SEED).uniform(low + margin, high - margin, (config.candidates, spec.n))
-    kinematics = Fleet(spec, len(q)).kinematics(q)
-    tool = kinematics.tool_position
-    radius = np.linalg.norm(tool - np.array(spec.workspace.centre), axis=1)
-    fine = (radius >= config.radius_min) & (radius <= config.radius_max) & (tool[:, 2] >= config.z_min)
-    fine &= np.hypot(tool[:, 0], tool[:, 1]) >= config.axis_min
-    fine &= kinematics.manipulability() >= config.manipulability_min
-    return q[fine], tool[fine]
-=======
     @classmethod
     def observation_scales(
         cls, spec: RobotSpec, *, reach_m: float, leash_rad: float
@@ -200,4 +112,3 @@ def _poses_in_shell(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Float
             "target_offset": joints["target_offset"],
             "last_action": joints["last_action"],
         }
->>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)

@@ -127,11 +127,7 @@ class RuntimeEnv(VecEnv):
             q_target=runtime.target.q,
             action_change=change,
             action_excess=self._excess(action),
-<<<<<<< HEAD
-            manipulability=self._fleet.kinematics(truth.q).manipulability(),
-=======
             manipulability=self._manipulability(truth.q),
->>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
             running=running,
             stopped=stopped,
         )
@@ -140,8 +136,7 @@ class RuntimeEnv(VecEnv):
         """(B,) at joint angles (B, n) rad; infinite for robots without a tool."""
         if "manipulability" not in self._spec.capabilities:
             return np.full(self.num_envs, np.inf)
-        self._fleet.place(q)
-        return self._fleet.manipulability()
+        return self._fleet.kinematics(q).manipulability()
 
     def _excess(self, action: np.ndarray) -> np.ndarray:
         """Beyond the contract's clip; what is no number has its price already: it stops the robot."""

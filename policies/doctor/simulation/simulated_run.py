@@ -12,12 +12,8 @@ import numpy as np
 
 from deploy.backends.sim.backend import simulate
 from deploy.policy.policy import Policy
-<<<<<<< HEAD
 from deploy.safety.diagnostics import StopDetector, explain_reasons
-=======
-from deploy.safety.diagnostics import Stops, blame
 from deploy.tasks.task import find_task
->>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
 from eval.soak.shard import ARM_S, judge_tick

@@ -24,13 +24,8 @@ from eval.soak import shard as shards
 from eval.soak.profile import Faults
 from eval.soak.shard import WIDTH, Shard, ShardJob
 from eval.statistics.evidence import share_lower
-<<<<<<< HEAD
 from robots.models.nominal_model import torque_max
-from support.arm6 import SPEC
-=======
-from robots.models.fleet import torque_max
 from support.arm6 import SPEC, arm_judge
->>>>>>> 0767224 (Tasks own goals, progress, score and observation sources; capabilities bring estimator stages; the runtime knows neither by name)
 from support.eval.fault_schedules import CLASSES, DT, N, named, one_each
 from support.policies import policy_model, saved
 

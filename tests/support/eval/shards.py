@@ -11,7 +11,7 @@ from eval.soak.configuration import Soak
 from eval.soak.shard import COUNTED, WIDTH, ShardJob, ShardResult
 from eval.statistics.budget import BUDGET
 from robots.models.nominal_model import torque_max
-from support.arm6 import SPEC
+from support.arm6 import SPEC, arm_judge
 
 
 def job(policy, **changes):
