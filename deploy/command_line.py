@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import typer
 
-from robots.errors import FirstshiftError, harmless
+from robots.errors import FirstshiftError, printable
 
 PASSED, BUDGET_EXCEEDED, BAD_INPUT, BROKEN, INTERRUPTED = 0, 1, 2, 70, 130
 
@@ -41,7 +41,7 @@ def _exit_code(call: Callable[[], int]) -> int:
     try:
         return call()
     except FirstshiftError as e:
-        print("\n".join(map(harmless, f"error: {e}".split("\n"))), file=sys.stderr)
+        print("\n".join(map(printable, f"error: {e}".split("\n"))), file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         return INTERRUPTED

@@ -1,4 +1,4 @@
-"""Capabilities: what a robot may have beside joints, each optional on its own.
+"""Capabilities: parts that a robot may have beside joints, each optional on its own.
 
 Safety checks, monitors, observation sources and log columns name the capabilities that they need; a robot gets those
 whose needs it meets. Nothing else asks what kind of robot it is.

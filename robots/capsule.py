@@ -1,4 +1,4 @@
-"""A capsule as robot.toml declares it: what a link is taken for where two might meet."""
+"""Capsules of robot.toml: the shapes that stand for links in collision checks."""
 
 from typing import Self
 

@@ -1,6 +1,6 @@
-"""The draw that one robot gets: what it really is.
+"""Draws: the real properties of robots, sampled from draws.toml or read from a file.
 
-A draw is plain data: stored, it re-creates its robot exactly. The runtime in `deploy` never sees one.
+A draw is plain data: stored, it re-creates its robots exactly. The runtime in `deploy` never reads one.
 """
 
 import json
@@ -13,32 +13,33 @@ import numpy as np
 from pydantic import Field
 
 from robots.arrays import Floats
-from robots.distributions import Distributions, Quantity, Span, check_journey
+from robots.distributions import Distributions, check_transport
 from robots.errors import ConfigError
+from robots.spans import Quantity
 from robots.spec import RobotSpec
 from robots.strict import Strict, parse, read_json
 
 FILE_MAX = 1 << 29
-"""Characters of a stored draw: more than a soak may have robots."""
+"""Characters of a stored draw: more than any soak needs."""
 
 
 class Draw(Mapping[str, Floats]):
-    """B robots as they really are: (B, ...) numbers by name, as in `draw["links.mass"]`."""
+    """Real properties of B robots: (B, ...) numbers by name, as in `draw["links.mass"]`."""
 
     def __init__(self, values: Mapping[str, Floats]) -> None:
-        """Take the numbers; see `draw` and `load_draw` for where they come from."""
+        """Take the numbers of `draw` or `load_draw`."""
         self._values = dict(values)
 
     def __getitem__(self, name: str) -> Floats:
-        """(B, ...) numbers; the shape behind B is that of the quantity's `each`."""
+        """Return (B, ...) numbers; the shape after B is that of the quantity's `each`."""
         return self._values[name]
 
     def __iter__(self) -> Iterator[str]:
-        """Names."""
+        """Iterate over names."""
         return iter(self._values)
 
     def __len__(self) -> int:
-        """How many quantities."""
+        """Return the number of quantities."""
         return len(self._values)
 
     @property
@@ -47,28 +48,28 @@ class Draw(Mapping[str, Floats]):
         return len(self["climate.ambient_c"])
 
     def replaced(self, values: Mapping[str, Floats | float]) -> "Draw":
-        """The same robots but for some numbers, which numpy broadcasts."""
+        """Return the same robots with some numbers replaced; numpy broadcasts them."""
         new = {
             name: np.array(np.broadcast_to(x, self[name].shape), dtype=float) for name, x in values.items()
         }
         return Draw(dict(self) | new)
 
     def robot(self, row: int) -> "Draw":
-        """One of them alone."""
+        """Return one robot of the draw."""
         return Draw({name: values[row : row + 1] for name, values in self.items()})
 
     def to_json(self, seed: int, distributions: Distributions, spec: RobotSpec) -> str:
-        """All of it, exactly, with the seed of everything else that is random, and what is the same for all."""
+        """Return all of it as exact JSON, with the seed of everything else that is random and the undrawn values."""
         draw = {name: values.tolist() for name, values in self.items()}
         return json.dumps({"seed": seed, "robot": spec.digest, "fixed": distributions.fixed, "draw": draw})
 
 
 def draw(distributions: Distributions, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> Draw:
-    """One robot for each seed. Every quantity has a stream of its own: a new one leaves the others as they were.
+    """Return one robot for each seed. Every quantity has its own random stream: a new quantity changes no other.
 
     Args:
         distributions: the spans.
-        spec: how many joints and sensors there are.
+        spec: the robot, for its numbers of joints and sensors.
         seeds: B seeds, as `robots.randomness.robot_seed` gives them.
     """
     return Draw(
@@ -80,10 +81,10 @@ def draw(distributions: Distributions, spec: RobotSpec, seeds: Sequence[np.rando
 
 
 def load_draw(path: Path, distributions: Distributions, spec: RobotSpec) -> tuple[int, Draw]:
-    """The seed and the robots that `Draw.to_json` stored.
+    """Return the seed and the robots that `Draw.to_json` stored.
 
     Raises:
-        ConfigError: unreadable, another robot's, or outside what physics allows.
+        ConfigError: unreadable, another robot's, or beyond physical bounds.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -108,12 +109,12 @@ def load_draw(path: Path, distributions: Distributions, spec: RobotSpec) -> tupl
     for place, (kind, sensor) in enumerate(spec.sensors.items()):
         slowest = values["sensors.delay"][:, place] + values["sensors.jitter"][:, place]
         loss = float(values["sensors.loss"][:, place].max())
-        check_journey(kind, sensor, float(slowest.max()), loss, str(path))
+        check_transport(kind, sensor, float(slowest.max()), loss, str(path))
     return stored.seed, Draw(values)
 
 
 class _Stored(Strict):
-    """A stored draw; its arrays are looked at one by one."""
+    """A stored draw; its arrays are checked one by one."""
 
     seed: Annotated[int, Field(ge=0)]
     robot: str
@@ -137,22 +138,18 @@ def _numbers(data: object, quantity: Quantity, spec: RobotSpec, where: str) -> F
     return values
 
 
-def middle(distributions: Distributions, spec: RobotSpec, robots: int) -> Draw:
-    """As many robots in the middle of every span, by its logarithm where it is drawn so."""
+def median_draw(distributions: Distributions, spec: RobotSpec, robots: int) -> Draw:
+    """Return robots in the middle of every span."""
     return Draw(
         {
-            name: np.full((robots, *shape(quantity, spec)), _mid(span))
+            name: np.full((robots, *shape(quantity, spec)), span.median)
             for name, quantity, span in distributions.spans()
         }
     )
 
 
-def _mid(span: Span) -> float:
-    return float(np.sqrt(span.low * span.high)) if span.log else (span.low + span.high) / 2
-
-
 def shape(quantity: Quantity, spec: RobotSpec) -> tuple[int, ...]:
-    """Of one robot's numbers."""
+    """Return the shape of one robot's numbers."""
     shapes: dict[str, tuple[int, ...]] = {
         "": (),
         "direction": (3,),

@@ -1,4 +1,4 @@
-"""A drive as robot.toml declares it, for a model that says nothing of its motors or drives them otherwise."""
+"""Drives of robot.toml, for a model without motors or with other actuators."""
 
 from typing import Annotated
 
@@ -8,19 +8,19 @@ from robots.strict import Strict
 
 
 class Drive(Strict):
-    """A motor behind a gear that follows position, speed and torque; gains and torque are those of the joint.
+    """Motor with a gear that follows position, speed and torque; gains and torque are at the joint.
 
     Attributes:
-        gear: turns of the motor for one of the joint.
+        gear: turns of the motor for one turn of the joint.
         torque_constant: N·m/A of the motor, without its gear.
-        resistance_ohm: of the winding at `reference_c`, °C. copper_per_k: 1/K, how it grows.
+        resistance_ohm: of the winding at `reference_c`, °C. copper_per_k: 1/K, its growth with temperature.
         winding_resistance_k_per_w: K/W, winding to housing.
-        winding_capacity_j_per_k: J/K, the winding's time constant over the resistance before.
-        supply_v: V, the most that the drive can put on its motor.
+        winding_capacity_j_per_k: J/K, the winding's time constant divided by its thermal resistance.
+        supply_v: V, the highest voltage of the motor.
         kp, kd: N·m/rad and N·m·s/rad.
-        torque_max: N·m, of joints for which the model has no range of torque.
-        armature: kg·m² of the rotor, times gear², of joints for which the model has none. Without it a joint with play
-            is so light that no stiff drive holds it still.
+        torque_max: N·m, for joints without a torque range in the model.
+        armature: kg·m² of the rotor, times gear², for joints without one in the model. Without it a joint with play is
+            so light that a stiff drive oscillates.
     """
 
     gear: PositiveFloat

@@ -1,4 +1,4 @@
-"""Every error that firstshift raises on purpose.
+"""Errors that firstshift raises on purpose.
 
     FirstshiftError              exit code 2: bad input, nothing moved, nothing overwritten
     ├── RobotError               a robot folder that cannot be read or makes no sense
@@ -11,7 +11,7 @@ A message names the file, the field, the value found and the value or bound expe
 
 
 class FirstshiftError(Exception):
-    """Base of all errors that a user can mend."""
+    """Base of all errors that a user can correct."""
 
 
 class RobotError(FirstshiftError):
@@ -30,6 +30,6 @@ class OutputError(FirstshiftError):
     """A place that cannot be written."""
 
 
-def harmless(said: str) -> str:
-    """Words and names come from files: nothing in a line of them may upset a terminal."""
-    return "".join(c if c.isprintable() else "?" for c in said)
+def printable(text: str) -> str:
+    """Return text with "?" for every control character: names from files must not control a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in text)

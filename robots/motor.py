@@ -1,11 +1,11 @@
-"""Heat of an electric motor: a winding inside a housing inside a room.
+"""Thermal model of an electric motor: winding, housing, ambient air.
 
     Cw dTw/dt = I² R0 (1 + α (Tw − T0)) − (Tw − Th)/Rwh
     Ch dTh/dt = (Tw − Th)/Rwh − (Th − Ta)/Rha
 
 Source: two-node lumped model as in PR2's ethercat_hardware motor_heating_model (2010). At a constant current the
-copper loss is linear in the winding's temperature, so the whole system is linear and has a closed form: the judge of
-every simulation of it.
+copper loss is linear in the winding's temperature, so the whole system is linear and has a closed form, to which
+simulations are compared.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from scipy.linalg import expm
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotorHeat:
-    """One motor's constants.
+    """Thermal constants of one motor.
 
     Attributes:
         resistance: ohm at `reference_c`. alpha: 1/K. reference_c: °C.
@@ -33,7 +33,7 @@ class MotorHeat:
 
 
 def temperatures(heat: MotorHeat, current: float, ambient: float, t: float) -> tuple[float, float]:
-    """Winding and housing, °C, after a motor as cold as its room has carried a constant current.
+    """Return the temperatures of winding and housing, °C, after a constant current; the motor starts at ambient.
 
     Args:
         heat: the motor.
@@ -43,7 +43,7 @@ def temperatures(heat: MotorHeat, current: float, ambient: float, t: float) -> t
     """
     loss = current**2 * heat.resistance
     inner, outer = 1.0 / heat.winding_to_housing, 1.0 / heat.housing_to_ambient
-    # Rises above ambient, in W; the third row is the constant 1 that carries what does not depend on them.
+    # Rises above ambient, in W; the third row is the constant 1, for the terms that do not depend on them.
     power = np.array(
         [
             [loss * heat.alpha - inner, inner, loss * (1.0 + heat.alpha * (ambient - heat.reference_c))],

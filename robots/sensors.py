@@ -1,6 +1,6 @@
-"""What a robot feels: each sensor as its data sheet has it, a table in robot.toml.
+"""Sensors of robot.toml: the data sheet of each.
 
-A sensor delivers packets: all of its channels, taken at one time. How it may really be is a matter of draws.toml.
+A sensor delivers packets: all of its channels, taken at one time. Deviations from the data sheet are in draws.toml.
 """
 
 import math
@@ -37,17 +37,17 @@ UNITS: dict[Kind, str] = {
     "contact": "N",
     "goal": "m",
 }
-"""What each kind is measured in."""
+"""Unit of each kind."""
 
 AT_JOINTS: tuple[Kind, ...] = ("encoder", "velocity", "current", "temperature")
 """One channel for each joint."""
 AT_ONE_SITE: tuple[Kind, ...] = ("gyro", "accelerometer", "orientation", "force", "torque")
-"""In the frame of a site of model.xml: three channels, four for an orientation."""
+"""Sensors at one site of model.xml, in its frame: three channels, four for an orientation."""
 NEEDED: tuple[Kind, ...] = ("encoder", "current", "temperature")
-"""No robot is run without these: state, and heat."""
+"""Sensors that every robot must have: for joint state and heat."""
 
 BUFFER_S = 0.25
-"""s, the longest that a packet may be under way in simulation."""
+"""s, the largest delay of a packet in simulation."""
 
 NotNegative = Annotated[float, Field(ge=0)]
 Delay = Annotated[float, Field(ge=0, lt=BUFFER_S)]
@@ -61,16 +61,16 @@ class Sensor(Strict):
 
     Attributes:
         unit: of what it measures, and of the numbers below.
-        sites: of model.xml, where it sits: one for inertial sensors, force and torque, one for each foot for contact,
-            none for the others.
-        rate_hz: packets in a second.
+        sites: of model.xml: one for inertial sensors, force and torque, one at each foot for contact, none for the
+            others.
+        rate_hz: packets per second.
         resolution: the step between two readings.
-        range: the largest reading, either way: what is beyond reads as this.
+        range: the largest reading, either way: values beyond it read as this.
         noise: standard deviation of a reading.
         bias: the largest constant error.
-        drift: what a bias walks in an hour, standard deviation.
-        drift_per_k: what a bias moves at most for each K that the housing nearest to it has warmed, either way.
-        delay_s: s, from taking to arriving.
+        drift: standard deviation of a bias' random walk after an hour.
+        drift_per_k: the most that a bias moves, either way, for each K that the nearest housing has warmed.
+        delay_s: s, from measurement to arrival.
         loss: share of packets that never arrive.
         source: where the numbers come from, or "estimate".
     """
@@ -96,7 +96,7 @@ class Sensor(Strict):
 
     @property
     def variance(self) -> float:
-        """Of one reading, by its noise and its steps. Source: Widrow and Kollár, Quantization Noise (2008), ch. 4."""
+        """Variance of a reading: noise and resolution. Source: Widrow and Kollár, Quantization Noise (2008), ch. 4."""
         return self.noise**2 + self.resolution**2 / 12.0
 
 
@@ -105,7 +105,7 @@ Sensors = dict[Kind, Sensor]
 
 
 def channels(kind: Kind, sensor: Sensor, joints: int) -> int:
-    """How many numbers one packet holds."""
+    """Return the number of channels, which is that of the numbers in a packet."""
     if kind in AT_JOINTS:
         return joints
     if kind == "contact":
@@ -114,10 +114,10 @@ def channels(kind: Kind, sensor: Sensor, joints: int) -> int:
 
 
 def check_sensors(sensors: Sensors, control_hz: int) -> None:
-    """What holds between the sensors of a robot.
+    """Check the sensors of a robot against each other and the control rate.
 
     Raises:
-        ValueError: one is missing, in another unit, at no site or at too many, or faster than the runtime looks.
+        ValueError: one is missing, in another unit, at no site or at too many, or faster than the control rate.
     """
     for kind in NEEDED:
         if kind not in sensors:
@@ -135,7 +135,7 @@ def check_sensors(sensors: Sensors, control_hz: int) -> None:
 
 
 def _sites(kind: Kind) -> tuple[float, float, str]:
-    """How many sites a sensor sits at: least, most, and that in words."""
+    """Return the number of a sensor's sites: least, most, and both as text."""
     if kind == "contact":
         return 1, math.inf, "at least one"
     return (1, 1, "one") if kind in AT_ONE_SITE else (0, 0, "none")

@@ -1,4 +1,4 @@
-"""What a robot is: `robot.toml` beside `model.xml`, read strictly.
+"""Specification of a robot: `robot.toml` beside `model.xml`, read strictly.
 
 Geometry, inertia, mechanical joint range and torque range live in model.xml, and motor constants if it has drives of
 its own; the rest is here.
@@ -17,31 +17,31 @@ from robots.capabilities import Capability
 from robots.capsule import Capsule
 from robots.drive import Drive
 from robots.errors import RobotError
-from robots.models.files import named_files, read_xml
+from robots.models.files import read_xml, referenced_files
 from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
 from robots.strict import Strict, read_toml
 from robots.tables import Base, Joint, Margins, Motor, Rates, Workspace
 
 ROBOTS = Path(__file__).parent
 
-FUSED: tuple[Kind, ...] = ("encoder", "velocity")
-"""What a robot's state is estimated from."""
-INERTIAL: tuple[Kind, ...] = ("gyro", "accelerometer")
-"""What a base is estimated from, beside its feet."""
+STATE_SENSORS: tuple[Kind, ...] = ("encoder", "velocity")
+"""Sensors from which joint state is estimated."""
+IMU_SENSORS: tuple[Kind, ...] = ("gyro", "accelerometer")
+"""Sensors from which a floating base is estimated, with its feet."""
 MODEL = "model.xml"
-"""What a model is called unless robot.toml says otherwise."""
+"""Default file name of the model."""
 ModelName = Annotated[
     str, Field(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9_.-]*(/[A-Za-z0-9_-][A-Za-z0-9_.-]*)*\.(xml|urdf)$")
 ]
 
 
-def _unsaid(value: object) -> bool:
-    """What a file does not say is not part of its digest, which is then that of before there was such a key."""
+def _is_default(value: object) -> bool:
+    """Return whether a key has its default: it is left out of the digest, which a new key must not change."""
     return value in (None, (), MODEL)
 
 
 class RobotSpec(Strict):
-    """One robot folder: the strict reading of robot.toml, plus the folder itself.
+    """Contents of robot.toml, and the folder of the robot.
 
     Tool, workspace, base and the margins that belong to them are optional, each on its own: see `capabilities`.
 
@@ -50,18 +50,18 @@ class RobotSpec(Strict):
         tool: a site or a body of the model.
         workspace: bounds on the tool; of a robot with a base, in the frame of its root body.
         base: a floating base; without one, the robot is fixed to the world.
-        locked: joints of the model that stay at 0 and that nobody drives.
-        capsules: what bodies are taken for where they might meet; empty for the shapes that the model has.
-        neighbours: pairs of bodies that are always near, so that nobody asks whether they meet.
+        locked: joints of the model that stay at 0 and have no drive.
+        capsules: shapes of bodies for collision checks; empty for the shapes of the model.
+        neighbours: pairs of bodies that are always near each other, and are not checked for collision.
     """
 
     folder: Path
     name: str
-    model: Annotated[ModelName, Field(exclude_if=_unsaid)] = MODEL
+    model: Annotated[ModelName, Field(exclude_if=_is_default)] = MODEL
     tool: str | None = None
-    locked: Annotated[tuple[str, ...], Field(exclude_if=_unsaid)] = ()
-    capsules: Annotated[tuple[Capsule, ...], Field(exclude_if=_unsaid)] = ()
-    neighbours: Annotated[tuple[tuple[str, str], ...], Field(exclude_if=_unsaid)] = ()
+    locked: Annotated[tuple[str, ...], Field(exclude_if=_is_default)] = ()
+    capsules: Annotated[tuple[Capsule, ...], Field(exclude_if=_is_default)] = ()
+    neighbours: Annotated[tuple[tuple[str, str], ...], Field(exclude_if=_is_default)] = ()
     rates: Rates
     margins: Margins
     workspace: Workspace | None = None
@@ -88,16 +88,16 @@ class RobotSpec(Strict):
     @model_validator(mode="after")
     def _sensors_fit(self) -> Self:
         check_sensors(self.sensors, self.rates.control_hz)
-        for kind in INERTIAL if self.base else ():
+        for kind in IMU_SENSORS if self.base else ():
             if kind not in self.sensors:
                 raise ValueError(f"sensors: no {kind}, which a base needs; found {', '.join(self.sensors)}")
-        for kind in FUSED:
+        for kind in STATE_SENSORS:
             if kind in self.sensors:
-                self._in_time(kind, self.sensors[kind])
+                self._check_delay(kind, self.sensors[kind])
         return self
 
-    def _in_time(self, kind: Kind, sensor: Sensor) -> None:
-        """A packet that is stale when it arrives would stop the robot for ever."""
+    def _check_delay(self, kind: Kind, sensor: Sensor) -> None:
+        """Refuse a sensor whose packets are stale when they arrive: they would stop the robot for ever."""
         every_s = 1.0 / sensor.rate_hz
         if not sensor.delay_s + every_s < self.margins.stale_s:
             raise ValueError(
@@ -155,7 +155,7 @@ class RobotSpec(Strict):
 
     @property
     def capabilities(self) -> frozenset[Capability]:
-        """Optional parts that the robot has; declarations name those that they need."""
+        """Names of the optional parts that the robot has."""
         parts: dict[Capability, object] = {
             "tool": self.tool,
             "workspace": self.workspace,
@@ -177,12 +177,12 @@ class RobotSpec(Strict):
 
     @property
     def channels(self) -> dict[Kind, int]:
-        """How many channels each sensor has, in the order of robot.toml."""
+        """Number of channels of each sensor, in the order of robot.toml."""
         return {kind: channels(kind, sensor, self.n) for kind, sensor in self.sensors.items()}
 
     @property
     def drives(self) -> tuple[Drive, ...]:
-        """Of each joint; none where the model has drives of its own."""
+        """Drive of each joint; empty where the model has drives of its own."""
         return tuple(drive for joint in self.joints if (drive := self.motors[joint.motor].drive) is not None)
 
     @property
@@ -192,39 +192,39 @@ class RobotSpec(Strict):
 
     @property
     def stop_s(self) -> float:
-        """s, the longest that a jerk-limited stop can take: from full speed, still at full acceleration.
+        """s, the longest time of a jerk-limited stop: from full speed at full acceleration.
 
-        First the acceleration runs out, in a/j, adding a²/2j to the speed; losing v takes v/a + a/j.
+        First the acceleration goes to zero, in a/j, adding a²/2j to the speed; losing v takes v/a + a/j.
         """
         qd, qdd, qddd = (self.joint_array(f"{name}_max") for name in ("qd", "qdd", "qddd"))
         return float((qd / qdd + 2.5 * qdd / qddd).max())
 
     @property
     def model_path(self) -> Path:
-        """The model that both libraries read."""
+        """Path of the model that both libraries read."""
         return self.folder / self.model
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what robot.toml and the model say, and of the meshes; layout and comments do not count."""
+        """SHA-256 of the contents of robot.toml, model and meshes; layout and comments do not count."""
         xml = ET.canonicalize(ET.tostring(read_xml(self.model_path)), strip_text=True)
         text = self.model_dump_json(exclude={"folder"}, exclude_none=True) + xml
-        for path in named_files(self.model_path, self.folder):
+        for path in referenced_files(self.model_path, self.folder):
             with path.open("rb") as file:
                 text += f"\n{path.relative_to(self.folder)} {hashlib.file_digest(file, 'sha256').hexdigest()}"
         return hashlib.sha256(text.encode()).hexdigest()
 
     def joint_array(self, field: str) -> NDArray[np.float64]:
-        """(n,) one number of every joint, for example `qd_max`."""
+        """Return (n,) one number of every joint, for example `qd_max`."""
         return np.array([getattr(joint, field) for joint in self.joints])
 
     def motor_array(self, field: str) -> NDArray[np.float64]:
-        """(n,) one number of every joint's motor, for example `winding_max_c`."""
+        """Return (n,) one number of every joint's motor, for example `winding_max_c`."""
         return np.array([getattr(self.motors[joint.motor], field) for joint in self.joints])
 
 
 class _RobotFile(RobotSpec):
-    """robot.toml as it stands; the folder is where it was found, not a key."""
+    """Contents of robot.toml; the folder is not a key."""
 
     folder: Path = Field(default=Path(), exclude=True)
 

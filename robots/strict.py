@@ -1,4 +1,4 @@
-"""Files read strictly: every key known, every key present, every value inside its bound."""
+"""Strict reading of files: every key known, every key present, every value inside its bounds."""
 
 import json
 import tomllib
@@ -12,16 +12,16 @@ from robots.errors import ConfigError, FirstshiftError
 
 
 class Strict(BaseModel):
-    """A frozen record from a file: no unknown keys, no text or truth for a number, no NaN."""
+    """Frozen record from a file: no unknown keys, no text or boolean for a number, no NaN."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 Source = Annotated[str, Field(min_length=1)]
-"""Where numbers come from, or "estimate"."""
+"""Origin of the numbers of a table, or "estimate"."""
 
-OPEN = "?"
-"""Stands in a draft for what nobody has said yet."""
+PLACEHOLDER = "?"
+"""Value of a draft that is still to be filled in."""
 
 M = TypeVar("M", bound=Strict)
 
@@ -43,35 +43,37 @@ def read_toml(path: Path, schema: type[M], error: type[FirstshiftError] = Config
         raise error(f"{path}: cannot be read: {e.strerror}") from e
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
         raise error(f"{path}: not valid TOML: {e}") from e
-    refuse_open(data, str(path), error)
+    reject_placeholders(data, str(path), error)
     return parse(data, schema, source=str(path), error=error)
 
 
-def refuse_open(data: object, source: str, error: type[FirstshiftError]) -> None:
-    """Refuse a draft of which fields are still open.
+def reject_placeholders(data: object, source: str, error: type[FirstshiftError]) -> None:
+    """Refuse a draft with fields still to be filled in.
 
     Raises:
         FirstshiftError: of class `error`, one line for each of them.
     """
-    if fields := list(open_fields(data)):
-        raise error("\n".join(f"{source}: {field}: still {OPEN!r}, to be filled in" for field in fields))
+    if fields := list(placeholder_fields(data)):
+        raise error(
+            "\n".join(f"{source}: {field}: still {PLACEHOLDER!r}, to be filled in" for field in fields)
+        )
 
 
-def open_fields(data: object, field: str = "") -> Iterator[str]:
-    """Where plain data still says "?"."""
-    if data == OPEN:
+def placeholder_fields(data: object, field: str = "") -> Iterator[str]:
+    """Yield the names of fields of plain data that are still to be filled in."""
+    if data == PLACEHOLDER:
         yield field
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for key, value in items:
-        named = isinstance(value, dict) and value.get("name", OPEN) != OPEN
+        named = isinstance(value, dict) and value.get("name", PLACEHOLDER) != PLACEHOLDER
         name = value["name"] if named else key
-        yield from open_fields(value, f"{field}.{name}" if field else str(name))
+        yield from placeholder_fields(value, f"{field}.{name}" if field else str(name))
 
 
 def read_json(
     text: str, source: str, characters_max: int, error: type[FirstshiftError] = ConfigError
 ) -> object:
-    """Plain data from JSON of a bounded length; `source` names its origin in messages.
+    """Return plain data from JSON of a bounded length; `source` names its origin in messages.
 
     Raises:
         FirstshiftError: of class `error`: too long, nested too deeply, or not JSON.
@@ -85,7 +87,7 @@ def read_json(
 
 
 def parse(data: object, schema: type[M], *, source: str, error: type[FirstshiftError] = ConfigError) -> M:
-    """Turn plain data into a strict record; `source` names its origin in messages.
+    """Return a strict record from plain data; `source` names its origin in messages.
 
     Raises:
         FirstshiftError: of class `error`, one line for each field that is wrong.
@@ -93,22 +95,22 @@ def parse(data: object, schema: type[M], *, source: str, error: type[FirstshiftE
     try:
         return schema.model_validate(_tuples(data))
     except ValidationError as e:
-        raise error("\n".join(f"{source}: {line}" for line in _explain(e))) from e
+        raise error("\n".join(f"{source}: {line}" for line in _messages(e))) from e
 
 
 def _tuples(data: object) -> object:
-    """Records hold tuples; TOML and JSON know lists only."""
+    """Return plain data with tuples for lists: records hold tuples, TOML and JSON have lists only."""
     if isinstance(data, dict):
         return {key: _tuples(value) for key, value in data.items()}
     return tuple(_tuples(item) for item in data) if isinstance(data, list) else data
 
 
-def _explain(complaint: ValidationError) -> Iterator[str]:
-    """Each complaint as `field: expectation, found value`."""
-    for item in complaint.errors():
+def _messages(invalid: ValidationError) -> Iterator[str]:
+    """Yield each error as `field: expectation, found value`."""
+    for item in invalid.errors():
         field = ".".join(f"{part!s:.80}" for part in item["loc"]) or "(whole file)"
-        found, said = item["input"], item["msg"].removeprefix("Value error, ")
+        found, message = item["input"], item["msg"].removeprefix("Value error, ")
         shown = "" if isinstance(found, dict) else f", found {found!r:.80}"
-        # What a record says of itself names its field.
+        # The error of a validator of the whole record names its own field.
         own = not item["loc"] and item["type"] == "value_error"
-        yield str(item["ctx"]["error"]) if own else f"{field}: {said}{shown}"
+        yield str(item["ctx"]["error"]) if own else f"{field}: {message}{shown}"

@@ -1,4 +1,4 @@
-"""The tables of robot.toml: joints, motors, rates, margins, and where a robot stands."""
+"""Tables of robot.toml: joints, motors, rates, margins, workspace, floating base."""
 
 from typing import Annotated, Self
 
@@ -16,10 +16,10 @@ class Joint(Strict):
 
     Attributes:
         q_min, q_max, q_home: rad.
-        qd_max: rad/s, what the drive may do. qdd_max: rad/s², qddd_max: rad/s³, what it is asked to do.
-        acceleration_density: rad²/s³, how restless the estimator takes its deviation from the setpoint to be; on the
-            soft drives of a robot that walks, the joint itself.
-        play: rad, how far the link can move while the encoder stands still.
+        qd_max: rad/s, limit of the drive. qdd_max: rad/s², qddd_max: rad/s³, limits of setpoints.
+        acceleration_density: rad²/s³, process noise of the estimator: of the joint's deviation from its setpoint, or of
+            the joint itself on drives that act as springs.
+        play: rad by which the link can move while the encoder stands still.
         motor: a name in `motors`.
         source: where the numbers come from.
     """
@@ -51,10 +51,10 @@ class Motor(Strict):
     Attributes:
         housing_resistance_k_per_w: K/W, housing to ambient.
         housing_capacity_j_per_k: J/K.
-        iron_w_s2: W/(rad/s)² of the motor's shaft, eddy currents: what turning alone makes of heat.
-        winding_soft_c, winding_max_c: °C, where warning begins and where damage begins.
-        housing_soft_c, housing_max_c: °C, where the operator is warned, and where the robot stops for good.
-        drive: its winding and what drives it, where the model has no `dcmotor` that says so.
+        iron_w_s2: W/(rad/s)² of the motor's shaft: heat of eddy currents.
+        winding_soft_c, winding_max_c: °C, thresholds of warning and of damage.
+        housing_soft_c, housing_max_c: °C, thresholds of a warning and of a latched stop.
+        drive: its winding and its amplifier, where the model has no `dcmotor`.
         source: where the numbers come from.
     """
 
@@ -78,7 +78,7 @@ class Motor(Strict):
 
 
 class Rates(Strict):
-    """Hz. Physics is a multiple of control."""
+    """Rates of control and physics, Hz; physics is a multiple of control."""
 
     control_hz: PositiveInt
     physics_hz: PositiveInt
@@ -93,22 +93,22 @@ class Rates(Strict):
 
 
 class Margins(Strict):
-    """How far from each limit the parts of the stack stay.
+    """Distances that the parts of the stack keep from limits, and limits of the stack itself.
 
     Attributes:
         q_target_rad: targets are clamped this far inside the working range.
         q_soft_rad: setpoints are refused, and the judge calls it soft, this far inside.
         speed: setpoint speed, as a fraction of qd_max and of tool_speed_max: the rest is for the drive's own ringing.
         tau: setpoint torque by the nominal model, as a fraction of the torque range.
-        collision_m: clearance kept between capsules; without it, self-collision is not checked.
+        collision_m: clearance between capsules; without it, self-collision is not checked.
         workspace_m: how far inside the workspace setpoints stay; of robots with a workspace, and of all of those.
         singularity: least manipulability (`Kinematics.manipulability`), m³ for a six-joint arm, of robots with a tool;
             without it, singularities are not checked.
-        tracking_rad: setpoint minus estimate that stops the robot.
-        stale_s: age of the newest sample that makes the robot slow down and hold.
-        lost_s: age of the newest sample that makes it stop and cut power.
-        winding_k, winding_share: K, and share of its rise over the housing, by which a winding may be hotter than it is
-            believed to be: the robot stops for good where it may have come to winding_max_c.
+        tracking_rad: tracking error, setpoint minus estimate, that stops the robot.
+        stale_s: age of the newest sample at which the robot stops and holds.
+        lost_s: age of the newest sample at which it stops and cuts power.
+        winding_k, winding_share: K, and share of its rise over the housing, by which a winding may be hotter than
+            estimated: the robot latches when it may have come to winding_max_c.
         fold_min: share of its current that a motor keeps there. From winding_soft_c on it falls to this share.
         pace_min: share of speed and acceleration that the robot is still asked for there: low enough for the motion
             to need no more current than is left, gravity included.
@@ -139,7 +139,7 @@ class Margins(Strict):
 
 
 class Workspace(Strict):
-    """Where the tool may be, in the world frame.
+    """Bounds of the tool: in the world; of a robot with a floating base, in the frame of its root body.
 
     Attributes:
         z_min: m, above the table.
@@ -155,17 +155,17 @@ class Workspace(Strict):
 
 
 class Base(Strict):
-    """A base that stands on nothing but its feet. Its frame is the IMU's, with the axes of model.xml's root body.
+    """Floating base that stands on its feet. Its frame is the IMU's, with the axes of model.xml's root body.
 
     Attributes:
         feet: bodies or sites of model.xml that stand on the ground.
-        foot_m: m, how much higher than the lowest foot another may be and still be said to stand; only where no
-            contact sensor says so.
-        may_touch: pairs of bodies that may touch each other, as feet that brush do at every step.
+        foot_m: m by which another foot may be higher than the lowest and count as standing; only without contact
+            sensors.
+        may_touch: pairs of bodies that may touch each other, such as feet that brush at every step.
         slip: m/s/√Hz, velocity of a standing foot, with the errors of its kinematics.
-        angular_acceleration: rad/s²/√Hz, jerk: m/s³/√Hz, of motion that nobody sees between two samples of the IMU.
-        tilt_max_rad: what it may lean; beyond it has fallen.
-        command_min, command_max: m/s forwards, m/s to the left, rad/s to the left: what it may be asked for.
+        angular_acceleration: rad/s²/√Hz, jerk: m/s³/√Hz, of motion between two samples of the IMU.
+        tilt_max_rad: a tilt above it counts as a fall.
+        command_min, command_max: m/s forwards, m/s to the left, rad/s to the left: range of commands.
         command_s: s for each command.
         source: where the numbers come from.
     """

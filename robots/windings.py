@@ -1,4 +1,4 @@
-"""The nominal windings of a robot's motors, read from its drives: what a runtime may know of them."""
+"""Nominal windings of a robot's motors, from the drives of robot.toml or of the model."""
 
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -12,8 +12,8 @@ from robots.spec import RobotSpec
 
 Attributes = dict[str, str]
 
-MAIN = "main"
-"""The class of everything that names none."""
+DEFAULT_CLASS = "main"
+"""Class of elements that name none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,11 +35,11 @@ class Windings:
 
 
 def nominal_windings(spec: RobotSpec) -> Windings:
-    """Read them in the order of the joints, from the drives of robot.toml, or from those of the model.
+    """Read the windings in the order of the joints, from the drives of robot.toml, or from those of the model.
 
     Raises:
-        RobotError: a joint has no `dcmotor`, or one whose `resistance`, `motorconst` or `thermal` is missing or makes
-            no sense.
+        RobotError: a joint has no `dcmotor`, or one whose `resistance`, `motorconst` or `thermal` is missing or
+            impossible.
     """
     if spec.drives:
         rows = np.array([_declared(drive) for drive in spec.drives]).T
@@ -88,7 +88,7 @@ def _winding(spec: RobotSpec, joint: str, motors: dict[str, Attributes]) -> tupl
 
 
 def _constant(motor: Attributes, where: str) -> float:
-    """N·m/A at the joint. Of two constants, torque's and voltage's, MuJoCo takes the geometric mean."""
+    """Return N·m/A at the joint. MuJoCo takes the geometric mean of the constants of torque and voltage."""
     torque, volts = _numbers(motor, "motorconst", 2, where)
     constant = float(np.sqrt(torque * volts)) if torque > 0 and volts > 0 else max(torque, volts)
     gear, *_ = _numbers({"gear": "1"} | motor, "gear", 6, where)
@@ -100,28 +100,29 @@ def _constant(motor: Attributes, where: str) -> float:
     return constant * gear
 
 
-def _numbers(motor: Attributes, key: str, many: int, where: str) -> list[float]:
-    """Numbers of an attribute; those left out at its end are 0."""
+def _numbers(motor: Attributes, key: str, count: int, where: str) -> list[float]:
+    """Return the numbers of an attribute; those left out at its end are 0."""
     try:
         numbers = [float(word) for word in motor[key].split()]
     except (KeyError, ValueError):
         numbers = []
-    if not 0 < len(numbers) <= many or not np.isfinite(numbers).all():
-        raise RobotError(f"{where}: {key}: found {motor.get(key)!r}, expected up to {many} numbers")
-    return numbers + [0.0] * (many - len(numbers))
+    if not 0 < len(numbers) <= count or not np.isfinite(numbers).all():
+        raise RobotError(f"{where}: {key}: found {motor.get(key)!r}, expected up to {count} numbers")
+    return numbers + [0.0] * (count - len(numbers))
 
 
 def _dcmotors(spec: RobotSpec) -> dict[str, Attributes]:
-    """Attributes of each joint's dcmotor, with what its class and the classes around that give."""
+    """Return the attributes of each joint's dcmotor, with those of its class and of the classes around that."""
     try:
         root = ElementTree.parse(spec.model_path).getroot()
     except (OSError, ElementTree.ParseError) as e:
         raise RobotError(f"{spec.model_path}: not readable as XML: {e}") from e
-    classes: dict[str, Attributes] = {MAIN: {}}
+    classes: dict[str, Attributes] = {DEFAULT_CLASS: {}}
     for top in root.findall("default"):
         _read_class(top, {}, classes)
     found = [
-        classes.get(motor.get("class", MAIN), {}) | motor.attrib for motor in root.findall("actuator/dcmotor")
+        classes.get(motor.get("class", DEFAULT_CLASS), {}) | motor.attrib
+        for motor in root.findall("actuator/dcmotor")
     ]
     return {motor["joint"]: motor for motor in found if "joint" in motor}
 
@@ -130,6 +131,6 @@ def _read_class(element: ElementTree.Element, inherited: Attributes, classes: di
     own = inherited.copy()
     for motor in element.findall("dcmotor"):
         own |= motor.attrib
-    classes[element.get("class", MAIN)] = own
+    classes[element.get("class", DEFAULT_CLASS)] = own
     for inner in element.findall("default"):
         _read_class(inner, own, classes)

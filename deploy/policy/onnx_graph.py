@@ -7,7 +7,7 @@ import onnx
 from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
 from onnx import AttributeProto, GraphProto, ModelProto, TensorProto, numpy_helper
 
-from robots.errors import ContractError, harmless
+from robots.errors import ContractError, printable
 
 
 def read_model(data: bytes, source: str) -> ModelProto:
@@ -52,7 +52,7 @@ def check_model(model: ModelProto, source: str) -> None:
 
 def shortened(error: Exception) -> str:
     """What a library says about a file, on one line, and nothing in it that would upset a terminal."""
-    return harmless(" ".join(str(error).split()))[:300]
+    return printable(" ".join(str(error).split()))[:300]
 
 
 def graphs(model: ModelProto) -> Iterator[GraphProto]:

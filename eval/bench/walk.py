@@ -24,7 +24,7 @@ from eval.bench.trial import Trial
 from eval.soak.shard import ARM_S
 from robots.arrays import Floats
 from robots.distributions import load_distributions
-from robots.draws import middle
+from robots.draws import median_draw
 from robots.errors import ConfigError
 from robots.gains import Gains
 from robots.models.nominal_model import torque_max
@@ -79,7 +79,7 @@ def walk(spec: RobotSpec, policy: Path, console: Console) -> None:
     table.add_row("a loop of the vendor's kind", f"{int(fell)} of 1", f"{forwards:.3f}", "", "", "")
     seeds = [robot_seed(SEED, robot) for robot in range(ROBOTS)]
     for name, given in (
-        ("in the middle of their draws", middle(load_distributions(spec), spec, ROBOTS)),
+        ("in the middle of their draws", median_draw(load_distributions(spec), spec, ROBOTS)),
         ("as drawn", None),
     ):
         trial = Trial(spec, policy, seeds, given=given)

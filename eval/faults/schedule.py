@@ -10,7 +10,7 @@ from deploy.backends.sim.sensor_faults import Fault
 from eval.faults.catalogue import catalogue
 from eval.faults.fault_class import FaultClass, Injection, SensorFault
 from eval.soak.profile import HOURS_MAX, Faults
-from robots.randomness import Keys, keyed, keys
+from robots.randomness import Keys, generator_at, stream_keys
 from robots.sensors import Kind
 from robots.spec import RobotSpec
 
@@ -97,7 +97,7 @@ def plan(
     slots = range(round(FIRST_S / spec.dt), ticks, round(faults.cycle_s / spec.dt))
     injections = [
         injection
-        for robot, key in enumerate(keys(seeds, PURPOSE))
+        for robot, key in enumerate(stream_keys(seeds, PURPOSE))
         for injection in _robot_injections(classes, robot, first + robot, key, slots, spec.dt)
         if slots[injection.slot] + slots.step <= ticks
     ]
@@ -112,7 +112,7 @@ def _robot_injections(
     for slot, begin in enumerate(slots):
         turn, place = divmod(slot, count)
         if place == 0:
-            rng = keyed(key, turn)
+            rng = generator_at(key, turn)
             order, delay = rng.permutation(count), rng.integers(0, spread, count)
         fault = classes[order[place]]
         begins = begin + int(delay[place])

@@ -3,7 +3,7 @@
 from deploy.backends.sim.sensor_faults import OF_PACKETS, Failure
 from eval.faults.fault_class import SOON_S, Answer, SensorFault
 from robots.sensors import NEEDED, Kind
-from robots.spec import INERTIAL, RobotSpec
+from robots.spec import IMU_SENSORS, RobotSpec
 
 ENCODER: Kind = "encoder"
 BURSTS = {3: Answer.WENT_ON, 10: Answer.HELD, 25: Answer.STOPPED}
@@ -26,7 +26,7 @@ def sensor_faults(spec: RobotSpec) -> tuple[SensorFault, ...]:
 
     Without a sensor that it needs, a robot may stop and wait for its operator.
     """
-    needed = (*NEEDED, *(INERTIAL if "floating_base" in spec.capabilities else ()))
+    needed = (*NEEDED, *(IMU_SENSORS if "floating_base" in spec.capabilities else ()))
     failures = (
         SensorFault(
             where=kind,

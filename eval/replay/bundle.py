@@ -26,7 +26,7 @@ from eval.judge.monitors import NAMES
 from eval.soak.fingerprint import code_digest, processor, versions
 from eval.soak.profile import Faults
 from robots.errors import ConfigError, OutputError
-from robots.models.files import named_files
+from robots.models.files import referenced_files
 from robots.spec import RobotSpec
 from robots.strict import Strict, parse, read_json
 
@@ -130,7 +130,7 @@ def robot_files(spec: RobotSpec) -> tuple[str, ...]:
     Raises:
         RobotError: the model cannot be read, or it names what is not there.
     """
-    model = (spec.model_path, *named_files(spec.model_path, spec.folder))
+    model = (spec.model_path, *referenced_files(spec.model_path, spec.folder))
     return *TABLES, *(path.relative_to(spec.folder).as_posix() for path in model)
 
 

@@ -22,7 +22,7 @@ from robots.arrays import Floats
 from robots.distributions import Distributions, load_distributions
 from robots.draws import Draw, load_draw
 from robots.errors import ConfigError
-from robots.models.quarantine import check_compiles
+from robots.models.sandbox import check_compiles
 from robots.spec import RobotSpec, load_robot
 
 JOINT_NAMES = tuple(monitor.name for monitor in MONITORS if monitor.per_joint)

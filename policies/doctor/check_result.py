@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robots.arrays import Bools, Floats, Ints
-from robots.errors import harmless
+from robots.errors import printable
 
 Places = Bools | Ints | slice
 NAMED_MAX = 6
@@ -58,7 +58,7 @@ def summed_up(check: str, notes: Iterable[Note]) -> Finding:
     """A row of some notes, the worst first; those that passed are said only where nothing else is."""
     ordered = sorted(notes, key=lambda note: -note.verdict)
     said = [note.said for note in ordered if note.verdict > Verdict.PASS] or [note.said for note in ordered]
-    return Finding(check=check, verdict=ordered[0].verdict, said="\n".join(map(harmless, said)))
+    return Finding(check=check, verdict=ordered[0].verdict, said="\n".join(map(printable, said)))
 
 
 def listed(names: Sequence[str], *numbers: Floats, unit: str = "", which: Places = slice(None)) -> str:

@@ -10,7 +10,7 @@ from deploy.policy.contract import Hertz
 from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Positive
 from policies.importers.torch_files.network_settings import NetworkSettings
 from robots.errors import ContractError
-from robots.strict import Strict, parse, refuse_open
+from robots.strict import Strict, parse, reject_placeholders
 
 NONE = "none"
 """Explicit absence of a value in the TOML."""
@@ -132,5 +132,5 @@ def read_draft(path: Path) -> ContractDraft:
         ) from e
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
         raise ContractError(f"{path}: not valid TOML: {e}") from e
-    refuse_open(data, str(path), ContractError)
+    reject_placeholders(data, str(path), ContractError)
     return parse(data, ContractDraft, source=str(path), error=ContractError)

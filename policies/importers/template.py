@@ -10,7 +10,7 @@ from deploy.plugins import TASKS, installed
 from deploy.tasks.task import installed_sources
 from policies.importers.reference_policy import PolicyFacts
 from policies.importers.torch_files.network_settings import Activation
-from robots.strict import OPEN, open_fields
+from robots.strict import PLACEHOLDER, placeholder_fields
 
 Part = TypeVar("Part", tomlkit.TOMLDocument, Table)
 
@@ -64,7 +64,7 @@ def render_template(facts: PolicyFacts, name: str) -> tuple[str, int]:
         kind=facts.kind,
         observations=facts.observations,
         actions=facts.actions,
-        open=OPEN,
+        open=PLACEHOLDER,
         sources=sources,
     )
     for line in head.splitlines():
@@ -84,13 +84,13 @@ def render_template(facts: PolicyFacts, name: str) -> tuple[str, int]:
         settings = {key: meaning for key, meaning in NETWORK.items() if key in network}
         document.add("network", _fill(tomlkit.table(), network, settings))
     text = tomlkit.dumps(document)
-    return text, len(list(open_fields(document.unwrap())))
+    return text, len(list(placeholder_fields(document.unwrap())))
 
 
 def _fill(table: Part, known: Mapping[str, Any], descriptions: Mapping[str, str]) -> Part:
     """Add the described keys and other known keys, each with its description as a comment."""
     for key in [*descriptions, *(key for key in known if key not in descriptions)]:
-        item = tomlkit.item(known.get(key, OPEN))
+        item = tomlkit.item(known.get(key, PLACEHOLDER))
         if key in descriptions:
             item.comment(descriptions[key])
         table.add(key, item)

@@ -14,9 +14,9 @@ from policies.robot_init.permanent_contacts import always_near
 from policies.robot_init.robot_files import draws_toml, limits_toml, robot_toml
 from policies.robot_init.vendor_model import Facts, read_facts
 from robots.errors import OutputError, RobotError
-from robots.models.files import is_urdf, named_files
-from robots.models.quarantine import check_compiles
-from robots.strict import open_fields
+from robots.models.files import is_urdf, referenced_files
+from robots.models.sandbox import check_compiles
+from robots.strict import placeholder_fields
 
 SUFFIXES = (".xml", ".urdf")
 README = """# {name}
@@ -48,7 +48,7 @@ def init_robot(model: Path, out: Path, *, walks: bool = False) -> tuple[Facts, l
     """
     folder = package_of(model)
     check_compiles(model, folder)
-    files = [model.resolve(), *named_files(model, folder)]
+    files = [model.resolve(), *referenced_files(model, folder)]
     facts = read_facts(model, folder)
     if walks and not is_urdf(model) and not facts.floats:
         raise RobotError(f"{model}: found no free joint, expected one: only URDF has no words for it")
@@ -70,7 +70,7 @@ def init_robot(model: Path, out: Path, *, walks: bool = False) -> tuple[Facts, l
 
 
 def _still_open(file: str, document: tomlkit.TOMLDocument) -> Iterator[tuple[str, str]]:
-    for field in open_fields(document.unwrap()):
+    for field in placeholder_fields(document.unwrap()):
         table, _, key = field.rpartition(".")
         yield f"{file} {table}".rstrip(), key
 

@@ -10,7 +10,7 @@ from tomlkit.items import AoT, Table
 from policies.robot_init import legged_defaults
 from policies.robot_init.vendor_model import Facts, JointFacts
 from robots.spec import ROBOTS
-from robots.strict import OPEN
+from robots.strict import PLACEHOLDER
 
 EXAMPLE = ROBOTS / "arm6"
 """Where estimates come from that hold for most robots of its size."""
@@ -93,7 +93,7 @@ def draws_toml(facts: Facts) -> tomlkit.TOMLDocument:
     document = tomlkit.parse((EXAMPLE / "draws.toml").read_text(encoding="utf-8"))
     bodies = [joint.body for joint in facts.joints if joint.name not in facts.locked]
     cable = document["cable"]
-    cable["link"] = bodies[len(bodies) // 2] if bodies else OPEN
+    cable["link"] = bodies[len(bodies) // 2] if bodies else PLACEHOLDER
     cable["above_m"] = round(facts.centre[2] + 1.2 * facts.reach, 2)
     if facts.floats:  # it walks away from where the cable hangs
         cable["stiffness_n_per_m"].update({"low": 0.0, "high": 0.0, "log": False})
@@ -107,10 +107,12 @@ def limits_toml(facts: Facts, name: str) -> tomlkit.TOMLDocument:
     )
     example = tomllib.loads((EXAMPLE / "limits.toml").read_text(encoding="utf-8"))
     left_out = {"motors", "manipulability"} if facts.floats else {"motors"}
-    asked = {"power_w": OPEN} | (legged_defaults.LIMITS | {"contact_n": OPEN} if facts.floats else {})
+    asked = {"power_w": PLACEHOLDER} | (
+        legged_defaults.LIMITS | {"contact_n": PLACEHOLDER} if facts.floats else {}
+    )
     document |= {key: value for key, value in example.items() if key not in left_out} | asked
     motors = {
-        motor: {"power_w": OPEN, "torque_rate": OPEN, "source": OPEN}
+        motor: {"power_w": PLACEHOLDER, "torque_rate": PLACEHOLDER, "source": PLACEHOLDER}
         for motor in set(_motors(facts).values())
     }
     document.add("motors", tomlkit.item(dict(sorted(motors.items()))))
@@ -126,7 +128,7 @@ def _commented(text: str) -> tomlkit.TOMLDocument:
 
 def _said(value: Any, meaning: str) -> Any:
     """A value, or "?" for None, with its meaning behind it."""
-    item = tomlkit.item(OPEN if value is None else value)
+    item = tomlkit.item(PLACEHOLDER if value is None else value)
     return item.comment(meaning)
 
 
@@ -203,7 +205,7 @@ def _joints(facts: Facts, motors: Mapping[str, str]) -> AoT:
         for key, item in _table(known | estimates, JOINT).items():
             table.add(key, item)
         table.add("motor", motors[joint.name])
-        table.add("source", OPEN)
+        table.add("source", PLACEHOLDER)
         tables.append(table)
     return tables
 

@@ -1,6 +1,6 @@
-"""The files of which a robot's model is made: MJCF or URDF, and what it names, mostly meshes.
+"""Files of a robot's model: MJCF or URDF, and the files that it refers to, mostly meshes.
 
-All of them lie inside the robot's folder. Names are looked up as both formats do: in the directories that MJCF says or
+All of them lie inside the robot's folder. Names are looked up as both formats do: in the directories that MJCF sets or
 else beside the model, and as `package://NAME/path` inside the folder, which may itself be that package.
 """
 
@@ -12,34 +12,34 @@ from robots.errors import RobotError
 
 TEXT_BYTES_MAX = 16 << 20
 DEPTH_MAX = 200
-"""Of elements within elements."""
+"""Nesting of XML elements."""
 FILES_MAX, FILES_BYTES_MAX = 1000, 1 << 30
-"""Of all that a model names."""
+"""Number and total size of the files that a model refers to."""
 PACKAGE = "package://"
 
 
 def is_urdf(model: Path) -> bool:
-    """By the end of its name."""
+    """Return whether the file name ends in .urdf."""
     return model.suffix == ".urdf"
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """The root of an XML file of bounded size.
+    """Return the root of an XML file of bounded size and depth.
 
     Raises:
-        RobotError: it cannot be read, is too large, or is no XML.
+        RobotError: it cannot be read, is too large or too deep, or is no XML.
     """
     try:
         size = path.stat().st_size
         if size > TEXT_BYTES_MAX:
             raise RobotError(f"{path}: {size} bytes, expected at most {TEXT_BYTES_MAX}")
-        return _shallow(ElementTree.parse(path).getroot(), path)
+        return _check_depth(ElementTree.parse(path).getroot(), path)
     except (OSError, ElementTree.ParseError, ValueError) as e:
         raise RobotError(f"{path}: not readable as XML: {e}") from e
 
 
-def _shallow(root: ElementTree.Element, path: Path) -> ElementTree.Element:
-    """Whoever walks through it by recursion must come to an end."""
+def _check_depth(root: ElementTree.Element, path: Path) -> ElementTree.Element:
+    """Return the root if its depth is bounded: others walk through it by recursion."""
     level, depth = [root], 0
     while level:
         depth += 1
@@ -50,7 +50,7 @@ def _shallow(root: ElementTree.Element, path: Path) -> ElementTree.Element:
 
 
 def urdf_text(model: Path, folder: Path) -> str:
-    """URDF that both libraries read alike: meshes by their places, no visuals, and every link a body of its own.
+    """Return URDF that both libraries read alike: meshes by absolute path, no visuals, every link a body of its own.
 
     Raises:
         RobotError: it cannot be read, or a mesh is not inside the folder.
@@ -60,23 +60,23 @@ def urdf_text(model: Path, folder: Path) -> str:
         for visual in link.findall("visual"):
             link.remove(visual)
     for mesh in root.iter("mesh"):
-        mesh.set("filename", str(find(mesh.get("filename", ""), model, folder)[0]))
-    for own in root.findall("mujoco"):
-        root.remove(own)
+        mesh.set("filename", str(find_file(mesh.get("filename", ""), model, folder)[0]))
+    for element in root.findall("mujoco"):
+        root.remove(element)
     compiler = ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler")
     compiler.attrib |= {"strippath": "false", "fusestatic": "false"}
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def named_files(model: Path, folder: Path) -> tuple[Path, ...]:
-    """What the model names, in the order of their paths; of URDF what links collide with.
+def referenced_files(model: Path, folder: Path) -> tuple[Path, ...]:
+    """Return the files that the model refers to, ordered by path; of URDF those of collision geometry.
 
     Raises:
         RobotError: a file cannot be read, is missing or not inside the folder, or they are too many or too large.
     """
     if is_urdf(model):
         meshes = read_xml(model).findall("link/collision/geometry/mesh")
-        found = {find(mesh.get("filename", ""), model, folder)[0] for mesh in meshes}
+        found = {find_file(mesh.get("filename", ""), model, folder)[0] for mesh in meshes}
     else:
         found = _named_by_mjcf(model, folder)
     if len(found) > FILES_MAX:
@@ -94,13 +94,13 @@ def _named_by_mjcf(model: Path, folder: Path) -> set[Path]:
             f"{model}: include: found {include.get('file', '')!r}, expected a model in one file:"
             " Pinocchio reads no other"
         )
-    said = [compiler.attrib for compiler in root.iter("compiler")]
-    stripped = {one["strippath"] for one in said if "strippath" in one} == {"true"}
+    compilers = [compiler.attrib for compiler in root.iter("compiler")]
+    stripped = {one["strippath"] for one in compilers if "strippath" in one} == {"true"}
     found = set()
     for element, name in _names(root):
         keys = "assetdir", "texturedir" if element.tag == "texture" else "meshdir"
-        places = [one[key] for one in said for key in keys if one.get(key)]
-        found.update(find(Path(name).name if stripped else name, model, folder, places or [""]))
+        places = [one[key] for one in compilers for key in keys if one.get(key)]
+        found.update(find_file(Path(name).name if stripped else name, model, folder, places or [""]))
     return found
 
 
@@ -109,17 +109,17 @@ def _names(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, str
         yield from ((element, value) for key, value in element.items() if key.startswith("file") and value)
 
 
-def find(name: str, model: Path, folder: Path, places: Sequence[str] = ("",)) -> list[Path]:
-    """The files that a library may take for what a model calls so, as they lie on the disk.
+def find_file(name: str, model: Path, folder: Path, places: Sequence[str] = ("",)) -> list[Path]:
+    """Return the files on disk that a library may take for a name in a model.
 
     Args:
-        name: as it stands in the model.
-        model: the file that names it.
+        name: as written in the model.
+        model: the file that refers to it.
         folder: of the robot.
-        places: directories to look into, as seen from the model.
+        places: directories to search, relative to the model.
 
     Raises:
-        RobotError: there is no such file, or a library would look for it outside of the folder, too.
+        RobotError: there is no such file, or a library would also search outside of the folder.
     """
     if name.startswith(PACKAGE):
         rest = name.removeprefix(PACKAGE)

@@ -1,4 +1,4 @@
-"""Where the IMU of a base sits, and whether what feels the ground sits where its feet are."""
+"""Position of the IMU of a floating base, and check of its contact sensors against its feet."""
 
 import numpy as np
 import pinocchio as pin
@@ -11,18 +11,18 @@ from robots.spec import RobotSpec
 from robots.tables import Base
 
 TURNED_RAD = 1e-3
-"""rad by which the IMU's axes may differ from the base's: rounding of a file, not a mounting."""
+"""rad by which the IMU's axes may differ from the base's: the rounding of a file, no mounting."""
 AT_THE_IMU: tuple[Kind, ...] = ("gyro", "accelerometer", "orientation")
 
 
 def imu_in_base(spec: RobotSpec, model: pin.Model) -> NDArray[np.float64]:
-    """(3,) m, where the IMU sits in the frame of the root body, whose axes it has.
+    """Return (3,) m, the IMU in the frame of the root body, whose axes it must have.
 
     Args:
-        spec: a robot with a base. model: as seen from there.
+        spec: a robot with a floating base. model: in the frame of its root body.
 
     Raises:
-        RobotError: its sensors sit at several places, or at one that moves with a joint or is turned.
+        RobotError: its sensors have several sites, or one that moves with a joint or is turned.
     """
     places = {kind: spec.sensors[kind].sites[0] for kind in AT_THE_IMU if kind in spec.sensors}
     for kind, site in places.items():
@@ -46,10 +46,10 @@ def imu_in_base(spec: RobotSpec, model: pin.Model) -> NDArray[np.float64]:
 
 
 def check_contacts(spec: RobotSpec, base: Base, model: pin.Model) -> None:
-    """What feels the ground, if anything does, is one sensor at each foot, in the order of the feet.
+    """Check that contact sensors, if any, are one at each foot, in the order of the feet.
 
     Raises:
-        RobotError: it is not.
+        RobotError: they are not.
     """
     if "contact" not in spec.sensors:
         return

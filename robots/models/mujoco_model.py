@@ -1,4 +1,4 @@
-"""MuJoCo's model of a robot, from the same model.xml."""
+"""MuJoCo model of a robot, from the same file as the Pinocchio model."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 
 from robots.drive import Drive
 from robots.errors import RobotError
-from robots.models.files import is_urdf, named_files, urdf_text
+from robots.models.files import is_urdf, referenced_files, urdf_text
 from robots.spec import RobotSpec
 from robots.tables import Joint
 
@@ -17,16 +17,16 @@ _INPUT = mujoco.mjtCtrlInput
 INPUTS = 3
 """Controls of one `dcmotor` with `input="pos vel ff"`: motor angle, motor speed, motor torque."""
 SIGNATURE = sum(int(mode) for mode in (_INPUT.mjINPUT_POS, _INPUT.mjINPUT_VEL, _INPUT.mjINPUT_FF))
-"""What MuJoCo calls these."""
+"""MuJoCo's bit set of these controls."""
 
 
 def open_model(model: Path, folder: Path) -> mujoco.MjSpec:
-    """Read MJCF or URDF as its vendor wrote it.
+    """Read MJCF or URDF without changes.
 
     Raises:
-        RobotError: MuJoCo cannot read it, or it names what is not in the folder.
+        RobotError: MuJoCo cannot read it, or it refers to a file outside of the folder.
     """
-    named_files(model, folder)
+    referenced_files(model, folder)
     try:
         if is_urdf(model):
             return mujoco.MjSpec.from_string(urdf_text(model, folder))
@@ -36,10 +36,10 @@ def open_model(model: Path, folder: Path) -> mujoco.MjSpec:
 
 
 def compile_model(mjcf: mujoco.MjSpec, model: Path) -> mujoco.MjModel:
-    """Compile what was read from a file.
+    """Compile a model that was read from a file.
 
     Raises:
-        RobotError: MuJoCo cannot, and says why.
+        RobotError: with MuJoCo's message if it cannot.
     """
     try:
         return mjcf.compile()
@@ -51,13 +51,13 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
     """Read the model at the robot's physics rate, with the drives of robot.toml, to compile or to add to.
 
     Raises:
-        RobotError: MuJoCo cannot read it, or it lacks what robot.toml speaks of.
+        RobotError: MuJoCo cannot read it, or it lacks a part that robot.toml names.
     """
     mjcf = open_model(spec.model_path, spec.folder)
-    if spec.base and is_urdf(spec.model_path):  # which has no words for a root that is free
+    if spec.base and is_urdf(spec.model_path):  # URDF cannot declare a free root
         mjcf.worldbody.bodies[0].add_freejoint()
     mjcf.option.timestep = 1.0 / spec.rates.physics_hz
-    for element in (*mjcf.keys, *mjcf.sensors):  # they speak of actuators and joints that may not stay
+    for element in (*mjcf.keys, *mjcf.sensors):  # they refer to actuators and joints that may be removed
         mjcf.delete(element)
     _lock(mjcf, spec)
     if spec.drives:
@@ -73,7 +73,7 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
 
 
 def _lock(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """Take locked joints away, and with them whatever else moves or holds them."""
+    """Remove locked joints, and whatever else moves or holds them."""
     for name in spec.locked:
         _check_known(spec, "locked", name, "joints", mjcf.joints)
     joints = [joint for joint in mjcf.joints if joint.name in spec.locked]
@@ -91,7 +91,7 @@ def _lock(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
 
 
 def _exclude_mount(mjcf: mujoco.MjSpec) -> None:
-    """Let the first link turn in what it is mounted on: MuJoCo spares parent and child only where both can move."""
+    """Exclude contacts of the first link with its mount: MuJoCo excludes parent and child only where both can move."""
     fixed, excluded = {"world"}, {frozenset((each.bodyname1, each.bodyname2)) for each in mjcf.excludes}
     for body in mjcf.bodies[1:]:
         if body.parent.name not in fixed:
@@ -114,7 +114,7 @@ def _check_known(spec: RobotSpec, field: str, found: str, expected: str, element
 
 
 def _drive(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """The drives of robot.toml in the place of the model's own actuators."""
+    """Replace the model's actuators by the drives of robot.toml."""
     if any(actuator.dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR for actuator in mjcf.actuators):
         raise RobotError(
             f"{spec.folder / 'robot.toml'}: motors.{spec.joints[0].motor}.drive: {spec.model_path.name} has a dcmotor"
@@ -122,13 +122,15 @@ def _drive(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
         )
     for actuator in mjcf.actuators:
         mjcf.delete(actuator)
-    mjcf.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # the others do not bear stiff drives
+    mjcf.option.integrator = (
+        mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    )  # the others are unstable with stiff drives
     for joint, drive in zip(spec.joints, spec.drives, strict=True):
         _add_drive(mjcf, joint, drive, spec)
 
 
 def _add_drive(mjcf: mujoco.MjSpec, driven: Joint, drive: Drive, spec: RobotSpec) -> None:
-    """One drive. Its gains are on the motor's side, where an error of the joint is `gear` times as large."""
+    """Add one drive. Its gains are at the motor, where an error of the joint is `gear` times as large."""
     joint = mjcf.joint(driven.name)
     if joint is None:
         known = tuple(joint.name for joint in mjcf.joints)

@@ -1,4 +1,4 @@
-"""A robot's model as Pinocchio reads it: MJCF or URDF, without the joints that are locked, with declared capsules."""
+"""Pinocchio model of a robot, read from MJCF or URDF: locked joints removed, declared capsules added."""
 
 import coal
 import numpy as np
@@ -6,24 +6,24 @@ import pinocchio as pin
 
 from robots.capsule import Capsule
 from robots.errors import RobotError
-from robots.models.files import is_urdf, named_files, read_xml, urdf_text
+from robots.models.files import is_urdf, read_xml, referenced_files, urdf_text
 from robots.spec import RobotSpec
 
 Read = tuple[pin.Model, pin.GeometryModel]
 FLOATING = "JointModelFreeFlyer"
-"""What Pinocchio calls the joint of a base that nothing holds."""
+"""Pinocchio's name of the joint of a floating base."""
 BODY, SITE = pin.FrameType.BODY, pin.FrameType.OP_FRAME
 _SET_ASIDE = "/body"
 
 
 def read_pinocchio(spec: RobotSpec) -> Read:
-    """Model and collision geometry, not yet compared with robot.toml; of a robot with a base, as seen from there.
+    """Return model and collision geometry, not yet compared with robot.toml; a floating base becomes the world.
 
     Raises:
         RobotError: Pinocchio cannot read the file or would leave a part of it out, or it has no such joint or body.
     """
     path = spec.model_path
-    named_files(path, spec.folder)
+    referenced_files(path, spec.folder)
     try:
         model, geometry = _read_urdf(spec) if is_urdf(path) else _read_mjcf(spec)
     except (ValueError, RuntimeError) as e:
@@ -47,7 +47,7 @@ def _read_mjcf(spec: RobotSpec) -> Read:
         )
     model = pin.buildModelFromMJCF(path)
     carried, shapes = (len(root.findall(f"./worldbody{parts}//geom")) for parts in ("/body", ""))
-    if spec.capsules and carried == shapes:  # in the place of all of them: meshes take seconds to load
+    if spec.capsules and carried == shapes:  # they replace all shapes: meshes take seconds to load
         return model, pin.GeometryModel()
     return model, pin.buildGeomFromMJCF(model, path, pin.GeometryType.COLLISION)
 
@@ -56,7 +56,7 @@ def _read_urdf(spec: RobotSpec) -> Read:
     text = urdf_text(spec.model_path, spec.folder)
     root = (pin.JointModelFreeFlyer(),) if spec.base else ()
     model = pin.buildModelFromXML(text, *root)
-    if spec.capsules:  # in the place of all shapes: whatever stands still is a link here, too
+    if spec.capsules:  # they replace all shapes: in URDF, fixed surroundings are links, too
         return model, pin.GeometryModel()
     return model, pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
 
@@ -73,7 +73,7 @@ def _lock(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> Rea
 
 
 def _without(model: pin.Model, geometry: pin.GeometryModel, joints: list[int]) -> Read:
-    """The same with some joints held where they are neutral."""
+    """Return the same with some joints fixed at their neutral position."""
     # Pinocchio looks for a joint's frame by its name alone, which is often that of its body as well.
     bodies = [frame for frame in model.frames if frame.type == BODY]
     for frame in bodies:
@@ -85,7 +85,7 @@ def _without(model: pin.Model, geometry: pin.GeometryModel, joints: list[int]) -
 
 
 def _from_base(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> Read:
-    """The same without the joint of a base: the world is where the base is, and no floor is there."""
+    """Return the same without the joint of a floating base: the base becomes the world, shapes of the world go."""
     floats = model.njoints > 1 and model.joints[1].shortname() == FLOATING
     if floats != (spec.base is not None):
         found, expected = ("a free joint", "none") if floats else ("no free joint", "one")
@@ -101,7 +101,7 @@ def _from_base(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -
 
 
 def tool_frame(spec: RobotSpec, model: pin.Model) -> list[int]:
-    """Frame of the site or else the body that robot.toml calls the tool; empty for a robot without one.
+    """Return the frame of the site or else the body that robot.toml calls the tool; empty without tool.
 
     Raises:
         RobotError: there is no such site or body.
@@ -110,7 +110,7 @@ def tool_frame(spec: RobotSpec, model: pin.Model) -> list[int]:
 
 
 def foot_frames(spec: RobotSpec, model: pin.Model) -> list[int]:
-    """Frames of the sites or else the bodies that robot.toml calls feet; empty for a robot without a floating base.
+    """Return the frames of the sites or else the bodies that robot.toml calls feet; empty without floating base.
 
     Raises:
         RobotError: there is no such site or body.
@@ -119,7 +119,7 @@ def foot_frames(spec: RobotSpec, model: pin.Model) -> list[int]:
 
 
 def site_or_body(spec: RobotSpec, model: pin.Model, name: str, what: str) -> int:
-    """The frame of a site or else a body.
+    """Return the frame of a site or else a body.
 
     Raises:
         RobotError: there is no such one; `what` is what robot.toml calls it.
@@ -131,7 +131,7 @@ def site_or_body(spec: RobotSpec, model: pin.Model, name: str, what: str) -> int
 
 
 def _add_rotors(spec: RobotSpec, model: pin.Model) -> None:
-    """Those of drives, on joints for which the model has none."""
+    """Add the rotor inertia of declared drives to joints for which the model has none."""
     for joint, drive in zip(spec.joints, spec.drives, strict=False):
         if drive.armature is not None and model.existJointName(joint.name):
             place = model.joints[model.getJointId(joint.name)].idx_v
@@ -139,7 +139,7 @@ def _add_rotors(spec: RobotSpec, model: pin.Model) -> None:
 
 
 def _capsules(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> pin.GeometryModel:
-    """Declared capsules in the place of the shapes of all bodies; what stands in the world itself stays."""
+    """Return declared capsules instead of the shapes of all bodies; shapes of the world itself stay."""
     shapes = pin.GeometryModel()
     for shape in geometry.geometryObjects:
         if shape.parentFrame == 0:
@@ -158,7 +158,7 @@ def _length(capsule: Capsule) -> float:
 
 
 def _placement(capsule: Capsule) -> pin.SE3:
-    """Middle, and a rotation from z to the capsule's axis."""
+    """Return the middle of a capsule, and the rotation from z to its axis."""
     along = np.subtract(capsule.end, capsule.start)
     turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along)
     return pin.SE3(turn.toRotationMatrix(), np.add(capsule.start, capsule.end) / 2.0)

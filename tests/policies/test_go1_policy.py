@@ -21,7 +21,7 @@ from policies.doctor.check_result import Verdict
 from policies.doctor.checklist import examined
 from policies.importers.cli import import_policy, write_template
 from robots.distributions import load_distributions
-from robots.draws import middle
+from robots.draws import median_draw
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.paths import TEST_ROBOTS
@@ -88,7 +88,7 @@ def go1(tmp_path_factory):
 @shipped
 def test_it_walks_through_the_whole_stack(go1):
     spec, seeds = load_robot(go1), [robot_seed(7, robot) for robot in range(ROBOTS)]
-    given = middle(load_distributions(spec), spec, ROBOTS)
+    given = median_draw(load_distributions(spec), spec, ROBOTS)
     trial = Trial(spec, go1 / "walk.onnx", seeds, given=given)
     found, counts = stroll(trial, WALKED_S), trial.judge.counts()
     assert (trial.runtime.supervisor.mode == Mode.RUNNING).all()

@@ -16,7 +16,7 @@ from policies.doctor.check_result import Verdict
 from policies.doctor.checklist import examined
 from policies.importers.cli import import_policy
 from robots.distributions import load_distributions
-from robots.draws import middle
+from robots.draws import median_draw
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.paths import SHARED, TEST_ROBOTS
@@ -40,7 +40,7 @@ def h1(tmp_path_factory):
 
 def test_it_walks_for_a_minute_through_the_whole_stack(h1):
     spec, seeds = load_robot(h1), [robot_seed(7, robot) for robot in range(ROBOTS)]
-    given = middle(load_distributions(spec), spec, ROBOTS)
+    given = median_draw(load_distributions(spec), spec, ROBOTS)
     trial = Trial(spec, h1 / "walk.onnx", seeds, given=given)
     found, counts = stroll(trial, WALKED_S), trial.judge.counts()
     assert (trial.runtime.supervisor.mode == Mode.RUNNING).all()

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robots.distributions import Span, load_distributions
+from robots.distributions import load_distributions
 from robots.draws import draw, load_draw, shape
 from robots.errors import ConfigError
-from robots.randomness import keyed, keys, robot_seed
+from robots.randomness import generator_at, robot_seed, stream_keys
+from robots.spans import Span
 from robots.spec import load_robot
 from support.arm6 import ARM, SPEC, copy_of_arm
 
@@ -231,12 +232,12 @@ def test_streams_of_keys_do_not_meet():
     seeds = [robot_seed(1, robot) for robot in range(3)]
     numbers = {}
     for purpose in (0, 1):
-        for robot, key in enumerate(keys(seeds, purpose)):
+        for robot, key in enumerate(stream_keys(seeds, purpose)):
             for counter in (0, 1, 2**40):
-                numbers[purpose, robot, counter] = keyed(key, counter).random(1000)
+                numbers[purpose, robot, counter] = generator_at(key, counter).random(1000)
     everything = np.concatenate(list(numbers.values()))
     assert len(np.unique(everything)) == everything.size
-    again = keyed(keys([robot_seed(1, 2)], 1)[0], 2**40).random(1000)
+    again = generator_at(stream_keys([robot_seed(1, 2)], 1)[0], 2**40).random(1000)
     np.testing.assert_array_equal(again, numbers[1, 2, 2**40])
 
 
@@ -244,6 +245,6 @@ def test_draw_and_streams_share_no_state():
     """Making keys, drawing, spawning: each robot's seed gives the same draw whatever was done with it before."""
     seed = robot_seed(4, 2)
     before = draw(DISTRIBUTIONS, SPEC, [seed])
-    keys([seed], 0)
+    stream_keys([seed], 0)
     seed.spawn(3)
     assert_same(draw(DISTRIBUTIONS, SPEC, [seed]), before)

@@ -14,7 +14,7 @@ from deploy.backends.sim.model.plant_model import PlantModel
 from deploy.stage import Stage
 from robots.arrays import Bools, Ints
 from robots.draws import Draw
-from robots.randomness import keyed, keys
+from robots.randomness import generator_at, stream_keys
 
 Seeds = Sequence[np.random.SeedSequence]
 
@@ -35,7 +35,7 @@ class Intermittent(Stage, ABC):
 
     def __init__(self, seeds: Seeds, dt: float) -> None:
         """Begin the first phase of every robot at tick 0."""
-        self._dt, self._keys = dt, keys(seeds, self.purpose)
+        self._dt, self._keys = dt, stream_keys(seeds, self.purpose)
         self.phase, self.until = np.zeros(len(seeds), dtype=np.int64), np.zeros(len(seeds), dtype=np.int64)
         self._extend(np.arange(len(seeds)))
 
@@ -68,7 +68,7 @@ class Intermittent(Stage, ABC):
 
     def rng(self, robot: int) -> np.random.Generator:
         """Return the random numbers of a robot's present phase."""
-        return keyed(self._keys[robot], int(self.phase[robot]))
+        return generator_at(self._keys[robot], int(self.phase[robot]))
 
     def _extend(self, rows: Ints) -> None:
         """Add the durations of the present phases of robots `rows`."""

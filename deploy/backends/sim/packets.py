@@ -11,7 +11,7 @@ import numpy as np
 from deploy.backends.sim.sensor_faults import LATE_S, SLOW, Failure, Fault, checked, silent
 from robots.arrays import Bools, Floats, Ints
 from robots.draws import Draw
-from robots.randomness import Keys, keyed
+from robots.randomness import Keys, generator_at
 from robots.sensors import BUFFER_S
 from robots.spec import RobotSpec
 
@@ -89,7 +89,7 @@ class Packets:
     def _uniform(self, chunk: int) -> Floats:
         """Return (length, B, G, 5) in [0, 1)."""
         shape = (self.length, self.sensors, 5)
-        return np.stack([keyed(key, chunk + 1).random(shape) for key in self._keys], axis=1)
+        return np.stack([generator_at(key, chunk + 1).random(shape) for key in self._keys], axis=1)
 
     def _delay(self, u: Floats) -> Floats:
         """Return (length, B, G) s. A chunk begins with a new delay; after that each holds with its probability."""

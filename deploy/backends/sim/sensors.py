@@ -12,7 +12,7 @@ from deploy.stage import Stage
 from deploy.state import Packet, Sample
 from robots.arrays import Bools, Floats, Ints
 from robots.draws import Draw
-from robots.randomness import keyed, keys
+from robots.randomness import generator_at, stream_keys
 from robots.sensors import AT_JOINTS, Kind
 from robots.spec import RobotSpec
 
@@ -49,8 +49,8 @@ class Sensors(Stage):
         """
         robots, sheet, sizes = len(seeds), list(spec.sensors.values()), list(spec.channels.values())
         self._dt, self._faults = spec.dt, faults
-        self.noise_keys, self._garbage_keys = keys(seeds, NOISE), keys(seeds, GARBAGE)
-        self._packets = Packets(spec, draw, keys(seeds, TRAVEL), faults)
+        self.noise_keys, self._garbage_keys = stream_keys(seeds, NOISE), stream_keys(seeds, GARBAGE)
+        self._packets = Packets(spec, draw, stream_keys(seeds, TRAVEL), faults)
         self._length = self._packets.length
         self._sensor = np.repeat(np.arange(len(sheet)), sizes)
         ends = np.cumsum(sizes)
@@ -152,9 +152,9 @@ class Sensors(Stage):
     def _step_biases(self, chunk: int, truth: Floats) -> None:
         """Advance the random walk of the biases, and their drift with temperature."""
         for robot, key in enumerate(self.noise_keys):
-            self.bias_walk[robot] += self._walk_step[robot] * keyed(key, 2 * chunk + 1).standard_normal(
-                self.bias_walk.shape[1]
-            )
+            self.bias_walk[robot] += self._walk_step[robot] * generator_at(
+                key, 2 * chunk + 1
+            ).standard_normal(self.bias_walk.shape[1])
         warmed = truth[:, self._housing] - self.cold
         self.offset[:] = self._bias + self.bias_walk + self._per_k * warmed
 
@@ -166,7 +166,7 @@ class Sensors(Stage):
         begin, end = chunk * self._length, (chunk + 1) * self._length
         self._faults_of_chunk = [f for f in self._faults if f.begins <= end and f.ends > begin]
         for noise, key in zip(self._noise, self.noise_keys, strict=True):
-            keyed(key, 2 * chunk).standard_normal(out=noise)
+            generator_at(key, 2 * chunk).standard_normal(out=noise)
         self._noise *= self._sigma[:, None]
         self._arrivals = self._packets.arriving(chunk)
         self._arrived = self._arrivals != NEVER
@@ -185,7 +185,7 @@ class Sensors(Stage):
         elif fault.what == Failure.STUCK:
             own[:] = held
         elif fault.what == Failure.GARBAGE:
-            rng = keyed(self._garbage_keys[fault.robot], tick)
+            rng = generator_at(self._garbage_keys[fault.robot], tick)
             own[:] = rng.uniform(-1.0, 1.0, own.shape) * self._range[fault.robot, columns]
         elif fault.what == Failure.WRONG:
             own += WRONG * self._range[fault.robot, columns]

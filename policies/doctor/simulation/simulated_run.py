@@ -20,7 +20,7 @@ from eval.soak.shard import ARM_S, judge_tick
 from policies.doctor.simulation.heat_extrapolation import Thermometer, Warmth
 from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.distributions import load_distributions
-from robots.draws import middle
+from robots.draws import median_draw
 from robots.errors import ConfigError
 from robots.models.nominal_model import torque_max
 from robots.randomness import robot_seed
@@ -100,7 +100,7 @@ class _Trial:
         robots = len(seeds)
         self._policy, self._everybody = policy, np.ones(robots, dtype=bool)
         contract = policy.contract
-        given = middle(load_distributions(spec), spec, robots)
+        given = median_draw(load_distributions(spec), spec, robots)
         self._runtime, self._robot = simulate(spec, contract, seeds, policy, given=given)
         rule, observed = self._runtime.task.rule, contract.observed
         self._judge = Judge(spec, torque_max(spec), robots, scoring=rule, observed=observed)

@@ -20,7 +20,7 @@ from policies.importers.draft_fields import (
 )
 from policies.importers.onnx_files import holosoma
 from robots.errors import ContractError
-from robots.strict import OPEN
+from robots.strict import PLACEHOLDER
 
 CHARACTERS_MAX = 1 << 20
 ENTRY = re.compile(r"[\[(][^\[\]()]*[\])]|[^,]+")
@@ -51,7 +51,9 @@ def known_from(metadata: Mapping[str, str], source: str) -> dict[str, Any]:
     action = without_none(mode="position", multiply=multiply_field(scale), **gain_fields(kp, kd))
     observation = _observation(lists, pose)
     if actuated != joints:
-        return contract_fields(observation, "first", joint_names=joints, action_joints=OPEN, action=action)
+        return contract_fields(
+            observation, "first", joint_names=joints, action_joints=PLACEHOLDER, action=action
+        )
     return contract_fields(
         observation, "first", joint_names=joints, action=without_none(offset=pose, **action)
     )

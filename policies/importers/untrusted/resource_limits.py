@@ -10,7 +10,7 @@ from pathlib import Path
 
 from deploy.command_line import BAD_INPUT
 from robots.errors import ContractError
-from robots.models.quarantine import bound
+from robots.models.sandbox import limit_resource
 
 SECONDS_MAX = 600.0
 MEMORY_BYTES_MAX = 8 << 30
@@ -30,7 +30,7 @@ def limit_resources(path: Path) -> Iterator[None]:
     watchdog.daemon = True
     watchdog.start()
     try:
-        bound(resource.RLIMIT_DATA, MEMORY_BYTES_MAX)
+        limit_resource(resource.RLIMIT_DATA, MEMORY_BYTES_MAX)
         yield
     except MemoryError as e:
         raise ContractError(f"{path}: needs more memory than {MEMORY_BYTES_MAX} bytes") from e

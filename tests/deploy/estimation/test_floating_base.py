@@ -6,7 +6,7 @@ import pytest
 from deploy.estimation.rotations import matrix
 from deploy.state import Mode, Packet, Reason
 from robots.distributions import load_distributions
-from robots.draws import middle
+from robots.draws import median_draw
 from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import load_pinocchio
@@ -93,7 +93,7 @@ def test_what_is_said_of_up_again_and_again_is_not_believed_more_than_its_bias_a
 def test_on_a_floor_that_leans_it_knows_that_it_stands(tmp_path, tilt):
     """What an IMU says of up is what its accelerometer feels: no acceleration is left over."""
     spec = load_robot(changed(tmp_path, ("[motors.leg]\n", UPRIGHT)))
-    given = middle(load_distributions(spec), spec, 1).replaced({"mounting.tilt_rad": np.array([tilt])})
+    given = median_draw(load_distributions(spec), spec, 1).replaced({"mounting.tilt_rad": np.array([tilt])})
     runtime, robot = simulate(spec, walking_contract(spec), [robot_seed(3, 0)], given=given)
     live(runtime, round(ARM_S / spec.dt))
     assert not runtime.arm(np.ones(1, dtype=bool)).any()

@@ -14,7 +14,7 @@ from torch import nn
 
 from deploy.policy.policy import Policy
 from policies.importers.cli import cli
-from robots.strict import open_fields
+from robots.strict import placeholder_fields
 from support.arm6 import SPEC
 from support.contracts import NAMES
 from support.importers.exported_programs import saved as saved_program
@@ -138,7 +138,7 @@ def run(monkeypatch, capsys):
 def fill_in(draft, answers):
     """What its owner writes where the template asks; what the template says already stays."""
     document, contract = tomlkit.parse(draft.read_text()), tomlkit.parse(CONTRACT)
-    asked_for = set(open_fields(document.unwrap()))
+    asked_for = set(placeholder_fields(document.unwrap()))
     assert asked_for >= {"robot", "task", "policy_hz", "joint_names", "action.mode", "action.offset"}
     for key in ("robot", "task", "policy_hz", "joint_names", "observation"):
         document[key] = contract[key]

@@ -52,7 +52,7 @@ def test_the_fleet_of_a_urdf_robot_sees_its_tool(tmp_path):
 def test_the_digest_covers_what_the_model_names(tmp_path):
     spec = load_robot(two_links(tmp_path))
     before, mesh = spec.digest, spec.folder / "meshes" / "fore.stl"
-    assert model_files.named_files(spec.model_path, spec.folder) == (mesh,)
+    assert model_files.referenced_files(spec.model_path, spec.folder) == (mesh,)
     write_stl(mesh, points=(*TETRAHEDRON[:3], (0.0, 0.0, 0.3)))
     assert spec.digest != before
 
@@ -62,7 +62,7 @@ def test_mjcf_finds_meshes_where_its_compiler_says(tmp_path):
     folder = copy_of_arm(tmp_path, xml=[("<worldbody>", asset)])
     write_stl(folder / "meshes" / "part.stl")
     spec = load_robot(folder)
-    assert model_files.named_files(spec.model_path, spec.folder) == (folder / "meshes" / "part.stl",)
+    assert model_files.referenced_files(spec.model_path, spec.folder) == (folder / "meshes" / "part.stl",)
     assert model_mujoco.load_mujoco(spec).nmesh == 1
 
 

@@ -11,8 +11,8 @@ from support.robots.model_files import write_stl
 pytest.importorskip("mujoco")
 
 from robots.errors import RobotError
-from robots.models.files import named_files
-from robots.models.quarantine import MEMORY_GIB, check_compiles
+from robots.models.files import referenced_files
+from robots.models.sandbox import MEMORY_GIB, check_compiles
 
 BODY = '<body name="a"><joint name="j"/><geom size="0.1"/>{}</body>'
 
@@ -60,10 +60,10 @@ def test_no_code_of_the_folder_that_it_is_called_in_runs(tmp_path, monkeypatch):
 
 
 def test_a_machine_that_allows_less_is_no_obstacle(tmp_path):
-    """A process whose own hard limits are below those of the quarantine cannot raise them, and need not."""
+    """A process whose own hard limits are below those of the sandbox cannot raise them, and need not."""
     path = written(tmp_path)
     code = (
-        "import resource, sys; from pathlib import Path; from robots.models.quarantine import check_compiles\n"
+        "import resource, sys; from pathlib import Path; from robots.models.sandbox import check_compiles\n"
         "resource.setrlimit(resource.RLIMIT_CPU, (20, 20))\n"
         "resource.setrlimit(resource.RLIMIT_DATA, (4 << 30, 4 << 30))\n"
         "check_compiles(Path(sys.argv[1]), Path(sys.argv[1]).parent)\n"
@@ -109,5 +109,5 @@ def test_whatever_mujoco_may_take_is_a_file_of_the_model(tmp_path, compiler, fil
     for name in ("a.stl", "m/a.stl", "n/a.stl"):
         write_stl(tmp_path / name)
     path = written(tmp_path, f'{compiler}<asset><mesh name="m" file="{file}"/></asset>')
-    assert [str(each.relative_to(tmp_path)) for each in named_files(path, tmp_path)] == found
+    assert [str(each.relative_to(tmp_path)) for each in referenced_files(path, tmp_path)] == found
     check_compiles(path, tmp_path)
