@@ -86,19 +86,8 @@ def load_draw(path: Path, distributions: Distributions, spec: RobotSpec) -> tupl
     Raises:
         ConfigError: unreadable, another robot's, or beyond physical bounds.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as e:
-        raise ConfigError(f"{path}: cannot be read: {e}") from e
-    stored = parse(read_json(text, str(path), FILE_MAX), _Stored, source=str(path))
-    for field, found, expected in (
-        ("robot", stored.robot, spec.digest),
-        *((f"fixed.{name}", stored.fixed.get(name), value) for name, value in distributions.fixed.items()),
-    ):
-        if found != expected:
-            raise ConfigError(
-                f"{path}: {field}: found {found!r:.80}, expected {expected!r:.80} of {spec.folder}"
-            )
+    stored = _read(path)
+    _check_identity(stored, path, distributions, spec)
     quantities = {name: quantity for name, quantity, _ in distributions.spans()}
     for name in sorted(stored.draw.keys() ^ quantities.keys()):
         raise ConfigError(f"{path}: {name}: {'unknown' if name in stored.draw else 'missing'}")
@@ -120,6 +109,26 @@ class _Stored(Strict):
     robot: str
     fixed: dict[str, float | str]
     draw: dict[str, Any]
+
+
+def _read(path: Path) -> _Stored:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as e:
+        raise ConfigError(f"{path}: cannot be read: {e}") from e
+    return parse(read_json(text, str(path), FILE_MAX), _Stored, source=str(path))
+
+
+def _check_identity(stored: _Stored, path: Path, distributions: Distributions, spec: RobotSpec) -> None:
+    """Refuse the draw of another robot, or with other undrawn values."""
+    for field, found, expected in (
+        ("robot", stored.robot, spec.digest),
+        *((f"fixed.{name}", stored.fixed.get(name), value) for name, value in distributions.fixed.items()),
+    ):
+        if found != expected:
+            raise ConfigError(
+                f"{path}: {field}: found {found!r:.80}, expected {expected!r:.80} of {spec.folder}"
+            )
 
 
 def _numbers(data: object, quantity: Quantity, spec: RobotSpec, where: str) -> Floats:

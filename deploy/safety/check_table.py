@@ -9,6 +9,7 @@ from deploy.masks import all_true
 from deploy.safety.check import Bound, Check, Limits
 from deploy.state import Reason
 from robots.arrays import Bools, Floats, Ints
+from robots.spec import RobotSpec
 
 
 class CheckTable:
@@ -29,13 +30,10 @@ class CheckTable:
         Raises:
             ValueError: two checks of one name, or a bound of the wrong shape.
         """
-        has, self._rows, self._n = limits.robot.capabilities, rows, limits.robot.n
-        chosen = [(group, check) for group, some in enumerate(groups) for check in some if check.needs <= has]
+        self._rows, self._n, self._verified = rows, limits.robot.n, False
+        chosen = _chosen(groups, limits.robot)
         self._readers = [(group, check.value) for group, check in chosen]
         self.checks = [check for _, check in chosen]
-        names = [check.name for check in self.checks]
-        if len(set(names)) < len(names):
-            raise ValueError(f"safety checks: found the names {', '.join(names)}, expected each once")
         self._widths = [self._n if check.per_joint else 1 for check in self.checks]
         self._low = np.tile(self._bounds("low", limits), (rows, 1))
         self._high = np.tile(self._bounds("high", limits), (rows, 1))
@@ -43,7 +41,6 @@ class CheckTable:
             np.repeat([int(getattr(check, field)) for check in self.checks], self._widths)
             for field in ("reason", "reason_not_finite")
         )
-        self._verified = False
 
     def _bounds(self, field: str, limits: Limits) -> Floats:
         bounds = []
@@ -103,3 +100,13 @@ class CheckTable:
             for check, column in zip(self.checks, columns, strict=True)
             if column.any()
         }
+
+
+def _chosen(groups: Sequence[Sequence[Check[Any]]], robot: RobotSpec) -> list[tuple[int, Check[Any]]]:
+    """Return the checks whose needs the robot meets, each with the number of its group."""
+    has = robot.capabilities
+    chosen = [(group, check) for group, checks in enumerate(groups) for check in checks if check.needs <= has]
+    names = [check.name for _, check in chosen]
+    if len(set(names)) < len(names):
+        raise ValueError(f"safety checks: found the names {', '.join(names)}, expected each once")
+    return chosen

@@ -28,24 +28,32 @@ def prune_pairs(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, 
         model, geometry: as `load_pinocchio`, all joints hinges; without pairs of their own.
         pairs: indices of shapes.
     """
-    data, alone = model.createData(), geometry.copy()
+    alone = geometry.copy()
     for a, b in pairs:
         alone.addCollisionPair(pin.CollisionPair(a, b))
-    placements, margin = alone.createData(), spec.margins.collision_m or 0.0
-    low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
+    proof = _Proof(spec, model, alone)
+    return [pair for number, pair in enumerate(pairs) if not proof.clear(number)]
 
-    def clear(number: int) -> bool:
-        a, b = (geometry.geometryObjects[shape] for shape in pairs[number])
-        reach = _reach(model, a, b.parentJoint) + _reach(model, b, a.parentJoint)
-        boxes, cleared = deque([(low, high)]), 0
+
+class _Proof:
+    """Search for a proof that a pair of shapes cannot meet."""
+
+    def __init__(self, spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> None:
+        self._model, self._data = model, model.createData()
+        self._geometry, self._placements = geometry, geometry.createData()
+        self._margin = spec.margins.collision_m or 0.0
+        self._range = spec.joint_array("q_min"), spec.joint_array("q_max")
+
+    def clear(self, number: int) -> bool:
+        """Return whether every box of joint angles was proven clear for a pair."""
+        reach, boxes, cleared = self._reach(number), deque([self._range]), 0
         for examined in range(BOXES_MAX):
             if not boxes:
                 return True
             if examined == HOPELESS and not cleared:
                 return False
             least, most = boxes.popleft()
-            pin.updateGeometryPlacements(model, data, alone, placements, (least + most) / 2)
-            distance = pin.computeDistance(alone, placements, number).min_distance - margin
+            distance = self._distance(number, (least + most) / 2) - self._margin
             if distance <= 0:
                 return False
             closing = reach * (most - least) / 2
@@ -55,7 +63,15 @@ def prune_pairs(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, 
                 boxes.extend(_halves(least, most, int(closing.argmax())))
         return False
 
-    return [pair for number, pair in enumerate(pairs) if not clear(number)]
+    def _distance(self, number: int, q: Floats) -> float:
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placements, q)
+        return float(pin.computeDistance(self._geometry, self._placements, number).min_distance)
+
+    def _reach(self, number: int) -> Floats:
+        """Return (n,) m/rad by which any points of the two shapes can approach each other."""
+        pair = self._geometry.collisionPairs[number]
+        a, b = (self._geometry.geometryObjects[shape] for shape in (pair.first, pair.second))
+        return _reach(self._model, a, b.parentJoint) + _reach(self._model, b, a.parentJoint)
 
 
 def _reach(model: pin.Model, shape: pin.GeometryObject, other: int) -> Floats:

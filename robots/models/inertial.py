@@ -28,20 +28,15 @@ def imu_in_base(spec: RobotSpec, model: pin.Model) -> NDArray[np.float64]:
     for kind, site in places.items():
         if site != places["gyro"]:
             _refuse(spec, f"{kind}.sites: found {site!r}, expected {places['gyro']!r}, where the gyro is")
-    frame = model.frames[site_or_body(spec, model, places["gyro"], "the IMU")]
+    site = places["gyro"]
+    frame = model.frames[site_or_body(spec, model, site, "the IMU")]
     if frame.parentJoint:
         moved_by = model.names[frame.parentJoint]
-        _refuse(
-            spec,
-            f"gyro.sites: {places['gyro']!r} moves with {moved_by!r}, expected a site of the base itself",
-        )
+        _refuse(spec, f"gyro.sites: {site!r} moves with {moved_by!r}, expected a site of the base itself")
     turned = float(np.linalg.norm(pin.log3(frame.placement.rotation)))
     if turned > TURNED_RAD:
-        _refuse(
-            spec,
-            f"gyro.sites: {places['gyro']!r} is turned by {turned:.3g} rad, expected the axes of the root body: let the"
-            " driver turn its readings",
-        )
+        expected = "the axes of the root body: let the driver turn its readings"
+        _refuse(spec, f"gyro.sites: {site!r} is turned by {turned:.3g} rad, expected {expected}")
     return np.array(frame.placement.translation)
 
 

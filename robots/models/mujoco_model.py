@@ -122,9 +122,8 @@ def _drive(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
         )
     for actuator in mjcf.actuators:
         mjcf.delete(actuator)
-    mjcf.option.integrator = (
-        mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    )  # the others are unstable with stiff drives
+    # The other integrators are unstable with stiff drives.
+    mjcf.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for joint, drive in zip(spec.joints, spec.drives, strict=True):
         _add_drive(mjcf, joint, drive, spec)
 
@@ -141,11 +140,15 @@ def _add_drive(mjcf: mujoco.MjSpec, driven: Joint, drive: Drive, spec: RobotSpec
     if not joint.armature > 0:
         joint.armature = _needed(drive.armature, "armature", "armature", driven, spec)
     motor = mjcf.add_actuator(name=driven.name, target=driven.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    _set_motor(motor, drive, joint.actfrcrange[1])
+
+
+def _set_motor(motor: mujoco.MjsActuator, drive: Drive, torque_max: float) -> None:
     motor.gear[0] = drive.gear
     motor.set_to_dcmotor(
         motorconst=[drive.torque_constant] * 2,
         resistance=drive.resistance_ohm,
-        saturation=[joint.actfrcrange[1] / drive.gear, 0.0, 0.0],
+        saturation=[torque_max / drive.gear, 0.0, 0.0],
         controller=[drive.kp / drive.gear**2, 0.0, drive.kd / drive.gear**2, 0.0, 0.0, drive.supply_v],
         thermal=[
             drive.winding_resistance_k_per_w,
@@ -183,15 +186,19 @@ def load_mujoco(spec: RobotSpec) -> mujoco.MjModel:
     joints = tuple(model.joint(i).name for i in np.flatnonzero(~free))
     if joints != spec.joint_names:
         raise RobotError(f"{path}: joints are {joints}; robot.toml lists {spec.joint_names}")
-    driven = tuple(model.joint(model.actuator(i).trnid[0]).name for i in range(model.nactuator))
-    if driven != spec.joint_names or model.nu != INPUTS * spec.n or model.na != spec.n:
-        raise RobotError(
-            f"{path}: drives move {driven} with {model.nu} controls and {model.na} states; expected one dcmotor"
-            f' for each of {spec.joint_names} with input="pos vel ff" and thermal'
-        )
+    _check_drives(spec, model)
     if spec.tool and spec.tool not in {model.site(i).name for i in range(model.nsite)}:
         raise RobotError(f"{path}: no site or body named {spec.tool!r}, which robot.toml calls the tool")
     return model
+
+
+def _check_drives(spec: RobotSpec, model: mujoco.MjModel) -> None:
+    driven = tuple(model.joint(model.actuator(i).trnid[0]).name for i in range(model.nactuator))
+    if driven != spec.joint_names or model.nu != INPUTS * spec.n or model.na != spec.n:
+        raise RobotError(
+            f"{spec.model_path}: drives move {driven} with {model.nu} controls and {model.na} states; expected one"
+            f' dcmotor for each of {spec.joint_names} with input="pos vel ff" and thermal'
+        )
 
 
 def _unreadable(model: Path, why: Exception) -> RobotError:
