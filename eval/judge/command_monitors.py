@@ -69,8 +69,8 @@ COMMAND_MONITORS = (
         name="command_jump",
         unit="rad",
         hard=True,
-        meaning="angle sent in the first tick of power, away from the true one by more than is allowed for arming, and"
-        " in the second, away from the first, by more than full acceleration from rest",
+        meaning="first angle sent with power, off the true angle by more than arming allows; second angle sent, off the"
+        " first by more than full acceleration from rest",
         limit=lambda robot: robot.spec.joint_array("qdd_max") * robot.spec.dt**2,
         value=_jump,
         tolerance=SENT_TOLERANCE,
