@@ -20,7 +20,7 @@ from eval.judge.limit_ratios import LimitRatios, RatioBlock
 from eval.judge.limits import load_limits
 from eval.judge.monitor import Monitor
 from eval.judge.monitors import MONITORS, Channels
-from eval.judge.tick_buffer import BLOCK_TICKS, PAST, TickBuffer, Ticks
+from eval.judge.tick_buffer import BLOCK_TICKS, TickBuffer
 from eval.judge.tick_window import JudgedRobot, TickWindow
 from eval.judge.truth import Truth, true_tilt
 from robots.arrays import Floats, Ints
@@ -106,10 +106,8 @@ class Judge(Stage):
         """Append one tick; it is judged with its block, or before `counts` and `save` return.
 
         Args:
-            truth: after the physics of this tick.
-            state: the estimate before it.
-            observation: (B, N) the newest of the policy.
-            target: the policy's target.
+            truth: after the physics of this tick. state: the estimate before it.
+            observation: (B, N) the newest of the policy. target: the policy's newest.
             action: (B, A) the policy's output in this tick; None where it was not called.
             command: sent in this tick.
             mode: (B,) of `Mode`. reason: (B,) bit sets of `Reason`.
@@ -128,10 +126,10 @@ class Judge(Stage):
         )
         self.buffer.append(tick)
         if self.buffer.pending == BLOCK_TICKS:
-            self._judge()
+            self._judge_pending()
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _judge(self) -> None:
+    def _judge_pending(self) -> None:
         """Judge the pending ticks."""
         if not self.buffer.pending:
             return
@@ -141,12 +139,12 @@ class Judge(Stage):
         self.bins += self.ratios.histogram(block)
         self._count_time(window, block)
         self._count_stops(window)
-        self._count_goals(window.ticks)
+        self._count_goals(window)
         self.buffer.clear()
 
     def counts(self) -> Counts:
         """Return copies of all counts so far."""
-        self._judge()
+        self._judge_pending()
         events, logged = self.events, np.flatnonzero(self.events.start >= 0)
         order = np.lexsort((events.start[logged], events.channel[logged], events.robot[logged]))
         log = {f"log_{name}": getattr(events, name)[logged[order]] for name in EventLog.LOG}
@@ -163,7 +161,7 @@ class Judge(Stage):
 
     def save(self) -> Arrays:
         """Return copies of every carried array."""
-        self._judge()
+        self._judge_pending()
         return super().save()
 
     def _compare(self, block: RatioBlock) -> None:
@@ -197,16 +195,15 @@ class Judge(Stage):
             self.reasons[:, 0] += stop[tick] & (reason == 0)
             self.reasons[:, 1:] += stop[tick][:, None] & (reason[:, None] >> np.arange(len(REASONS) - 1)) & 1
 
-    def _count_goals(self, ticks: Ticks) -> None:
-        """Count goals that are over: where `attempted` rises, the goal of the tick before was the last tick's."""
-        over = ticks.attempted[PAST:] > ticks.attempted[PAST - 1 : -1]
-        running = (ticks.mode[PAST:] == int(Mode.RUNNING)) & ticks.valid[PAST:]
+    def _count_goals(self, window: TickWindow) -> None:
+        """Count goals that are over. Where `attempted` rises, the goal of the tick before is over."""
+        before, now = window.before, window.now
+        over, running = now.attempted > before.attempted, window.running & now.valid
         for tick in range(len(over)) if self.score.rule.mean else np.flatnonzero(over.any(axis=1)):
-            now, goal = PAST + tick, ticks.goal[PAST + tick - 1]
-            reached = self.score.step(ticks.achieved[now], goal, over[tick], running[tick])
+            reached = self.score.step(now.achieved[tick], before.goal[tick], over[tick], running[tick])
             if reached is not None:
                 self.reached += reached
-        self.attempted[:] = ticks.attempted[-1]
+        self.attempted[:] = now.attempted[-1]
 
 
 def _finite(action: NDArray[np.floating] | None) -> Any:

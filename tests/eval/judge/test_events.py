@@ -8,7 +8,7 @@ import pytest
 from eval.judge import events as event_log
 from eval.judge.counts import BINS, Counts, merge
 from eval.judge.monitors import MONITORS
-from support.arm6 import arm_judge
+from support.arm6 import SPEC, arm_judge
 from support.eval.judges import GAP, OBSERVED, TORQUE_MAX, Bench, feed, random_series
 
 
@@ -131,3 +131,18 @@ def test_loads_of_shards_are_counted_together():
     np.testing.assert_array_equal(merged.tail(1e-3), whole.counts().tail(1e-3))
     assert list(merged.log()) == list(whole.counts().log())
     assert {event.robot for event in merged.log()} == {0, 1, 2, 3}
+
+
+@pytest.mark.parametrize(("pause", "events"), [(1, 1), (GAP - 1, 1), (GAP, 2), (3 * GAP, 2)])
+def test_events_merge_over_less_than_the_gap(pause, events):
+    bench = Bench()
+    for ticks, load in [(3, 3.0), (pause, 0.0), (2, 2.0), (GAP, 0.0)]:
+        bench.truth.qd[0, 1] = load * SPEC.joint_array("qd_max")[1]
+        bench.step(ticks)
+    counts = bench.judge.counts()
+    logged = [(e.start, e.ticks, round(e.worst, 9), e.monitor.name, e.joint) for e in counts.log()]
+    first = (0, 5 + pause if events == 1 else 3, 3.0, "velocity", "shoulder_lift")
+    second = (3 + pause, 2, 2.0, "velocity", "shoulder_lift")
+    assert logged == [first, second][:events]
+    assert counts.total("velocity") == events
+    assert counts.bad_ticks.sum() == 5

@@ -108,6 +108,10 @@ LIMITS = load_limits(SPEC)
 POWER, RATE = LIMITS.motor_array("power_w", SPEC), LIMITS.motor_array("torque_rate", SPEC)
 
 
+def hold(bench, joint, q):
+    bench.truth.q[0, joint] = bench.sent[0, joint] = q
+
+
 def random_series(ticks, robots, seed):
     """Everything random around its limit, so that every channel goes in and out; some NaN, some diverged."""
     rng = np.random.default_rng(seed)
