@@ -133,4 +133,4 @@ def test_a_task_of_another_package_trains_and_soaks(outside, tmp_path, monkeypat
     options = ("--hours", 2 / 3600, "--robots", 17, "--workers", 2, "--out", tmp_path / "soak")
     assert command(monkeypatch, soak_test, "--policy", policy, *options) in (0, 1)
     report = json.loads((tmp_path / "soak" / "report.json").read_text())
-    assert [robot["goals_due"] for robot in report["robots"]] == [3] * 17
+    assert [robot["goals_due"] for robot in report["robots"]] == [4] * 17
