@@ -1,4 +1,4 @@
-"""What flows along the tick: one record per arrow, every array (B, ...) with B robots.
+"""Records that the stages of a tick hand on, one per arrow, every array (B, ...) with B robots.
 
 Joint vectors (B, n) follow `spec.joint_names`. SI units; temperatures in °C. Records are views of their
 stage's buffers and hold until that stage's next step: copy what must outlive the tick. They are named tuples because
@@ -14,12 +14,12 @@ from robots.sensors import Kind
 
 
 class Packet(NamedTuple):
-    """The newest packet of one sensor: late, noisy, sometimes an old one again.
+    """Newest packet of one sensor; it may be late, noisy or a repetition.
 
     Attributes:
-        t: (B,) s, when it was taken, on the runtime's clock.
-        fresh: (B,) whether a packet arrived since the last read; if not, `value` repeats the last one.
-        value: (B, channels) in the unit of the sensor; NaN where a channel says nothing.
+        t: (B,) s on the runtime's clock, when it was measured.
+        fresh: (B,) a packet arrived since the last read; if not, `value` repeats the last one.
+        value: (B, channels) in the unit of the sensor; NaN where a channel has no reading.
     """
 
     t: Floats
@@ -28,22 +28,22 @@ class Packet(NamedTuple):
 
 
 Sample = Mapping[Kind, Packet]
-"""What the robot's bus delivered, by sensor."""
+"""Newest packets of a robot, by kind of sensor."""
 
 
 class BaseState(NamedTuple):
-    """The belief about a floating base now, in the frame of its IMU.
+    """Estimate of a floating base now, in the frame of its IMU.
 
     Attributes:
         t: s, now.
-        quat_wxyz: (B, 4) base in world, yaw counted from the seed.
+        quat_wxyz: (B, 4) base in world, yaw relative to the start.
         angular_velocity: (B, 3) rad/s in the base frame, without bias.
         velocity_in_world: (B, 3) m/s. velocity_in_base: (B, 3) m/s.
         gravity: (B, 3) direction of gravity in the base frame: (0, 0, −1) when upright.
-        age: (B,) s since the newest samples were taken, of gyro or accelerometer whichever is older.
-        innovation: (B, F, 3) of the newest sample, whitened by its covariance; 0 where a foot did not stand.
-        stuck: (B,) the IMU repeats itself: its samples are left out.
-        diverged: (B,) not to be believed: see `BaseFilter`.
+        age: (B,) s since the newest samples of gyro and accelerometer were measured, the older of the two.
+        innovation: (B, F, 3) of the newest sample, whitened by its covariance; 0 for feet that do not stand.
+        stuck: (B,) the IMU repeats its samples; they are not used.
+        diverged: (B,) the estimate is unreliable: see `BaseFilter`.
     """
 
     t: float
@@ -59,20 +59,20 @@ class BaseState(NamedTuple):
 
 
 class State(NamedTuple):
-    """The estimator's belief about now.
+    """Estimate of the robots now.
 
     Attributes:
         t: s, now.
         q: (B, n) rad. qd: (B, n) rad/s.
         q_var: (B, n) rad², variance of `q`.
-        age: (B,) s since the newest sample that was believed was taken, of the joint whose is oldest; infinite where a
-            filter is not confirmed yet.
-        nis: (B, n) running mean of squared innovations, in variances: far above 1 where the filter does not fit.
+        age: (B,) s since the newest accepted sample was measured, of the joint with the oldest one; infinite until every
+            filter is confirmed.
+        nis: (B, n) running mean of the normalized innovation squared; near 1 for a consistent filter.
         temperature: (B, n) °C, motor housing.
-        winding: (B, n) °C, hottest: (B, n) °C that it may have, and fold: (B, n) share of its current that a drive may
-            use at work, see `WindingObserver` and `Foldback`.
-        fault: (B,) int64 bit sets of `Reason`, why the estimate is not to be trusted; 0 where it is.
-        base: of a robot that has one.
+        winding: (B, n) °C, estimated. hottest: (B, n) °C, its upper bound. fold: (B, n) share of its current that a drive
+            may use while running.
+        fault: (B,) int64 bit sets of `Reason`, faults of the estimate; 0 for none.
+        base: estimate of the floating base; None for robots without one.
     """
 
     t: float
@@ -90,11 +90,11 @@ class State(NamedTuple):
 
 
 class Target(NamedTuple):
-    """Where the policy wants the joints, before any limit.
+    """Joint target of the policy, before any limit.
 
     Attributes:
-        q: (B, n) rad, as requested: it may lie beyond the working range.
-        finite: (B,) whether the policy's action was finite; where not, `q` repeats the last one.
+        q: (B, n) rad, may lie outside the working range.
+        finite: (B,) the policy's action was finite; where it was not, `q` repeats the last target.
     """
 
     q: Floats
@@ -102,7 +102,7 @@ class Target(NamedTuple):
 
 
 class Setpoint(NamedTuple):
-    """A point of a jerk-limited trajectory.
+    """Point of a jerk-limited trajectory.
 
     Attributes:
         q: (B, n) rad. qd: (B, n) rad/s. qdd: (B, n) rad/s².
@@ -143,7 +143,7 @@ class Verdict(NamedTuple):
     """Result of the safety checks of one setpoint.
 
     Attributes:
-        reason: (B,) int64 bit sets of `Reason`, 0 where the setpoint may be sent.
+        reason: (B,) int64 bit sets of `Reason`, 0 if the setpoint may be sent.
         tau: (B, n) N·m, inverse-dynamics torque of the setpoint (nominal model).
         tau_ahead: (B, n) N·m, the same one step into a stop that would begin there.
         poses: (B, n) rad each, checked for collisions: at the setpoint, in the middle of that stop, and at its end.
@@ -158,7 +158,7 @@ class Verdict(NamedTuple):
 
 
 class Mode(IntEnum):
-    """The supervisor's states, in the order of a robot's shift."""
+    """States of the supervisor, in the order of a run."""
 
     DISARMED = 0
     ARMING = 1
@@ -169,12 +169,12 @@ class Mode(IntEnum):
 
 
 class Command(NamedTuple):
-    """What is sent to the drives.
+    """Command to the drives.
 
     Attributes:
         q: (B, n) rad. qd: (B, n) rad/s. tau: (B, n) N·m, feed-forward.
-        powered: (B,) drives on; where False the brakes hold and the rest is ignored.
-        current: (B, n) share of its current limit that a drive may use.
+        powered: (B,) drives on; if False the brakes hold and the other fields are ignored.
+        current: (B, n) share of the current limit that a drive may use.
     """
 
     q: Floats

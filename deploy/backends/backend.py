@@ -69,7 +69,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Abilities:
-    """What the robots of a backend can do; a request beyond it is refused before anything is opened.
+    """Abilities of the robots of a backend; a request beyond them is refused before anything is opened.
 
     Attributes:
         modes: control modes of its drives.

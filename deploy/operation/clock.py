@@ -22,7 +22,7 @@ class Clock(Protocol):
 
 
 class Unpaced:
-    """As fast as possible: never waits, is never late."""
+    """Clock without pacing: ticks run as fast as possible and are never late."""
 
     skipped = 0
     hz: float | None = None

@@ -1,4 +1,4 @@
-"""From the policy's numbers to joint targets, as the contract says."""
+"""Joint targets from the policy's action, by the scale, offset and clip of the contract."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,11 @@ from robots.arrays import Bools, Floats
 
 
 class Action(Stage):
-    """Joint targets: where an action says, or moved by it, on a leash around the trajectory."""
+    """Joint targets of B robots: set by an action, or incremented by it within a leash around the setpoint.
+
+    Attributes:
+        q: (B, n) rad, target. last: (B, A) last finite action, clipped. finite: (B,) the last action was finite.
+    """
 
     carried = ("q", "last", "finite")
     q: Floats
@@ -27,19 +31,19 @@ class Action(Stage):
         self.finite = np.ones(robots, dtype=bool)
 
     def reset(self, ids: Bools, q: Floats) -> None:
-        """Targets (B, n) of robots where `ids` holds start at `q`; their last action is none."""
+        """Set the targets of robots where `ids` (B,) holds to `q` (B, n) rad; their last action is 0."""
         self.q[ids], self.last[ids], self.finite[ids] = q[ids], 0.0, True
 
     def hold(self, ids: Bools, q: Floats) -> None:
-        """Targets (B, n) of robots where `ids` holds stay with the robot: what it may not follow piles up nowhere."""
+        """Hold the targets of robots where `ids` (B,) holds at `q` (B, n) rad, so that increments do not wind up."""
         np.copyto(self.q, q, where=ids[:, None])
 
     def step(self, action: Floats | NDArray[np.float32], q_setpoint: Floats) -> Target:
-        """The new target.
+        """Return the new target.
 
         Args:
-            action: (B, A) what the policy said; a row that is not finite changes nothing but `finite`.
-            q_setpoint: (B, n) rad, where the trajectory is.
+            action: (B, A) raw action; a row that is not finite changes only `finite`.
+            q_setpoint: (B, n) rad, present setpoint.
         """
         np.isfinite(action).all(axis=1, out=self.finite)
         use = self.finite[:, None]
@@ -51,5 +55,5 @@ class Action(Stage):
 
     @property
     def target(self) -> Target:
-        """The target as it stands."""
+        """Present target."""
         return Target(q=self.q, finite=self.finite)

@@ -1,6 +1,6 @@
-"""The policy contract: what the numbers of a policy mean, carried inside its ONNX file.
+"""Contract of a policy: the meaning of its numbers, carried inside its ONNX file.
 
-The side that consumes it owns it: `policies` writes it, `deploy` moves nothing without it.
+It is defined where it is used: `policies` writes it, `deploy` moves nothing without it.
 """
 
 import math
@@ -17,14 +17,14 @@ from robots.gains import Gains
 from robots.strict import Strict, parse, read_json
 
 CONTRACT_KEY = "firstshift.contract"
-MEMORY_MAX = 1 << 16  # numbers that one robot's policy may remember
+MEMORY_MAX = 1 << 16  # numbers of recurrent state of one robot
 TEXT_MAX = 1 << 20  # characters of JSON
 
 Hertz = Annotated[int, Field(strict=True, ge=1, le=100_000)]
 
 
 class ActionSpec(Strict):
-    """What an action does.
+    """Meaning of an action.
 
     Attributes:
         mode: "position_increment": the target moves by scale · clip(action) each policy step; "position": it is
@@ -32,8 +32,8 @@ class ActionSpec(Strict):
         size: numbers in an action, one for each joint.
         offset: (size,) rad, of "position" alone.
         scale: (size,) rad per unit of action.
-        clip: bounds of the raw action; None: none.
-        leash_rad: rad, how far an increment may bring the target ahead of the smoother's setpoint.
+        clip: bounds of the raw action; None: unbounded.
+        leash_rad: rad, largest distance of an incremented target from the smoother's setpoint.
         kp, kd: (size,) N·m/rad and N·m·s/rad, the drives' gains in training; None: those of the robot's own drives.
     """
 
@@ -62,17 +62,17 @@ class ActionSpec(Strict):
 
     @property
     def gains(self) -> Gains | None:
-        """Of the drives, if the policy was trained with its own."""
+        """Drive gains from training, or None for the robot's own."""
         return None if self.kp is None or self.kd is None else Gains(np.array(self.kp), np.array(self.kd))
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of the raw action: `clip`, or all numbers."""
+        """Low and high bound of the raw action; infinite without `clip`."""
         return self.clip or (-math.inf, math.inf)
 
 
 class Observed(Strict):
-    """What the numbers of observations were like in training, history included: for whoever judges, not for the policy.
+    """Statistics of observations in training, history included; used by judge and doctor, not by the policy.
 
     Attributes:
         mean: (N,) after scaling. deviation: (N,) standard deviation, or a little more.
@@ -83,15 +83,14 @@ class Observed(Strict):
 
 
 class Contract(Strict):
-    """Everything a policy assumes about the robot, its rates and its inputs.
+    """Assumptions of a policy about the robot, its rates and its inputs.
 
     Attributes:
         robot_digest: `RobotSpec.digest` that the policy was trained with.
         joint_names: order of every joint vector.
-        memory: M, how many numbers a policy hands on from each of its steps to the next; 0 when it begins. None of its
-            own: 0.
-        trained: provenance in free words: recipe, seed, versions.
-        observed: None where nobody wrote it down.
+        memory: M, numbers of recurrent state, which start at 0; 0 for a policy without memory.
+        trained: provenance in free text: recipe, seed, versions.
+        observed: None if unknown.
     """
 
     format: Literal[1] = 1
@@ -143,26 +142,26 @@ class Contract(Strict):
 
     @property
     def observation_size(self) -> int:
-        """N, numbers in one observation, history included."""
+        """N, size of one observation, history included."""
         return sum(term.size * term.history for term in self.observation)
 
     @property
     def period_s(self) -> float:
-        """s, of the gait, if a term is about one."""
+        """s, period of the gait; infinite without a gait term."""
         return next((term.period_s for term in self.observation if term.period_s), math.inf)
 
     @property
     def action_size(self) -> int:
-        """A, numbers in one action."""
+        """A, size of one action."""
         return self.action.size
 
     def to_json(self) -> str:
-        """JSON in which every number reads back to the same bits."""
+        """Return JSON; every number reads back to the same bits."""
         return self.model_dump_json()
 
     @classmethod
     def from_json(cls, text: str, source: str) -> Self:
-        """Read what `to_json` wrote; `source` names the file in messages.
+        """Read the JSON of `to_json`; `source` names the file in error messages.
 
         Raises:
             ContractError: one line for each field that is wrong.

@@ -64,11 +64,11 @@ class Observation(Stage):
 
 
 def _columns(terms: Sequence[Term]) -> tuple[Ints, Ints]:
-    """Where each column of the frames comes from.
+    """Compute the gather indices that shift the history by one reading.
 
     Returns:
-        For a first frame, columns of the newest readings; for any other, columns of the old frames and the newest
-        readings side by side: a term's newest frame is its reading, every other is the one that followed it.
+        For the first frame, columns of the newest readings. For any other frame, columns of the old frames followed by
+        the newest readings: the newest frame of a term is its reading, every other one is the frame after it.
     """
     ends = np.cumsum([term.size for term in terms])
     reading = [np.arange(end - term.size, end) for term, end in zip(terms, ends, strict=True)]

@@ -1,4 +1,4 @@
-"""What an ONNX graph may hold, checked before ONNX Runtime is asked to run it."""
+"""Checks of an untrusted ONNX graph, before ONNX Runtime loads it."""
 
 from collections.abc import Iterator
 
@@ -11,10 +11,10 @@ from robots.errors import ContractError, printable
 
 
 def read_model(data: bytes, source: str) -> ModelProto:
-    """A model from bytes of unknown origin; `source` names the file in messages.
+    """Decode and check a model of unknown origin; `source` names the file in error messages.
 
     Raises:
-        ContractError: it is no ONNX, or holds what a policy may not.
+        ContractError: it is not ONNX, or contains what a policy may not.
     """
     model = decode(data, source)
     check_model(model, source)
@@ -22,10 +22,10 @@ def read_model(data: bytes, source: str) -> ModelProto:
 
 
 def decode(data: bytes, source: str) -> ModelProto:
-    """A model of which nothing is known yet.
+    """Decode a model without checking it.
 
     Raises:
-        ContractError: it is no ONNX.
+        ContractError: it is not ONNX.
     """
     try:
         return onnx.load_model_from_string(data)
@@ -34,10 +34,10 @@ def decode(data: bytes, source: str) -> ModelProto:
 
 
 def check_model(model: ModelProto, source: str) -> None:
-    """Refuse what a policy may not hold, and what is no valid graph.
+    """Refuse a model with forbidden content or an invalid graph.
 
     Raises:
-        ContractError: naming the part of it.
+        ContractError: names the part.
     """
     for complaint in _foreign(model):  # before the checker, which would follow external data
         raise ContractError(f"{source}: {complaint}")
@@ -51,19 +51,19 @@ def check_model(model: ModelProto, source: str) -> None:
 
 
 def shortened(error: Exception) -> str:
-    """What a library says about a file, on one line, and nothing in it that would upset a terminal."""
+    """Return a library's error message on one line, at most 300 characters, safe to print on a terminal."""
     return printable(" ".join(str(error).split()))[:300]
 
 
 def graphs(model: ModelProto) -> Iterator[GraphProto]:
-    """The graph, and what its Scans do for one robot after the other."""
+    """Yield the graph and the bodies of its Scan nodes."""
     yield model.graph
     for node in model.graph.node:
         yield from (attribute.g for attribute in node.attribute if attribute.type == AttributeProto.GRAPH)
 
 
 def _foreign(model: ModelProto) -> Iterator[str]:
-    """Other files, own operators, steps of unknown cost: only a Scan, which ends with its robots, holds a graph."""
+    """Yield complaints: external files, custom operators, control flow. Only a Scan, over robots, may hold a graph."""
     for opset in model.opset_import:
         yield from _domain(opset.domain)
     if model.functions:
@@ -91,7 +91,7 @@ def _domain(domain: str) -> Iterator[str]:
 
 
 def tensors(graph: GraphProto) -> Iterator[TensorProto]:
-    """All weights of a graph, those inside its nodes too."""
+    """Yield all tensors of a graph, attributes of nodes included."""
     yield from graph.initializer
     for node in graph.node:
         for attribute in node.attribute:

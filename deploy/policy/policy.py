@@ -1,4 +1,4 @@
-"""The policy: ONNX Runtime behind a contract that was checked before anything could move."""
+"""Policy inference by ONNX Runtime, behind a contract that is checked at load."""
 
 from pathlib import Path
 from typing import Self
@@ -15,49 +15,49 @@ from robots.errors import ContractError
 from robots.spec import RobotSpec
 
 AGREEMENT = 1e-5  # absolute, in the unit of a raw action
-BATCHES = (1, 64)  # one robot, and a shard of a soak
+BATCHES = (1, 64)  # one robot, and many
 
 
 class Policy(Stage):
-    """One step for every robot. The same bits come out of the same observations and memories at the same B.
+    """Policy of B robots. Results are bit-identical for the same observations and memory at the same B.
 
-    An observation that is not finite spoils its own robot's action, and what it remembers, and no other's.
+    A non-finite observation affects the action and memory of its own robot only.
 
     Attributes:
-        contract: what the numbers mean.
+        contract: meaning of the numbers.
         digest: SHA-256 of the file.
-        memory: (B, M) what each robot's policy remembers.
+        memory: (B, M) recurrent state.
     """
 
     carried = ("memory",)
 
     def __init__(self, file: PolicyFile, source: str) -> None:
         self.contract, self.digest, self._source = file.contract, file.digest, source
-        self._session = session(file.data, source)
+        self._session = load_session(file.data, source)
         self.resize(1)
 
     @classmethod
     def load(cls, path: str | Path, spec: RobotSpec) -> Self:
-        """Read a policy for a robot and let it prove itself.
+        """Read a policy for a robot and verify its golden pairs.
 
         Raises:
-            ContractError: the file, its contract, or what it computes is not what this robot needs.
+            ContractError: the file, its contract or its results do not fit this robot.
         """
         file = read_policy_file(Path(path))
         check_contract(file.contract, spec, f"{path}: contract")
         policy = cls(file, str(path))
         for batch in BATCHES:
-            policy.prove(file, batch)
+            policy.verify(file, batch)
         policy.resize(1)
         return policy
 
     def step(self, observation: Float32s) -> Float32s:
-        """(B, N) observations to (B, A) raw actions: a view that holds until the next step.
+        """Return raw actions (B, A) for observations (B, N): a view that is valid until the next step.
 
-        With another B than before every robot begins anew.
+        Another B than before resets the memory of every robot.
 
         Raises:
-            ContractError: the observation has another width than the contract says.
+            ContractError: the observation has another width than the contract.
         """
         if observation.shape != self._observation.shape:
             self._refit(observation.shape)
@@ -67,17 +67,17 @@ class Policy(Stage):
         return self._action
 
     def reset(self, ids: Bools) -> None:
-        """Robots where `ids` (B,) holds remember nothing."""
+        """Clear the memory of robots where `ids` (B,) holds."""
         self.memory[ids] = 0.0
 
     def replay(self, observation: Float32s, batch: int) -> Float32s:
-        """Observations (K, N) to actions (K, A) of a policy without memory, `batch` at a time; the last is padded."""
+        """Return actions (K, A) for observations (K, N) of a policy without memory, `batch` at a time."""
         rows = np.arange(-(-len(observation) // batch) * batch) % len(observation)
         actions = [self.step(observation[chunk]).copy() for chunk in rows.reshape(-1, batch)]
         return np.concatenate(actions)[: len(observation)]
 
     def rehearse(self, observation: Float32s, batch: int) -> Float32s:
-        """Observations (T, N) one after the other, from the beginning, to so many robots alike: actions (T, B, A)."""
+        """Return actions (T, B, A) of B identical robots for a sequence of observations (T, N), from reset."""
         self.resize(batch)
         return np.stack([self.step(np.repeat(row[None], batch, axis=0)).copy() for row in observation])
 
@@ -88,7 +88,7 @@ class Policy(Stage):
         self.resize(shape[0])
 
     def resize(self, robots: int) -> None:
-        """Be the policy of so many robots, each at its beginning; steps then allocate nothing."""
+        """Resize to B robots, reset their memory and preallocate buffers."""
         contract = self.contract
         self._observation = np.zeros((robots, contract.observation_size), np.float32)
         self._action = np.zeros((robots, contract.action_size), np.float32)
@@ -100,8 +100,8 @@ class Policy(Stage):
         for bind, name, array in ends:
             bind(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
 
-    def prove(self, file: PolicyFile, batch: int) -> None:
-        """Every golden pair once at this batch."""
+    def verify(self, file: PolicyFile, batch: int) -> None:
+        """Verify every golden pair at a batch size."""
         try:
             if self.contract.memory:
                 action, expected = self.rehearse(file.observation, batch), file.action[:, None]
@@ -117,11 +117,11 @@ class Policy(Stage):
             )
 
 
-def session(data: bytes, source: str) -> ort.InferenceSession:
-    """ONNX Runtime with one model, on one thread; `source` names it in messages.
+def load_session(data: bytes, source: str) -> ort.InferenceSession:
+    """Load a model into ONNX Runtime, on one thread; `source` names it in error messages.
 
     Raises:
-        ContractError: it refuses the model.
+        ContractError: ONNX Runtime refuses the model.
     """
     options = ort.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1

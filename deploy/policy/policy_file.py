@@ -1,4 +1,4 @@
-"""What is inside a policy's ONNX file: its contract, its ends, what it must reproduce."""
+"""Content of a policy's ONNX file: contract, inputs and outputs, golden pairs."""
 
 import hashlib
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from robots.strict import Strict, parse, read_json
 GOLDEN_KEY = "firstshift.golden"
 INPUT, OUTPUT = "observation", "action"
 MEMORY, NEXT = "memory", "next_memory"
-"""Of a policy that remembers: what it remembers, and what it will."""
+"""Input and output of the recurrent state, of policies with memory."""
 FILE_BYTES_MAX = 256 << 20
 GOLDEN_CHARACTERS_MAX = 16 << 20
 
@@ -27,9 +27,9 @@ Rows = Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1, max_length=
 
 
 class Golden(Strict):
-    """Pairs that the policy must reproduce before it may move anything.
+    """Observation-action pairs that the policy must reproduce before it may move anything.
 
-    One that remembers must do so one after the other, from its beginning.
+    A policy with memory must reproduce them in order, from its reset.
 
     Attributes:
         observation: (G, N) float32 values. action: (G, A) float32 values, as torch computed them.
@@ -47,12 +47,12 @@ class Golden(Strict):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PolicyFile:
-    """A policy file that has passed every check that needs no robot.
+    """Policy file that has passed every check that needs no robot.
 
     Attributes:
-        data: the bytes that were checked, so that no other bytes are run.
+        data: the checked bytes, so that no others are run.
         digest: SHA-256 of `data`.
-        observation: (G, N) golden observations. action: (G, A) what must come out, in turn if the policy remembers.
+        observation: (G, N) golden observations. action: (G, A) expected actions.
     """
 
     data: bytes
@@ -63,15 +63,15 @@ class PolicyFile:
 
 
 def read_policy_file(path: Path) -> PolicyFile:
-    """Read one policy file and check everything in it.
+    """Read one policy file and check all of it.
 
     Raises:
-        ContractError: naming the file, the part of it, what was found and what was expected.
+        ContractError: names the file, the part, the found and the expected value.
     """
     data = _read(path)
     model = read_model(data, str(path))
     contract = Contract.from_json(_metadata(model, CONTRACT_KEY, path), f"{path}: {CONTRACT_KEY}")
-    _check_ends(model.graph, contract, path)
+    _check_inputs_and_outputs(model.graph, contract, path)
     observation, action = _golden(model, contract, path)
     digest = hashlib.sha256(data).hexdigest()
     return PolicyFile(data=data, digest=digest, contract=contract, observation=observation, action=action)
@@ -97,20 +97,20 @@ def _metadata(model: ModelProto, key: str, path: Path) -> str:
     )
 
 
-def _check_ends(graph: GraphProto, contract: Contract, path: Path) -> None:
+def _check_inputs_and_outputs(graph: GraphProto, contract: Contract, path: Path) -> None:
     weights = {tensor.name for tensor in graph.initializer}
     inputs = [value for value in graph.input if value.name not in weights]
     before, after = {INPUT: contract.observation_size}, {OUTPUT: contract.action_size}
     if contract.memory:
         before[MEMORY] = after[NEXT] = contract.memory
-    _check_end("input", inputs, before, path)
-    _check_end("output", list(graph.output), after, path)
+    _check_tensors("input", inputs, before, path)
+    _check_tensors("output", list(graph.output), after, path)
 
 
-def _check_end(
+def _check_tensors(
     kind: Literal["input", "output"], found: list[ValueInfoProto], sizes: dict[str, int], path: Path
 ) -> None:
-    """Whether an end of the graph has just the tensors (batch, size) that it should, in order."""
+    """Compare the inputs or outputs of the graph with the expected tensors (batch, size), in order."""
     wanted = " and ".join(f"{name!r} float32 (batch, {size})" for name, size in sizes.items())
     expected = f"expected {'one' if len(sizes) == 1 else 'two'}, {wanted} with a batch of any size"
     if [value.name for value in found] != list(sizes):

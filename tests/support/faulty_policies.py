@@ -7,7 +7,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from deploy.policy.contract import CONTRACT_KEY
-from deploy.policy.policy import session
+from deploy.policy.policy import load_session
 from deploy.policy.policy_file import GOLDEN_KEY
 from robots.spec import load_robot
 from support.arm6 import copy_of_arm
@@ -29,7 +29,9 @@ def ailing(path, folder, *, contract=None, graph=None):
     metadata(model, CONTRACT_KEY).value = json.dumps(data)
     golden = json.loads(metadata(model, GOLDEN_KEY).value)
     rows = np.array(golden["observation"], np.float32)
-    golden["action"] = session(model.SerializeToString(), "x").run(None, {"observation": rows})[0].tolist()
+    golden["action"] = (
+        load_session(model.SerializeToString(), "x").run(None, {"observation": rows})[0].tolist()
+    )
     metadata(model, GOLDEN_KEY).value = json.dumps(golden)
     ailing_path = folder / "ailing.onnx"
     ailing_path.write_bytes(model.SerializeToString())

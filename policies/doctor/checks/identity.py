@@ -28,7 +28,7 @@ def loader(case: Case) -> Iterator[Note]:
         yield failed(f"{line}.")
     try:
         for batch in BATCHES:
-            case.policy.prove(case.file, batch)
+            case.policy.verify(case.file, batch)
     except ContractError as e:
         yield failed(f"{_without(case, e)}: the network is not the one that was exported: export it again.")
     yield passed(f"its golden pairs agree, and its contract fits {spec.name}.")

@@ -14,7 +14,7 @@ from onnx import GraphProto, ModelProto, helper
 
 from deploy.policy.contract import Observed
 from deploy.policy.onnx_graph import decode
-from deploy.policy.policy import session
+from deploy.policy.policy import load_session
 from deploy.policy.policy_file import INPUT, PolicyFile
 from robots.arrays import Floats
 
@@ -78,7 +78,7 @@ def _reaching(
     cut.CopyFrom(model)
     del cut.graph.output[:]
     cut.graph.output.append(helper.make_empty_tensor_value_info(name))
-    run = session(cut.SerializeToString(), "policy")
+    run = load_session(cut.SerializeToString(), "policy")
     size = file.contract.observation_size
     rows = np.concatenate((np.zeros((1, size)), LITTLE * np.eye(size))).astype(np.float32)
     feeds = {
