@@ -65,11 +65,11 @@ class State(NamedTuple):
         t: s, now.
         q: (B, n) rad. qd: (B, n) rad/s.
         q_var: (B, n) rad², variance of `q`.
-        age: (B,) s since the newest accepted sample was measured, of the joint with the oldest one; infinite until every
+        age: (B,) s since the newest accepted sample was measured, of the joint with the oldest; infinite until every
             filter is confirmed.
         nis: (B, n) running mean of the normalized innovation squared; near 1 for a consistent filter.
         temperature: (B, n) °C, motor housing.
-        winding: (B, n) °C, estimated. hottest: (B, n) °C, its upper bound. fold: (B, n) share of its current that a drive
+        winding: (B, n) °C, estimated. hottest: (B, n) °C, upper bound. fold: (B, n) share of its current that a drive
             may use while running.
         fault: (B,) int64 bit sets of `Reason`, faults of the estimate; 0 for none.
         base: estimate of the floating base; None for robots without one.
