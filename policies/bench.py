@@ -1,4 +1,4 @@
-"""make bench: how long a policy of each kind takes to be imported, and any policy to be loaded and verified.
+"""make bench: times of importing each kind of policy file, and of loading and verifying a policy.
 
 python -m policies.bench import     each kind of file, from the start of the command to its end
 python -m policies.bench load       a policy, from its file to the end of its golden pairs
@@ -40,11 +40,11 @@ console = Console(width=120)
 Files = dict[str, tuple[Path, dict[str, str]]]
 
 
-def made(folder: Path, spec: RobotSpec, layers: tuple[int, ...] = LAYERS) -> Files:
-    """A file of each kind for a robot, as its library writes it, and what its contract says of its network."""
+def write_files(folder: Path, spec: RobotSpec, layers: tuple[int, ...] = LAYERS) -> Files:
+    """Write a file of each kind for a robot; return paths, and the contract's [network] table of each."""
     n, a = 3 * spec.n + 3, spec.n
     elu = {"activation": "elu"}
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of libraries that it could use
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # warnings about optional libraries
     with warnings.catch_warnings(), contextlib.redirect_stdout(None):
         warnings.filterwarnings("ignore", "`torch.jit")  # deprecated; the files of others stay
         mlp, lstm = _actor(MLPModel, n, a, layers), _actor(RNNModel, n, a, layers, **RNN)
@@ -84,7 +84,7 @@ def _plain(n: int, a: int, layers: tuple[int, ...]) -> nn.Sequential:
 
 
 def contract(spec: RobotSpec, network: dict[str, str]) -> str:
-    """TOML for all of these files."""
+    """Return the contract's TOML, the same for all files except [network]."""
     plain = {"offset": "none", "multiply": 1.0, "clip": "none"}
     return tomlkit.dumps(
         {
@@ -100,28 +100,28 @@ def contract(spec: RobotSpec, network: dict[str, str]) -> str:
 
 
 def imports(spec: RobotSpec, policy: Path) -> None:
-    """Wall time of the whole command, once for each kind; `policy` is not asked."""
+    """Print the wall time of the import command for each kind; `policy` is not used."""
     command = [sys.executable, "-c", "from policies.importers.cli import cli; cli()"]
     with tempfile.TemporaryDirectory() as place:
-        for kind, (path, network) in made(Path(place), spec).items():
+        for kind, (path, network) in write_files(Path(place), spec).items():
             draft, out = path.with_suffix(".toml"), path.with_suffix(".ours.onnx")
             draft.write_text(contract(spec, network), encoding="utf-8")
-            began = time.perf_counter()
+            start = time.perf_counter()
             options = ["--contract", str(draft), "--robot", str(spec.folder), "--out", str(out)]
             subprocess.run([*command, str(path), *options], check=True, stdout=subprocess.DEVNULL)
-            spent = time.perf_counter() - began
+            spent = time.perf_counter() - start
             console.print(
                 f"policy-import, {kind}: {spent:.1f} s (at most 60), {os.stat(out).st_size >> 10} KiB"
             )
 
 
 def loads(spec: RobotSpec, policy: Path) -> None:
-    """Median time until a policy has proven itself."""
+    """Print the median time of loading and verifying a policy."""
     times = []
     for _ in range(LOADS):
-        began = time.perf_counter()
+        start = time.perf_counter()
         Policy.load(policy, spec)
-        times.append(time.perf_counter() - began)
+        times.append(time.perf_counter() - start)
     console.print(
         f"{policy.name}: loaded and verified in {np.median(times):.3f} s (median of {LOADS}, at most 0.5)"
     )
@@ -135,7 +135,7 @@ def bench(
     policy: Annotated[Path, typer.Option(help="ONNX file that policy-export wrote.")] = Path("out/arm.onnx"),
     robot: Annotated[str, typer.Option(help="Robot: a name or a folder.")] = "arm6",
 ) -> int:
-    """Measure what the project promises of importing and loading policies."""
+    """Measure the times of importing and loading policies."""
     if which not in (*BENCHES, "all"):
         raise ConfigError(f"bench: found {which!r}, expected one of {', '.join(BENCHES)} or all")
     spec = load_robot(robot)

@@ -1,4 +1,4 @@
-"""What the doctor looks at: a policy's file, a robot that it may not fit, and how the two lived together."""
+"""Input of all checks: a policy's file, a robot, and simulated runs of the two, computed on first use."""
 
 from functools import cached_property
 from pathlib import Path
@@ -8,30 +8,37 @@ from deploy.policy.onnx_graph import shortened
 from deploy.policy.policy import BATCHES, Policy
 from deploy.policy.policy_file import read_policy_file
 from policies.doctor.checks.normalizer import Statistics, normalizer_of
-from policies.doctor.simulation.simulated_run import HALF, JITTERING, LATE, PUNCTUAL, Life, live
+from policies.doctor.simulation.simulated_run import (
+    HALF_PERIOD_LATE,
+    JITTERED,
+    ON_TIME,
+    PERIOD_LATE,
+    SimulatedRun,
+    run_simulation,
+)
 from robots.errors import ContractError, FirstshiftError
 from robots.spec import load_robot
 
 
-class UntriedError(FirstshiftError):
-    """There is no life to look at."""
+class NotSimulatedError(FirstshiftError):
+    """The policy cannot be simulated on this robot."""
 
 
-class Case:
-    """A policy before a robot. The lives are lived when they are first asked for, and once.
+class CheckContext:
+    """A policy and a robot under examination.
 
     Attributes:
-        file: what is in it: sound, whether it fits the robot or not. policy: the network, ready to run.
+        file: contents of the policy's file. policy: the network, ready to run.
     """
 
     def __init__(self, path: Path, robot: str | Path | None = None) -> None:
-        """Read both.
+        """Read the policy and the robot.
 
         Args:
-            path: the policy's file. robot: name or folder; without it the robot that the contract names.
+            path: the policy's file. robot: name or folder; None for the robot named in the contract.
 
         Raises:
-            ContractError: the file is no policy, its contract cannot be read, or its network cannot be run.
+            ContractError: the file is no policy, its contract is unreadable, or its network cannot be run.
             RobotError: the robot is unknown or unreadable.
         """
         self.path, self.file = path, read_policy_file(path)
@@ -45,56 +52,56 @@ class Case:
             raise ContractError(f"{path}: cannot be run at batch {batch}: {shortened(e)}") from e
 
     @cached_property
-    def misfits(self) -> tuple[str, ...]:
-        """Why no runtime of this robot could run this contract."""
+    def incompatibilities(self) -> tuple[str, ...]:
+        """Reasons why this robot's runtime refuses the contract."""
         same = {"robot": self.spec.name, "robot_digest": self.spec.digest}
         return tuple(mismatches(self.contract.model_copy(update=same), self.spec))
 
     @cached_property
     def normalizer(self) -> Statistics | None:
-        """What the graph subtracts and divides by before its first weights."""
+        """Normalizer found in the graph, or None."""
         return normalizer_of(self.file)
 
     @property
     def training(self) -> Statistics | None:
-        """What observations were like in training, as the network or else the contract tells."""
+        """Observation statistics of training, from the graph or else the contract; None if unknown."""
         if self.normalizer is not None or self.contract.observed is None:
             return self.normalizer
         return Statistics.of(self.contract.observed)
 
     @cached_property
-    def life(self) -> Life:
-        """As it should be."""
-        return self._live(PUNCTUAL)
+    def run(self) -> SimulatedRun:
+        """Simulated run with actions on time."""
+        return self._simulate(ON_TIME)
 
     @property
     def works(self) -> bool:
-        """Whether it works as it is; not where nothing can be lived."""
+        """True if the simulated run reaches enough goals; False if it cannot be simulated."""
         try:
-            return self.life.works
-        except UntriedError:
+            return self.run.works
+        except NotSimulatedError:
             return False
 
     @cached_property
-    def late(self) -> Life:
-        """Every action a policy period late."""
-        return self._live(LATE)
+    def late_run(self) -> SimulatedRun:
+        """Simulated run with every action one policy period late."""
+        return self._simulate(PERIOD_LATE)
 
     @cached_property
-    def half_late(self) -> Life:
-        """Every action half a policy period late."""
-        return self._live(HALF)
+    def half_late_run(self) -> SimulatedRun:
+        """Simulated run with every action half a policy period late."""
+        return self._simulate(HALF_PERIOD_LATE)
 
     @cached_property
-    def jittered(self) -> Life:
-        """Each action late by a time of its own, up to a policy period."""
-        return self._live(JITTERING)
+    def jittered_run(self) -> SimulatedRun:
+        """Simulated run with a random delay of each action, up to one policy period."""
+        return self._simulate(JITTERED)
 
-    def _live(self, lateness: tuple[float, float]) -> Life:
-        """Raises: UntriedError: nothing can be lived, and why."""
-        if self.misfits:
-            raise UntriedError("the loader refuses it, see its row")
+    def _simulate(self, delay_periods: tuple[float, float]) -> SimulatedRun:
+        """Raises: NotSimulatedError: with the reason."""
+        if self.incompatibilities:
+            raise NotSimulatedError("the loader refuses the file, see row loader")
         try:
-            return live(self.spec, self.policy, lateness)
+            return run_simulation(self.spec, self.policy, delay_periods)
         except FirstshiftError as e:
-            raise UntriedError(str(e)) from e
+            raise NotSimulatedError(str(e)) from e

@@ -1,4 +1,4 @@
-"""What the doctor says: one row for each check, and why."""
+"""Results of checks: messages with a verdict, summarized in one row per check."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -10,66 +10,70 @@ import numpy as np
 from robots.arrays import Bools, Floats, Ints
 from robots.errors import printable
 
-Places = Bools | Ints | slice
+Selection = Bools | Ints | slice
 NAMED_MAX = 6
-"""Joints or numbers that one sentence lists."""
+"""Joints or numbers listed in one sentence."""
 
 
 class Verdict(IntEnum):
-    """The worst of its notes is that of a row."""
+    """Verdict of a message; the verdict of a row is its worst."""
 
     PASS = 0
     WARN = 1
     FAIL = 2
 
 
-class Note(NamedTuple):
-    """One thing that was seen, in a sentence that says what to do about it."""
+class Message(NamedTuple):
+    """One observation, with advice."""
 
     verdict: Verdict
-    said: str
+    text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """A row: what was checked, how it went, and why."""
+class CheckResult:
+    """A row of the report."""
 
     check: str
     verdict: Verdict
-    said: str
+    text: str
 
 
-def passed(said: str) -> Note:
-    """Nothing to do."""
-    return Note(Verdict.PASS, said)
+def passed(text: str) -> Message:
+    """Return a message of a passed check."""
+    return Message(Verdict.PASS, text)
 
 
-def warned(said: str) -> Note:
-    """To be looked at by a person."""
-    return Note(Verdict.WARN, said)
+def warned(text: str) -> Message:
+    """Return a message that a person should look at."""
+    return Message(Verdict.WARN, text)
 
 
-def failed(said: str) -> Note:
-    """To be mended before anything moves."""
-    return Note(Verdict.FAIL, said)
+def failed(text: str) -> Message:
+    """Return a message of a defect to fix before anything moves."""
+    return Message(Verdict.FAIL, text)
 
 
-def summed_up(check: str, notes: Iterable[Note]) -> Finding:
-    """A row of some notes, the worst first; those that passed are said only where nothing else is."""
+def summarize(check: str, notes: Iterable[Message]) -> CheckResult:
+    """Return the row of some messages, worst first; messages that passed only if there are no others."""
     ordered = sorted(notes, key=lambda note: -note.verdict)
-    said = [note.said for note in ordered if note.verdict > Verdict.PASS] or [note.said for note in ordered]
-    return Finding(check=check, verdict=ordered[0].verdict, said="\n".join(map(printable, said)))
+    text = [note.text for note in ordered if note.verdict > Verdict.PASS] or [note.text for note in ordered]
+    return CheckResult(check=check, verdict=ordered[0].verdict, text="\n".join(map(printable, text)))
 
 
-def listed(names: Sequence[str], *numbers: Floats, unit: str = "", which: Places = slice(None)) -> str:
-    """Names with their numbers, as in "elbow 1.2 of 3.1, wrist 2 of 3 rad"; only the first where there are many.
+def format_values(
+    names: Sequence[str], *numbers: Floats, unit: str = "", selection: Selection = slice(None)
+) -> str:
+    """Return names with their numbers: "elbow 1.2 of 3.1, wrist 2 of 3 rad", at most `NAMED_MAX`.
 
     Args:
-        names: n of them. numbers: (n,) arrays, each of the first `of` each of the next.
-        unit: of all numbers, with its space.
-        which: a choice among the n, or their places in another order.
+        names: n names. numbers: (n,) arrays, joined by "of".
+        unit: of all numbers, with a leading space.
+        selection: mask or indices of the names to list.
     """
-    places = np.arange(len(names))[which]
-    said = [f"{names[k]} {' of '.join(f'{of[k]:.3g}' for of in numbers)}" for k in places[:NAMED_MAX]]
-    more = f" and {len(places) - NAMED_MAX} more" if len(places) > NAMED_MAX else ""
-    return ", ".join(said) + unit + more
+    indices = np.arange(len(names))[selection]
+    text = [
+        f"{names[k]} {' values '.join(f'{values[k]:.3g}' for values in numbers)}" for k in indices[:NAMED_MAX]
+    ]
+    more = f" and {len(indices) - NAMED_MAX} more" if len(indices) > NAMED_MAX else ""
+    return ", ".join(text) + unit + more

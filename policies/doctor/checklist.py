@@ -1,24 +1,24 @@
-"""All that the doctor looks at, in the order of its report."""
+"""Table of all checks in the order of the report, and their execution."""
 
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from policies.doctor.check_context import Case, UntriedError
-from policies.doctor.check_result import Finding, Note, failed, summed_up, warned
+from policies.doctor.check_context import CheckContext, NotSimulatedError
+from policies.doctor.check_result import CheckResult, Message, failed, summarize, warned
 from policies.doctor.checks.action import action, gains
-from policies.doctor.checks.first_target import activation
+from policies.doctor.checks.first_target import first_target
 from policies.doctor.checks.identity import joints, loader
 from policies.doctor.checks.observations import normalizer, training
 from policies.doctor.checks.protection import protection
 from policies.doctor.checks.rates import rates
 from policies.doctor.checks.sources import sources
-from policies.doctor.simulation.joint_order import orders
-from policies.doctor.simulation.task_checks import chatter, delay, heat, jitter, trial
+from policies.doctor.simulation.joint_order import joint_order
+from policies.doctor.simulation.task_checks import chatter, delay, heat, jitter, simulation
 from policies.doctor.simulation.tilt import tilt
 from robots.errors import FirstshiftError
 
-CHECKS: dict[str, Callable[[Case], Iterator[Note]]] = {
+CHECKS: dict[str, Callable[[CheckContext], Iterator[Message]]] = {
     "loader": loader,
     "joints": joints,
     "action": action,
@@ -29,9 +29,9 @@ CHECKS: dict[str, Callable[[Case], Iterator[Note]]] = {
     "normalizer": normalizer,
     "training": training,
     "tilt": tilt,
-    "activation": activation,
-    "trial": trial,
-    "orders": orders,
+    "first target": first_target,
+    "simulation": simulation,
+    "joint order": joint_order,
     "chatter": chatter,
     "delay": delay,
     "jitter": jitter,
@@ -39,22 +39,22 @@ CHECKS: dict[str, Callable[[Case], Iterator[Note]]] = {
 }
 
 
-def examined(case: Case) -> Iterator[Finding]:
-    """A row for each check. One that cannot be made is one that failed: it says why."""
+def run_checks(context: CheckContext) -> Iterator[CheckResult]:
+    """Yield the result of each check; a check that cannot be made fails with the reason."""
     for check in CHECKS:
-        yield row(case, check)
+        yield run_check(context, check)
 
 
-def row(case: Case, check: str) -> Finding:
-    """One of them. A contract may hold numbers of any size."""
+def run_check(context: CheckContext, check: str) -> CheckResult:
+    """Return the result of one check. Overflow is ignored: a contract may hold numbers of any size."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return summed_up(check, _notes(case, check))
+        return summarize(check, _messages(context, check))
 
 
-def _notes(case: Case, check: str) -> Iterator[Note]:
+def _messages(context: CheckContext, check: str) -> Iterator[Message]:
     try:
-        yield from CHECKS[check](case)
-    except UntriedError:
-        yield warned("not tried: see the trial.")
+        yield from CHECKS[check](context)
+    except NotSimulatedError:
+        yield warned("not tried: see row simulation.")
     except FirstshiftError as e:
         yield failed(f"{e}.")

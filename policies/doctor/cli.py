@@ -1,4 +1,4 @@
-"""policy-check: what speaks against a policy on a robot, before anything moves."""
+"""Command policy-check: diagnose a policy on a robot before anything moves."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,34 +9,36 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
-from policies.doctor.check_context import Case
-from policies.doctor.check_result import Finding, Verdict
-from policies.doctor.checklist import CHECKS, examined
+from policies.doctor.check_context import CheckContext
+from policies.doctor.check_result import CheckResult, Verdict
+from policies.doctor.checklist import CHECKS, run_checks
 
 STYLES = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "red"}
 
 
 def policy_check(
     policy: Annotated[Path, typer.Argument(help="ONNX file of policy-export or policy-import")],
-    robot: Annotated[str | None, typer.Option(help="name or folder", show_default="the contract's")] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="robot: name or folder", show_default="the contract's")
+    ] = None,
 ) -> int:
-    """Diagnose a policy on a robot: a row for each check, why, and what to do; fails if one of them does."""
-    case = Case(policy, robot)
-    with Console(stderr=True).status(f"examining {policy.name}") as status:
+    """Diagnose a policy on a robot: one row per check with its reason and what to do. Exit code 1 if a check fails."""
+    context = CheckContext(policy, robot)
+    with Console(stderr=True).status(f"checking {policy.name}") as status:
         findings = []
-        for finding in examined(case):
+        for finding in run_checks(context):
             findings.append(finding)
-            status.update(f"examining {policy.name}: {len(findings)} of {len(CHECKS)} checks done")
+            status.update(f"checking {policy.name}: {len(findings)} of {len(CHECKS)} checks done")
     Console().print(table(findings))
     return BUDGET_EXCEEDED if any(f.verdict is Verdict.FAIL for f in findings) else PASSED
 
 
-def table(findings: list[Finding]) -> Table:
-    """A row for each; what is said comes from files, and is no markup."""
-    shown = Table(Column("check", no_wrap=True), Column("", no_wrap=True), "why, and what to do")
+def table(findings: list[CheckResult]) -> Table:
+    """Return the table of results; texts may come from files and are not interpreted as markup."""
+    shown = Table(Column("check", no_wrap=True), Column("", no_wrap=True), "reason, and what to do")
     for finding in findings:
         verdict = Text(finding.verdict.name.lower(), style=STYLES[finding.verdict])
-        shown.add_row(finding.check, verdict, Text(finding.said))
+        shown.add_row(finding.check, verdict, Text(finding.text))
     return shown
 
 

@@ -1,4 +1,4 @@
-"""policy-export: one ONNX file that carries its contract, written only if it computes what torch computes."""
+"""Command policy-export: write one ONNX file with its contract, if ONNX Runtime agrees with torch."""
 
 import hashlib
 from dataclasses import dataclass
@@ -28,13 +28,13 @@ GOLDEN_PAIRS = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exported:
-    """What was written, and how well it agrees.
+    """Result of an export.
 
     Attributes:
         file_bytes: size of the file.
         digest: SHA-256 of the file.
-        observations: how many were compared, at each batch.
-        deviation: worst |ONNX Runtime − torch| at each of `deploy.policy.policy.BATCHES`, raw action.
+        observations: number compared at each batch size.
+        deviation: largest |ONNX Runtime − torch| at each of `deploy.policy.policy.BATCHES`, raw action.
     """
 
     path: Path
@@ -45,15 +45,15 @@ class Exported:
 
 
 def export(checkpoint_path: Path, out_path: Path, robot: str | Path | None = None) -> Exported:
-    """Export a checkpoint; `out_path` is replaced only after every check has passed.
+    """Export a checkpoint; `out_path` is replaced only after all checks passed.
 
     Args:
-        checkpoint_path: what `policy-train` left.
+        checkpoint_path: from `policy-train`.
         out_path: the ONNX file.
-        robot: name or folder; without it the robot that the contract names.
+        robot: name or folder; None for the robot named in the contract.
 
     Raises:
-        ContractError: the checkpoint, or the file that came out of it, is not what was promised.
+        ContractError: the checkpoint is invalid, or the ONNX file computes other actions.
         RobotError: the robot is unknown or unreadable.
         OutputError: `out_path` cannot be written.
     """
@@ -74,7 +74,7 @@ def export(checkpoint_path: Path, out_path: Path, robot: str | Path | None = Non
 
 
 def _onnx(checkpoint: Checkpoint) -> bytes:
-    """The same checkpoint gives the same bytes, on any machine with the same library versions."""
+    """Return the ONNX file; deterministic for the same checkpoint and library versions."""
     example = torch.zeros(2, len(checkpoint.actor.mean))  # batch 1 would be taken for a constant
     batch: dict[str, object] = {"observation": {0: torch.export.Dim("batch")}}
     model = to_onnx(checkpoint.actor, (example,), [INPUT], [OUTPUT], batch)
@@ -85,7 +85,7 @@ def _onnx(checkpoint: Checkpoint) -> bytes:
 
 
 def _contract(checkpoint: Checkpoint) -> Contract:
-    """With what the normalizer learned of the observations in training."""
+    """Return the contract with the normalizer's statistics of training."""
     actor = checkpoint.actor
     observed = {"mean": tuple(actor.mean.tolist()), "deviation": tuple(actor.divisor.tolist())}
     data = checkpoint.contract.model_dump() | {"observed": observed}
@@ -100,7 +100,7 @@ def _golden(checkpoint: Checkpoint) -> str:
 
 
 def _loaded(partial: Path, spec: RobotSpec, out_path: Path) -> Policy:
-    """The new file behind every check that it will meet on the robot."""
+    """Load the written file with all the checks made on the robot."""
     try:
         return Policy.load(partial, spec)
     except ContractError as e:
@@ -159,7 +159,7 @@ def _summary(exported: Exported) -> str:
     return (
         f"{exported.path}: {exported.file_bytes} bytes, sha256 {exported.digest}\n"
         f"ONNX Runtime against torch on {exported.observations} observations of real rollouts: "
-        f"worst {worst} (at most {AGREEMENT:g})"
+        f"largest deviation {worst} (at most {AGREEMENT:g})"
     )
 
 

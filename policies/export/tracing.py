@@ -1,4 +1,4 @@
-"""From a torch module to its ONNX graph."""
+"""Conversion of a torch module to an ONNX graph."""
 
 import logging
 from collections.abc import Iterator, Sequence
@@ -20,12 +20,12 @@ def to_onnx(
     outputs: Sequence[str],
     shapes: dict[str, object] | None = None,
 ) -> ModelProto:
-    """The same module gives the same graph, on any machine with the same library versions.
+    """Return the ONNX graph of a module; deterministic for the same library versions.
 
     Args:
-        module: what to trace.
-        examples: its arguments. inputs, outputs: names.
-        shapes: dimensions that may vary, by argument.
+        module: to trace.
+        examples: arguments. inputs, outputs: names.
+        shapes: dynamic dimensions by argument.
 
     Raises:
         ContractError: torch gives no program.
@@ -50,7 +50,7 @@ def to_onnx(
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """The exporter warns of every library that it could use and that is not there."""
+    """Silence the exporter's warnings about optional libraries."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)
@@ -61,7 +61,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _strip(model: ModelProto) -> None:
-    """Remove torch's notes: they hold stack traces with the paths of this machine."""
+    """Remove torch's metadata: it has stack traces with local paths."""
     graph = model.graph
     del model.metadata_props[:], graph.value_info[:]
     for part in (model, graph, *graph.node, *graph.initializer, *graph.input, *graph.output):

@@ -1,4 +1,4 @@
-"""robot-init: a vendor's model becomes a robot folder, filled in as far as the model says."""
+"""Command robot-init: create a robot folder from a vendor's model."""
 
 import shutil
 from collections.abc import Iterator
@@ -10,9 +10,9 @@ import tomlkit
 import typer
 
 from deploy.command_line import PASSED, main
-from policies.robot_init.permanent_contacts import always_near
+from policies.robot_init.permanent_contacts import permanent_contacts
 from policies.robot_init.robot_files import draws_toml, limits_toml, robot_toml
-from policies.robot_init.vendor_model import Facts, read_facts
+from policies.robot_init.vendor_model import VendorModel, read_vendor_model
 from robots.errors import OutputError, RobotError
 from robots.models.files import is_urdf, referenced_files
 from robots.models.sandbox import check_compiles
@@ -21,52 +21,52 @@ from robots.strict import placeholder_fields
 SUFFIXES = (".xml", ".urdf")
 README = """# {name}
 
-{joints} joints that are driven, from `{model}`, which is the vendor's and unchanged.
+{joints} actuated joints, from the vendor's unchanged `{model}`.
 
-| file | says |
+| file | contents |
 |---|---|
 | `{model}` | links, inertias, mechanical ranges, shapes |
 | `robot.toml` | rates, working ranges, margins, sensors, motors and their drives |
-| `draws.toml` | how a robot of this kind may really be: the ranges of arm6, all of them estimates here |
-| `limits.toml` | what the judge of a soak holds it to |
+| `draws.toml` | variation between real robots: the ranges of arm6, all estimates here |
+| `limits.toml` | limits checked by the judge of a soak |
 
 ## Where the numbers come from
-Fill in every "?", name the source of each number, and say here what is an estimate.
+Fill in every "?", name the source of each number, and list the estimates here.
 """
 
 
-def init_robot(model: Path, out: Path, *, walks: bool = False) -> tuple[Facts, list[tuple[str, str]]]:
-    """Write a robot folder; returns what the model says, and the fields that are still open: table and key.
+def init_robot(model: Path, out: Path, *, walks: bool = False) -> tuple[VendorModel, list[tuple[str, str]]]:
+    """Write a robot folder; return the model's properties and the open fields as (table, key).
 
     Args:
         model: MJCF or URDF. out: the folder.
-        walks: whether its base is free although it has no free joint, as in URDF.
+        walks: True for a floating base without a free joint, as in URDF.
 
     Raises:
-        RobotError: the model cannot be read within bounds, or it names files outside of its folder.
-        OutputError: the folder is there already, or cannot be written.
+        RobotError: the model is unreadable or too large, or names files outside of its folder.
+        OutputError: the folder exists or cannot be written.
     """
     folder = package_of(model)
     check_compiles(model, folder)
     files = [model.resolve(), *referenced_files(model, folder)]
-    facts = read_facts(model, folder)
-    if walks and not is_urdf(model) and not facts.floats:
-        raise RobotError(f"{model}: found no free joint, expected one: only URDF has no words for it")
-    facts = replace(facts, floats=facts.floats or walks)
-    if not facts.joints:
-        raise RobotError(f"{model}: has no hinge, expected a robot with joints")
-    place = model.resolve().relative_to(folder).as_posix()
-    pairs = dict.fromkeys((*facts.neighbours, *always_near(model, folder, facts)))
+    vendor = read_vendor_model(model, folder)
+    if walks and not is_urdf(model) and not vendor.floating_base:
+        raise RobotError(f"{model}: found no free joint, expected one: --walks is for URDF only")
+    vendor = replace(vendor, floating_base=vendor.floating_base or walks)
+    if not vendor.joints:
+        raise RobotError(f"{model}: found no joint, expected at least one")
+    folder_path = model.resolve().relative_to(folder).as_posix()
+    pairs = dict.fromkeys((*vendor.neighbours, *permanent_contacts(model, folder, vendor)))
     name = out.resolve().name
     tables = {
-        "robot.toml": robot_toml(facts, name, place, tuple(pairs)),
-        "draws.toml": draws_toml(facts),
-        "limits.toml": limits_toml(facts, name),
+        "robot.toml": robot_toml(vendor, name, folder_path, tuple(pairs)),
+        "draws.toml": draws_toml(vendor),
+        "limits.toml": limits_toml(vendor, name),
     }
-    readme = README.format(name=name, model=place, joints=len(facts.joints) - len(facts.locked))
+    readme = README.format(name=name, model=folder_path, joints=len(vendor.joints) - len(vendor.locked))
     texts = {file: tomlkit.dumps(table) for file, table in tables.items()} | {"README.md": readme}
     _write(out, files, folder, texts)
-    return facts, [field for file, table in tables.items() for field in _still_open(file, table)]
+    return vendor, [field for file, table in tables.items() for field in _still_open(file, table)]
 
 
 def _still_open(file: str, document: tomlkit.TOMLDocument) -> Iterator[tuple[str, str]]:
@@ -76,10 +76,10 @@ def _still_open(file: str, document: tomlkit.TOMLDocument) -> Iterator[tuple[str
 
 
 def package_of(model: Path) -> Path:
-    """The folder whose files a model may name: the ROS package that URDF lies in, or the one beside the model.
+    """Return the folder that the model's files must be in: the ROS package of a URDF, or the model's own folder.
 
     Raises:
-        RobotError: there is none.
+        RobotError: the path is no model.
     """
     if not model.is_file() or model.suffix not in SUFFIXES:
         found = "a folder" if model.is_dir() else "another kind of file" if model.is_file() else "no file"
@@ -91,7 +91,7 @@ def package_of(model: Path) -> Path:
 
 def _write(out: Path, files: list[Path], folder: Path, texts: dict[str, str]) -> None:
     if out.exists():
-        raise OutputError(f"--out {out}: is there already, expected another place, or to remove it first")
+        raise OutputError(f"--out {out}: exists already, expected another path, or remove it first")
     try:
         for path in files:
             copy = out / path.relative_to(folder)
@@ -106,32 +106,34 @@ def _write(out: Path, files: list[Path], folder: Path, texts: dict[str, str]) ->
 def robot_init(
     model: Annotated[Path, typer.Argument(help="the vendor's MJCF (.xml) or URDF (.urdf)")],
     out: Annotated[Path | None, typer.Option(help="folder to write", show_default="out/<model>")] = None,
-    walks: Annotated[bool, typer.Option("--walks", help="its base is free, which URDF cannot say")] = False,
+    walks: Annotated[
+        bool, typer.Option("--walks", help="the base is free (floating); for URDF, which cannot express it")
+    ] = False,
 ) -> int:
-    """Make a robot folder of a vendor's model: all that it says, estimates that say so, and "?" for the rest."""
-    place = out or Path("out", model.stem)
-    facts, still_open = init_robot(model, place, walks=walks)
+    """Create a robot folder from a vendor's model: known values, estimates marked as such, and "?" for the rest."""
+    folder_path = out or Path("out", model.stem)
+    vendor, still_open = init_robot(model, folder_path, walks=walks)
     print(
-        f"{place}: {len(facts.joints)} joints, {len(facts.locked)} of them locked, {len(facts.shapes)} shapes"
+        f"{folder_path}: {len(vendor.joints)} joints, {len(vendor.locked)} of them locked, {len(vendor.shapes)} shapes"
     )
-    if facts.floats:
-        print("its base is free: it walks, and has no tool")
-    print(f"{len(still_open)} fields are still to be filled in:")
-    print("\n".join(_gathered(still_open)))
+    if vendor.floating_base:
+        print("floating base: a walking robot without tool")
+    print(f"{len(still_open)} fields to fill in:")
+    print("\n".join(_grouped(still_open)))
     return PASSED
 
 
-def _gathered(still_open: list[tuple[str, str]]) -> Iterator[str]:
-    """A line for all tables of one kind that lack the same."""
+def _grouped(still_open: list[tuple[str, str]]) -> Iterator[str]:
+    """Yield one line for all tables of a kind with the same open keys."""
     keys: dict[str, list[str]] = {}
     for table, key in still_open:
         keys.setdefault(table, []).append(key)
-    alike: dict[tuple[str, str], list[str]] = {}
+    groups: dict[tuple[str, str], list[str]] = {}
     for table, open_keys in keys.items():
         kind, dot, name = table.rpartition(".")
-        alike.setdefault((kind + dot, ", ".join(open_keys)), []).append(name)
-    for (kind, lacking), names in alike.items():
-        yield f"  {kind}{', '.join(names)}: {lacking}"
+        groups.setdefault((kind + dot, ", ".join(open_keys)), []).append(name)
+    for (kind, missing), names in groups.items():
+        yield f"  {kind}{', '.join(names)}: {missing}"
 
 
 def cli() -> None:

@@ -1,14 +1,14 @@
-"""What robot.toml has for a robot with a free base in the place of tool and workspace."""
+"""Values of robot.toml for a robot with a floating base instead of tool and workspace."""
 
 import re
 from collections.abc import Mapping
 from typing import Any
 
-from policies.robot_init.vendor_model import Facts
+from policies.robot_init.vendor_model import VendorModel
 from robots.models.inertial import AT_THE_IMU
 
 FOOT = re.compile("foot|feet|sole|toe|ankle", re.IGNORECASE)
-"""In the names of sites or of last bodies that stand on the ground."""
+"""Pattern of the names of feet: sites or end bodies."""
 IMU = re.compile("imu", re.IGNORECASE)
 
 BASE = {
@@ -17,11 +17,11 @@ BASE = {
     "slip": "m/s/√Hz; estimate",
     "angular_acceleration": "rad/s²/√Hz; estimate",
     "jerk": "m/s³/√Hz; estimate",
-    "tilt_max_rad": "rad, beyond which it has fallen; estimate",
-    "command_min": "m/s forwards, m/s to the left, rad/s to the left: what it may be asked for",
-    "command_max": "the same",
-    "command_s": "s for each command; estimate",
-    "source": "where the numbers come from",
+    "tilt_max_rad": "rad, tilt that counts as a fall; estimate",
+    "command_min": "m/s forwards, m/s to the left, rad/s to the left: smallest command",
+    "command_max": "the same, largest command",
+    "command_s": "s, duration of each command; estimate",
+    "source": "source of the numbers",
 }
 ESTIMATES = {
     "foot_m": 0.01,
@@ -41,18 +41,18 @@ MARGINS = {
     "stale_s": 0.06,
     "lost_s": 0.12,
 }
-"""Soft drives stray far from where they are sent: that is what makes their torque. And who stops falls: it coasts as
-long as it can."""
+"""Compliant drives deviate from their targets, which produces their torque, so tracking_rad is large. A stopped robot
+falls, so stale_s and lost_s are long."""
 RATES = {"control_hz": 250, "physics_hz": 500}
 PACKETS = {"rate_hz": 250, "drift_per_k": 0.0, "delay_s": 0.002, "loss": 0.001}
-"""Of everything on the bus of a robot that walks; estimates, with which two of them do."""
+"""Bus of a walking robot; estimates, with which two robots walk."""
 LIMITS = {"arming_rad": 0.02}
-"""On a gantry legs hang in their play."""
-RESTLESS = 1000.0
-"""rad²/s³, of joints on soft drives: they go where the ground lets them. Of two that walk, a humanoid's innovations are
-as large as they should be at 100 to 300 and a small quadruped's at 300 to 1,000; too much costs nothing that is seen,
-too little loses the joint."""
-NO_TOOL = ("workspace_m", "singularity")
+"""On a gantry the legs hang within their backlash."""
+ACCELERATION_DENSITY = 1000.0
+"""rad²/s³, process noise of joints with compliant drives, which are moved by the ground. Innovations are consistent at
+100 to 300 for a humanoid and at 300 to 1,000 for a small quadruped; too large a value has no visible cost, too small a
+value makes the filter lose the joint."""
+ARM_MARGINS = ("workspace_m", "singularity")
 SENSORS = {
     "velocity": {
         "unit": "rad/s",
@@ -87,27 +87,27 @@ SENSORS = {
         "drift": 0.0,
     },
 }
-"""What legged robots carry beside encoders, and their IMUs say of up; estimates. One without it leaves it out."""
+"""Sensors of legged robots besides encoders, including the orientation of the IMU; estimates."""
 
 
-def asked(facts: Facts) -> dict[str, str]:
-    """The fields of its base, each with its meaning."""
-    known = ", ".join((*facts.sites, *facts.ends))
+def base_descriptions(vendor: VendorModel) -> dict[str, str]:
+    """Return the fields of [base] with descriptions."""
+    known = ", ".join((*vendor.sites, *vendor.ends))
     return BASE | {"feet": f"{BASE['feet']}: {known}"}
 
 
-def base(facts: Facts) -> dict[str, Any]:
-    """What is known of its base, and estimates."""
-    named = [name for names in (facts.sites, facts.ends) for name in names if FOOT.search(name)]
-    sites = [name for name in named if name in facts.sites]
+def base_values(vendor: VendorModel) -> dict[str, Any]:
+    """Return known and estimated values of [base]."""
+    named = [name for names in (vendor.sites, vendor.ends) for name in names if FOOT.search(name)]
+    sites = [name for name in named if name in vendor.sites]
     return {**ESTIMATES, "feet": sites or named or None}
 
 
-def sensors(facts: Facts, of_arms: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Those of an arm's drives, quicker, and its own; the IMU at a site called so or else at the base."""
-    site = next((name for name in facts.sites if IMU.search(name)), facts.bodies[0])
-    quick = {kind: {**sensor, **PACKETS} for kind, sensor in of_arms.items() if kind != "temperature"}
+def sensors(vendor: VendorModel, arm_sensors: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the sensors: those of an arm at the bus rate, and the IMU at a site named so or else at the base."""
+    site = next((name for name in vendor.sites if IMU.search(name)), vendor.bodies[0])
+    fast = {kind: {**sensor, **PACKETS} for kind, sensor in arm_sensors.items() if kind != "temperature"}
     own = {kind: {**numbers, **PACKETS} for kind, numbers in SENSORS.items()}
     for kind in AT_THE_IMU:
         own[kind]["sites"] = [site]
-    return {**of_arms, **quick, **own}
+    return {**arm_sensors, **fast, **own}

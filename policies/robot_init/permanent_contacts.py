@@ -1,4 +1,4 @@
-"""Pairs of bodies whose capsules meet in every pose: neighbours that a check of collisions would always complain of."""
+"""Pairs of bodies whose capsules touch in every pose and must be excluded from collision checks."""
 
 from itertools import combinations
 from pathlib import Path
@@ -6,40 +6,40 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from policies.robot_init.vendor_model import Facts
+from policies.robot_init.vendor_model import VendorModel
 from robots.models.mujoco_model import compile_model, open_model
 
 POSES = 200
 NEAR_M = 0.02
-"""m, with the margin that a robot keeps."""
+"""m, distance that counts as touching, including the collision margin."""
 
 
-def always_near(path: Path, folder: Path, facts: Facts) -> tuple[tuple[str, str], ...]:
-    """Pairs that are near in each of some random poses, but those of one link or of links that a joint connects.
+def permanent_contacts(path: Path, folder: Path, vendor: VendorModel) -> tuple[tuple[str, str], ...]:
+    """Return pairs of bodies that touch in all of `POSES` random poses, except on the same or adjacent links.
 
     Raises:
         RobotError: MuJoCo cannot read the model.
     """
     mjcf = open_model(path, folder)
-    for number, shape in enumerate(facts.shapes):
+    for number, shape in enumerate(vendor.shapes):
         line = [*shape.start, *shape.end]
         kind, size = mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius, 0.0, 0.0]
         mjcf.body(shape.body).add_geom(name=f"firstshift/{number}", type=kind, fromto=line, size=size)
     model = compile_model(mjcf, path)
-    places = [model.geom(f"firstshift/{number}").id for number in range(len(facts.shapes))]
-    pairs = [(a, b) for a, b in combinations(places, 2) if _apart(model, a, b)]
+    geoms = [model.geom(f"firstshift/{number}").id for number in range(len(vendor.shapes))]
+    pairs = [(a, b) for a, b in combinations(geoms, 2) if _on_separate_links(model, a, b)]
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     for _ in range(POSES):
-        for joint in facts.joints:
-            data.joint(joint.name).qpos = 0.0 if joint.name in facts.locked else rng.uniform(*joint.span)
+        for joint in vendor.joints:
+            data.joint(joint.name).qpos = 0.0 if joint.name in vendor.locked else rng.uniform(*joint.span)
         mujoco.mj_kinematics(model, data)
         pairs = [pair for pair in pairs if mujoco.mj_geomDistance(model, data, *pair, NEAR_M, None) < NEAR_M]
     bodies = [tuple(model.body(model.geom_bodyid[geom]).name for geom in pair) for pair in pairs]
     return tuple(dict.fromkeys((a, b) for a, b in bodies))
 
 
-def _apart(model: mujoco.MjModel, a: int, b: int) -> bool:
-    """Whether two shapes are on links that are neither the same nor parent and child."""
+def _on_separate_links(model: mujoco.MjModel, a: int, b: int) -> bool:
+    """Return True for shapes on links that are neither the same nor parent and child."""
     weld, parent = model.body_weldid, model.body_parentid
     one, other = (int(weld[model.geom_bodyid[geom]]) for geom in (a, b))
     return one != other and weld[parent[one]] != other and weld[parent[other]] != one

@@ -1,4 +1,4 @@
-"""What a vendor's model knows of its robot: MuJoCo's reading of it, in words of robot.toml."""
+"""Properties of a robot read from a vendor's MJCF or URDF with MuJoCo, in the terms of robot.toml."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,30 +8,30 @@ from xml.etree.ElementTree import Element
 import mujoco
 import numpy as np
 
-from policies.robot_init.capsules import Shape, shape_of
+from policies.robot_init.capsules import Capsule, capsule_of
 from robots.errors import RobotError
 from robots.models.files import is_urdf, read_xml
 from robots.models.mujoco_model import compile_model, open_model
 
 _HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 TOOLS = ("tool", "tcp", "ee", "eef", "end_effector", "grip_site", "grasp_site", "pinch", "attachment_site")
-"""What a tool's site is mostly called."""
+"""Common names of a tool's site."""
 JOINTS_MAX, BODIES_MAX, SHAPES_MAX = 100, 500, 500
-"""More than robots have: what is made of them takes the square of their number."""
+"""Limits of the model size; the effort grows with the square."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JointFacts:
-    """One joint; None for what the model does not say.
+class VendorJoint:
+    """A joint; None for values that the model does not have.
 
     Attributes:
-        body: that it moves.
-        slides: whether it is no hinge.
+        body: moved by the joint.
+        slides: True for a prismatic joint.
         low, high, home: rad. qd_max: rad/s.
-        torque_range: N·m, of the joint. torque_max: N·m, of its actuator, where the joint says nothing.
-        kp, kd: N·m/rad and N·m·s/rad at the joint. gear: of an actuator that has one.
-        driven: whether an actuator moves it.
-        armature: kg·m² of its rotor, behind the gear; 0 where the model has none.
+        torque_range: N·m, of the joint. torque_max: N·m, of its actuator, if the joint has no range.
+        kp, kd: N·m/rad and N·m·s/rad at the joint. gear: of the actuator, if any.
+        driven: True if it has an actuator.
+        armature: kg·m² of the rotor at the joint side; 0 if the model has none.
     """
 
     name: str
@@ -51,53 +51,53 @@ class JointFacts:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Where it can be; one turn, where the model does not say."""
+        """Range of the joint; one turn if the model has none."""
         return (-np.pi, np.pi) if self.low is None or self.high is None else (self.low, self.high)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Facts:
-    """One model.
+class VendorModel:
+    """A vendor's model.
 
     Attributes:
         joints: hinges and slides in the model's order.
-        sites: names. ends: bodies that carry no other. bodies: names.
-        shapes: of bodies that can touch something; plain: whether all of them are capsules.
-        neighbours: pairs of bodies that the model excludes.
-        floats: whether a joint is free. drives: whether it has dcmotors.
-        centre: m, of the first joint. reach: m, from there to the farthest body, stretched.
+        sites: names. ends: names of bodies without children. bodies: names.
+        shapes: capsules of colliding shapes. plain: True if all of these shapes are capsules.
+        neighbours: pairs of bodies excluded from contact by the model.
+        floating_base: True with a free joint. drives: True with dcmotor actuators.
+        centre: m, position of the first joint. reach: m, from there to the farthest body, stretched.
     """
 
-    joints: tuple[JointFacts, ...]
+    joints: tuple[VendorJoint, ...]
     sites: tuple[str, ...]
     ends: tuple[str, ...]
     bodies: tuple[str, ...]
-    shapes: tuple[Shape, ...]
+    shapes: tuple[Capsule, ...]
     plain: bool
     neighbours: tuple[tuple[str, str], ...]
-    floats: bool
+    floating_base: bool
     drives: bool
     centre: tuple[float, float, float]
     reach: float
 
     @property
     def locked(self) -> tuple[str, ...]:
-        """Joints that look as if no policy drove them: slides, and what no actuator moves where others are moved."""
-        some = any(joint.driven for joint in self.joints)
-        return tuple(joint.name for joint in self.joints if joint.slides or (some and not joint.driven))
+        """Joints that are probably not driven by a policy: slides, and joints without actuator if others have one."""
+        any_driven = any(joint.driven for joint in self.joints)
+        return tuple(joint.name for joint in self.joints if joint.slides or (any_driven and not joint.driven))
 
     @property
     def tool(self) -> str | None:
-        """A site that is called like one, or the only end."""
+        """Name of a site in `TOOLS`, or of the only end body, or None."""
         named = [name for tool in TOOLS for name in self.sites if name == tool]
         return named[0] if named else self.ends[0] if len(self.ends) == 1 else None
 
 
-def read_facts(path: Path, folder: Path) -> Facts:
+def read_vendor_model(path: Path, folder: Path) -> VendorModel:
     """Read a model.
 
     Raises:
-        RobotError: MuJoCo cannot read it, it has more parts than robots have, or a joint or its body has no name.
+        RobotError: MuJoCo cannot read it, it is too large, or a joint or its body has no name.
     """
     mjcf = open_model(path, folder)
     neighbours = tuple((each.bodyname1, each.bodyname2) for each in mjcf.excludes)
@@ -113,15 +113,15 @@ def read_facts(path: Path, folder: Path) -> Facts:
     joints = tuple(_joint(model, i, path, speeds) for i in moving)
     carriers = set(model.body_parentid[1:])
     bodies = tuple(model.body(i).name for i in range(1, model.nbody))
-    return Facts(
+    return VendorModel(
         joints=joints,
         sites=tuple(name for i in range(model.nsite) if (name := model.site(i).name)),
         ends=tuple(model.body(i).name for i in range(1, model.nbody) if i not in carriers),
         bodies=bodies,
-        shapes=tuple(shape for i in touching if (shape := shape_of(model, i))),
+        shapes=tuple(shape for i in touching if (shape := capsule_of(model, i))),
         plain=all(model.geom_type[i] == mujoco.mjtGeom.mjGEOM_CAPSULE for i in touching),
         neighbours=tuple(pair for pair in neighbours if set(pair) <= set(bodies)),
-        floats=mujoco.mjtJoint.mjJNT_FREE in kinds,
+        floating_base=mujoco.mjtJoint.mjJNT_FREE in kinds,
         drives=bool((model.actuator_dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR).any()),
         centre=tuple(data.xanchor[moving[0]].round(4).tolist()) if moving else (0.0, 0.0, 0.0),
         reach=_reach(model, moving),
@@ -139,7 +139,7 @@ def _check_sizes(model: mujoco.MjModel, touching: list[int], path: Path) -> None
 
 
 def _check_names(model: mujoco.MjModel, path: Path) -> None:
-    """They become text of robot.toml, some of it in comments, which end with their line."""
+    """Refuse unprintable names: they are written to comments of robot.toml, which end with the line."""
     named = {"joint": model.njnt, "body": model.nbody, "site": model.nsite}
     for kind, count in named.items():
         for name in (getattr(model, kind)(i).name for i in range(count)):
@@ -147,16 +147,16 @@ def _check_names(model: mujoco.MjModel, path: Path) -> None:
                 raise RobotError(f"{path}: {kind}: found name {name!r:.80}, expected printable characters")
 
 
-def _joint(model: mujoco.MjModel, i: int, path: Path, speeds: dict[str, float]) -> JointFacts:
+def _joint(model: mujoco.MjModel, i: int, path: Path, speeds: dict[str, float]) -> VendorJoint:
     joint, body = model.joint(i), model.body(model.jnt_bodyid[i])
     if not joint.name or not body.name:
         raise RobotError(
             f"{path}: joint {i} ({joint.name!r}) of body {body.name!r}: expected a name for both"
         )
     limited, bounded = bool(model.jnt_limited[i]), bool(model.jnt_actfrclimited[i])
-    acting = _acting(model, i)
-    own = acting or _Acting(None, None, None, None)
-    return JointFacts(
+    actuator_of_joint = _actuator(model, i)
+    properties = actuator_of_joint or _Actuator(None, None, None, None)
+    return VendorJoint(
         name=joint.name,
         body=body.name,
         slides=bool(model.jnt_type[i] == _SLIDE),
@@ -165,18 +165,18 @@ def _joint(model: mujoco.MjModel, i: int, path: Path, speeds: dict[str, float]) 
         home=_home(model, i),
         qd_max=speeds.get(joint.name),
         torque_range=float(model.jnt_actfrcrange[i, 1]) if bounded else None,
-        torque_max=None if bounded else own.torque_max,
-        kp=own.kp,
-        kd=own.kd,
-        gear=own.gear,
-        driven=acting is not None,
+        torque_max=None if bounded else properties.torque_max,
+        kp=properties.kp,
+        kd=properties.kd,
+        gear=properties.gear,
+        driven=actuator_of_joint is not None,
         armature=float(model.dof_armature[model.jnt_dofadr[i]]),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Acting:
-    """What the model's own actuator of a joint says, on the joint's side."""
+class _Actuator:
+    """Properties of a joint's actuator, at the joint side."""
 
     torque_max: float | None
     kp: float | None
@@ -184,7 +184,7 @@ class _Acting:
     gear: float | None
 
 
-def _acting(model: mujoco.MjModel, joint: int) -> _Acting | None:
+def _actuator(model: mujoco.MjModel, joint: int) -> _Actuator | None:
     on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     found = np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint))
     if not len(found):
@@ -192,13 +192,13 @@ def _acting(model: mujoco.MjModel, joint: int) -> _Acting | None:
     actuator, kp, kd = found[0], None, None
     gear = float(model.actuator_gear[actuator, 0])
     if model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE:
-        # 0 is none: a velocity actuator has no stiffness. A force of kp (u - l) has a bias of -kp.
+        # 0 means none: a velocity actuator has no stiffness. The bias of a force kp (u - l) is -kp.
         kp, kd = (round(float(gain), 6) or None for gain in -model.actuator_biasprm[actuator, 1:3] * gear**2)
-    return _Acting(_torque(model, actuator, gear), kp, kd, gear if abs(gear) > 1.0 else None)
+    return _Actuator(_torque(model, actuator, gear), kp, kd, gear if abs(gear) > 1.0 else None)
 
 
 def _torque(model: mujoco.MjModel, actuator: int, gear: float) -> float | None:
-    """N·m: the range of its force, or of a plain motor's control."""
+    """Return N·m from the force range, or from a plain motor's control range."""
     if model.actuator_forcelimited[actuator]:
         return float(model.actuator_forcerange[actuator, 1] * abs(gear))
     plain = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
@@ -209,7 +209,7 @@ def _torque(model: mujoco.MjModel, actuator: int, gear: float) -> float | None:
 
 
 def _home(model: mujoco.MjModel, joint: int) -> float | None:
-    """rad, of the keyframe called home, or of the first."""
+    """Return rad of the keyframe named home, or of the first."""
     names = [model.key(i).name for i in range(model.nkey)]
     if not names:
         return None
@@ -218,7 +218,7 @@ def _home(model: mujoco.MjModel, joint: int) -> float | None:
 
 
 def _speeds(path: Path) -> dict[str, float]:
-    """rad/s by joint, of URDF: MuJoCo leaves them out."""
+    """Return velocity limits in rad/s by joint from URDF, which MuJoCo ignores."""
     if not is_urdf(path):
         return {}
     joints = read_xml(path).findall("joint")
@@ -241,14 +241,14 @@ def _touches(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def _reach(model: mujoco.MjModel, moving: list[int]) -> float:
-    """m, the longest way from the first joint along bodies."""
+    """Return m, the longest path from the first joint along bodies."""
     if not moving:
         return 0.0
-    far, first = np.zeros(model.nbody), model.jnt_bodyid[moving[0]]
+    distance, first = np.zeros(model.nbody), model.jnt_bodyid[moving[0]]
     for body in range(first + 1, model.nbody):
         if first in set(_ancestors(model, body)):
-            far[body] = far[model.body_parentid[body]] + np.linalg.norm(model.body_pos[body])
-    return round(float(far.max()), 3)
+            distance[body] = distance[model.body_parentid[body]] + np.linalg.norm(model.body_pos[body])
+    return round(float(distance.max()), 3)
 
 
 def _ancestors(model: mujoco.MjModel, body: int) -> Iterator[int]:

@@ -1,4 +1,4 @@
-"""Checkpoints, from `policy-train` to `policy-export`: tensors, numbers and text; never code."""
+"""Checkpoints of `policy-train`: tensors, numbers and text; no code."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ ROLLOUT_MIN = 1000
 
 
 class _File(Strict):
-    """The keys of a checkpoint as torch stores them."""
+    """Keys of a checkpoint as stored by torch."""
 
     model_config = ConfigDict(arbitrary_types_allowed=True)
 
@@ -40,11 +40,11 @@ class Checkpoint:
     """A trained policy.
 
     Attributes:
-        actor: the export view.
-        contract: what its numbers mean.
+        actor: the network for export.
+        contract: of the policy.
         rollout: (K, N) float32 raw observations from real rollouts of this policy, K ≥ 1000, in time order.
         seed: of the training.
-        recipe: its settings, in the text they were given in.
+        recipe: text of the recipe.
     """
 
     actor: Actor
@@ -57,11 +57,11 @@ class Checkpoint:
 def save_checkpoint(
     path: Path, actor: Actor, contract: Contract, rollout: Tensor, *, seed: int, recipe: str
 ) -> None:
-    """Write a checkpoint, whole or not at all; the arguments are the attributes of `Checkpoint`.
+    """Write a checkpoint atomically; the arguments are the attributes of `Checkpoint`.
 
     Raises:
         ContractError: `load_checkpoint` would refuse it.
-        OutputError: the place cannot be written.
+        OutputError: the file cannot be written.
     """
     file = {
         "format": 1,
@@ -79,7 +79,7 @@ def save_checkpoint(
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """Read a checkpoint; nothing that a file holds is ever run.
+    """Read a checkpoint; no code in the file is run.
 
     Raises:
         ContractError: naming the file, the key, what was found and what was expected.

@@ -1,4 +1,4 @@
-"""policy-train: PPO of rsl-rl-lib, through the runtime that ships."""
+"""Command policy-train: PPO of rsl-rl-lib with the shipped runtime as environment."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,11 +22,11 @@ from robots.spec import load_robot
 
 SAVE_INTERVAL = 200
 ROLLOUT = 2048
-"""Observations kept in a checkpoint, for export to compare torch and ONNX Runtime on."""
+"""Observations kept in a checkpoint, to compare torch and ONNX Runtime at export."""
 
 
 def train(recipe: Recipe, text: str, out: Path, *, threads: int) -> Path:
-    """Follow a recipe to a checkpoint.
+    """Train by a recipe and write a checkpoint.
 
     Args:
         recipe: the settings. text: of the recipe, kept in the checkpoint.
@@ -34,15 +34,17 @@ def train(recipe: Recipe, text: str, out: Path, *, threads: int) -> Path:
         threads: for physics; results do not depend on it.
 
     Returns:
-        The checkpoint's path.
+        Path of the checkpoint.
 
     Raises:
         ConfigError: `out` holds another training.
     """
     if any(out.glob("events.*")):
-        raise ConfigError(f"--out {out}: holds another training, whose curves would mix with this one's")
+        raise ConfigError(
+            f"--out {out}: contains another training, expected an empty folder: the curves would mix"
+        )
     torch.manual_seed(recipe.seed)
-    # One thread: torch's sums depend on how many share them, and a policy would depend on the machine.
+    # One thread: torch's sums depend on the number of threads, so results would depend on the machine.
     torch.set_num_threads(1)
     spec = load_robot(recipe.robot)
     env = RuntimeEnv(recipe, spec, threads=threads)
@@ -69,7 +71,7 @@ def _set_learning_rate(runner: OnPolicyRunner, rate: float) -> None:
 
 
 def roll_out(env: RuntimeEnv, policy: MLPModel) -> tuple[Tensor, float]:
-    """One episode without exploration.
+    """Run one episode without exploration.
 
     Returns:
         (ROLLOUT, N) observations spread over it, in time order, and the share of goals reached.
@@ -87,7 +89,7 @@ def roll_out(env: RuntimeEnv, policy: MLPModel) -> tuple[Tensor, float]:
 
 
 def _settings(learner: Learner) -> dict[str, Any]:
-    """The recipe in rsl_rl's words."""
+    """Return the recipe as rsl_rl's configuration."""
     network = {
         "class_name": "MLPModel",
         "hidden_dims": list(learner.hidden),

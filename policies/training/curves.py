@@ -1,4 +1,4 @@
-"""How a training went, as one picture from TensorBoard's events."""
+"""Plot of training curves from TensorBoard's events."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ CURVES = {
 
 
 def draw_curves(events: Path, out: Path) -> None:
-    """Draw the curves of the training whose events lie in a folder, over iterations."""
+    """Plot the curves over iterations from the events in a folder."""
     log = EventAccumulator(str(events), size_guidance={"scalars": 0})
     log.Reload()
     with mpl.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):

@@ -1,4 +1,4 @@
-"""The export view of a policy: everything between a raw observation and a raw action, and nothing else."""
+"""Actor network for export: from a raw observation to a raw action."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -18,7 +18,7 @@ class Actor(nn.Module):
 
     Attributes:
         mean: (N,) of the observations in training.
-        divisor: (N,) their standard deviation plus the learner's epsilon: one number, one rounding.
+        divisor: (N,) standard deviation plus the learner's epsilon, stored as one number to round once.
     """
 
     mean: Tensor
@@ -34,7 +34,7 @@ class Actor(nn.Module):
         self.mlp = nn.Sequential(*parts[:-1])
 
     def forward(self, observation: Tensor) -> Tensor:
-        """(B, N) raw observations to (B, A) raw actions."""
+        """Return raw actions (B, A) for raw observations (B, N)."""
         return self.mlp((observation - self.mean) / self.divisor)
 
     @classmethod
@@ -42,9 +42,9 @@ class Actor(nn.Module):
         """Copy a trained actor of rsl_rl: its normalizer, its MLP, the mean of its distribution.
 
         Raises:
-            ContractError: the model has a part that this view cannot express.
+            ContractError: the model has a part that this network does not have.
         """
-        for complaint in _inexpressible(model):
+        for complaint in _unsupported_parts(model):
             raise ContractError(f"rsl_rl actor: {complaint}")
         linear = [layer for layer in model.mlp if isinstance(layer, nn.Linear)]
         actor = cls(model.obs_dim, linear[-1].out_features, [layer.out_features for layer in linear[:-1]])
@@ -55,7 +55,7 @@ class Actor(nn.Module):
         return actor.eval().requires_grad_(False)
 
 
-def _inexpressible(model: "MLPModel") -> Iterator[str]:
+def _unsupported_parts(model: "MLPModel") -> Iterator[str]:
     # Imported here: an export from a checkpoint needs no learner.
     from rsl_rl.models import MLPModel
     from rsl_rl.modules import EmpiricalNormalization

@@ -22,7 +22,7 @@ KINDS = {
 
 
 def test_each_kind_of_file_is_what_it_says_and_its_contract_fits(tmp_path):
-    files = command.made(tmp_path, SPEC, layers=(16, 8))
+    files = command.write_files(tmp_path, SPEC, layers=(16, 8))
     found = {}
     for kind, (path, network) in files.items():
         draft = tmp_path / "x.toml"

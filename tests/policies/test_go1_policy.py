@@ -16,9 +16,9 @@ from deploy.policy.policy import Policy
 from deploy.state import Mode
 from eval.bench.trial import Trial
 from eval.bench.walk import stroll
-from policies.doctor.check_context import Case
+from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Verdict
-from policies.doctor.checklist import examined
+from policies.doctor.checklist import run_checks
 from policies.importers.cli import import_policy, write_template
 from robots.distributions import load_distributions
 from robots.draws import median_draw
@@ -101,8 +101,8 @@ def test_it_walks_through_the_whole_stack(go1):
 @shipped
 def test_the_doctor_finds_what_its_training_left_out_and_nothing_else(go1):
     """It was trained on drives that obey at once: 20 ms cost it goals."""
-    findings = list(examined(Case(go1 / "walk.onnx", go1)))
+    findings = list(run_checks(CheckContext(go1 / "walk.onnx", go1)))
     said = {finding.check: finding for finding in findings}
     assert {name for name, finding in said.items() if finding.verdict is Verdict.FAIL} <= {"delay"}
     assert said["tilt"].verdict is Verdict.PASS
-    assert "command" not in said["training"].said
+    assert "command" not in said["training"].text

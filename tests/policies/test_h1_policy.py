@@ -11,9 +11,9 @@ SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
 from deploy.state import Mode
 from eval.bench.trial import Trial
 from eval.bench.walk import stroll
-from policies.doctor.check_context import Case
+from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Verdict
-from policies.doctor.checklist import examined
+from policies.doctor.checklist import run_checks
 from policies.importers.cli import import_policy
 from robots.distributions import load_distributions
 from robots.draws import median_draw
@@ -53,8 +53,8 @@ def test_it_walks_for_a_minute_through_the_whole_stack(h1):
 
 
 def test_the_doctor_finds_nothing_that_speaks_against_it(h1):
-    findings = list(examined(Case(h1 / "walk.onnx", h1)))
-    assert [finding.said for finding in findings if finding.verdict is Verdict.FAIL] == []
+    findings = list(run_checks(CheckContext(h1 / "walk.onnx", h1)))
+    assert [finding.text for finding in findings if finding.verdict is Verdict.FAIL] == []
     said = {finding.check: finding.verdict for finding in findings}
     assert {
         said[name] for name in ("loader", "gains", "sources", "protection", "tilt", "activation", "heat")

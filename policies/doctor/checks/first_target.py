@@ -1,53 +1,56 @@
-"""How far, and how fast, the policy's first target is from where the robot stands."""
+"""Check of the policy's first target: distance and speed from the home pose."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from policies.doctor.check_context import Case
-from policies.doctor.check_result import Note, failed, listed, passed, warned
+from policies.doctor.check_context import CheckContext
+from policies.doctor.check_result import Message, failed, format_values, passed, warned
 from robots.models.nominal_model import torque_max
 
 FAR = 0.5
-"""rad. A robot that is sent farther at once is not where its policy takes it to be."""
+"""rad; a larger first step means that the policy assumes another pose."""
 
 
-def activation(case: Case) -> Iterator[Note]:
-    """From the home pose at rest, the worst of some goals."""
-    if case.contract.action.gains:
-        yield from _pull(case)
+def first_target(context: CheckContext) -> Iterator[Message]:
+    """Check the largest first step from the home pose at rest, over several goals."""
+    if context.contract.action.gains:
+        yield from _check_torque(context)
         return
-    spec, life = case.spec, case.life
-    jump = np.abs(life.first).max(axis=0)
+    spec, run = context.spec, context.run
+    jump = np.abs(run.first_step).max(axis=0)
     names, qd_max = spec.joint_names, spec.joint_array("qd_max")
-    q = spec.joint_array("q_home") + life.first
+    q = spec.joint_array("q_home") + run.first_step
     outside = ((q < spec.joint_array("q_min")) | (q > spec.joint_array("q_max"))).any(axis=0)
     if (far := (jump > FAR) | outside).any():
         yield failed(
-            f"at the first step it sends {listed(names, jump, unit=' rad', which=far)} away from the home pose"
+            f"at the first step it sends {format_values(names, jump, unit=' rad', selection=far)} away from"
+            " the home pose"
             f"{', beyond the working range' if outside.any() else ''}: the offset or the home pose of robot.toml is not"
-            " training's default pose."
+            " the default pose of training."
         )
-    speed = jump * case.contract.policy_hz
+    speed = jump * context.contract.policy_hz
     if (fast := (speed > qd_max) & ~far).any():
         yield warned(
-            "without the smoother the first step would go at"
-            f" {listed(names, speed, qd_max, unit=' rad/s', which=fast)}: begin nearer to the default pose, or ramp in."
+            "without the smoother the first step would need"
+            f" {format_values(names, speed, qd_max, unit=' rad/s', selection=fast)}: start closer to the"
+            " default pose, or ramp in."
         )
     yield passed(
-        f"the first target is {listed(names, jump, unit=' rad')} from home; without the smoother"
+        f"the first target is {format_values(names, jump, unit=' rad')} from home; without the smoother"
         f" {speed.max():.2g} rad/s at most."
     )
 
 
-def _pull(case: Case) -> Iterator[Note]:
-    """Of soft drives, which are nowhere near where they are sent: the torque of the first step counts."""
-    spec, gains = case.spec, case.contract.action.gains
-    tau = np.zeros(spec.n) if gains is None else gains.kp * np.abs(case.life.first).max(axis=0)
+def _check_torque(context: CheckContext) -> Iterator[Message]:
+    """Check the torque of the first step, for compliant drives, which do not follow targets closely."""
+    spec, gains = context.spec, context.contract.action.gains
+    tau = np.zeros(spec.n) if gains is None else gains.kp * np.abs(context.run.first_step).max(axis=0)
     most = torque_max(spec)
     if (far := tau > most).any():
         yield failed(
-            f"at the first step it asks for {listed(spec.joint_names, tau, most, unit=' N·m', which=far)}: the offset"
-            " or the home pose of robot.toml is not training's default pose."
+            "the first step asks for"
+            f" {format_values(spec.joint_names, tau, most, unit=' N·m', selection=far)}: the offset"
+            " or the home pose of robot.toml is not the default pose of training."
         )
-    yield passed(f"the first step asks for {listed(spec.joint_names, tau, most, unit=' N·m')}.")
+    yield passed(f"the first step asks for {format_values(spec.joint_names, tau, most, unit=' N·m')}.")

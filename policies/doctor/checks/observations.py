@@ -1,201 +1,214 @@
-"""Whether the network hears what it heard in training: by its graph, by its behaviour, by numbers of training."""
+"""Checks of observations against training: normalizer, scale, influence on actions, statistics, history."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from policies.doctor.check_context import Case
-from policies.doctor.check_result import Note, failed, listed, passed, warned
+from policies.doctor.check_context import CheckContext
+from policies.doctor.check_result import Message, failed, format_values, passed, warned
 from policies.doctor.checks.normalizer import Statistics
 from robots.arrays import Bools, Float32s, Floats, Ints
 
-ORDER = (0.05, 5.0)
-"""Root mean square of a number as the network gets it, if it was brought to an order of 1."""
-SILENT = 1e-6
-"""What is always 0 but for rounding needs no normalizer."""
-IGNORED = 0.01
-"""Of the actions' own spread, by which they change at least where a term that is heard says something else."""
+RMS_RANGE = (0.05, 5.0)
+"""Plausible root mean square of a normalized observation number."""
+RMS_ZERO = 1e-6
+"""Root mean square of a number that is always 0 except for rounding."""
+INFLUENCE_MIN = 0.01
+"""Change of actions, as a share of their deviation, below which a term has no influence."""
 SATURATED = 0.5
-"""Of all actions at their clip: more leaves nothing to steer with."""
-OFF, FAR_OFF = 1.5, 4.0
-"""Deviations of training between its mean and the one of the simulated robot."""
+"""Largest share of actions at their clip."""
+OFFSET_WARN, OFFSET_FAIL = 1.5, 4.0
+"""Difference between the means of simulation and training, in deviations of training."""
 SPREAD = (0.1, 2.5)
-"""Times the deviation of training. The robot explores nothing and is one draw of many: less is usual, much more not."""
-ALIKE = 1.0
-"""Deviations that frames of one term's history may lie apart."""
+"""Deviation in simulation relative to training. Less is usual: the robot does not explore and is one draw only."""
+FRAME_SPREAD_MAX = 1.0
+"""Largest difference between frames of a history, in deviations of training."""
 SAMPLE = 1024
 
 
-def normalizer(case: Case) -> Iterator[Note]:
-    """Is one in the graph, did training have one, and what do the actions say?"""
-    observed, found = case.contract.observed, case.normalizer
+def normalizer(context: CheckContext) -> Iterator[Message]:
+    """Compare the normalizer in the graph with training, and check scale and influence of the observations."""
+    observed, found = context.contract.observed, context.normalizer
     if observed is not None and found is None:
         yield failed(
-            "training normalized its observations, and nothing stands before the first weights of the graph that does:"
+            "training normalized its observations, but the graph has no normalizer before its first weights:"
             " export it again with the normalizer."
         )
     if observed is not None and found is not None:
-        yield from _the_same(Statistics.of(observed), found)
-    life, names = case.life, _number_names(case)
-    heard = life.observation.astype(float)
+        yield from _compare_statistics(Statistics.of(observed), found)
+    run, names = context.run, _number_names(context)
+    inputs = run.observation.astype(float)
     if found is not None:
-        heard = (heard - found.mean) / found.deviation
-    rms = np.sqrt((heard**2).mean(axis=0))
-    yield from _order(rms, names, graph=found is not None)
-    if case.training is None:
+        inputs = (inputs - found.mean) / found.deviation
+    rms = np.sqrt((inputs**2).mean(axis=0))
+    yield from _check_scale(rms, names, graph=found is not None)
+    if context.training is None:
         yield warned(
-            "no normalizer is in the graph, and whether training had one cannot be seen: ask; "
-            f"{_unknown(rms, names)}."
+            "no normalizer is in the graph, and the file does not tell whether training had one: ask; "
+            f"{_describe_scale(rms, names)}."
         )
-    yield from _steering(case)
+    yield from _check_influence(context)
     how = "(x − mean)/deviation stands before the first weights" if found else "no normalizer is in the graph"
-    yield passed(f"{how}; ordinary readings come to an order of 1, and every term is heard.")
+    yield passed(f"{how}; readings have an order of 1, and every term influences the actions.")
 
 
-def _the_same(told: Statistics, found: Statistics) -> Iterator[Note]:
-    apart = np.abs(told.mean - found.mean) / told.deviation
-    ratio = found.deviation / told.deviation
+def _compare_statistics(expected: Statistics, found: Statistics) -> Iterator[Message]:
+    apart = np.abs(expected.mean - found.mean) / expected.deviation
+    ratio = found.deviation / expected.deviation
     if (apart > 0.1).any() or (np.abs(np.log(ratio)) > 0.1).any():
         yield warned(
-            "the graph's mean and deviation are not those that the contract says of training: its terms may be scaled"
-            " once in the contract and once more in the graph."
+            "mean and deviation of the graph differ from those in the contract: terms may be scaled"
+            " both in the contract and in the graph."
         )
 
 
-def _order(rms: Floats, names: list[str], *, graph: bool) -> Iterator[Note]:
+def _check_scale(rms: Floats, names: list[str], *, graph: bool) -> Iterator[Message]:
     what = "behind the graph's normalizer" if graph else "and no normalizer in the graph"
-    if (loud := rms > ORDER[1]).any():
+    if (large := rms > RMS_RANGE[1]).any():
         yield warned(
             f"with the contract's scales {what} the network gets"
-            f" {listed(names, rms, which=_most(rms, loud))} (root mean square): it may be"
-            " fed raw readings: compare the scales, and look for the normalizer of training."
+            f" {format_values(names, rms, selection=_largest_first(rms, large))} (root mean square): it may get"
+            " raw readings: compare the scales, and look for the normalizer of training."
         )
 
 
-def _unknown(rms: Floats, names: list[str]) -> str:
-    """Of a network without a normalizer, of which nobody says whether it had one."""
-    if not (faint := (rms < ORDER[0]) & (rms > SILENT)).any():
+def _describe_scale(rms: Floats, names: list[str]) -> str:
+    """Describe the scale of readings without a normalizer."""
+    if not (small := (rms < RMS_RANGE[0]) & (rms > RMS_ZERO)).any():
         return "the contract's scales alone bring its readings to an order of 1"
     return (
-        f"by the contract's scales it gets {listed(names, rms, which=_most(-rms, faint))} (root mean square), which it"
-        " hardly hears"
+        "with the contract's scales it gets"
+        f" {format_values(names, rms, selection=_largest_first(-rms, small))} (root mean square), which is"
+        " very small"
     )
 
 
-def _number_names(case: Case) -> list[str]:
+def _number_names(context: CheckContext) -> list[str]:
     """(N,) "joint_position elbow", "goal 2"."""
-    joints, names = case.spec.joint_names, []
-    for term in case.contract.observation:
+    joints, names = context.spec.joint_names, []
+    for term in context.contract.observation:
         parts = joints if term.size == len(joints) else tuple(str(k) for k in range(term.size))
         names += [f"{term.name} {part}" for _ in range(term.history) for part in parts]
     return names
 
 
-def _steering(case: Case) -> Iterator[Note]:
-    """Whether actions are all at their ends, and whether each term changes them."""
-    low, high = case.contract.action.bounds
-    action = case.life.action
+def _check_influence(context: CheckContext) -> Iterator[Message]:
+    """Check the share of actions at their clip, and whether each term changes the actions."""
+    low, high = context.contract.action.bounds
+    action = context.run.action
     share = float(((action <= low) | (action >= high)).mean())
     if share > SATURATED:
-        note = warned if case.normalizer else failed
+        note = warned if context.normalizer else failed
         yield note(
-            f"{share:.0%} of all actions are at their clip in ordinary work: readings or weights are not of training's"
-            " scale, or its normalizer is lost."
+            f"{share:.0%} of all actions are at their clip: readings or weights have another scale than in training,"
+            " or the normalizer is missing."
         )
-    if case.contract.memory:
-        return  # what it remembers answers as well
-    if deaf := [f"{name} ({heard:.1%})" for name, heard in _heard(case) if heard < IGNORED]:
+    if context.contract.memory:
+        return  # the memory influences the actions too
+    if ignored := [
+        f"{name} ({inputs:.1%})" for name, inputs in _influence_of_terms(context) if inputs < INFLUENCE_MIN
+    ]:
         yield warned(
-            f"actions hardly change with {', '.join(deaf)} (change as a share of their own spread): the scale may be"
-            " far too large, or the term is of no use."
+            f"actions hardly change with {', '.join(ignored)} (change relative to their deviation): the scale may be"
+            " far too large, or the term is not used."
         )
 
 
-def _heard(case: Case) -> Iterator[tuple[str, float]]:
-    """Each term with what actions change where it says what it says at other times: readings stay ordinary."""
-    life, start = case.life, 0
+def _influence_of_terms(context: CheckContext) -> Iterator[tuple[str, float]]:
+    """Yield each term with the change of actions if its readings are permuted in time."""
+    run, start = context.run, 0
     rng = np.random.default_rng(0)
-    rows = life.observation[rng.permutation(len(life.observation))[:SAMPLE]]
-    action = _actions(case, rows)
+    rows = run.observation[rng.permutation(len(run.observation))[:SAMPLE]]
+    action = _actions(context, rows)
     spread = max(float(action.std(axis=0).mean()), 1e-9)
-    for term in case.contract.observation:
+    for term in context.contract.observation:
         end = start + term.size * term.history
         other = rows.copy()
         other[:, start:end] = rows[rng.permutation(len(rows)), start:end]
-        changed = float(np.sqrt(((_actions(case, other) - action) ** 2).mean())) / spread
-        if np.ptp(rows[:, start:end], axis=0).any():  # a term that says one thing can change nothing
+        changed = float(np.sqrt(((_actions(context, other) - action) ** 2).mean())) / spread
+        if np.ptp(rows[:, start:end], axis=0).any():  # a constant term cannot change anything
             yield term.name, changed
         start = end
 
 
-def _actions(case: Case, rows: Float32s) -> Float32s:
-    low, high = case.contract.action.bounds
-    return np.clip(case.policy.replay(rows, len(rows)), low, high)
+def _actions(context: CheckContext, rows: Float32s) -> Float32s:
+    low, high = context.contract.action.bounds
+    return np.clip(context.policy.replay(rows, len(rows)), low, high)
 
 
-def training(case: Case) -> Iterator[Note]:
-    """What observations were like in training against those of the simulated robot, number by number."""
-    if (told := case.training) is None:
+def training(context: CheckContext) -> Iterator[Message]:
+    """Compare observation statistics of training and simulation, number by number."""
+    if (expected := context.training) is None:
         yield warned(
-            "neither contract nor graph says what observations were like in training: nothing can be compared: ask for"
-            " mean and deviation of its normalizer, or for some recorded observations."
+            "neither contract nor graph has observation statistics of training: nothing to compare: ask for"
+            " mean and deviation of the normalizer, or for recorded observations."
         )
         return
-    yield from _history(case, told)
-    life, names = case.life, _number_names(case)
-    seen = life.observation.astype(float)
-    off, spread = np.abs(seen.mean(axis=0) - told.mean) / told.deviation, seen.std(axis=0) / told.deviation
-    if (far := off > FAR_OFF).any():
+    yield from _check_history(context, expected)
+    run, names = context.run, _number_names(context)
+    observed_values = run.observation.astype(float)
+    offset, spread = (
+        np.abs(observed_values.mean(axis=0) - expected.mean) / expected.deviation,
+        observed_values.std(axis=0) / expected.deviation,
+    )
+    if (far := offset > OFFSET_FAIL).any():
         yield failed(
             "the mean of the simulated robot is off training's, in deviations:"
-            f" {listed(names, off, which=_most(off, far))}: compare scale, offset, unit, frame"
-            " and order of these with training's."
+            f" {format_values(names, offset, selection=_largest_first(offset, far))}: compare scale,"
+            " offset, unit, frame"
+            " and order with training."
         )
-    if (odd := (off > OFF) & ~far).any():
+    if (noticeable := (offset > OFFSET_WARN) & ~far).any():
         yield warned(
             "the mean of the simulated robot is off training's, in deviations:"
-            f" {listed(names, off, which=_most(off, odd))}: compare them with training's."
+            f" {format_values(names, offset, selection=_largest_first(offset, noticeable))}: compare them"
+            " with training."
         )
     if (wide := spread > SPREAD[1]).any():
         yield warned(
-            "the simulated robot's readings vary more than training's, so many times:"
-            f" {listed(names, spread, which=_most(spread, wide))}: compare scales and units."
+            "readings of the simulated robot vary more than in training, by these factors:"
+            f" {format_values(names, spread, selection=_largest_first(spread, wide))}: compare scales and units."
         )
-    moves = np.abs(seen - told.mean).max(axis=0) > 1e-6  # what is always the same was so in training
-    still = (spread < SPREAD[0]) & moves & ~_commanded(case)
+    moves = (
+        np.abs(observed_values - expected.mean).max(axis=0) > 1e-6
+    )  # a constant number was constant in training too
+    still = (spread < SPREAD[0]) & moves & ~_is_command(context)
     if still.any():
         yield warned(
-            f"readings hardly vary, as a share of training's: {listed(names, spread, which=still)}: too large a"
-            " scale, or a sensor that says nothing."
+            f"readings hardly vary relative to training: {format_values(names, spread, selection=still)}: too large a"
+            " scale, or a sensor without signal."
         )
     yield passed(
-        f"the simulated robot's means are within {off.max():.1f} deviations of training's, and vary"
+        f"the simulated robot's means are within {offset.max():.1f} deviations of training's, and vary"
         f" {spread[moves].min(initial=np.inf):.2g} to {spread.max():.2g} times as much."
     )
 
 
-def _commanded(case: Case) -> Bools:
-    """(N,) whether a number is a command, which robot.toml may have stand still."""
-    terms = case.contract.observation
+def _is_command(context: CheckContext) -> Bools:
+    """Return (N,) True for commands, which may be constant by robot.toml."""
+    terms = context.contract.observation
     sizes = [term.size * term.history for term in terms]
     return np.repeat([term.source == "velocity_command" for term in terms], sizes)
 
 
-def _most(numbers: Floats, which: Bools) -> Ints:
-    """Places where `which` holds, the largest number first."""
-    places = np.flatnonzero(which)
+def _largest_first(numbers: Floats, selection: Bools) -> Ints:
+    """Return the selected indices, largest number first."""
+    places = np.flatnonzero(selection)
     return places[np.argsort(-numbers[places])]
 
 
-def _history(case: Case, told: Statistics) -> Iterator[Note]:
-    """Frames of a term are of the same reading, a little later each: in the right layout they are alike."""
+def _check_history(context: CheckContext, expected: Statistics) -> Iterator[Message]:
+    """Check that the frames of a history have similar statistics, as in the right layout."""
     start = 0
-    for term in case.contract.observation:
+    for term in context.contract.observation:
         end = start + term.size * term.history
-        mean, deviation = (x[start:end].reshape(term.history, term.size) for x in (told.mean, told.deviation))
-        if float((np.ptp(mean, axis=0) / deviation.min(axis=0)).max()) > ALIKE:
+        mean, deviation = (
+            x[start:end].reshape(term.history, term.size) for x in (expected.mean, expected.deviation)
+        )
+        if float((np.ptp(mean, axis=0) / deviation.min(axis=0)).max()) > FRAME_SPREAD_MAX:
             yield warned(
-                f"{term.name}: frames of its history differ by more than a deviation of training: its layout is"
-                " another: by time or by term, newest or oldest first."
+                f"{term.name}: the frames of its history differ by more than a deviation of training:"
+                " another layout was used:"
+                " by time or by term, newest or oldest first."
             )
         start = end

@@ -1,58 +1,58 @@
-"""Whether policy, control, training and sensors keep the same time."""
+"""Check that the rates of policy, control, training and sensors match."""
 
 import time
 from collections.abc import Iterator
 
 import numpy as np
 
-from policies.doctor.check_context import Case
-from policies.doctor.check_result import Note, failed, passed, warned
+from policies.doctor.check_context import CheckContext
+from policies.doctor.check_result import Message, failed, passed, warned
 from robots.sensors import Kind
 
 HZ, SECONDS = ("policy_hz",), ("policy_dt", "control_dt", "step_dt")
-"""What training may have called it, in `Contract.trained`."""
-QUICK: tuple[Kind, ...] = ("encoder", "gyro", "orientation")
-"""What changes from step to step."""
-NEAR = 0.01
-"""Of a rate: so much is rounding."""
+"""Names of the rate or period in `Contract.trained`."""
+FAST_SENSORS: tuple[Kind, ...] = ("encoder", "gyro", "orientation")
+"""Sensors whose readings change at every step."""
+TOLERANCE = 0.01
+"""Relative difference of rates that counts as rounding."""
 STEPS = 100
 SHARE = 0.2
-"""Of a control period, that the network may take: the rest of the tick needs the others."""
+"""Share of a control period that the network may take."""
 
 
-def rates(case: Case) -> Iterator[Note]:
-    """In Hz."""
-    contract, control_hz = case.contract, case.spec.rates.control_hz
+def rates(context: CheckContext) -> Iterator[Message]:
+    """Compare all rates, in Hz."""
+    contract, control_hz = context.contract, context.spec.rates.control_hz
     hz = contract.policy_hz
     if contract.control_hz != control_hz:
         yield failed(
-            f"made for control at {contract.control_hz} Hz, {case.spec.name} has {control_hz} Hz: export it again for"
+            f"made for control at {contract.control_hz} Hz, {context.spec.name} has {control_hz} Hz: export"
+            " it again for"
             " this robot, or train at its rate."
         )
-    trained = dict(_trained(case))
-    for name, said in trained.items():
-        if abs(said - hz) > NEAR * hz:
+    trained = dict(_trained(context))
+    for name, rate in trained.items():
+        if abs(rate - hz) > TOLERANCE * hz:
             yield failed(
-                f"policy_hz is {hz}, training says {name}: {said:.6g} Hz: put training's into the contract."
+                f"policy_hz is {hz}, training has {name}: {rate:.6g} Hz: put that into the contract."
             )
-    for kind, sensor in case.spec.sensors.items():
-        if kind in QUICK and (each := sensor.rate_hz) < hz:
-            yield warned(f"{kind} says something new {each} times a second, the policy asks {hz} times.")
-    if (took := _step_s(case)) > SHARE / control_hz:
+    for kind, sensor in context.spec.sensors.items():
+        if kind in FAST_SENSORS and (each := sensor.rate_hz) < hz:
+            yield warned(f"{kind} has {each} new readings per second, the policy runs at {hz} Hz.")
+    if (durations := _inference_s(context)) > SHARE / control_hz:
         yield warned(
-            f"the network takes {1e3 * took:.2g} ms here, and a tick is {1e3 / control_hz:.3g} ms: make it smaller, or"
-            " ticks will come late."
+            f"the network takes {1e3 * durations:.2g} ms here, and a tick is {1e3 / control_hz:.3g} ms:"
+            " make it smaller, or"
+            " ticks will be late."
         )
-    if "imported" in case.contract.trained and not trained:
-        yield warned(
-            f"policy_hz is {hz} by whoever imported it: training's own rate is not in the file: ask."
-        )
-    yield passed(f"policy {hz} Hz, control {control_hz} Hz{', as training says' if trained else ''}.")
+    if "imported" in context.contract.trained and not trained:
+        yield warned(f"policy_hz {hz} was entered at import; the rate of training is not in the file: ask.")
+    yield passed(f"policy {hz} Hz, control {control_hz} Hz{', as in training' if trained else ''}.")
 
 
-def _trained(case: Case) -> Iterator[tuple[str, float]]:
-    """Rates in Hz that the contract's provenance names."""
-    for name, text in case.contract.trained.items():
+def _trained(context: CheckContext) -> Iterator[tuple[str, float]]:
+    """Yield rates in Hz named in the contract's provenance."""
+    for name, text in context.contract.trained.items():
         try:
             number = float(text)
         except ValueError:
@@ -63,12 +63,12 @@ def _trained(case: Case) -> Iterator[tuple[str, float]]:
             yield name, 1.0 / number
 
 
-def _step_s(case: Case) -> float:
-    """s, the median of some steps for one robot."""
-    observation = np.zeros((1, case.contract.observation_size), np.float32)
-    took = []
+def _inference_s(context: CheckContext) -> float:
+    """Return the median inference time for one robot, s."""
+    observation = np.zeros((1, context.contract.observation_size), np.float32)
+    durations = []
     for _ in range(STEPS):
         began = time.perf_counter()
-        case.policy.step(observation)
-        took.append(time.perf_counter() - began)
-    return float(np.median(took))
+        context.policy.step(observation)
+        durations.append(time.perf_counter() - began)
+    return float(np.median(durations))

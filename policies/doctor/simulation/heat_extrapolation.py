@@ -1,4 +1,4 @@
-"""What warmed the motors of simulated robots, and how warm that makes them in a whole shift."""
+"""Heat load of motors in a simulated run, and its extrapolation to winding temperatures of a whole shift."""
 
 from dataclasses import dataclass
 
@@ -13,60 +13,65 @@ from robots.windings import nominal_windings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Warmth:
-    """Of each joint's motor (n,), the mean of all robots.
+class HeatLoad:
+    """Heat load of each joint's motor (n,), mean of all robots.
 
     Attributes:
-        current: A, root of the mean square. rubbed: W that friction and iron put into the housing.
+        current: A, root mean square. friction_power: W from friction and iron losses into the housing.
         ambient: °C.
     """
 
     current: Floats
-    rubbed: Floats
+    friction_power: Floats
     ambient: float
 
 
-class Thermometer:
-    """Follows the motors of some robots in the same room from the first look on."""
+class HeatRecorder:
+    """Recorder of motor currents and temperatures, for robots with the same ambient temperature."""
 
     def __init__(self, robot: SimRobot) -> None:
         self._plant, self._dt = robot.plant, robot.spec.dt
         self._ambient = float(robot.draw["climate.ambient_c"][0])
-        self._began = self._housing = robot.truth().housing_c.copy()
-        self._square, self._over_room, self._rise = np.zeros((3, *self._began.shape))
-        self._looks = 0
+        self._initial_housing = self._housing = robot.truth().housing_c.copy()
+        self._square, self._housing_rise, self._winding_rise = np.zeros((3, *self._initial_housing.shape))
+        self._ticks = 0
 
-    def look(self, truth: Truth) -> None:
-        """After every tick."""
-        self._looks += 1
+    def record(self, truth: Truth) -> None:
+        """Add one tick."""
+        self._ticks += 1
         self._square += self._plant.current**2
-        self._over_room += truth.housing_c - self._ambient
-        self._rise += truth.winding_c - truth.housing_c
+        self._housing_rise += truth.housing_c - self._ambient
+        self._winding_rise += truth.winding_c - truth.housing_c
         self._housing = truth.housing_c.copy()
 
-    def warmth(self) -> Warmth:
-        """By the housings' own balance: what warmed them, less what windings gave, is friction and iron."""
-        housings, looks = self._plant.housings, self._looks
-        stored = housings.capacity * (self._housing - self._began) / (looks * self._dt)
-        lost, given = self._over_room / housings.to_ambient, self._rise / self._plant.windings.to_housing
-        rubbed = stored + (lost - given) / looks
-        return Warmth(
-            current=np.sqrt(self._square.mean(axis=0) / looks),
-            rubbed=np.maximum(rubbed.mean(axis=0), 0.0),
+    def heat_load(self) -> HeatLoad:
+        """Return the heat load; friction and iron losses follow from the heat balance of the housings."""
+        housings, ticks = self._plant.housings, self._ticks
+        stored = housings.capacity * (self._housing - self._initial_housing) / (ticks * self._dt)
+        lost, given = (
+            self._housing_rise / housings.to_ambient,
+            self._winding_rise / self._plant.windings.to_housing,
+        )
+        friction_power = stored + (lost - given) / ticks
+        return HeatLoad(
+            current=np.sqrt(self._square.mean(axis=0) / ticks),
+            friction_power=np.maximum(friction_power.mean(axis=0), 0.0),
             ambient=self._ambient,
         )
 
 
-def windings_after(spec: RobotSpec, warmth: Warmth, t: float) -> Floats:
-    """(n,) °C, windings that were as cold as their room `t` s ago and worked like that ever since.
+def winding_temperature(spec: RobotSpec, heat_load: HeatLoad, t: float) -> Floats:
+    """Return winding temperatures (n,) °C after `t` s of constant heat load, starting at ambient temperature.
 
-    What warms a housing from outside its winding warms both nodes alike in the end, as a warmer room would.
+    Friction power heats housing and winding alike in the end, so it is modelled as a higher ambient temperature.
     """
     motors = nominal_windings(spec)
     to_ambient = spec.motor_array("housing_resistance_k_per_w")
     capacity = spec.motor_array("housing_capacity_j_per_k")
-    room = warmth.ambient + warmth.rubbed * to_ambient * (1.0 - np.exp(-t / (to_ambient * capacity)))
-    found = []
+    ambient = heat_load.ambient + heat_load.friction_power * to_ambient * (
+        1.0 - np.exp(-t / (to_ambient * capacity))
+    )
+    temperatures_c = []
     for j in range(spec.n):
         heat = MotorHeat(
             resistance=float(motors.resistance[j]),
@@ -77,5 +82,5 @@ def windings_after(spec: RobotSpec, warmth: Warmth, t: float) -> Floats:
             winding_capacity=float(motors.capacity[j]),
             housing_capacity=float(capacity[j]),
         )
-        found.append(temperatures(heat, float(warmth.current[j]), float(room[j]), t)[0])
-    return np.array(found)
+        temperatures_c.append(temperatures(heat, float(heat_load.current[j]), float(ambient[j]), t)[0])
+    return np.array(temperatures_c)

@@ -1,7 +1,7 @@
-"""Whether joints that are exchanged, or that turn the other way, explain a trial that went badly: each is tried.
+"""Check of joint order and signs: simulate all exchanges of two joints and all reversals of one.
 
-Names may be right and stand in the wrong order, and then nothing in the file says so. Every variant is a robot of its
-own beside the others, with the same goals and noise, so that all of them live at once.
+Joint names can be right while the network has another order, which the file does not show. The variants are robots of
+one simulation with the same goals and noise.
 """
 
 from collections.abc import Iterator
@@ -14,29 +14,29 @@ from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
 from deploy.policy.policy_file import PolicyFile
 from deploy.tasks.task import find_task
-from policies.doctor.check_context import Case
-from policies.doctor.check_result import Note, passed, warned
-from policies.doctor.simulation.simulated_run import PUNCTUAL, SECONDS, live
+from policies.doctor.check_context import CheckContext
+from policies.doctor.check_result import Message, passed, warned
+from policies.doctor.simulation.simulated_run import ON_TIME, SECONDS, run_simulation
 from robots.arrays import Float32s, Floats, Ints
 
-EACH, SHORT_S = 2, 8.2
-"""Robots of each variant, and how long they live, s: for two points each to reach; a speed to walk takes longer."""
+ROBOTS_PER_VARIANT, SECONDS_PER_VARIANT = 2, 8.2
+"""Robots per variant, and simulated time in s: for two goals to reach; velocity commands take longer."""
 VARIANTS_MAX = 80
-"""All exchanges of two and all reversals of one of twelve joints, and a few; more take minutes."""
-BETTER, WELL = 0.25, 0.75
-"""Of its goals, that a variant must reach more of than the policy as it is, and that it must reach."""
+"""Largest number of variants, enough for twelve joints; more take minutes."""
+IMPROVEMENT_MIN, GOALS_GOOD = 0.25, 0.75
+"""Shares of goals: improvement over the unchanged policy, and total, that a better variant must have."""
 
 
 class Variant(NamedTuple):
-    """Joint `places[j]` of the robot, `signs[j]` times, is what the policy takes for joint j."""
+    """Permutation and signs: the policy's joint j is joint `places[j]` of the robot times `signs[j]`."""
 
-    said: str
+    description: str
     places: Ints
     signs: Floats
 
 
-def variants(names: tuple[str, ...]) -> list[Variant]:
-    """As it is, every two joints exchanged, every one reversed."""
+def joint_variants(names: tuple[str, ...]) -> list[Variant]:
+    """Return the identity, all exchanges of two joints, and all reversals of one."""
     order, as_is = np.arange(len(names)), np.ones(len(names))
     found = [Variant("as it is", order, as_is)]
     for a, b in combinations(order, 2):
@@ -44,36 +44,35 @@ def variants(names: tuple[str, ...]) -> list[Variant]:
         places[[a, b]] = b, a
         found.append(Variant(f"{names[a]} and {names[b]} exchanged", places, as_is))
     reversed_ = [np.where(order == j, -1.0, 1.0) for j in order]
-    found += [
-        Variant(f"{name} turned the other way", order, s) for name, s in zip(names, reversed_, strict=True)
-    ]
+    found += [Variant(f"{name} reversed", order, s) for name, s in zip(names, reversed_, strict=True)]
     return found
 
 
-class Varied(Policy):
-    """A policy that stands before as many robots as variants, `EACH` times, each behind its own variant.
+class PermutedPolicy(Policy):
+    """A policy for `ROBOTS_PER_VARIANT` robots per variant, with permuted and reversed joints.
 
-    A contract whose names stand in the wrong order gives each joint the other's scale and offset: readings and actions
-    are brought to rad and back.
+    Scales and offsets belong to joints too, so readings and actions are converted to rad and back.
     """
 
-    def __init__(self, file: PolicyFile, source: str, tried: list[Variant]) -> None:
-        lines = [_line(file.contract, variant) for variant in tried for _ in range(EACH)]
-        self._columns, self._gain, self._bias, self._back, self._slope, self._shift = (
-            np.array(part) for part in zip(*lines, strict=True)
+    def __init__(self, file: PolicyFile, source: str, variants: list[Variant]) -> None:
+        permutations = [
+            _permutation(file.contract, variant) for variant in variants for _ in range(ROBOTS_PER_VARIANT)
+        ]
+        self._columns, self._gain, self._bias, self._inverse, self._slope, self._shift = (
+            np.array(part) for part in zip(*permutations, strict=True)
         )
         super().__init__(file, source)
 
     def step(self, observation: Float32s) -> Float32s:
-        """(B, N) to (B, A), in the robot's order."""
-        theirs = np.take_along_axis(observation, self._columns, axis=1) * self._gain + self._bias
-        said = super().step(theirs.astype(np.float32))
-        ours = np.take_along_axis(said, self._back, axis=1) * self._slope + self._shift
-        return ours.astype(np.float32)
+        """Return actions (B, A) in the robot's order for observations (B, N)."""
+        permuted = np.take_along_axis(observation, self._columns, axis=1) * self._gain + self._bias
+        description = super().step(permuted.astype(np.float32))
+        restored = np.take_along_axis(description, self._inverse, axis=1) * self._slope + self._shift
+        return restored.astype(np.float32)
 
 
-def _line(contract: Contract, variant: Variant) -> tuple[Ints | Floats, ...]:
-    """Of one variant: columns, gain and bias (N,) of its observation; places, slope and shift (A,) of its action."""
+def _permutation(contract: Contract, variant: Variant) -> tuple[Ints | Floats, ...]:
+    """Return columns, gain and bias (N,) of the observation, and places, slope and shift (A,) of the action."""
     places, signs = variant.places, variant.signs
     parts, start = [], 0
     for term in contract.observation:
@@ -85,43 +84,49 @@ def _line(contract: Contract, variant: Variant) -> tuple[Ints | Floats, ...]:
             parts.append((start + place, gain, bias))
             start += term.size
     columns, gain, bias = (np.concatenate(part) for part in zip(*parts, strict=True))
-    back = np.argsort(places)
+    inverse = np.argsort(places)
     scale = np.array(contract.action.scale)
     offset = np.array(contract.action.offset or np.zeros(len(places)))
-    shift = (signs[back] * offset[back] - offset) / scale
-    return columns, gain, bias, back, signs[back] * scale[back] / scale, shift
+    shift = (signs[inverse] * offset[inverse] - offset) / scale
+    return columns, gain, bias, inverse, signs[inverse] * scale[inverse] / scale, shift
 
 
-def orders(case: Case) -> Iterator[Note]:
-    """Does another order, or another sign, do what this one does not?"""
-    counts, names = case.life.counts, case.spec.joint_names
-    if counts.reached.sum() >= WELL * counts.attempted.sum():
-        yield passed("not asked: it does its work as it is.")
+def joint_order(context: CheckContext) -> Iterator[Message]:
+    """Search an exchange or a reversal that reaches more goals."""
+    counts, names = context.run.counts, context.spec.joint_names
+    if counts.reached.sum() >= GOALS_GOOD * counts.attempted.sum():
+        yield passed("not tried: the policy reaches its goals as it is.")
         return
-    tried = variants(names)
-    if len(tried) > VARIANTS_MAX:
-        yield warned(
-            f"{len(names)} joints have too many orders to try them: look at it with deploy-run --view."
-        )
+    variants = joint_variants(names)
+    if len(variants) > VARIANTS_MAX:
+        yield warned(f"{len(names)} joints have too many orders to try: look at it with deploy-run --view.")
         return
-    reached, attempted = _reached(case, tried)
+    reached, attempted = _goals_by_variant(context, variants)
     best = int(np.argmax(reached))
-    if reached[best] >= WELL * attempted and reached[best] - reached[0] > BETTER * attempted:
+    if reached[best] >= GOALS_GOOD * attempted and reached[best] - reached[0] > IMPROVEMENT_MIN * attempted:
         yield warned(
-            f"with {tried[best].said} it reaches {reached[best]} of {attempted} goals instead of {reached[0]}: so is"
-            " the order, or the axis, of its training: name the joints so, and import or export it again."
+            f"with {variants[best].description} it reaches {reached[best]} of {attempted} goals instead of"
+            f" {reached[0]}: training"
+            " had that order or sign: change the joint names accordingly, and import or export it again."
         )
         return
     yield warned(
-        f"of {len(tried) - 1} exchanges of two joints and reversals of one none helps: it is not that, or not that"
-        " alone."
+        f"of {len(variants) - 1} exchanges of two joints and reversals of one none helps: order and signs"
+        " are not the reason,"
+        " or not the only one."
     )
 
 
-def _reached(case: Case, tried: list[Variant]) -> tuple[Ints, int]:
-    """Goals that each variant reached, and how many each had."""
-    varied = Varied(case.file, str(case.path), tried)
-    rows = [k % EACH for k in range(EACH * len(tried))]
-    seconds = SECONDS if find_task(case.contract.task, "contract: task").scoring(case.spec).mean else SHORT_S
-    counts = live(case.spec, varied, PUNCTUAL, rows, seconds).counts
-    return counts.reached.reshape(-1, EACH).sum(axis=1), int(counts.attempted[:EACH].sum())
+def _goals_by_variant(context: CheckContext, variants: list[Variant]) -> tuple[Ints, int]:
+    """Return the goals reached by each variant, and the number of goals of each."""
+    varied = PermutedPolicy(context.file, str(context.path), variants)
+    rows = [k % ROBOTS_PER_VARIANT for k in range(ROBOTS_PER_VARIANT * len(variants))]
+    seconds = (
+        SECONDS
+        if find_task(context.contract.task, "contract: task").scoring(context.spec).mean
+        else SECONDS_PER_VARIANT
+    )
+    counts = run_simulation(context.spec, varied, ON_TIME, rows, seconds).counts
+    return counts.reached.reshape(-1, ROBOTS_PER_VARIANT).sum(axis=1), int(
+        counts.attempted[:ROBOTS_PER_VARIANT].sum()
+    )

@@ -1,7 +1,7 @@
-"""A short life in simulation: the shipped runtime on a robot as draws.toml has it in the middle.
+"""Short simulated run of the shipped runtime with a policy, on robots with the middle values of draws.toml.
 
-A packet that is late says when it was taken, and the estimator makes up for it: that delay is modelled. What shakes a
-robot is a delay that nobody knows of, so it is the actions that come late here.
+Actions can be delayed. A delay of sensor packets is known from their time stamps and compensated by the estimator; a
+delay of actions is not modelled and shows whether the policy tolerates it.
 """
 
 from collections import Counter
@@ -17,7 +17,7 @@ from deploy.tasks.task import find_task
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
 from eval.soak.shard import ARM_S, judge_tick
-from policies.doctor.simulation.heat_extrapolation import Thermometer, Warmth
+from policies.doctor.simulation.heat_extrapolation import HeatLoad, HeatRecorder
 from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.distributions import load_distributions
 from robots.draws import median_draw
@@ -28,148 +28,150 @@ from robots.spec import RobotSpec
 
 ROBOTS, SECONDS, SEED = 8, 12.2, 0
 COMMAND_S = 10.0
-"""s, how long a robot that walks is told the same at most: a trial sees the end of it."""
-HALF_OF = 0.5
-"""Goals of a policy that works at all."""
-PUNCTUAL, HALF, LATE, JITTERING = (0.0, 0.0), (0.5, 0.5), (1.0, 1.0), (0.0, 1.0)
-"""Least and most lateness of an action, in periods of the policy; it comes at whole ticks."""
+"""s, longest velocity command of a walking robot, so that a run contains its end."""
+GOALS_SHARE_MIN = 0.5
+"""Share of goals that a working policy reaches."""
+ON_TIME, HALF_PERIOD_LATE, PERIOD_LATE, JITTERED = (0.0, 0.0), (0.5, 0.5), (1.0, 1.0), (0.0, 1.0)
+"""Smallest and largest delay of an action, in policy periods; rounded to ticks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Life:
-    """What B robots of the same draw did, each with noise and goals of its own.
+class SimulatedRun:
+    """Result for B robots of the same draw with different noise and goals.
 
     Attributes:
-        counts: what the judge saw.
-        observation: (K, N) and action: (K, A), raw, at each step of the policy of each robot under way.
-        speeds: (S, B, n) rad/s, sent; of soft drives, believed; of all ticks since arming.
-        first: (B, n) rad, the first target less where the robot was.
-        warmth: of the motors.
-        stops: how often a robot stopped, by reason in words.
+        counts: of the judge.
+        observation: (K, N) and action: (K, A), raw, at each policy step of each running robot.
+        speeds: (S, B, n) rad/s in all ticks since arming: sent, or estimated for compliant drives.
+        first_step: (B, n) rad, first target minus position.
+        heat_load: of the motors.
+        stops: number of stops by reason in words.
     """
 
     counts: Counts
     observation: Float32s
     action: Float32s
     speeds: Floats
-    first: Floats
-    warmth: Warmth
+    first_step: Floats
+    heat_load: HeatLoad
     stops: Counter[str]
 
     @property
     def works(self) -> bool:
-        """Whether most goals were reached, of which there were some."""
+        """True if there were goals and at least `GOALS_SHARE_MIN` were reached."""
         reached, attempted = self.counts.reached.sum(), self.counts.attempted.sum()
-        return bool(attempted > 0 and reached >= HALF_OF * attempted)
+        return bool(attempted > 0 and reached >= GOALS_SHARE_MIN * attempted)
 
 
-def live(
+def run_simulation(
     spec: RobotSpec,
     policy: Policy,
-    lateness: tuple[float, float],
+    delay_periods: tuple[float, float],
     rows: Sequence[int] = range(ROBOTS),
     seconds: float = SECONDS,
-) -> Life:
-    """Let robots work for a while.
+) -> SimulatedRun:
+    """Simulate robots under a policy.
 
     Args:
         spec: the robot. policy: one that fits it.
-        lateness: of each action, drawn between least and most, in periods of the policy.
-        rows: of each robot, whose noise and goals it has. seconds: how long.
+        delay_periods: smallest and largest random delay of an action, in policy periods.
+        rows: for each robot the index of its noise and goals. seconds: simulated time.
 
     Raises:
-        FirstshiftError: the robot's files do not suffice for a simulation or its judge.
+        FirstshiftError: the robot's files are incomplete for a simulation or its judge.
     """
     spec = find_task(policy.contract.task, "contract: task").shorten_period(spec, COMMAND_S)
-    trial = _Trial(spec, policy, lateness, [robot_seed(SEED, row) for row in rows])
+    simulation = _Simulation(spec, policy, delay_periods, [robot_seed(SEED, row) for row in rows])
     for tick in range(round(seconds / spec.dt)):
-        trial.tick(tick)
-    return trial.life()
+        simulation.tick(tick)
+    return simulation.result()
 
 
-class _Trial:
-    """The robots, and what is noted of them."""
+class _Simulation:
+    """Running simulation and its records."""
 
     def __init__(
         self,
         spec: RobotSpec,
         policy: Policy,
-        lateness: tuple[float, float],
+        delay_periods: tuple[float, float],
         seeds: Sequence[np.random.SeedSequence],
     ) -> None:
         robots = len(seeds)
-        self._policy, self._everybody = policy, np.ones(robots, dtype=bool)
+        self._policy, self._all_robots = policy, np.ones(robots, dtype=bool)
         contract = policy.contract
         given = median_draw(load_distributions(spec), spec, robots)
         self._runtime, self._robot = simulate(spec, contract, seeds, policy, given=given)
         rule, observed = self._runtime.task.rule, contract.observed
         self._judge = Judge(spec, torque_max(spec), robots, scoring=rule, observed=observed)
         self._rng = np.random.default_rng(SEED)
-        self._least, self._most = (int(share * self._runtime.decimation) for share in lateness)
-        self._coming: dict[int, Float32s] = {}
+        self._delay_min, self._delay_max = (int(share * self._runtime.decimation) for share in delay_periods)
+        self._pending_actions: dict[int, Float32s] = {}
         self._arm = round(ARM_S / spec.dt)
         self._steps: list[tuple[Float32s, Float32s]] = []
         self._speeds: list[Floats] = []
-        self._first = np.full((robots, spec.n), np.nan)
-        self._thermometer = Thermometer(self._robot)
+        self._first_step = np.full((robots, spec.n), np.nan)
+        self._heat_recorder = HeatRecorder(self._robot)
         self._leaving, self._stops = StopDetector(), Counter[str]()
 
     def tick(self, tick: int) -> None:
-        """One tick, in which a late action may come."""
+        """Advance one tick, with the action that is due, if any."""
         runtime = self._runtime
         if tick == self._arm:
-            refused = runtime.arm(self._everybody)
-            self._stops.update(self._why(robot, refused) for robot in np.flatnonzero(refused).tolist())
+            refused = runtime.arm(self._all_robots)
+            self._stops.update(
+                self._stop_reason(robot, refused) for robot in np.flatnonzero(refused).tolist()
+            )
         observation = runtime.sense()
         if observation is not None:
-            self._think(tick, observation)
-        said, led = self._coming.pop(tick, None), runtime.supervisor.running
-        runtime.act(said)
+            self._run_policy(tick, observation)
+        action, running = self._pending_actions.pop(tick, None), runtime.supervisor.running
+        runtime.act(action)
         leaving = self._leaving.step(runtime)
-        self._stops.update(self._why(robot, runtime.supervisor.reason) for robot in leaving)
+        self._stops.update(self._stop_reason(robot, runtime.supervisor.reason) for robot in leaving)
         truth = self._robot.truth()
-        judge_tick(self._judge, truth, runtime, said)
-        self._thermometer.look(truth)
+        judge_tick(self._judge, truth, runtime, action)
+        self._heat_recorder.record(truth)
         if tick >= self._arm:
-            # A soft drive is not where it is sent: there what the joint does counts.
+            # Compliant drives do not follow the setpoint closely: use the estimated joint speed.
             self._speeds.append((runtime.setpoint if runtime.springs is None else runtime.state).qd.copy())
-        if said is not None:
-            self._begin(led)
+        if action is not None:
+            self._record_first_step(running)
 
-    def _why(self, robot: int, reason: Ints) -> str:
+    def _stop_reason(self, robot: int, reason: Ints) -> str:
         return explain_reasons(self._runtime, int(reason[robot]), robot)
 
-    def _think(self, tick: int, observation: Float32s) -> None:
+    def _run_policy(self, tick: int, observation: Float32s) -> None:
         action = self._policy.step(observation).copy()
-        due = tick + int(self._rng.integers(self._least, self._most + 1))
-        while due in self._coming:
+        due = tick + int(self._rng.integers(self._delay_min, self._delay_max + 1))
+        while due in self._pending_actions:
             due += 1
-        self._coming[due] = action
+        self._pending_actions[due] = action
         running = self._runtime.supervisor.running
         self._steps.append((observation[running], action[running]))
 
-    def _begin(self, led: Bools) -> None:
-        """Note the first target of robots that the policy leads since now."""
-        begins = led & np.isnan(self._first[:, 0])
-        self._first[begins] = (self._runtime.target.q - self._runtime.state.q)[begins]
+    def _record_first_step(self, running: Bools) -> None:
+        """Record the first target of robots that just started running."""
+        starts = running & np.isnan(self._first_step[:, 0])
+        self._first_step[starts] = (self._runtime.target.q - self._runtime.state.q)[starts]
 
-    def life(self) -> Life:
-        """All of it.
+    def result(self) -> SimulatedRun:
+        """Return the result.
 
         Raises:
-            ConfigError: a robot refused to begin, or what it saw was no number.
+            ConfigError: a robot did not arm, or an observation was not finite.
         """
-        if np.isnan(self._first).any():
-            raise ConfigError(f"a robot never came under way: {'; '.join(self._stops) or 'no reason'}")
+        if np.isnan(self._first_step).any():
+            raise ConfigError(f"a robot did not start: {'; '.join(self._stops) or 'no reason'}")
         observation, action = (np.concatenate(rows) for rows in zip(*self._steps, strict=True))
         if not np.isfinite(observation).all():
-            raise ConfigError("an observation was no finite number: compare the scales of its terms")
-        return Life(
+            raise ConfigError("an observation was not finite: compare the scales of its terms")
+        return SimulatedRun(
             counts=self._judge.counts(),
             observation=observation,
             action=action,
             speeds=np.array(self._speeds),
-            first=self._first,
-            warmth=self._thermometer.warmth(),
+            first_step=self._first_step,
+            heat_load=self._heat_recorder.heat_load(),
             stops=self._stops,
         )

@@ -12,9 +12,17 @@ from hypothesis import given, settings
 from onnx import helper, numpy_helper
 
 from deploy.policy.contract import CONTRACT_KEY
-from policies.doctor.check_context import Case
-from policies.doctor.check_result import Finding, Verdict, failed, listed, passed, summed_up, warned
-from policies.doctor.checklist import CHECKS, examined, row
+from policies.doctor.check_context import CheckContext
+from policies.doctor.check_result import (
+    CheckResult,
+    Verdict,
+    failed,
+    format_values,
+    passed,
+    summarize,
+    warned,
+)
+from policies.doctor.checklist import CHECKS, run_check, run_checks
 from robots.errors import ContractError, RobotError
 from support.contracts import NAMES, SWAPPED, contracts
 from support.faulty_policies import (
@@ -32,13 +40,13 @@ N = 36
 
 @pytest.fixture(scope="module")
 def sound(shipped_policy):
-    return Case(shipped_policy)
+    return CheckContext(shipped_policy)
 
 
 @pytest.fixture
 def sick(shipped_policy, tmp_path):
     """The shipped policy with a change."""
-    return lambda robot=None, **how: Case(ailing(shipped_policy, tmp_path, **how), robot)
+    return lambda robot=None, **how: CheckContext(ailing(shipped_policy, tmp_path, **how), robot)
 
 
 def contract_of(path):
@@ -51,20 +59,20 @@ def action(**fields):
 
 @pytest.mark.parametrize("check", ["loader", "joints", "action", "gains", "rates", "sources", "protection"])
 def test_the_shipped_policy_passes(sound, check):
-    assert row(sound, check).verdict is Verdict.PASS
+    assert run_check(sound, check).verdict is Verdict.PASS
 
 
 def test_only_the_first_of_many_are_listed():
     names, numbers = [f"j{k}" for k in range(8)], np.arange(8.0)
-    assert listed(names, numbers, 2 * numbers, unit=" rad", which=numbers > 6) == "j7 7 of 14 rad"
-    assert listed(names, numbers, which=np.array([3, 1])) == "j3 3, j1 1"
-    assert listed(names, numbers, unit=" A") == "j0 0, j1 1, j2 2, j3 3, j4 4, j5 5 A and 2 more"
+    assert format_values(names, numbers, 2 * numbers, unit=" rad", selection=numbers > 6) == "j7 7 of 14 rad"
+    assert format_values(names, numbers, selection=np.array([3, 1])) == "j3 3, j1 1"
+    assert format_values(names, numbers, unit=" A") == "j0 0, j1 1, j2 2, j3 3, j4 4, j5 5 A and 2 more"
 
 
 def test_a_row_is_as_bad_as_its_worst_note_and_says_nothing_of_what_passed():
     notes = [passed("fine."), warned("odd."), failed("wrong."), passed("good.")]
-    assert summed_up("x", notes) == Finding(check="x", verdict=Verdict.FAIL, said="wrong.\nodd.")
-    assert summed_up("x", [notes[0], notes[3]]).said == "fine.\ngood."
+    assert summarize("x", notes) == CheckResult(check="x", verdict=Verdict.FAIL, text="wrong.\nodd.")
+    assert summarize("x", [notes[0], notes[3]]).text == "fine.\ngood."
 
 
 # ---- joints ----
@@ -72,17 +80,17 @@ def test_a_row_is_as_bad_as_its_worst_note_and_says_nothing_of_what_passed():
 
 def test_joints_in_another_order_are_named_with_their_places(sick):
     case = sick(contract=lambda data: data.update(joint_names=SWAPPED))
-    found = row(case, "joints")
+    found = run_check(case, "joints")
     assert found.verdict is Verdict.FAIL
-    assert found.said.startswith("the right joints in another order (")
+    assert found.text.startswith("the right joints in another order (")
     moved = [k for k in range(6) if SWAPPED[k] != NAMES[k]]
-    assert all(f"{k}: {SWAPPED[k]}, not {NAMES[k]}" in found.said for k in moved)
-    assert "joint_names: the right joints in another order" in row(case, "loader").said
+    assert all(f"{k}: {SWAPPED[k]}, not {NAMES[k]}" in found.text for k in moved)
+    assert "joint_names: the right joints in another order" in run_check(case, "loader").text
 
 
 def test_unknown_joints_come_with_the_nearest_names_and_missing_ones_are_said_as_well(sick):
     wrong = ["sholder_pan", "shoulder_lift", "elbow_joint", "wrist_1", "wrist_1", "wrist_3"]
-    found = row(sick(contract=lambda data: data.update(joint_names=wrong)), "joints")
+    found = run_check(sick(contract=lambda data: data.update(joint_names=wrong)), "joints")
     assert found.verdict is Verdict.FAIL
     for said in (
         "'sholder_pan', perhaps shoulder_pan",
@@ -90,40 +98,42 @@ def test_unknown_joints_come_with_the_nearest_names_and_missing_ones_are_said_as
         "lacks shoulder_pan, elbow, wrist_2",
         "more than once: wrist_1",
     ):
-        assert said in found.said
+        assert said in found.text
 
 
 def test_a_network_trained_in_another_order_under_the_right_names_is_suspected(sick, shipped_policy):
     """Its normalizer still knows where each joint stood."""
     order = in_another_order([2, 0, 1, 3, 5, 4], contract_of(shipped_policy)["observation"])
-    found = row(sick(graph=order), "joints")
+    found = run_check(sick(graph=order), "joints")
     assert found.verdict is Verdict.WARN
-    assert "in training the mean of shoulder_lift was 1.24 rad, outside its range -2.4 to -0.3" in found.said
-    assert "which would suit shoulder_pan or elbow or wrist_3" in found.said
+    assert "in training the mean of shoulder_lift was 1.24 rad, outside its range -2.4 to -0.3" in found.text
+    assert "which fits shoulder_pan or elbow or wrist_3" in found.text
 
 
 def test_without_numbers_of_training_the_order_inside_the_network_is_not_known(sick):
-    found = row(sick(graph=without_normalizer, contract=lambda data: data.update(observed=None)), "joints")
+    found = run_check(
+        sick(graph=without_normalizer, contract=lambda data: data.update(observed=None)), "joints"
+    )
     assert found.verdict is Verdict.WARN
-    assert "whether the network has them in this order only the trial shows" in found.said
+    assert "so only the simulation shows whether the network has this order" in found.text
 
 
 # ---- scale, offset, gains ----
 
 
 def test_twice_the_scale_asks_for_more_than_the_joints_can_do(sick):
-    found = row(sick(contract=action(scale=[0.1] * 6)), "action")
+    found = run_check(sick(contract=action(scale=[0.1] * 6)), "action")
     assert found.verdict is Verdict.WARN
-    assert "an action of 1 asks for shoulder_pan 5 of 3.14, " in found.said
-    assert "at 50 Hz: compare scale and rate with training's" in found.said
+    assert "an action of 1 asks for shoulder_pan 5 of 3.14, " in found.text
+    assert "at 50 Hz: compare scale and rate with training" in found.text
 
 
 @pytest.mark.parametrize(("scale", "verdict"), [(3.0, Verdict.FAIL), (0.001, Verdict.WARN)])
 def test_a_scale_in_another_unit_is_named(sick, scale, verdict):
-    found = row(sick(contract=action(scale=[0.05] * 5 + [scale])), "action")
+    found = run_check(sick(contract=action(scale=[0.05] * 5 + [scale])), "action")
     assert found.verdict is verdict
-    assert f"wrist_3 {50 * scale:.3g} of 3.14 rad/s" in found.said
-    assert "elbow" not in found.said
+    assert f"wrist_3 {50 * scale:.3g} of 3.14 rad/s" in found.text
+    assert "elbow" not in found.text
 
 
 def positions(offset, scale=0.5, clip=(-1.0, 1.0)):
@@ -131,39 +141,39 @@ def positions(offset, scale=0.5, clip=(-1.0, 1.0)):
 
 
 def test_an_offset_outside_the_working_range_is_named(sick):
-    found = row(sick(contract=positions([0.0] * 6)), "action")
+    found = run_check(sick(contract=positions([0.0] * 6)), "action")
     assert found.verdict is Verdict.FAIL
     assert (
-        "an action of 0 asks for shoulder_lift 0, elbow 0, wrist_2 0 rad, outside the working" in found.said
+        "an action of 0 asks for shoulder_lift 0, elbow 0, wrist_2 0 rad, outside the working" in found.text
     )
-    assert "an action of 1 or -1 sends wrist_1 beyond the working range" in found.said
+    assert "an action of 1 or -1 sends wrist_1 beyond the working range" in found.text
 
 
 def test_scales_are_held_against_the_working_range(sick):
     home = [0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
-    assert row(sick(contract=positions(home)), "action").verdict is Verdict.PASS
-    for scale, said in ((7.0, "more than the joint can"), (0.01, "next to nothing")):
-        found = row(sick(contract=positions(home, scale)), "action")
+    assert run_check(sick(contract=positions(home)), "action").verdict is Verdict.PASS
+    for scale, said in ((7.0, "more than the joint can"), (0.01, "almost nothing")):
+        found = run_check(sick(contract=positions(home, scale)), "action")
         assert found.verdict is Verdict.WARN
-        assert said in found.said
-    unbounded = row(sick(contract=positions(home, clip=None)), "action")
-    assert (unbounded.verdict, unbounded.said[:5]) == (Verdict.WARN, "clip:")
+        assert said in found.text
+    unbounded = run_check(sick(contract=positions(home, clip=None)), "action")
+    assert (unbounded.verdict, unbounded.text[:5]) == (Verdict.WARN, "clip:")
 
 
 def test_gains_are_held_against_torque_and_inertia(sick):
-    found = row(sick(contract=action(kp=[8000.0] * 6, kd=[200.0] * 5 + [0.01])), "gains")
+    found = run_check(sick(contract=action(kp=[8000.0] * 6, kd=[200.0] * 5 + [0.01])), "gains")
     assert found.verdict is Verdict.FAIL
-    hard, odd, ratio = found.said.split("\n")
+    hard, odd, ratio = found.text.split("\n")
     assert "is wrist_1 400 of 28, wrist_2 400 of 28, wrist_3 400 of 28 N·m: compare kp and scale" in hard
     assert "is shoulder_pan 400 of 150, shoulder_lift 400 of 150, elbow 400 of 150 N·m: compare" in odd
-    assert "damp to a ratio of wrist_3 " in ratio
+    assert "give a damping ratio of wrist_3 " in ratio
     assert "elbow" not in ratio
 
 
 def test_gains_that_an_import_does_not_name_cannot_be_compared(sick):
-    found = row(sick(contract=lambda data: data.update(trained={"imported": "ONNX"})), "gains")
+    found = run_check(sick(contract=lambda data: data.update(trained={"imported": "ONNX"})), "gains")
     assert found.verdict is Verdict.WARN
-    assert "training's cannot be compared" in found.said
+    assert "they cannot be compared with training" in found.text
 
 
 def test_negative_gains_make_no_contract(sick):
@@ -176,23 +186,23 @@ def test_negative_gains_make_no_contract(sick):
 
 def test_another_control_rate_and_another_rate_of_training_are_both_said(sick):
     case = sick(contract=lambda data: data.update(control_hz=500, trained={"step_dt": "0.01", "seed": "x"}))
-    found = row(case, "rates")
+    found = run_check(case, "rates")
     assert found.verdict is Verdict.FAIL
-    assert "made for control at 500 Hz, arm6 has 200 Hz" in found.said
-    assert "policy_hz is 50, training says step_dt: 100 Hz" in found.said
-    agreed = row(sick(contract=lambda data: data.update(trained={"policy_hz": "50"})), "rates")
+    assert "made for control at 500 Hz, arm6 has 200 Hz" in found.text
+    assert "policy_hz is 50, training has step_dt: 100 Hz" in found.text
+    agreed = run_check(sick(contract=lambda data: data.update(trained={"policy_hz": "50"})), "rates")
     assert agreed.verdict is Verdict.PASS
-    assert "as training says" in agreed.said
-    imported = row(sick(contract=lambda data: data.update(trained={"imported": "ONNX"})), "rates")
+    assert "as in training" in agreed.text
+    imported = run_check(sick(contract=lambda data: data.update(trained={"imported": "ONNX"})), "rates")
     assert imported.verdict is Verdict.WARN
-    assert "training's own rate is not in the file: ask" in imported.said
+    assert "the rate of training is not in the file: ask" in imported.text
 
 
 def test_a_sensor_slower_than_the_policy_is_named(sick, tmp_path):
     robot, digest = robot_and_digest(tmp_path, toml=[('(unit = "rad"\n)rate_hz = 200', r"\1rate_hz = 40")])
-    found = row(sick(robot, contract=digest), "rates")
+    found = run_check(sick(robot, contract=digest), "rates")
     assert found.verdict is Verdict.WARN
-    assert "encoder says something new 40 times a second, the policy asks 50 times" in found.said
+    assert "encoder has 40 new readings per second, the policy runs at 50 Hz" in found.text
 
 
 # ---- sensors, protection ----
@@ -202,39 +212,39 @@ def test_a_term_that_nothing_measures_is_named_with_what_it_needs(sick):
     def ask(data):
         data["observation"][2].update(source="base_linear_velocity", frame="base", unit="m/s")
 
-    found = row(sick(contract=ask), "sources")
+    found = run_check(sick(contract=ask), "sources")
     assert found.verdict is Verdict.FAIL
-    assert "tool_position (base_linear_velocity) needs gyro and accelerometer, arm6 has" in found.said
-    assert "train without the term" in found.said
+    assert "tool_position (base_linear_velocity) needs gyro and accelerometer, arm6 has" in found.text
+    assert "train without the term" in found.text
 
 
 def test_a_robot_without_the_camera_that_the_policy_needs(sick, tmp_path):
     camera = r'(?s)\[sensors\.goal\].*?calibrated to the arm\'s base"\n'
     robot, digest = robot_and_digest(tmp_path, toml=[(camera, "")])
-    found = row(sick(robot, contract=digest), "sources")
+    found = run_check(sick(robot, contract=digest), "sources")
     assert found.verdict is Verdict.FAIL
-    assert "goal_from_tool (goal_from_tool) needs goal, arm6 has" in found.said
-    assert "goal_torque (goal_torque) needs goal" in found.said
+    assert "goal_from_tool (goal_from_tool) needs goal, arm6 has" in found.text
+    assert "goal_torque (goal_torque) needs goal" in found.text
 
 
 BARE = {
-    "torque": ('actuatorfrcrange="-150 150" ', "", "nothing limits torque"),
+    "torque": ('actuatorfrcrange="-150 150" ', "", "torque is not limited"),
     "capsules": (
         '<geom group="3" condim="1"',
         '<geom group="3" condim="1" contype="0" conaffinity="0"',
-        "nothing would notice that links touch",
+        "self-collisions are not detected",
     ),
-    "windings": ('thermal="1.0 40 0 0.0039 25 25"', "", "nobody follows how hot a motor is"),
+    "windings": ('thermal="1.0 40 0 0.0039 25 25"', "", "motor temperatures are not estimated"),
 }
 
 
 @pytest.mark.parametrize(("old", "new", "said"), BARE.values(), ids=BARE)
 def test_a_robot_without_a_guard_is_named(sick, tmp_path, old, new, said):
     robot, digest = robot_and_digest(tmp_path, xml=[(old, new)])
-    found = row(sick(robot, contract=digest), "protection")
+    found = run_check(sick(robot, contract=digest), "protection")
     assert found.verdict is Verdict.FAIL
-    assert said in found.said
-    assert str(robot) in found.said
+    assert said in found.text
+    assert str(robot) in found.text
 
 
 # ---- the loader ----
@@ -246,19 +256,19 @@ def test_a_robot_that_was_changed_since_and_a_network_that_was_are_both_said(shi
     bias = next(tensor for tensor in model.graph.initializer if tensor.name == "mlp.4.bias")
     bias.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(bias) + np.float32(0.1), "mlp.4.bias"))
     (tmp_path / "other.onnx").write_bytes(model.SerializeToString())
-    found = row(Case(tmp_path / "other.onnx", robot), "loader")
+    found = run_check(CheckContext(tmp_path / "other.onnx", robot), "loader")
     assert found.verdict is Verdict.FAIL
-    assert "robot_digest: arm6 is not as it was in training" in found.said
-    assert "golden pairs: found a deviation of 0.1 at batch 1" in found.said
+    assert "robot_digest: arm6 has changed since training" in found.text
+    assert "golden pairs: found a deviation of 0.1 at batch 1" in found.text
 
 
 def test_all_that_the_loader_refuses_is_said_at_once_though_the_robot_is_another(sick):
     case = sick("arm6", contract=lambda data: data.update(robot="leg", joint_names=SWAPPED, control_hz=400))
     with pytest.raises(RobotError, match="--robot leg: no such folder"):
-        Case(case.path)
-    found = row(case, "loader")
+        CheckContext(case.path)
+    found = run_check(case, "loader")
     for said in ("robot: found 'leg', expected 'arm6'", "joint_names: ", "control_hz: found 400 Hz"):
-        assert said in found.said
+        assert said in found.text
 
 
 def test_names_of_a_file_do_not_upset_a_terminal(sick):
@@ -269,7 +279,7 @@ def test_names_of_a_file_do_not_upset_a_terminal(sick):
 
     case = sick(contract=rename)
     for check in ("loader", "joints", "sources"):
-        said = row(case, check).said
+        said = run_check(case, check).text
         assert "gone" in said
         assert said.replace("\n", "").isprintable()
 
@@ -280,10 +290,10 @@ def test_any_contract_gets_all_its_rows(tmp_path_factory, contract):
     """However little it fits the arm, and however large its numbers."""
     w = np.ones((contract.observation_size, contract.action_size), np.float32)
     node = helper.make_node("MatMul", ["observation", "w"], ["action"])
-    case = Case(written(tmp_path_factory.mktemp("any"), [node], {"w": w}, contract), "arm6")
-    found = {each.check: each.verdict for each in examined(case)}
+    case = CheckContext(written(tmp_path_factory.mktemp("any"), [node], {"w": w}, contract), "arm6")
+    found = {each.check: each.verdict for each in run_checks(case)}
     assert list(found) == list(CHECKS)
-    assert found["loader"] is found["joints"] is found["trial"] is Verdict.FAIL
+    assert found["loader"] is found["joints"] is found["simulation"] is Verdict.FAIL
 
 
 # ---- a normalizer is found however it is written ----

@@ -8,9 +8,9 @@ pytest.importorskip("mujoco")
 from onnx import helper
 
 from deploy.policy.contract import ActionSpec, Observed
-from policies.doctor.check_context import Case
+from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Verdict
-from policies.doctor.checklist import row
+from policies.doctor.checklist import run_check
 from policies.doctor.checks.observations import training
 from support.contracts import arm_contract, term
 from support.faulty_policies import written
@@ -48,68 +48,72 @@ def balancing(folder, source="projected_gravity", *, even=False, gain=2.0, turne
         action=ActionSpec(mode="position", size=A, offset=(0.0,) * A, scale=(0.25,) * A, clip=None),
         observed=None if mean is None else Observed(mean=mean, deviation=(0.1,) * (size * history)),
     )
-    return Case(written(folder, nodes, arrays, contract), "arm6")
+    return CheckContext(written(folder, nodes, arrays, contract), "arm6")
 
 
 @pytest.mark.parametrize("source", UPRIGHT)
 @pytest.mark.parametrize("history", [1, 3])
 def test_a_policy_that_balances_as_we_write_it_passes(tmp_path, source, history):
-    found = row(balancing(tmp_path, source, history=history), "tilt")
+    found = run_check(balancing(tmp_path, source, history=history), "tilt")
     assert found.verdict is Verdict.PASS
-    assert "opposite leans with opposite actions; upright 0." in found.said
+    assert "opposite tilts with opposite actions; upright 0." in found.text
 
 
 @pytest.mark.parametrize(
     ("source", "turned", "said"),
     [
-        ("projected_gravity", "sign", "upright it is calmer with gravity with the other sign, +1 upright"),
-        ("base_orientation", "xyzw", "upright it is calmer with the quaternion as x, y, z, w"),
+        (
+            "projected_gravity",
+            "sign",
+            "upright its actions are smaller with gravity with the other sign, +1 upright",
+        ),
+        ("base_orientation", "xyzw", "upright its actions are smaller with the quaternion as x, y, z, w"),
     ],
 )
 def test_a_policy_of_another_convention_is_calmer_with_it(tmp_path, source, turned, said):
-    found = row(balancing(tmp_path, source, turned=turned), "tilt")
+    found = run_check(balancing(tmp_path, source, turned=turned), "tilt")
     assert found.verdict is Verdict.WARN
-    assert said in found.said
+    assert said in found.text
 
 
 def test_a_policy_that_works_as_it_is_is_not_doubted_for_that(tmp_path, monkeypatch):
     """Upright and at rest a policy that walks may be calmer with anything."""
     case = balancing(tmp_path, turned="sign")
-    monkeypatch.setattr(Case, "works", True)
-    assert row(case, "tilt").verdict is Verdict.PASS
+    monkeypatch.setattr(CheckContext, "works", True)
+    assert run_check(case, "tilt").verdict is Verdict.PASS
 
 
 @pytest.mark.parametrize(
     ("source", "mean", "said"),
     [
-        ("projected_gravity", (0.0, 0.0, 0.98), "third number was 0.98 in the mean, ours is -1 upright"),
+        ("projected_gravity", (0.0, 0.0, 0.98), "third number was 0.98 in the mean, expected -1 upright"),
         ("base_orientation", (0.0, 0.0, 0.1, 0.95), "fourth number was 0.95 in the mean and its first 0.00"),
     ],
 )
 def test_numbers_of_training_tell_the_convention(tmp_path, source, mean, said):
-    found = row(balancing(tmp_path, source, mean=mean), "tilt")
+    found = run_check(balancing(tmp_path, source, mean=mean), "tilt")
     assert found.verdict is Verdict.FAIL
-    assert said in found.said
-    ours = row(balancing(tmp_path, source, mean=UPRIGHT[source]), "tilt")
+    assert said in found.text
+    ours = run_check(balancing(tmp_path, source, mean=UPRIGHT[source]), "tilt")
     assert ours.verdict is Verdict.PASS
 
 
 def test_a_policy_that_does_not_hear_where_down_is(tmp_path):
-    found = row(balancing(tmp_path, gain=0.01), "tilt")
+    found = run_check(balancing(tmp_path, gain=0.01), "tilt")
     assert found.verdict is Verdict.WARN
-    assert found.said.count("rad changes actions by 0.002 at most: it does not hear where down is") == 2
+    assert found.text.count("rad changes actions by 0.002 at most: it does not respond to tilt") == 2
 
 
 def test_a_policy_that_answers_all_leans_alike(tmp_path):
-    found = row(balancing(tmp_path, even=True), "tilt")
+    found = run_check(balancing(tmp_path, even=True), "tilt")
     assert found.verdict is Verdict.WARN
-    assert "leaning forwards and backwards is answered alike" in found.said
-    assert "leaning right and left is answered alike" in found.said
+    assert "tilting forwards and backwards gives similar" in found.text
+    assert "tilting right and left gives similar" in found.text
 
 
 def test_a_robot_that_cannot_fall_is_not_asked(arm_policy):
-    found = row(Case(arm_policy), "tilt")
-    assert (found.verdict, found.said[:14]) == (Verdict.PASS, "does not apply")
+    found = run_check(CheckContext(arm_policy), "tilt")
+    assert (found.verdict, found.text[:14]) == (Verdict.PASS, "does not apply")
 
 
 def test_frames_of_a_history_that_differ_stand_in_another_layout(tmp_path):
@@ -117,8 +121,11 @@ def test_frames_of_a_history_that_differ_stand_in_another_layout(tmp_path):
     ours, theirs = (0.0, 0.0, -1.0) * 3, (0.0,) * 6 + (-1.0,) * 3
     note = next(training(balancing(tmp_path, mean=theirs, history=3)))
     assert note.verdict is Verdict.WARN
-    assert "frames of its history differ by more than a deviation of training" in note.said
-    assert row(balancing(tmp_path, mean=ours, history=3), "training").said == "not tried: see the trial."
+    assert "frames of its history differ by more than a deviation of training" in note.text
+    assert (
+        run_check(balancing(tmp_path, mean=ours, history=3), "training").text
+        == "not tried: see row simulation."
+    )
 
 
 def test_terms_of_one_source_that_differ_in_size_are_named(tmp_path):
@@ -127,8 +134,8 @@ def test_terms_of_one_source_that_differ_in_size_are_named(tmp_path):
     contract = arm_contract(observation=(odd, known))
     nodes = [helper.make_node("MatMul", ["observation", "w"], ["action"])]
     weights = np.ones((contract.observation_size, contract.action_size), np.float32)
-    found = row(Case(written(tmp_path, nodes, {"w": weights}, contract), "arm6"), "tilt")
-    assert (found.verdict, found.said) == (
+    found = run_check(CheckContext(written(tmp_path, nodes, {"w": weights}, contract), "arm6"), "tilt")
+    assert (found.verdict, found.text) == (
         Verdict.FAIL,
         "odd: projected_gravity has 2 numbers here and 3 in another term.",
     )

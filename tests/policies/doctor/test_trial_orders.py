@@ -12,11 +12,11 @@ from onnx import helper
 
 from deploy.policy.contract import CONTRACT_KEY
 from deploy.policy.policy import Policy
-from policies.doctor.check_context import Case
+from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Verdict
-from policies.doctor.checklist import row
+from policies.doctor.checklist import run_check
 from policies.doctor.simulation import joint_order
-from policies.doctor.simulation.joint_order import EACH, Varied, variants
+from policies.doctor.simulation.joint_order import ROBOTS_PER_VARIANT, PermutedPolicy, joint_variants
 from support.contracts import NAMES
 from support.faulty_policies import ailing, answering, in_another_order, in_front
 from support.policies import metadata
@@ -24,7 +24,7 @@ from support.policies import metadata
 
 def some(names):
     """Every third: a few seconds instead of many."""
-    return variants(names)[::3]
+    return joint_variants(names)[::3]
 
 
 EXCHANGED = [0, 2, 1, 3, 4, 5]
@@ -58,27 +58,27 @@ def reversed_joint(joint, terms):
 )
 def test_what_would_help_is_named(shipped_policy, terms, tmp_path, monkeypatch, change, said):
     monkeypatch.setattr(joint_order, "variants", some)
-    case = Case(ailing(shipped_policy, tmp_path, graph=change(terms)))
-    assert row(case, "trial").verdict is Verdict.FAIL
-    found = row(case, "orders")
+    case = CheckContext(ailing(shipped_policy, tmp_path, graph=change(terms)))
+    assert run_check(case, "simulation").verdict is Verdict.FAIL
+    found = run_check(case, "joint order")
     assert found.verdict is Verdict.WARN
-    assert f"with {said} it reaches 4 of 4 goals instead of 0" in found.said
-    assert "name the joints so, and import or export it again" in found.said
+    assert f"with {said} it reaches 4 of 4 goals instead of 0" in found.text
+    assert "change the joint names accordingly, and import or export it again" in found.text
 
 
 def test_what_does_not_help_is_not_named(arm_policy, monkeypatch):
     """A policy that asks for nothing reaches nothing in any order."""
     monkeypatch.setattr(joint_order, "variants", some)
-    found = row(Case(arm_policy), "orders")
+    found = run_check(CheckContext(arm_policy), "joint order")
     assert found.verdict is Verdict.WARN
-    assert "of 7 exchanges of two joints and reversals of one none helps" in found.said
+    assert "of 7 exchanges of two joints and reversals of one none helps" in found.text
 
 
 def test_every_exchange_and_every_reversal_is_tried_once():
-    tried = variants(NAMES)
+    tried = joint_variants(NAMES)
     assert len(tried) == 1 + 15 + 6
     assert len({(*places, *signs) for _, places, signs in tried}) == len(tried)
-    assert tried[0].said == "as it is"
+    assert tried[0].description == "as it is"
 
 
 SCALES, OFFSETS = [1.3, 2.4, 2.65, 3.0, 2.6, 2.9], [0.1, -1.5, 1.4, -1.3, -1.2, 0.2]
@@ -100,11 +100,13 @@ def positions(order):
 def test_a_variant_of_names_in_the_wrong_order_is_the_policy_itself(shipped_policy, terms, tmp_path):
     """Scales and offsets come with the wrong names, so that readings and targets must be brought to rad and back."""
     (tmp_path / "wrong").mkdir()
-    right = Case(ailing(shipped_policy, tmp_path, contract=positions(range(6))))
+    right = CheckContext(ailing(shipped_policy, tmp_path, contract=positions(range(6))))
     order = in_another_order(EXCHANGED, terms)
-    wrong = Case(ailing(shipped_policy, tmp_path / "wrong", contract=positions(EXCHANGED), graph=order))
+    wrong = CheckContext(
+        ailing(shipped_policy, tmp_path / "wrong", contract=positions(EXCHANGED), graph=order)
+    )
     rng = np.random.default_rng(0)
-    q, others = rng.uniform(-1.0, 1.0, (EACH, 6)), rng.normal(size=(EACH, 30))
+    q, others = rng.uniform(-1.0, 1.0, (ROBOTS_PER_VARIANT, 6)), rng.normal(size=(ROBOTS_PER_VARIANT, 30))
 
     def target(case, policy):
         term, action = case.contract.observation[0], case.contract.action
@@ -112,7 +114,7 @@ def test_a_variant_of_names_in_the_wrong_order_is_the_policy_itself(shipped_poli
         observation = np.concatenate((first, others), axis=1).astype(np.float32)
         return np.array(action.offset) + np.array(action.scale) * policy.step(observation)
 
-    exchanged = next(v for v in variants(NAMES) if v.said == "shoulder_lift and elbow exchanged")
-    found = target(wrong, Varied(wrong.file, "wrong", [exchanged]))
+    exchanged = next(v for v in joint_variants(NAMES) if v.description == "shoulder_lift and elbow exchanged")
+    found = target(wrong, PermutedPolicy(wrong.file, "wrong", [exchanged]))
     np.testing.assert_allclose(found, target(right, Policy(right.file, "right")), rtol=0, atol=1e-5)
     assert np.abs(found - target(wrong, wrong.policy)).max() > 0.1

@@ -216,7 +216,7 @@ def test_the_default_out_is_named_after_the_policy(tmp_path, monkeypatch, capsys
     assert printed.startswith(
         f"out/reach7.onnx: {Path('out/reach7.onnx').stat().st_size} bytes, sha256 {policy.digest}"
     )
-    assert "on 1100 observations of real rollouts: worst " in printed
+    assert "on 1100 observations of real rollouts: largest deviation " in printed
 
 
 def test_bad_input_ends_with_2_and_one_line(tmp_path, monkeypatch, capsys):

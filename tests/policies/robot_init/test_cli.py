@@ -16,10 +16,10 @@ import pinocchio as pin
 from deploy.backends.sim.robot import SimRobot
 from deploy.state import Mode
 from eval.judge.limits import load_limits
-from policies.robot_init.capsules import around
+from policies.robot_init.capsules import enclosing_capsule
 from policies.robot_init.cli import cli, init_robot, package_of
-from policies.robot_init.permanent_contacts import always_near
-from policies.robot_init.vendor_model import read_facts
+from policies.robot_init.permanent_contacts import permanent_contacts
+from policies.robot_init.vendor_model import read_vendor_model
 from robots.errors import OutputError, RobotError
 from robots.models.fleet import Fleet
 from robots.models.mujoco_model import load_mujoco
@@ -145,7 +145,7 @@ def test_a_robot_that_walks_has_a_base_and_no_tool(tmp_path):
     """The quadruped of the tests, whose own robot.toml says the rest."""
     source, out = TEST_ROBOTS / "quadruped", tmp_path / "mine"
     facts, _ = init_robot(source / "model.xml", out)
-    assert facts.floats
+    assert facts.floating_base
     feet = load_robot(source).base.feet
     said = tomllib.loads((out / "robot.toml").read_text())
     assert not {"tool", "workspace"} & said.keys()
@@ -222,7 +222,7 @@ CHAIN = """<mujoco>
 def test_actuators_are_read_on_the_joint_s_side(tmp_path):
     path = tmp_path / "chain.xml"
     path.write_text(CHAIN)
-    a, b, c, d = read_facts(path, tmp_path).joints
+    a, b, c, d = read_vendor_model(path, tmp_path).joints
     assert (a.low, a.torque_max, a.gear, a.kp) == (pytest.approx(-np.pi / 3), 100.0, 50.0, None)
     assert (b.low, b.torque_max, b.gear, b.kp, b.kd) == (None, None, None, None, 7.0)
     assert (c.driven, c.torque_max) == (False, None)
@@ -234,16 +234,16 @@ def test_actuators_are_read_on_the_joint_s_side(tmp_path):
         12.0,
         0.1,
     )
-    assert read_facts(path, tmp_path).locked == ("c",)
+    assert read_vendor_model(path, tmp_path).locked == ("c",)
 
 
 def test_links_that_meet_in_every_pose_are_neighbours(tmp_path):
     """The first and the third, across the short one; the last is far from both."""
     path = tmp_path / "chain.xml"
     path.write_text(CHAIN)
-    assert always_near(path, tmp_path, read_facts(path, tmp_path)) == (("one", "three"),)
+    assert permanent_contacts(path, tmp_path, read_vendor_model(path, tmp_path)) == (("one", "three"),)
     path.write_text(CHAIN.replace("0 0 0.06", "0 0 0.4"))
-    assert always_near(path, tmp_path, read_facts(path, tmp_path)) == ()
+    assert permanent_contacts(path, tmp_path, read_vendor_model(path, tmp_path)) == ()
 
 
 @pytest.mark.parametrize("points", ["box", "cloud", "ball"])
@@ -257,7 +257,7 @@ def test_a_capsule_holds_all_points(points):
     }[points]
     if points == "ball":
         cloud /= np.linalg.norm(cloud, axis=1, keepdims=True)
-    (start, end), radius = around(cloud)
+    (start, end), radius = enclosing_capsule(cloud)
     along = (end - start) / np.linalg.norm(end - start)
     nearest = start + np.clip((cloud - start) @ along, 0, np.linalg.norm(end - start))[:, None] * along
     distance = np.linalg.norm(cloud - nearest, axis=1)
@@ -298,7 +298,7 @@ def test_a_speed_that_is_no_number_is_refused(tmp_path):
     assert count
     model.write_text(text)
     with pytest.raises(RobotError, match="velocity: found 'fast', expected a number"):
-        read_facts(model, tmp_path)
+        read_vendor_model(model, tmp_path)
 
 
 @pytest.mark.parametrize("kind", ["joint", "body", "site"])
@@ -310,7 +310,7 @@ def test_a_name_of_two_lines_is_refused(tmp_path, kind):
         f"<geom size='0.1'/><site name='{names['site']}'/></body></worldbody></mujoco>"
     )
     with pytest.raises(RobotError, match=f"{kind}: found name"):
-        read_facts(model, tmp_path)
+        read_vendor_model(model, tmp_path)
 
 
 @pytest.mark.parametrize(
