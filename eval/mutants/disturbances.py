@@ -1,4 +1,4 @@
-"""What befalls robots: called before each tick with the s since the start."""
+"""Disturbances of simulated robots, called before each tick with the time in s."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ JAMMED = 1e5
 
 
 def sensor_faults(
-    what: Failure,
+    failure: Failure,
     at: float,
     control_hz: int,
     *,
@@ -21,72 +21,72 @@ def sensor_faults(
     channel: int | None = None,
     until: float = 1e6,
 ) -> tuple[Fault, ...]:
-    """A sensor fails from s to s, on every robot."""
+    """Return faults of a sensor of every robot, from `at` to `until` in s."""
     begins, ends = round(at * control_hz), round(until * control_hz)
     return tuple(
-        Fault(robot=robot, sensor=sensor, what=what, channel=channel, begins=begins, ends=ends)
+        Fault(robot=robot, sensor=sensor, what=failure, channel=channel, begins=begins, ends=ends)
         for robot in range(ROBOTS)
     )
 
 
-def apply_all(*befalls: Disturbance) -> Disturbance:
-    """One after the other, before the same tick."""
+def apply_all(*disturbances: Disturbance) -> Disturbance:
+    """Apply several disturbances before the same tick."""
 
-    def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
-        for each in befalls:
-            each(runtime, robot, t)
+    def disturb(runtime: Runtime, robot: SimRobot, t: float) -> None:
+        for disturbance in disturbances:
+            disturbance(runtime, robot, t)
 
-    return befall
+    return disturb
 
 
 def jam_joint(joint: int, at: float) -> Disturbance:
-    """A joint's gear jams."""
+    """Jam a joint's gear from time `at`, s."""
 
-    def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
-        if t >= at:  # anew each time: wear writes friction too
+    def disturb(runtime: Runtime, robot: SimRobot, t: float) -> None:
+        if t >= at:  # set on every tick: wear changes friction too
             robot.plant.batch.expand("dof_frictionloss")[:, robot.plant.dofs[joint]] = JAMMED
 
-    return befall
+    return disturb
 
 
 def push_link(
-    joint: int, axis: tuple[float, float, float], at: float, newton_metres: float, per_s: float
+    joint: int, axis: tuple[float, float, float], at: float, torque_nm: float, torque_rate: float
 ) -> Disturbance:
-    """Something leans on a joint's link, ever harder, by a torque about an axis of the world."""
+    """Apply an increasing torque, N·m and N·m/s, on a joint's link about an axis of the world, from time `at`, s."""
 
-    def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
+    def disturb(runtime: Runtime, robot: SimRobot, t: float) -> None:
         if t >= at:
-            torque = (newton_metres + per_s * (t - at)) * np.array(axis)
+            torque = (torque_nm + torque_rate * (t - at)) * np.array(axis)
             robot.plant.batch.bind("xfrc_applied")[:, robot.plant.pushes.bodies[joint], 3:] = torque
 
-    return befall
+    return disturb
 
 
 def slipping_brakes(share: float) -> Disturbance:
-    """Brakes that slip: they hold with this share of the drives' torque, and the arm sinks."""
+    """Limit the brakes to a share of the drives' torque, so that the arm sinks."""
 
-    def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
+    def disturb(runtime: Runtime, robot: SimRobot, t: float) -> None:
         limit, nominal = robot.plant.drives.torque_limit, robot.plant.drives.torque_limit_nominal
         limit[:] = nominal * np.where(runtime.supervisor.powered, 1.0, share)[:, None, None]
 
-    return befall
+    return disturb
 
 
 def encoder_offset_at_start(channel: int, rad: float) -> Disturbance:
-    """All that an encoder has on its way when the robot is switched on is wrong."""
+    """Add an offset in rad to all packets of an encoder that are in transit at the start."""
 
-    def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
+    def disturb(runtime: Runtime, robot: SimRobot, t: float) -> None:
         if t == 0:
             robot.sensors.ring[:, :, channel] += rad
             robot.sensors.value[:, channel] += rad
 
-    return befall
+    return disturb
 
 
 def hot_motors_at_start(housing_c: float, rise_k: float) -> Disturbance:
-    """Motors have worked before: housings at so many °C, windings warmer by so many K, and the runtime knows it."""
+    """Start with warm motors: housings at `housing_c`, windings warmer by `rise_k`, known to the runtime."""
 
-    def befall(runtime: Runtime, robot: SimRobot, t: float) -> None:
+    def disturb(runtime: Runtime, robot: SimRobot, t: float) -> None:
         if t == 0:
             robot.plant.housing[:] = housing_c
             robot.plant.housings.apply()
@@ -95,4 +95,4 @@ def hot_motors_at_start(housing_c: float, rise_k: float) -> Disturbance:
             robot.warm(rise)
             runtime.estimator.windings.resume(rise, 0.0)
 
-    return befall
+    return disturb

@@ -1,4 +1,4 @@
-"""How guards are taken away from a runtime that was built whole: no source text is edited."""
+"""Functions that remove guards from a complete runtime by replacing methods and limits."""
 
 from collections.abc import Callable
 from functools import partial
@@ -12,47 +12,47 @@ from deploy.runtime import Runtime
 from deploy.state import Reason, Setpoint, State, Verdict
 from robots.arrays import Bools, Floats
 
-Weaken = Callable[[Runtime], None]
+GuardRemoval = Callable[[Runtime], None]
 
 
 def wrap_method(owner: object, name: str, call: Callable[..., Any]) -> None:
-    """Let `call` answer in the place of a method: it is given the method, then what the method is called with."""
+    """Replace a method by `call`, which gets the original method and then its arguments."""
     setattr(owner, name, partial(call, getattr(owner, name)))
 
 
-def remove_all(*weakens: Weaken) -> Weaken:
-    """One after the other."""
+def combine(*removals: GuardRemoval) -> GuardRemoval:
+    """Combine several removals."""
 
-    def weaken(runtime: Runtime) -> None:
-        for each in weakens:
-            each(runtime)
+    def remove_guard(runtime: Runtime) -> None:
+        for remove in removals:
+            remove(runtime)
 
-    return weaken
-
-
-def ignore_reasons(reasons: Reason) -> Weaken:
-    """Neither safety nor the estimator ever has these reasons."""
-    seen = ~np.int64(reasons)
-
-    def judge(step: Callable[..., Verdict], *asked: Any) -> Verdict:
-        verdict = step(*asked)
-        return verdict._replace(reason=verdict.reason & seen)
-
-    def believe(step: Callable[..., State], *heard: Any) -> State:
-        state = step(*heard)
-        return state._replace(fault=state.fault & seen)
-
-    def weaken(runtime: Runtime) -> None:
-        wrap_method(runtime.safety, "step", judge)
-        wrap_method(runtime.estimator, "step", believe)
-
-    return weaken
+    return remove_guard
 
 
-def skip_stop_checks(*, ahead: bool = True, mid_stop: bool = True, rest: bool = True) -> Weaken:
-    """Safety is shown the setpoint itself in the place of these parts of the stop that would begin there."""
+def ignore_reasons(reasons: Reason) -> GuardRemoval:
+    """Remove these stop reasons from safety and from the estimator."""
+    kept = ~np.int64(reasons)
 
-    def judge(
+    def masked_verdict(step: Callable[..., Verdict], *arguments: Any) -> Verdict:
+        verdict = step(*arguments)
+        return verdict._replace(reason=verdict.reason & kept)
+
+    def masked_state(step: Callable[..., State], *arguments: Any) -> State:
+        state = step(*arguments)
+        return state._replace(fault=state.fault & kept)
+
+    def remove_guard(runtime: Runtime) -> None:
+        wrap_method(runtime.safety, "step", masked_verdict)
+        wrap_method(runtime.estimator, "step", masked_state)
+
+    return remove_guard
+
+
+def skip_stop_checks(*, ahead: bool = True, mid_stop: bool = True, rest: bool = True) -> GuardRemoval:
+    """Give safety the setpoint instead of parts of the prepared stop: those that are False."""
+
+    def masked_verdict(
         step: Callable[..., Verdict], state: State, sent: Setpoint, now: Setpoint, *stop: Any
     ) -> Verdict:
         first, q_mid_stop, q_rest = stop
@@ -65,18 +65,18 @@ def skip_stop_checks(*, ahead: bool = True, mid_stop: bool = True, rest: bool = 
             q_rest if rest else now.q,
         )
 
-    return lambda runtime: wrap_method(runtime.safety, "step", judge)
+    return lambda runtime: wrap_method(runtime.safety, "step", masked_verdict)
 
 
 def ignore_speed_overshoot(runtime: Runtime) -> None:
-    """The speed that a stop would still gain, until its acceleration has run out, is none."""
+    """Ignore the further increase of speed while a stop reduces its acceleration to 0."""
     runtime.safety.twice_jerk = np.full(runtime.spec.n, np.inf)
 
 
-def scale_planner_limits(**factors: float) -> Weaken:
-    """The planner keeps to limits that are so many times those of robot.toml."""
+def scale_planner_limits(**factors: float) -> GuardRemoval:
+    """Scale the planner's limits by factors."""
 
-    def weaken(runtime: Runtime) -> None:
+    def remove_guard(runtime: Runtime) -> None:
         spec = runtime.spec
         joints = tuple(
             joint.model_copy(update={name: factor * getattr(joint, name) for name, factor in factors.items()})
@@ -84,57 +84,59 @@ def scale_planner_limits(**factors: float) -> Weaken:
         )
         runtime.smoother = Smoother(spec.model_copy(update={"joints": joints}), runtime.robot.robots)
 
-    return weaken
+    return remove_guard
 
 
-def scale_limits_while_following(**factors: float) -> Weaken:
-    """As `planner`, where a target is followed; stops keep to the limits."""
+def scale_limits_while_following(**factors: float) -> GuardRemoval:
+    """Scale the planner's limits while a target is followed; stops keep the true limits."""
 
-    def plan(right: Callable[..., Setpoint], runtime: Runtime, wild: Smoother, *asked: Any) -> Setpoint:
-        wild.commit(runtime.smoother.sent)
-        stopping = asked[1][:, None]
-        pairs = zip(right(*asked), wild.next(*asked), strict=True)
+    def plan(
+        nominal: Callable[..., Setpoint], runtime: Runtime, scaled: Smoother, *arguments: Any
+    ) -> Setpoint:
+        scaled.commit(runtime.smoother.sent)
+        stopping = arguments[1][:, None]
+        pairs = zip(nominal(*arguments), scaled.next(*arguments), strict=True)
         return Setpoint(*(np.where(stopping, *pair) for pair in pairs))
 
-    def weaken(runtime: Runtime) -> None:
-        right = runtime.smoother
+    def remove_guard(runtime: Runtime) -> None:
+        nominal = runtime.smoother
         scale_planner_limits(**factors)(runtime)
-        wild, runtime.smoother = runtime.smoother, right
-        wrap_method(right, "next", lambda step, *asked: plan(step, runtime, wild, *asked))
+        scaled, runtime.smoother = runtime.smoother, nominal
+        wrap_method(nominal, "next", lambda step, *arguments: plan(step, runtime, scaled, *arguments))
 
-    return weaken
+    return remove_guard
 
 
 def widen_target_range(runtime: Runtime) -> None:
-    """Targets may lie a radian beyond the working range."""
+    """Widen the range of targets by one radian at each end."""
     runtime.smoother.q_min -= 1.0
     runtime.smoother.q_max += 1.0
 
 
-def plan_nan_at(t: float, *, angles: bool) -> Weaken:
-    """At one tick the planner's next setpoint is no number: in its speeds, or in its angles too."""
+def plan_nan_at(t: float, *, angles: bool) -> GuardRemoval:
+    """Make the planned setpoint NaN in the tick at `t` s: in its velocities, or in its positions too."""
 
-    def plan(step: Callable[..., Setpoint], runtime: Runtime, *asked: Any) -> Setpoint:
-        setpoint = step(*asked)
+    def plan(step: Callable[..., Setpoint], runtime: Runtime, *arguments: Any) -> Setpoint:
+        setpoint = step(*arguments)
         if round((runtime.t - t) / runtime.spec.dt) == 0:
             for part in setpoint[0 if angles else 1 :]:
                 part[:] = np.nan
         return setpoint
 
-    def weaken(runtime: Runtime) -> None:
-        wrap_method(runtime.smoother, "next", lambda step, *asked: plan(step, runtime, *asked))
+    def remove_guard(runtime: Runtime) -> None:
+        wrap_method(runtime.smoother, "next", lambda step, *arguments: plan(step, runtime, *arguments))
 
-    return weaken
+    return remove_guard
 
 
 def send_non_finite(runtime: Runtime) -> None:
-    """The runtime sends what it is given, number or not."""
+    """Send the planned setpoint even if it is not finite."""
     wrap_method(runtime, "replace_non_finite", lambda _, planned: planned)
     wrap_method(runtime, "obeyed_or_stop", lambda _, obey, planned: (planned, runtime.verdict.tau))
 
 
 def stop_instantly(runtime: Runtime) -> None:
-    """What is refused is answered by standing still at once, not by the stop that was prepared."""
+    """Answer a refused setpoint by zero velocity at once, instead of the prepared stop."""
 
     def instead(ask: Callable[..., tuple[Setpoint, Floats]], obey: Bools, planned: Setpoint) -> object:
         setpoint, tau = ask(obey, planned)
@@ -146,7 +148,7 @@ def stop_instantly(runtime: Runtime) -> None:
 
 
 def ignore_non_finite_action(runtime: Runtime) -> None:
-    """The runtime does not mind an action that is no number; `Action` still leaves it out."""
+    """Do not stop on non-finite actions; `Action` still ignores them."""
     wrap_method(
         runtime,
         "stop_reasons",
@@ -155,7 +157,7 @@ def ignore_non_finite_action(runtime: Runtime) -> None:
 
 
 def follow_non_finite_action(runtime: Runtime) -> None:
-    """An action that is no number moves the target all the same."""
+    """Let non-finite actions move the target."""
 
     def step(_: object, action: Floats, q_setpoint: Floats) -> object:
         stage = runtime.action
@@ -166,63 +168,65 @@ def follow_non_finite_action(runtime: Runtime) -> None:
 
 
 def remove_action_clip(runtime: Runtime) -> None:
-    """An action may be as large as it likes."""
+    """Remove the clip of actions."""
     runtime.action.low, runtime.action.high = -np.inf, np.inf
 
 
 def remove_leash(runtime: Runtime) -> None:
-    """The target may run away from the setpoint."""
+    """Remove the leash between target and setpoint."""
     runtime.action.leash = np.inf
 
 
-def downgrade_to_category_2(reasons: Reason) -> Weaken:
-    """The supervisor takes these reasons for category 2: the power stays, and the robot goes on by itself."""
+def downgrade_to_category_2(reasons: Reason) -> GuardRemoval:
+    """Handle these reasons as category 2: power stays on, and the robot resumes by itself."""
 
-    def step(advance: Callable[..., Bools], runtime: Runtime, *asked: Any) -> Bools:
+    def step(advance: Callable[..., Bools], runtime: Runtime, *arguments: Any) -> Bools:
         runtime.supervisor.reason &= ~np.int64(reasons)
-        return advance(*asked)
+        return advance(*arguments)
 
-    def weaken(runtime: Runtime) -> None:
-        wrap_method(runtime.supervisor, "step", lambda advance, *asked: step(advance, runtime, *asked))
+    def remove_guard(runtime: Runtime) -> None:
+        wrap_method(
+            runtime.supervisor, "step", lambda advance, *arguments: step(advance, runtime, *arguments)
+        )
 
-    return weaken
+    return remove_guard
 
 
 class NeverMovingEstimator(Estimator):
-    """It never says that a joint moves."""
+    """Estimator that never reports a moving joint."""
 
     @property
     def moving(self) -> Bools:
-        """Nothing ever does."""
+        """Return False for every joint."""
         return np.zeros_like(self.joints.e, dtype=bool)
 
 
 def arm_while_moving(runtime: Runtime) -> None:
-    """Robots are armed whether or not a joint moves."""
+    """Arm robots although a joint moves."""
     runtime.estimator = NeverMovingEstimator(runtime.spec, runtime.robot.robots)
 
 
 def open_innovation_gate(runtime: Runtime) -> None:
-    """No sample is left out."""
+    """Accept all samples: an infinite innovation gate."""
     runtime.estimator.joints.gate = np.inf
 
 
 def trust_first_sample(runtime: Runtime) -> None:
-    """A filter is believed from its first sample on."""
+    """Accept the estimate from the first sample on."""
 
-    def now(step: Callable[..., State], t: float, *heard: Any) -> State:
-        return step(t, *heard)._replace(age=(t - runtime.estimator.joints.t_sample).max(axis=1))
+    def now(step: Callable[..., State], t: float, *arguments: Any) -> State:
+        return step(t, *arguments)._replace(age=(t - runtime.estimator.joints.t_sample).max(axis=1))
 
     wrap_method(runtime.estimator, "step", now)
 
 
 def remove_heat_margin(runtime: Runtime) -> None:
-    """A winding is as warm as it is believed to be, and no warmer."""
+    """Remove the margin of winding temperatures."""
     runtime.estimator.windings.margin_k = runtime.estimator.windings.margin_share = 0.0
 
 
 def remove_foldback(runtime: Runtime) -> None:
-    """Hot motors go on as cold ones do, up to the stop."""
+    """Keep full current and speed of hot motors."""
     foldback = runtime.estimator.windings.foldback
 
     def step(fold_back: Callable[..., None], *heat: Any) -> None:
@@ -234,10 +238,10 @@ def remove_foldback(runtime: Runtime) -> None:
 
 
 def freeze_lost_currents(runtime: Runtime) -> None:
-    """What is not heard any more stays as it was last heard."""
+    """Keep the last current after its sensor is lost."""
     wrap_method(runtime.estimator.windings, "check_sensors", lambda *_: None)
 
 
 def accept_stuck_currents(runtime: Runtime) -> None:
-    """A current may repeat itself for ever."""
+    """Accept repeated readings of currents forever."""
     runtime.estimator.windings.stuck_repeats = np.inf

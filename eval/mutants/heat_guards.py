@@ -1,4 +1,4 @@
-"""Guards of the windings: by safety, by the observer of heat, and by the supervisor."""
+"""Mutants of guards of the windings: heat check, heat observer, foldback, supervisor."""
 
 from deploy.backends.sim.sensor_faults import Failure
 from deploy.state import Reason
@@ -18,7 +18,7 @@ from eval.mutants.situation import Situation
 
 HZ = 200
 BURDEN = {"payload.mass_kg": 4.0, "payload.carried_s": 1e6, "payload.free_s": 0.01}
-"""kg, four times what robots are drawn with."""
+"""kg, four times the payload of the draws."""
 WORST = {
     "drives.torque_constant": 0.95,
     "drives.resistance": 1.15,
@@ -28,69 +28,69 @@ WORST = {
 """The hottest motors that can be drawn."""
 
 HELD = Situation(
-    words="motors hot from work hold 4 kg at arm's length",
-    says=move_to(**FAR),
+    description="motors hot from work hold 4 kg at arm's length",
+    policy=move_to(**FAR),
     draws=BURDEN | WORST,
-    befalls=hot_motors_at_start(86.0, 13.0),
+    disturbance=hot_motors_at_start(86.0, 13.0),
     seconds=11.0,
 )
 
 HEAT_GUARDS = (
     Mutant(
         guard="safety: heat, off",
-        weaken=ignore_reasons(Reason.HEAT),
+        remove_guard=ignore_reasons(Reason.HEAT),
         reasons=Reason.HEAT,
         situation=HELD,
         monitor="heat_hard",
     ),
     Mutant(
-        guard="supervisor: heat is category 2: the power stays",
-        weaken=downgrade_to_category_2(Reason.HEAT),
+        guard="supervisor: heat is handled as category 2: power stays on",
+        remove_guard=downgrade_to_category_2(Reason.HEAT),
         situation=HELD,
         monitor="heat_hard",
     ),
     Mutant(
-        guard="heat: a winding is believed to be no warmer than it is computed to be",
-        weaken=remove_heat_margin,
+        guard="heat: no margin of the computed winding temperature",
+        remove_guard=remove_heat_margin,
         situation=HELD,
         monitor="heat_hard",
     ),
     Mutant(
         guard="heat: no foldback",
-        weaken=remove_foldback,
+        remove_guard=remove_foldback,
         situation=Situation(
-            words="a hot arm swings 4 kg to and fro as fast as it is let; safety is blind to heat",
-            says=cycle_poses(
+            description="a hot arm swings 4 kg to and fro as fast as allowed; heat check off",
+            policy=cycle_poses(
                 0.6, {"shoulder_lift": -1.9, "elbow": 0.9}, {"shoulder_lift": -1.2, "elbow": 0.9}
             ),
             prepare=ignore_reasons(Reason.HEAT),
             draws=BURDEN,
-            befalls=hot_motors_at_start(86.0, 21.0),
+            disturbance=hot_motors_at_start(86.0, 21.0),
             seconds=8.0,
         ),
         monitor="heat_hard",
     ),
     Mutant(
-        guard="heat: currents that are not heard stay as they were",
-        weaken=freeze_lost_currents,
+        guard="heat: lost current readings keep their last value",
+        remove_guard=freeze_lost_currents,
         situation=Situation(
-            words="currents are no longer heard; then motors hot from work hold 4 kg at arm's length",
-            says=move_to(**FAR),
+            description="current readings are lost; then motors hot from work hold 4 kg at arm's length",
+            policy=move_to(**FAR),
             draws=BURDEN | WORST,
-            befalls=hot_motors_at_start(86.0, 13.0),
+            disturbance=hot_motors_at_start(86.0, 13.0),
             faults=sensor_faults(Failure.OFF, 0.15, HZ, sensor="current"),
             seconds=11.0,
         ),
         monitor="heat_hard",
     ),
     Mutant(
-        guard="heat: a current may repeat itself for ever",
-        weaken=accept_stuck_currents,
+        guard="heat: repeated current readings are accepted forever",
+        remove_guard=accept_stuck_currents,
         situation=Situation(
-            words="currents stay as they were said; then motors hot from work hold 4 kg at arm's length",
-            says=move_to(**FAR),
+            description="current readings freeze; then motors hot from work hold 4 kg at arm's length",
+            policy=move_to(**FAR),
             draws=BURDEN | WORST,
-            befalls=hot_motors_at_start(86.0, 13.0),
+            disturbance=hot_motors_at_start(86.0, 13.0),
             faults=sensor_faults(Failure.STUCK, 0.15, HZ, sensor="current"),
             seconds=11.0,
         ),

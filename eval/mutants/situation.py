@@ -1,4 +1,4 @@
-"""Situations in which a guard matters: what the policy wants, and what befalls robot and stack."""
+"""Situations in which a guard matters: policy, disturbance and draw, and their simulation under the judge."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,44 +24,43 @@ from robots.spec import RobotSpec
 
 SEED, ROBOTS = 17, 8
 SCALE, LEASH = 0.5, 1.5
-"""rad: a policy that may ask for ten times what the shipped one may."""
-SAW = 0.5
-"""rad around home and rad/s, standard deviations of what its training saw: about what the shipped one's did."""
+"""rad: action scale and leash of the hostile policy, ten times those of the shipped one."""
+TRAINING_DEVIATION = 0.5
+"""rad and rad/s, standard deviations of training observations, similar to those of the shipped policy."""
 
 HostilePolicy = Callable[[Runtime], Floats]
 Disturbance = Callable[[Runtime, SimRobot, float], None]
 
 
 def _nothing(runtime: Runtime, robot: SimRobot, t: float) -> None:
-    """Befall nobody."""
+    """Do nothing."""
 
 
-def nobody(runtime: Runtime) -> None:
-    """Leave all as it is."""
+def keep_guards(runtime: Runtime) -> None:
+    """Remove nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """Some seconds that a stack must survive, the same for a whole one and for its mutants.
+    """A short simulation, the same with all guards and for each mutant.
 
     Attributes:
-        words: what it is, for the table.
-        says: the policy: the action (B, A) that it wants, before clip and scale.
-        seconds: s lived, of which the first `ARM_S` disarmed.
-        befalls: called before each tick with s since the start: what happens to the robots.
-        prepare: what is broken in the stack beforehand: a guard that stands behind another one is only asked where
-            the one before it has failed.
-        draws: numbers of the draw that are not left to chance. spread: how many times as far from the middle of its
-            span as drawn every other one is, within what physics allows. faults: of sensors.
+        description: for the table.
+        policy: function returning actions (B, A) before clip and scale.
+        seconds: s, duration, of which the first `ARM_S` disarmed.
+        disturbance: called before each tick with the time in s.
+        prepare: removes guards that would act before the tested one.
+        draws: fixed numbers of the draw. spread: factor on the distance of all others from the middle of their span,
+            within physical limits. faults: of sensors.
         scale, leash: rad, of the contract's action.
-        arm_s: s, when the operator arms.
+        arm_s: s, time of arming.
     """
 
-    words: str
-    says: HostilePolicy
+    description: str
+    policy: HostilePolicy
     seconds: float = 2.5
-    befalls: Disturbance = _nothing
-    prepare: Callable[[Runtime], None] = nobody
+    disturbance: Disturbance = _nothing
+    prepare: Callable[[Runtime], None] = keep_guards
     draws: Mapping[str, float] = field(default_factory=dict)
     spread: float = 1.0
     faults: tuple[Fault, ...] = ()
@@ -70,20 +69,22 @@ class Situation:
     arm_s: float = ARM_S
 
 
-def live(spec: RobotSpec, situation: Situation, weaken: Callable[[Runtime], None] = nobody) -> Counts:
-    """What the judge finds in a situation, with a guard of the runtime weakened."""
+def run_situation(
+    spec: RobotSpec, situation: Situation, remove_guard: Callable[[Runtime], None] = keep_guards
+) -> Counts:
+    """Simulate a situation with a guard removed; return the judge's counts."""
     seeds = [robot_seed(SEED, robot) for robot in range(ROBOTS)]
     given, promise = _drawn(spec, seeds, situation), contract(spec, situation)
     runtime, robot = simulate(spec, promise, seeds, given=given, faults=situation.faults)
     observed, scoring = runtime.contract.observed, runtime.task.rule
     judge = Judge(spec, torque_max(spec), ROBOTS, observed=observed, scoring=scoring)
     situation.prepare(runtime)
-    weaken(runtime)
+    remove_guard(runtime)
     for tick in range(round(situation.seconds / spec.dt)):
         if tick == round(situation.arm_s / spec.dt):
             runtime.arm(np.ones(ROBOTS, dtype=bool))
-        situation.befalls(runtime, robot, tick * spec.dt)
-        said = None if runtime.sense() is None else situation.says(runtime)
+        situation.disturbance(runtime, robot, tick * spec.dt)
+        said = None if runtime.sense() is None else situation.policy(runtime)
         runtime.act(said)
         judge_tick(judge, robot.truth(), runtime, said)
     return judge.counts()
@@ -103,7 +104,7 @@ def _drawn(spec: RobotSpec, seeds: Sequence[np.random.SeedSequence], situation: 
 
 
 def contract(spec: RobotSpec, situation: Situation) -> Contract:
-    """What a hostile policy promises: it looks at nothing but angles and speeds."""
+    """Return the contract of a hostile policy, which observes only joint positions and velocities."""
     home = tuple(spec.joint_array("q_home").tolist())
     return Contract(
         robot=spec.name,
@@ -121,7 +122,7 @@ def contract(spec: RobotSpec, situation: Situation) -> Contract:
             leash_rad=situation.leash,
         ),
         trained={"recipe": "by hand, to do harm"},
-        observed=Observed(mean=home + (0.0,) * spec.n, deviation=(SAW,) * 2 * spec.n),
+        observed=Observed(mean=home + (0.0,) * spec.n, deviation=(TRAINING_DEVIATION,) * 2 * spec.n),
     )
 
 

@@ -1,4 +1,4 @@
-"""Every guard taken away in its turn; and all of them at once, on robots drawn twice as far out."""
+"""All mutants, all guards off at once on robots with doubled variation, and an idle policy."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,9 +9,9 @@ from eval.mutants.command_guards import FAR, SAFETY, SENT
 from eval.mutants.disturbances import encoder_offset_at_start, hot_motors_at_start
 from eval.mutants.estimation_guards import ESTIMATION
 from eval.mutants.guard_removal import (
+    combine,
     ignore_non_finite_action,
     ignore_reasons,
-    remove_all,
     remove_foldback,
     remove_heat_margin,
     scale_planner_limits,
@@ -20,15 +20,15 @@ from eval.mutants.guard_removal import (
 )
 from eval.mutants.heat_guards import HEAT_GUARDS
 from eval.mutants.hostile_policies import cycle_poses, nan_after
-from eval.mutants.mutant import Mutant, heard
-from eval.mutants.situation import Situation, live
+from eval.mutants.mutant import Mutant, event_count
+from eval.mutants.situation import Situation, run_situation
 from eval.statistics.budget import check, load_budget
 from robots.spec import RobotSpec
 
 MUTANTS = SAFETY + SENT + ESTIMATION + HEAT_GUARDS
 
 EVERYTHING = ~Reason.NONE
-UNGUARDED = remove_all(
+UNGUARDED = combine(
     scale_planner_limits(qd_max=1.3, qdd_max=2.0, qddd_max=2.0),
     widen_target_range,
     remove_heat_margin,
@@ -37,75 +37,75 @@ UNGUARDED = remove_all(
     ignore_non_finite_action,
     ignore_reasons(EVERYTHING),
 )
-"""Safety and estimator find nothing, the planner keeps no limit, no motor is folded back, and nobody waits for a
-filter to be sure or minds what the policy says."""
-FURY = (
+"""All guards off: no stop reasons, no planner limits, no current foldback, no heat margin, no filter confirmation, and
+non-finite actions are ignored."""
+ALL_GUARDS_OFF = (
     Situation(
-        words="an arm whose windings have 106 °C is thrown about",
-        says=cycle_poses(
+        description="an arm with windings at 106 °C moves violently",
+        policy=cycle_poses(
             0.7,
             FAR | {"shoulder_pan": -1.2},
             FAR | {"shoulder_pan": 1.2, "wrist_3": 3.4},
             {"shoulder_lift": -0.2, "elbow": 1.6, "wrist_1": 0.6, "wrist_3": -3.4},
             {"shoulder_lift": -2.2, "elbow": 0.2},
         ),
-        befalls=hot_motors_at_start(90.0, 16.0),
+        disturbance=hot_motors_at_start(90.0, 16.0),
         spread=2.0,
         seconds=4.0,
     ),
     Situation(
-        words="armed at once, on first packets that are off by 0.6 rad, and soon the policy says NaN",
-        says=nan_after(0.1),
-        befalls=encoder_offset_at_start(5, 0.6),
+        description="armed at once, first packets off by 0.6 rad, and soon NaN actions",
+        policy=nan_after(0.1),
+        disturbance=encoder_offset_at_start(5, 0.6),
         spread=2.0,
         arm_s=0.005,
         seconds=0.2,
     ),
 )
-"""Robots drawn twice as far out."""
-IDLE = Situation(
-    words="a policy that asks for nothing", says=lambda runtime: 0.0 * runtime.action.last, seconds=13.0
-)
+"""Robots with doubled variation of their parameters."""
+IDLE = Situation(description="idle policy", policy=lambda runtime: 0.0 * runtime.action.last, seconds=13.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """What the judge said of a mutant.
+    """Result of a mutant.
 
     Attributes:
-        whole, weakened: events of the mutant's monitor with the guard and without; None where there is no such monitor.
+        with_guard, without_guard: events of the mutant's monitor; None if there is no such monitor.
     """
 
     mutant: Mutant
-    whole: int | None
-    weakened: int | None
+    with_guard: int | None
+    without_guard: int | None
 
     @property
     def caught(self) -> bool:
-        """Whether the monitor is silent with the guard and heard without."""
-        return self.whole == 0 and bool(self.weakened)
+        """True if the monitor has events only without the guard."""
+        return self.with_guard == 0 and bool(self.without_guard)
 
 
-def rows(spec: RobotSpec, mutants: tuple[Mutant, ...] = MUTANTS) -> Iterator[Row]:
-    """Live through every mutant; a situation that several share is lived through once with all guards."""
-    lived: dict[int, Counts] = {}
+def run_mutants(spec: RobotSpec, mutants: tuple[Mutant, ...] = MUTANTS) -> Iterator[Row]:
+    """Yield the result of each mutant; a shared situation is run with all guards only once."""
+    counts_with_guards: dict[int, Counts] = {}
     for mutant in mutants:
         place = id(mutant.situation)
-        if place not in lived:
-            lived[place] = live(spec, mutant.situation)
+        if place not in counts_with_guards:
+            counts_with_guards[place] = run_situation(spec, mutant.situation)
         yield Row(
             mutant=mutant,
-            whole=heard(lived[place], mutant.monitor),
-            weakened=heard(live(spec, mutant.situation, mutant.weaken), mutant.monitor),
+            with_guard=event_count(counts_with_guards[place], mutant.monitor),
+            without_guard=event_count(
+                run_situation(spec, mutant.situation, mutant.remove_guard), mutant.monitor
+            ),
         )
 
 
-def silent(spec: RobotSpec) -> list[str]:
-    """Monitors that say nothing though no guard is left and draws are doubled: none, or the plant is too kind."""
-    counts = [live(spec, situation, UNGUARDED) for situation in FURY]
+def silent_monitors(spec: RobotSpec) -> list[str]:
+    """Return monitors without events although all guards are off and variation is doubled; expected none."""
+    counts = [run_situation(spec, situation, UNGUARDED) for situation in ALL_GUARDS_OFF]
     return [m.name for m in counts[0].monitors if not any(each.total(m.name) for each in counts)]
 
 
-def idle_fails(spec: RobotSpec) -> list[str]:
-    """Lines of the shipped budget that a policy which asks for nothing exceeds."""
-    return [line.name for line in check(load_budget(), live(spec, IDLE)) if not line.passed]
+def idle_budget_failures(spec: RobotSpec) -> list[str]:
+    """Return lines of the shipped budget that an idle policy exceeds."""
+    return [line.name for line in check(load_budget(), run_situation(spec, IDLE)) if not line.passed]

@@ -18,7 +18,7 @@ from eval.faults.fault_response import (
 )
 from eval.judge.monitors import NAMES
 from eval.mutants.guard_removal import ignore_non_finite_action
-from eval.mutants.situation import nobody
+from eval.mutants.situation import keep_guards
 from eval.report.sections.faults import fault_line, fault_table
 from eval.soak import shard as shards
 from eval.soak.profile import Faults
@@ -189,12 +189,14 @@ def test_a_shard_goes_on_in_the_midst_of_faults_as_if_nothing_had_been(restless)
     assert found.answer[0, 0] == Answer.STOPPED
 
 
-@pytest.mark.parametrize(("weaken", "events"), [(nobody, [0, 0, 0]), (ignore_non_finite_action, [1, 1, 0])])
-def test_the_judge_hears_what_the_policy_is_made_to_say(restless, monkeypatch, weaken, events):
+@pytest.mark.parametrize(
+    ("weaken", "events"), [(keep_guards, [0, 0, 0]), (ignore_non_finite_action, [1, 1, 0])]
+)
+def test_the_judge_hears_what_the_policy_is_made_to_say(restless, monkeypatch, remove_guard, events):
     faults = [(named("policy nan"), 1), (named("policy infinite"), 3)] + [None] * (WIDTH - 2)
     monkeypatch.setattr(shards, "plan", lambda *_: one_each(faults, 70))
     shard = Shard(restless)
-    weaken(shard.runtime)
+    remove_guard(shard.runtime)
     for _ in range(78):
         shard.tick()
     counts = shard.judge.counts()

@@ -15,8 +15,8 @@ from eval.judge.monitors import NAMES
 from eval.mutants import __main__ as command
 from eval.mutants import suite
 from eval.mutants.mutant import INVALID, LATCHES
-from eval.mutants.situation import live, nobody
-from eval.mutants.suite import FURY, MUTANTS, Row, rows
+from eval.mutants.situation import keep_guards, run_situation
+from eval.mutants.suite import ALL_GUARDS_OFF, MUTANTS, Row, run_mutants
 from robots.errors import ConfigError
 
 ASKED = Reason.OVERRUN | Reason.OPERATOR
@@ -25,8 +25,8 @@ QUICK = (
     "safety: collision",
     "planner: jerk",
     "action: no leash",
-    "estimator: believed",
-    "runtime: a robot that",
+    "estimator: accepted",
+    "runtime: a moving robot",
 )
 
 
@@ -37,11 +37,11 @@ def named(start):
 
 def test_every_reason_to_stop_has_a_mutant():
     """A reason that is new has none: this fails until it gets one. An arm cannot fall: see test_walker.py."""
-    weakened = Reason.FALLEN
+    without_guard = Reason.FALLEN
     for mutant in MUTANTS:
-        weakened |= mutant.reasons
+        without_guard |= mutant.reasons
     assert {reason for reason in Reason if reason not in ASKED} == {
-        reason for reason in Reason if reason in weakened
+        reason for reason in Reason if reason in without_guard
     }
 
 
@@ -52,34 +52,39 @@ def test_guards_have_names_of_their_own_and_monitors_exist():
 
 @pytest.mark.parametrize("start", QUICK)
 def test_the_judge_notices_that_a_guard_is_gone(start):
-    (row,) = rows(SPEC, (named(start),))
-    assert row.whole == 0
-    assert row.weakened > 0
+    (row,) = run_mutants(SPEC, (named(start),))
+    assert row.with_guard == 0
+    assert row.without_guard > 0
     assert row.caught
 
 
 def test_a_mutant_that_weakens_nothing_is_missed():
-    (row,) = rows(SPEC, (replace(named("planner: jerk"), weaken=nobody),))
-    assert (row.whole, row.weakened) == (0, 0)
+    (row,) = run_mutants(SPEC, (replace(named("planner: jerk"), remove_guard=keep_guards),))
+    assert (row.with_guard, row.without_guard) == (0, 0)
     assert not row.caught
 
 
 @pytest.mark.parametrize(
-    ("whole", "weakened", "caught"), [(0, 3, True), (0, 0, False), (2, 3, False), (None, None, False)]
+    ("with_guard", "without_guard", "caught"),
+    [(0, 3, True), (0, 0, False), (2, 3, False), (None, None, False)],
 )
-def test_caught_is_silent_with_the_guard_and_heard_without(whole, weakened, caught):
-    assert Row(mutant=MUTANTS[0], whole=whole, weakened=weakened).caught == caught
+def test_caught_is_silent_with_the_guard_and_heard_without(with_guard, without_guard, caught):
+    assert Row(mutant=MUTANTS[0], with_guard=with_guard, without_guard=without_guard).caught == caught
 
 
 def test_with_guards_off_and_draws_doubled_every_monitor_fires():
-    assert not suite.silent(SPEC)
+    assert not suite.silent_monitors(SPEC)
 
 
 def test_with_its_guards_the_same_fury_does_less():
     """What the test above sees is the guards' absence, not only the situation."""
-    whole = live(SPEC, replace(FURY[0], befalls=cold, seconds=1.5))
-    assert whole.running.min() > 0
-    assert {name for name in NAMES if whole.total(name)} <= {"position_requested", "power", "robot_power"}
+    with_guard = run_situation(SPEC, replace(ALL_GUARDS_OFF[0], disturbance=cold, seconds=1.5))
+    assert with_guard.running.min() > 0
+    assert {name for name in NAMES if with_guard.total(name)} <= {
+        "position_requested",
+        "power",
+        "robot_power",
+    }
 
 
 def cold(runtime, robot, t):
@@ -88,16 +93,18 @@ def cold(runtime, robot, t):
 
 def test_a_policy_that_asks_for_nothing_fails_the_budget(monkeypatch):
     monkeypatch.setattr(suite, "IDLE", replace(suite.IDLE, seconds=8.5))
-    assert "goal_success" in suite.idle_fails(SPEC)
+    assert "goal_success" in suite.idle_budget_failures(SPEC)
 
 
-@pytest.mark.parametrize(("weakened", "code"), [(4, PASSED), (0, BUDGET_EXCEEDED)])
-def test_the_command_prints_a_row_for_each_and_fails_if_one_is_missed(weakened, code, monkeypatch):
+@pytest.mark.parametrize(("without_guard", "code"), [(4, PASSED), (0, BUDGET_EXCEEDED)])
+def test_the_command_prints_a_row_for_each_and_fails_if_one_is_missed(without_guard, code, monkeypatch):
     console = Console(record=True, width=160)
     monkeypatch.setattr(command, "console", console)
     monkeypatch.setattr(command.mujoco, "set_mju_user_warning", lambda handler: None)
     monkeypatch.setattr(
-        command, "rows", lambda spec, chosen: (Row(mutant=m, whole=0, weakened=weakened) for m in chosen)
+        command,
+        "run_mutants",
+        lambda spec, chosen: (Row(mutant=m, with_guard=0, without_guard=without_guard) for m in chosen),
     )
     assert command.mutants(only="planner: jerk") == code
     text = console.export_text()
