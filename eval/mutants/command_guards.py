@@ -27,7 +27,7 @@ from eval.mutants.hostile_policies import (
     switch_policy,
     turn_last_joint,
 )
-from eval.mutants.mutant import INVALID, Mutant
+from eval.mutants.mutant import INVALID, Mutant, check_off
 from eval.mutants.situation import Situation
 
 FAR = {"shoulder_lift": -0.5, "elbow": 0.6, "wrist_1": -1.94}
@@ -61,29 +61,27 @@ NO_NUMBER = Reason.NOT_FINITE | Reason.COLLISION
 """Shapes without a finite position count as too close."""
 
 SAFETY = (
-    Mutant(
-        guard="safety: position, off",
-        remove_guard=ignore_reasons(Reason.POSITION),
-        reasons=Reason.POSITION,
-        situation=Situation(
+    check_off(
+        "safety: position",
+        Reason.POSITION,
+        "position_hard",
+        Situation(
             description="target beyond a joint's range; the planner does not clamp",
             policy=move_to(wrist_3=3.3),
             prepare=widen_target_range,
             seconds=3.0,
         ),
-        monitor="position_hard",
     ),
-    Mutant(
-        guard="safety: velocity, off",
-        remove_guard=ignore_reasons(Reason.VELOCITY),
-        reasons=Reason.VELOCITY,
-        situation=Situation(
+    check_off(
+        "safety: velocity",
+        Reason.VELOCITY,
+        "velocity",
+        Situation(
             description="planner 30 % too fast, with low acceleration",
             policy=TO_AND_FRO,
             prepare=scale_planner_limits(qd_max=1.3, qdd_max=0.3),
             seconds=4.5,
         ),
-        monitor="velocity",
     ),
     Mutant(
         guard="safety: the further increase of speed during a stop is not checked",
@@ -96,11 +94,11 @@ SAFETY = (
         ),
         monitor="velocity_sent",
     ),
-    Mutant(
-        guard="safety: torque, off",
-        remove_guard=ignore_reasons(Reason.TORQUE),
-        reasons=Reason.TORQUE,
-        situation=Situation(
+    check_off(
+        "safety: torque",
+        Reason.TORQUE,
+        "torque",
+        Situation(
             description="planner with four times the acceleration, on light robots with little friction",
             policy=switch_policy(
                 1.9, move_slowly_to(0.8, **FAR), move_to(shoulder_lift=-1.4, elbow=0.6, wrist_1=-1.94)
@@ -112,67 +110,50 @@ SAFETY = (
             draws=LIGHT,
             seconds=2.6,
         ),
-        monitor="torque",
     ),
-    Mutant(
-        guard="safety: workspace, off",
-        remove_guard=ignore_reasons(Reason.WORKSPACE),
-        reasons=Reason.WORKSPACE,
-        situation=TABLE,
-        monitor="workspace",
-    ),
-    Mutant(
-        guard="safety: collision, off",
-        remove_guard=ignore_reasons(Reason.COLLISION),
-        reasons=Reason.COLLISION,
-        situation=WRIST,
-        monitor="self_collision",
-    ),
-    Mutant(
-        guard="safety: singularity, off",
-        remove_guard=ignore_reasons(Reason.SINGULARITY),
-        reasons=Reason.SINGULARITY,
-        situation=Situation(
+    check_off("safety: workspace", Reason.WORKSPACE, "workspace", TABLE),
+    check_off("safety: collision", Reason.COLLISION, "self_collision", WRIST),
+    check_off(
+        "safety: singularity",
+        Reason.SINGULARITY,
+        "singularity",
+        Situation(
             description="motion backwards through a singularity",
             policy=move_to(shoulder_lift=-2.35, elbow=0.35),
         ),
-        monitor="singularity",
     ),
-    Mutant(
-        guard="safety: tool speed, off",
-        remove_guard=ignore_reasons(Reason.TOOL_SPEED),
-        reasons=Reason.TOOL_SPEED,
-        situation=Situation(
+    check_off(
+        "safety: tool speed",
+        Reason.TOOL_SPEED,
+        "tool_speed",
+        Situation(
             description="the stretched arm sweeps from side to side",
             policy=cycle_poses(2.0, FAR | {"shoulder_pan": -1.2}, FAR | {"shoulder_pan": 1.2}),
             seconds=4.0,
         ),
-        monitor="tool_speed",
     ),
-    Mutant(
-        guard="safety: tracking, off",
-        remove_guard=ignore_reasons(Reason.TRACKING),
-        reasons=Reason.TRACKING,
-        situation=Situation(
+    check_off(
+        "safety: tracking",
+        Reason.TRACKING,
+        "workspace",
+        Situation(
             description="the elbow jams, so that the shoulder lowers the tool to the table; load detection off",
             policy=move_slowly_to(0.3, shoulder_lift=-0.35, elbow=0.5),
             prepare=ignore_reasons(Reason.LOAD),
             disturbance=jam_joint(2, 0.5),
             seconds=4.5,
         ),
-        monitor="workspace",
     ),
-    Mutant(
-        guard="safety: finite numbers, off",
-        remove_guard=ignore_reasons(Reason.NOT_FINITE),
-        reasons=Reason.NOT_FINITE,
-        situation=Situation(
+    check_off(
+        "safety: finite numbers",
+        Reason.NOT_FINITE,
+        INVALID,
+        Situation(
             description="a planned velocity is NaN; collision check off",
             policy=SPIN,
             prepare=combine(plan_nan_at(0.8, angles=False), ignore_reasons(Reason.COLLISION)),
             seconds=1.2,
         ),
-        monitor=INVALID,
     ),
     Mutant(
         guard="safety: the stop's first step, middle and end are not checked",

@@ -18,89 +18,83 @@ from eval.mutants.guard_removal import (
     trust_first_sample,
 )
 from eval.mutants.hostile_policies import move_slowly_to, move_to
-from eval.mutants.mutant import LATCHES, Mutant
+from eval.mutants.mutant import LATCHES, Mutant, check_off
 from eval.mutants.situation import Situation
 
 HOME = move_to()
 HZ = 200
 
 ESTIMATION = (
-    Mutant(
-        guard="safety: stale, off",
-        remove_guard=ignore_reasons(Reason.STALE),
-        reasons=Reason.STALE,
-        situation=Situation(
+    check_off(
+        "safety: stale",
+        Reason.STALE,
+        "tracking",
+        Situation(
             description="encoders stop sending, and a joint jams at 1.2 rad/s; load detection off",
             policy=move_slowly_to(1.2, wrist_3=2.7),
             prepare=ignore_reasons(Reason.LOAD),
             faults=sensor_faults(Failure.OFF, 0.8, HZ),
             disturbance=jam_joint(5, 0.85),
         ),
-        monitor="tracking",
     ),
-    Mutant(
-        guard="safety: lost, off",
-        remove_guard=ignore_reasons(Reason.LOST),
-        reasons=Reason.LOST,
-        situation=Situation(
+    check_off(
+        "safety: lost",
+        Reason.LOST,
+        "tracking",
+        Situation(
             description="encoders stop sending, and a joint jams at 0.8 rad/s; stale check and load detection off",
             policy=move_slowly_to(0.8, wrist_3=2.7),
             prepare=ignore_reasons(Reason.STALE | Reason.LOAD),
             faults=sensor_faults(Failure.OFF, 0.8, HZ),
             disturbance=jam_joint(5, 0.85),
         ),
-        monitor="tracking",
     ),
-    Mutant(
-        guard="safety: outside, off",
-        remove_guard=ignore_reasons(Reason.OUTSIDE),
-        reasons=Reason.OUTSIDE,
-        situation=Situation(
+    check_off(
+        "safety: outside",
+        Reason.OUTSIDE,
+        "tracking",
+        Situation(
             description="at the end of its range, a joint is pushed ever harder; load detection off",
             policy=move_to(wrist_1=0.3),
             prepare=ignore_reasons(Reason.LOAD),
             disturbance=push_link(3, (0.0, -1.0, 0.0), 1.5, 24.0, 8.0),
             seconds=2.6,
         ),
-        monitor="tracking",
     ),
-    Mutant(
-        guard="estimator: stuck, off",
-        remove_guard=ignore_reasons(Reason.STUCK),
-        reasons=Reason.STUCK,
-        situation=Situation(
+    check_off(
+        "estimator: stuck",
+        Reason.STUCK,
+        "tracking",
+        Situation(
             description="a joint jams, and its encoder repeats its reading; tracking and load checks off",
             policy=move_slowly_to(0.3, wrist_2=-0.6),
             prepare=ignore_reasons(Reason.TRACKING | Reason.LOAD),
             faults=sensor_faults(Failure.STUCK, 0.8, HZ, channel=4),
             disturbance=jam_joint(4, 0.8),
         ),
-        monitor="tracking",
     ),
-    Mutant(
-        guard="estimator: diverged, off",
-        remove_guard=ignore_reasons(Reason.DIVERGED),
-        reasons=Reason.DIVERGED,
-        situation=Situation(
+    check_off(
+        "estimator: diverged",
+        Reason.DIVERGED,
+        "tracking",
+        Situation(
             description="a joint jams at 0.9 rad/s; stale check and load detection off",
             policy=move_slowly_to(0.9, wrist_3=2.7),
             prepare=ignore_reasons(Reason.STALE | Reason.LOAD),
             disturbance=jam_joint(5, 0.85),
         ),
-        monitor="tracking",
     ),
-    Mutant(
-        guard="estimator: load, off",
-        remove_guard=ignore_reasons(Reason.LOAD),
-        reasons=Reason.LOAD,
-        situation=Situation(
+    check_off(
+        "estimator: load",
+        Reason.LOAD,
+        "heat_hard",
+        Situation(
             description="a hot motor drives a jammed joint slowly, with little tracking error; heat check off",
             policy=move_slowly_to(0.12, shoulder_pan=1.2),
             prepare=ignore_reasons(Reason.HEAT),
             disturbance=apply_all(hot_motors_at_start(86.0, 21.0), jam_joint(0, 0.5)),
             seconds=4.0,
         ),
-        monitor="heat_hard",
     ),
     Mutant(
         guard="estimator: no innovation gate",

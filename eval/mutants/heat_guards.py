@@ -13,7 +13,7 @@ from eval.mutants.guard_removal import (
     remove_heat_margin,
 )
 from eval.mutants.hostile_policies import cycle_poses, move_to
-from eval.mutants.mutant import Mutant
+from eval.mutants.mutant import Mutant, check_off
 from eval.mutants.situation import Situation
 
 HZ = 200
@@ -36,13 +36,7 @@ HELD = Situation(
 )
 
 HEAT_GUARDS = (
-    Mutant(
-        guard="safety: heat, off",
-        remove_guard=ignore_reasons(Reason.HEAT),
-        reasons=Reason.HEAT,
-        situation=HELD,
-        monitor="heat_hard",
-    ),
+    check_off("safety: heat", Reason.HEAT, "heat_hard", HELD),
     Mutant(
         guard="supervisor: heat is handled as category 2: power stays on",
         remove_guard=downgrade_to_category_2(Reason.HEAT),

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from deploy.state import Reason
 from eval.judge.counts import Counts
 from eval.judge.monitors import NAMES
-from eval.mutants.guard_removal import GuardRemoval
+from eval.mutants.guard_removal import GuardRemoval, ignore_reasons
 from eval.mutants.situation import Situation
 
 LATCHES, INVALID = "latches", "invalid"
@@ -29,6 +29,14 @@ class Mutant:
     situation: Situation
     monitor: str
     reasons: Reason = Reason.NONE
+
+
+def check_off(guard: str, reason: Reason, monitor: str, situation: Situation) -> Mutant:
+    """Return the mutant without one check: its stop reason is never raised."""
+    remove_guard = ignore_reasons(reason)
+    return Mutant(
+        guard=f"{guard}, off", remove_guard=remove_guard, situation=situation, monitor=monitor, reasons=reason
+    )
 
 
 def event_count(counts: Counts, monitor: str) -> int | None:

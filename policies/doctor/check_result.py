@@ -73,7 +73,7 @@ def format_values(
     """
     indices = np.arange(len(names))[selection]
     text = [
-        f"{names[k]} {' values '.join(f'{values[k]:.3g}' for values in numbers)}" for k in indices[:NAMED_MAX]
+        f"{names[k]} {' of '.join(f'{values[k]:.3g}' for values in numbers)}" for k in indices[:NAMED_MAX]
     ]
     more = f" and {len(indices) - NAMED_MAX} more" if len(indices) > NAMED_MAX else ""
     return ", ".join(text) + unit + more

@@ -77,7 +77,7 @@ def _positions(context: CheckContext, offset: Floats) -> Iterator[Message]:
     span = q_max - q_min
     if (small := scale < SHARE_MIN * span).any():
         values = format_values(names, scale, span, unit=" rad", selection=small)
-        yield warned(f"an action of 1 moves {values}, next to nothing: compare the scale with training's.")
+        yield warned(f"an action of 1 moves {values}, almost nothing: compare the scale with training.")
     if (wide := scale > span).any():
         values = format_values(names, scale, span, unit=" rad", selection=wide)
         yield warned(f"an action of 1 moves {values}, more than the joint can: compare the scale.")

@@ -78,7 +78,7 @@ def test_the_shipped_policy_passes_every_check_but_one(sound):
 
 
 def test_the_first_target_is_what_one_action_may_ask_for(sound):
-    assert 0.03 < np.abs(sound.run.first).max() < 0.06
+    assert 0.03 < np.abs(sound.run.first_step).max() < 0.06
 
 
 # ---- the normalizer ----
@@ -235,8 +235,10 @@ def test_motors_that_cannot_get_rid_of_their_heat_are_named_with_the_hour(sick, 
 
 
 def test_eight_hours_are_those_of_the_two_node_model():
-    current, rubbed = np.array([1.0, 3.0, 2.0, 0.3, 0.2, 0.1]), np.zeros(6)
-    found = winding_temperature(SPEC, HeatLoad(current=current, rubbed=rubbed, ambient=25.0), 3600.0)
+    current, friction_power = np.array([1.0, 3.0, 2.0, 0.3, 0.2, 0.1]), np.zeros(6)
+    found = winding_temperature(
+        SPEC, HeatLoad(current=current, friction_power=friction_power, ambient=25.0), 3600.0
+    )
     lift = MotorHeat(
         resistance=0.5,
         alpha=0.0039,
@@ -247,18 +249,25 @@ def test_eight_hours_are_those_of_the_two_node_model():
         housing_capacity=1200.0,
     )
     assert found[1] == pytest.approx(temperatures(lift, 3.0, 25.0, 3600.0)[0])
-    warmer = winding_temperature(SPEC, HeatLoad(current=current, rubbed=rubbed + 2.0, ambient=25.0), 1e6)
+    warmer = winding_temperature(
+        SPEC, HeatLoad(current=current, friction_power=friction_power + 2.0, ambient=25.0), 1e6
+    )
     np.testing.assert_allclose(
-        (warmer - winding_temperature(SPEC, HeatLoad(current=current, rubbed=rubbed, ambient=25.0), 1e6))[3:],
+        (
+            warmer
+            - winding_temperature(
+                SPEC, HeatLoad(current=current, friction_power=friction_power, ambient=25.0), 1e6
+            )
+        )[3:],
         14.0,  # 2 W times 7 K/W
         rtol=1e-2,
     )
 
 
 def test_friction_and_iron_are_a_few_watts(sound):
-    rubbed = sound.run.heat_load.rubbed
-    assert ((rubbed > 0.01) & (rubbed < 10.0)).all()
-    assert rubbed[:3].sum() > rubbed[3:].sum()
+    friction_power = sound.run.heat_load.friction_power
+    assert ((friction_power > 0.01) & (friction_power < 10.0)).all()
+    assert friction_power[:3].sum() > friction_power[3:].sum()
 
 
 # ---- robots that walk ----
@@ -375,7 +384,7 @@ def test_the_command_says_every_row_and_ends_with_1_if_one_fails(command, arm_po
     assert code == 1
     assert all(f" {check} " in said for check in CHECKS)
     assert "8 robots reached 0 of 24 goals" in said
-    assert "6 joints have too many orders to try them" in said
+    assert "6 joints have too many orders to try" in said
 
 
 def test_the_command_ends_with_0_where_rows_only_warn(command, shipped_policy, monkeypatch, sound):

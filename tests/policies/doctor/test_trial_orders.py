@@ -53,11 +53,11 @@ def reversed_joint(joint, terms):
     ("change", "said"),
     [
         (lambda terms: in_another_order(EXCHANGED, terms), "shoulder_lift and elbow exchanged"),
-        (lambda terms: reversed_joint(2, terms), "elbow turned the other way"),
+        (lambda terms: reversed_joint(2, terms), "elbow reversed"),
     ],
 )
 def test_what_would_help_is_named(shipped_policy, terms, tmp_path, monkeypatch, change, said):
-    monkeypatch.setattr(joint_order, "variants", some)
+    monkeypatch.setattr(joint_order, "joint_variants", some)
     case = CheckContext(ailing(shipped_policy, tmp_path, graph=change(terms)))
     assert run_check(case, "simulation").verdict is Verdict.FAIL
     found = run_check(case, "joint order")
@@ -68,7 +68,7 @@ def test_what_would_help_is_named(shipped_policy, terms, tmp_path, monkeypatch, 
 
 def test_what_does_not_help_is_not_named(arm_policy, monkeypatch):
     """A policy that asks for nothing reaches nothing in any order."""
-    monkeypatch.setattr(joint_order, "variants", some)
+    monkeypatch.setattr(joint_order, "joint_variants", some)
     found = run_check(CheckContext(arm_policy), "joint order")
     assert found.verdict is Verdict.WARN
     assert "of 7 exchanges of two joints and reversals of one none helps" in found.text
