@@ -193,7 +193,7 @@ def test_a_mesh_beyond_the_folder_is_not_taken(tmp_path):
 def test_nothing_is_overwritten(tmp_path):
     out = tmp_path / "mine"
     out.mkdir()
-    with pytest.raises(OutputError, match="is there already"):
+    with pytest.raises(OutputError, match="exists already"):
         init_robot(vendors(tmp_path), out)
 
 
