@@ -190,7 +190,7 @@ def test_a_shard_goes_on_in_the_midst_of_faults_as_if_nothing_had_been(restless)
 
 
 @pytest.mark.parametrize(
-    ("weaken", "events"), [(keep_guards, [0, 0, 0]), (ignore_non_finite_action, [1, 1, 0])]
+    ("remove_guard", "events"), [(keep_guards, [0, 0, 0]), (ignore_non_finite_action, [1, 1, 0])]
 )
 def test_the_judge_hears_what_the_policy_is_made_to_say(restless, monkeypatch, remove_guard, events):
     faults = [(named("policy nan"), 1), (named("policy infinite"), 3)] + [None] * (WIDTH - 2)
