@@ -212,22 +212,22 @@ def soak_test(monkeypatch, *options):
 
 
 def test_a_soak_is_kept_and_shown_beside_earlier_ones(arm_policy, tmp_path, monkeypatch, capsys):
-    """Nine seconds of eight idle arms; then the same of half the hours, which is another task."""
+    """Four and a half seconds of eight idle arms; then the same of half the hours, which is another task."""
     history, out = tmp_path / "history", tmp_path / "out"
     asked = ("--policy", arm_policy, "--robots", 8, "--workers", 1, "--out", out, "--history", history)
-    assert soak_test(monkeypatch, *asked, "--hours", 0.0025) == 1
+    assert soak_test(monkeypatch, *asked, "--hours", 0.00125) == 1
     whole = Report.model_validate_json((out / "report.json").read_text())
     (path, kept), *_ = read_history(history).items()
     assert kept.model_dump() == whole.model_dump(include={*Night.model_fields})
-    assert (kept.tally.draws, sum(kept.tally.ticks)) == (8, 8 * 1800)
+    assert (kept.tally.draws, sum(kept.tally.ticks)) == (8, 8 * 900)
     assert sum(kept.tally.due) == whole.goals.due
     (row,) = whole.trend.nights
     assert (row.hard_events, row.draws, row.goals.value) == (0, 8, whole.goals.success)
     assert "Trend against earlier nights" in (out / "report.html").read_text()
     assert f"\nnights like it: {whole.trend.last.statement}\nreport: " in capsys.readouterr().out
     before = (out / "report.json").read_bytes()
-    assert soak_test(monkeypatch, *asked, "--hours", 0.00125) == 2
-    assert f"{path}: hours: found 0.0025, but this soak has 0.00125" in capsys.readouterr().err
+    assert soak_test(monkeypatch, *asked, "--hours", 0.000625) == 2
+    assert f"{path}: hours: found 0.00125, but this soak has 0.000625" in capsys.readouterr().err
     assert (out / "report.json").read_bytes() == before
     assert len(list(history.iterdir())) == 1
 

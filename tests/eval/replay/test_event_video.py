@@ -52,7 +52,7 @@ def fallen(tmp_path_factory):
     w[PLACES["projected_gravity"].stop - 1] = -2.0
     node = helper.make_node("MatMul", ["observation", "w"], ["action"])
     path = written(folder, [node], {"w": w}, contract)
-    how = {"budget": BUDGET, "hours": 4 / 3600, "robots": 1, "seed": 3, "workers": 1}
+    how = {"budget": BUDGET, "hours": 2 / 3600, "robots": 1, "seed": 3, "workers": 1}
     policy = Policy.load(path, QUADRUPED)
     run_soak(Soak(spec=QUADRUPED, policy=policy, policy_path=path, **how), folder, Console(quiet=True))
     return min((folder / "events").iterdir())
@@ -90,10 +90,15 @@ FAR = """
 from eval.replay import cli as replay
 from eval.replay import event_video as film
 class Far(film.Film):
+    shown = 0
     def _picture(self, row):
+        self.shown += 1
+        if self.shown > 4:  # those that are looked at, and the one that comes before them
+            return self.last
         row = row.copy()
         row["base_true"][0] += 500.0
-        return super()._picture(row)
+        self.last = super()._picture(row)
+        return self.last
 replay.Film = Far
 replay.cli()
 """

@@ -161,16 +161,15 @@ def kill_a_worker_when(path):
     threading.Thread(target=work, daemon=True).start()
 
 
-def test_a_worker_that_dies_costs_nothing_but_time(restless, tmp_path, capsys):
-    undisturbed = run_soak(restless, tmp_path / "a", Console(quiet=True))
-    kill_a_worker_when(restless.checkpoint(0, tmp_path / "b").path)
-    disturbed = run_soak(restless, tmp_path / "b", Console())
+def test_a_worker_that_dies_costs_nothing_but_time(finished, tmp_path, capsys):
+    soak = finished.soak
+    kill_a_worker_when(soak.checkpoint(0, tmp_path).path)
+    disturbed = run_soak(soak, tmp_path, Console())
     assert "a worker died: its shards go on from where they were kept" in capsys.readouterr().out
-    assert len(undisturbed) == len(disturbed) == 2
+    assert len(finished.shards) == len(disturbed) == 2
     for number in (0, 1):
-        a, b = (restless.checkpoint(number, tmp_path / name).load() for name in ("a", "b"))
-        assert_same(a, b)
-    assert take_up(restless, tmp_path / "b", Console(quiet=True)) == 2 * restless.ticks
+        assert_same(*(soak.checkpoint(number, folder).load() for folder in (finished.kept, tmp_path)))
+    assert take_up(soak, tmp_path, Console(quiet=True)) == 2 * soak.ticks
 
 
 def test_damage_is_said_before_anything_runs(restless, tmp_path, capsys):

@@ -20,6 +20,7 @@ from eval.report.assembly import collect
 from eval.report.trends import TRENDS
 from eval.report.write import LOCK, alone, claim
 from eval.soak import cli as command
+from eval.soak import shard as shard_module
 from eval.soak import workers
 from eval.soak.configuration import Soak
 from eval.soak.fingerprint import code_digest
@@ -56,15 +57,9 @@ def assert_same(a, b):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-def test_results_do_not_depend_on_workers(asked, tmp_path):
-    """Five seconds of a policy that throws the arms about."""
-    path = saved(policy_model(), tmp_path)
-    policy = {"policy": Policy.load(path, SPEC), "policy_path": path}
-    one, two = (
-        run_soak(asked(workers=workers, hours=0.0013, **policy), tmp_path / str(workers), CONSOLE)
-        for workers in (1, 2)
-    )
-    assert_same(one, two)
+def test_results_do_not_depend_on_workers(finished, tmp_path):
+    one = finished.shards
+    assert_same(one, run_soak(replace(finished.soak, workers=2), tmp_path, CONSOLE))
     counts = [shard.counts for shard in one]
     assert [each.robots for each in counts] == [WIDTH, ROBOTS - WIDTH]
     for each in counts:
@@ -85,22 +80,26 @@ def lived(shard_job, stop_at=None):
     return result, seen
 
 
-def test_robots_that_do_not_count_change_nothing(arm_policy):
-    all_of_them, _ = lived(job(arm_policy))
+@pytest.fixture(scope="module")
+def whole(arm_policy):
+    """An idle shard, all of whose robots count."""
+    return lived(job(arm_policy))[0]
+
+
+def test_robots_that_do_not_count_change_nothing(arm_policy, whole):
     some, _ = lived(job(arm_policy, robots=3))
     assert some.counts.robots == 3
-    np.testing.assert_array_equal(some.counts.worst, all_of_them.counts.worst[:3])
-    np.testing.assert_array_equal(some.winding_c, all_of_them.winding_c[:, :3])
-    np.testing.assert_array_equal(some.worn, all_of_them.worn[:, :, :3])
+    np.testing.assert_array_equal(some.counts.worst, whole.counts.worst[:3])
+    np.testing.assert_array_equal(some.winding_c, whole.winding_c[:, :3])
+    np.testing.assert_array_equal(some.worn, whole.worn[:, :, :3])
     assert some.attempted[-1].tolist() == [1, 1, 1]
 
 
-def test_a_stopped_shard_reports_what_was_done(arm_policy):
+def test_a_stopped_shard_reports_what_was_done(arm_policy, whole):
     result, seen = lived(job(arm_policy), stop_at=400)
     assert seen == [0, 200, 400, 400]
     assert (result.counts.ticks == 400).all()
     assert len(result.winding_c) == 5
-    whole, _ = lived(job(arm_policy))
     np.testing.assert_array_equal(result.winding_c, whole.winding_c[:5])
     np.testing.assert_array_equal(result.worn, whole.worn[:5])
 
@@ -126,15 +125,18 @@ def test_wear_is_sampled_as_it_is_and_unknown_where_the_simulation_diverged(arm_
     assert np.isnan(found.winding_c[0]).all(axis=1).tolist() == [row == 2 for row in range(WIDTH)]
 
 
-def test_the_operator_comes_to_latched_robots(arm_policy):
-    shard = Shard(job(arm_policy, ticks=13_000))
+def test_the_operator_comes_to_latched_robots(arm_policy, monkeypatch):
+    """After a minute; here after 10 s, of which a hot housing takes half to cool."""
+    assert shard_module.OPERATOR_S == 60.0
+    monkeypatch.setattr(shard_module, "OPERATOR_S", 10.0)
+    shard = Shard(job(arm_policy, ticks=3000))
     housing = shard.runtime.robot.plant.housing
     housing[2, 1] = 95.0
     result = shard.run(
-        lambda ticks: housing.__setitem__((2, 1), 30.0) if ticks == 2000 else None, lambda: False
+        lambda ticks: housing.__setitem__((2, 1), 30.0) if ticks == 1000 else None, lambda: False
     )
-    assert (result.counts.running > 12_800).tolist() == [row != 2 for row in range(WIDTH)]
-    assert 0 < result.counts.running[2] < 2000
+    assert (result.counts.running > 2800).tolist() == [row != 2 for row in range(WIDTH)]
+    assert 0 < result.counts.running[2] < 1000
 
 
 def test_stops_are_sampled_as_they_stand(arm_policy):
@@ -144,9 +146,8 @@ def test_stops_are_sampled_as_they_stand(arm_policy):
     assert (found.stops.tolist(), found.latches.tolist()) == ([[4, 0, 2]], [[1, 0, 0]])
 
 
-def test_goals_fall_into_bins_and_shards_side_by_side(asked, tmp_path):
-    soak = asked(hours=0.0013)
-    shards = run_soak(soak, tmp_path, CONSOLE)
+def test_goals_fall_into_bins_and_shards_side_by_side(finished):
+    soak, shards = finished.soak, finished.shards
     result = collect(soak, shards, RUN)
     assert result.winding_c.shape == (len(result.sample_h), ROBOTS, SPEC.n)
     assert result.worn.shape == (len(result.sample_h), 4, ROBOTS, SPEC.n)

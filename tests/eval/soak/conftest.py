@@ -1,0 +1,27 @@
+from types import SimpleNamespace
+
+import pytest
+from rich.console import Console
+
+from deploy.policy.policy import Policy
+from eval.statistics.budget import BUDGET
+from support.arm6 import SPEC
+from support.policies import policy_model, saved
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory):
+    """A soak of 4.7 s of two shards, the second not full, of a policy that throws the arms about.
+
+    `soak`; `kept`, the folder of its checkpoints and bundles; `shards`, its results. Nobody may change them.
+    """
+    from eval.soak.configuration import Soak
+    from eval.soak.shard import WIDTH
+    from eval.soak.workers import run_soak
+
+    folder = tmp_path_factory.mktemp("finished")
+    path = saved(policy_model(), folder)
+    options = {"budget": BUDGET, "hours": 0.0013, "robots": WIDTH + 2, "seed": 3, "workers": 1}
+    soak = Soak(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **options)
+    shards = run_soak(soak, folder / "kept", Console(quiet=True))
+    return SimpleNamespace(soak=soak, kept=folder / "kept", shards=shards)
