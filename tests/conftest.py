@@ -1,4 +1,8 @@
 import json
+import os
+
+# Threads of torch that wait for each other sleep: otherwise they take the cores from other tests' processes.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numpy as np
 import pytest
