@@ -10,7 +10,6 @@ from rich.console import Console
 
 from support.arm6 import SPEC
 from support.eval.shards import job
-from support.policies import policy_model, saved
 
 pytest.importorskip("mujoco")
 
