@@ -45,7 +45,8 @@ class Motion(NamedTuple):
         robots = len(self.qd) // 2
         qd = np.concatenate((self.qd[:robots], self.qd_peak[:robots]))
         velocity = self.kinematics.tool_velocity(qd, robots=slice(0, robots))
-        return np.asarray(np.vecdot(velocity, velocity)[:, None])
+        squared: Floats = np.vecdot(velocity, velocity)
+        return squared[:, None]
 
 
 class Pose(NamedTuple):
@@ -65,7 +66,8 @@ class Pose(NamedTuple):
     def tool_radius_squared(self) -> Floats:
         """(R, 1) m², squared distance of the tool from the workspace's centre."""
         arm = self.kinematics.tool_position - self.workspace_centre
-        return np.asarray(np.vecdot(arm, arm)[:, None])
+        squared: Floats = np.vecdot(arm, arm)
+        return squared[:, None]
 
 
 class Limits(NamedTuple):

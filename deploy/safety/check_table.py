@@ -73,11 +73,12 @@ class CheckTable:
                 )
         self._verified = True
 
-    def reasons(self, values: Floats) -> Ints:
-        """Return (R,) bit sets of `Reason`, 0 where every value is inside its bounds."""
-        inside = (values >= self._low) & (values <= self._high)
+    def reasons(self, values: Floats) -> Ints | None:
+        """Return (R,) bit sets of `Reason`; None where every value of every row is inside its bounds."""
+        inside = values >= self._low
+        inside &= values <= self._high
         if all_true(inside):
-            return np.zeros(len(values), dtype=np.int64)
+            return None
         return np.asarray(np.bitwise_or.reduce(self._given(values, inside), axis=1))
 
     def _given(self, values: Floats, inside: Bools) -> Ints:

@@ -76,30 +76,34 @@ class Safety:
             q_rest: (B, n) rad, where it would end.
         """
         robots = len(q_rest)
-        q, qd, qdd = (np.concatenate(pair) for pair in zip(setpoint, ahead, strict=True))
+        # One call to concatenate takes half of the time that three take.
+        pairs = np.concatenate((setpoint.q, ahead.q, setpoint.qd, ahead.qd, setpoint.qdd, ahead.qdd))
+        q, qd, qdd = pairs.reshape(3, 2 * robots, -1)
         tau = self._drives.torque(state, q, qd, qdd)
         # A drive whose current is limited has less to give than its range.
         needed = (
             tau if all_true(state.fold == 1.0) else np.concatenate((tau[:robots] / state.fold, tau[robots:]))
         )
         poses = begin, mid_stop, rest = self._drives.expected_poses(state, setpoint.q, q_mid_stop, q_rest)
-        kinematics = self._kinematics(np.concatenate((begin, rest)))
+        expected, targets = np.concatenate((begin, rest, setpoint.q, q_rest)).reshape(2, 2 * robots, -1)
+        kinematics = self._kinematics(expected)
         # A stop first brings the acceleration to zero, and the speed that it gains until then counts.
         qd_peak = qd + qdd * np.abs(qdd) / self.twice_jerk
         motion = Motion(q, qd, qd_peak, needed, kinematics)
-        ends = Pose(np.concatenate((setpoint.q, q_rest)), kinematics, self._centre)
+        ends = Pose(targets, kinematics, self._centre)
         middle = self._fleet_mid_stop.kinematics(mid_stop, jacobians=False)
         plan = self._plan.values(motion, ends, ends)
         belief = self._belief.values(Belief(state, sent), Pose(q_mid_stop, middle, self._centre))
-        by_point, reason = self._plan.reasons(plan), self._belief.reasons(belief)
-        reason |= by_point[:robots] | by_point[robots:]
+        reason = _or_zeros(self._belief.reasons(belief), robots)
+        if (by_point := self._plan.reasons(plan)) is not None:
+            reason |= by_point[:robots] | by_point[robots:]
         values = plan, belief
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:], poses=poses, values=values)
 
     def check_poses(self, q: Floats) -> Ints:
         """Return (R,) bit sets of `Reason` against poses (R, n) rad; R is the width of the fleet."""
         pose = Pose(q, self._kinematics(q), self._centre)
-        return self._poses.reasons(self._poses.values(pose, pose))
+        return _or_zeros(self._poses.reasons(self._poses.values(pose, pose)), len(q))
 
     def _kinematics(self, q: Floats) -> Kinematics:
         return self._fleet.kinematics(q, jacobians=self._jacobians)
@@ -128,3 +132,7 @@ class Safety:
         """
         gap, *names = self._fleet.nearest_shapes(np.stack([pose[robot] for pose in verdict.poses]))
         return tuple(names) if gap < self._gap_max else ()
+
+
+def _or_zeros(reasons: Ints | None, rows: int) -> Ints:
+    return np.zeros(rows, dtype=np.int64) if reasons is None else reasons

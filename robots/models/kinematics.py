@@ -38,7 +38,7 @@ class Kinematics:
     are in the world; of a robot with a floating base, in the frame of its root body.
     """
 
-    __slots__ = ("_colliding", "_frames", "_jacobians", "_points")
+    __slots__ = ("_colliding", "_frames", "_jacobians", "_points", "_tool")
 
     def __init__(
         self, frames: Frames, points: Floats, jacobians: Floats | None, colliding: Bools | None
@@ -52,13 +52,14 @@ class Kinematics:
             colliding: (B,) whether shapes are too near; None where it was not computed.
         """
         self._frames, self._points, self._jacobians, self._colliding = frames, points, jacobians, colliding
+        self._tool = points[:, 0] if frames.has_tool else None
 
     @property
     def tool_position(self) -> Floats:
         """(B, 3) m, the tool."""
-        if not self._frames.has_tool:
+        if self._tool is None:
             raise RuntimeError("tool position: the robot has no tool")
-        return self._points[:, 0]
+        return self._tool
 
     @property
     def colliding(self) -> Bools:
@@ -73,9 +74,8 @@ class Kinematics:
             raise RuntimeError("velocity or manipulability: kinematics were computed without Jacobians")
         return self._jacobians
 
-    @property
-    def _tool_jacobian(self) -> Floats:
-        jacobian, joints = self._jacobian, self._frames.tool_joints
+    def _tool_jacobian(self, robots: slice) -> Floats:
+        jacobian, joints = self._jacobian[robots], self._frames.tool_joints
         return jacobian if joints is None else jacobian * joints
 
     def tool_velocity(self, qd: Floats, robots: slice = slice(None)) -> Floats:
@@ -85,14 +85,15 @@ class Kinematics:
             qd: joint speeds, a whole number of times as many rows as robots are chosen.
             robots: the robots.
         """
-        jacobian, crossing = self._tool_jacobian[robots], _crossing(self.tool_position[robots])
-        twist = np.matvec(jacobian, qd.reshape(-1, len(jacobian), qd.shape[1]))
-        return np.asarray((twist[..., :3] + np.matvec(crossing, twist[..., 3:])).reshape(-1, 3))
+        jacobian, crossing = self._tool_jacobian(robots), _crossing(self.tool_position[robots])
+        twist: Floats = np.matvec(jacobian, qd.reshape(-1, len(jacobian), qd.shape[1]))
+        velocity: Floats = twist[..., :3] + np.matvec(crossing, twist[..., 3:])
+        return velocity.reshape(-1, 3)
 
     def torque_of_tool_force(self, force: Floats) -> Floats:
         """Return (B, n) N·m, the joint torques Jᵀf that equal a force f (B, 3) N on the tool."""
         wrench = np.concatenate((force[:, None], force[:, None] @ _crossing(self.tool_position)), axis=2)
-        return np.asarray((wrench @ self._tool_jacobian)[:, 0])
+        return np.asarray((wrench @ self._tool_jacobian(slice(None)))[:, 0])
 
     def manipulability(self) -> Floats:
         """Return (B,) √det(JᵀJ), or √det(JJᵀ) for more than six joints: 0 in a singularity.
@@ -109,7 +110,7 @@ class Kinematics:
         if jacobian.shape[2] != 6:
             jacobian = jacobian.copy()
             jacobian[:, :3] += _crossing(self.tool_position) @ jacobian[:, 3:]
-        return np.asarray(self._frames.home_sign * yoshikawa(jacobian))
+        return self._frames.home_sign * yoshikawa(jacobian)
 
     @property
     def _feet(self) -> Floats:
@@ -139,7 +140,8 @@ def yoshikawa(jacobian: Floats) -> Floats:
     """Return (R,) det J of tool Jacobians (R, 6, 6), Yoshikawa's measure of others (R, 6, n)."""
     n = jacobian.shape[2]
     if n == 6:
-        return np.asarray(np.linalg.det(jacobian))
+        det: Floats = np.linalg.det(jacobian)
+        return det
     transposed = jacobian.transpose(0, 2, 1)
     gram = transposed @ jacobian if n < 6 else jacobian @ transposed
     return np.asarray(np.sqrt(np.maximum(np.linalg.det(gram), 0.0)))
