@@ -1,7 +1,7 @@
 """Capabilities: parts that a robot may have beside joints, each optional on its own.
 
 Safety checks, monitors, observation sources and log columns name the capabilities that they need; a robot gets those
-whose needs it meets. Nothing else asks what kind of robot it is.
+whose needs it meets. No other code depends on the kind of robot.
 """
 
 from typing import Literal, TypeVar

@@ -110,7 +110,7 @@ class Margins(Strict):
         winding_k, winding_share: K, and share of its rise over the housing, by which a winding may be hotter than
             estimated: the robot latches when it may have come to winding_max_c.
         fold_min: share of its current that a motor keeps there. From winding_soft_c on it falls to this share.
-        pace_min: share of speed and acceleration that the robot is still asked for there: low enough for the motion
+        pace_min: share of speed and acceleration that setpoints keep there: low enough for the motion
             to need no more current than is left, gravity included.
     """
 

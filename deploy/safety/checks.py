@@ -104,7 +104,7 @@ BELIEF: tuple[Check[Belief], ...] = (
         needs=frozenset({"floating_base"}),
     ),
 )
-"""Of the estimate."""
+"""Checks of the estimate."""
 
 MOTION: tuple[Check[Motion], ...] = (
     Check(
@@ -149,7 +149,7 @@ MOTION: tuple[Check[Motion], ...] = (
         needs=frozenset({"workspace"}),
     ),
 )
-"""Of a setpoint, and of the first step of the stop that would begin there."""
+"""Checks of a setpoint, and of the first step of the stop that would begin there."""
 
 POSE: tuple[Check[Pose], ...] = (
     Check(
@@ -168,7 +168,7 @@ POSE: tuple[Check[Pose], ...] = (
         needs=frozenset({"manipulability"}),
     ),
 )
-"""Of the poses at a setpoint and at the end of its stop."""
+"""Checks of the poses at a setpoint and at the end of its stop."""
 
 PLACE: tuple[Check[Pose], ...] = (
     Check(
@@ -198,7 +198,7 @@ PLACE: tuple[Check[Pose], ...] = (
         needs=frozenset({"workspace"}),
     ),
 )
-"""Of the poses at a setpoint, in the middle of its stop and at its end; velocities are not known there."""
+"""Checks of the poses at a setpoint, in the middle of its stop and at its end, without velocities."""
 
 
 class Checks(NamedTuple):

@@ -33,9 +33,9 @@ CATEGORY_1 = (
 
 _DISARMED, _ARMING, _RUNNING, _STOPPING, _HOLDING, _LATCHED = (np.int8(mode) for mode in Mode)
 _LATCHING = np.int64(CATEGORY_1)
-"""As numpy's own numbers, which are five times as fast as an enumeration's."""
+"""Numbers of numpy, which are five times as fast as an enumeration's."""
 _POWERED = np.array([mode not in (Mode.DISARMED, Mode.LATCHED) for mode in Mode])
-"""Whether drives are on, by mode."""
+"""True for modes with drives on."""
 
 REASON_TEXT = {
     Reason.POSITION: "a joint would leave its working range",

@@ -98,7 +98,7 @@ class PairChecks:
             request.security_margin = margin
 
     def check(self, model: pin.Model, data: pin.Data) -> Bools | bool:
-        """As `Collisions.check`, for these pairs; ordered by copy, as the pairs are."""
+        """Check these pairs, as `Collisions.check`; ordered by copy, as the pairs are."""
         pin.updateGeometryPlacements(model, data, self._geometry, self.placements)
         if not pin.computeCollisions(self._geometry, self.placements, False):
             return False

@@ -62,7 +62,7 @@ class Blocks:
         self._pairs = prune_pairs(spec, self._model, self._geometry, pairs)
 
     def nearest_shapes(self, poses: Floats) -> tuple[float, str, str]:
-        """As `Fleet.nearest_shapes`."""
+        """Return the nearest shapes, as `Fleet.nearest_shapes`."""
         return nearest_shapes(self._model, self._geometry, self._pairs, poses)
 
     def block(self, copies: int) -> Block:
