@@ -41,8 +41,9 @@ from eval.bench.stages import SEED, stages
 from eval.bench.walk import walk
 from eval.judge.counts import merge
 from eval.judge.monitors import MONITORS
-from eval.soak.configuration import Soak
-from eval.soak.shard import WIDTH, Shard, ShardJob
+from eval.shard.job import WIDTH, ShardJob
+from eval.shard.shard import Shard
+from eval.soak.configuration import SoakConfig
 from eval.soak.workers import run_soak
 from eval.statistics.budget import BUDGET, check, load_budget
 from robots.errors import ConfigError
@@ -127,7 +128,7 @@ def work(spec: RobotSpec, policy: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         idle = make_idle(policy, Path(folder, "idle.onnx"))
         for path, hours in ((policy, 0.5), (idle, 0.05)):
-            soak = Soak(
+            soak = SoakConfig(
                 spec=spec,
                 policy=Policy.load(path, spec),
                 policy_path=path,

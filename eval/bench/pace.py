@@ -16,8 +16,9 @@ from rich.table import Table
 
 from deploy.policy.policy import Policy
 from eval.bench.stages import SEED, Bench
-from eval.replay.event_capture import Witness
-from eval.soak.shard import WIDTH, Shard, ShardJob
+from eval.replay.event_capture import EventCapture
+from eval.shard.job import WIDTH, ShardJob
+from eval.shard.shard import Shard
 from robots.spec import RobotSpec, load_robot
 
 WORKERS = 2
@@ -58,7 +59,7 @@ def _crew(workers: int, live: Callable[..., None], *told: Any) -> NDArray[np.flo
 
 
 def _live(folder: Path, policy: Path, number: int, together: Any, into: Any) -> None:
-    """A worker: a shard and its witness, then the same steps of physics and nothing else, again and again."""
+    """A worker: a shard and its capture, then the same steps of physics and nothing else, again and again."""
     spec = load_robot(folder)
     job = ShardJob(
         robot=folder,
@@ -73,12 +74,12 @@ def _live(folder: Path, policy: Path, number: int, together: Any, into: Any) -> 
     )
     with tempfile.TemporaryDirectory() as events:
         shard = Shard(job)
-        witness = Witness(job, shard, Path(events))
+        capture = EventCapture(job, shard, Path(events))
 
         def shift(seconds: float) -> None:
             for _ in range(round(seconds / spec.dt)):
                 shard.tick()
-                witness.watch(shard)
+                capture.observe(shard)
 
         shift(WARM_S)
         gc.collect()

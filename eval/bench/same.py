@@ -14,8 +14,9 @@ from rich.console import Console
 
 from deploy.policy.policy import Policy
 from eval.bench.stages import SEED
-from eval.soak.configuration import Soak
-from eval.soak.shard import WIDTH, ShardResult
+from eval.shard.job import WIDTH
+from eval.shard.results import ShardResult
+from eval.soak.configuration import SoakConfig
 from eval.soak.workers import run_soak
 from eval.statistics.budget import BUDGET
 from robots.spec import RobotSpec
@@ -52,7 +53,7 @@ def same(spec: RobotSpec, policy: Path, console: Console) -> None:
 
 
 def _soak(spec: RobotSpec, policy: Path, workers: int, folder: Path) -> list[ShardResult]:
-    soak = Soak(
+    soak = SoakConfig(
         spec=spec,
         policy=Policy.load(policy, spec),
         policy_path=policy,

@@ -14,7 +14,8 @@ from deploy.policy.policy import Policy
 from eval.bench.plain import plain_rate
 from eval.bench.stopwatch import Stopwatch
 from eval.judge.judge import Judge
-from eval.soak.shard import ARM_S, WIDTH, judge_tick
+from eval.shard.job import ARM_S, WIDTH
+from eval.shard.judging import judge_tick
 from robots.models.mujoco_model import INPUTS, load_mujoco
 from robots.models.nominal_model import torque_max
 from robots.randomness import robot_seed

@@ -8,7 +8,9 @@ import numpy as np
 from deploy.backends.sim.backend import simulate
 from deploy.policy.policy import Policy
 from eval.judge.judge import Judge
-from eval.soak.shard import ARM_S, LOOK_S, judge_tick, rearm
+from eval.shard.job import ARM_S, POLL_S
+from eval.shard.judging import judge_tick
+from eval.shard.shard import rearm
 from robots.arrays import Floats
 from robots.draws import Draw
 from robots.models.nominal_model import torque_max
@@ -50,7 +52,7 @@ class Trial:
     def live(self, seconds: float) -> Iterator[None]:
         """Tick after tick, each judged, as a shard lives them: armed at first, and by an operator after a latch."""
         spec = self.runtime.spec
-        look = round(LOOK_S / spec.dt)
+        look = round(POLL_S / spec.dt)
         for tick in range(round(seconds / spec.dt)):
             if tick == round(ARM_S / spec.dt):
                 self.runtime.arm(np.ones(self.robot.robots, dtype=bool))

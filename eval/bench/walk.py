@@ -21,7 +21,7 @@ from deploy.state import Mode
 from deploy.tasks.velocity import Velocity
 from eval.bench.stopwatch import Stopwatch
 from eval.bench.trial import Trial
-from eval.soak.shard import ARM_S
+from eval.shard.job import ARM_S
 from robots.arrays import Floats
 from robots.distributions import load_distributions
 from robots.draws import median_draw

@@ -9,7 +9,7 @@ import numpy as np
 from deploy.backends.sim.sensor_faults import Fault
 from eval.faults.catalogue import catalogue
 from eval.faults.fault_class import FaultClass, Injection, SensorFault
-from eval.soak.profile import HOURS_MAX, Faults
+from eval.faults.settings import HOURS_MAX, FaultSettings
 from robots.randomness import Keys, generator_at, stream_keys
 from robots.sensors import Kind
 from robots.spec import RobotSpec
@@ -75,13 +75,17 @@ class Schedule:
         )
 
 
-def hours_max(faults: Faults | None) -> float:
+def hours_max(faults: FaultSettings | None) -> float:
     """Return the most hours that can be simulated; None for no faults."""
     return min(HOURS_MAX, (FIRST_S + SLOTS_MAX * faults.cycle_s) / 3600) if faults else HOURS_MAX
 
 
 def plan(
-    spec: RobotSpec, faults: Faults | None, seeds: Sequence[np.random.SeedSequence], first: int, ticks: int
+    spec: RobotSpec,
+    faults: FaultSettings | None,
+    seeds: Sequence[np.random.SeedSequence],
+    first: int,
+    ticks: int,
 ) -> Schedule:
     """Plan slots of equal length, with one fault and the time to recover in each slot of every robot.
 

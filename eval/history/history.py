@@ -1,23 +1,22 @@
-"""A folder of nights: each is a file of its own, written whole or not at all, and never written again."""
+"""History: a folder with one file for each finished soak, written whole or not at all and never overwritten."""
 
 from collections.abc import Iterator
 from datetime import UTC
 from pathlib import Path
 
 from deploy.telemetry.output_files import replacing
-from eval.history.night_record import Night, Settings
-from eval.report.schema.report_data import Report
-from eval.statistics.pooling import same_identity
+from eval.history.pooling import same_identity
+from eval.history.soak_record import Settings, SoakRecord
 from robots.errors import ConfigError
 from robots.strict import parse, read_json
 
-SUFFIX = ".night.json"
+SUFFIX = ".soak.json"
 CHARACTERS_MAX = 1 << 28
-"""Of a night, and of a report."""
+"""Upper bound of the size of a record or report."""
 
 
 def claim_history(folder: Path) -> None:
-    """Make `folder` and prove, before hours are spent, that a night can be kept there.
+    """Make `folder` and check, before hours are spent, that a record can be written there.
 
     Raises:
         OutputError: it cannot.
@@ -25,73 +24,80 @@ def claim_history(folder: Path) -> None:
     probe = folder / ".probe"
     with replacing(probe, option="--history"):
         pass
-    probe.unlink(missing_ok=True)  # who claims it at the same time deletes the probe of both
+    probe.unlink(missing_ok=True)  # another soak that claims the folder at the same time deletes it too
 
 
-def keep(night: Night, folder: Path) -> Path:
-    """Write the night that `night` is, without the rest of a report, under a name of its own.
+def add_record(record: SoakRecord, folder: Path) -> Path:
+    """Write the fields of `SoakRecord`, without the rest of a report, to a new file and return its path.
 
     Raises:
         OutputError: it cannot be written.
     """
-    path = next(place for place in _names(night, folder) if not place.exists())
+    path = next(place for place in _names(record, folder) if not place.exists())
     with replacing(path, option="--history") as file:
-        file.write_text(night.model_dump_json(include={*Night.model_fields}, indent=1), encoding="utf-8")
+        file.write_text(
+            record.model_dump_json(include={*SoakRecord.model_fields}, indent=1), encoding="utf-8"
+        )
     return path
 
 
-def _names(night: Night, folder: Path) -> Iterator[Path]:
-    """By start and seed; in the case of two in the same second, by number."""
-    name, number = f"{night.run.moment.astimezone(UTC):%Y%m%dT%H%M%SZ}-seed{night.settings.seed}", 1
+def _names(record: SoakRecord, folder: Path) -> Iterator[Path]:
+    """Candidate paths: start time and seed, then with a number for soaks that began in the same second."""
+    name = f"{record.run.moment.astimezone(UTC):%Y%m%dT%H%M%SZ}-seed{record.settings.seed}"
+    number = 1
     yield folder / f"{name}{SUFFIX}"
     while True:
         number += 1
         yield folder / f"{name}-{number}{SUFFIX}"
 
 
-def read_history(folder: Path) -> dict[str, Night]:
-    """The nights in `folder` by file, in the order of time.
+def read_history(folder: Path) -> dict[str, SoakRecord]:
+    """Return the records in `folder` by file name, in the order of their start.
 
     Raises:
-        ConfigError: one cannot be read, was edited, or was asked for another task than the first.
+        ConfigError: a file cannot be read, was edited, or has another task than the first.
     """
     files = sorted(path for path in folder.glob(f"*{SUFFIX}") if not path.name.startswith("."))
-    nights = {str(path): read_night(path) for path in files}
-    in_time = dict(sorted(nights.items(), key=lambda each: each[1].run.moment))
-    if in_time:
-        name, first = next(iter(in_time.items()))
-        same_task(in_time, first.settings, name)
-    return in_time
+    records = {str(path): read_record(path) for path in files}
+    by_time = dict(sorted(records.items(), key=lambda item: item[1].run.moment))
+    if by_time:
+        name, first = next(iter(by_time.items()))
+        same_task(by_time, first.settings, name)
+    return by_time
 
 
-def same_task(nights: dict[str, Night], settings: Settings, name: str) -> None:
-    """Refuse nights that were asked for another task than `settings`, which are those of `name`.
+def same_task(records: dict[str, SoakRecord], settings: Settings, name: str) -> None:
+    """Check that the task of every record is that of `settings`, which belong to `name`.
 
     Raises:
         ConfigError: naming the file and the first field that differs.
     """
-    for path, night in nights.items():
-        same_identity(settings.task, night.settings.task, names=(name, path))
+    for path, record in records.items():
+        same_identity(settings.task, record.settings.task, names=(name, path))
 
 
-def read_night(path: Path) -> Night:
-    """A night from its file, from a report.json, or from the folder of one.
+def read_record(path: Path, report: type[SoakRecord] = SoakRecord) -> SoakRecord:
+    """Read the record of a finished soak.
+
+    Args:
+        path: a file of a history, a report.json, or the folder of one.
+        report: schema of a report.json, which has more fields.
 
     Raises:
-        ConfigError: it cannot be read, was edited, or did not end.
+        ConfigError: it cannot be read, was edited, or is of an interrupted soak.
     """
     path = path / "report.json" if path.is_dir() else path
     data = read_json(_text(path), str(path), CHARACTERS_MAX)
-    of_report = isinstance(data, dict) and "monitors" in data
-    night = parse(data, Report if of_report else Night, source=str(path))
-    found, expected = night.results_digest, night.sealed()
+    is_report = isinstance(data, dict) and "monitors" in data
+    record = parse(data, report if is_report else SoakRecord, source=str(path))
+    found, expected = record.results_digest, record.sealed()
     if found != expected:
         raise ConfigError(
             f"{path}: results_digest: found {found:.12}, expected {expected:.12}: edited or damaged"
         )
-    if night.run.interrupted:
-        raise ConfigError(f"{path}: run.interrupted: found true, expected a soak that ran to its end")
-    return night
+    if record.run.interrupted:
+        raise ConfigError(f"{path}: run.interrupted: found true, expected a finished soak")
+    return record
 
 
 def _text(path: Path) -> str:

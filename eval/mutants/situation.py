@@ -14,7 +14,8 @@ from deploy.policy.observation_terms import Term
 from deploy.runtime import Runtime
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
-from eval.soak.shard import ARM_S, judge_tick
+from eval.shard.job import ARM_S
+from eval.shard.judging import judge_tick
 from robots.arrays import Floats
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw

@@ -1,72 +1,62 @@
-"""One event to take away: a folder with all that it takes to live it again, here or elsewhere.
+"""Bundle of one event: a folder with everything needed to replay it on any machine.
 
-It holds data only. Every file is listed with its digest, every array is compared with the one that it takes the place
-of before it is read, and nothing in it is executed but the policy's graph, by the rules of every policy.
+It contains data only. bundle.json lists every file with its SHA-256, every array is checked against the expected
+shape before it is read, and nothing is executed except the policy's graph, by the rules for every policy.
 """
 
 import hashlib
-import io
-import os
-import secrets
-import shutil
-import zipfile
-import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from deploy.stage import Arrays
+from eval.faults.settings import FaultSettings
 from eval.judge.counts import Event
 from eval.judge.monitors import NAMES
-from eval.soak.fingerprint import code_digest, processor, versions
-from eval.soak.profile import Faults
-from robots.errors import ConfigError, OutputError
+from eval.shard.fingerprint import code_digest, processor, versions
+from robots.errors import ConfigError
 from robots.models.files import referenced_files
 from robots.spec import RobotSpec
 from robots.strict import Strict, parse, read_json
 
-ABOUT, STATE, WINDOW, MCAP = "bundle.json", "state.npz", "window.npz", "window.mcap"
+INFO, STATE, WINDOW, MCAP = "bundle.json", "state.npz", "window.npz", "window.mcap"
 POLICY, DRAWS, ROBOT = "policy.onnx", "draws.json", "robot"
 TABLES = ("robot.toml", "draws.toml", "limits.toml")
 FILES = (STATE, WINDOW, MCAP, POLICY, DRAWS, *(f"{ROBOT}/{name}" for name in TABLES))
-"""Of every bundle; beside them lie the robot's model and what that names."""
+"""Files of every bundle; the robot's model and its meshes are added."""
 FILE_BYTES_MAX = 64 << 20
-"""Of each file of a bundle."""
-ABOUT_CHARACTERS_MAX = 1 << 16
+"""Upper bound of each file of a bundle."""
+INFO_CHARACTERS_MAX = 1 << 16
 
 Count = Annotated[int, Field(ge=0, le=1 << 53)]
 
 
-def _known(monitor: str) -> str:
+def _known_monitor(monitor: str) -> str:
     if monitor not in NAMES:
         raise ValueError(f"expected one of {', '.join(NAMES)}")
     return monitor
 
 
-class Happened(Strict):
-    """What the judge saw, as it stood at the end of the window.
+class EventRecord(Strict):
+    """Event as the judge recorded it, at the end of the window.
 
     Attributes:
         robot: its number in the soak. joint: None for a monitor of the whole robot.
-        start, ticks: first bad control tick, and how many from it to the last bad one.
-        worst: the highest load, a fraction of the limit; None where it was no number.
+        start, ticks: first bad control tick, and number of ticks from it to the last bad one.
+        worst: the highest load, as a fraction of the limit; None if not finite.
     """
 
     robot: Count
-    monitor: Annotated[str, AfterValidator(_known)]
+    monitor: Annotated[str, AfterValidator(_known_monitor)]
     joint: str | None
     start: Count
     ticks: Count
     worst: float | None
 
     @classmethod
-    def of(cls, event: Event, first: int) -> "Happened":
-        """An event of the shard whose first robot is `first`."""
+    def from_event(cls, event: Event, first: int) -> "EventRecord":
+        """Return the record of an event in the shard whose first robot is `first`."""
         return cls(
             robot=first + event.robot,
             monitor=event.monitor.name,
@@ -76,38 +66,38 @@ class Happened(Strict):
             worst=event.worst if np.isfinite(event.worst) else None,
         )
 
-    def said(self) -> dict[str, str]:
-        """For readers of a recording."""
+    def as_text(self) -> dict[str, str]:
+        """Return the fields as strings, for the metadata of a recording."""
         return {name: str(value) for name, value in self.model_dump().items()}
 
 
-class Job(Strict):
-    """Of the shard that lived it: see `eval.soak.shard.ShardJob`."""
+class JobRecord(Strict):
+    """Job of the event's shard: see `eval.shard.job.ShardJob`."""
 
     seed: Annotated[int, Field(ge=0)]
     first: Count
     robots: Count
     ticks: Count
     sample_ticks: Annotated[Count, Field(ge=1)]
-    faults: Faults | None
+    faults: FaultSettings | None
 
 
-class About(Strict):
-    """bundle.json.
+class BundleInfo(Strict):
+    """Contents of bundle.json.
 
     Attributes:
-        version: of this layout.
-        identity: what the bits depend on, by name.
+        version: of the format.
+        identity: everything that the bits depend on, by name.
         begin, end: control ticks: state.npz is before tick `begin`, the window ends before tick `end`.
-        end_digest: of the shard's whole state before tick `end`.
+        end_digest: SHA-256 of the shard's whole state before tick `end`.
         files: SHA-256 by name.
-        digest: SHA-256 of all the above.
+        digest: SHA-256 of all fields above.
     """
 
     version: Literal[1] = 1
     identity: dict[str, str]
-    job: Job
-    event: Happened
+    job: JobRecord
+    event: EventRecord
     begin: Count
     end: Count
     end_digest: str
@@ -115,137 +105,72 @@ class About(Strict):
     digest: str = ""
 
     def sealed(self) -> str:
-        """What `digest` must be."""
+        """Return the correct value of `digest`."""
         return hashlib.sha256(self.model_dump_json(exclude={"digest"}).encode()).hexdigest()
 
 
 def bundle_name(robot: int, start: int, monitor: str) -> str:
-    """The folder of an event: by the robot's number in the soak, its first tick and its monitor."""
+    """Return the folder name of an event: robot's number in the soak, first tick and monitor."""
     return f"{robot:04}-{start:08}-{monitor}"
 
 
 def robot_files(spec: RobotSpec) -> tuple[str, ...]:
-    """What it takes to read a robot again, by place in its folder: its tables, its model, and what that names.
+    """Return the files of a robot, relative to its folder: tables, model, and the files that the model names.
 
     Raises:
-        RobotError: the model cannot be read, or it names what is not there.
+        RobotError: the model cannot be read, or a file that it names is missing.
     """
     model = (spec.model_path, *referenced_files(spec.model_path, spec.folder))
     return *TABLES, *(path.relative_to(spec.folder).as_posix() for path in model)
 
 
 def identity(robot_digest: str, draws_digest: str, policy_digest: str) -> dict[str, str]:
-    """What the bits of a shard depend on here and now, beside its job."""
-    own = {"robot_digest": robot_digest, "draws_digest": draws_digest, "policy_digest": policy_digest}
-    return {**own, "code_digest": code_digest(), **versions(), "processor": processor()}
+    """Return everything that the bits of a shard depend on, here and now, besides its job."""
+    inputs = {"robot_digest": robot_digest, "draws_digest": draws_digest, "policy_digest": policy_digest}
+    return {**inputs, "code_digest": code_digest(), **versions(), "processor": processor()}
 
 
-def state_digest(arrays: Mapping[str, NDArray[np.generic]]) -> str:
-    """SHA-256 of arrays: their names, kinds, shapes and bits."""
-    digest = hashlib.sha256()
-    for name, array in sorted(arrays.items()):
-        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
-
-
-@contextmanager
-def filling(place: Path) -> Iterator[Path]:
-    """An empty folder beside `place`, to be filled; it takes the place of `place` when the block ends well.
-
-    Only the folder of bundles is made where it is missing, not the one that it lies in.
-
-    Raises:
-        OutputError: the place cannot be written.
-    """
-    partial = place.with_name(f".{secrets.token_hex(4)}.{place.name}")
-    try:
-        place.parent.mkdir(exist_ok=True)
-        (partial / ROBOT).mkdir(parents=True)
-        try:
-            yield partial
-            if place.exists():
-                shutil.rmtree(place)
-            partial.rename(place)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
-    except OSError as e:
-        raise OutputError(f"{place}: cannot be written: {e.strerror}") from e
-
-
-def clear_bundles(folder: Path, *, all_of_them: bool) -> None:
-    """Delete the bundles in `folder`, or only those that a soak that was cut short left unfinished.
-
-    Raises:
-        OutputError: they cannot be deleted.
-    """
-    unfinished = {place.parent for place in folder.glob(f".*/{ROBOT}")}
-    whole = {place.parent for place in folder.glob(f"*/{ABOUT}") if all_of_them}
-    try:
-        for place in unfinished | whole:
-            shutil.rmtree(place)
-    except OSError as e:
-        raise OutputError(f"{place}: cannot be deleted: {e.strerror}") from e
-
-
-def move_bundles(source: Path, place: Path) -> None:
-    """Put the bundles in `source` in the place of those in `place`; what is empty then goes.
-
-    Raises:
-        OutputError: they cannot be moved.
-    """
-    clear_bundles(place, all_of_them=True)
-    try:
-        for about in source.glob(f"*/{ABOUT}"):
-            place.mkdir(exist_ok=True)
-            about.parent.rename(place / about.parent.name)
-    except OSError as e:
-        raise OutputError(f"{place}: cannot be written: {e.strerror}") from e
-    with suppress(OSError):
-        os.removedirs(source)
-
-
-def bundles(folder: Path) -> list[str]:
-    """Of the bundles in `folder`, that a report beside it can be told of: their places as seen from the report."""
-    return sorted(f"{folder.name}/{about.parent.name}" for about in folder.glob(f"[!.]*/{ABOUT}"))
-
-
-def seal(folder: Path, about: About) -> None:
-    """Write bundle.json, with the digests of the files that `folder` holds."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file() and path != folder / ABOUT)
+def seal(folder: Path, info: BundleInfo) -> None:
+    """Write bundle.json with the digests of all files in `folder`."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and path != folder / INFO)
     digests = {path.relative_to(folder).as_posix(): _digest(path.read_bytes()) for path in files}
-    listed = about.model_copy(update={"files": digests})
-    whole = listed.model_copy(update={"digest": listed.sealed()})
-    (folder / ABOUT).write_text(whole.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    listed = info.model_copy(update={"files": digests})
+    complete = listed.model_copy(update={"digest": listed.sealed()})
+    (folder / INFO).write_text(complete.model_dump_json(indent=1) + "\n", encoding="utf-8")
 
 
-def open_bundle(folder: Path) -> About:
-    """Read bundle.json and see that every file is there and what it was.
+def open_bundle(folder: Path) -> BundleInfo:
+    """Read bundle.json and check that every file exists and is unchanged.
 
     Raises:
-        ConfigError: naming the file, the field, what was found and what was expected.
+        ConfigError: naming the file, the field, the value found and the value expected.
     """
-    path = folder / ABOUT
-    text = _read(path, ABOUT_CHARACTERS_MAX).decode("utf-8", errors="replace")
-    about = parse(read_json(text, str(path), ABOUT_CHARACTERS_MAX), About, source=str(path))
-    _same(path, "digest", about.digest, about.sealed())
-    for name in sorted({*FILES} - {*about.files}):
-        raise ConfigError(f"{path}: files: {name}: missing")
-    for name in sorted({*about.files} - {*FILES}):
-        place = PurePosixPath(name)
-        if place.parts[:1] != (ROBOT,) or ".." in place.parts:
-            raise ConfigError(f"{path}: files: {name}: unknown")
-    for name, digest in about.files.items():
-        _same(folder / name, "SHA-256", _digest(_read(folder / name, FILE_BYTES_MAX)), digest)
-    if not about.begin <= about.event.start < about.end <= about.job.ticks:
+    path = folder / INFO
+    text = _read(path, INFO_CHARACTERS_MAX).decode("utf-8", errors="replace")
+    info = parse(read_json(text, str(path), INFO_CHARACTERS_MAX), BundleInfo, source=str(path))
+    _check_digest(path, "digest", info.digest, info.sealed())
+    _check_names(path, info)
+    for name, digest in info.files.items():
+        _check_digest(folder / name, "SHA-256", _digest(_read(folder / name, FILE_BYTES_MAX)), digest)
+    if not info.begin <= info.event.start < info.end <= info.job.ticks:
         raise ConfigError(
-            f"{path}: found begin {about.begin}, event.start {about.event.start}, end {about.end}, job.ticks"
-            f" {about.job.ticks}, expected them in this order"
+            f"{path}: found begin {info.begin}, event.start {info.event.start}, end {info.end}, job.ticks"
+            f" {info.job.ticks}, expected them in this order"
         )
-    return about
+    return info
 
 
-def _same(path: Path, field: str, found: str, expected: str) -> None:
+def _check_names(path: Path, info: BundleInfo) -> None:
+    """All required files are listed, and others only below the robot's folder."""
+    for name in sorted({*FILES} - {*info.files}):
+        raise ConfigError(f"{path}: files: {name}: missing")
+    for name in sorted({*info.files} - {*FILES}):
+        parts = PurePosixPath(name).parts
+        if parts[:1] != (ROBOT,) or ".." in parts:
+            raise ConfigError(f"{path}: files: {name}: unknown")
+
+
+def _check_digest(path: Path, field: str, found: str, expected: str) -> None:
     if found != expected:
         raise ConfigError(f"{path}: {field}: found {found:.12}, expected {expected:.12}: damaged")
 
@@ -263,52 +188,3 @@ def _read(path: Path, bytes_max: int) -> bytes:
     if len(data) > bytes_max:
         raise ConfigError(f"{path}: found more than {bytes_max} bytes, expected at most that")
     return data
-
-
-def write_arrays(path: Path, arrays: Arrays) -> None:
-    """Store arrays as numpy's npz does, the same bytes whenever and wherever it is done."""
-    with zipfile.ZipFile(path, "w") as file:
-        for name, array in sorted(arrays.items()):
-            stream = io.BytesIO()
-            np.lib.format.write_array(stream, np.asanyarray(array), allow_pickle=False)
-            # A member that is named so has no date.
-            file.writestr(zipfile.ZipInfo(f"{name}.npy"), stream.getvalue(), zipfile.ZIP_DEFLATED)
-
-
-def read_arrays(path: Path, expected: Mapping[str, NDArray[np.generic]]) -> Arrays:
-    """What `write_arrays` stored, if its names, shapes and kinds are those of `expected`.
-
-    Raises:
-        ConfigError: naming the file and the array; nothing larger than expected is ever made.
-    """
-    try:
-        with zipfile.ZipFile(path) as file:
-            found = {name.removesuffix(".npy") for name in file.namelist()}
-            for name in sorted(found ^ expected.keys()):
-                raise ConfigError(f"{path}: {name:.80}: {'unknown' if name in found else 'missing'}")
-            return {name: _array(file, f"{path}: {name}", name, like) for name, like in expected.items()}
-    except (
-        OSError,
-        ValueError,
-        EOFError,
-        KeyError,
-        RuntimeError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as e:
-        raise ConfigError(f"{path}: cannot be read: {' '.join(str(e).split()):.200}") from e
-
-
-def _array(file: zipfile.ZipFile, where: str, name: str, like: NDArray[np.generic]) -> NDArray[np.generic]:
-    """One array; its header is believed only where it says what is expected."""
-    with file.open(f"{name}.npy") as stream:
-        version = np.lib.format.read_magic(stream)
-        if version != (1, 0):
-            raise ConfigError(f"{where}: found npy version {version}, expected (1, 0)")
-        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-        if (shape, dtype, fortran) != (like.shape, like.dtype, False):
-            raise ConfigError(f"{where}: found {dtype} {shape}, expected {like.dtype} {like.shape}")
-        data = stream.read(like.nbytes + 1)
-    if len(data) != like.nbytes:
-        raise ConfigError(f"{where}: found other than its {like.nbytes} bytes")
-    return np.frombuffer(data, dtype=dtype).reshape(shape)

@@ -1,4 +1,4 @@
-"""Some seconds in full: what every robot believed, was sent and truly did, tick by tick."""
+"""Recording window of all robots: estimates, commands and ground truth of every tick, and its MCAP file."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -37,46 +37,46 @@ TRUE_SCHEMA = {
 
 
 def window_type(spec: RobotSpec, goal_size: int) -> np.dtype[np.void]:
-    """One tick of one robot: what a robot records of itself, and what is true of it; flags are 0 or 1.
+    """Return the dtype of one tick of one robot: `row_type` and ground truth; flags are 0 or 1.
 
-    `base_true` is where a base is in the world, m, and its orientation, w first.
+    `base_true` is the position of a floating base in the world, m, and its orientation, w first.
     """
-    own = row_type(spec, goal_size)
+    recorded = row_type(spec, goal_size)
     true = [(name, np.float64, (spec.n,)) for name in TRUE]
     tool = [(name, np.float64, (3,)) for name in ("tool_true", "tool_velocity_true")]
     flags = [(name, np.float64) for name in FLAGS]
     base = [("base_true", np.float64, (7,))] if spec.base else []
-    return np.dtype([*((name, own[name]) for name in own.names or ()), *true, *tool, *flags, *base])
+    return np.dtype([*((name, recorded[name]) for name in recorded.names or ()), *true, *tool, *flags, *base])
 
 
 class Window(Ring):
-    """The last ticks of B robots, of `window_type`."""
+    """Ring buffer of the last ticks of B robots, of `window_type`."""
 
     def __init__(self, spec: RobotSpec, robots: int, goal_size: int, seconds: float) -> None:
-        """Allocate for B robots, under a task whose goals have so many numbers."""
+        """Allocate for B robots and goals of `goal_size` numbers."""
         super().__init__(spec, robots, window_type(spec, goal_size), seconds=seconds)
         self.rows["tick"] = -1
 
-    def see(self, runtime: Runtime, truth: Truth) -> None:
-        """Keep the tick that has just ended."""
+    def record(self, runtime: Runtime, truth: Truth) -> None:
+        """Append the tick that has just ended."""
         true = truth.q, truth.qd, truth.tau, truth.winding_c, truth.tool_position, truth.tool_velocity
         flags = runtime.command.powered, truth.self_collision, truth.valid
         base = () if truth.base is None else (truth.base.position, truth.base.quat_wxyz)
         self.step(runtime, (*true, *(flag[:, None] for flag in flags), *base))
 
     def between(self, begin: int, end: int, robot: int) -> Rows:
-        """(T,) what is kept of a robot from tick `begin` on, before tick `end`."""
+        """Return the rows (T,) of a robot from tick `begin` to before tick `end`, as far as they are in the buffer."""
         rows = self.rows[np.arange(begin, end) % len(self.rows), robot]
         return rows[rows["tick"] == np.arange(begin, end)]
 
 
 def columns(rows: Rows) -> Arrays:
-    """(T, ...) arrays of the signals, by name."""
+    """Return (T, ...) arrays of the signals by name."""
     return {name: np.ascontiguousarray(rows[name]) for name in rows.dtype.names or ()}
 
 
 def from_columns(arrays: Mapping[str, NDArray[np.generic]], row: np.dtype[np.void]) -> Rows:
-    """Return rows of a type from the arrays that `columns` made of them."""
+    """Return the rows, of type `row`, of arrays from `columns`."""
     rows = np.zeros(len(arrays["tick"]), dtype=row)
     for name, array in arrays.items():
         rows[name] = array
@@ -84,12 +84,12 @@ def from_columns(arrays: Mapping[str, NDArray[np.generic]], row: np.dtype[np.voi
 
 
 def write_mcap(path: Path, spec: RobotSpec, rows: Rows, *, goal_m: float, about: Mapping[str, str]) -> None:
-    """One MCAP file of a window, whose clock is the robot's: 0 at the start of its shift.
+    """Write a window as MCAP; its clock starts at 0 with the robot's first tick.
 
     Raises:
         OutputError: it cannot be written.
     """
-    recording = _Recording(path, spec, start_ns=0, goal_m=goal_m, about=about)
+    recording = _WindowRecording(path, spec, start_ns=0, goal_m=goal_m, about=about)
     for row in rows:
         recording.write(row)
     recording.finish()
@@ -98,8 +98,8 @@ def write_mcap(path: Path, spec: RobotSpec, rows: Rows, *, goal_m: float, about:
         raise OutputError(f"{path}: cannot be written: {recording.error.strerror}")
 
 
-class _Recording(Recording):
-    """With topics /true, /true_state and, of a base, /tf beside what a robot records of itself."""
+class _WindowRecording(Recording):
+    """Recording with the additional topics /true, /true_state and, for a floating base, /tf."""
 
     def __init__(self, path: Path, spec: RobotSpec, **how: Any) -> None:
         super().__init__(path, spec, **how)

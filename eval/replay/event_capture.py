@@ -1,6 +1,6 @@
-"""Sees what the judge finds in a shard, and lives again what led to it.
+"""Capture of events during a soak: when the judge finds one, its window is simulated again and written as a bundle.
 
-Nothing is written down as it comes: an event is rare, and the same ticks come out of the same state in every bit.
+Nothing is recorded in advance: events are rare, and the same state leads to the same ticks bit for bit.
 """
 
 from collections import Counter, deque
@@ -10,134 +10,142 @@ from pathlib import Path
 from deploy.stage import Arrays
 from eval.judge.counts import Counts, Event
 from eval.replay import bundle
+from eval.replay.array_files import state_digest, write_arrays
+from eval.replay.bundle_folders import new_bundle
 from eval.replay.capture_window import Window, columns, write_mcap
-from eval.soak.shard import LOOK_S, Shard, ShardJob
+from eval.shard.job import POLL_S, ShardJob
+from eval.shard.shard import Shard
 from robots.distributions import load_distributions
 
 EVENTS = "events"
 """Folder of bundles, beside the report."""
-HARD_KEPT, SOFT_KEPT = 4, 1
-"""Events of each monitor, hard or soft, of which a shard leaves bundles: the earliest. About 1 MB each."""
-LOOKS = 3
-"""Looks of a whole window: what led to an event, the event, what followed."""
+HARD_BUNDLES, SOFT_BUNDLES = 4, 1
+"""Bundles of each hard or soft monitor that a shard writes, of its earliest events; about 1 MB each."""
+WINDOW_POLLS = 3
+"""Length of a whole window in poll intervals: before the event, the event, after it."""
 
 
-class Witness:
-    """Called after every tick of a shard; writes bundles of the first events of each monitor.
+class EventCapture:
+    """Observer of a shard that writes bundles of the first events of each monitor.
 
-    What it writes depends on what the judge has logged and on where the shard is kept, not on whether it was taken up
-    there.
+    The bundles depend on the judge's log and on the ticks of checkpoints, not on whether the soak was resumed there.
     """
 
     def __init__(self, job: ShardJob, shard: Shard, folder: Path) -> None:
-        """Take copies of what a bundle needs and what might change meanwhile.
+        """Copy the inputs that a bundle needs and that might change during the soak.
 
         Args:
-            job: what the shard was told.
-            shard: about to go on.
+            job: of the shard.
+            shard: before its next tick.
             folder: of the bundles; made with the first one.
         """
         spec = shard.runtime.spec
         self._job, self._folder, self._spec = job, folder, spec
-        self._look = round(LOOK_S / spec.dt)
+        self._poll = round(POLL_S / spec.dt)
         self._policy = job.policy.read_bytes()
         self._robot = {name: (spec.folder / name).read_bytes() for name in bundle.robot_files(spec)}
         distributions = load_distributions(spec)
         self._draws = shard.robot.draw.to_json(job.seed, distributions, spec)
         self._identity = bundle.identity(spec.digest, distributions.digest, job.policy_digest)
-        self._from = shard.runtime.ticks
-        self._states: deque[tuple[int, Arrays]] = deque([(self._from, shard.snapshot())], maxlen=LOOKS)
+        self._since = shard.runtime.ticks
+        self._states: deque[tuple[int, Arrays]] = deque(
+            [(self._since, shard.snapshot())], maxlen=WINDOW_POLLS
+        )
 
-    def watch(self, shard: Shard) -> None:
-        """Look at the tick that has just ended, if it is time to."""
+    def observe(self, shard: Shard) -> None:
+        """Call after every tick; works once per poll interval."""
         tick = shard.runtime.ticks
-        if tick % self._look == 0:
-            # An event is told of one look later, so that the window holds what followed.
-            self._tell(shard, tick - self._look)
+        if tick % self._poll == 0:
+            # An event is written one interval later, so that the window shows what followed it.
+            self._capture(shard, tick - self._poll)
             self._states.append((tick, shard.snapshot()))
 
-    def begin(self, shard: Shard) -> None:
-        """Tell of what is left, and go on like one that takes up the shard here: call it before that is kept."""
-        self._tell(shard, shard.runtime.ticks)
+    def flush(self, shard: Shard) -> None:
+        """Call before a checkpoint: write all events so far, and forget older states as a resumed shard would."""
+        self._capture(shard, shard.runtime.ticks)
         self._states.clear()
         self._states.append((shard.runtime.ticks, shard.snapshot()))
 
-    def _tell(self, shard: Shard, before: int) -> None:
-        """Write bundles of events that began before tick `before` and were not told of yet."""
+    def _capture(self, shard: Shard, before: int) -> None:
+        """Write bundles of new events that began before tick `before`."""
         counts = shard.judge.counts()
-        new = self._new(counts, before)
+        new = self._new_events(counts, before)
         if new:
             end, goal_m = shard.runtime.ticks, shard.runtime.task.rule.tolerance
-            window, end_digest = self._again(shard, *self._before(min(e.start for e in new)))
+            window, end_digest = self._record_window(shard, *self._state_before(min(e.start for e in new)))
             for event in new:
                 self._write(event, window, end, end_digest, goal_m)
-        self._from = max(self._from, before)
+        self._since = max(self._since, before)
 
-    def _again(self, shard: Shard, begin: int, state: Arrays) -> tuple[Window, str]:
-        """What all robots lived through since a state, lived again, and the digest of the state that it leads to.
+    def _record_window(self, shard: Shard, begin: int, state: Arrays) -> tuple[Window, str]:
+        """Simulate again from `state` to the present tick; return all robots' rows and the digest of the end state.
 
         Raises:
-            RuntimeError: it leads to another state than it did, so that no bundle would tell the truth.
+            RuntimeError: the end state differs from the present one, so that a bundle would be wrong.
         """
-        end, expected = shard.runtime.ticks, bundle.state_digest(shard.snapshot())
-        window = Window(
-            self._spec, shard.robot.robots, shard.runtime.task.size, (end - begin) * self._spec.dt
-        )
-        shard.live_again(state, lambda: window.see(shard.runtime, shard.truth))
-        if bundle.state_digest(shard.snapshot()) != expected:
-            raise RuntimeError(f"ticks {begin} to {end} were not the same when they were lived again")
+        end, expected = shard.runtime.ticks, state_digest(shard.snapshot())
+        goal_size, seconds = shard.runtime.task.size, (end - begin) * self._spec.dt
+        window = Window(self._spec, shard.robot.robots, goal_size, seconds)
+        shard.resimulate(state, lambda: window.record(shard.runtime, shard.truth))
+        if state_digest(shard.snapshot()) != expected:
+            raise RuntimeError(f"ticks {begin} to {end} differ when they are simulated again")
         return window, expected
 
-    def _new(self, counts: Counts, before: int) -> list[Event]:
-        """Those to be told of. To choose is dear, so it is not done where nothing has begun since."""
-        if not ((counts.log_start >= self._from) & (counts.log_start < before)).any():
+    def _new_events(self, counts: Counts, before: int) -> list[Event]:
+        # Selecting events is expensive, so it is skipped where none has begun.
+        if not ((counts.log_start >= self._since) & (counts.log_start < before)).any():
             return []
-        return [e for e in chosen(counts, self._job.robots) if self._from <= e.start < before]
+        return [e for e in select_events(counts, self._job.robots) if self._since <= e.start < before]
 
     def _write(self, event: Event, window: Window, end: int, end_digest: str, goal_m: float) -> None:
-        begin, state = self._before(event.start)
+        begin, state = self._state_before(event.start)
         rows = window.between(begin, end, event.robot)
-        happened = bundle.Happened.of(event, self._job.first)
-        job = {name: getattr(self._job, name) for name in bundle.Job.model_fields}
-        about = bundle.About(
+        record = bundle.EventRecord.from_event(event, self._job.first)
+        job = {name: getattr(self._job, name) for name in bundle.JobRecord.model_fields}
+        info = bundle.BundleInfo(
             identity=self._identity,
-            job=bundle.Job(**job),
-            event=happened,
+            job=bundle.JobRecord(**job),
+            event=record,
             begin=begin,
             end=end,
             end_digest=end_digest,
             files={},
         )
-        place = self._folder / bundle.bundle_name(happened.robot, event.start, event.monitor.name)
-        with bundle.filling(place) as folder:
-            for name, data in self._robot.items():
-                copy = folder / bundle.ROBOT / name
-                copy.parent.mkdir(parents=True, exist_ok=True)
-                copy.write_bytes(data)
-            (folder / bundle.POLICY).write_bytes(self._policy)
-            (folder / bundle.DRAWS).write_text(self._draws, encoding="utf-8")
-            bundle.write_arrays(folder / bundle.STATE, state)
-            bundle.write_arrays(folder / bundle.WINDOW, columns(rows))
-            write_mcap(folder / bundle.MCAP, self._spec, rows, goal_m=goal_m, about=happened.said())
-            bundle.seal(folder, about)
+        with new_bundle(
+            self._folder / bundle.bundle_name(record.robot, event.start, record.monitor)
+        ) as folder:
+            self._write_inputs(folder)
+            write_arrays(folder / bundle.STATE, state)
+            write_arrays(folder / bundle.WINDOW, columns(rows))
+            write_mcap(folder / bundle.MCAP, self._spec, rows, goal_m=goal_m, about=record.as_text())
+            bundle.seal(folder, info)
 
-    def _before(self, start: int) -> tuple[int, Arrays]:
-        """The newest state that is a look older than an event, or the oldest there is."""
-        old = [state for state in self._states if state[0] <= start - self._look]
+    def _write_inputs(self, folder: Path) -> None:
+        for name, data in self._robot.items():
+            copy = folder / bundle.ROBOT / name
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(data)
+        (folder / bundle.POLICY).write_bytes(self._policy)
+        (folder / bundle.DRAWS).write_text(self._draws, encoding="utf-8")
+
+    def _state_before(self, start: int) -> tuple[int, Arrays]:
+        """Newest saved state at least one poll interval before an event, or the oldest state there is."""
+        old = [state for state in self._states if state[0] <= start - self._poll]
         return old[-1] if old else self._states[0]
 
 
-def chosen(counts: Counts, robots: int) -> Iterator[Event]:
-    """The earliest events of each monitor, of robots that count.
+def select_events(counts: Counts, robots: int) -> Iterator[Event]:
+    """Yield the earliest events of each monitor, of the first `robots` robots.
 
-    Of those that begin within a look on one robot, whose joints fail together, only the first; at one tick the worst.
+    Of events of one monitor and robot within one poll interval, whose joints fail together, only the first is taken;
+    of events in the same tick the worst.
     """
-    kept: Counter[str] = Counter()
+    selected: Counter[str] = Counter()
     until: dict[tuple[str, int], int] = {}
     for event in sorted(counts.log(), key=lambda e: (e.start, e.robot, -e.worst)):
-        name, here = event.monitor.name, (event.monitor.name, event.robot)
-        if event.robot >= robots or event.start < until.get(here, 0):
+        name, key = event.monitor.name, (event.monitor.name, event.robot)
+        if event.robot >= robots or event.start < until.get(key, 0):
             continue
-        until[here], kept[name] = event.start + round(LOOK_S / counts.dt), kept[name] + 1
-        if kept[name] <= (HARD_KEPT if event.monitor.hard else SOFT_KEPT):
+        until[key], selected[name] = event.start + round(POLL_S / counts.dt), selected[name] + 1
+        if selected[name] <= (HARD_BUNDLES if event.monitor.hard else SOFT_BUNDLES):
             yield event

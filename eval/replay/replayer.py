@@ -1,11 +1,10 @@
-"""The seconds around an event, lived again from the state before it, and compared bit for bit."""
+"""Replay of an event: simulate its window again from the state saved before it."""
 
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deploy.safety.diagnostics import StopDetector, explain_reasons
 from deploy.stage import Arrays
@@ -14,10 +13,13 @@ from eval.faults.schedule import hours_max
 from eval.judge.counts import Counts
 from eval.judge.monitors import MONITORS
 from eval.replay import bundle
-from eval.replay.bundle import About, Happened
+from eval.replay.array_files import read_arrays, state_digest
+from eval.replay.bundle import BundleInfo, EventRecord
 from eval.replay.capture_window import Window, columns, from_columns, window_type
-from eval.replay.event_capture import LOOKS, chosen
-from eval.soak.shard import LOOK_S, WIDTH, Shard, ShardJob, judge_of, judge_tick
+from eval.replay.event_capture import WINDOW_POLLS, select_events
+from eval.shard.job import POLL_S, WIDTH, ShardJob
+from eval.shard.judging import judge_of, judge_tick
+from eval.shard.shard import Shard
 from robots.arrays import Floats
 from robots.distributions import Distributions, load_distributions
 from robots.draws import Draw, load_draw
@@ -28,195 +30,160 @@ from robots.spec import RobotSpec, load_robot
 JOINT_NAMES = tuple(monitor.name for monitor in MONITORS if monitor.per_joint)
 
 
-class Again(NamedTuple):
-    """What came of it.
+class ReplayResult(NamedTuple):
+    """Outcome of a replay.
 
     Attributes:
         rows: (T,) of the event's robot, of `window_type`. load: (T,) of its monitor and joint, 1 at the limit.
-        event: what the judge found there this time; None if it found nothing that begins there.
-        stops: ticks, from the first on, in which the event's robot left its work, and why in words.
+        event: recorded by the judge this time; None if it recorded none with the same start.
+        stops: reason in words by tick, counted from the first, at which the event's robot began a stop.
         end_digest: of the state at the end.
     """
 
     rows: Rows
     load: Floats
-    event: Happened | None
+    event: EventRecord | None
     stops: dict[int, str]
     end_digest: str
 
 
-class Difference(NamedTuple):
-    """The first tick at which a signal is not what was recorded."""
-
-    tick: int
-    signal: str
-    found: NDArray[np.generic]
-    recorded: NDArray[np.generic]
-
-
 class Replay:
-    """A bundle that was opened and checked, and the shard that it was cut from, as it stood before the event.
+    """Opened and checked bundle, and its shard in the state before the event.
 
     Attributes:
-        about: bundle.json. spec: the bundle's robot. row: its place in the shard.
-        shard: before tick `about.begin`.
-        recorded: (T,) what happened, of `window_type`.
-        differs: what here is not what it was there, by name: found, recorded.
+        info: bundle.json. spec: the bundle's robot. row: its row in the shard.
+        shard: before tick `info.begin`.
+        recorded: (T,) the recorded window, of `window_type`.
+        differences: items of the identity that differ here, by name: (here, in the bundle).
     """
 
     def __init__(self, folder: Path) -> None:
-        """Build the shard and put the saved state into it.
+        """Build the shard and restore the saved state.
 
         Raises:
             FirstshiftError: naming the file and the field.
         """
-        self.about = about = bundle.open_bundle(folder)
+        self.info = info = bundle.open_bundle(folder)
         self.spec = load_robot(folder / bundle.ROBOT)
         check_compiles(self.spec.model_path, self.spec.folder)
         distributions = load_distributions(self.spec)
-        self.differs = _differs(about, self.spec, distributions)
-        self.row = about.event.robot - about.job.first
-        _check(folder / bundle.ABOUT, about, self.spec)
-        self.shard = _shard(folder, about, self.spec, _draw(folder, about, self.spec, distributions))
-        state = self._arrays(folder / bundle.STATE, self.shard.snapshot())
-        _equal(folder / bundle.STATE, "runtime.ticks", int(state["runtime.ticks"]), about.begin)
+        self.differences = _identity_differences(info, self.spec, distributions)
+        self.row = info.event.robot - info.job.first
+        _check_info(folder / bundle.INFO, info, self.spec)
+        self.shard = _shard(folder, info, self.spec, _load_draw(folder, info, self.spec, distributions))
+        state = self._read_arrays(folder / bundle.STATE, self.shard.snapshot())
+        _check_equal(folder / bundle.STATE, "runtime.ticks", int(state["runtime.ticks"]), info.begin)
         self.shard.restore(state)
         row = window_type(self.spec, self.shard.runtime.task.size)
-        room = columns(np.zeros(about.end - about.begin, dtype=row))
-        self.recorded = from_columns(self._arrays(folder / bundle.WINDOW, room), row)
+        expected = columns(np.zeros(info.end - info.begin, dtype=row))
+        self.recorded = from_columns(self._read_arrays(folder / bundle.WINDOW, expected), row)
 
-    def _arrays(self, path: Path, room: Arrays) -> Arrays:
-        """What is in a file of the bundle, as large as `room`; other code may have kept other arrays."""
+    def _read_arrays(self, path: Path, expected: Arrays) -> Arrays:
+        """Read a file of the bundle; other code may have saved other arrays, and the error says so."""
         try:
-            return bundle.read_arrays(path, room)
+            return read_arrays(path, expected)
         except ConfigError as e:
-            if "code_digest" not in self.differs:
+            if "code_digest" not in self.differences:
                 raise
-            here, there = self.differs["code_digest"]
+            here, there = self.differences["code_digest"]
             other = f"code_digest: found {here:.12} here, {there:.12} in the bundle"
             raise ConfigError(f"{e}; {other}: replay it with the code that made it") from e
 
     @property
     def goal_m(self) -> float:
-        """How near to a goal counts, m."""
+        """Distance at which a goal counts as reached, m."""
         return self.shard.runtime.task.rule.tolerance
 
-    def live(self, watch: Callable[[], None] = lambda: None) -> Again:
-        """Live the window, once; `watch` is called after every tick."""
-        shard, about = self.shard, self.about
-        window = Window(self.spec, WIDTH, self.shard.runtime.task.size, len(self.recorded) * self.spec.dt)
-        # A judge of its own, whose highest load begins anew with each tick.
-        ticker = judge_of(self.spec, shard.runtime.contract, about.job.robots)
+    def run(self, observe: Callable[[], None] = lambda: None) -> ReplayResult:
+        """Simulate the window, once; `observe` is called after every tick."""
+        shard, info = self.shard, self.info
+        window = Window(self.spec, WIDTH, shard.runtime.task.size, len(self.recorded) * self.spec.dt)
+        # A second judge, whose highest load is reset in each tick.
+        tick_judge = judge_of(self.spec, shard.runtime.contract, info.job.robots)
         load = np.zeros(len(self.recorded))
-        ticker.restore(shard.judge.save())
-        channel = _channel(ticker.counts(), about.event)
-        leaving, stops = StopDetector(), dict[int, str]()
-        leaving.step(shard.runtime)  # before the window
+        tick_judge.restore(shard.judge.save())
+        channel = _channel(tick_judge.counts(), info.event)
+        detector, stops = StopDetector(), dict[int, str]()
+        detector.step(shard.runtime)  # before the window
         for place in range(len(load)):
             shard.tick()
-            if self.row in leaving.step(shard.runtime):
+            if self.row in detector.step(shard.runtime):
                 reason = int(shard.runtime.supervisor.reason[self.row])
                 stops[place] = explain_reasons(shard.runtime, reason, self.row)
-            window.see(shard.runtime, shard.truth)
-            ticker.worst[:] = 0.0
-            judge_tick(ticker, shard.truth, shard.runtime, shard.heard)
-            load[place] = ticker.counts().worst[self.row, channel]
-            watch()
-        return Again(
-            rows=window.between(about.begin, about.end, self.row),
+            window.record(shard.runtime, shard.truth)
+            tick_judge.worst[:] = 0.0
+            judge_tick(tick_judge, shard.truth, shard.runtime, shard.action)
+            load[place] = tick_judge.counts().worst[self.row, channel]
+            observe()
+        return ReplayResult(
+            rows=window.between(info.begin, info.end, self.row),
             load=load,
-            event=self._found(shard.judge.counts()),
+            event=self._find_event(shard.judge.counts()),
             stops=stops,
-            end_digest=bundle.state_digest(shard.snapshot()),
+            end_digest=state_digest(shard.snapshot()),
         )
 
-    def _found(self, counts: Counts) -> Happened | None:
-        about = self.about
-        events = (Happened.of(event, about.job.first) for event in chosen(counts, about.job.robots))
-        where = ("robot", "monitor", "start")
-        same = (e for e in events if all(getattr(e, name) == getattr(about.event, name) for name in where))
-        return next(same, None)
+    def _find_event(self, counts: Counts) -> EventRecord | None:
+        info, keys = self.info, ("robot", "monitor", "start")
+        for event in select_events(counts, info.job.robots):
+            record = EventRecord.from_event(event, info.job.first)
+            if all(getattr(record, key) == getattr(info.event, key) for key in keys):
+                return record
+        return None
 
 
-def difference(found: Rows, recorded: Rows) -> Difference | None:
-    """The first tick at which a bit of any signal differs; of several signals, the first in the order of a row."""
-    first: Difference | None = None
-    for name in recorded.dtype.names or ():
-        a, b = found[name], recorded[name]
-        ticks = np.flatnonzero((_bits(a) != _bits(b)).any(axis=1))
-        if ticks.size and (first is None or recorded["tick"][ticks[0]] < first.tick):
-            first = Difference(int(recorded["tick"][ticks[0]]), name, a[ticks[0]], b[ticks[0]])
-    return first
+def _channel(counts: Counts, event: EventRecord) -> int:
+    joint = 0 if event.joint is None else counts.joints.index(event.joint)
+    return counts.columns(event.monitor).start + joint
 
 
-def why_not(replay: Replay, again: Again) -> str:
-    """What is not the same, in words; empty if all is."""
-    about = replay.about
-    if apart := difference(again.rows, replay.recorded):
-        return (
-            f"at tick {apart.tick - about.event.start:+d} of the event, {apart.signal}: found {apart.found.tolist()},"
-            f" recorded {apart.recorded.tolist()}"
-        )
-    if again.event != about.event:
-        return f"the judge found {again.event}, recorded {about.event}"
-    return "" if again.end_digest == about.end_digest else "all signals agree, the state at the end does not"
-
-
-def _bits(array: NDArray[np.generic]) -> NDArray[np.uint8]:
-    """(T, bytes): equal where even what is no number has the same bits."""
-    return np.ascontiguousarray(array).reshape(len(array), -1).view(np.uint8)
-
-
-def _channel(counts: Counts, event: Happened) -> int:
-    place = 0 if event.joint is None else counts.joints.index(event.joint)
-    return counts.columns(event.monitor).start + place
-
-
-def _shard(folder: Path, about: About, spec: RobotSpec, draw: Draw) -> Shard:
+def _shard(folder: Path, info: BundleInfo, spec: RobotSpec, draw: Draw) -> Shard:
     job = ShardJob(
         robot=folder / bundle.ROBOT,
         policy=folder / bundle.POLICY,
         robot_digest=spec.digest,
-        policy_digest=about.files[bundle.POLICY],
-        **dict(about.job),
+        policy_digest=info.files[bundle.POLICY],
+        **dict(info.job),
     )
-    return Shard(job, given=draw)
+    return Shard(job, draw=draw)
 
 
-def _draw(folder: Path, about: About, spec: RobotSpec, distributions: Distributions) -> Draw:
+def _load_draw(folder: Path, info: BundleInfo, spec: RobotSpec, distributions: Distributions) -> Draw:
     path = folder / bundle.DRAWS
     seed, draw = load_draw(path, distributions, spec)
-    _equal(path, "seed", seed, about.job.seed)
-    _equal(path, "robots", draw.robots, WIDTH)
+    _check_equal(path, "seed", seed, info.job.seed)
+    _check_equal(path, "robots", draw.robots, WIDTH)
     return draw
 
 
-def _check(path: Path, about: About, spec: RobotSpec) -> None:
-    event, job = about.event, about.job
-    _at_most(path, "job.robots", job.robots, WIDTH)
+def _check_info(path: Path, info: BundleInfo, spec: RobotSpec) -> None:
+    event, job = info.event, info.job
+    _check_at_most(path, "job.robots", job.robots, WIDTH)
     if not job.first <= event.robot < job.first + job.robots:
         raise ConfigError(
             f"{path}: event.robot: found {event.robot}, expected one of the {job.robots} from {job.first} on"
         )
-    known = spec.joint_names if event.monitor in JOINT_NAMES else (None,)
-    if event.joint not in known:
-        raise ConfigError(f"{path}: event.joint: found {event.joint!r:.40}, expected one of {known}")
-    _at_most(path, "job.ticks", job.ticks, round(hours_max(job.faults) * 3600 / spec.dt))
-    _at_most(path, "end", about.end, about.begin + round((LOOKS + 1) * LOOK_S / spec.dt))
+    joints = spec.joint_names if event.monitor in JOINT_NAMES else (None,)
+    if event.joint not in joints:
+        raise ConfigError(f"{path}: event.joint: found {event.joint!r:.40}, expected one of {joints}")
+    _check_at_most(path, "job.ticks", job.ticks, round(hours_max(job.faults) * 3600 / spec.dt))
+    _check_at_most(path, "end", info.end, info.begin + round((WINDOW_POLLS + 1) * POLL_S / spec.dt))
 
 
-def _differs(about: About, spec: RobotSpec, distributions: Distributions) -> dict[str, tuple[str, str]]:
-    here = bundle.identity(spec.digest, distributions.digest, about.files[bundle.POLICY])
-    names = sorted(here.keys() | about.identity.keys())
-    both = {name: (here.get(name, "none"), about.identity.get(name, "none")) for name in names}
+def _identity_differences(
+    info: BundleInfo, spec: RobotSpec, distributions: Distributions
+) -> dict[str, tuple[str, str]]:
+    here = bundle.identity(spec.digest, distributions.digest, info.files[bundle.POLICY])
+    names = sorted(here.keys() | info.identity.keys())
+    both = {name: (here.get(name, "none"), info.identity.get(name, "none")) for name in names}
     return {name: values for name, values in both.items() if values[0] != values[1]}
 
 
-def _equal(path: Path, field: str, found: int, expected: int) -> None:
+def _check_equal(path: Path, field: str, found: int, expected: int) -> None:
     if found != expected:
         raise ConfigError(f"{path}: {field}: found {found}, expected {expected}")
 
 
-def _at_most(path: Path, field: str, found: int, bound: int) -> None:
+def _check_at_most(path: Path, field: str, found: int, bound: int) -> None:
     if found > bound:
         raise ConfigError(f"{path}: {field}: found {found}, expected at most {bound}")

@@ -1,4 +1,4 @@
-"""soak-report: two policies on the same draws, and nights as they follow each other."""
+"""soak-report: compare two policies on the same draws, and show the trend over soaks."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,95 +9,100 @@ from rich.table import Column, Table
 
 from deploy.command_line import PASSED, main
 from deploy.telemetry.output_files import replacing
-from eval.history.history import read_history, read_night
-from eval.history.night_record import Night
-from eval.report.html import ends, percent, render_nights
+from eval.history.history import read_history, read_record
+from eval.history.pooling import same_draws
+from eval.history.soak_record import SoakRecord
+from eval.report.html import ends, percent, render_history
 from eval.report.schema.numbers import figure
+from eval.report.schema.report_data import Report
 from eval.report.schema.trend_rows import Trend
-from eval.report.sections.trend import trend as follow
+from eval.report.sections.trend import trend as trend_of
 from eval.statistics.compare import Difference
 from eval.statistics.compare import compare as differences
-from eval.statistics.pooling import same_draws
 from robots.errors import ConfigError
 
-Of = Annotated[Path, typer.Argument(help="report.json, the folder of one, or a night that --history kept.")]
+SoakPath = Annotated[Path, typer.Argument(help="report.json, its folder, or a record from --history.")]
 
 
-def compare(a: Of, b: Of) -> int:
-    """Tell policies A and B on the same draws apart.
+def compare(a: SoakPath, b: SoakPath) -> int:
+    """Compare policies A and B on the same draws.
 
-    Differences are B less A, each with its interval at 95 %.
+    Differences are B - A, each with its 95 % interval.
     """
-    console, one, other = Console(), read_night(a), read_night(b)
-    same_draws(one, other, names=(str(a), str(b)))
-    table = _plain("", "A", "B", "B − A", "from", "to", "shown", "differ")
-    for each in differences(one.tally, other.tally):
+    console, first, second = Console(), read_record(a, Report), read_record(b, Report)
+    same_draws(first, second, names=(str(a), str(b)))
+    table = _plain_table("", "A", "B", "B − A", "from", "to", "conclusion", "differ")
+    for each in differences(first.per_draw_counts, second.per_draw_counts):
         table.add_row(*_cells(each))
-    for name, night in (("A", one), ("B", other)):
-        console.print(f"{name}: {_named(night)}", soft_wrap=True, markup=False, highlight=False)
+    for name, record in (("A", first), ("B", second)):
+        console.print(f"{name}: {_describe(record)}", soft_wrap=True, markup=False, highlight=False)
     console.print(table)
     return PASSED
 
 
-def _named(night: Night) -> str:
-    s = night.settings
+def _describe(record: SoakRecord) -> str:
+    s = record.settings
     return f"{s.policy} ({s.policy_digest:.12}) on {s.robots} draws of seed {s.seed}, {s.hours:g} h each"
 
 
 def _cells(each: Difference) -> tuple[str, ...]:
-    """Shares as per cent, their differences as points of it."""
-    per, unit, digits = (1.0, each.unit, 4) if each.unit else (100.0, "%", 3)
-    a, b, less, low, high = (
-        f"{per * value:.{digits}f}".replace("-", "−")
+    """Row of the table; shares in per cent, their differences in percentage points."""
+    factor, unit, digits = (1.0, each.unit, 4) if each.unit else (100.0, "%", 3)
+    a, b, difference, low, high = (
+        f"{factor * value:.{digits}f}".replace("-", "−")
         for value in (each.a, each.b, each.b - each.a, each.low, each.high)
     )
-    shown = "" if each.shown == "no difference" else each.shown
-    return f"{each.name}, {unit}", a, b, less, low, high, shown, f"{each.differing} of {each.draws}"
+    conclusion = "" if each.conclusion == "no difference" else each.conclusion
+    differ = f"{each.differing} of {each.draws}"
+    return f"{each.name}, {unit}", a, b, difference, low, high, conclusion, differ
 
 
 def trend(
-    folder: Annotated[Path, typer.Argument(help="Folder that soak-test --history keeps nights in.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of records from soak-test --history.")],
     out: Annotated[
-        Path | None, typer.Option(help="Page to write.", show_default="trend.html in the folder")
+        Path | None, typer.Option(help="HTML page to write.", show_default="trend.html in the folder")
     ] = None,
 ) -> int:
-    """Show how nights follow each other.
+    """Show the trend over soaks, as a page and on the console.
 
-    As a page, and what nights of one policy, code and versions say together.
+    Soaks with the same policy, code and versions are pooled.
     """
-    nights = read_history(folder)
-    if not nights:
-        raise ConfigError(f"{folder}: found no night, expected some that soak-test --history keeps")
-    found, console = follow(nights), Console()
+    records = read_history(folder)
+    if not records:
+        raise ConfigError(f"{folder}: found no records, expected some from soak-test --history")
+    result, console = trend_of(records), Console()
     page = out or folder / "trend.html"
     with replacing(page) as file:
-        file.write_text(render_nights(found, next(iter(nights.values())).settings.task), encoding="utf-8")
-    console.print(_table(found))
-    for number, group in enumerate(found.groups, start=1):
-        said = f"{number}: {group.policy} ({group.policy_digest:.12}): {group.statement} {group.differ}"
-        console.print(said, soft_wrap=True, markup=False, highlight=False)
+        task = next(iter(records.values())).settings.task
+        file.write_text(render_history(result, task), encoding="utf-8")
+    console.print(_trend_table(result))
+    for number, group in enumerate(result.groups, start=1):
+        line = f"{number}: {group.policy} ({group.policy_digest:.12}): {group.statement} {group.dispersion}"
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
     console.print(f"page: {page}", soft_wrap=True)
     return PASSED
 
 
-def _plain(*names: str) -> Table:
+def _plain_table(*names: str) -> Table:
     columns = (Column(name, no_wrap=True) for name in names)
     return Table(*columns, box=None, padding=(0, 2, 0, 0), pad_edge=False)
 
 
-def _table(found: Trend) -> Table:
-    table = _plain("started", "kind", "verdict", "draws", "events", "per h, 95 %", "goals", "up", "°C")
-    for night in found.nights:
+def _trend_table(result: Trend) -> Table:
+    table = _plain_table(
+        "started", "group", "verdict", "draws", "events", "per h, 95 %", "goals", "avail.", "°C"
+    )
+    for run in result.runs:
         table.add_row(
-            night.started[:16].replace("T", " "),
-            f"{night.group + 1}",
-            "passed" if night.passed else "failed",
-            f"{night.draws}",
-            f"{night.hard_events}",
-            ends((night.rate.low, night.rate.high)),
-            percent(night.goals.value, 2),
-            percent(night.availability.value, 2),
-            figure(night.hottest_c.value),
+            run.started[:16].replace("T", " "),
+            f"{run.group + 1}",
+            "passed" if run.passed else "failed",
+            f"{run.draws}",
+            f"{run.hard_events}",
+            ends((run.rate.low, run.rate.high)),
+            percent(run.goals.value, 2),
+            percent(run.availability.value, 2),
+            figure(run.hottest_c.value),
         )
     return table
 

@@ -1,4 +1,4 @@
-"""Pages that are one file, nothing loaded from elsewhere: report.html, and that of all nights."""
+"""HTML pages, each a single file without external resources: report.html, and the trend over a history."""
 
 from collections.abc import Iterator, Mapping
 from itertools import groupby
@@ -8,15 +8,10 @@ from typing import NamedTuple
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from eval.report.plots import (
-    NIGHTS_SHOWN,
-    goals_plot,
-    heat_plot,
-    margins_plot,
-    nights_plot,
-    timeline_plot,
-    wear_plot,
-)
+from eval.report.plots.curves import goals_plot, heat_plot, wear_plot
+from eval.report.plots.margins import margins_plot
+from eval.report.plots.timeline import timeline_plot
+from eval.report.plots.trend import TREND_QUANTITIES, trend_plot
 from eval.report.schema.numbers import Number, figure
 from eval.report.schema.report_data import Report
 from eval.report.schema.rows import EventRow
@@ -24,13 +19,13 @@ from eval.report.schema.trend_rows import Trend
 from eval.report.sections.timeline import timeline
 
 EVENTS_SHOWN = 500
-MANY = 10.0
-"""Times its limit from which a load is told in times, not per cent."""
+MULTIPLE_FROM = 10.0
+"""Load from which it is shown as a multiple of the limit instead of per cent."""
 TEMPLATES = Path(__file__).parent
 
 
 class TrendPlot(NamedTuple):
-    """A figure over nights, and its latest value in words."""
+    """Plot over soaks, with its latest value in words."""
 
     title: str
     note: str
@@ -38,7 +33,7 @@ class TrendPlot(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """Events of a monitor on one joint, or on the whole robot: those shown, and how many are listed in report.json."""
+    """Events of a monitor on one joint or the whole robot: those shown, and the number listed in report.json."""
 
     anchor: str
     joint: str | None
@@ -47,22 +42,22 @@ class Cell(NamedTuple):
 
 
 def render(report: Report) -> str:
-    """The page of one night as text."""
+    """Return the page of one soak."""
     return _template("template.html").render(
         r=report,
         plot=plots(report),
         joints=[channel.joint for channel in report.monitors[0].channels],
         cells=cells(report),
-        left_out=sum(row.left_out for row in report.monitors),
+        unlisted=sum(row.unlisted for row in report.monitors),
         over=[line for line in report.budget if not line.passed],
         trend=report.trend,
         trend_plots=[] if report.trend is None else _trend_plots(report.trend),
     )
 
 
-def render_nights(trend: Trend, task: Mapping[str, str]) -> str:
-    """The page of all nights as text; `task` is what all of them were asked for, by name."""
-    return _template("nights.html").render(r=None, trend=trend, trend_plots=_trend_plots(trend), task=task)
+def render_history(trend: Trend, task: Mapping[str, str]) -> str:
+    """Return the page of all soaks of a history; `task` is their common task by name."""
+    return _template("history.html").render(r=None, trend=trend, trend_plots=_trend_plots(trend), task=task)
 
 
 def _template(name: str) -> Template:
@@ -80,28 +75,25 @@ def _template(name: str) -> Template:
 
 
 def _trend_plots(trend: Trend) -> list[TrendPlot]:
-    last = trend.nights[-1]
+    last = trend.runs[-1]
+    notes = (
+        f"last {figure(last.rate.value, 2)}",
+        f"last {percent(last.goals.value, 2)}",
+        f"last {percent(last.availability.value, 2)}",
+        f"last {figure(last.hottest_c.value)}",
+    )
     return [
-        TrendPlot(each.title, note, Markup(nights_plot(trend, each)))
-        for each, note in zip(
-            NIGHTS_SHOWN,
-            (
-                f"last {figure(last.rate.value, 2)}",
-                f"last {percent(last.goals.value, 2)}",
-                f"last {percent(last.availability.value, 2)}",
-                f"last {figure(last.hottest_c.value)}",
-            ),
-            strict=True,
-        )
+        TrendPlot(quantity.title, note, Markup(trend_plot(trend, quantity)))
+        for quantity, note in zip(TREND_QUANTITIES, notes, strict=True)
     ]
 
 
 def plots(report: Report) -> dict[str, Markup | list[Markup]]:
-    """Every figure by its section."""
+    """Return every plot by its section."""
     wanted = next(line.allowed for line in report.budget if line.name == "goal_success") or 0.0
     top = max(max(line.max_c, line.peak_c or line.max_c) for line in report.heat)
     end_h = max(1e-3, *(robot.hours for robot in report.robots))
-    judged = [row for row in report.monitors if row.unit and row.evaluations and row.loads]
+    judged = [row for row in report.monitors if row.unit and row.evaluations and row.load_histogram]
     return {
         "timeline": Markup(timeline_plot(timeline(report.robots, report.events, end_h), end_h)),
         "margins": Markup(margins_plot(judged) if judged else ""),
@@ -112,7 +104,7 @@ def plots(report: Report) -> dict[str, Markup | list[Markup]]:
 
 
 def cells(report: Report) -> dict[str, dict[str | None, Cell]]:
-    """By monitor, the hard ones first, and by joint; of each the earliest events, those with a bundle before others."""
+    """Return events by monitor, hard ones first, and joint; of each the earliest, those with a bundle first."""
     found = {(e.monitor, e.joint) for e in report.events}
     share, result = EVENTS_SHOWN // max(1, len(found)), dict[str, dict[str | None, Cell]]()
     for anchor, name, joint, listed in _by_cell(report):
@@ -138,33 +130,33 @@ def _by_cell(report: Report) -> Iterator[tuple[str, str, str | None, list[EventR
 
 
 def margin(load: float | None) -> str:
-    """What a load leaves of the limit, as per cent of it, or as times it."""
-    if load is None or load >= MANY:
+    """Format what a load leaves to the limit, as per cent or as a multiple of it."""
+    if load is None or load >= MULTIPLE_FROM:
         return f"−{of_limit(None if load is None else load - 1)}"
     return f"{100 * (1 - load):.0f} %".replace("-", "−")
 
 
 def of_limit(load: float | None, digits: int = 0) -> str:
-    """A load as per cent of the limit, and as times it where it is many times as large."""
-    return percent(load, digits) if load is None or load < MANY else f"{load:,.0f} ×"
+    """Format a load as per cent of the limit, or as a multiple of it from `MULTIPLE_FROM` on."""
+    return percent(load, digits) if load is None or load < MULTIPLE_FROM else f"{load:,.0f} ×"
 
 
 def percent(share: float | None, digits: int = 0) -> str:
-    """A share as per cent, and `∞` for a number that is none."""
+    """Format a share as per cent; `∞` for None."""
     return "∞" if share is None else f"{100 * share:.{digits}f} %"
 
 
 def ends(interval: tuple[Number, Number]) -> str:
-    """Of an interval, `–` for one without an end."""
+    """Format an interval; `–` for one without an upper end."""
     return "–" if interval[1] is None else f"{figure(interval[0], 2)} to {figure(interval[1], 2)}"
 
 
 def duration(hours: float) -> str:
-    """Hours in the unit in which they can be read."""
+    """Format hours in a readable unit: h, min or s."""
     unit, worth = next((u, w) for u, w in (("h", 1), ("min", 60), ("s", 3600)) if hours * w >= 1 or u == "s")
     return f"{figure(hours * worth, 2)} {unit}"
 
 
 def fixed(value: float | None, unit: str) -> str:
-    """A number to as many decimals as its unit is worth, and `–` for one that is none."""
+    """Format a number with one decimal for per cent and two for other units; `–` for None."""
     return "–" if value is None else f"{value:.{1 if unit == '%' else 2}f}"

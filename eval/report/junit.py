@@ -2,11 +2,11 @@
 
 from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
 
-from eval.report.schema.report_data import Line, Report
+from eval.report.schema.report_data import BudgetLine, Report
 
 
 def junit(report: Report) -> str:
-    """The XML text; lines of an interrupted run that hold so far are marked as skipped."""
+    """Return the XML text; lines of an interrupted soak that have passed so far are marked as skipped."""
     suite = TestSuite("soak-test")
     suite.timestamp = report.run.started
     suite.add_property("statement", report.statement)
@@ -24,10 +24,10 @@ def junit(report: Report) -> str:
     return document.tostring().decode()
 
 
-def describe(line: Line) -> str:
-    """The line in words."""
-    found = "no number" if line.found is None else f"{line.found:.6g}"
-    most = "at least" if line.at_least else "at most"
-    allowed = "no budget" if line.allowed is None else f"allowed {most} {line.allowed:.6g}"
+def describe(line: BudgetLine) -> str:
+    """Return the line in words."""
+    found = "not finite" if line.found is None else f"{line.found:.6g}"
+    bound = "at least" if line.at_least else "at most"
+    allowed = "no limit" if line.allowed is None else f"allowed {bound} {line.allowed:.6g}"
     about = f" ({line.about})" if line.about else ""
     return f"{line.name}: found {found} {line.unit}, {allowed}{about}"

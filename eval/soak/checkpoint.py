@@ -1,4 +1,4 @@
-"""A shard on disk: what it has lived through, from where a soak that was cut short goes on as if it had not been."""
+"""Checkpoint of a shard on disk, from which an interrupted soak resumes with identical results."""
 
 import json
 import os
@@ -17,37 +17,37 @@ from robots.errors import ConfigError, OutputError
 IDENTITY, SUFFIX = "identity", ".npz"
 DAMAGED = ".damaged"
 DAMAGE = TypeError, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, zipfile.BadZipFile
-"""What numpy, zipfile and json make of a file that is no longer what was written."""
+"""Errors that numpy, zipfile and json raise for a damaged file."""
 
 
 class Checkpoint:
-    """One file, written whole or not at all, that goes on with nothing but the very same soak."""
+    """One file, written whole or not at all, that only the same soak can resume from."""
 
     def __init__(self, path: Path, identity: Mapping[str, str | int]) -> None:
-        """Name the file and everything on which its arrays depend."""
-        self.path, self._identity = path, dict(identity)
+        """Set the path, and the identity: everything that the arrays depend on."""
+        self.path, self.identity = path, dict(identity)
 
     def store(self, arrays: Arrays) -> None:
-        """Put `arrays` in the place of what was stored before, in a folder that is there.
+        """Replace the stored arrays by `arrays`; the folder must exist.
 
         Raises:
-            OutputError: the place cannot be written; what was stored before is there still. Or its folder is gone: a
-                new one would hide that what was in it is lost.
+            OutputError: the file cannot be written, and the stored arrays remain; or the folder was deleted, and a
+                new one would hide the loss of its contents.
         """
         if not os.path.isdir(self.path.parent):
-            raise OutputError(f"{self.path}: cannot be written: {self.path.parent} is gone")
+            raise OutputError(f"{self.path}: cannot be written: {self.path.parent} was deleted")
         with replacing(self.path) as file, file.open("wb") as stream:
-            named: dict[str, Any] = {IDENTITY: np.array(json.dumps(self._identity)), **arrays}
+            named: dict[str, Any] = {IDENTITY: np.array(json.dumps(self.identity)), **arrays}
             np.savez(stream, **named)
             stream.flush()
             os.fsync(stream.fileno())
 
     def load(self) -> Arrays | None:
-        """What was stored last; None where there is nothing, or what is damaged and set aside under another name.
+        """Return the stored arrays; None without a file, or if the file is damaged, which is then renamed.
 
         Raises:
-            ConfigError: it is of another soak, or cannot be read.
-            OutputError: a damaged one cannot be set aside.
+            ConfigError: the file is of another soak, or cannot be read.
+            OutputError: a damaged file cannot be renamed.
         """
         try:
             data = self.path.read_bytes()
@@ -56,39 +56,39 @@ class Checkpoint:
         except OSError as e:
             raise ConfigError(f"{self.path}: cannot be read: {e.strerror}") from e
         try:
-            identity, arrays = _unpacked(data)
+            identity, arrays = _unpack(data)
         except DAMAGE:
-            self._set_aside()
+            self._rename_damaged()
             return None
-        self._compare(identity)
+        self._check_identity(identity)
         return arrays
 
-    def _compare(self, found: Mapping[str, str | int]) -> None:
-        for key in sorted({*found, *self._identity}):
-            if found.get(key) != self._identity.get(key):
+    def _check_identity(self, found: Mapping[str, str | int]) -> None:
+        for key in sorted({*found, *self.identity}):
+            if found.get(key) != self.identity.get(key):
                 raise ConfigError(
-                    f"{self.path}: {key}: found {found.get(key)}, expected {self._identity.get(key)}: the beginning of"
-                    f" another soak. Go on with that one, give another --out, or delete {self.path.parent}"
+                    f"{self.path}: {key}: found {found.get(key)}, expected {self.identity.get(key)}: it belongs"
+                    f" to another soak. Resume that one, give another --out, or delete {self.path.parent}"
                 )
 
-    def _set_aside(self) -> None:
+    def _rename_damaged(self) -> None:
         place = self.path.with_name(self.path.name + DAMAGED)
         try:
             os.replace(self.path, place)
         except OSError as e:
             raise OutputError(
-                f"{self.path}: damaged, and cannot be set aside as {place.name}: {e.strerror}"
+                f"{self.path}: damaged, and cannot be renamed to {place.name}: {e.strerror}"
             ) from e
 
 
-def _unpacked(data: bytes) -> tuple[dict[str, str | int], Arrays]:
+def _unpack(data: bytes) -> tuple[dict[str, str | int], Arrays]:
     with np.load(BytesIO(data), allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     return dict(json.loads(str(arrays.pop(IDENTITY)))), arrays
 
 
-def make(folder: Path) -> None:
-    """Make a folder for shards, and clear away what was left half written in it.
+def prepare_folder(folder: Path) -> None:
+    """Make a folder for checkpoints, and delete partially written ones in it.
 
     Raises:
         OutputError: nothing can be written there.
@@ -99,11 +99,11 @@ def make(folder: Path) -> None:
     _delete(folder.glob(f".*{SUFFIX}"))
 
 
-def clear(folder: Path) -> None:
-    """Delete what is kept in `folder`, but for what was set aside.
+def delete_checkpoints(folder: Path) -> None:
+    """Delete the checkpoints in `folder`, except damaged ones, and the folder if it is empty then.
 
     Raises:
-        OutputError: it cannot be deleted.
+        OutputError: they cannot be deleted.
     """
     _delete(folder.glob(f"*{SUFFIX}"))
     if folder.exists() and not any(folder.iterdir()):

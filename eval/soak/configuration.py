@@ -1,28 +1,28 @@
-"""What a soak is asked for, the jobs that this makes, and where each keeps what it lived through."""
+"""Configuration of a soak, and the shard jobs and checkpoints that follow from it."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.policy.policy import Policy
+from eval.faults.settings import FaultSettings
 from eval.judge.limits import load_limits
+from eval.shard.fingerprint import code_digest, processor, versions
+from eval.shard.job import WIDTH, ShardJob
 from eval.soak.checkpoint import SUFFIX, Checkpoint
-from eval.soak.fingerprint import code_digest, processor, versions
-from eval.soak.profile import Faults
-from eval.soak.shard import WIDTH, ShardJob
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
 SAMPLE_S = 60.0
-"""s between two samples, in a soak long enough for `SAMPLES` of them and not too long for `SAMPLES_MAX`."""
+"""s between two samples, except in a soak too short for `SAMPLES` of them or too long for `SAMPLES_MAX`."""
 SAMPLES, SAMPLES_MAX = 64, 1440
-"""What is kept of a robot, in memory and on disk, is bounded however long it lives: a day has a sample a minute."""
+"""Bounds of the number of samples of a robot, in memory and on disk; 1440 is one per minute for a day."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Soak:
-    """What was asked for."""
+class SoakConfig:
+    """Options of one soak, with robot and policy loaded."""
 
     spec: RobotSpec
     policy: Policy
@@ -32,11 +32,11 @@ class Soak:
     robots: int
     seed: int
     workers: int
-    faults: Faults | None = None
+    faults: FaultSettings | None = None
 
     @property
     def ticks(self) -> int:
-        """Control ticks that each robot lives."""
+        """Control ticks of each robot."""
         return max(1, round(self.hours * 3600 / self.spec.dt))
 
     @property
@@ -45,13 +45,17 @@ class Soak:
         usual = min(round(SAMPLE_S / self.spec.dt), self.ticks // SAMPLES)
         return max(1, usual, -(-self.ticks // SAMPLES_MAX))
 
-    def drawn(self) -> Draw:
-        """Every robot as it is."""
+    def draw_robots(self) -> Draw:
+        """Return the drawn parameters of every robot."""
         seeds = [robot_seed(self.seed, robot) for robot in range(self.robots)]
         return draw(load_distributions(self.spec), self.spec, seeds)
 
+    def draws_json(self, draw: Draw) -> str:
+        """Return the text of draws.json, from which robots can be rebuilt after changes of draws.toml."""
+        return draw.to_json(self.seed, load_distributions(self.spec), self.spec)
+
     def jobs(self) -> list[ShardJob]:
-        """Shards of `WIDTH` robots; the last may count fewer."""
+        """Return jobs of `WIDTH` robots each; the last may count fewer."""
         return [
             ShardJob(
                 robot=self.spec.folder,
@@ -69,7 +73,7 @@ class Soak:
         ]
 
     def checkpoint(self, number: int, folder: Path) -> Checkpoint:
-        """Where the shard of job `number` is kept: everything that decides its results is in its identity."""
+        """Return the checkpoint of job `number`; its identity holds everything that decides the shard's results."""
         identity: dict[str, str | int] = {
             "robot_digest": self.spec.digest,
             "draws_digest": load_distributions(self.spec).digest,

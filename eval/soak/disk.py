@@ -1,4 +1,4 @@
-"""How much a soak may write, said before it starts, and whether there is room for it."""
+"""Disk space of a soak: an upper bound computed before it starts, and the check that it is free."""
 
 import shutil
 from collections.abc import Mapping
@@ -13,32 +13,33 @@ from deploy.tasks.task import find_task
 from eval.judge.monitors import MONITORS
 from eval.replay import bundle
 from eval.replay.capture_window import window_type
-from eval.replay.event_capture import HARD_KEPT, LOOKS, SOFT_KEPT
-from eval.report.series import columns
-from eval.soak.configuration import Soak
-from eval.soak.shard import LOOK_S, Shard, shard_result
-from robots.distributions import load_distributions
+from eval.replay.event_capture import HARD_BUNDLES, SOFT_BUNDLES, WINDOW_POLLS
+from eval.shard.job import POLL_S
+from eval.shard.results import shard_result
+from eval.shard.shard import Shard
+from eval.soak.configuration import SoakConfig
+from eval.soak.series import columns
 from robots.errors import OutputError
 
 MEMBER_BYTES = 512
-"""Of an array in an npz beside its numbers: its headers and its name, twice."""
+"""Overhead of an array in an npz file: its headers, and its name twice."""
 BLOCK_BYTES = 4096
-"""By which the size of a file on a disk is rounded up."""
+"""File sizes on disk are rounded up to a multiple of this."""
 MCAP_NUMBER, MCAP_ROW_BYTES = 2, 1024
-"""A recording has less than half of its numbers as text, of up to 25 characters for 8 bytes; and what a tick has of
-names, headers and spheres, which repeat and are compressed."""
+"""MCAP size factor of numbers: fewer than half of them are text, of up to 25 characters for 8 bytes. Overhead of a
+tick: names, headers and spheres, which repeat and are compressed."""
 SERIES_NUMBER_BYTES, SERIES_COLUMN_BYTES = 12, 4096
-"""Of a number in series.parquet, which may stand in a dictionary and in its index, and of a column's own."""
+"""Size of a number in series.parquet, which may be in a dictionary and in its index, and overhead of a column."""
 REPORT_BYTES = 32 << 20
-"""Of report.html, report.json, junit.xml and the trends: curves of so many points, events up to so many."""
+"""Upper bound of report.html, report.json, junit.xml and TensorBoard's file, whose curves and events are limited."""
 
 
-class Room(NamedTuple):
-    """Bytes on disk, at most; a file that is replaced is there twice for a while.
+class DiskUsage(NamedTuple):
+    """Upper bounds in bytes; a file that is replaced exists twice for a while.
 
     Attributes:
-        checkpoints: of shards, while they live. events: of their bundles. report: and what lies beside it.
-        hourly: what each simulated hour of a robot has of all that: its samples. The rest does not grow with time.
+        checkpoints: of shards, while they run. events: bundles. report: reports, draws and series.
+        hourly: the part of the total that grows with each simulated hour of a robot: its samples.
     """
 
     checkpoints: int
@@ -51,84 +52,84 @@ class Room(NamedTuple):
         """Bytes."""
         return self.checkpoints + self.events + self.report
 
-    def said(self) -> str:
-        """For whoever starts the soak."""
+    def describe(self) -> str:
+        """Return a sentence for the console."""
         return (
-            f"disk: at most {_mb(self.total)}: {_mb(self.checkpoints)} to go on from, {_mb(self.events)} of events,"
+            f"disk: at most {_mb(self.total)}: {_mb(self.checkpoints)} of checkpoints, {_mb(self.events)} of events,"
             f" {_mb(self.report)} of report; of these, {_mb(self.hourly)} for each simulated hour of a robot"
         )
 
 
-def room(soak: Soak) -> Room:
-    """What `soak` may write at most, from the sizes of all that a shard keeps."""
-    jobs, distributions = soak.jobs(), load_distributions(soak.spec)
+def disk_usage(config: SoakConfig) -> DiskUsage:
+    """Return the most that a soak may write, from the sizes of the arrays of a shard."""
+    jobs = config.jobs()
     shard = Shard(jobs[0])
-    draws = len(shard.robot.draw.to_json(soak.seed, distributions, soak.spec))
+    draws = len(config.draws_json(shard.robot.draw))
     state = shard.snapshot()
     shard.sample()
     saved = shard.save()
-    told = columns(soak, shard_result(soak.spec, soak.policy.contract, jobs[0].robots, saved), 0)
-    samples = soak.ticks // soak.sample_ticks + 1
+    table = columns(config, shard_result(config.spec, config.policy.contract, jobs[0].robots, saved), 0)
+    samples = config.ticks // config.sample_ticks + 1
     sample = sum(array.nbytes for name, array in saved.items() if name not in state)
-    row = SERIES_NUMBER_BYTES * len(told)
-    most = sum(HARD_KEPT if monitor.hard else SOFT_KEPT for monitor in MONITORS)
-    # A file is beside the one that it takes the place of, at most one of each worker at a time.
-    shards = len(jobs) + min(soak.workers, len(jobs))
-    events = len(jobs) * most + min(soak.workers, len(jobs))
-    return Room(
-        checkpoints=shards * (_npz(saved) + samples * sample + BLOCK_BYTES),
-        events=events * (_npz(state) + _window(soak) + draws + _copied(soak)),
+    row = SERIES_NUMBER_BYTES * len(table)
+    bundles = sum(HARD_BUNDLES if monitor.hard else SOFT_BUNDLES for monitor in MONITORS)
+    # While a file is replaced, old and new exist together: one file of each worker at a time.
+    shards = len(jobs) + min(config.workers, len(jobs))
+    events = len(jobs) * bundles + min(config.workers, len(jobs))
+    return DiskUsage(
+        checkpoints=shards * (_npz_bytes(saved) + samples * sample + BLOCK_BYTES),
+        events=events * (_npz_bytes(state) + window_bytes(config) + draws + _copy_bytes(config)),
         report=REPORT_BYTES
         + len(jobs) * draws
-        + len(told) * SERIES_COLUMN_BYTES
-        + samples * soak.robots * row,
-        hourly=samples / soak.hours * (shards * sample / soak.robots + row),
+        + len(table) * SERIES_COLUMN_BYTES
+        + samples * config.robots * row,
+        hourly=samples / config.hours * (shards * sample / config.robots + row),
     )
 
 
-def check_room(soak: Soak, out: Path, kept: Path, console: Console) -> None:
-    """Say what the soak may write into the folder `out`, which is there.
+def check_disk_space(config: SoakConfig, out: Path, unfinished: Path, console: Console) -> None:
+    """Print how much the soak may write into the folder `out`, which must exist, and check that it is free.
 
     Args:
-        soak: what was asked for. out: where.
-        kept: a folder in it; what an earlier start left there is replaced, or counted already.
-        console: told.
+        config: of the soak. out: output folder.
+        unfinished: a folder in it; files of an earlier start there are replaced, or are part of the total.
+        console: for the message.
 
     Raises:
-        OutputError: there is no room for it.
+        OutputError: there is not enough space.
     """
-    needed = room(soak)
-    console.print(needed.said(), soft_wrap=True, highlight=False)
-    there, free = _size(kept), shutil.disk_usage(out).free
-    if needed.total > free + there:
+    needed = disk_usage(config)
+    console.print(needed.describe(), soft_wrap=True, highlight=False)
+    present, free = _folder_bytes(unfinished), shutil.disk_usage(out).free
+    if needed.total > free + present:
         raise OutputError(
-            f"--out {out}: found {_mb(free)} free, expected {_mb(needed.total - there)}, which is the most that the"
+            f"--out {out}: found {_mb(free)} free, expected {_mb(needed.total - present)}, which is the most that the"
             " soak may write"
         )
 
 
-def _npz(arrays: Mapping[str, NDArray[np.generic]]) -> int:
-    """Of arrays that do not compress, deflated or not."""
+def _npz_bytes(arrays: Mapping[str, NDArray[np.generic]]) -> int:
+    """Size of arrays that cannot be compressed, deflated or not."""
     return sum(MEMBER_BYTES + array.nbytes + array.nbytes // 1000 for array in arrays.values())
 
 
-def _window(soak: Soak) -> int:
-    """Of the longest window of an event, as numpy's arrays and as a recording."""
-    row = window_type(soak.spec, find_task(soak.policy.contract.task, "contract: task").size)
-    ticks = round((LOOKS + 1) * LOOK_S / soak.spec.dt)
+def window_bytes(config: SoakConfig) -> int:
+    """Return the size of the longest event window, as npz and MCAP."""
+    row = window_type(config.spec, find_task(config.policy.contract.task, "contract: task").size)
+    ticks = round((WINDOW_POLLS + 1) * POLL_S / config.spec.dt)
     arrays = row.itemsize * ticks + MEMBER_BYTES * len(row.names or ())
     return arrays + ticks * (MCAP_NUMBER * row.itemsize + MCAP_ROW_BYTES)
 
 
-def _copied(soak: Soak) -> int:
-    """Of the files that a bundle copies, and of its description."""
-    robot = [soak.spec.folder / name for name in bundle.robot_files(soak.spec)]
-    files = [soak.policy_path, *robot]
+def _copy_bytes(config: SoakConfig) -> int:
+    """Size of the files that a bundle copies, and of its description."""
+    robot = [config.spec.folder / name for name in bundle.robot_files(config.spec)]
+    files = [config.policy_path, *robot]
     blocks = (len(bundle.FILES) + len(robot) + 1) * BLOCK_BYTES
-    return sum(file.stat().st_size for file in files) + bundle.ABOUT_CHARACTERS_MAX + blocks
+    return sum(file.stat().st_size for file in files) + bundle.INFO_CHARACTERS_MAX + blocks
 
 
-def _size(folder: Path) -> int:
+def _folder_bytes(folder: Path) -> int:
     return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
 
 

@@ -1,4 +1,4 @@
-"""Worker processes: every shard is lived to its end, whatever becomes of a worker."""
+"""Worker processes that run all shards to their end, also if a worker dies."""
 
 import multiprocessing as mp
 import os
@@ -13,137 +13,142 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from deploy.operation.interrupts import handled
-from eval.replay.event_capture import EVENTS, Witness
-from eval.soak.checkpoint import Checkpoint, make
-from eval.soak.configuration import Soak
-from eval.soak.shard import Shard, ShardJob, ShardResult, shard_result
+from eval.replay.event_capture import EVENTS, EventCapture
+from eval.shard.job import ShardJob
+from eval.shard.results import ShardResult, shard_result
+from eval.shard.shard import Shard
+from eval.soak.checkpoint import Checkpoint, prepare_folder
+from eval.soak.configuration import SoakConfig
 from robots.errors import OutputError
 
 DEATHS = 3
-"""Times in a row that a worker may die before anything new was done."""
+"""Deaths of workers in a row, without any progress between them, that end the soak."""
+COLUMNS = (
+    TextColumn("soaking"),
+    BarColumn(),
+    TextColumn("{task.percentage:5.1f} %"),
+    TimeElapsedColumn(),
+    TextColumn("left"),
+    TimeRemainingColumn(elapsed_when_finished=True),
+)
 
-# Of the worker process: set once, before its first shard. Without locks, which a worker that is killed would keep.
+# Shared with the parent process and set before the first shard. No locks: a killed worker would never release them.
 _progress: Any
 _stop: Any
 
 
-def _prepare(progress: Any, stop: Any) -> None:
-    """Keep what the worker shares with its parent."""
+def _initialize_worker(progress: Any, stop: Any) -> None:
     global _progress, _stop
     _progress, _stop = progress, stop
 
 
-def _run(number: int, job: ShardJob, checkpoint: Checkpoint, events: Path) -> None:
-    """One shard in a worker, from where it was kept; nothing if the soak was interrupted before anything of it was.
+def _run_shard(number: int, job: ShardJob, checkpoint: Checkpoint, events: Path) -> None:
+    """Run one shard in a worker from its checkpoint; do nothing if the soak was stopped before the shard began.
 
-    What it lived through is handed over on disk: a worker that is killed while it talks would leave its parent waiting.
+    Results are passed on disk: a worker that is killed while it sends data would block its parent.
     """
-    kept = checkpoint.load()
-    if kept is None and _stop.value:
+    saved = checkpoint.load()
+    if saved is None and _stop.value:
         return
     shard = Shard(job)
-    if kept is not None:
-        shard.restore(kept)
+    if saved is not None:
+        shard.restore(saved)
 
     def report(ticks: int) -> None:
         _progress[number] = ticks
 
-    def keep() -> None:
-        witness.begin(shard)
+    def store() -> None:
+        capture.flush(shard)
         checkpoint.store(shard.save())
 
-    witness = Witness(job, shard, events)
-    shard.run(report, lambda: bool(_stop.value), keep, witness.watch)
+    capture = EventCapture(job, shard, events)
+    shard.run(report, lambda: bool(_stop.value), store, capture.observe)
 
 
-def take_up(soak: Soak, folder: Path, console: Console) -> int:
-    """Control ticks, summed over shards, that an earlier start of the same soak left in `folder`.
+def resumed_ticks(config: SoakConfig, folder: Path, console: Console) -> int:
+    """Return the control ticks, summed over shards, in the checkpoints of an earlier start in `folder`.
 
     Raises:
-        ConfigError: what is there is of another soak.
-        OutputError: something damaged is there and cannot be set aside.
+        ConfigError: a checkpoint is of another soak.
+        OutputError: a damaged checkpoint cannot be renamed.
     """
     ticks = 0
-    for number in range(len(soak.jobs())):
-        checkpoint = soak.checkpoint(number, folder)
-        there, kept = os.path.exists(checkpoint.path), checkpoint.load()
-        if kept is not None:
-            ticks += int(kept["runtime.ticks"])
-        elif there:
-            console.print(f"{checkpoint.path}: damaged and set aside: its robots begin anew", soft_wrap=True)
+    for number in range(len(config.jobs())):
+        checkpoint = config.checkpoint(number, folder)
+        exists, saved = os.path.exists(checkpoint.path), checkpoint.load()
+        if saved is not None:
+            ticks += int(saved["runtime.ticks"])
+        elif exists:
+            console.print(f"{checkpoint.path}: damaged and renamed: its robots start again", soft_wrap=True)
     return ticks
 
 
-def run_soak(soak: Soak, folder: Path, console: Console) -> list[ShardResult]:
-    """Run every shard and return their results in order; after Ctrl-C, what there is of them.
+def run_soak(config: SoakConfig, folder: Path, console: Console) -> list[ShardResult]:
+    """Run every shard and return the results in order; after Ctrl-C, of the shards that have begun.
 
     Args:
-        soak: what was asked for.
-        folder: where shards are kept while they live, and taken up from; in it, the bundles of their events.
-        console: told how far it is.
+        config: of the soak.
+        folder: for checkpoints, from which shards resume, and for the bundles of events.
+        console: shows progress.
 
     Raises:
-        ConfigError, OutputError: a shard cannot be taken up or kept.
-        BrokenProcessPool: workers die again and again.
+        ConfigError, OutputError: a checkpoint cannot be read or written.
+        BrokenProcessPool: workers died several times in a row.
     """
-    make(folder)
-    crew, furthest, deaths = _Crew(soak, folder, console), -1, 0
-    while crew.pending and not crew.stop.value:
+    prepare_folder(folder)
+    pool, furthest, deaths = WorkerPool(config, folder, console), -1, 0
+    while pool.pending and not pool.stop.value:
         try:
-            crew.work()
+            pool.run()
         except BrokenProcessPool:
-            done = sum(crew.progress)
+            done = sum(pool.progress)
             furthest, deaths = max(furthest, done), 0 if done > furthest else deaths + 1
             if deaths == DEATHS:
                 raise
-            console.print("a worker died: its shards go on from where they were kept")
-    return list(_results(soak, folder, crew.pending))
+            console.print("a worker died: its shards resume from their checkpoints")
+    return list(_results(config, folder, pool.pending))
 
 
-def _results(soak: Soak, folder: Path, pending: Collection[int]) -> Iterator[ShardResult]:
-    for number, job in enumerate(soak.jobs()):
-        checkpoint = soak.checkpoint(number, folder)
-        kept = checkpoint.load()
-        if kept is None:
+def _results(config: SoakConfig, folder: Path, pending: Collection[int]) -> Iterator[ShardResult]:
+    for number, job in enumerate(config.jobs()):
+        checkpoint = config.checkpoint(number, folder)
+        saved = checkpoint.load()
+        if saved is None:
             if number in pending:
-                return  # robots have the numbers of their places: none is reported behind a gap
-            raise OutputError(f"{checkpoint.path}: lost: it was whole when its robots had lived their hours")
-        yield shard_result(soak.spec, soak.policy.contract, job.robots, kept)
+                return  # robots are numbered by position, so that none is reported after a missing shard
+            raise OutputError(f"{checkpoint.path}: lost after its shard was finished")
+        yield shard_result(config.spec, config.policy.contract, job.robots, saved)
 
 
-class _Crew:
-    """Shards that are done, and those that are not.
+class WorkerPool:
+    """Worker processes and the shards that they have to run.
 
     Attributes:
-        progress: ticks done of each shard. stop: not 0 once all are to end. pending: numbers of those not done.
+        progress: ticks done of each shard. stop: not 0 once all shards are to end. pending: shards not finished.
     """
 
-    def __init__(self, soak: Soak, folder: Path, console: Console) -> None:
+    def __init__(self, config: SoakConfig, folder: Path, console: Console) -> None:
         self._events = folder / EVENTS
-        self._jobs, self._context = soak.jobs(), mp.get_context("spawn")
-        self._checkpoints = [soak.checkpoint(number, folder) for number in range(len(self._jobs))]
-        self._workers, self._ticks, self._console = soak.workers, soak.ticks, console
+        self._jobs, self._context = config.jobs(), mp.get_context("spawn")
+        self._checkpoints = [config.checkpoint(number, folder) for number in range(len(self._jobs))]
+        self._workers, self._ticks, self._console = config.workers, config.ticks, console
         self.progress = self._context.RawArray("q", len(self._jobs))
         self.stop = self._context.RawValue("b", 0)
         self.pending = set(range(len(self._jobs)))
 
-    def work(self) -> None:
-        """Run what is pending until it is done, interrupted, or a worker dies."""
+    def run(self) -> None:
+        """Run the pending shards until all are finished, the user interrupts, or a worker dies."""
         workers, shared = min(self._workers, len(self.pending)), (self.progress, self.stop)
-        with ProcessPoolExecutor(workers, self._context, initializer=_prepare, initargs=shared) as pool:
-            with handled(signal.SIG_IGN):  # which the workers inherit: only their parent hears Ctrl-C
-                futures = {
-                    pool.submit(
-                        _run, number, self._jobs[number], self._checkpoints[number], self._events
-                    ): number
-                    for number in sorted(self.pending)
-                }
+        with ProcessPoolExecutor(
+            workers, self._context, initializer=_initialize_worker, initargs=shared
+        ) as pool:
+            futures = self._submit(pool)
             try:
                 with handled(_interrupt):
-                    self._watch(futures)
+                    self.show_progress(futures)
             except KeyboardInterrupt:
                 self.stop.value = 1
-                self._console.print("interrupted: the report will hold what was done so far")
+                self._console.print("interrupted: the report will cover what has run so far")
                 with handled(signal.SIG_IGN):
                     for future in futures:
                         future.result()
@@ -153,17 +158,18 @@ class _Crew:
                 self.stop.value = 1
                 raise
 
-    def _watch(self, futures: "Mapping[Future[None], int]") -> None:
-        """Show progress until every shard is done or one has failed."""
-        columns = (
-            TextColumn("soaking"),
-            BarColumn(),
-            TextColumn("{task.percentage:5.1f} %"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(elapsed_when_finished=True),
-        )
-        with Progress(*columns, console=self._console) as bar:
+    def _submit(self, pool: ProcessPoolExecutor) -> "dict[Future[None], int]":
+        with handled(signal.SIG_IGN):  # inherited by the workers: only the parent handles Ctrl-C
+            return {
+                pool.submit(
+                    _run_shard, number, self._jobs[number], self._checkpoints[number], self._events
+                ): number
+                for number in sorted(self.pending)
+            }
+
+    def show_progress(self, futures: "Mapping[Future[None], int]") -> None:
+        """Show progress until every shard is finished or one has failed."""
+        with Progress(*COLUMNS, console=self._console) as bar:
             task, waiting = bar.add_task("", total=self._ticks * len(self._jobs)), set(futures)
             while waiting:
                 done, waiting = wait(waiting, timeout=0.5)

@@ -1,4 +1,4 @@
-"""What a soak may cost, from a TOML file, and whether it kept to it."""
+"""Budget of a soak, from a TOML file, and the check of the counts against it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,19 +16,19 @@ BUDGET = Path(__file__).parents[1] / "budget.toml"
 Share = Annotated[float, Field(ge=0, le=1)]
 UNLIMITED = "unlimited"
 Limit = Annotated[NonNegativeInt | None, BeforeValidator(lambda found: None if found == UNLIMITED else found)]
-"""A number, or the word for none."""
+"""A number, or the word "unlimited" for None."""
 
 
 class Budget(Strict):
-    """Most events and least work; each monitor has exactly one line.
+    """Upper bounds of events and lower bounds of work; each monitor has exactly one line.
 
     Attributes:
-        goal_success_min: goals reached ÷ goals due. availability_min: ticks under way ÷ ticks.
-        invalid_ticks_max: ticks that nobody judged because the simulation had diverged.
-        latches_max: times that a robot lost its power and waited for its operator; None for no limit.
-        unlimited: monitors that are counted only.
-        events_max: events in the whole run by monitor.
-        events_per_hour_max: events per hour under way by monitor.
+        goal_success_min: goals reached ÷ goals due. availability_min: ticks in operation ÷ all ticks.
+        invalid_ticks_max: ticks that were not judged because the simulation diverged.
+        latches_max: times that a robot lost its power and waited for the operator; None for no limit.
+        unlimited: monitors without a limit, which are only counted.
+        events_max: events in the whole soak by monitor.
+        events_per_hour_max: events per hour of operating time by monitor.
     """
 
     goal_success_min: Share
@@ -56,11 +56,11 @@ class Budget(Strict):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """One budget line against what happened.
+class BudgetResult:
+    """One budget line and the value found.
 
     Attributes:
-        at_least: whether `allowed` is the least allowed, not the most, which is infinite where there is no limit.
+        at_least: True if `allowed` is a lower bound; otherwise it is an upper bound, infinite for no limit.
         unit: of both numbers.
     """
 
@@ -72,7 +72,7 @@ class Finding:
 
     @property
     def passed(self) -> bool:
-        """Whether the line was kept; NaN was not."""
+        """True if the value is within the bound; False for NaN."""
         return self.found >= self.allowed if self.at_least else self.found <= self.allowed
 
 
@@ -80,35 +80,35 @@ def load_budget(path: Path = BUDGET) -> Budget:
     """Read a budget.
 
     Raises:
-        ConfigError: unreadable, a key unknown or missing, a monitor unknown, twice or without a line.
+        ConfigError: unreadable, an unknown or missing key, a monitor unknown, listed twice or missing.
     """
     return read_toml(path, Budget)
 
 
-def check(budget: Budget, counts: Counts) -> list[Finding]:
-    """Every budget line that concerns such a robot with what was found, work first."""
+def check(budget: Budget, counts: Counts) -> list[BudgetResult]:
+    """Compare the counts with every budget line whose monitor applies to the robot; work first."""
     hours, latches = counts.running_hours, budget.latches_max
-    named = {monitor.name for monitor in counts.monitors}
+    applicable = {monitor.name for monitor in counts.monitors}
     return [
         _line("goal_success", budget.goal_success_min, counts.goal_success, "share", at_least=True),
         _line("availability", budget.availability_min, counts.availability, "share", at_least=True),
         _line("invalid", budget.invalid_ticks_max, float(counts.invalid.sum()), "ticks"),
         _line("latches", np.inf if latches is None else latches, float(counts.latches.sum()), "times"),
         *(
-            _line(name, most, counts.total(name), "events")
-            for name, most in budget.events_max.items()
-            if name in named
+            _line(name, limit, counts.total(name), "events")
+            for name, limit in budget.events_max.items()
+            if name in applicable
         ),
         *(
-            _line(name, most, _per_hour(counts.total(name), hours), "events/h")
-            for name, most in budget.events_per_hour_max.items()
-            if name in named
+            _line(name, limit, _per_hour(counts.total(name), hours), "events/h")
+            for name, limit in budget.events_per_hour_max.items()
+            if name in applicable
         ),
     ]
 
 
-def _line(name: str, allowed: float, found: float, unit: str, *, at_least: bool = False) -> Finding:
-    return Finding(name=name, unit=unit, at_least=at_least, allowed=allowed, found=found)
+def _line(name: str, allowed: float, found: float, unit: str, *, at_least: bool = False) -> BudgetResult:
+    return BudgetResult(name=name, unit=unit, at_least=at_least, allowed=allowed, found=found)
 
 
 def _per_hour(events: int, hours: float) -> float:

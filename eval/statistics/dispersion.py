@@ -1,21 +1,20 @@
-"""How sure counts allow us to be when draws differ: events that bunch in some robots.
+"""Confidence bounds of event rates when draws differ, so that events cluster in some robots.
 
-A robot with a bad draw has its events by the dozen, and bounds that take all hours as alike are then too
-narrow. Here a draw's rate comes from a gamma distribution, and its events are Poisson at that rate, hence
-negative binomial. Their spread, (standard deviation ÷ mean)² of the rates, is not known: it is taken at its
-upper bound, yet at no more than `UNSEEN` or, if that is more, what it looks like. So these bounds are never
-tighter than those of `eval.statistics.evidence` and hold whether draws differ or not. Choosing between the two by
-`dispersion_p` would break the promise, since few events cannot show that draws differ: a nominal 95 % then
-covers 87 % at 16 draws of spread 2, and 92 % at spread 1/2.
+A robot with a bad draw can have dozens of events, and bounds that assume the same rate in all hours are then too
+narrow. Here a draw's rate has a gamma distribution and its events are Poisson at that rate, hence negative binomial.
+The spread, (standard deviation ÷ mean)² of the rates, is unknown: its upper bound is used, limited to `UNSEEN` or to
+the estimated spread, whichever is larger. These bounds are never tighter than those of `eval.statistics.evidence` and
+hold whether draws differ or not. Choosing between the two by `dispersion_p` would lose coverage, since few events
+cannot show that draws differ: a nominal 95 % would cover 87 % at 16 draws of spread 2, and 92 % at spread 1/2.
 
-What a nominal 95 % covers, where 3 events or more are to be expected, two-sided and one-sided:
+Actual coverage of a nominal 95 %, with at least 3 expected events, two-sided and one-sided:
     8 to 256 draws with any hours: without spread 96 %, spread 1 96 %, spread 2 94 %;
     16 draws with log-normal rates, σ = 1: 95 % two-sided, 93 % one-sided;
     spread 4: 89 % at 16 draws, 92 % at 64; spread 10: 81 % and 91 %.
-A kind of draw too rare to be among those drawn is not covered: of one in ten with ten times the events of the
-others, 16 draws hold none in 19 nights of 100. `evidence.share_upper` of bad draws is the only word on it.
-A bootstrap over draws knows no draw but these either: at 16 draws of spread 2 its nominal 95 % covers 81 to
-89 % by percentiles and 87 to 92 % by BCa, and without events it says 0.
+A kind of draw too rare to be in the sample is not covered: if one draw in ten has ten times the events of the
+others, 16 draws contain none of them in 19 soaks of 100. Only `evidence.share_upper` of bad draws bounds that.
+A bootstrap over draws has the same limit: at 16 draws of spread 2 its nominal 95 % covers 81 to 89 % by percentiles
+and 87 to 92 % by BCa, and without events it returns 0.
 
 Source: Greenwood and Yule, An inquiry into the nature of frequency distributions, J. R. Stat. Soc. 83 (1920).
 """
@@ -31,16 +30,16 @@ from robots.arrays import Floats
 
 UNSEEN = 2.0  # gamma shape 1/2: 5 % of draws hold 28 % of the events
 RESAMPLES = 9999
-_AT_ONCE = 1 << 22  # numbers in memory while resampling, whatever the number of draws
-_ALIKE = 1e-9  # a spread that is none, to nine digits
+_BATCH_NUMBERS = 1 << 22  # bounds the memory of resampling, whatever the number of draws
+_SPREAD_MIN = 1e-9  # avoids division by zero where draws do not differ
 
 
 def dispersion_p(events: ArrayLike, hours: ArrayLike) -> float:
-    """P-value of draws that are alike: how often chance spreads as many events over them at least as unevenly.
+    """Return the p-value of equal rates in all draws: how often chance spreads the events at least as unevenly.
 
-    Fisher's index of dispersion Σ(x - μ)²/μ with μ in proportion to hours. Its χ²(n - 1) needs some five events
-    a draw, so the p-value is that of the exact distribution given the total, multinomial, from `RESAMPLES` of
-    it and always the same ones. Fewer than two events show nothing: 1. Draws without hours have no say.
+    The statistic is Fisher's index of dispersion Σ(x - μ)²/μ with μ in proportion to hours. Its χ²(n - 1) needs about
+    five events per draw, so the p-value is that of the exact distribution given the total, multinomial, from
+    `RESAMPLES` samples with a fixed seed. It is 1 for fewer than two events. Draws without hours are ignored.
 
     Args:
         events, hours: (n,) of each draw.
@@ -60,21 +59,22 @@ def dispersion_p(events: ArrayLike, hours: ArrayLike) -> float:
         lambda x, axis: ((x - total * share) ** 2 / (total * share)).sum(axis=axis),
         vectorized=True,
         n_resamples=RESAMPLES,
-        batch=max(1, _AT_ONCE // len(x)),
+        batch=max(1, _BATCH_NUMBERS // len(x)),
         alternative="greater",
     )
     return float(test.pvalue)
 
 
 def draw_rate_upper(events: ArrayLike, hours: ArrayLike, confidence: float = CONFIDENCE) -> Floats:
-    """Upper bound of the rate, per hour, over draws that may differ; infinite without exposure.
+    """Return the upper bound of the rate, per hour, over draws that may differ; infinite without exposure.
 
-    Where `evidence.rate_upper` has χ²(2x + 2), this has the F of 2x + 2 and 2r degrees of freedom, r = draws ÷
-    spread, from the negative binomial tail. Without events: 3.63 ÷ hours for n = 16, 3.14 for 64, 3.00 for many.
+    Instead of χ²(2x + 2) in `evidence.rate_upper` it uses the F distribution with 2x + 2 and 2r degrees of freedom,
+    r = draws ÷ spread, from the negative binomial tail. Without events it is 3.63 ÷ hours for n = 16, 3.14 for 64,
+    3.00 for many draws.
 
     Args:
-        events: (n, ...) of each draw. hours: (n,), draws by their own.
-        confidence: of one side, above 1/2.
+        events: (n, ...) of each draw. hours: (n,) of each draw.
+        confidence: one-sided, above 1/2.
 
     Source: Patil, On the evaluation of the negative binomial distribution, Technometrics 2 (1960), its tail as
     a beta distribution, that is F; spread by moments: Breslow, Extra-Poisson variation in log-linear models,
@@ -87,7 +87,7 @@ def draw_rate_upper(events: ArrayLike, hours: ArrayLike, confidence: float = CON
 
 
 def draw_rate_lower(events: ArrayLike, hours: ArrayLike, confidence: float = CONFIDENCE) -> Floats:
-    """Lower bound of the rate, per hour, over draws that may differ; 0 without events.
+    """Return the lower bound of the rate, per hour, over draws that may differ; 0 without events.
 
     Args:
         events, hours, confidence: as `draw_rate_upper`.
@@ -97,17 +97,17 @@ def draw_rate_lower(events: ArrayLike, hours: ArrayLike, confidence: float = CON
     total, exposure, r = _pooled(events, hours, confidence)
     if exposure <= 0:
         return np.zeros_like(total)
-    quantile = stats.f.ppf(1 - confidence, np.maximum(2 * total, _ALIKE), 2 * r)
+    quantile = stats.f.ppf(1 - confidence, np.maximum(2 * total, _SPREAD_MIN), 2 * r)
     return np.where(total > 0, total / exposure * quantile, 0.0)
 
 
 def draw_rate_interval(
     events: ArrayLike, hours: ArrayLike, confidence: float = CONFIDENCE
 ) -> tuple[Floats, Floats]:
-    """Central interval of the rate, per hour, over draws that may differ.
+    """Return the central interval of the rate, per hour, over draws that may differ.
 
     Args:
-        events, hours: as `draw_rate_upper`. confidence: of both sides.
+        events, hours: as `draw_rate_upper`. confidence: two-sided.
 
     Source: Patil (1960), as `draw_rate_upper`.
     """
@@ -116,9 +116,9 @@ def draw_rate_interval(
 
 
 def _pooled(events: ArrayLike, hours: ArrayLike, confidence: float) -> tuple[Floats, float, Floats]:
-    """Events, hours, and as how many draws of spread 1 these count.
+    """Total events, total hours, and the equivalent number of draws of spread 1.
 
-    The spread's bound may err twice as often as the whole: it harms only where the total errs the same way.
+    The bound of the spread may fail twice as often as the result: it harms only where the total fails the same way.
     """
     x, h = np.asarray(events, dtype=np.float64), np.asarray(hours, dtype=np.float64)
     total, exposure = x.sum(axis=0), float(h.sum())
@@ -128,9 +128,9 @@ def _pooled(events: ArrayLike, hours: ArrayLike, confidence: float) -> tuple[Flo
         likely = _spread(total, uneven, draws, draws - 1)
         most = _spread(total, uneven, draws, stats.chi2.ppf(2 * (1 - confidence), draws - 1))
         spread = np.minimum(most, np.maximum(likely, UNSEEN))
-    return total, exposure, draws / np.maximum(np.where(np.isnan(spread), UNSEEN, spread), _ALIKE)
+    return total, exposure, draws / np.maximum(np.where(np.isnan(spread), UNSEEN, spread), _SPREAD_MIN)
 
 
 def _spread(total: Floats, uneven: Floats, draws: float, freedom: float) -> Floats:
-    """What is left of the variance of draws' rates ÷ mean² after chance; NaN without events or with one draw."""
+    """Variance of the draws' rates ÷ mean², without the part due to chance; NaN without events or with one draw."""
     return draws / total * np.maximum(uneven / (total * freedom) - 1, 0)

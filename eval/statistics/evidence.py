@@ -1,8 +1,8 @@
-"""How sure counts allow us to be: rates of events, bad draws, and shares of goals.
+"""Confidence bounds of event rates, of the share of bad draws, and of the share of goals.
 
-A bound is one-sided at `confidence`; an interval leaves half of the rest on either side. Events are taken
-as Poisson in the exposure and draws as independent; hours under one draw are not, so the rate and the share
-of bad draws are both to be reported; `eval.statistics.dispersion` bounds the rate where draws differ.
+A bound is one-sided at `confidence`; an interval is two-sided with equal tails. Events are taken as Poisson in the
+exposure and draws as independent. Hours of the same draw are not independent, so both the rate and the share of bad
+draws must be reported; `eval.statistics.dispersion` bounds the rate where draws differ.
 """
 
 from typing import cast
@@ -17,7 +17,7 @@ CONFIDENCE = 0.95
 
 
 def rate_upper(events: ArrayLike, hours: float, confidence: float = CONFIDENCE) -> Floats:
-    """Upper bound of a Poisson rate, per hour; infinite without exposure.
+    """Return the upper bound of a Poisson rate, per hour; infinite without exposure.
 
     Without events it is -ln(1 - confidence) ÷ hours: 3.00 ÷ hours at 95 %.
 
@@ -28,7 +28,7 @@ def rate_upper(events: ArrayLike, hours: float, confidence: float = CONFIDENCE) 
 
 
 def rate_lower(events: ArrayLike, hours: float, confidence: float = CONFIDENCE) -> Floats:
-    """Lower bound of a Poisson rate, per hour; 0 without events.
+    """Return the lower bound of a Poisson rate, per hour; 0 without events.
 
     Source: Garwood (1936), as `rate_upper`.
     """
@@ -37,7 +37,7 @@ def rate_lower(events: ArrayLike, hours: float, confidence: float = CONFIDENCE) 
 
 
 def rate_interval(events: ArrayLike, hours: float, confidence: float = CONFIDENCE) -> tuple[Floats, Floats]:
-    """Central interval of a Poisson rate, per hour.
+    """Return the central interval of a Poisson rate, per hour.
 
     Source: Garwood (1936), as `rate_upper`.
     """
@@ -46,7 +46,7 @@ def rate_interval(events: ArrayLike, hours: float, confidence: float = CONFIDENC
 
 
 def share_upper(hits: ArrayLike, trials: int, confidence: float = CONFIDENCE) -> Floats:
-    """Upper bound of a probability; 1 without trials. For k bad draws of N: P(a draw is bad) ≤ this.
+    """Return the upper bound of a probability; 1 without trials. With k bad draws of N: of P(a draw is bad).
 
     Without hits it is 1 - (1 - confidence) ** (1 / trials).
 
@@ -58,7 +58,7 @@ def share_upper(hits: ArrayLike, trials: int, confidence: float = CONFIDENCE) ->
 
 
 def share_lower(hits: ArrayLike, trials: int, confidence: float = CONFIDENCE) -> Floats:
-    """Lower bound of a probability; 0 without hits. For k of n faults answered: their coverage is at least this.
+    """Return the lower bound of a probability; 0 without hits. With k of n faults handled: of their coverage.
 
     Source: Clopper and Pearson (1934), as `share_upper`.
     """
@@ -66,7 +66,7 @@ def share_lower(hits: ArrayLike, trials: int, confidence: float = CONFIDENCE) ->
 
 
 def share_interval(hits: ArrayLike, trials: int, confidence: float = CONFIDENCE) -> tuple[Floats, Floats]:
-    """Central interval of a probability.
+    """Return the central interval of a probability.
 
     Source: Clopper and Pearson (1934), as `share_upper`.
     """
@@ -74,22 +74,22 @@ def share_interval(hits: ArrayLike, trials: int, confidence: float = CONFIDENCE)
     return share_lower(hits, trials, each), share_upper(hits, trials, each)
 
 
-def family_confidence(many: int, confidence: float = CONFIDENCE) -> float:
-    """What each of `many` bounds needs for all of them to hold at once with `confidence`, however they depend.
+def family_confidence(bounds: int, confidence: float = CONFIDENCE) -> float:
+    """Return the confidence of each of several bounds for all to hold at once with `confidence`, however dependent.
 
     Source: Dunn, Multiple comparisons among means, J. Am. Stat. Assoc. 56 (1961), Bonferroni's inequality.
     """
-    return 1 - (1 - confidence) / many
+    return 1 - (1 - confidence) / bounds
 
 
 def further_hours(mtbf: float, events: int, hours: float, confidence: float = CONFIDENCE) -> float:
-    """Hours still to run until the mean time between events is shown to be `mtbf` at least; 0 if it is.
+    """Return the further hours that show a mean time between events of at least `mtbf`; 0 if it is shown already.
 
-    Altogether 3.00, 4.74, 6.30 and 10.5 times `mtbf` for 0, 1, 2 and 5 events at 95 %.
+    In total 3.00, 4.74, 6.30 and 10.5 times `mtbf` for 0, 1, 2 and 5 events at 95 %.
 
     Args:
-        mtbf: h wanted.
-        events: all that there will be at the end: those so far if no other comes, twice them if as many come.
+        mtbf: h to show.
+        events: total at the end: the present number if no further event occurs, twice it if as many occur again.
         hours: h so far.
 
     Source: Epstein and Sobel, Life testing, J. Am. Stat. Assoc. 48 (1953), solved for the time on test.
@@ -98,12 +98,12 @@ def further_hours(mtbf: float, events: int, hours: float, confidence: float = CO
 
 
 def trials_needed(share: float, misses: int = 0, confidence: float = CONFIDENCE) -> int:
-    """Least trials for `share_lower` to reach `share` if `misses` of them fail: 59 for 95 %, 299 for 99 %.
+    """Return the least number of trials for `share_lower` to reach `share` with some misses: 59 for 95 %, 299 for 99 %.
 
-    The trial at which one miss more would come is negative binomial.
+    The number of the trial with the next miss is negative binomial.
 
     Args:
-        share: of hits, wanted; below 1.
+        share: required share of hits, below 1.
 
     Source: Wilks, Determination of sample sizes for setting tolerance limits, Ann. Math. Stat. 12 (1941).
     """

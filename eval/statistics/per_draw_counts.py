@@ -1,4 +1,4 @@
-"""What a soak counted, draw by draw: all that nights are pooled by and policies are compared by."""
+"""Per-draw counts of a soak: the data by which soaks are pooled and policies compared."""
 
 from collections.abc import Sequence
 from itertools import chain
@@ -14,17 +14,17 @@ from robots.strict import Strict
 
 Column = tuple[NonNegativeInt, ...]
 Ratio = tuple[Floats, Floats]
-"""(R,) amounts and (R,) exposures, draw by draw: the sum of the former ÷ that of the latter is the figure of all."""
+"""(R,) amounts and (R,) exposures by draw; the figure of all draws is Σ amounts ÷ Σ exposures."""
 
 
-class Tally(Strict):
-    """A column has a number for each of R draws, in their order.
+class PerDrawCounts(Strict):
+    """Counts of R draws; every column has R numbers, in the order of the draws.
 
     Attributes:
         dt: s, the control period.
         ticks, invalid, running, stops, due, reached: as in `eval.judge.counts.Counts`.
         hard: events by hard monitor.
-        hottest_c: °C, the highest true winding temperature of any joint on any tick; None where none was judged.
+        hottest_c: °C, the highest true winding temperature of any joint in any tick; None where none was judged.
     """
 
     dt: PositiveFloat
@@ -38,8 +38,8 @@ class Tally(Strict):
     hottest_c: tuple[float | None, ...]
 
     @classmethod
-    def of(cls, counts: Counts) -> Self:
-        """Of what the judge found."""
+    def from_counts(cls, counts: Counts) -> Self:
+        """Return the per-draw counts of the judge's counts."""
         hottest = counts.winding_c().max(axis=1).round(2)
         hard = {
             monitor.name: tuple(counts.events[:, counts.columns(monitor.name)].sum(axis=1).tolist())
@@ -57,44 +57,44 @@ class Tally(Strict):
 
     @property
     def hard_events(self) -> Ratio:
-        """Events of all hard monitors, and h under way."""
+        """Events of all hard monitors, and h of operating time."""
         events = np.array([*self.hard.values()], dtype=np.float64).sum(axis=0)
         return events, np.array(self.running) * self.dt / 3600
 
     @property
     def goals(self) -> Ratio:
-        """Goals reached, and due."""
+        """Goals reached, and goals due."""
         return np.array(self.reached, dtype=np.float64), np.array(self.due, dtype=np.float64)
 
     @property
-    def under_way(self) -> Ratio:
-        """Ticks under way, and all."""
+    def availability(self) -> Ratio:
+        """Ticks in operation, and all ticks."""
         return np.array(self.running, dtype=np.float64), np.array(self.ticks, dtype=np.float64)
 
     @property
     def bad_draws(self) -> int:
-        """Draws with a hard event, and those whose simulation diverged."""
+        """Draws with a hard event or a diverged simulation."""
         return int(np.sum((self.hard_events[0] > 0) | (np.array(self.invalid) > 0)))
 
 
 _COLUMNS = ("ticks", "invalid", "running", "stops", "due", "reached")
 
 
-def together(tallies: Sequence[Tally]) -> Tally:
-    """The draws of all of them, in order; one or more, of the same monitors and control period."""
+def concatenate(parts: Sequence[PerDrawCounts]) -> PerDrawCounts:
+    """Return the draws of one or more parts, which have the same monitors and control period."""
     joined = {
-        name: tuple(chain.from_iterable(getattr(t, name) for t in tallies))
+        name: tuple(chain.from_iterable(getattr(part, name) for part in parts))
         for name in (*_COLUMNS, "hottest_c")
     }
-    hard = {name: tuple(chain.from_iterable(t.hard[name] for t in tallies)) for name in tallies[0].hard}
-    return Tally(dt=tallies[0].dt, hard=hard, **joined)
+    hard = {name: tuple(chain.from_iterable(part.hard[name] for part in parts)) for name in parts[0].hard}
+    return PerDrawCounts(dt=parts[0].dt, hard=hard, **joined)
 
 
-def stop_ticks(*tallies: Tally) -> float | None:
-    """Ticks that one stop takes out of the work, as interval estimates are to weigh it; None if none was seen.
+def stop_ticks(*parts: PerDrawCounts) -> float | None:
+    """Ticks of downtime per stop, weighted for interval estimates; None without a stop.
 
     Lumps of unequal size weigh as their mean square ÷ mean: twice the mean if their lengths are exponential.
     """
-    stops = sum(sum(t.stops) for t in tallies)
-    down = sum(sum(t.ticks) - sum(t.running) for t in tallies)
+    stops = sum(sum(part.stops) for part in parts)
+    down = sum(sum(part.ticks) - sum(part.running) for part in parts)
     return 2 * down / stops if stops else None

@@ -37,7 +37,7 @@ Failure, Fault = sensor_faults.Failure, sensor_faults.Fault
 Judge = pytest.importorskip("eval.judge.judge").Judge
 true_tilt = pytest.importorskip("eval.judge.truth").true_tilt
 BaseTruth = pytest.importorskip("deploy.backends.sim.truth").BaseTruth
-judge_tick = pytest.importorskip("eval.soak.shard").judge_tick
+judge_tick = pytest.importorskip("eval.shard.judging").judge_tick
 ignore_reasons = pytest.importorskip("eval.mutants.guard_removal").ignore_reasons
 
 DT, TORQUE_MAX = QUADRUPED.dt, torque_max(QUADRUPED)

@@ -5,7 +5,8 @@ from support.arm6 import SPEC
 pytest.importorskip("torch")
 
 from deploy.policy.policy import Policy
-from eval.soak.shard import WIDTH, Shard, ShardJob
+from eval.shard.job import WIDTH, ShardJob
+from eval.shard.shard import Shard
 from policies.export.cli import POLICIES, export
 from policies.training.checkpoint import load_checkpoint
 from policies.training.recipe import contract_of, find_recipe, load_recipe

@@ -8,7 +8,7 @@ from support.arm6 import SPEC
 from support.contracts import arm_contract
 
 simulate = pytest.importorskip("deploy.backends.sim.backend").simulate
-ARM_S = pytest.importorskip("eval.soak.shard").ARM_S
+ARM_S = pytest.importorskip("eval.shard.job").ARM_S
 
 
 N, DT = SPEC.n, SPEC.dt

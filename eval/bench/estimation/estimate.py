@@ -21,7 +21,7 @@ from deploy.state import Packet, Sample, Setpoint, State
 from deploy.telemetry.output_files import replacing
 from eval.bench.estimation.encoder import draw_encoder
 from eval.bench.estimation.recorded_packets import Heard, Motion
-from eval.soak.shard import ARM_S
+from eval.shard.job import ARM_S
 from robots.arrays import Floats
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec

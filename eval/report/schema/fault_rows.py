@@ -1,4 +1,4 @@
-"""The schema of what report.json says of faults on schedule."""
+"""Schema of injected faults in report.json."""
 
 from typing import Annotated
 
@@ -10,9 +10,9 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Times(Strict):
-    """s since the injection, over those robots that did it."""
+    """Times since the injection, s, of the injections where it happened."""
 
-    many: NonNegativeInt
+    count: NonNegativeInt
     median_s: float
     worst_s: float
 
@@ -21,55 +21,60 @@ class FaultRow(Strict):
     """One class of faults.
 
     Attributes:
-        where, what, meaning: as in the catalogue. asked: the most severe answer that is right.
-        injections: those that count; not_at_work: those that found no robot at work, and do not.
-        handled: with no hard event and an answer that is right; handled_lower: bound of its share, 95 %, one-sided.
-        answers: how often each was given. hurt: hard monitors that had something to say, by how many faults.
-        left, rest: when a robot left its work, and when it then truly stood still; None if none did.
-        again: how many were at work again before the next fault.
-        astray_rad: worst distance of a true angle from the one sent, until the robot stood; None for no number.
-        load: worst share of the limits of angle and speed.
+        where, what, meaning: as in the catalogue. required: the most severe correct answer.
+        injections: those that count. not_running: those into robots that were not in operation, which do not count.
+        handled: those without a hard event and with a correct answer. handled_lower: lower bound of their share, 95 %,
+            one-sided.
+        answers: number of injections by answer. violations: number of injections by hard monitor with an event.
+        stopped, at_rest: times until the robot stopped operating, and until it truly stood still; None if none did.
+        resumed: number of injections after which the robot operated again before its next fault.
+        deviation_rad: largest deviation of a true angle from the angle sent, until the robot stood still; None if not
+            finite.
+        load: largest share of the limits of angle and speed.
     """
 
     where: str
     what: str
     meaning: str
-    asked: str
+    required: str
     injections: NonNegativeInt
-    not_at_work: NonNegativeInt
+    not_running: NonNegativeInt
     handled: NonNegativeInt
     handled_lower: Share
     answers: dict[str, NonNegativeInt]
-    hurt: dict[str, NonNegativeInt]
-    left: Times | None
-    rest: Times | None
-    again: NonNegativeInt
-    astray_rad: float | None
+    violations: dict[str, NonNegativeInt]
+    stopped: Times | None
+    at_rest: Times | None
+    resumed: NonNegativeInt
+    deviation_rad: float | None
     load: float | None
 
 
-class Miss(Strict):
-    """A fault that was not handled: `start_h` h into the run; times in s since then, None for never."""
+class UnhandledFault(Strict):
+    """A fault that was not handled: `start_h` h since the start of the soak; times in s since then, None for never."""
 
     robot: NonNegativeInt
     fault: str
     channel: str | None
     start_h: float
     answer: str
-    hurt: tuple[str, ...]
-    left_s: float | None
-    rest_s: float | None
-    astray_rad: float | None
+    violations: tuple[str, ...]
+    stopped_s: float | None
+    at_rest_s: float | None
+    deviation_rad: float | None
 
 
 class FaultTable(Strict):
-    """Faults on schedule; `coverage` is the share of each class that must be shown to be handled.
+    """Injected faults by class.
 
-    `injections` are all those whose story is over; `misses` the first of those that were not handled.
+    Attributes:
+        coverage: share of each class that must be shown to be handled.
+        injections: number of injections that were followed to their end. unhandled: the first unhandled ones.
+        not_injected: faults that the simulation cannot inject, and why.
     """
 
     coverage: Share
     injections: NonNegativeInt
     rows: tuple[FaultRow, ...]
-    misses: tuple[Miss, ...]
+    unhandled: tuple[UnhandledFault, ...]
     not_injected: tuple[str, ...]

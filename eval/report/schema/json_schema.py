@@ -1,4 +1,4 @@
-"""JSON Schema of report.json. `python -m eval.report.schema.json_schema` writes schema.json anew."""
+"""JSON Schema of report.json; `python -m eval.report.schema.json_schema` writes schema.json."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ SCHEMA = Path(__file__).with_name("schema.json")
 
 
 def schema() -> str:
-    """JSON Schema of `Report`, with what its fields mean and their units."""
+    """Return the JSON Schema of `Report`, with meanings and units of the fields."""
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     return json.dumps(dialect | Report.model_json_schema(), indent=1, ensure_ascii=False) + "\n"
 

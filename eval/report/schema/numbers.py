@@ -1,4 +1,4 @@
-"""Numbers as report.json holds them."""
+"""Numbers in report.json: rounding, medians and formatting."""
 
 import math
 from typing import Annotated
@@ -11,28 +11,28 @@ from robots.arrays import Floats
 
 Count = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
-# None stands for a number that is none: no exposure, a NaN, a diverged simulation.
+# None replaces NaN and infinity: no exposure, a diverged simulation.
 Number = float | None
 
 
 def number(value: ArrayLike, digits: int | None = None) -> Number:
-    """A finite number, rounded if `digits` says so; None for any other."""
+    """Return a finite number, rounded if `digits` is given; None if not finite."""
     value = float(np.asarray(value))
     return (value if digits is None else round(value, digits)) if math.isfinite(value) else None
 
 
 def series(values: Floats, digits: int) -> tuple[Number, ...]:
-    """`number` of each of (T,)."""
+    """Return `number` of each element of (T,)."""
     return tuple(number(value, digits) for value in values)
 
 
 def median(values: Floats) -> Floats:
-    """(T, ...) of what is known of the robots of (T, N, ...), NaN for nothing."""
+    """Return the median (T, ...) over finite values of (T, N, ...); NaN if there are none."""
     return np.asarray(np.ma.median(np.ma.masked_invalid(values), axis=1).filled(np.nan))
 
 
 def figure(value: float | None, digits: int = 3) -> str:
-    """A number to some digits, thousands apart, and `–` for one that is none."""
+    """Format a number with some significant digits and thousands separators; `–` for None."""
     if value is None:
         return "–"
     if abs(value) >= 10**digits or value == int(value):

@@ -1,62 +1,17 @@
-"""What a soak hands over, and the schema of report.json."""
+"""Schema of report.json."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
-from eval.history.night_record import Night, Run, Settings
-from eval.judge.counts import Counts
+from eval.history.soak_record import SoakRecord
 from eval.report.schema.fault_rows import FaultTable
 from eval.report.schema.numbers import Count, Number, Share
 from eval.report.schema.rows import EventRow, Evidence, MonitorRow, RobotRow, Sensitivity
 from eval.report.schema.trend_rows import Trend
-from robots.arrays import Floats, Ints
 from robots.strict import Strict
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SoakResult:
-    """A soak, finished or interrupted, of R robots with n joints.
+class BudgetLine(Strict):
+    """One budget line; `about` explains `found` in words.
 
-    Attributes:
-        counts: what the judge found.
-        sample_h: (T,) h, when `winding_c` and `worn` were taken: at 0, then once a simulated minute or so.
-        winding_c: (T, R, n) °C, true winding temperature; NaN once a robot's simulation diverged.
-        folded_back: (T, R, n) share of its current that a motor at work could not draw for its heat; NaN as that.
-        worn: (T, 4, R, n) what the joints had become: friction as a factor of the new joint's, backlash and encoder
-            error in rad, torque constant as a factor; NaN as `winding_c`.
-        winding_soft_c, winding_max_c: (n,) °C.
-        stops, latches: (T, R) times that a robot had left its work, and lost its power, up to each sample.
-        goals_bin_h: h, width of the bins of `goals_attempted` and `goals_reached`, (H,) all robots together.
-        parameters: (R,) by name, what each robot was drawn with: see `eval.statistics.sensitivity`.
-        bundles: folders of events to see again, as seen from the report's folder.
-        unseen: sentences on what the plant does not model.
-        faults: on schedule; None if there were none.
-    """
-
-    settings: Settings
-    run: Run
-    counts: Counts
-    sample_h: Floats
-    winding_c: Floats
-    folded_back: Floats
-    worn: Floats
-    winding_soft_c: Floats
-    winding_max_c: Floats
-    stops: Ints
-    latches: Ints
-    goals_bin_h: float
-    goals_attempted: Ints
-    goals_reached: Ints
-    parameters: Mapping[str, Floats]
-    bundles: tuple[str, ...]
-    unseen: tuple[str, ...]
-    faults: FaultTable | None = None
-
-
-class Line(Strict):
-    """One budget line; `about` says what `found` is of, in words.
-
-    `allowed` is the least if `at_least`, else the most; None for no budget.
+    `allowed` is the lower bound if `at_least`, otherwise the upper bound; None for no limit.
     """
 
     name: str
@@ -69,9 +24,9 @@ class Line(Strict):
 
 
 class Exposure(Strict):
-    """How much was seen: h of all robots together; `running` is the exposure of rates.
+    """Simulated time of all robots together; `running_hours`, the operating time, is the exposure of rates.
 
-    `evaluations` is how often every monitor was asked: ticks × robots, less those of diverged simulations.
+    `evaluations` is the number of times that every monitor was evaluated: ticks × robots, without diverged simulations.
     """
 
     draws: Count
@@ -85,12 +40,15 @@ class Exposure(Strict):
 
 
 class Heat(Strict):
-    """True winding temperature of a joint at `Report.sample_h`, °C: median robot, and hottest each time.
+    """True winding temperature of one joint, °C.
 
-    `peak_c` is the highest on any tick, of `hottest_robot`. `above_soft_h` is h above `soft_c`, all robots together
-    and every tick looked at, and `longest_h` the most of one robot, `longest_robot`. `folded_back` is the share of its
-    current that the motor could not draw for its heat, mean of all samples and robots, and `folded_most` the highest
-    mean of one robot, `folded_robot`.
+    Attributes:
+        median_c, hottest_c: of the median robot, and of the hottest robot at each of `Report.sample_h`.
+        peak_c: the highest in any tick. hottest_robot: its robot.
+        above_soft_h: h above `soft_c` of all robots together, over all ticks.
+        longest_h: the most of one robot. longest_robot: that robot.
+        folded_back: share of its current that the motor could not draw because of its heat, mean of all samples and
+            robots. folded_most: the highest mean of one robot. folded_robot: that robot.
     """
 
     joint: str
@@ -109,7 +67,7 @@ class Heat(Strict):
 
 
 class WornJoint(Strict):
-    """A quantity of one joint at the start and at the end: median robot, and the `robot` that moved furthest."""
+    """A quantity of one joint at start and end: of the median robot, and of the `robot` with the largest change."""
 
     joint: str
     median: tuple[Number, Number]
@@ -118,12 +76,12 @@ class WornJoint(Strict):
 
 
 class Wear(Strict):
-    """A quantity that wears, by size, in `unit`, at `Report.sample_h`: median of all joints of all robots, and one.
+    """A quantity that wears, as absolute value in `unit`, at `Report.sample_h`.
 
     Attributes:
-        meaning: for the reader. median, most_worn: curves; the latter of the joint that moved furthest by the end:
-        robot, joint: which one that is.
-        joints: one by one.
+        median: over all joints of all robots. most_worn: of the joint with the largest change by the end.
+        robot, joint: that joint.
+        joints: start and end of each joint.
     """
 
     name: str
@@ -137,7 +95,7 @@ class Wear(Strict):
 
 
 class GoalBin(Strict):
-    """Goals whose time was over between two times, h; `low` and `high` as in `Goals`."""
+    """Goals whose time ended between two times, h; `low` and `high` as in `Goals`."""
 
     start_h: float
     end_h: float
@@ -148,7 +106,7 @@ class GoalBin(Strict):
 
 
 class Goals(Strict):
-    """The work: `success` is reached ÷ due, `low` and `high` its 95 % interval if goals were independent.
+    """Goals of all robots: `success` is reached ÷ due, `low` and `high` its 95 % interval for independent goals.
 
     `change` is a sentence on the first and the last bin.
     """
@@ -163,21 +121,21 @@ class Goals(Strict):
 
 
 class Stops(Strict):
-    """Times that robots left their work, and why; several reasons may hold at once. After a latch they lost power."""
+    """Stops of all robots by reason, of which several may hold at once; a latch is a stop with power loss."""
 
     total: Count
     latches: Count
     reasons: dict[str, Count]
 
 
-class Report(Night):
-    """report.json: a night, and all that there is to see of it.
+class Report(SoakRecord):
+    """report.json: the record of a soak, and all data of its report.
 
-    `events` holds every one that was kept, hard ones first; `MonitorRow.left_out` counts the others. `trend` is None
-    without a history.
+    `events` are all that were recorded one by one, hard ones first; `MonitorRow.unlisted` counts the others. `trend` is
+    None without a history.
     """
 
-    budget: tuple[Line, ...]
+    budget: tuple[BudgetLine, ...]
     exposure: Exposure
     evidence: Evidence
     goals: Goals
@@ -192,4 +150,4 @@ class Report(Night):
     wear: tuple[Wear, ...]
     faults: FaultTable | None
     trend: Trend | None
-    unseen: tuple[str, ...]
+    limitations: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""The schema of what report.json says of evidence, monitors, events, draws and causes."""
+"""Schema of evidence, monitors, events, robots and sensitivity in report.json."""
 
 from typing import Annotated
 
@@ -8,28 +8,30 @@ from eval.report.schema.numbers import Count, Number, Share
 from robots.strict import Strict
 
 
-class Further(Strict):
-    """Hours of all robots together, still to run until a mean time between hard events of `mtbf_h` h is shown.
+class FurtherHours(Strict):
+    """Further operating hours of all robots together that show a mean time between hard events of `mtbf_h` h.
 
-    `hours` if no other event comes, `alike_hours` if as many come as came so far; all hours taken as alike.
+    `hours` without another event, `same_rate_hours` if as many events occur again; the same rate in all hours.
     """
 
     mtbf_h: float
     hours: float
-    alike_hours: float
+    same_rate_hours: float
 
 
 class Evidence(Strict):
-    """Hard events of all monitors together, and how sure the counts allow us to be; rates per hour under way.
+    """Hard events of all monitors together with confidence bounds; rates per hour of operating time.
 
     Attributes:
         confidence: of each upper bound, one-sided, and of each interval, two-sided.
-        hard_rate_upper, hard_rate_interval: of the rate if all hours are alike, whatever the draw.
-        draw_rate_upper, draw_rate_interval: of the rate over draws that may differ; they hold either way.
-        bad_draws: with a hard event or a simulation that diverged. bad_draw_upper: of their share among all draws.
-        dispersion_p: how often chance alone spreads as many events over the draws as unevenly. dispersion: in words.
-        family: hard monitors that were judged. family_confidence: of each one's bound, for all to hold at once.
-        further: what it takes to show a mean time between events.
+        hard_rate_upper, hard_rate_interval: of the rate if it is the same in all hours and draws.
+        draw_rate_upper, draw_rate_interval: of the rate over draws that may differ; valid in both cases.
+        bad_draws: draws with a hard event or a diverged simulation. bad_draw_upper: bound of their share.
+        dispersion_p: how often chance alone spreads the events over the draws at least as unevenly.
+        dispersion: the same in words.
+        family: number of hard monitors with limits. family_confidence: confidence of the bound of each, for all to hold
+            at once.
+        further: operating time needed to show a mean time between events.
     """
 
     confidence: Share
@@ -45,17 +47,17 @@ class Evidence(Strict):
     dispersion: str
     family: Count
     family_confidence: Share
-    further: tuple[Further, ...]
+    further: tuple[FurtherHours, ...]
 
 
 class Channel(Strict):
-    """A monitor on one joint, None for the whole robot.
+    """One monitor on one joint; joint None for a monitor of the whole robot.
 
     Attributes:
-        limit: in the monitor's unit; None where nothing says it, and nothing was judged.
-        worst: the highest of all ticks, as a share of `limit`: the least margin is 1 less that.
-        tail: what all but `Report.tail_share` of the ticks stayed below, as a share of `limit`, rounded up to 0.01
-            but for no more than `worst`, which it is from 2 on.
+        limit: in the monitor's unit; None for no known limit, so that nothing was judged.
+        worst: the highest load of all ticks, as a share of `limit`; the least margin is 1 - `worst`.
+        tail: the load that all ticks but a share of `Report.tail_share` stayed below, as a share of `limit`, rounded up
+            to 0.01 but not above `worst`; equal to `worst` from 2 on.
     """
 
     joint: str | None
@@ -67,15 +69,16 @@ class Channel(Strict):
 
 
 class MonitorRow(Strict):
-    """A monitor over all robots; rates per hour under way.
+    """One monitor over all robots; rates per hour of operating time.
 
     Attributes:
-        left_out: how many of its events were counted and not kept one by one.
-        rate_upper, rate_interval: on its own, if all hours are alike, at `Evidence.confidence`.
-        draw_rate_upper: the same if draws may differ. family_rate_upper: the same at `Evidence.family_confidence`,
-            so that those of all hard monitors hold at once; None for a soft one.
-        loads: ticks of all robots and joints by their share of the limit, in bins of 0.01 of which the last holds all
-            from 2 on; empty where it is not known.
+        unlisted: number of events that were counted but are not listed one by one.
+        rate_upper, rate_interval: for this monitor alone, if all hours have the same rate, at `Evidence.confidence`.
+        draw_rate_upper: as `rate_upper`, if draws may differ.
+        family_rate_upper: as `draw_rate_upper` at `Evidence.family_confidence`, so that the bounds of all hard monitors
+            hold at once; None for a soft one.
+        load_histogram: ticks of all robots and joints by load as a share of the limit, in bins of 0.01; the last bin
+            holds all loads from 2 on. Empty if unknown.
     """
 
     name: str
@@ -84,21 +87,24 @@ class MonitorRow(Strict):
     meaning: str
     evaluations: Count
     events: Count
-    left_out: Count
+    unlisted: Count
     bad_draws: Count
     rate_upper: Number
     rate_interval: tuple[Number, Number]
     draw_rate_upper: Number
     family_rate_upper: Number
     channels: tuple[Channel, ...]
-    loads: tuple[Count, ...]
+    load_histogram: tuple[Count, ...]
 
 
 class EventRow(Strict):
-    """An event: `start_h` h into the run, `length_s` s long.
+    """One event.
 
-    `worst` is a share of the limit, and `margin` what was left to it, in the monitor's `unit`: negative. `bundle` is
-    the folder to see it again from, beside the report, for soak-replay; None for most.
+    Attributes:
+        start_h: h since the start of the soak. length_s: s.
+        worst: the highest load, as a share of the limit. margin: what was left to the limit, in the monitor's `unit`;
+            negative.
+        bundle: folder for soak-replay, relative to the report; None for most events.
     """
 
     robot: Count
@@ -117,9 +123,9 @@ class RobotRow(Strict):
     """One draw, by its number in the soak.
 
     Attributes:
-        hours: h lived. judged_hours: h before its simulation diverged, if it did. running_hours: h under way.
-        stopped_h, latched_h: h by which it had newly left its work, or lost its power: samples of a minute or so.
-        unlisted_h: h from which on some of its events were counted and are not listed; None if all are.
+        hours: h simulated. judged_hours: h before its simulation diverged, if it did. running_hours: h in operation.
+        stopped_h, latched_h: times, h, of samples (about every minute) with a new stop, or a new power loss.
+        unlisted_h: h from which on some of its events are counted but not listed; None if all are listed.
     """
 
     robot: Count
@@ -138,7 +144,7 @@ class RobotRow(Strict):
 
 
 class Cause(Strict):
-    """Spearman's rank correlation `rho` of a parameter with an outcome over the draws; `p` of all pairs together."""
+    """Spearman's rank correlation `rho` of a parameter with an outcome over the draws, and its family-wise `p`."""
 
     parameter: str
     outcome: str
@@ -147,12 +153,13 @@ class Cause(Strict):
 
 
 class Sensitivity(Strict):
-    """Which of the numbers that robots are drawn with explain what went wrong; see `eval.statistics.sensitivity`.
+    """Correlation of the drawn robot parameters with failures; see `eval.statistics.sensitivity`.
 
     Attributes:
-        draws: that were under way and had goals due. parameters: looked at. outcomes: looked at, that differ.
-        noticeable: the least correlation that stands out of chance; None if none can.
-        causes: the strongest pairs, whether they stand out or not. said: what they show, in words.
+        draws: number of draws that operated and had goals due. parameters: number tested. outcomes: tested, those
+            that differ between draws.
+        noticeable: the least significant correlation; None if none can be significant.
+        causes: the strongest correlations, significant or not. statement: the conclusion.
     """
 
     draws: Count
@@ -160,4 +167,4 @@ class Sensitivity(Strict):
     outcomes: tuple[str, ...]
     noticeable: Share | None
     causes: tuple[Cause, ...]
-    said: str
+    statement: str

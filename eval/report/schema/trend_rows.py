@@ -1,4 +1,4 @@
-"""The schema of what report.json says of tonight among the nights of a history."""
+"""Schema of the trend over the soaks of a history in report.json."""
 
 from pydantic import NonNegativeInt
 
@@ -6,22 +6,22 @@ from eval.report.schema.numbers import Share
 from robots.strict import Strict
 
 
-class Span(Strict):
-    """A number and the two between which it may lie; None for what is not known."""
+class Estimate(Strict):
+    """Estimated value with the ends of its confidence interval; None where unknown."""
 
     value: float | None
     low: float | None
     high: float | None
 
 
-class NightRow(Strict):
-    """A night.
+class RunRow(Strict):
+    """One soak.
 
     Attributes:
-        name: its file, or that it is the one of this report.
-        group: the `Group` it belongs to, from 0 on. again: its draws are among those of a night that counts.
-        rate: hard events per h under way, and its 95 % interval if draws may differ.
-        goals, availability: shares, and as `rate`; without a stop, availability has no interval.
+        name: its file, or "this soak" for the soak of this report.
+        group: index of its `RunGroup`. repeated: True if its draws are among those of another soak of the group.
+        rate: hard events per h of operating time, with the 95 % interval where draws may differ.
+        goals, availability: shares with 95 % intervals as for `rate`; without a stop, availability has none.
         hottest_c: °C of the hottest winding at any time; `low` is that of the median draw.
     """
 
@@ -29,34 +29,34 @@ class NightRow(Strict):
     started: str
     passed: bool
     group: NonNegativeInt
-    again: bool
+    repeated: bool
     seed: int
     draws: NonNegativeInt
     running_hours: float
     hard_events: NonNegativeInt
     bad_draws: NonNegativeInt
-    rate: Span
-    goals: Span
-    availability: Span
-    hottest_c: Span
+    rate: Estimate
+    goals: Estimate
+    availability: Estimate
+    hottest_c: Estimate
 
 
-class Group(Strict):
-    """Nights of one identity, put together; upper bounds are one-sided, 95 %, rates per h under way.
+class RunGroup(Strict):
+    """Pooled soaks with the same identity; upper bounds are one-sided, 95 %, rates per h of operating time.
 
     Attributes:
-        changed: in what it differs from the group before it; empty for the first.
-        nights: that were put together, each with draws of its own.
+        changed: keys of the identity that differ from the group before it; empty for the first.
+        runs: number of pooled soaks, each with its own draws.
         rate_upper: if draws are alike. draw_rate_upper: if they may differ.
-        dispersion_p: how often chance alone spreads events over draws so unevenly.
-        statement: the sentence that these nights support. differ: another, on whether draws differ.
+        dispersion_p: how often chance alone spreads the events over the draws at least as unevenly.
+        statement: the sentence that the pooled results support. dispersion: whether draws differ, in words.
     """
 
     policy: str
     policy_digest: str
     code_digest: str
     changed: tuple[str, ...]
-    nights: NonNegativeInt
+    runs: NonNegativeInt
     draws: NonNegativeInt
     running_hours: float
     hard_events: NonNegativeInt
@@ -66,16 +66,16 @@ class Group(Strict):
     bad_draw_upper: Share
     dispersion_p: Share
     statement: str
-    differ: str
+    dispersion: str
 
 
 class Trend(Strict):
-    """Nights in the order of time, and their groups in the order of first nights."""
+    """Soaks in the order of time, and their groups in the order of the groups' first soaks."""
 
-    nights: tuple[NightRow, ...]
-    groups: tuple[Group, ...]
+    runs: tuple[RunRow, ...]
+    groups: tuple[RunGroup, ...]
 
     @property
-    def last(self) -> Group:
-        """What the last night belongs to."""
-        return self.groups[self.nights[-1].group]
+    def last(self) -> RunGroup:
+        """Group of the last soak."""
+        return self.groups[self.runs[-1].group]

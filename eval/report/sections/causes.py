@@ -1,45 +1,45 @@
-"""Which of the numbers that robots are drawn with explain what went wrong: the section of the report."""
+"""Section "sensitivity": rank correlations of robot parameters with failures."""
 
 import numpy as np
 
 from eval.judge.counts import Counts
 from eval.report.schema.numbers import number
-from eval.report.schema.report_data import SoakResult
 from eval.report.schema.rows import Cause, Sensitivity
-from eval.report.sections.bounds import hours_under_way
+from eval.report.sections.bounds import operating_hours
+from eval.report.soak_result import SoakResult
 from eval.statistics.evidence import CONFIDENCE
-from eval.statistics.sensitivity import Found, explain
+from eval.statistics.sensitivity import CorrelationTable, correlate
 from robots.arrays import Floats
 
-SHOWN = 10
+CAUSES_SHOWN = 10
 
 
 def sensitivity(result: SoakResult) -> Sensitivity:
-    """The strongest pairs of a parameter and an outcome."""
+    """Return the strongest correlations of a parameter with an outcome."""
     counts = result.counts
-    at_work = (counts.running > 0) & (counts.due > 0)
-    found = explain(
-        {name: column[at_work] for name, column in result.parameters.items()},
-        {name: column[at_work] for name, column in outcomes(counts).items()},
+    operated = (counts.running > 0) & (counts.due > 0)
+    table = correlate(
+        {name: column[operated] for name, column in result.parameters.items()},
+        {name: column[operated] for name, column in outcomes(counts).items()},
     )
-    draws = int(at_work.sum())
+    draws = int(operated.sum())
     return Sensitivity(
         draws=draws,
-        parameters=len(found.parameters),
-        outcomes=found.outcomes,
-        noticeable=number(found.noticeable, 3),
+        parameters=len(table.parameters),
+        outcomes=table.outcomes,
+        noticeable=number(table.noticeable, 3),
         causes=tuple(
             Cause(parameter=each.parameter, outcome=each.outcome, rho=each.rho, p=each.p)
-            for each in found.pairs[:SHOWN]
+            for each in table.correlations[:CAUSES_SHOWN]
         ),
-        said=_said(found, draws),
+        statement=_statement(table, draws),
     )
 
 
 def outcomes(counts: Counts) -> dict[str, Floats]:
-    """(R,) what went wrong in each draw, by name; NaN or infinite for one that never was at work."""
+    """Return failures (R,) of each draw by name; NaN or infinite for a draw without operating time."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        hours = hours_under_way(counts)
+        hours = operating_hours(counts)
         return {
             "goals missed": 1 - counts.reached / counts.due,
             "stops per hour": counts.stops / hours,
@@ -47,19 +47,20 @@ def outcomes(counts: Counts) -> dict[str, Floats]:
         }
 
 
-def _said(found: Found, draws: int) -> str:
-    if not found.outcomes:
+def _statement(table: CorrelationTable, draws: int) -> str:
+    if not table.outcomes:
         return (
-            f"Nothing to explain: goals missed, stops and hard events are the same in all of {draws} draws."
+            f"No failures to explain: goals missed, stops and hard events are the same in all {draws} draws."
         )
-    if not found.parameters:
-        return "Nothing to explain it by: no parameter differs from draw to draw."
-    few = f"{draws} draws and {len(found.parameters)} parameters"
-    if np.isinf(found.noticeable):
-        return f"With {few} nothing can stand out of chance."
-    shown = [pair for pair in found.pairs if pair.p <= 1 - CONFIDENCE]
-    least = f"With {few}, a rank correlation stands out of chance from ±{found.noticeable:.2f} on"
-    if not shown:
-        return f"{least}. None does: what follows may all be chance."
-    many = f"{len(shown)} do{'es' if len(shown) == 1 else ''}"
-    return f"{least}. {many}, the strongest: {shown[0].outcome} with {shown[0].parameter}."
+    if not table.parameters:
+        return "No parameter can explain failures: none differs between draws."
+    data = f"{draws} draws and {len(table.parameters)} parameters"
+    if np.isinf(table.noticeable):
+        return f"With {data}, no correlation can be significant."
+    significant = [pair for pair in table.correlations if pair.p <= 1 - CONFIDENCE]
+    threshold = f"With {data}, a rank correlation is significant from ±{table.noticeable:.2f} on"
+    if not significant:
+        return f"{threshold}. None is: all correlations below may be chance."
+    verb = "is" if len(significant) == 1 else "are"
+    strongest = significant[0]
+    return f"{threshold}. {len(significant)} {verb}, the strongest: {strongest.outcome} with {strongest.parameter}."

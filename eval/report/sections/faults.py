@@ -1,4 +1,4 @@
-"""From what became of injected faults to the rows of the report."""
+"""Section "faults": responses to injected faults by class."""
 
 from collections.abc import Iterator
 
@@ -7,42 +7,42 @@ import numpy as np
 from eval.faults.catalogue import NOT_INJECTED, catalogue
 from eval.faults.fault_class import ANSWER_WORDS, JOINT, POLICY, Answer, FaultClass
 from eval.faults.fault_response import DIVERGED, NOT_RUNNING, FaultResponses
+from eval.faults.settings import FaultSettings
 from eval.judge.monitors import MONITORS
-from eval.report.schema.fault_rows import FaultRow, FaultTable, Miss, Times
+from eval.report.schema.fault_rows import FaultRow, FaultTable, Times, UnhandledFault
 from eval.report.schema.numbers import number
-from eval.report.schema.report_data import Line
-from eval.soak.profile import Faults
+from eval.report.schema.report_data import BudgetLine
 from eval.statistics.evidence import share_lower, trials_needed
 from robots.arrays import Bools, Floats, Ints
 from robots.sensors import AT_JOINTS
 from robots.spec import RobotSpec
 
-MISSES_LISTED = 500
-_HURT = {k: monitor.name for k, monitor in enumerate(MONITORS) if monitor.hard} | {DIVERGED: "diverged"}
+UNHANDLED_LISTED = 500
+_HARD_BITS = {k: monitor.name for k, monitor in enumerate(MONITORS) if monitor.hard} | {DIVERGED: "diverged"}
 
 
-def fault_table(spec: RobotSpec, asked: Faults, found: FaultResponses) -> FaultTable:
-    """Every class of the catalogue, injected or not, and the first faults that were not handled."""
+def fault_table(spec: RobotSpec, settings: FaultSettings, found: FaultResponses) -> FaultTable:
+    """Return every fault class of the catalogue, injected or not, and the first unhandled faults."""
     classes = catalogue(spec)
-    most = np.array([each.answer for each in classes])[found.class_index]
-    told = found.complete >= 0
-    handled = told & (found.violated == 0) & (found.answer <= most)
-    missed = np.argwhere(told & ~handled)[:MISSES_LISTED].tolist()
+    required = np.array([each.answer for each in classes])[found.class_index]
+    finished = found.complete >= 0
+    handled = finished & (found.violated == 0) & (found.answer <= required)
+    unhandled = np.argwhere(finished & ~handled)[:UNHANDLED_LISTED].tolist()
     return FaultTable(
-        coverage=asked.coverage,
-        injections=int(told.sum()),
+        coverage=settings.coverage,
+        injections=int(finished.sum()),
         rows=tuple(
             _row(spec, found, each, found.class_index == k, handled) for k, each in enumerate(classes)
         ),
-        misses=tuple(_miss(spec, classes, found, (robot, slot)) for robot, slot in missed),
+        unhandled=tuple(_unhandled(spec, classes, found, (robot, slot)) for robot, slot in unhandled),
         not_injected=NOT_INJECTED,
     )
 
 
-def fault_line(table: FaultTable) -> Line:
-    """The budget line: of every class at least so many are shown to be handled."""
+def fault_line(table: FaultTable) -> BudgetLine:
+    """Return the budget line: the least share of any class that is shown to be handled."""
     worst = min(table.rows, key=lambda row: row.handled_lower)
-    return Line(
+    return BudgetLine(
         name="fault_coverage",
         unit="share",
         at_least=True,
@@ -54,38 +54,42 @@ def fault_line(table: FaultTable) -> Line:
 
 
 def _about(row: FaultRow, coverage: float) -> str:
-    """How often a class was handled, and how often it must be injected for that to be enough, if it was not."""
-    missed = row.injections - row.handled
-    needed = trials_needed(coverage, missed)
-    told = f"least sure: {row.where} {row.what}, {row.handled:,} of {row.injections:,} handled"
+    """FaultResponses and handled ones of a class, and the number of injections needed if there were too few."""
+    unhandled = row.injections - row.handled
+    needed = trials_needed(coverage, unhandled)
+    found = f"lowest bound: {row.where} {row.what}, {row.handled:,} of {row.injections:,} handled"
     if needed <= row.injections:
-        return told
-    given = f"with {missed:,} missed, " if missed else ""
-    return f"{told}; {given}{100 * coverage:g} % takes {needed:,} injections"
+        return found
+    condition = f"with {unhandled:,} unhandled, " if unhandled else ""
+    return f"{found}; {condition}{100 * coverage:g} % needs {needed:,} injections"
 
 
-def _row(spec: RobotSpec, found: FaultResponses, each: FaultClass, mine: Bools, handled: Bools) -> FaultRow:
-    told, dt = mine & (found.complete >= 0), spec.dt
-    many, well = int(told.sum()), int((told & handled).sum())
-    answers, hurt = found.answer[told], found.violated[told]
+def _row(
+    spec: RobotSpec, found: FaultResponses, each: FaultClass, members: Bools, handled: Bools
+) -> FaultRow:
+    finished, dt = members & (found.complete >= 0), spec.dt
+    total, good = int(finished.sum()), int((finished & handled).sum())
+    answers, bits = found.answer[finished], found.violated[finished]
     return FaultRow(
         where=each.where,
         what=each.what,
         meaning=each.meaning,
-        asked=ANSWER_WORDS[each.answer],
-        injections=many,
-        not_at_work=int((mine & (found.began == NOT_RUNNING)).sum()),
-        handled=well,
-        handled_lower=float(share_lower(well, many)) if many else 0.0,
+        required=ANSWER_WORDS[each.answer],
+        injections=total,
+        not_running=int((members & (found.began == NOT_RUNNING)).sum()),
+        handled=good,
+        handled_lower=float(share_lower(good, total)) if total else 0.0,
         answers={
             ANSWER_WORDS[answer]: int(np.sum(answers == answer)) for answer in Answer if answer in answers
         },
-        hurt={name: int(np.sum(hurt >> k & 1)) for k, name in _HURT.items() if np.any(hurt >> k & 1)},
-        left=_times(found.stopped[told], dt),
-        rest=_times(found.rest[told], dt),
-        again=int(np.sum(found.resumed[told] >= 0)),
-        astray_rad=_worst(found.tracking_error[told]),
-        load=_worst(found.limit_ratio[told]),
+        violations={
+            name: int(np.sum(bits >> k & 1)) for k, name in _HARD_BITS.items() if np.any(bits >> k & 1)
+        },
+        stopped=_times(found.stopped[finished], dt),
+        at_rest=_times(found.rest[finished], dt),
+        resumed=int(np.sum(found.resumed[finished] >= 0)),
+        deviation_rad=_worst(found.tracking_error[finished]),
+        load=_worst(found.limit_ratio[finished]),
     )
 
 
@@ -94,7 +98,7 @@ def _times(ticks: Ints, dt: float) -> Times | None:
     if not len(seconds):
         return None
     return Times(
-        many=len(seconds),
+        count=len(seconds),
         median_s=round(float(np.median(seconds)), 4),
         worst_s=round(float(seconds.max()), 4),
     )
@@ -104,30 +108,30 @@ def _worst(values: Floats) -> float | None:
     return number(float(values.max()), 4) if len(values) else None
 
 
-def _miss(
+def _unhandled(
     spec: RobotSpec, classes: tuple[FaultClass, ...], found: FaultResponses, place: tuple[int, int]
-) -> Miss:
+) -> UnhandledFault:
     fault, channel = classes[found.class_index[place]], int(found.channel[place])
-    return Miss(
+    return UnhandledFault(
         robot=place[0],
         fault=fault.name,
         channel=None if channel < 0 else _channel(spec, fault, channel),
         start_h=round(float(found.began[place]) * spec.dt / 3600, 5),
         answer=ANSWER_WORDS[Answer(found.answer[place])],
-        hurt=tuple(_hurt(int(found.violated[place]))),
-        left_s=_since(int(found.stopped[place]), spec.dt),
-        rest_s=_since(int(found.rest[place]), spec.dt),
-        astray_rad=number(float(found.tracking_error[place]), 4),
+        violations=tuple(_violations(int(found.violated[place]))),
+        stopped_s=_seconds(int(found.stopped[place]), spec.dt),
+        at_rest_s=_seconds(int(found.rest[place]), spec.dt),
+        deviation_rad=number(float(found.tracking_error[place]), 4),
     )
 
 
-def _hurt(bits: int) -> Iterator[str]:
-    return (name for k, name in _HURT.items() if bits >> k & 1)
+def _violations(bits: int) -> Iterator[str]:
+    return (name for k, name in _HARD_BITS.items() if bits >> k & 1)
 
 
 def _channel(spec: RobotSpec, fault: FaultClass, channel: int) -> str:
     return spec.joint_names[channel] if fault.where in (*AT_JOINTS, POLICY, JOINT) else str(channel)
 
 
-def _since(ticks: int, dt: float) -> float | None:
+def _seconds(ticks: int, dt: float) -> float | None:
     return round(ticks * dt, 4) if ticks >= 0 else None

@@ -1,4 +1,4 @@
-"""From what the judge counted to the rows of monitors, events and robots."""
+"""Sections "monitors", "events" and "robots": rows of the judge's counts."""
 
 from collections.abc import Sequence
 from pathlib import PurePosixPath
@@ -9,16 +9,16 @@ from eval.judge.counts import Counts, Event
 from eval.judge.monitor import Monitor
 from eval.replay.bundle import bundle_name
 from eval.report.schema.numbers import number
-from eval.report.schema.report_data import SoakResult
 from eval.report.schema.rows import Channel, EventRow, MonitorRow, RobotRow
-from eval.report.sections.bounds import each_confidence, hours_under_way, interval
+from eval.report.sections.bounds import each_confidence, interval, operating_hours
+from eval.report.soak_result import SoakResult
 from eval.statistics.dispersion import draw_rate_upper
 from eval.statistics.evidence import rate_interval, rate_upper
 from robots.arrays import Floats
 
 
 def monitors(counts: Counts, tail_share: float) -> tuple[MonitorRow, ...]:
-    """Every monitor, whether anything happened or not."""
+    """Return a row for every monitor of the robot, with or without events."""
     tail = counts.tail(tail_share)
     return tuple(_monitor(counts, monitor, tail) for monitor in counts.monitors)
 
@@ -26,9 +26,9 @@ def monitors(counts: Counts, tail_share: float) -> tuple[MonitorRow, ...]:
 def _monitor(counts: Counts, monitor: Monitor, tail: Floats) -> MonitorRow:
     columns = counts.columns(monitor.name)
     judged = bool(np.isfinite(counts.limits[columns]).all())
-    events, hours = counts.events[:, columns].sum(axis=1), judged * hours_under_way(counts)
+    events, hours = counts.events[:, columns].sum(axis=1), judged * operating_hours(counts)
     total, exposure = int(events.sum()), float(hours.sum())
-    sure = draw_rate_upper(events, hours, each_confidence(counts))
+    family_upper = draw_rate_upper(events, hours, each_confidence(counts))
     return MonitorRow(
         name=monitor.name,
         unit=monitor.unit,
@@ -36,14 +36,14 @@ def _monitor(counts: Counts, monitor: Monitor, tail: Floats) -> MonitorRow:
         meaning=monitor.meaning,
         evaluations=counts.evaluations if judged else 0,
         events=total,
-        left_out=counts.left_out(monitor.name),
+        unlisted=counts.left_out(monitor.name),
         bad_draws=counts.bad_draws(monitor.name),
         rate_upper=number(rate_upper(total, exposure)),
         rate_interval=interval(rate_interval(total, exposure)),
         draw_rate_upper=number(draw_rate_upper(events, hours)),
-        family_rate_upper=number(sure) if monitor.hard else None,
+        family_rate_upper=number(family_upper) if monitor.hard else None,
         channels=_channels(counts, monitor, tail),
-        loads=_loads(counts, columns),
+        load_histogram=_load_histogram(counts, columns),
     )
 
 
@@ -63,8 +63,8 @@ def _channels(counts: Counts, monitor: Monitor, tail: Floats) -> tuple[Channel, 
     )
 
 
-def _loads(counts: Counts, columns: slice) -> tuple[int, ...]:
-    """Of the ticks that were judged: those of diverged simulations lie in the first bin."""
+def _load_histogram(counts: Counts, columns: slice) -> tuple[int, ...]:
+    """Histogram of judged ticks; ticks of diverged simulations, counted in the first bin, are subtracted."""
     bins = counts.bins[columns].sum(axis=0)
     if not bins.any():
         return ()
@@ -73,7 +73,7 @@ def _loads(counts: Counts, columns: slice) -> tuple[int, ...]:
 
 
 def events(counts: Counts, bundles: Sequence[str]) -> tuple[EventRow, ...]:
-    """Those that were kept one by one, hard ones first, each with its bundle if it has one."""
+    """Return the events recorded one by one, hard ones first, each with its bundle if there is one."""
     known = {PurePosixPath(bundle).name: bundle for bundle in bundles}
     log = sorted(counts.log(), key=lambda event: (not event.monitor.hard, event.start, event.robot))
     return tuple(_event(event, counts.dt, known.get(_bundle(event))) for event in log)
@@ -99,7 +99,7 @@ def _event(event: Event, dt: float, bundle: str | None) -> EventRow:
 
 
 def robots(result: SoakResult) -> tuple[RobotRow, ...]:
-    """Every draw."""
+    """Return a row for every draw."""
     counts = result.counts
     hour, hard = counts.dt / 3600, counts.hard_events()
     unlisted = _unlisted(counts, result.settings.shard_width)
@@ -125,10 +125,10 @@ def robots(result: SoakResult) -> tuple[RobotRow, ...]:
 
 
 def _unlisted(counts: Counts, shard_width: int) -> Floats:
-    """(R,) h from which on events of a robot were counted only: its shard had kept enough of that monitor."""
-    of, shard = counts.channels.monitor_index, np.arange(counts.robots) // shard_width
-    kept, last = np.zeros_like(counts.events), np.zeros((1 + shard[-1], len(counts.channels.catalogue)))
-    np.add.at(kept, (counts.log_robot, counts.log_channel), 1)
-    np.maximum.at(last, (shard[counts.log_robot], of[counts.log_channel]), counts.log_start)
-    since = np.where(counts.events > kept, last[shard[:, None], of], np.inf).min(axis=1)
+    """(R,) h from which on events of a robot are not listed: its shard had reached the limit for that monitor."""
+    monitor, shard = counts.channels.monitor_index, np.arange(counts.robots) // shard_width
+    listed, last = np.zeros_like(counts.events), np.zeros((1 + shard[-1], len(counts.channels.catalogue)))
+    np.add.at(listed, (counts.log_robot, counts.log_channel), 1)
+    np.maximum.at(last, (shard[counts.log_robot], monitor[counts.log_channel]), counts.log_start)
+    since = np.where(counts.events > listed, last[shard[:, None], monitor], np.inf).min(axis=1)
     return np.asarray(since * counts.dt / 3600)

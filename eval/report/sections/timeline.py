@@ -1,4 +1,4 @@
-"""The night on paper: for each robot, when it was hit, in steps of the night as wide as a mark that can be seen."""
+"""Timeline of all robots: events and stops in steps wide enough to be seen in the plot."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -9,22 +9,22 @@ from eval.report.schema.rows import EventRow, RobotRow
 from robots.arrays import Floats
 
 Span = tuple[int, float, float]
-"""A robot, and from when to when, h."""
+"""Robot, begin and end, h."""
 
 STEPS = 240
-"""Of the night: 8 hours in steps of 2 minutes. It bounds the size of the picture whatever happened."""
+"""Steps of the whole soak, such as 2 minutes of 8 hours; bounds the size of the plot."""
 
 
 class Timeline(NamedTuple):
-    """Bars (N, 3) of robot, begin and end, h, of each kind; bars of a robot and a kind do not meet.
+    """Bars (N, 3) of robot, begin and end, h, for each kind; bars of the same robot and kind do not touch.
 
     Attributes:
-        lived: judged hours. lost: with a diverged simulation. unlisted: when some events were counted only.
-        soft, hard: events. stops: when a robot left its work. latches: when it lost its power.
+        judged: judged hours. diverged: with a diverged simulation. unlisted: when some events are not listed.
+        soft, hard: events. stops: new stops. latches: power losses.
     """
 
-    lived: Floats
-    lost: Floats
+    judged: Floats
+    diverged: Floats
     unlisted: Floats
     soft: Floats
     hard: Floats
@@ -33,30 +33,30 @@ class Timeline(NamedTuple):
 
 
 def timeline(robots: Sequence[RobotRow], events: Sequence[EventRow], end_h: float) -> Timeline:
-    """Bars from 0 to `end_h`, h."""
-    step, many = end_h / STEPS, len(robots)
+    """Return the bars from 0 to `end_h`, h."""
+    step = end_h / STEPS
 
-    def marked(spans: Iterable[Span]) -> Floats:
-        return bars(np.array(list(spans), dtype=float).reshape(-1, 3), many, step)
+    def stepped(spans: Iterable[Span]) -> Floats:
+        return bars(np.array(list(spans), dtype=float).reshape(-1, 3), len(robots), step)
 
-    def happened(hard: bool) -> Floats:
+    def event_bars(hard: bool) -> Floats:
         found = (e for e in events if e.hard == hard)
-        return marked((e.robot, e.start_h, e.start_h + e.length_s / 3600) for e in found)
+        return stepped((e.robot, e.start_h, e.start_h + e.length_s / 3600) for e in found)
 
     unlisted = [(r.robot, r.unlisted_h, r.judged_hours) for r in robots if r.unlisted_h is not None]
     return Timeline(
-        lived=_plain((r.robot, 0.0, r.judged_hours) for r in robots),
-        lost=_plain((r.robot, r.judged_hours, r.hours) for r in robots if r.judged_hours < r.hours),
+        judged=_plain((r.robot, 0.0, r.judged_hours) for r in robots),
+        diverged=_plain((r.robot, r.judged_hours, r.hours) for r in robots if r.judged_hours < r.hours),
         unlisted=_plain(unlisted),
-        soft=happened(False),
-        hard=happened(True),
-        stops=marked((r.robot, h - step / 2, h - step / 2) for r in robots for h in r.stopped_h),
-        latches=marked((r.robot, h - step / 2, h - step / 2) for r in robots for h in r.latched_h),
+        soft=event_bars(False),
+        hard=event_bars(True),
+        stops=stepped((r.robot, h - step / 2, h - step / 2) for r in robots for h in r.stopped_h),
+        latches=stepped((r.robot, h - step / 2, h - step / 2) for r in robots for h in r.latched_h),
     )
 
 
 def bars(spans: Floats, robots: int, step_h: float) -> Floats:
-    """Every step that a span (N, 3) touches, steps in a row as one bar (M, 3), by robot and time."""
+    """Return bars (M, 3) of all steps that spans (N, 3) touch, adjacent steps joined, by robot and time."""
     ends = np.zeros((robots, STEPS + 1), dtype=np.int64)
     first, last = (np.clip(spans[:, k] // step_h, 0, STEPS - 1).astype(np.int64) for k in (1, 2))
     robot = spans[:, 0].astype(np.int64)

@@ -16,7 +16,8 @@ from deploy.safety.diagnostics import StopDetector, explain_reasons
 from deploy.tasks.task import find_task
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
-from eval.soak.shard import ARM_S, judge_tick
+from eval.shard.job import ARM_S
+from eval.shard.judging import judge_tick
 from policies.doctor.simulation.heat_extrapolation import HeatLoad, HeatRecorder
 from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.distributions import load_distributions

@@ -16,20 +16,21 @@ from eval.faults.fault_response import (
     merge_responses,
     saved_responses,
 )
+from eval.faults.settings import FaultSettings
 from eval.judge.monitors import NAMES
 from eval.mutants.guard_removal import ignore_non_finite_action
 from eval.mutants.situation import keep_guards
 from eval.report.sections.faults import fault_line, fault_table
-from eval.soak import shard as shards
-from eval.soak.profile import Faults
-from eval.soak.shard import WIDTH, Shard, ShardJob
+from eval.shard import shard as shards
+from eval.shard.job import WIDTH, ShardJob
+from eval.shard.shard import Shard
 from eval.statistics.evidence import share_lower
 from robots.models.nominal_model import torque_max
 from support.arm6 import SPEC, arm_judge
 from support.eval.fault_schedules import CLASSES, DT, N, named, one_each
 from support.policies import policy_model, saved
 
-FAULTS = Faults(coverage=0.95, cycle_s=20.0, operator_s=5.0)
+FAULTS = FaultSettings(coverage=0.95, cycle_s=20.0, operator_s=5.0)
 RUN, STOP, HOLD, LATCHED = Mode.RUNNING, Mode.STOPPING, Mode.HOLDING, Mode.LATCHED
 BEGINS, SETTLE = 10, round(SETTLE_S / DT)
 
@@ -71,7 +72,7 @@ def test_a_fault_that_nobody_notices_is_handled_if_nothing_is_hurt():
     one, found = told(fault, [(400, RUN, 0.5)], hurt=49)
     assert one.violated == 1 << NAMES.index("self_collision")
     assert (row(found, fault).injections, row(found, fault).handled) == (1, 0)
-    assert row(found, fault).hurt == {"self_collision": 1}
+    assert row(found, fault).violations == {"self_collision": 1}
 
 
 def test_what_hurts_before_or_after_is_not_the_faults():
@@ -117,13 +118,13 @@ def test_power_that_goes_in_motion_is_category_0(speed, answer):
 def test_a_robot_that_never_comes_back_is_told_to_the_end_of_its_slot():
     one, found = told(named("encoder off"), [(5, STOP, 0.4), (2_100, LATCHED, 0.0)])
     assert (one.resumed, one.complete) == (-1, 2_000)
-    assert (row(found, named("encoder off")).again, row(found, named("encoder off")).injections) == (0, 1)
+    assert (row(found, named("encoder off")).resumed, row(found, named("encoder off")).injections) == (0, 1)
 
 
 def test_a_robot_that_was_not_at_work_counts_not():
     one, found = told(named("encoder off"), [(400, RUN, 0.0)], before=LATCHED)
     assert one.began == NOT_RUNNING
-    assert (row(found, named("encoder off")).injections, row(found, named("encoder off")).not_at_work) == (
+    assert (row(found, named("encoder off")).injections, row(found, named("encoder off")).not_running) == (
         0,
         1,
     )
@@ -182,7 +183,7 @@ def test_a_shard_goes_on_in_the_midst_of_faults_as_if_nothing_had_been(restless)
     assert a.keys() == b.keys()
     for name, array in a.items():
         np.testing.assert_array_equal(array, b[name], err_msg=name)
-    found = result.injections
+    found = result.responses
     assert (found.began[:8] == 70).all()
     assert (found.stopped >= 0).sum() >= 2
     assert CLASSES[found.class_index[0, 0]].name == "encoder stuck"

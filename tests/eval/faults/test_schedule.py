@@ -12,14 +12,14 @@ from eval.faults.fault_class import JOINT, POLICY, ROBOT, Answer, SensorFault
 from eval.faults.injector import Injector
 from eval.faults.policy_faults import JUMP
 from eval.faults.schedule import plan
-from eval.soak.profile import Faults
+from eval.faults.settings import FaultSettings
 from robots.randomness import robot_seed
 from support.arm6 import SPEC
 from support.eval.fault_schedules import CLASSES, DT, N, named, one_each
 from support.runtimes import Saying, running
 from support.walking import QUADRUPED
 
-FAULTS = Faults(coverage=0.95, cycle_s=20.0, operator_s=5.0)
+FAULTS = FaultSettings(coverage=0.95, cycle_s=20.0, operator_s=5.0)
 SEEDS = [robot_seed(7, robot) for robot in range(8)]
 TICKS = round((3.0 + 20.0 * 2 * len(CLASSES)) / DT)
 

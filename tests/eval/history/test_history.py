@@ -7,11 +7,11 @@ from contextlib import contextmanager
 import pytest
 
 from eval.history import history
-from eval.history.history import SUFFIX, claim_history, keep, read_history, read_night
-from eval.history.night_record import Night
-from eval.report import write as written
+from eval.history.history import SUFFIX, add_record, claim_history, read_history, read_record
+from eval.history.soak_record import SoakRecord
+from eval.report import report_files as written
+from eval.report.report_files import write_report
 from eval.report.schema.report_data import Report
-from eval.report.write import write
 from eval.soak import cli as command
 from robots.errors import ConfigError, OutputError
 from support.eval.nights import LATER, OTHER, SETTINGS, night
@@ -30,51 +30,51 @@ def test_two_soaks_may_claim_a_folder_at_once(tmp_path, monkeypatch, module):
         path.unlink()
 
     monkeypatch.setattr(module, "replacing", deleted)
-    (module.claim if module is written else module.claim_history)(tmp_path)
+    (module.claim_folder if module is written else module.claim_history)(tmp_path)
     assert not any(tmp_path.iterdir())
 
 
 def test_a_night_comes_back_as_it_was_kept(tmp_path):
     kept = night(7)
-    path = keep(kept, tmp_path / "new" / "history")
-    assert path.name == "20260102T210000Z-seed7.night.json"
-    assert read_night(path) == kept
+    path = add_record(kept, tmp_path / "new" / "history")
+    assert path.name == "20260102T210000Z-seed7.soak.json"
+    assert read_record(path) == kept
     assert read_history(path.parent) == {str(path): kept}
     assert [file.name for file in path.parent.iterdir()] == [path.name]
 
 
 def test_of_a_report_only_the_night_is_kept(tmp_path):
     whole = report(["jerk"])
-    found = read_night(keep(whole, tmp_path))
-    assert type(found) is Night
-    assert found.model_dump() == whole.model_dump(include={*Night.model_fields})
-    assert (sum(found.tally.hard["jerk"]), found.tally.bad_draws) == (1, 1)
-    assert found.tally.hottest_c == (65.0,) * 5 + (80.0,) + (65.0,) * 10
+    found = read_record(add_record(whole, tmp_path))
+    assert type(found) is SoakRecord
+    assert found.model_dump() == whole.model_dump(include={*SoakRecord.model_fields})
+    assert (sum(found.per_draw_counts.hard["jerk"]), found.per_draw_counts.bad_draws) == (1, 1)
+    assert found.per_draw_counts.hottest_c == (65.0,) * 5 + (80.0,) + (65.0,) * 10
 
 
 def test_a_report_and_its_folder_are_nights_too(tmp_path):
     whole = report()
-    write(whole, tmp_path)
-    assert read_night(tmp_path) == read_night(tmp_path / "report.json") == whole
-    assert type(read_night(tmp_path)) is Report
+    write_report(whole, tmp_path)
+    assert read_record(tmp_path, Report) == read_record(tmp_path / "report.json", Report) == whole
+    assert type(read_record(tmp_path, Report)) is Report
 
 
 def test_nothing_is_overwritten_and_time_orders(tmp_path):
-    later = keep(night(9, started=LATER), tmp_path)
-    paths = [keep(night(7), tmp_path) for _ in range(3)]
+    later = add_record(night(9, started=LATER), tmp_path)
+    paths = [add_record(night(7), tmp_path) for _ in range(3)]
     assert [path.name.removesuffix(SUFFIX)[-7:] for path in paths] == ["Z-seed7", "seed7-2", "seed7-3"]
     assert list(read_history(tmp_path))[-1] == str(later)
     assert len(read_history(tmp_path)) == 4
 
 
 def test_the_same_moment_in_another_zone_is_not_later(tmp_path):
-    first = keep(night(1, started="2026-01-02T23:30:00+02:00"), tmp_path)
-    second = keep(night(2, started="2026-01-02T21:45:00+00:00"), tmp_path)
+    first = add_record(night(1, started="2026-01-02T23:30:00+02:00"), tmp_path)
+    second = add_record(night(2, started="2026-01-02T21:45:00+00:00"), tmp_path)
     assert list(read_history(tmp_path)) == [str(first), str(second)]
 
 
 def test_what_a_killed_soak_left_and_other_files_are_no_nights(tmp_path):
-    path = keep(night(7), tmp_path)
+    path = add_record(night(7), tmp_path)
     path.with_name(f".1234abcd.{path.name}").write_text('{"format": 1, "res')
     (tmp_path / "report.json").write_text("{}")
     (tmp_path / "trend.html").write_text("")
@@ -89,7 +89,7 @@ def edited(path, change):
 
 
 def hide(data):
-    data["tally"]["hard"]["jerk"][3] += 1
+    data["per_draw_counts"]["hard"]["jerk"][3] += 1
 
 
 SPOILT = {
@@ -113,16 +113,16 @@ SPOILT = {
         "results_digest: found , expected",
     ),
     "a negative": (
-        lambda path: edited(path, lambda d: d["tally"]["stops"].__setitem__(0, -1)),
-        r"tally\.stops\.0: .* found -1",
+        lambda path: edited(path, lambda d: d["per_draw_counts"]["stops"].__setitem__(0, -1)),
+        r"per_draw_counts\.stops\.0: .* found -1",
     ),
     "no number": (
-        lambda path: edited(path, lambda d: d["tally"].update(dt=float("nan"))),
-        r"tally\.dt: .* found nan",
+        lambda path: edited(path, lambda d: d["per_draw_counts"].update(dt=float("nan"))),
+        r"per_draw_counts\.dt: .* found nan",
     ),
     "a missing key": (
-        lambda path: edited(path, lambda d: d["tally"].pop("due")),
-        r"tally\.due: Field required",
+        lambda path: edited(path, lambda d: d["per_draw_counts"].pop("due")),
+        r"per_draw_counts\.due: Field required",
     ),
     "an unknown key": (
         lambda path: edited(path, lambda d: d.update(note="mine")),
@@ -144,46 +144,46 @@ SPOILT = {
 
 @pytest.mark.parametrize(("spoil", "said"), SPOILT.values(), ids=SPOILT)
 def test_what_is_not_what_was_kept_is_refused_by_file_and_field(tmp_path, spoil, said):
-    keep(night(1), tmp_path)
-    path = keep(night(7, started=LATER), tmp_path)
+    add_record(night(1), tmp_path)
+    path = add_record(night(7, started=LATER), tmp_path)
     spoil(path)
-    with pytest.raises(ConfigError, match=rf"seed7\.night\.json: .*{said}"):
+    with pytest.raises(ConfigError, match=rf"seed7\.soak\.json: .*{said}"):
         read_history(tmp_path)
 
 
 def test_what_cannot_be_read_is_said(tmp_path):
     (tmp_path / f"a{SUFFIX}").symlink_to(tmp_path / "gone")
-    with pytest.raises(ConfigError, match=r"a\.night\.json: cannot be read: No such file"):
+    with pytest.raises(ConfigError, match=r"a\.soak\.json: cannot be read: No such file"):
         read_history(tmp_path)
     with pytest.raises(ConfigError, match=r"report\.json: cannot be read: No such file"):
-        read_night(tmp_path)
+        read_record(tmp_path)
 
 
 def test_a_soak_that_did_not_end_is_no_night_and_cannot_be_made_one(tmp_path):
-    write(report(interrupted=True), tmp_path)
+    write_report(report(interrupted=True), tmp_path)
     with pytest.raises(
-        ConfigError, match=r"report\.json: run\.interrupted: found true, expected a soak that ran"
+        ConfigError, match=r"report\.json: run\.interrupted: found true, expected a finished soak"
     ):
-        read_night(tmp_path)
+        read_record(tmp_path, Report)
     edited(tmp_path / "report.json", lambda data: data["run"].update(interrupted=False))
     with pytest.raises(ConfigError, match=r"report\.json: results_digest: found"):
-        read_night(tmp_path)
+        read_record(tmp_path, Report)
 
 
 @pytest.mark.parametrize("key", SETTINGS.task)
 def test_nights_of_another_task_are_refused_by_file_and_field(tmp_path, key):
-    first = keep(night(1), tmp_path)
-    odd = keep(night(2, started=LATER, **OTHER[key]), tmp_path)
+    first = add_record(night(1), tmp_path)
+    odd = add_record(night(2, started=LATER, **OTHER[key]), tmp_path)
     with pytest.raises(ConfigError) as caught:
         read_history(tmp_path)
-    found, expected = (read_night(path).settings.task[key] for path in (odd, first))
+    found, expected = (read_record(path).settings.task[key] for path in (odd, first))
     assert str(caught.value) == f"{odd}: {key}: found {found}, but {first} has {expected}"
 
 
 @pytest.mark.parametrize("key", sorted(SETTINGS.identity.keys() - SETTINGS.task.keys()))
 def test_what_is_under_test_may_change(tmp_path, key):
-    keep(night(1), tmp_path)
-    keep(night(2, started=LATER, **OTHER[key]), tmp_path)
+    add_record(night(1), tmp_path)
+    add_record(night(2, started=LATER, **OTHER[key]), tmp_path)
     assert len(read_history(tmp_path)) == 2
 
 
@@ -193,9 +193,9 @@ def test_a_full_disk_leaves_no_part_of_a_night(tmp_path, monkeypatch):
 
     monkeypatch.setattr("pathlib.Path.write_text", full)
     with pytest.raises(
-        OutputError, match=r"^--history .*seed7\.night\.json: cannot be written: No space left"
+        OutputError, match=r"^--history .*seed7\.soak\.json: cannot be written: No space left"
     ):
-        keep(night(7), tmp_path)
+        add_record(night(7), tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -218,13 +218,13 @@ def test_a_soak_is_kept_and_shown_beside_earlier_ones(arm_policy, tmp_path, monk
     assert soak_test(monkeypatch, *asked, "--hours", 0.00125) == 1
     whole = Report.model_validate_json((out / "report.json").read_text())
     (path, kept), *_ = read_history(history).items()
-    assert kept.model_dump() == whole.model_dump(include={*Night.model_fields})
-    assert (kept.tally.draws, sum(kept.tally.ticks)) == (8, 8 * 900)
-    assert sum(kept.tally.due) == whole.goals.due
-    (row,) = whole.trend.nights
+    assert kept.model_dump() == whole.model_dump(include={*SoakRecord.model_fields})
+    assert (kept.per_draw_counts.draws, sum(kept.per_draw_counts.ticks)) == (8, 8 * 900)
+    assert sum(kept.per_draw_counts.due) == whole.goals.due
+    (row,) = whole.trend.runs
     assert (row.hard_events, row.draws, row.goals.value) == (0, 8, whole.goals.success)
-    assert "Trend against earlier nights" in (out / "report.html").read_text()
-    assert f"\nnights like it: {whole.trend.last.statement}\nreport: " in capsys.readouterr().out
+    assert "Trend over earlier soaks" in (out / "report.html").read_text()
+    assert f"\npooled with earlier soaks: {whole.trend.last.statement}\nreport: " in capsys.readouterr().out
     before = (out / "report.json").read_bytes()
     assert soak_test(monkeypatch, *asked, "--hours", 0.000625) == 2
     assert f"{path}: hours: found 0.00125, but this soak has 0.000625" in capsys.readouterr().err

@@ -18,7 +18,7 @@ PUSHES = {"force_n": (2000.0, 3000.0), "lasts_s": (0.1, 0.2), "every_s": (1.5, 2
 @pytest.fixture(scope="session")
 def pushed(tmp_path_factory):
     """A soak of 3.25 s of three arms that are thrown about, by their policy and by somebody else."""
-    from eval.soak.configuration import Soak
+    from eval.soak.configuration import SoakConfig
 
     folder = tmp_path_factory.mktemp("pushed")
     robot = shutil.copytree(ROBOTS / "arm6", folder / "arm6")
@@ -35,7 +35,7 @@ def pushed(tmp_path_factory):
         "seed": 3,
         "workers": 1,
     }
-    return Soak(spec=spec, policy=policy, policy_path=path, **how)
+    return SoakConfig(spec=spec, policy=policy, policy_path=path, **how)
 
 
 @pytest.fixture(scope="session")

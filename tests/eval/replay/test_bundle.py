@@ -12,8 +12,10 @@ pytest.importorskip("mujoco")
 from eval.judge.counts import Event
 from eval.judge.monitors import MONITORS, NAMES
 from eval.replay import bundle
-from eval.replay.bundle import FILES, About, Happened, Job
-from eval.replay.event_capture import HARD_KEPT, SOFT_KEPT, chosen
+from eval.replay.array_files import read_arrays, state_digest, write_arrays
+from eval.replay.bundle import FILES, BundleInfo, EventRecord, JobRecord
+from eval.replay.bundle_folders import delete_bundles, list_bundles, new_bundle, replace_bundles
+from eval.replay.event_capture import HARD_BUNDLES, SOFT_BUNDLES, select_events
 from robots.errors import ConfigError, OutputError
 from robots.spec import load_robot
 from support.robots.model_files import two_links
@@ -25,11 +27,11 @@ ARRAYS = {
     "nothing": np.array([np.nan, -np.inf]),
 }
 LIKE = {name: np.zeros_like(array) for name, array in ARRAYS.items()}
-EVENT = Happened(robot=9, monitor="torque", joint="elbow", start=420, ticks=3, worst=1.01)
+EVENT = EventRecord(robot=9, monitor="torque", joint="elbow", start=420, ticks=3, worst=1.01)
 
 
 def about(**changes):
-    job = Job(seed=3, first=8, robots=2, ticks=1000, sample_ticks=10, faults=None)
+    job = JobRecord(seed=3, first=8, robots=2, ticks=1000, sample_ticks=10, faults=None)
     how = {
         "identity": {},
         "job": job,
@@ -39,12 +41,12 @@ def about(**changes):
         "end_digest": "",
         "files": {},
     }
-    return About(**(how | changes))
+    return BundleInfo(**(how | changes))
 
 
 def filled(place, **changes):
     """A bundle with something of every name in it."""
-    with bundle.filling(place) as folder:
+    with new_bundle(place) as folder:
         for name in FILES:
             (folder / name).write_bytes(name.encode() * 3)
         bundle.seal(folder, about(**changes))
@@ -53,9 +55,9 @@ def filled(place, **changes):
 
 def test_arrays_come_back_bit_for_bit_from_the_same_bytes(tmp_path):
     for name in "ab":
-        bundle.write_arrays(tmp_path / name, ARRAYS)
+        write_arrays(tmp_path / name, ARRAYS)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-    found = bundle.read_arrays(tmp_path / "a", LIKE)
+    found = read_arrays(tmp_path / "a", LIKE)
     assert list(found) == list(LIKE)
     for name, array in ARRAYS.items():
         assert (found[name].dtype, found[name].shape) == (array.dtype, array.shape)
@@ -77,9 +79,9 @@ def test_arrays_come_back_bit_for_bit_from_the_same_bytes(tmp_path):
 )
 def test_arrays_of_another_kind_are_refused_by_name(tmp_path, change, complaint):
     arrays = {name: array for name, array in (ARRAYS | change).items() if array is not None}
-    bundle.write_arrays(tmp_path / "state.npz", arrays)
+    write_arrays(tmp_path / "state.npz", arrays)
     with pytest.raises(ConfigError, match=rf"state\.npz: {complaint}"):
-        bundle.read_arrays(tmp_path / "state.npz", LIKE)
+        read_arrays(tmp_path / "state.npz", LIKE)
 
 
 def crafted(path, header, data=b"\0" * 96):
@@ -103,17 +105,17 @@ def crafted(path, header, data=b"\0" * 96):
 def test_nothing_is_unpickled_evaluated_or_made_larger_than_expected(tmp_path, header, data):
     crafted(tmp_path / "state.npz", header, data)
     with pytest.raises(ConfigError, match=r"state\.npz: [^\n]*$"):
-        bundle.read_arrays(tmp_path / "state.npz", {"b": np.zeros((3, 4))})
+        read_arrays(tmp_path / "state.npz", {"b": np.zeros((3, 4))})
 
 
 def test_a_file_that_is_cut_or_has_a_flipped_bit_is_refused(tmp_path):
     path = tmp_path / "state.npz"
-    bundle.write_arrays(path, {"b": np.random.default_rng(0).normal(size=500)})
+    write_arrays(path, {"b": np.random.default_rng(0).normal(size=500)})
     data = path.read_bytes()
     for spoilt in (data[:-30], b"", data[:1000] + bytes([data[1000] ^ 1]) + data[1001:]):
         path.write_bytes(spoilt)
         with pytest.raises(ConfigError, match=r"state\.npz: cannot be read"):
-            bundle.read_arrays(path, {"b": np.zeros(500)})
+            read_arrays(path, {"b": np.zeros(500)})
 
 
 def test_a_bundle_is_opened_as_it_was_sealed(tmp_path):
@@ -140,7 +142,7 @@ def test_the_robot_s_model_and_its_meshes_are_in_a_bundle(tmp_path):
     spec = load_robot(two_links(tmp_path))
     names = {*bundle.robot_files(spec)}
     assert names == {"robot.toml", "draws.toml", "limits.toml", "two.urdf", "meshes/fore.stl"}
-    with bundle.filling(tmp_path / "x") as folder:
+    with new_bundle(tmp_path / "x") as folder:
         for name in (*FILES, *(f"robot/{name}" for name in names)):
             (folder / name).parent.mkdir(exist_ok=True)
             (folder / name).write_bytes(b"mesh")
@@ -220,30 +222,30 @@ def test_a_disk_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == ["x"]
 
 
-@pytest.mark.parametrize("all_of_them", [True, False])
-def test_only_bundles_are_cleared(tmp_path, all_of_them):
+@pytest.mark.parametrize("finished", [True, False])
+def test_only_bundles_are_cleared(tmp_path, finished):
     filled(tmp_path / "x")
     shutil.copytree(tmp_path / "x", tmp_path / ".1234abcd.y")
     (tmp_path / ".1234abcd.y" / "bundle.json").unlink()
     (tmp_path / "mine").mkdir()
-    assert bundle.bundles(tmp_path) == [f"{tmp_path.name}/x"]
-    assert bundle.bundles(tmp_path / "nowhere") == []
-    bundle.clear_bundles(tmp_path, all_of_them=all_of_them)
-    assert {path.name for path in tmp_path.iterdir()} == ({"mine"} if all_of_them else {"mine", "x"})
-    bundle.clear_bundles(tmp_path / "nowhere", all_of_them=True)
+    assert list_bundles(tmp_path) == [f"{tmp_path.name}/x"]
+    assert list_bundles(tmp_path / "nowhere") == []
+    delete_bundles(tmp_path, finished=finished)
+    assert {path.name for path in tmp_path.iterdir()} == ({"mine"} if finished else {"mine", "x"})
+    delete_bundles(tmp_path / "nowhere", finished=True)
 
 
 def test_bundles_take_the_place_of_others_and_of_nothing_else(tmp_path):
-    old, new = tmp_path / "events", tmp_path / "kept" / "events"
+    old, new = tmp_path / "events", tmp_path / "unfinished" / "events"
     for place in (old / "x", old / "y", new / "x", new / "z"):
         place.parent.mkdir(parents=True, exist_ok=True)
         filled(place, begin=100 if place.parent == old else 200)
     (old / "mine").mkdir()
-    bundle.move_bundles(new, old)
+    replace_bundles(new, old)
     assert {path.name for path in old.iterdir()} == {"mine", "x", "z"}
     assert [bundle.open_bundle(old / name).begin for name in "xz"] == [200, 200]
     assert not new.parent.exists()
-    bundle.move_bundles(new, old)
+    replace_bundles(new, old)
     assert {path.name for path in old.iterdir()} == {"mine"}
 
 
@@ -255,9 +257,9 @@ def test_a_state_digest_sees_every_bit_name_and_kind():
         ARRAYS | {"c": ARRAYS["c"].astype(np.int8)},
         ARRAYS | {"nothing": np.array([-np.nan, -np.inf])},
     )
-    digests = {bundle.state_digest(arrays) for arrays in (ARRAYS, *other)}
+    digests = {state_digest(arrays) for arrays in (ARRAYS, *other)}
     assert len(digests) == 1 + len(other)
-    assert bundle.state_digest(dict(reversed(ARRAYS.items()))) == bundle.state_digest(ARRAYS)
+    assert state_digest(dict(reversed(ARRAYS.items()))) == state_digest(ARRAYS)
 
 
 class Log:
@@ -287,17 +289,17 @@ def event(monitor, robot, start, joint="elbow", worst=2.0):
 def test_the_first_of_each_monitor_are_chosen_and_no_more_when_more_come():
     hard = [event("torque", robot, 1000 - 100 * robot) for robot in range(8)]
     soft = [event("tracking", robot, 1000 - 100 * robot) for robot in range(8)]
-    found = list(chosen(Log(hard + soft), 8))
-    assert [e.start for e in found if e.monitor.hard] == [300 + 100 * k for k in range(HARD_KEPT)]
-    assert [e.start for e in found if not e.monitor.hard] == [300][:SOFT_KEPT]
+    found = list(select_events(Log(hard + soft), 8))
+    assert [e.start for e in found if e.monitor.hard] == [300 + 100 * k for k in range(HARD_BUNDLES)]
+    assert [e.start for e in found if not e.monitor.hard] == [300][:SOFT_BUNDLES]
     later = [replace(e, start=e.start + 800) for e in hard]
-    assert list(chosen(Log(hard + later + soft), 8)) == found
-    assert {e.robot for e in chosen(Log(hard + soft), 6)} == {5, 4, 3, 2}
+    assert list(select_events(Log(hard + later + soft), 8)) == found
+    assert {e.robot for e in select_events(Log(hard + soft), 6)} == {5, 4, 3, 2}
 
 
 def test_joints_that_fail_together_are_one_event():
     together = [event("torque", 1, 500, "elbow", 1.1), event("torque", 1, 500, "wrist_1", 1.3)]
     soon, again = event("torque", 1, 699), event("torque", 1, 700)
     elsewhere = event("torque", 2, 501)
-    found = list(chosen(Log([again, soon, *together, elsewhere]), 8))
+    found = list(select_events(Log([again, soon, *together, elsewhere]), 8))
     assert found == [together[1], elsewhere, again]

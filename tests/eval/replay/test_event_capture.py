@@ -7,17 +7,18 @@ import pytest
 pytest.importorskip("mujoco")
 
 from eval.replay import bundle
-from eval.replay.event_capture import Witness
-from eval.soak.shard import Shard
+from eval.replay.array_files import state_digest
+from eval.replay.event_capture import EventCapture
+from eval.shard.shard import Shard
 
 
 def live(shard, witness, *, until=10**9):
     def keep():
-        witness.begin(shard)
+        witness.flush(shard)
         kept.append(shard.save())
 
     kept, seen = [], []
-    shard.run(seen.append, lambda: seen[-1] >= until, keep, witness.watch)
+    shard.run(seen.append, lambda: seen[-1] >= until, keep, witness.observe)
     return kept
 
 
@@ -29,12 +30,12 @@ def test_a_shard_that_was_taken_up_leaves_the_same_bundles(pushed, tmp_path):
     """Kept after 1 s of 2.2; and nobody who looks on changes anything."""
     job = replace(pushed.jobs()[0], ticks=440)
     whole, cut, rest, alone = (Shard(job) for _ in range(4))
-    whole._keep = rest._keep = 200
-    live(whole, Witness(job, whole, tmp_path / "whole"))
-    rest.restore(live(cut, Witness(job, cut, tmp_path / "parts"), until=200)[-1])
-    live(rest, Witness(job, rest, tmp_path / "parts"))
+    whole.checkpoint_ticks = rest.checkpoint_ticks = 200
+    live(whole, EventCapture(job, whole, tmp_path / "whole"))
+    rest.restore(live(cut, EventCapture(job, cut, tmp_path / "parts"), until=200)[-1])
+    live(rest, EventCapture(job, rest, tmp_path / "parts"))
     alone.run(lambda _: None, lambda: False)
-    assert len({bundle.state_digest(shard.save()) for shard in (whole, rest, alone)}) == 1
+    assert len({state_digest(shard.save()) for shard in (whole, rest, alone)}) == 1
     assert files(tmp_path / "whole") == files(tmp_path / "parts")
     starts = [bundle.open_bundle(path).event.start for path in (tmp_path / "whole").iterdir()]
     assert min(starts) < 200 <= max(starts)
@@ -43,12 +44,12 @@ def test_a_shard_that_was_taken_up_leaves_the_same_bundles(pushed, tmp_path):
 def test_a_shard_that_does_not_come_to_the_same_again_leaves_no_bundle(pushed, tmp_path):
     job = replace(pushed.jobs()[0], ticks=240)
     shard = Shard(job)
-    witness = Witness(job, shard, tmp_path / "events")
+    witness = EventCapture(job, shard, tmp_path / "events")
 
     def meddle(shard):
         shard.runtime.task.number += shard.runtime.ticks == 100
-        witness.watch(shard)
+        witness.observe(shard)
 
     with pytest.raises(RuntimeError, match="ticks 0 to 240 were not the same"):
-        shard.run(lambda _: None, lambda: False, lambda: witness.begin(shard), meddle)
+        shard.run(lambda _: None, lambda: False, lambda: witness.flush(shard), meddle)
     assert not (tmp_path / "events").exists()

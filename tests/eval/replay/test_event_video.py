@@ -18,15 +18,15 @@ pytest.importorskip("mujoco")
 
 from deploy.policy.policy import Policy
 from eval.replay import bundle
-from eval.replay.event_video import _context
+from eval.replay.event_video import opengl_context
 from eval.replay.replayer import Replay
-from eval.soak.configuration import Soak
+from eval.soak.configuration import SoakConfig
 from eval.soak.workers import run_soak
 from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError
 
 
-def test_an_event_becomes_a_moving_picture(events, tmp_path):
+def test_an_event_becomes_a_moving_render(events, tmp_path):
     """In a process of its own: Mesa's LLVM and the one that comes with torch do not bear each other."""
     done = replayed(first(events, "velocity"), "--video", tmp_path / "a.gif")
     if "needs OpenGL" in done.stderr:
@@ -54,7 +54,7 @@ def fallen(tmp_path_factory):
     path = written(folder, [node], {"w": w}, contract)
     how = {"budget": BUDGET, "hours": 2 / 3600, "robots": 1, "seed": 3, "workers": 1}
     policy = Policy.load(path, QUADRUPED)
-    run_soak(Soak(spec=QUADRUPED, policy=policy, policy_path=path, **how), folder, Console(quiet=True))
+    run_soak(SoakConfig(spec=QUADRUPED, policy=policy, policy_path=path, **how), folder, Console(quiet=True))
     return min((folder / "events").iterdir())
 
 
@@ -89,17 +89,17 @@ def test_a_robot_that_walks_is_filmed_where_it_goes(fallen, tmp_path):
 FAR = """
 from eval.replay import cli as replay
 from eval.replay import event_video as film
-class Far(film.Film):
+class Far(film.EventVideo):
     shown = 0
-    def _picture(self, row):
+    def render_row(self, row):
         self.shown += 1
         if self.shown > 4:  # those that are looked at, and the one that comes before them
             return self.last
         row = row.copy()
         row["base_true"][0] += 500.0
-        self.last = super()._picture(row)
+        self.last = super().render_row(row)
         return self.last
-replay.Film = Far
+replay.EventVideo = Far
 replay.cli()
 """
 
@@ -123,4 +123,4 @@ def test_no_opengl_is_bad_input(monkeypatch):
     with pytest.raises(
         ConfigError, match="--video: needs OpenGL, found none of none, either: No module named"
     ):
-        _context()
+        opengl_context()

@@ -10,18 +10,20 @@ from support.policies import policy_model
 
 pytest.importorskip("mujoco")
 
+from eval.faults.settings import FaultSettings
 from eval.replay import bundle
 from eval.replay import cli as command
+from eval.replay.array_files import write_arrays
 from eval.replay.capture_window import columns
-from eval.replay.replayer import Replay, difference, why_not
-from eval.soak.profile import Faults
+from eval.replay.comparison import first_difference, mismatch
+from eval.replay.replayer import Replay
 from robots.errors import ConfigError, RobotError
 from support.eval.bundles import ROBOTS_COUNTED, TICKS, first, replayed
 
 
 def resealed(folder, **changes):
     """As somebody writes it who means to mislead."""
-    about = bundle.About.model_validate_json((folder / "bundle.json").read_text())
+    about = bundle.BundleInfo.model_validate_json((folder / "bundle.json").read_text())
     bundle.seal(folder, about.model_copy(update=changes))
 
 
@@ -31,7 +33,7 @@ def test_an_event_is_reproduced_bit_for_bit_in_a_fresh_process(events, tmp_path)
     about = bundle.open_bundle(first(events, "velocity"))
     said = done.stdout
     ticks = about.end - about.begin
-    assert f"reproduced: commands and every other signal of {ticks} ticks" in said
+    assert f"reproduced: all signals of {ticks} ticks" in said
     assert "differs" not in said
     assert f"robot {about.event.robot} of seed 3: velocity of {about.event.joint}" in said
     rows = [line for line in said.splitlines() if re.match(r"[ !] *[+-]\d+ ", line)]
@@ -58,9 +60,9 @@ def test_every_monitor_that_found_something_left_bundles(events):
 def test_the_load_is_that_of_the_ticks(lived, monitor):
     """Above the limit from the event's first tick on, as high as the judge said, and what the signals say."""
     replay, again = lived(monitor)
-    event, spec = replay.about.event, replay.spec
-    assert why_not(replay, again) == ""
-    start = event.start - replay.about.begin
+    event, spec = replay.info.event, replay.spec
+    assert mismatch(replay, again) == ""
+    start = event.start - replay.info.begin
     assert again.load[start] > 1
     assert (again.load[max(0, start - 100) : start] <= 1).all()
     assert again.load[start : start + event.ticks].max() == event.worst
@@ -101,13 +103,13 @@ def test_the_recording_holds_every_tick_of_every_signal(one):
 def test_a_difference_names_the_first_signal_and_tick(one):
     replay = Replay(one)
     rows = replay.recorded.copy()
-    assert difference(rows, replay.recorded) is None
+    assert first_difference(rows, replay.recorded) is None
     rows["q_sent"][70, 2] = np.nextafter(rows["q_sent"][70, 2], 9)
     rows["q"][71:] += 1.0
-    apart = difference(rows, replay.recorded)
-    assert (apart.tick, apart.signal) == (replay.about.begin + 70, "q_sent")
+    apart = first_difference(rows, replay.recorded)
+    assert (apart.tick, apart.signal) == (replay.info.begin + 70, "q_sent")
     rows["reached"][3] += 1
-    assert difference(rows, replay.recorded)[:2] == (replay.about.begin + 3, "reached")
+    assert first_difference(rows, replay.recorded)[:2] == (replay.info.begin + 3, "reached")
 
 
 def changed(folder, name, change):
@@ -115,7 +117,7 @@ def changed(folder, name, change):
     with np.load(folder / "state.npz") as file:
         arrays = dict(file)
     change(arrays)
-    bundle.write_arrays(folder / name, arrays)
+    write_arrays(folder / name, arrays)
     resealed(folder)
 
 
@@ -143,19 +145,19 @@ def test_another_state_is_not_reproduced(one, run):
 
 def test_another_state_at_the_end_is_said(one, lived):
     resealed(one, end_digest="0" * 64)
-    assert why_not(Replay(one), lived("velocity")[1]) == "all signals agree, the state at the end does not"
+    assert mismatch(Replay(one), lived("velocity")[1]) == "all signals agree, but not the state at the end"
 
 
 def test_another_event_is_said(one, lived):
     about, (_, again) = bundle.open_bundle(one), lived("velocity")
-    assert why_not(Replay(one), again) == ""
+    assert mismatch(Replay(one), again) == ""
     resealed(one, event=about.event.model_copy(update={"ticks": about.event.ticks + 1}))
-    assert why_not(Replay(one), again).startswith("the judge found robot=")
+    assert mismatch(Replay(one), again).startswith("the judge found robot=")
 
 
 def test_what_it_is_lived_with_may_differ(one):
     resealed(one, identity={"mujoco": "3.9"})
-    assert Replay(one).differs["mujoco"] == ("4.0.0", "3.9")
+    assert Replay(one).differences["mujoco"] == ("4.0.0", "3.9")
 
 
 @pytest.mark.parametrize(
@@ -209,7 +211,7 @@ def test_an_event_that_cannot_be_is_refused(one, event, complaint):
         Replay(one)
 
 
-FAULTS = Faults(coverage=0.95, cycle_s=18.0, operator_s=5.0)
+FAULTS = FaultSettings(coverage=0.95, cycle_s=18.0, operator_s=5.0)
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,12 @@ from junitparser import JUnitXml
 
 from eval.judge.counts import REASONS
 from eval.judge.monitors import Channels
-from eval.report.build import POINTS, build
+from eval.report.build import CURVE_POINTS, build
 from eval.report.html import fixed, render
 from eval.report.junit import junit
-from eval.report.plots import wear_plot
+from eval.report.plots.curves import wear_plot
+from eval.report.report_files import claim_folder, write_report
 from eval.report.schema.report_data import Report
-from eval.report.write import claim, write
 from eval.statistics.budget import load_budget
 from robots.errors import OutputError
 from support.arm6 import SPEC
@@ -26,8 +26,8 @@ def test_a_clean_night_passes_with_the_honest_sentence():
     found = report()
     assert found.verdict == "passed"
     assert found.statement == (
-        "0 hard events in 128 hours under way over 16 draws: rate ≤ 0.023 per hour (≤ 0.028 where draws differ),"
-        " P(bad draw) ≤ 0.17 (each with 95 %), availability 100.00 %, goals reached 100.00 %."
+        "0 hard events in 128 hours of operating time over 16 draws: rate ≤ 0.023 per hour (≤ 0.028 where draws"
+        " differ), P(bad draw) ≤ 0.17 (each with 95 % confidence), availability 100.00 %, goals reached 100.00 %."
     )
     assert found.exposure.evaluations == ROBOTS * TICKS
     assert all(row.evaluations == ROBOTS * TICKS for row in found.monitors)
@@ -52,7 +52,7 @@ def test_margins_are_shown_even_where_nothing_happened():
     # Of 92 million ticks 100 lie at 0.7, fewer than 1 in 10,000, and the others at 0.4.
     assert {channel.tail for channel in row.channels} == {0.41}
     words = " ".join("".join(Page(render(found)).words).split())
-    assert "but 1 in 10000" in words
+    assert "without 1 in 10000" in words
     assert "59 %" in words
 
 
@@ -66,8 +66,8 @@ def test_events_that_were_not_kept_are_counted_and_said():
     result = soak(["velocity"])
     result.counts.events[3, result.counts.columns("velocity").start] = 701
     found = build(result, load_budget())
-    assert next(row for row in found.monitors if row.name == "velocity").left_out == 700
-    assert "700 more were counted above and are listed nowhere" in render(found)
+    assert next(row for row in found.monitors if row.name == "velocity").unlisted == 700
+    assert "700 more were counted above but are not listed" in render(found)
 
 
 def test_a_policy_that_does_not_know_its_training_is_not_judged_by_it():
@@ -76,7 +76,7 @@ def test_a_policy_that_does_not_know_its_training_is_not_judged_by_it():
     found = build(result, load_budget())
     row = next(row for row in found.monitors if row.name == "observation")
     assert (row.evaluations, row.channels[0].limit) == (0, None)
-    assert any("What no limit is known of: observation." in line for line in found.unseen)
+    assert any("Monitors without a known limit: observation." in line for line in found.limitations)
     assert Report.model_validate_json(found.model_dump_json()) == found
 
 
@@ -96,8 +96,8 @@ def test_soft_events_are_shown_and_do_not_fail():
 
 
 def test_heat_keeps_the_hottest_and_the_median():
-    found = report(samples=5 * POINTS)
-    assert len(found.sample_h) == POINTS
+    found = report(samples=5 * CURVE_POINTS)
+    assert len(found.sample_h) == CURVE_POINTS
     elbow = found.heat[2]
     assert elbow.hottest_c[-1] == 75.0
     assert elbow.median_c[0] == 25.0
@@ -110,17 +110,17 @@ def test_what_could_not_be_seen_follows_from_what_was_counted():
     result.counts.worst[:, result.counts.columns("torque")] = 0.2
     result.counts.invalid[4] = 12
     result.counts.bins[:, 0] += 12
-    text = " ".join(build(result, load_budget()).unseen)
+    text = " ".join(build(result, load_budget()).limitations)
     assert "used to 50 %: torque." in text
     assert "12 ticks of the 1 robots whose simulation diverged" in text
-    assert "1 of 16 draws bad, up to 26 % of all may be" in text
+    assert "1 of 16 draws bad, up to 26 % of all possible draws may be bad" in text
     assert text.endswith("Links are rigid.")
 
 
 def test_json_holds_everything_and_nothing_unknown(tmp_path):
     found = report(["jerk"])
     assert Report.model_validate_json(found.model_dump_json()) == found
-    write(found, tmp_path)
+    write_report(found, tmp_path)
     again = Report.model_validate_json((tmp_path / "report.json").read_text())
     assert render(again) == (tmp_path / "report.html").read_text()
 
@@ -145,11 +145,18 @@ def test_the_page_says_what_the_report_says():
     words = " ".join("".join(Page(render(found)).words).split())
     assert found.statement in words
     assert "Failed" in words
-    assert "Over budget: velocity." in words
+    assert "Budget exceeded: velocity." in words
     for row in found.monitors:
         assert row.name in words
         assert row.meaning in words
-    for said in (*SPEC.joint_names, *found.unseen, "92,160,000", "a" * 64, "b" * 64, "soak-test --seed 7"):
+    for said in (
+        *SPEC.joint_names,
+        *found.limitations,
+        "92,160,000",
+        "a" * 64,
+        "b" * 64,
+        "soak-test --seed 7",
+    ):
         assert said in words
 
 
@@ -158,7 +165,7 @@ def test_an_interrupted_run_says_so_everywhere():
     words = " ".join("".join(Page(render(found)).words).split())
     assert found.verdict == "interrupted"
     assert "Interrupted after 2 of 8 hours" in words
-    assert "Over budget so far: jerk." in words
+    assert "Budget exceeded so far: jerk." in words
     (suite,) = JUnitXml.fromstring(junit(found))
     assert (suite.failures, suite.skipped, suite.tests) == (1, len(found.budget) - 1, len(found.budget))
 
@@ -262,8 +269,8 @@ def changed(reached, attempted=1000, hours=HOURS):
         ([990, 0, 990], "overlap: no change is shown."),
         ([990, 990, 980], "overlap: no change is shown."),
         ([980, 990, 990], "overlap: no change is shown."),
-        ([990, 990, 960], "lie apart: the end is worse than the start."),
-        ([960, 990, 990], "lie apart: the end is better than the start."),
+        ([990, 990, 960], "do not overlap: the end is worse than the start."),
+        ([960, 990, 990], "do not overlap: the end is better than the start."),
     ],
 )
 def test_the_end_is_compared_with_the_start_as_far_as_chance_lets_it(reached, verdict):
@@ -282,7 +289,7 @@ def test_the_comparison_names_its_hours_and_leaves_bins_without_goals_out():
 
 @pytest.mark.parametrize("reached", [[], [990]])
 def test_one_bin_cannot_be_compared(reached):
-    assert changed(reached).change.startswith("Goals came in one part of the run at most")
+    assert changed(reached).change.startswith("All goals were in one part of the soak")
 
 
 def test_stops_by_reason():
@@ -308,8 +315,8 @@ def test_one_test_case_for_each_budget_line():
 
 
 def test_an_older_report_is_replaced_and_nothing_is_left_over(tmp_path):
-    write(report(["jerk"]), tmp_path / "a" / "b")
-    write(report(), tmp_path / "a" / "b")
+    write_report(report(["jerk"]), tmp_path / "a" / "b")
+    write_report(report(), tmp_path / "a" / "b")
     assert {path.name for path in (tmp_path / "a" / "b").iterdir()} == {
         "report.json",
         "report.html",
@@ -318,7 +325,7 @@ def test_an_older_report_is_replaced_and_nothing_is_left_over(tmp_path):
     assert '"passed"' in (tmp_path / "a" / "b" / "report.json").read_text()
 
 
-@pytest.mark.parametrize("attempt", [claim, lambda out: write(report(), out)])
+@pytest.mark.parametrize("attempt", [claim_folder, lambda out: write_report(report(), out)])
 def test_a_place_that_cannot_be_written(tmp_path, attempt):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError, match="file"):
@@ -327,12 +334,12 @@ def test_a_place_that_cannot_be_written(tmp_path, attempt):
 
 
 def test_one_file_that_cannot_be_written_spoils_none(tmp_path):
-    write(report(["jerk"]), tmp_path)
+    write_report(report(["jerk"]), tmp_path)
     before = (tmp_path / "report.json").read_text()
     (tmp_path / "junit.xml").unlink()
     (tmp_path / "junit.xml").mkdir()
     with pytest.raises(OutputError, match=r"junit\.xml"):
-        write(report(), tmp_path)
+        write_report(report(), tmp_path)
     assert (tmp_path / "report.json").read_text() == before
     assert {path.name for path in tmp_path.iterdir()} == {"report.json", "report.html", "junit.xml"}
 
@@ -340,9 +347,9 @@ def test_one_file_that_cannot_be_written_spoils_none(tmp_path):
 def test_a_folder_in_a_reports_place_is_found_before_the_hours(tmp_path):
     (tmp_path / "report.html").mkdir()
     with pytest.raises(OutputError, match=r"report\.html is a folder"):
-        claim(tmp_path)
+        claim_folder(tmp_path)
 
 
 def test_a_claim_leaves_only_the_folder(tmp_path):
-    claim(tmp_path / "new")
+    claim_folder(tmp_path / "new")
     assert list((tmp_path / "new").iterdir()) == []

@@ -13,15 +13,15 @@ from support.policies import policy_model, saved
 pytest.importorskip("mujoco")
 
 from deploy.policy.policy import Policy
-from eval.history.history import keep
-from eval.history.night_record import Run
-from eval.report.assembly import collect
+from eval.history.history import add_record
+from eval.history.soak_record import Run
 from eval.report.build import build
 from eval.report.cli import cli
 from eval.report.html import ends
-from eval.report.write import write
-from eval.soak.configuration import Soak
-from eval.soak.shard import Shard
+from eval.report.report_files import write_report
+from eval.shard.shard import Shard
+from eval.soak.assembly import assemble
+from eval.soak.configuration import SoakConfig
 from eval.statistics.budget import BUDGET, load_budget
 from eval.statistics.compare import compare
 from eval.statistics.dispersion import draw_rate_interval
@@ -32,12 +32,12 @@ RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, resumed_
 def soaked(path):
     """4.7 s of 3 robots, as soak-test reports them."""
     policy = Policy.load(path, SPEC)
-    soak = Soak(
+    soak = SoakConfig(
         spec=SPEC, policy=policy, policy_path=path, budget=BUDGET, hours=0.0013, robots=3, seed=3, workers=1
     )
     (job,) = soak.jobs()
     shard = Shard(job).run(lambda ticks: None, lambda: False)
-    return build(collect(soak, [shard], RUN), load_budget())
+    return build(assemble(soak, [shard], RUN), load_budget())
 
 
 def soak_report(monkeypatch, *words):
@@ -51,14 +51,17 @@ def soak_report(monkeypatch, *words):
 def test_two_policies_on_the_same_draws(arm_policy, tmp_path, monkeypatch, capsys):
     """One does nothing, the other throws the arms about: a report's folder, and a night that was kept."""
     idle, restless = soaked(arm_policy), soaked(saved(policy_model(), tmp_path))
-    write(idle, tmp_path / "idle")
-    assert soak_report(monkeypatch, "compare", tmp_path / "idle", keep(restless, tmp_path / "history")) == 0
+    write_report(idle, tmp_path / "idle")
+    assert (
+        soak_report(monkeypatch, "compare", tmp_path / "idle", add_record(restless, tmp_path / "history"))
+        == 0
+    )
     said = capsys.readouterr().out
     assert (
         f"A: {idle.settings.policy} ({idle.settings.policy_digest[:12]}) on 3 draws of seed 3, 0.0013 h"
         in said
     )
-    for each in compare(idle.tally, restless.tally):
+    for each in compare(idle.per_draw_counts, restless.per_draw_counts):
         (line,) = [line for line in said.splitlines() if each.name in line]
         per = 1.0 if each.unit else 100.0
         numbers = [
@@ -67,8 +70,8 @@ def test_two_policies_on_the_same_draws(arm_policy, tmp_path, monkeypatch, capsy
         shown = [per * x for x in (each.a, each.b, each.b - each.a, each.low, each.high)]
         np.testing.assert_allclose(numbers[:5], shown, atol=6e-4)
         assert f"{each.differing} of 3" in line
-    assert sum(restless.tally.stops) > sum(idle.tally.stops) == 0
-    assert idle.tally.ticks == restless.tally.ticks == (936,) * 3
+    assert sum(restless.per_draw_counts.stops) > sum(idle.per_draw_counts.stops) == 0
+    assert idle.per_draw_counts.ticks == restless.per_draw_counts.ticks == (936,) * 3
     assert restless.results_digest != idle.results_digest == idle.sealed()
 
 
@@ -95,9 +98,9 @@ def refused(tmp_path, monkeypatch, capsys):
 
 
 def test_other_draws_are_refused(refused, tmp_path):
-    a, b = keep(night(1), tmp_path), keep(night(2), tmp_path)
+    a, b = add_record(night(1), tmp_path), add_record(night(2), tmp_path)
     assert refused("compare", a, b) == f"error: {b}: seed: found 2, but {a} has 1\n"
-    code = keep(night(1, code_digest="z9"), tmp_path)
+    code = add_record(night(1, code_digest="z9"), tmp_path)
     assert refused("compare", a, code) == f"error: {code}: code_digest: found z9, but {a} has c1\n"
 
 
@@ -111,12 +114,12 @@ def test_what_is_no_report_is_refused(refused, tmp_path):
 
 def test_a_trend_is_a_page_and_its_sentences(tmp_path, monkeypatch, capsys):
     for seed, started in ((1, LATER), (2, "2026-01-04T22:00:00+01:00")):
-        keep(night(seed, started=started), tmp_path / "history")
+        add_record(night(seed, started=started), tmp_path / "history")
     assert soak_report(monkeypatch, "trend", tmp_path / "history") == 0
     said = capsys.readouterr().out
-    assert "over 32 draws of 2 nights" in said
+    assert "over 32 draws of 2 soaks" in said
     assert ("2026-01-03 22:00" in said, "2026-01-04 22:00" in said) == (True, True)
-    events, hours = night(1).tally.hard_events
+    events, hours = night(1).per_draw_counts.hard_events
     assert "per h, 95 %" in said
     assert ends(tuple(map(float, draw_rate_interval(events, hours)))) in said
     page = tmp_path / "history" / "trend.html"
@@ -128,12 +131,14 @@ def test_a_trend_is_a_page_and_its_sentences(tmp_path, monkeypatch, capsys):
 
 def test_no_nights_are_refused(refused, tmp_path):
     said = refused("trend", tmp_path)
-    assert said == f"error: {tmp_path}: found no night, expected some that soak-test --history keeps\n"
-    assert refused("trend", tmp_path / "nowhere").startswith(f"error: {tmp_path / 'nowhere'}: found no night")
+    assert said == f"error: {tmp_path}: found no records, expected some from soak-test --history\n"
+    assert refused("trend", tmp_path / "nowhere").startswith(
+        f"error: {tmp_path / 'nowhere'}: found no records"
+    )
 
 
 def test_a_page_that_cannot_be_written_is_said(refused, tmp_path):
-    keep(night(1), tmp_path)
+    add_record(night(1), tmp_path)
     assert "error: --out /dev/null/trend.html" in refused("trend", tmp_path, "--out", "/dev/null/trend.html")
 
 

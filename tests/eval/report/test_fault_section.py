@@ -8,13 +8,13 @@ import pytest
 from eval.faults.catalogue import NOT_INJECTED, catalogue
 from eval.faults.fault_class import Answer
 from eval.faults.fault_response import FaultResponses
+from eval.faults.settings import FaultSettings
 from eval.judge.monitors import NAMES
 from eval.report.build import build
 from eval.report.html import render
 from eval.report.junit import junit
 from eval.report.schema.report_data import Report
 from eval.report.sections.faults import fault_table
-from eval.soak.profile import Faults
 from eval.statistics.budget import load_budget
 from support.arm6 import SPEC
 from support.eval.reports import Page, soak
@@ -37,7 +37,7 @@ def every_class_handled():
 
 
 def report(found):
-    table = fault_table(SPEC, Faults(coverage=0.95, cycle_s=20.0, operator_s=5.0), found)
+    table = fault_table(SPEC, FaultSettings(coverage=0.95, cycle_s=20.0, operator_s=5.0), found)
     return build(replace(soak(), faults=table), load_budget())
 
 
@@ -47,10 +47,10 @@ def test_enough_that_are_handled_pass():
     assert found.budget[0].name == "fault_coverage"
     assert found.budget[0].found == pytest.approx(0.05 ** (1 / ROBOTS))
     first = f"{CLASSES[0].name}, 60 of 60 handled"
-    assert found.budget[0].about == f"least sure: {first}"
+    assert found.budget[0].about == f"lowest bound: {first}"
     row = found.faults.rows[0]
-    assert (row.left.median_s, row.rest.worst_s) == (0.1, pytest.approx((40 + 59) * SPEC.dt))
-    assert (row.again, row.astray_rad, row.load) == (60, 0.01, 0.8)
+    assert (row.stopped.median_s, row.at_rest.worst_s) == (0.1, pytest.approx((40 + 59) * SPEC.dt))
+    assert (row.resumed, row.deviation_rad, row.load) == (60, 0.01, 0.8)
     assert Report.model_validate_json(found.model_dump_json()) == found
 
 
@@ -60,14 +60,19 @@ def test_one_that_is_not_fails_and_is_named():
     told.tracking_error[3, -1] = np.nan
     found = report(told)
     assert [line.name for line in found.budget if not line.passed] == ["fault_coverage"]
-    about = f"least sure: {CLASSES[-1].name}, 59 of 60 handled; with 1 missed, 95 % takes 93 injections"
+    about = f"lowest bound: {CLASSES[-1].name}, 59 of 60 handled; with 1 unhandled, 95 % needs 93 injections"
     assert found.budget[0].about == about
     assert about in "".join(Page(render(found)).words)
     assert f"allowed at least 0.95 ({about})" in junit(found)
-    assert (found.faults.rows[-1].handled, found.faults.rows[-1].hurt) == (59, {"torque": 1})
-    assert found.faults.rows[-1].astray_rad is None
-    (miss,) = found.faults.misses
-    assert (miss.fault, miss.robot, miss.start_h, miss.hurt) == (CLASSES[-1].name, 3, 0.001, ("torque",))
+    assert (found.faults.rows[-1].handled, found.faults.rows[-1].violations) == (59, {"torque": 1})
+    assert found.faults.rows[-1].deviation_rad is None
+    (fault,) = found.faults.unhandled
+    assert (fault.fault, fault.robot, fault.start_h, fault.violations) == (
+        CLASSES[-1].name,
+        3,
+        0.001,
+        ("torque",),
+    )
 
 
 def test_a_class_that_was_not_injected_is_no_failure_of_the_robot():
@@ -77,9 +82,9 @@ def test_a_class_that_was_not_injected_is_no_failure_of_the_robot():
     words = " ".join("".join(Page(page).words).split())
     assert words.count("not injected") == 1
     assert words.count("60 of 60") == len(CLASSES) - 1
-    about = f"least sure: {CLASSES[0].name}, 0 of 0 handled; 95 % takes 59 injections"
+    about = f"lowest bound: {CLASSES[0].name}, 0 of 0 handled; 95 % needs 59 injections"
     assert about in words
-    faults = page[page.index("Faults on schedule") : page.index("What this run could not see")]
+    faults = page[page.index("Injected faults") : page.index("Limitations of this soak")]
     assert 'class="hit' not in faults
 
 
@@ -93,5 +98,5 @@ def test_the_page_shows_every_class_and_what_was_not_injected():
         assert sentence in words
     assert "0.10 / 0.10" in words
     assert "category 1category 2 60" in words
-    assert "The first 1 that were not handled" in words
-    assert "Faults on schedule" not in render(build(soak(), load_budget()))
+    assert "The first 1 unhandled faults" in words
+    assert "Injected faults" not in render(build(soak(), load_budget()))

@@ -12,7 +12,7 @@ from eval.judge.monitors import Channels
 from eval.report.build import build
 from eval.report.html import EVENTS_SHOWN, cells, duration, margin, of_limit, plots, render
 from eval.report.junit import junit
-from eval.report.plots import heat_plot, wear_plot
+from eval.report.plots.curves import heat_plot, wear_plot
 from eval.report.schema.json_schema import SCHEMA, schema
 from eval.report.schema.numbers import figure
 from eval.report.schema.report_data import Report
@@ -52,28 +52,30 @@ def test_the_first_screen_bounds_a_night_without_events():
     assert found.dispersion_p == 1.0
     said = words(report())
     assert (
-        "of 100 h takes 172 more hours under way without another event; of 1,000 h takes 2,868 more" in said
+        "of 100 h needs 172 more hours of operating time without another event; of 1,000 h needs 2,868 more"
+        in said
     )
-    assert f"{HARD} hard monitors were judged" in said
-    assert "cannot be told from fewer than two hard events" in said
+    assert f"{HARD} hard monitors were evaluated" in said
+    assert "Fewer than two hard events cannot show whether draws differ" in said
 
 
 def test_events_to_come_count_twice_what_came():
     (hundred, _) = report(["velocity"]).evidence.further
     # 4.74 and 6.30 times: facts.
-    assert (hundred.hours, hundred.alike_hours) == (
+    assert (hundred.hours, hundred.same_rate_hours) == (
         pytest.approx(474 - 128, abs=1),
         pytest.approx(630 - 128, abs=1),
     )
-    assert "346 more hours under way without another event, 502 if as many come again" in words(
-        report(["velocity"])
+    assert (
+        "346 more hours of operating time without another event, or 502 if as many events occur again"
+        in words(report(["velocity"]))
     )
 
 
 def test_a_mean_time_that_is_shown_needs_no_more_hours():
     found = build(soak(robots=64), load_budget())
     assert [f.hours for f in found.evidence.further] == [0.0, pytest.approx(1000 * np.log(20) - 512)]
-    assert "of 100 h took no more hours: it is shown; of 1,000 h takes 2,484 more" in words(found)
+    assert "of 100 h is shown; of 1,000 h needs 2,484 more" in words(found)
 
 
 @pytest.mark.parametrize(
@@ -81,11 +83,11 @@ def test_a_mean_time_that_is_shown_needs_no_more_hours():
     [
         (
             [3] * 12,
-            "Draws differ: chance alone spreads 12 hard events over 16 draws as unevenly in 0.01 % of nights.",
+            "Draws differ: chance alone spreads 12 hard events over 16 draws this unevenly in 0.01 % of cases.",
         ),
         (
             range(16),
-            "Draws were not shown to differ: chance alone spreads 16 hard events over 16 draws as unevenly",
+            "Draws were not shown to differ: chance alone spreads 16 hard events over 16 draws this unevenly",
         ),
     ],
 )
@@ -106,9 +108,9 @@ def test_what_has_no_budget_says_so():
     result.counts.latches[2] = 1234
     found = build(result, free)
     assert Report.model_validate_json(found.model_dump_json()) == found
-    assert re.search(r"latches kept 1,234 no budget times", words(found))
-    assert re.search(r"availability kept 100.00 % no budget", words(found))
-    assert "latches: found 1234 times, no budget" in junit(found)
+    assert re.search(r"latches passed 1,234 no limit times", words(found))
+    assert re.search(r"availability passed 100.00 % no limit", words(found))
+    assert "latches: found 1234 times, no limit" in junit(found)
 
 
 def test_each_monitor_has_its_bounds():
@@ -148,9 +150,9 @@ def test_margins_are_distributions():
     result.counts.bins[result.counts.columns("tracking").start, 125] += 10
     found = build(result, load_budget())
     rows = {row.name: row for row in found.monitors}
-    assert (rows["tracking"].loads[70], rows["tracking"].loads[125]) == (600, 10)
-    assert sum(rows["jerk"].loads) == 6 * ROBOTS * TICKS
-    assert sum(rows["workspace"].loads) == ROBOTS * TICKS
+    assert (rows["tracking"].load_histogram[70], rows["tracking"].load_histogram[125]) == (600, 10)
+    assert sum(rows["jerk"].load_histogram) == 6 * ROBOTS * TICKS
+    assert sum(rows["workspace"].load_histogram) == ROBOTS * TICKS
     picture = str(plots(found)["margins"])
     named = {row.name for row in found.monitors if f">{row.name}</text>" in picture}
     assert named == {m.name for m in CHANNELS.monitors if m.unit}
@@ -181,14 +183,14 @@ def test_ticks_that_nobody_judged_have_no_margin():
     result = soak()
     result.counts.invalid[4] = 12
     result.counts.bins[:, 0] += 12
-    assert {row.loads[0] for row in build(result, load_budget()).monitors} == {0}
+    assert {row.load_histogram[0] for row in build(result, load_budget()).monitors} == {0}
 
 
 def test_a_report_without_loads_has_no_margins():
     result = soak()
     result.counts.bins[:] = 0
     found = build(result, load_budget())
-    assert {row.loads for row in found.monitors} == {()}
+    assert {row.load_histogram for row in found.monitors} == {()}
     assert "Margins of every monitor" not in render(found)
 
 
@@ -250,8 +252,8 @@ def test_the_hottest_draw_is_named():
     elbow = build(result, load_budget()).heat[2]
     assert (elbow.peak_c, elbow.hottest_robot, elbow.longest_robot) == (80.0, 5, 9)
     said = words(build(result, load_budget()))
-    assert "Hottest draw: robot 5, elbow at 80 °C." in said
-    assert "above soft 5 s, most robot 9: 5 s" in said
+    assert "Hottest robot: 5, elbow at 80 °C." in said
+    assert "above soft limit 5 s, longest robot 9: 5 s" in said
 
 
 def test_current_that_motors_could_not_draw_is_told():
@@ -261,7 +263,9 @@ def test_current_that_motors_could_not_draw_is_told():
     result.folded_back[100:, 7] = np.nan
     shoulder = build(result, load_budget()).heat[1]
     assert (shoulder.folded_back, shoulder.folded_most, shoulder.folded_robot) == (0.125 / 16, 0.125, 4)
-    assert "folded back by 0.8 % of its current, robot 4 by 12.5 %" in words(build(result, load_budget()))
+    assert "current reduced by 0.8 % because of heat, robot 4 by 12.5 %" in words(
+        build(result, load_budget())
+    )
     assert "folded" not in words(build(soak(), load_budget()))
 
 
@@ -284,8 +288,8 @@ def test_a_parameter_that_explains_failures_is_named():
     assert best.p <= 0.01 < min(cause.p for cause in found.sensitivity.causes[1:])
     assert (found.sensitivity.draws, found.sensitivity.parameters) == (16, 21)
     assert (found.sensitivity.outcomes, len(found.sensitivity.causes)) == (("goals missed",), 10)
-    assert found.sensitivity.said.endswith("1 does, the strongest: goals missed with payload.mass_kg.")
-    assert found.sensitivity.said in words(found)
+    assert found.sensitivity.statement.endswith("1 is, the strongest: goals missed with payload.mass_kg.")
+    assert found.sensitivity.statement in words(found)
     assert "more goals missed" in words(found)
 
 
@@ -293,16 +297,16 @@ def test_chance_is_called_chance():
     result = soak()
     result.counts.stops[[2, 9]] = 1
     found = build(result, load_budget()).sensitivity
-    assert found.said.endswith("None does: what follows may all be chance.")
+    assert found.statement.endswith("None is: all correlations below may be chance.")
     assert 0.4 < found.noticeable < 0.7
     clean = report().sensitivity
     assert (clean.causes, clean.noticeable) == ((), None)
-    assert clean.said.startswith("Nothing to explain")
+    assert clean.statement.startswith("No failures to explain")
     few = soak(robots=3)
     few.counts.stops[1] = 1
     assert (
-        build(few, load_budget()).sensitivity.said
-        == "With 3 draws and 1 parameters nothing can stand out of chance."
+        build(few, load_budget()).sensitivity.statement
+        == "With 3 draws and 1 parameters, no correlation can be significant."
     )
 
 

@@ -12,11 +12,12 @@ from support.eval.shards import N, asked, job, lived
 pytest.importorskip("mujoco")
 
 from eval.judge.monitors import NAMES
-from eval.report.assembly import running_total
-from eval.report.series import ABOUT, WORN, series
+from eval.shard.fingerprint import code_digest
+from eval.shard.results import COUNTED
+from eval.shard.shard import Shard
+from eval.soak.assembly import running_total
 from eval.soak.configuration import SAMPLES_MAX
-from eval.soak.fingerprint import code_digest
-from eval.soak.shard import COUNTED, Shard
+from eval.soak.series import METADATA, WORN, series
 from robots.distributions import load_distributions
 
 
@@ -29,7 +30,7 @@ def read(data):
     """Columns by name, and what the file says of itself."""
     table = read_parquet(BytesIO(data)).read_all()
     found = {name: table.column(name).to_numpy() for name in table.column_names}
-    return found, json.loads(table.schema.metadata[ABOUT.encode()])
+    return found, json.loads(table.schema.metadata[METADATA.encode()])
 
 
 def test_every_number_of_every_robot_is_read_back(soak):
@@ -79,7 +80,7 @@ def test_the_file_says_what_it_is_of(soak):
     }
     assert columns["winding_elbow_c"] == {
         "unit": "°C",
-        "meaning": "true temperature; NaN once the simulation diverged",
+        "meaning": "true winding temperature; NaN once the simulation diverged",
     }
     assert columns["events_torque"]["meaning"].startswith("hard events so far, all joints together: ")
     assert columns["events_power"]["meaning"].startswith("soft events")
@@ -101,7 +102,7 @@ def test_the_last_sample_is_what_the_judge_found(arm_policy):
             at_tick[2] = shard.judge.counts()
             shard.robot.plant.housing[2, 1] = 95.0  # latches
 
-    result = shard.run(lambda _: None, lambda: False, watch=look)
+    result = shard.run(lambda _: None, lambda: False, observe=look)
     at_tick[3] = result.counts
     for sample, counts in at_tick.items():
         for name in COUNTED:

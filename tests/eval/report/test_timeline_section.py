@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from eval.report.build import build
 from eval.report.html import render
-from eval.report.plots import timeline_plot
+from eval.report.plots.timeline import timeline_plot
 from eval.report.schema.rows import EventRow
 from eval.report.sections.timeline import STEPS, bars, timeline
 from eval.statistics.budget import load_budget
@@ -53,8 +53,8 @@ def test_each_kind_has_its_bars():
     result.counts.bins[:, 0] += TICKS // 2
     rows = build(result, load_budget()).robots
     night = timeline(rows, [event(1, True, 3.01), event(1, False, 5.0, 3600.0)], 8.0)
-    assert len(night.lived) == len(rows)
-    np.testing.assert_allclose(night.lost, [(7, 4.0, 8.0)])
+    assert len(night.judged) == len(rows)
+    np.testing.assert_allclose(night.diverged, [(7, 4.0, 8.0)])
     np.testing.assert_allclose(night.hard, [(1, 3.0, 3.0 + STEP)])
     np.testing.assert_allclose(night.soft, [(1, 5.0, 6.0 + STEP)])
     np.testing.assert_allclose(night.stops, [(4, 2.0 - STEP, 2.0 + STEP)])
@@ -70,7 +70,7 @@ def test_from_when_on_events_are_counted_only():
     found = build(result, load_budget())
     assert [row.unlisted_h for row in found.robots] == [1.0 if k in {3, 11} else None for k in range(16)]
     np.testing.assert_allclose(timeline(found.robots, (), 8.0).unlisted, [(3, 1.0, 8.0), (11, 1.0, 8.0)])
-    assert "some events counted, not listed" in render(found)
+    assert "events not listed one by one" in render(found)
 
 
 def drawn(found):

@@ -7,12 +7,12 @@ import subprocess
 import numpy as np
 import pytest
 
-from eval.report.html import ends, render, render_nights
-from eval.report.plots import NIGHTS_SHOWN
+from eval.report.html import ends, render, render_history
+from eval.report.plots.trend import TREND_QUANTITIES
 from eval.report.schema.numbers import figure
 from eval.report.schema.report_data import Report
 from eval.report.schema.trend_rows import Trend
-from eval.report.sections.trend import TONIGHT, trend
+from eval.report.sections.trend import THIS_RUN, trend
 from eval.statistics.dispersion import dispersion_p, draw_rate_interval, draw_rate_upper
 from eval.statistics.evidence import rate_upper, share_upper
 from support.eval.nights import OTHER, named, night
@@ -38,32 +38,35 @@ def bounded(events, hours):
 
 
 def test_a_night_is_the_sum_of_its_draws():
-    (row,) = trend(named(night(1))).nights
-    tally = night(1).tally
-    events = np.sum([*tally.hard.values()], axis=0)
-    hours = np.array(tally.running) / 720_000
+    (row,) = trend(named(night(1))).runs
+    per_draw_counts = night(1).per_draw_counts
+    events = np.sum([*per_draw_counts.hard.values()], axis=0)
+    hours = np.array(per_draw_counts.running) / 720_000
     assert (row.hard_events, row.bad_draws) == (events.sum(), (events > 0).sum())
     assert row.running_hours == pytest.approx(hours.sum())
     assert row.rate.value == pytest.approx(events.sum() / hours.sum())
     assert (row.rate.low, row.rate.high) == pytest.approx(bounded(events, hours))
-    assert row.goals.value == pytest.approx(sum(tally.reached) / sum(tally.due))
-    missed = np.subtract(tally.due, tally.reached)
-    assert (1 - row.goals.high, 1 - row.goals.low) == pytest.approx(bounded(missed, tally.due))
-    assert row.availability.value == pytest.approx(sum(tally.running) / sum(tally.ticks))
-    low, high = np.multiply(24_000, bounded(np.array(tally.stops) / 2, tally.ticks))
+    assert row.goals.value == pytest.approx(sum(per_draw_counts.reached) / sum(per_draw_counts.due))
+    missed = np.subtract(per_draw_counts.due, per_draw_counts.reached)
+    assert (1 - row.goals.high, 1 - row.goals.low) == pytest.approx(bounded(missed, per_draw_counts.due))
+    assert row.availability.value == pytest.approx(sum(per_draw_counts.running) / sum(per_draw_counts.ticks))
+    low, high = np.multiply(24_000, bounded(np.array(per_draw_counts.stops) / 2, per_draw_counts.ticks))
     assert (1 - row.availability.high, 1 - row.availability.low) == pytest.approx((low, high))
-    assert (row.hottest_c.value, row.hottest_c.low) == (max(tally.hottest_c), np.median(tally.hottest_c))
+    assert (row.hottest_c.value, row.hottest_c.low) == (
+        max(per_draw_counts.hottest_c),
+        np.median(per_draw_counts.hottest_c),
+    )
 
 
 def test_nights_of_one_identity_are_put_together_and_no_draw_counts_twice():
     nights = year()
     found = trend(nights)
-    assert [row.group for row in found.nights] == [0, 0, 1, 1, 1, 2]
-    assert [row.again for row in found.nights] == [False] * 4 + [True, False]
-    assert [row.name for row in found.nights] == list(nights)
-    assert [(group.nights, group.draws) for group in found.groups] == [(2, 32), (2, 32), (1, 16)]
+    assert [row.group for row in found.runs] == [0, 0, 1, 1, 1, 2]
+    assert [row.repeated for row in found.runs] == [False] * 4 + [True, False]
+    assert [row.name for row in found.runs] == list(nights)
+    assert [(group.runs, group.draws) for group in found.groups] == [(2, 32), (2, 32), (1, 16)]
     assert [group.changed for group in found.groups] == [(), ("policy",), ("code", "numpy")]
-    one, two = (nights[f"night-{k}.json"].tally.hard_events for k in (0, 1))
+    one, two = (nights[f"night-{k}.json"].per_draw_counts.hard_events for k in (0, 1))
     events, hours = np.append(one[0], two[0]), np.append(one[1], two[1])
     bad = int((events > 0).sum())
     for group in found.groups[:2]:
@@ -76,53 +79,57 @@ def test_nights_of_one_identity_are_put_together_and_no_draw_counts_twice():
 
 def test_of_the_same_seed_the_night_with_most_draws_counts():
     found = trend(named(night(1), night(1, draws=32), night(1, draws=32), night(2)))
-    assert [row.again for row in found.nights] == [True, False, True, False]
-    assert (found.groups[0].nights, found.groups[0].draws) == (2, 48)
+    assert [row.repeated for row in found.runs] == [True, False, True, False]
+    assert (found.groups[0].runs, found.groups[0].draws) == (2, 48)
 
 
 def test_groups_may_come_again():
     found = trend(named(night(1), night(2, **B), night(3)))
-    assert [row.group for row in found.nights] == [0, 1, 0]
-    assert found.last.nights == 2
+    assert [row.group for row in found.runs] == [0, 1, 0]
+    assert found.last.runs == 2
 
 
 def test_the_sentence_of_several_nights():
     quiet = trend(named(*(night(seed, rate=0.0) for seed in (1, 2))))
     said = re.sub(r"in [\d.]+ hours", "in T hours", quiet.groups[0].statement)
     assert said == (
-        "0 hard events in T hours under way over 32 draws of 2 nights: rate ≤ 0.012 per hour (≤ 0.013 where draws"
-        " differ), P(bad draw) ≤ 0.089 (each with 95 %), availability 99.92 %, goals reached 97.97 %."
+        "0 hard events in T hours of operating time over 32 draws of 2 soaks: rate ≤ 0.012 per hour (≤ 0.013 where"
+        " draws differ), P(bad draw) ≤ 0.089 (each with 95 % confidence), availability 99.92 %, goals reached 97.97 %."
     )
-    assert quiet.groups[0].differ.startswith("Whether draws differ cannot be told")
-    assert "draws of 1 night: " in trend(named(night(1))).groups[0].statement
+    assert quiet.groups[0].dispersion.startswith("Fewer than two hard events cannot show")
+    assert "draws of 1 soak: " in trend(named(night(1))).groups[0].statement
 
 
 def test_whether_draws_differ_is_said():
     usual = night(2, rate=1.0)
-    assert trend(named(usual)).groups[0].differ.startswith("Draws were not shown to differ")
-    lumps = usual.tally.model_copy(update={"hard": usual.tally.hard | {"jerk": (60, *(0,) * 15)}})
-    found = trend(named(usual.model_copy(update={"tally": lumps}))).groups[0]
+    assert trend(named(usual)).groups[0].dispersion.startswith("Draws were not shown to differ")
+    lumps = usual.per_draw_counts.model_copy(
+        update={"hard": usual.per_draw_counts.hard | {"jerk": (60, *(0,) * 15)}}
+    )
+    found = trend(named(usual.model_copy(update={"per_draw_counts": lumps}))).groups[0]
     assert found.dispersion_p < 0.001
-    assert found.differ.startswith("Draws differ: ")
+    assert found.dispersion.startswith("Draws differ: ")
 
 
 def changed(**columns):
     usual = night(1)
-    return trend(named(usual.model_copy(update={"tally": usual.tally.model_copy(update=columns)})))
+    return trend(
+        named(usual.model_copy(update={"per_draw_counts": usual.per_draw_counts.model_copy(update=columns)}))
+    )
 
 
 def test_without_a_stop_nothing_bounds_availability():
-    still = changed(stops=(0,) * 16, running=(5_759_960,) * 16).nights[0].availability
+    still = changed(stops=(0,) * 16, running=(5_759_960,) * 16).runs[0].availability
     assert (still.value, still.low, still.high) == (pytest.approx(5_759_960 / 5_760_000), None, None)
 
 
 def test_what_was_never_at_work_has_no_numbers():
     nothing = changed(running=(0,) * 16, due=(0,) * 16, reached=(0,) * 16, hottest_c=(None,) * 16)
-    row, group = nothing.nights[0], nothing.groups[0]
+    row, group = nothing.runs[0], nothing.groups[0]
     assert row.rate.value is row.goals.value is row.hottest_c.value is group.rate_upper is None
     assert row.availability.value == 0.0
     assert "no bound on the rate, P(bad draw)" in group.statement
-    Page(render_nights(nothing, night(1).settings.task))
+    Page(render_history(nothing, night(1).settings.task))
 
 
 @pytest.mark.parametrize("shape", [0.5, 5.0])
@@ -136,10 +143,10 @@ def test_goals_of_draws_that_differ_are_covered(shape):
 
 
 def test_json_holds_the_trend():
-    whole = report().model_copy(update={"trend": trend({**year(), TONIGHT: report()})})
+    whole = report().model_copy(update={"trend": trend({**year(), THIS_RUN: report()})})
     assert Report.model_validate_json(whole.model_dump_json()) == whole
     assert Trend.model_validate_json(whole.trend.model_dump_json()) == whole.trend
-    assert whole.trend.nights[-1].name == TONIGHT
+    assert whole.trend.runs[-1].name == THIS_RUN
 
 
 def words(page):
@@ -147,12 +154,12 @@ def words(page):
 
 
 def test_a_report_shows_its_night_among_the_others_only_with_a_history():
-    whole = report().model_copy(update={"trend": trend({**year(), TONIGHT: report()})})
+    whole = report().model_copy(update={"trend": trend({**year(), THIS_RUN: report()})})
     page, bare = render(whole), render(report())
-    assert page.count("<svg") == bare.count("<svg") + len(NIGHTS_SHOWN)
+    assert page.count("<svg") == bare.count("<svg") + len(TREND_QUANTITIES)
     last = whole.trend.last
-    assert f"{last.statement} {last.differ}" in words(page)
-    assert "over 16 draws of 1 night" in last.statement
+    assert f"{last.statement} {last.dispersion}" in words(page)
+    assert "over 16 draws of 1 soak" in last.statement
     assert "Trend" not in words(bare)
     ids = Page(page).ids
     assert len(ids) == len(set(ids))
@@ -162,18 +169,18 @@ def test_the_page_of_all_nights_is_whole_and_loads_nothing():
     nights = year()
     nights["night-1.json"] = nights["night-1.json"].model_copy(update={"verdict": "failed"})
     found = trend(nights)
-    text = render_nights(found, night(1).settings.task)
+    text = render_history(found, night(1).settings.task)
     page, said = Page(text), words(text)
     assert page.open == []
     assert len(page.ids) == len(set(page.ids))
     assert all(load.startswith(("#", "data:,")) for load in page.loads)
     assert not re.search(r"@import|url\((?!#)|<script|https?://(?!www\.w3\.org)", text)
-    assert text.count("<svg") == len(NIGHTS_SHOWN) == 4
+    assert text.count("<svg") == len(TREND_QUANTITIES) == 4
     assert not re.search(r"#0[1-6]0[1-6]0[1-6]", text)
     assert found.groups[-1].statement in said
-    assert "2 again" in said
+    assert "2 repeated" in said
     assert (text.count('<span class="chip ok">'), text.count('<span class="chip no">')) == (5, 1)
-    for each in found.nights:
+    for each in found.runs:
         assert each.started[:16].replace("T", " ") in said
         assert f"{figure(each.rate.value, 2)}{ends((each.rate.low, each.rate.high))}" in said
     for key, value in night(1).settings.task.items():
@@ -183,14 +190,14 @@ def test_the_page_of_all_nights_is_whole_and_loads_nothing():
 
 
 def test_a_hostile_name_stays_text():
-    text = render_nights(trend(named(night(1, policy="<script>"))), night(1).settings.task)
+    text = render_history(trend(named(night(1, policy="<script>"))), night(1).settings.task)
     assert "<script" not in text
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
 def test_a_browser_shows_every_plot_and_complains_of_nothing(tmp_path):
     page = tmp_path / "trend.html"
-    page.write_text(render_nights(trend(year()), night(1).settings.task))
+    page.write_text(render_history(trend(year()), night(1).settings.task))
     options = ("--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom")
     done = subprocess.run(
         [CHROMIUM, *options, f"--user-data-dir={tmp_path / 'profile'}", page.as_uri()],
@@ -199,5 +206,5 @@ def test_a_browser_shows_every_plot_and_complains_of_nothing(tmp_path):
         check=True,
         timeout=300,
     )
-    assert done.stdout.count("<svg") == len(NIGHTS_SHOWN)
+    assert done.stdout.count("<svg") == len(TREND_QUANTITIES)
     assert "CONSOLE" not in done.stderr

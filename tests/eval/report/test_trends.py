@@ -10,7 +10,7 @@ from dataclasses import replace
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from eval.judge.monitors import NAMES
-from eval.report.trends import POINTS, TRENDS, stretches, trends
+from eval.soak.tensorboard import POINTS, TENSORBOARD, event_file, intervals
 
 STARTED, BEGUN = "2026-01-01T01:00:00+01:00", 1767225600.0
 
@@ -23,7 +23,7 @@ def soak(arm_policy):
 def read(data, folder):
     """By TensorBoard's own reader: values by tag, each with its wall time and step."""
     folder.mkdir(exist_ok=True)
-    (folder / TRENDS.split("/")[-1]).write_bytes(data)
+    (folder / TENSORBOARD.split("/")[-1]).write_bytes(data)
     accumulator = EventAccumulator(str(folder), size_guidance={"scalars": 0})
     accumulator.Reload()
     return {tag: accumulator.Scalars(tag) for tag in accumulator.Tags()["scalars"]}
@@ -55,7 +55,7 @@ def test_rates_and_shares_are_those_of_each_stretch(soak, tmp_path):
         0.75,
         np.nan,
     )
-    found = read(trends(soak, shards, STARTED), tmp_path)
+    found = read(event_file(soak, shards, STARTED), tmp_path)
     hottest = found["heat/hottest_winding_c"]
     assert [point.step for point in hottest] == [480 * k for k in range(1, 61)]
     np.testing.assert_allclose([point.wall_time - BEGUN for point in hottest], [p.step for p in hottest])
@@ -88,20 +88,20 @@ def test_what_is_no_number_is_left_out(soak, tmp_path):
     shard = steady(3, 2, hard=1, soft=1)
     shard.running[:], shard.attempted[:] = 0, 0
     shard.winding_c[:], shard.folded_back[:] = np.nan, np.nan
-    found = read(trends(replace(soak, robots=2), [shard], STARTED), tmp_path)
+    found = read(event_file(replace(soak, robots=2), [shard], STARTED), tmp_path)
     assert {tag: [p.value for p in points] for tag, points in found.items()} == {
         "work/availability": [0.0, 0.0]
     }
 
 
 def test_nothing_lived_is_a_file_without_points(soak, tmp_path):
-    assert read(trends(soak, [steady(1, 8, 1, 1)], STARTED), tmp_path) == {}
+    assert read(event_file(soak, [steady(1, 8, 1, 1)], STARTED), tmp_path) == {}
 
 
 @pytest.mark.parametrize("samples", [1, 5, 63, 64, 65, 480, 1440])
 @pytest.mark.parametrize("sample_s", [0.005, 0.3, 1.0, 60.0])
 def test_stretches_are_few_and_no_two_end_in_the_same_second(samples, sample_s):
-    edges = stretches(samples, sample_s)
+    edges = intervals(samples, sample_s)
     assert (edges[0], edges[-1]) == (0, samples)
     assert len(edges) - 1 <= POINTS
     seconds = [int(edge * sample_s + 1e-9) for edge in edges[1:]]
@@ -110,7 +110,7 @@ def test_stretches_are_few_and_no_two_end_in_the_same_second(samples, sample_s):
 
 def test_a_later_soak_takes_the_place_of_an_earlier_one(soak, tmp_path):
     for hard in (1, 2):
-        found = read(trends(soak, [steady(481, 8, hard, 0)], STARTED), tmp_path)
+        found = read(event_file(soak, [steady(481, 8, hard, 0)], STARTED), tmp_path)
     assert len(found["violations_per_hour_hard/jerk"]) == 60
     assert found["violations_per_hour_hard/jerk"][0].value == pytest.approx(2 * 120)
     assert len(list(tmp_path.iterdir())) == 1

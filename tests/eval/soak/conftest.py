@@ -15,13 +15,13 @@ def finished(tmp_path_factory):
 
     `soak`; `kept`, the folder of its checkpoints and bundles; `shards`, its results. Nobody may change them.
     """
-    from eval.soak.configuration import Soak
-    from eval.soak.shard import WIDTH
+    from eval.shard.job import WIDTH
+    from eval.soak.configuration import SoakConfig
     from eval.soak.workers import run_soak
 
     folder = tmp_path_factory.mktemp("finished")
     path = saved(policy_model(), folder)
     options = {"budget": BUDGET, "hours": 0.0013, "robots": WIDTH + 2, "seed": 3, "workers": 1}
-    soak = Soak(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **options)
-    shards = run_soak(soak, folder / "kept", Console(quiet=True))
-    return SimpleNamespace(soak=soak, kept=folder / "kept", shards=shards)
+    soak = SoakConfig(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **options)
+    shards = run_soak(soak, folder / "unfinished", Console(quiet=True))
+    return SimpleNamespace(soak=soak, kept=folder / "unfinished", shards=shards)

@@ -15,11 +15,12 @@ from support.policies import policy_model, saved
 pytest.importorskip("mujoco")
 
 from deploy.policy.policy import Policy
-from eval.soak.checkpoint import DAMAGED, Checkpoint, clear, make
-from eval.soak.configuration import Soak
-from eval.soak.fingerprint import code_digest
-from eval.soak.shard import WIDTH, Shard
-from eval.soak.workers import run_soak, take_up
+from eval.shard.fingerprint import code_digest
+from eval.shard.job import WIDTH
+from eval.shard.shard import Shard
+from eval.soak.checkpoint import DAMAGED, Checkpoint, delete_checkpoints, prepare_folder
+from eval.soak.configuration import SoakConfig
+from eval.soak.workers import resumed_ticks, run_soak
 from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError, OutputError
 
@@ -31,7 +32,7 @@ ARRAYS = {"judge.ticks": np.arange(5), "robot.goal": np.array([[0.1, np.nan, -np
 def restless(tmp_path):
     """A soak of 4.7 s of two shards whose policy throws the arms about."""
     path = saved(policy_model(), tmp_path)
-    return Soak(
+    return SoakConfig(
         spec=SPEC,
         policy=Policy.load(path, SPEC),
         policy_path=path,
@@ -52,9 +53,9 @@ def assert_same(a, b):
 
 
 def test_what_was_stored_comes_back_bit_for_bit(tmp_path):
-    checkpoint = Checkpoint(tmp_path / "kept" / "a.npz", IDENTITY)
+    checkpoint = Checkpoint(tmp_path / "unfinished" / "a.npz", IDENTITY)
     assert checkpoint.load() is None
-    make(tmp_path / "kept")
+    prepare_folder(tmp_path / "unfinished")
     checkpoint.store({"judge.ticks": np.zeros(3)})
     checkpoint.store(ARRAYS)
     assert_same(Checkpoint(checkpoint.path, IDENTITY).load(), ARRAYS)
@@ -100,7 +101,7 @@ def test_what_is_damaged_is_set_aside(tmp_path, how):
     assert not checkpoint.path.exists()
     assert (tmp_path / ("a.npz" + DAMAGED)).read_bytes() == data
     checkpoint.store(ARRAYS)
-    clear(tmp_path)
+    delete_checkpoints(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["a.npz" + DAMAGED]
 
 
@@ -141,7 +142,7 @@ def test_a_shard_goes_on_as_if_nothing_had_been(restless):
 
 
 def test_the_code_is_part_of_what_is_the_same(restless, tmp_path):
-    identity = restless.checkpoint(1, tmp_path)._identity
+    identity = restless.checkpoint(1, tmp_path).identity
     assert identity["code_digest"] == code_digest()
     assert len(code_digest()) == 64
     assert identity["first"] == WIDTH
@@ -165,20 +166,20 @@ def test_a_worker_that_dies_costs_nothing_but_time(finished, tmp_path, capsys):
     soak = finished.soak
     kill_a_worker_when(soak.checkpoint(0, tmp_path).path)
     disturbed = run_soak(soak, tmp_path, Console())
-    assert "a worker died: its shards go on from where they were kept" in capsys.readouterr().out
+    assert "a worker died: its shards resume from their checkpoints" in capsys.readouterr().out
     assert len(finished.shards) == len(disturbed) == 2
     for number in (0, 1):
         assert_same(*(soak.checkpoint(number, folder).load() for folder in (finished.kept, tmp_path)))
-    assert take_up(soak, tmp_path, Console(quiet=True)) == 2 * soak.ticks
+    assert resumed_ticks(soak, tmp_path, Console(quiet=True)) == 2 * soak.ticks
 
 
 def test_damage_is_said_before_anything_runs(restless, tmp_path, capsys):
-    kept = restless.checkpoint(1, tmp_path / "kept")
-    make(tmp_path / "kept")
+    kept = restless.checkpoint(1, tmp_path / "unfinished")
+    prepare_folder(tmp_path / "unfinished")
     kept.store({"runtime.ticks": np.array(400)})
-    assert take_up(restless, tmp_path / "kept", Console()) == 400
+    assert resumed_ticks(restless, tmp_path / "unfinished", Console()) == 400
     spoil(kept.path, "cut")
-    assert take_up(restless, tmp_path / "kept", Console()) == 0
-    assert "shard-0001.npz: damaged and set aside: its robots begin anew" in capsys.readouterr().out.replace(
+    assert resumed_ticks(restless, tmp_path / "unfinished", Console()) == 0
+    assert "shard-0001.npz: damaged and renamed: its robots start again" in capsys.readouterr().out.replace(
         "\n", ""
     )

@@ -14,16 +14,18 @@ from support.eval.shards import job
 pytest.importorskip("mujoco")
 
 from deploy.policy.policy import Policy
-from eval.history.night_record import Run
-from eval.report.assembly import collect
-from eval.report.trends import TRENDS
-from eval.report.write import LOCK, alone, claim
+from eval.history.soak_record import Run
+from eval.report.report_files import LOCK, claim_folder, lock_folder
+from eval.shard import shard as shard_module
+from eval.shard.fingerprint import code_digest
+from eval.shard.job import WIDTH
+from eval.shard.results import COUNTED
+from eval.shard.shard import Shard
 from eval.soak import cli as command
-from eval.soak import shard as shard_module
 from eval.soak import workers
-from eval.soak.configuration import Soak
-from eval.soak.fingerprint import code_digest
-from eval.soak.shard import COUNTED, WIDTH, Shard
+from eval.soak.assembly import assemble
+from eval.soak.configuration import SoakConfig
+from eval.soak.tensorboard import TENSORBOARD
 from eval.soak.workers import run_soak
 from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError
@@ -42,7 +44,7 @@ def asked(arm_policy):
     def build(**changes):
         idle = {"policy": Policy.load(arm_policy, SPEC), "policy_path": arm_policy}
         wanted = {"hours": 0.0006, "robots": ROBOTS, "seed": 3, "workers": 1, **idle, **changes}
-        return Soak(spec=SPEC, budget=BUDGET, **wanted)
+        return SoakConfig(spec=SPEC, budget=BUDGET, **wanted)
 
     return build
 
@@ -147,7 +149,7 @@ def test_stops_are_sampled_as_they_stand(arm_policy):
 
 def test_goals_fall_into_bins_and_shards_side_by_side(finished):
     soak, shards = finished.soak, finished.shards
-    result = collect(soak, shards, RUN)
+    result = assemble(soak, shards, RUN)
     assert result.winding_c.shape == (len(result.sample_h), ROBOTS, SPEC.n)
     assert result.worn.shape == (len(result.sample_h), 4, ROBOTS, SPEC.n)
     assert np.isfinite(result.winding_c).all()
@@ -158,7 +160,7 @@ def test_goals_fall_into_bins_and_shards_side_by_side(finished):
     assert (result.goals_reached <= result.goals_attempted).all()
     assert len(result.goals_attempted) <= 8
     assert result.stops.shape == result.latches.shape == (len(result.sample_h), ROBOTS)
-    np.testing.assert_array_equal(result.parameters["payload.mass_kg"], soak.drawn()["payload.mass_kg"])
+    np.testing.assert_array_equal(result.parameters["payload.mass_kg"], soak.draw_robots()["payload.mass_kg"])
     assert {len(column) for column in result.parameters.values()} == {ROBOTS}
 
 
@@ -166,7 +168,7 @@ def test_a_shard_cut_short_leaves_its_heat_unknown(arm_policy, asked):
     short, _ = lived(job(arm_policy, ticks=1000, first=WIDTH), stop_at=400)
     short = replace(short, stops=np.outer(range(5), range(WIDTH)))
     whole, _ = lived(job(arm_policy, ticks=1000))
-    result = collect(asked(), [whole, short], RUN)
+    result = assemble(asked(), [whole, short], RUN)
     for unknown in (result.winding_c[5:, WIDTH:], result.worn[5:, :, WIDTH:]):
         assert unknown.size
         assert np.isnan(unknown).all()
@@ -213,7 +215,7 @@ def impatient(crew, futures):
 
 
 def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
-    monkeypatch.setattr(workers._Crew, "_watch", impatient)
+    monkeypatch.setattr(workers.WorkerPool, "show_progress", impatient)
     options = (
         "--policy",
         arm_policy,
@@ -230,7 +232,7 @@ def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
     with pytest.raises(SystemExit) as caught:
         command.cli()
     assert caught.value.code == 130
-    report = json.loads((tmp_path / "out" / "kept" / "report.json").read_text())
+    report = json.loads((tmp_path / "out" / "unfinished" / "report.json").read_text())
     assert report["verdict"] == "interrupted"
     assert report["exposure"]["draws"] == WIDTH
     assert 0 < report["run"]["hours"] < 100
@@ -239,7 +241,7 @@ def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
 def test_a_finished_night_is_replaced_by_a_finished_night_only(arm_policy, tmp_path, monkeypatch):
     """Begun over one, interrupted, taken up, and ended."""
     out = tmp_path / "out"
-    former = {*FILES - {"tensorboard"}, TRENDS, "events/old/bundle.json", "events/mine/note.txt"}
+    former = {*FILES - {"tensorboard"}, TENSORBOARD, "events/old/bundle.json", "events/mine/note.txt"}
     for name in former:
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_text("before")
@@ -253,14 +255,14 @@ def test_a_finished_night_is_replaced_by_a_finished_night_only(arm_policy, tmp_p
         return caught.value.code, files
 
     with monkeypatch.context() as patch:
-        patch.setattr(workers._Crew, "_watch", impatient)
+        patch.setattr(workers.WorkerPool, "show_progress", impatient)
         code, files = ended()
     assert code == 130
-    assert {name for name in files if not name.startswith("kept/")} == former
+    assert {name for name in files if not name.startswith("unfinished/")} == former
     assert {files[name].read_text() for name in former} == {"before"}
-    assert {f"kept/{name}" for name in (*FILES - {"tensorboard"}, TRENDS)} < set(files)
-    (out / "kept" / "events" / "new").mkdir(parents=True)
-    (out / "kept" / "events" / "new" / "bundle.json").write_text("of its first part")
+    assert {f"unfinished/{name}" for name in (*FILES - {"tensorboard"}, TENSORBOARD)} < set(files)
+    (out / "unfinished" / "events" / "new").mkdir(parents=True)
+    (out / "unfinished" / "events" / "new" / "bundle.json").write_text("of its first part")
     code, files = ended()
     assert code == 1
     assert set(files) == former - {"events/old/bundle.json"} | {"events/new/bundle.json"}
@@ -268,7 +270,7 @@ def test_a_finished_night_is_replaced_by_a_finished_night_only(arm_policy, tmp_p
     assert {name for name, path in files.items() if path.read_bytes() == b"before"} == {
         "events/mine/note.txt"
     }
-    assert not (out / "kept").exists()
+    assert not (out / "unfinished").exists()
 
 
 @pytest.mark.parametrize(
@@ -318,9 +320,9 @@ def test_bad_input_says_what_was_expected(arm_policy, tmp_path, monkeypatch, cap
 
 def test_a_folder_into_which_another_soak_writes_is_refused(arm_policy, tmp_path):
     out = tmp_path / "out"
-    claim(out)
+    claim_folder(out)
     options = ("--policy", arm_policy, "--hours", 0.001, "--robots", 1, "--workers", 1, "--out", out)
-    with alone(out):
+    with lock_folder(out):
         done = subprocess.run(soak_test(*options), capture_output=True, text=True, check=False)
         assert done.returncode == 2
         assert (
@@ -329,5 +331,5 @@ def test_a_folder_into_which_another_soak_writes_is_refused(arm_policy, tmp_path
         )
         assert {path.name for path in out.iterdir()} == {LOCK}
     assert not any(out.iterdir())
-    with alone(out):
+    with lock_folder(out):
         pass

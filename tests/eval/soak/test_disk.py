@@ -18,21 +18,23 @@ from support.policies import policy_model, saved
 pytest.importorskip("mujoco")
 
 from deploy.policy.policy import Policy
+from eval.history.soak_record import Run
 from eval.replay import bundle
+from eval.replay.array_files import write_arrays
+from eval.replay.bundle_folders import new_bundle
 from eval.replay.capture_window import columns, window_type, write_mcap
-from eval.report import write as written
-from eval.report.assembly import collect
+from eval.report import report_files as written
 from eval.report.build import build
-from eval.report.schema.report_data import Run
-from eval.report.series import SERIES, series
-from eval.report.trends import TRENDS, trends
+from eval.shard.job import WIDTH
 from eval.soak import cli as command
 from eval.soak import workers
-from eval.soak.checkpoint import clear, make
-from eval.soak.configuration import Soak
-from eval.soak.disk import _window, check_room, room
-from eval.soak.shard import WIDTH
-from eval.soak.workers import run_soak, take_up
+from eval.soak.assembly import assemble
+from eval.soak.checkpoint import delete_checkpoints, prepare_folder
+from eval.soak.configuration import SoakConfig
+from eval.soak.disk import check_disk_space, disk_usage, window_bytes
+from eval.soak.series import SERIES, series
+from eval.soak.tensorboard import TENSORBOARD, event_file
+from eval.soak.workers import resumed_ticks, run_soak
 from eval.statistics.budget import BUDGET, load_budget
 from robots.errors import ConfigError, OutputError
 
@@ -51,26 +53,26 @@ def restless(tmp_path):
     """A soak of 3.2 s of two shards whose policy throws the arms about."""
     path = saved(policy_model(), tmp_path)
     how = {"budget": BUDGET, "hours": 0.0009, "robots": WIDTH + 1, "seed": 3, "workers": 1}
-    return Soak(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **how)
+    return SoakConfig(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **how)
 
 
 def test_a_soak_writes_no_more_than_was_said(finished, tmp_path):
     soak, shards, out = finished.soak, finished.shards, tmp_path / "out"
-    needed = room(soak)
-    written.claim(out)
-    shutil.copytree(finished.kept, out / "kept")
-    events = size(out / "kept" / "events")
-    kept = size(out / "kept") - events
+    needed = disk_usage(soak)
+    written.claim_folder(out)
+    shutil.copytree(finished.kept, out / "unfinished")
+    events = size(out / "unfinished" / "events")
+    kept = size(out / "unfinished") - events
     assert needed.checkpoints / 2 < kept < needed.checkpoints * 2 / 3  # room for one more of them
     assert 0 < events < needed.events
     bundles = 60 * 2 + 1
-    for each in (out / "kept" / "events").iterdir():
+    for each in (out / "unfinished" / "events").iterdir():
         assert needed.events / bundles / 10 < size(each) < needed.events / bundles
     before = size(out)
-    report = build(collect(soak, shards, RUN), load_budget(BUDGET))
-    beside = {SERIES: series(soak, shards), TRENDS: trends(soak, shards, RUN.started)}
-    beside[bundle.DRAWS] = command._draws(soak)
-    written.write(report, out, beside)
+    report = build(assemble(soak, shards, RUN), load_budget(BUDGET))
+    beside = {SERIES: series(soak, shards), TENSORBOARD: event_file(soak, shards, RUN.started)}
+    beside[bundle.DRAWS] = soak.draws_json(soak.draw_robots()).encode()
+    written.write_report(report, out, beside)
     assert size(out) - before < needed.report
     assert size(out) < needed.total
     rows = len(shards[0].running) * soak.robots
@@ -85,35 +87,35 @@ def test_a_window_of_numbers_that_do_not_compress_is_within_its_bound(restless, 
             rows[name] = -1e-200 * rng.normal(size=rows[name].shape)
     rows["tick"], rows["reason"] = np.arange(len(rows)) + 10**8, rng.integers(0, 256, len(rows))
     write_mcap(tmp_path / "w.mcap", SPEC, rows, goal_m=0.02, about={})
-    bundle.write_arrays(tmp_path / "w.npz", columns(rows))
+    write_arrays(tmp_path / "w.npz", columns(rows))
     found = sum((tmp_path / name).stat().st_size for name in ("w.mcap", "w.npz"))
-    assert _window(restless) / 2 < found < _window(restless)
+    assert window_bytes(restless) / 2 < found < window_bytes(restless)
 
 
 def test_what_is_written_does_not_grow_once_a_day_is_over(restless):
-    day, year = (room(replace(restless, hours=hours, robots=16)) for hours in (24.0, 8760.0))
+    day, year = (disk_usage(replace(restless, hours=hours, robots=16)) for hours in (24.0, 8760.0))
     assert day.total == pytest.approx(year.total, rel=0.001)
     assert day.hourly == pytest.approx(8760 / 24 * year.hourly, rel=0.001)
-    hour = room(replace(restless, hours=1.0, robots=16))
+    hour = disk_usage(replace(restless, hours=1.0, robots=16))
     assert day.total - hour.total == pytest.approx(23 * 16 * day.hourly, rel=0.02)
 
 
 def test_a_soak_that_does_not_fit_is_refused_with_both_numbers(restless, tmp_path, monkeypatch, capsys):
-    needed, out = room(restless), tmp_path / "out"
+    needed, out = disk_usage(restless), tmp_path / "out"
     out.mkdir()
-    asked = (restless, out, out / "kept", Console(width=400))
+    asked = (restless, out, out / "unfinished", Console(width=400))
     usage = SimpleNamespace(free=needed.total)
     monkeypatch.setattr(shutil, "disk_usage", lambda place: usage)
-    check_room(*asked)
+    check_disk_space(*asked)
     said = rf"disk: at most {needed.total / 1e6:.1f} MB: .* for each simulated hour of a robot"
     assert re.search(said, capsys.readouterr().out)
     usage.free -= 10**7
     wanted, there = f"{needed.total / 1e6:.1f} MB", f"{usage.free / 1e6:.1f} MB"
     with pytest.raises(OutputError, match=f"--out {out}: found {there} free, expected {wanted}"):
-        check_room(*asked)
-    make(out / "kept")  # what an earlier start left there is part of it
-    (out / "kept" / "shard-0000.npz").write_bytes(bytes(10**7))
-    check_room(*asked)
+        check_disk_space(*asked)
+    prepare_folder(out / "unfinished")  # what an earlier start left there is part of it
+    (out / "unfinished" / "shard-0000.npz").write_bytes(bytes(10**7))
+    check_disk_space(*asked)
 
 
 def meanwhile(path, do):
@@ -131,30 +133,30 @@ def meanwhile(path, do):
 def test_a_report_folder_that_is_lost_is_said_and_not_made_anew(restless, tmp_path):
     """It is moved away between the ends of the two shards; when it is put back, the soak goes on from there."""
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
-    written.claim(out)
+    written.claim_folder(out)
     restless = replace(restless, hours=0.0004)  # before the second shard has anything else to write
-    first, second = (restless.checkpoint(number, out / "kept").path for number in (0, 1))
+    first, second = (restless.checkpoint(number, out / "unfinished").path for number in (0, 1))
     meanwhile(first, lambda: out.rename(elsewhere))
-    with pytest.raises(OutputError, match=rf"{second}: cannot be written: {out / 'kept'} is gone"):
-        run_soak(restless, out / "kept", QUIET)
+    with pytest.raises(OutputError, match=rf"{second}: cannot be written: {out / 'unfinished'} was deleted"):
+        run_soak(restless, out / "unfinished", QUIET)
     assert not out.exists()
-    assert restless.checkpoint(0, elsewhere / "kept").load() is not None
+    assert restless.checkpoint(0, elsewhere / "unfinished").load() is not None
     elsewhere.rename(out)
-    assert take_up(restless, out / "kept", QUIET) == restless.ticks
+    assert resumed_ticks(restless, out / "unfinished", QUIET) == restless.ticks
 
 
 def test_a_shard_that_is_lost_after_its_end_is_said_and_not_left_out_of_the_report(
     restless, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(workers._Crew, "work", lambda crew: crew.pending.clear())
+    monkeypatch.setattr(workers.WorkerPool, "run", lambda pool: pool.pending.clear())
     with pytest.raises(OutputError, match=r"shard-0000\.npz: lost"):
-        run_soak(restless, tmp_path / "kept", QUIET)
+        run_soak(restless, tmp_path / "unfinished", QUIET)
 
 
 def test_no_bundle_is_filled_where_the_report_folder_is_gone(tmp_path):
     with (
         pytest.raises(OutputError, match="cannot be written: No such file"),
-        bundle.filling(tmp_path / "out" / "events" / "x"),
+        new_bundle(tmp_path / "out" / "events" / "x"),
     ):
         pass
     assert not (tmp_path / "out").exists()
@@ -164,7 +166,7 @@ def test_no_bundle_is_filled_where_the_report_folder_is_gone(tmp_path):
 def test_a_read_only_folder_is_said_before_anything_runs(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(OutputError, match="cannot be written: Permission denied"):
-        make(tmp_path / "kept")
+        prepare_folder(tmp_path / "unfinished")
 
 
 def denied(*_, **__):
@@ -172,43 +174,45 @@ def denied(*_, **__):
 
 
 def test_what_may_not_be_written_read_or_deleted_is_said(restless, tmp_path, monkeypatch):
-    make(tmp_path / "kept")
-    checkpoint = restless.checkpoint(0, tmp_path / "kept")
+    prepare_folder(tmp_path / "unfinished")
+    checkpoint = restless.checkpoint(0, tmp_path / "unfinished")
     checkpoint.store({"runtime.ticks": np.array(400)})
     with monkeypatch.context() as patch:
         patch.setattr(Path, "open", denied)
-        with pytest.raises(OutputError, match=r"kept/\.probe\.npz: cannot be written: Permission denied"):
-            make(tmp_path / "kept")
+        with pytest.raises(
+            OutputError, match=r"unfinished/\.probe\.npz: cannot be written: Permission denied"
+        ):
+            prepare_folder(tmp_path / "unfinished")
         with pytest.raises(OutputError, match=r"shard-0000\.npz: cannot be written: Permission denied"):
             checkpoint.store({})
     with monkeypatch.context() as patch:
         patch.setattr(Path, "read_bytes", denied)
         patch.setattr(Path, "exists", denied)
         with pytest.raises(ConfigError, match=r"shard-0000\.npz: cannot be read: Permission denied"):
-            take_up(restless, tmp_path / "kept", QUIET)
+            resumed_ticks(restless, tmp_path / "unfinished", QUIET)
     with monkeypatch.context() as patch:
         patch.setattr(Path, "unlink", denied)
         with pytest.raises(OutputError, match=r"shard-0000\.npz: cannot be deleted: Permission denied"):
-            clear(tmp_path / "kept")
-    assert take_up(restless, tmp_path / "kept", QUIET) == 400
+            delete_checkpoints(tmp_path / "unfinished")
+    assert resumed_ticks(restless, tmp_path / "unfinished", QUIET) == 400
 
 
 def test_what_stands_in_the_place_of_the_series_or_the_trends_is_found_before_the_hours(tmp_path):
     (tmp_path / "tensorboard").touch()
     with pytest.raises(OutputError, match="tensorboard is a file, expected a folder"):
-        written.claim(tmp_path, (SERIES, TRENDS))
+        written.claim_folder(tmp_path, (SERIES, TENSORBOARD))
     (tmp_path / "tensorboard").unlink()
     (tmp_path / SERIES).mkdir()
     with pytest.raises(OutputError, match=r"series\.parquet is a folder, expected a file"):
-        written.claim(tmp_path, (SERIES, TRENDS))
+        written.claim_folder(tmp_path, (SERIES, TENSORBOARD))
 
 
 def test_what_a_killed_start_left_half_written_is_cleared_away(tmp_path):
-    make(tmp_path / "kept")
+    prepare_folder(tmp_path / "unfinished")
     for name in ("shard-0000.npz", ".0123abcd.shard-0000.npz", "shard-0001.npz.damaged"):
-        (tmp_path / "kept" / name).write_bytes(b"x")
-    make(tmp_path / "kept")
-    assert {file.name for file in (tmp_path / "kept").iterdir()} == {
+        (tmp_path / "unfinished" / name).write_bytes(b"x")
+    prepare_folder(tmp_path / "unfinished")
+    assert {file.name for file in (tmp_path / "unfinished").iterdir()} == {
         "shard-0000.npz",
         "shard-0001.npz.damaged",
     }
@@ -232,8 +236,8 @@ def test_a_disk_that_is_full_at_the_end_costs_no_hour(arm_policy, tmp_path, monk
         patch.setattr(Path, "write_bytes", full)
         said = ends_with(2).err
     assert re.fullmatch(rf"error: --out {out}/\S+: cannot be written: No space left on device\n", said)
-    assert {file.name for file in out.iterdir()} == {"kept"}
-    assert "going on after 0.0003 of 0.0003 hours" in ends_with(1).out
+    assert {file.name for file in out.iterdir()} == {"unfinished"}
+    assert "resuming after 0.0003 of 0.0003 hours" in ends_with(1).out
     assert {file.name for file in out.iterdir()} == {
         *("draws.json", "report.json", "report.html", "junit.xml"),
         *("series.parquet", "tensorboard"),

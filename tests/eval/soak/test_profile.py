@@ -81,7 +81,7 @@ def asked(monkeypatch, *options):
         seen.update(what)
         raise ConfigError("enough")
 
-    monkeypatch.setattr(command, "Soak", stop)
+    monkeypatch.setattr(command, "SoakConfig", stop)
     monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, options)])
     with pytest.raises(SystemExit):
         command.cli()

@@ -11,7 +11,7 @@ from eval.judge.monitors import MONITORS
 from eval.statistics import compare as compared
 from eval.statistics.compare import paired_interval
 from eval.statistics.dispersion import draw_rate_interval, draw_rate_upper
-from eval.statistics.per_draw_counts import Tally
+from eval.statistics.per_draw_counts import PerDrawCounts
 from robots.errors import ConfigError
 from robots.spec import load_robot
 from support.arm6 import arm_judge
@@ -82,7 +82,7 @@ def soaked(seed, hard=0.0, missed=0.02, stops=0.0, robots=16):
 
 
 def compare(a, b):
-    return compared.compare(*(Tally.of(counts) for counts in (a, b)))
+    return compared.compare(*(PerDrawCounts.from_counts(counts) for counts in (a, b)))
 
 
 def test_differences_are_those_of_what_the_reports_say():
@@ -99,16 +99,18 @@ def test_differences_are_those_of_what_the_reports_say():
 
 
 def test_what_is_shown_and_what_is_not():
-    worse = [each.shown for each in compare(soaked(1), soaked(2, hard=9.0, missed=0.2, stops=5.0))]
-    better = [each.shown for each in compare(soaked(2, hard=9.0, missed=0.2, stops=5.0), soaked(1))]
+    worse = [each.conclusion for each in compare(soaked(1), soaked(2, hard=9.0, missed=0.2, stops=5.0))]
+    better = [each.conclusion for each in compare(soaked(2, hard=9.0, missed=0.2, stops=5.0), soaked(1))]
     assert worse == ["lower", "higher", "lower"]
     assert better == ["higher", "lower", "higher"]
-    assert {each.shown for each in compare(soaked(3, hard=1.0), soaked(4, hard=1.0))} == {"no difference"}
+    assert {each.conclusion for each in compare(soaked(3, hard=1.0), soaked(4, hard=1.0))} == {
+        "no difference"
+    }
 
 
 def test_the_same_soak_twice_differs_nowhere_and_shows_little():
     for each in compare(soaked(1), soaked(1)):
-        assert (each.differing, each.shown) == (0, "no difference")
+        assert (each.differing, each.conclusion) == (0, "no difference")
         assert each.low == -each.high < 0
 
 
@@ -132,7 +134,7 @@ def test_a_share_differs_by_no_more_than_one():
 
 
 def test_what_cannot_be_compared():
-    with pytest.raises(ConfigError, match="robots: 16 and 8 are not the same draws"):
+    with pytest.raises(ConfigError, match="robots: found 16 and 8 draws, expected the same draws"):
         compare(soaked(1), soaked(1, robots=8))
     idle = soaked(1)
     idle.running[:] = 0

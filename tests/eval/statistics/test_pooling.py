@@ -2,9 +2,9 @@
 
 import pytest
 
+from eval.history.pooling import pool, same_draws, same_identity
 from eval.statistics.dispersion import draw_rate_upper
-from eval.statistics.per_draw_counts import stop_ticks, together
-from eval.statistics.pooling import pool, same_draws, same_identity
+from eval.statistics.per_draw_counts import concatenate, stop_ticks
 from robots.errors import ConfigError
 from support.eval.nights import HOUR, OTHER, SETTINGS, named, night, tallied
 
@@ -17,11 +17,11 @@ def test_a_pool_holds_every_draw_of_every_night_once():
     assert found.draws == 96
     for name, column in found.model_dump().items():
         if name not in {"dt", "hard"}:
-            assert column == sum((getattr(each.tally, name) for each in nights), ())
+            assert column == sum((getattr(each.per_draw_counts, name) for each in nights), ())
     events, hours = found.hard_events
     assert hours.sum() == pytest.approx(sum(found.running) / HOUR)
     assert events.tolist() == [sum(row) for row in zip(*found.hard.values(), strict=True)]
-    assert events.sum() == sum(each.tally.hard_events[0].sum() for each in nights) > 20
+    assert events.sum() == sum(each.per_draw_counts.hard_events[0].sum() for each in nights) > 20
 
 
 def test_bad_draws_are_those_with_events_and_those_that_diverged():
@@ -30,7 +30,7 @@ def test_bad_draws_are_those_with_events_and_those_that_diverged():
     events = quiet.hard | {"jerk": (0, 3, *(0,) * 14), "torque": (0, 1, 1, *(0,) * 13)}
     odd = quiet.model_copy(update={"hard": events, "invalid": (0,) * 14 + (5, 0)})
     assert odd.bad_draws == 3
-    assert together([odd, quiet, odd]).bad_draws == 6
+    assert concatenate([odd, quiet, odd]).bad_draws == 6
 
 
 def test_a_stop_weighs_twice_its_mean_length():
@@ -67,7 +67,7 @@ def test_what_only_one_has_is_refused():
 
 
 def test_the_same_draws_count_once():
-    with pytest.raises(ConfigError, match=r"^night-2\.json: seed: found 1, which is that of night-0\.json"):
+    with pytest.raises(ConfigError, match=r"^night-2\.json: seed: found 1, also the seed of night-0\.json"):
         pool(named(night(1), night(2), night(1)))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eval.statistics.sensitivity import explain, parameters
+from eval.statistics.sensitivity import correlate, parameter_values
 from robots.distributions import load_distributions
 from robots.draws import draw
 from robots.randomness import robot_seed
@@ -31,8 +31,8 @@ def test_chance_names_a_parameter_in_no_more_nights_than_promised(draws):
     rng = np.random.default_rng(3)
     named = 0
     for _ in range(NIGHTS):
-        found = explain(*night(rng, draws), RESAMPLES)
-        named += found.pairs[0].p <= 0.05
+        found = correlate(*night(rng, draws), RESAMPLES)
+        named += found.correlations[0].p <= 0.05
     # 10 of 200 are to be expected, 3.1 their standard deviation.
     assert 3 <= named <= 19
 
@@ -42,7 +42,7 @@ def test_what_is_planted_is_found_among_many():
     for _ in range(30):
         given, outcomes = night(rng, 32)
         outcomes["y1"] = 2 * stats.norm.ppf(given["x7"]) + rng.normal(size=32)
-        best = explain(given, outcomes, RESAMPLES).pairs[0]
+        best = correlate(given, outcomes, RESAMPLES).correlations[0]
         hits += (best.parameter, best.outcome) == ("x7", "y1") and best.p <= 0.05
         assert best.rho > 0
     assert hits >= 28
@@ -50,7 +50,7 @@ def test_what_is_planted_is_found_among_many():
 
 def test_correlations_are_spearmans_with_ties():
     given, outcomes = night(np.random.default_rng(5), 20)
-    for pair in explain(given, outcomes, 1).pairs:
+    for pair in correlate(given, outcomes, 1).correlations:
         oracle = stats.spearmanr(given[pair.parameter], outcomes[pair.outcome])
         assert pair.rho == pytest.approx(oracle.statistic, abs=1e-12)
 
@@ -58,44 +58,44 @@ def test_correlations_are_spearmans_with_ties():
 def test_of_a_single_pair_the_p_value_is_that_of_a_permutation_test():
     x, y = np.arange(5.0), np.array([0.0, 2.0, 1.0, 3.0, 4.0])
     # |rho| >= 0.9 in 10 of the 120 orders: itself, four exchanges of neighbours, and these reversed.
-    assert explain({"x": x}, {"y": y}, 9999).pairs[0].p == pytest.approx(10 / 120, abs=0.01)
+    assert correlate({"x": x}, {"y": y}, 9999).correlations[0].p == pytest.approx(10 / 120, abs=0.01)
 
 
 def test_what_is_noticeable_is_just_what_has_a_small_p_value():
     given, outcomes = night(np.random.default_rng(6), 16)
-    found = explain(given, outcomes, RESAMPLES)
-    strongest = found.pairs[0]
+    found = correlate(given, outcomes, RESAMPLES)
+    strongest = found.correlations[0]
     assert (abs(strongest.rho) >= found.noticeable) == (strongest.p <= 0.05)
     given["x0"] = outcomes["y1"]
-    found = explain(given, outcomes, RESAMPLES)
-    assert found.pairs[0].rho == pytest.approx(1.0)
-    assert all((abs(pair.rho) >= found.noticeable) == (pair.p <= 0.05) for pair in found.pairs)
+    found = correlate(given, outcomes, RESAMPLES)
+    assert found.correlations[0].rho == pytest.approx(1.0)
+    assert all((abs(pair.rho) >= found.noticeable) == (pair.p <= 0.05) for pair in found.correlations)
     assert 0.6 < found.noticeable < 0.9
 
 
 def test_more_draws_make_less_noticeable():
-    few, many = (explain(*night(np.random.default_rng(7), n), RESAMPLES).noticeable for n in (16, 256))
+    few, many = (correlate(*night(np.random.default_rng(7), n), RESAMPLES).noticeable for n in (16, 256))
     assert few > 2 * many
 
 
 def test_what_is_the_same_for_all_explains_nothing():
     given = {"a": np.arange(9.0), "b": np.ones(9)}
-    found = explain(given, {"up": np.arange(9.0), "never": np.zeros(9)}, RESAMPLES)
-    assert (found.parameters, found.outcomes, len(found.pairs)) == (("a",), ("up",), 1)
-    nothing = explain(given, {"never": np.zeros(9)})
-    assert (nothing.outcomes, nothing.pairs, nothing.noticeable) == ((), (), np.inf)
+    found = correlate(given, {"up": np.arange(9.0), "never": np.zeros(9)}, RESAMPLES)
+    assert (found.parameters, found.outcomes, len(found.correlations)) == (("a",), ("up",), 1)
+    nothing = correlate(given, {"never": np.zeros(9)})
+    assert (nothing.outcomes, nothing.correlations, nothing.noticeable) == ((), (), np.inf)
 
 
 @pytest.mark.parametrize("draws", [1, 2, 3])
 def test_a_few_draws_show_nothing(draws):
-    found = explain({"a": np.arange(float(draws))}, {"b": np.arange(float(draws))})
-    assert all(pair.p > 0.3 for pair in found.pairs)
+    found = correlate({"a": np.arange(float(draws))}, {"b": np.arange(float(draws))})
+    assert all(pair.p > 0.3 for pair in found.correlations)
     assert found.noticeable > 1
 
 
 def test_every_quantity_of_a_draw_is_one_number():
     robots = draw(DISTRIBUTIONS, SPEC, [robot_seed(1, k) for k in range(3)])
-    found = parameters(robots, DISTRIBUTIONS)
+    found = parameter_values(robots, DISTRIBUTIONS)
     assert found.keys() == set(robots)
     assert all(column.shape == (3,) and np.isfinite(column).all() for column in found.values())
     np.testing.assert_allclose(found["joints.friction"], robots["joints.friction"].mean(axis=1))

@@ -1,9 +1,9 @@
 import numpy as np
 
-from eval.history.night_record import Night, Run, Settings
+from eval.faults.settings import FaultSettings
+from eval.history.soak_record import Run, Settings, SoakRecord
 from eval.judge.monitors import MONITORS
-from eval.soak.profile import Faults
-from eval.statistics.per_draw_counts import Tally
+from eval.statistics.per_draw_counts import PerDrawCounts
 
 HOUR = 720_000
 HARD = [monitor.name for monitor in MONITORS if monitor.hard]
@@ -29,7 +29,7 @@ OTHER = {
     "robot": {"robot": "planar3"},
     **{f"{key}_digest": {f"{key}_digest": "z9"} for key in ("robot", "draws", "limits", "policy", "code")},
     "hours": {"hours": 8.5},
-    "faults": {"faults": Faults(coverage=0.95, cycle_s=20.0, operator_s=5.0)},
+    "faults": {"faults": FaultSettings(coverage=0.95, cycle_s=20.0, operator_s=5.0)},
     "shard_width": {"shard_width": 16},
     "numpy": {"versions": {"numpy": "2.5"}},
 }
@@ -42,7 +42,7 @@ def tallied(seed, draws=16, rate=0.5):
     stops = rng.poisson(0.5, draws)
     hard = {name: tuple(rng.poisson(rate / len(HARD), draws).tolist()) for name in HARD}
     due = np.full(draws, 7199)
-    return Tally(
+    return PerDrawCounts(
         dt=0.005,
         ticks=(8 * HOUR,) * draws,
         invalid=(0,) * draws,
@@ -57,13 +57,13 @@ def tallied(seed, draws=16, rate=0.5):
 
 def night(seed=1, *, started="2026-01-02T22:00:00+01:00", draws=16, rate=0.5, verdict="passed", **changes):
     settings = SETTINGS.model_copy(update={"seed": seed, "robots": draws, **changes})
-    found = Night(
+    found = SoakRecord(
         format=2,
         verdict=verdict,
         statement="What was found.",
         settings=settings,
         run=Run(started=started, wall_s=60.0, hours=8.0, resumed_hours=0.0, interrupted=False),
-        tally=tallied(seed, draws, rate),
+        per_draw_counts=tallied(seed, draws, rate),
     )
     return found.model_copy(update={"results_digest": found.sealed()})
 

@@ -4,9 +4,9 @@ import html.parser
 import numpy as np
 
 from deploy.policy.contract import Observed
-from eval.history.night_record import Run, Settings
+from eval.history.soak_record import Run, Settings
 from eval.report.build import build
-from eval.report.schema.report_data import SoakResult
+from eval.report.soak_result import SoakResult
 from eval.statistics.budget import load_budget
 from support.arm6 import SPEC, arm_judge
 
@@ -87,7 +87,7 @@ def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.
         goals_reached=np.array([14_400] * 7 + [14_000]),
         parameters={"payload.mass_kg": np.linspace(0, 1, robots), "cable.length_m": np.ones(robots)},
         bundles=(),
-        unseen=("Links are rigid.",),
+        limitations=("Links are rigid.",),
     )
 
 

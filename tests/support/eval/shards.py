@@ -7,8 +7,9 @@ import numpy as np
 from deploy.policy.policy import Policy
 from eval.faults.fault_response import FaultResponses
 from eval.judge.monitors import MONITORS
-from eval.soak.configuration import Soak
-from eval.soak.shard import COUNTED, WIDTH, ShardJob, ShardResult
+from eval.shard.job import WIDTH, ShardJob
+from eval.shard.results import COUNTED, ShardResult
+from eval.soak.configuration import SoakConfig
 from eval.statistics.budget import BUDGET
 from robots.models.nominal_model import torque_max
 from support.arm6 import SPEC, arm_judge
@@ -26,7 +27,7 @@ N, M = SPEC.n, len(MONITORS)
 def asked(path):
     """For 8 h of 10 robots, which is two shards."""
     how = {"budget": BUDGET, "hours": 8.0, "robots": 10, "seed": 3, "workers": 1}
-    return Soak(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **how)
+    return SoakConfig(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **how)
 
 
 def lived(samples, robots, seed=0):
@@ -37,7 +38,7 @@ def lived(samples, robots, seed=0):
     worn[-1, :, 0], winding = np.nan, rng.normal(40, 10, (samples, robots, N))
     return ShardResult(
         counts=arm_judge(torque_max(SPEC), robots).counts(),
-        injections=FaultResponses(**{name: np.zeros((robots, 0)) for name in FaultResponses.__slots__}),
+        responses=FaultResponses(**{name: np.zeros((robots, 0)) for name in FaultResponses.__slots__}),
         winding_c=winding,
         worn=worn,
         folded_back=rng.uniform(0, 1, (samples, robots, N)),

@@ -1,4 +1,4 @@
-"""The files of a report and what lies beside it, all of them or none."""
+"""Files of a report: check the folder, lock it, write all files or none, delete them."""
 
 import fcntl
 from collections.abc import Collection, Iterator, Mapping
@@ -19,20 +19,20 @@ FILES = {
 LOCK = ".lock"
 
 
-def claim(out: Path, beside: Collection[str] = ()) -> None:
-    """Make the folder `out` and prove, before hours are spent, that the report can be written there.
+def claim_folder(out: Path, extra: Collection[str] = ()) -> None:
+    """Make the folder `out` and check, before hours are spent, that the report can be written there.
 
     Args:
-        out: the folder. beside: names of what else will be written.
+        out: the folder. extra: names of further files to be written.
 
     Raises:
-        OutputError: it cannot.
+        OutputError: it cannot be written.
     """
     probe = out / ".probe"
     with replacing(probe):
         pass
-    probe.unlink(missing_ok=True)  # who claims it at the same time deletes the probe of both
-    for name in (*FILES, *beside):
+    probe.unlink(missing_ok=True)  # another soak that claims the folder at the same time deletes it too
+    for name in (*FILES, *extra):
         if (out / name).is_dir():
             raise OutputError(f"--out {out}: {name} is a folder, expected a file or nothing of that name")
         if (out / name).parent.is_file():
@@ -41,52 +41,50 @@ def claim(out: Path, beside: Collection[str] = ()) -> None:
 
 
 @contextmanager
-def alone(out: Path) -> Iterator[None]:
-    """Hold the folder `out`: two soaks that keep their shards in one would destroy each other's.
+def lock_folder(out: Path) -> Iterator[None]:
+    """Lock the folder `out`, since two soaks would overwrite each other's checkpoints.
 
     Raises:
-        OutputError: another process holds it.
+        OutputError: another process has locked it.
     """
-    place = out / LOCK
-    with place.open("w") as lock:
+    path = out / LOCK
+    with path.open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as e:
-            raise OutputError(
-                f"--out {out}: another soak is writing there, expected a folder of its own"
-            ) from e
+            raise OutputError(f"--out {out}: another soak is writing there, expected an unused folder") from e
         try:
             yield
         finally:
-            place.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
 
 
-def write(report: Report, out: Path, beside: Mapping[str, bytes] | None = None) -> None:
+def write_report(report: Report, out: Path, extra: Mapping[str, bytes] | None = None) -> None:
     """Write report.json, report.html and junit.xml into the folder `out`, replacing older ones.
 
     Args:
-        report: what they say. out: the folder.
-        beside: what else to write there, by name.
+        report: contents. out: the folder.
+        extra: contents of further files by name.
 
     Raises:
-        OutputError: the place cannot be written; what stood there stands there still.
+        OutputError: the folder cannot be written; the older files remain.
     """
-    files = {name: text(report).encode() for name, text in FILES.items()} | dict(beside or {})
+    files = {name: text(report).encode() for name, text in FILES.items()} | dict(extra or {})
     with ExitStack() as stack:
         for name, data in files.items():
             stack.enter_context(replacing(out / name)).write_bytes(data)
 
 
-def erase(out: Path, beside: Collection[str] = ()) -> None:
-    """Delete what `write` wrote into the folder `out`, if it did, and folders that are empty then.
+def delete_report(out: Path, extra: Collection[str] = ()) -> None:
+    """Delete the files of `write_report` in the folder `out`, if there are any, and folders that are empty then.
 
     Args:
-        out: the folder. beside: names of what else was written.
+        out: the folder. extra: names of the further files.
 
     Raises:
-        OutputError: it cannot be deleted.
+        OutputError: they cannot be deleted.
     """
-    for path in (out / name for name in (*FILES, *beside)):
+    for path in (out / name for name in (*FILES, *extra)):
         try:
             path.unlink(missing_ok=True)
         except OSError as e:

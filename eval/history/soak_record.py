@@ -1,4 +1,4 @@
-"""A night: one finished soak, small enough to be kept for good. What pools, compares and follows nights reads this."""
+"""Record of one finished soak, small enough to be kept for good; pooling, comparison and trend read it."""
 
 import hashlib
 from datetime import datetime
@@ -6,28 +6,28 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator
 
-from eval.soak.profile import Faults
-from eval.statistics.per_draw_counts import Tally
+from eval.faults.settings import FaultSettings
+from eval.statistics.per_draw_counts import PerDrawCounts
 from robots.strict import Strict
 
 Verdict = Literal["passed", "failed", "interrupted"]
 
 
-def _moment(text: str) -> str:
+def _time_with_zone(text: str) -> str:
     if datetime.fromisoformat(text).tzinfo is None:
         raise ValueError("expected a time with its zone")
     return text
 
 
 class Settings(Strict):
-    """On what the results depend; `workers` changes only the time it takes.
+    """Settings that the results depend on; `workers` changes only the duration.
 
     Attributes:
-        hours: h that each robot was to run.
+        hours: h to simulate for each robot.
         policy, policy_digest: the file and its SHA-256. robot, robot_digest: the name and its SHA-256.
-        draws_digest: SHA-256 of the distributions that robots were drawn from. limits_digest: of the judge's limits.
-        code_digest: of what ran.
-        faults: on schedule; None for none.
+        draws_digest: SHA-256 of the distributions of robot parameters. limits_digest: SHA-256 of the judge's limits.
+        code_digest: SHA-256 of the code.
+        faults: settings of fault injection; None for no faults.
         budget: the file. versions: of Python and of the libraries, by name.
     """
 
@@ -39,7 +39,7 @@ class Settings(Strict):
     policy: str
     policy_digest: str
     code_digest: str
-    faults: Faults | None
+    faults: FaultSettings | None
     budget: str
     seed: int
     hours: float
@@ -50,7 +50,7 @@ class Settings(Strict):
 
     @property
     def task(self) -> dict[str, str]:
-        """What is asked of what is under test, by name: nights of another task say nothing about these."""
+        """Robot, limits, hours and faults by name; soaks with different tasks cannot be compared."""
         return {
             "robot": self.robot,
             "robot_digest": self.robot_digest,
@@ -62,7 +62,7 @@ class Settings(Strict):
 
     @property
     def identity(self) -> dict[str, str]:
-        """All that must not change between nights that are evidence of one thing: not the budget, nor the seed."""
+        """Everything that must be equal in soaks that are pooled: neither budget nor seed."""
         return {
             **self.task,
             "policy_digest": self.policy_digest,
@@ -71,17 +71,22 @@ class Settings(Strict):
             **self.versions,
         }
 
+    @property
+    def draws(self) -> dict[str, str]:
+        """Seed and number of robots, which choose the draws."""
+        return {"seed": str(self.seed), "robots": str(self.robots)}
+
 
 class Run(Strict):
-    """How it went this time.
+    """Time and extent of one run.
 
     Attributes:
         started: ISO 8601 with zone. wall_s: s of real time since then.
-        hours: h that each robot did run, on average; robots that never began count as 0.
-        resumed_hours: h of these that an earlier start had left behind.
+        hours: h simulated for each robot, on average; robots that were not started count as 0.
+        resumed_hours: h of these that came from the checkpoints of an earlier start.
     """
 
-    started: Annotated[str, AfterValidator(_moment)]
+    started: Annotated[str, AfterValidator(_time_with_zone)]
     wall_s: float
     hours: float
     resumed_hours: float
@@ -89,18 +94,18 @@ class Run(Strict):
 
     @property
     def moment(self) -> datetime:
-        """`started`."""
+        """`started` as a datetime."""
         return datetime.fromisoformat(self.started)
 
 
-class Night(Strict):
-    """What is kept of a soak.
+class SoakRecord(Strict):
+    """Settings, verdict and per-draw counts of one soak.
 
     Attributes:
-        results_digest: of what was asked for, how much of it was lived and what came of it, the same however often the
-            soak was taken up and however long it took.
-        statement: the sentence that the soak supports.
-        tally: draw by draw.
+        results_digest: SHA-256 of settings, simulated hours and results; it does not depend on how often the soak was
+            resumed or how long it took.
+        statement: the sentence that the results support.
+        per_draw_counts: counts of every draw.
     """
 
     format: Literal[2]
@@ -109,14 +114,12 @@ class Night(Strict):
     statement: str
     settings: Settings
     run: Run
-    tally: Tally
+    per_draw_counts: PerDrawCounts
 
     def sealed(self) -> str:
-        """What `results_digest` must be."""
-        drawn = {"seed": str(self.settings.seed), "robots": str(self.settings.robots)}
-        asked, lived = (
-            sorted({**self.settings.identity, **drawn}.items()),
-            (self.run.hours, self.run.interrupted),
-        )
-        text = f"{asked} {lived} {self.verdict} {self.statement} {self.tally.model_dump_json()}"
+        """Return the correct value of `results_digest`."""
+        settings = sorted({**self.settings.identity, **self.settings.draws}.items())
+        extent = self.run.hours, self.run.interrupted
+        counts = self.per_draw_counts.model_dump_json()
+        text = f"{settings} {extent} {self.verdict} {self.statement} {counts}"
         return hashlib.sha256(text.encode()).hexdigest()

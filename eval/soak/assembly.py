@@ -1,0 +1,119 @@
+"""Assembly of the shards' results into the input of the report."""
+
+import sys
+from collections.abc import Sequence
+from functools import reduce
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eval.faults.fault_response import merge_responses
+from eval.history.soak_record import Run, Settings
+from eval.judge.counts import merge
+from eval.judge.limits import load_limits
+from eval.report.sections.faults import fault_table
+from eval.report.soak_result import SoakResult
+from eval.shard.fingerprint import code_digest, versions
+from eval.shard.job import WIDTH
+from eval.shard.results import ShardResult
+from eval.soak.configuration import SoakConfig
+from eval.soak.limitations import FAULTS, LIMITATIONS, NO_FAULTS
+from eval.statistics.sensitivity import parameter_values
+from robots.distributions import load_distributions
+
+GOAL_BINS = 8
+
+
+def assemble(
+    config: SoakConfig, shards: Sequence[ShardResult], run: Run, bundles: Sequence[str] = ()
+) -> SoakResult:
+    """Concatenate the robots of all shards.
+
+    Heat and wear are NaN after the end of an interrupted shard; its goals and stops keep their last values.
+
+    Args:
+        config: of the soak. shards: in order; only the first ones if not all began. run: time and extent.
+        bundles: folders of events, relative to the report's.
+    """
+    counts = reduce(merge, (shard.counts for shard in shards))
+    drawn = parameter_values(config.draw_robots(), load_distributions(config.spec))
+    samples = max(len(shard.attempted) for shard in shards) - 1
+    responses = merge_responses([shard.responses for shard in shards])
+    per_bin, sample_h = max(1, -(-samples // GOAL_BINS)), config.sample_ticks * config.spec.dt / 3600
+    return SoakResult(
+        settings=settings(config),
+        run=run,
+        counts=counts,
+        sample_h=sample_h * np.arange(samples + 1, dtype=np.float64),
+        winding_c=pad_and_join([shard.winding_c for shard in shards]),
+        folded_back=pad_and_join([shard.folded_back for shard in shards]),
+        worn=pad_and_join([shard.worn for shard in shards]),
+        winding_soft_c=config.spec.motor_array("winding_soft_c"),
+        winding_max_c=config.spec.motor_array("winding_max_c"),
+        stops=_join_totals([shard.stops for shard in shards]),
+        latches=_join_totals([shard.latches for shard in shards]),
+        goals_bin_h=per_bin * sample_h,
+        goals_attempted=_binned([shard.attempted for shard in shards], per_bin),
+        goals_reached=_binned([shard.reached for shard in shards], per_bin),
+        parameters={name: column[: counts.robots] for name, column in drawn.items()},
+        bundles=tuple(bundles),
+        limitations=(NO_FAULTS if config.faults is None else FAULTS, *LIMITATIONS),
+        faults=None if config.faults is None else fault_table(config.spec, config.faults, responses),
+    )
+
+
+def pad_and_join(parts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Join (T, ..., R, n) of shards along the robots; shorter ones are padded with NaN."""
+    longest = max(map(len, parts))
+    padded = [
+        np.pad(p, ((0, longest - len(p)), *((0, 0),) * (p.ndim - 1)), constant_values=np.nan) for p in parts
+    ]
+    return np.concatenate(padded, axis=-2)
+
+
+def _join_totals(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Join running totals (T, R, ...) of shards along the robots; shorter ones keep their last values."""
+    longest = max(map(len, parts))
+    padded = [np.pad(p, ((0, longest - len(p)), *((0, 0),) * (p.ndim - 1)), "edge") for p in parts]
+    return np.concatenate(padded, axis=1)
+
+
+def running_total(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Return the sums (T, ...) over all robots of running totals (T, R, ...) of shards."""
+    return np.asarray(_join_totals(parts).sum(axis=1))
+
+
+def _binned(parts: Sequence[NDArray[np.int64]], per_bin: int) -> NDArray[np.int64]:
+    """Increase of running totals (T, R) within each bin, all robots together; the last bin may be shorter."""
+    total = running_total(parts)
+    samples = len(total) - 1
+    return np.diff(total[[*range(0, samples, per_bin), samples]])
+
+
+def settings(config: SoakConfig) -> Settings:
+    """Return the settings of the soak for its record and report."""
+    return Settings(
+        command=" ".join(["soak-test", *sys.argv[1:]]),
+        robot=config.spec.name,
+        robot_digest=config.spec.digest,
+        draws_digest=load_distributions(config.spec).digest,
+        limits_digest=load_limits(config.spec).digest,
+        policy=_relative(config.policy_path),
+        policy_digest=config.policy.digest,
+        code_digest=code_digest(),
+        faults=config.faults,
+        budget=_relative(config.budget),
+        seed=config.seed,
+        hours=config.hours,
+        robots=config.robots,
+        shard_width=WIDTH,
+        workers=config.workers,
+        versions=versions(),
+    )
+
+
+def _relative(path: Path) -> str:
+    """Path relative to the working directory, if it is inside."""
+    here = Path.cwd()
+    return str(path.resolve().relative_to(here) if path.resolve().is_relative_to(here) else path)
