@@ -91,7 +91,7 @@ def test_a_hold_is_timed_from_the_injection_to_true_rest():
     assert one.complete == 90 + SETTLE
     assert one.tracking_error == pytest.approx(0.01)
     found = row(found, fault)
-    assert (found.left.median_s, found.rest.worst_s, found.again) == (7 * DT, 30 * DT, 1)
+    assert (found.stopped.median_s, found.at_rest.worst_s, found.resumed) == (7 * DT, 30 * DT, 1)
     assert (found.handled, found.answers) == (1, {"category 2": 1})
 
 
@@ -101,9 +101,14 @@ def test_an_answer_that_is_too_severe_is_not_handled():
         one, found = told(named(name), story)
         assert one.answer == Answer.STOPPED
         assert row(found, named(name)).handled == handled
-    (miss,) = fault_table(SPEC, FAULTS, told(named("force off"), story)[1]).misses
-    assert (miss.fault, miss.answer, miss.channel, miss.hurt) == ("force off", "category 1", None, ())
-    assert (miss.left_s, miss.rest_s) == (5 * DT, 15 * DT)
+    (fault,) = fault_table(SPEC, FAULTS, told(named("force off"), story)[1]).unhandled
+    assert (fault.fault, fault.answer, fault.channel, fault.violations) == (
+        "force off",
+        "category 1",
+        None,
+        (),
+    )
+    assert (fault.stopped_s, fault.at_rest_s) == (5 * DT, 15 * DT)
 
 
 @pytest.mark.parametrize(("speed", "answer"), [(0.5, Answer.CUT), (0.0, Answer.STOPPED)])

@@ -56,7 +56,7 @@ def lived(events):
     @cache
     def lived(monitor):
         replay = Replay(first(events, monitor))
-        return replay, replay.live()
+        return replay, replay.run()
 
     return lived
 

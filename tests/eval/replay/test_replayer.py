@@ -39,7 +39,7 @@ def test_an_event_is_reproduced_bit_for_bit_in_a_fresh_process(events, tmp_path)
     rows = [line for line in said.splitlines() if re.match(r"[ !] *[+-]\d+ ", line)]
     assert [row[0] for row in rows if "-1 " in row[:6]] == [" "]
     assert [row[0] for row in rows if "+0 " in row[:6]] == ["!"]
-    when, what = re.search(r"(?m)^stopped in tick ([+-]\d+): (.+)$", said).groups()
+    when, what = re.search(r"(?m)^stop in tick ([+-]\d+): (.+)$", said).groups()
     assert abs(int(when)) < ticks
     assert what
     # Written by another process, from ticks that were lived again: the same file.

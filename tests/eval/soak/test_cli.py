@@ -326,8 +326,7 @@ def test_a_folder_into_which_another_soak_writes_is_refused(arm_policy, tmp_path
         done = subprocess.run(soak_test(*options), capture_output=True, text=True, check=False)
         assert done.returncode == 2
         assert (
-            done.stderr
-            == f"error: --out {out}: another soak is writing there, expected a folder of its own\n"
+            done.stderr == f"error: --out {out}: another soak is writing there, expected an unused folder\n"
         )
         assert {path.name for path in out.iterdir()} == {LOCK}
     assert not any(out.iterdir())
