@@ -198,7 +198,7 @@ def test_a_bad_option_is_exit_2_and_nothing_is_made(command, arm_policy, tmp_pat
 def test_motors_stay_warm_from_run_to_run_but_a_drawn_robot_has_no_past(
     command, arm_policy, tmp_path, monkeypatch
 ):
-    hot, begun = [60.0] * SPEC.n, []
+    hot, begun = [45.0] * SPEC.n, []  # however quickly the run starts, it can be armed
     warm = SimRobot.warm
     monkeypatch.setattr(
         SimRobot, "warm", lambda robot, rise: (warm(robot, rise), begun.append(robot.truth()))
@@ -209,7 +209,7 @@ def test_motors_stay_warm_from_run_to_run_but_a_drawn_robot_has_no_past(
         options = ("--policy", arm_policy, "--duration", 0.5, "--speed", "max", "--out", tmp_path, *further)
         assert command(*options)[0] == 0
     rise = [(truth.winding_c - truth.housing_c)[0] for truth in begun]
-    assert ((rise[0] > 40) & (rise[0] <= 60)).all()
+    assert ((rise[0] > 30) & (rise[0] <= 45)).all()
     np.testing.assert_array_equal(rise[1], 0.0)
 
 
