@@ -1,4 +1,4 @@
-"""Where the time of a tick goes: methods of live objects, each with its own exclusive time."""
+"""Stopwatch of methods: exclusive time of each."""
 
 import functools
 import time
@@ -9,12 +9,12 @@ import numpy as np
 
 
 class Stopwatch:
-    """Times wrapped methods; what a wrapped method calls of other wrapped ones is theirs, not its own."""
+    """Timer of wrapped methods; time in a nested wrapped method counts for that method only."""
 
     def __init__(self) -> None:
-        """Nothing is watched yet."""
+        """Start without methods."""
         self.samples: dict[str, list[float]] = {}
-        self._inner = [0.0]
+        self._nested = [0.0]
 
     def watch(self, name: str, owner: object, method: str) -> None:
         """Time `owner.method` under `name`."""
@@ -25,22 +25,22 @@ class Stopwatch:
 
         @functools.wraps(call)
         def timed(*args: Any, **kwargs: Any) -> Any:
-            self._inner.append(0.0)
+            self._nested.append(0.0)
             began = time.perf_counter()
             try:
                 return call(*args, **kwargs)
             finally:
                 spent = time.perf_counter() - began
-                samples.append(spent - self._inner.pop())
-                self._inner[-1] += spent
+                samples.append(spent - self._nested.pop())
+                self._nested[-1] += spent
 
         return timed
 
     def total(self, name: str) -> float:
-        """Seconds spent under a name."""
+        """Return the seconds spent under a name."""
         return float(np.sum(self.samples[name]))
 
     def clear(self) -> None:
-        """Forget what was measured, keep watching."""
+        """Discard the samples; methods stay wrapped."""
         for samples in self.samples.values():
             samples.clear()

@@ -1,4 +1,4 @@
-"""Some simulated minutes of some robots, judged: what the lines of the bench that vary the stack have in common."""
+"""Judged simulation of some robots, whose stages may be replaced before it starts."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ from robots.windings import nominal_windings
 
 
 class Trial:
-    """Runtime, simulated robots and judge; a stage of `runtime` may be swapped before `live`."""
+    """Runtime, simulated robots and judge, in one process and one thread."""
 
     def __init__(
         self,
@@ -29,40 +29,39 @@ class Trial:
         *,
         given: Draw | None = None,
     ) -> None:
-        """Build everything, brakes on.
+        """Build everything, with brakes on.
 
         Args:
             spec: the robot.
             policy: ONNX file.
             seeds: B seeds.
-            given: B robots as they are, in the place of those that the seeds would draw.
+            given: parameters of the B robots, instead of those drawn from the seeds.
         """
-        brain = Policy.load(policy, spec)
-        self.runtime, self.robot = simulate(spec, brain.contract, seeds, brain, given=given)
-        self.judge = Judge(
-            spec,
-            torque_max(spec),
-            len(seeds),
-            observed=brain.contract.observed,
-            scoring=self.runtime.task.rule,
-        )
+        self.policy = Policy.load(policy, spec)
+        contract = self.policy.contract
+        self.runtime, self.robot = simulate(spec, contract, seeds, self.policy, given=given)
+        rule = self.runtime.task.rule
+        self.judge = Judge(spec, torque_max(spec), len(seeds), observed=contract.observed, scoring=rule)
         self._motors = nominal_windings(spec)
         self._ohm = self._motors.resistance * self.robot.draw["drives.resistance"]
 
-    def live(self, seconds: float) -> Iterator[None]:
-        """Tick after tick, each judged, as a shard lives them: armed at first, and by an operator after a latch."""
-        spec = self.runtime.spec
-        look = round(POLL_S / spec.dt)
-        for tick in range(round(seconds / spec.dt)):
-            if tick == round(ARM_S / spec.dt):
+    def tick(self) -> None:
+        """Advance one tick and judge it."""
+        self.runtime.tick()
+        judge_tick(self.judge, self.robot.truth(), self.runtime, None)
+
+    def advance(self, seconds: float) -> Iterator[None]:
+        """Yield after each judged tick; robots are armed at the start and again after a latch, as in a shard."""
+        dt = self.runtime.spec.dt
+        for tick in range(round(seconds / dt)):
+            if tick == round(ARM_S / dt):
                 self.runtime.arm(np.ones(self.robot.robots, dtype=bool))
-            if tick % look == 0:
+            if tick % round(POLL_S / dt) == 0:
                 rearm(self.runtime)
-            self.runtime.tick()
-            judge_tick(self.judge, self.robot.truth(), self.runtime, None)
+            self.tick()
             yield
 
-    def copper_w(self) -> Floats:
-        """(B, n) W, what current now turns into heat in the windings as they really are."""
+    def copper_loss(self) -> Floats:
+        """(B, n) W, present heat from current in the windings, by their true resistance and temperature."""
         current, warmer = self.robot.plant.current, self.robot.truth().winding_c - self._motors.reference_c
         return np.asarray(current * current * self._ohm * (1.0 + self._motors.alpha * warmer))

@@ -10,7 +10,7 @@ SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
 
 from deploy.state import Mode
 from eval.bench.trial import Trial
-from eval.bench.walk import stroll
+from eval.bench.walk import measure_walk
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Verdict
 from policies.doctor.checklist import run_checks
@@ -42,13 +42,13 @@ def test_it_walks_for_a_minute_through_the_whole_stack(h1):
     spec, seeds = load_robot(h1), [robot_seed(7, robot) for robot in range(ROBOTS)]
     given = median_draw(load_distributions(spec), spec, ROBOTS)
     trial = Trial(spec, h1 / "walk.onnx", seeds, given=given)
-    found, counts = stroll(trial, WALKED_S), trial.judge.counts()
+    found, counts = measure_walk(trial, WALKED_S), trial.judge.counts()
     assert (trial.runtime.supervisor.mode == Mode.RUNNING).all()
     assert not counts.stops.any()
     assert [m.name for m in counts.monitors if m.hard and counts.total(m.name)] == []
     assert counts.worst[:, counts.columns("tilt")].max() < 0.5
-    assert (np.abs(found.forwards - 0.5) < 0.08).all()
-    assert found.lag < 0.06
+    assert (np.abs(found.forward_speed - 0.5) < 0.08).all()
+    assert found.smoother_lag < 0.06
     assert counts.reached.sum() >= counts.attempted.sum() - ROBOTS  # the first begins at rest
 
 

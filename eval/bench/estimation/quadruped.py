@@ -1,7 +1,7 @@
-"""A quadruped that stands, sways, crouches and trots in MuJoCo, and the IMUs and feet that watch it.
+"""Quadrupeds that stand, sway, crouch and trot in MuJoCo, and drawn readings of their IMUs and feet.
 
-The motions come from physics and are kept; noise, bias, delay and loss are drawn for each watcher, so that many draws
-watch few motions.
+Motions are simulated once. Noise, bias, delay and loss are drawn for each set of sensors, so that many draws share few
+motions.
 """
 
 from collections.abc import Iterator
@@ -23,9 +23,9 @@ STAND = np.tile([0.0, 0.7, -1.4], FEET)
 """rad, abduction, hip and knee of each leg: the foot is under its hip."""
 LEFT, FRONT, DIAGONAL = np.array([1, -1, 1, -1]), np.array([1, 1, -1, -1]), np.array([0.0, 1.0, 1.0, 0.0])
 SETTLED_S = 0.5
-"""s to fall on its feet."""
+"""s to drop onto the feet."""
 FOOT_STD, FOOT_SPEED_STD, CONTACT_N = 0.001, 0.02, 10.0
-"""m, m/s: errors of feet by encoders; N: above it a foot is said to stand."""
+"""m and m/s: errors of the feet from encoders. N: force above which a foot is in contact."""
 LAG_MAX, LOSS, FALSE_CONTACT = 2, 0.02, 0.002
 """Samples; shares of packets and of feet."""
 NOISE = BaseNoise(
@@ -39,11 +39,11 @@ NOISE = BaseNoise(
     angular_acceleration=2.0,
     jerk=20.0,
 )
-"""As the data sheets of cheap MEMS have it."""
+"""Typical values from the data sheets of low-cost MEMS sensors."""
 
 
-class Truth(NamedTuple):
-    """What M robots did, and a perfect IMU and perfect feet: (T, M, ...).
+class QuadrupedTruth(NamedTuple):
+    """True motion of M robots and exact readings of their IMU and feet: (T, M, ...).
 
     Attributes:
         gyro: (T, M, 3) rad/s. accelerometer: (T, M, 3) m/s².
@@ -60,54 +60,54 @@ class Truth(NamedTuple):
     force: Floats
 
 
-def move(seeds: list[np.random.SeedSequence], seconds: float) -> Truth:
-    """M robots, each with rhythms of its own."""
-    return split(np.stack([_sensors(np.random.default_rng(seed), seconds) for seed in seeds], axis=1))
+def simulate_quadrupeds(seeds: list[np.random.SeedSequence], seconds: float) -> QuadrupedTruth:
+    """Simulate M robots, each with its own gait."""
+    return _by_sensor(np.stack([_simulate(np.random.default_rng(seed), seconds) for seed in seeds], axis=1))
 
 
-def split(readings: Floats) -> Truth:
-    """The sensors of quadruped.xml (T, M, 41) by name."""
+def _by_sensor(readings: Floats) -> QuadrupedTruth:
+    """Split the sensors of quadruped.xml (T, M, 41) by name."""
     feet = readings[..., 13:].reshape(*readings.shape[:2], FEET, 7)
     gyro, force, quat_wxyz, velocity = np.split(readings[..., :13], (3, 6, 10), axis=-1)
-    return Truth(gyro, force, quat_wxyz, velocity, feet[..., :3], feet[..., 3:6], feet[..., 6])
+    return QuadrupedTruth(gyro, force, quat_wxyz, velocity, feet[..., :3], feet[..., 3:6], feet[..., 6])
 
 
-def _sensors(rng: np.random.Generator, seconds: float) -> Floats:
-    """(T, 41) at every sample."""
+def _simulate(rng: np.random.Generator, seconds: float) -> Floats:
+    """Return sensor data (T, 41) at every IMU sample."""
     model = mujoco.MjModel.from_xml_path(str(MODEL))
-    data, rhythm = mujoco.MjData(model), Rhythm.draw(rng)
+    data, gait = mujoco.MjData(model), Gait.draw(rng)
     data.qpos[7:] = STAND
-    every, rows = round(DT / model.opt.timestep), []
-    settled = round(SETTLED_S / model.opt.timestep)
-    for step in range(-settled, round(seconds / model.opt.timestep)):
-        data.ctrl[:] = rhythm.targets(max(0.0, step * model.opt.timestep))
+    decimation, rows = round(DT / model.opt.timestep), []
+    settling = round(SETTLED_S / model.opt.timestep)
+    for step in range(-settling, round(seconds / model.opt.timestep)):
+        data.ctrl[:] = gait.targets(max(0.0, step * model.opt.timestep))
         mujoco.mj_step(model, data)
-        if step >= 0 and step % every == 0:
-            rows.append(data.sensordata.copy())  # of the moment before the step
+        if step >= 0 and step % decimation == 0:
+            rows.append(data.sensordata.copy())  # from before the step
     return np.array(rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rhythm:
-    """Sines of sway, crouch and pitch, and of a trot: amplitude (4,) rad, frequency (4,) Hz, phase (4,) rad."""
+class Gait:
+    """Sines of sway, crouch, pitch and trot: amplitude (4,) rad, frequency (4,) Hz, phase (4,) rad."""
 
     amplitude: Floats
     frequency: Floats
     phase: Floats
 
     @classmethod
-    def draw(cls, rng: np.random.Generator) -> "Rhythm":
-        """One at random; half of the robots do not trot."""
+    def draw(cls, rng: np.random.Generator) -> "Gait":
+        """Draw a gait; half of the robots do not trot."""
         trots = rng.random() < 0.5
-        calm = 0.3 if trots else 1.0
+        scale = 0.3 if trots else 1.0
         return cls(
-            amplitude=rng.uniform(0.05, 0.2, 4) * [calm, calm, calm, trots],
+            amplitude=rng.uniform(0.05, 0.2, 4) * [scale, scale, scale, trots],
             frequency=rng.uniform([0.3, 0.3, 0.3, 2.5], [0.8, 0.8, 0.8, 3.5]),
             phase=rng.uniform(0, 2 * np.pi, 4),
         )
 
     def targets(self, t: float) -> Floats:
-        """(12,) rad, joint angles, from the stand into full swing within a second."""
+        """Return joint angles (12,) rad; amplitudes rise from zero within the first second."""
         wave = min(1.0, t) * self.amplitude * np.sin(2 * np.pi * self.frequency * t + self.phase)
         sway, crouch, pitch, _ = wave
         stride = 2 * np.pi * self.frequency[3] * t + np.pi * DIAGONAL
@@ -118,49 +118,48 @@ class Rhythm:
         return np.asarray(STAND + legs.ravel())
 
 
-def watch(
-    truth: Truth, noise: BaseNoise, seeds: list[np.random.SeedSequence]
+def sensor_packets(
+    truth: QuadrupedTruth, noise: BaseNoise, seeds: list[np.random.SeedSequence]
 ) -> Iterator[tuple[float, Imu, Feet]]:
-    """What B watchers, in turn on the M robots, deliver at each tick: late, noisy, sometimes nothing."""
-    rngs, robots = [np.random.default_rng(seed) for seed in seeds], len(seeds)
-    ticks, who = len(truth.gyro), np.arange(robots) % truth.gyro.shape[1]
-    gyro, force = (
-        values[:, who] + _errors(rngs, ticks, density, walk, bias)
-        for values, density, walk, bias in (
-            (truth.gyro, noise.gyro, noise.gyro_walk, noise.gyro_bias),
-            (truth.accelerometer, noise.accelerometer, noise.accelerometer_walk, noise.accelerometer_bias),
-        )
+    """Yield time, IMU and feet of B sets of sensors, on the M robots in turn: noisy, late, sometimes lost."""
+    rngs, ticks, rows = (
+        [np.random.default_rng(seed) for seed in seeds],
+        len(truth.gyro),
+        np.arange(len(seeds)),
     )
+    motion = rows % truth.gyro.shape[1]
+    gyro_errors, force_errors = _imu_errors(rngs, ticks, noise)
+    gyro, force = truth.gyro[:, motion] + gyro_errors, truth.accelerometer[:, motion] + force_errors
     lag = np.array([rng.integers(0, LAG_MAX + 1) for rng in rngs])
     lost = np.stack([rng.random(ticks) < LOSS for rng in rngs], axis=1)
     wrong = np.stack([rng.random((ticks, FEET)) < FALSE_CONTACT for rng in rngs], axis=1)
-    shake = np.stack([rng.standard_normal((2, ticks, FEET, 3)) for rng in rngs], axis=2)
+    foot_noise = np.stack([rng.standard_normal((2, ticks, FEET, 3)) for rng in rngs], axis=2)
     for tick in range(LAG_MAX, ticks):
-        at, row = tick - lag, np.arange(robots)
-        seen = at, who
+        taken = tick - lag
+        sampled = taken, motion
         yield (
             tick * DT,
-            Imu(
-                t=at * DT,
-                fresh=~lost[tick],
-                gyro=gyro[at, row],
-                accelerometer=force[at, row],
-                t_accelerometer=at * DT,
-            ),
+            Imu(taken * DT, ~lost[tick], gyro[taken, rows], force[taken, rows], t_accelerometer=taken * DT),
             Feet(
-                stance=(truth.force[seen] > CONTACT_N) ^ wrong[tick],
-                position=truth.position[seen] + FOOT_STD * shake[0, tick],
-                velocity=truth.velocity[seen] + FOOT_SPEED_STD * shake[1, tick],
+                stance=(truth.force[sampled] > CONTACT_N) ^ wrong[tick],
+                position=truth.position[sampled] + FOOT_STD * foot_noise[0, tick],
+                velocity=truth.velocity[sampled] + FOOT_SPEED_STD * foot_noise[1, tick],
             ),
         )
+
+
+def _imu_errors(rngs: list[np.random.Generator], ticks: int, noise: BaseNoise) -> tuple[Floats, Floats]:
+    return (
+        _errors(rngs, ticks, noise.gyro, noise.gyro_walk, noise.gyro_bias),
+        _errors(rngs, ticks, noise.accelerometer, noise.accelerometer_walk, noise.accelerometer_bias),
+    )
 
 
 def _errors(rngs: list[np.random.Generator], ticks: int, density: float, walk: float, bias: float) -> Floats:
-    """(T, B, 3): bias that walks, and white noise."""
+    """(T, B, 3) random-walk bias plus white noise."""
     rows = []
     for rng in rngs:
-        walked = bias * rng.standard_normal(3) + walk * np.sqrt(DT) * np.cumsum(
-            rng.standard_normal((ticks, 3)), axis=0
-        )
-        rows.append(walked + density / np.sqrt(DT) * rng.standard_normal((ticks, 3)))
+        start, steps = bias * rng.standard_normal(3), rng.standard_normal((ticks, 3))
+        drift = start + walk * np.sqrt(DT) * np.cumsum(steps, axis=0)
+        rows.append(drift + density / np.sqrt(DT) * rng.standard_normal((ticks, 3)))
     return np.stack(rows, axis=1)

@@ -13,8 +13,16 @@ pytest.importorskip("mujoco")
 from deploy.estimation.estimator import Estimator
 from deploy.estimation.winding_observer import WindingObserver
 from deploy.state import Packet, Setpoint
-from eval.bench import ablation, hot
-from eval.bench.ablation import VARIANTS, Late, Measured, Newest, Unguarded, Unsmoothed
+from eval.bench.ablation import ablation, hot
+from eval.bench.ablation.metrics import MetricsRecorder
+from eval.bench.ablation.stage_variants import (
+    VARIANTS,
+    HeatBlindEstimator,
+    HousingTemperatureObserver,
+    LatestPacketEstimator,
+    UncompensatedEstimator,
+    UnlimitedSmoother,
+)
 from eval.bench.trial import Trial
 from robots.distributions import load_distributions
 from robots.draws import draw
@@ -52,7 +60,7 @@ def follow(stage, ticks=100, late=2, off=0.01):
 
 
 def test_without_a_filter_a_robot_believes_its_newest_packets():
-    stage = Newest(SPEC, 1)
+    stage = LatestPacketEstimator(SPEC, 1)
     state, taken = follow(stage), 97 * DT
     np.testing.assert_array_equal(state.q, where(taken)[0] + 0.01)
     np.testing.assert_allclose(state.qd, (where(taken)[0] - where(taken - DT)[0]) / DT)
@@ -60,7 +68,7 @@ def test_without_a_filter_a_robot_believes_its_newest_packets():
 
 
 def test_a_packet_that_is_lost_or_old_changes_nothing_and_one_after_it_counts_the_time_between():
-    stage, still = Newest(SPEC, 1), Setpoint(*np.zeros((3, 1, N)))
+    stage, still = LatestPacketEstimator(SPEC, 1), Setpoint(*np.zeros((3, 1, N)))
     for tick, taken, value in ((2, 0, 0.0), (3, 1, 0.01), (4, 1, 0.01), (5, 1, 0.01)):
         state = stage.step(tick * DT, heard(taken * DT, np.full((1, N), value)), still)
     np.testing.assert_allclose(state.qd, 0.01 / DT)
@@ -69,7 +77,7 @@ def test_a_packet_that_is_lost_or_old_changes_nothing_and_one_after_it_counts_th
 
 
 def test_without_compensation_a_robot_believes_what_held_when_its_sample_was_taken():
-    late, now = follow(Late(SPEC, 1)), follow(Estimator(SPEC, 1))
+    late, now = follow(UncompensatedEstimator(SPEC, 1)), follow(Estimator(SPEC, 1))
     then, t = 97 * DT, 99 * DT
     np.testing.assert_allclose(now.q - where(t)[0], 0.01, atol=1e-4)
     np.testing.assert_allclose(late.q - where(then)[0], 0.01, atol=1e-4)
@@ -77,7 +85,7 @@ def test_without_compensation_a_robot_believes_what_held_when_its_sample_was_tak
 
 
 def test_without_a_smoother_the_target_is_sent_and_derivatives_are_its_differences():
-    stage, rng, sent = Unsmoothed(SPEC, 2), np.random.default_rng(0), [np.zeros((2, N))] * 2
+    stage, rng, sent = UnlimitedSmoother(SPEC, 2), np.random.default_rng(0), [np.zeros((2, N))] * 2
     stopping = np.zeros(2, dtype=bool)
     low, high = (SPEC.joint_array(f"q_{end}") for end in ("min", "max"))
     margin = SPEC.margins.q_target_rad
@@ -95,7 +103,7 @@ def test_without_a_smoother_the_target_is_sent_and_derivatives_are_its_differenc
     np.testing.assert_array_equal(rest.qd, 0.0)
 
 
-@pytest.mark.parametrize(("kind", "folds"), [(WindingObserver, True), (Unguarded, False)])
+@pytest.mark.parametrize(("kind", "folds"), [(WindingObserver, True), (HousingTemperatureObserver, False)])
 def test_without_its_guard_a_robot_knows_nothing_of_its_windings(kind, folds):
     heat = kind(SPEC, 1)
     for tick in range(round(20 / DT)):
@@ -107,15 +115,19 @@ def test_without_its_guard_a_robot_knows_nothing_of_its_windings(kind, folds):
 
 def moving(power_from=0, ticks=400):
     """What a robot does that is known: amplitude 0.5 rad at 2 Hz, tracked with 3 mrad; and its figures."""
-    robot = SimpleNamespace(robots=1, plant=SimpleNamespace(motion=SimpleNamespace(motor_q=np.zeros((1, N)))))
+    robot = SimpleNamespace(
+        robots=1, plant=SimpleNamespace(kinematics=SimpleNamespace(motor_q=np.zeros((1, N))))
+    )
     runtime, counts = (
         SimpleNamespace(spec=SPEC),
         SimpleNamespace(goal_success=0.5, availability=0.25, hours=2.0),
     )
     counts.stops, counts.total = np.array([3]), lambda name: 4 if name == "torque" else 0
     judge = SimpleNamespace(counts=lambda: counts)
-    trial = SimpleNamespace(robot=robot, runtime=runtime, judge=judge, copper_w=lambda: np.full((1, N), 2.0))
-    measured, w = Measured(trial), 2 * np.pi * 2
+    trial = SimpleNamespace(
+        robot=robot, runtime=runtime, judge=judge, copper_loss=lambda: np.full((1, N), 2.0)
+    )
+    recorder, w = MetricsRecorder(trial), 2 * np.pi * 2
     for tick in range(ticks):
         q = np.full((1, N), 0.5 * np.sin(w * tick * DT)) + (tick < power_from) * tick % 2
         robot.plant.kinematics.motor_q[:] = q
@@ -123,25 +135,25 @@ def moving(power_from=0, ticks=400):
             q=q, valid=np.array([True]), winding_c=np.full((1, N), 60.0)
         )
         runtime.command = SimpleNamespace(q=q + 0.003, powered=np.array([tick >= power_from]))
-        measured.look()
-    return measured.worth(), 0.5 * w**3 / np.sqrt(2)
+        recorder.record()
+    return recorder.metrics(), 0.5 * w**3 / np.sqrt(2)
 
 
 @pytest.mark.parametrize("power_from", [0, 200])
 def test_figures_are_those_of_a_motion_that_is_known(power_from):
     """Two periods of it, or four; what a robot does without power does not count."""
-    worth, jerk = moving(power_from)
-    assert worth.jerk == pytest.approx(jerk, rel=0.02)
-    assert worth.tracking == pytest.approx(3.0)
-    assert (worth.winding, worth.copper) == (60.0, 2.0)
-    assert (worth.goals, worth.running, worth.stops, worth.hard) == (50.0, 25.0, 1.5, 2.0)
-    assert worth.which == "torque 4"
+    metrics, jerk = moving(power_from)
+    assert metrics.jerk == pytest.approx(jerk, rel=0.02)
+    assert metrics.tracking_error == pytest.approx(3.0)
+    assert (metrics.winding, metrics.copper_loss) == (60.0, 2.0)
+    assert (metrics.goals, metrics.running, metrics.stops, metrics.hard_events) == (50.0, 25.0, 1.5, 2.0)
+    assert metrics.hard_monitors == "torque 4"
 
 
 def test_every_variant_lives_and_has_a_row_and_a_picture(arm_policy, monkeypatch, tmp_path):
     monkeypatch.setattr(ablation, "ROBOTS", 1)
-    monkeypatch.setattr(ablation, "LIVED_S", 0.25)
-    console, picture = Console(record=True, width=160), tmp_path / "worth.png"
+    monkeypatch.setattr(ablation, "TRIAL_S", 0.25)
+    console, picture = Console(record=True, width=160), tmp_path / "figures.png"
     ablation.ablation(SPEC, arm_policy, console, picture)
     rows = [line for line in console.export_text().splitlines() if line.startswith("│")]
     assert [row.split("│")[1].strip() for row in rows[-len(VARIANTS) :]] == list(VARIANTS)
@@ -207,13 +219,13 @@ def test_a_hot_draw_is_the_usual_robot_in_a_hotter_room_with_more_to_carry():
     np.testing.assert_allclose(given["links.mass"], 1.2 * usual["links.mass"])
     np.testing.assert_allclose(given["payload.mass_kg"], 1.2 * usual["payload.mass_kg"])
     np.testing.assert_allclose(given["climate.ambient_c"], usual["climate.ambient_c"] + 15.0)
-    begun = hot._warmed(SPEC, given, np.array([62.0, 200.0]))
+    begun = hot.warm_start(SPEC, given, np.array([62.0, 200.0]))
     warm = begun["climate.warm_start_k"] + begun["climate.ambient_c"]
-    np.testing.assert_allclose(warm, [62.0, SPEC.motor_array("housing_max_c").min() - hot.BELOW_K])
+    np.testing.assert_allclose(warm, [62.0, SPEC.motor_array("housing_max_c").min() - hot.START_MARGIN_K])
 
 
 def test_a_careless_robot_neither_folds_back_nor_stops_for_heat():
-    stage, still = hot.Careless(SPEC, 1), Setpoint(*np.zeros((3, 1, N)))
+    stage, still = HeatBlindEstimator(SPEC, 1), Setpoint(*np.zeros((3, 1, N)))
     state = stage.step(0.0, heard(0.0, np.zeros((1, N)), housing=149.0, current=30.0), still)
     assert not state.winding.any()
     assert not state.hottest.any()
@@ -223,7 +235,7 @@ def test_a_careless_robot_neither_folds_back_nor_stops_for_heat():
 
 def test_the_hot_shift_of_robots_that_stand_still(arm_policy, monkeypatch):
     """A row for each robot and variant; what it lacks of the limit is what its winding has not reached."""
-    small = {"TRIED": 3, "TRIED_S": 1.0, "ROBOTS": 2, "LIVED_S": 3.0}
+    small = {"CANDIDATES": 3, "CANDIDATE_S": 1.0, "ROBOTS": 2, "TRIAL_S": 3.0}
     for name, value in small.items():
         monkeypatch.setattr(hot, name, value)
     console = Console(record=True, width=160)

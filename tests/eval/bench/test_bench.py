@@ -13,14 +13,16 @@ pytest.importorskip("mujoco")
 from mujoco.batch import Batch
 
 from deploy.policy.policy import Policy
-from eval.bench import __main__ as command
-from eval.bench import pace, same, stages, stopwatch
-from eval.bench.estimation import estimate
-from eval.bench.estimation.encoder import draw_encoder
-from eval.bench.estimation.recorded_packets import Motion
-from eval.bench.idle import make_idle
-from eval.bench.plain import PlainRobot
+from eval.bench import cli, stages, stopwatch
+from eval.bench.estimation.encoder_plot import draw_encoder
+from eval.bench.estimation.estimate import consistency, error_row, outage
+from eval.bench.estimation.joint_estimates import estimate_motion
+from eval.bench.estimation.recorded_motion import Motion
+from eval.bench.idle_policy import make_idle
+from eval.bench.library_loop import LibraryLoop
+from eval.bench.reproducibility import differences
 from eval.bench.stopwatch import Stopwatch
+from eval.bench.throughput import RolloutReplay
 from robots.distributions import load_distributions
 from robots.draws import draw
 from robots.models.mujoco_model import load_mujoco
@@ -64,9 +66,9 @@ def test_time_is_counted_once_where_it_was_spent(monkeypatch):
 
 def test_a_bench_watches_every_stage_and_leaves_the_results_alone(arm_policy, monkeypatch):
     monkeypatch.setattr(stages, "WARM_S", 0.25)
-    bench = stages.Bench(SPEC, arm_policy, 2, every_stage=True)
+    bench = stages.StageBench(SPEC, arm_policy, 2, every_stage=True)
     bench.run(8)
-    calls = {name: len(samples) for name, samples in bench.watch.samples.items()}
+    calls = {name: len(samples) for name, samples in bench.stopwatch.samples.items()}
     assert calls.pop("observation") == calls.pop("policy") == 2
     assert calls.pop("action") == 2
     assert set(calls.values()) == {8}
@@ -76,27 +78,27 @@ def test_a_bench_watches_every_stage_and_leaves_the_results_alone(arm_policy, mo
 def test_physics_is_timed_on_the_very_steps_of_the_shift():
     """From the same state, by the same controls, to the same state; and nothing but physics is done again."""
     batch, rng = Batch(load_mujoco(SPEC), 3, nthread=1), np.random.default_rng(1)
-    steps = pace.Steps(batch)
+    physics = RolloutReplay(batch)
     for _ in range(2):
-        steps.record()
+        physics.record()
         for _ in range(4):
             batch.rollout(5, control=rng.normal(0, 1, (3, 5, batch.model.nu)), record=())
         end = batch.state.copy()
         batch.state[:] = 0.0
-        steps.again()
+        physics.replay()
         np.testing.assert_array_equal(batch.state, end)
 
 
-def test_the_plain_composition_moves_its_robot(arm_policy):
-    robot = PlainRobot(SPEC, Policy.load(arm_policy, SPEC).contract, arm_policy)
-    robot._target[:] += 0.2
-    robot._decimation = 10**9
+def test_the_library_loop_moves_its_robot(arm_policy):
+    robot = LibraryLoop(SPEC, Policy.load(arm_policy, SPEC).contract, arm_policy)
+    robot.target[:] += 0.2
+    robot.decimation = 10**9
     for number in range(1, 400):
         robot.tick(number)
-    np.testing.assert_allclose(robot._data.qpos, robot._target, atol=0.01)
+    np.testing.assert_allclose(robot.data.qpos, robot.target, atol=0.01)
 
 
-def test_the_worth_of_the_estimator_is_measured_against_what_really_happened(tmp_path):
+def test_errors_of_the_estimator_are_measured_against_the_true_motion(tmp_path):
     """On a motion and a delay that are known: raw angles are two ticks old, estimates are not."""
     seeds = [robot_seed(2, robot) for robot in range(4)]
     plain = {f"sensors.{name}": 0.0 for name in ("bias", "drift", "jitter", "loss", "repeat")}
@@ -104,9 +106,9 @@ def test_the_worth_of_the_estimator_is_measured_against_what_really_happened(tmp
     t = SPEC.dt * np.arange(1, 1001)[:, None, None] + np.arange(4)[:, None] + np.arange(SPEC.n) / 2
     q, qd = 0.2 * np.sin(2 * t), 0.4 * np.cos(2 * t)
     sent = np.concatenate((q + 0.01, qd), axis=2)  # a steady error of what was sent
-    motion = Motion(q=q, qd=qd, seen=q, sent=sent, draw=drawn, seeds=seeds)
+    motion = Motion(q=q, qd=qd, encoder_q=q, sent=sent, draw=drawn, seeds=seeds)
     raw, q, differenced, qd, ratio, late, left = (
-        float(word.split()[0]) for word in estimate._errors(SPEC, [motion], 0.001)
+        float(word.split()[0]) for word in error_row(SPEC, [motion], 0.001)
     )
     assert late == pytest.approx(10.0, abs=0.2)
     assert abs(left) < 1.0
@@ -116,9 +118,9 @@ def test_the_worth_of_the_estimator_is_measured_against_what_really_happened(tmp
         np.sqrt(2) * np.hypot(1.0, SPEC.sensors["encoder"].resolution * 1e3 / np.sqrt(12)) / SPEC.dt, rel=0.05
     )
     assert ratio == pytest.approx(qd / differenced, abs=0.001)
-    assert estimate._outage(SPEC, motion).startswith("100 ms without a packet: error up to ")
-    assert "mean NEES" in estimate._consistency(SPEC, [motion])
-    draw_encoder(SPEC, motion, estimate.hear(SPEC, motion, None), tmp_path / "encoder.png")
+    assert outage(SPEC, motion).startswith("100 ms without a packet: error up to ")
+    assert "mean NEES" in consistency(SPEC, [motion])
+    draw_encoder(SPEC, motion, estimate_motion(SPEC, motion, None), tmp_path / "encoder.png")
     assert (tmp_path / "encoder.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -133,37 +135,39 @@ def test_an_idle_policy_loads_and_asks_for_nothing(tmp_path):
 def test_an_unknown_bench_is_refused(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["bench", "nothing"])
     with pytest.raises(SystemExit) as caught:
-        command.main(command.bench)
+        cli.cli()
     assert caught.value.code == 2
-    known = "stages, pace, same, estimate, floating, ablation, hot, start, memory, work, walk"
+    known = (
+        "stages, throughput, reproducibility, estimate, floating, ablation, hot, start, memory, work, walk"
+    )
     assert f"found 'nothing', expected one of {known} or all" in capsys.readouterr().err
 
 
 def test_a_picture_is_of_what_can_be_drawn(monkeypatch, capsys):
     seen = []
-    monkeypatch.setitem(command.BENCHES, "ablation", lambda spec, policy, picture: seen.append(picture))
+    monkeypatch.setitem(cli.BENCHES, "ablation", lambda spec, policy, picture: seen.append(picture))
     codes = []
     for which in ("ablation", "start"):
-        monkeypatch.setattr(sys, "argv", ["bench", which, "--picture", "worth.png"])
+        monkeypatch.setattr(sys, "argv", ["bench", which, "--picture", "figures.png"])
         with pytest.raises(SystemExit) as caught:
-            command.main(command.bench)
+            cli.cli()
         codes.append(caught.value.code)
-    assert (codes, seen) == ([0, 2], [Path("worth.png")])
-    assert "--picture worth.png: found 'start', expected estimate or ablation" in capsys.readouterr().err
+    assert (codes, seen) == ([0, 2], [Path("figures.png")])
+    assert "--picture figures.png: found 'start', expected estimate or ablation" in capsys.readouterr().err
 
 
 def test_differences_between_results_are_named():
     @dataclass
-    class Lived:
+    class Result:
         heat: np.ndarray
         names: tuple[str, ...] = ("a",)
 
     one, other = (
-        [Lived(np.array([1.0, np.nan])), Lived(np.array(last))] for last in ([1.0, 2.0], [1.0, 2.5])
+        [Result(np.array([1.0, np.nan])), Result(np.array(last))] for last in ([1.0, 2.0], [1.0, 2.5])
     )
-    assert same.differences(one, one) == set()
-    assert same.differences(one, other) == {"shard 1 heat"}
+    assert differences(one, one) == set()
+    assert differences(one, other) == {"shard 1 heat"}
     other[0].names = ("b",)
-    assert same.differences(one, other) == {"shard 0 names", "shard 1 heat"}
+    assert differences(one, other) == {"shard 0 names", "shard 1 heat"}
     with pytest.raises(ValueError, match="zip"):
-        same.differences(one, other[:1])
+        differences(one, other[:1])

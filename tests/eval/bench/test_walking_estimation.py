@@ -8,9 +8,9 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
-from deploy.estimation.rotations import exp
+from deploy.estimation.rotations import exp, matrix
 from eval.bench.estimation import floating
-from eval.bench.estimation.quadruped import CONTACT_N, DT, MODEL, STAND, Rhythm, move
+from eval.bench.estimation.quadruped import DT, MODEL, STAND, Gait, simulate_quadrupeds
 from robots.randomness import robot_seed
 
 MOTIONS, DRAWS = 8, 128
@@ -18,19 +18,19 @@ MOTIONS, DRAWS = 8, 128
 
 @pytest.fixture(scope="module")
 def truth():
-    return move([robot_seed(floating.SEED, robot) for robot in range(MOTIONS)], 3.0)
+    return simulate_quadrupeds([robot_seed(floating.SEED, robot) for robot in range(MOTIONS)], 3.0)
 
 
 @pytest.fixture(scope="module")
 def trots(truth):
-    trots = np.mean(truth.force > CONTACT_N, axis=(0, 2)) < 0.8
+    trots = floating.trotting(truth)
     assert 2 <= trots.sum() <= 6
     return np.tile(trots, DRAWS // MOTIONS)
 
 
 @pytest.fixture(scope="module")
 def followed(truth):
-    return {feet: floating.follow(truth, 0, DRAWS, feet=feet) for feet in (True, False)}
+    return {feet: floating.estimate_base(truth, 0, DRAWS, feet=feet) for feet in (True, False)}
 
 
 def rmse(followed, name, robots):
@@ -38,7 +38,7 @@ def rmse(followed, name, robots):
 
 
 def test_it_walks_and_nobody_falls(truth):
-    up = floating.matrix(truth.quat_wxyz.reshape(-1, 4))[:, 2, 2]
+    up = matrix(truth.quat_wxyz.reshape(-1, 4))[:, 2, 2]
     assert up.min() > np.cos(0.5)
     assert np.abs(truth.velocity_in_world).max(axis=(0, 2)).min() > 0.05
 
@@ -83,7 +83,7 @@ def test_the_feet_of_pinocchio_are_these_feet(truth):
         np.testing.assert_allclose(moving, foot[3:6], atol=1e-9)
 
 
-def test_a_rhythm_begins_at_the_stand_and_never_jumps():
-    rhythm = Rhythm.draw(np.random.default_rng(1))
-    np.testing.assert_allclose(rhythm.targets(0.0), STAND)
-    assert 0.0 < np.abs(rhythm.targets(2.0 + DT) - rhythm.targets(2.0)).max() < 0.1
+def test_a_gait_begins_at_the_stand_and_never_jumps():
+    gait = Gait.draw(np.random.default_rng(1))
+    np.testing.assert_allclose(gait.targets(0.0), STAND)
+    assert 0.0 < np.abs(gait.targets(2.0 + DT) - gait.targets(2.0)).max() < 0.1

@@ -1,4 +1,4 @@
-"""A policy that asks for nothing, made from one that works: what a budget must refuse."""
+"""Idle policy, made from a working one: a budget must refuse it."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,7 @@ from deploy.policy.policy_file import GOLDEN_KEY, OUTPUT
 
 
 def make_idle(policy: Path, out: Path) -> Path:
-    """Copy a policy with its last layer zeroed, and golden pairs to match."""
+    """Copy a policy with its last layer and its golden actions set to zero; return `out`."""
     model = onnx.load(policy)
     last = next(node for node in model.graph.node if OUTPUT in node.output)
     for tensor in model.graph.initializer:

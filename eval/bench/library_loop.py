@@ -1,7 +1,7 @@
-"""The plain composition: what one writes first, as a measure of what the runtime's arrays are worth.
+"""Loop of plain library calls for one robot: the baseline of the runtime's batched arrays.
 
-One robot, one filterpy filter a joint, one Ruckig, a policy called with `run`, Pinocchio called robot by robot,
-`mj_step` in a loop. No supervisor, no judge, no recorder: it does less than the runtime.
+One filterpy filter per joint, one Ruckig, the policy called with `run`, Pinocchio called robot by robot, `mj_step` in a
+loop. It has no supervisor, judge or recorder, and so does less than the runtime.
 """
 
 import time
@@ -16,77 +16,75 @@ from filterpy.kalman import KalmanFilter
 from ruckig import InputParameter, OutputParameter, Ruckig
 
 from deploy.policy.contract import Contract
+from robots.arrays import Floats
 from robots.models.collisions import collision_pairs
 from robots.models.mujoco_model import load_mujoco
 from robots.models.nominal_model import load_pinocchio
 from robots.spec import RobotSpec
 
 
-class PlainRobot:
-    """One robot and its stack, of library calls only."""
+class LibraryLoop:
+    """One robot and its control stack, of library calls only."""
 
     def __init__(self, spec: RobotSpec, contract: Contract, policy: Path) -> None:
-        """Build it at the home pose."""
-        self._spec, self._decimation = spec, contract.control_hz // contract.policy_hz
+        """Start at the home pose."""
+        self._spec, self.decimation = spec, contract.control_hz // contract.policy_hz
         self._model = load_mujoco(spec)
-        self._data, self._rng = mujoco.MjData(self._model), np.random.default_rng(0)
+        self.data, self._rng = mujoco.MjData(self._model), np.random.default_rng(0)
         self._home = spec.joint_array("q_home")
-        self._data.qpos[:] = self._home
+        self.data.qpos[:] = self._home
         self._gear = self._model.actuator_gear[:, 0]
         self._pin, self._shapes = load_pinocchio(spec)
         for a, b in collision_pairs(self._pin, self._shapes, spec.neighbours):
             self._shapes.addCollisionPair(pin.CollisionPair(a, b))
         self._pin_data, self._shapes_data = self._pin.createData(), self._shapes.createData()
-        restless = spec.joint_array("acceleration_density")
-        self._filters = [_filter(spec, *joint) for joint in zip(self._home, restless, strict=True)]
+        densities = spec.joint_array("acceleration_density")
+        self._filters = [_filter(spec, *joint) for joint in zip(self._home, densities, strict=True)]
         self._session = ort.InferenceSession(str(policy), providers=["CPUExecutionProvider"])
         self._observation = np.zeros((1, contract.observation_size), dtype=np.float32)
-        self._otg, self._in, self._out = (
-            Ruckig(spec.n, spec.dt),
-            InputParameter(spec.n),
-            OutputParameter(spec.n),
-        )
-        self._in.current_position = self._home
-        self._in.max_velocity = spec.margins.speed * spec.joint_array("qd_max")
-        self._in.max_acceleration, self._in.max_jerk = (
-            spec.joint_array("qdd_max"),
-            spec.joint_array("qddd_max"),
-        )
-        self._target = self._home.copy()
+        self._otg, self._in, self._out = _smoother(spec, self._home)
+        self.target = self._home.copy()
 
     def tick(self, number: int) -> None:
-        """Sense, think, check, command, live."""
+        """Advance one control tick: sensors, filters, policy, smoother, checks, physics."""
         noise = self._rng.normal(0.0, self._spec.sensors["encoder"].noise, self._spec.n)
-        for joint, angle in zip(self._filters, self._data.qpos + noise, strict=True):
+        for joint, angle in zip(self._filters, self.data.qpos + noise, strict=True):
             joint.predict()
             joint.update(angle)
         q = np.array([joint.x[0, 0] for joint in self._filters])
-        if number % self._decimation == 0:
-            self._think(q)
-        self._in.target_position = self._target
+        if number % self.decimation == 0:
+            self._update_target(q)
+        self._in.target_position = self.target
         self._otg.update(self._in, self._out)
         self._out.pass_to_input(self._in)
         self._check_and_send()
         for _ in range(self._spec.rates.physics_hz // self._spec.rates.control_hz):
-            mujoco.mj_step(self._model, self._data)
+            mujoco.mj_step(self._model, self.data)
 
-    def _think(self, q: np.ndarray) -> None:
+    def _update_target(self, q: Floats) -> None:
         pin.framesForwardKinematics(self._pin, self._pin_data, q)
         self._observation[0, : self._spec.n] = q
         action = self._session.run(None, {"observation": self._observation})[0][0]
-        self._target = self._home + 0.3 * np.tanh(action)
+        self.target = self._home + 0.3 * np.tanh(action)
 
     def _check_and_send(self) -> None:
-        q, qd, qdd = (
-            np.array(part)
-            for part in (self._out.new_position, self._out.new_velocity, self._out.new_acceleration)
-        )
+        out = self._out
+        q, qd, qdd = (np.array(part) for part in (out.new_position, out.new_velocity, out.new_acceleration))
         tau = pin.rnea(self._pin, self._pin_data, q, qd, qdd)
         jacobian = pin.computeJointJacobians(self._pin, self._pin_data, q)
         np.linalg.det(jacobian)
         pin.computeCollisions(self._pin, self._pin_data, self._shapes, self._shapes_data, q, False)
         control = np.stack([q * self._gear, qd * self._gear, tau / self._gear], axis=1)
-        self._data.ctrl[:] = control.ravel()
+        self.data.ctrl[:] = control.ravel()
+
+
+def _smoother(spec: RobotSpec, q: Floats) -> tuple[Ruckig, InputParameter, OutputParameter]:
+    start = InputParameter(spec.n)
+    start.current_position = q
+    start.max_velocity = spec.margins.speed * spec.joint_array("qd_max")
+    start.max_acceleration = spec.joint_array("qdd_max")
+    start.max_jerk = spec.joint_array("qddd_max")
+    return Ruckig(spec.n, spec.dt), start, OutputParameter(spec.n)
 
 
 def _filter(spec: RobotSpec, angle: float, density: float) -> KalmanFilter:
@@ -99,12 +97,12 @@ def _filter(spec: RobotSpec, angle: float, density: float) -> KalmanFilter:
     return joint
 
 
-def plain_rate(spec: RobotSpec, contract: Contract, policy: Path, ticks: int) -> float:
-    """Robot-seconds per core-second of the plain composition."""
-    robot = PlainRobot(spec, contract, policy)
+def library_loop_rate(spec: RobotSpec, contract: Contract, policy: Path, ticks: int) -> float:
+    """Return the robot-seconds per core-second of plain library calls."""
+    loop = LibraryLoop(spec, contract, policy)
     for number in range(20):
-        robot.tick(number)
+        loop.tick(number)
     began = time.perf_counter()
     for number in range(ticks):
-        robot.tick(number)
+        loop.tick(number)
     return ticks * spec.dt / (time.perf_counter() - began)
