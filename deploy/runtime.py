@@ -25,8 +25,8 @@ from deploy.stage import Arrays, Stage
 from deploy.state import BaseState, Command, Reason, Setpoint, State, Target, Verdict
 from deploy.tasks.task import Task, find_task, sources_of
 from robots.arrays import Bools, Float32s, Floats, Ints
-from robots.gains import same_gains
 from robots.models.fleet import Fleet
+from robots.motors.gains import same_gains
 from robots.spec import RobotSpec
 
 _NOT_FINITE, _MOVING = np.int64(Reason.NOT_FINITE), np.int64(Reason.MOVING)

@@ -4,7 +4,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from robots.drive import Drive
+from robots.motors.drive import Drive
 from robots.strict import Source, Strict
 
 Celsius = Annotated[float, Field(ge=-50, le=300)]

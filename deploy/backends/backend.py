@@ -11,7 +11,7 @@ from deploy.state import Command, Sample
 from robots.arrays import Bools
 from robots.draws import Draw
 from robots.errors import ConfigError
-from robots.gains import Gains
+from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from deploy.masks import all_true, any_true
 from deploy.stage import Stage
 from deploy.state import Packet, Reason, Sample, Setpoint, State
 from robots.arrays import Bools, Floats
-from robots.gains import Gains
+from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
 LOOK_S = 0.02

@@ -19,8 +19,8 @@ from deploy.stage import Stage
 from deploy.state import Packet
 from robots.arrays import Bools, Floats
 from robots.models.nominal_model import torque_max
+from robots.motors.windings import nominal_windings
 from robots.spec import RobotSpec
-from robots.windings import nominal_windings
 
 TORQUE_SHARE = 0.5
 """Residual above which torque is external, as share of the joint's torque. Friction, other masses, payloads, cables,

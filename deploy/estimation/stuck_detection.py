@@ -5,8 +5,8 @@ import numpy as np
 from deploy.estimation.sample_count import sample_count
 from deploy.stage import Stage
 from robots.arrays import Bools, Floats
-from robots.gains import Gains
 from robots.models.nominal_model import torque_max
+from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
 STUCK_S = 0.1

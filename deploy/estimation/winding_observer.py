@@ -2,8 +2,8 @@
 
     Cw dTw/dt = I² R (1 + α (Tw − T0)) − (Tw − Th)/Rwh
 
-The winding's node of `robots.motor`, around it the measured housing Th. Heat is slow: the squared current is summed on
-every tick, the temperature is integrated ten times a second.
+The winding's node of `robots.motors.motor`, around it the measured housing Th. Heat is slow: the squared current is
+summed on every tick, the temperature is integrated ten times a second.
 """
 
 import numpy as np
@@ -15,9 +15,9 @@ from deploy.stage import Stage
 from deploy.state import Packet, Sample
 from robots.arrays import Bools, Floats
 from robots.models.nominal_model import torque_max
+from robots.motors.windings import nominal_windings
 from robots.sensors import Sensor
 from robots.spec import RobotSpec
-from robots.windings import nominal_windings
 
 PERIOD_S = 0.1
 """s between two integration steps: windings have time constants of tens of seconds."""

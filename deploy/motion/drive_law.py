@@ -16,9 +16,9 @@ import numpy as np
 
 from deploy.state import State
 from robots.arrays import Floats
-from robots.gains import Gains
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
+from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
 

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Numbers, Positive, Scales, Term
 from deploy.tasks.task import sources_of
 from robots.errors import ConfigError, ContractError
-from robots.gains import Gains
+from robots.motors.gains import Gains
 from robots.strict import Strict, parse, read_json
 
 CONTRACT_KEY = "firstshift.contract"

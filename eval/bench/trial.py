@@ -14,8 +14,8 @@ from eval.shard.shard import rearm
 from robots.arrays import Floats
 from robots.draws import Draw
 from robots.models.nominal_model import torque_max
+from robots.motors.windings import nominal_windings
 from robots.spec import RobotSpec
-from robots.windings import nominal_windings
 
 
 class Trial:

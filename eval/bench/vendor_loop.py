@@ -12,8 +12,8 @@ import numpy as np
 from deploy.policy.policy import Policy
 from robots.arrays import Floats
 from robots.capabilities import required
-from robots.gains import Gains
 from robots.models.nominal_model import torque_max
+from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
 

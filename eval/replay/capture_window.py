@@ -45,7 +45,7 @@ def window_type(spec: RobotSpec, goal_size: int) -> np.dtype[np.void]:
     true = [(name, np.float64, (spec.n,)) for name in TRUE]
     tool = [(name, np.float64, (3,)) for name in ("tool_true", "tool_velocity_true")]
     flags = [(name, np.float64) for name in FLAGS]
-    base = [("base_true", np.float64, (7,))] if spec.base else []
+    base = [("base_true", np.float64, (7,))] if "floating_base" in spec.capabilities else []
     return np.dtype([*((name, recorded[name]) for name in recorded.names or ()), *true, *tool, *flags, *base])
 
 
@@ -118,7 +118,7 @@ class _WindowRecording(Recording):
         vectors = {name: _known(row[name]) for name in ("tool_true", "tool_velocity_true", "winding_true_c")}
         named = {name.replace("_true", ""): value for name, value in vectors.items()}
         self._true_state.log(flags | named, log_time=ns)
-        if self.spec.base:
+        if "floating_base" in self.spec.capabilities:
             self._tf.log(_transform(stamp, row["base_true"].tolist()), log_time=ns)
 
 

@@ -38,7 +38,7 @@ class EventVideo:
         """
         self._context = opengl_context()
         self._context.make_current()
-        self._robot, self._fixed = Scene(spec), spec.base is None
+        self._robot, self._fixed = Scene(spec), "floating_base" not in spec.capabilities
         model = self._robot.model
         self._scene, self._options = mujoco.MjvScene(model, maxgeom=1000), mujoco.MjvOption()
         self._options.geomgroup[:] = 1

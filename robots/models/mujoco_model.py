@@ -7,9 +7,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robots.drive import Drive
 from robots.errors import RobotError
 from robots.models.files import is_urdf, referenced_files, urdf_text
+from robots.motors.drive import Drive
 from robots.spec import RobotSpec
 from robots.tables import Joint
 

@@ -12,8 +12,8 @@ from deploy.state import Command
 from robots.arrays import Bools, Floats
 from robots.distributions import COMMAND_DELAY_S
 from robots.draws import Draw
-from robots.gains import Gains
 from robots.models.mujoco_model import INPUTS
+from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 from robots.tables import Rates
 

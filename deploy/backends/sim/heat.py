@@ -51,7 +51,7 @@ class Windings(Stage):
         return ohm
 
     def warm(self, rise: Floats, housing: Floats, ticks: int, dt: float) -> None:
-        """Integrate over some ticks. Source: see `robots.motor`; steps are far below the windings' seconds.
+        """Integrate over some ticks. Source: see `robots.motors.motor`; steps are far below the windings' seconds.
 
         Args:
             rise: (B, n) K, written. housing: (B, n) °C.
@@ -65,7 +65,7 @@ class Windings(Stage):
 class Housings(Stage):
     """Motor housings, the ambient of MuJoCo's motors.
 
-    Source: see `robots.motor`. Iron loss, iron (gear qd)², and the heat of the joint's friction and damping
+    Source: see `robots.motors.motor`. Iron loss, iron (gear qd)², and the heat of the joint's friction and damping
     warm the housing, where rotor, gear and bearings sit.
 
     Attributes:

@@ -21,7 +21,7 @@ from deploy.state import Command
 from robots.arrays import Bools, Floats
 from robots.distributions import Distributions
 from robots.draws import Draw
-from robots.gains import Gains
+from robots.motors.gains import Gains
 from robots.sensors import Kind
 from robots.spec import RobotSpec
 

@@ -13,7 +13,7 @@ from deploy.state import Command, Sample
 from robots.arrays import Bools, Floats
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
-from robots.gains import Gains
+from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
 

@@ -13,9 +13,9 @@ from eval.bench.trial import Trial
 from robots.arrays import Floats, Ints
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
+from robots.motors.windings import Windings, nominal_windings
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
-from robots.windings import Windings, nominal_windings
 
 SEED, CANDIDATES, CANDIDATE_S = 11, 64, 60.0
 ROBOTS, TRIAL_S = 8, 2400.0
@@ -128,7 +128,7 @@ def steady(
 ) -> tuple[Floats, Floats]:
     """Return steady temperatures (B, n) °C of windings and housings under constant losses.
 
-    Both nodes of `robots.motor` in equilibrium.
+    Both nodes of `robots.motors.motor` in equilibrium.
 
     Args:
         copper: (B, n) W of the windings at their reference temperature. friction: (B, n) W into the housings.

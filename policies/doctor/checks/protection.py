@@ -9,7 +9,7 @@ from policies.doctor.check_result import Message, failed, format_values, passed
 from robots.errors import RobotError
 from robots.models.collisions import collision_pairs
 from robots.models.nominal_model import load_pinocchio, torque_max
-from robots.windings import nominal_windings
+from robots.motors.windings import nominal_windings
 
 
 def protection(context: CheckContext) -> Iterator[Message]:

@@ -7,9 +7,9 @@ import numpy as np
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.truth import Truth
 from robots.arrays import Floats
-from robots.motor import MotorHeat, temperatures
+from robots.motors.motor import MotorHeat, temperatures
+from robots.motors.windings import nominal_windings
 from robots.spec import RobotSpec
-from robots.windings import nominal_windings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -99,7 +99,7 @@ def _chatter_level(context: CheckContext, run: SimulatedRun) -> Floats:
 
 
 def _chatter_hz(context: CheckContext) -> float:
-    return WALKING_CHATTER_HZ if context.spec.base else CHATTER_HZ
+    return WALKING_CHATTER_HZ if "floating_base" in context.spec.capabilities else CHATTER_HZ
 
 
 def _passed_if_working(run: SimulatedRun, ratios: str) -> Message:

@@ -9,7 +9,7 @@ from deploy.backends.backend import Request
 from deploy.backends.sim.backend import SimBackend
 from deploy.operation.cli import cli
 from robots.errors import ConfigError
-from robots.gains import Gains
+from robots.motors.gains import Gains
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.contracts import arm_contract

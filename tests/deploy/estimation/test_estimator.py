@@ -11,8 +11,8 @@ from deploy.estimation.joint_filter import SEED_SPEED_STD
 from deploy.estimation.setpoint_history import HISTORY_S
 from deploy.estimation.stuck_detection import STUCK_SHARE
 from deploy.state import Packet, Reason, Setpoint
-from robots.gains import Gains
 from robots.models.nominal_model import torque_max
+from robots.motors.gains import Gains
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.deploy.estimators import DENSITY, DT, ENCODER, NOISE, N, begun, packets, sample, sent, still

@@ -7,7 +7,7 @@ from deploy.estimation.external_torque import DETECTION_S, TORQUE_SHARE, Externa
 from deploy.safety.supervisor import CATEGORY_1
 from deploy.state import Mode, Packet, Reason
 from robots.models.nominal_model import torque_max
-from robots.windings import nominal_windings
+from robots.motors.windings import nominal_windings
 from support.arm6 import SPEC
 
 N, LOOK_S = SPEC.n, 0.02

@@ -18,9 +18,9 @@ from deploy.estimation.winding_observer import (
 from robots.distributions import load_distributions
 from robots.errors import RobotError
 from robots.models.nominal_model import torque_max
+from robots.motors.windings import nominal_windings
 from robots.spec import load_robot
 from robots.tables import Rates
-from robots.windings import nominal_windings
 from support.arm6 import SPEC, copy_of_arm
 from support.deploy.thermal import (
     DT,

@@ -10,6 +10,7 @@ import pytest
 
 from deploy.policy.contract import Contract
 from deploy.tasks.task import find_task, sources_of, tasks_of
+from eval.shard.fingerprint import code_digest
 from robots.errors import ConfigError, ContractError
 from support.arm6 import SPEC
 from support.contracts import arm_contract
@@ -103,6 +104,17 @@ def test_a_task_of_another_package_runs():
     assert runtime.task.name == "turn"
     assert runtime.task.attempted.tolist() == [2, 2]
     np.testing.assert_array_equal(runtime.task.achieved, runtime.state.q[:, :1])
+
+
+def test_the_source_of_an_outside_task_is_part_of_the_code_digest(outside):
+    without = code_digest()
+    source = outside / "turning.py"
+    source.rename(source.with_name("turning_now.py"))
+    (outside / "turning").mkdir()
+    package = outside / "turning" / "__init__.py"
+    package.write_text((outside / "turning_now.py").read_text())
+    as_package = code_digest()
+    assert len({without, as_package}) == 2
 
 
 def command(monkeypatch, cli, *arguments):

@@ -26,9 +26,9 @@ from eval.bench.ablation.stage_variants import (
 from eval.bench.trial import Trial
 from robots.distributions import load_distributions
 from robots.draws import draw
-from robots.motor import MotorHeat, temperatures
+from robots.motors.motor import MotorHeat, temperatures
+from robots.motors.windings import nominal_windings
 from robots.randomness import robot_seed
-from robots.windings import nominal_windings
 
 N, DT = SPEC.n, SPEC.dt
 RATE, BEND = 0.3, 0.8

@@ -21,7 +21,7 @@ from policies.doctor.check_result import Verdict
 from policies.doctor.checklist import CHECKS, run_check, run_checks
 from policies.doctor.simulation import joint_order
 from policies.doctor.simulation.heat_extrapolation import HeatLoad, winding_temperature
-from robots.motor import MotorHeat, temperatures
+from robots.motors.motor import MotorHeat, temperatures
 from robots.spec import load_robot
 from support.arm6 import SPEC
 from support.contracts import arm_contract

@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 
 from deploy.state import Packet
-from robots.windings import nominal_windings
+from robots.motors.windings import nominal_windings
 from support.arm6 import SPEC
 
 N, DT = SPEC.n, SPEC.dt

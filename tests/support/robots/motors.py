@@ -1,4 +1,4 @@
-from robots.motor import MotorHeat
+from robots.motors.motor import MotorHeat
 from support.arm6 import copy_of_arm
 
 DRIVES = {

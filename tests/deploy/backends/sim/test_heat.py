@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from robots.motor import temperatures
+from robots.motors.motor import temperatures
 from support.arm6 import SPEC
 from support.deploy.plants import DT, HOME, N, command, exact
 from support.robots.motors import RE40
@@ -70,7 +70,7 @@ def test_the_winding_keeps_its_temperature_when_its_housing_warms():
 
 
 def test_published_course_of_an_re40_in_steps_of_a_second():
-    """The table of `robots.motor`, this housing and a winding beside it: steps of a second are as good as none."""
+    """The table of `robots.motors.motor`, this housing and a winding: steps of a second make no difference."""
     winding, housing, dt = 25.0, 25.0, 0.05
     inner, outer = 1 / RE40.winding_to_housing, 1 / RE40.housing_to_ambient
     for k in range(round(600 / dt)):

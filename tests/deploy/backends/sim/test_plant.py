@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robots.motor import MotorHeat, temperatures
+from robots.motors.motor import MotorHeat, temperatures
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.deploy.plants import BUSY, DT, HOME, PLANT_MODEL, N, command, drawn, exact

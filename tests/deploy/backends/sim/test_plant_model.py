@@ -11,9 +11,9 @@ from robots.distributions import load_distributions
 from robots.draws import Draw, draw
 from robots.errors import ConfigError, RobotError
 from robots.models.mujoco_model import load_mujoco
+from robots.motors.windings import nominal_windings
 from robots.randomness import robot_seed
 from robots.spec import load_robot
-from robots.windings import nominal_windings
 from support.arm6 import SPEC, copy_of_arm
 from support.deploy.plants import BUSY, HOME, PLAIN, PLANT_MODEL, N, command, drawn, exact
 

@@ -5,8 +5,8 @@ import pytest
 
 from robots.errors import RobotError
 from robots.models.nominal_model import load_pinocchio, torque_max
+from robots.motors.windings import nominal_windings
 from robots.spec import load_robot
-from robots.windings import nominal_windings
 from support.arm6 import SPEC, complaint, copy_of_arm
 from support.robots.motors import DRIVES, VENDOR, declared
 

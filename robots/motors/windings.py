@@ -6,8 +6,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from robots.arrays import Floats
-from robots.drive import Drive
 from robots.errors import RobotError
+from robots.motors.drive import Drive
 from robots.spec import RobotSpec
 
 Attributes = dict[str, str]

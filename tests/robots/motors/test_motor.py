@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from robots.motor import MotorHeat, temperatures
+from robots.motors.motor import MotorHeat, temperatures
 from support.robots.motors import RE40
 
 
