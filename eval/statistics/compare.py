@@ -43,7 +43,7 @@ class Difference:
 
     @property
     def conclusion(self) -> str:
-        """What the interval shows of `b` relative to `a`: "higher", "lower" or "no difference"."""
+        """Conclusion of the interval about `b` relative to `a`: "higher", "lower" or "no difference"."""
         if self.low > 0:
             return "higher"
         return "lower" if self.high < 0 else "no difference"

@@ -1,6 +1,6 @@
-"""Where a policy learns: the runtime itself on the simulated robot, with the learner in the policy's place.
+"""Training environment: the runtime on simulated robots, with the learner in the policy's place.
 
-Nothing here steps physics, filters or smooths: an environment step is `act`, then `sense` until the policy is due.
+It has no physics, filter or smoother of its own: an environment step is `act`, then `sense` until the policy is due.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from robots.spec import RobotSpec
 
 
 class RuntimeEnv(VecEnv):
-    """B robots, each its own draw for the whole training; episodes of several goals, one after another.
+    """B robots, each with one draw for the whole training; episodes of several goals.
 
     Observation groups: `actor`, the contract's observation, and `privileged`, ground truth for the critic only.
     """
@@ -55,7 +55,7 @@ class RuntimeEnv(VecEnv):
         self._observation = self._sense()
 
     def get_observations(self) -> TensorDict:
-        """What actor and critic see now."""
+        """Return the observations of actor and critic."""
         truth, task = self._robot.truth(), self._task
         privileged = np.concatenate(
             (
@@ -76,7 +76,7 @@ class RuntimeEnv(VecEnv):
         )
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, object]]:
-        """One policy step."""
+        """Run one policy step."""
         step = self._live(actions.numpy().astype(np.float64))
         total, broken = reward(step, self._limits, self._recipe.reward)
         total += shaping(step, self._limits, self._recipe.shaping)
@@ -101,7 +101,7 @@ class RuntimeEnv(VecEnv):
         )
 
     def _live(self, action: np.ndarray) -> Step:
-        """Act until the policy is due again; the last `sense` is left to the caller, after resets."""
+        """Act until the policy is due again; the caller does the last `sense`, after resets."""
         runtime, task = self.runtime, self._task
         qdd, stopped = runtime.setpoint.qdd.copy(), np.zeros(self.num_envs, dtype=bool)
         reached = np.zeros(self.num_envs, dtype=bool)
@@ -139,7 +139,7 @@ class RuntimeEnv(VecEnv):
         return self._fleet.kinematics(q).manipulability()
 
     def _excess(self, action: np.ndarray) -> np.ndarray:
-        """Beyond the contract's clip; what is no number has its price already: it stops the robot."""
+        """Return the part of actions beyond the contract's clip; 0 for non-finite actions, which stop the robot."""
         excess = action - np.clip(action, *self.runtime.contract.action.bounds)
         return np.where(np.isfinite(action), excess, 0.0)
 
@@ -147,7 +147,7 @@ class RuntimeEnv(VecEnv):
         return self._rule.distance(self._task.true_achieved(self._robot.truth()), goal)
 
     def _sense(self) -> np.ndarray:
-        """The observation, with robots that have just been put somewhere armed again."""
+        """Return the observation; robots without power, as after a reset, are armed."""
         observation = self.runtime.sense()
         if observation is None:
             raise RuntimeError(f"tick {self.runtime.ticks} is between policy ticks")
@@ -166,7 +166,7 @@ class RuntimeEnv(VecEnv):
             count[ids] = 0.0
 
     def _log(self, step: Step, broken: Bools, done: Bools) -> dict[str, float]:
-        """What TensorBoard shows; violations are policy steps in which any joint was, or was asked, out of range."""
+        """Return scalars for TensorBoard; violations are policy steps with any joint, or its target, out of range."""
         self._violations["requested"] += (self._limits.beyond(step.q_target) > 0).any(axis=1)
         self._violations["happened"] += broken
         log = {"Task/stops_per_step": float(step.stopped.mean()), "Task/running": float(step.running.mean())}

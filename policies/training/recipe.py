@@ -1,4 +1,4 @@
-"""How a policy is taught: a recipe file, read strictly, and the contract that follows from it."""
+"""Training recipe, read strictly, and the contract that follows from it."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,7 +20,7 @@ Share = Annotated[float, Field(gt=0, le=1)]
 
 
 class Promise(Strict):
-    """What the policy is promised at run time.
+    """Properties of the run time that the policy is trained for.
 
     Attributes:
         policy_hz: Hz. increment_rad: rad of target for a full action. leash_rad: rad of target ahead of the setpoint.
@@ -34,14 +34,14 @@ class Promise(Strict):
 
 
 class Environment(Strict):
-    """B robots taught at once, and the goals between two resets."""
+    """B robots trained at once, and the goals between two resets."""
 
     robots: PositiveInt
     goals_per_episode: PositiveInt
 
 
 class Reward(Strict):
-    """The reward proper, for each policy step.
+    """Reward of a policy step, without shaping.
 
     Attributes:
         success: for a goal reached, at the end of its time.
@@ -60,7 +60,7 @@ class Reward(Strict):
 
 
 class Shaping(Strict):
-    """Dense help towards the reward, for each policy step while running.
+    """Dense shaping reward of a policy step while running.
 
     Attributes:
         far_m, near_m: m, widths of 1 − tanh(d/width). here_m, here: m and weight of exp(−(d/here_m)²).
@@ -85,7 +85,7 @@ class Shaping(Strict):
 
 
 class LearnerStage(Strict):
-    """Some iterations at one learning rate."""
+    """Iterations at one learning rate."""
 
     iterations: PositiveInt
     learning_rate: PositiveFloat
@@ -110,7 +110,7 @@ class Learner(Strict):
 
 
 class Recipe(Strict):
-    """Everything that makes a checkpoint."""
+    """All settings of a training."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
     robot: str
@@ -124,7 +124,7 @@ class Recipe(Strict):
 
 
 def find_recipe(recipe: str) -> Path:
-    """The file of that path, or of that name among the shipped recipes.
+    """Return the recipe file of a path, or of a name among the shipped recipes.
 
     Raises:
         ConfigError: neither is there.
@@ -146,7 +146,7 @@ def load_recipe(path: Path) -> Recipe:
 
 
 def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Contract:
-    """The contract that a policy of this recipe signs.
+    """Return the contract of a policy trained by a recipe.
 
     Args:
         recipe: the recipe.
@@ -176,7 +176,7 @@ def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Con
 
 
 def _term(name: str, source: ObservationSource, scale: list[float]) -> Term:
-    """A term without clip or history, divided by its physical maximum."""
+    """Return a term without clip or history, divided by its physical maximum."""
     return Term(
         name=name, source=name, frame=source.frame, unit=source.unit, size=len(scale), scale=tuple(scale)
     )

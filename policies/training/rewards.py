@@ -1,4 +1,4 @@
-"""What a step was worth, by ground truth: the reward, and apart from it the shaping."""
+"""Reward and shaping of a policy step, by ground truth."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ from robots.spec import RobotSpec
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One policy step of B robots as it really went.
+    """Ground truth of one policy step of B robots.
 
     Attributes:
         q, qd: (B, n) rad, rad/s, true. tau: (B, n) N·m, true.
         qdd_change: (B, n) rad/s², of the sent setpoint over the step. dt: s, the step.
-        distance: (B,) m, true tool to goal. reached: (B,) a goal ended, and was reached.
+        distance: (B,) true distance to the goal, in the task's unit. reached: (B,) a goal ended, and was reached.
         q_target: (B, n) rad, as requested. action_change: (B, n). action_excess: (B, n) beyond the action's clip.
         manipulability: (B,) at the true angles, as `Kinematics.manipulability`.
         running, stopped: (B,) may move; was stopped in this step.
@@ -38,7 +38,7 @@ class Step:
 
 
 class Limits:
-    """The working range, as rewards see it."""
+    """Working range of the joints, for rewards."""
 
     def __init__(self, spec: RobotSpec, near_share: float) -> None:
         """Centre and half width of every joint's range."""
@@ -50,12 +50,12 @@ class Limits:
         return np.maximum(np.abs(q - self._centre) - self._half, 0.0)
 
     def near(self, q: Floats) -> Bools:
-        """(B, n) whether a joint is beyond the near share of its range."""
+        """(B, n) joints beyond the near share of their range."""
         return np.abs(q - self._centre) > self._near * self._half
 
 
 def reward(step: Step, limits: Limits, w: Reward) -> tuple[Floats, Bools]:
-    """(B,) the reward proper, and (B,) whether a joint left its range, which ends the episode."""
+    """Return (B,) the reward without shaping and (B,) robots with a joint out of range, which ends the episode."""
     broken = np.asarray((limits.beyond(step.q) > 0).any(axis=1))
     power = np.abs(step.tau * step.qd).sum(axis=1)
     jerk = np.linalg.norm(step.qdd_change, axis=1) / step.dt
@@ -64,7 +64,7 @@ def reward(step: Step, limits: Limits, w: Reward) -> tuple[Floats, Bools]:
 
 
 def shaping(step: Step, limits: Limits, w: Shaping) -> Floats:
-    """(B,) dense help."""
+    """Return (B,) the shaping reward."""
     d = step.distance
     closeness = (
         (1 - np.tanh(d / w.far_m)) + (1 - np.tanh(d / w.near_m)) + w.here * np.exp(-((d / w.here_m) ** 2))
