@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import onnx
@@ -15,12 +16,14 @@ pytest.importorskip("mujoco")
 from onnx import helper
 
 from deploy.policy.contract import CONTRACT_KEY
+from policies.doctor import check_context
 from policies.doctor import cli as checking
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Verdict
 from policies.doctor.checklist import CHECKS, run_check, run_checks
 from policies.doctor.simulation import joint_order
 from policies.doctor.simulation.heat_extrapolation import HeatLoad, winding_temperature
+from policies.doctor.simulation.simulated_run import run_simulation
 from robots.motors.motor import MotorHeat, temperatures
 from robots.spec import load_robot
 from support.arm6 import SPEC
@@ -62,6 +65,12 @@ def double(shipped_policy, tmp_path_factory):
 def nervous(shipped_policy, tmp_path_factory):
     """Six times as loud: a wrong scale inside the network, or too little of a price on its actions in training."""
     return CheckContext(ailing(shipped_policy, tmp_path_factory.mktemp("nervous"), graph=louder(6.0)))
+
+
+@pytest.fixture
+def brief(monkeypatch):
+    """Simulate 1 s instead of 12 s, for tests of what the first steps already show."""
+    monkeypatch.setattr(check_context, "run_simulation", partial(run_simulation, seconds=1.0))
 
 
 def unobserved(data):
@@ -165,7 +174,7 @@ def test_actions_of_the_other_sign_miss_every_goal(sick):
 # ---- activation ----
 
 
-def test_a_default_pose_that_is_not_home_jumps_at_activation(sick):
+def test_a_default_pose_that_is_not_home_jumps_at_activation(sick, brief):
     def elsewhere(data):
         offset = [0.0, -1.0, 1.0, -1.5, -1.5, 0.0]
         data["action"].update(mode="position", offset=offset, leash_rad=None, scale=[0.05] * 6)
@@ -287,7 +296,7 @@ def test_a_policy_of_quite_another_robot_gets_all_its_rows(tmp_path, trained_on,
     assert f"found gains of {len(contract.joint_names)} joints, expected {case.spec.n}" in found["gains"].text
 
 
-def test_a_robot_that_walks_is_looked_at_as_well(tmp_path):
+def test_a_robot_that_walks_is_looked_at_as_well(tmp_path, brief):
     """A policy that only stands: it hears nothing, asks for nothing, and falls or not by its springs alone."""
     contract = walking_contract()
     w = np.zeros((contract.observation_size, contract.action_size), np.float32)
@@ -337,7 +346,7 @@ def test_a_robot_that_nothing_can_be_lived_with_has_one_row_that_says_why(sick, 
         )
 
 
-def test_a_policy_that_says_no_number_never_comes_under_way(sick):
+def test_a_policy_that_says_no_number_never_comes_under_way(sick, brief):
     nan = answering(
         helper.make_node("Sub", ["said", "said"], ["none"]),
         helper.make_node("Div", ["none", "none"], ["action"]),
@@ -351,7 +360,7 @@ def test_a_policy_that_says_no_number_never_comes_under_way(sick):
     assert "a robot did not start: a number is not finite" in found.text
 
 
-def test_a_scale_so_small_that_readings_overflow_is_not_lived_with(sick):
+def test_a_scale_so_small_that_readings_overflow_is_not_lived_with(sick, brief):
     def tiny(data):
         data["observation"][0]["scale"] = [1e-300] * 6
 
