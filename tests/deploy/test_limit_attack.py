@@ -39,7 +39,7 @@ def hostile(runtime, ticks, seed=0):
     )
 
 
-def test_no_policy_can_hurt_the_arm():
+def test_hostile_policy_stays_within_all_limits():
     """Ten seconds of sixteen drawn robots. Truth stays inside what only the model was asked about."""
     sent, modes, reasons, (q, tau, collision, tool) = hostile(running(16), 2000)
     assert_within_limits(sent)
@@ -59,7 +59,7 @@ def test_no_policy_can_hurt_the_arm():
     assert 0.3 < (modes == Mode.RUNNING).mean() < 0.95
 
 
-def test_without_safety_the_same_policy_does_hurt_it():
+def test_hostile_policy_without_safety_breaks_limits():
     """Or the test above would prove nothing. What feels that a motor works against something is numb too."""
     runtime = running(16)
     judged = runtime.safety.step

@@ -93,7 +93,7 @@ def test_act_policy_sense_is_tick():
         assert_same(shipped, trained)
 
 
-def test_the_policy_is_asked_at_its_own_rate():
+def test_policy_steps_at_its_own_rate():
     runtime, asked = running(), []
     for _ in range(40):
         asked.append(runtime.sense() is not None)
@@ -118,7 +118,7 @@ def test_threads_do_not_change_a_bit():
     assert_same(one, two)
 
 
-def test_a_robot_alone_goes_the_way_it_goes_in_a_group():
+def test_robot_alone_equals_the_same_robot_in_a_group():
     group = running(4)
     together, _ = play(group, 400)
     for robot in (0, 3):
@@ -126,7 +126,7 @@ def test_a_robot_alone_goes_the_way_it_goes_in_a_group():
         np.testing.assert_allclose(alone[:, 0], together[:, robot], rtol=0, atol=1e-6)
 
 
-def test_neither_a_broken_policy_nor_a_stopped_robot_disturbs_its_neighbours():
+def test_broken_policy_and_stopped_robot_affect_no_other_robot():
     clean, broken = running(4), running(4)
     poison = Wandering(clean.contract)
 
@@ -170,7 +170,7 @@ def test_saved_and_restored_goes_on_bit_for_bit(at):
         assert_same(one, other)
 
 
-def test_without_the_prepared_stop_a_restored_runtime_would_stop_elsewhere():
+def test_prepared_stop_is_part_of_the_saved_state():
     """Why `save` needs the prepared stop: refused in its first tick, the robot takes the stop of the tick before."""
     one, other = running(2), running(2)
     play(one, 60)
@@ -190,7 +190,7 @@ def test_without_the_prepared_stop_a_restored_runtime_would_stop_elsewhere():
     assert (one.command.q != other.command.q).any()
 
 
-def test_an_arm_with_gains_of_its_policy_is_judged_where_it_is_sent():
+def test_arm_with_policy_gains_is_checked_at_its_setpoint():
     """Down to the edge of its workspace: the guards of a walker, which look where joints are, would stop it above."""
     soft = arm_contract().action.model_copy(update={"kp": (2000.0,) * N, "kd": (100.0,) * N})
     policy = Saying(8)
@@ -205,7 +205,7 @@ def test_an_arm_with_gains_of_its_policy_is_judged_where_it_is_sent():
     assert SPEC.workspace.z_min <= np.min(heights) < SPEC.workspace.z_min + 0.02
 
 
-def test_drives_that_have_other_gains_than_the_contract_are_refused():
+def test_drive_gains_other_than_the_contract_are_refused():
     seeds = [robot_seed(5, 0)]
     soft = arm_contract().action.model_copy(update={"kp": (400.0,) * N, "kd": (40.0,) * N})
     with pytest.raises(RuntimeError, match="other gains than the policy's contract"):

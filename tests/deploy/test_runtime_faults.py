@@ -14,7 +14,7 @@ N, DT = SPEC.n, SPEC.dt
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_policy_that_says_nan_stops_its_robot(bad):
+def test_policy_output_of_nan_stops_its_robot(bad):
     robots, policy = 3, Saying(3)
     runtime = running(robots, policy=policy)
     policy.action[:] = np.random.default_rng(0).uniform(-1, 1, (robots, N))
@@ -34,7 +34,7 @@ def test_a_policy_that_says_nan_stops_its_robot(bad):
     assert (play(runtime, 100)[1][:, 1] == Mode.LATCHED).all()
 
 
-def test_an_operators_stop_is_controlled_latches_and_is_taken_back_by_arming():
+def test_operator_stop_is_controlled_and_latches_until_arming():
     runtime = running(3)
     before, _ = play(runtime, 60)
     runtime.stop(Reason.OPERATOR)
@@ -86,13 +86,13 @@ def reasons_of(runtime, robot, ticks):
     return np.array(q), np.array(modes), reasons
 
 
-def test_few_missing_packets_are_ridden_through():
+def test_few_missing_packets_cause_no_stop():
     _, modes, reasons = reasons_of(failing(Failure.OFF, 3), 1, 150)
     assert (modes == Mode.RUNNING).all()
     assert not any(reasons)
 
 
-def test_a_burst_of_losses_makes_it_hold_and_go_on():
+def test_burst_of_losses_causes_a_hold_and_recovery():
     runtime = failing(Failure.OFF, 15)
     q, modes, reasons = reasons_of(runtime, 1, 300)
     first = next(i for i, reason in enumerate(reasons) if reason) + runtime.ticks - 300 - BEGINS
@@ -105,7 +105,7 @@ def test_a_burst_of_losses_makes_it_hold_and_go_on():
     assert_within_limits(q)
 
 
-def test_silence_latches_after_a_stop_on_the_planned_way():
+def test_silence_latches_after_a_planned_stop():
     runtime = failing(Failure.OFF, 300)
     q, modes, reasons = reasons_of(runtime, 1, 250)
     first = (
@@ -123,7 +123,7 @@ def test_silence_latches_after_a_stop_on_the_planned_way():
     assert (play(runtime, 40)[1] == Mode.RUNNING).any(axis=0).all()
 
 
-def test_one_channel_that_says_nan_is_an_encoder_that_is_silent():
+def test_encoder_channel_of_nan_counts_as_silent():
     runtime = failing(Failure.OFF, 300, channel=3)
     q, modes, reasons = reasons_of(runtime, 1, 250)
     assert any(Reason.LOST in reason for reason in reasons)
@@ -144,7 +144,7 @@ STOPS = {
 
 
 @pytest.mark.parametrize("what", Failure)
-def test_every_failure_of_an_encoder_stops_the_robot_before_it_errs(what):
+def test_every_encoder_fault_stops_the_robot_within_limits(what):
     """And no other robot; until then the estimate stays near the truth."""
     runtime = failing(what, 400)
     q, modes, reasons, errors = [], [], Reason.NONE, []
@@ -164,7 +164,7 @@ def test_every_failure_of_an_encoder_stops_the_robot_before_it_errs(what):
 
 @pytest.mark.parametrize("sensor", ["current", "temperature", "force", "goal"])
 @pytest.mark.parametrize("what", Failure)
-def test_no_failure_of_another_sensor_breaks_a_limit(sensor, what):
+def test_faults_of_other_sensors_break_no_limit(sensor, what):
     """Whether it stops or not: commands stay finite and within the limits, and the neighbour does not notice."""
     runtime, clean = failing(what, 300, sensor=sensor), running(2)
     q, _ = play(runtime, 200)
@@ -173,7 +173,7 @@ def test_no_failure_of_another_sensor_breaks_a_limit(sensor, what):
     np.testing.assert_array_equal(q[:, 0], play(clean, 200)[0][:, 0])
 
 
-def test_a_camera_that_says_no_more_leaves_the_robot_where_it_is():
+def test_lost_goal_is_replaced_by_the_tool_position():
     runtime = failing("off", 10_000, sensor="goal")
     play(runtime, round((UNSEEN_S + 0.5) / SPEC.dt))
     away = np.linalg.norm(runtime.task.seen - runtime.tool.position, axis=1)
@@ -181,7 +181,7 @@ def test_a_camera_that_says_no_more_leaves_the_robot_where_it_is():
     assert away[1] == 0.0
 
 
-def test_no_plan_at_all_cuts_power_and_sends_no_nan(monkeypatch):
+def test_missing_plan_cuts_power_and_sends_no_nan(monkeypatch):
     runtime = running(3)
     play(runtime, 40)
     smoother, here = runtime.smoother, runtime.command.q[1].copy()
@@ -251,7 +251,7 @@ def test_a_setpoint_without_a_plan_is_never_sent(stopping_for, monkeypatch):
     assert (modes[-1, [0, 2]] == Mode.LATCHED).all() == bool(stopping_for)
 
 
-def test_even_blind_checks_let_no_nan_through(monkeypatch):
+def test_nan_is_refused_even_by_disabled_checks(monkeypatch):
     """The last barrier before the bus asks nobody."""
     runtime = running(3)
     play(runtime, 40)
@@ -276,7 +276,7 @@ def test_even_blind_checks_let_no_nan_through(monkeypatch):
     assert runtime.robot.truth().valid.all()
 
 
-def test_what_is_judged_is_the_stop_that_would_begin_at_the_setpoint(monkeypatch):
+def test_checked_stop_begins_at_the_setpoint(monkeypatch):
     """Its first step, a pose in its midst, and where it ends."""
     runtime, asked = running(2), []
     judged = runtime.safety.step

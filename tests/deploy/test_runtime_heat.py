@@ -16,7 +16,7 @@ from support.runtimes import Saying, heard
 N, DT = SPEC.n, SPEC.dt
 
 
-def test_a_pace_that_falls_by_a_step_while_a_robot_brakes_leaves_it_inside_its_range():
+def test_step_in_pace_during_braking_keeps_the_range():
     """From full speed towards the end of the working range, at any moment of the braking."""
     room = SPEC.margins.q_target_rad - SPEC.margins.q_soft_rad
     home, still = SPEC.joint_array("q_home")[None], np.zeros(40, dtype=bool)
@@ -32,7 +32,7 @@ def test_a_pace_that_falls_by_a_step_while_a_robot_brakes_leaves_it_inside_its_r
     np.testing.assert_allclose(smoother.q, target, atol=1e-6)
 
 
-def test_a_slower_pace_is_kept_and_a_stop_has_all_of_its_limits():
+def test_reduced_pace_is_respected_and_stops_use_full_limits():
     """Differences of what was sent, at half the pace; the stop in between is as quick as ever."""
     smoother, whole = Smoother(SPEC, 2), Smoother(SPEC, 2)
     home = np.tile(SPEC.joint_array("q_home"), (2, 1))
@@ -81,7 +81,7 @@ def lived(spec, seconds):
     return np.array(hottest), runtime
 
 
-def test_no_winding_passes_its_hard_limit_under_the_guard(tmp_path):
+def test_foldback_keeps_windings_below_their_hard_limit(tmp_path):
     """It passes it without: the same arm, whose robot.toml says that its windings stand 300 °C."""
     unguarded, _ = lived(hot_arm(tmp_path / "off", winding_max_c=300.0, winding_soft_c=250.0), 40.0)
     assert unguarded.max() > HARD[0] + 10
@@ -93,7 +93,7 @@ def test_no_winding_passes_its_hard_limit_under_the_guard(tmp_path):
     np.testing.assert_allclose(runtime.state.winding.max(), hottest[-1], atol=8)
 
 
-def test_a_robot_that_stops_has_all_of_its_current(tmp_path):
+def test_stopping_robot_has_its_full_current(tmp_path):
     """The stop was checked with it; a robot at work keeps to its share."""
     spec = hot_arm(tmp_path)
     backend = pytest.importorskip("deploy.backends.sim.backend")

@@ -72,7 +72,7 @@ def sway(tick):
     return 0.1 * np.sin(2 * np.pi * (0.5 * tick * DT + np.arange(12) / 12))
 
 
-def test_it_hangs_until_it_is_armed_and_then_stands():
+def test_robot_hangs_until_armed_and_then_stands():
     runtime = walker(3)
     live(runtime, round(ARM_S / DT))
     base = runtime.robot.truth().base
@@ -88,7 +88,7 @@ def test_it_hangs_until_it_is_armed_and_then_stands():
     assert (runtime.robot.truth().contact_n > 10.0).all()
 
 
-def test_it_hangs_where_it_will_stand_wherever_its_model_holds_it(tmp_path):
+def test_robot_hangs_where_it_will_stand(tmp_path):
     """Half a metre too high in model.xml: no gantry pulls it down while its orientation is first measured."""
     folder = shutil.copytree(QUADRUPED.folder, tmp_path / "quadruped")
     text = (folder / "model.xml").read_text()
@@ -104,7 +104,7 @@ def test_it_hangs_where_it_will_stand_wherever_its_model_holds_it(tmp_path):
     assert not runtime.arm(np.ones(1, dtype=bool)).any()
 
 
-def test_it_feels_what_its_base_does():
+def test_base_sensors_follow_the_base():
     runtime = standing(4)
     base = runtime.robot.truth().base
     for tick in range(0, 400, 4):
@@ -120,7 +120,7 @@ def test_it_feels_what_its_base_does():
     assert runtime.state.base.age.max() < 0.02
 
 
-def test_the_phase_of_the_gait_begins_when_it_is_armed():
+def test_gait_phase_starts_at_arming():
     runtime = standing(2)
     observation = live(runtime, 1)
     t = (runtime.since - 1) * DT
@@ -130,7 +130,7 @@ def test_the_phase_of_the_gait_begins_when_it_is_armed():
     )
 
 
-def test_the_drives_have_the_gains_of_the_contract_and_are_told_angles_alone():
+def test_drives_have_the_contract_gains_and_get_positions_only():
     runtime = standing(2)
     live(runtime, 100, sway(30))
     assert not runtime.command.qd.any()
@@ -142,7 +142,7 @@ def test_the_drives_have_the_gains_of_the_contract_and_are_told_angles_alone():
     np.testing.assert_allclose(runtime.verdict.tau, law, atol=10.0)  # of nominal gains and believed angles
 
 
-def test_brakes_are_as_stiff_as_they_are_whatever_the_policy_brings():
+def test_brake_stiffness_does_not_depend_on_the_policy_gains():
     """Or a robot that has lost its power would hang in its policy's springs."""
     action = walking_contract().action.model_copy(update={"kp": (90.0,) * 12, "kd": (3.0,) * 12})
     drives = (runtime := walker(2, contract=walking_contract(action=action))).robot.plant.drives
@@ -164,14 +164,14 @@ def test_brakes_are_as_stiff_as_they_are_whatever_the_policy_brings():
     assert (drives.gains[0][0] != own[0][0]).all()
 
 
-def test_springs_give_no_more_than_a_drive_has():
+def test_drive_springs_are_limited_to_the_drive_torque():
     runtime = standing(1)
     springs, q = SpringDrives(QUADRUPED, runtime.contract.action.gains), STAND + 2.0
     tau = springs.torque(runtime.state, np.tile(q, (2, 1)), np.zeros((2, 12)), np.zeros((2, 12)))
     np.testing.assert_array_equal(tau, np.full((2, 12), 40.0))
 
 
-def test_a_robot_is_the_same_alone_and_in_company():
+def test_robot_alone_equals_the_same_robot_in_a_group():
     three, alone = standing(3), standing(1)
     for tick in range(60):
         live(three, 1, sway(tick))
@@ -179,7 +179,7 @@ def test_a_robot_is_the_same_alone_and_in_company():
     np.testing.assert_array_equal(bits(three)[:1], bits(alone))
 
 
-def test_saved_and_restored_it_goes_on_bit_for_bit():
+def test_saved_and_restored_goes_on_bit_for_bit():
     one = standing(2)
     live(one, 50, sway(0))
     kept, body = one.save(), one.robot.save()
@@ -191,7 +191,7 @@ def test_saved_and_restored_it_goes_on_bit_for_bit():
     np.testing.assert_array_equal(bits(other), bits(one))
 
 
-def test_who_falls_stops_for_good():
+def test_fall_latches_the_supervisor():
     runtime = standing(2)
     legs = np.zeros((2, 12))
     legs[1, FRONT_HIPS], legs[1, REAR_KNEES] = 1.0, 1.0
@@ -249,7 +249,7 @@ def test_commands_are_counted_as_followed():
     assert runtime.task.reached.tolist() == [1, 1]
 
 
-def test_a_contract_must_be_of_a_robot_that_walks():
+def test_velocity_contract_needs_a_walking_robot():
     standing_still = TERMS[0].model_copy(
         update={"name": "tool", "source": "tool_position", "frame": "world", "unit": "m"}
     )
@@ -262,13 +262,13 @@ def test_a_contract_must_be_of_a_robot_that_walks():
     check_contract(walking_contract(), QUADRUPED, "walk.onnx")
 
 
-def test_a_policy_without_gains_is_fed_forward():
+def test_policy_without_gains_gets_feed_forward():
     action = ActionSpec(mode="position", size=12, offset=tuple(STAND), scale=(1.0,) * 12, clip=(-1.0, 1.0))
     runtime = walker(1, contract=walking_contract(action=action))
     assert runtime.springs is None
 
 
-def test_feet_are_seen_from_the_base():
+def test_feet_are_measured_in_the_base_frame():
     rng, robots, step = np.random.default_rng(0), 3, 1e-6
     fleet = Fleet(QUADRUPED, robots)
     q, qd = STAND + rng.uniform(-0.3, 0.3, (robots, 12)), rng.normal(size=(robots, 12))
@@ -290,7 +290,7 @@ def judged(runtime, ticks, action=None):
     return judge.counts()
 
 
-def test_the_judge_sees_who_falls_and_who_does_as_told():
+def test_judge_counts_falls_and_followed_commands():
     runtime = standing(2)
     period = round(QUADRUPED.base.command_s / DT)
     runtime.task.elapsed[:], runtime.task.attempted[:] = 0, 0
@@ -313,7 +313,7 @@ def test_the_judge_sees_who_falls_and_who_does_as_told():
 
 
 @pytest.mark.parametrize("guarded", [True, False])
-def test_the_judge_notices_that_nobody_minds_a_fall(guarded):
+def test_judge_detects_a_missing_fall_guard(guarded):
     """The mutant of FALLEN, which the arm of `make mutants` cannot have."""
     runtime = standing(2)
     if not guarded:
@@ -330,7 +330,7 @@ def test_the_judge_notices_that_nobody_minds_a_fall(guarded):
 
 
 @pytest.mark.parametrize("asked", [[0.0, 0.6, 0.0], [0.0, 0.0, 0.6]])
-def test_who_does_something_else_than_asked_for_reaches_nothing(asked):
+def test_motion_other_than_commanded_is_not_counted(asked):
     runtime = standing(1)
     period = round(QUADRUPED.base.command_s / DT)
     runtime.task.elapsed[:], runtime.task.attempted[:], runtime.task.reached[:] = 0, 0, 0
@@ -342,7 +342,7 @@ def test_who_does_something_else_than_asked_for_reaches_nothing(asked):
     assert counts.reached.tolist() == runtime.task.reached.tolist() == [0]
 
 
-def test_the_judge_knows_how_fast_a_base_turns():
+def test_judge_measures_the_angular_velocity_of_the_base():
     """About what is up in the world, however it leans."""
     rng = np.random.default_rng(2)
     quat, turning = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
@@ -352,7 +352,7 @@ def test_the_judge_knows_how_fast_a_base_turns():
     np.testing.assert_allclose(velocity[:, 2], matvec(matrix(quat), turning)[:, 2], atol=1e-12)
 
 
-def test_the_judge_knows_how_far_a_base_leans_off_gravity():
+def test_judge_measures_the_base_tilt():
     rng = np.random.default_rng(2)
     quat, up = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
@@ -376,14 +376,14 @@ def test_the_judge_knows_how_far_a_base_leans_off_gravity():
         ),
     ],
 )
-def test_what_a_base_needs_is_said(tmp_path, changes, message):
+def test_missing_needs_of_a_base_are_named(tmp_path, changes, message):
     text = (('unit = "rad/s"\nsites = ["imu"]', 'unit = "N*m"\nsites = ["imu"]'),)
     torque = any("torque" in new for _, new in changes)
     with pytest.raises(RobotError, match=message):
         load_robot(changed(tmp_path, *changes, *(text if torque else ())))
 
 
-def test_a_base_and_a_free_joint_belong_together(tmp_path):
+def test_base_requires_a_free_joint_and_vice_versa(tmp_path):
     spec = load_robot(changed(tmp_path, ("      <freejoint/>\n", ""), file="model.xml"))
     with pytest.raises(RobotError, match=r"model\.xml: found no free joint at the root, expected one"):
         load_pinocchio(spec)
@@ -406,7 +406,7 @@ def crossed(spec):
     return touched
 
 
-def test_feet_that_may_touch_are_no_collision(tmp_path):
+def test_allowed_foot_contact_is_no_collision(tmp_path):
     assert crossed(QUADRUPED)
     may = ("foot_m = 0.01", f"foot_m = 0.01\nmay_touch = [[{FORELEGS}]]")
     brushing = load_robot(changed(tmp_path, may))
@@ -419,13 +419,13 @@ def test_feet_that_may_touch_are_no_collision(tmp_path):
         assert kinematics.colliding.tolist() == [hits]
 
 
-def test_who_may_touch_must_be_there(tmp_path):
+def test_allowed_contacts_must_exist(tmp_path):
     may = ("foot_m = 0.01", f"foot_m = 0.01\nmay_touch = [[{FORELEGS.replace('left_shin', 'paw')}]]")
     with pytest.raises(RobotError, match=r"base\.may_touch: found 'front_paw', expected bodies of the model"):
         simulate(load_robot(changed(tmp_path, may)), walking_contract(), [robot_seed(3, 0)])
 
 
-def test_a_foot_that_is_not_there_is_said(tmp_path):
+def test_missing_foot_is_named(tmp_path):
     spec = load_robot(changed(tmp_path, ('feet = ["front_left",', 'feet = ["paw",')))
     with pytest.raises(RobotError, match=r"no site or body named 'paw', which robot\.toml calls a foot"):
         load_pinocchio(spec)

@@ -21,7 +21,7 @@ KINDS = {
 }
 
 
-def test_each_kind_of_file_is_what_it_says_and_its_contract_fits(tmp_path):
+def test_each_file_kind_is_recognized_and_fits_its_contract(tmp_path):
     files = command.write_files(tmp_path, SPEC, layers=(16, 8))
     found = {}
     for kind, (path, network) in files.items():
@@ -33,7 +33,7 @@ def test_each_kind_of_file_is_what_it_says_and_its_contract_fits(tmp_path):
     assert found == KINDS
 
 
-def test_loading_says_how_long_it_took(arm_policy, capsys):
+def test_loading_time_is_printed(arm_policy, capsys):
     command.loads(SPEC, arm_policy)
     assert ": loaded and verified in 0." in capsys.readouterr().out
 

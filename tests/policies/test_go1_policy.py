@@ -35,14 +35,14 @@ shipped = pytest.mark.skipif(MJLAB is None, reason="mjlab, which ships the Go1, 
 ROBOTS, WALKED_S, STEPS = 2, 30.0, 40
 
 
-def test_its_template_knows_its_ends(tmp_path):
+def test_template_has_the_input_and_output_sizes(tmp_path):
     """tf2onnx names operators that it does not use, and a batch of one."""
     facts, still_open = write_template(PUBLISHED, tmp_path / "contract.toml")
     assert (facts.kind, facts.observations, facts.actions) == ("ONNX", 48, 12)
     assert still_open > 10
 
 
-def test_it_says_the_same_on_another_quadruped(tmp_path):
+def test_policy_computes_the_same_on_another_quadruped(tmp_path):
     """Its joints stand in another order there."""
     document = tomlkit.parse((FOLDER / "contract.toml").read_text())
     document["robot"] = QUADRUPED.name
@@ -86,7 +86,7 @@ def go1(tmp_path_factory):
 
 
 @shipped
-def test_it_walks_through_the_whole_stack(go1):
+def test_robot_walks_with_the_whole_stack(go1):
     spec, seeds = load_robot(go1), [robot_seed(7, robot) for robot in range(ROBOTS)]
     given = median_draw(load_distributions(spec), spec, ROBOTS)
     trial = Trial(spec, go1 / "walk.onnx", seeds, given=given)
@@ -100,7 +100,7 @@ def test_it_walks_through_the_whole_stack(go1):
 
 
 @shipped
-def test_the_doctor_finds_what_its_training_left_out_and_nothing_else(go1):
+def test_doctor_finds_the_untrained_delay_only(go1):
     """It was trained on drives that obey at once: 20 ms cost it goals."""
     findings = list(run_checks(CheckContext(go1 / "walk.onnx", go1)))
     said = {finding.check: finding for finding in findings}

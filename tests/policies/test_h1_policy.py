@@ -38,7 +38,7 @@ def h1(tmp_path_factory):
     return folder
 
 
-def test_it_walks_for_a_minute_through_the_whole_stack(h1):
+def test_robot_walks_for_a_minute_with_the_whole_stack(h1):
     spec, seeds = load_robot(h1), [robot_seed(7, robot) for robot in range(ROBOTS)]
     given = median_draw(load_distributions(spec), spec, ROBOTS)
     trial = Trial(spec, h1 / "walk.onnx", seeds, given=given)
@@ -52,7 +52,7 @@ def test_it_walks_for_a_minute_through_the_whole_stack(h1):
     assert counts.reached.sum() >= counts.attempted.sum() - ROBOTS  # the first begins at rest
 
 
-def test_the_doctor_finds_nothing_that_speaks_against_it(h1):
+def test_doctor_finds_nothing_wrong(h1):
     findings = list(run_checks(CheckContext(h1 / "walk.onnx", h1)))
     assert [finding.text for finding in findings if finding.verdict is Verdict.FAIL] == []
     said = {finding.check: finding.verdict for finding in findings}

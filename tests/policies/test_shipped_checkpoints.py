@@ -36,7 +36,7 @@ def test_a_shipped_checkpoint_exports_and_loads(path, tmp_path):
 
 
 @pytest.mark.parametrize("path", CHECKPOINTS, ids=lambda path: path.stem)
-def test_a_shipped_checkpoint_does_its_work(path, tmp_path):
+def test_shipped_checkpoint_reaches_its_goals(path, tmp_path):
     """Three goals each for one shard of robots that it never saw; what it is worth says a soak."""
     policy = export(path, tmp_path / "policy.onnx").path
     job = ShardJob(

@@ -95,7 +95,7 @@ def test_no_robot_is_the_nominal_one():
         assert not np.isin([0.0, 1.0], values).any(), name
 
 
-def test_inside_and_filling_their_spans():
+def test_draws_fill_their_spans():
     d = drawn(3, range(2000))
     for name, (_, span) in QUANTITIES.items():
         values = np.sort(d[name].ravel())
@@ -143,7 +143,7 @@ def test_a_stored_draw_is_the_same_robots(tmp_path):
         ({"climate.ambient_c": []}, ["climate.ambient_c", "found shape (0,)"]),
     ],
 )
-def test_a_stored_draw_that_no_robot_can_be_is_refused(tmp_path, change, words):
+def test_implausible_stored_draw_is_refused(tmp_path, change, words):
     path, data = tmp_path / "draw.json", json.loads(drawn(5, range(2)).to_json(5, DISTRIBUTIONS, SPEC))
     numbers = {name: values for name, values in (data["draw"] | change).items() if values is not None}
     data |= {name: value for name, value in change.items() if name in data}
@@ -155,7 +155,7 @@ def test_a_stored_draw_that_no_robot_can_be_is_refused(tmp_path, change, words):
 
 
 @pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 50_000])
-def test_a_stored_draw_that_is_no_draw_is_refused(tmp_path, text):
+def test_malformed_stored_draw_is_refused(tmp_path, text):
     path = tmp_path / "draw.json"
     path.write_text(text)
     with pytest.raises(ConfigError, match=re.escape(str(path))):
@@ -227,7 +227,7 @@ def test_missing_draws_file(tmp_path):
         load_distributions(load_robot(folder))
 
 
-def test_streams_of_keys_do_not_meet():
+def test_streams_of_keys_do_not_overlap():
     """Other robot, purpose or counter: other numbers; same: same."""
     seeds = [robot_seed(1, robot) for robot in range(3)]
     numbers = {}

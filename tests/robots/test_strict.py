@@ -28,7 +28,7 @@ def read(tmp_path, text, error=ConfigError):
     return read_toml(path, Animal, error)
 
 
-def test_reads_what_is_right(tmp_path):
+def test_valid_file_is_read(tmp_path):
     animal = read(tmp_path, GOOD + "places = [3, 4.5]\n[parts.tail]\nlength = 1")
     assert [leg.length for leg in animal.legs] == [1.5, 2.0]
     assert (animal.eyes, animal.places, animal.parts["tail"].length) == (2, (3.0, 4.5), 1.0)
@@ -63,7 +63,7 @@ def test_reads_what_is_right(tmp_path):
         (b"\xff\xfe", ["not valid TOML"]),
     ],
 )
-def test_says_what_is_wrong(tmp_path, text, words):
+def test_errors_name_the_field_and_value(tmp_path, text, words):
     with pytest.raises(ConfigError) as caught:
         read(tmp_path, text)
     message = str(caught.value)
@@ -92,7 +92,7 @@ def test_missing_file_and_folder_in_its_place(tmp_path):
             read_toml(path, Animal, RobotError)
 
 
-def test_raises_the_class_that_was_asked_for(tmp_path):
+def test_requested_error_class_is_raised(tmp_path):
     assert issubclass(RobotError, FirstshiftError)
     with pytest.raises(RobotError):
         read(tmp_path, "eyes = 0", RobotError)
@@ -117,7 +117,7 @@ def test_a_long_key_is_shortened(tmp_path):
     assert len(str(caught.value)) < len(str(tmp_path)) + 200
 
 
-def test_an_error_upsets_no_terminal(tmp_path, capsys):
+def test_errors_contain_no_control_characters(tmp_path, capsys):
     def command():
         read(tmp_path, GOOD + '"\\u001b[2J" = 2\neyes2 = 3')
 

@@ -27,7 +27,7 @@ def assert_same(one, other):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
 
 
-def test_feet_and_gravity_say_nothing_about_yaw():
+def test_yaw_is_unobservable_from_feet_and_gravity():
     """Who knows less of it goes on knowing exactly as much less, and of all the rest the same."""
     base, stream = settled()
     other, less = settled()[0], np.zeros((12, 12))
@@ -41,7 +41,7 @@ def test_feet_and_gravity_say_nothing_about_yaw():
     assert not state.diverged.any()
 
 
-def test_yaw_is_less_and_less_known():
+def test_yaw_variance_grows():
     base, stream = settled()
     before = base.P[:, 2, 2].copy()
     for packets in stream:
@@ -49,7 +49,7 @@ def test_yaw_is_less_and_less_known():
     assert (base.P[:, 2, 2] > before + 0.99 * len(stream) * DT * NOISE.gyro**2).all()
 
 
-def test_nothing_but_the_heading_depends_on_where_north_is():
+def test_only_the_heading_depends_on_the_initial_yaw():
     base, stream = settled()
     other, turn = settled()[0], Rotation.from_rotvec([0, 0, 2.0])
     other.quat_wxyz[:] = (turn * Rotation.from_quat(other.quat_wxyz, scalar_first=True)).as_quat(
@@ -91,7 +91,7 @@ def test_saved_and_restored_goes_on_bit_for_bit():
         np.testing.assert_array_equal(getattr(state, name), getattr(expected, name))
 
 
-def test_a_look_at_now_leaves_the_belief_alone():
+def test_prediction_to_now_leaves_the_filter_state_unchanged():
     base, stream = settled()
     other = settled()[0]
     t, imu, feet = stream[0]
@@ -120,7 +120,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_a_bad_packet_is_a_packet_that_never_came(kind):
+def test_bad_packets_are_ignored(kind):
     base, stream = settled()
     clean = settled()[0]
     for tick, (t, imu, feet) in enumerate(stream):
@@ -136,7 +136,7 @@ def test_a_bad_packet_is_a_packet_that_never_came(kind):
         assert_same(state, expected)
 
 
-def test_a_foot_of_nan_is_a_foot_in_the_air():
+def test_foot_position_of_nan_counts_as_no_contact():
     base, stream = settled()
     clean = settled()[0]
     for t, imu, feet in stream:
@@ -149,7 +149,7 @@ def test_a_foot_of_nan_is_a_foot_in_the_air():
         assert_same(state, expected)
 
 
-def test_a_foot_that_slips_grossly_changes_nothing():
+def test_grossly_slipping_foot_is_gated_out():
     base, stream = settled()
     clean = settled()[0]
     for t, imu, feet in stream:
@@ -164,11 +164,11 @@ def test_a_foot_that_slips_grossly_changes_nothing():
         assert not state.diverged.any()
 
 
-def test_the_gate_refuses_one_good_foot_of_a_thousand():
+def test_gate_rejects_one_good_foot_in_a_thousand():
     assert stats.chi2.sf(GATE, 3) == pytest.approx(1e-3, rel=0.01)
 
 
-def test_silence_is_told_by_age_and_the_packet_after_it_knows_less():
+def test_age_grows_without_packets_and_covariance_with_it():
     base, stream = settled()
     ages, variances = [], []
     for tick, (t, imu, feet) in enumerate(stream[:60]):
@@ -185,7 +185,7 @@ def test_silence_is_told_by_age_and_the_packet_after_it_knows_less():
     assert (variances[51][:, 3:6] < 0.5 * variances[50][:, 3:6]).all()
 
 
-def test_a_gap_is_integrated():
+def test_gap_between_packets_is_integrated():
     """A known turn and push while nobody listened: both ends of the gap tell."""
     base = base_filter(1)
     feet = Feet(
@@ -201,7 +201,7 @@ def test_a_gap_is_integrated():
     np.testing.assert_allclose(state.velocity_in_base, [[0.05, 0, 0]], atol=1e-12)
 
 
-def test_an_accelerometer_that_says_nothing_is_old_and_not_stuck():
+def test_silent_accelerometer_is_stale_and_not_stuck():
     """The gyro goes on with what it said last."""
     base, stream = settled()
     for tick, (t, imu, feet) in enumerate(stream[:40]):
@@ -215,7 +215,7 @@ def test_an_accelerometer_that_says_nothing_is_old_and_not_stuck():
 
 
 @pytest.mark.parametrize("which", ["gyro", "accelerometer"])
-def test_a_sensor_that_repeats_itself_is_stuck_and_left_out(which):
+def test_repeated_readings_are_detected_as_stuck_and_ignored(which):
     base, stream = settled()
     held = getattr(stream[4][1], which)
     for tick, (t, imu, feet) in enumerate(stream[:40]):
@@ -229,7 +229,7 @@ def test_a_sensor_that_repeats_itself_is_stuck_and_left_out(which):
     assert state.age[0] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_filter_whose_feet_all_contradict_it_has_diverged():
+def test_filter_contradicted_by_all_feet_has_diverged():
     base, stream = settled()
     told = []
     for t, imu, feet in stream[: 3 * NIS_SAMPLES]:
@@ -243,7 +243,7 @@ def test_a_filter_whose_feet_all_contradict_it_has_diverged():
 @pytest.mark.parametrize(
     ("errors", "std_max"), [([0, 1], 0.5), ([3], 2.0), ([4], 2.0), ([5], 2.0), ([2], np.inf)]
 )
-def test_a_filter_that_knows_too_little_has_diverged(errors, std_max):
+def test_filter_with_too_large_a_covariance_has_diverged(errors, std_max):
     """Of tilt, both ways together, or of speed; yaw, which nothing tells, is not asked."""
     for share in (0.99, 1.01):
         base, stream = settled()
@@ -255,7 +255,7 @@ def test_a_filter_that_knows_too_little_has_diverged(errors, std_max):
 
 
 @pytest.mark.parametrize("name", ["P", "velocity", "bias", "quat_wxyz"])
-def test_a_belief_that_is_no_number_says_so_until_it_is_reset(name):
+def test_state_with_nan_is_invalid_until_reset(name):
     base, stream = settled()
     clean = settled()[0]
     getattr(base, name)[0] = np.nan
@@ -276,7 +276,7 @@ GARBAGE = np.array([0.0, 1.0, -1e4, 9e3, 1e300, 1e-300, np.inf, -np.inf, np.nan]
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_garbage_neither_raises_nor_reaches_the_neighbour(seed):
+def test_garbage_raises_nothing_and_stays_with_its_robot(seed):
     """In packets, and in the belief itself; where the estimate is no number, it says so."""
     rng, base, clean = (
         np.random.default_rng(seed),
@@ -316,7 +316,7 @@ def test_reset_of_a_subset():
 
 @settings(max_examples=50)
 @given(up=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda up: np.linalg.norm(up) > 0.1))
-def test_gravity_seeds_the_tilt_and_nothing_else(up):
+def test_gravity_initializes_the_tilt_only(up):
     up = np.array(up) / np.linalg.norm(up)
     base = base_filter(1)
     feet = Feet(stance=np.ones((1, F), dtype=bool), position=np.ones((1, F, 3)), velocity=np.ones((1, F, 3)))
@@ -331,7 +331,7 @@ def test_gravity_seeds_the_tilt_and_nothing_else(up):
     assert base.P[0, 2, 2] == 0.0
 
 
-def test_nobody_is_seeded_in_free_fall_or_before_time_began():
+def test_no_initialization_in_free_fall_or_at_negative_time():
     base = base_filter(4)
     feet = Feet(np.zeros((4, F), dtype=bool), *np.zeros((2, 4, F, 3)))
     force = np.outer([0.1, 2.0, 1.0, 1.0], [0.0, 0.0, G])
@@ -344,7 +344,7 @@ def test_nobody_is_seeded_in_free_fall_or_before_time_began():
 
 @settings(max_examples=8)
 @given(seed=st.integers(0, 2**31), loss=st.floats(0, 0.95))
-def test_covariance_stays_that_of_something(seed, loss):
+def test_covariance_stays_symmetric_and_positive(seed, loss):
     base = base_filter(4)
     for t, imu, feet in World(seed, 4, 250).packets(loss, lag_max=2, slipping=0.1):
         state = base.step(t, imu, feet)
@@ -354,7 +354,7 @@ def test_covariance_stays_that_of_something(seed, loss):
     assert all(np.isfinite(getattr(state, name)).all() for name in FIELDS)
 
 
-def test_more_noise_is_less_certainty():
+def test_more_noise_gives_more_variance():
     stream = list(World(9, 2, 150).packets())
     quiet, loud = base_filter(2), base_filter(2, replace(NOISE, slip=2 * NOISE.slip))
     for packets in stream:
@@ -383,7 +383,7 @@ def tilt_errors(*, told, feet=False, ticks=2000):
     return leans[:, :2], base.P[:, [1, 0], [1, 0]]
 
 
-def test_who_is_told_where_up_is_needs_no_feet_for_its_tilt():
+def test_measured_gravity_direction_makes_tilt_observable_without_feet():
     alone, _ = tilt_errors(told=False)
     told, variance = tilt_errors(told=True)
     assert np.sqrt((told**2).mean()) < 0.005
@@ -391,7 +391,7 @@ def test_who_is_told_where_up_is_needs_no_feet_for_its_tilt():
     assert 0.7 < (told**2 / variance).mean() < 1.4
 
 
-def test_up_is_not_believed_where_it_cannot_be():
+def test_implausible_gravity_direction_is_rejected():
     world, base = World(7, 2, 200), base_filter(2)
     for t, imu, legs in world.packets():
         quiet = base.step(t, imu, legs)
@@ -401,7 +401,7 @@ def test_up_is_not_believed_where_it_cannot_be():
     )
 
 
-def test_who_is_told_again_and_again_that_up_is_elsewhere_is_lost():
+def test_repeatedly_contradicted_gravity_direction_is_a_divergence():
     """What it believes of up would otherwise be believed on its back."""
     world, base = World(7, 2, 200), base_filter(2)
     for t, imu, legs in world.packets():
@@ -412,7 +412,7 @@ def test_who_is_told_again_and_again_that_up_is_elsewhere_is_lost():
     assert lost == [[False, False]] * (CONTRADICTED - 1) + [[True, False]]
 
 
-def test_one_word_that_fits_takes_back_what_was_said_before():
+def test_one_consistent_gravity_direction_clears_the_count():
     world, base = World(7, 1, 200), base_filter(1)
     for t, imu, legs in world.packets():
         up = -base.step(t, imu, legs).gravity

@@ -134,7 +134,7 @@ def oracle_of(base):
     return oracle
 
 
-def test_the_errors_go_where_the_motion_takes_them():
+def test_error_propagation_equals_finite_differences():
     """F of the oracle, which the filter's is equal to, against finite differences of the motion."""
     oracle = oracle_of(settled()[0])
     gyro, force, h = oracle.gyro + 0.3, oracle.force - 1.0, 1e-6
@@ -150,7 +150,7 @@ def test_the_errors_go_where_the_motion_takes_them():
     np.testing.assert_allclose(found[:, 6:], expected[:, 6:], atol=DT**2)
 
 
-def test_the_discrete_model_is_van_loans_to_first_order():
+def test_discrete_process_noise_equals_van_loan_to_first_order():
     oracle = oracle_of(settled()[0])
     w, out = oracle.gyro - oracle.bg, oracle.R.as_matrix()
     A, L = np.zeros((12, 12)), np.zeros((12, 12))
@@ -169,7 +169,7 @@ def test_the_discrete_model_is_van_loans_to_first_order():
     np.testing.assert_allclose(Q_found, Q_exact, atol=0.03 * Q_exact.max())
 
 
-def test_believes_what_its_model_says():
+def test_consistent_with_its_own_model():
     """On robots that move as the model says, errors and innovations have the claimed size (NEES, NIS)."""
     robots, nees, nis = 200, [], []
     world = World(5, robots, 300)

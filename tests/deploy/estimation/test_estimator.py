@@ -117,7 +117,7 @@ def test_covariance_stays_positive_and_state_finite(seed, loss):
         assert (state.q_var >= 0).all()
 
 
-def test_believes_what_its_model_says():
+def test_consistent_with_its_own_model():
     """On joints that really stray as the model says, errors and innovations have the claimed size (NEES, NIS)."""
     robots, rng = 200, np.random.default_rng(5)
     estimator = Estimator(SPEC, robots)
@@ -137,7 +137,7 @@ def test_believes_what_its_model_says():
     assert state.nis.mean() == pytest.approx(1.0, abs=0.05)
 
 
-def test_first_packet_seeds_at_the_speed_that_was_sent():
+def test_first_packet_initializes_with_the_sent_velocity():
     estimator, rng = Estimator(SPEC, 2), np.random.default_rng(0)
     q = rng.normal(size=(2, N))
     for tick in range(101):
@@ -148,7 +148,7 @@ def test_first_packet_seeds_at_the_speed_that_was_sent():
 
 
 @pytest.mark.parametrize("ahead", [0.3, 0.6, 1.0])
-def test_a_stamp_a_little_ahead_is_compared_with_what_is_being_sent(ahead):
+def test_packet_stamped_slightly_ahead_is_compared_with_the_current_setpoint(ahead):
     estimator, speed = Estimator(SPEC, 1), 0.8
     for tick in range(200):
         t, now = (tick + ahead) * DT, still(1, speed * tick * DT)._replace(qd=np.full((1, N), speed))
@@ -157,7 +157,7 @@ def test_a_stamp_a_little_ahead_is_compared_with_what_is_being_sent(ahead):
     assert not state.fault.any()
 
 
-def test_coasts_as_it_was_sent_when_packets_stay_away():
+def test_prediction_follows_the_setpoint_without_packets():
     """With the deviation that it had, growing less and less sure."""
     estimator = Estimator(SPEC, 1)
     for tick in range(200):
@@ -170,7 +170,7 @@ def test_coasts_as_it_was_sent_when_packets_stay_away():
     assert (coasting.q_var > 2 * state.q_var).all()
 
 
-def test_packets_taken_between_ticks_are_compared_with_what_was_sent_then():
+def test_packets_between_ticks_are_compared_with_interpolated_setpoints():
     estimator, speed = Estimator(SPEC, 1), 0.8
     for tick in range(200):
         t, now = (tick - 0.4) * DT, still(1, speed * tick * DT)._replace(qd=np.full((1, N), speed))
@@ -232,7 +232,7 @@ def test_measured_speed_equals_filterpys_second_update(with_speed):
         np.testing.assert_allclose(state.q_var[0], expected, rtol=1e-8)
 
 
-def test_measured_speed_helps_and_one_that_is_late_hurts_nothing(with_speed):
+def test_measured_velocity_improves_the_estimate_and_a_late_one_does_no_harm(with_speed):
     errors = {}
     for how in ("none", "with", "late"):
         rng, estimator, found = np.random.default_rng(13), Estimator(with_speed, 40), []
@@ -280,7 +280,7 @@ def test_reset_of_a_subset():
     np.testing.assert_array_equal(seeded.qd[[0, 2]], before.qd[[0, 2]])
 
 
-def test_another_setpoint_moves_nobody():
+def test_changed_setpoint_moves_no_estimate_at_rest():
     """Arming sends a robot to where it stands: what is believed of it stays."""
     estimator, q = Estimator(SPEC, 2), np.full((2, N), 0.7)
     for tick in range(100):
@@ -322,7 +322,7 @@ def test_saved_arrays_are_copies():
 
 
 @pytest.mark.parametrize("taken", [5, 9 - round(HISTORY_S / DT)])
-def test_an_older_packet_than_the_last_is_left_out(taken):
+def test_packet_older_than_the_last_is_ignored(taken):
     estimator = Estimator(SPEC, 1)
     for tick in range(10):
         state = estimator.step(tick * DT, sample([tick * DT], [True], np.full((1, N), 0.1)), still(1))
@@ -330,7 +330,7 @@ def test_an_older_packet_than_the_last_is_left_out(taken):
     np.testing.assert_array_equal(late.q, state.q)
 
 
-def test_a_packet_from_the_future_is_left_out():
+def test_packet_from_the_future_is_ignored():
     """A clock that runs wrong must make the state stale, not fresh forever."""
     estimator = Estimator(SPEC, 1)
     for tick in range(10):
@@ -342,7 +342,7 @@ def test_a_packet_from_the_future_is_left_out():
     np.testing.assert_allclose(state.q, 0.1, atol=1e-3)
 
 
-def test_on_soft_drives_what_is_sent_says_nothing_of_where_a_joint_is():
+def test_soft_drives_do_not_predict_from_setpoints():
     """It is believed to be where one on a stiff drive would be that is never sent anywhere, to the last bit."""
     soft, stiff, rng = Estimator(SPEC, 2, springs=SOFT), Estimator(SPEC, 2), np.random.default_rng(16)
     for tick, received, _ in packets(rng, 2, 300, 0.2):
@@ -355,7 +355,7 @@ def test_on_soft_drives_what_is_sent_says_nothing_of_where_a_joint_is():
 
 
 @pytest.mark.parametrize(("share", "stuck"), [(0.9, False), (1.1, True)])
-def test_an_encoder_on_a_soft_drive_is_stuck_if_nothing_comes_of_so_much_torque(share, stuck):
+def test_encoder_on_a_soft_drive_is_stuck_if_torque_moves_nothing(share, stuck):
     """A leg that stands keeps its angle under less."""
     estimator, rng = Estimator(SPEC, 1, springs=SOFT), np.random.default_rng(17)
     away = share * STUCK_SHARE * torque_max(SPEC) / SOFT.kp

@@ -14,7 +14,7 @@ from support.deploy.estimators import DT, NOISE, N, begun, packets, sample, stil
 CONFIRMED, REFUSED = round(CONFIRMED_S / DT), round(REFUSED_S / DT)
 
 
-def test_nobody_is_believed_before_he_is_confirmed():
+def test_estimate_is_invalid_before_confirmation():
     """And a first packet that is wrong is nobody's: the second, which contradicts it, takes its place."""
     estimator, ages, errors = Estimator(SPEC, 2), [], []
     for tick in range(30):
@@ -31,7 +31,7 @@ def test_nobody_is_believed_before_he_is_confirmed():
     assert max(errors[1:]) < 1e-9
 
 
-def test_one_wrong_packet_after_an_outage_is_still_a_wrong_packet():
+def test_wrong_packet_after_an_outage_is_still_gated():
     estimator, rng = Estimator(SPEC, 1), np.random.default_rng(14)
     for tick in range(160):
         z = rng.normal(0, NOISE, (1, N))
@@ -43,7 +43,7 @@ def test_one_wrong_packet_after_an_outage_is_still_a_wrong_packet():
             assert np.abs(state.qd).max() < 0.5
 
 
-def test_a_robot_that_moves_without_being_sent_is_seen_to_move():
+def test_motion_without_a_setpoint_is_estimated():
     estimator, rng = Estimator(SPEC, 2), np.random.default_rng(15)
     for tick in range(60):
         z = rng.normal(0, NOISE, (2, N))
@@ -52,7 +52,7 @@ def test_a_robot_that_moves_without_being_sent_is_seen_to_move():
     assert estimator.moving.any(axis=1).tolist() == [False, True]
 
 
-def test_a_joint_that_does_not_obey_is_seen_where_it_is():
+def test_joint_that_does_not_follow_is_estimated_at_its_true_position():
     """Power has gone, say: the setpoint moves on, the joint stays."""
     estimator = Estimator(SPEC, 1)
     for tick in range(100):
@@ -79,7 +79,7 @@ def test_one_dead_channel_leaves_the_other_joints_their_packets():
     assert state.q_var[1, 2] > 10 * expected.q_var[1, 2]
 
 
-def test_a_gross_error_is_a_packet_that_never_came():
+def test_gross_errors_are_gated_out():
     estimator, clean, rng = Estimator(SPEC, 1), Estimator(SPEC, 1), np.random.default_rng(9)
     for tick in range(120):
         z = rng.normal(0, NOISE, (1, N))
@@ -93,7 +93,7 @@ def test_a_gross_error_is_a_packet_that_never_came():
     assert 1.0 < estimator.divergence.nis[0, 3] < NIS_MAX
 
 
-def test_a_joint_that_really_jumped_is_found_again_and_the_jump_is_told():
+def test_true_jump_is_tracked_again_and_reported():
     """A filter that refused all samples for ever would be blind, one that took them at once would believe anything."""
     estimator, faults, errors = Estimator(SPEC, 1), [], []
     for tick in range(400):
@@ -109,7 +109,7 @@ def test_a_joint_that_really_jumped_is_found_again_and_the_jump_is_told():
 
 
 @pytest.mark.parametrize("standard_deviations", [0.5 * GATE, 2.0 * GATE])
-def test_the_gate_stands_where_it_says(standard_deviations):
+def test_gate_threshold_is_exact(standard_deviations):
     estimator, rng = Estimator(SPEC, 1), np.random.default_rng(10)
     for tick in range(100):
         estimator.step(tick * DT, sample([tick * DT], [True], rng.normal(0, NOISE, (1, N))), still(1))
@@ -118,7 +118,7 @@ def test_the_gate_stands_where_it_says(standard_deviations):
     assert state.age[0] == pytest.approx(0.0 if standard_deviations < GATE else DT)
 
 
-def test_a_stuck_encoder_is_told_from_one_that_rests():
+def test_stuck_encoder_is_distinguished_from_rest():
     """Only where the joint was sent elsewhere meanwhile, and slowly enough for the filter to follow the lie."""
     estimator, faults = Estimator(SPEC, 2), []
     for tick in range(400):
@@ -135,7 +135,7 @@ def test_a_stuck_encoder_is_told_from_one_that_rests():
     assert found[first + 5 :, 1].all()
 
 
-def test_a_filter_that_is_surprised_again_and_again_says_so():
+def test_repeated_large_innovations_are_a_divergence():
     """A joint that shakes at a rate and size which the model calls impossible, within the gate."""
     estimator, faults = Estimator(SPEC, 2), []
     for tick in range(300):

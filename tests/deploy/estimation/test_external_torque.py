@@ -46,14 +46,14 @@ def strayed(joint, share):
 
 @pytest.mark.parametrize("joint", range(N))
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_motor_that_gives_more_or_less_than_it_should_is_seen_at_the_last_of_some_looks(joint, sign):
+def test_persistent_torque_residual_is_detected_after_the_debounce(joint, sign):
     for factor, seen in ((1 - HAIR, False), (1 + HAIR, True)):
         load = asked()
         found = [look(load, strayed(joint, sign * factor * TORQUE_SHARE))[0] for _ in range(LOOKS + 1)]
         assert found == [False] * (LOOKS - 1) + [seen] * 2
 
 
-def test_it_must_be_so_without_a_break():
+def test_residual_must_persist_without_interruption():
     load = asked()
     for _ in range(3):
         for _ in range(LOOKS - 1):
@@ -61,7 +61,7 @@ def test_it_must_be_so_without_a_break():
         assert not look(load, strayed(2, 0.0)).any()
 
 
-def test_a_current_that_is_no_number_says_nothing_and_takes_nothing_back():
+def test_current_of_nan_neither_counts_nor_clears():
     load = asked()
     for _ in range(LOOKS - 1):
         assert not look(load, strayed(2, 1.0)).any()
@@ -69,7 +69,7 @@ def test_a_current_that_is_no_number_says_nothing_and_takes_nothing_back():
     assert look(load, strayed(2, 1.0)).all()
 
 
-def test_a_packet_counts_once_however_often_it_is_looked_at():
+def test_packet_counts_once():
     load, late = asked(), next(TIMES)
     for _ in range(2 * LOOKS):
         assert not look(load, strayed(2, 1.0), t=late).any()
@@ -79,7 +79,7 @@ def test_a_packet_counts_once_however_often_it_is_looked_at():
     assert all(look(load, strayed(2, 1.0), t=late).all() for _ in range(3))
 
 
-def test_each_robot_is_looked_at_alone_and_none_without_power():
+def test_robots_are_judged_separately_and_only_with_power():
     """Brakes carry the arm then, and motors give nothing."""
     load, hard = asked(4), np.repeat(strayed(0, 1.0), 4, axis=0)
     hard[1] = current(TAU)
@@ -91,7 +91,7 @@ def test_each_robot_is_looked_at_alone_and_none_without_power():
     assert look(load, hard).tolist() == [False, False, False, True]
 
 
-def test_what_is_saved_is_what_decides():
+def test_saved_state_restores_the_detection():
     load, other = asked(), ExternalTorque(SPEC, 1, LOOK_S)
     for _ in range(LOOKS - 1):
         look(load, strayed(4, -1.0))
@@ -107,7 +107,7 @@ def running(**how):
 
 
 @pytest.mark.parametrize("joint", [0, 3])
-def test_a_blocked_joint_that_is_pushed_on_a_little_stops_its_robot(joint):
+def test_weakly_pushed_blocked_joint_stops_its_robot(joint):
     """By 20 mrad, which no bound of tracking sees; nobody else stops."""
     from support.runtimes import Saying
 

@@ -66,7 +66,7 @@ def hearing(runtime, kind, change):
     runtime.robot.read = lambda: (sample := read()) | {kind: change(sample[kind])}
 
 
-def test_who_is_thrown_over_while_its_gyro_says_nothing_does_not_take_itself_for_one_that_stands(standing):
+def test_robot_overturned_during_gyro_silence_is_not_estimated_upright(standing):
     noise = np.random.default_rng(0)
     hearing(standing, "gyro", lambda packet: packet._replace(value=noise.normal(0.0, 0.005, (2, 3))))
     speed = standing.robot.plant.batch.bind("qvel")
@@ -80,7 +80,7 @@ def test_who_is_thrown_over_while_its_gyro_says_nothing_does_not_take_itself_for
     assert Reason(int(standing.supervisor.reason[1])) & (Reason.DIVERGED | Reason.FALLEN)
 
 
-def test_what_is_said_of_up_again_and_again_is_not_believed_more_than_its_bias_allows(standing):
+def test_repeated_gravity_directions_do_not_reduce_variance_below_the_bias(standing):
     live(standing, 1000)
     bias_var = 4 * 0.003**2 / 3
     claimed = np.sqrt(standing.capabilities["floating_base"].filter.P[:, :2, :2].trace(axis1=1, axis2=2))
@@ -90,7 +90,7 @@ def test_what_is_said_of_up_again_and_again_is_not_believed_more_than_its_bias_a
 
 
 @pytest.mark.parametrize("tilt", [(0.1, 0.0), (0.0, -0.1)])
-def test_on_a_floor_that_leans_it_knows_that_it_stands(tmp_path, tilt):
+def test_stance_is_known_on_a_tilted_floor(tmp_path, tilt):
     """What an IMU says of up is what its accelerometer feels: no acceleration is left over."""
     spec = load_robot(changed(tmp_path, ("[motors.leg]\n", UPRIGHT)))
     given = median_draw(load_distributions(spec), spec, 1).replaced({"mounting.tilt_rad": np.array([tilt])})
@@ -104,14 +104,14 @@ def test_on_a_floor_that_leans_it_knows_that_it_stands(tmp_path, tilt):
     np.testing.assert_allclose(-base.gravity, robot.plant.reading("accelerometer") / 9.81, atol=0.01)
 
 
-def test_a_packet_from_the_future_does_not_silence_what_says_where_up_is(standing):
+def test_packet_from_the_future_does_not_silence_the_gravity_direction(standing):
     once = iter([1e6])
     hearing(standing, "orientation", lambda packet: packet._replace(t=packet.t + next(once, 0.0)))
     live(standing, 100)
     assert (standing.t - standing.capabilities["floating_base"].t_up < 0.05).all()
 
 
-def test_what_is_said_of_up_counts_once_and_not_for_long(standing):
+def test_gravity_direction_counts_once_and_expires(standing):
     walker, now = standing.capabilities["floating_base"], standing.t
     gyro = Packet(np.full(2, now), np.ones(2, dtype=bool), np.zeros((2, 3)))
     told = Packet(np.array([now, now - 0.2]), np.ones(2, dtype=bool), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
@@ -120,7 +120,7 @@ def test_what_is_said_of_up_counts_once_and_not_for_long(standing):
     assert walker.measured_up(now, {"orientation": told}, gyro).fresh.tolist() == [False, False]
 
 
-def test_feet_are_seen_from_where_the_imu_sits(tmp_path):
+def test_foot_positions_are_relative_to_the_imu_site(tmp_path):
     moved = load_robot(
         changed(tmp_path, ('<site name="imu"/>', '<site name="imu" pos="0.1 0 -0.02"/>'), file="model.xml")
     )
@@ -162,13 +162,13 @@ def test_feet_are_seen_from_where_the_imu_sits(tmp_path):
         ),
     ],
 )
-def test_sensors_of_a_base_sit_where_they_are_taken_to_sit(tmp_path, file, change, message):
+def test_sensor_sites_of_a_base_are_checked(tmp_path, file, change, message):
     spec = load_robot(changed(tmp_path, change, file=file))
     with pytest.raises(RobotError, match=message):
         load_pinocchio(spec)
 
 
-def test_feet_that_feel_the_ground_are_known_by_their_order(tmp_path):
+def test_contact_sensors_follow_the_order_of_the_feet(tmp_path):
     load_pinocchio(
         load_robot(changed(tmp_path, feeling("front_left", "front_right", "rear_left", "rear_right")))
     )

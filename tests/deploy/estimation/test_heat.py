@@ -51,7 +51,7 @@ def at(winding):
     return heat
 
 
-def test_windings_are_those_that_mujoco_compiles():
+def test_windings_equal_those_that_mujoco_compiles():
     """Another reader of the same file."""
     model = pytest.importorskip("robots.models.mujoco_model").load_mujoco(SPEC)
     np.testing.assert_allclose(NOMINAL.resistance, model.actuator_gainprm[:, 0])
@@ -91,7 +91,7 @@ def test_a_slow_bus_warms_its_windings_at_every_tick(hz):
         ),
     ],
 )
-def test_windings_are_read_however_they_are_written(tmp_path, old, new, found):
+def test_windings_are_read_in_every_notation(tmp_path, old, new, found):
     windings = nominal_windings(load_robot(copy_of_arm(tmp_path, xml=[(old, new)])))
     assert (windings.to_housing[5], windings.capacity[5]) == pytest.approx(found)
 
@@ -120,7 +120,7 @@ def test_motors_whose_heat_cannot_be_known_are_refused(tmp_path, old, new, words
 
 
 @pytest.mark.parametrize("name", ["winding_soft_c", "winding_k"])
-def test_a_guard_without_room_is_refused(tmp_path, name):
+def test_winding_margins_without_room_are_refused(tmp_path, name):
     old, new = {
         "winding_soft_c": ("winding_soft_c = 80.0", "winding_soft_c = 107.0"),
         "winding_k": ("winding_k = 3.0", "winding_k = 30.0"),
@@ -157,7 +157,7 @@ def test_follows_the_equation_through_changing_current_and_housing():
     np.testing.assert_allclose(np.array(found)[19::20], expected.y.T, rtol=0, atol=0.2)
 
 
-def test_what_is_no_number_counts_as_the_last_one():
+def test_readings_of_nan_repeat_the_last_one():
     heat, clean, rng, whole = (
         WindingObserver(SPEC, 1),
         WindingObserver(SPEC, 1),
@@ -174,7 +174,7 @@ def test_what_is_no_number_counts_as_the_last_one():
     assert (heat.winding > 30).all()
 
 
-def test_no_reading_warms_a_winding_more_than_its_drive_could():
+def test_readings_are_clipped_to_what_the_drive_can_supply():
     """Whatever a sensor says that has gone mad; half as much again as the drive's own limit still counts in full."""
     most, windings = CURRENT_MAX * torque_max(SPEC) / NOMINAL.constant, []
     for current in (0.99 * most, most, -2 * most, SPEC.sensors["current"].range):
@@ -187,7 +187,7 @@ def test_no_reading_warms_a_winding_more_than_its_drive_could():
     np.testing.assert_allclose(beyond, [at_most] * 2, rtol=1e-6)
 
 
-def test_without_any_current_nothing_is_known_and_nothing_is_asked():
+def test_no_current_reading_gives_no_winding_estimate():
     heat = WindingObserver(SPEC, 1)
     for _ in range(40):
         live(heat, sample(np.nan, 30.0))
@@ -195,7 +195,7 @@ def test_without_any_current_nothing_is_known_and_nothing_is_asked():
 
 
 @pytest.mark.parametrize(("current", "housing"), [(np.nan, 30.0), (2.0, np.nan), (np.nan, np.nan)])
-def test_begins_with_the_first_sample_that_is_whole(current, housing):
+def test_initialized_by_the_first_complete_sample(current, housing):
     """A bus whose packets come one after the other must not keep the robot from its shift."""
     heat, clean = WindingObserver(SPEC, 1), WindingObserver(SPEC, 1)
     for _ in range(60):
@@ -210,7 +210,7 @@ def test_begins_with_the_first_sample_that_is_whole(current, housing):
 
 
 @pytest.mark.parametrize("share", [-0.5, 0.0, 0.24, 0.5, 0.99, 1.0, 1.5])
-def test_folds_back_in_a_straight_line(share):
+def test_foldback_is_linear(share):
     heat = at(SOFT + share * (LIMIT - SOFT))
     shares = heat.foldback.current_share, heat.foldback.speed_share
     for found, least in zip(shares, (FOLD_MIN, PACE_MIN), strict=True):
@@ -219,7 +219,7 @@ def test_folds_back_in_a_straight_line(share):
         assert (found <= np.minimum(line + (1 - least) / STEPS, 1) + 1e-9).all()
 
 
-def test_gives_back_only_what_has_cooled_for_more_than_a_step():
+def test_foldback_is_released_with_hysteresis():
     """A reading that goes to and fro by a kelvin changes nothing, however near to an edge it is."""
     foldback, band, margin = Foldback(SPEC, 1), LIMIT - SOFT, np.full((1, N), SPEC.margins.winding_k)
     step = band / STEPS
@@ -236,7 +236,7 @@ def test_gives_back_only_what_has_cooled_for_more_than_a_step():
 
 @pytest.mark.parametrize("kind", ["current", "temperature"])
 @pytest.mark.parametrize("how", ["late", "nan", "future", "timeless"])
-def test_a_robot_that_is_not_heard_for_long_does_not_know_its_windings(kind, how):
+def test_winding_estimate_is_invalid_after_long_silence(kind, how):
     """And believes in no cooler ones when it is heard again."""
     heat = at(SOFT - 5.0)
     t, known = (heat.lived + 1) * DT, heat.winding.copy()
@@ -257,7 +257,7 @@ def test_a_robot_that_is_not_heard_for_long_does_not_know_its_windings(kind, how
     np.testing.assert_allclose(heat.winding, known, rtol=0, atol=1.5)  # a period of warming
 
 
-def test_the_pace_is_that_of_the_hottest_motor():
+def test_pace_follows_the_hottest_motor():
     winding = SOFT - 20.0
     winding[3] = LIMIT[3]
     heat = at(winding)
@@ -266,7 +266,7 @@ def test_the_pace_is_that_of_the_hottest_motor():
     np.testing.assert_array_equal(np.delete(foldback.current_share[0], 3), 1.0)
 
 
-def test_begins_with_what_was_left_of_the_last_run():
+def test_initial_temperatures_come_from_the_last_run():
     """A winding that was 50 K above its housing is 50/e K above it after its time constant without power."""
     heat = WindingObserver(SPEC, 2)
     tau = NOMINAL.to_housing * NOMINAL.capacity
@@ -302,7 +302,7 @@ def test_saved_and_restored_goes_on_bit_for_bit():
         np.testing.assert_array_equal(other.save()[name], expected)
 
 
-def test_no_motor_that_can_be_drawn_comes_to_its_limit_unnoticed():
+def test_winding_margin_covers_every_drawn_motor():
     """Each of the corners of draws.toml, under currents and in housings of any kind: the guard stops it before that."""
     spans = load_distributions(SPEC).drives
     corners = np.array(
@@ -328,7 +328,7 @@ def test_no_motor_that_can_be_drawn_comes_to_its_limit_unnoticed():
         assert stopped.any()
 
 
-def test_a_current_that_never_moves_is_not_heard():
+def test_constant_current_counts_as_stuck():
     """Neither by its noise: what it says now is not known, and without that no winding is."""
     heat, stuck, found = WindingObserver(SPEC, 2), sample(3.0, 30.0, 2), []
     for _ in range(round((TIMEOUT_S + 3.0) / DT)):
@@ -341,7 +341,7 @@ def test_a_current_that_never_moves_is_not_heard():
     assert TIMEOUT_S < blind < TIMEOUT_S + 2.0
 
 
-def test_how_often_a_reading_may_repeat_itself():
+def test_number_of_repeats_that_count_as_stuck():
     """By its own noise and steps: never by chance, and what is too coarse for its noise may stand still for ever."""
     current, rng = SPEC.sensors["current"], np.random.default_rng(3)
     most = stuck_repeats(current)

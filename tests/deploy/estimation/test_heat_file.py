@@ -27,7 +27,7 @@ def opened(path, at=THEN, **how):
     return TemperatureFile(path, SPEC, heat, now=lambda: at, **how), heat
 
 
-def test_another_robot_begins_as_cold_as_it_is(tmp_path):
+def test_file_of_another_robot_is_not_used(tmp_path):
     path = tmp_path / "heat.json"
     path.write_text(json.dumps(GOOD))
     assert (opened(path)[1].rise > 0).any()
@@ -53,7 +53,7 @@ def test_a_winding_stays_warm_through_a_restart_and_cools_while_it_is_off(tmp_pa
         np.testing.assert_allclose(later.winding[0], expected, atol=0.01)
 
 
-def test_what_no_winding_can_be_is_cut_and_stops_no_tick(tmp_path):
+def test_implausible_temperatures_are_clipped(tmp_path):
     file, heat = opened(tmp_path / "heat.json")
     live(heat, sample(0.0, 40.0))
     heat.winding[:] = 1e6
@@ -63,7 +63,7 @@ def test_what_no_winding_can_be_is_cut_and_stops_no_tick(tmp_path):
     assert json.loads((tmp_path / "heat.json").read_text())["rise_k"] == [500.0] * N
 
 
-def test_a_clock_that_was_put_back_cools_nothing(tmp_path):
+def test_clock_set_back_cools_nothing(tmp_path):
     path = tmp_path / "heat.json"
     path.write_text(json.dumps(GOOD))
     _, heat = opened(path, THEN - 3600.0)
@@ -90,7 +90,7 @@ def test_a_first_run_begins_with_nothing_and_leaves_a_file(tmp_path):
         ({"more": 1}, r"more"),
     ],
 )
-def test_a_file_that_is_not_ours_is_refused_and_stays(tmp_path, change, words):
+def test_foreign_file_is_refused_and_kept(tmp_path, change, words):
     path = tmp_path / "heat.json"
     text = json.dumps({**GOOD, **change})
     path.write_text(text)
@@ -102,20 +102,20 @@ def test_a_file_that_is_not_ours_is_refused_and_stays(tmp_path, change, words):
 @pytest.mark.parametrize(
     "content", [b"{", b"\xff\xfe", b'{"unix_s": NaN}', b"[]", b"[" * 50_000, b" " * 100_000]
 )
-def test_what_is_no_json_of_ours_is_refused(tmp_path, content):
+def test_malformed_json_is_refused(tmp_path, content):
     path = tmp_path / "heat.json"
     path.write_bytes(content)
     with pytest.raises(ConfigError, match=r"heat\.json"):
         opened(path)
 
 
-def test_a_place_that_cannot_be_written_is_an_error_before_anything_moves(tmp_path):
+def test_unwritable_path_is_an_error_before_any_motion(tmp_path):
     (tmp_path / "full").write_text("")
     with pytest.raises((OutputError, ConfigError), match=r"full"):
         opened(tmp_path / "full" / "heat.json")
 
 
-def test_a_disk_that_fails_later_is_said_and_holds_nothing_up(tmp_path):
+def test_later_disk_failure_is_reported_and_stops_nothing(tmp_path):
     folder = tmp_path / "disk"
     file, heat = opened(folder / "heat.json")
     live(heat, sample(0.0, 40.0))

@@ -18,11 +18,11 @@ def test_a_rotation_vector_becomes_its_rotation():
     np.testing.assert_allclose(matrix(exp(TURNS)), expected, atol=1e-14)
 
 
-def test_the_smallest_turn_is_not_lost():
+def test_tiny_rotation_keeps_its_precision():
     np.testing.assert_allclose(exp(1e-9 * np.eye(3))[:, 1:], 0.5e-9 * np.eye(3), rtol=1e-15)
 
 
-def test_a_product_turns_first_by_the_right_one():
+def test_product_applies_the_right_factor_first():
     a, b = exp(TURNS), exp(TURNS[::-1])
     np.testing.assert_allclose(
         matrix(product(a, b)), (by_scipy(a) * by_scipy(b)).as_matrix(), rtol=0, atol=1e-14
@@ -36,7 +36,7 @@ def test_skew_is_the_cross_product(shape):
     np.testing.assert_allclose((skew(a) @ b[..., None])[..., 0], np.cross(a, b), atol=1e-15)
 
 
-def test_upright_puts_up_on_top_and_turns_nobody_around():
+def test_upright_aligns_up_without_yaw():
     up = RNG.normal(size=(200, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     rotation = by_scipy(from_up(up))

@@ -63,7 +63,7 @@ def attack(kind, rng, ticks, robots):
 
 
 @pytest.mark.parametrize("kind", ["random", "ends", "seldom", "near", "square", "walk"])
-def test_no_target_breaks_a_limit(kind):
+def test_every_target_stays_within_limits(kind):
     ticks, robots = 1500, 8
     sent = ride(at_home(robots), attack(kind, np.random.default_rng(1), ticks, robots), never(ticks, robots))
     assert_inside_limits(sent)
@@ -77,7 +77,7 @@ def test_no_target_leaves_the_clamped_range(kind):
     assert (sent <= CLAMP_HIGH + 1e-6).all()
 
 
-def test_stops_and_starts_at_any_moment_break_no_limit():
+def test_stops_and_starts_at_any_time_stay_within_limits():
     rng, ticks, robots = np.random.default_rng(3), 3000, 8
     stops = np.repeat(rng.random((ticks // 20, robots)) < 0.3, 20, axis=0)
     sent = ride(at_home(robots), attack("seldom", rng, ticks, robots), stops)
@@ -135,7 +135,7 @@ def test_braking_is_planned_without_touching_what_comes_next():
         other.commit(plain)
 
 
-def test_neighbours_do_not_change_a_bit():
+def test_robots_are_independent_to_the_bit():
     """Each on a schedule of its own, so that some trajectories are read long after their end while others go on."""
     robots, ticks, rng = BLOCK + 5, 300, np.random.default_rng(5)
     targets = np.empty((ticks, robots, N))
@@ -160,7 +160,7 @@ def test_neighbours_do_not_change_a_bit():
                 np.testing.assert_array_equal(mine[0], theirs[i])
 
 
-def test_not_even_where_a_trajectory_ends_before_that_of_a_neighbour():
+def test_robots_are_independent_when_trajectories_end_at_different_times():
     """There Ruckig computes in another order what began with an acceleration beyond the limit, be it by a rounding."""
     rng, crowd, free = np.random.default_rng(0), at_home(BLOCK), np.zeros(BLOCK, dtype=bool)
     crowd.qdd[:] = np.nextafter(A, np.inf) * rng.choice([-1, 1], (BLOCK, N))
@@ -189,7 +189,7 @@ def test_saved_and_restored_goes_on_bit_for_bit():
     )
 
 
-def test_who_does_what_was_planned_stays_on_the_trajectory():
+def test_robot_on_its_plan_stays_on_the_trajectory():
     """To the bit, as one who plans once would ride it: no tick in between is a plan of its own."""
     smoother, target, ticks = moving(2), np.stack((HOME + 0.4, HOME - 0.3)), 60
     plan, path = InputParameter(2 * N), Trajectory(2 * N)
@@ -203,7 +203,7 @@ def test_who_does_what_was_planned_stays_on_the_trajectory():
     np.testing.assert_array_equal(ridden, expected)
 
 
-def test_who_is_put_elsewhere_leaves_the_trajectory():
+def test_displaced_robot_is_replanned():
     smoother, target = moving(3), np.tile(HOME + 0.4, (3, 1))
     ride(smoother, np.tile(target, (5, 1, 1)), never(5, 3))
     smoother.hold(np.array([False, True, False]), np.tile(HOME, (3, 1)))
@@ -214,7 +214,7 @@ def test_who_is_put_elsewhere_leaves_the_trajectory():
         np.testing.assert_array_equal(smoother.q[1], fresh.q[0])
 
 
-def test_a_neighbour_without_a_plan_changes_no_bit():
+def test_robot_without_a_plan_changes_no_bit_of_others():
     """Where Ruckig fails for the block, each robot gets a trajectory of its own, as old as the one that it had."""
     clean, broken, target = moving(4), moving(4), np.tile(HOME + 0.4, (4, 1))
     others, free = np.arange(4) != 2, np.zeros(4, dtype=bool)
@@ -229,7 +229,7 @@ def test_a_neighbour_without_a_plan_changes_no_bit():
 
 
 @pytest.mark.parametrize("braking", [False, True])
-def test_at_rest_for_long_nothing_creeps(braking):
+def test_no_drift_at_long_rest(braking):
     ticks = 3000
     smoother, target = moving(2), np.stack((HOME + 0.4, HOME - 0.3))
     sent = ride(smoother, np.tile(target, (ticks, 1, 1)), np.full((ticks, 2), braking))
@@ -238,7 +238,7 @@ def test_at_rest_for_long_nothing_creeps(braking):
     np.testing.assert_allclose(sent[-1], sent[500], rtol=0, atol=1e-14)
 
 
-def test_in_the_midst_of_a_stop():
+def test_state_halfway_through_a_stop():
     """From half its speed the slowest joint to brake has four fifths of its way behind it."""
     smoother = at_home(1)
     slowest = int(np.argmax(V / SPEC.joint_array("qdd_max")))
@@ -249,7 +249,7 @@ def test_in_the_midst_of_a_stop():
     np.testing.assert_array_equal(np.delete(way, slowest), 0.0)
 
 
-def test_a_slow_robot_is_told_where_its_stop_really_ends():
+def test_predicted_end_of_a_stop_is_exact_at_reduced_pace():
     """Two seconds and a half on its way, which is longer than trajectories are read otherwise."""
     slow = tuple(joint.model_copy(update={"qdd_max": 1.5, "qddd_max": 15.0}) for joint in SPEC.joints)
     smoother = Smoother(SPEC.model_copy(update={"joints": slow}), 1)
@@ -263,7 +263,7 @@ def test_a_slow_robot_is_told_where_its_stop_really_ends():
     np.testing.assert_allclose(smoother.q, end, rtol=0, atol=1e-9)
 
 
-def test_a_stop_goes_on_whatever_is_asked_meanwhile():
+def test_stop_continues_despite_new_targets():
     """On one trajectory: its age counts the ticks."""
     smoother, rng = moving(1), np.random.default_rng(0)
     for tick in range(1, 10):
@@ -279,7 +279,7 @@ def moving(robots, seed=7):
 
 @pytest.mark.parametrize("field", ["q", "qd", "qdd"])
 @pytest.mark.parametrize("robots", [1, 4, BLOCK + 2])
-def test_a_robot_without_a_plan_gets_nan_and_its_neighbours_theirs(robots, field):
+def test_robot_without_a_plan_gets_nan_and_others_their_plan(robots, field):
     """What Ruckig cannot plan must neither stop the others nor pass for a number."""
     clean, broken = moving(robots), moving(robots)
     getattr(broken, field)[robots // 2, 2] = np.nan
@@ -291,7 +291,7 @@ def test_a_robot_without_a_plan_gets_nan_and_its_neighbours_theirs(robots, field
         np.testing.assert_array_equal(getattr(plan, name)[others], getattr(expected, name)[others])
 
 
-def test_where_neighbours_of_a_failure_would_rest_is_still_right():
+def test_predicted_rest_is_right_beside_a_failed_plan():
     """The rest pose is what safety judges: it must be this tick's, not the last's."""
     clean, broken = moving(4), moving(4)
     broken.brake(Setpoint(q=clean.q, qd=clean.qd * 0, qdd=clean.qdd * 0))
@@ -304,7 +304,7 @@ def test_where_neighbours_of_a_failure_would_rest_is_still_right():
     assert np.isnan(end[2]).all()
 
 
-def test_where_two_shapes_of_profile_meet_there_is_a_plan():
+def test_plan_exists_where_two_profile_shapes_meet():
     """Found by the limit attack: Ruckig has no way from rest over exactly 2a³/j², and the robot would have latched."""
     smoother = at_home(1)
     smoother.q[0, 4], smoother.qd[0, 4] = -2.475, -5.204170427930421e-17
@@ -316,7 +316,7 @@ def test_where_two_shapes_of_profile_meet_there_is_a_plan():
 
 
 @pytest.mark.parametrize("robots", [1, 32])
-def test_plans_around_every_such_distance(robots):
+def test_plan_exists_around_every_such_distance(robots):
     rng = np.random.default_rng(9)
     for ulps in range(-8, 9):
         smoother = at_home(robots)
@@ -332,7 +332,7 @@ def test_plans_around_every_such_distance(robots):
 
 
 @pytest.mark.parametrize("scale", [1e-18, 1e-17, 1e-16, 1e-14, 1e-12, 1e-9, 1e-6])
-def test_every_state_next_to_rest_has_a_way_on_and_a_way_to_rest(scale):
+def test_every_state_near_rest_has_a_plan_to_continue_and_to_stop(scale):
     rng, robots = np.random.default_rng(8), 64
     for braking in (False, True):
         for _ in range(10):
@@ -357,7 +357,7 @@ def test_hold_rests_only_the_robots_named():
     np.testing.assert_array_equal(smoother.q[1], HOME)
 
 
-def test_from_beyond_the_clamped_range_it_comes_back_inside():
+def test_returns_from_beyond_the_clamped_range():
     """Armed within the soft range but beyond where targets may lie."""
     smoother = Smoother(SPEC, 1)
     start = (HIGH - SPEC.margins.q_soft_rad - 0.001)[None]
@@ -368,7 +368,7 @@ def test_from_beyond_the_clamped_range_it_comes_back_inside():
     assert_inside_limits(sent)
 
 
-def test_faster_than_allowed_it_brakes():
+def test_brakes_when_above_the_velocity_limit():
     """A speed beyond the limit, as only a fault could bring, is reduced, not an error."""
     smoother = at_home(1)
     smoother.qd[0, 0] = 1.2 * V[0]

@@ -68,9 +68,7 @@ def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):
 
 
 @pytest.mark.parametrize("stored", [False, True])
-def test_a_robot_of_a_soak_comes_with_its_draw_its_noise_and_its_goals(
-    command, arm_policy, tmp_path, monkeypatch, stored
-):
+def test_robot_of_a_soak_keeps_its_draw_noise_and_goals(command, arm_policy, tmp_path, monkeypatch, stored):
     """By its number, or from what the soak stored of it."""
     made, soaked = [], SimRobot(SPEC, [robot_seed(5, robot) for robot in range(4)])
     if stored:
@@ -154,7 +152,7 @@ def missing(folder):
         (swapped, "policy.onnx: contract: joint_names: the right joints in another order: found"),
     ],
 )
-def test_a_bad_policy_is_exit_2_and_nothing_is_made(command, tmp_path, policy, message):
+def test_bad_policy_is_exit_2_and_writes_nothing(command, tmp_path, policy, message):
     out = tmp_path / "out"
     code, said, complaint = command("--policy", policy(tmp_path), "--out", out)
     assert (code, said) == (2, "")
@@ -187,7 +185,7 @@ def test_a_bad_policy_is_exit_2_and_nothing_is_made(command, tmp_path, policy, m
         (("--sped", "2"), "No such option: --sped"),
     ],
 )
-def test_a_bad_option_is_exit_2_and_nothing_is_made(command, arm_policy, tmp_path, arguments, message):
+def test_bad_option_is_exit_2_and_writes_nothing(command, arm_policy, tmp_path, arguments, message):
     out = tmp_path / "out"
     code, said, complaint = command("--policy", arm_policy, "--out", out, *arguments)
     assert (code, said) == (2, "")
@@ -195,7 +193,7 @@ def test_a_bad_option_is_exit_2_and_nothing_is_made(command, arm_policy, tmp_pat
     assert not out.exists()
 
 
-def test_motors_stay_warm_from_run_to_run_but_a_drawn_robot_has_no_past(
+def test_temperatures_persist_between_runs_except_for_a_drawn_robot(
     command, arm_policy, tmp_path, monkeypatch
 ):
     hot, begun = [45.0] * SPEC.n, []  # however quickly the run starts, it can be armed
@@ -213,14 +211,14 @@ def test_motors_stay_warm_from_run_to_run_but_a_drawn_robot_has_no_past(
     np.testing.assert_array_equal(rise[1], 0.0)
 
 
-def test_without_an_option_the_policy_is_the_one_that_make_export_writes(command, tmp_path, monkeypatch):
+def test_default_policy_is_the_output_of_make_export(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code, _, complaint = command()
     assert code == 2
     assert "out/arm.onnx: cannot be read" in complaint
 
 
-def test_a_place_that_cannot_be_written_is_exit_2_and_left_alone(command, arm_policy, tmp_path):
+def test_unwritable_output_is_exit_2_and_left_unchanged(command, arm_policy, tmp_path):
     (tmp_path / "out").write_text("mine")
     code, _, complaint = command("--policy", arm_policy, "--out", tmp_path / "out")
     assert code == 2
@@ -240,7 +238,7 @@ def test_a_view_without_a_display_is_exit_2(command, arm_policy, tmp_path, monke
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_real_thing_needs_no_torch_and_speaks_in_lines(arm_policy, tmp_path):
+def test_process_without_torch_prints_lines(arm_policy, tmp_path):
     code = (
         "import sys, deploy.operation.cli\n"
         "try: deploy.operation.cli.cli()\n"

@@ -57,7 +57,7 @@ def test_oversleeping_is_lateness(time):
     assert [clock.wait() for _ in range(5)] == pytest.approx([0.0003] * 5)
 
 
-def test_unpaced_never_waits():
+def test_unpaced_clock_never_waits():
     clock = Unpaced()
     assert (clock.wait(), clock.skipped) == (0.0, 0)
 
@@ -82,7 +82,7 @@ def paced(script):
     return timing
 
 
-def test_lateness_is_that_of_numpy():
+def test_lateness_quantiles_equal_numpy():
     late = np.random.default_rng(2).exponential(0.0005, 20_000)
     found = paced((x, 0) for x in late).lateness
     assert found.p50_us == pytest.approx(np.percentile(late, 50) * 1e6, abs=2)
@@ -96,13 +96,13 @@ def test_lateness_beyond_all_bins_is_counted():
     assert found.max_us == 7e6
 
 
-def test_nothing_waited_nothing_late():
+def test_no_ticks_no_lateness():
     timing = paced([])
     assert (timing.lateness.p50_us, timing.lateness.max_us, timing.rate, timing.elapsed) == (0, 0, 0, 0)
 
 
 @pytest.mark.parametrize(("missed", "overrun"), [(20, False), (21, True)])
-def test_a_tenth_of_a_second_is_too_much(missed, overrun):
+def test_overrun_of_a_tenth_of_a_second_is_too_much(missed, overrun):
     assert paced([(0.0, 0), (0.1, missed)]).overrun is overrun
 
 
@@ -117,7 +117,7 @@ def test_an_overrun_is_forgotten_after_a_second():
     assert not paced([(0.0, 0), (0.1, 30)] + [(0.0, 0)] * 200).overrun
 
 
-def test_rates(time):
+def test_loop_rates(time):
     timing = LoopTiming(wall(time), 200, now=time.now)
     for _ in range(400):
         timing.wait()
@@ -132,7 +132,7 @@ def test_rates(time):
     assert timing.rate == pytest.approx(409 / (399 * 0.005 + 2.0), rel=0.01)
 
 
-def test_a_rate_limited_call_goes_through_at_most_once_in_a_while(time):
+def test_rate_limited_call_runs_at_most_once_per_period(time):
     called = []
     limited = RateLimited(0.2, called.append, now=time.now)
     for k in range(100):

@@ -91,7 +91,7 @@ def moves(b, monkeypatch, action=1.0):
     monkeypatch.setattr(b.policy, "step", lambda observation: say)
 
 
-def test_a_shift_arms_works_and_comes_to_rest(bench):
+def test_run_arms_works_and_comes_to_rest(bench):
     b = bench(duration=1.0)
     assert b.live() is Ending.DONE
     assert comes_to_rest(b)
@@ -112,7 +112,7 @@ def test_a_moving_arm_is_brought_to_rest_at_the_end(bench, monkeypatch):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_numbers_that_are_none_stop_the_robot_and_are_never_sent(bench, monkeypatch, bad):
+def test_non_finite_numbers_stop_the_robot_and_are_never_sent(bench, monkeypatch, bad):
     b = bench(duration=60.0)
     say = np.zeros((1, SPEC.n), np.float32)
     say[0, 0] = 1.0
@@ -142,7 +142,7 @@ def test_the_first_interrupt_is_a_controlled_stop(bench, monkeypatch, which):
 
 
 @pytest.mark.parametrize("second", [signal.SIGHUP, signal.SIGTERM])
-def test_a_terminal_that_closes_twice_is_still_a_controlled_stop(bench, monkeypatch, second):
+def test_signal_after_sighup_is_still_a_controlled_stop(bench, monkeypatch, second):
     b = bench(duration=60.0)
     moves(b, monkeypatch)
     b.at[100] = lambda: [signal.raise_signal(which) for which in (signal.SIGHUP, second)]
@@ -159,7 +159,7 @@ def test_an_interrupt_while_arming_moves_nothing(bench):
     assert b.runtime.ticks < 30
 
 
-def test_whoever_asks_again_later_is_heard(bench, monkeypatch):
+def test_later_second_interrupt_is_honoured(bench, monkeypatch):
     """A service manager knows no Ctrl-C."""
     b = bench(duration=60.0)
     moves(b, monkeypatch)
@@ -184,7 +184,7 @@ def test_a_second_interrupt_cuts_power(bench, monkeypatch, first):
     assert b.runtime.ticks <= 104
 
 
-def test_what_nobody_expected_cuts_power_and_is_raised(bench, monkeypatch):
+def test_unexpected_error_cuts_power_and_is_raised(bench, monkeypatch):
     b = bench(duration=60.0)
 
     def fail():

@@ -32,7 +32,7 @@ def test_moves_the_target_by_scaled_and_clipped_actions():
     actions=arrays(float, (20, 2, 6), elements=st.floats(width=32)),
     setpoints=arrays(float, (20, 2, 6), elements=st.floats(-3, 3)),
 )
-def test_never_beyond_the_leash_and_never_more_than_a_step(actions, setpoints):
+def test_target_is_bounded_by_leash_and_step(actions, setpoints):
     action = started()
     for raw, setpoint in zip(actions, setpoints, strict=True):
         before = action.q.copy()
@@ -50,7 +50,7 @@ def test_never_beyond_the_leash_and_never_more_than_a_step(actions, setpoints):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_what_is_not_finite_changes_nothing_and_is_said(bad):
+def test_non_finite_action_changes_nothing_and_is_reported(bad):
     action = started(0.2)
     action.step(np.full((2, 6), 0.5), np.full((2, 6), 0.2))
     before = action.save()
@@ -64,7 +64,7 @@ def test_what_is_not_finite_changes_nothing_and_is_said(bad):
     assert action.step(np.zeros((2, 6)), np.full((2, 6), 0.2)).finite.all()
 
 
-def test_a_position_is_where_the_action_says_and_not_where_the_target_was():
+def test_position_mode_does_not_depend_on_the_last_target():
     offset = (0.1, -0.2, 0.3, 0.0, 1.0, -1.0)
     spec = ActionSpec(mode="position", size=6, offset=offset, scale=SCALE, clip=(-2.0, 2.0))
     action = Action(spec, 2)
@@ -80,13 +80,13 @@ def test_a_position_is_where_the_action_says_and_not_where_the_target_was():
     np.testing.assert_array_equal(action.q, far)
 
 
-def test_single_precision_is_taken_as_it_is():
+def test_single_precision_action_is_scaled_in_double_precision():
     raw = np.full((2, 6), 0.1, dtype=np.float32)
     target = started().step(raw, np.zeros((2, 6)))
     np.testing.assert_array_equal(target.q, [np.array(SCALE) * float(np.float32(0.1))] * 2)
 
 
-def test_the_request_may_lie_beyond_any_range():
+def test_request_may_lie_beyond_joint_ranges():
     """What the policy wants is kept as it is: who clips it must still be able to count it."""
     action, setpoint = started(6.0), np.full((2, 6), 6.0)
     assert (action.step(np.ones((2, 6)), setpoint).q > 6.0).all()

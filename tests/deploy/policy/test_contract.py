@@ -23,7 +23,7 @@ def test_json_keeps_every_bit(contract):
     assert back.observation_size == sum(len(t.scale) * t.history for t in contract.observation)
 
 
-def test_what_training_saw_is_of_every_number_of_the_observation():
+def test_observed_statistics_have_the_size_of_the_observation():
     seen = Observed(mean=(0.1,) * 30, deviation=(0.3,) * 30)
     contract = arm_contract(observed=seen)
     assert Contract.from_json(contract.to_json(), "here").observed == seen
@@ -138,7 +138,7 @@ NOT_JSON = {
 
 
 @pytest.mark.parametrize(("text", "message"), NOT_JSON.values(), ids=NOT_JSON)
-def test_what_is_no_contract_is_refused(text, message):
+def test_malformed_contract_is_refused(text, message):
     with pytest.raises(ContractError) as caught:
         Contract.from_json(text, "x.onnx")
     assert str(caught.value).startswith(message)
@@ -190,7 +190,7 @@ def misfits():
 HAS = "manipulability, self_collision, tool, workspace"
 
 
-def test_who_stands_fixed_has_nothing_of_a_base_that_floats():
+def test_fixed_base_has_no_floating_base_terms():
     sources = {name: source for name, source in SOURCES.items() if "floating_base" in source.needs}
     observation = tuple(term(name, source.size) for name, source in sources.items())
     with pytest.raises(ContractError) as caught:
@@ -214,7 +214,7 @@ def test_gains_come_with_the_policy():
     assert ActionSpec(**POSITION).gains is None
 
 
-def test_there_is_one_gait():
+def test_gait_phases_share_one_period():
     terms = [term("gait_phase", 2, period_s=s).model_copy(update={"name": f"{s}"}) for s in (0.8, 0.9)]
     assert arm_contract(observation=tuple(terms[:1])).period_s == 0.8
     with pytest.raises(ValueError, match=r"period_s: found \[0\.8, 0\.9\], expected the same for all"):
@@ -232,7 +232,7 @@ def test_there_is_one_gait():
         ({"mode": "position_increment", "leash_rad": 0.3}, "action offset: found one in mode"),
     ],
 )
-def test_an_action_is_of_one_mode(changes, message):
+def test_action_fields_belong_to_one_mode(changes, message):
     with pytest.raises(ValueError, match=message):
         ActionSpec(**{**POSITION, **changes})
 
@@ -245,13 +245,13 @@ def test_only_a_gait_has_a_period():
 
 
 @pytest.mark.parametrize(("changes", "lines"), list(misfits()))
-def test_every_misfit_is_said_at_once(changes, lines):
+def test_every_mismatch_is_reported_at_once(changes, lines):
     with pytest.raises(ContractError) as caught:
         check_contract(arm_contract(**changes), SPEC, "x.onnx")
     assert str(caught.value) == "\n".join(f"x.onnx: {line}" for line in lines)
 
 
-def test_a_sensor_that_the_policy_needs_and_the_robot_lacks(tmp_path):
+def test_sensor_missing_on_the_robot_is_named(tmp_path):
     """Each term that needs it is named."""
     folder = copy_of_arm(tmp_path, toml=[(r"(?s)\[sensors\.goal\].*?(?=# Drives)", "")])
     blind = load_robot(folder)

@@ -55,7 +55,7 @@ def test_terms_in_order_divided_by_their_scale():
     np.testing.assert_array_equal(frames, np.array(expected, dtype=np.float32))
 
 
-def test_an_offset_is_taken_away_before_scaling():
+def test_offset_is_subtracted_before_scaling():
     observation, readings = built(term("goal_from_tool", scale=(0.5, 1.0, 2.0), offset=(0.25, 0.0, -1.0)))
     readings.now["goal_from_tool"][:] = [[1, 2, 3], [0.25, -1, 0]]
     expected = np.array([[1.5, 2, 2], [0, -1, 0.5]], dtype=np.float32)
@@ -117,7 +117,7 @@ def test_equals_a_plain_list_of_frames(values, history, reset_at):
             np.testing.assert_array_equal(frames[robot, 6:], expected)
 
 
-def test_reset_forgets_only_the_robots_named():
+def test_reset_affects_only_the_named_robots():
     observation, readings = built(term("goal_from_tool", history=2), robots=3)
     for k in range(3):
         readings.now["goal_from_tool"][:] = k
@@ -142,7 +142,7 @@ def test_saved_and_restored_goes_on_bit_for_bit():
             np.testing.assert_array_equal(other.step(), one.frames)
 
 
-def test_nan_is_passed_on_for_its_own_robot_only():
+def test_nan_stays_in_the_row_of_its_robot():
     """Hiding it would hide the fault: the action stage answers for it."""
     observation, readings = built(term("goal_from_tool", clip=(-1.0, 1.0)))
     readings.now["goal_from_tool"][:] = [[0.5, np.nan, 0.5], [0.5, 0.5, 0.5]]

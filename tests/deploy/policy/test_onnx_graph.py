@@ -81,7 +81,7 @@ def sparse(body):
         (sparse, "found sparse weights, expected dense weights"),
     ],
 )
-def test_what_is_refused_outside_is_refused_inside(tmp_path, spoil, message):
+def test_subgraphs_are_checked_like_the_graph(tmp_path, spoil, message):
     model = one_by_one()
     spoil(body_of(model))
     with pytest.raises(ContractError) as caught:
@@ -90,7 +90,7 @@ def test_what_is_refused_outside_is_refused_inside(tmp_path, spoil, message):
     assert "\n" not in str(caught.value)
 
 
-def test_only_a_scan_holds_a_graph(tmp_path):
+def test_only_scan_may_hold_a_subgraph(tmp_path):
     model = one_by_one()
     model.graph.node[0].op_type = "If"
     with pytest.raises(ContractError, match="node 'robots': found If with a graph of its own, expected none"):

@@ -32,7 +32,7 @@ from support.policies import (
 
 
 @pytest.mark.parametrize("robots", [1, 2, 16, 64, 100])
-def test_actions_are_those_of_numpy(tmp_path, robots):
+def test_actions_equal_numpy(tmp_path, robots):
     policy = loaded(tmp_path)
     rng = np.random.default_rng(robots)
     for _ in range(5):
@@ -42,7 +42,7 @@ def test_actions_are_those_of_numpy(tmp_path, robots):
         np.testing.assert_allclose(action, by_numpy(observation, weights()), rtol=0, atol=1e-5)
 
 
-def test_digest_and_contract_are_those_of_the_file(tmp_path):
+def test_digest_and_contract_match_the_file(tmp_path):
     policy = loaded(tmp_path)
     assert policy.digest == hashlib.sha256((tmp_path / "policy.onnx").read_bytes()).hexdigest()
     assert policy.contract == arm_contract()
@@ -115,7 +115,7 @@ NOT_ONNX = {
 
 
 @pytest.mark.parametrize(("data", "message"), NOT_ONNX.values(), ids=NOT_ONNX)
-def test_what_is_no_onnx_is_refused(tmp_path, data, message):
+def test_non_onnx_file_is_refused(tmp_path, data, message):
     path = tmp_path / "x.onnx"
     path.write_bytes(data)
     with pytest.raises(ContractError) as caught:
@@ -130,7 +130,7 @@ def test_an_unreadable_file_is_refused(tmp_path, name, why):
     assert str(caught.value) == f"{tmp_path / name}: cannot be read: {why}, expected an ONNX policy"
 
 
-def test_a_file_beyond_all_measure_is_not_read(tmp_path):
+def test_oversized_file_is_not_read(tmp_path):
     path = tmp_path / "x.onnx"
     with path.open("wb") as file:
         file.truncate(1 << 40)
@@ -355,7 +355,7 @@ def test_a_bad_policy_is_refused_at_load(tmp_path, edit, message):
     assert len(str(caught.value)) < 1000
 
 
-def test_weights_of_every_float_type_are_judged(tmp_path):
+def test_weights_of_every_float_type_are_checked(tmp_path):
     for dtype in (np.float16, np.float64):
         model = policy_model()
         model.graph.initializer.append(numpy_helper.from_array(np.array([1, np.inf], dtype), "extra"))

@@ -58,7 +58,7 @@ def remembering(*, memory=M, golden=None, frozen=False):
 
 
 @pytest.mark.parametrize("robots", [1, 3, 64])
-def test_a_sequence_is_that_of_numpy_and_robots_are_strangers(tmp_path, robots):
+def test_sequence_equals_numpy_and_robots_are_independent(tmp_path, robots):
     policy, rng = loaded(tmp_path, remembering()), np.random.default_rng(robots)
     observations = rng.normal(size=(STEPS, robots, N)).astype(np.float32)
     forget = [set(rng.integers(0, STEPS, 5).tolist()) for _ in range(robots)]
@@ -72,7 +72,7 @@ def test_a_sequence_is_that_of_numpy_and_robots_are_strangers(tmp_path, robots):
         np.testing.assert_allclose(np.array(actions)[:, robot], expected, rtol=0, atol=1e-5)
 
 
-def test_what_it_remembers_goes_on_bit_for_bit(tmp_path):
+def test_saved_memory_continues_bit_for_bit(tmp_path):
     one, other = (loaded(tmp_path, remembering()) for _ in range(2))
     observations = np.random.default_rng(4).normal(size=(50, 5, N)).astype(np.float32)
     other.resize(5)
@@ -83,7 +83,7 @@ def test_what_it_remembers_goes_on_bit_for_bit(tmp_path):
         assert one.step(observation).tobytes() == other.step(observation).tobytes()
 
 
-def test_another_width_begins_anew(tmp_path):
+def test_change_of_batch_width_resets_memory(tmp_path):
     policy = loaded(tmp_path, remembering())
     observation = np.ones((2, N), np.float32)
     first = policy.step(observation).copy()
@@ -92,7 +92,7 @@ def test_another_width_begins_anew(tmp_path):
     np.testing.assert_array_equal(policy.step(observation), first)
 
 
-def test_a_bad_observation_spoils_one_memory_until_it_is_forgotten(tmp_path):
+def test_bad_observation_spoils_one_memory_until_reset(tmp_path):
     policy, good = loaded(tmp_path, remembering()), np.ones((3, N), np.float32)
     bad = good.copy()
     bad[1, 4] = np.nan
@@ -114,7 +114,7 @@ def test_a_bad_observation_spoils_one_memory_until_it_is_forgotten(tmp_path):
         ),
     ],
 )
-def test_a_file_that_remembers_otherwise_is_refused(tmp_path, changes, message):
+def test_mismatched_memory_is_refused(tmp_path, changes, message):
     with pytest.raises(ContractError, match=message):
         loaded(tmp_path, remembering(**changes))
 
@@ -126,7 +126,7 @@ def test_a_memory_of_no_size_is_refused(memory):
         Contract.from_json(json.dumps(data), "contract")
 
 
-def test_robots_begin_anew_when_they_are_armed_and_a_runtime_goes_on(tmp_path):
+def test_memory_resets_at_arming_and_survives_restoring(tmp_path):
     path = saved(remembering(), tmp_path)
     first, second = (built(2, policy=Policy.load(path, SPEC)) for _ in range(2))
     for _ in range(round(ARM_S / SPEC.dt)):

@@ -79,7 +79,7 @@ def test_a_reason_names_its_joint(runtime, befall, reason, robot):
     ("part", "value", "reason"),
     [("q", 10.0, Reason.POSITION), ("qd", 50.0, Reason.VELOCITY), ("qdd", 1e4, Reason.TORQUE)],
 )
-def test_a_refused_setpoint_names_its_joint_and_only_for_the_robot_that_has_it(runtime, part, value, reason):
+def test_refused_setpoint_names_its_joint_for_its_robot_only(runtime, part, value, reason):
     planned = runtime.setpoint
     getattr(planned, part)[1, WRIST] += value
     here = runtime.state, runtime.setpoint, planned, planned, planned.q, planned.q
@@ -90,7 +90,7 @@ def test_a_refused_setpoint_names_its_joint_and_only_for_the_robot_that_has_it(r
 
 
 @pytest.mark.parametrize("late", range(2))
-def test_the_first_step_of_the_stop_names_its_joint_as_well(runtime, late):
+def test_refused_stop_names_its_joint(runtime, late):
     """What would be sent, or what comes after it."""
     here = runtime.setpoint
     points = [here._replace(qd=here.qd.copy()) for _ in range(2)]
@@ -102,7 +102,7 @@ def test_the_first_step_of_the_stop_names_its_joint_as_well(runtime, late):
 
 
 @pytest.mark.parametrize("reason", [Reason.STALE, Reason.LOST])
-def test_a_joint_whose_encoder_is_not_believed_any_more_is_named(runtime, reason):
+def test_joint_with_an_invalid_estimate_is_named(runtime, reason):
     """Its readings come, and are refused one by one."""
     read = runtime.robot.read
 
@@ -118,7 +118,7 @@ def test_a_joint_whose_encoder_is_not_believed_any_more_is_named(runtime, reason
 
 
 @pytest.mark.parametrize("reason", [Reason.STALE, Reason.LOST])
-def test_an_imu_that_is_not_heard_is_named(reason):
+def test_silent_imu_is_named(reason):
     runtime = standing(2)
     read = runtime.robot.read
 
@@ -135,7 +135,7 @@ def test_an_imu_that_is_not_heard_is_named(reason):
 
 
 @pytest.mark.parametrize("robot", range(2))
-def test_a_base_that_is_lost_is_named(robot):
+def test_diverged_base_estimate_is_named(robot):
     runtime = standing(2)
     runtime.capabilities["floating_base"].filter.P[robot] *= 1e6
     runtime.tick()
@@ -143,7 +143,7 @@ def test_a_base_that_is_lost_is_named(robot):
     assert explain_reasons(runtime, int(Reason.DIVERGED), 1 - robot) == REASON_TEXT[Reason.DIVERGED]
 
 
-def test_who_loses_its_power_at_work_has_stopped(runtime):
+def test_power_loss_while_running_counts_as_a_stop(runtime):
     stops = StopDetector()
     assert stops.step(runtime) == []
     runtime.supervisor.latch(np.array([False, True]), Reason.OPERATOR)
@@ -154,13 +154,13 @@ def test_who_loses_its_power_at_work_has_stopped(runtime):
     assert stops.step(runtime) == [0]
 
 
-def test_a_joint_without_a_number_is_named(runtime):
+def test_joint_with_nan_is_named(runtime):
     runtime.state.q[0, WRIST] = np.nan
     runtime.act(None)
     assert explain_reasons(runtime, int(Reason.NOT_FINITE)) == f"{REASON_TEXT[Reason.NOT_FINITE]} (wrist_2)"
 
 
-def test_a_planned_joint_without_a_number_is_named_although_no_torque_is_one_then(runtime):
+def test_planned_joint_with_nan_is_named_despite_nan_torques(runtime):
     here = runtime.setpoint
     planned = here._replace(q=here.q.copy())
     planned.q[1, WRIST] = np.nan
@@ -180,7 +180,7 @@ def test_a_planned_joint_without_a_number_is_named_although_no_torque_is_one_the
         ((-0.04, -0.53, 2.5, -1.82, -1.4, -1.03), "table and wrist_2"),
     ],
 )
-def test_shapes_that_would_meet_are_named(runtime, place, q, shapes):
+def test_colliding_shapes_are_named(runtime, place, q, shapes):
     """Be it at the setpoint, in the midst of the stop or at its end."""
     here = runtime.setpoint
     poses = [here.q.copy() for _ in range(3)]
@@ -191,7 +191,7 @@ def test_shapes_that_would_meet_are_named(runtime, place, q, shapes):
     assert explain_reasons(runtime, int(Reason.COLLISION), robot=1) == REASON_TEXT[Reason.COLLISION]
 
 
-def test_a_pose_without_a_number_has_no_part_in_it(runtime):
+def test_pose_of_nan_names_no_collision(runtime):
     here, midst = runtime.setpoint, runtime.setpoint.q.copy()
     midst[0] = np.nan
     rest = np.tile((0.3, -1.59, 2.64, 0.24, -1.16, 0.87), (2, 1))
@@ -199,7 +199,7 @@ def test_a_pose_without_a_number_has_no_part_in_it(runtime):
     assert explain_reasons(runtime, int(Reason.COLLISION)).endswith("(upper_arm and wrist_3)")
 
 
-def test_shapes_that_keep_apart_are_not_blamed_for_a_pose_without_a_number(runtime):
+def test_separate_shapes_are_not_named_for_a_pose_of_nan(runtime):
     here, nowhere = runtime.setpoint, np.full_like(runtime.setpoint.q, np.nan)
     one = here.q.copy()
     one[0, WRIST] = np.nan
@@ -212,7 +212,7 @@ def test_shapes_that_keep_apart_are_not_blamed_for_a_pose_without_a_number(runti
 
 
 @pytest.mark.parametrize("value", [np.nan, 0.7])
-def test_a_motor_that_nobody_hears_of_is_named(runtime, value):
+def test_silent_motor_is_named(runtime, value):
     read = runtime.robot.read
 
     def deaf():
@@ -227,7 +227,7 @@ def test_a_motor_that_nobody_hears_of_is_named(runtime, value):
     assert explain_reasons(runtime, int(Reason.HEAT)) == f"{REASON_TEXT[Reason.HEAT]} (wrist_2)"
 
 
-def test_why_is_told_in_the_words_of_the_tick_in_which_it_came(runtime):
+def test_reason_is_described_from_the_tick_in_which_it_came(runtime):
     why = StopExplanation()
     why.step(runtime)
     assert str(why) == ""
@@ -247,11 +247,11 @@ def test_why_is_told_in_the_words_of_the_tick_in_which_it_came(runtime):
 
 
 @pytest.mark.parametrize("reason", list(Reason))
-def test_every_reason_has_words(runtime, reason):
+def test_every_reason_has_a_description(runtime, reason):
     assert explain_reasons(runtime, int(reason)).startswith(REASON_TEXT[reason])
 
 
-def test_several_are_told_one_after_the_other(runtime):
+def test_several_reasons_are_listed_in_order(runtime):
     beyond(runtime)
     runtime.act(None)
     said = explain_reasons(runtime, int(Reason.STALE | Reason.OUTSIDE))
@@ -264,7 +264,7 @@ def test_nothing_is_known_before_the_first_packet():
     assert explain_reasons(runtime, int(Reason.HEAT | Reason.OUTSIDE)).count("(") == 0
 
 
-def test_who_is_refused_is_told_which_joint_moves():
+def test_refused_arming_names_the_moving_joint():
     runtime = built(1)
     heard(runtime)
     runtime.estimator.joints.ed[0, WRIST] = 1.0
@@ -272,7 +272,7 @@ def test_who_is_refused_is_told_which_joint_moves():
     assert explain_reasons(runtime, int(refused[0])) == "a joint moves while the drives are off (wrist_2)"
 
 
-def test_who_is_refused_is_told_what_speaks_against_it_now():
+def test_refused_arming_names_the_current_reasons():
     """Not what did in the last tick: nobody asks a robot without power whether it may go on."""
     runtime = built(1)
     heard(runtime)

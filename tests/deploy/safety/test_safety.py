@@ -13,7 +13,7 @@ TAU_MAX = MARGINS.tau * torque_max(SPEC)
 HAIR = 1e-6
 
 
-def test_at_home_nothing_speaks_against_moving():
+def test_home_pose_has_no_reasons():
     verdict = judge()
     assert verdict.reason.tolist() == [0]
     np.testing.assert_array_equal(verdict.tau, verdict.tau_ahead)
@@ -42,7 +42,7 @@ def test_velocity(joint, sign):
 
 @pytest.mark.parametrize("joint", range(N))
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_velocity_that_a_stop_would_still_gain(joint, sign):
+def test_velocity_gained_during_a_stop(joint, sign):
     """A stop first brings the acceleration to rest at full jerk, and the speed grows by its square over twice that."""
     limit, qdd = MARGINS.speed * SPEC.joints[joint].qd_max, SPEC.joints[joint].qdd_max
     gain = qdd**2 / (2 * SPEC.joints[joint].qddd_max)
@@ -84,7 +84,7 @@ def test_tool_speed(seed):
 
 @pytest.mark.parametrize("joint", range(3))
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_tool_speed_that_a_stop_would_still_gain(joint, sign):
+def test_tool_speed_gained_during_a_stop(joint, sign):
     """A stop first brings the acceleration to rest at full jerk, and the speed grows by its square over twice that."""
     fleet, jerk = Fleet(SPEC, 1), SPEC.joint_array("qddd_max")[joint]
     kinematics = fleet.kinematics(HOME[None])
@@ -98,7 +98,7 @@ def test_tool_speed_that_a_stop_would_still_gain(joint, sign):
         assert Reason.TOOL_SPEED not in reasons(setpoint=easing)
 
 
-def test_the_setpoint_itself_is_placed_too():
+def test_setpoint_pose_is_checked_for_collisions():
     """Not only where the stop ends: a setpoint in the table, or in a singularity, is refused though its rest is not."""
     low = one(1, -0.35, one(2, 1.2, HOME))
     found = reasons(setpoint=point(low), ahead=point(), q_hat=HOME, q_rest=HOME)
@@ -126,7 +126,7 @@ def test_heat(joint):
 
 
 @pytest.mark.parametrize("joint", range(N))
-def test_a_winding_that_may_be_above_its_limit_stops_the_robot(joint):
+def test_winding_possibly_above_its_limit_stops_the_robot(joint):
     limit = SPEC.motor_array("winding_max_c")[joint]
     assert reasons(hottest=one(joint, limit, np.full(N, 20.0))) == 0
     assert reasons(hottest=one(joint, limit + HAIR, np.full(N, 20.0))) == Reason.HEAT
@@ -152,7 +152,7 @@ def test_stale_and_lost(age, expected):
 
 @pytest.mark.parametrize("joint", range(N))
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_tracking_is_against_what_the_drives_follow_now(joint, sign):
+def test_tracking_error_is_against_the_sent_setpoint(joint, sign):
     for offset, expected in (
         (MARGINS.tracking_rad - HAIR, 0),
         (MARGINS.tracking_rad + HAIR, Reason.TRACKING),
@@ -165,7 +165,7 @@ def test_tracking_is_against_what_the_drives_follow_now(joint, sign):
 @pytest.mark.filterwarnings("ignore:invalid value")
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("joint", [0, 5])
-def test_not_finite_wherever_it_is(bad, joint):
+def test_non_finite_value_in_any_input(bad, joint):
     for field in ("q", "qd", "qdd"):
         broken = point(**{field: one(joint, bad, HOME if field == "q" else ZERO)})
         for place in ("setpoint", "ahead"):
@@ -202,7 +202,7 @@ def by_mujoco(mujoco, poses):
     return np.array(rows).T
 
 
-def test_poses_are_judged_as_another_library_judges_them():
+def test_pose_checks_agree_with_mujoco():
     """Workspace, singularity and collision of 3,000 random poses in the working range, each bit both ways."""
     mujoco = pytest.importorskip("mujoco")
     robots, width, rng = 3072, 64, np.random.default_rng(0)
@@ -236,7 +236,7 @@ def test_poses_are_judged_as_another_library_judges_them():
     assert (reason & ~sum(int(bit) for bit in expected) == 0).all()
 
 
-def test_each_robot_is_judged_alone():
+def test_robots_are_checked_independently():
     """Eleven robots, each with another fault, and every verdict is that of its own fault."""
     faults = {
         **{1: Reason.VELOCITY, 2: Reason.POSITION, 5: Reason.TRACKING, 6: Reason.HEAT},
@@ -274,7 +274,7 @@ def test_each_robot_is_judged_alone():
     assert verdict.reason.tolist() == [int(faults.get(i, 0)) for i in range(robots)]
 
 
-def test_it_changes_none_of_its_inputs():
+def test_inputs_are_not_modified():
     setpoint, rest = point(qd=one(0, 9.0)), np.tile(HIGH, (1, 1))
     before = setpoint.q.copy(), setpoint.qd.copy(), rest.copy()
     judge(setpoint=setpoint, q_rest=rest)

@@ -10,7 +10,7 @@ from support.deploy.safety import HIGH, HOME, LOW, MARGINS, SPACE, N, one, point
 
 
 @pytest.mark.parametrize("limit", ["z_min", "radius_max"])
-def test_the_tool_in_the_midst_of_a_stop_stays_in_the_workspace(limit):
+def test_tool_stays_in_the_workspace_during_a_stop(limit):
     """Though where the stop begins and ends is well inside: the arm is let down, or stretched, until it is refused."""
     fleet, reach = Fleet(SPEC, 1), MARGINS.workspace_m
     far = (
@@ -44,7 +44,7 @@ def touching(fleet, q):
 
 
 @pytest.mark.parametrize("share", [0.5, 0.95])
-def test_stops_that_are_allowed_hurt_nothing_all_the_way(share):
+def test_allowed_stops_stay_within_all_limits(share):
     """A hundred and fifty at up to this share of full speed, on their way to a forbidden place, every 20 ms of each."""
     robots, rng, smoother = 64, np.random.default_rng(3), Smoother(SPEC, 64)
     bare = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"collision_m": 1e-9})})
@@ -80,7 +80,7 @@ def test_stops_that_are_allowed_hurt_nothing_all_the_way(share):
     assert blocked > accepted
 
 
-def test_a_stop_that_would_be_too_fast_is_refused_and_no_other():
+def test_only_too_fast_stops_are_refused():
     """Stops of one joint from near the limit, at any acceleration, each lived through."""
     robots, rng, smoother = 192, np.random.default_rng(4), Smoother(SPEC, 192)
     qd_max, joint = MARGINS.speed * SPEC.joint_array("qd_max"), np.arange(robots)[:, None] % N == np.arange(N)
@@ -110,7 +110,7 @@ WRIST_INTO_TABLE = (
 
 
 @pytest.mark.parametrize(("q", "qd"), WRIST_INTO_TABLE)
-def test_a_link_that_a_stop_would_drive_into_the_table(q, qd):
+def test_stop_into_the_table_is_refused(q, qd):
     start, smoother = point(np.array(q), np.array(qd)), Smoother(SPEC, 1)
     ahead, q_mid_stop, q_rest = smoother.brake(start)
     assert reasons(setpoint=start, qd_hat=start.qd, ahead=ahead, q_mid_stop=start.q, q_rest=q_rest) == 0

@@ -56,7 +56,7 @@ def test_every_transition(mode, held, since, reason, at_rest, expected, obeys):
     assert after(one(Mode[mode], held, since), reason, at_rest) == (Mode[expected], obeys)
 
 
-def test_a_whole_shift():
+def test_transitions_of_a_whole_run():
     supervisor = one()
     supervisor.arm(YES)
     modes = [after(supervisor)[0] for _ in range(ARMING)]
@@ -71,7 +71,7 @@ def test_a_whole_shift():
     assert supervisor.reason[0] == 0
 
 
-def test_a_flickering_cause_keeps_it_holding():
+def test_intermittent_reason_keeps_holding():
     supervisor = one(Mode.HOLDING, SOFT)
     for _ in range(10):
         modes = {after(supervisor)[0] for _ in range(HOLD - 1)} | {after(supervisor, SOFT)[0]}
@@ -162,7 +162,7 @@ def check_invariants(before, reason_before, after_mode, reason, at_rest, obey):
         assert (after_mode == Mode.STOPPING) == (not at_rest)
 
 
-def test_every_short_history():
+def test_all_short_input_sequences():
     """All 6^5 sequences of (reason, rest) from RUNNING keep the invariants."""
     steps = list(itertools.product((0, SOFT, HARD), (True, False)))
     histories = np.array(list(itertools.product(range(len(steps)), repeat=5)))
@@ -190,7 +190,7 @@ def test_every_short_history():
         max_size=60,
     )
 )
-def test_long_histories_with_an_operator_in_them(history):
+def test_long_input_sequences_with_an_operator(history):
     supervisor = one()
     for reason, at_rest, key in history:
         if key == "a":
@@ -233,7 +233,7 @@ def test_saved_and_restored():
             np.testing.assert_array_equal(second.since, first.since)
 
 
-def test_every_reason_has_words():
+def test_every_reason_has_a_description():
     assert set(REASON_TEXT) == set(Reason)
     assert describe(0) == "no reason"
     assert (

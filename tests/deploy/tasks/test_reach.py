@@ -51,7 +51,7 @@ def test_every_goal_is_in_the_shell_above_the_table_and_accepted_by_safety():
         np.testing.assert_array_equal(kinematics.tool_position, POOL.tool[start : start + BLOCK])
 
 
-def test_a_fifth_of_what_the_arm_could_reach_is_left_out():
+def test_goals_cover_four_fifths_of_the_reachable_volume():
     """Which the README says: cells near the table and around the base's axis."""
     all_of_it = goal_pool(SPEC, ReachConfig(z_min=SPEC.workspace.z_min, axis_min=0.0))
     chosen, reachable = (
@@ -60,14 +60,14 @@ def test_a_fifth_of_what_the_arm_could_reach_is_left_out():
     assert 1 - chosen / reachable == pytest.approx(0.2, abs=0.02)
 
 
-def test_the_pool_is_the_same_for_everybody():
+def test_goal_pool_is_deterministic():
     small = ReachConfig(candidates=1600)
     again = sample_pool(SPEC, small)
     for name in ("q", "tool", "chance"):
         np.testing.assert_array_equal(getattr(goal_pool(SPEC, small), name), getattr(again, name))
 
 
-def test_chances_are_a_distribution():
+def test_chances_are_a_cumulative_distribution():
     assert (np.diff(POOL.chance) > 0).all()
     assert POOL.chance[0] > 0
     assert POOL.chance[-1] == pytest.approx(1.0, abs=1e-9)
@@ -122,7 +122,7 @@ def test_reached_is_within_tolerance_at_the_end(distance, counts):
     np.testing.assert_array_equal(each.ended_goal, goal)
 
 
-def test_having_been_there_before_the_end_does_not_count():
+def test_reaching_before_the_end_does_not_count():
     each = task()
     goal = each.goal.copy()
     for tick in range(PERIOD):
@@ -146,7 +146,7 @@ def test_a_task_without_a_goal_is_an_error(config):
         goal_pool(SPEC, ReachConfig(**config))
 
 
-def test_nowhere_is_not_near():
+def test_position_of_nan_is_not_near():
     each = task()
     for _ in range(PERIOD):
         step(each, np.full((1, 3), np.nan), np.ones(1, dtype=bool))

@@ -53,7 +53,7 @@ def test_the_view_follows_the_true_pose_until_it_is_closed(monkeypatch):
     np.testing.assert_array_equal(windows[0].synced, [pose])
 
 
-def test_the_view_goes_with_a_robot_that_walks(monkeypatch):
+def test_view_follows_a_walking_robot(monkeypatch):
     from deploy.backends.sim import view
 
     windows = []
@@ -123,7 +123,7 @@ def test_the_table_shows_everything():
         assert part in text
 
 
-def test_lines_come_once_a_second_and_with_news():
+def test_lines_appear_once_a_second_and_on_changes():
     quiet = {**SNAPSHOT, "notes": [], "mode": "RUNNING", "reason": ""}
     snapshots = [{**quiet, "elapsed": k / 5} for k in range(15)]
     text = drawn([*snapshots, {**SNAPSHOT, "elapsed": 2.9}, {**SNAPSHOT, "elapsed": 2.95}], terminal=False)
@@ -135,7 +135,7 @@ def test_lines_come_once_a_second_and_with_news():
     ]
 
 
-def test_a_screen_that_is_not_read_holds_nothing_up_and_tears_no_line():
+def test_blocked_terminal_delays_nothing_and_tears_no_line():
     reading, writing = os.pipe()
     screen, text = SnapshotPipe(writing), {"x": "y" * 5000}  # longer than what a pipe takes whole
     for k in range(1000):  # far more than a pipe takes
@@ -153,7 +153,7 @@ def test_a_screen_that_is_not_read_holds_nothing_up_and_tears_no_line():
     assert len(numbers) < 200
 
 
-def test_a_screen_that_has_gone_is_forgotten():
+def test_closed_terminal_is_dropped():
     reading, writing = os.pipe()
     screen = SnapshotPipe(writing)
     os.close(reading)

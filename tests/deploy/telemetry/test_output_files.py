@@ -22,7 +22,7 @@ def written_by_half(path, error):
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_nothing_changes_when_it_does_not(tmp_path, error):
+def test_file_is_unchanged_when_the_block_raises(tmp_path, error):
     path = tmp_path / "x.bin"
     path.write_text("older")
     with pytest.raises(error):
@@ -38,7 +38,7 @@ def test_a_full_disk_is_an_output_error(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
-def test_a_write_protected_file_is_left_alone(tmp_path, monkeypatch):
+def test_write_protected_file_is_kept(tmp_path, monkeypatch):
     path = tmp_path / "x.bin"
     path.write_text("precious")
     monkeypatch.setattr("os.access", lambda *_: False)  # root may write anything

@@ -103,7 +103,7 @@ def test_the_stream_is_thinned_to_50_hz(tmp_path):
         assert times == [START_NS + tick * TICK_NS for tick in range(0, 401, 4)]
 
 
-def test_numbers_are_those_of_their_tick(tmp_path):
+def test_logged_numbers_match_their_tick(tmp_path):
     record(tmp_path, 41)
     found, script = messages(tmp_path / "run.mcap"), Scripted()
     for k, (time, _, measured) in enumerate(found["/measured"]):
@@ -126,7 +126,7 @@ def test_numbers_are_those_of_their_tick(tmp_path):
         assert found["/state"][k][2]["q_target"] == script.numbers(tick, 3)[0].tolist()
 
 
-def test_changes_of_mode_are_said_with_their_reasons(tmp_path):
+def test_mode_changes_are_logged_with_their_reasons(tmp_path):
     both = Reason.HEAT | Reason.TRACKING
     record(tmp_path, 20, stops={11: both, 12: both})
     found = messages(tmp_path / "run.mcap")
@@ -141,7 +141,7 @@ def test_changes_of_mode_are_said_with_their_reasons(tmp_path):
     assert (state["mode"], state["reason"]) == ("STOPPING", why)
 
 
-def test_metadata_say_what_ran(tmp_path):
+def test_metadata_identify_the_run(tmp_path):
     record(tmp_path, 1)
     with (tmp_path / "run.mcap").open("rb") as file:
         (found,) = make_reader(file).iter_metadata()
@@ -167,13 +167,13 @@ def test_an_event_keeps_every_tick_around_it(tmp_path):
 
 
 @pytest.mark.parametrize(("stop", "end"), [(500, 510), (3, 8), (0, 1), (500, 500 + AFTER + 3)])
-def test_an_event_at_the_end_is_written_as_far_as_it_went(tmp_path, stop, end):
+def test_event_at_the_end_is_written_as_far_as_recorded(tmp_path, stop, end):
     writer = record(tmp_path, end, stops={stop: Reason.COLLISION})
     newest = min(end - 1, stop + AFTER)
     assert ticks(writer.events[0]) == list(range(max(0, newest - DEPTH + 1), newest + 1))
 
 
-def test_of_stops_in_quick_succession_the_first_and_the_last_are_events(tmp_path):
+def test_first_and_last_of_quick_stops_are_events(tmp_path):
     writer = record(tmp_path, 900, stops=dict.fromkeys((500, 510, 560, 590), Reason.STALE))
     assert [path.name for path in writer.events] == ["event-500.mcap", "event-590.mcap"]
 
@@ -194,7 +194,7 @@ def test_the_number_of_events_is_bounded(tmp_path):
     assert sorted(tmp_path.glob("event-*.mcap")) == sorted(writer.events)
 
 
-def test_the_operators_stop_is_an_event_only_when_asked_for(tmp_path):
+def test_operator_stop_is_an_event_only_on_request(tmp_path):
     runtime = Scripted()
     writer = recorder(tmp_path, runtime)
     runtime.supervisor.mode[0], runtime.supervisor.reason[0] = Mode.STOPPING, Reason.OPERATOR
@@ -225,7 +225,7 @@ def test_the_ring_holds_the_last_ticks_of_every_robot(robots):
             np.testing.assert_array_equal(row, rows[-1])
 
 
-def test_a_former_run_is_replaced_and_nothing_else(tmp_path):
+def test_only_files_of_a_former_run_are_replaced(tmp_path):
     record(tmp_path, 700, stops={10: Reason.STALE, 400: Reason.STALE})
     (tmp_path / "notes.txt").write_text("mine")
     writer = record(tmp_path, 700, stops={20: Reason.STALE})
@@ -244,7 +244,7 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
     assert (tmp_path / "out").read_text() == "mine"
 
 
-def test_a_good_folder_is_left_as_it_was(tmp_path):
+def test_valid_folder_is_left_unchanged(tmp_path):
     check_folder(tmp_path / "a" / "b")
     assert list((tmp_path / "a" / "b").iterdir()) == []
 
@@ -256,7 +256,7 @@ def test_a_recording_that_cannot_be_opened_is_refused(tmp_path):
 
 
 @linux_only
-def test_a_full_disk_is_noticed_before_anything_moves(tmp_path):
+def test_full_disk_is_an_error_before_any_motion(tmp_path):
     (tmp_path / "run.mcap").symlink_to("/dev/full")
     with pytest.raises(OutputError, match=r"run.mcap: cannot be written: No space left on device"):
         recorder(tmp_path)
@@ -272,7 +272,7 @@ def small_disk():
 
 
 @pytest.mark.usefixtures("small_disk")
-def test_a_disk_that_fills_up_in_flight_is_said_once_and_stops_no_tick(tmp_path, caplog, capfd):
+def test_disk_that_fills_up_during_a_run_is_reported_once_and_stops_no_tick(tmp_path, caplog, capfd):
     writer = record(tmp_path, 8000)
     assert writer.lost == f"{tmp_path / 'run.mcap'}: cannot be written: File too large"
     assert (caplog.text, *capfd.readouterr()) == ("", "", "")

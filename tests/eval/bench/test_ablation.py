@@ -59,7 +59,7 @@ def follow(stage, ticks=100, late=2, off=0.01):
     return state
 
 
-def test_without_a_filter_a_robot_believes_its_newest_packets():
+def test_estimator_without_filter_returns_the_newest_packets():
     stage = LatestPacketEstimator(SPEC, 1)
     state, taken = follow(stage), 97 * DT
     np.testing.assert_array_equal(state.q, where(taken)[0] + 0.01)
@@ -67,7 +67,7 @@ def test_without_a_filter_a_robot_believes_its_newest_packets():
     assert state.age == pytest.approx(2 * DT)
 
 
-def test_a_packet_that_is_lost_or_old_changes_nothing_and_one_after_it_counts_the_time_between():
+def test_lost_or_old_packets_are_ignored_and_the_next_one_spans_the_gap():
     stage, still = LatestPacketEstimator(SPEC, 1), Setpoint(*np.zeros((3, 1, N)))
     for tick, taken, value in ((2, 0, 0.0), (3, 1, 0.01), (4, 1, 0.01), (5, 1, 0.01)):
         state = stage.step(tick * DT, heard(taken * DT, np.full((1, N), value)), still)
@@ -76,7 +76,7 @@ def test_a_packet_that_is_lost_or_old_changes_nothing_and_one_after_it_counts_th
     np.testing.assert_allclose((state.q, state.qd), (np.full((1, N), 0.04), np.full((1, N), 0.03 / (3 * DT))))
 
 
-def test_without_compensation_a_robot_believes_what_held_when_its_sample_was_taken():
+def test_estimator_without_delay_compensation_returns_the_state_at_sampling():
     late, now = follow(UncompensatedEstimator(SPEC, 1)), follow(Estimator(SPEC, 1))
     then, t = 97 * DT, 99 * DT
     np.testing.assert_allclose(now.q - where(t)[0], 0.01, atol=1e-4)
@@ -104,7 +104,7 @@ def test_without_a_smoother_the_target_is_sent_and_derivatives_are_its_differenc
 
 
 @pytest.mark.parametrize(("kind", "folds"), [(WindingObserver, True), (HousingTemperatureObserver, False)])
-def test_without_its_guard_a_robot_knows_nothing_of_its_windings(kind, folds):
+def test_runtime_without_winding_guard_has_no_winding_estimate(kind, folds):
     heat = kind(SPEC, 1)
     for tick in range(round(20 / DT)):
         heat.step(tick * DT, heard(tick * DT, np.zeros((1, N)), housing=75.0, current=10.0 + tick * 1e-6))
@@ -140,7 +140,7 @@ def moving(power_from=0, ticks=400):
 
 
 @pytest.mark.parametrize("power_from", [0, 200])
-def test_figures_are_those_of_a_motion_that_is_known(power_from):
+def test_figures_equal_those_of_a_known_motion(power_from):
     """Two periods of it, or four; what a robot does without power does not count."""
     metrics, jerk = moving(power_from)
     assert metrics.jerk == pytest.approx(jerk, rel=0.02)
@@ -150,7 +150,7 @@ def test_figures_are_those_of_a_motion_that_is_known(power_from):
     assert metrics.hard_monitors == "torque 4"
 
 
-def test_every_variant_lives_and_has_a_row_and_a_picture(arm_policy, monkeypatch, tmp_path):
+def test_every_variant_runs_and_has_a_row_and_a_figure(arm_policy, monkeypatch, tmp_path):
     monkeypatch.setattr(ablation, "ROBOTS", 1)
     monkeypatch.setattr(ablation, "TRIAL_S", 0.25)
     console, picture = Console(record=True, width=160), tmp_path / "figures.png"
@@ -176,7 +176,7 @@ def parts(runtime):
     return {**stages, "heat": type(runtime.estimator.windings)}
 
 
-def test_losses_that_last_lead_to_what_the_closed_form_leads_to():
+def test_constant_losses_lead_to_the_closed_form():
     motors = nominal_windings(SPEC)
     away, ambient, current = SPEC.motor_array("housing_resistance_k_per_w"), 40.0, 3.0
     capacity = SPEC.motor_array("housing_capacity_j_per_k")
@@ -201,7 +201,7 @@ def test_losses_that_last_lead_to_what_the_closed_form_leads_to():
     np.testing.assert_allclose((winding[0, 0], housing[0, 0]), expected, rtol=1e-6)
 
 
-def test_what_rubs_goes_through_the_housing_alone():
+def test_friction_heats_the_housing_only():
     motors, away = nominal_windings(SPEC), SPEC.motor_array("housing_resistance_k_per_w")
     copper, rubbed = np.full((1, N), 2.0), np.full((1, N), 3.0)
     winding, housing = hot.steady(copper, rubbed, np.full((1, 1), 20.0), motors, motors.to_housing, away)
@@ -210,7 +210,7 @@ def test_what_rubs_goes_through_the_housing_alone():
     np.testing.assert_allclose((housing - 20.0) / away, through + rubbed)
 
 
-def test_a_hot_draw_is_the_usual_robot_in_a_hotter_room_with_more_to_carry():
+def test_hot_draw_changes_masses_and_ambient_temperature_only():
     who = [3, 8]
     usual = draw(load_distributions(SPEC), SPEC, [robot_seed(hot.SEED, robot) for robot in who])
     given = hot.hot_draw(SPEC, who)
@@ -224,7 +224,7 @@ def test_a_hot_draw_is_the_usual_robot_in_a_hotter_room_with_more_to_carry():
     np.testing.assert_allclose(warm, [62.0, SPEC.motor_array("housing_max_c").min() - hot.START_MARGIN_K])
 
 
-def test_a_careless_robot_neither_folds_back_nor_stops_for_heat():
+def test_unguarded_robot_neither_folds_back_nor_stops_for_heat():
     stage, still = HeatBlindEstimator(SPEC, 1), Setpoint(*np.zeros((3, 1, N)))
     state = stage.step(0.0, heard(0.0, np.zeros((1, N)), housing=149.0, current=30.0), still)
     assert not state.winding.any()
@@ -233,7 +233,7 @@ def test_a_careless_robot_neither_folds_back_nor_stops_for_heat():
     assert (state.fold == 1.0).all()
 
 
-def test_the_hot_shift_of_robots_that_stand_still(arm_policy, monkeypatch):
+def test_hot_shift_of_resting_robots(arm_policy, monkeypatch):
     """A row for each robot and variant; what it lacks of the limit is what its winding has not reached."""
     small = {"CANDIDATES": 3, "CANDIDATE_S": 1.0, "ROBOTS": 2, "TRIAL_S": 3.0}
     for name, value in small.items():

@@ -75,7 +75,7 @@ def test_a_bench_watches_every_stage_and_leaves_the_results_alone(arm_policy, mo
     assert bench.judge.counts().running.min() > 30
 
 
-def test_physics_is_timed_on_the_very_steps_of_the_shift():
+def test_physics_is_timed_on_the_recorded_steps():
     """From the same state, by the same controls, to the same state; and nothing but physics is done again."""
     batch, rng = Batch(load_mujoco(SPEC), 3, nthread=1), np.random.default_rng(1)
     physics = RolloutReplay(batch)
@@ -124,7 +124,7 @@ def test_errors_of_the_estimator_are_measured_against_the_true_motion(tmp_path):
     assert (tmp_path / "encoder.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_an_idle_policy_loads_and_asks_for_nothing(tmp_path):
+def test_idle_policy_loads_and_outputs_zero(tmp_path):
     working = saved(policy_model(), tmp_path)
     idle = Policy.load(make_idle(working, tmp_path / "idle.onnx"), SPEC)
     observation = np.random.default_rng(0).normal(size=(3, N)).astype(np.float32)
@@ -143,7 +143,7 @@ def test_an_unknown_bench_is_refused(monkeypatch, capsys):
     assert f"found 'nothing', expected one of {known} or all" in capsys.readouterr().err
 
 
-def test_a_picture_is_of_what_can_be_drawn(monkeypatch, capsys):
+def test_figure_omits_what_cannot_be_drawn(monkeypatch, capsys):
     seen = []
     monkeypatch.setitem(cli.BENCHES, "ablation", lambda spec, policy, picture: seen.append(picture))
     codes = []

@@ -37,7 +37,7 @@ def rmse(followed, name, robots):
     return tuple(floating.rms(getattr(followed[feet], name)[:, robots]) for feet in (True, False))
 
 
-def test_it_walks_and_nobody_falls(truth):
+def test_robot_walks_without_falling(truth):
     up = matrix(truth.quat_wxyz.reshape(-1, 4))[:, 2, 2]
     assert up.min() > np.cos(0.5)
     assert np.abs(truth.velocity_in_world).max(axis=(0, 2)).min() > 0.05
@@ -56,13 +56,13 @@ def test_angular_velocity_is_better_without_its_bias(followed, trots):
     assert turning < min(0.025, 0.95 * alone)
 
 
-def test_it_knows_how_wrong_it_is(followed):
+def test_error_is_consistent_with_the_covariance(followed):
     """Five errors: a foot that lands is neither white nor Gaussian, so the range is wide on purpose."""
     assert 3.0 < followed[True].nees.mean() < 8.0
     assert followed[True].refused < 0.01
 
 
-def test_the_feet_of_pinocchio_are_these_feet(truth):
+def test_feet_equal_pinocchio(truth):
     """What a caller computes from joint angles is what the filter is promised, in the base frame."""
     model, expected = pin.buildModelFromMJCF(str(MODEL)), mujoco.MjModel.from_xml_path(str(MODEL))
     rng, data, at = np.random.default_rng(0), model.createData(), mujoco.MjData(expected)

@@ -63,7 +63,7 @@ def row(found, fault):
     return next(each for each in table.rows if (each.where, each.what) == (fault.where, fault.what))
 
 
-def test_a_fault_that_nobody_notices_is_handled_if_nothing_is_hurt():
+def test_unnoticed_fault_without_violation_is_handled():
     fault = named("force off")
     one, found = told(fault, [(400, RUN, 0.5)])
     assert (one.answer, one.stopped, one.rest, one.resumed) == (Answer.WENT_ON, -1, -1, 0)
@@ -75,13 +75,13 @@ def test_a_fault_that_nobody_notices_is_handled_if_nothing_is_hurt():
     assert row(found, fault).violations == {"self_collision": 1}
 
 
-def test_what_hurts_before_or_after_is_not_the_faults():
+def test_violations_before_or_after_do_not_count():
     fault = named("force off")
     one, found = told(fault, [(400, RUN, 0.5)], hurt=50 + SETTLE + 1)
     assert (one.violated, row(found, fault).handled) == (0, 1)
 
 
-def test_a_hold_is_timed_from_the_injection_to_true_rest():
+def test_hold_time_is_from_injection_to_true_rest():
     fault = named("force off")
     one, found = told(
         fault, [(7, RUN, 0.5), (20, STOP, 0.4), (3, HOLD, 0.2), (60, HOLD, 0.0), (200, RUN, 0.1)]
@@ -95,7 +95,7 @@ def test_a_hold_is_timed_from_the_injection_to_true_rest():
     assert (found.handled, found.answers) == (1, {"category 2": 1})
 
 
-def test_an_answer_that_is_too_severe_is_not_handled():
+def test_too_severe_response_is_not_handled():
     story = [(5, RUN, 0.5), (10, STOP, 0.4), (100, LATCHED, 0.0), (200, RUN, 0.1)]
     for name, handled in (("force off", 0), ("encoder off", 1)):
         one, found = told(named(name), story)
@@ -112,7 +112,7 @@ def test_an_answer_that_is_too_severe_is_not_handled():
 
 
 @pytest.mark.parametrize(("speed", "answer"), [(0.5, Answer.CUT), (0.0, Answer.STOPPED)])
-def test_power_that_goes_in_motion_is_category_0(speed, answer):
+def test_power_loss_in_motion_is_category_0(speed, answer):
     one, found = told(
         named("encoder off"), [(5, RUN, 0.5), (300, LATCHED, 0.0), (200, RUN, 0.1)], speed=speed
     )
@@ -120,13 +120,13 @@ def test_power_that_goes_in_motion_is_category_0(speed, answer):
     assert row(found, named("encoder off")).handled == (answer == Answer.STOPPED)
 
 
-def test_a_robot_that_never_comes_back_is_told_to_the_end_of_its_slot():
+def test_robot_without_recovery_is_followed_to_the_end_of_its_slot():
     one, found = told(named("encoder off"), [(5, STOP, 0.4), (2_100, LATCHED, 0.0)])
     assert (one.resumed, one.complete) == (-1, 2_000)
     assert (row(found, named("encoder off")).resumed, row(found, named("encoder off")).injections) == (0, 1)
 
 
-def test_a_robot_that_was_not_at_work_counts_not():
+def test_idle_robot_does_not_count():
     one, found = told(named("encoder off"), [(400, RUN, 0.0)], before=LATCHED)
     assert one.began == NOT_RUNNING
     assert (row(found, named("encoder off")).injections, row(found, named("encoder off")).not_running) == (
@@ -135,12 +135,12 @@ def test_a_robot_that_was_not_at_work_counts_not():
     )
 
 
-def test_a_story_that_is_not_over_counts_not():
+def test_unfinished_response_does_not_count():
     _, found = told(named("encoder off"), [(20, RUN, 0.0)])
     assert row(found, named("encoder off")).injections == 0
 
 
-def test_the_budget_line_is_that_of_the_worst_class():
+def test_budget_line_is_the_worst_class():
     """One of each class handled, of the last one 59: still all others are shown too seldom."""
     fault = named("force off")
     _, found = told(fault, [(400, RUN, 0.5)])
@@ -176,7 +176,7 @@ def restless(tmp_path, monkeypatch):
     return replace(job, faults=FAULTS.model_copy(update={"operator_s": 0.5}))
 
 
-def test_a_shard_goes_on_in_the_midst_of_faults_as_if_nothing_had_been(restless):
+def test_shard_resumed_during_faults_is_bit_identical(restless):
     whole, first, second = (Shard(restless) for _ in range(3))
     whole.run(lambda _: None, lambda: False)
     seen, kept = [], []
@@ -198,7 +198,7 @@ def test_a_shard_goes_on_in_the_midst_of_faults_as_if_nothing_had_been(restless)
 @pytest.mark.parametrize(
     ("remove_guard", "events"), [(keep_guards, [0, 0, 0]), (ignore_non_finite_action, [1, 1, 0])]
 )
-def test_the_judge_hears_what_the_policy_is_made_to_say(restless, monkeypatch, remove_guard, events):
+def test_judge_sees_the_injected_policy_output(restless, monkeypatch, remove_guard, events):
     faults = [(named("policy nan"), 1), (named("policy infinite"), 3)] + [None] * (WIDTH - 2)
     monkeypatch.setattr(shards, "plan", lambda *_: one_each(faults, 70))
     shard = Shard(restless)

@@ -24,7 +24,7 @@ SEEDS = [robot_seed(7, robot) for robot in range(8)]
 TICKS = round((3.0 + 20.0 * 2 * len(CLASSES)) / DT)
 
 
-def test_every_class_and_every_channel_comes_up_equally_often():
+def test_classes_and_channels_are_equally_frequent():
     schedule = plan(SPEC, FAULTS, SEEDS, 0, TICKS)
     assert schedule.class_index.shape == (8, 2 * len(CLASSES))
     for row in schedule.class_index:
@@ -47,7 +47,7 @@ def test_slots_leave_time_to_recover_and_do_not_overlap():
     assert len({each.begins % 4000 for each in injections}) > 300  # not all at the same time of their slots
 
 
-def test_a_schedule_is_a_function_of_seed_and_robot_alone():
+def test_schedule_depends_on_seed_and_robot_only():
     whole = plan(SPEC, FAULTS, SEEDS, 0, TICKS)
     part, short = plan(SPEC, FAULTS, SEEDS[3:5], 3, TICKS), plan(SPEC, FAULTS, SEEDS, 0, TICKS // 3)
     np.testing.assert_array_equal(part.class_index, whole.class_index[3:5])
@@ -90,7 +90,7 @@ TIMED = ("encoder off", "encoder stuck", "current off", "current stuck", "temper
 """Faults that deploy has a timer for, which ends in a stop."""
 
 
-def test_faults_last_longer_than_the_timers_of_deploy_that_wait_for_them():
+def test_faults_last_longer_than_the_detection_times_of_deploy():
     faults, begins = [named(name) for name in TIMED], 70
     schedule = one_each([(each, None) for each in faults], begins)
     runtime = running(len(faults), faults=schedule.sensor_faults())
@@ -102,7 +102,7 @@ def test_faults_last_longer_than_the_timers_of_deploy_that_wait_for_them():
     assert [each.name for each, unnoticed in zip(faults, at_work, strict=True) if unnoticed] == []
 
 
-def test_every_fault_of_a_policy_is_heard():
+def test_every_policy_fault_reaches_the_runtime():
     faults = [each for each in CLASSES if each.where == POLICY]
     schedule = one_each([(each, each.channels[-1]) for each in faults] + [None], 10, lasts=10)
     injector = Injector(SPEC, schedule, running(len(faults) + 1).robot.plant, N)
@@ -126,7 +126,7 @@ def test_every_fault_of_a_policy_is_heard():
     assert len(by) == len(faults)
 
 
-def test_every_fault_of_a_body_changes_its_own_robot_while_it_lasts_and_is_mended():
+def test_every_plant_fault_changes_its_robot_only_and_is_undone():
     faults = [each for each in CLASSES if each.where in {JOINT, ROBOT}]
     joint, begins, lasts, robots = 1, 40, 60, len(faults) + 1
     each_its_own = [(each, None if each.where == ROBOT else joint) for each in faults]
@@ -164,7 +164,7 @@ def test_every_fault_of_a_body_changes_its_own_robot_while_it_lasts_and_is_mende
     np.testing.assert_allclose(worlds[0].robot.truth().housing_c, worlds[1].robot.truth().housing_c, atol=1.0)
 
 
-def test_a_short_warms_nothing_without_power_and_brakes_need_none_to_hold():
+def test_short_circuit_without_power_heats_nothing_and_brakes_hold():
     runtime = running(3)
     schedule = one_each(
         [(named("joint winding short"), 2), (named("robot supply drops"), None), None], 0, lasts=50
@@ -181,6 +181,6 @@ def test_a_short_warms_nothing_without_power_and_brakes_need_none_to_hold():
 
 
 @pytest.mark.parametrize("kind", ["gyro", "accelerometer"])
-def test_a_robot_that_walks_stops_for_good_without_its_imu(kind):
+def test_walking_robot_latches_without_its_imu(kind):
     answers = {each.answer for each in catalogue(QUADRUPED) if each.where == kind}
     assert answers == {Answer.STOPPED}

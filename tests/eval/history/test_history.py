@@ -34,7 +34,7 @@ def test_two_soaks_may_claim_a_folder_at_once(tmp_path, monkeypatch, module):
     assert not any(tmp_path.iterdir())
 
 
-def test_a_night_comes_back_as_it_was_kept(tmp_path):
+def test_stored_night_is_read_back_unchanged(tmp_path):
     kept = night(7)
     path = add_record(kept, tmp_path / "new" / "history")
     assert path.name == "20260102T210000Z-seed7.soak.json"
@@ -43,7 +43,7 @@ def test_a_night_comes_back_as_it_was_kept(tmp_path):
     assert [file.name for file in path.parent.iterdir()] == [path.name]
 
 
-def test_of_a_report_only_the_night_is_kept(tmp_path):
+def test_only_the_night_of_a_report_is_stored(tmp_path):
     whole = report(["jerk"])
     found = read_record(add_record(whole, tmp_path))
     assert type(found) is SoakRecord
@@ -52,14 +52,14 @@ def test_of_a_report_only_the_night_is_kept(tmp_path):
     assert found.per_draw_counts.hottest_c == (65.0,) * 5 + (80.0,) + (65.0,) * 10
 
 
-def test_a_report_and_its_folder_are_nights_too(tmp_path):
+def test_report_and_its_folder_are_read_as_nights(tmp_path):
     whole = report()
     write_report(whole, tmp_path)
     assert read_record(tmp_path, Report) == read_record(tmp_path / "report.json", Report) == whole
     assert type(read_record(tmp_path, Report)) is Report
 
 
-def test_nothing_is_overwritten_and_time_orders(tmp_path):
+def test_nothing_is_overwritten_and_nights_are_ordered_by_time(tmp_path):
     later = add_record(night(9, started=LATER), tmp_path)
     paths = [add_record(night(7), tmp_path) for _ in range(3)]
     assert [path.name.removesuffix(SUFFIX)[-7:] for path in paths] == ["Z-seed7", "seed7-2", "seed7-3"]
@@ -67,13 +67,13 @@ def test_nothing_is_overwritten_and_time_orders(tmp_path):
     assert len(read_history(tmp_path)) == 4
 
 
-def test_the_same_moment_in_another_zone_is_not_later(tmp_path):
+def test_same_moment_in_another_time_zone_is_not_later(tmp_path):
     first = add_record(night(1, started="2026-01-02T23:30:00+02:00"), tmp_path)
     second = add_record(night(2, started="2026-01-02T21:45:00+00:00"), tmp_path)
     assert list(read_history(tmp_path)) == [str(first), str(second)]
 
 
-def test_what_a_killed_soak_left_and_other_files_are_no_nights(tmp_path):
+def test_leftovers_and_other_files_are_ignored(tmp_path):
     path = add_record(night(7), tmp_path)
     path.with_name(f".1234abcd.{path.name}").write_text('{"format": 1, "res')
     (tmp_path / "report.json").write_text("{}")
@@ -143,7 +143,7 @@ SPOILT = {
 
 
 @pytest.mark.parametrize(("spoil", "said"), SPOILT.values(), ids=SPOILT)
-def test_what_is_not_what_was_kept_is_refused_by_file_and_field(tmp_path, spoil, said):
+def test_changed_night_is_refused_by_file_and_field(tmp_path, spoil, said):
     add_record(night(1), tmp_path)
     path = add_record(night(7, started=LATER), tmp_path)
     spoil(path)
@@ -151,7 +151,7 @@ def test_what_is_not_what_was_kept_is_refused_by_file_and_field(tmp_path, spoil,
         read_history(tmp_path)
 
 
-def test_what_cannot_be_read_is_said(tmp_path):
+def test_unreadable_file_is_reported(tmp_path):
     (tmp_path / f"a{SUFFIX}").symlink_to(tmp_path / "gone")
     with pytest.raises(ConfigError, match=r"a\.soak\.json: cannot be read: No such file"):
         read_history(tmp_path)
@@ -159,7 +159,7 @@ def test_what_cannot_be_read_is_said(tmp_path):
         read_record(tmp_path)
 
 
-def test_a_soak_that_did_not_end_is_no_night_and_cannot_be_made_one(tmp_path):
+def test_unfinished_soak_is_not_a_night(tmp_path):
     write_report(report(interrupted=True), tmp_path)
     with pytest.raises(
         ConfigError, match=r"report\.json: run\.interrupted: found true, expected a finished soak"
@@ -181,7 +181,7 @@ def test_nights_of_another_task_are_refused_by_file_and_field(tmp_path, key):
 
 
 @pytest.mark.parametrize("key", sorted(SETTINGS.identity.keys() - SETTINGS.task.keys()))
-def test_what_is_under_test_may_change(tmp_path, key):
+def test_object_under_test_may_change(tmp_path, key):
     add_record(night(1), tmp_path)
     add_record(night(2, started=LATER, **OTHER[key]), tmp_path)
     assert len(read_history(tmp_path)) == 2
@@ -211,7 +211,7 @@ def soak_test(monkeypatch, *options):
     return caught.value.code
 
 
-def test_a_soak_is_kept_and_shown_beside_earlier_ones(arm_policy, tmp_path, monkeypatch, capsys):
+def test_soak_is_stored_and_shown_with_earlier_nights(arm_policy, tmp_path, monkeypatch, capsys):
     """Four and a half seconds of eight idle arms; then the same of half the hours, which is another task."""
     history, out = tmp_path / "history", tmp_path / "out"
     asked = ("--policy", arm_policy, "--robots", 8, "--workers", 1, "--out", out, "--history", history)
@@ -233,9 +233,7 @@ def test_a_soak_is_kept_and_shown_beside_earlier_ones(arm_policy, tmp_path, monk
 
 
 @pytest.mark.parametrize("place", ["file", "file/below", "/dev/null/history"])
-def test_a_history_that_cannot_be_written_is_found_before_the_soak(
-    arm_policy, tmp_path, monkeypatch, capsys, place
-):
+def test_unwritable_history_is_an_error_before_the_soak(arm_policy, tmp_path, monkeypatch, capsys, place):
     (tmp_path / "file").write_text("mine")
     history = tmp_path / place
     asked = ("--policy", arm_policy, "--hours", 100, "--out", tmp_path / "out", "--history", history)

@@ -26,7 +26,7 @@ from support.eval.judges import (
     [("velocity_sent", "qd_max", 1), ("acceleration", "qdd_max", 2), ("jerk", "qddd_max", 3)],
 )
 @pytest.mark.parametrize(("share", "fires"), [(1 + 2e-4, True), (1 - 2e-4, False), (-1 - 2e-4, True)])
-def test_differences_of_what_was_sent(name, field, order, share, fires, joint):
+def test_derivatives_of_the_sent_command(name, field, order, share, fires, joint):
     """A trajectory of constant derivative, seen from the tick on which power came."""
     bench = Bench()
     rate = share * getattr(SPEC.joints[joint], field)
@@ -59,7 +59,7 @@ def test_a_difference_needs_power_on_all_its_ticks(ticks_of_power):
 
 @pytest.mark.parametrize("joint", range(N))
 @pytest.mark.parametrize(("by", "fires"), [(2e-4, True), (-2e-4, False)])
-def test_torque_sent_may_not_change_too_fast(joint, by, fires):
+def test_torque_rate_limit(joint, by, fires):
     bench = Bench()
     for _ in range(3):
         bench.tau_sent[0, joint] -= (1 + by) * RATE[joint] * DT
@@ -70,7 +70,7 @@ def test_torque_sent_may_not_change_too_fast(joint, by, fires):
 
 @pytest.mark.parametrize("joint", range(N))
 @pytest.mark.parametrize(("by", "fires"), [(2e-4, True), (-2e-4, False), (np.nan, True)])
-def test_power_comes_where_the_joint_truly_stands(joint, by, fires):
+def test_power_on_happens_at_the_true_position(joint, by, fires):
     reach = SPEC.joint_array("qdd_max") * DT**2
     bench = Bench(robots=2)
     bench.powered[:] = False
@@ -86,7 +86,7 @@ def test_power_comes_where_the_joint_truly_stands(joint, by, fires):
 
 @pytest.mark.parametrize("joint", range(N))
 @pytest.mark.parametrize(("by", "fires"), [(2e-4, True), (-2e-4, False)])
-def test_the_second_tick_of_power_begins_from_rest(joint, by, fires):
+def test_second_powered_tick_starts_from_rest(joint, by, fires):
     bench = Bench()
     bench.powered[:] = False
     bench.step(40)

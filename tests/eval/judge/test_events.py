@@ -21,7 +21,7 @@ def flicker(bench, times):
         bench.step(GAP)
 
 
-def test_every_event_is_kept_up_to_a_bound_for_each_monitor_and_all_are_counted(monkeypatch):
+def test_events_are_kept_up_to_a_bound_per_monitor_and_all_counted(monkeypatch):
     monkeypatch.setattr(event_log, "EVENTS_KEPT", 4)
     bench = Bench(robots=3)
     flicker(bench, 7)
@@ -37,7 +37,7 @@ def test_every_event_is_kept_up_to_a_bound_for_each_monitor_and_all_are_counted(
     )
 
 
-def test_an_event_that_found_no_room_changes_none_that_did(monkeypatch):
+def test_dropped_event_changes_no_kept_event(monkeypatch):
     monkeypatch.setattr(event_log, "EVENTS_KEPT", 1)
     bench = Bench(robots=2)
     bench.truth.tool_velocity[0, 0] = 3.0
@@ -52,7 +52,7 @@ def test_an_event_that_found_no_room_changes_none_that_did(monkeypatch):
     assert counts.left_out("tool_speed") == 2
 
 
-def test_which_events_find_room_does_not_depend_on_who_asks(monkeypatch):
+def test_kept_events_do_not_depend_on_queries(monkeypatch):
     monkeypatch.setattr(event_log, "EVENTS_KEPT", 5)
     ticks = 120
     series = random_series(ticks, 3, seed=8)
@@ -70,7 +70,7 @@ def test_which_events_find_room_does_not_depend_on_who_asks(monkeypatch):
     assert list(asked.counts().log()) == wanted == list(again.counts().log())
 
 
-def test_the_tail_is_numpys_quantile_rounded_up_to_its_bin():
+def test_tail_equals_numpy_quantile_rounded_up_to_its_bin():
     ticks, robots = 400, 3
     series = random_series(ticks, robots, seed=9)
     judge, loads = arm_judge(TORQUE_MAX, robots, observed=OBSERVED), []
@@ -103,7 +103,7 @@ def keep(loads):
     return block
 
 
-def test_the_tail_of_nothing_is_not_known():
+def test_tail_without_samples_is_unknown():
     assert np.isnan(arm_judge(TORQUE_MAX, 1).counts().tail(1e-4)).all()
 
 
@@ -120,7 +120,7 @@ def test_robots_that_do_not_count_leave_no_trace():
         )
 
 
-def test_loads_of_shards_are_counted_together():
+def test_load_histograms_of_shards_add_up():
     ticks, series = 150, random_series(150, 4, seed=11)
     whole = arm_judge(TORQUE_MAX, 4, observed=OBSERVED)
     parts = [arm_judge(TORQUE_MAX, 2, observed=OBSERVED) for _ in range(2)]

@@ -48,7 +48,7 @@ ATTACKS = {
 
 @pytest.mark.parametrize("joint", range(N))
 @pytest.mark.parametrize("name", ATTACKS)
-def test_a_hair_over_a_joint_limit_fires_and_a_hair_under_does_not(name, joint):
+def test_just_above_a_joint_limit_fires_and_just_below_does_not(name, joint):
     over, under = Bench(robots=2), Bench(robots=2)
     ATTACKS[name](over, joint, HAIR)
     ATTACKS[name](under, joint, -HAIR)
@@ -63,7 +63,7 @@ def test_a_hair_over_a_joint_limit_fires_and_a_hair_under_does_not(name, joint):
 
 
 @pytest.mark.parametrize("name", [*ATTACKS, "workspace", "tool_speed"])
-def test_nan_is_bad(name):
+def test_nan_fires(name):
     bench = Bench()
     if name in ATTACKS:
         ATTACKS[name](bench, 2, np.nan)
@@ -76,7 +76,7 @@ def test_nan_is_bad(name):
     assert not np.isnan(counts.worst).any()
 
 
-def test_without_power_tracking_is_no_matter():
+def test_tracking_is_not_judged_without_power():
     bench = Bench()
     bench.powered[:] = False
     bench.sent[:] = np.nan
@@ -85,7 +85,7 @@ def test_without_power_tracking_is_no_matter():
 
 
 @pytest.mark.parametrize("field", ["age", "valid"])
-def test_a_belief_that_does_not_claim_to_be_one_is_not_judged(field):
+def test_invalid_estimate_is_not_judged(field):
     bench = Bench()
     bench.off[:] = 1.0
     if field == "age":

@@ -32,7 +32,7 @@ from support.eval.judges import (
 PER_JOINT = [monitor for monitor in MONITORS if monitor.per_joint]
 
 
-def test_nothing_wrong_nothing_counted():
+def test_clean_motion_counts_nothing():
     bench = Bench(robots=3)
     bench.step(ticks=GAP)
     counts = bench.judge.counts()
@@ -201,7 +201,7 @@ def test_resumed_and_split_runs_give_the_same_counts():
         np.testing.assert_array_equal(getattr(merged, field.name), wanted)
 
 
-def test_asking_in_between_changes_nothing():
+def test_intermediate_queries_change_nothing():
     """Ticks wait to be judged together; whoever asks for counts makes the judge look at what waits."""
     ticks = 150
     series = random_series(ticks, 2, seed=6)
@@ -222,7 +222,7 @@ def test_counts_by_other_limits_do_not_merge():
         merge(arm_judge(TORQUE_MAX, 1).counts(), other)
 
 
-def test_a_skipped_goal_is_a_goal_missed():
+def test_skipped_goal_counts_as_missed():
     bench = Bench()
     bench.step(round(5.5 * Reach.scoring(SPEC).period_s / DT))
     assert bench.judge.counts().goals_due == 4

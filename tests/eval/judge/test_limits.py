@@ -37,7 +37,7 @@ def test_a_robot_without_limits(tmp_path):
         load_limits(load_robot(folder))
 
 
-def test_limits_are_of_each_joints_motor_and_no_part_of_the_robot(tmp_path):
+def test_limits_belong_to_motors_and_are_not_part_of_the_robot_digest(tmp_path):
     folder = copy_of_arm(tmp_path)
     limits = load_limits(SPEC)
     assert limits.motor_array("power_w", SPEC).tolist() == [240.0] * 3 + [40.0] * 3

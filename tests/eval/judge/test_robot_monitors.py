@@ -53,7 +53,7 @@ def beside_singularity(w):
 @pytest.mark.parametrize(
     ("share", "load"), [(1 - HAIR, 1 + HAIR), (1 + HAIR, 1 - HAIR), (4.0, 0.25), (1e-4, 1e3), (-300, 1e3)]
 )
-def test_a_singularity_is_near_on_this_side_and_anything_on_the_other(share, load):
+def test_singularity_limit_on_both_sides(share, load):
     bench = Bench(robots=3)
     bench.truth.q[1] = bench.sent[1] = beside_singularity(share * LIMITS.manipulability)
     bench.step()
@@ -76,7 +76,7 @@ def test_a_singularity_is_near_on_this_side_and_anything_on_the_other(share, loa
         (Mode.DISARMED, Mode.RUNNING, False, False),
     ],
 )
-def test_who_hears_what_is_no_number_stops_by_the_next_tick(what, mode, then, powered, fires):
+def test_non_finite_policy_output_must_stop_by_the_next_tick(what, mode, then, powered, fires):
     bench = Bench(robots=2)
     bench.action[1, 3] = what
     bench.mode[:], bench.powered[:] = mode, powered
@@ -97,7 +97,7 @@ def test_self_collision():
 
 
 @pytest.mark.parametrize(("by", "fires"), [(HAIR, True), (-HAIR, False)])
-def test_power_of_the_whole_robot_is_the_sum_of_its_joints(by, fires):
+def test_robot_power_is_the_sum_of_joint_powers(by, fires):
     bench = Bench()
     bench.truth.qd[:], bench.truth.tau[:] = 1.0, [100.0, 150.0, 80.0, 20.0, 0.0, LIMITS.power_w - 350.0 + by]
     bench.truth.tau[0, 5] -= 0.0
@@ -112,7 +112,7 @@ def test_power_of_the_whole_robot_is_the_sum_of_its_joints(by, fires):
 
 @pytest.mark.parametrize("which", range(SIZE))
 @pytest.mark.parametrize(("by", "fires"), [(1e-3, True), (-1e-3, False), (np.nan, True)])
-def test_an_observation_that_training_never_saw(which, by, fires):
+def test_observation_outside_training_statistics_fires(which, by, fires):
     bench = Bench(robots=2)
     bench.observation[1, which] += 0.5 * (LIMITS.deviations + by)
     bench.step()
@@ -124,7 +124,7 @@ def test_an_observation_that_training_never_saw(which, by, fires):
     assert counts.limits[counts.columns("observation")].tolist() == [LIMITS.deviations]
 
 
-def test_without_a_memory_of_training_observations_are_not_judged():
+def test_observations_are_not_judged_without_training_statistics():
     bench = Bench()
     bench.judge = arm_judge(TORQUE_MAX, 1)
     bench.observation[:] = 1e9

@@ -35,7 +35,7 @@ def poses(n, many, seed):
     return np.random.default_rng(seed).uniform(-3, 3, (many, n))
 
 
-def test_it_is_the_determinant_of_the_jacobian_with_the_sign_of_home():
+def test_measure_is_the_jacobian_determinant_with_the_sign_of_home():
     q = np.vstack((HOME, poses(6, 200, 0)))
     expected = np.linalg.det(jacobians(SPEC, q))
     np.testing.assert_allclose(
@@ -63,7 +63,7 @@ def with_joints(n, folder):
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 7])
-def test_of_other_numbers_of_joints_it_is_the_product_of_the_singular_values(n, tmp_path):
+def test_measure_for_other_joint_counts_is_the_product_of_singular_values(n, tmp_path):
     spec, q = with_joints(n, tmp_path), poses(n, 20, n)
     expected = np.prod(np.linalg.svd(jacobians(spec, q), compute_uv=False), axis=1)
     assert expected.max() > 0.01
@@ -78,7 +78,7 @@ def test_a_straight_wrist_or_elbow_is_a_singularity():
     )
 
 
-def test_home_says_which_side_is_home(tmp_path):
+def test_home_pose_determines_the_sign(tmp_path):
     ends = ("q_min = -2.6\nq_max = -0.5\nq_home = -1.5708", "q_min = 0.5\nq_max = 2.6\nq_home = 1.5708")
     turned = load_robot(copy_of_arm(tmp_path, toml=[ends]))
     q = np.stack((HOME, turned.joint_array("q_home")))
@@ -89,7 +89,7 @@ def test_home_says_which_side_is_home(tmp_path):
 
 
 @np.errstate(invalid="ignore")
-def test_neighbours_do_not_change_a_bit():
+def test_robots_are_independent_to_the_bit():
     axes, q = SingularityMetric(SPEC), poses(6, 300, 1)
     q[::7] = np.nan
     whole = axes.manipulability(q)

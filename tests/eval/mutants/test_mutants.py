@@ -51,7 +51,7 @@ def test_guards_have_names_of_their_own_and_monitors_exist():
 
 
 @pytest.mark.parametrize("start", QUICK)
-def test_the_judge_notices_that_a_guard_is_gone(start):
+def test_judge_detects_a_missing_guard(start):
     (row,) = run_mutants(SPEC, (named(start),))
     assert row.with_guard == 0
     assert row.without_guard > 0
@@ -68,7 +68,7 @@ def test_a_mutant_that_weakens_nothing_is_missed():
     ("with_guard", "without_guard", "caught"),
     [(0, 3, True), (0, 0, False), (2, 3, False), (None, None, False)],
 )
-def test_caught_is_silent_with_the_guard_and_heard_without(with_guard, without_guard, caught):
+def test_caught_means_silent_with_the_guard_and_an_event_without(with_guard, without_guard, caught):
     assert Row(mutant=MUTANTS[0], with_guard=with_guard, without_guard=without_guard).caught == caught
 
 
@@ -76,7 +76,7 @@ def test_with_guards_off_and_draws_doubled_every_monitor_fires():
     assert not suite.silent_monitors(SPEC)
 
 
-def test_with_its_guards_the_same_fury_does_less():
+def test_guards_reduce_the_events_of_the_same_attack():
     """What the test above sees is the guards' absence, not only the situation."""
     with_guard = run_situation(SPEC, replace(ALL_GUARDS_OFF[0], disturbance=cold, seconds=1.5))
     assert with_guard.running.min() > 0
@@ -91,13 +91,13 @@ def cold(runtime, robot, t):
     """Motors have done nothing yet."""
 
 
-def test_a_policy_that_asks_for_nothing_fails_the_budget(monkeypatch):
+def test_idle_policy_fails_the_budget(monkeypatch):
     monkeypatch.setattr(suite, "IDLE", replace(suite.IDLE, seconds=8.5))
     assert "goal_success" in suite.idle_budget_failures(SPEC)
 
 
 @pytest.mark.parametrize(("without_guard", "code"), [(4, PASSED), (0, BUDGET_EXCEEDED)])
-def test_the_command_prints_a_row_for_each_and_fails_if_one_is_missed(without_guard, code, monkeypatch):
+def test_command_prints_a_row_per_mutant_and_fails_if_one_is_missed(without_guard, code, monkeypatch):
     console = Console(record=True, width=160)
     monkeypatch.setattr(command, "console", console)
     monkeypatch.setattr(command.mujoco, "set_mju_user_warning", lambda handler: None)

@@ -53,7 +53,7 @@ def filled(place, **changes):
     return place
 
 
-def test_arrays_come_back_bit_for_bit_from_the_same_bytes(tmp_path):
+def test_arrays_round_trip_bit_for_bit(tmp_path):
     for name in "ab":
         write_arrays(tmp_path / name, ARRAYS)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
@@ -102,13 +102,13 @@ def crafted(path, header, data=b"\0" * 96):
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (3, 4)}" + 20_000 * " ", b"\0" * 96),
     ],
 )
-def test_nothing_is_unpickled_evaluated_or_made_larger_than_expected(tmp_path, header, data):
+def test_reading_neither_unpickles_nor_exceeds_the_expected_size(tmp_path, header, data):
     crafted(tmp_path / "state.npz", header, data)
     with pytest.raises(ConfigError, match=r"state\.npz: [^\n]*$"):
         read_arrays(tmp_path / "state.npz", {"b": np.zeros((3, 4))})
 
 
-def test_a_file_that_is_cut_or_has_a_flipped_bit_is_refused(tmp_path):
+def test_damaged_file_is_refused(tmp_path):
     path = tmp_path / "state.npz"
     write_arrays(path, {"b": np.random.default_rng(0).normal(size=500)})
     data = path.read_bytes()
@@ -118,7 +118,7 @@ def test_a_file_that_is_cut_or_has_a_flipped_bit_is_refused(tmp_path):
             read_arrays(path, {"b": np.zeros(500)})
 
 
-def test_a_bundle_is_opened_as_it_was_sealed(tmp_path):
+def test_sealed_bundle_opens_unchanged(tmp_path):
     found = bundle.open_bundle(filled(tmp_path / "events" / "x"))
     assert found.model_copy(update={"files": {}, "digest": ""}) == about()
     assert set(found.files) == set(FILES)
@@ -154,7 +154,7 @@ def test_the_robot_s_model_and_its_meshes_are_in_a_bundle(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["notes.txt", "robot/../../x", "/robot/x", "robots/x"])
-def test_a_bundle_reads_nothing_that_lies_elsewhere(tmp_path, name):
+def test_bundle_reads_nothing_outside_its_folder(tmp_path, name):
     folder = filled(tmp_path / "x")
     listed = bundle.open_bundle(folder)
     listed = listed.model_copy(update={"files": listed.files | {name: "0" * 64}})
@@ -188,14 +188,14 @@ def test_a_changed_description_is_refused_by_field(tmp_path, field, value, compl
 
 
 @pytest.mark.parametrize("spoilt", [b"", b"{", b"\xff\xfe", b"[" * 60_000, b" " * 70_000])
-def test_a_description_that_is_none_is_refused(tmp_path, spoilt):
+def test_malformed_description_is_refused(tmp_path, spoilt):
     (filled(tmp_path / "x") / "bundle.json").write_bytes(spoilt)
     with pytest.raises(ConfigError, match=r"bundle\.json: "):
         bundle.open_bundle(tmp_path / "x")
 
 
 @pytest.mark.parametrize("changes", [{"begin": 421}, {"end": 420}, {"end": 1001}])
-def test_a_window_lies_around_its_event_and_in_its_shift(tmp_path, changes):
+def test_window_contains_its_event_and_stays_in_the_soak(tmp_path, changes):
     with pytest.raises(
         ConfigError, match=r"begin .* event\.start 420, end .*: .*|expected them in this order"
     ):
@@ -209,7 +209,7 @@ def test_an_older_bundle_of_the_same_name_is_replaced(tmp_path):
     assert not (tmp_path / "x" / "notes.txt").exists()
 
 
-def test_a_disk_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
+def test_disk_failure_leaves_old_files(tmp_path, monkeypatch):
     filled(tmp_path / "x", begin=100)
 
     def full(*_, **__):
@@ -235,7 +235,7 @@ def test_only_bundles_are_cleared(tmp_path, finished):
     delete_bundles(tmp_path / "nowhere", finished=True)
 
 
-def test_bundles_take_the_place_of_others_and_of_nothing_else(tmp_path):
+def test_bundles_replace_bundles_only(tmp_path):
     old, new = tmp_path / "events", tmp_path / "unfinished" / "events"
     for place in (old / "x", old / "y", new / "x", new / "z"):
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -249,7 +249,7 @@ def test_bundles_take_the_place_of_others_and_of_nothing_else(tmp_path):
     assert {path.name for path in old.iterdir()} == {"mine"}
 
 
-def test_a_state_digest_sees_every_bit_name_and_kind():
+def test_state_digest_covers_values_names_and_types():
     other = (
         ARRAYS | {"b": np.nextafter(ARRAYS["b"], 2)},
         ARRAYS | {"b": ARRAYS["b"].reshape(4, 3)},
@@ -297,7 +297,7 @@ def test_the_first_of_each_monitor_are_chosen_and_no_more_when_more_come():
     assert {e.robot for e in select_events(Log(hard + soft), 6)} == {5, 4, 3, 2}
 
 
-def test_joints_that_fail_together_are_one_event():
+def test_simultaneous_joint_failures_are_one_event():
     together = [event("torque", 1, 500, "elbow", 1.1), event("torque", 1, 500, "wrist_1", 1.3)]
     soon, again = event("torque", 1, 699), event("torque", 1, 700)
     elsewhere = event("torque", 2, 501)

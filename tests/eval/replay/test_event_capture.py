@@ -26,7 +26,7 @@ def files(folder):
     return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_shard_that_was_taken_up_leaves_the_same_bundles(pushed, tmp_path):
+def test_resumed_shard_writes_identical_bundles(pushed, tmp_path):
     """Kept after 1 s of 2.2; and nobody who looks on changes anything."""
     job = replace(pushed.jobs()[0], ticks=440)
     whole, cut, rest, alone = (Shard(job) for _ in range(4))
@@ -41,7 +41,7 @@ def test_a_shard_that_was_taken_up_leaves_the_same_bundles(pushed, tmp_path):
     assert min(starts) < 200 <= max(starts)
 
 
-def test_a_shard_that_does_not_come_to_the_same_again_leaves_no_bundle(pushed, tmp_path):
+def test_irreproducible_shard_writes_no_bundle(pushed, tmp_path):
     job = replace(pushed.jobs()[0], ticks=240)
     shard = Shard(job)
     witness = EventCapture(job, shard, tmp_path / "events")

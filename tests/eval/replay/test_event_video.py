@@ -58,7 +58,7 @@ def fallen(tmp_path_factory):
     return min((folder / "events").iterdir())
 
 
-def test_where_a_base_was_is_kept(fallen):
+def test_base_pose_is_recorded(fallen):
     replay = Replay(fallen)
     rows = replay.recorded
     height, lean = rows["base_true"][:, 2], rows["base_true"][:, 3:]
@@ -72,7 +72,7 @@ def test_where_a_base_was_is_kept(fallen):
     assert len(transforms) == len(rows)
 
 
-def test_a_robot_that_walks_is_filmed_where_it_goes(fallen, tmp_path):
+def test_camera_follows_a_walking_robot(fallen, tmp_path):
     done = replayed(fallen, "--video", tmp_path / "a.gif")
     if "needs OpenGL" in done.stderr:
         pytest.skip("there is no OpenGL")
@@ -104,7 +104,7 @@ replay.cli()
 """
 
 
-def test_the_first_picture_of_one_that_has_walked_far_is_as_bright_as_the_others(fallen, tmp_path):
+def test_first_frame_far_from_the_origin_is_as_bright_as_the_others(fallen, tmp_path):
     code = [sys.executable, "-c", FAR, str(fallen), "--video", str(tmp_path / "a.gif")]
     done = subprocess.run(code, capture_output=True, text=True, check=False)
     if "needs OpenGL" in done.stderr:

@@ -57,7 +57,7 @@ def test_every_monitor_that_found_something_left_bundles(events):
 
 
 @pytest.mark.parametrize("monitor", ["tool_speed", "velocity"])
-def test_the_load_is_that_of_the_ticks(lived, monitor):
+def test_load_equals_the_limit_ratio_of_each_tick(lived, monitor):
     """Above the limit from the event's first tick on, as high as the judge said, and what the signals say."""
     replay, again = lived(monitor)
     event, spec = replay.info.event, replay.spec
@@ -74,7 +74,7 @@ def test_the_load_is_that_of_the_ticks(lived, monitor):
     np.testing.assert_allclose(again.load, load, rtol=1e-12)
 
 
-def test_the_window_holds_what_led_there_and_what_followed(events):
+def test_window_contains_ticks_before_and_after_the_event(events):
     abouts = [bundle.open_bundle(path) for path in events.iterdir()]
     for about in abouts:
         assert about.event.start - about.begin >= 200 or about.begin == 0
@@ -143,19 +143,19 @@ def test_another_state_is_not_reproduced(one, run):
     assert re.search(r"not reproduced: at tick [+-]\d+ of the event, \w+: found .*, recorded", said)
 
 
-def test_another_state_at_the_end_is_said(one, lived):
+def test_different_final_state_is_reported(one, lived):
     resealed(one, end_digest="0" * 64)
     assert mismatch(Replay(one), lived("velocity")[1]) == "all signals agree, but not the state at the end"
 
 
-def test_another_event_is_said(one, lived):
+def test_different_event_is_reported(one, lived):
     about, (_, again) = bundle.open_bundle(one), lived("velocity")
     assert mismatch(Replay(one), again) == ""
     resealed(one, event=about.event.model_copy(update={"ticks": about.event.ticks + 1}))
     assert mismatch(Replay(one), again).startswith("the judge found robot=")
 
 
-def test_what_it_is_lived_with_may_differ(one):
+def test_replay_environment_may_differ(one):
     resealed(one, identity={"mujoco": "3.9"})
     assert Replay(one).differences["mujoco"] == ("4.0.0", "3.9")
 
@@ -169,14 +169,14 @@ def test_what_it_is_lived_with_may_differ(one):
         (lambda a: a.update({"runtime.ticks": np.array(5)}), r"runtime.ticks: found 5, expected"),
     ],
 )
-def test_a_state_that_does_not_fit_is_refused_by_name(one, run, change, complaint):
+def test_mismatched_state_is_refused_by_name(one, run, change, complaint):
     changed(one, "state.npz", change)
     code, _, said = run(one)
     assert code == 2
     assert re.fullmatch(rf"error: .*/one/state\.npz: {complaint}.*\n", said)
 
 
-def test_a_state_that_other_code_kept_is_said_to_be_that(one, run):
+def test_state_of_other_code_is_reported_as_such(one, run):
     changed(one, "state.npz", lambda arrays: arrays.pop("runtime.requested_stop"))
     resealed(one, identity={"code_digest": "ab" * 32})
     code, _, said = run(one)
@@ -204,7 +204,7 @@ def test_another_policy_is_refused_by_name(one, run):
     ("event", "complaint"),
     [({"robot": 3}, "event.robot: found 3, expected one of"), ({"joint": None}, "event.joint: found None")],
 )
-def test_an_event_that_cannot_be_is_refused(one, event, complaint):
+def test_impossible_event_is_refused(one, event, complaint):
     about = bundle.open_bundle(one)
     resealed(one, event=about.event.model_copy(update=event))
     with pytest.raises(ConfigError, match=rf"bundle\.json: {complaint}"):
@@ -227,14 +227,14 @@ FAULTS = FaultSettings(coverage=0.95, cycle_s=18.0, operator_s=5.0)
         ({"ticks": 1 << 32}, 1 << 31, r"end: found 2147483648, expected at most \d{3,4}"),
     ],
 )
-def test_what_would_take_for_ever_is_refused(one, job, end, complaint):
+def test_excessive_length_is_refused(one, job, end, complaint):
     about = bundle.open_bundle(one)
     resealed(one, job=about.job.model_copy(update=job), end=end or about.end)
     with pytest.raises(ConfigError, match=rf"bundle\.json: {complaint}$"):
         Replay(one)
 
 
-def test_another_draw_is_refused(one):
+def test_different_draw_is_refused(one):
     draws = json.loads((one / "draws.json").read_text())
     (one / "draws.json").write_text(json.dumps(draws | {"seed": 4}))
     resealed(one)
@@ -266,7 +266,7 @@ def test_a_bundle_of_a_model_that_does_not_compile_within_bounds_is_not_opened(o
         Replay(one)
 
 
-def test_signals_are_taken_apart_and_put_together(one):
+def test_signals_round_trip_through_columns(one):
     rows = Replay(one).recorded
     arrays = columns(rows)
     assert all(array.flags.c_contiguous for array in arrays.values())

@@ -70,7 +70,7 @@ def browse(folder, text):
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser")
-def test_a_browser_shows_all_of_it_without_a_complaint(tmp_path):
+def test_browser_renders_the_report_without_errors(tmp_path):
     result = replace(soak(["velocity", "position_requested"]), bundles=(BUNDLE,))
     found, complaints = browse(tmp_path, render(build(result, load_budget())))
     assert complaints == []
@@ -86,7 +86,7 @@ def test_a_browser_shows_all_of_it_without_a_complaint(tmp_path):
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser")
-def test_the_browser_complains_of_what_is_broken(tmp_path):
+def test_browser_check_detects_a_broken_page(tmp_path):
     text = render(build(soak(["velocity"]), load_budget()))
     broken = text.replace('d="M', 'd="Q', 1)
     assert broken != text

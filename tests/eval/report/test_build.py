@@ -22,7 +22,7 @@ from support.eval.reports import HOURS, ROBOTS, TICKS, Page, report, soak
 HARD = [monitor for monitor in Channels.of_robot(SPEC).monitors if monitor.hard]
 
 
-def test_a_clean_night_passes_with_the_honest_sentence():
+def test_clean_soak_passes_with_its_bound():
     found = report()
     assert found.verdict == "passed"
     assert found.statement == (
@@ -34,7 +34,7 @@ def test_a_clean_night_passes_with_the_honest_sentence():
 
 
 @pytest.mark.parametrize("monitor", HARD, ids=lambda m: m.name)
-def test_a_hard_event_fails_and_is_found_everywhere(monitor):
+def test_hard_event_fails_and_appears_everywhere(monitor):
     found = report([monitor.name])
     assert found.verdict == "failed"
     assert (found.evidence.hard_events, found.evidence.bad_draws) == (1, 1)
@@ -46,7 +46,7 @@ def test_a_hard_event_fails_and_is_found_everywhere(monitor):
     ]
 
 
-def test_margins_are_shown_even_where_nothing_happened():
+def test_margins_are_shown_without_events():
     found = report()
     row = next(row for row in found.monitors if row.name == "tracking")
     # Of 92 million ticks 100 lie at 0.7, fewer than 1 in 10,000, and the others at 0.4.
@@ -56,13 +56,13 @@ def test_margins_are_shown_even_where_nothing_happened():
     assert "59 %" in words
 
 
-def test_an_event_says_what_was_left_to_the_limit():
+def test_event_shows_the_margin_to_its_limit():
     (event,) = report(["velocity"]).events
     assert (event.worst, event.unit) == (1.25, "rad/s")
     assert event.margin == pytest.approx(-0.25 * SPEC.joints[0].qd_max)
 
 
-def test_events_that_were_not_kept_are_counted_and_said():
+def test_dropped_events_are_counted_and_reported():
     result = soak(["velocity"])
     result.counts.events[3, result.counts.columns("velocity").start] = 701
     found = build(result, load_budget())
@@ -70,7 +70,7 @@ def test_events_that_were_not_kept_are_counted_and_said():
     assert "700 more were counted above but are not listed" in render(found)
 
 
-def test_a_policy_that_does_not_know_its_training_is_not_judged_by_it():
+def test_policy_without_training_statistics_is_not_judged_by_them():
     result = soak()
     result.counts.limits[result.counts.columns("observation")] = np.inf
     found = build(result, load_budget())
@@ -104,7 +104,7 @@ def test_heat_keeps_the_hottest_and_the_median():
     assert (elbow.joint, elbow.soft_c, elbow.max_c) == ("elbow", 80.0, 110.0)
 
 
-def test_what_could_not_be_seen_follows_from_what_was_counted():
+def test_unseen_limits_follow_from_the_counts():
     result = soak()
     result.counts.worst[:] = 0.9
     result.counts.worst[:, result.counts.columns("torque")] = 0.2
@@ -117,7 +117,7 @@ def test_what_could_not_be_seen_follows_from_what_was_counted():
     assert text.endswith("Links are rigid.")
 
 
-def test_json_holds_everything_and_nothing_unknown(tmp_path):
+def test_json_round_trips(tmp_path):
     found = report(["jerk"])
     assert Report.model_validate_json(found.model_dump_json()) == found
     write_report(found, tmp_path)
@@ -126,7 +126,7 @@ def test_json_holds_everything_and_nothing_unknown(tmp_path):
 
 
 @pytest.mark.parametrize("events", [(), ("jerk", "workspace", "position_requested")])
-def test_the_page_is_whole_small_and_loads_nothing(events):
+def test_page_is_valid_small_and_self_contained(events):
     text = render(report(events))
     page = Page(text)
     assert page.open == []
@@ -140,7 +140,7 @@ def test_the_page_is_whole_small_and_loads_nothing(events):
     assert not re.search(r"#0[1-6]0[1-6]0[1-6]", text)
 
 
-def test_the_page_says_what_the_report_says():
+def test_page_shows_the_report():
     found = report(["velocity"])
     words = " ".join("".join(Page(render(found)).words).split())
     assert found.statement in words
@@ -160,7 +160,7 @@ def test_the_page_says_what_the_report_says():
         assert said in words
 
 
-def test_an_interrupted_run_says_so_everywhere():
+def test_interruption_is_shown_everywhere():
     found = report(["jerk"], interrupted=True, ticks=TICKS // 4)
     words = " ".join("".join(Page(render(found)).words).split())
     assert found.verdict == "interrupted"
@@ -170,14 +170,14 @@ def test_an_interrupted_run_says_so_everywhere():
     assert (suite.failures, suite.skipped, suite.tests) == (1, len(found.budget) - 1, len(found.budget))
 
 
-def test_a_hostile_name_stays_text():
+def test_hostile_name_is_escaped():
     text = render(report(policy="<script>alert(1)</script>"))
     assert "<script" not in text
     assert "&lt;script&gt;" in text
 
 
 @pytest.mark.parametrize(("ticks", "samples"), [(0, 1), (1, 1), (1, 2)])
-def test_a_run_that_hardly_began_has_a_report(ticks, samples):
+def test_very_short_run_has_a_report(ticks, samples):
     result = soak(ticks=ticks, samples=samples, interrupted=True)
     empty = np.zeros(0, dtype=np.int64)
     object.__setattr__(result, "goals_attempted", empty)
@@ -187,7 +187,7 @@ def test_a_run_that_hardly_began_has_a_report(ticks, samples):
     assert "no bound" in found.statement if ticks == 0 else "rate ≤" in found.statement
 
 
-def test_numbers_that_are_none():
+def test_non_finite_numbers():
     result = soak(["velocity"])
     result.counts.worst[3, result.counts.columns("velocity").start] = np.inf
     result.winding_c[200:, 5] = np.nan
@@ -223,7 +223,7 @@ def test_wear_by_quantity_and_joint():
     assert (elbow.median, elbow.most_worn) == ((100.0, 99.05), (100.0, 98.3))
 
 
-def test_the_most_worn_joint_is_the_one_that_moved_furthest_and_is_known_at_the_end():
+def test_most_worn_joint_has_the_longest_travel_and_a_known_end():
     result = soak()
     result.worn[:, 1, 3] += 0.005
     result.worn[300:, :, 15] = np.nan
@@ -248,7 +248,7 @@ def test_the_page_shows_the_wear():
         assert f'aria-label="{name} over time"' in render(found)
 
 
-def test_next_to_no_wear_looks_like_none():
+def test_axis_of_negligible_wear_spans_one_percent():
     friction = report().wear[0]
     hardly = friction.model_copy(update={"median": (100.0, 100.001), "most_worn": (100.0, 100.002)})
     ticks = re.findall(r">([\d.]+)</text>", wear_plot((0.0, 8.0), hardly))
@@ -273,7 +273,7 @@ def changed(reached, attempted=1000, hours=HOURS):
         ([960, 990, 990], "do not overlap: the end is better than the start."),
     ],
 )
-def test_the_end_is_compared_with_the_start_as_far_as_chance_lets_it(reached, verdict):
+def test_end_is_compared_with_the_start_statistically(reached, verdict):
     assert changed(reached).change.endswith(f". The 95 % intervals {verdict}")
 
 
@@ -326,14 +326,14 @@ def test_an_older_report_is_replaced_and_nothing_is_left_over(tmp_path):
 
 
 @pytest.mark.parametrize("attempt", [claim_folder, lambda out: write_report(report(), out)])
-def test_a_place_that_cannot_be_written(tmp_path, attempt):
+def test_unwritable_folder_is_refused(tmp_path, attempt):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError, match="file"):
         attempt(tmp_path / "file")
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_one_file_that_cannot_be_written_spoils_none(tmp_path):
+def test_failed_write_keeps_all_old_files(tmp_path):
     write_report(report(["jerk"]), tmp_path)
     before = (tmp_path / "report.json").read_text()
     (tmp_path / "junit.xml").unlink()
@@ -344,12 +344,12 @@ def test_one_file_that_cannot_be_written_spoils_none(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"report.json", "report.html", "junit.xml"}
 
 
-def test_a_folder_in_a_reports_place_is_found_before_the_hours(tmp_path):
+def test_folder_in_place_of_a_report_file_is_an_error_before_the_soak(tmp_path):
     (tmp_path / "report.html").mkdir()
     with pytest.raises(OutputError, match=r"report\.html is a folder"):
         claim_folder(tmp_path)
 
 
-def test_a_claim_leaves_only_the_folder(tmp_path):
+def test_claim_creates_the_folder_only(tmp_path):
     claim_folder(tmp_path / "new")
     assert list((tmp_path / "new").iterdir()) == []

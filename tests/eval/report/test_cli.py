@@ -75,7 +75,7 @@ def test_two_policies_on_the_same_draws(arm_policy, tmp_path, monkeypatch, capsy
     assert restless.results_digest != idle.results_digest == idle.sealed()
 
 
-def test_the_digest_of_results_leaves_out_how_the_run_went():
+def test_digest_of_results_excludes_run_details():
     one = night(1)
     otherwise = {"started": RUN.started, "wall_s": 9.0, "resumed_hours": 2.0}
     again = one.model_copy(update={"run": one.run.model_copy(update=otherwise)})
@@ -104,7 +104,7 @@ def test_other_draws_are_refused(refused, tmp_path):
     assert refused("compare", a, code) == f"error: {code}: code_digest: found z9, but {a} has c1\n"
 
 
-def test_what_is_no_report_is_refused(refused, tmp_path):
+def test_malformed_report_is_refused(refused, tmp_path):
     (tmp_path / "report.json").write_text("{}")
     assert f"error: {tmp_path / 'report.json'}: format: Field required" in refused(
         "compare", tmp_path, tmp_path
@@ -137,11 +137,11 @@ def test_no_nights_are_refused(refused, tmp_path):
     )
 
 
-def test_a_page_that_cannot_be_written_is_said(refused, tmp_path):
+def test_unwritable_page_is_reported(refused, tmp_path):
     add_record(night(1), tmp_path)
     assert "error: --out /dev/null/trend.html" in refused("trend", tmp_path, "--out", "/dev/null/trend.html")
 
 
 @pytest.mark.parametrize("words", [(), ("forecast",), ("compare", "a")])
-def test_words_that_are_no_command_exit_with_2(monkeypatch, words):
+def test_unknown_command_exits_with_2(monkeypatch, words):
     assert soak_report(monkeypatch, *words) == 2

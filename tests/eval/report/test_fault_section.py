@@ -41,7 +41,7 @@ def report(found):
     return build(replace(soak(), faults=table), load_budget())
 
 
-def test_enough_that_are_handled_pass():
+def test_enough_handled_faults_pass():
     found = report(every_class_handled())
     assert found.verdict == "passed"
     assert found.budget[0].name == "fault_coverage"
@@ -54,7 +54,7 @@ def test_enough_that_are_handled_pass():
     assert Report.model_validate_json(found.model_dump_json()) == found
 
 
-def test_one_that_is_not_fails_and_is_named():
+def test_unhandled_fault_fails_and_is_named():
     told = every_class_handled()
     told.violated[3, -1] = 1 << NAMES.index("torque")
     told.tracking_error[3, -1] = np.nan

@@ -37,7 +37,7 @@ def with_events(result, robots, monitor="velocity"):
     return build(result, load_budget())
 
 
-def test_the_first_screen_bounds_a_night_without_events():
+def test_summary_bounds_a_soak_without_events():
     found = report().evidence
     # ln 20 for hours that are alike; facts: 3.63 for 16 draws that differ.
     assert found.hard_rate_upper == pytest.approx(np.log(20) / 128)
@@ -59,7 +59,7 @@ def test_the_first_screen_bounds_a_night_without_events():
     assert "Fewer than two hard events cannot show whether draws differ" in said
 
 
-def test_events_to_come_count_twice_what_came():
+def test_further_hours_with_and_without_more_events():
     (hundred, _) = report(["velocity"]).evidence.further
     # 4.74 and 6.30 times: facts.
     assert (hundred.hours, hundred.same_rate_hours) == (
@@ -102,7 +102,7 @@ def test_the_test_of_over_dispersion_is_one_sentence(robots, said):
     )
 
 
-def test_what_has_no_budget_says_so():
+def test_monitor_without_budget_is_marked():
     free = load_budget().model_copy(update={"latches_max": None, "availability_min": 0.0})
     result = soak(interrupted=True)
     result.counts.latches[2] = 1234
@@ -124,7 +124,7 @@ def test_each_monitor_has_its_bounds():
     assert rows["jerk"].family_rate_upper > np.log(HARD / 0.05) / 128
 
 
-def test_a_monitor_that_judged_nothing_has_no_bound():
+def test_monitor_without_evaluations_has_no_bound():
     result = soak()
     result.counts.limits[result.counts.columns("observation")] = np.inf
     found = build(result, load_budget()).monitors
@@ -165,7 +165,7 @@ def test_margins_are_distributions():
 
 
 @pytest.mark.parametrize("hours", [8.0, 0.69, 0.025, 0.0125])
-def test_labels_of_time_lie_inside_their_picture(hours):
+def test_time_labels_lie_inside_the_figure(hours):
     heat, wear = report().heat[0], report().wear[0]
     ends = {"median_c": (20.0, 30.0), "hottest_c": (20.0, 40.0)}
     for picture in (
@@ -179,7 +179,7 @@ def test_labels_of_time_lie_inside_their_picture(hours):
         assert at + 0.64 * 9 / 2 * (len(last) - 0.5 * ("." in last)) < width  # as wide as digits ever are
 
 
-def test_ticks_that_nobody_judged_have_no_margin():
+def test_unjudged_ticks_have_no_margin():
     result = soak()
     result.counts.invalid[4] = 12
     result.counts.bins[:, 0] += 12
@@ -225,7 +225,7 @@ def busy(robots, each):
     return replace(result, counts=replace(result.counts, **{f"log_{name}": x for name, x in log.items()}))
 
 
-def test_a_busy_night_stays_readable_and_small():
+def test_soak_with_many_events_stays_readable_and_small():
     found = build(busy(64, 4), load_budget())
     text = render(found)
     assert len(text) < 10_000_000
@@ -256,7 +256,7 @@ def test_the_hottest_draw_is_named():
     assert "above soft limit 5 s, longest robot 9: 5 s" in said
 
 
-def test_current_that_motors_could_not_draw_is_told():
+def test_folded_back_current_is_reported():
     """Half of it for a quarter of the night, of one robot of 16; another's simulation diverged by then."""
     result = soak(samples=400)
     result.folded_back[300:, 4, 1] = 0.5
@@ -272,7 +272,7 @@ def test_current_that_motors_could_not_draw_is_told():
 @pytest.mark.parametrize(
     ("hours", "said"), [(0.0, "0 s"), (0.001, "3.6 s"), (0.5, "30 min"), (2.0, "2 h"), (345.0, "345 h")]
 )
-def test_durations_can_be_read(hours, said):
+def test_durations_are_formatted(hours, said):
     assert duration(hours) == said
 
 
@@ -293,7 +293,7 @@ def test_a_parameter_that_explains_failures_is_named():
     assert "more goals missed" in words(found)
 
 
-def test_chance_is_called_chance():
+def test_insignificant_parameters_are_not_named():
     result = soak()
     result.counts.stops[[2, 9]] = 1
     found = build(result, load_budget()).sensitivity
@@ -310,7 +310,7 @@ def test_chance_is_called_chance():
     )
 
 
-def test_draws_that_never_were_at_work_explain_nothing():
+def test_draws_that_never_ran_are_excluded():
     result = soak()
     result.counts.running[4] = result.counts.ticks[5] = result.counts.attempted[5] = 0
     result.counts.reached[[2, 9]] -= 7
@@ -332,7 +332,7 @@ def test_every_draw_has_a_row():
     assert (hit.goals_due, hit.goals_reached) == (7200, 7200)
 
 
-def test_the_schema_in_the_package_is_that_of_the_report():
+def test_packaged_schema_equals_the_report_schema():
     assert SCHEMA.read_text(encoding="utf-8") == schema(), "run: python -m eval.report.schema.json_schema"
 
 
@@ -354,5 +354,5 @@ def test_the_schema_explains_every_record():
         (None, "∞", "−∞"),
     ],
 )
-def test_loads_are_told_so_that_they_can_be_read(load, said, left):
+def test_loads_are_formatted(load, said, left):
     assert (of_limit(load), margin(load)) == (said, left)

@@ -33,7 +33,7 @@ def read(data):
     return found, json.loads(table.schema.metadata[METADATA.encode()])
 
 
-def test_every_number_of_every_robot_is_read_back(soak):
+def test_every_value_of_every_robot_round_trips(soak):
     shards = [lived(5, 8), lived(3, 2, seed=1)]  # the second one was cut short
     found, about = read(series(soak, shards))
     assert {len(column) for column in found.values()} == {5 * 8 + 3 * 2}
@@ -64,7 +64,7 @@ def test_every_number_of_every_robot_is_read_back(soak):
         first += robots
 
 
-def test_the_file_says_what_it_is_of(soak):
+def test_file_metadata_identify_the_soak(soak):
     _, about = read(series(soak, [lived(2, 8)]))
     columns = about.pop("columns")
     assert about == {
@@ -91,7 +91,7 @@ def test_the_same_shards_give_the_same_bytes(soak):
     assert len({series(soak, shards) for _ in range(8)}) == 1
 
 
-def test_the_last_sample_is_what_the_judge_found(arm_policy):
+def test_last_sample_equals_the_judge_counts(arm_policy):
     shard = Shard(job(arm_policy, ticks=600, sample_ticks=200, robots=5))
     shard.runtime.estimator.windings.foldback.current_share[3, 2] = 0.75
     shard.robot.plant.valid[4] = False
@@ -117,7 +117,7 @@ def test_the_last_sample_is_what_the_judge_found(arm_policy):
     np.testing.assert_array_equal(result.folded_back[0], folded)
 
 
-def test_what_is_sampled_is_bounded_however_long_a_robot_lives(soak):
+def test_number_of_samples_is_bounded_for_any_duration(soak):
     for hours, every_s in (
         (0.0001, SPEC.dt),
         (0.5, 28.125),
@@ -133,7 +133,7 @@ def test_what_is_sampled_is_bounded_however_long_a_robot_lives(soak):
         assert SAMPLES_MAX / 2 < found.ticks // found.sample_ticks <= SAMPLES_MAX
 
 
-def test_running_totals_of_shards_are_added_and_the_shorter_one_stays():
+def test_totals_of_shards_add_up_and_a_shorter_one_stays_constant():
     long, short = np.arange(8).reshape(4, 2), np.array([[1], [10]])
     assert running_total([long, short]).tolist() == [1 + 1, 5 + 10, 9 + 10, 13 + 10]
     events = np.stack([long, 2 * long], axis=2)

@@ -62,7 +62,7 @@ def test_each_kind_has_its_bars():
     assert len(night.unlisted) == 0
 
 
-def test_from_when_on_events_are_counted_only():
+def test_time_from_which_events_are_only_counted():
     result = soak(["velocity", "torque"])
     place = result.counts.columns("velocity").start
     result.counts.events[3, place] += 600
@@ -79,7 +79,7 @@ def drawn(found):
 
 
 @pytest.mark.parametrize("robots", [1, 16, 256])
-def test_every_row_is_drawn_and_the_picture_stays_small(robots):
+def test_every_row_is_drawn_and_the_figure_stays_small(robots):
     picture = drawn(build(soak(robots=robots), load_budget()))
     (lived,) = [
         path for path in picture.split("<path ") if "stroke: var(--line); stroke-opacity: 0.55" in path

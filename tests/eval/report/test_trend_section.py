@@ -58,7 +58,7 @@ def test_a_night_is_the_sum_of_its_draws():
     )
 
 
-def test_nights_of_one_identity_are_put_together_and_no_draw_counts_twice():
+def test_nights_of_one_identity_are_pooled_and_each_draw_counts_once():
     nights = year()
     found = trend(nights)
     assert [row.group for row in found.runs] == [0, 0, 1, 1, 1, 2]
@@ -77,13 +77,13 @@ def test_nights_of_one_identity_are_put_together_and_no_draw_counts_twice():
         assert group.dispersion_p == dispersion_p(events, hours)
 
 
-def test_of_the_same_seed_the_night_with_most_draws_counts():
+def test_night_with_most_draws_counts_among_equal_seeds():
     found = trend(named(night(1), night(1, draws=32), night(1, draws=32), night(2)))
     assert [row.repeated for row in found.runs] == [True, False, True, False]
     assert (found.groups[0].runs, found.groups[0].draws) == (2, 48)
 
 
-def test_groups_may_come_again():
+def test_groups_may_recur():
     found = trend(named(night(1), night(2, **B), night(3)))
     assert [row.group for row in found.runs] == [0, 1, 0]
     assert found.last.runs == 2
@@ -100,7 +100,7 @@ def test_the_sentence_of_several_nights():
     assert "draws of 1 soak: " in trend(named(night(1))).groups[0].statement
 
 
-def test_whether_draws_differ_is_said():
+def test_overdispersion_of_draws_is_reported():
     usual = night(2, rate=1.0)
     assert trend(named(usual)).groups[0].dispersion.startswith("Draws were not shown to differ")
     lumps = usual.per_draw_counts.model_copy(
@@ -118,12 +118,12 @@ def changed(**columns):
     )
 
 
-def test_without_a_stop_nothing_bounds_availability():
+def test_availability_without_stops_has_no_bound():
     still = changed(stops=(0,) * 16, running=(5_759_960,) * 16).runs[0].availability
     assert (still.value, still.low, still.high) == (pytest.approx(5_759_960 / 5_760_000), None, None)
 
 
-def test_what_was_never_at_work_has_no_numbers():
+def test_robots_that_never_ran_have_no_numbers():
     nothing = changed(running=(0,) * 16, due=(0,) * 16, reached=(0,) * 16, hottest_c=(None,) * 16)
     row, group = nothing.runs[0], nothing.groups[0]
     assert row.rate.value is row.goals.value is row.hottest_c.value is group.rate_upper is None
@@ -153,7 +153,7 @@ def words(page):
     return " ".join("".join(Page(page).words).split())
 
 
-def test_a_report_shows_its_night_among_the_others_only_with_a_history():
+def test_trend_is_shown_only_with_a_history():
     whole = report().model_copy(update={"trend": trend({**year(), THIS_RUN: report()})})
     page, bare = render(whole), render(report())
     assert page.count("<svg") == bare.count("<svg") + len(TREND_QUANTITIES)
@@ -165,7 +165,7 @@ def test_a_report_shows_its_night_among_the_others_only_with_a_history():
     assert len(ids) == len(set(ids))
 
 
-def test_the_page_of_all_nights_is_whole_and_loads_nothing():
+def test_page_of_nights_is_valid_and_self_contained():
     nights = year()
     nights["night-1.json"] = nights["night-1.json"].model_copy(update={"verdict": "failed"})
     found = trend(nights)
@@ -189,13 +189,13 @@ def test_the_page_of_all_nights_is_whole_and_loads_nothing():
         )
 
 
-def test_a_hostile_name_stays_text():
+def test_hostile_name_is_escaped():
     text = render_history(trend(named(night(1, policy="<script>"))), night(1).settings.task)
     assert "<script" not in text
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
-def test_a_browser_shows_every_plot_and_complains_of_nothing(tmp_path):
+def test_browser_renders_every_plot_without_errors(tmp_path):
     page = tmp_path / "trend.html"
     page.write_text(render_history(trend(year()), night(1).settings.task))
     options = ("--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom")

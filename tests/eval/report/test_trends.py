@@ -84,7 +84,7 @@ def test_rates_and_shares_are_those_of_each_stretch(soak, tmp_path):
     np.testing.assert_allclose(values("heat/folded_back_mean", both), 0.25 + 0.5 / (10 * N), rtol=1e-6)
 
 
-def test_what_is_no_number_is_left_out(soak, tmp_path):
+def test_nan_is_omitted(soak, tmp_path):
     shard = steady(3, 2, hard=1, soft=1)
     shard.running[:], shard.attempted[:] = 0, 0
     shard.winding_c[:], shard.folded_back[:] = np.nan, np.nan
@@ -94,7 +94,7 @@ def test_what_is_no_number_is_left_out(soak, tmp_path):
     }
 
 
-def test_nothing_lived_is_a_file_without_points(soak, tmp_path):
+def test_empty_soak_gives_a_file_without_points(soak, tmp_path):
     assert read(event_file(soak, [steady(1, 8, 1, 1)], STARTED), tmp_path) == {}
 
 
@@ -108,7 +108,7 @@ def test_stretches_are_few_and_no_two_end_in_the_same_second(samples, sample_s):
     assert len(set(seconds)) == len(seconds)
 
 
-def test_a_later_soak_takes_the_place_of_an_earlier_one(soak, tmp_path):
+def test_later_soak_replaces_an_earlier_one(soak, tmp_path):
     for hard in (1, 2):
         found = read(event_file(soak, [steady(481, 8, hard, 0)], STARTED), tmp_path)
     assert len(found["violations_per_hour_hard/jerk"]) == 60

@@ -52,7 +52,7 @@ def assert_same(a, b):
         assert array.dtype == b[name].dtype
 
 
-def test_what_was_stored_comes_back_bit_for_bit(tmp_path):
+def test_checkpoint_round_trips_bit_for_bit(tmp_path):
     checkpoint = Checkpoint(tmp_path / "unfinished" / "a.npz", IDENTITY)
     assert checkpoint.load() is None
     prepare_folder(tmp_path / "unfinished")
@@ -63,7 +63,7 @@ def test_what_was_stored_comes_back_bit_for_bit(tmp_path):
 
 
 @pytest.mark.parametrize("change", [{"seed": 8}, {"hours": 1}])
-def test_nothing_goes_on_with_another_soak(tmp_path, change):
+def test_checkpoint_of_another_soak_is_refused(tmp_path, change):
     Checkpoint(tmp_path / "a.npz", IDENTITY).store(ARRAYS)
     (key,) = change
     found, expected = IDENTITY.get(key), change[key]
@@ -92,7 +92,7 @@ def spoil(path, how):
 
 
 @pytest.mark.parametrize("how", ["cut", "flipped", "empty", "nameless", "no table", "pickled"])
-def test_what_is_damaged_is_set_aside(tmp_path, how):
+def test_damaged_checkpoint_is_set_aside(tmp_path, how):
     checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
     checkpoint.store(ARRAYS)
     spoil(checkpoint.path, how)
@@ -105,14 +105,14 @@ def test_what_is_damaged_is_set_aside(tmp_path, how):
     assert [file.name for file in tmp_path.iterdir()] == ["a.npz" + DAMAGED]
 
 
-def test_what_cannot_be_read_is_left_where_it_is(tmp_path):
+def test_unreadable_checkpoint_is_left_in_place(tmp_path):
     (tmp_path / "a.npz").mkdir()
     with pytest.raises(ConfigError, match=r"a\.npz: cannot be read: Is a directory"):
         Checkpoint(tmp_path / "a.npz", IDENTITY).load()
     assert (tmp_path / "a.npz").exists()
 
 
-def test_a_place_that_cannot_be_written_keeps_what_it_holds(tmp_path, monkeypatch):
+def test_failed_write_keeps_the_old_checkpoint(tmp_path, monkeypatch):
     checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
     checkpoint.store(ARRAYS)
 
@@ -126,7 +126,7 @@ def test_a_place_that_cannot_be_written_keeps_what_it_holds(tmp_path, monkeypatc
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_a_shard_goes_on_as_if_nothing_had_been(restless):
+def test_resumed_shard_is_bit_identical(restless):
     """Kept in the midst of stops, latches and goals, and restored into another process' place."""
     job = replace(restless.jobs()[0], ticks=1000, sample_ticks=90)
     whole, first, second = Shard(job), Shard(job), Shard(job)
@@ -141,7 +141,7 @@ def test_a_shard_goes_on_as_if_nothing_had_been(restless):
     assert result.counts.stops.sum() > 0
 
 
-def test_the_code_is_part_of_what_is_the_same(restless, tmp_path):
+def test_code_digest_is_part_of_the_identity(restless, tmp_path):
     identity = restless.checkpoint(1, tmp_path).identity
     assert identity["code_digest"] == code_digest()
     assert len(code_digest()) == 64
@@ -162,7 +162,7 @@ def kill_a_worker_when(path):
     threading.Thread(target=work, daemon=True).start()
 
 
-def test_a_worker_that_dies_costs_nothing_but_time(finished, tmp_path, capsys):
+def test_killed_worker_changes_no_result(finished, tmp_path, capsys):
     soak = finished.soak
     kill_a_worker_when(soak.checkpoint(0, tmp_path).path)
     disturbed = run_soak(soak, tmp_path, Console())
@@ -173,7 +173,7 @@ def test_a_worker_that_dies_costs_nothing_but_time(finished, tmp_path, capsys):
     assert resumed_ticks(soak, tmp_path, Console(quiet=True)) == 2 * soak.ticks
 
 
-def test_damage_is_said_before_anything_runs(restless, tmp_path, capsys):
+def test_damage_is_reported_before_the_soak_runs(restless, tmp_path, capsys):
     kept = restless.checkpoint(1, tmp_path / "unfinished")
     prepare_folder(tmp_path / "unfinished")
     kept.store({"runtime.ticks": np.array(400)})

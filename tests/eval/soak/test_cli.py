@@ -87,7 +87,7 @@ def whole(arm_policy):
     return lived(job(arm_policy))[0]
 
 
-def test_robots_that_do_not_count_change_nothing(arm_policy, whole):
+def test_uncounted_robots_change_nothing(arm_policy, whole):
     some, _ = lived(job(arm_policy, robots=3))
     assert some.counts.robots == 3
     np.testing.assert_array_equal(some.counts.worst, whole.counts.worst[:3])
@@ -105,7 +105,7 @@ def test_a_stopped_shard_reports_what_was_done(arm_policy, whole):
     np.testing.assert_array_equal(result.worn, whole.worn[:5])
 
 
-def test_robots_begin_new(arm_policy):
+def test_robots_start_unworn(arm_policy):
     shard = Shard(job(arm_policy, ticks=1))
     friction, backlash, encoder, constant = shard.run(lambda ticks: None, lambda: False).worn[0]
     np.testing.assert_array_equal(friction, 1.0)
@@ -114,7 +114,7 @@ def test_robots_begin_new(arm_policy):
     np.testing.assert_array_equal(constant, 1.0)
 
 
-def test_wear_is_sampled_as_it_is_and_unknown_where_the_simulation_diverged(arm_policy):
+def test_wear_samples_are_nan_where_the_simulation_diverged(arm_policy):
     shard = Shard(job(arm_policy, ticks=1))
     plant = shard.runtime.robot.plant
     plant.wear.life[:] = np.linspace(0.1, 2.0, WIDTH)[:, None]
@@ -126,7 +126,7 @@ def test_wear_is_sampled_as_it_is_and_unknown_where_the_simulation_diverged(arm_
     assert np.isnan(found.winding_c[0]).all(axis=1).tolist() == [row == 2 for row in range(WIDTH)]
 
 
-def test_the_operator_comes_to_latched_robots(arm_policy, monkeypatch):
+def test_operator_rearms_latched_robots(arm_policy, monkeypatch):
     """After a minute; here after 10 s, of which a hot housing takes half to cool."""
     assert shard_module.OPERATOR_S == 60.0
     monkeypatch.setattr(shard_module, "OPERATOR_S", 10.0)
@@ -140,14 +140,14 @@ def test_the_operator_comes_to_latched_robots(arm_policy, monkeypatch):
     assert 0 < result.counts.running[2] < 1000
 
 
-def test_stops_are_sampled_as_they_stand(arm_policy):
+def test_stops_are_sampled_as_running_totals(arm_policy):
     shard = Shard(job(arm_policy, ticks=1, robots=3))
     shard.judge.stops[:], shard.judge.latches[:] = (4, 0, 2), (1, 0, 0)
     found = shard.run(lambda ticks: None, lambda: False)
     assert (found.stops.tolist(), found.latches.tolist()) == ([[4, 0, 2]], [[1, 0, 0]])
 
 
-def test_goals_fall_into_bins_and_shards_side_by_side(finished):
+def test_results_of_shards_are_joined_and_goals_binned(finished):
     soak, shards = finished.soak, finished.shards
     result = assemble(soak, shards, RUN)
     assert result.winding_c.shape == (len(result.sample_h), ROBOTS, SPEC.n)
@@ -164,7 +164,7 @@ def test_goals_fall_into_bins_and_shards_side_by_side(finished):
     assert {len(column) for column in result.parameters.values()} == {ROBOTS}
 
 
-def test_a_shard_cut_short_leaves_its_heat_unknown(arm_policy, asked):
+def test_interrupted_shard_leaves_nan_samples(arm_policy, asked):
     short, _ = lived(job(arm_policy, ticks=1000, first=WIDTH), stop_at=400)
     short = replace(short, stops=np.outer(range(5), range(WIDTH)))
     whole, _ = lived(job(arm_policy, ticks=1000))
@@ -238,7 +238,7 @@ def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
     assert 0 < report["run"]["hours"] < 100
 
 
-def test_a_finished_night_is_replaced_by_a_finished_night_only(arm_policy, tmp_path, monkeypatch):
+def test_finished_soak_is_replaced_by_a_finished_soak_only(arm_policy, tmp_path, monkeypatch):
     """Begun over one, interrupted, taken up, and ended."""
     out = tmp_path / "out"
     former = {*FILES - {"tensorboard"}, TENSORBOARD, "events/old/bundle.json", "events/mine/note.txt"}
@@ -277,13 +277,13 @@ def test_a_finished_night_is_replaced_by_a_finished_night_only(arm_policy, tmp_p
     ("what", "named"),
     [("policy", r"\w+\.onnx"), ("robot", "arm6"), ("code", "firstshift's code")],
 )
-def test_what_changes_meanwhile_is_seen(arm_policy, what, named):
+def test_change_during_the_soak_is_refused(arm_policy, what, named):
     said = rf"{named}: changed during the soak: digest found \w{{12}}, expected 0{{12}}$"
     with pytest.raises(ConfigError, match=said):
         Shard(job(arm_policy, **{f"{what}_digest": "0" * 64}))
 
 
-def test_a_job_knows_the_code_that_made_it(asked):
+def test_job_carries_the_code_digest(asked):
     assert {each.code_digest for each in asked().jobs()} == {code_digest()}
 
 
@@ -300,7 +300,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("options", "message"), BAD.values(), ids=BAD)
-def test_bad_input_says_what_was_expected(arm_policy, tmp_path, monkeypatch, capsys, options, message):
+def test_bad_input_names_the_expected_value(arm_policy, tmp_path, monkeypatch, capsys, options, message):
     given = [
         "--policy",
         str(arm_policy),
@@ -318,7 +318,7 @@ def test_bad_input_says_what_was_expected(arm_policy, tmp_path, monkeypatch, cap
     assert not list(tmp_path.glob("out/*"))
 
 
-def test_a_folder_into_which_another_soak_writes_is_refused(arm_policy, tmp_path):
+def test_folder_of_a_running_soak_is_refused(arm_policy, tmp_path):
     out = tmp_path / "out"
     claim_folder(out)
     options = ("--policy", arm_policy, "--hours", 0.001, "--robots", 1, "--workers", 1, "--out", out)

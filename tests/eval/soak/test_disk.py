@@ -56,7 +56,7 @@ def restless(tmp_path):
     return SoakConfig(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **how)
 
 
-def test_a_soak_writes_no_more_than_was_said(finished, tmp_path):
+def test_soak_writes_no_more_than_estimated(finished, tmp_path):
     soak, shards, out = finished.soak, finished.shards, tmp_path / "out"
     needed = disk_usage(soak)
     written.claim_folder(out)
@@ -92,7 +92,7 @@ def test_a_window_of_numbers_that_do_not_compress_is_within_its_bound(restless, 
     assert window_bytes(restless) / 2 < found < window_bytes(restless)
 
 
-def test_what_is_written_does_not_grow_once_a_day_is_over(restless):
+def test_disk_use_is_bounded_after_one_day(restless):
     day, year = (disk_usage(replace(restless, hours=hours, robots=16)) for hours in (24.0, 8760.0))
     assert day.total == pytest.approx(year.total, rel=0.001)
     assert day.hourly == pytest.approx(8760 / 24 * year.hourly, rel=0.001)
@@ -130,7 +130,7 @@ def meanwhile(path, do):
     threading.Thread(target=work, daemon=True).start()
 
 
-def test_a_report_folder_that_is_lost_is_said_and_not_made_anew(restless, tmp_path):
+def test_lost_report_folder_is_an_error_and_not_recreated(restless, tmp_path):
     """It is moved away between the ends of the two shards; when it is put back, the soak goes on from there."""
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
     written.claim_folder(out)
@@ -145,15 +145,13 @@ def test_a_report_folder_that_is_lost_is_said_and_not_made_anew(restless, tmp_pa
     assert resumed_ticks(restless, out / "unfinished", QUIET) == restless.ticks
 
 
-def test_a_shard_that_is_lost_after_its_end_is_said_and_not_left_out_of_the_report(
-    restless, tmp_path, monkeypatch
-):
+def test_lost_shard_is_an_error_and_not_omitted(restless, tmp_path, monkeypatch):
     monkeypatch.setattr(workers.WorkerPool, "run", lambda pool: pool.pending.clear())
     with pytest.raises(OutputError, match=r"shard-0000\.npz: lost"):
         run_soak(restless, tmp_path / "unfinished", QUIET)
 
 
-def test_no_bundle_is_filled_where_the_report_folder_is_gone(tmp_path):
+def test_no_bundle_is_written_into_a_lost_folder(tmp_path):
     with (
         pytest.raises(OutputError, match="cannot be written: No such file"),
         new_bundle(tmp_path / "out" / "events" / "x"),
@@ -163,7 +161,7 @@ def test_no_bundle_is_filled_where_the_report_folder_is_gone(tmp_path):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_read_only_folder_is_said_before_anything_runs(tmp_path):
+def test_read_only_folder_is_an_error_before_the_soak(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(OutputError, match="cannot be written: Permission denied"):
         prepare_folder(tmp_path / "unfinished")
@@ -173,7 +171,7 @@ def denied(*_, **__):
     raise PermissionError(errno.EACCES, "Permission denied")
 
 
-def test_what_may_not_be_written_read_or_deleted_is_said(restless, tmp_path, monkeypatch):
+def test_denied_file_access_is_reported(restless, tmp_path, monkeypatch):
     prepare_folder(tmp_path / "unfinished")
     checkpoint = restless.checkpoint(0, tmp_path / "unfinished")
     checkpoint.store({"runtime.ticks": np.array(400)})
@@ -197,7 +195,7 @@ def test_what_may_not_be_written_read_or_deleted_is_said(restless, tmp_path, mon
     assert resumed_ticks(restless, tmp_path / "unfinished", QUIET) == 400
 
 
-def test_what_stands_in_the_place_of_the_series_or_the_trends_is_found_before_the_hours(tmp_path):
+def test_wrong_file_type_in_place_of_series_or_trends_is_an_error_before_the_soak(tmp_path):
     (tmp_path / "tensorboard").touch()
     with pytest.raises(OutputError, match="tensorboard is a file, expected a folder"):
         written.claim_folder(tmp_path, (SERIES, TENSORBOARD))
@@ -207,7 +205,7 @@ def test_what_stands_in_the_place_of_the_series_or_the_trends_is_found_before_th
         written.claim_folder(tmp_path, (SERIES, TENSORBOARD))
 
 
-def test_what_a_killed_start_left_half_written_is_cleared_away(tmp_path):
+def test_partial_files_of_a_killed_start_are_removed(tmp_path):
     prepare_folder(tmp_path / "unfinished")
     for name in ("shard-0000.npz", ".0123abcd.shard-0000.npz", "shard-0001.npz.damaged"):
         (tmp_path / "unfinished" / name).write_bytes(b"x")
@@ -218,7 +216,7 @@ def test_what_a_killed_start_left_half_written_is_cleared_away(tmp_path):
     }
 
 
-def test_a_disk_that_is_full_at_the_end_costs_no_hour(arm_policy, tmp_path, monkeypatch, capsys):
+def test_full_disk_at_the_end_keeps_the_soak(arm_policy, tmp_path, monkeypatch, capsys):
     out = tmp_path / "out"
     options = ("--policy", arm_policy, "--hours", 0.0003, "--robots", 2, "--workers", 1, "--out", out)
     monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, options)])

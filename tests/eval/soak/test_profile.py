@@ -28,7 +28,7 @@ FAULTS = "[faults]\ncoverage = 0.9\ncycle_s = 20.0\noperator_s = 5.0\n"
         ("weekend", 256, 8.0),
     ],
 )
-def test_shipped_profiles_are_what_they_are_called(name, robots, hours):
+def test_shipped_profiles_match_their_names(name, robots, hours):
     profile, budget = load_profile(name)
     assert (profile.robots, profile.hours) == (robots, hours)
     assert (profile.faults is not None) == (name == "faults")
@@ -42,7 +42,7 @@ def test_the_faults_profile_injects_enough_for_the_coverage_that_it_states():
     assert each * profile.robots >= trials_needed(profile.faults.coverage) * 1.2  # some find no robot at work
 
 
-def test_a_profile_of_ones_own_finds_its_budget_beside_it(tmp_path):
+def test_user_profile_finds_its_budget_beside_it(tmp_path):
     (tmp_path / "mine.toml").write_text(BUDGET.read_text())
     path = tmp_path / "own.toml"
     path.write_text(GOOD + FAULTS)
@@ -88,7 +88,7 @@ def asked(monkeypatch, *options):
     return seen
 
 
-def test_options_go_before_the_profile_and_without_one_nothing_changes(arm_policy, monkeypatch):
+def test_options_override_the_profile(arm_policy, monkeypatch):
     policy = ("--policy", arm_policy)
     plain = asked(monkeypatch, *policy)
     assert (plain["hours"], plain["robots"], plain["budget"], plain["faults"]) == (8.0, 32, BUDGET, None)
@@ -120,7 +120,7 @@ def test_options_go_before_the_profile_and_without_one_nothing_changes(arm_polic
         ),
     ],
 )
-def test_a_profile_that_is_not_there_is_said(arm_policy, monkeypatch, capsys, options, message):
+def test_missing_profile_is_reported(arm_policy, monkeypatch, capsys, options, message):
     assert asked(monkeypatch, "--policy", arm_policy, *options) == {}
     assert message in capsys.readouterr().err
     assert len(list(PROFILES.glob("*.toml"))) == 5

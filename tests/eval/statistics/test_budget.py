@@ -76,7 +76,7 @@ def test_a_budget_may_leave_latches_unlimited():
     assert (line.passed, line.found, line.allowed) == (True, 1e9, np.inf)
 
 
-def test_a_number_that_is_none_does_not_pass():
+def test_nan_does_not_pass():
     line = check(load_budget(), counts())[0]
     assert not dataclasses.replace(line, found=float("nan")).passed
     assert not dataclasses.replace(line, found=float("nan"), at_least=False).passed
@@ -116,7 +116,7 @@ def test_a_wrong_budget_names_file_and_field(tmp_path, old, new, message):
     assert str(path) in str(caught.value)
 
 
-def test_no_budget_file(tmp_path):
+def test_missing_budget_file_is_reported(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.toml: cannot be read: No such file"):
         load_budget(tmp_path / "none.toml")
 

@@ -23,7 +23,7 @@ STUDY = 3_000
 NOTHING = np.zeros(16)
 
 
-def test_nothing_seen_of_either_leaves_what_may_not_have_been_seen():
+def test_comparison_without_events_leaves_the_bound_of_zero_events():
     most = draw_rate_upper(NOTHING, NIGHT, 0.975)
     assert paired_interval((NOTHING, NIGHT), (NOTHING, NIGHT), 1.0) == (-most, most)
 
@@ -43,7 +43,7 @@ amounts = st.lists(
 
 
 @given(amounts, st.sampled_from([0.8, 0.95, 0.99]))
-def test_it_turns_with_the_policies_and_what_happens_to_both_cancels(rows, confidence):
+def test_comparison_is_antisymmetric_and_common_effects_cancel(rows, confidence):
     x, y, both = np.array(rows, dtype=np.float64).T
     hours = np.linspace(4, 8, len(x))
     low, high = paired_interval((x, hours), (y, hours), 1.0, confidence)
@@ -58,7 +58,7 @@ def test_it_turns_with_the_policies_and_what_happens_to_both_cancels(rows, confi
     assert wider[0] < low < high < wider[1]
 
 
-def test_of_many_draws_it_is_students_t():
+def test_many_draws_give_student_t():
     rng = np.random.default_rng(2)
     x, y = rng.poisson(rng.gamma(2.0, 3.0, 20_000)), rng.poisson(rng.gamma(2.0, 2.0, 20_000))
     each = np.ones(20_000)
@@ -85,7 +85,7 @@ def compare(a, b):
     return compared.compare(*(PerDrawCounts.from_counts(counts) for counts in (a, b)))
 
 
-def test_differences_are_those_of_what_the_reports_say():
+def test_differences_match_the_reports():
     a, b = soaked(1, hard=2.0, stops=1.0), soaked(2, hard=1.0, missed=0.1, stops=0.2)
     goals, rate, availability = compare(a, b)
     assert (goals.a, goals.b) == pytest.approx((a.goal_success, b.goal_success))
@@ -98,7 +98,7 @@ def test_differences_are_those_of_what_the_reports_say():
     assert [each.unit for each in (goals, rate, availability)] == ["", "1/h", ""]
 
 
-def test_what_is_shown_and_what_is_not():
+def test_significant_differences_are_shown():
     worse = [each.conclusion for each in compare(soaked(1), soaked(2, hard=9.0, missed=0.2, stops=5.0))]
     better = [each.conclusion for each in compare(soaked(2, hard=9.0, missed=0.2, stops=5.0), soaked(1))]
     assert worse == ["lower", "higher", "lower"]
@@ -108,7 +108,7 @@ def test_what_is_shown_and_what_is_not():
     }
 
 
-def test_the_same_soak_twice_differs_nowhere_and_shows_little():
+def test_same_soak_twice_shows_no_difference():
     for each in compare(soaked(1), soaked(1)):
         assert (each.differing, each.conclusion) == (0, "no difference")
         assert each.low == -each.high < 0

@@ -42,7 +42,7 @@ def test_with_few_events_it_is_the_sum_over_all_that_could_have_been(events):
     assert dispersion_p(events, hours) == pytest.approx(expected, abs=0.015)
 
 
-def test_alike_draws_are_rarely_called_different_even_with_few_events(monkeypatch):
+def test_equal_draws_are_rarely_called_different(monkeypatch):
     monkeypatch.setattr(dispersion, "RESAMPLES", 199)
     rng = np.random.default_rng(2)
     hours = rng.uniform(0.5, 8, 16)
@@ -50,7 +50,7 @@ def test_alike_draws_are_rarely_called_different_even_with_few_events(monkeypatc
     assert 0.01 < np.mean(np.array(found) <= 0.05) <= 0.06
 
 
-def test_draws_that_differ_are_found():
+def test_different_draws_are_found():
     rng = np.random.default_rng(3)
     rates = rng.gamma(0.5, 2.0, (9, 32))
     assert np.median([dispersion_p(rng.poisson(5 * rate), np.ones(32)) for rate in rates]) < 1e-3
@@ -124,7 +124,7 @@ def test_bounds_have_a_unit_and_no_order(draws, confidence, scale):
 
 
 @given(night)
-def test_nights_like_this_one_narrow_the_bounds(draws):
+def test_pooled_nights_narrow_the_bounds(draws):
     events, hours = np.array(draws).T
     once, thrice = draw_rate_upper(events, hours), draw_rate_upper(np.tile(events, 3), np.tile(hours, 3))
     assert thrice < once
@@ -136,7 +136,7 @@ def test_many_monitors_at_once_are_as_one_by_one():
     assert np.transpose(draw_rate_interval(events, NIGHT)) == pytest.approx(one_by_one)
 
 
-def test_one_draw_says_little_and_none_says_nothing():
+def test_one_draw_gives_wide_bounds_and_none_gives_none():
     assert draw_rate_upper([0], [8.0]) * 8 == pytest.approx(199.5)
     assert draw_rate_upper([7], [8.0]) > 100
     assert draw_rate_interval([0, 3], [0.0, 0.0]) == (0, math.inf)
@@ -170,14 +170,14 @@ def test_bounds_over_draws_cover_what_they_promise(rates, draws, expected):
 
 
 @pytest.mark.parametrize("expected", [3.7, 12, 300])
-def test_a_family_of_bounds_over_draws_holds_together(expected):
+def test_family_of_bounds_over_draws_has_joint_coverage(expected):
     """Fourteen monitors with one set of hours, each on draws of its own."""
     each = 1 - 0.05 / 14
     events, hours, rate = soaks("spread 2", 16, expected)
     assert np.mean(rate <= draw_rate_upper(events, hours, each)) >= 1 - 0.06 / 14
 
 
-def test_to_choose_by_the_test_would_promise_too_much():
+def test_choosing_by_the_test_loses_coverage():
     events, hours, rate = soaks("spread 2", 16, 12)
     by_hours, by_draws = rate_interval(events.sum(axis=0), hours.sum()), draw_rate_interval(events, hours)
     p = stats.chi2.sf(index(np.where(events.any(axis=0), events, 1).T, hours / hours.sum()), 15)
@@ -186,7 +186,7 @@ def test_to_choose_by_the_test_would_promise_too_much():
 
 
 @pytest.mark.parametrize(("method", "most"), [("percentile", 0.88), ("BCa", 0.9)])
-def test_to_resample_the_draws_would_promise_too_much(method, most):
+def test_bootstrap_over_draws_loses_coverage(method, most):
     events, rate = np.random.default_rng(6).poisson(20 * RATES["spread 2"](np.random.default_rng(7), 16)), 20
     found = stats.bootstrap(
         (events[:, :1_000],), np.mean, axis=0, n_resamples=499, batch=50, method=method, rng=8

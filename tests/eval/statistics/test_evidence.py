@@ -46,7 +46,7 @@ def test_intervals_equal_scipys_own():
     assert (2 * low, 2 * high) == pytest.approx((1.0899, 10.2416), abs=1e-4)  # Garwood's table, 4 events
 
 
-def test_nothing_seen_allows_everything():
+def test_no_exposure_allows_every_rate_and_share():
     assert evidence.rate_interval(0, 0.0) == (0, np.inf)
     assert evidence.share_interval(0, 0) == (0, 1)
     assert evidence.share_upper(16, 16) == 1
@@ -56,7 +56,7 @@ STUDY = 20_000
 
 
 @pytest.mark.parametrize(("rate", "hours"), [(0.02, 8), (0.3, 8), (0.3, 128), (2.0, 128)])
-def test_rates_cover_what_they_promise(rate, hours):
+def test_rate_intervals_have_the_nominal_coverage(rate, hours):
     events = np.random.default_rng(1).poisson(rate * hours, size=STUDY)
     low, high = evidence.rate_interval(events, hours)
     assert np.mean((low <= rate) & (rate <= high)) >= 0.94
@@ -65,7 +65,7 @@ def test_rates_cover_what_they_promise(rate, hours):
 
 
 @pytest.mark.parametrize(("share", "trials"), [(0.03, 16), (0.2, 64), (0.97, 900), (0.5, 20)])
-def test_shares_cover_what_they_promise(share, trials):
+def test_share_intervals_have_the_nominal_coverage(share, trials):
     hits = np.random.default_rng(2).binomial(trials, share, size=STUDY)
     low, high = evidence.share_interval(hits, trials)
     assert np.mean((low <= share) & (share <= high)) >= 0.94
@@ -74,7 +74,7 @@ def test_shares_cover_what_they_promise(share, trials):
 
 
 @pytest.mark.parametrize("interval", [evidence.rate_interval, evidence.share_interval])
-def test_more_of_the_same_narrows_the_interval(interval):
+def test_more_trials_narrow_the_interval(interval):
     widths = [high - low for low, high in (interval(k, 10 * k) for k in (1, 4, 16, 64))]
     assert widths == sorted(widths, reverse=True)
 
@@ -88,7 +88,7 @@ def test_rate_bounds_rise_with_events_and_fall_with_hours(events, more, hours, l
 
 
 @pytest.mark.parametrize("rates", [np.full(14, 0.3), np.geomspace(0.1, 10, 14)])
-def test_a_family_of_bounds_holds_together(rates):
+def test_family_of_bounds_has_joint_coverage(rates):
     """Fourteen monitors, of which the second half has the events of the first."""
     draws = np.random.default_rng(3).poisson(rates * 128, size=(STUDY, 14))
     draws[:, 7:], rates = draws[:, :7], np.tile(rates[:7], 2)

@@ -40,7 +40,7 @@ def test_a_stop_weighs_twice_its_mean_length():
     assert stop_ticks(still) is None
 
 
-def test_more_nights_say_more():
+def test_more_nights_narrow_the_bounds():
     nights = named(*(night(seed) for seed in range(8)))
     few, many = (pool(dict(list(nights.items())[:k])).hard_events for k in (2, 8))
     assert (
@@ -58,7 +58,7 @@ def test_another_identity_is_refused_by_its_key_and_both_values(key):
     assert str(caught.value) == f"night-2.json: {key}: found {found}, but night-0.json has {IDENTITY[key]}"
 
 
-def test_what_only_one_has_is_refused():
+def test_key_missing_on_one_side_is_refused():
     more = IDENTITY | {"mujoco": "4.0"}
     with pytest.raises(ConfigError, match=r"^b: mujoco: found 4\.0, but a has nothing$"):
         same_identity(IDENTITY, more, names=("a", "b"))
@@ -66,12 +66,12 @@ def test_what_only_one_has_is_refused():
         same_identity(more, IDENTITY, names=("a", "b"))
 
 
-def test_the_same_draws_count_once():
+def test_equal_draws_count_once():
     with pytest.raises(ConfigError, match=r"^night-2\.json: seed: found 1, also the seed of night-0\.json"):
         pool(named(night(1), night(2), night(1)))
 
 
-def test_another_policy_and_another_budget_are_of_the_same_draws():
+def test_different_policy_or_budget_has_the_same_draws():
     same_draws(
         night(1), night(1, policy_digest="z9", policy="b.onnx", budget="b", workers=7), names=("a", "b")
     )
@@ -85,6 +85,6 @@ def test_another_policy_and_another_budget_are_of_the_same_draws():
         ("robots", {"draws": 32}),
     ],
 )
-def test_anything_else_is_of_other_draws(key, changes):
+def test_any_other_difference_has_other_draws(key, changes):
     with pytest.raises(ConfigError, match=rf"^b: {key}: found .*, but a has "):
         same_draws(night(), night(**changes), names=("a", "b"))

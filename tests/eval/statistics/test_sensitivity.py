@@ -27,7 +27,7 @@ def night(rng, draws, many=30):
 
 
 @pytest.mark.parametrize("draws", [16, 64])
-def test_chance_names_a_parameter_in_no_more_nights_than_promised(draws):
+def test_chance_names_a_parameter_no_more_often_than_alpha(draws):
     rng = np.random.default_rng(3)
     named = 0
     for _ in range(NIGHTS):
@@ -37,7 +37,7 @@ def test_chance_names_a_parameter_in_no_more_nights_than_promised(draws):
     assert 3 <= named <= 19
 
 
-def test_what_is_planted_is_found_among_many():
+def test_planted_effect_is_found_among_many_parameters():
     rng, hits = np.random.default_rng(4), 0
     for _ in range(30):
         given, outcomes = night(rng, 32)
@@ -48,20 +48,20 @@ def test_what_is_planted_is_found_among_many():
     assert hits >= 28
 
 
-def test_correlations_are_spearmans_with_ties():
+def test_correlations_equal_spearman_with_ties():
     given, outcomes = night(np.random.default_rng(5), 20)
     for pair in correlate(given, outcomes, 1).correlations:
         oracle = stats.spearmanr(given[pair.parameter], outcomes[pair.outcome])
         assert pair.rho == pytest.approx(oracle.statistic, abs=1e-12)
 
 
-def test_of_a_single_pair_the_p_value_is_that_of_a_permutation_test():
+def test_p_value_of_one_pair_equals_a_permutation_test():
     x, y = np.arange(5.0), np.array([0.0, 2.0, 1.0, 3.0, 4.0])
     # |rho| >= 0.9 in 10 of the 120 orders: itself, four exchanges of neighbours, and these reversed.
     assert correlate({"x": x}, {"y": y}, 9999).correlations[0].p == pytest.approx(10 / 120, abs=0.01)
 
 
-def test_what_is_noticeable_is_just_what_has_a_small_p_value():
+def test_noticeable_means_small_p_value():
     given, outcomes = night(np.random.default_rng(6), 16)
     found = correlate(given, outcomes, RESAMPLES)
     strongest = found.correlations[0]
@@ -73,12 +73,12 @@ def test_what_is_noticeable_is_just_what_has_a_small_p_value():
     assert 0.6 < found.noticeable < 0.9
 
 
-def test_more_draws_make_less_noticeable():
+def test_more_draws_make_smaller_effects_noticeable():
     few, many = (correlate(*night(np.random.default_rng(7), n), RESAMPLES).noticeable for n in (16, 256))
     assert few > 2 * many
 
 
-def test_what_is_the_same_for_all_explains_nothing():
+def test_constant_parameter_explains_nothing():
     given = {"a": np.arange(9.0), "b": np.ones(9)}
     found = correlate(given, {"up": np.arange(9.0), "never": np.zeros(9)}, RESAMPLES)
     assert (found.parameters, found.outcomes, len(found.correlations)) == (("a",), ("up",), 1)
@@ -87,7 +87,7 @@ def test_what_is_the_same_for_all_explains_nothing():
 
 
 @pytest.mark.parametrize("draws", [1, 2, 3])
-def test_a_few_draws_show_nothing(draws):
+def test_few_draws_show_nothing(draws):
     found = correlate({"a": np.arange(float(draws))}, {"b": np.arange(float(draws))})
     assert all(pair.p > 0.3 for pair in found.correlations)
     assert found.noticeable > 1

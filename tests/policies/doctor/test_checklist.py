@@ -69,7 +69,7 @@ def test_only_the_first_of_many_are_listed():
     assert format_values(names, numbers, unit=" A") == "j0 0, j1 1, j2 2, j3 3, j4 4, j5 5 A and 2 more"
 
 
-def test_a_row_is_as_bad_as_its_worst_note_and_says_nothing_of_what_passed():
+def test_row_verdict_is_its_worst_note_and_omits_passed_ones():
     notes = [passed("fine."), warned("odd."), failed("wrong."), passed("good.")]
     assert summarize("x", notes) == CheckResult(check="x", verdict=Verdict.FAIL, text="wrong.\nodd.")
     assert summarize("x", [notes[0], notes[3]]).text == "fine.\ngood."
@@ -88,7 +88,7 @@ def test_joints_in_another_order_are_named_with_their_places(sick):
     assert "joint_names: the right joints in another order" in run_check(case, "loader").text
 
 
-def test_unknown_joints_come_with_the_nearest_names_and_missing_ones_are_said_as_well(sick):
+def test_unknown_joints_get_suggestions_and_missing_joints_are_listed(sick):
     wrong = ["sholder_pan", "shoulder_lift", "elbow_joint", "wrist_1", "wrist_1", "wrist_3"]
     found = run_check(sick(contract=lambda data: data.update(joint_names=wrong)), "joints")
     assert found.verdict is Verdict.FAIL
@@ -101,7 +101,7 @@ def test_unknown_joints_come_with_the_nearest_names_and_missing_ones_are_said_as
         assert said in found.text
 
 
-def test_a_network_trained_in_another_order_under_the_right_names_is_suspected(sick, shipped_policy):
+def test_network_trained_in_another_joint_order_is_suspected(sick, shipped_policy):
     """Its normalizer still knows where each joint stood."""
     order = in_another_order([2, 0, 1, 3, 5, 4], contract_of(shipped_policy)["observation"])
     found = run_check(sick(graph=order), "joints")
@@ -110,7 +110,7 @@ def test_a_network_trained_in_another_order_under_the_right_names_is_suspected(s
     assert "which fits shoulder_pan or elbow or wrist_3" in found.text
 
 
-def test_without_numbers_of_training_the_order_inside_the_network_is_not_known(sick):
+def test_joint_order_is_unknown_without_training_statistics(sick):
     found = run_check(
         sick(graph=without_normalizer, contract=lambda data: data.update(observed=None)), "joints"
     )
@@ -121,7 +121,7 @@ def test_without_numbers_of_training_the_order_inside_the_network_is_not_known(s
 # ---- scale, offset, gains ----
 
 
-def test_twice_the_scale_asks_for_more_than_the_joints_can_do(sick):
+def test_doubled_scale_exceeds_joint_limits(sick):
     found = run_check(sick(contract=action(scale=[0.1] * 6)), "action")
     assert found.verdict is Verdict.WARN
     assert "an action of 1 asks for shoulder_pan 5 of 3.14, " in found.text
@@ -149,7 +149,7 @@ def test_an_offset_outside_the_working_range_is_named(sick):
     assert "an action of 1 or -1 sends wrist_1 beyond the working range" in found.text
 
 
-def test_scales_are_held_against_the_working_range(sick):
+def test_scales_are_compared_with_the_working_range(sick):
     home = [0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
     assert run_check(sick(contract=positions(home)), "action").verdict is Verdict.PASS
     for scale, said in ((7.0, "more than the joint can"), (0.01, "almost nothing")):
@@ -160,7 +160,7 @@ def test_scales_are_held_against_the_working_range(sick):
     assert (unbounded.verdict, unbounded.text[:5]) == (Verdict.WARN, "clip:")
 
 
-def test_gains_are_held_against_torque_and_inertia(sick):
+def test_gains_are_compared_with_torque_and_inertia(sick):
     found = run_check(sick(contract=action(kp=[8000.0] * 6, kd=[200.0] * 5 + [0.01])), "gains")
     assert found.verdict is Verdict.FAIL
     hard, odd, ratio = found.text.split("\n")
@@ -184,7 +184,7 @@ def test_negative_gains_make_no_contract(sick):
 # ---- rates ----
 
 
-def test_another_control_rate_and_another_rate_of_training_are_both_said(sick):
+def test_different_control_and_training_rates_are_both_named(sick):
     case = sick(contract=lambda data: data.update(control_hz=500, trained={"step_dt": "0.01", "seed": "x"}))
     found = run_check(case, "rates")
     assert found.verdict is Verdict.FAIL
@@ -208,7 +208,7 @@ def test_a_sensor_slower_than_the_policy_is_named(sick, tmp_path):
 # ---- sensors, protection ----
 
 
-def test_a_term_that_nothing_measures_is_named_with_what_it_needs(sick):
+def test_unmeasured_term_is_named_with_the_missing_sensor(sick):
     def ask(data):
         data["observation"][2].update(source="base_linear_velocity", frame="base", unit="m/s")
 
@@ -250,7 +250,7 @@ def test_a_robot_without_a_guard_is_named(sick, tmp_path, old, new, said):
 # ---- the loader ----
 
 
-def test_a_robot_that_was_changed_since_and_a_network_that_was_are_both_said(shipped_policy, tmp_path):
+def test_changed_robot_and_changed_network_are_both_named(shipped_policy, tmp_path):
     robot, _ = robot_and_digest(tmp_path, toml=[("q_max = 1.3", "q_max = 1.4")])
     model = onnx.load(shipped_policy)
     bias = next(tensor for tensor in model.graph.initializer if tensor.name == "mlp.4.bias")
@@ -262,7 +262,7 @@ def test_a_robot_that_was_changed_since_and_a_network_that_was_are_both_said(shi
     assert "golden pairs: found a deviation of 0.1 at batch 1" in found.text
 
 
-def test_all_that_the_loader_refuses_is_said_at_once_though_the_robot_is_another(sick):
+def test_all_loader_errors_are_listed_at_once(sick):
     case = sick("arm6", contract=lambda data: data.update(robot="leg", joint_names=SWAPPED, control_hz=400))
     with pytest.raises(RobotError, match="--robot leg: no such folder"):
         CheckContext(case.path)
@@ -271,7 +271,7 @@ def test_all_that_the_loader_refuses_is_said_at_once_though_the_robot_is_another
         assert said in found.text
 
 
-def test_names_of_a_file_do_not_upset_a_terminal(sick):
+def test_control_characters_in_names_are_escaped(sick):
     evil = "\x1b]0;gone\x07"
 
     def rename(data):
@@ -286,7 +286,7 @@ def test_names_of_a_file_do_not_upset_a_terminal(sick):
 
 @settings(max_examples=25)
 @given(contracts())
-def test_any_contract_gets_all_its_rows(tmp_path_factory, contract):
+def test_every_contract_gets_all_rows(tmp_path_factory, contract):
     """However little it fits the arm, and however large its numbers."""
     w = np.ones((contract.observation_size, contract.action_size), np.float32)
     node = helper.make_node("MatMul", ["observation", "w"], ["action"])
@@ -313,13 +313,13 @@ def rewritten(*nodes, **tensors):
     return change
 
 
-def test_the_normalizer_of_the_graph_is_the_one_of_training(sound):
+def test_normalizer_in_the_graph_is_recognized(sound):
     observed = sound.contract.observed
     np.testing.assert_allclose(sound.normalizer.mean, observed.mean, rtol=1e-3, atol=1e-4)
     np.testing.assert_allclose(sound.normalizer.deviation, observed.deviation, rtol=1e-3)
 
 
-def test_it_is_found_however_it_is_written(sick, sound):
+def test_normalizer_is_found_in_every_notation(sick, sound):
     mean, deviation = (np.array(x, np.float32) for x in (sound.normalizer.mean, sound.normalizer.deviation))
     order = np.random.default_rng(0).permutation(N)
     node = helper.make_node
@@ -353,13 +353,13 @@ def test_it_is_found_however_it_is_written(sick, sound):
         np.testing.assert_allclose(found.deviation, deviation, rtol=1e-3)
 
 
-def test_what_is_none_is_not_taken_for_one(sick):
+def test_other_nodes_are_not_taken_for_a_normalizer(sick):
     one = rewritten(helper.make_node("Mul", ["observation", "one"], ["ready"]), one=np.ones(N, np.float32))
     squared = rewritten(helper.make_node("Softmax", ["observation"], ["ready"]))
     for change in (without_normalizer, one, squared):
         assert sick(graph=change).normalizer is None
 
 
-def test_the_contract_of_a_policy_whose_answer_is_turned_is_not_confused(sick, sound):
+def test_normalizer_is_found_despite_a_reversed_output(sick, sound):
     turned = sick(graph=answering(helper.make_node("Neg", ["said"], ["action"])))
     np.testing.assert_array_equal(turned.normalizer.mean, sound.normalizer.mean)

@@ -56,7 +56,7 @@ def reversed_joint(joint, terms):
         (lambda terms: reversed_joint(2, terms), "elbow reversed"),
     ],
 )
-def test_what_would_help_is_named(shipped_policy, terms, tmp_path, monkeypatch, change, said):
+def test_helpful_exchange_is_named(shipped_policy, terms, tmp_path, monkeypatch, change, said):
     monkeypatch.setattr(joint_order, "joint_variants", some)
     case = CheckContext(ailing(shipped_policy, tmp_path, graph=change(terms)))
     assert run_check(case, "simulation").verdict is Verdict.FAIL
@@ -66,7 +66,7 @@ def test_what_would_help_is_named(shipped_policy, terms, tmp_path, monkeypatch, 
     assert "change the joint names accordingly, and import or export it again" in found.text
 
 
-def test_what_does_not_help_is_not_named(arm_policy, monkeypatch):
+def test_unhelpful_exchanges_are_not_named(arm_policy, monkeypatch):
     """A policy that asks for nothing reaches nothing in any order."""
     monkeypatch.setattr(joint_order, "joint_variants", some)
     found = run_check(CheckContext(arm_policy), "joint order")
@@ -74,7 +74,7 @@ def test_what_does_not_help_is_not_named(arm_policy, monkeypatch):
     assert "of 7 exchanges of two joints and reversals of one none helps" in found.text
 
 
-def test_every_exchange_and_every_reversal_is_tried_once():
+def test_every_exchange_and_reversal_is_tried_once():
     tried = joint_variants(NAMES)
     assert len(tried) == 1 + 15 + 6
     assert len({(*places, *signs) for _, places, signs in tried}) == len(tried)
@@ -97,7 +97,7 @@ def positions(order):
     return change
 
 
-def test_a_variant_of_names_in_the_wrong_order_is_the_policy_itself(shipped_policy, terms, tmp_path):
+def test_variant_with_the_wrong_order_equals_the_policy_itself(shipped_policy, terms, tmp_path):
     """Scales and offsets come with the wrong names, so that readings and targets must be brought to rad and back."""
     (tmp_path / "wrong").mkdir()
     right = CheckContext(ailing(shipped_policy, tmp_path, contract=positions(range(6))))

@@ -86,14 +86,14 @@ def test_the_shipped_policy_passes_every_check_but_one(sound):
     assert "10 ms do no harm" in found["delay"].text
 
 
-def test_the_first_target_is_what_one_action_may_ask_for(sound):
+def test_first_target_is_within_one_action_step(sound):
     assert 0.03 < np.abs(sound.run.first_step).max() < 0.06
 
 
 # ---- the normalizer ----
 
 
-def test_a_normalizer_that_the_contract_remembers_and_the_graph_lost(sick):
+def test_normalizer_lost_by_the_graph_is_found(sick):
     case = sick(graph=without_normalizer)
     found = run_check(case, "normalizer")
     assert found.verdict is Verdict.FAIL
@@ -103,7 +103,7 @@ def test_a_normalizer_that_the_contract_remembers_and_the_graph_lost(sick):
     assert run_check(case, "simulation").verdict is Verdict.FAIL
 
 
-def test_a_normalizer_that_nobody_remembers_is_suspected_and_the_trial_fails(sick):
+def test_missing_normalizer_is_suspected_and_the_simulation_fails(sick):
     case = sick(graph=without_normalizer, contract=unobserved)
     found = run_check(case, "normalizer")
     assert found.verdict is Verdict.WARN
@@ -115,7 +115,7 @@ def test_a_normalizer_that_nobody_remembers_is_suspected_and_the_trial_fails(sic
     assert "reached 0 of 24 goals" in trial.text
 
 
-def test_a_scale_in_degrees_feeds_it_raw_readings(sick):
+def test_scale_in_degrees_gives_unscaled_observations(sick):
     def degrees(data):
         term = data["observation"][0]
         term["scale"] = [scale / 57.3 for scale in term["scale"]]
@@ -129,7 +129,7 @@ def test_a_scale_in_degrees_feeds_it_raw_readings(sick):
     assert "off training's, in deviations: joint_position wrist_2 7" in training.text
 
 
-def test_a_term_whose_scale_is_far_too_large_is_not_heard(sick):
+def test_term_with_too_large_a_scale_has_no_effect(sick):
     def deafen(data):
         data["observation"][3]["scale"] = [850.0] * 3
 
@@ -145,7 +145,7 @@ def test_a_term_whose_scale_is_far_too_large_is_not_heard(sick):
 # ---- order and sign that the names do not show ----
 
 
-def test_joints_in_another_order_than_the_names_say_miss_every_goal(sick, shipped_policy):
+def test_wrong_joint_order_misses_every_goal(sick, shipped_policy):
     terms = json.loads(metadata(onnx.load(shipped_policy), CONTRACT_KEY).value)["observation"]
     case = sick(graph=in_another_order([2, 0, 1, 3, 5, 4], terms), contract=unobserved)
     assert run_check(case, "simulation").verdict is Verdict.FAIL
@@ -155,7 +155,7 @@ def test_joints_in_another_order_than_the_names_say_miss_every_goal(sick, shippe
     assert "and order with training" in training.text
 
 
-def test_actions_of_the_other_sign_miss_every_goal(sick):
+def test_reversed_actions_miss_every_goal(sick):
     case = sick(graph=answering(helper.make_node("Neg", ["said"], ["action"])))
     trial = run_check(case, "simulation")
     assert trial.verdict is Verdict.FAIL
@@ -185,7 +185,7 @@ def test_a_default_pose_that_is_not_home_jumps_at_activation(sick, brief):
     assert "the home pose of robot.toml is not the default pose of training" in found.text
 
 
-def test_twice_the_scale_would_begin_too_fast(double):
+def test_doubled_scale_starts_too_fast(double):
     found = run_check(double, "first target")
     assert found.verdict is Verdict.WARN
     assert "without the smoother the first step would need shoulder_pan 5.0" in found.text
@@ -194,7 +194,7 @@ def test_twice_the_scale_would_begin_too_fast(double):
 # ---- delay, jitter, shaking ----
 
 
-def test_a_nervous_policy_shakes(nervous):
+def test_noisy_policy_shakes(nervous):
     found = run_check(nervous, "chatter")
     assert found.verdict is Verdict.WARN
     assert re.match(r"it chatters: shoulder_pan [678][.\d]*, ", found.text)
@@ -207,21 +207,21 @@ def test_a_nervous_policy_shakes(nervous):
         ("double", Verdict.FAIL, "with actions only 10 ms late"),
     ],
 )
-def test_a_delay_that_training_did_not_know_is_named(request, policy, verdict, said):
+def test_delay_absent_in_training_is_named(request, policy, verdict, said):
     found = run_check(request.getfixturevalue(policy), "delay")
     assert found.verdict is verdict
     assert re.match(rf"{said} it reaches \d+ goals instead of \d+", found.text)
     assert "measure the robot's delay from sensor to motion, and train with it" in found.text
 
 
-def test_a_policy_that_jitter_harms_is_named(nervous):
+def test_policy_sensitive_to_jitter_is_named(nervous):
     found = run_check(nervous, "jitter")
     assert found.verdict is Verdict.WARN
     assert re.search(r"random delays of actions up to 20 ms it reaches \d+ goals instead", found.text)
     assert "run it on a computer with reliable timing" in found.text
 
 
-def test_packets_so_late_that_the_robot_stops_for_them_are_named(sick, tmp_path):
+def test_stops_by_late_packets_are_named(sick, tmp_path):
     robot, digest = robot_and_digest(tmp_path, toml=[("delay_s = 0.008", "delay_s = 0.025")])
     found = run_check(sick(robot, contract=digest), "simulation")
     assert found.verdict is Verdict.WARN
@@ -231,7 +231,7 @@ def test_packets_so_late_that_the_robot_stops_for_them_are_named(sick, tmp_path)
 # ---- heat ----
 
 
-def test_motors_that_cannot_get_rid_of_their_heat_are_named_with_the_hour(sick, tmp_path):
+def test_overheating_motors_are_named_with_the_hour(sick, tmp_path):
     cool = ("housing_resistance_k_per_w = 4.0", "housing_resistance_k_per_w = 12.0")
     robot, digest = robot_and_digest(tmp_path, toml=[cool])
     found = run_check(sick(robot, contract=digest), "heat")
@@ -243,7 +243,7 @@ def test_motors_that_cannot_get_rid_of_their_heat_are_named_with_the_hour(sick, 
     assert re.search(r"too hot: the first is too hot within [345][.\d]* h", found.text)
 
 
-def test_eight_hours_are_those_of_the_two_node_model():
+def test_eight_hours_equal_the_two_node_model():
     current, friction_power = np.array([1.0, 3.0, 2.0, 0.3, 0.2, 0.1]), np.zeros(6)
     found = winding_temperature(
         SPEC, HeatLoad(current=current, friction_power=friction_power, ambient=25.0), 3600.0
@@ -283,7 +283,7 @@ def test_friction_and_iron_are_a_few_watts(sound):
 
 
 @pytest.mark.parametrize(("trained_on", "robot"), [("walker", "arm6"), ("arm", QUADRUPED.folder)])
-def test_a_policy_of_quite_another_robot_gets_all_its_rows(tmp_path, trained_on, robot):
+def test_policy_of_another_robot_gets_all_rows(tmp_path, trained_on, robot):
     arm = arm_contract()
     soft = arm.action.model_copy(update={"kp": (100.0,) * SPEC.n, "kd": (10.0,) * SPEC.n})
     contract = walking_contract() if trained_on == "walker" else arm.model_copy(update={"action": soft})
@@ -296,7 +296,7 @@ def test_a_policy_of_quite_another_robot_gets_all_its_rows(tmp_path, trained_on,
     assert f"found gains of {len(contract.joint_names)} joints, expected {case.spec.n}" in found["gains"].text
 
 
-def test_a_robot_that_walks_is_looked_at_as_well(tmp_path, brief):
+def test_walking_robot_is_checked(tmp_path, brief):
     """A policy that only stands: it hears nothing, asks for nothing, and falls or not by its springs alone."""
     contract = walking_contract()
     w = np.zeros((contract.observation_size, contract.action_size), np.float32)
@@ -315,7 +315,7 @@ def test_a_robot_that_walks_is_looked_at_as_well(tmp_path, brief):
 
 
 @pytest.mark.parametrize("command_s", [2.0, 30.0])
-def test_a_robot_that_walks_is_not_taken_to_work_because_no_command_ended(tmp_path, command_s):
+def test_walking_robot_without_a_finished_command_does_not_count_as_working(tmp_path, command_s):
     """Trained with gravity of the other sign it asks for nothing upright; as it is here, it folds up."""
     folder = shutil.copytree(QUADRUPED.folder, tmp_path / "robot")
     text = (folder / "robot.toml").read_text()
@@ -332,7 +332,7 @@ def test_a_robot_that_walks_is_not_taken_to_work_because_no_command_ended(tmp_pa
 # ---- what cannot be lived ----
 
 
-def test_a_robot_that_nothing_can_be_lived_with_has_one_row_that_says_why(sick, tmp_path):
+def test_robot_that_cannot_be_simulated_has_one_row_with_the_reason(sick, tmp_path):
     robot, digest = robot_and_digest(tmp_path, xml=[('actuatorfrcrange="-150 150" ', "")])
     case = sick(robot, contract=digest)
     trial = run_check(case, "simulation")
@@ -346,7 +346,7 @@ def test_a_robot_that_nothing_can_be_lived_with_has_one_row_that_says_why(sick, 
         )
 
 
-def test_a_policy_that_says_no_number_never_comes_under_way(sick, brief):
+def test_policy_output_of_nan_never_starts(sick, brief):
     nan = answering(
         helper.make_node("Sub", ["said", "said"], ["none"]),
         helper.make_node("Div", ["none", "none"], ["action"]),
@@ -360,7 +360,7 @@ def test_a_policy_that_says_no_number_never_comes_under_way(sick, brief):
     assert "a robot did not start: a number is not finite" in found.text
 
 
-def test_a_scale_so_small_that_readings_overflow_is_not_lived_with(sick, brief):
+def test_overflowing_scale_is_not_simulated(sick, brief):
     def tiny(data):
         data["observation"][0]["scale"] = [1e-300] * 6
 
@@ -387,7 +387,7 @@ def command(monkeypatch, capsys):
     return run
 
 
-def test_the_command_says_every_row_and_ends_with_1_if_one_fails(command, arm_policy, monkeypatch):
+def test_command_prints_every_row_and_exits_with_1_on_a_failure(command, arm_policy, monkeypatch):
     monkeypatch.setattr(joint_order, "VARIANTS_MAX", 1)
     code, said, _ = command(arm_policy)
     assert code == 1
@@ -396,7 +396,7 @@ def test_the_command_says_every_row_and_ends_with_1_if_one_fails(command, arm_po
     assert "6 joints have too many orders to try" in said
 
 
-def test_the_command_ends_with_0_where_rows_only_warn(command, shipped_policy, monkeypatch, sound):
+def test_command_exits_with_0_on_warnings_only(command, shipped_policy, monkeypatch, sound):
     monkeypatch.setattr(checking, "CheckContext", lambda path, robot: sound)
     code, said, _ = command(shipped_policy, "--robot", "arm6")
     assert code == 0
@@ -404,7 +404,7 @@ def test_the_command_ends_with_0_where_rows_only_warn(command, shipped_policy, m
     assert said.count(" warn ") == 1
 
 
-def test_a_network_for_one_robot_alone_is_bad_input(command, shipped_policy, tmp_path):
+def test_network_with_a_fixed_batch_is_bad_input(command, shipped_policy, tmp_path):
     def one_only(model):
         shape = helper.make_node("Reshape", ["said", "shape"], ["action"])
         answering(shape, shape=np.array([1, 6]))(model)
@@ -417,7 +417,7 @@ def test_a_network_for_one_robot_alone_is_bad_input(command, shipped_policy, tmp
     assert f"error: {tmp_path / 'one.onnx'}: cannot be run at batch 64: " in complaint
 
 
-def test_bad_input_ends_with_2_and_one_line(command, tmp_path, arm_policy):
+def test_bad_input_exits_with_2_and_one_line(command, tmp_path, arm_policy):
     (tmp_path / "evil.onnx").write_bytes(b"nothing good")
     for arguments, why in (
         ((tmp_path / "evil.onnx",), "not a"),

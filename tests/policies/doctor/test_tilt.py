@@ -53,7 +53,7 @@ def balancing(folder, source="projected_gravity", *, even=False, gain=2.0, turne
 
 @pytest.mark.parametrize("source", UPRIGHT)
 @pytest.mark.parametrize("history", [1, 3])
-def test_a_policy_that_balances_as_we_write_it_passes(tmp_path, source, history):
+def test_policy_with_our_gravity_convention_passes(tmp_path, source, history):
     found = run_check(balancing(tmp_path, source, history=history), "tilt")
     assert found.verdict is Verdict.PASS
     assert "opposite tilts with opposite actions; upright 0." in found.text
@@ -70,13 +70,13 @@ def test_a_policy_that_balances_as_we_write_it_passes(tmp_path, source, history)
         ("base_orientation", "xyzw", "upright its actions are smaller with the quaternion as x, y, z, w"),
     ],
 )
-def test_a_policy_of_another_convention_is_calmer_with_it(tmp_path, source, turned, said):
+def test_policy_of_another_gravity_convention_is_recognized(tmp_path, source, turned, said):
     found = run_check(balancing(tmp_path, source, turned=turned), "tilt")
     assert found.verdict is Verdict.WARN
     assert said in found.text
 
 
-def test_a_policy_that_works_as_it_is_is_not_doubted_for_that(tmp_path, monkeypatch):
+def test_working_policy_is_not_suspected(tmp_path, monkeypatch):
     """Upright and at rest a policy that walks may be calmer with anything."""
     case = balancing(tmp_path, turned="sign")
     monkeypatch.setattr(CheckContext, "works", True)
@@ -90,7 +90,7 @@ def test_a_policy_that_works_as_it_is_is_not_doubted_for_that(tmp_path, monkeypa
         ("base_orientation", (0.0, 0.0, 0.1, 0.95), "fourth number was 0.95 in the mean and its first 0.00"),
     ],
 )
-def test_numbers_of_training_tell_the_convention(tmp_path, source, mean, said):
+def test_training_statistics_reveal_the_convention(tmp_path, source, mean, said):
     found = run_check(balancing(tmp_path, source, mean=mean), "tilt")
     assert found.verdict is Verdict.FAIL
     assert said in found.text
@@ -98,25 +98,25 @@ def test_numbers_of_training_tell_the_convention(tmp_path, source, mean, said):
     assert ours.verdict is Verdict.PASS
 
 
-def test_a_policy_that_does_not_hear_where_down_is(tmp_path):
+def test_policy_without_gravity_observation(tmp_path):
     found = run_check(balancing(tmp_path, gain=0.01), "tilt")
     assert found.verdict is Verdict.WARN
     assert found.text.count("rad changes actions by 0.002 at most: it does not respond to tilt") == 2
 
 
-def test_a_policy_that_answers_all_leans_alike(tmp_path):
+def test_policy_with_the_same_response_to_every_tilt(tmp_path):
     found = run_check(balancing(tmp_path, even=True), "tilt")
     assert found.verdict is Verdict.WARN
     assert "tilting forwards and backwards gives similar" in found.text
     assert "tilting right and left gives similar" in found.text
 
 
-def test_a_robot_that_cannot_fall_is_not_asked(arm_policy):
+def test_fixed_base_is_not_checked(arm_policy):
     found = run_check(CheckContext(arm_policy), "tilt")
     assert (found.verdict, found.text[:14]) == (Verdict.PASS, "does not apply")
 
 
-def test_frames_of_a_history_that_differ_stand_in_another_layout(tmp_path):
+def test_history_in_another_layout_is_named(tmp_path):
     """Three frames of gravity: ours stand one after the other, theirs number by number."""
     ours, theirs = (0.0, 0.0, -1.0) * 3, (0.0,) * 6 + (-1.0,) * 3
     note = next(training(balancing(tmp_path, mean=theirs, history=3)))

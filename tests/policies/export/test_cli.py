@@ -41,7 +41,7 @@ def test_the_file_agrees_with_torch_on_other_observations(done):
         np.testing.assert_allclose(found, actor(observation).numpy(), rtol=0, atol=1e-5)
 
 
-def test_the_summary_tells_what_was_written(done):
+def test_summary_matches_the_file(done):
     _, exported = done
     assert exported.file_bytes == exported.path.stat().st_size
     assert exported.digest == Policy.load(exported.path, SPEC).digest
@@ -90,7 +90,7 @@ def test_one_file_with_no_trace_of_the_machine(done):
     assert [(opset.domain, opset.version) for opset in model.opset_import] == [("", 18)]
 
 
-def test_the_weights_are_those_of_the_checkpoint(done):
+def test_weights_equal_the_checkpoint(done):
     checkpoint, exported = done
     tensors = {t.name: numpy_helper.to_array(t) for t in onnx.load(exported.path).graph.initializer}
     for name, tensor in load_checkpoint(checkpoint).actor.state_dict().items():
@@ -106,7 +106,7 @@ def test_the_same_checkpoint_gives_the_same_bytes(done, tmp_path):
     assert os.listdir(tmp_path) == ["again.onnx"]
 
 
-def test_what_does_not_agree_is_not_written(tmp_path):
+def test_disagreeing_file_is_not_written(tmp_path):
     actor = made_actor()
     with torch.no_grad():
         actor.mlp[-1].weight *= 1e6  # rounding alone now exceeds the bound
@@ -219,7 +219,7 @@ def test_the_default_out_is_named_after_the_policy(tmp_path, monkeypatch, capsys
     assert "on 1100 observations of real rollouts: largest deviation " in printed
 
 
-def test_bad_input_ends_with_2_and_one_line(tmp_path, monkeypatch, capsys):
+def test_bad_input_exits_with_2_and_one_line(tmp_path, monkeypatch, capsys):
     path = tmp_path / "evil.pt"
     path.write_bytes(b"nothing good")
     monkeypatch.setattr(

@@ -31,7 +31,7 @@ def done(request, tmp_path_factory):
     return path, view, imported
 
 
-def test_the_arm_loads_what_was_imported_and_it_is_what_torch_says(done):
+def test_imported_policy_loads_and_equals_torch(done):
     path, view, imported = done
     assert 0 <= imported.deviation <= 1e-5
     policy = Policy.load(path.parent / "policy.onnx", SPEC)
@@ -62,7 +62,7 @@ def test_the_same_file_gives_the_same_bytes(done, tmp_path):
     assert (tmp_path / "again.onnx").read_bytes() == (path.parent / "policy.onnx").read_bytes()
 
 
-def test_a_template_is_what_the_contract_begins_with(done, tmp_path, capsys):
+def test_template_is_the_start_of_the_contract(done, tmp_path, capsys):
     path, *_ = done
     draft = tmp_path / "new.toml"
     assert policy_import(path, contract=draft, template=True) == 0
@@ -96,7 +96,7 @@ def test_weights_outside_its_folder_are_refused(done, tmp_path):
     assert not (tmp_path / "out.onnx").exists()
 
 
-def test_what_is_refused_leaves_the_file_of_before(done, tmp_path):
+def test_refused_import_keeps_the_old_file(done, tmp_path):
     path, *_ = done
     out, draft = tmp_path / "policy.onnx", tmp_path / "contract.toml"
     out.write_bytes(b"before")

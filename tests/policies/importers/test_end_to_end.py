@@ -151,7 +151,7 @@ def fill_in(draft, answers):
 
 
 @pytest.mark.parametrize("kind", FILES)
-def test_what_a_library_wrote_becomes_a_policy_that_says_the_same(kind, tmp_path, run):
+def test_library_file_becomes_an_equal_policy(kind, tmp_path, run):
     path, owner, answers = FILES[kind](tmp_path)
     draft, out = path.with_suffix(".toml"), tmp_path / "out" / "mine.onnx"
     code, said, _ = run(path, "--template")

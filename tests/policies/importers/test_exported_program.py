@@ -78,7 +78,7 @@ def test_a_program_for_any_batch_is_reproduced_and_a_spoiled_weight_breaks_parit
         parity(original)
 
 
-def test_what_a_program_changes_in_its_buffers_is_its_memory(tmp_path):
+def test_changed_buffers_become_the_memory(tmp_path):
     torch.manual_seed(1)
     original = read_exported_program(saved(tmp_path, Recurrent().eval()))
     assert [memory.shape for memory in original.memory] == [(1, HIDDEN)] * 2
@@ -132,7 +132,7 @@ def test_a_program_for_four_robots_at_once_is_refused(tmp_path):
         (lambda p: p.pop("graph_module"), "found no exported program: a KeyError"),
     ],
 )
-def test_a_program_that_is_more_than_arithmetic_is_refused(tmp_path, plain, change, message):
+def test_program_beyond_arithmetic_is_refused(tmp_path, plain, change, message):
     assert refused(spoiled(tmp_path, plain, PROGRAM, change)).startswith(f"{PROGRAM}: {message}")
 
 
@@ -148,7 +148,7 @@ def test_a_program_that_is_more_than_arithmetic_is_refused(tmp_path, plain, chan
         ),
     ],
 )
-def test_weights_that_are_not_plain_numbers_in_the_file_are_refused(tmp_path, plain, change, message):
+def test_weights_other_than_plain_tensors_are_refused(tmp_path, plain, change, message):
     found = refused(spoiled(tmp_path, plain, WEIGHTS, lambda w: w["config"]["0.weight"].update(change)))
     assert found.startswith(f"{WEIGHTS}: {message}")
 
@@ -164,7 +164,7 @@ def test_guards_examples_and_libraries_never_reach_torch(tmp_path, plain):
     assert not witness.exists()
 
 
-def test_other_files_are_refused_in_one_line(tmp_path):
+def test_foreign_files_are_refused_in_one_line(tmp_path):
     path = tmp_path / "policy.pt2"
     path.write_bytes(b"no zip")
     assert refused(path).startswith("found no archive that can be read")

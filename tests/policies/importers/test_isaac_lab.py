@@ -113,7 +113,7 @@ def test_scales_bounds_histories_and_gains_are_carried_over(tmp_path):
     }
 
 
-def test_what_cannot_be_said_of_an_action_stays_open(tmp_path):
+def test_unknown_action_fields_stay_open(tmp_path):
     data = anymal()
     data["actions"][0]["clip"] = [[-1.0, 1.0]] * 12  # about other poses: other bounds for each
     assert "clip" not in read_descriptor(written(tmp_path, data), 48)["action"]
@@ -146,7 +146,7 @@ def test_a_template_with_its_descriptor_needs_little_more(tmp_path, capsys):
     assert 0 <= import_policy(tmp_path / "policy.onnx", draft, tmp_path / "mine.onnx").deviation <= 1e-5
 
 
-def test_joints_that_the_robot_has_not_are_seen_at_rest_in_their_default_pose(tmp_path):
+def test_missing_joints_are_observed_at_their_default_pose(tmp_path):
     moved = [NAMES[k] for k in (3, 0, 5, 1, 4, 2)]
     seen = ["left_finger", *moved[::-1], "right_finger"]
     data = anymal()
@@ -180,7 +180,7 @@ def test_joints_that_the_robot_has_not_are_seen_at_rest_in_their_default_pose(tm
     np.testing.assert_allclose(policy.replay(ours, 3)[:, order], expected, rtol=0, atol=1e-5)
 
 
-def test_where_both_speak_the_policys_own_file_is_right(tmp_path):
+def test_policy_file_overrides_the_descriptor(tmp_path):
     from support.importers.onnx_metadata import MJLAB
 
     model = graph({"joint_names": MJLAB["joint_names"], "action_scale": "0.25"}, 48, 3)
@@ -242,14 +242,14 @@ BAD = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_what_no_contract_can_say_is_refused_by_its_field(tmp_path, kind):
+def test_fields_without_a_contract_equivalent_are_refused(tmp_path, kind):
     change, message = BAD[kind]
     data = anymal()
     change(data)
     assert refused(written(tmp_path, data)).startswith(message)
 
 
-def test_actions_may_be_of_fewer_joints_in_another_order_but_of_no_others(tmp_path):
+def test_action_joints_are_a_subset_in_any_order(tmp_path):
     data = anymal()
     data["actions"][0] |= {"joint_names": JOINTS[:3:-1], "offset": POSE[:3:-1]}
     known = read_descriptor(written(tmp_path, data), 48)
@@ -282,7 +282,7 @@ BOMB = "0: &0 [x, x]\n" + "".join(f"{k}: &{k} [*{k - 1}, *{k - 1}]\n" for k in r
     ],
     ids=["bomb", "code", "deep lists", "deep maps", "long number", "cut", "nul", "long", "dates", "empty"],
 )
-def test_yaml_that_is_more_than_data_is_refused_soon(tmp_path, monkeypatch, text, message):
+def test_yaml_beyond_data_is_refused_quickly(tmp_path, monkeypatch, text, message):
     monkeypatch.chdir(tmp_path)
     began = time.monotonic()
     assert refused(written(tmp_path, text)).startswith(message)

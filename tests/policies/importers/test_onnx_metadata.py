@@ -117,7 +117,7 @@ def test_each_term_has_its_source_offset_factor_bounds_and_history():
     assert found["height_scan"].keys().isdisjoint({"source", "offset"})  # no word of ours
 
 
-def test_what_an_older_file_does_not_say_is_left_out():
+def test_fields_missing_in_older_files_stay_open():
     known = known_from(MOTION, "a.onnx")
     assert known.keys() == {"joint_names", "observation", "action"}
     assert terms(MOTION)["joint_pos"] == {"name": "joint_pos", "source": "joint_position", "offset": POSE}
@@ -142,14 +142,14 @@ def test_one_action_scale_may_hold_for_all_joints():
     assert known_from(MJLAB | {"action_scale": "0.5"}, "a.onnx")["action"]["multiply"] == 0.5
 
 
-def test_gains_and_factors_that_are_not_positive_say_nothing():
+def test_non_positive_gains_and_factors_are_ignored():
     """mjlab issue 347: drives that are not the simulator's own are written as 1.000 and -0.000."""
     ideal = {"joint_stiffness": "1.000,1.000,1.000", "joint_damping": "-0.000,-0.000,-0.000"}
     known = known_from(MJLAB | ideal | {"action_scale": "0.373,0.000,0.373"}, "a.onnx")
     assert known["action"] == {"mode": "position", "offset": POSE}
 
 
-def test_joints_without_gains_are_observed_and_which_they_are_is_asked():
+def test_joints_without_gains_are_observed_and_left_open():
     """mjlab names every joint, but gains and scales only of those that have drives."""
     pose = {"joint_names": MJLAB["joint_names"] + ",finger", "default_joint_pos": "0.100,0.900,-1.800,0.000"}
     known = known_from(MJLAB | pose, "a.onnx")
@@ -164,7 +164,7 @@ def test_joints_without_gains_are_observed_and_which_they_are_is_asked():
     assert terms(MJLAB | pose)["joint_pos"]["offset"] == [*POSE, 0.0]
 
 
-def test_a_file_without_such_metadata_says_nothing():
+def test_file_without_metadata_fills_nothing():
     assert known_from({}, "a.onnx") == {}
     assert known_from({"description": "a, b", "joint": "x"}, "a.onnx") == {}
 
@@ -194,7 +194,7 @@ def test_a_file_without_such_metadata_says_nothing():
         ("observation_terms_flatten_history_dim", ",".join(["0.000"] * 8), "('joint_pos', 5.0, 0.0)"),
     ],
 )
-def test_what_makes_no_sense_is_refused_in_one_line(key, value, complaint):
+def test_invalid_metadata_is_refused_in_one_line(key, value, complaint):
     with pytest.raises(ContractError) as e:
         known_from(MJLAB | {key: value}, "a.onnx")
     assert complaint in str(e.value)
@@ -232,14 +232,14 @@ def test_the_metadata_of_holosoma_fills_the_contract():
     assert "source" not in found["gravity"]  # of the world, not of the base
 
 
-def test_older_files_of_holosoma_say_less():
+def test_older_files_of_holosoma_fill_less():
     known = known_from({key: HOLOSOMA[key] for key in ("dof_names", "kp", "kd")}, "a.onnx")
     assert known.keys() == {"joint_names", "action"}
     assert known["action"].keys() == {"kp", "kd"}
 
 
 @pytest.mark.parametrize(("before", "after"), [('"P"', '"T"'), (":JointPosition", ":FixedJointPosition")])
-def test_actions_of_holosoma_that_are_no_positions_are_not_called_so(before, after):
+def test_non_position_actions_of_holosoma_stay_open(before, after):
     config = HOLOSOMA["experiment_config"].replace(before, after)
     assert config != HOLOSOMA["experiment_config"]
     action = known_from(HOLOSOMA | {"experiment_config": config}, "a.onnx")["action"]
@@ -259,14 +259,14 @@ def test_actions_of_holosoma_that_are_no_positions_are_not_called_so(before, aft
         ("observation_clip", "-1", "observation_clip: Input should be greater than 0, found -1"),
     ],
 )
-def test_metadata_of_holosoma_that_makes_no_sense_is_refused(key, value, complaint):
+def test_invalid_metadata_of_holosoma_is_refused(key, value, complaint):
     with pytest.raises(ContractError) as e:
         known_from(HOLOSOMA | {key: value}, "a.onnx")
     assert complaint in str(e.value)
     assert all(line.startswith("a.onnx: metadata") for line in str(e.value).splitlines())
 
 
-def test_an_onnx_file_carries_what_its_metadata_says_into_the_template():
+def test_onnx_metadata_fill_the_template():
     written = pytest.importorskip("policies.importers.template", exc_type=ImportError).render_template
     facts = read_onnx(graph(MJLAB), "a.onnx").facts
     assert facts.known == known_from(MJLAB, "a.onnx")
@@ -276,6 +276,6 @@ def test_an_onnx_file_carries_what_its_metadata_says_into_the_template():
     assert read_onnx(graph({}), "a.onnx").facts.known == {}
 
 
-def test_an_onnx_file_with_spoiled_metadata_is_refused():
+def test_onnx_file_with_invalid_metadata_is_refused():
     with pytest.raises(ContractError, match=r"a\.onnx: metadata 'action_scale'"):
         read_onnx(graph(MJLAB | {"action_scale": "x"}), "a.onnx")

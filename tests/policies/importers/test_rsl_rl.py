@@ -37,7 +37,7 @@ def spoil(original, change):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_our_file_agrees_with_rsl_rl(tmp_path, kind):
+def test_imported_file_equals_rsl_rl(tmp_path, kind):
     path, model = saved(tmp_path, **KINDS[kind])
     plain = kind == "GRU"
     original = read_rsl_rl(path, NetworkSettings(activation="silu" if plain else "elu"))
@@ -65,7 +65,7 @@ OLD = {"2.3.3_mlp": "MLP", "3.1.2_gru": "GRU", "4.0.1_lstm": "LSTM"}
 
 
 @pytest.mark.parametrize("name", OLD)
-def test_older_versions_computed_the_same(name):
+def test_older_versions_compute_the_same(name):
     path = DATA / f"rsl_rl_{name}.pt"
     original = read_rsl_rl(path, ELU)
     assert original.facts.kind == f"rsl_rl {OLD[name]} with a normalizer"
@@ -76,7 +76,7 @@ def test_older_versions_computed_the_same(name):
     assert parity(original) <= 1e-5
 
 
-def test_a_lost_normalizer_is_found(tmp_path):
+def test_lost_normalizer_breaks_parity(tmp_path):
     original = read_rsl_rl(saved(tmp_path)[0], ELU)
     mean = np.array(original.mean, dtype=np.float32)
     spoil(original, lambda values: values * 0 if np.array_equal(values.ravel(), mean) else values)
@@ -85,7 +85,7 @@ def test_a_lost_normalizer_is_found(tmp_path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_without_rsl_rl_the_plain_module_says_the_same(tmp_path, monkeypatch, kind):
+def test_plain_module_without_rsl_rl_computes_the_same(tmp_path, monkeypatch, kind):
     path, _ = saved(tmp_path, **KINDS[kind])
     rows = Env().get_observations()["policy"].numpy()
     forget = np.arange(len(rows)) % 7 == 0
@@ -94,14 +94,14 @@ def test_without_rsl_rl_the_plain_module_says_the_same(tmp_path, monkeypatch, ki
     np.testing.assert_allclose(read_rsl_rl(path, ELU).run(rows, forget), played, rtol=0, atol=1e-6)
 
 
-def test_what_the_file_does_not_say_is_asked(tmp_path):
+def test_missing_facts_are_required(tmp_path):
     with pytest.raises(MissingSettingError, match=r"network\.activation: not in the file") as caught:
         read_rsl_rl(saved(tmp_path)[0], NetworkSettings())
     facts = caught.value.facts
     assert (facts.observations, facts.actions, facts.known) == (N, A, {"network": {"activation": "?"}})
 
 
-def test_a_normalizer_from_elsewhere_is_not_passed_over(tmp_path):
+def test_normalizer_setting_for_a_checkpoint_is_refused(tmp_path):
     with pytest.raises(
         ContractError, match=r"network\.normalizer: found 'n\.pkl', expected no setting: the checkpoint"
     ):

@@ -84,7 +84,7 @@ class Owner:
         *product([3], ["by_term", "by_time"], ["oldest_first", "newest_first"], ["first", "zeros"]),
     ],
 )
-def test_our_observation_is_the_owners_in_another_order(history, layout, frames, fill):
+def test_observation_equals_the_original_in_another_order(history, layout, frames, fill):
     result = settled(drafted(history, layout=layout, frames=frames, fill=fill))
     check_contract(result.contract, SPEC, "x.toml")
     rng = np.random.default_rng(history)
@@ -106,7 +106,7 @@ def test_our_observation_is_the_owners_in_another_order(history, layout, frames,
             np.testing.assert_allclose(found[robot], owner.see(readings, history), rtol=1e-6, atol=1e-7)
 
 
-def test_our_targets_are_the_owners():
+def test_targets_equal_the_original():
     multiply = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
     result = settled(drafted(action=drafted()["action"] | {"multiply": multiply, "clip": (-2.0, 2.0)}))
     theirs = np.random.default_rng(0).normal(size=(1, 6)) * 3
@@ -117,7 +117,7 @@ def test_our_targets_are_the_owners():
         assert target[NAMES.index(name)] == pytest.approx(expected, rel=1e-12)
 
 
-def test_what_training_saw_is_put_in_our_order():
+def test_training_statistics_are_reordered():
     seen = tuple(float(k + 1) for k in range(21))
     result = settled(drafted(), mean=seen, deviation=seen)
     assert np.array(result.contract.observed.mean)[result.columns].tolist() == list(seen)
@@ -161,7 +161,7 @@ def without(key, term=None):
         ),
     ],
 )
-def test_a_draft_that_is_wrong_names_its_field(data, message):
+def test_invalid_draft_names_its_field(data, message):
     with pytest.raises(ContractError) as caught:
         settled(data)
     assert message in str(caught.value)
@@ -176,7 +176,7 @@ def still(**changes):
     return drafted(joint_names=names, action_joints=THEIRS[::-1], observation=tuple(terms)) | changes
 
 
-def test_a_joint_that_the_robot_has_not_stands_still():
+def test_missing_joint_is_observed_at_rest():
     result = settled(still(), observations=7 + 7 + 3 + 6)
     check_contract(result.contract, SPEC, "x.toml")
     assert np.flatnonzero(result.columns == ABSENT).tolist() == [2, 9]
@@ -223,7 +223,7 @@ def changed_term(place, **changes):
         ),
     ],
 )
-def test_a_joint_of_which_nothing_can_be_known_is_refused(data, message):
+def test_unobservable_joint_is_refused(data, message):
     with pytest.raises(ContractError) as caught:
         settled(data, observations=23)
     assert str(caught.value).startswith(f"x.toml: {message}")

@@ -86,7 +86,7 @@ def with_weights(path, tensors):
         (DDPG, {"activation_fn": torch.nn.SiLU, "net_arch": []}),
     ],
 )
-def test_it_is_what_predict_says_and_so_is_our_file(tmp_path, learner, kwargs):
+def test_original_and_imported_file_equal_predict(tmp_path, learner, kwargs):
     model, wrapped, path = saved(tmp_path, learner, policy_kwargs=kwargs)
     original = read_stable_baselines(path, NORMALIZED)
     observations, found = played(original)
@@ -105,7 +105,7 @@ def ppo(tmp_path_factory):
     return saved(tmp_path_factory.mktemp("ppo"))
 
 
-def test_without_its_normalizer_it_is_another_policy(ppo):
+def test_normalizer_matters(ppo):
     *_, path = ppo
     observations, bare = played(read_stable_baselines(path, NONE))
     normalized = read_stable_baselines(path, NORMALIZED)
@@ -116,7 +116,7 @@ def test_without_its_normalizer_it_is_another_policy(ppo):
         parity(normalized)
 
 
-def test_its_normalizer_tells_what_observations_were_like(ppo):
+def test_normalizer_gives_the_training_statistics(ppo):
     _, wrapped, path = ppo
     original = read_stable_baselines(path, NORMALIZED)
     np.testing.assert_array_equal(original.mean, wrapped.obs_rms.mean)
@@ -124,7 +124,7 @@ def test_its_normalizer_tells_what_observations_were_like(ppo):
     assert original.facts.kind == "PPO or A2C of Stable-Baselines3 with VecNormalize"
 
 
-def test_what_no_file_says_is_asked(tmp_path, ppo):
+def test_missing_facts_are_required(tmp_path, ppo):
     *_, path = ppo
     assert asked(path, NetworkSettings()) == {"normalizer": "?"}
     *_, path = saved(tmp_path, policy_kwargs=SMALL, exclude=["policy_kwargs"])
@@ -151,13 +151,13 @@ def test_bounds_of_the_action_are_known_where_they_are_one_pair(tmp_path, ppo):
     assert known(saved(tmp_path, SAC, policy_kwargs=SMALL)[2]) == {"clip": [-1.0, 1.0]}
 
 
-def test_an_answer_that_the_file_denies_is_refused(ppo):
+def test_contradicting_answer_is_refused(ppo):
     message = refused(ppo[2], NetworkSettings(activation="relu", normalizer="none"))
     assert message.startswith("data: activation_fn: found \"<class 'torch.nn.modules.activation.Tanh'>\"")
     assert message.endswith("expected relu")
 
 
-def test_an_activation_of_no_known_name_is_refused(tmp_path):
+def test_unknown_activation_is_refused(tmp_path):
     *_, path = saved(tmp_path, policy_kwargs=SMALL | {"activation_fn": torch.nn.Mish})
     assert "activation_fn: found \"<class 'torch.nn.modules.activation.Mish'>\"" in refused(path)
     assert "activation_fn" in refused(path, NetworkSettings(activation="relu", normalizer="none"))
@@ -250,7 +250,7 @@ def test_bombs_are_not_unpacked(ppo, tmp_path, monkeypatch):
     assert "found compression 12" in refused(rewritten(path, zipfile.ZIP_BZIP2))
 
 
-def test_other_files_are_refused_in_one_line(ppo, tmp_path):
+def test_foreign_files_are_refused_in_one_line(ppo, tmp_path):
     path = tmp_path / "policy.zip"
     assert refused(path).startswith("cannot be read: ")
     path.write_bytes(b"no zip")
@@ -269,7 +269,7 @@ def test_other_files_are_refused_in_one_line(ppo, tmp_path):
         assert refused(rewritten(path, data=data.encode("latin-1"))).startswith("data: ")
 
 
-def test_a_normalizer_that_does_not_fit_or_is_not_there_is_refused(ppo, tmp_path):
+def test_missing_or_mismatched_normalizer_is_refused(ppo, tmp_path):
     path = tmp_path / "policy.zip"
     path.write_bytes(ppo[2].read_bytes())
     assert "vecnormalize.pkl: cannot be read" in refused(path, NORMALIZED)

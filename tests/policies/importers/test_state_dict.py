@@ -38,7 +38,7 @@ def refused(path, network=TANH, error=ContractError):
     return message.removeprefix(f"{path}: ")
 
 
-def test_an_mlp_is_what_its_module_computes(tmp_path):
+def test_mlp_equals_its_module(tmp_path):
     module = net()
     original = read_state_dict(file_of(tmp_path, {"state_dict": module.state_dict()}), TANH)
     assert (original.facts.observations, original.facts.actions) == (7, 3)
@@ -63,14 +63,14 @@ def named(*layers):
     return state
 
 
-def test_layers_stand_in_the_order_that_fits(tmp_path):
+def test_layers_are_ordered_by_their_shapes(tmp_path):
     ten = [(f"net.{2 * k}", 4, 4) for k in range(6)]  # net.10 is after net.2
     for state in (named(*ten), named(("trunk.0", 8, 5), ("trunk.2", 8, 8), ("head", 2, 8))):
         message = refused(file_of(tmp_path, state), NetworkSettings(normalizer="none"), MissingSettingError)
         assert message.startswith("network.activation: not in the file, expected one of elu, relu, tanh")
 
 
-def test_what_the_file_does_not_say_is_asked(tmp_path):
+def test_missing_facts_are_required(tmp_path):
     with pytest.raises(MissingSettingError) as caught:
         read_state_dict(file_of(tmp_path, net().state_dict()), NetworkSettings())
     assert caught.value.facts.known == {"network": {"activation": "?", "normalizer": "?"}}
@@ -80,7 +80,7 @@ def test_what_the_file_does_not_say_is_asked(tmp_path):
     assert (caught.value.facts.observations, caught.value.facts.actions) == (7, 3)
 
 
-def test_a_normalizer_that_went_with_it_comes_before_it(tmp_path):
+def test_normalizer_in_the_file_comes_first(tmp_path):
     rng, module = np.random.default_rng(1), net()
     mean, std = rng.normal(size=7) * 3, rng.uniform(0.1, 4, 7)
     said = NetworkSettings(
@@ -95,7 +95,7 @@ def test_a_normalizer_that_went_with_it_comes_before_it(tmp_path):
     assert parity(original) <= 1e-5
 
 
-def test_a_normalizer_that_cannot_be_its_own_is_refused(tmp_path):
+def test_mismatched_normalizer_is_refused(tmp_path):
     path = file_of(tmp_path, net().state_dict())
     expected = 'expected { mean = [...], std = [...] } with 7 numbers each, or "none"'
     message = refused(path, NetworkSettings(activation="elu", normalizer="n.npz"))
@@ -152,7 +152,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("state", "message"), BAD.values(), ids=BAD)
-def test_what_is_no_mlp_is_refused(tmp_path, state, message):
+def test_other_networks_are_refused(tmp_path, state, message):
     assert refused(file_of(tmp_path, state)).startswith(message)
 
 

@@ -54,7 +54,7 @@ def test_a_scripted_network_is_reproduced_and_a_spoiled_weight_breaks_parity(tmp
         parity(original)
 
 
-def test_what_buffers_remember_is_handed_on(tmp_path):
+def test_memory_in_buffers_becomes_an_input(tmp_path):
     torch.manual_seed(1)
     original = read_torchscript(saved_script(tmp_path / "policy.pt", Recurrent().eval()))
     assert original.facts.observations == N
@@ -63,7 +63,7 @@ def test_what_buffers_remember_is_handed_on(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["MLPModel", "RNNModel"])
-def test_what_rsl_rl_exports_is_reproduced_with_its_normalizer(tmp_path, kind):
+def test_export_of_rsl_rl_is_reproduced_with_its_normalizer(tmp_path, kind):
     models = pytest.importorskip("rsl_rl.models")
     tensordict = pytest.importorskip("tensordict")
     torch.manual_seed(2)
@@ -101,7 +101,7 @@ def test_a_memory_outside_the_buffers_is_refused(tmp_path):
     assert message == "state: found state (Tensor) in an attribute, expected it in a buffer"
 
 
-def test_a_memory_that_nothing_shows_is_found_when_it_is_traced(tmp_path):
+def test_hidden_memory_is_found_by_tracing(tmp_path):
     """Torch does not let a graph write into a tensor that is neither its own nor given."""
     assert refused(saved_script(tmp_path / "policy.pt", Hidden())).startswith("cannot be run or traced: ")
 
@@ -138,14 +138,14 @@ def test_every_operator_that_is_given_a_file_is_refused():
         ("__torch__.torch.classes.profiler.Profiler()", "__torch__.torch.classes"),
     ],
 )
-def test_what_reaches_beyond_tensors_is_named(line, found):
+def test_operators_beyond_tensors_are_named(line, found):
     text = f"def forward(self: Tensor,\n    x: Tensor) -> Tensor:\n  {line}\n  return x\n"
     with pytest.raises(ContractError) as caught:
         check_source(text.encode(), "f.py")
     assert str(caught.value).startswith(f"f.py: line 3: found {found}")
 
 
-def test_code_that_runs_while_a_file_is_loaded_is_refused_before(tmp_path):
+def test_code_that_runs_at_loading_is_refused_before_loading(tmp_path):
     witness = tmp_path / "witness"
 
     path = saved_script(tmp_path / "policy.pt", mlp())
@@ -169,7 +169,7 @@ def test_a_foreign_class_in_the_pickle_is_refused(tmp_path):
     assert message.startswith("data.pkl: found 'posix system', expected only the file's own classes")
 
 
-def test_other_files_are_refused_in_one_line(tmp_path):
+def test_foreign_files_are_refused_in_one_line(tmp_path):
     path = tmp_path / "policy.pt"
     path.write_bytes(b"no zip")
     assert refused(path).startswith("found no archive that can be read")

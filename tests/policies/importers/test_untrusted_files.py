@@ -110,7 +110,7 @@ def spoiled_inside(path, rng):
 @pytest.mark.parametrize("kind", FILES)
 @settings(max_examples=8)
 @given(seed=st.integers(0, 10**9), inside=st.booleans())
-def test_a_spoiled_file_is_read_or_refused_in_few_lines(files, kind, seed, inside):
+def test_damaged_file_is_read_or_refused_in_few_lines(files, kind, seed, inside):
     good, rng = files[kind], random.Random(seed)
     path = good.with_name(f"spoiled{good.suffix}")
     inside = inside and zipfile.is_zipfile(good)
@@ -122,7 +122,7 @@ def test_a_spoiled_file_is_read_or_refused_in_few_lines(files, kind, seed, insid
 
 
 @pytest.mark.parametrize("kind", FILES)
-def test_a_file_that_came_only_in_part_is_said_to_be_that(files, kind):
+def test_truncated_file_is_named_as_such(files, kind):
     good = files[kind]
     path = good.with_name(f"part{good.suffix}")
     path.touch()
@@ -147,7 +147,7 @@ def test_an_archive_that_unpacks_to_too_much_is_not_unpacked(tmp_path, files, mo
     assert refused(path).startswith("found more than 1000000 bytes, expected a policy")
 
 
-def test_a_size_that_an_archive_lies_about_is_not_believed(tmp_path, files):
+def test_false_size_in_an_archive_is_detected(tmp_path, files):
     data = bytearray(
         zipped(members(files["state_dict"]) | {"weights/data/0": bytes(10**7)}, zipfile.ZIP_DEFLATED)
     )
@@ -233,7 +233,7 @@ def pickled(folder, value, files):
         ({"a": twice(200)}, "data.pkl: corrupt: a OverflowError"),
     ],
 )
-def test_a_pickle_that_would_do_something_is_not_run(tmp_path, files, monkeypatch, value, message):
+def test_pickled_code_is_not_run(tmp_path, files, monkeypatch, value, message):
     monkeypatch.chdir(tmp_path)
     assert refused(pickled(tmp_path, value, files)).startswith(message)
     assert os.listdir(tmp_path) == ["x.pt"]
@@ -248,7 +248,7 @@ def test_code_is_found_in_pickles_of_any_age(tmp_path, files, protocol):
     assert os.listdir(tmp_path) == ["x.pt"]
 
 
-def test_tensors_that_reach_past_their_numbers_are_refused(tmp_path, files):
+def test_tensors_beyond_their_storage_are_refused(tmp_path, files):
     found = members(files["state_dict"])
     (tmp_path / "x.pt").write_bytes(zipped(found | {"weights/data/0": found["weights/data/0"][:8]}))
     assert refused(tmp_path / "x.pt") == "data.pkl: corrupt: a RuntimeError"
@@ -354,7 +354,7 @@ ONNX = {
 
 
 @pytest.mark.parametrize("kind", ONNX)
-def test_a_graph_that_would_do_more_than_arithmetic_is_refused(tmp_path, kind):
+def test_graph_beyond_arithmetic_is_refused(tmp_path, kind):
     make, message = ONNX[kind]
     path = tmp_path / "x.onnx"
     (tmp_path / "beside").write_bytes(bytes(12))
@@ -366,9 +366,7 @@ def test_a_graph_that_would_do_more_than_arithmetic_is_refused(tmp_path, kind):
         assert refused(path).startswith(message)
 
 
-def test_weights_that_are_claimed_many_times_over_are_read_only_as_far_as_a_file_may_hold(
-    tmp_path, monkeypatch
-):
+def test_repeated_weights_are_read_up_to_the_file_limit(tmp_path, monkeypatch):
     monkeypatch.setattr("policies.importers.onnx_files.foreign_onnx.BYTES_MAX", 1000)
     model = elsewhere("beside")()
     for k in range(9):
@@ -405,7 +403,7 @@ def command(path, seconds):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux bounds the memory of a process")
-def test_a_graph_that_asks_for_all_memory_is_refused_it(tmp_path):
+def test_graph_that_needs_all_memory_is_refused(tmp_path):
     path = tmp_path / "x.onnx"
     model = graph(
         node("ConstantOfShape", "shape", "big"),
@@ -420,7 +418,7 @@ def test_a_graph_that_asks_for_all_memory_is_refused_it(tmp_path):
     assert said.count("\n") == 1
 
 
-def test_a_graph_without_an_end_is_given_up(tmp_path):
+def test_endless_graph_is_refused(tmp_path):
     path = tmp_path / "x.onnx"
     body = helper.make_graph(
         [node("Identity", "known", "knows")],

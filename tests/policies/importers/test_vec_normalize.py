@@ -27,7 +27,7 @@ def spoiled(folder, **state):
     return kept(wrapped, folder)
 
 
-def test_it_normalizes_as_the_library_does_to_the_last_bit(tmp_path):
+def test_normalization_equals_the_library_bit_for_bit(tmp_path):
     wrapped = normalizing(clip_obs=1.5, epsilon=1e-3)
     found = read_vec_normalize(kept(wrapped, tmp_path))
     observation = np.random.default_rng(0).normal(3, 4, (300, 5)).astype(np.float32)
@@ -45,11 +45,11 @@ def test_every_protocol_of_the_library_s_pythons_reads_the_same(tmp_path, protoc
     np.testing.assert_array_equal(read_vec_normalize(path).mean, wrapped.obs_rms.mean)
 
 
-def test_one_that_leaves_observations_alone_is_none(tmp_path):
+def test_normalizer_without_observations_is_none(tmp_path):
     assert read_vec_normalize(kept(normalizing(norm_obs=False), tmp_path)) is None
 
 
-def test_no_bound_is_a_bound_that_single_precision_cannot_reach(tmp_path):
+def test_infinite_clip_is_the_largest_single_precision_number(tmp_path):
     assert read_vec_normalize(kept(normalizing(clip_obs=np.inf), tmp_path)).clip == np.finfo(np.float32).max
 
 
@@ -63,7 +63,7 @@ def test_code_is_not_run(tmp_path):
     assert sign.exists()
 
 
-def test_code_among_what_is_not_looked_at_is_not_run(tmp_path):
+def test_code_in_unused_fields_is_not_run(tmp_path):
     path = spoiled(tmp_path, metadata={"render_modes": Command(tmp_path / "sign")})
     assert read_vec_normalize(path).mean.size == 5
     assert not (tmp_path / "sign").exists()
@@ -105,18 +105,18 @@ def test_observations_of_more_than_one_dimension_are_refused(tmp_path):
         ("var", np.full(5, -1.0), "obs_rms.var: found 5 numbers, smallest -1"),
     ],
 )
-def test_statistics_that_make_no_sense_are_refused(tmp_path, name, value, complaint):
+def test_invalid_statistics_are_refused(tmp_path, name, value, complaint):
     wrapped = normalizing()
     setattr(wrapped.obs_rms, name, value)
     assert refused(kept(wrapped, tmp_path)).startswith(complaint)
 
 
 @pytest.mark.parametrize(("field", "value"), [("epsilon", 0.0), ("clip_obs", -1), ("clip_obs", "10")])
-def test_settings_that_make_no_sense_are_refused(tmp_path, field, value):
+def test_invalid_settings_are_refused(tmp_path, field, value):
     assert refused(spoiled(tmp_path, **{field: value})).startswith(f"{field}: found")
 
 
-def test_other_files_are_refused_in_one_line(tmp_path, monkeypatch):
+def test_foreign_files_are_refused_in_one_line(tmp_path, monkeypatch):
     path = tmp_path / "x.pkl"
     assert refused(path).startswith("cannot be read: ")
     for content in (b"", b"no pickle", b"\x80\x04.", b"((((.", b"\x80\x04\x8c\xffshort"):
@@ -130,7 +130,7 @@ def test_other_files_are_refused_in_one_line(tmp_path, monkeypatch):
     assert refused(path).startswith("found more than 1000 bytes")
 
 
-def test_what_would_take_forever_or_all_memory_is_neither_done_nor_shown(tmp_path):
+def test_excessive_pickles_are_neither_run_nor_printed(tmp_path):
     nested = b")" + b"\x94h\x00\x86" + b"".join(bytes([0x94, 0x68, k, 0x86]) for k in range(1, 90))
     path = tmp_path / "x.pkl"
     for content in (b"\x80\x04}" + nested + b"Ns.", b"\x80\x04" + nested + b".", b"Nr\xff\xff\xff\xff."):
@@ -138,7 +138,7 @@ def test_what_would_take_forever_or_all_memory_is_neither_done_nor_shown(tmp_pat
         assert "found " in refused(path)
 
 
-def test_plain_values_come_as_they_are_and_calls_as_notes():
+def test_plain_values_are_read_and_calls_are_recorded():
     value = {"a": (1, 2.5, None, True), "b": b"raw", "c": "text", "d": {"e": -1}}
     assert read_pickle(pickle.dumps(value), "x") == value
     note = read_pickle(pickle.dumps(Path("a")), "x")

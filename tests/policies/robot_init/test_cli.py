@@ -66,7 +66,7 @@ def vendors(folder):
     return place / "model.xml"
 
 
-def test_a_draft_says_what_the_model_says(tmp_path):
+def test_draft_contains_the_facts_of_the_model(tmp_path):
     out = tmp_path / "mine"
     facts, still_open = init_robot(vendors(tmp_path), out)
     said = tomllib.loads((out / "robot.toml").read_text())
@@ -123,7 +123,7 @@ def test_a_drawn_robot_of_a_draft_has_its_cable_on_a_link_of_its_own(tmp_path):
     assert "estimate" in (tmp_path / "mine" / "draws.toml").read_text()
 
 
-def test_urdf_lies_in_its_package(tmp_path):
+def test_urdf_mesh_paths_follow_its_package(tmp_path):
     """Meshes beside its own folder, speeds of its joints, and the fingers locked."""
     package = tmp_path / "two_description"
     write_stl(package / "meshes" / "fore.stl")
@@ -155,7 +155,7 @@ def test_a_robot_that_walks_has_a_base_and_no_tool(tmp_path):
     assert load_mujoco(spec).nactuator == Fleet(spec, 1, collisions=True).n == 12
 
 
-def test_urdf_that_walks_is_told_so(tmp_path):
+def test_urdf_gets_a_free_joint_by_option(tmp_path):
     """URDF has no free joint: both libraries give it one, and agree on its mass and on where its foot is."""
     write_stl(tmp_path / "source" / "meshes" / "fore.stl")
     model = shutil.copy(URDF, tmp_path / "source" / "two.urdf")
@@ -176,12 +176,12 @@ def test_urdf_that_walks_is_told_so(tmp_path):
     assert robot.truth().valid.all()
 
 
-def test_mjcf_says_itself_whether_it_walks(tmp_path):
+def test_walking_mjcf_needs_a_free_joint(tmp_path):
     with pytest.raises(RobotError, match="found no free joint, expected one"):
         init_robot(vendors(tmp_path), tmp_path / "mine", walks=True)
 
 
-def test_a_mesh_beyond_the_folder_is_not_taken(tmp_path):
+def test_mesh_outside_the_folder_is_refused(tmp_path):
     model, out = vendors(tmp_path), tmp_path / "mine"
     write_stl(tmp_path / "secret.stl")
     model.write_text(model.read_text().replace("parts/pad.stl", "../../secret.stl"))
@@ -219,7 +219,7 @@ CHAIN = """<mujoco>
 """Links, one of them short; actuators of every kind, and a joint that none moves."""
 
 
-def test_actuators_are_read_on_the_joint_s_side(tmp_path):
+def test_actuators_are_converted_to_the_joint_side(tmp_path):
     path = tmp_path / "chain.xml"
     path.write_text(CHAIN)
     a, b, c, d = read_vendor_model(path, tmp_path).joints
@@ -237,7 +237,7 @@ def test_actuators_are_read_on_the_joint_s_side(tmp_path):
     assert read_vendor_model(path, tmp_path).locked == ("c",)
 
 
-def test_links_that_meet_in_every_pose_are_neighbours(tmp_path):
+def test_links_in_permanent_contact_are_neighbours(tmp_path):
     """The first and the third, across the short one; the last is far from both."""
     path = tmp_path / "chain.xml"
     path.write_text(CHAIN)
@@ -266,7 +266,7 @@ def test_a_capsule_holds_all_points(points):
     assert radius < 2 * np.sort(np.ptp(cloud, axis=0))[1]
 
 
-def test_the_command_says_what_is_open(tmp_path, monkeypatch, capsys):
+def test_command_lists_open_fields(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["robot-init", str(vendors(tmp_path)), "--out", str(tmp_path / "mine")])
     with pytest.raises(SystemExit) as ended:
         cli()
@@ -281,7 +281,7 @@ def test_the_command_says_what_is_open(tmp_path, monkeypatch, capsys):
     ("name", "found"),
     [("nothing.xml", "no file"), ("folder.xml", "a folder"), ("mesh.stl", "another kind of file")],
 )
-def test_what_is_no_model_is_said(tmp_path, monkeypatch, capsys, name, found):
+def test_malformed_model_is_reported(tmp_path, monkeypatch, capsys, name, found):
     (tmp_path / "folder.xml").mkdir()
     (tmp_path / "mesh.stl").touch()
     monkeypatch.setattr(sys, "argv", ["robot-init", str(tmp_path / name)])
@@ -291,7 +291,7 @@ def test_what_is_no_model_is_said(tmp_path, monkeypatch, capsys, name, found):
     assert f"{name}: found {found}, expected a model: MJCF (.xml) or URDF (.urdf)" in capsys.readouterr().err
 
 
-def test_a_speed_that_is_no_number_is_refused(tmp_path):
+def test_speed_of_nan_is_refused(tmp_path):
     write_stl(tmp_path / "meshes" / "fore.stl")
     model = tmp_path / "two.urdf"
     text, count = re.subn(r'velocity="[^"]*"', 'velocity="fast"', URDF.read_text())

@@ -12,7 +12,7 @@ from support.checkpoints import made_actor, saved
 from support.contracts import arm_contract
 
 
-def test_what_was_saved_is_loaded(tmp_path):
+def test_checkpoint_round_trips(tmp_path):
     actor = made_actor()
     found = load_checkpoint(saved(tmp_path, actor=actor))
     assert (found.contract, found.seed, found.recipe) == (arm_contract(), 3, "steps = 1\n")
@@ -194,7 +194,7 @@ def test_a_bad_key_is_named(tmp_path, change, message):
     assert refused(edited(tmp_path, change)).startswith(message)
 
 
-def test_a_list_is_no_checkpoint(tmp_path):
+def test_list_is_refused(tmp_path):
     torch.save([torch.zeros(2)], tmp_path / "x.pt")
     assert refused(tmp_path / "x.pt").startswith("(whole file): Input should be a valid dictionary")
 
@@ -202,7 +202,7 @@ def test_a_list_is_no_checkpoint(tmp_path):
 # ---- what save refuses ----
 
 
-def test_what_could_not_be_loaded_is_not_saved(tmp_path):
+def test_unloadable_checkpoint_is_not_saved(tmp_path):
     path = saved(tmp_path)
     before = path.read_bytes()
     actor = made_actor(1)

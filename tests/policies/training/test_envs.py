@@ -34,7 +34,7 @@ class Learner(Thinking):
         return np.stack([np.tanh((row[:, None] * self.weights).sum(axis=0)) for row in observation])
 
 
-def test_training_is_the_shipped_tick():
+def test_training_runs_the_shipped_tick():
     """A learner between the halves of the tick sends, bit for bit, what the runtime sends with it as its policy."""
     env, robots = env_of(3), 3
     seeds = [training_seed(1, robot) for robot in range(robots)]
@@ -61,7 +61,7 @@ def test_training_is_the_shipped_tick():
     assert np.abs(shipped.command.q - q).max() > 0.1
 
 
-def test_an_episode_ends_with_its_goals_and_begins_elsewhere():
+def test_episode_ends_with_its_goals_and_restarts_elsewhere():
     env = env_of(4)
     env.episode_length_buf[2] = env.max_episode_length - 1
     before = env._robot.truth().q.copy()
@@ -75,7 +75,7 @@ def test_an_episode_ends_with_its_goals_and_begins_elsewhere():
     assert (env.runtime.supervisor.mode == Mode.RUNNING).all()
 
 
-def test_the_actor_sees_no_truth():
+def test_actor_observes_no_ground_truth():
     env = env_of(2)
     observation = env.get_observations()
     assert observation["actor"].shape == (2, contract_of(RECIPE, SPEC, {}).observation_size)
@@ -85,7 +85,7 @@ def test_the_actor_sees_no_truth():
     assert (after["privileged"] != observation["privileged"]).any()
 
 
-def test_an_action_that_is_no_number_costs_a_stop_and_poisons_nothing():
+def test_nan_action_costs_a_stop_and_spreads_no_nan():
     env = env_of(3)
     actions = torch.zeros(3, N)
     actions[1, 2] = torch.nan
@@ -95,7 +95,7 @@ def test_an_action_that_is_no_number_costs_a_stop_and_poisons_nothing():
     assert env.runtime.supervisor.stopping.tolist() == [False, True, False]
 
 
-def test_goals_are_due_at_their_end_and_where_a_broken_limit_ends_them():
+def test_goals_are_scored_at_their_end_or_at_a_violation():
     env = env_of(3)
     env.runtime.task.elapsed[:] = 0
     env.step(torch.zeros(3, N))
@@ -148,13 +148,13 @@ REWARDS = {
 
 
 @pytest.mark.parametrize(("changes", "expected"), REWARDS.values(), ids=REWARDS)
-def test_the_reward_is_the_recipes(changes, expected):
+def test_reward_follows_the_recipe(changes, expected):
     total, broken = reward(step_of(**changes), LIMITS, RECIPE.reward)
     np.testing.assert_allclose(total, [expected], rtol=1e-12)
     assert broken.tolist() == ["q" in changes and changes["q"][0, 0] == BEYOND]
 
 
-def test_shaping_grows_towards_the_goal_and_is_lost_by_stopping():
+def test_shaping_grows_towards_the_goal_and_is_lost_at_a_stop():
     nearer = [
         shaping(step_of(distance=np.array([d])), LIMITS, RECIPE.shaping)[0] for d in (0.8, 0.2, 0.02, 0.0)
     ]

@@ -45,7 +45,7 @@ def flat(batch):
 
 @pytest.mark.parametrize("normalized", [True, False])
 @pytest.mark.parametrize("hidden", [(32, 16), (8,), (16, 16, 16)])
-def test_the_view_computes_what_the_learner_computes(normalized, hidden):
+def test_export_view_equals_the_learner(normalized, hidden):
     model = rsl_rl_model(normalized=normalized, hidden_dims=hidden)
     actor = Actor.from_rsl_rl(model)
     assert actor.layers == hidden
@@ -73,7 +73,7 @@ def test_the_normalizer_matters():
         assert (actor(batch) - model.mlp(batch)).abs().max() > 0.1
 
 
-def test_the_view_is_a_copy():
+def test_export_view_is_a_copy():
     model = rsl_rl_model()
     actor = Actor.from_rsl_rl(model)
     batch = flat(observations(10))
@@ -110,7 +110,7 @@ INEXPRESSIBLE = {
 
 
 @pytest.mark.parametrize(("changes", "message"), INEXPRESSIBLE.values(), ids=INEXPRESSIBLE)
-def test_what_the_view_cannot_express_is_refused(changes, message):
+def test_networks_that_cannot_be_exported_are_refused(changes, message):
     with pytest.raises(ContractError) as caught:
         Actor.from_rsl_rl(rsl_rl_model(**changes))
     assert str(caught.value).startswith(f"rsl_rl actor: {message}")

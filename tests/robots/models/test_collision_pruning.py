@@ -21,7 +21,7 @@ def names_of(shapes, pairs):
     return {tuple(shapes.geometryObjects[i].name for i in pair) for pair in pairs}
 
 
-def test_pairs_that_are_not_checked_cannot_meet():
+def test_unchecked_pairs_cannot_collide():
     """Proven for every pose of the working ranges; looked at here in its corners and in 5,000 poses."""
     arm, shapes = load_pinocchio(SPEC)
     pairs = collision_pairs(arm, shapes)
@@ -50,7 +50,7 @@ def test_pairs_nearer_than_the_margin_are_checked():
         assert (("wrist_1", "wrist_3") in found) == kept
 
 
-def test_a_post_on_the_base_is_checked_whatever_its_place_in_the_file(tmp_path):
+def test_post_on_the_base_is_checked_at_any_place_in_the_file(tmp_path):
     """It is welded to the world as the base is, and comes last: its pairs name the moving link first."""
     xml = [(r"</body>\s*</body>\s*</worldbody>", rf"</body>{POST}</body></body></worldbody>")]
     away = [("q_home = 0.0", "q_home = 1.2")]
@@ -74,7 +74,7 @@ def test_a_post_on_the_base_is_checked_whatever_its_place_in_the_file(tmp_path):
     assert hits > 30
 
 
-def test_a_home_pose_in_which_shapes_touch_is_refused(tmp_path):
+def test_home_pose_in_collision_is_refused(tmp_path):
     xml = [(r"</body>\s*</body>\s*</worldbody>", rf"</body>{POST}</body></body></worldbody>")]
     spec = load_robot(copy_of_arm(tmp_path, xml=xml))
     with pytest.raises(

@@ -91,7 +91,7 @@ def counted(monkeypatch):
 
 
 @pytest.mark.parametrize("around", AROUND)
-def test_nothing_that_is_too_near_is_spared(tmp_path, monkeypatch, around):
+def test_no_close_pair_is_skipped(tmp_path, monkeypatch, around):
     edits, obstacle, some_spared = AROUND[around]
     spec, asked = load_robot(copy_of_arm(tmp_path, xml=edits)), counted(monkeypatch)
     fleet, q, found = Fleet(spec, 1, collisions=True), poses(POSES), []
@@ -107,7 +107,7 @@ def test_nothing_that_is_too_near_is_spared(tmp_path, monkeypatch, around):
     assert spared > 0.02 * POSES if some_spared else spared == 0
 
 
-def test_one_low_robot_is_seen_whatever_its_place(monkeypatch):
+def test_one_low_robot_is_found_at_any_index(monkeypatch):
     """Alone among robots that nobody need ask about."""
     robots, home = 2 * BLOCK + 3, SPEC.joint_array("q_home")
     low = home.copy()
@@ -133,7 +133,7 @@ def test_a_robot_without_shapes_collides_with_nothing(tmp_path):
     assert not kinematics.colliding.any()
 
 
-def test_fleets_that_share_a_block_share_no_reading():
+def test_fleets_sharing_a_block_share_no_results():
     rng = np.random.default_rng(2)
     fleet, apart = Fleet(SPEC, 2 * BLOCK, collisions=True), Fleet(SPEC, 2 * BLOCK, collisions=True)
     other = fleet.resized(BLOCK)

@@ -18,7 +18,7 @@ mujoco = pytest.importorskip("mujoco")
 model_mujoco = pytest.importorskip("robots.models.mujoco_model")
 
 
-def test_urdf_is_one_robot_to_both_libraries(tmp_path):
+def test_urdf_loads_alike_in_pinocchio_and_mujoco(tmp_path):
     """Joints, torque ranges, mass matrix, weight and tool: everything that is computed from the model."""
     spec = load_robot(two_links(tmp_path))
     model = model_mujoco.load_mujoco(spec)
@@ -42,14 +42,14 @@ def test_urdf_is_one_robot_to_both_libraries(tmp_path):
         np.testing.assert_allclose(place.rotation.ravel(), site.xmat, atol=1e-12)
 
 
-def test_the_fleet_of_a_urdf_robot_sees_its_tool(tmp_path):
+def test_fleet_of_a_urdf_robot_has_its_tool(tmp_path):
     fleet = Fleet(load_robot(two_links(tmp_path)), 3, collisions=True)
     kinematics = fleet.kinematics(np.array([[0.0, 0.5], [0.0, 1.0], [0.5, 1.5]]))
     assert len({tuple(tool) for tool in kinematics.tool_position.round(6)}) == 3
     assert not kinematics.colliding.any()
 
 
-def test_the_digest_covers_what_the_model_names(tmp_path):
+def test_digest_covers_files_named_by_the_model(tmp_path):
     spec = load_robot(two_links(tmp_path))
     before, mesh = spec.digest, spec.folder / "meshes" / "fore.stl"
     assert model_files.referenced_files(spec.model_path, spec.folder) == (mesh,)
@@ -57,7 +57,7 @@ def test_the_digest_covers_what_the_model_names(tmp_path):
     assert spec.digest != before
 
 
-def test_mjcf_finds_meshes_where_its_compiler_says(tmp_path):
+def test_mjcf_meshes_follow_the_compiler_settings(tmp_path):
     asset = '<compiler meshdir="meshes"/><asset><mesh file="part.stl"/></asset><worldbody>'
     folder = copy_of_arm(tmp_path, xml=[("<worldbody>", asset)])
     write_stl(folder / "meshes" / "part.stl")
@@ -130,7 +130,7 @@ def test_a_model_is_a_file_of_the_folder(tmp_path, name):
     assert "robot.toml: model: " in complaint(folder)
 
 
-def test_locked_joints_are_gone_with_all_that_moves_them(tmp_path):
+def test_locked_joints_and_their_actuators_are_removed(tmp_path):
     """As in a vendor's hand: two fingers on a tendon, coupled, with an actuator; their mass stays."""
     finger = (
         '<body name="{0}"><joint name="{0}" type="slide" axis="1 0 0"/><geom size="0.01" mass="0.5"/></body>'
@@ -156,7 +156,7 @@ def test_locked_joints_are_gone_with_all_that_moves_them(tmp_path):
     np.testing.assert_allclose(weight, data.qfrc_bias, atol=1e-10)
 
 
-def test_a_locked_joint_that_is_not_there_or_is_driven_is_refused(tmp_path):
+def test_missing_or_driven_locked_joint_is_refused(tmp_path):
     spec = load_robot(
         copy_of_arm(tmp_path / "a", toml=[('tool = "tool"', 'tool = "tool"\nlocked = ["thumb"]')])
     )
@@ -184,7 +184,7 @@ radius = 0.06
 [rates]"""
 
 
-def test_capsules_take_the_place_of_the_shapes_of_bodies(tmp_path):
+def test_capsules_replace_the_shapes_of_bodies(tmp_path):
     """Those two are where the model has them, the others gone, and the table stays."""
     spec = load_robot(copy_of_arm(tmp_path, toml=[(r"\[rates\]", CAPSULE)]))
     (arm, shapes), (_, expected) = load_pinocchio(spec), load_pinocchio(SPEC)
@@ -200,7 +200,7 @@ def test_capsules_take_the_place_of_the_shapes_of_bodies(tmp_path):
     assert len(collision_pairs(arm, shapes)) == 2
 
 
-def test_shapes_that_capsules_take_the_place_of_are_not_even_read(tmp_path):
+def test_replaced_shapes_are_not_read(tmp_path):
     """Meshes take seconds: this one cannot be read at all."""
     xml = [
         ("<worldbody>", '<asset><mesh name="hull" file="hull.stl"/></asset><worldbody>'),
@@ -225,12 +225,12 @@ def test_shapes_that_capsules_take_the_place_of_are_not_even_read(tmp_path):
         ("radius = 0.04", "radius = 0", "capsules.0.radius"),
     ],
 )
-def test_a_capsule_that_makes_no_sense_is_refused(tmp_path, old, new, words):
+def test_invalid_capsule_is_refused(tmp_path, old, new, words):
     with pytest.raises(RobotError, match=re.escape(words)):
         load_pinocchio(load_robot(copy_of_arm(tmp_path, toml=[(r"\[rates\]", CAPSULE.replace(old, new))])))
 
 
-def test_neighbours_are_not_asked_whether_they_meet(tmp_path):
+def test_neighbour_pairs_are_not_checked(tmp_path):
     pair = 'tool = "tool"\nneighbours = [["wrist_3_link", "wrist_1_link"]]'
     spec = load_robot(copy_of_arm(tmp_path, toml=[('tool = "tool"', pair)]))
     arm, shapes = load_pinocchio(spec)
@@ -241,7 +241,7 @@ def test_neighbours_are_not_asked_whether_they_meet(tmp_path):
     assert model.nexclude == plain.nexclude + 1
 
 
-def test_the_first_link_may_touch_what_it_is_mounted_on(tmp_path):
+def test_first_link_may_touch_its_mounting(tmp_path):
     """As in Pinocchio's checks; MuJoCo by itself would see the arm collide wherever it stands."""
     spec = load_robot(copy_of_arm(tmp_path, xml=[("(?s)<contact>.*?</contact>", "")]))
     bare = mujoco.MjModel.from_xml_path(str(spec.model_path))
@@ -257,7 +257,7 @@ def test_the_first_link_may_touch_what_it_is_mounted_on(tmp_path):
         assert model.nexclude == 1 - touching
 
 
-def test_neighbours_that_are_not_there_are_refused(tmp_path):
+def test_missing_neighbours_are_refused(tmp_path):
     pair = 'tool = "tool"\nneighbours = [["wrist_3_link", "hand"]]'
     spec = load_robot(copy_of_arm(tmp_path, toml=[('tool = "tool"', pair)]))
     for reader in (read_pinocchio, model_mujoco.load_mujoco):
@@ -278,7 +278,7 @@ def test_a_tool_may_be_a_body(tmp_path):
     np.testing.assert_allclose(place.translation, data.body("wrist_3_link").xpos, atol=1e-12)
 
 
-def test_a_robot_that_says_nothing_new_keeps_its_digest():
+def test_unused_options_keep_the_digest():
     """Policies that were trained before such keys still know their robot."""
     keys = {"model", "locked", "capsules", "neighbours"}
     assert keys <= RobotSpec.model_fields.keys()

@@ -111,7 +111,7 @@ def test_torque_limits_are_those_of_the_joints(both):
     np.testing.assert_array_equal(arm.armature, model.dof_armature)
 
 
-def test_collisions_are_seen_alike(both):
+def test_collisions_agree(both):
     """Every pair that is not within 0.1 mm of just touching gets one verdict from both libraries.
 
     Left out: links that have gone far through the table, which MuJoCo (capsule against box) no longer sees; no robot
@@ -159,7 +159,7 @@ def test_fleet_keeps_the_collision_margin(both):
     assert 50 < sum(found) < 450
 
 
-def test_no_pair_of_neighbours_and_no_pair_left_out(both):
+def test_all_pairs_but_neighbours_are_checked(both):
     _, _, arm, _, shapes = both
     pairs = {frozenset(shapes.geometryObjects[i].name for i in pair) for pair in collision_pairs(arm, shapes)}
     chain = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"]
@@ -168,14 +168,14 @@ def test_no_pair_of_neighbours_and_no_pair_left_out(both):
     assert pairs == expected
 
 
-def test_a_fleet_that_does_not_look_says_so():
+def test_fleet_without_collision_checks_refuses_queries():
     fleet = Fleet(SPEC, 1)
     kinematics = fleet.kinematics(SPEC.joint_array("q_home")[None])
     with pytest.raises(RuntimeError, match="without collisions"):
         _ = kinematics.colliding
 
 
-def test_a_glance_sees_the_tool_and_the_collisions_of_a_place():
+def test_one_pose_gives_tool_and_collisions():
     fleet, other = Fleet(SPEC, 40, collisions=True), Fleet(SPEC, 40, collisions=True)
     q = np.random.default_rng(0).uniform(LOW, HIGH, (40, N))
     other_kinematics = other.kinematics(q)
@@ -187,7 +187,7 @@ def test_a_glance_sees_the_tool_and_the_collisions_of_a_place():
 
 
 @pytest.mark.parametrize("robots", [1, 16, 17, 64])
-def test_a_fleet_is_so_many_single_robots(robots):
+def test_fleet_equals_single_robots(robots):
     arm, _ = load_pinocchio(SPEC)
     data, frame, fleet = arm.createData(), arm.getFrameId(SPEC.tool), Fleet(SPEC, robots)
     rng = np.random.default_rng(robots)
@@ -212,7 +212,7 @@ def test_a_fleet_is_so_many_single_robots(robots):
             np.testing.assert_allclose(np.abs(manipulability[i]), expected, rtol=0, atol=1e-9)
 
 
-def test_neighbours_do_not_change_a_bit():
+def test_robots_are_independent_to_the_bit():
     """Nor do those that took the same model before."""
     robots = 2 * BLOCK + 4
     rng, fleet, alone = (
@@ -235,7 +235,7 @@ def test_neighbours_do_not_change_a_bit():
     assert 0 < kinematics.colliding.sum() < robots
 
 
-def test_a_robot_of_nan_spoils_no_neighbour():
+def test_robot_with_nan_affects_no_other_robot():
     q = np.tile(SPEC.joint_array("q_home"), (18, 1))
     fleet = Fleet(SPEC, 18, collisions=True)
     kinematics = fleet.kinematics(q)
@@ -284,7 +284,7 @@ def test_manipulability_is_negative_beyond_a_singularity():
     assert there < -10 * SPEC.margins.singularity
 
 
-def test_the_home_pose_says_which_side_of_a_singularity_is_home(tmp_path):
+def test_home_pose_determines_the_side_of_a_singularity(tmp_path):
     """An arm that lives with its wrist turned is free there, and beyond a singularity where arm6 lives."""
     ends = ("q_min = -2.6\nq_max = -0.5\nq_home = -1.5708", "q_min = 0.5\nq_max = 2.6\nq_home = 1.5708")
     turned = load_robot(copy_of_arm(tmp_path, toml=[ends]))

@@ -23,7 +23,7 @@ def written(folder, inside="", body=""):
     return path
 
 
-def test_a_model_that_compiles_is_let_through(tmp_path):
+def test_valid_model_passes(tmp_path):
     check_compiles(SPEC.model_path, SPEC.folder)
     check_compiles(written(tmp_path), tmp_path)
 
@@ -35,14 +35,14 @@ def test_a_model_that_compiles_is_let_through(tmp_path):
         ('<size nuserdata="2000000000"/>', "", r"model\.xml: MuJoCo cannot read it: .*[Cc]ould not allocate"),
     ],
 )
-def test_what_mujoco_refuses_is_said(tmp_path, inside, body, message):
+def test_mujoco_error_is_reported(tmp_path, inside, body, message):
     path = written(tmp_path, inside, body)
     with pytest.raises(RobotError, match=message) as caught:
         check_compiles(path, tmp_path)
     assert str(caught.value).startswith(f"{path}: ")
 
 
-def test_a_model_that_would_take_for_ever_is_given_up(tmp_path):
+def test_model_that_compiles_too_long_is_refused(tmp_path):
     many = '<replicate count="2000000" offset="0.1 0 0"><geom size="0.01"/></replicate>'
     path = written(tmp_path, body=many)
     with pytest.raises(
@@ -51,7 +51,7 @@ def test_a_model_that_would_take_for_ever_is_given_up(tmp_path):
         check_compiles(path, tmp_path, cpu_s=3)
 
 
-def test_no_code_of_the_folder_that_it_is_called_in_runs(tmp_path, monkeypatch):
+def test_no_code_of_the_current_folder_runs(tmp_path, monkeypatch):
     for name in ("mujoco.py", "resource.py"):
         (tmp_path / name).write_text("from pathlib import Path\nPath('ran').touch()\n")
     monkeypatch.chdir(tmp_path)
@@ -59,7 +59,7 @@ def test_no_code_of_the_folder_that_it_is_called_in_runs(tmp_path, monkeypatch):
     assert not (tmp_path / "ran").exists()
 
 
-def test_a_machine_that_allows_less_is_no_obstacle(tmp_path):
+def test_lower_system_limits_are_no_obstacle(tmp_path):
     """A process whose own hard limits are below those of the sandbox cannot raise them, and need not."""
     path = written(tmp_path)
     code = (
@@ -82,7 +82,7 @@ def test_a_machine_that_allows_less_is_no_obstacle(tmp_path):
         ('<compiler strippath="true"/><compiler strippath="false"/>', "{}/secret/a.stl"),
     ],
 )
-def test_a_file_outside_of_its_folder_is_not_even_opened(tmp_path, compiler, file, decoy):
+def test_file_outside_the_folder_is_not_opened(tmp_path, compiler, file, decoy):
     """Not even where one of the same name lies inside, for MuJoCo would take the other."""
     write_stl(tmp_path / "secret" / "a.stl")
     (tmp_path / "robot").mkdir()
@@ -105,7 +105,7 @@ def test_a_file_outside_of_its_folder_is_not_even_opened(tmp_path, compiler, fil
         ('<compiler meshdir="m" strippath="true"/>', "/home/vendor/a.stl", ["m/a.stl"]),
     ],
 )
-def test_whatever_mujoco_may_take_is_a_file_of_the_model(tmp_path, compiler, file, found):
+def test_every_path_that_mujoco_may_open_is_a_file_of_the_model(tmp_path, compiler, file, found):
     for name in ("a.stl", "m/a.stl", "n/a.stl"):
         write_stl(tmp_path / name)
     path = written(tmp_path, f'{compiler}<asset><mesh name="m" file="{file}"/></asset>')

@@ -14,7 +14,7 @@ mujoco = pytest.importorskip("mujoco")
 model_mujoco = pytest.importorskip("robots.models.mujoco_model")
 
 
-def test_declared_drives_are_those_of_the_model(tmp_path):
+def test_declared_drives_equal_those_of_the_model(tmp_path):
     """Every number that MuJoCo makes of both ways of saying it."""
     found, expected = (model_mujoco.load_mujoco(spec) for spec in (load_robot(declared(tmp_path)), SPEC))
     for field in ("gainprm", "biasprm", "dynprm", "gear", "forcerange", "forcelimited", "ctrlspec", "trnid"):
@@ -23,13 +23,13 @@ def test_declared_drives_are_those_of_the_model(tmp_path):
     np.testing.assert_array_equal(found.dof_armature, expected.dof_armature)
 
 
-def test_declared_windings_are_those_of_the_model(tmp_path):
+def test_declared_windings_equal_those_of_the_model(tmp_path):
     found, expected = nominal_windings(load_robot(declared(tmp_path))), nominal_windings(SPEC)
     for field in ("resistance", "alpha", "reference_c", "to_housing", "capacity", "constant"):
         np.testing.assert_array_equal(getattr(found, field), getattr(expected, field), err_msg=field)
 
 
-def test_a_joint_is_as_stiff_as_its_drive_says(tmp_path):
+def test_joint_stiffness_equals_that_of_its_drive(tmp_path):
     """Weight over what it sags, at rest: kp of the joint. The torque that slows it down: kd."""
     spec = load_robot(declared(tmp_path))
     model = model_mujoco.load_mujoco(spec)
@@ -50,7 +50,7 @@ def test_a_joint_is_as_stiff_as_its_drive_says(tmp_path):
     np.testing.assert_allclose(data.qfrc_actuator, 0.05 * 101.0 - damp * 0.001, rtol=1e-9)
 
 
-def test_the_model_s_own_actuators_and_their_keys_go(tmp_path):
+def test_actuators_and_keys_of_the_model_are_removed(tmp_path):
     """A vendor's model comes with motors of its own, sensors on them, and keys that set their controls."""
     motor = '<actuator><motor name="m" joint="elbow" ctrlrange="-9 9"/></actuator>'
     own = motor + '<sensor><actuatorfrc actuator="m"/></sensor><keyframe><key ctrl="1"/></keyframe>'
@@ -60,7 +60,7 @@ def test_the_model_s_own_actuators_and_their_keys_go(tmp_path):
     assert model.nkey == model.nsensor == 0
 
 
-def test_a_drive_bounds_a_joint_of_which_the_model_says_nothing(tmp_path):
+def test_drive_bounds_the_torque_of_a_joint_without_a_range(tmp_path):
     drives = {name: text.replace("kp =", "torque_max = 20.0\nkp =") for name, text in DRIVES.items()}
     spec = load_robot(declared(tmp_path, drives, xml=[*VENDOR, ('actuatorfrcrange="-28 28" ', "")]))
     model = model_mujoco.load_mujoco(spec)
@@ -69,7 +69,7 @@ def test_a_drive_bounds_a_joint_of_which_the_model_says_nothing(tmp_path):
     np.testing.assert_allclose(model.actuator_forcerange[:, 1] * 101.0, torque_max(spec))
 
 
-def test_a_torque_that_nobody_bounds_is_refused(tmp_path):
+def test_unbounded_torque_is_refused(tmp_path):
     spec = load_robot(declared(tmp_path, xml=[*VENDOR, ('actuatorfrcrange="-28 28" ', "")]))
     words = (
         r"robot\.toml: motors\.size1\.drive\.torque_max: missing, and joint wrist_1 has no actuatorfrcrange"
@@ -78,7 +78,7 @@ def test_a_torque_that_nobody_bounds_is_refused(tmp_path):
         model_mujoco.load_mujoco(spec)
 
 
-def test_a_rotor_is_that_of_the_model_or_else_of_the_drive(tmp_path):
+def test_rotor_inertia_comes_from_the_model_or_else_the_drive(tmp_path):
     """In both libraries; a model of which neither says anything would be too light for its drive."""
     drives = {name: text.replace("kp =", "armature = 0.25\nkp =") for name, text in DRIVES.items()}
     light = [*VENDOR, ('armature="1.0201" ', "")]
@@ -116,7 +116,7 @@ def test_a_drive_is_read_strictly(tmp_path, old, new, words):
     assert words in text
 
 
-def test_keys_that_nobody_uses_leave_the_digest_alone(tmp_path):
+def test_unused_keys_leave_the_digest_unchanged(tmp_path):
     """Policies that were trained before there were drives in robot.toml still know their robot."""
     assert load_robot(copy_of_arm(tmp_path)).digest == SPEC.digest
     assert '"drive"' not in SPEC.model_dump_json(exclude_none=True)

@@ -50,7 +50,7 @@ def test_without_current_nothing_warms():
     assert temperatures(RE40, 0.0, 31.0, 1e5) == pytest.approx((31.0, 31.0), abs=1e-9)
 
 
-def test_nothing_has_happened_at_the_start():
+def test_temperatures_at_time_zero_are_the_initial_ones():
     assert temperatures(RE40, 5.0, -10.0, 0.0) == (-10.0, -10.0)
 
 
@@ -61,13 +61,13 @@ def test_steady_state_balances_loss_and_cooling():
     assert (housing - 25.0) / RE40.housing_to_ambient == pytest.approx(loss, rel=1e-9)
 
 
-def test_too_much_current_runs_away():
+def test_too_much_current_is_a_thermal_runaway():
     """R(T) feeds itself: above some current there is no steady state, and the closed form says so."""
     hour, two = (temperatures(RE40, 8.0, 25.0, t)[0] for t in (3600, 7200))
     assert two - hour > 2 * (hour - 25.0)
 
 
-def test_exactly_at_the_brink_the_matrix_is_singular_and_the_answer_finite():
+def test_singular_matrix_at_the_stability_limit_gives_a_finite_result():
     """Where self-heating just eats all cooling, heat grows without bound but steadily."""
     current = np.sqrt(1 / (RE40.alpha * RE40.resistance * (1.93 + 4.65)))
     assert by_integration(RE40, current, 25.0, 3000) == pytest.approx(

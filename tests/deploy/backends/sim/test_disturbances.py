@@ -55,7 +55,7 @@ def test_a_payload_is_a_ball_of_aluminium_where_the_draw_says():
             assert own.body_subtreemass[1] == pytest.approx(bodies.sum(), rel=1e-12)
 
 
-def test_what_the_tool_carries_pulls_at_every_joint():
+def test_payload_loads_every_joint():
     """Statics: the moments of its weight."""
     loaded, free = (
         exact(
@@ -131,7 +131,7 @@ def test_a_reset_does_not_end_a_push():
     np.testing.assert_array_equal(plant.batch.bind("xfrc_applied"), before)
 
 
-def test_turns_are_the_seeds_and_not_the_groups():
+def test_disturbances_depend_on_the_seed_and_not_on_the_group():
     many, alone = drawn(5, BUSY), drawn(5, BUSY, rows=slice(3, 4))
     for name in ("payload", "pushes"):
         courses = [history(getattr(plant, name), 600) for plant in (many, alone)]
@@ -140,7 +140,7 @@ def test_turns_are_the_seeds_and_not_the_groups():
     assert disturbances.Payload.purpose != disturbances.Pushes.purpose
 
 
-def test_nothing_is_done_on_a_tick_on_which_nothing_changes(monkeypatch):
+def test_tick_without_a_change_writes_nothing(monkeypatch):
     plant, done = drawn(3), []
     monkeypatch.setattr(disturbances.Intermittent, "_extend", lambda *_: done.append(1))
     for tick in range(100):

@@ -21,7 +21,7 @@ def followed(delay_s, rates=SPEC.rates, periods=40):
 
 @pytest.mark.parametrize("rates", [(200, 1000), (500, 1000), (1000, 1000), (50, 1000)])
 @pytest.mark.parametrize("delay_s", [0.0, 0.001, 0.0026, 0.005])
-def test_commands_arrive_whole_substeps_late_in_straight_lines(delay_s, rates):
+def test_commands_are_delayed_by_whole_substeps_and_interpolated(delay_s, rates):
     """The course is that of straight lines between commands, as it was `delay_s` ago to the nearest substep."""
     rates = Rates(control_hz=rates[0], physics_hz=rates[1])
     points, course = followed(delay_s, rates)
@@ -43,7 +43,7 @@ def test_each_robot_has_a_bus_of_its_own():
     np.testing.assert_allclose(plant.q[0] - plant.q[2], 0.4 * 0.004, atol=2e-4)
 
 
-def test_brakes_wait_for_no_bus():
+def test_brakes_are_not_delayed_by_the_bus():
     """What is still under way to the drives when the brakes close never arrives."""
     plant = exact(1, {"drives.delay_s": 0.005})
     for k in range(40):
@@ -83,7 +83,7 @@ def test_braking_drives_do_not_lift_the_bus_and_overload_halves_it():
     np.testing.assert_array_equal(volts(15.0, 3.0, 5.0), 24.0)
 
 
-def test_hot_windings_take_more_from_the_bus():
+def test_hot_windings_draw_more_power():
     """R I² with R(T) = R0 (1 + α (T - T0)), as the motors have it."""
     cold, hot = (
         exact(1, {"drives.supply_ohm": 1.0, "climate.ambient_c": ambient}) for ambient in (25.0, 75.0)
@@ -113,7 +113,7 @@ def test_a_bus_is_saved_and_reset_with_its_robot():
     np.testing.assert_array_equal(other.supply.limit[1], 48.0)
 
 
-def test_a_sinking_bus_takes_speed_from_the_arm():
+def test_low_bus_voltage_reduces_speed():
     """A supply behind 5 ohm cannot follow what a stiff one can."""
     plants = [exact(1, {"drives.supply_ohm": ohm, "drives.voltage": 0.75}) for ohm in (0.0, 5.0)]
     worst = []
@@ -130,7 +130,7 @@ def test_a_sinking_bus_takes_speed_from_the_arm():
     assert plants[1].supply.limit[0, 0] < plants[0].supply.limit[0, 0] == 36.0
 
 
-def test_a_lower_supply_is_felt_only_at_speed():
+def test_low_supply_voltage_matters_only_at_speed():
     """A drive that holds still needs a volt; at full speed its back-EMF needs 32."""
     rest = [exact(1, {"drives.voltage": factor}) for factor in (1.0, 0.6)]
     for plant in rest:

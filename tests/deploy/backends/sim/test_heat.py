@@ -26,7 +26,7 @@ def test_a_turning_motor_without_current_warms_by_its_iron_alone():
     np.testing.assert_allclose(plant.housing[0], expected, atol=0.02)
 
 
-def test_what_friction_and_damping_take_from_the_motion_warms_the_housing():
+def test_friction_and_damping_losses_warm_the_housing():
     """One joint at a steady speed: (F + D qd) qd; the windings' share, which is far less here, apart."""
     changes = {"joints.friction": 2.0, "joints.damping": 3.0, "drives.resistance": 0.05}
     plant, qd = exact(1, changes), np.array([1.0, 0, 0, 0, 0, 0])
@@ -45,7 +45,7 @@ def test_what_friction_and_damping_take_from_the_motion_warms_the_housing():
     assert (warmed[3:] < 0.05 * warmed[0]).all()
 
 
-def test_starts_as_warm_as_drawn_and_cools_to_its_room():
+def test_housing_starts_at_the_drawn_temperature_and_cools_to_ambient():
     plant = exact(1, {"climate.ambient_c": 18.0, "climate.warm_start_k": 12.0})
     truth = plant.truth(0.0)
     np.testing.assert_array_equal(truth.housing_c, 30.0)
@@ -82,7 +82,7 @@ def test_published_course_of_an_re40_in_steps_of_a_second():
 
 
 @pytest.mark.parametrize("share", [1.0, 0.6])
-def test_a_saturated_motor_warms_by_the_current_that_its_limit_lets_through(share):
+def test_saturated_motor_is_heated_by_its_limited_current(share):
     """Not by the one that its voltage would drive: that would be forty times the heat."""
     plant, tau, current = exact(1, {"joints.armature": 20.0}), np.zeros(N), np.ones(N)
     tau[5], current[5] = 1000.0, share

@@ -72,7 +72,7 @@ def test_brakes_close_on_the_pose_they_find():
 
 
 @pytest.mark.parametrize("share", [1.0, 0.5])
-def test_a_drive_keeps_to_its_share_of_current(share):
+def test_drive_current_is_limited_to_its_share(share):
     """A torque that is far too large for it, on one joint; its neighbour has all of its current."""
     plant, tau, current = exact(), np.zeros(N), np.ones(N)
     tau[5], tau[4], current[5] = 1000.0, 1000.0, share
@@ -111,7 +111,7 @@ def test_drive_tracks_a_ramp_within_10_mrad(speed):
     assert np.abs(plant.q - start).min() > 0.05
 
 
-def test_drives_go_in_straight_lines_from_setpoint_to_setpoint():
+def test_setpoints_are_interpolated_linearly():
     """As MuJoCo alone goes when it is led there step by step; taken at once, each would saturate the motor."""
     plant, model = exact(), copy(PLANT_MODEL.model)
     data, gear = mujoco.MjData(model), model.actuator_gear[:, 0]
@@ -133,7 +133,7 @@ def test_drives_go_in_straight_lines_from_setpoint_to_setpoint():
     assert worst < 75.0
 
 
-def test_a_simulation_that_is_warned_of_anything_no_longer_counts(tmp_path, monkeypatch):
+def test_any_mujoco_warning_invalidates_the_simulation(tmp_path, monkeypatch):
     """It stops in the middle of a rollout, so it lives less than the others: here for want of room for contacts."""
     monkeypatch.chdir(tmp_path)
     small = [(r"<option timestep", '<size memory="12K"/><option timestep')]
@@ -171,7 +171,7 @@ def test_threads_do_not_change_a_bit():
     assert_same(one, many)
 
 
-def test_a_robot_alone_is_the_robot_in_a_group():
+def test_robot_alone_equals_the_same_robot_in_a_group():
     group, alone = drawn(5, BUSY), drawn(5, BUSY, rows=slice(2, 3))
     for q in wild(5, 450):
         group.step(command(q))
@@ -273,7 +273,7 @@ def test_contact_force_is_the_strongest_contacts_normal_one():
     assert forces[strongest, 0] > 1.0
 
 
-def test_tool_is_where_forward_kinematics_says():
+def test_tool_position_equals_forward_kinematics():
     """One physics step late, as the record says: at 1 m/s that is a millimetre."""
     plant = drawn(2)
     for k in range(100):

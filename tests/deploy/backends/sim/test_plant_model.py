@@ -31,7 +31,7 @@ def forward(plant, robot=0, **state):
     return model, data
 
 
-def test_everything_that_is_drawn_is_lived():
+def test_every_drawn_quantity_changes_the_plant():
     """One robot many times, each time with one quantity a little changed: no change goes unnoticed."""
     robots, seed = 1 + len(LIVED), robot_seed(1, 0)
     base = draw(DISTRIBUTIONS, SPEC, [seed]).replaced(BUSY | {"cable.length_m": 0.1})
@@ -52,7 +52,7 @@ def test_everything_that_is_drawn_is_lived():
     assert not same
 
 
-def test_without_a_draw_the_plant_is_model_xml():
+def test_plant_without_a_draw_equals_model_xml():
     """Play and payload add nothing to its masses, and its gravity, friction and lengths are those of the file."""
     nominal, plant = load_mujoco(SPEC), exact()
     plant.step(command(HOME))  # brakes open
@@ -133,7 +133,7 @@ def test_a_longer_link_moves_only_what_comes_after_it():
     assert not moved[:4].any()
 
 
-def test_mass_sits_where_the_draw_says():
+def test_centre_of_mass_follows_the_draw():
     offset = np.random.default_rng(0).uniform(-0.05, 0.05, (N, 3))
     plant = exact(1, {"links.com_m": offset})
     np.testing.assert_allclose(
@@ -142,7 +142,7 @@ def test_mass_sits_where_the_draw_says():
 
 
 @pytest.mark.parametrize("tilt", [(0.3, 0.0), (0.0, 0.3), (0.2, -0.1)])
-def test_gravity_is_that_of_a_base_out_of_plumb(tilt):
+def test_gravity_follows_the_tilt_of_the_mounting(tilt):
     own = exact(1, {"mounting.tilt_rad": np.array(tilt)}).batch.get_model(0)
     base = Rotation.from_euler("XY", tilt)
     np.testing.assert_allclose(own.opt.gravity, base.inv().apply([0.0, 0.0, -9.81]), atol=1e-12)
@@ -165,7 +165,7 @@ def test_a_cable_pulls_and_never_pushes():
 
 
 @pytest.mark.parametrize("load", [-0.5, 0.5])
-def test_a_link_hangs_in_its_play_on_the_side_of_its_load(load):
+def test_backlash_rests_on_the_side_of_the_load(load):
     """Half of the play each way; the motor and its encoder stand where they were told to."""
     play = 0.004
     plant = exact(1, {"joints.backlash_rad": play})
@@ -177,7 +177,7 @@ def test_a_link_hangs_in_its_play_on_the_side_of_its_load(load):
     assert plant.truth(0.0).q[0, 5] == plant.q[0, 5]
 
 
-def test_an_encoder_on_the_motor_does_not_see_the_play():
+def test_motor_encoder_does_not_see_backlash():
     """A link pushed to and fro inside its play: the encoder stands still."""
     plant, ways = exact(1, {"joints.backlash_rad": 0.004}), []
     for k in range(200):
@@ -248,7 +248,7 @@ def test_an_unknown_site_is_one_clear_error(tmp_path):
     assert "tool" in str(caught.value)
 
 
-def test_what_stands_in_the_way_in_model_xml_does_not_stop_the_plant(tmp_path):
+def test_vendor_settings_in_model_xml_do_not_break_the_plant(tmp_path):
     """A keyframe of the nominal size, degrees, joints with defaults of their own, bodies fused."""
     folder = copy_of_arm(
         tmp_path,
@@ -269,7 +269,7 @@ def test_what_stands_in_the_way_in_model_xml_does_not_stop_the_plant(tmp_path):
     assert PLAIN["joints.backlash_rad"] == 0.0
 
 
-def test_frames_in_model_xml_turn_what_is_added_with_them(tmp_path):
+def test_frames_in_model_xml_apply_to_added_elements(tmp_path):
     """The same robot, its last joint and its tool written inside a turned frame."""
     inside = r'(<joint name="wrist_3" class="size1"/>)'
     folder = copy_of_arm(

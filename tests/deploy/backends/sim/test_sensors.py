@@ -56,7 +56,7 @@ def play(sensors, ticks, motion=np.sin, kind="encoder"):
 @pytest.mark.parametrize(
     ("delay", "ticks"), [(0.0, 0), (0.0001, 1), (0.005, 1), (0.0051, 2), (0.008, 2), (0.010, 2), (0.0149, 3)]
 )
-def test_a_packet_arrives_whole_ticks_late_and_says_when_it_was_taken(delay, ticks):
+def test_packets_are_delayed_by_whole_ticks_and_stamped_at_sampling(delay, ticks):
     t, fresh, q = play(honest(delay=delay / ENCODER.delay_s), 300)
     assert fresh.all()
     taken = np.arange(1, 301) - ticks
@@ -66,7 +66,7 @@ def test_a_packet_arrives_whole_ticks_late_and_says_when_it_was_taken(delay, tic
 
 
 @pytest.mark.parametrize("hz", [504, 508, 1000, 2000])
-def test_a_quick_bus_delivers_what_is_long_under_way(tmp_path, hz):
+def test_fast_bus_delivers_packets_in_flight(tmp_path, hz):
     """Its buffer of a quarter of a second holds more ticks than are worked out at once on a slow one."""
     rates = [("control_hz = 200", f"control_hz = {hz}"), ("physics_hz = 1000", f"physics_hz = {hz}")]
     late = round(BUFFER_S * hz) - 1
@@ -80,7 +80,7 @@ def test_a_quick_bus_delivers_what_is_long_under_way(tmp_path, hz):
     assert packet.t[0] > BUFFER_S
 
 
-def test_readings_are_whole_steps_inside_the_range():
+def test_readings_are_quantized_and_clipped_to_the_range():
     for kind, sensor in SPEC.sensors.items():
         _, _, value = play(built(range(3)), 300, lambda t, s=sensor: 2.0 * s.range * np.sin(5 * t), kind)
         steps = value / sensor.resolution
@@ -89,7 +89,7 @@ def test_readings_are_whole_steps_inside_the_range():
         assert np.abs(value).max() == pytest.approx(sensor.range, abs=sensor.resolution)
 
 
-def test_each_sensor_comes_at_its_own_rate_with_evenly_spread_stamps():
+def test_each_sensor_has_its_own_rate_and_even_time_stamps():
     for kind, sensor in SPEC.sensors.items():
         t, fresh, value = play(honest(), 2000, np.cos, kind)
         assert fresh.sum() == pytest.approx(sensor.rate_hz * 2000 * DT, abs=1)
@@ -100,7 +100,7 @@ def test_each_sensor_comes_at_its_own_rate_with_evenly_spread_stamps():
         assert error <= sensor.resolution / 2 + 1e-12
 
 
-def test_noise_has_the_drawn_size_and_no_memory():
+def test_noise_has_the_drawn_variance_and_is_white():
     factor, sensor = 1.5, ENCODER
     _, _, q = play(honest(range(8), noise=factor), 2000, lambda _: 0.3)
     noise = q[5:] - 0.3
@@ -121,7 +121,7 @@ def test_noise_differs_from_robot_to_robot_as_drawn():
     np.testing.assert_allclose(q[60:].std(axis=(0, 2)), expected, rtol=0.1)
 
 
-def test_a_bias_is_constant_and_each_channels_own():
+def test_bias_is_constant_per_channel():
     _, _, q = play(built(range(10), noise=0.0, drift=0.0, delay=0.0, jitter=0.0), 200, lambda _: 0.3)
     error = q[60:] - 0.3
     np.testing.assert_allclose(error, np.broadcast_to(error[0], error.shape), rtol=0, atol=1e-12)
@@ -129,7 +129,7 @@ def test_a_bias_is_constant_and_each_channels_own():
     assert np.abs(error).max() > ENCODER.bias / 2
 
 
-def test_a_drift_walks_as_the_square_root_of_time():
+def test_drift_is_a_random_walk():
     sensors = honest(range(200), drift=1.0)
     steps = 40
     for _ in range(steps * CHUNK):
@@ -140,7 +140,7 @@ def test_a_drift_walks_as_the_square_root_of_time():
         assert walked.std() == pytest.approx(sensor.drift * np.sqrt(hours), rel=0.12, abs=1e-15)
 
 
-def test_force_drifts_with_the_warmth_of_the_last_motor():
+def test_force_sensor_drifts_with_the_temperature_of_the_last_motor():
     """Each robot and each axis in a way of its own."""
     factors = np.array([[1.0, -0.5, 0.2], [-1.0, 0.7, 0.4]])
     force = honest().columns["force"]
@@ -159,7 +159,7 @@ def test_force_drifts_with_the_warmth_of_the_last_motor():
 
 @pytest.mark.parametrize("burst", [1.0, 4.0])
 @pytest.mark.parametrize("loss", [0.0, 0.01, 0.3])
-def test_loss_has_the_drawn_share_and_comes_in_bursts(loss, burst):
+def test_packet_loss_has_the_drawn_rate_and_comes_in_bursts(loss, burst):
     sensors = honest(range(40), loss=loss / ENCODER.loss, burst=burst)
     _, fresh, q = play(sensors, 2 * CHUNK, lambda t: t)
     share = 1 - fresh.mean()
@@ -185,13 +185,13 @@ def test_jitter_holds_and_changes_and_lets_packets_overtake():
     assert (np.diff(t, axis=0) < 0).any()
 
 
-def test_packets_come_twice():
+def test_packets_are_duplicated():
     t, fresh, _ = play(honest(range(20), repeat=0.1), 2 * CHUNK)
     again = fresh[1:] & (np.diff(t, axis=0) == 0)
     assert again.mean() == pytest.approx(0.1, rel=0.2)
 
 
-def test_what_is_read_is_a_function_of_seed_robot_and_tick():
+def test_readings_depend_on_seed_robot_and_tick_only():
     """Not of the group, of how often it was read, or of chunks."""
     ticks = 2 * CHUNK + 40
     for kind in KINDS:
@@ -217,7 +217,7 @@ def test_saved_and_restored_goes_on_bit_for_bit(at):
         np.testing.assert_array_equal(a, b)
 
 
-def test_reset_of_a_subset_delivers_only_the_new_place_and_at_once():
+def test_reset_of_a_subset_delivers_the_new_position_at_once():
     sensors = honest(range(3), delay=1.0)
     play(sensors, 40, motion=lambda _: 1.0)
     place = np.array([1.0, -0.5, 1.0])[:, None] + np.zeros((3, WIDTH))
@@ -246,7 +246,7 @@ def failing(what, channel=None):
     return t[during, 1], fresh[during, 1], q[during, 1], clean[2][during, 1]
 
 
-def test_off():
+def test_fault_off():
     _, fresh, _, _ = failing(Failure.OFF)
     assert not fresh.any()
     _, fresh, q, clean = failing(Failure.OFF, channel=3)
@@ -255,7 +255,7 @@ def test_off():
     np.testing.assert_array_equal(np.delete(q, 3, axis=1), np.delete(clean, 3, axis=1))
 
 
-def test_stuck():
+def test_fault_stuck():
     _, fresh, q, clean = failing(Failure.STUCK, channel=2)
     assert fresh.all()
     assert len(np.unique(q[:, 2])) == 1
@@ -263,32 +263,32 @@ def test_stuck():
     np.testing.assert_array_equal(np.delete(q, 2, axis=1), np.delete(clean, 2, axis=1))
 
 
-def test_garbage():
+def test_fault_garbage():
     _, _, q, _ = failing(Failure.GARBAGE)
     assert q.std() == pytest.approx(2 * ENCODER.range / np.sqrt(12), rel=0.1)
     assert len(np.unique(q)) > 0.9 * q.size
 
 
-def test_wrong():
+def test_fault_wrong():
     _, _, q, clean = failing(Failure.WRONG, channel=0)
     np.testing.assert_allclose(q[:, 0] - clean[:, 0], WRONG * ENCODER.range, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_slow(kind):
+def test_fault_slow(kind):
     """One packet of so many remains, however seldom the sensor sends them."""
     fault = Fault(robot=0, sensor=kind, begins=0, ends=4000, what=Failure.SLOW)
     _, fresh, _ = play(honest(faults=[fault]), 4000, kind=kind)
     assert fresh.sum() == pytest.approx(SPEC.sensors[kind].rate_hz * 4000 * DT / SLOW, abs=1)
 
 
-def test_delayed():
+def test_fault_delayed():
     t, fresh, _, _ = failing(Failure.DELAYED)
     lag = (np.arange(300, 500) * DT - t)[fresh]
     np.testing.assert_allclose(lag[30:], LATE_S, rtol=0, atol=1e-9)
 
 
-def test_intermittent():
+def test_fault_intermittent():
     _, fresh, _, _ = failing(Failure.INTERMITTENT)
     silent = round(BLINK_S / DT)
     np.testing.assert_array_equal(fresh, np.arange(200) // silent % 2 == 1)
@@ -296,7 +296,7 @@ def test_intermittent():
     np.testing.assert_array_equal(np.isnan(q[:, 5]), np.arange(200) // silent % 2 == 0)
 
 
-def test_a_slow_bus_is_silent_at_every_other_tick():
+def test_slow_bus_delivers_at_every_other_tick():
     fault = Fault(**FAILS | {"begins": 0, "ends": 6}, what=Failure.INTERMITTENT)
     assert silent(fault, np.arange(8), 0.5).tolist() == [True, False] * 3 + [False] * 2
 
@@ -311,7 +311,7 @@ def test_a_slow_bus_is_silent_at_every_other_tick():
         ({"channel": 0, "what": Failure.SLOW}, "slow happens to all channels"),
     ],
 )
-def test_faults_of_what_is_not_there_are_refused(change, words):
+def test_faults_of_missing_sensors_are_refused(change, words):
     fault = Fault(**{**FAILS, "what": Failure.OFF} | change)
     with pytest.raises(ConfigError, match=words):
         honest(range(2), [fault])

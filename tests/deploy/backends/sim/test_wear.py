@@ -16,7 +16,7 @@ WORN = {
 }
 
 
-def test_life_is_travel_counted_double_for_each_10_k():
+def test_wear_is_travel_doubled_for_each_10_k():
     plant, travel = exact(2), np.linspace(0.0, 500.0, 2 * N).reshape(2, N)
     winding = WEAR.life_c + np.array([[0.0, 10.0, -10.0, 20.0, 5.0, -30.0]] * 2)
     plant.wear.step(travel, winding)
@@ -28,7 +28,7 @@ def test_life_is_travel_counted_double_for_each_10_k():
     np.testing.assert_allclose(plant.wear.life, 2.0 * once)
 
 
-def test_all_that_wears_grows_in_proportion_to_the_life():
+def test_worn_parameters_grow_in_proportion_to_the_wear():
     plant, new = exact(1, WORN), exact(1, WORN).batch.get_model(0)
     plant.wear.life[:] = np.linspace(0.0, 2.0, N)
     plant.wear.apply()
@@ -46,7 +46,7 @@ def test_all_that_wears_grows_in_proportion_to_the_life():
     np.testing.assert_allclose(worn.torque_constant[0], 1.0 - 0.1 * life)
 
 
-def test_no_life_is_so_long_that_a_magnet_turns_round():
+def test_worn_torque_constant_stays_positive():
     plant = exact(1, {"wear.torque_constant": -0.9})
     plant.wear.life[:] = 50.0
     plant.wear.apply()
@@ -54,7 +54,7 @@ def test_no_life_is_so_long_that_a_magnet_turns_round():
     assert (plant.batch.get_model(0).actuator_gainprm[:, 1] > 0).all()
 
 
-def test_no_life_is_so_long_that_a_joint_becomes_what_none_can_be():
+def test_worn_parameters_stay_physical():
     """Here one hot second of the shortest life at the coldest."""
     worst = {"wear.friction": 20.0, "wear.backlash_rad": 0.05, "wear.encoder_rad": np.repeat([-0.1, 0.1], 3)}
     plant = exact(1, worst)
@@ -67,7 +67,7 @@ def test_no_life_is_so_long_that_a_joint_becomes_what_none_can_be():
     assert np.abs(plant.batch.get_model(0).jnt_range[PLANT_MODEL.backlash]).max() == 0.025
 
 
-def test_an_encoder_that_slipped_reads_what_is_not_there():
+def test_slipped_encoder_reads_with_an_offset():
     plant = exact(1, WORN)
     plant.wear.life[:] = 1.5
     plant.wear.apply()
@@ -75,7 +75,7 @@ def test_an_encoder_that_slipped_reads_what_is_not_there():
     np.testing.assert_allclose(plant.reading("encoder") - plant.kinematics.motor_q, -0.003, rtol=1e-9)
 
 
-def test_the_current_is_that_of_the_worn_motor():
+def test_current_follows_the_worn_torque_constant():
     """A weaker magnet needs more of it for the same torque."""
     plants = [exact(1, {"wear.torque_constant": -0.2}) for _ in range(2)]
     plants[1].wear.life[:] = 1.0
@@ -90,7 +90,7 @@ def test_the_current_is_that_of_the_worn_motor():
     assert worn == pytest.approx(new / 0.8, rel=1e-3)
 
 
-def test_joints_age_by_the_way_they_go():
+def test_joints_wear_by_their_travel():
     """One joint to and fro for three seconds at a known speed; the others stand still and stay new."""
     plant, qd = exact(1), np.zeros(N)
     q, way = HOME.copy(), 0.0
@@ -104,7 +104,7 @@ def test_joints_age_by_the_way_they_go():
     assert (plant.wear.life[0, 3:] < 0.01 * plant.wear.life[0, 0]).all()
 
 
-def test_restored_wear_is_the_same_to_the_bit():
+def test_restored_wear_is_bit_identical():
     old, new = drawn(3), drawn(3)
     rng = np.random.default_rng(0)
     old.wear.step(rng.uniform(0, 5000, (3, N)), rng.uniform(20, 100, (3, N)))
