@@ -1,4 +1,4 @@
-"""The tick of B robots under one policy, in order: on one robot or five hundred, simulated or real."""
+"""One control tick: read, estimate, observe, run the policy, plan, check, decide, send. For any number of robots."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -37,15 +37,15 @@ class Runtime(Stage):
     """Stages of the tick for B robots.
 
     `sense` and `act` are the two halves of a tick; a policy, shipped or in training, sits between them. After a tick
-    its records can be read: `state`, `target`, `verdict`, `setpoint`, `command`; after a restore only once it has
-    ticked. Saved arrays decide the next tick, the robot's own state aside.
+    its records can be read: `state`, `target`, `verdict`, `setpoint`, `command`; after `restore` only after the next
+    tick. `save` holds all state but that of the robots themselves.
 
     Attributes:
         ticks: control ticks so far. decimation: control ticks for each step of the policy.
-        requested_stop: (B,) bit sets of `Reason`, stops asked for by `stop`. since: (B,) ticks since arming.
+        requested_stop: (B,) bit sets of `Reason`, of `stop`. ticks_since_arming: (B,).
     """
 
-    carried = ("requested_stop", "since")
+    carried = ("requested_stop", "ticks_since_arming")
     parts = (
         *("estimator", "action", "smoother", "supervisor", "task", "observation"),
         *("capabilities", "prepared_stop"),
@@ -92,7 +92,7 @@ class Runtime(Stage):
         self.task: Task = find_task(contract.task, f"contract: task {contract.task!r}")(spec, seeds)
         readers = {name: partial(source.read, self) for name, source in sources_of(contract.task).items()}
         self.observation = Observation(contract, readers, robots)
-        self.requested_stop, self.since = np.zeros((2, robots), dtype=np.int64)
+        self.requested_stop, self.ticks_since_arming = np.zeros((2, robots), dtype=np.int64)
         self._zeros = np.zeros((robots, spec.n))
         if policy is not None:
             policy.resize(robots)
@@ -173,30 +173,32 @@ class Runtime(Stage):
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_mid_stop, q_rest)
         reason = self.stop_reasons()
         at_rest = self.smoother.at_rest if any_true(stopping) else stopping  # asked of stopping robots only
-        obey = self.supervisor.step(reason, at_rest)
+        send_planned = self.supervisor.step(reason, at_rest)
         if any_true(reason) or not all_true(np.isfinite(planned.q)):
-            # A robot that is stopping is obeyed whatever the reason; a stop that is not finite is still not sent.
-            self._send(*self.obeyed_or_stop(obey & np.isfinite(planned.q).all(axis=1), planned))
+            # A robot that already stops sends its plan, whatever the reason; a plan that is not finite is never sent.
+            self._send(
+                *self.planned_or_prepared_stop(send_planned & np.isfinite(planned.q).all(axis=1), planned)
+            )
         else:
             self._send(planned, self.verdict.tau)
-        self.prepared_stop.prepare(obey, ahead, self.verdict.tau_ahead)
+        self.prepared_stop.prepare(send_planned, ahead, self.verdict.tau_ahead)
         self.task.step(self.supervisor.running)
-        self.since += 1
+        self.ticks_since_arming += 1
         self.ticks += 1
 
     def stop_reasons(self) -> Ints:
-        """(B,) bit sets of everything against the planned setpoint."""
+        """(B,) bit sets of all reasons to refuse the planned setpoint."""
         reason = self.verdict.reason | self.state.fault | self.requested_stop
         if not all_true(self.action.finite):
             reason[~self.action.finite] |= _NOT_FINITE
         return reason
 
-    def obeyed_or_stop(self, obey: Bools, planned: Setpoint) -> tuple[Setpoint, Floats]:
-        """Return setpoint and torque as planned where `obey` holds, elsewhere those of the prepared stop."""
-        tau = np.nan_to_num(np.where(obey[:, None], self.verdict.tau, self.prepared_stop.tau))
-        return self.replace_non_finite(select(obey, planned, self.prepared_stop.setpoint)), tau
+    def planned_or_prepared_stop(self, send_planned: Bools, planned: Setpoint) -> tuple[Setpoint, Floats]:
+        """Return setpoint and torque as planned where `send_planned` holds, elsewhere those of the prepared stop."""
+        tau = np.nan_to_num(np.where(send_planned[:, None], self.verdict.tau, self.prepared_stop.tau))
+        return self.cut_power_without_plan(select(send_planned, planned, self.prepared_stop.setpoint)), tau
 
-    def replace_non_finite(self, planned: Setpoint) -> Setpoint:
+    def cut_power_without_plan(self, planned: Setpoint) -> Setpoint:
         """Cut power of robots without any finite plan; they rest at the setpoint sent last."""
         lost = np.asarray(~np.isfinite(planned.q + planned.qd + planned.qdd).all(axis=1))
         if not any_true(lost):
@@ -230,7 +232,7 @@ class Runtime(Stage):
         self.verdict = self.safety.step(self.state, here, here, here, here.q, here.q)
         reason = np.where(ids, self.verdict.reason | self.state.fault, 0)
         reason[ids & self.estimator.moving.any(axis=1)] |= _MOVING
-        self.requested_stop[ids], self.since[ids] = 0, 0
+        self.requested_stop[ids], self.ticks_since_arming[ids] = 0, 0
         granted = ids & (reason == 0)
         self.supervisor.arm(granted)
         self.estimator.follow(granted, self.smoother.sent, here)

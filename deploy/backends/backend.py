@@ -32,7 +32,11 @@ class Robot(Protocol):
     gains: Gains | None
 
     def read(self) -> Sample:
-        """Return the newest packet of every sensor; never block longer than a control period."""
+        """Return the newest packet of every sensor; never block longer than a control period.
+
+        `Packet.t` counts from the first read on the runtime's clock, which advances by one control period with each
+        write: a slot that the loop skipped does not count, so a real robot maps its time stamps at every read.
+        """
         ...
 
     def write(self, command: Command) -> None:

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 from deploy.policy.contract import Contract
-from deploy.policy.observation_source import ObservationSource
-from deploy.policy.observation_terms import Term
+from deploy.policy.contract_term import Term
+from deploy.policy.observation_sources import ObservationSource
 from deploy.tasks.task import find_task, sources_of
 from robots.errors import ContractError
 from robots.spec import RobotSpec

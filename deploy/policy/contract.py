@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Numbers, Positive, Scales, Term
+from deploy.policy.contract_term import SIZE_MAX, Clip, Count, Name, Numbers, Positive, Scales, Term
 from deploy.tasks.task import sources_of
 from robots.errors import ConfigError, ContractError
 from robots.motors.gains import Gains

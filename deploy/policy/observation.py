@@ -6,7 +6,7 @@ import numpy as np
 
 from deploy.masks import all_true
 from deploy.policy.contract import Contract
-from deploy.policy.observation_terms import Term
+from deploy.policy.contract_term import Term
 from deploy.stage import Stage
 from robots.arrays import Bools, Float32s, Floats, Ints
 

@@ -10,7 +10,7 @@ from onnx import GraphProto, ModelProto, TensorProto, ValueInfoProto
 from pydantic import Field, model_validator
 
 from deploy.policy.contract import CONTRACT_KEY, Contract
-from deploy.policy.observation_terms import Number
+from deploy.policy.contract_term import Number
 from deploy.policy.onnx_graph import read_model
 from robots.arrays import Float32s
 from robots.errors import ContractError

@@ -10,7 +10,7 @@ import numpy as np
 from deploy.masks import all_true
 from deploy.motion.drive_law import DriveLaw, StiffDrives
 from deploy.safety.check import Belief, Limits, Motion, Pose
-from deploy.safety.check_table import CheckTable
+from deploy.safety.check_evaluation import CheckTable
 from deploy.safety.checks import CHECKS, Checks
 from deploy.state import Reason, Setpoint, State, Verdict
 from robots.arrays import Bools, Floats, Ints

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from deploy.backends.sim.truth import Truth
-from deploy.policy.observation_source import ObservationSource
+from deploy.policy.observation_sources import ObservationSource
 from deploy.state import Sample
 from deploy.tasks.goal_pool import ReachConfig, goal_pool
 from deploy.tasks.score import Scoring
 from deploy.tasks.task import Task
+from deploy.truth import Truth
 from robots.arrays import Floats
 from robots.capabilities import Capability
 from robots.spec import RobotSpec
@@ -18,38 +18,38 @@ from robots.spec import RobotSpec
 if TYPE_CHECKING:
     from deploy.runtime import Runtime
 
-UNSEEN_S = 1.0
+GOAL_TIMEOUT_S = 1.0
 """s without a packet of the goal camera after which a goal counts as unknown: the tool then stays where it is."""
 
 
 def _torque_to_goal(runtime: "Runtime") -> Floats:
     """(B, n) N·m, joint torques of a spring of 1 N/m that pulls the tool to the goal."""
-    return runtime.tool.joint_torque(_seen(runtime) - runtime.tool.position)
+    return runtime.tool.joint_torque(_camera_goal(runtime) - runtime.tool.position)
 
 
-def _seen(runtime: "Runtime") -> Floats:
+def _camera_goal(runtime: "Runtime") -> Floats:
     task = runtime.task
     if not isinstance(task, Reach):
         raise RuntimeError(f"task {task.name} has no goal that a camera sees")
-    return task.seen
+    return task.camera_goal
 
 
 class Reach(Task):
     """Tool positions in the world, m, drawn from the pool of reachable goals.
 
     Attributes:
-        seen: (B, 3) m, the goal as the camera saw it last; the tool's position where it is unknown.
+        camera_goal: (B, 3) m, the goal as the camera saw it last; the tool's position where it is unknown.
     """
 
     name = "reach"
     size = 3
     needs: ClassVar[frozenset[Capability]] = frozenset({"tool", "workspace"})
     config: ClassVar[ReachConfig] = ReachConfig()
-    carried: ClassVar[tuple[str, ...]] = (*Task.carried, "seen")
+    carried: ClassVar[tuple[str, ...]] = (*Task.carried, "camera_goal")
     sources: ClassVar[Mapping[str, ObservationSource]] = {
-        "goal_position": ObservationSource("world", "m", 3, _seen, "goal camera", ("goal",)),
+        "goal_position": ObservationSource("world", "m", 3, _camera_goal, "goal camera", ("goal",)),
         "goal_from_tool": ObservationSource(
-            "world", "m", 3, lambda r: _seen(r) - r.tool.position, "goal camera and encoder", ("goal",)
+            "world", "m", 3, lambda r: _camera_goal(r) - r.tool.position, "goal camera and encoder", ("goal",)
         ),
         "goal_torque": ObservationSource(
             "joint", "N·m", None, _torque_to_goal, "goal camera and encoder", ("goal",)
@@ -58,7 +58,7 @@ class Reach(Task):
 
     def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> None:
         """Sample the pool of goals and give every robot its first one."""
-        self.pool, self.seen = goal_pool(spec, self.config), np.zeros((len(seeds), 3))
+        self.pool, self.camera_goal = goal_pool(spec, self.config), np.zeros((len(seeds), 3))
         super().__init__(spec, seeds)
 
     @classmethod
@@ -83,9 +83,9 @@ class Reach(Task):
         self.achieved[:] = runtime.tool.position
         if "goal" in sample:
             packet = sample["goal"]
-            old = runtime.t - packet.t > UNSEEN_S
+            old = runtime.t - packet.t > GOAL_TIMEOUT_S
             known = np.isfinite(packet.value) & ~old[:, None]
-            self.seen[:] = np.where(known, packet.value, self.achieved)
+            self.camera_goal[:] = np.where(known, packet.value, self.achieved)
 
     @property
     def goal_position(self) -> Floats:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from deploy.backends.sim.truth import Truth
 from deploy.plugins import TASKS, installed, load
-from deploy.policy.observation_source import SOURCES, ObservationSource
+from deploy.policy.observation_sources import SOURCES, ObservationSource
 from deploy.stage import Stage
 from deploy.state import Sample
 from deploy.tasks.score import Score, Scoring
+from deploy.truth import Truth
 from robots.arrays import Bools, Floats
 from robots.capabilities import Capability
 from robots.errors import ConfigError
@@ -100,7 +100,7 @@ class Task(Stage, ABC):
         """Update `achieved`, and what else the task's sources read, from a new estimate.
 
         Args:
-            runtime: has just estimated.
+            runtime: after this tick's estimate.
             sample: newest packets.
             due: True in ticks in which the policy observes.
         """

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from deploy.backends.sim.truth import Truth
-from deploy.policy.observation_source import BASE, ObservationSource
+from deploy.policy.observation_sources import BASE, ObservationSource
 from deploy.state import Sample
 from deploy.tasks.score import Scoring
 from deploy.tasks.task import Task
+from deploy.truth import Truth
 from robots.arrays import Bools, Floats
 from robots.capabilities import Capability
 from robots.errors import RobotError

@@ -31,7 +31,7 @@ class Signal:
         size: numbers of one robot, or as many as it has joints, in the order of `spec.joint_names`, or as a goal has.
         read: (B, size) after a tick.
         needs: capabilities of the robots that have it.
-        in_state: part of the topic /state; the others are in /measured and /setpoint.
+        in_state: written to the topic /state; other topics of `recording.py` name their columns. Event rings hold all.
     """
 
     name: str

@@ -11,10 +11,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.backends.sim.truth import Truth
 from deploy.masks import any_true
 from deploy.stage import Stage
 from deploy.state import Command, Mode
+from deploy.truth import Truth
 from eval.faults.fault_class import Answer, Injection
 from eval.faults.schedule import Schedule
 from eval.judge.judge import Judge

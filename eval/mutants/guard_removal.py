@@ -131,8 +131,8 @@ def plan_nan_at(t: float, *, angles: bool) -> GuardRemoval:
 
 def send_non_finite(runtime: Runtime) -> None:
     """Send the planned setpoint even if it is not finite."""
-    wrap_method(runtime, "replace_non_finite", lambda _, planned: planned)
-    wrap_method(runtime, "obeyed_or_stop", lambda _, obey, planned: (planned, runtime.verdict.tau))
+    wrap_method(runtime, "cut_power_without_plan", lambda _, planned: planned)
+    wrap_method(runtime, "planned_or_prepared_stop", lambda _, obey, planned: (planned, runtime.verdict.tau))
 
 
 def stop_instantly(runtime: Runtime) -> None:
@@ -144,7 +144,7 @@ def stop_instantly(runtime: Runtime) -> None:
         parts = [np.where(obey[:, None], *pair) for pair in zip(setpoint, stands, strict=True)]
         return Setpoint(*parts), tau
 
-    wrap_method(runtime, "obeyed_or_stop", instead)
+    wrap_method(runtime, "planned_or_prepared_stop", instead)
 
 
 def ignore_non_finite_action(runtime: Runtime) -> None:

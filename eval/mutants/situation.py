@@ -9,8 +9,8 @@ from deploy.backends.sim.backend import simulate
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.sensor_faults import Fault
 from deploy.policy.contract import ActionSpec, Contract, Observed
-from deploy.policy.observation_source import SOURCES
-from deploy.policy.observation_terms import Term
+from deploy.policy.contract_term import Term
+from deploy.policy.observation_sources import SOURCES
 from deploy.runtime import Runtime
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge

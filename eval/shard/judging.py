@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.backends.sim.truth import Truth
 from deploy.policy.contract import Contract
 from deploy.runtime import Runtime
 from deploy.tasks.task import find_task
+from deploy.truth import Truth
 from eval.judge.judge import Judge
 from eval.shard.job import WIDTH
 from robots.models.nominal_model import torque_max

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.backends.sim.backend import simulate
-from deploy.backends.sim.truth import Truth
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.stage import Arrays, Stage
+from deploy.truth import Truth
 from eval.faults.fault_response import FaultResponseTracker
 from eval.faults.injector import Injector
 from eval.faults.schedule import plan

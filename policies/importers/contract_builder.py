@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.policy.contract import Contract
-from deploy.policy.observation_source import ObservationSource
+from deploy.policy.observation_sources import ObservationSource
 from deploy.tasks.task import sources_of
 from policies.importers.contract_draft import ContractDraft, TermDraft
 from policies.importers.reference_policy import ABSENT, ReferencePolicy

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from deploy.policy.contract import Hertz
-from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Positive
+from deploy.policy.contract_term import SIZE_MAX, Clip, Count, Name, Number, Positive
 from policies.importers.torch_files.network_settings import NetworkSettings
 from robots.errors import ContractError
 from robots.strict import Strict, parse, reject_placeholders

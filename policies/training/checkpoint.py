@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field, StrictInt
 from torch import Tensor
 
 from deploy.policy.contract import Contract
-from deploy.policy.observation_terms import Count
+from deploy.policy.contract_term import Count
 from deploy.telemetry.output_files import replacing
 from policies.importers.untrusted.tensor_archive import check_tensor, load_tensors
 from policies.training.networks import Actor

@@ -6,8 +6,8 @@ from typing import Annotated
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from deploy.policy.contract import ActionSpec, Contract
-from deploy.policy.observation_source import ObservationSource
-from deploy.policy.observation_terms import Term
+from deploy.policy.contract_term import Term
+from deploy.policy.observation_sources import ObservationSource
 from deploy.tasks.task import find_task, sources_of
 from robots.errors import ConfigError
 from robots.spec import RobotSpec

@@ -6,7 +6,7 @@ import pytest
 from deploy.backends.sim.sensor_faults import Failure, Fault
 from deploy.motion.smoother import Smoother
 from deploy.state import Mode, Reason, Setpoint
-from deploy.tasks.reach import UNSEEN_S
+from deploy.tasks.reach import GOAL_TIMEOUT_S
 from support.arm6 import SPEC
 from support.runtimes import Saying, assert_same, assert_within_limits, every, play, running
 
@@ -175,8 +175,8 @@ def test_faults_of_other_sensors_break_no_limit(sensor, what):
 
 def test_lost_goal_is_replaced_by_the_tool_position():
     runtime = failing("off", 10_000, sensor="goal")
-    play(runtime, round((UNSEEN_S + 0.5) / SPEC.dt))
-    away = np.linalg.norm(runtime.task.seen - runtime.tool.position, axis=1)
+    play(runtime, round((GOAL_TIMEOUT_S + 0.5) / SPEC.dt))
+    away = np.linalg.norm(runtime.task.camera_goal - runtime.tool.position, axis=1)
     assert away[0] > 0.01
     assert away[1] == 0.0
 

@@ -36,7 +36,7 @@ Failure, Fault = sensor_faults.Failure, sensor_faults.Fault
 
 Judge = pytest.importorskip("eval.judge.judge").Judge
 true_tilt = pytest.importorskip("eval.judge.truth").true_tilt
-BaseTruth = pytest.importorskip("deploy.backends.sim.truth").BaseTruth
+BaseTruth = pytest.importorskip("deploy.truth").BaseTruth
 judge_tick = pytest.importorskip("eval.shard.judging").judge_tick
 ignore_reasons = pytest.importorskip("eval.mutants.guard_removal").ignore_reasons
 
@@ -123,7 +123,7 @@ def test_base_sensors_follow_the_base():
 def test_gait_phase_starts_at_arming():
     runtime = standing(2)
     observation = live(runtime, 1)
-    t = (runtime.since - 1) * DT
+    t = (runtime.ticks_since_arming - 1) * DT
     phase = 2 * np.pi * t / 0.4
     np.testing.assert_allclose(
         reading(observation, "gait_phase"), np.stack((np.sin(phase), np.cos(phase)), axis=1), atol=1e-5

@@ -1,7 +1,7 @@
 from hypothesis import strategies as st
 
 from deploy.policy.contract import ActionSpec, Contract
-from deploy.policy.observation_terms import Term
+from deploy.policy.contract_term import Term
 from deploy.tasks.task import installed_sources, sources_of
 from support.arm6 import SPEC
 

@@ -36,8 +36,8 @@ class SimBackend(Backend[SimRobot]):
 
 
 def connect(robot: SimRobot, runtime: Runtime) -> None:
-    """Let the simulated cameras of `robot` see the goals of the runtime's task."""
-    robot.goal_source = lambda: runtime.task.goal
+    """Let the simulated cameras of `robot` see the goals of the runtime's task, if it has visible ones."""
+    robot.goal_source = lambda: runtime.task.goal_position
 
 
 def simulate(

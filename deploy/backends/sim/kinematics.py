@@ -4,7 +4,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deploy.backends.sim.model.plant_model import PlantModel
-from deploy.backends.sim.truth import BaseTruth
+from deploy.truth import BaseTruth
 from robots.arrays import Floats
 
 

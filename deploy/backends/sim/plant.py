@@ -13,11 +13,11 @@ from deploy.backends.sim.heat import Housings, Windings
 from deploy.backends.sim.kinematics import Kinematics
 from deploy.backends.sim.model.drawn_parameters import write_draw
 from deploy.backends.sim.model.plant_model import PlantModel, build
-from deploy.backends.sim.truth import Truth
 from deploy.backends.sim.wear import Wear, WornJoints
 from deploy.masks import all_true, any_true
 from deploy.stage import Stage
 from deploy.state import Command
+from deploy.truth import Truth
 from robots.arrays import Bools, Floats
 from robots.distributions import Distributions
 from robots.draws import Draw

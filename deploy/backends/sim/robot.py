@@ -7,9 +7,9 @@ import numpy as np
 from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.sensor_faults import Fault
 from deploy.backends.sim.sensors import Sensors
-from deploy.backends.sim.truth import Truth
 from deploy.stage import Stage
 from deploy.state import Command, Sample
+from deploy.truth import Truth
 from robots.arrays import Bools, Floats
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw

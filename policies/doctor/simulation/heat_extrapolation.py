@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deploy.backends.sim.robot import SimRobot
-from deploy.backends.sim.truth import Truth
+from deploy.truth import Truth
 from robots.arrays import Floats
 from robots.motors.motor import MotorHeat, temperatures
 from robots.motors.windings import nominal_windings

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from onnx import ModelProto, NodeProto, TensorProto, ValueInfoProto
 
-from deploy.policy.observation_terms import SIZE_MAX
+from deploy.policy.contract_term import SIZE_MAX
 from deploy.policy.onnx_graph import check_model, decode, graphs, shortened, tensors
 from deploy.policy.policy import AGREEMENT, load_session
 from policies.importers.onnx_files.metadata import known_from

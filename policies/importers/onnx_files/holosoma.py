@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import AliasPath, Field
 
 from deploy.policy.contract import TEXT_MAX, Hertz
-from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
+from deploy.policy.contract_term import SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
 from policies.importers.draft_fields import (
     contract_fields,
     gain_fields,

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
-from deploy.policy.observation_terms import SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
+from deploy.policy.contract_term import SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
 from policies.importers.draft_fields import (
     SOURCES,
     contract_fields,

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from deploy.policy.observation_terms import SIZE_MAX
+from deploy.policy.contract_term import SIZE_MAX
 from policies.importers.draft_fields import (
     contract_fields,
     gain_fields,

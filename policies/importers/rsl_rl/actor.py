@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from deploy.policy.observation_terms import SIZE_MAX
+from deploy.policy.contract_term import SIZE_MAX
 from policies.importers.normalizer import Normalizer
 from policies.importers.reference_policy import RunSequence
 from policies.importers.torch_files.network_settings import Activation

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from deploy.policy.observation_terms import SIZE_MAX
+from deploy.policy.contract_term import SIZE_MAX
 from policies.importers.reference_policy import MissingSettingError, PolicyFacts, ReferencePolicy
 from policies.importers.stable_baselines.archive import read_zip
 from policies.importers.stable_baselines.vec_normalize import VecNormalize, read_vec_normalize

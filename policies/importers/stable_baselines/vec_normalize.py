@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.policy.observation_terms import SIZE_MAX
+from deploy.policy.contract_term import SIZE_MAX
 from policies.importers.untrusted.pickle_reader import UnresolvedCall, read_pickle
 from policies.importers.untrusted.zip_archive import read_bytes
 from robots.errors import ContractError

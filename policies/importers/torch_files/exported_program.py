@@ -7,7 +7,7 @@ from torch import nn
 from torch.export import ExportedProgram
 from torch.export.pt2_archive._package import load_pt2
 
-from deploy.policy.observation_terms import SIZE_MAX
+from deploy.policy.contract_term import SIZE_MAX
 from deploy.policy.onnx_graph import shortened
 from policies.importers.reference_policy import ReferencePolicy
 from policies.importers.torch_files.exported_program_check import check_tensors, sanitize_program

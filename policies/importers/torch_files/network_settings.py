@@ -5,7 +5,7 @@ from typing import Literal, Self
 
 from pydantic import model_validator
 
-from deploy.policy.observation_terms import Numbers, Scales
+from deploy.policy.contract_term import Numbers, Scales
 from robots.errors import ContractError
 from robots.strict import Strict
 

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deploy.policy.observation_terms import SIZE_MAX
+from deploy.policy.contract_term import SIZE_MAX
 from deploy.policy.onnx_graph import shortened
 from policies.importers.reference_policy import ReferencePolicy
 from policies.importers.torch_files.torchscript_check import check_source

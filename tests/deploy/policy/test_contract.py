@@ -7,7 +7,7 @@ from hypothesis import given, settings
 
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract import TEXT_MAX, ActionSpec, Contract, Observed
-from deploy.policy.observation_source import SOURCES
+from deploy.policy.observation_sources import SOURCES
 from robots.errors import ContractError
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm

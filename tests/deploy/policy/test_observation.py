@@ -4,8 +4,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from deploy.policy.contract import Contract
+from deploy.policy.contract_term import Term
 from deploy.policy.observation import Observation
-from deploy.policy.observation_terms import Term
 from support.contracts import arm_contract
 
 SIZES = {"joint_position": 6, "goal_from_tool": 3}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.safety.check import Check, Limits
-from deploy.safety.check_table import CheckTable
+from deploy.safety.check_evaluation import CheckTable
 from deploy.safety.checks import CHECKS
 from deploy.safety.safety import Safety
 from deploy.state import Reason

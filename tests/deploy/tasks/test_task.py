@@ -19,7 +19,7 @@ from support.runtimes import built, play
 OUTSIDE = '''
 """Turn the first joint to one angle after another."""
 import numpy as np
-from deploy.policy.observation_source import ObservationSource
+from deploy.policy.observation_sources import ObservationSource
 from deploy.tasks.score import Scoring
 from deploy.tasks.task import Task
 

@@ -26,7 +26,7 @@ class ObservationSource(NamedTuple):
     Attributes:
         frame, unit: of its numbers.
         size: numbers; None: one for each joint.
-        read: (B, size) numbers from a runtime that has just estimated.
+        read: (B, size) numbers from the runtime, after this tick's estimate.
         supply: sensors and estimators behind it, in words.
         sensors: kinds of sensors that it needs.
         needs: capabilities that it needs.
@@ -45,7 +45,7 @@ class ObservationSource(NamedTuple):
 
 def _gait_phase(runtime: "Runtime") -> Floats:
     """(B, 2) sine and cosine of 2π t / period_s, t since arming."""
-    phase = 2.0 * np.pi / runtime.contract.period_s * runtime.spec.dt * runtime.since
+    phase = 2.0 * np.pi / runtime.contract.period_s * runtime.spec.dt * runtime.ticks_since_arming
     return np.stack((np.sin(phase), np.cos(phase)), axis=1)
 
 
