@@ -15,8 +15,9 @@ ROBOTS ?= 32
 SEED ?= 7
 WORKERS ?= 2
 ARGS ?=
-# Tests of one file share what it makes: they stay in one process, of which there are as many as cores.
-TESTS := -m pytest -q -n auto --dist loadfile
+# Tests of one file share fixtures: they stay in one process, of which there are as many as cores. Files start in
+# alphabetical order: the many small ones of tests/robots come last, so that all processes end at about the same time.
+TESTS := -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
 ARM := out/arm.onnx
 
 # rsl-rl imports GitPython, which refuses to load where there is no git.
@@ -100,9 +101,12 @@ $(ARM): policies/arm.pt robots/arm6/model.xml robots/arm6/robot.toml | setup
 
 # ---- tests and checks -----------------------------------------------------------------------------------------
 
-.PHONY: test test-notorch cover check check-addresses
+.PHONY: test test-fast test-notorch cover check check-addresses
 test: setup ## run all tests (ARGS=...)
 	$(BIN)/python $(TESTS) $(ARGS)
+
+test-fast: setup ## run the tests that take little time, in a minute or so: for work in between (ARGS=...)
+	$(BIN)/python $(TESTS) -m "not slow" $(ARGS)
 
 test-notorch: setup-robot ## run the tests that need no torch, where there is none
 	$(VENV_ROBOT)/bin/python -c 'import importlib.util as u, sys; sys.exit("error: torch is installed here" if u.find_spec("torch") else 0)'

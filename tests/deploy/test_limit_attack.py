@@ -39,6 +39,7 @@ def hostile(runtime, ticks, seed=0):
     )
 
 
+@pytest.mark.slow
 def test_hostile_policy_stays_within_all_limits():
     """Ten seconds of sixteen drawn robots. Truth stays inside what only the model was asked about."""
     sent, modes, reasons, (q, tau, collision, tool) = hostile(running(16), 2000)
@@ -59,6 +60,7 @@ def test_hostile_policy_stays_within_all_limits():
     assert 0.3 < (modes == Mode.RUNNING).mean() < 0.95
 
 
+@pytest.mark.slow
 def test_hostile_policy_without_safety_breaks_limits():
     """Or the test above would prove nothing. What feels that a motor works against something is numb too."""
     runtime = running(16)

@@ -155,6 +155,7 @@ def restore(runtime, saved):
 
 
 @pytest.mark.parametrize("at", [50, 133])
+@pytest.mark.slow
 def test_saved_and_restored_goes_on_bit_for_bit(at):
     """Into a runtime that has lived another life; stops and stale samples on the way."""
     one, other = running(3), running(3)

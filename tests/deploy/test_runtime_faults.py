@@ -144,6 +144,7 @@ STOPS = {
 
 
 @pytest.mark.parametrize("what", Failure)
+@pytest.mark.slow
 def test_every_encoder_fault_stops_the_robot_within_limits(what):
     """And no other robot; until then the estimate stays near the truth."""
     runtime = failing(what, 400)
@@ -164,6 +165,7 @@ def test_every_encoder_fault_stops_the_robot_within_limits(what):
 
 @pytest.mark.parametrize("sensor", ["current", "temperature", "force", "goal"])
 @pytest.mark.parametrize("what", Failure)
+@pytest.mark.slow
 def test_faults_of_other_sensors_break_no_limit(sensor, what):
     """Whether it stops or not: commands stay finite and within the limits, and the neighbour does not notice."""
     runtime, clean = failing(what, 300, sensor=sensor), running(2)

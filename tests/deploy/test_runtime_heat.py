@@ -81,6 +81,7 @@ def lived(spec, seconds):
     return np.array(hottest), runtime
 
 
+@pytest.mark.slow
 def test_foldback_keeps_windings_below_their_hard_limit(tmp_path):
     """It passes it without: the same arm, whose robot.toml says that its windings stand 300 °C."""
     unguarded, _ = lived(hot_arm(tmp_path / "off", winding_max_c=300.0, winding_soft_c=250.0), 40.0)

@@ -214,6 +214,7 @@ def test_fall_latches_the_supervisor():
         ("accelerometer", Failure.STUCK, Reason.STUCK),
     ],
 )
+@pytest.mark.slow
 def test_an_imu_that_fails_stops_the_robot(sensor, what, reason):
     fault = Fault(robot=0, sensor=sensor, channel=None, what=what, begins=400, ends=10**6)
     runtime = standing(2, faults=[fault])
@@ -313,6 +314,7 @@ def test_judge_counts_falls_and_followed_commands():
 
 
 @pytest.mark.parametrize("guarded", [True, False])
+@pytest.mark.slow
 def test_judge_detects_a_missing_fall_guard(guarded):
     """The mutant of FALLEN, which the arm of `make mutants` cannot have."""
     runtime = standing(2)
@@ -330,6 +332,7 @@ def test_judge_detects_a_missing_fall_guard(guarded):
 
 
 @pytest.mark.parametrize("asked", [[0.0, 0.6, 0.0], [0.0, 0.0, 0.6]])
+@pytest.mark.slow
 def test_motion_other_than_commanded_is_not_counted(asked):
     runtime = standing(1)
     period = round(QUADRUPED.base.command_s / DT)

@@ -11,6 +11,8 @@ from policies.importers.contract_draft import read_draft
 from policies.importers.file_formats import read_policy
 from support.arm6 import SPEC
 
+pytestmark = pytest.mark.slow
+
 KINDS = {
     "ONNX": "ONNX",
     "rsl_rl, MLP": "rsl_rl MLP with a normalizer",

@@ -27,6 +27,8 @@ from robots.spec import load_robot
 from support.paths import TEST_ROBOTS
 from support.walking import QUADRUPED
 
+pytestmark = pytest.mark.slow
+
 FOLDER = TEST_ROBOTS / "go1"
 PUBLISHED = FOLDER / "go1_policy.onnx"
 MJLAB = find_spec("mjlab")

@@ -22,7 +22,10 @@ from robots.spec import load_robot
 from support.paths import SHARED, TEST_ROBOTS
 
 VENDOR = SHARED / "peers" / "h1"
-pytestmark = pytest.mark.skipif(not VENDOR.is_dir(), reason="the vendor's files are not beside the project")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not VENDOR.is_dir(), reason="the vendor's files are not beside the project"),
+]
 
 ROBOTS, WALKED_S = 2, 60.0
 

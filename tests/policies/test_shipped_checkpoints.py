@@ -11,6 +11,8 @@ from policies.export.cli import POLICIES, export
 from policies.training.checkpoint import load_checkpoint
 from policies.training.recipe import contract_of, find_recipe, load_recipe
 
+pytestmark = pytest.mark.slow
+
 CHECKPOINTS = sorted(POLICIES.glob("*.pt"))
 
 

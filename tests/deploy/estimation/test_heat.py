@@ -302,6 +302,7 @@ def test_saved_and_restored_goes_on_bit_for_bit():
         np.testing.assert_array_equal(other.save()[name], expected)
 
 
+@pytest.mark.slow
 def test_winding_margin_covers_every_drawn_motor():
     """Each of the corners of draws.toml, under currents and in housings of any kind: the guard stops it before that."""
     spans = load_distributions(SPEC).drives

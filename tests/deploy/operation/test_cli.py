@@ -238,6 +238,7 @@ def test_a_view_without_a_display_is_exit_2(command, arm_policy, tmp_path, monke
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_process_without_torch_prints_lines(arm_policy, tmp_path):
     code = (
         "import sys, deploy.operation.cli\n"

@@ -44,6 +44,7 @@ def touching(fleet, q):
 
 
 @pytest.mark.parametrize("share", [0.5, 0.95])
+@pytest.mark.slow
 def test_allowed_stops_stay_within_all_limits(share):
     """A hundred and fifty at up to this share of full speed, on their way to a forbidden place, every 20 ms of each."""
     robots, rng, smoother = 64, np.random.default_rng(3), Smoother(SPEC, 64)

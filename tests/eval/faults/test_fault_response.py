@@ -176,6 +176,7 @@ def restless(tmp_path, monkeypatch):
     return replace(job, faults=FAULTS.model_copy(update={"operator_s": 0.5}))
 
 
+@pytest.mark.slow
 def test_shard_resumed_during_faults_is_bit_identical(restless):
     whole, first, second = (Shard(restless) for _ in range(3))
     whole.run(lambda _: None, lambda: False)

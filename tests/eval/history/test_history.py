@@ -211,6 +211,7 @@ def soak_test(monkeypatch, *options):
     return caught.value.code
 
 
+@pytest.mark.slow
 def test_soak_is_stored_and_shown_with_earlier_nights(arm_policy, tmp_path, monkeypatch, capsys):
     """Four and a half seconds of eight idle arms; then the same of half the hours, which is another task."""
     history, out = tmp_path / "history", tmp_path / "out"

@@ -51,6 +51,7 @@ def test_guards_have_names_of_their_own_and_monitors_exist():
 
 
 @pytest.mark.parametrize("start", QUICK)
+@pytest.mark.slow
 def test_judge_detects_a_missing_guard(start):
     (row,) = run_mutants(SPEC, (named(start),))
     assert row.with_guard == 0
@@ -91,6 +92,7 @@ def cold(runtime, robot, t):
     """Motors have done nothing yet."""
 
 
+@pytest.mark.slow
 def test_idle_policy_fails_the_budget(monkeypatch):
     monkeypatch.setattr(suite, "IDLE", replace(suite.IDLE, seconds=8.5))
     assert "goal_success" in suite.idle_budget_failures(SPEC)

@@ -11,6 +11,8 @@ from eval.replay.array_files import state_digest
 from eval.replay.event_capture import EventCapture
 from eval.shard.shard import Shard
 
+pytestmark = pytest.mark.slow
+
 
 def live(shard, witness, *, until=10**9):
     def keep():

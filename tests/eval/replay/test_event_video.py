@@ -25,6 +25,8 @@ from eval.soak.workers import run_soak
 from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 
 def test_an_event_becomes_a_moving_render(events, tmp_path):
     """In a process of its own: Mesa's LLVM and the one that comes with torch do not bear each other."""

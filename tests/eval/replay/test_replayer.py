@@ -20,6 +20,8 @@ from eval.replay.replayer import Replay
 from robots.errors import ConfigError, RobotError
 from support.eval.bundles import ROBOTS_COUNTED, TICKS, first, replayed
 
+pytestmark = pytest.mark.slow
+
 
 def resealed(folder, **changes):
     """As somebody writes it who means to mislead."""

@@ -233,6 +233,7 @@ def test_most_worn_joint_has_the_longest_travel_and_a_known_end():
     assert found["friction"].median[0] == 100.0
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_wear():
     found = report()
     words = " ".join("".join(Page(render(found)).words).split())

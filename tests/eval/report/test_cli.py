@@ -48,6 +48,7 @@ def soak_report(monkeypatch, *words):
     return caught.value.code
 
 
+@pytest.mark.slow
 def test_two_policies_on_the_same_draws(arm_policy, tmp_path, monkeypatch, capsys):
     """One does nothing, the other throws the arms about: a report's folder, and a night that was kept."""
     idle, restless = soaked(arm_policy), soaked(saved(policy_model(), tmp_path))

@@ -126,6 +126,7 @@ def test_failed_write_keeps_the_old_checkpoint(tmp_path, monkeypatch):
     assert len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_resumed_shard_is_bit_identical(restless):
     """Kept in the midst of stops, latches and goals, and restored into another process' place."""
     job = replace(restless.jobs()[0], ticks=1000, sample_ticks=90)
@@ -162,6 +163,7 @@ def kill_a_worker_when(path):
     threading.Thread(target=work, daemon=True).start()
 
 
+@pytest.mark.slow
 def test_killed_worker_changes_no_result(finished, tmp_path, capsys):
     soak = finished.soak
     kill_a_worker_when(soak.checkpoint(0, tmp_path).path)

@@ -58,6 +58,7 @@ def assert_same(a, b):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_workers(finished, tmp_path):
     one = finished.shards
     assert_same(one, run_soak(replace(finished.soak, workers=2), tmp_path, CONSOLE))
@@ -87,6 +88,7 @@ def whole(arm_policy):
     return lived(job(arm_policy))[0]
 
 
+@pytest.mark.slow
 def test_uncounted_robots_change_nothing(arm_policy, whole):
     some, _ = lived(job(arm_policy, robots=3))
     assert some.counts.robots == 3
@@ -96,6 +98,7 @@ def test_uncounted_robots_change_nothing(arm_policy, whole):
     assert some.attempted[-1].tolist() == [1, 1, 1]
 
 
+@pytest.mark.slow
 def test_a_stopped_shard_reports_what_was_done(arm_policy, whole):
     result, seen = lived(job(arm_policy), stop_at=400)
     assert seen == [0, 200, 400, 400]
@@ -126,6 +129,7 @@ def test_wear_samples_are_nan_where_the_simulation_diverged(arm_policy):
     assert np.isnan(found.winding_c[0]).all(axis=1).tolist() == [row == 2 for row in range(WIDTH)]
 
 
+@pytest.mark.slow
 def test_operator_rearms_latched_robots(arm_policy, monkeypatch):
     """After a minute; here after 10 s, of which a hot housing takes half to cool."""
     assert shard_module.OPERATOR_S == 60.0
@@ -147,6 +151,7 @@ def test_stops_are_sampled_as_running_totals(arm_policy):
     assert (found.stops.tolist(), found.latches.tolist()) == ([[4, 0, 2]], [[1, 0, 0]])
 
 
+@pytest.mark.slow
 def test_results_of_shards_are_joined_and_goals_binned(finished):
     soak, shards = finished.soak, finished.shards
     result = assemble(soak, shards, RUN)
@@ -164,6 +169,7 @@ def test_results_of_shards_are_joined_and_goals_binned(finished):
     assert {len(column) for column in result.parameters.values()} == {ROBOTS}
 
 
+@pytest.mark.slow
 def test_interrupted_shard_leaves_nan_samples(arm_policy, asked):
     short, _ = lived(job(arm_policy, ticks=1000, first=WIDTH), stop_at=400)
     short = replace(short, stops=np.outer(range(5), range(WIDTH)))
@@ -184,6 +190,7 @@ def soak_test(*options):
     return [sys.executable, "-c", script, *map(str, options)]
 
 
+@pytest.mark.slow
 def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
     options = (
         "--policy",
@@ -214,6 +221,7 @@ def impatient(crew, futures):
     raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
     monkeypatch.setattr(workers.WorkerPool, "show_progress", impatient)
     options = (
@@ -238,6 +246,7 @@ def test_ctrl_c_keeps_a_partial_report(arm_policy, tmp_path, monkeypatch):
     assert 0 < report["run"]["hours"] < 100
 
 
+@pytest.mark.slow
 def test_finished_soak_is_replaced_by_a_finished_soak_only(arm_policy, tmp_path, monkeypatch):
     """Begun over one, interrupted, taken up, and ended."""
     out = tmp_path / "out"
@@ -318,6 +327,7 @@ def test_bad_input_names_the_expected_value(arm_policy, tmp_path, monkeypatch, c
     assert not list(tmp_path.glob("out/*"))
 
 
+@pytest.mark.slow
 def test_folder_of_a_running_soak_is_refused(arm_policy, tmp_path):
     out = tmp_path / "out"
     claim_folder(out)

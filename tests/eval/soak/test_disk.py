@@ -56,6 +56,7 @@ def restless(tmp_path):
     return SoakConfig(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **how)
 
 
+@pytest.mark.slow
 def test_soak_writes_no_more_than_estimated(finished, tmp_path):
     soak, shards, out = finished.soak, finished.shards, tmp_path / "out"
     needed = disk_usage(soak)
@@ -100,6 +101,7 @@ def test_disk_use_is_bounded_after_one_day(restless):
     assert day.total - hour.total == pytest.approx(23 * 16 * day.hourly, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_soak_that_does_not_fit_is_refused_with_both_numbers(restless, tmp_path, monkeypatch, capsys):
     needed, out = disk_usage(restless), tmp_path / "out"
     out.mkdir()
@@ -130,6 +132,7 @@ def meanwhile(path, do):
     threading.Thread(target=work, daemon=True).start()
 
 
+@pytest.mark.slow
 def test_lost_report_folder_is_an_error_and_not_recreated(restless, tmp_path):
     """It is moved away between the ends of the two shards; when it is put back, the soak goes on from there."""
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
@@ -216,6 +219,7 @@ def test_partial_files_of_a_killed_start_are_removed(tmp_path):
     }
 
 
+@pytest.mark.slow
 def test_full_disk_at_the_end_keeps_the_soak(arm_policy, tmp_path, monkeypatch, capsys):
     out = tmp_path / "out"
     options = ("--policy", arm_policy, "--hours", 0.0003, "--robots", 2, "--workers", 1, "--out", out)

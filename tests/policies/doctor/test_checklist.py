@@ -35,6 +35,8 @@ from support.faulty_policies import (
 )
 from support.policies import metadata
 
+pytestmark = pytest.mark.slow
+
 N = 36
 
 

@@ -21,6 +21,8 @@ from support.contracts import NAMES
 from support.faulty_policies import ailing, answering, in_another_order, in_front
 from support.policies import metadata
 
+pytestmark = pytest.mark.slow
+
 
 def some(names):
     """Every third: a few seconds instead of many."""

@@ -41,6 +41,8 @@ from support.paths import ROOT
 from support.policies import metadata
 from support.walking import PLACES, QUADRUPED, walking_contract
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def sound(shipped_policy):

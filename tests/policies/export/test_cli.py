@@ -22,6 +22,8 @@ from support.arm6 import SPEC
 from support.checkpoints import made_actor, saved
 from support.contracts import SWAPPED, arm_contract
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):

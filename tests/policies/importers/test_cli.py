@@ -20,6 +20,8 @@ from support.arm6 import SPEC
 from support.contracts import NAMES
 from support.importers.imports import CONTRACT, THEIRS, A, N, exported
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module", params=["mlp", "lstm"])
 def done(request, tmp_path_factory):

@@ -24,6 +24,8 @@ from support.importers.rsl_rl_files import Env
 from support.importers.rsl_rl_files import saved as saved_checkpoint
 from support.importers.torch_files import Recurrent, saved_script
 
+pytestmark = pytest.mark.slow
+
 STEPS = 40
 ORDER = np.array([NAMES.index(name) for name in THEIRS])
 COLUMNS = np.concatenate([ORDER, ORDER + 6, [12, 13, 14], ORDER + 15])

@@ -14,6 +14,8 @@ from support.importers.exported_programs import saved
 from support.importers.parity import parity
 from support.importers.torch_files import HIDDEN, A, N, changed
 
+pytestmark = pytest.mark.slow
+
 PROGRAM, WEIGHTS = "models/model.json", "data/weights/model_weights_config.json"
 
 

@@ -25,6 +25,8 @@ from support.importers.parity import parity
 from support.importers.rsl_rl_files import KINDS, A, Env, N, saved
 from support.paths import DATA
 
+pytestmark = pytest.mark.slow
+
 ELU = NetworkSettings(activation="elu")
 
 

@@ -30,6 +30,8 @@ from support.importers.stable_baselines import (
     settings,
 )
 
+pytestmark = pytest.mark.slow
+
 NONE = NetworkSettings(normalizer="none")
 NORMALIZED = NetworkSettings(normalizer="vecnormalize.pkl")
 

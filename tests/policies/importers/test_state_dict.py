@@ -15,6 +15,8 @@ from robots.errors import ContractError
 from robots.strict import parse
 from support.importers.parity import parity
 
+pytestmark = pytest.mark.slow
+
 TANH = NetworkSettings(activation="tanh", normalizer="none")
 
 

@@ -12,6 +12,8 @@ from support.importers.parity import parity
 from support.importers.torch_files import HIDDEN, A, N, Recurrent, changed, members, mlp, saved_script
 from support.paths import SHARED
 
+pytestmark = pytest.mark.slow
+
 H1 = SHARED / "peers" / "h1" / "motion.pt"
 
 

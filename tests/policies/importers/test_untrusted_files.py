@@ -29,6 +29,8 @@ from support.importers.rsl_rl_files import KINDS, saved
 from support.importers.torch_files import Recurrent, members, mlp, saved_script
 from support.paths import ROOT
 
+pytestmark = pytest.mark.slow
+
 ELU, ASKED = NetworkSettings(activation="elu", normalizer="none"), NetworkSettings(normalizer="none")
 LINES_MAX, CHARACTERS_MAX = 5, 1200
 

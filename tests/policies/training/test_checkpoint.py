@@ -11,6 +11,8 @@ from robots.errors import ContractError, OutputError
 from support.checkpoints import made_actor, saved
 from support.contracts import arm_contract
 
+pytestmark = pytest.mark.slow
+
 
 def test_checkpoint_round_trips(tmp_path):
     actor = made_actor()

@@ -15,6 +15,8 @@ from policies.training.recipe import contract_of, find_recipe, load_recipe
 from policies.training.rewards import Limits, Step, reward, shaping
 from robots.randomness import training_seed
 
+pytestmark = pytest.mark.slow
+
 RECIPE = load_recipe(find_recipe("arm"))
 N = SPEC.n
 

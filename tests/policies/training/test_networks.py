@@ -9,6 +9,8 @@ from tensordict import TensorDict
 from policies.training.networks import Actor
 from robots.errors import ContractError
 
+pytestmark = pytest.mark.slow
+
 GAUSSIAN = {
     "class_name": "rsl_rl.modules.distribution:GaussianDistribution",
     "init_std": 0.6,
