@@ -1,6 +1,6 @@
 """Results of checks: messages with a verdict, summarized in one row per check."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -77,3 +77,17 @@ def format_values(
     ]
     more = f" and {len(indices) - NAMED_MAX} more" if len(indices) > NAMED_MAX else ""
     return ", ".join(text) + unit + more
+
+
+def flag(
+    note: Callable[[str], Message],
+    selection: Selection,
+    before: str,
+    names: Sequence[str],
+    *numbers: Floats,
+    unit: str = "",
+    after: str = "",
+) -> Iterator[Message]:
+    """Yield a message listing the selected names with their numbers between two texts, if any is selected."""
+    if len(np.arange(len(names))[selection]):
+        yield note(before + format_values(names, *numbers, unit=unit, selection=selection) + after)

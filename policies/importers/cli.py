@@ -87,9 +87,9 @@ def _onnx(reference: ReferencePolicy, built: BuiltContract) -> bytes:
 
 def _golden(reference: ReferencePolicy, built: BuiltContract) -> Golden:
     """Return golden pairs: one sequence of the reference from its initial state."""
-    theirs = reference.sample_observations(np.random.default_rng(1), (GOLDEN_STEPS,))
-    observation = reference.reorder_observations(theirs, built.columns)
-    action = reference.run(theirs, np.arange(GOLDEN_STEPS) == 0)[:, built.joints]
+    inputs = reference.sample_observations(np.random.default_rng(1), (GOLDEN_STEPS,))
+    observation = reference.reorder_observations(inputs, built.columns)
+    action = reference.run(inputs, np.arange(GOLDEN_STEPS) == 0)[:, built.joints]
     pairs = {"observation": observation.tolist(), "action": action.tolist()}
     return parse(pairs, Golden, source="golden pairs", error=ContractError)
 

@@ -45,13 +45,13 @@ def record_reference(
         ("observation", (SINGLES, 1), 1.0),
         ("sequence", (SEQUENCES, STEPS), RESET_CHANCE),
     ):
-        theirs = reference.sample_observations(rng, shape)
-        ours = reference.reorder_observations(theirs, columns)
+        inputs = reference.sample_observations(rng, shape)
+        reordered = reference.reorder_observations(inputs, columns)
         resets = rng.random(shape) < chance
         resets[:, 0] = True
-        flat = reference.run(theirs.reshape(-1, reference.facts.observations), resets.ravel())
+        flat = reference.run(inputs.reshape(-1, reference.facts.observations), resets.ravel())
         action = flat.reshape(*shape, reference.facts.actions)[..., joints]
-        runs.append(ReferenceRun(name=name, observation=ours, resets=resets, action=action))
+        runs.append(ReferenceRun(name=name, observation=reordered, resets=resets, action=action))
     return runs
 
 

@@ -93,18 +93,18 @@ class ReferencePolicy:
         """M, number of recurrent state elements."""
         return sum(memory.size for memory in self.memory)
 
-    def reorder_observations(self, theirs: Float32s, columns: NDArray[np.int64]) -> Float32s:
-        """Return observations (..., N) in the contract's order, (..., M), and set absent numbers of `theirs` to 0.
+    def reorder_observations(self, inputs: Float32s, columns: NDArray[np.int64]) -> Float32s:
+        """Return observations (..., N) in the contract's order, (..., M), and set absent numbers of `inputs` to 0.
 
         Args:
-            theirs: (..., N) in the policy's order, changed in place.
+            inputs: (..., N) in the policy's order, changed in place.
             columns: (N,) as in `contract_builder.BuiltContract`.
         """
         present = columns != ABSENT
-        theirs[..., ~present] = 0.0
-        ours = np.empty((*theirs.shape[:-1], np.count_nonzero(present)), np.float32)
-        ours[..., columns[present]] = theirs[..., present]
-        return ours
+        inputs[..., ~present] = 0.0
+        reordered = np.empty((*inputs.shape[:-1], np.count_nonzero(present)), np.float32)
+        reordered[..., columns[present]] = inputs[..., present]
+        return reordered
 
     def sample_observations(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Float32s:
         """Draw observations (*shape, N) with the mean and deviation of training, or 0 and 1 if unknown."""

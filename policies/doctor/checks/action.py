@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 
 from policies.doctor.check_context import CheckContext
-from policies.doctor.check_result import NAMED_MAX, Message, failed, format_values, passed, warned
-from robots.arrays import Bools, Floats
+from policies.doctor.check_result import NAMED_MAX, Message, failed, flag, format_values, passed, warned
+from robots.arrays import Floats
 from robots.models.nominal_model import load_pinocchio, torque_max
 
 SHARE_MIN = 0.02
@@ -16,6 +16,7 @@ FACTOR_MAX = 3.0
 """Multiple of a joint's speed or torque; an action of 1 that requests more has a wrong scale, rate or gain."""
 DAMPING = (0.05, 20.0)
 """Plausible damping ratios of gains in the units of the contract."""
+REQUEST = "an action of 1 asks for "
 
 
 def action(context: CheckContext) -> Iterator[Message]:
@@ -26,61 +27,47 @@ def action(context: CheckContext) -> Iterator[Message]:
         return
     if spec_of_action.clip is None:
         yield warned("clip: none, so only the working range limits the action: set the clip of training.")
-    yield from (
-        _increments(context)
-        if spec_of_action.offset is None
-        else _positions(context, np.array(spec_of_action.offset))
-    )
+    offset = spec_of_action.offset
+    yield from _increments(context) if offset is None else _positions(context, np.array(offset))
 
 
 def _increments(context: CheckContext) -> Iterator[Message]:
-    spec, spec_of_action = context.spec, context.contract.action
-    low, high = spec_of_action.bounds
-    qd, qd_max = np.array(spec_of_action.scale) * context.contract.policy_hz, spec.joint_array("qd_max")
-    names, requested = spec.joint_names, min(max(-low, high), 1.0) * qd
-    if (excessive := requested > FACTOR_MAX * qd_max).any():
-        yield failed(
-            f"{_describe_request(context, requested, excessive)}: scale or rate differ from training."
+    spec, hz = context.spec, context.contract.policy_hz
+    low, high = context.contract.action.bounds
+    qd, qd_max = np.array(context.contract.action.scale) * hz, spec.joint_array("qd_max")
+    requested = min(max(-low, high), 1.0) * qd
+    excessive, at = requested > FACTOR_MAX * qd_max, f" at {hz} Hz"
+    for note, selection, after in (
+        (failed, excessive, f"{at}: scale or rate differ from training."),
+        (warned, (requested > qd_max) & ~excessive, f"{at}: compare scale and rate with training."),
+        (warned, requested < SHARE_MIN * qd_max, f"{at}, almost nothing: compare the scale with training."),
+    ):
+        yield from flag(
+            note, selection, REQUEST, spec.joint_names, requested, qd_max, unit=" rad/s", after=after
         )
-    if (fast := (requested > qd_max) & ~excessive).any():
-        yield warned(f"{_describe_request(context, requested, fast)}: compare scale and rate with training.")
-    if (slow := requested < SHARE_MIN * qd_max).any():
-        yield warned(
-            f"{_describe_request(context, requested, slow)}, almost nothing: compare the scale with training."
-        )
-    yield passed(f"an action of 1 asks for {format_values(names, requested, qd_max, unit=' rad/s')}.")
-
-
-def _describe_request(context: CheckContext, requested: Floats, selection: Bools) -> str:
-    names, qd_max = context.spec.joint_names, context.spec.joint_array("qd_max")
-    requested_text = format_values(names, requested, qd_max, unit=" rad/s", selection=selection)
-    return f"an action of 1 asks for {requested_text} at {context.contract.policy_hz} Hz"
+    yield passed(f"{REQUEST}{format_values(spec.joint_names, requested, qd_max, unit=' rad/s')}.")
 
 
 def _positions(context: CheckContext, offset: Floats) -> Iterator[Message]:
-    spec, spec_of_action = context.spec, context.contract.action
-    names, scale = spec.joint_names, np.array(spec_of_action.scale)
-    q_min, q_max, home = (spec.joint_array(f"q_{end}") for end in ("min", "max", "home"))
-    outside = (offset < q_min) | (offset > q_max)
-    if outside.any():
-        yield failed(
-            f"an action of 0 asks for {format_values(names, offset, unit=' rad', selection=outside)},"
-            " outside the working range:"
-            " the offset must be the default pose of training, in the robot's order and in rad."
-        )
-    beyond = (offset - scale < q_min) | (offset + scale > q_max)
-    if (beyond := beyond & ~outside).any():
+    names, scale = context.spec.joint_names, np.array(context.contract.action.scale)
+    q_min, q_max, home = (context.spec.joint_array(f"q_{end}") for end in ("min", "max", "home"))
+    outside, span = (offset < q_min) | (offset > q_max), q_max - q_min
+    expected = "the offset must be the default pose of training, in the robot's order and in rad."
+    after = f", outside the working range: {expected}"
+    yield from flag(failed, outside, "an action of 0 asks for ", names, offset, unit=" rad", after=after)
+    beyond = ((offset - scale < q_min) | (offset + scale > q_max)) & ~outside
+    if beyond.any():
         yield warned(
             f"an action of 1 or -1 sends {', '.join(np.array(names)[beyond][:NAMED_MAX])} beyond the working range,"
             " where the smoother clamps it: compare offset and scale with training."
         )
-    span = q_max - q_min
-    if (small := scale < SHARE_MIN * span).any():
-        values = format_values(names, scale, span, unit=" rad", selection=small)
-        yield warned(f"an action of 1 moves {values}, almost nothing: compare the scale with training.")
-    if (wide := scale > span).any():
-        values = format_values(names, scale, span, unit=" rad", selection=wide)
-        yield warned(f"an action of 1 moves {values}, more than the joint can: compare the scale.")
+    for selection, after in (
+        (scale < SHARE_MIN * span, ", almost nothing: compare the scale with training."),
+        (scale > span, ", more than the joint can: compare the scale."),
+    ):
+        yield from flag(
+            warned, selection, "an action of 1 moves ", names, scale, span, unit=" rad", after=after
+        )
     yield passed(f"an action of 0 asks for {format_values(names, offset, home, unit=' rad')}, where home is.")
 
 
@@ -105,29 +92,20 @@ def gains(context: CheckContext) -> Iterator[Message]:
 
 def _check_torque_and_damping(context: CheckContext, kp: Floats, kd: Floats) -> Iterator[Message]:
     """Check the torque of an action of 1 and the damping ratio of the gains."""
-    names, tau, limit = (
-        context.spec.joint_names,
-        kp * np.array(context.contract.action.scale),
-        torque_max(context.spec),
-    )
-    for note, selection in (
-        (failed, tau > FACTOR_MAX * limit),
-        (warned, (tau > limit) & (tau <= FACTOR_MAX * limit)),
-    ):
-        if selection.any():
-            yield note(
-                "kp × scale, the torque of an action of 1, is"
-                f" {format_values(names, tau, limit, unit=' N·m', selection=selection)}:"
-                " compare kp and scale with training."
-            )
-    ratio = kd / (2.0 * np.sqrt(kp * _inertia(context)))
-    if (odd := (ratio < DAMPING[0]) | (ratio > DAMPING[1])).any():
-        yield warned(
-            f"kp and kd give a damping ratio of {format_values(names, ratio, selection=odd)}, usual is"
-            f" {DAMPING[0]} to {DAMPING[1]}:"
-            " are they of the joint, in N·m/rad and N·m·s/rad?"
+    names, limit = context.spec.joint_names, torque_max(context.spec)
+    tau = kp * np.array(context.contract.action.scale)
+    excessive = tau > FACTOR_MAX * limit
+    for note, selection in ((failed, excessive), (warned, (tau > limit) & ~excessive)):
+        before, after = (
+            "kp × scale, the torque of an action of 1, is ",
+            ": compare kp and scale with training.",
         )
-    yield passed(f"an action of 1 asks for {format_values(names, tau, limit, unit=' N·m')}.")
+        yield from flag(note, selection, before, names, tau, limit, unit=" N·m", after=after)
+    ratio = kd / (2.0 * np.sqrt(kp * _inertia(context)))
+    odd, usual = (ratio < DAMPING[0]) | (ratio > DAMPING[1]), f"{DAMPING[0]} to {DAMPING[1]}"
+    after = f", usual is {usual}: are they of the joint, in N·m/rad and N·m·s/rad?"
+    yield from flag(warned, odd, "kp and kd give a damping ratio of ", names, ratio, after=after)
+    yield passed(f"{REQUEST}{format_values(names, tau, limit, unit=' N·m')}.")
 
 
 def _inertia(context: CheckContext) -> Floats:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from policies.doctor.check_context import CheckContext
-from policies.doctor.check_result import Message, failed, format_values, passed, warned
+from policies.doctor.check_result import Message, failed, flag, format_values, passed, warned
 from policies.doctor.checks.normalizer import Statistics
 from robots.arrays import Bools, Float32s, Floats, Ints
 
@@ -64,12 +64,10 @@ def _compare_statistics(expected: Statistics, found: Statistics) -> Iterator[Mes
 
 def _check_scale(rms: Floats, names: list[str], *, graph: bool) -> Iterator[Message]:
     what = "behind the graph's normalizer" if graph else "and no normalizer in the graph"
-    if (large := rms > RMS_RANGE[1]).any():
-        yield warned(
-            f"with the contract's scales {what} the network gets"
-            f" {format_values(names, rms, selection=_largest_first(rms, large))} (root mean square): it may get"
-            " raw readings: compare the scales, and look for the normalizer of training."
-        )
+    before = f"with the contract's scales {what} the network gets "
+    advice = "it may get raw readings: compare the scales, and look for the normalizer of training."
+    large = _largest_first(rms, rms > RMS_RANGE[1])
+    yield from flag(warned, large, before, names, rms, after=f" (root mean square): {advice}")
 
 
 def _describe_scale(rms: Floats, names: list[str]) -> str:
@@ -145,43 +143,32 @@ def training(context: CheckContext) -> Iterator[Message]:
         )
         return
     yield from _check_history(context, expected)
-    run, names = context.run, _number_names(context)
-    observed_values = run.observation.astype(float)
-    offset, spread = (
-        np.abs(observed_values.mean(axis=0) - expected.mean) / expected.deviation,
-        observed_values.std(axis=0) / expected.deviation,
+    observed_values, names = context.run.observation.astype(float), _number_names(context)
+    offset = np.abs(observed_values.mean(axis=0) - expected.mean) / expected.deviation
+    spread = observed_values.std(axis=0) / expected.deviation
+    # A number that is constant in simulation was constant in training too.
+    moves = np.abs(observed_values - expected.mean).max(axis=0) > 1e-6
+    yield from _check_offset(offset, names)
+    before = "readings of the simulated robot vary more than in training, by these factors: "
+    wide, after = _largest_first(spread, spread > SPREAD[1]), ": compare scales and units."
+    yield from flag(warned, wide, before, names, spread, after=after)
+    still, after = (
+        (spread < SPREAD[0]) & moves & ~_is_command(context),
+        ": too large a scale, or a sensor without signal.",
     )
-    if (far := offset > OFFSET_FAIL).any():
-        yield failed(
-            "the mean of the simulated robot is off training's, in deviations:"
-            f" {format_values(names, offset, selection=_largest_first(offset, far))}: compare scale,"
-            " offset, unit, frame"
-            " and order with training."
-        )
-    if (noticeable := (offset > OFFSET_WARN) & ~far).any():
-        yield warned(
-            "the mean of the simulated robot is off training's, in deviations:"
-            f" {format_values(names, offset, selection=_largest_first(offset, noticeable))}: compare them"
-            " with training."
-        )
-    if (wide := spread > SPREAD[1]).any():
-        yield warned(
-            "readings of the simulated robot vary more than in training, by these factors:"
-            f" {format_values(names, spread, selection=_largest_first(spread, wide))}: compare scales and units."
-        )
-    moves = (
-        np.abs(observed_values - expected.mean).max(axis=0) > 1e-6
-    )  # a constant number was constant in training too
-    still = (spread < SPREAD[0]) & moves & ~_is_command(context)
-    if still.any():
-        yield warned(
-            f"readings hardly vary relative to training: {format_values(names, spread, selection=still)}: too large a"
-            " scale, or a sensor without signal."
-        )
+    yield from flag(warned, still, "readings hardly vary relative to training: ", names, spread, after=after)
     yield passed(
         f"the simulated robot's means are within {offset.max():.1f} deviations of training's, and vary"
         f" {spread[moves].min(initial=np.inf):.2g} to {spread.max():.2g} times as much."
     )
+
+
+def _check_offset(offset: Floats, names: list[str]) -> Iterator[Message]:
+    before, far = "the mean of the simulated robot is off training's, in deviations: ", offset > OFFSET_FAIL
+    after = ": compare scale, offset, unit, frame and order with training."
+    yield from flag(failed, _largest_first(offset, far), before, names, offset, after=after)
+    noticeable = _largest_first(offset, (offset > OFFSET_WARN) & ~far)
+    yield from flag(warned, noticeable, before, names, offset, after=": compare them with training.")
 
 
 def _is_command(context: CheckContext) -> Bools:

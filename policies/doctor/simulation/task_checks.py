@@ -6,7 +6,7 @@ import numpy as np
 
 from eval.judge.monitors import MONITORS
 from policies.doctor.check_context import CheckContext, NotSimulatedError
-from policies.doctor.check_result import Message, failed, format_values, passed, warned
+from policies.doctor.check_result import Message, failed, flag, format_values, passed, warned
 from policies.doctor.simulation.heat_extrapolation import winding_temperature
 from policies.doctor.simulation.simulated_run import GOALS_SHARE_MIN, ROBOTS, SECONDS, SimulatedRun
 from robots.arrays import Floats
@@ -159,15 +159,11 @@ def heat(context: CheckContext) -> Iterator[Message]:
     hot = winding_temperature(spec, heat_load, SHIFT_S)
     soft, hard = spec.motor_array("winding_soft_c"), spec.motor_array("winding_max_c")
     room = f"after eight hours of this work, with middle values of draws.toml, at {heat_load.ambient:.0f} °C"
-    if (burnt := hot > hard).any():
-        yield failed(
-            f"{room}: {format_values(names, hot, hard, unit=' °C', selection=burnt)}: too hot:"
-            f" {_overheating_time(context)}"
-        )
-    if (warm := (hot > soft) & ~burnt).any():
-        yield warned(
-            f"{room}: {format_values(names, hot, soft, unit=' °C', selection=warm)}, above the soft limit."
-        )
+    overheated, warm = hot > hard, (hot > soft) & (hot <= hard)
+    if overheated.any():
+        after = f": too hot: {_overheating_time(context)}"
+        yield from flag(failed, overheated, f"{room}: ", names, hot, hard, unit=" °C", after=after)
+    yield from flag(warned, warm, f"{room}: ", names, hot, soft, unit=" °C", after=", above the soft limit.")
     yield _passed_if_working(context.run, f"{room}: {format_values(names, hot, unit=' °C')}.")
 
 

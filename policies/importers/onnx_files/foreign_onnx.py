@@ -98,11 +98,7 @@ def read_onnx(model: ModelProto, source: str) -> ReferencePolicy:
     if observation not in inputs:
         found = f"output {action!r}: does not depend on {observation!r}"
         raise ContractError(f"{source}: {found}, expected an action computed from the observation")
-    for name in inputs:
-        if name != observation and MEMORIES.get(name) not in outputs:
-            pairs = ", ".join(f"{before} with {after}" for before, after in MEMORIES.items())
-            expected = f"expected {observation!r} and recurrent states: {pairs}"
-            raise ContractError(f"{source}: input {name!r}: unknown, {expected}")
+    _check_inputs(inputs, outputs, observation, source)
     memory = tuple(
         Memory(input_name=name, output_name=MEMORIES[name], shape=_shape(inputs[name], source))
         for name in recurrent
@@ -122,6 +118,16 @@ def read_onnx(model: ModelProto, source: str) -> ReferencePolicy:
         run=_OnnxRunner(model, observation, action, memory, source).run,
     )
     return allow_any_batch(reference, source)
+
+
+def _check_inputs(
+    inputs: Mapping[str, ValueInfoProto], outputs: Mapping[str, ValueInfoProto], observation: str, source: str
+) -> None:
+    for name in inputs:
+        if name != observation and MEMORIES.get(name) not in outputs:
+            pairs = ", ".join(f"{before} with {after}" for before, after in MEMORIES.items())
+            expected = f"expected {observation!r} and recurrent states: {pairs}"
+            raise ContractError(f"{source}: input {name!r}: unknown, {expected}")
 
 
 def allow_any_batch(reference: ReferencePolicy, source: str) -> ReferencePolicy:
