@@ -90,6 +90,11 @@ def read_record(path: Path, report: type[SoakRecord] = SoakRecord) -> SoakRecord
     data = read_json(_text(path), str(path), CHARACTERS_MAX)
     is_report = isinstance(data, dict) and "monitors" in data
     record = parse(data, report if is_report else SoakRecord, source=str(path))
+    _check_record(path, record)
+    return record
+
+
+def _check_record(path: Path, record: SoakRecord) -> None:
     found, expected = record.results_digest, record.sealed()
     if found != expected:
         raise ConfigError(
@@ -97,7 +102,6 @@ def read_record(path: Path, report: type[SoakRecord] = SoakRecord) -> SoakRecord
         )
     if record.run.interrupted:
         raise ConfigError(f"{path}: run.interrupted: found true, expected a finished soak")
-    return record
 
 
 def _text(path: Path) -> str:

@@ -22,16 +22,19 @@ VIEW_S = 1 / 30
 """s between two frames of the viewer."""
 
 
+BundleFolder = Annotated[Path, typer.Argument(help="Folder of an event from soak-test.")]
+View = Annotated[bool, typer.Option("--view", help="Show the replay in MuJoCo's viewer.")]
+VideoFile = Annotated[
+    Path | None, typer.Option(help="GIF file to render to; needs OpenGL (EGL), but no display.")
+]
+McapFile = Annotated[
+    Path | None,
+    typer.Option(help="MCAP file for every signal of the replay; the bundle contains the original."),
+]
+
+
 def soak_replay(
-    bundle: Annotated[Path, typer.Argument(help="Folder of an event from soak-test.")],
-    view: Annotated[bool, typer.Option("--view", help="Show the replay in MuJoCo's viewer.")] = False,
-    video: Annotated[
-        Path | None, typer.Option(help="GIF file to render to; needs OpenGL (EGL), but no display.")
-    ] = None,
-    mcap: Annotated[
-        Path | None,
-        typer.Option(help="MCAP file for every signal of the replay; the bundle contains the original."),
-    ] = None,
+    bundle: BundleFolder, view: View = False, video: VideoFile = None, mcap: McapFile = None
 ) -> int:
     """Simulate an event again and check that it is the same, bit for bit.
 
@@ -83,9 +86,9 @@ def _print(console: Console, line: str) -> None:
 
 def _viewer(replay: Replay) -> Callable[[], None]:
     """Callback that shows the robot in real time."""
-    from deploy.backends.sim.view import View
+    from deploy.backends.sim.view import View as Viewer
 
-    clock, view = WallClock(replay.spec.dt), RateLimited(VIEW_S, View(replay.shard.robot, replay.row).step)
+    clock, view = WallClock(replay.spec.dt), RateLimited(VIEW_S, Viewer(replay.shard.robot, replay.row).step)
 
     def step() -> None:
         clock.wait()

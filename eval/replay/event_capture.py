@@ -6,6 +6,7 @@ Nothing is recorded in advance: events are rare, and the same state leads to the
 from collections import Counter, deque
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from deploy.stage import Arrays
 from eval.judge.counts import Counts, Event
@@ -101,16 +102,9 @@ class EventCapture:
         begin, state = self._state_before(event.start)
         rows = window.between(begin, end, event.robot)
         record = bundle.EventRecord.from_event(event, self._job.first)
-        job = {name: getattr(self._job, name) for name in bundle.JobRecord.model_fields}
-        info = bundle.BundleInfo(
-            identity=self._identity,
-            job=bundle.JobRecord(**job),
-            event=record,
-            begin=begin,
-            end=end,
-            end_digest=end_digest,
-            files={},
-        )
+        job = bundle.JobRecord(**{name: getattr(self._job, name) for name in bundle.JobRecord.model_fields})
+        extent: dict[str, Any] = {"begin": begin, "end": end, "end_digest": end_digest}
+        info = bundle.BundleInfo(identity=self._identity, job=job, event=record, files={}, **extent)
         with new_bundle(
             self._folder / bundle.bundle_name(record.robot, event.start, record.monitor)
         ) as folder:

@@ -11,9 +11,10 @@ from eval.report.junit import junit
 from eval.report.schema.report_data import Report
 from robots.errors import OutputError
 
+PAGE = "report.html"
 FILES = {
     "report.json": lambda report: report.model_dump_json(indent=1),
-    "report.html": render,
+    PAGE: render,
     "junit.xml": junit,
 }
 LOCK = ".lock"

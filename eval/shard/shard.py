@@ -150,15 +150,15 @@ class Shard(Stage):
         return self.snapshot() | {f"sampled.{name}": np.stack(values) for name, values in columns}
 
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-        """Restore saved arrays bit for bit; a snapshot has no samples, so that sampling starts anew."""
+        """Restore saved arrays bit for bit; a snapshot has no samples, so that sampling starts again."""
         super().restore(arrays)
         self._samples = list(zip(*samples(arrays).values(), strict=True))
 
     def resimulate(self, state: Arrays, observe: Callable[[], None]) -> None:
         """Restore an earlier snapshot and simulate again up to the present tick; `observe` is called every tick."""
-        end, kept = self.runtime.ticks, self._samples
+        end, samples_so_far = self.runtime.ticks, self._samples
         self.restore(state)
-        self._samples = kept
+        self._samples = samples_so_far
         while self.runtime.ticks < end:
             self.tick()
             observe()

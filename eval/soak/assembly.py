@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from eval.statistics.sensitivity import parameter_values
 from robots.distributions import load_distributions
 
 GOAL_BINS = 8
+SAMPLES, TOTALS = ("winding_c", "folded_back", "worn"), ("stops", "latches")
 
 
 def assemble(
@@ -41,18 +43,18 @@ def assemble(
     samples = max(len(shard.attempted) for shard in shards) - 1
     responses = merge_responses([shard.responses for shard in shards])
     per_bin, sample_h = max(1, -(-samples // GOAL_BINS)), config.sample_ticks * config.spec.dt / 3600
+    arrays: dict[str, Any] = {
+        **{name: pad_and_join([getattr(shard, name) for shard in shards]) for name in SAMPLES},
+        **{name: _join_totals([getattr(shard, name) for shard in shards]) for name in TOTALS},
+    }
     return SoakResult(
         settings=settings(config),
         run=run,
         counts=counts,
         sample_h=sample_h * np.arange(samples + 1, dtype=np.float64),
-        winding_c=pad_and_join([shard.winding_c for shard in shards]),
-        folded_back=pad_and_join([shard.folded_back for shard in shards]),
-        worn=pad_and_join([shard.worn for shard in shards]),
+        **arrays,
         winding_soft_c=config.spec.motor_array("winding_soft_c"),
         winding_max_c=config.spec.motor_array("winding_max_c"),
-        stops=_join_totals([shard.stops for shard in shards]),
-        latches=_join_totals([shard.latches for shard in shards]),
         goals_bin_h=per_bin * sample_h,
         goals_attempted=_binned([shard.attempted for shard in shards], per_bin),
         goals_reached=_binned([shard.reached for shard in shards], per_bin),

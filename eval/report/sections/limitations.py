@@ -25,11 +25,7 @@ def limitations(counts: Counts, evidence: Evidence) -> Iterator[str]:
             f"Monitors without a known limit: {', '.join(unjudged)}. The policy file does not contain the statistics"
             " of its training data."
         )
-    unused = [
-        monitor.name
-        for monitor in counts.monitors
-        if _worst(counts, monitor.name) < LOAD_USED and monitor.unit and monitor.name not in unjudged
-    ]
+    unused = [name for name in _unused_monitors(counts) if name not in unjudged]
     if unused:
         yield (f"Behaviour near limits that no robot used to {100 * LOAD_USED:.0f} %: {', '.join(unused)}.")
     if counts.invalid.any():
@@ -39,5 +35,7 @@ def limitations(counts: Counts, evidence: Evidence) -> Iterator[str]:
         )
 
 
-def _worst(counts: Counts, monitor: str) -> float:
-    return float(counts.worst[:, counts.columns(monitor)].max(initial=0.0))
+def _unused_monitors(counts: Counts) -> Iterator[str]:
+    for monitor in counts.monitors:
+        if monitor.unit and counts.worst[:, counts.columns(monitor.name)].max(initial=0.0) < LOAD_USED:
+            yield monitor.name

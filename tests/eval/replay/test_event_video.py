@@ -28,7 +28,7 @@ from robots.errors import ConfigError
 pytestmark = pytest.mark.slow
 
 
-def test_an_event_becomes_a_moving_render(events, tmp_path):
+def test_an_event_becomes_a_moving_picture(events, tmp_path):
     """In a process of its own: Mesa's LLVM and the one that comes with torch do not bear each other."""
     done = replayed(first(events, "velocity"), "--video", tmp_path / "a.gif")
     if "needs OpenGL" in done.stderr:

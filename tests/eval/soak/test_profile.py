@@ -7,6 +7,7 @@ import pytest
 from eval.faults.catalogue import catalogue
 from eval.faults.schedule import plan
 from eval.soak import cli as command
+from eval.soak import options as soak_options
 from eval.soak.profile import PROFILES, load_profile
 from eval.statistics.budget import BUDGET, load_budget
 from eval.statistics.evidence import trials_needed
@@ -81,7 +82,7 @@ def asked(monkeypatch, *options):
         seen.update(what)
         raise ConfigError("enough")
 
-    monkeypatch.setattr(command, "SoakConfig", stop)
+    monkeypatch.setattr(soak_options, "SoakConfig", stop)
     monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, options)])
     with pytest.raises(SystemExit):
         command.cli()

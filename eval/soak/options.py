@@ -1,0 +1,97 @@
+"""Options of soak-test, and the configuration that they and the profile make."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.policy.policy import Policy
+from eval.faults.schedule import FIRST_S, hours_max
+from eval.faults.settings import FaultSettings
+from eval.soak.configuration import SoakConfig
+from eval.soak.profile import Profile, load_profile
+from eval.statistics.budget import BUDGET
+from robots.errors import ConfigError
+from robots.spec import load_robot
+
+DEFAULTS = Profile(meaning="options without a profile", hours=8.0, robots=32, budget=BUDGET.name)
+
+PolicyFile = Annotated[Path, typer.Option(help="ONNX file from policy-export.")]
+Robot = Annotated[str, typer.Option(help="Robot: a name or a folder.")]
+ProfileName = Annotated[
+    str | None,
+    typer.Option(
+        help="smoke, shift, nightly, faults, weekend or a file.toml; overridden by explicit options."
+    ),
+]
+Hours = Annotated[
+    float | None, typer.Option(help="Simulated hours of each robot.", show_default="8, or the profile's")
+]
+Robots = Annotated[
+    int | None,
+    typer.Option(help="Number of robots, each with its own draw.", show_default="32, or the profile's"),
+]
+Seed = Annotated[int, typer.Option(help="Seed of all draws, noise and goals.")]
+Workers = Annotated[int, typer.Option(help="Number of processes; results do not depend on it.")]
+BudgetFile = Annotated[
+    Path | None, typer.Option(help="TOML file of limits to pass.", show_default="the profile's")
+]
+Out = Annotated[
+    Path,
+    typer.Option(
+        help="Folder for report.json, report.html, junit.xml, draws.json, series.parquet, tensorboard/."
+    ),
+]
+History = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder for a record of the finished soak; the report shows the trend over all records."
+    ),
+]
+
+
+def configure(
+    policy: Path,
+    robot: str,
+    profile: str | None,
+    hours: float | None,
+    robots: int | None,
+    seed: int,
+    workers: int,
+    budget: Path | None,
+) -> SoakConfig:
+    """Combine profile and options, which override it.
+
+    Raises:
+        ConfigError: an option, the profile, the robot or the policy is invalid.
+    """
+    defaults, default_budget = load_profile(profile) if profile else (DEFAULTS, BUDGET)
+    hours = defaults.hours if hours is None else hours
+    robots = defaults.robots if robots is None else robots
+    _check_options(hours, robots, seed, workers, defaults.faults)
+    spec = load_robot(robot)
+    return SoakConfig(
+        spec=spec,
+        policy=Policy.load(policy, spec),
+        policy_path=policy,
+        budget=default_budget if budget is None else budget,
+        hours=hours,
+        robots=robots,
+        seed=seed,
+        workers=workers,
+        faults=defaults.faults,
+    )
+
+
+def _check_options(hours: float, robots: int, seed: int, workers: int, faults: FaultSettings | None) -> None:
+    cycle, longest = (FIRST_S + faults.cycle_s) / 3600 if faults else 0.0, hours_max(faults)
+    bounds = (
+        ("--hours", hours, 0 < hours <= longest, f"above 0 and at most {longest:.5g}"),
+        ("--robots", robots, 1 <= robots <= 100_000, "from 1 to 100000"),
+        ("--seed", seed, seed >= 0, "at least 0"),
+        ("--workers", workers, 1 <= workers <= 1024, "from 1 to 1024"),
+        ("--hours", hours, hours >= cycle, f"at least {cycle:.3g}: time for one fault"),
+    )
+    for name, value, valid, expected in bounds:
+        if not valid:
+            raise ConfigError(f"{name}: found {value}, expected {expected}")
