@@ -32,12 +32,13 @@ def main(*commands: Callable[..., int]) -> None:
 def _guarded(command: Callable[..., int]) -> Callable[..., None]:
     @functools.wraps(command)
     def guarded(*args: object, **kwargs: object) -> None:
-        raise typer.Exit(_exit_code(lambda: command(*args, **kwargs)))
+        raise typer.Exit(exit_code_of(lambda: command(*args, **kwargs)))
 
     return guarded
 
 
-def _exit_code(call: Callable[[], int]) -> int:
+def exit_code_of(call: Callable[[], int]) -> int:
+    """Run a command; return its exit code, or that of its error, which is printed."""
     try:
         return call()
     except FirstshiftError as e:

@@ -68,22 +68,20 @@ class Safety:
         """Judge one setpoint for each robot.
 
         Args:
-            state: the estimate.
-            sent: the last setpoint sent, which the drives follow now.
-            setpoint: the one that would be sent next.
-            ahead: the first step of the stop that would begin at `setpoint`.
-            q_mid_stop: (B, n) rad, a pose in the middle of that stop.
-            q_rest: (B, n) rad, where it would end.
+            state: the estimate. sent: the last setpoint sent, which the drives follow now.
+            setpoint: to be sent next. ahead: first step of the stop that would begin there.
+            q_mid_stop: (B, n) rad, a pose in the middle of that stop. q_rest: (B, n) rad, its end.
         """
         robots = len(q_rest)
         # One call to concatenate takes half of the time that three take.
         pairs = np.concatenate((setpoint.q, ahead.q, setpoint.qd, ahead.qd, setpoint.qdd, ahead.qdd))
         q, qd, qdd = pairs.reshape(3, 2 * robots, -1)
         tau = self._drives.torque(state, q, qd, qdd)
-        # A drive whose current is limited has less to give than its range.
-        needed = (
-            tau if all_true(state.fold == 1.0) else np.concatenate((tau[:robots] / state.fold, tau[robots:]))
-        )
+        needed = tau
+        if not all_true(
+            state.fold == 1.0
+        ):  # a drive whose current is limited has less to give than its range
+            needed = np.concatenate((tau[:robots] / state.fold, tau[robots:]))
         poses = begin, mid_stop, rest = self._drives.expected_poses(state, setpoint.q, q_mid_stop, q_rest)
         expected, targets = np.concatenate((begin, rest, setpoint.q, q_rest)).reshape(2, 2 * robots, -1)
         kinematics = self._kinematics(expected)

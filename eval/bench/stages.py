@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.policy.policy import Policy
-from eval.bench.library_loop import library_loop_rate
+from eval.bench.baselines.library_loop import library_loop_rate
 from eval.bench.soak_setup import SEED
 from eval.bench.stopwatch import Stopwatch
 from eval.bench.trial import Trial

@@ -13,9 +13,9 @@ from deploy.estimation.rotations import matrix, matvec
 from deploy.policy.policy import Policy
 from deploy.state import Mode
 from deploy.tasks.velocity import Velocity
+from eval.bench.baselines.vendor_loop import run_vendor_loop
 from eval.bench.stopwatch import Stopwatch
 from eval.bench.trial import Trial
-from eval.bench.vendor_loop import run_vendor_loop
 from eval.shard.job import ARM_S
 from robots.arrays import Floats
 from robots.capabilities import required

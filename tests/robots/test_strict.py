@@ -1,7 +1,7 @@
 import pytest
 from pydantic import Field, PositiveFloat, PositiveInt, ValidationError
 
-from deploy.command_line import BAD_INPUT, _exit_code
+from deploy.command_line import BAD_INPUT, exit_code_of
 from robots.errors import ConfigError, FirstshiftError, RobotError
 from robots.strict import Strict, parse, read_toml
 
@@ -121,7 +121,7 @@ def test_errors_contain_no_control_characters(tmp_path, capsys):
     def command():
         read(tmp_path, GOOD + '"\\u001b[2J" = 2\neyes2 = 3')
 
-    assert _exit_code(command) == BAD_INPUT
+    assert exit_code_of(command) == BAD_INPUT
     said = capsys.readouterr().err
     assert said.count("\n") == 2
     assert "?[2J" in said

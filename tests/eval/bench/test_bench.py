@@ -14,12 +14,12 @@ from mujoco.batch import Batch
 
 from deploy.policy.policy import Policy
 from eval.bench import cli, stages, stopwatch
+from eval.bench.baselines.library_loop import LibraryLoop
 from eval.bench.estimation.encoder_plot import draw_encoder
 from eval.bench.estimation.estimate import consistency, error_row, outage
 from eval.bench.estimation.joint_estimates import estimate_motion
 from eval.bench.estimation.recorded_motion import Motion
 from eval.bench.idle_policy import make_idle
-from eval.bench.library_loop import LibraryLoop
 from eval.bench.reproducibility import differences
 from eval.bench.stopwatch import Stopwatch
 from eval.bench.throughput import RolloutReplay
