@@ -60,5 +60,5 @@ def test_doctor_finds_nothing_wrong(h1):
     assert [finding.text for finding in findings if finding.verdict is Verdict.FAIL] == []
     said = {finding.check: finding.verdict for finding in findings}
     assert {
-        said[name] for name in ("loader", "gains", "sources", "protection", "tilt", "activation", "heat")
+        said[name] for name in ("loader", "gains", "sources", "protection", "tilt", "first target", "heat")
     } == {Verdict.PASS}
