@@ -65,15 +65,14 @@ class Safety:
         q_mid_stop: Floats,
         q_rest: Floats,
     ) -> Verdict:
-        """Judge one setpoint for each robot.
+        """Check one setpoint for each robot.
 
         Args:
             state: the estimate. sent: the last setpoint sent, which the drives follow now.
             setpoint: to be sent next. ahead: first step of the stop that would begin there.
             q_mid_stop: (B, n) rad, a pose in the middle of that stop. q_rest: (B, n) rad, its end.
         """
-        robots = len(q_rest)
-        # One call to concatenate takes half of the time that three take.
+        robots = len(q_rest)  # below: one call to concatenate takes half of the time that three take
         pairs = np.concatenate((setpoint.q, ahead.q, setpoint.qd, ahead.qd, setpoint.qdd, ahead.qdd))
         q, qd, qdd = pairs.reshape(3, 2 * robots, -1)
         tau = self._drives.torque(state, q, qd, qdd)
