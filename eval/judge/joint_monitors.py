@@ -100,6 +100,7 @@ JOINT_MONITORS = (
         name="tracking",
         unit="rad",
         hard=False,
+        events_per_hour=0.1,
         meaning="distance of the true angle from the angle sent",
         limit=lambda robot: robot.spec.margins.tracking_rad,
         value=_tracking_error,

@@ -14,6 +14,7 @@ from deploy.policy.contract import Observed
 from deploy.stage import Arrays, Stage
 from deploy.state import Command, Mode, State, Target
 from deploy.tasks.score import Score, Scoring
+from deploy.truth import Truth
 from eval.judge.counts import BINS, REASONS, Counts
 from eval.judge.events import BadTicks, EventLog
 from eval.judge.limit_ratios import LimitRatios, RatioBlock
@@ -21,8 +22,7 @@ from eval.judge.limits import load_limits
 from eval.judge.monitor import Monitor
 from eval.judge.monitors import MONITORS, Channels
 from eval.judge.tick_buffer import BLOCK_TICKS, TickBuffer
-from eval.judge.tick_window import JudgedRobot, TickWindow
-from eval.judge.truth import Truth, true_tilt
+from eval.judge.tick_window import JudgedRobot, TickWindow, true_tilt
 from robots.arrays import Floats, Ints
 from robots.spec import RobotSpec
 

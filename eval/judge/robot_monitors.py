@@ -82,6 +82,7 @@ ROBOT_MONITORS = (
         name="singularity",
         unit="1/m³",
         hard=False,
+        events_per_hour=0.1,
         meaning="1 ÷ manipulability (Yoshikawa) at the true angles; in a singularity and beyond it 1000 × its limit",
         needs=frozenset({"manipulability"}),
         limit=lambda robot: 1.0 / available(robot.limits.manipulability),

@@ -7,6 +7,7 @@ import numpy as np
 
 from deploy.policy.contract import Observed
 from deploy.state import Mode
+from deploy.truth import BaseTruth
 from eval.judge.limits import Limits
 from eval.judge.singularity import SingularityMetric
 from eval.judge.tick_buffer import PAST, Ticks
@@ -86,3 +87,11 @@ class TickWindow:
             values, on = np.diff(values, axis=0), on[1:] & on[:-1]
             found.append((values[PAST - order :], on[PAST - order :]))
         return tuple(found)
+
+
+def true_tilt(base: BaseTruth) -> Floats:
+    """(B,) rad, angle between the base's z axis and the direction against gravity."""
+    w, x, y, z = base.quat_wxyz.T
+    # Last column of the rotation matrix: direction of the base's z axis in the world.
+    axis = np.stack((2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)), axis=1)
+    return np.asarray(np.arccos(np.minimum(np.maximum((axis * base.up).sum(axis=1), -1.0), 1.0)))

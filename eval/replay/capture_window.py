@@ -15,7 +15,7 @@ from deploy.stage import Arrays
 from deploy.telemetry.recording import Recording
 from deploy.telemetry.ring import Ring, Rows
 from deploy.telemetry.signals import row_type
-from eval.judge.truth import Truth
+from deploy.truth import Truth
 from robots.errors import OutputError
 from robots.spec import RobotSpec
 

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, NonNegativeFloat, NonNegativeInt, model_validator
 
 from eval.judge.counts import Counts
-from eval.judge.monitors import NAMES
+from eval.judge.monitors import MONITORS, NAMES
 from robots.strict import Strict, read_toml
 
 BUDGET = Path(__file__).parents[1] / "budget.toml"
@@ -20,7 +20,9 @@ Limit = Annotated[NonNegativeInt | None, BeforeValidator(lambda found: None if f
 
 
 class Budget(Strict):
-    """Upper bounds of events and lower bounds of work; each monitor has exactly one line.
+    """Upper bounds of events and lower bounds of work.
+
+    A monitor that the file does not name has the bound of its declaration: `eval.judge.monitor.Monitor.events_per_hour`.
 
     Attributes:
         goal_success_min: goals reached ÷ goals due. availability_min: ticks in operation ÷ all ticks.
@@ -35,23 +37,24 @@ class Budget(Strict):
     availability_min: Share
     invalid_ticks_max: NonNegativeInt
     latches_max: Limit
-    unlimited: tuple[str, ...]
-    events_max: dict[str, NonNegativeInt]
-    events_per_hour_max: dict[str, NonNegativeFloat]
+    unlimited: tuple[str, ...] = ()
+    events_max: dict[str, NonNegativeInt] = {}
+    events_per_hour_max: dict[str, NonNegativeFloat] = {}
 
     @model_validator(mode="after")
-    def _each_monitor_once(self) -> Self:
+    def _add_defaults(self) -> Self:
+        """Check that no monitor is unknown or named twice, and add the bounds of those that are not named."""
         named = [*self.unlimited, *self.events_max, *self.events_per_hour_max]
         for name in named:
             if name not in NAMES:
                 raise ValueError(f"unknown monitor {name!r}; known: {', '.join(NAMES)}")
             if named.count(name) > 1:
                 raise ValueError(f"monitor {name!r} has {named.count(name)} lines, not one")
-        missing = [name for name in NAMES if name not in named]
-        if missing:
-            raise ValueError(
-                f"no line for {', '.join(missing)}: add to events_max, events_per_hour_max or unlimited"
-            )
+        for monitor in MONITORS:
+            if monitor.name not in named and monitor.events_per_hour is not None:
+                self.events_per_hour_max[monitor.name] = monitor.events_per_hour
+            elif monitor.name not in named and monitor.hard:
+                self.events_max[monitor.name] = 0
         return self
 
 

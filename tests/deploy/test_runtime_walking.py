@@ -35,7 +35,7 @@ sensor_faults = pytest.importorskip("deploy.backends.sim.sensor_faults")
 Failure, Fault = sensor_faults.Failure, sensor_faults.Fault
 
 Judge = pytest.importorskip("eval.judge.judge").Judge
-true_tilt = pytest.importorskip("eval.judge.truth").true_tilt
+true_tilt = pytest.importorskip("eval.judge.tick_window").true_tilt
 BaseTruth = pytest.importorskip("deploy.truth").BaseTruth
 judge_tick = pytest.importorskip("eval.shard.judging").judge_tick
 ignore_reasons = pytest.importorskip("eval.mutants.guard_removal").ignore_reasons

@@ -1,7 +1,6 @@
 """Budgets: the shipped one, every way of misspelling one, and what passes."""
 
 import dataclasses
-import tomllib
 
 import numpy as np
 import pytest
@@ -41,8 +40,8 @@ def test_clean_work_passes_and_every_limited_monitor_has_a_line():
     budget = load_budget()
     lines = {finding.name for finding in check(budget, counts())}
     names = {monitor.name for monitor in Channels.of_robot(SPEC).monitors}
-    expected = {"goal_success", "availability", "invalid", "latches", *names} - {*budget.unlimited}
-    assert lines == expected
+    limited = names & {*budget.events_max, *budget.events_per_hour_max}
+    assert lines == {"goal_success", "availability", "invalid", "latches", *limited}
 
 
 @pytest.mark.parametrize("monitor", HARD, ids=lambda m: m.name)
@@ -82,7 +81,7 @@ def test_nan_does_not_pass():
     assert not dataclasses.replace(line, found=float("nan"), at_least=False).passed
 
 
-TEXT = BUDGET.read_text()
+TEXT = BUDGET.read_text() + "\n[events_max]\njerk = 0\n"
 
 
 @pytest.mark.parametrize(
@@ -98,13 +97,12 @@ TEXT = BUDGET.read_text()
         ("jerk = 0", "jerk = -1", r"events_max\.jerk: .* found -1"),
         ("jerk = 0", "jerk = 0.5", r"events_max\.jerk: .* found 0\.5"),
         ("jerk = 0", "jerks = 0", "unknown monitor 'jerks'; known: .*jerk"),
-        ("jerk = 0", "", "no line for jerk"),
-        ("jerk = 0", "jerk = 0\ntracking = 0", "monitor 'tracking' has 2 lines"),
+        ("jerk = 0", "jerk = 0\n[events_per_hour_max]\njerk = 0.1", "monitor 'jerk' has 2 lines"),
         ("invalid_ticks_max = 0", "", "invalid_ticks_max: Field required"),
         ("latches_max = 0", "", "latches_max: Field required"),
         ("latches_max = 0", "latches_max = -1", r"latches_max: [^\n]* found -1$"),
         ("latches_max = 0", "latches_max = 'many'", r"latches_max: [^\n]* found 'many'$"),
-        ("[events_max]", "[events_max", "not valid TOML"),
+        ("\n[events_max]\n", "\n[events_max\n", "not valid TOML"),
     ],
 )
 def test_a_wrong_budget_names_file_and_field(tmp_path, old, new, message):
@@ -121,7 +119,36 @@ def test_missing_budget_file_is_reported(tmp_path):
         load_budget(tmp_path / "none.toml")
 
 
-def test_the_shipped_budget_holds_the_figures_of_the_project():
-    shipped = tomllib.loads(TEXT)
-    assert (shipped["goal_success_min"], shipped["availability_min"]) == (0.97, 0.99)
-    assert all(shipped["events_max"][monitor.name] == 0 for monitor in MONITORS if monitor.hard)
+SENT = {"velocity_sent", "acceleration", "jerk", "torque_rate", "command_jump"}
+STATE = {
+    *("position_hard", "velocity", "torque", "self_collision", "contact_force", "workspace", "tool_speed"),
+    *("tilt", "fallen", "heat_hard", "action_finite"),
+}
+
+
+@pytest.mark.parametrize(
+    ("file", "work", "none_allowed", "per_hour"),
+    [
+        ("budget.toml", (0.97, 0.99, 0, 0), SENT | STATE, {"tracking": 0.1, "singularity": 0.1}),
+        ("budget_faults.toml", (0.0, 0.0, 0, None), SENT, {}),
+    ],
+)
+def test_shipped_budgets_hold_the_figures_of_the_project(file, work, none_allowed, per_hour):
+    """All other monitors are counted without a limit. A new hard monitor allows no event until a budget says else."""
+    found = load_budget(BUDGET.with_name(file))
+    bounds = found.goal_success_min, found.availability_min, found.invalid_ticks_max, found.latches_max
+    assert bounds == work
+    assert found.events_max == dict.fromkeys(none_allowed, 0)
+    assert found.events_per_hour_max == per_hour
+    assert {monitor.name for monitor in MONITORS if monitor.hard} == SENT | STATE
+
+
+def test_a_budget_overrides_the_bounds_of_monitors(tmp_path):
+    path = tmp_path / "budget.toml"
+    text = BUDGET.read_text() + "unlimited = ['jerk']\nevents_per_hour_max = {power = 2.0}\nevents_max = {tracking = 3}"
+    path.write_text(text)
+    found = load_budget(path)
+    assert "jerk" not in {*found.events_max, *found.events_per_hour_max}
+    assert found.events_per_hour_max == {"power": 2.0, "singularity": 0.1}
+    assert found.events_max["tracking"] == 3
+    assert load_budget().events_per_hour_max == {"tracking": 0.1, "singularity": 0.1}
