@@ -14,7 +14,7 @@ from rich.console import Console
 
 from eval.bench.soak_setup import soak_config
 from eval.shard.job import WIDTH
-from eval.shard.results import ShardResult
+from eval.shard.judging import ShardResult
 from eval.soak.workers import run_soak
 from robots.spec import RobotSpec
 

@@ -1,13 +1,12 @@
 """Mutants of guards of commands: safety checks, planner limits, action clip and leash, and the runtime."""
 
 from deploy.state import Reason
-from eval.mutants.disturbances import jam_joint
 from eval.mutants.guard_removal import (
-    combine,
     follow_non_finite_action,
     ignore_non_finite_action,
     ignore_reasons,
     ignore_speed_overshoot,
+    in_sequence,
     plan_nan_at,
     remove_action_clip,
     remove_leash,
@@ -27,8 +26,8 @@ from eval.mutants.hostile_policies import (
     switch_policy,
     turn_last_joint,
 )
-from eval.mutants.mutant import INVALID, Mutant, check_off
-from eval.mutants.situation import Situation
+from eval.mutants.scripted_disturbances import jam_joint
+from eval.mutants.situation import INVALID, Mutant, Situation, check_off
 
 FAR = {"shoulder_lift": -0.5, "elbow": 0.6, "wrist_1": -1.94}
 """The arm stretched almost level, 0.93 m from its axis."""
@@ -57,6 +56,10 @@ WRIST = Situation(
 )
 SPIN = move_to(wrist_3=2.8)
 TO_AND_FRO = cycle_poses(2.0, {"wrist_3": -2.8}, {"wrist_3": 2.8})
+FAST_JOINT = Situation(description="a joint moves as fast as allowed", policy=SPIN)
+NAN_ACTIONS = Situation(
+    description="NaN actions from some tick on", policy=nan_after(0.8, wrist_3=2.7), seconds=1.6
+)
 NO_NUMBER = Reason.NOT_FINITE | Reason.COLLISION
 """Shapes without a finite position count as too close."""
 
@@ -103,7 +106,7 @@ SAFETY = (
             policy=switch_policy(
                 1.9, move_slowly_to(0.8, **FAR), move_to(shoulder_lift=-1.4, elbow=0.6, wrist_1=-1.94)
             ),
-            prepare=combine(
+            prepare=in_sequence(
                 ignore_reasons(Reason.TOOL_SPEED | Reason.SINGULARITY),
                 scale_limits_while_following(qdd_max=4.0, qddd_max=0.8),
             ),
@@ -151,7 +154,7 @@ SAFETY = (
         Situation(
             description="a planned velocity is NaN; collision check off",
             policy=SPIN,
-            prepare=combine(plan_nan_at(0.8, angles=False), ignore_reasons(Reason.COLLISION)),
+            prepare=in_sequence(plan_nan_at(0.8, angles=False), ignore_reasons(Reason.COLLISION)),
             seconds=1.2,
         ),
     ),
@@ -195,13 +198,13 @@ SENT = (
     Mutant(
         guard="planner: acceleration × 1.2",
         remove_guard=scale_planner_limits(qdd_max=1.2),
-        situation=Situation(description="a joint moves as fast as allowed", policy=SPIN),
+        situation=FAST_JOINT,
         monitor="acceleration",
     ),
     Mutant(
         guard="planner: jerk × 1.2",
         remove_guard=scale_planner_limits(qddd_max=1.2),
-        situation=Situation(description="a joint moves as fast as allowed", policy=SPIN),
+        situation=FAST_JOINT,
         monitor="jerk",
     ),
     Mutant(
@@ -216,7 +219,7 @@ SENT = (
         situation=Situation(
             description="a planned setpoint is NaN; its checks off",
             policy=SPIN,
-            prepare=combine(plan_nan_at(0.8, angles=True), ignore_reasons(NO_NUMBER)),
+            prepare=in_sequence(plan_nan_at(0.8, angles=True), ignore_reasons(NO_NUMBER)),
             seconds=1.2,
         ),
         monitor=INVALID,
@@ -225,17 +228,13 @@ SENT = (
         guard="runtime: a non-finite action does not stop the robot",
         remove_guard=ignore_non_finite_action,
         reasons=Reason.NOT_FINITE,
-        situation=Situation(
-            description="NaN actions from some tick on", policy=nan_after(0.8, wrist_3=2.7), seconds=1.6
-        ),
+        situation=NAN_ACTIONS,
         monitor="action_finite",
     ),
     Mutant(
         guard="action: NaN moves the target",
         remove_guard=follow_non_finite_action,
-        situation=Situation(
-            description="NaN actions from some tick on", policy=nan_after(0.8, wrist_3=2.7), seconds=1.6
-        ),
+        situation=NAN_ACTIONS,
         monitor="position_requested",
     ),
     Mutant(

@@ -2,8 +2,15 @@
 
 from deploy.backends.sim.sensor_faults import Failure
 from deploy.state import Reason
-from eval.mutants.disturbances import (
-    apply_all,
+from eval.mutants.guard_removal import (
+    arm_while_moving,
+    ignore_reasons,
+    in_sequence,
+    open_innovation_gate,
+    trust_first_sample,
+)
+from eval.mutants.hostile_policies import move_slowly_to, move_to
+from eval.mutants.scripted_disturbances import (
     encoder_offset_at_start,
     hot_motors_at_start,
     jam_joint,
@@ -11,18 +18,9 @@ from eval.mutants.disturbances import (
     sensor_faults,
     slipping_brakes,
 )
-from eval.mutants.guard_removal import (
-    arm_while_moving,
-    ignore_reasons,
-    open_innovation_gate,
-    trust_first_sample,
-)
-from eval.mutants.hostile_policies import move_slowly_to, move_to
-from eval.mutants.mutant import LATCHES, Mutant, check_off
-from eval.mutants.situation import Situation
+from eval.mutants.situation import LATCHES, Mutant, Situation, check_off
 
 HOME = move_to()
-HZ = 200
 
 ESTIMATION = (
     check_off(
@@ -33,7 +31,7 @@ ESTIMATION = (
             description="encoders stop sending, and a joint jams at 1.2 rad/s; load detection off",
             policy=move_slowly_to(1.2, wrist_3=2.7),
             prepare=ignore_reasons(Reason.LOAD),
-            faults=sensor_faults(Failure.OFF, 0.8, HZ),
+            faults=sensor_faults(Failure.OFF, 0.8),
             disturbance=jam_joint(5, 0.85),
         ),
     ),
@@ -45,12 +43,12 @@ ESTIMATION = (
             description="encoders stop sending, and a joint jams at 0.8 rad/s; stale check and load detection off",
             policy=move_slowly_to(0.8, wrist_3=2.7),
             prepare=ignore_reasons(Reason.STALE | Reason.LOAD),
-            faults=sensor_faults(Failure.OFF, 0.8, HZ),
+            faults=sensor_faults(Failure.OFF, 0.8),
             disturbance=jam_joint(5, 0.85),
         ),
     ),
     check_off(
-        "safety: outside",
+        "safety: joint outside its range",
         Reason.OUTSIDE,
         "tracking",
         Situation(
@@ -69,7 +67,7 @@ ESTIMATION = (
             description="a joint jams, and its encoder repeats its reading; tracking and load checks off",
             policy=move_slowly_to(0.3, wrist_2=-0.6),
             prepare=ignore_reasons(Reason.TRACKING | Reason.LOAD),
-            faults=sensor_faults(Failure.STUCK, 0.8, HZ, channel=4),
+            faults=sensor_faults(Failure.STUCK, 0.8, channel=4),
             disturbance=jam_joint(4, 0.8),
         ),
     ),
@@ -92,7 +90,7 @@ ESTIMATION = (
             description="a hot motor drives a jammed joint slowly, with little tracking error; heat check off",
             policy=move_slowly_to(0.12, shoulder_pan=1.2),
             prepare=ignore_reasons(Reason.HEAT),
-            disturbance=apply_all(hot_motors_at_start(86.0, 21.0), jam_joint(0, 0.5)),
+            disturbance=in_sequence(hot_motors_at_start(86.0, 21.0), jam_joint(0, 0.5)),
             seconds=4.0,
         ),
     ),
@@ -102,7 +100,7 @@ ESTIMATION = (
         situation=Situation(
             description="one packet of one encoder is off by 0.6 rad",
             policy=move_to(wrist_3=2.7),
-            faults=sensor_faults(Failure.WRONG, 0.8, HZ, channel=5, until=0.805),
+            faults=sensor_faults(Failure.WRONG, 0.8, channel=5, until=0.805),
         ),
         monitor=LATCHES,
     ),

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from operator import attrgetter
+from typing import Any, ParamSpec
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from deploy.state import Reason, Setpoint, State, Verdict
 from robots.arrays import Bools, Floats
 
 GuardRemoval = Callable[[Runtime], None]
+P = ParamSpec("P")
 
 
 def wrap_method(owner: object, name: str, call: Callable[..., Any]) -> None:
@@ -20,14 +22,31 @@ def wrap_method(owner: object, name: str, call: Callable[..., Any]) -> None:
     setattr(owner, name, partial(call, getattr(owner, name)))
 
 
-def combine(*removals: GuardRemoval) -> GuardRemoval:
-    """Combine several removals."""
+def in_sequence(*calls: Callable[P, None]) -> Callable[P, None]:
+    """Return a function that makes several calls, such as guard removals, with the same arguments."""
+
+    def call_all(*args: P.args, **kwargs: P.kwargs) -> None:
+        for call in calls:
+            call(*args, **kwargs)
+
+    return call_all
+
+
+def override(stage: str, **values: float) -> GuardRemoval:
+    """Return a removal that sets attributes of the stage at a dotted path of the runtime."""
 
     def remove_guard(runtime: Runtime) -> None:
-        for remove in removals:
-            remove(runtime)
+        for name, value in values.items():
+            setattr(attrgetter(stage)(runtime), name, value)
 
     return remove_guard
+
+
+remove_action_clip = override("action", low=-np.inf, high=np.inf)
+remove_leash = override("action", leash=np.inf)
+open_innovation_gate = override("estimator.joints", gate=np.inf)
+remove_heat_margin = override("estimator.windings", margin_k=0.0, margin_share=0.0)
+accept_stuck_currents = override("estimator.windings", stuck_repeats=np.inf)
 
 
 def ignore_reasons(reasons: Reason) -> GuardRemoval:
@@ -52,20 +71,14 @@ def ignore_reasons(reasons: Reason) -> GuardRemoval:
 def skip_stop_checks(*, ahead: bool = True, mid_stop: bool = True, rest: bool = True) -> GuardRemoval:
     """Give safety the setpoint instead of parts of the prepared stop: those that are False."""
 
-    def masked_verdict(
-        step: Callable[..., Verdict], state: State, sent: Setpoint, now: Setpoint, *stop: Any
+    def step(
+        check: Callable[..., Verdict], state: State, sent: Setpoint, now: Setpoint, *stop: Any
     ) -> Verdict:
         first, q_mid_stop, q_rest = stop
-        return step(
-            state,
-            sent,
-            now,
-            first if ahead else now,
-            q_mid_stop if mid_stop else now.q,
-            q_rest if rest else now.q,
-        )
+        checked = first if ahead else now, q_mid_stop if mid_stop else now.q, q_rest if rest else now.q
+        return check(state, sent, now, *checked)
 
-    return lambda runtime: wrap_method(runtime.safety, "step", masked_verdict)
+    return lambda runtime: wrap_method(runtime.safety, "step", step)
 
 
 def ignore_speed_overshoot(runtime: Runtime) -> None:
@@ -73,16 +86,20 @@ def ignore_speed_overshoot(runtime: Runtime) -> None:
     runtime.safety.twice_jerk = np.full(runtime.spec.n, np.inf)
 
 
+def _scaled_smoother(runtime: Runtime, factors: dict[str, float]) -> Smoother:
+    spec = runtime.spec
+    joints = tuple(
+        joint.model_copy(update={name: factor * getattr(joint, name) for name, factor in factors.items()})
+        for joint in spec.joints
+    )
+    return Smoother(spec.model_copy(update={"joints": joints}), runtime.robot.robots)
+
+
 def scale_planner_limits(**factors: float) -> GuardRemoval:
     """Scale the planner's limits by factors."""
 
     def remove_guard(runtime: Runtime) -> None:
-        spec = runtime.spec
-        joints = tuple(
-            joint.model_copy(update={name: factor * getattr(joint, name) for name, factor in factors.items()})
-            for joint in spec.joints
-        )
-        runtime.smoother = Smoother(spec.model_copy(update={"joints": joints}), runtime.robot.robots)
+        runtime.smoother = _scaled_smoother(runtime, factors)
 
     return remove_guard
 
@@ -90,19 +107,15 @@ def scale_planner_limits(**factors: float) -> GuardRemoval:
 def scale_limits_while_following(**factors: float) -> GuardRemoval:
     """Scale the planner's limits while a target is followed; stops keep the true limits."""
 
-    def plan(
-        nominal: Callable[..., Setpoint], runtime: Runtime, scaled: Smoother, *arguments: Any
-    ) -> Setpoint:
-        scaled.commit(runtime.smoother.sent)
-        stopping = arguments[1][:, None]
-        pairs = zip(nominal(*arguments), scaled.next(*arguments), strict=True)
-        return Setpoint(*(np.where(stopping, *pair) for pair in pairs))
-
     def remove_guard(runtime: Runtime) -> None:
-        nominal = runtime.smoother
-        scale_planner_limits(**factors)(runtime)
-        scaled, runtime.smoother = runtime.smoother, nominal
-        wrap_method(nominal, "next", lambda step, *arguments: plan(step, runtime, scaled, *arguments))
+        scaled = _scaled_smoother(runtime, factors)
+
+        def plan(nominal: Callable[..., Setpoint], q_target: Floats, stopping: Bools) -> Setpoint:
+            scaled.commit(runtime.smoother.sent)
+            pairs = zip(nominal(q_target, stopping), scaled.next(q_target, stopping), strict=True)
+            return Setpoint(*(np.where(stopping[:, None], *pair) for pair in pairs))
+
+        wrap_method(runtime.smoother, "next", plan)
 
     return remove_guard
 
@@ -116,15 +129,15 @@ def widen_target_range(runtime: Runtime) -> None:
 def plan_nan_at(t: float, *, angles: bool) -> GuardRemoval:
     """Make the planned setpoint NaN in the tick at `t` s: in its velocities, or in its positions too."""
 
-    def plan(step: Callable[..., Setpoint], runtime: Runtime, *arguments: Any) -> Setpoint:
-        setpoint = step(*arguments)
-        if round((runtime.t - t) / runtime.spec.dt) == 0:
-            for part in setpoint[0 if angles else 1 :]:
-                part[:] = np.nan
-        return setpoint
-
     def remove_guard(runtime: Runtime) -> None:
-        wrap_method(runtime.smoother, "next", lambda step, *arguments: plan(step, runtime, *arguments))
+        def plan(step: Callable[..., Setpoint], *arguments: Any) -> Setpoint:
+            setpoint = step(*arguments)
+            if round((runtime.t - t) / runtime.spec.dt) == 0:
+                for part in setpoint[0 if angles else 1 :]:
+                    part[:] = np.nan
+            return setpoint
+
+        wrap_method(runtime.smoother, "next", plan)
 
     return remove_guard
 
@@ -138,56 +151,43 @@ def send_non_finite(runtime: Runtime) -> None:
 def stop_instantly(runtime: Runtime) -> None:
     """Answer a refused setpoint by zero velocity at once, instead of the prepared stop."""
 
-    def instead(ask: Callable[..., tuple[Setpoint, Floats]], obey: Bools, planned: Setpoint) -> object:
-        setpoint, tau = ask(obey, planned)
-        stands = [runtime.smoother.q, np.zeros_like(setpoint.qd), np.zeros_like(setpoint.qdd)]
-        parts = [np.where(obey[:, None], *pair) for pair in zip(setpoint, stands, strict=True)]
+    def choose(nominal: Callable[..., tuple[Setpoint, Floats]], obey: Bools, planned: Setpoint) -> object:
+        setpoint, tau = nominal(obey, planned)
+        rest = [runtime.smoother.q, np.zeros_like(setpoint.qd), np.zeros_like(setpoint.qdd)]
+        parts = [np.where(obey[:, None], *pair) for pair in zip(setpoint, rest, strict=True)]
         return Setpoint(*parts), tau
 
-    wrap_method(runtime, "planned_or_prepared_stop", instead)
+    wrap_method(runtime, "planned_or_prepared_stop", choose)
 
 
 def ignore_non_finite_action(runtime: Runtime) -> None:
     """Do not stop on non-finite actions; `Action` still ignores them."""
-    wrap_method(
-        runtime,
-        "stop_reasons",
-        lambda _: runtime.verdict.reason | runtime.state.fault | runtime.requested_stop,
-    )
+
+    def reasons(_: object) -> object:
+        return runtime.verdict.reason | runtime.state.fault | runtime.requested_stop
+
+    wrap_method(runtime, "stop_reasons", reasons)
 
 
 def follow_non_finite_action(runtime: Runtime) -> None:
     """Let non-finite actions move the target."""
 
     def step(_: object, action: Floats, q_setpoint: Floats) -> object:
-        stage = runtime.action
-        stage.q += stage.scale * action
-        return stage.target
+        runtime.action.q += runtime.action.scale * action
+        return runtime.action.target
 
     wrap_method(runtime.action, "step", step)
-
-
-def remove_action_clip(runtime: Runtime) -> None:
-    """Remove the clip of actions."""
-    runtime.action.low, runtime.action.high = -np.inf, np.inf
-
-
-def remove_leash(runtime: Runtime) -> None:
-    """Remove the leash between target and setpoint."""
-    runtime.action.leash = np.inf
 
 
 def downgrade_to_category_2(reasons: Reason) -> GuardRemoval:
     """Handle these reasons as category 2: power stays on, and the robot resumes by itself."""
 
-    def step(advance: Callable[..., Bools], runtime: Runtime, *arguments: Any) -> Bools:
-        runtime.supervisor.reason &= ~np.int64(reasons)
-        return advance(*arguments)
-
     def remove_guard(runtime: Runtime) -> None:
-        wrap_method(
-            runtime.supervisor, "step", lambda advance, *arguments: step(advance, runtime, *arguments)
-        )
+        def step(advance: Callable[..., Bools], *arguments: Any) -> Bools:
+            runtime.supervisor.reason &= ~np.int64(reasons)
+            return advance(*arguments)
+
+        wrap_method(runtime.supervisor, "step", step)
 
     return remove_guard
 
@@ -206,11 +206,6 @@ def arm_while_moving(runtime: Runtime) -> None:
     runtime.estimator = NeverMovingEstimator(runtime.spec, runtime.robot.robots)
 
 
-def open_innovation_gate(runtime: Runtime) -> None:
-    """Accept all samples: an infinite innovation gate."""
-    runtime.estimator.joints.gate = np.inf
-
-
 def trust_first_sample(runtime: Runtime) -> None:
     """Accept the estimate from the first sample on."""
 
@@ -220,19 +215,13 @@ def trust_first_sample(runtime: Runtime) -> None:
     wrap_method(runtime.estimator, "step", now)
 
 
-def remove_heat_margin(runtime: Runtime) -> None:
-    """Remove the margin of winding temperatures."""
-    runtime.estimator.windings.margin_k = runtime.estimator.windings.margin_share = 0.0
-
-
 def remove_foldback(runtime: Runtime) -> None:
     """Keep full current and speed of hot motors."""
     foldback = runtime.estimator.windings.foldback
 
     def step(fold_back: Callable[..., None], *heat: Any) -> None:
         fold_back(*heat)
-        foldback.current_share[:] = 1.0
-        foldback.speed_share[:] = 1.0
+        foldback.current_share[:] = foldback.speed_share[:] = 1.0
 
     wrap_method(foldback, "step", step)
 
@@ -240,8 +229,3 @@ def remove_foldback(runtime: Runtime) -> None:
 def freeze_lost_currents(runtime: Runtime) -> None:
     """Keep the last current after its sensor is lost."""
     wrap_method(runtime.estimator.windings, "check_sensors", lambda *_: None)
-
-
-def accept_stuck_currents(runtime: Runtime) -> None:
-    """Accept repeated readings of currents forever."""
-    runtime.estimator.windings.stuck_repeats = np.inf

@@ -1,9 +1,10 @@
 """Mutants of guards of the windings: heat check, heat observer, foldback, supervisor."""
 
+from dataclasses import replace
+
 from deploy.backends.sim.sensor_faults import Failure
 from deploy.state import Reason
 from eval.mutants.command_guards import FAR
-from eval.mutants.disturbances import hot_motors_at_start, sensor_faults
 from eval.mutants.guard_removal import (
     accept_stuck_currents,
     downgrade_to_category_2,
@@ -13,10 +14,9 @@ from eval.mutants.guard_removal import (
     remove_heat_margin,
 )
 from eval.mutants.hostile_policies import cycle_poses, move_to
-from eval.mutants.mutant import Mutant, check_off
-from eval.mutants.situation import Situation
+from eval.mutants.scripted_disturbances import hot_motors_at_start, sensor_faults
+from eval.mutants.situation import Mutant, Situation, check_off
 
-HZ = 200
 BURDEN = {"payload.mass_kg": 4.0, "payload.carried_s": 1e6, "payload.free_s": 0.01}
 """kg, four times the payload of the draws."""
 WORST = {
@@ -67,26 +67,20 @@ HEAT_GUARDS = (
     Mutant(
         guard="heat: lost current readings keep their last value",
         remove_guard=freeze_lost_currents,
-        situation=Situation(
+        situation=replace(
+            HELD,
             description="current readings are lost; then motors hot from work hold 4 kg at arm's length",
-            policy=move_to(**FAR),
-            draws=BURDEN | WORST,
-            disturbance=hot_motors_at_start(86.0, 13.0),
-            faults=sensor_faults(Failure.OFF, 0.15, HZ, sensor="current"),
-            seconds=11.0,
+            faults=sensor_faults(Failure.OFF, 0.15, sensor="current"),
         ),
         monitor="heat_hard",
     ),
     Mutant(
         guard="heat: repeated current readings are accepted forever",
         remove_guard=accept_stuck_currents,
-        situation=Situation(
+        situation=replace(
+            HELD,
             description="current readings freeze; then motors hot from work hold 4 kg at arm's length",
-            policy=move_to(**FAR),
-            draws=BURDEN | WORST,
-            disturbance=hot_motors_at_start(86.0, 13.0),
-            faults=sensor_faults(Failure.STUCK, 0.15, HZ, sensor="current"),
-            seconds=11.0,
+            faults=sensor_faults(Failure.STUCK, 0.15, sensor="current"),
         ),
         monitor="heat_hard",
     ),

@@ -1,4 +1,4 @@
-"""Situations in which a guard matters: policy, disturbance and draw, and their simulation under the judge."""
+"""Mutant: a removed guard, a situation in which it matters, and the monitor that must report it."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,14 +12,14 @@ from deploy.policy.contract import ActionSpec, Contract, Observed
 from deploy.policy.contract_term import Term
 from deploy.policy.observation_sources import SOURCES
 from deploy.runtime import Runtime
+from deploy.state import Reason
 from eval.judge.counts import Counts
-from eval.judge.judge import Judge
+from eval.mutants.guard_removal import GuardRemoval, ignore_reasons, in_sequence
 from eval.shard.job import ARM_S
-from eval.shard.judging import judge_tick
+from eval.shard.judging import judge_tick, make_judge
 from robots.arrays import Floats
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
-from robots.models.nominal_model import torque_max
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
@@ -29,16 +29,15 @@ SCALE, LEASH = 0.5, 1.5
 TRAINING_DEVIATION = 0.5
 """rad and rad/s, standard deviations of training observations, similar to those of the shipped policy."""
 
+LATCHES, INVALID = "latches", "invalid"
+"""Counts of the judge besides its monitors."""
+
 HostilePolicy = Callable[[Runtime], Floats]
 Disturbance = Callable[[Runtime, SimRobot, float], None]
+SensorFaults = Callable[[RobotSpec], tuple[Fault, ...]]
 
-
-def _nothing(runtime: Runtime, robot: SimRobot, t: float) -> None:
-    """Do nothing."""
-
-
-def keep_guards(runtime: Runtime) -> None:
-    """Remove nothing."""
+keep_guards: GuardRemoval = in_sequence()
+no_disturbance: Disturbance = in_sequence()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +51,7 @@ class Situation:
         disturbance: called before each tick with the time in s.
         prepare: removes guards that would act before the tested one.
         draws: fixed numbers of the draw. spread: factor on the distance of all others from the middle of their span,
-            within physical limits. faults: of sensors.
+            within physical limits. faults: of sensors, as a function of the spec.
         scale, leash: rad, of the contract's action.
         arm_s: s, time of arming.
     """
@@ -60,38 +59,62 @@ class Situation:
     description: str
     policy: HostilePolicy
     seconds: float = 2.5
-    disturbance: Disturbance = _nothing
-    prepare: Callable[[Runtime], None] = keep_guards
+    disturbance: Disturbance = no_disturbance
+    prepare: GuardRemoval = keep_guards
     draws: Mapping[str, float] = field(default_factory=dict)
     spread: float = 1.0
-    faults: tuple[Fault, ...] = ()
+    faults: SensorFaults = lambda spec: ()
     scale: float = SCALE
     leash: float = LEASH
     arm_s: float = ARM_S
 
 
-def run_situation(
-    spec: RobotSpec, situation: Situation, remove_guard: Callable[[Runtime], None] = keep_guards
-) -> Counts:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mutant:
+    """A removed guard and the event that must follow.
+
+    Attributes:
+        guard: description of the guard and its removal.
+        remove_guard: function that removes it from a runtime.
+        situation: run with the guard and without.
+        monitor: name of the judge's monitor: no events with the guard, at least one without.
+        reasons: stop reasons that are no longer raised.
+    """
+
+    guard: str
+    remove_guard: GuardRemoval
+    situation: Situation
+    monitor: str
+    reasons: Reason = Reason.NONE
+
+
+def check_off(guard: str, reason: Reason, monitor: str, situation: Situation) -> Mutant:
+    """Return the mutant without one check: its stop reason is never raised."""
+    remove_guard = ignore_reasons(reason)
+    return Mutant(
+        guard=f"{guard}, off", remove_guard=remove_guard, situation=situation, monitor=monitor, reasons=reason
+    )
+
+
+def run_situation(spec: RobotSpec, situation: Situation, remove_guard: GuardRemoval = keep_guards) -> Counts:
     """Simulate a situation with a guard removed; return the judge's counts."""
     seeds = [robot_seed(SEED, robot) for robot in range(ROBOTS)]
-    given, promise = _drawn(spec, seeds, situation), contract(spec, situation)
-    runtime, robot = simulate(spec, promise, seeds, given=given, faults=situation.faults)
-    observed, scoring = runtime.contract.observed, runtime.task.rule
-    judge = Judge(spec, torque_max(spec), ROBOTS, observed=observed, scoring=scoring)
+    robots, faults = _draw(spec, seeds, situation), situation.faults(spec)
+    runtime, robot = simulate(spec, contract(spec, situation), seeds, given=robots, faults=faults)
+    judge = make_judge(spec, runtime.contract, ROBOTS)
     situation.prepare(runtime)
     remove_guard(runtime)
     for tick in range(round(situation.seconds / spec.dt)):
         if tick == round(situation.arm_s / spec.dt):
             runtime.arm(np.ones(ROBOTS, dtype=bool))
         situation.disturbance(runtime, robot, tick * spec.dt)
-        said = None if runtime.sense() is None else situation.policy(runtime)
-        runtime.act(said)
-        judge_tick(judge, robot.truth(), runtime, said)
+        action = None if runtime.sense() is None else situation.policy(runtime)
+        runtime.act(action)
+        judge_tick(judge, robot.truth(), runtime, action)
     return judge.counts()
 
 
-def _drawn(spec: RobotSpec, seeds: Sequence[np.random.SeedSequence], situation: Situation) -> Draw:
+def _draw(spec: RobotSpec, seeds: Sequence[np.random.SeedSequence], situation: Situation) -> Draw:
     distributions = load_distributions(spec)
     usual, out = draw(distributions, spec, seeds), dict(situation.draws)
     if situation.spread == 1.0:

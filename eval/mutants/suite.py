@@ -1,17 +1,17 @@
 """All mutants, all guards off at once on robots with doubled variation, and an idle policy."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from deploy.state import Reason
 from eval.judge.counts import Counts
+from eval.judge.monitors import NAMES
 from eval.mutants.command_guards import FAR, SAFETY, SENT
-from eval.mutants.disturbances import encoder_offset_at_start, hot_motors_at_start
 from eval.mutants.estimation_guards import ESTIMATION
 from eval.mutants.guard_removal import (
-    combine,
     ignore_non_finite_action,
     ignore_reasons,
+    in_sequence,
     remove_foldback,
     remove_heat_margin,
     scale_planner_limits,
@@ -20,22 +20,21 @@ from eval.mutants.guard_removal import (
 )
 from eval.mutants.heat_guards import HEAT_GUARDS
 from eval.mutants.hostile_policies import cycle_poses, nan_after
-from eval.mutants.mutant import Mutant, event_count
-from eval.mutants.situation import Situation, run_situation
+from eval.mutants.scripted_disturbances import encoder_offset_at_start, hot_motors_at_start
+from eval.mutants.situation import INVALID, LATCHES, Mutant, Situation, run_situation
 from eval.statistics.budget import check, load_budget
 from robots.spec import RobotSpec
 
 MUTANTS = SAFETY + SENT + ESTIMATION + HEAT_GUARDS
 
-EVERYTHING = ~Reason.NONE
-UNGUARDED = combine(
+UNGUARDED = in_sequence(
     scale_planner_limits(qd_max=1.3, qdd_max=2.0, qddd_max=2.0),
     widen_target_range,
     remove_heat_margin,
     remove_foldback,
     trust_first_sample,
     ignore_non_finite_action,
-    ignore_reasons(EVERYTHING),
+    ignore_reasons(~Reason.NONE),
 )
 """All guards off: no stop reasons, no planner limits, no current foldback, no heat margin, no filter confirmation, and
 non-finite actions are ignored."""
@@ -66,8 +65,7 @@ ALL_GUARDS_OFF = (
 IDLE = Situation(description="idle policy", policy=lambda runtime: 0.0 * runtime.action.last, seconds=13.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class Row(NamedTuple):
     """Result of a mutant.
 
     Attributes:
@@ -84,20 +82,23 @@ class Row:
         return self.with_guard == 0 and bool(self.without_guard)
 
 
+def event_count(counts: Counts, monitor: str) -> int | None:
+    """Return the number of events of a monitor; None if the judge has no such monitor."""
+    if monitor in (LATCHES, INVALID):
+        return int(getattr(counts, monitor).sum())
+    return counts.total(monitor) if monitor in NAMES else None
+
+
 def run_mutants(spec: RobotSpec, mutants: tuple[Mutant, ...] = MUTANTS) -> Iterator[Row]:
     """Yield the result of each mutant; a shared situation is run with all guards only once."""
-    counts_with_guards: dict[int, Counts] = {}
+    guarded: dict[int, Counts] = {}
     for mutant in mutants:
-        place = id(mutant.situation)
-        if place not in counts_with_guards:
-            counts_with_guards[place] = run_situation(spec, mutant.situation)
-        yield Row(
-            mutant=mutant,
-            with_guard=event_count(counts_with_guards[place], mutant.monitor),
-            without_guard=event_count(
-                run_situation(spec, mutant.situation, mutant.remove_guard), mutant.monitor
-            ),
-        )
+        situation, key = mutant.situation, id(mutant.situation)
+        if key not in guarded:
+            guarded[key] = run_situation(spec, situation)
+        unguarded = run_situation(spec, situation, mutant.remove_guard)
+        events = (event_count(counts, mutant.monitor) for counts in (guarded[key], unguarded))
+        yield Row(mutant, *events)
 
 
 def silent_monitors(spec: RobotSpec) -> list[str]:

@@ -18,7 +18,7 @@ from eval.replay.bundle import BundleInfo, EventRecord
 from eval.replay.capture_window import Window, columns, from_columns, window_type
 from eval.replay.event_capture import WINDOW_POLLS, select_events
 from eval.shard.job import POLL_S, WIDTH, ShardJob
-from eval.shard.judging import judge_of, judge_tick
+from eval.shard.judging import judge_tick, make_judge
 from eval.shard.shard import Shard
 from robots.arrays import Floats
 from robots.distributions import Distributions, load_distributions
@@ -99,7 +99,7 @@ class Replay:
         shard, info = self.shard, self.info
         window = Window(self.spec, WIDTH, shard.runtime.task.size, len(self.recorded) * self.spec.dt)
         # A second judge, whose highest load is reset in each tick.
-        tick_judge = judge_of(self.spec, shard.runtime.contract, info.job.robots)
+        tick_judge = make_judge(self.spec, shard.runtime.contract, WIDTH, counted=info.job.robots)
         load = np.zeros(len(self.recorded))
         tick_judge.restore(shard.judge.save())
         channel = _channel(tick_judge.counts(), info.event)

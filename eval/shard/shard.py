@@ -18,8 +18,16 @@ from eval.faults.injector import Injector
 from eval.faults.schedule import plan
 from eval.shard.fingerprint import code_digest
 from eval.shard.job import ARM_S, OPERATOR_S, POLL_S, WIDTH, ShardJob
-from eval.shard.judging import Action, judge_of, judge_tick
-from eval.shard.results import COUNTED, SAMPLED, ShardResult, samples, shard_result
+from eval.shard.judging import (
+    COUNTED,
+    SAMPLED,
+    Action,
+    ShardResult,
+    judge_tick,
+    make_judge,
+    samples,
+    shard_result,
+)
 from robots.draws import Draw
 from robots.errors import ConfigError
 from robots.randomness import robot_seed
@@ -76,7 +84,7 @@ class Shard(Stage):
         schedule = plan(spec, job.faults, seeds, job.first, job.ticks)
         self._job, self.action, faults = job, None, schedule.sensor_faults()
         self.runtime, self.robot = simulate(spec, policy.contract, seeds, policy, given=draw, faults=faults)
-        self.judge = judge_of(spec, policy.contract, job.robots)
+        self.judge = make_judge(spec, policy.contract, WIDTH, counted=job.robots)
         self.injector = Injector(spec, schedule, self.robot.plant, policy.contract.action_size)
         self.responses = FaultResponseTracker(spec, schedule)
         self._operator_s = job.faults.operator_s if job.faults else OPERATOR_S

@@ -17,7 +17,7 @@ from eval.report.sections.faults import fault_table
 from eval.report.soak_result import SoakResult
 from eval.shard.fingerprint import code_digest, versions
 from eval.shard.job import WIDTH
-from eval.shard.results import ShardResult
+from eval.shard.judging import ShardResult
 from eval.soak.configuration import SoakConfig
 from eval.soak.limitations import FAULTS, LIMITATIONS, NO_FAULTS
 from eval.statistics.sensitivity import parameter_values

@@ -16,7 +16,7 @@ from eval.report.build import build
 from eval.report.report_files import PAGE, claim_folder, delete_report, lock_folder, write_report
 from eval.report.schema.report_data import Report
 from eval.report.sections.trend import THIS_RUN, trend
-from eval.shard.results import ShardResult
+from eval.shard.judging import ShardResult
 from eval.soak import options
 from eval.soak.assembly import assemble, settings
 from eval.soak.checkpoint import delete_checkpoints

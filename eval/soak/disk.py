@@ -15,7 +15,7 @@ from eval.replay import bundle
 from eval.replay.capture_window import window_type
 from eval.replay.event_capture import HARD_BUNDLES, SOFT_BUNDLES, WINDOW_POLLS
 from eval.shard.job import POLL_S
-from eval.shard.results import shard_result
+from eval.shard.judging import shard_result
 from eval.shard.shard import Shard
 from eval.soak.configuration import SoakConfig
 from eval.soak.series import columns

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from eval.judge.monitors import MONITORS
 from eval.shard.fingerprint import code_digest
-from eval.shard.results import ShardResult
+from eval.shard.judging import ShardResult
 from eval.soak.configuration import SoakConfig
 from robots.distributions import load_distributions
 

@@ -11,7 +11,7 @@ from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.record_writer import RecordWriter
 
 from eval.judge.monitors import MONITORS
-from eval.shard.results import ShardResult
+from eval.shard.judging import ShardResult
 from eval.soak.assembly import pad_and_join, running_total
 from eval.soak.configuration import SoakConfig
 from robots.arrays import Floats, Ints

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from deploy.operation.interrupts import handled
 from eval.replay.event_capture import EVENTS, EventCapture
 from eval.shard.job import ShardJob
-from eval.shard.results import ShardResult, shard_result
+from eval.shard.judging import ShardResult, shard_result
 from eval.shard.shard import Shard
 from eval.soak.checkpoint import Checkpoint, prepare_folder
 from eval.soak.configuration import SoakConfig

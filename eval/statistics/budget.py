@@ -22,7 +22,7 @@ Limit = Annotated[NonNegativeInt | None, BeforeValidator(lambda found: None if f
 class Budget(Strict):
     """Upper bounds of events and lower bounds of work.
 
-    A monitor that the file does not name has the bound of its declaration: `eval.judge.monitor.Monitor.events_per_hour`.
+    A monitor that the file does not name has the bound of its declaration: see `Monitor.events_per_hour`.
 
     Attributes:
         goal_success_min: goals reached ÷ goals due. availability_min: ticks in operation ÷ all ticks.
@@ -38,8 +38,8 @@ class Budget(Strict):
     invalid_ticks_max: NonNegativeInt
     latches_max: Limit
     unlimited: tuple[str, ...] = ()
-    events_max: dict[str, NonNegativeInt] = {}
-    events_per_hour_max: dict[str, NonNegativeFloat] = {}
+    events_max: dict[str, NonNegativeInt] = Field(default_factory=dict)
+    events_per_hour_max: dict[str, NonNegativeFloat] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _add_defaults(self) -> Self:

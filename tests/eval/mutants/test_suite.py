@@ -14,8 +14,7 @@ from deploy.state import Reason
 from eval.judge.monitors import NAMES
 from eval.mutants import __main__ as command
 from eval.mutants import suite
-from eval.mutants.mutant import INVALID, LATCHES
-from eval.mutants.situation import keep_guards, run_situation
+from eval.mutants.situation import INVALID, LATCHES, keep_guards, run_situation
 from eval.mutants.suite import ALL_GUARDS_OFF, MUTANTS, Row, run_mutants
 from robots.errors import ConfigError
 

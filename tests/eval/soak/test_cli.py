@@ -19,7 +19,7 @@ from eval.report.report_files import LOCK, claim_folder, lock_folder
 from eval.shard import shard as shard_module
 from eval.shard.fingerprint import code_digest
 from eval.shard.job import WIDTH
-from eval.shard.results import COUNTED
+from eval.shard.judging import COUNTED
 from eval.shard.shard import Shard
 from eval.soak import cli as command
 from eval.soak import workers

@@ -13,7 +13,7 @@ pytest.importorskip("mujoco")
 
 from eval.judge.monitors import NAMES
 from eval.shard.fingerprint import code_digest
-from eval.shard.results import COUNTED
+from eval.shard.judging import COUNTED
 from eval.shard.shard import Shard
 from eval.soak.assembly import running_total
 from eval.soak.configuration import SAMPLES_MAX

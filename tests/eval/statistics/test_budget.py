@@ -145,7 +145,10 @@ def test_shipped_budgets_hold_the_figures_of_the_project(file, work, none_allowe
 
 def test_a_budget_overrides_the_bounds_of_monitors(tmp_path):
     path = tmp_path / "budget.toml"
-    text = BUDGET.read_text() + "unlimited = ['jerk']\nevents_per_hour_max = {power = 2.0}\nevents_max = {tracking = 3}"
+    text = (
+        BUDGET.read_text()
+        + "unlimited = ['jerk']\nevents_per_hour_max = {power = 2.0}\nevents_max = {tracking = 3}"
+    )
     path.write_text(text)
     found = load_budget(path)
     assert "jerk" not in {*found.events_max, *found.events_per_hour_max}

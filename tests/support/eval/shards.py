@@ -8,7 +8,7 @@ from deploy.policy.policy import Policy
 from eval.faults.fault_response import FaultResponses
 from eval.judge.monitors import MONITORS
 from eval.shard.job import WIDTH, ShardJob
-from eval.shard.results import COUNTED, ShardResult
+from eval.shard.judging import COUNTED, ShardResult
 from eval.soak.configuration import SoakConfig
 from eval.statistics.budget import BUDGET
 from robots.models.nominal_model import torque_max

@@ -5,8 +5,9 @@ import numpy as np
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.sensor_faults import Failure, Fault
 from deploy.runtime import Runtime
-from eval.mutants.situation import ROBOTS, Disturbance
+from eval.mutants.situation import ROBOTS, Disturbance, SensorFaults
 from robots.sensors import Kind
+from robots.spec import RobotSpec
 
 JAMMED = 1e5
 """N·m of friction."""
@@ -15,28 +16,21 @@ JAMMED = 1e5
 def sensor_faults(
     failure: Failure,
     at: float,
-    control_hz: int,
     *,
     sensor: Kind = "encoder",
     channel: int | None = None,
     until: float = 1e6,
-) -> tuple[Fault, ...]:
-    """Return faults of a sensor of every robot, from `at` to `until` in s."""
-    begins, ends = round(at * control_hz), round(until * control_hz)
-    return tuple(
-        Fault(robot=robot, sensor=sensor, what=failure, channel=channel, begins=begins, ends=ends)
-        for robot in range(ROBOTS)
-    )
+) -> SensorFaults:
+    """Return the faults of a sensor of every robot, from `at` to `until` in s, as a function of the spec."""
 
+    def faults(spec: RobotSpec) -> tuple[Fault, ...]:
+        begins, ends = (round(t * spec.rates.control_hz) for t in (at, until))
+        return tuple(
+            Fault(robot=robot, sensor=sensor, what=failure, channel=channel, begins=begins, ends=ends)
+            for robot in range(ROBOTS)
+        )
 
-def apply_all(*disturbances: Disturbance) -> Disturbance:
-    """Apply several disturbances before the same tick."""
-
-    def disturb(runtime: Runtime, robot: SimRobot, t: float) -> None:
-        for disturbance in disturbances:
-            disturbance(runtime, robot, t)
-
-    return disturb
+    return faults
 
 
 def jam_joint(joint: int, at: float) -> Disturbance:
