@@ -7,13 +7,11 @@ import numpy as np
 
 from deploy.backends.sim.backend import simulate
 from deploy.policy.policy import Policy
-from eval.judge.judge import Judge
 from eval.shard.job import ARM_S, POLL_S
-from eval.shard.judging import judge_tick
+from eval.shard.judging import judge_tick, make_judge
 from eval.shard.shard import rearm
 from robots.arrays import Floats
 from robots.draws import Draw
-from robots.models.nominal_model import torque_max
 from robots.motors.windings import nominal_windings
 from robots.spec import RobotSpec
 
@@ -27,7 +25,7 @@ class Trial:
         policy: Path,
         seeds: Sequence[np.random.SeedSequence],
         *,
-        given: Draw | None = None,
+        draw: Draw | None = None,
     ) -> None:
         """Build everything, with brakes on.
 
@@ -35,13 +33,12 @@ class Trial:
             spec: the robot.
             policy: ONNX file.
             seeds: B seeds.
-            given: parameters of the B robots, instead of those drawn from the seeds.
+            draw: parameters of the B robots, instead of those drawn from the seeds.
         """
         self.policy = Policy.load(policy, spec)
         contract = self.policy.contract
-        self.runtime, self.robot = simulate(spec, contract, seeds, self.policy, given=given)
-        rule = self.runtime.task.rule
-        self.judge = Judge(spec, torque_max(spec), len(seeds), observed=contract.observed, scoring=rule)
+        self.runtime, self.robot = simulate(spec, contract, seeds, self.policy, given=draw)
+        self.judge = make_judge(spec, contract, len(seeds))
         self._motors = nominal_windings(spec)
         self._ohm = self._motors.resistance * self.robot.draw["drives.resistance"]
 

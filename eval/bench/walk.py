@@ -78,9 +78,9 @@ def walk(spec: RobotSpec, policy: Path, console: Console) -> None:
 
 
 def _add_row(
-    table: Table, name: str, spec: RobotSpec, policy: Path, given: Draw | None
+    table: Table, name: str, spec: RobotSpec, policy: Path, draw: Draw | None
 ) -> tuple[Trial, WalkResult]:
-    trial = Trial(spec, policy, [robot_seed(SEED, robot) for robot in range(ROBOTS)], given=given)
+    trial = Trial(spec, policy, [robot_seed(SEED, robot) for robot in range(ROBOTS)], draw=draw)
     result = measure_walk(trial, WALK_S)
     stopped = int((trial.runtime.supervisor.mode != Mode.RUNNING).sum())
     errors = result.smoother_lag, result.velocity_error, result.joint_speed_error

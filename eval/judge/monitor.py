@@ -23,8 +23,8 @@ class Monitor:
     Attributes:
         unit: of value and limit; empty for yes or no, 1 for a plain number.
         hard: one event is enough to make the robot's draw a bad one.
-        events_per_hour: upper bound in budgets that do not name the monitor; None: they allow no event of a hard monitor
-            and any number of a soft one.
+        events_per_hour: upper bound in budgets that do not name the monitor; None: none of a hard monitor, any number
+            of a soft one.
         meaning: what is compared with what, for the report.
         per_joint: one channel for each joint, not a single one for the robot.
         limit: (n,) or a number; infinite if unknown, and then nothing is judged.

@@ -44,7 +44,7 @@ def h1(tmp_path_factory):
 def test_robot_walks_for_a_minute_with_the_whole_stack(h1):
     spec, seeds = load_robot(h1), [robot_seed(7, robot) for robot in range(ROBOTS)]
     given = median_draw(load_distributions(spec), spec, ROBOTS)
-    trial = Trial(spec, h1 / "walk.onnx", seeds, given=given)
+    trial = Trial(spec, h1 / "walk.onnx", seeds, draw=given)
     found, counts = measure_walk(trial, WALKED_S), trial.judge.counts()
     assert (trial.runtime.supervisor.mode == Mode.RUNNING).all()
     assert not counts.stops.any()

@@ -7,8 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.bench.estimation.joint_estimates import JointEstimates
-from eval.bench.estimation.recorded_motion import Motion
+from eval.bench.estimation.recorded_motion import JointEstimates, Motion
 from robots.arrays import Floats
 from robots.spec import RobotSpec
 

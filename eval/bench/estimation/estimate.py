@@ -15,8 +15,15 @@ from scipy import stats
 from deploy.state import Packet, Sample
 from deploy.telemetry.output_files import replacing
 from eval.bench.estimation.encoder_plot import draw_encoder
-from eval.bench.estimation.joint_estimates import JointEstimates, estimate_motion, initial_estimator
-from eval.bench.estimation.recorded_motion import SHARD, Motion, record_motion, replay
+from eval.bench.estimation.recorded_motion import (
+    SHARD,
+    JointEstimates,
+    Motion,
+    estimate_motion,
+    initial_estimator,
+    record_motion,
+    replay,
+)
 from robots.arrays import Floats
 from robots.spec import RobotSpec
 

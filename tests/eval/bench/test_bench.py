@@ -12,14 +12,15 @@ pytest.importorskip("mujoco")
 
 from mujoco.batch import Batch
 
+from deploy.command_line import main
 from deploy.policy.policy import Policy
-from eval.bench import cli, stages, stopwatch
+from eval.bench import __main__ as command
+from eval.bench import stages, stopwatch
 from eval.bench.baselines.library_loop import LibraryLoop
+from eval.bench.budget_check import make_idle
 from eval.bench.estimation.encoder_plot import draw_encoder
 from eval.bench.estimation.estimate import consistency, error_row, outage
-from eval.bench.estimation.joint_estimates import estimate_motion
-from eval.bench.estimation.recorded_motion import Motion
-from eval.bench.idle_policy import make_idle
+from eval.bench.estimation.recorded_motion import Motion, estimate_motion
 from eval.bench.reproducibility import differences
 from eval.bench.stopwatch import Stopwatch
 from eval.bench.throughput import RolloutReplay
@@ -135,25 +136,25 @@ def test_idle_policy_loads_and_outputs_zero(tmp_path):
 def test_an_unknown_bench_is_refused(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["bench", "nothing"])
     with pytest.raises(SystemExit) as caught:
-        cli.cli()
+        main(command.bench)
     assert caught.value.code == 2
-    known = (
-        "stages, throughput, reproducibility, estimate, floating, ablation, hot, start, memory, work, walk"
-    )
+    known = "stages, throughput, reproducibility, estimate, floating, ablation, heat, startup, memory, budget, walk"
     assert f"found 'nothing', expected one of {known} or all" in capsys.readouterr().err
 
 
 def test_figure_omits_what_cannot_be_drawn(monkeypatch, capsys):
     seen = []
-    monkeypatch.setitem(cli.BENCHES, "ablation", lambda spec, policy, picture: seen.append(picture))
+    monkeypatch.setitem(
+        command.BENCHES, "ablation", lambda spec, policy, console, picture: seen.append(picture)
+    )
     codes = []
-    for which in ("ablation", "start"):
+    for which in ("ablation", "startup"):
         monkeypatch.setattr(sys, "argv", ["bench", which, "--picture", "figures.png"])
         with pytest.raises(SystemExit) as caught:
-            cli.cli()
+            main(command.bench)
         codes.append(caught.value.code)
     assert (codes, seen) == ([0, 2], [Path("figures.png")])
-    assert "--picture figures.png: found 'start', expected estimate or ablation" in capsys.readouterr().err
+    assert "--picture figures.png: found 'startup', expected estimate or ablation" in capsys.readouterr().err
 
 
 def test_differences_between_results_are_named():

@@ -13,7 +13,7 @@ pytest.importorskip("mujoco")
 from deploy.estimation.estimator import Estimator
 from deploy.estimation.winding_observer import WindingObserver
 from deploy.state import Packet, Setpoint
-from eval.bench.ablation import ablation, hot
+from eval.bench.ablation import ablation, heat_guard
 from eval.bench.ablation.metrics import MetricsRecorder
 from eval.bench.ablation.stage_variants import (
     VARIANTS,
@@ -180,7 +180,7 @@ def test_constant_losses_lead_to_the_closed_form():
     motors = nominal_windings(SPEC)
     away, ambient, current = SPEC.motor_array("housing_resistance_k_per_w"), 40.0, 3.0
     capacity = SPEC.motor_array("housing_capacity_j_per_k")
-    winding, housing = hot.steady(
+    winding, housing = heat_guard.steady(
         (current**2 * motors.resistance)[None],
         np.zeros((1, N)),
         np.full((1, 1), ambient),
@@ -204,7 +204,9 @@ def test_constant_losses_lead_to_the_closed_form():
 def test_friction_heats_the_housing_only():
     motors, away = nominal_windings(SPEC), SPEC.motor_array("housing_resistance_k_per_w")
     copper, rubbed = np.full((1, N), 2.0), np.full((1, N), 3.0)
-    winding, housing = hot.steady(copper, rubbed, np.full((1, 1), 20.0), motors, motors.to_housing, away)
+    winding, housing = heat_guard.steady(
+        copper, rubbed, np.full((1, 1), 20.0), motors, motors.to_housing, away
+    )
     through = (winding - housing) / motors.to_housing
     np.testing.assert_allclose(through, copper * (1 + motors.alpha * (winding - motors.reference_c)))
     np.testing.assert_allclose((housing - 20.0) / away, through + rubbed)
@@ -212,16 +214,18 @@ def test_friction_heats_the_housing_only():
 
 def test_hot_draw_changes_masses_and_ambient_temperature_only():
     who = [3, 8]
-    usual = draw(load_distributions(SPEC), SPEC, [robot_seed(hot.SEED, robot) for robot in who])
-    given = hot.hot_draw(SPEC, who)
+    usual = draw(load_distributions(SPEC), SPEC, [robot_seed(heat_guard.SEED, robot) for robot in who])
+    given = heat_guard.hot_draw(SPEC, who)
     changed = {name for name in usual if not np.array_equal(usual[name], given[name])}
     assert changed == {"links.mass", "payload.mass_kg", "climate.ambient_c"}
     np.testing.assert_allclose(given["links.mass"], 1.2 * usual["links.mass"])
     np.testing.assert_allclose(given["payload.mass_kg"], 1.2 * usual["payload.mass_kg"])
     np.testing.assert_allclose(given["climate.ambient_c"], usual["climate.ambient_c"] + 15.0)
-    begun = hot.warm_start(SPEC, given, np.array([62.0, 200.0]))
+    begun = heat_guard.warm_start(SPEC, given, np.array([62.0, 200.0]))
     warm = begun["climate.warm_start_k"] + begun["climate.ambient_c"]
-    np.testing.assert_allclose(warm, [62.0, SPEC.motor_array("housing_max_c").min() - hot.START_MARGIN_K])
+    np.testing.assert_allclose(
+        warm, [62.0, SPEC.motor_array("housing_max_c").min() - heat_guard.START_MARGIN_K]
+    )
 
 
 def test_unguarded_robot_neither_folds_back_nor_stops_for_heat():
@@ -237,9 +241,9 @@ def test_hot_shift_of_resting_robots(arm_policy, monkeypatch):
     """A row for each robot and variant; what it lacks of the limit is what its winding has not reached."""
     small = {"CANDIDATES": 3, "CANDIDATE_S": 1.0, "ROBOTS": 2, "TRIAL_S": 3.0}
     for name, value in small.items():
-        monkeypatch.setattr(hot, name, value)
+        monkeypatch.setattr(heat_guard, name, value)
     console = Console(record=True, width=160)
-    hot.hot(SPEC, arm_policy, console)
+    heat_guard.heat_guard(SPEC, arm_policy, console)
     text = console.export_text()
     rows = [
         [cell.strip() for cell in line.split("│")[1:-1]] for line in text.splitlines() if line.startswith("│")

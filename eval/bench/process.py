@@ -1,5 +1,6 @@
-"""Time from the start of the deploy-run process to its first tick."""
+"""Cost of a process: time from the start of deploy-run to its first tick, and growth of a shard's memory."""
 
+import resource
 import subprocess
 import sys
 import tempfile
@@ -9,8 +10,13 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from eval.bench.soak_setup import shard_job
+from eval.shard.job import WIDTH
+from eval.shard.shard import Shard
 from robots.spec import RobotSpec
 
+MINUTES = 10
+"""Simulated minutes of the memory bench."""
 STARTS = 5
 SCRIPT = """
 import sys, deploy.runtime as r
@@ -24,7 +30,7 @@ cli()
 """deploy-run that prints after every tick whether torch is imported."""
 
 
-def start(spec: RobotSpec, policy: Path, console: Console) -> None:
+def startup(spec: RobotSpec, policy: Path, console: Console) -> None:
     """Print the median time to the first tick, and whether torch was imported."""
     with tempfile.TemporaryDirectory() as out:
         options = ["--robot", str(spec.folder), "--policy", str(policy), "--duration", "1", "--out", out]
@@ -46,3 +52,28 @@ def _first_tick(command: list[str]) -> tuple[float, bool]:
                 process.kill()
                 return spent, line.split()[-1] == "True"
     raise RuntimeError("deploy-run ended without a tick")
+
+
+def memory(spec: RobotSpec, policy: Path, console: Console) -> None:
+    """Print the resident memory of a shard after one and after ten simulated minutes."""
+    minute = round(60 / spec.dt)
+    sizes: list[int] = []
+
+    def sample(ticks: int) -> None:
+        if ticks % minute == 0:
+            sizes.append(_resident_kib())
+
+    Shard(shard_job(spec, policy, 60 * MINUTES)).run(sample, lambda: False)
+    console.print(
+        f"memory of a shard of {WIDTH}: {sizes[0] / 1024:.1f} MiB after 1 simulated minute,"
+        f" {sizes[-1] / 1024:.1f} MiB after {len(sizes)}"
+    )
+
+
+def _resident_kib() -> int:
+    """Return the present resident memory in KiB; the peak on systems without /proc."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return pages * resource.getpagesize() // 1024

@@ -52,12 +52,12 @@ class HeatResults:
         return winding, margin, goals, folded, str(self.stops[robot])
 
 
-def hot(spec: RobotSpec, policy: Path, console: Console) -> None:
+def heat_guard(spec: RobotSpec, policy: Path, console: Console) -> None:
     """Find the hottest robots and print their trials with the guard and without."""
     winding, housing = _steady_temperatures(spec, policy)
     robots = np.argsort(-winding.max(axis=1))[:ROBOTS]
-    given = warm_start(spec, hot_draw(spec, robots), housing[robots].max(axis=1))
-    results = {name: _run(spec, policy, robots, given, variant) for name, variant in VARIANTS.items()}
+    drawn = warm_start(spec, hot_draw(spec, robots), housing[robots].max(axis=1))
+    results = {name: _run(spec, policy, robots, drawn, variant) for name, variant in VARIANTS.items()}
     console.print(_table(robots, winding, results))
     guarded, unguarded = (np.count_nonzero(result.margin <= 0) for result in results.values())
     console.print(
@@ -80,7 +80,7 @@ def _table(robots: Ints, winding: Floats, results: Mapping[str, HeatResults]) ->
 
 
 def hot_draw(spec: RobotSpec, robots: Sequence[int] | Ints) -> Draw:
-    """Draw the given robots of the seed, in a hotter room and under a heavier load."""
+    """Draw robots of the seed by number, in a hotter room and under a heavier load."""
     usual = draw(load_distributions(spec), spec, _seeds(robots))
     loads = {name: LOAD_FACTOR * usual[name] for name in ("links.mass", "payload.mass_kg")}
     return usual.replaced({**loads, "climate.ambient_c": usual["climate.ambient_c"] + AMBIENT_RISE_K})
@@ -90,17 +90,17 @@ def _seeds(robots: Sequence[int] | Ints) -> list[np.random.SeedSequence]:
     return [robot_seed(SEED, int(robot)) for robot in robots]
 
 
-def warm_start(spec: RobotSpec, given: Draw, housing: Floats) -> Draw:
+def warm_start(spec: RobotSpec, drawn: Draw, housing: Floats) -> Draw:
     """Return the robots started at the temperature of their hottest housing (B,) °C, or just below its limit."""
     start = np.minimum(housing, spec.motor_array("housing_max_c").min() - START_MARGIN_K)
-    return given.replaced({"climate.warm_start_k": np.maximum(start - given["climate.ambient_c"], 0.0)})
+    return drawn.replaced({"climate.warm_start_k": np.maximum(start - drawn["climate.ambient_c"], 0.0)})
 
 
 def _steady_temperatures(spec: RobotSpec, policy: Path) -> tuple[Floats, Floats]:
     """Extrapolate windings and housings, (CANDIDATES, n) °C, from the losses of a short trial without the guard."""
     robots = range(CANDIDATES)
-    given = hot_draw(spec, robots)
-    trial = Trial(spec, policy, _seeds(robots), given=given)
+    drawn = hot_draw(spec, robots)
+    trial = Trial(spec, policy, _seeds(robots), draw=drawn)
     ignore_heat(trial.runtime)
     plant, motors, first = trial.robot.plant, nominal_windings(spec), trial.robot.truth()
     start, ticks = first.housing_c.copy(), round(CANDIDATE_S / spec.dt)
@@ -110,7 +110,7 @@ def _steady_temperatures(spec: RobotSpec, policy: Path) -> tuple[Floats, Floats]
         copper += trial.copper_loss() / (1 + motors.alpha * (truth.winding_c - motors.reference_c)) / ticks
         rise += (truth.winding_c - truth.housing_c) / ticks
         housing += truth.housing_c / ticks
-    ambient = given["climate.ambient_c"][:, None]
+    ambient = drawn["climate.ambient_c"][:, None]
     to_housing, to_ambient = plant.windings.to_housing, plant.housings.to_ambient
     # Heat into the housing, less that from its winding, plus that to the room, is friction and iron loss.
     warming = plant.housings.capacity * (truth.housing_c - start) / CANDIDATE_S
@@ -142,8 +142,8 @@ def steady(
     return winding, winding - to_housing * loss
 
 
-def _run(spec: RobotSpec, policy: Path, robots: Ints, given: Draw, variant: Variant) -> HeatResults:
-    trial = Trial(spec, policy, _seeds(robots), given=given)
+def _run(spec: RobotSpec, policy: Path, robots: Ints, drawn: Draw, variant: Variant) -> HeatResults:
+    trial = Trial(spec, policy, _seeds(robots), draw=drawn)
     variant(trial.runtime)
     hottest, folded = np.full((len(robots), spec.n), -np.inf), np.zeros(len(robots), dtype=np.int64)
     for _ in trial.advance(TRIAL_S):
