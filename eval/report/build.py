@@ -6,18 +6,17 @@ import numpy as np
 
 from eval.history.soak_record import Verdict
 from eval.judge.counts import REASONS, Counts
-from eval.report.schema.numbers import number
-from eval.report.schema.report_data import BudgetLine, Exposure, Report, Stops
-from eval.report.sections.bounds import evidence, statement
+from eval.report.schema.report_data import Exposure, Report, Stops
 from eval.report.sections.causes import sensitivity
 from eval.report.sections.faults import fault_line
 from eval.report.sections.goals import goals
 from eval.report.sections.heat import heat
 from eval.report.sections.judged import events, monitors, robots
 from eval.report.sections.limitations import limitations
+from eval.report.sections.verdict import evidence, statement
 from eval.report.sections.wear import wear
 from eval.report.soak_result import SoakResult
-from eval.statistics.budget import Budget, check
+from eval.statistics.budget import Budget, BudgetLine, check
 from eval.statistics.per_draw_counts import PerDrawCounts
 
 TAIL = 1e-4
@@ -27,7 +26,8 @@ CURVE_POINTS = 500
 def build(result: SoakResult, budget: Budget) -> Report:
     """Check a soak against a budget and return all data of its report."""
     counts = result.counts
-    lines = _budget_lines(result, budget)
+    faults = () if result.faults is None else (fault_line(result.faults),)
+    lines = (*faults, *check(budget, counts))
     found = evidence(counts)
     at = np.arange(0, len(result.sample_h), -(-len(result.sample_h) // CURVE_POINTS))
     report = Report(
@@ -52,24 +52,9 @@ def build(result: SoakResult, budget: Budget) -> Report:
         wear=tuple(wear(result, at)),
         faults=result.faults,
         trend=None,
-        limitations=(*limitations(counts, found), *result.limitations),
+        limitations=tuple(limitations(counts, found, faults=result.faults is not None)),
     )
     return report.model_copy(update={"results_digest": report.sealed()})
-
-
-def _budget_lines(result: SoakResult, budget: Budget) -> tuple[BudgetLine, ...]:
-    lines = tuple(
-        BudgetLine(
-            name=line.name,
-            unit=line.unit,
-            at_least=line.at_least,
-            allowed=number(line.allowed),
-            found=number(line.found),
-            passed=line.passed,
-        )
-        for line in check(budget, result.counts)
-    )
-    return lines if result.faults is None else (fault_line(result.faults), *lines)
 
 
 def _verdict(result: SoakResult, lines: Sequence[BudgetLine]) -> Verdict:

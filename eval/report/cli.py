@@ -12,13 +12,13 @@ from deploy.telemetry.output_files import replacing
 from eval.history.history import read_history, read_record
 from eval.history.pooling import same_draws
 from eval.history.soak_record import SoakRecord
-from eval.report.html import ends, percent, render_history
-from eval.report.schema.numbers import figure
+from eval.report.html import interval_text, percent, render_history
 from eval.report.schema.report_data import Report
 from eval.report.schema.trend_rows import Trend
 from eval.report.sections.trend import trend as trend_of
 from eval.statistics.compare import Difference
 from eval.statistics.compare import compare as differences
+from eval.statistics.numbers import figure
 from robots.errors import ConfigError
 
 SoakPath = Annotated[Path, typer.Argument(help="report.json, its folder, or a record from --history.")]
@@ -99,7 +99,7 @@ def _trend_table(result: Trend) -> Table:
             "passed" if run.passed else "failed",
             f"{run.draws}",
             f"{run.hard_events}",
-            ends((run.rate.low, run.rate.high)),
+            interval_text((run.rate.low, run.rate.high)),
             percent(run.goals.value, 2),
             percent(run.availability.value, 2),
             figure(run.hottest_c.value),

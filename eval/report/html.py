@@ -1,35 +1,25 @@
 """HTML pages, each a single file without external resources: report.html, and the trend over a history."""
 
-from collections.abc import Iterator, Mapping
-from itertools import groupby
+from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from eval.report.plots.curves import goals_plot, heat_plot, wear_plot
-from eval.report.plots.margins import margins_plot
-from eval.report.plots.timeline import timeline_plot
-from eval.report.plots.trend import TREND_QUANTITIES, trend_plot
-from eval.report.schema.numbers import Number, figure
+from eval.report.plots.bars import margins_plot, timeline_plot
+from eval.report.plots.curves import TREND_QUANTITIES, goals_plot, heat_plot, trend_plot, wear_plot
 from eval.report.schema.report_data import Report
 from eval.report.schema.rows import EventRow
 from eval.report.schema.trend_rows import Trend
 from eval.report.sections.timeline import timeline
+from eval.statistics.numbers import Number, figure
 
 EVENTS_SHOWN = 500
 MULTIPLE_FROM = 10.0
 """Load from which it is shown as a multiple of the limit instead of per cent."""
 TEMPLATES = Path(__file__).parent
-
-
-class TrendPlot(NamedTuple):
-    """Plot over soaks, with its latest value in words."""
-
-    title: str
-    note: str
-    svg: Markup
 
 
 class Cell(NamedTuple):
@@ -47,7 +37,7 @@ def render(report: Report) -> str:
         r=report,
         plot=plots(report),
         joints=[channel.joint for channel in report.monitors[0].channels],
-        cells=cells(report),
+        cells=event_cells(report),
         unlisted=sum(row.unlisted for row in report.monitors),
         over=[line for line in report.budget if not line.passed],
         trend=report.trend,
@@ -69,21 +59,23 @@ def _template(name: str) -> Template:
         lstrip_blocks=True,
     )
     environment.filters |= {
-        each.__name__: each for each in (percent, of_limit, margin, figure, fixed, duration, ends)
+        each.__name__: each
+        for each in (percent, load_text, margin_text, figure, decimals, duration, interval_text)
     }
     return environment.get_template(name)
 
 
-def _trend_plots(trend: Trend) -> list[TrendPlot]:
+def _trend_plots(trend: Trend) -> list[dict[str, str]]:
+    """Plot over soaks of each quantity, with its title and its latest value in words."""
     last = trend.runs[-1]
     notes = (
-        f"last {figure(last.rate.value, 2)}",
-        f"last {percent(last.goals.value, 2)}",
-        f"last {percent(last.availability.value, 2)}",
-        f"last {figure(last.hottest_c.value)}",
+        figure(last.rate.value, 2),
+        percent(last.goals.value, 2),
+        percent(last.availability.value, 2),
+        figure(last.hottest_c.value),
     )
     return [
-        TrendPlot(quantity.title, note, Markup(trend_plot(trend, quantity)))
+        {"title": quantity.title, "note": f"last {note}", "svg": Markup(trend_plot(trend, quantity))}
         for quantity, note in zip(TREND_QUANTITIES, notes, strict=True)
     ]
 
@@ -103,40 +95,32 @@ def plots(report: Report) -> dict[str, Markup | list[Markup]]:
     }
 
 
-def cells(report: Report) -> dict[str, dict[str | None, Cell]]:
+def event_cells(report: Report) -> dict[str, dict[str | None, Cell]]:
     """Return events by monitor, hard ones first, and joint; of each the earliest, those with a bundle first."""
-    found = {(e.monitor, e.joint) for e in report.events}
-    share, result = EVENTS_SHOWN // max(1, len(found)), dict[str, dict[str | None, Cell]]()
-    for anchor, name, joint, listed in _by_cell(report):
-        shown = sorted(listed, key=lambda e: (e.bundle is None, e.start_h))[:share]
-        cell = Cell(anchor=anchor, joint=joint, shown=shown, listed=len(listed))
-        result.setdefault(name, {})[joint] = cell
-    return result
+    listed, cells = (
+        defaultdict[tuple[str, str | None], list[EventRow]](list),
+        dict[str, dict[str | None, Cell]](),
+    )
+    for event in report.events:
+        listed[event.monitor, event.joint].append(event)
+    share = EVENTS_SHOWN // max(1, len(listed))
+    for number, row in sorted(enumerate(report.monitors), key=lambda item: not item[1].hard):
+        for place, channel in enumerate(row.channels):
+            if events := listed.get((row.name, channel.joint)):
+                shown = sorted(events, key=lambda e: (e.bundle is None, e.start_h))[:share]
+                cell = Cell(f"events-{number}-{place}", channel.joint, shown, len(events))
+                cells.setdefault(row.name, {})[channel.joint] = cell
+    return cells
 
 
-def _by_cell(report: Report) -> Iterator[tuple[str, str, str | None, list[EventRow]]]:
-    places = {
-        (row.name, channel.joint): (not row.hard, number, place)
-        for number, row in enumerate(report.monitors)
-        for place, channel in enumerate(row.channels)
-    }
-
-    def place(event: EventRow) -> tuple[bool, int, int]:
-        return places[event.monitor, event.joint]
-
-    for (_, number, channel), events in groupby(sorted(report.events, key=place), place):
-        listed = list(events)
-        yield f"events-{number}-{channel}", listed[0].monitor, listed[0].joint, listed
-
-
-def margin(load: float | None) -> str:
+def margin_text(load: float | None) -> str:
     """Format what a load leaves to the limit, as per cent or as a multiple of it."""
     if load is None or load >= MULTIPLE_FROM:
-        return f"−{of_limit(None if load is None else load - 1)}"
+        return f"−{load_text(None if load is None else load - 1)}"
     return f"{100 * (1 - load):.0f} %".replace("-", "−")
 
 
-def of_limit(load: float | None, digits: int = 0) -> str:
+def load_text(load: float | None, digits: int = 0) -> str:
     """Format a load as per cent of the limit, or as a multiple of it from `MULTIPLE_FROM` on."""
     return percent(load, digits) if load is None or load < MULTIPLE_FROM else f"{load:,.0f} ×"
 
@@ -146,7 +130,7 @@ def percent(share: float | None, digits: int = 0) -> str:
     return "∞" if share is None else f"{100 * share:.{digits}f} %"
 
 
-def ends(interval: tuple[Number, Number]) -> str:
+def interval_text(interval: tuple[Number, Number]) -> str:
     """Format an interval; `–` for one without an upper end."""
     return "–" if interval[1] is None else f"{figure(interval[0], 2)} to {figure(interval[1], 2)}"
 
@@ -157,6 +141,6 @@ def duration(hours: float) -> str:
     return f"{figure(hours * worth, 2)} {unit}"
 
 
-def fixed(value: float | None, unit: str) -> str:
+def decimals(value: float | None, unit: str) -> str:
     """Format a number with one decimal for per cent and two for other units; `–` for None."""
     return "–" if value is None else f"{value:.{1 if unit == '%' else 2}f}"

@@ -1,15 +1,46 @@
-"""Files of a report: check the folder, lock it, write all files or none, delete them."""
+"""Files of a report, junit.xml included: check the folder, lock it, write all files or none, delete them."""
 
 import fcntl
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
+
 from deploy.telemetry.output_files import replacing
 from eval.report.html import render
-from eval.report.junit import junit
 from eval.report.schema.report_data import Report
+from eval.statistics.budget import BudgetLine
 from robots.errors import OutputError
+
+
+def junit(report: Report) -> str:
+    """Return the XML text; lines of an interrupted soak that have passed so far are marked as skipped."""
+    suite = TestSuite("soak-test")
+    suite.timestamp = report.run.started
+    suite.add_property("statement", report.statement)
+    suite.add_property("policy_digest", report.settings.policy_digest)
+    for line in report.budget:
+        case = TestCase(line.name, classname=f"soak.{report.settings.robot}", time=0)
+        if not line.passed:
+            case.result = [Failure(_describe(line), "budget")]
+        elif report.run.interrupted:
+            case.result = [Skipped(f"interrupted after {report.run.hours:.3g} h; so far {_describe(line)}")]
+        suite.add_testcase(case)
+    suite.time = report.run.wall_s
+    document = JUnitXml()
+    document.add_testsuite(suite)
+    return document.tostring().decode()
+
+
+def _describe(line: BudgetLine) -> str:
+    """Return the line in words."""
+    found = "not finite" if line.found is None else f"{line.found:.6g}"
+    bound = "at least" if line.at_least else "at most"
+    allowed = "no limit" if line.allowed is None else f"allowed {bound} {line.allowed:.6g}"
+    about = f" ({line.about})" if line.about else ""
+    return f"{line.name}: found {found} {line.unit}, {allowed}{about}"
+
 
 PAGE = "report.html"
 FILES = {

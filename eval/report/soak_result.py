@@ -26,7 +26,6 @@ class SoakResult:
         goals_bin_h: h, width of the bins of `goals_attempted` and `goals_reached`, (H,) of all robots together.
         parameters: (R,) by name, drawn parameters of each robot: see `eval.statistics.sensitivity`.
         bundles: folders of events for soak-replay, relative to the report's.
-        limitations: sentences on effects that the plant does not model.
         faults: responses to injected faults; None without fault injection.
     """
 
@@ -46,5 +45,4 @@ class SoakResult:
     goals_reached: Ints
     parameters: Mapping[str, Floats]
     bundles: tuple[str, ...]
-    limitations: tuple[str, ...]
     faults: FaultTable | None = None

@@ -19,7 +19,6 @@ from eval.shard.fingerprint import code_digest, versions
 from eval.shard.job import WIDTH
 from eval.shard.judging import ShardResult
 from eval.soak.configuration import SoakConfig
-from eval.soak.limitations import FAULTS, LIMITATIONS, NO_FAULTS
 from eval.statistics.sensitivity import parameter_values
 from robots.distributions import load_distributions
 
@@ -60,7 +59,6 @@ def assemble(
         goals_reached=_binned([shard.reached for shard in shards], per_bin),
         parameters={name: column[: counts.robots] for name, column in drawn.items()},
         bundles=tuple(bundles),
-        limitations=(NO_FAULTS if config.faults is None else FAULTS, *LIMITATIONS),
         faults=None if config.faults is None else fault_table(config.spec, config.faults, responses),
     )
 

@@ -1,6 +1,5 @@
 """Budget of a soak, from a TOML file, and the check of the counts against it."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -9,11 +8,11 @@ from pydantic import BeforeValidator, Field, NonNegativeFloat, NonNegativeInt, m
 
 from eval.judge.counts import Counts
 from eval.judge.monitors import MONITORS, NAMES
+from eval.statistics.numbers import Number, Share, number
 from robots.strict import Strict, read_toml
 
 BUDGET = Path(__file__).parents[1] / "budget.toml"
 
-Share = Annotated[float, Field(ge=0, le=1)]
 UNLIMITED = "unlimited"
 Limit = Annotated[NonNegativeInt | None, BeforeValidator(lambda found: None if found == UNLIMITED else found)]
 """A number, or the word "unlimited" for None."""
@@ -58,25 +57,28 @@ class Budget(Strict):
         return self
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BudgetResult:
-    """One budget line and the value found.
+class BudgetLine(Strict):
+    """One budget line; `about` explains `found` in words.
 
-    Attributes:
-        at_least: True if `allowed` is a lower bound; otherwise it is an upper bound, infinite for no limit.
-        unit: of both numbers.
+    `allowed` is the lower bound if `at_least`, otherwise the upper bound; None for no limit.
     """
 
     name: str
     unit: str
     at_least: bool
-    allowed: float
-    found: float
+    allowed: Number
+    found: Number
+    passed: bool
+    about: str = ""
 
-    @property
-    def passed(self) -> bool:
-        """True if the value is within the bound; False for NaN."""
-        return self.found >= self.allowed if self.at_least else self.found <= self.allowed
+
+def budget_line(
+    name: str, allowed: float, found: float, unit: str, *, at_least: bool = False, about: str = ""
+) -> BudgetLine:
+    """Return the line of a bound, infinite for no limit, and of the value found; NaN does not pass."""
+    passed = found >= allowed if at_least else found <= allowed
+    numbers = {"allowed": number(allowed), "found": number(found)}
+    return BudgetLine(name=name, unit=unit, at_least=at_least, **numbers, passed=passed, about=about)
 
 
 def load_budget(path: Path = BUDGET) -> Budget:
@@ -88,33 +90,29 @@ def load_budget(path: Path = BUDGET) -> Budget:
     return read_toml(path, Budget)
 
 
-def check(budget: Budget, counts: Counts) -> list[BudgetResult]:
+def check(budget: Budget, counts: Counts) -> tuple[BudgetLine, ...]:
     """Compare the counts with every budget line whose monitor applies to the robot; work first."""
     hours, latches = counts.running_hours, budget.latches_max
     applicable = {monitor.name for monitor in counts.monitors}
-    return [
-        _line("goal_success", budget.goal_success_min, counts.goal_success, "share", at_least=True),
-        _line("availability", budget.availability_min, counts.availability, "share", at_least=True),
-        _line("invalid", budget.invalid_ticks_max, float(counts.invalid.sum()), "ticks"),
-        _line("latches", np.inf if latches is None else latches, float(counts.latches.sum()), "times"),
+    return (
+        budget_line("goal_success", budget.goal_success_min, counts.goal_success, "share", at_least=True),
+        budget_line("availability", budget.availability_min, counts.availability, "share", at_least=True),
+        budget_line("invalid", budget.invalid_ticks_max, float(counts.invalid.sum()), "ticks"),
+        budget_line("latches", np.inf if latches is None else latches, float(counts.latches.sum()), "times"),
         *(
-            _line(name, limit, counts.total(name), "events")
+            budget_line(name, limit, counts.total(name), "events")
             for name, limit in budget.events_max.items()
             if name in applicable
         ),
         *(
-            _line(name, limit, _per_hour(counts.total(name), hours), "events/h")
+            budget_line(name, limit, _per_hour(counts.total(name), hours), "events/h")
             for name, limit in budget.events_per_hour_max.items()
             if name in applicable
         ),
-    ]
-
-
-def _line(name: str, allowed: float, found: float, unit: str, *, at_least: bool = False) -> BudgetResult:
-    return BudgetResult(name=name, unit=unit, at_least=at_least, allowed=allowed, found=found)
+    )
 
 
 def _per_hour(events: int, hours: float) -> float:
     if hours > 0:
         return events / hours
-    return float("inf") if events else 0.0
+    return np.inf if events else 0.0

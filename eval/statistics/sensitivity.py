@@ -16,27 +16,30 @@ never be zero, Stat. Appl. Genet. Mol. Biol. 9 (2010).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 from scipy import stats
 
 from eval.statistics.evidence import CONFIDENCE
+from eval.statistics.numbers import Share
 from robots.arrays import Floats
 from robots.distributions import Distributions
 from robots.draws import Draw
+from robots.strict import Strict
 
 RESAMPLES = 1999
 _ROUNDING = 1e-9  # correlations that differ by less are equal
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Correlation:
-    """Rank correlation of a parameter with an outcome, and its family-wise p-value."""
+class Cause(Strict):
+    """Spearman's rank correlation `rho` of a parameter with an outcome over the draws, and its family-wise `p`."""
 
     parameter: str
     outcome: str
-    rho: float
-    p: float
+    rho: Annotated[float, Field(ge=-1, le=1)]
+    p: Share
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +54,7 @@ class CorrelationTable:
     parameters: tuple[str, ...]
     outcomes: tuple[str, ...]
     noticeable: float
-    correlations: tuple[Correlation, ...]
+    correlations: tuple[Cause, ...]
 
 
 def parameter_values(draw: Draw, distributions: Distributions) -> dict[str, Floats]:
@@ -82,9 +85,7 @@ def correlate(
     larger = resamples - np.searchsorted(chance, np.abs(rho) - _ROUNDING)
     p = (1 + larger) / (1 + resamples)
     correlations = [
-        Correlation(
-            parameter=parameter, outcome=outcome, rho=float(np.clip(rho[i, k], -1, 1)), p=float(p[i, k])
-        )
+        Cause(parameter=parameter, outcome=outcome, rho=float(np.clip(rho[i, k], -1, 1)), p=float(p[i, k]))
         for i, parameter in enumerate(x)
         for k, outcome in enumerate(y)
     ]

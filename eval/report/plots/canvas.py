@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.report.schema.numbers import Number
+from eval.statistics.numbers import Number
 from robots.arrays import Floats
 
 # Colours in matplotlib's output, and the page's colours that replace them.
@@ -89,12 +89,3 @@ def curves(axes: Axes, hours: Sequence[float], median: Sequence[Number], extreme
     axes.set_xlim(0, max([*hours, 1e-3]))
     axes.set_xlabel("h")
     return lines
-
-
-def segments(
-    axes: Axes, x: tuple[Floats, Floats], y: tuple[Floats, Floats], colour: str, width: float, alpha: float
-) -> None:
-    """Draw straight strokes from (N,) to (N,) as one path, which keeps the page small."""
-    gap = np.full(len(x[0]), np.nan)
-    paths = [np.stack((*ends, gap), axis=1).ravel() for ends in (x, y)]
-    axes.plot(*paths, color=colour, linewidth=width, alpha=alpha, solid_capstyle="butt")

@@ -1,12 +1,9 @@
 """Schema of injected faults in report.json."""
 
-from typing import Annotated
+from pydantic import NonNegativeInt
 
-from pydantic import Field, NonNegativeInt
-
+from eval.statistics.numbers import Share
 from robots.strict import Strict
-
-Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Times(Strict):

@@ -2,25 +2,11 @@
 
 from eval.history.soak_record import SoakRecord
 from eval.report.schema.fault_rows import FaultTable
-from eval.report.schema.numbers import Count, Number, Share
 from eval.report.schema.rows import EventRow, Evidence, MonitorRow, RobotRow, Sensitivity
 from eval.report.schema.trend_rows import Trend
+from eval.statistics.budget import BudgetLine
+from eval.statistics.numbers import Count, Number, Share
 from robots.strict import Strict
-
-
-class BudgetLine(Strict):
-    """One budget line; `about` explains `found` in words.
-
-    `allowed` is the lower bound if `at_least`, otherwise the upper bound; None for no limit.
-    """
-
-    name: str
-    unit: str
-    at_least: bool
-    allowed: Number
-    found: Number
-    passed: bool
-    about: str = ""
 
 
 class Exposure(Strict):

@@ -1,10 +1,7 @@
 """Schema of evidence, monitors, events, robots and sensitivity in report.json."""
 
-from typing import Annotated
-
-from pydantic import Field
-
-from eval.report.schema.numbers import Count, Number, Share
+from eval.statistics.numbers import Count, Number, Share
+from eval.statistics.sensitivity import Cause
 from robots.strict import Strict
 
 
@@ -141,15 +138,6 @@ class RobotRow(Strict):
     stopped_h: tuple[float, ...]
     latched_h: tuple[float, ...]
     unlisted_h: Number
-
-
-class Cause(Strict):
-    """Spearman's rank correlation `rho` of a parameter with an outcome over the draws, and its family-wise `p`."""
-
-    parameter: str
-    outcome: str
-    rho: Annotated[float, Field(ge=-1, le=1)]
-    p: Share
 
 
 class Sensitivity(Strict):

@@ -2,7 +2,7 @@
 
 from pydantic import NonNegativeInt
 
-from eval.report.schema.numbers import Share
+from eval.statistics.numbers import Share
 from robots.strict import Strict
 
 

@@ -1,13 +1,13 @@
-"""Section "sensitivity": rank correlations of robot parameters with failures."""
+"""Section "causes": rank correlations of robot parameters with failures."""
 
 import numpy as np
 
 from eval.judge.counts import Counts
-from eval.report.schema.numbers import number
-from eval.report.schema.rows import Cause, Sensitivity
-from eval.report.sections.bounds import operating_hours
+from eval.report.schema.rows import Sensitivity
+from eval.report.sections.verdict import operating_hours
 from eval.report.soak_result import SoakResult
 from eval.statistics.evidence import CONFIDENCE
+from eval.statistics.numbers import number
 from eval.statistics.sensitivity import CorrelationTable, correlate
 from robots.arrays import Floats
 
@@ -28,10 +28,7 @@ def sensitivity(result: SoakResult) -> Sensitivity:
         parameters=len(table.parameters),
         outcomes=table.outcomes,
         noticeable=number(table.noticeable, 3),
-        causes=tuple(
-            Cause(parameter=each.parameter, outcome=each.outcome, rho=each.rho, p=each.p)
-            for each in table.correlations[:CAUSES_SHOWN]
-        ),
+        causes=table.correlations[:CAUSES_SHOWN],
         statement=_statement(table, draws),
     )
 

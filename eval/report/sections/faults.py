@@ -10,9 +10,9 @@ from eval.faults.fault_response import DIVERGED, NOT_RUNNING, FaultResponses
 from eval.faults.settings import FaultSettings
 from eval.judge.monitors import MONITORS
 from eval.report.schema.fault_rows import FaultRow, FaultTable, Times, UnhandledFault
-from eval.report.schema.numbers import number
-from eval.report.schema.report_data import BudgetLine
+from eval.statistics.budget import BudgetLine, budget_line
 from eval.statistics.evidence import share_lower, trials_needed
+from eval.statistics.numbers import number
 from robots.arrays import Bools, Floats, Ints
 from robots.sensors import AT_JOINTS
 from robots.spec import RobotSpec
@@ -42,19 +42,12 @@ def fault_table(spec: RobotSpec, settings: FaultSettings, found: FaultResponses)
 def fault_line(table: FaultTable) -> BudgetLine:
     """Return the budget line: the least share of any class that is shown to be handled."""
     worst = min(table.rows, key=lambda row: row.handled_lower)
-    return BudgetLine(
-        name="fault_coverage",
-        unit="share",
-        at_least=True,
-        allowed=table.coverage,
-        found=worst.handled_lower,
-        passed=worst.handled_lower >= table.coverage,
-        about=_about(worst, table.coverage),
-    )
+    bounds, about = (table.coverage, worst.handled_lower), _about(worst, table.coverage)
+    return budget_line("fault_coverage", *bounds, "share", at_least=True, about=about)
 
 
 def _about(row: FaultRow, coverage: float) -> str:
-    """FaultResponses and handled ones of a class, and the number of injections needed if there were too few."""
+    """Injections and handled ones of a class, and the number of injections needed if there were too few."""
     unhandled = row.injections - row.handled
     needed = trials_needed(coverage, unhandled)
     found = f"lowest bound: {row.where} {row.what}, {row.handled:,} of {row.injections:,} handled"

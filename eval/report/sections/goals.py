@@ -1,4 +1,4 @@
-"""Section "work": goals reached, in total and over time."""
+"""Section "goals": goals reached, in total and over time."""
 
 from collections.abc import Iterator, Sequence
 

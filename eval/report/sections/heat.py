@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from eval.report.schema.numbers import median, number, series
 from eval.report.schema.report_data import Heat
 from eval.report.soak_result import SoakResult
+from eval.statistics.numbers import median, number, series
 from robots.arrays import Ints
 
 

@@ -8,12 +8,12 @@ import numpy as np
 from eval.judge.counts import Counts, Event
 from eval.judge.monitor import Monitor
 from eval.replay.bundle import bundle_name
-from eval.report.schema.numbers import number
 from eval.report.schema.rows import Channel, EventRow, MonitorRow, RobotRow
-from eval.report.sections.bounds import each_confidence, interval, operating_hours
+from eval.report.sections.verdict import each_confidence, interval, operating_hours
 from eval.report.soak_result import SoakResult
 from eval.statistics.dispersion import draw_rate_upper
 from eval.statistics.evidence import rate_interval, rate_upper
+from eval.statistics.numbers import number
 from robots.arrays import Floats
 
 

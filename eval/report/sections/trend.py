@@ -6,11 +6,11 @@ import numpy as np
 
 from eval.history.pooling import pool
 from eval.history.soak_record import SoakRecord
-from eval.report.schema.numbers import number
 from eval.report.schema.trend_rows import Estimate, RunGroup, RunRow, Trend
-from eval.report.sections.statement import dispersion_sentence, event_statement
+from eval.report.sections.verdict import dispersion_sentence, event_statement
 from eval.statistics.dispersion import dispersion_p, draw_rate_interval, draw_rate_upper
 from eval.statistics.evidence import rate_upper, share_upper
+from eval.statistics.numbers import number
 from eval.statistics.per_draw_counts import PerDrawCounts, Ratio, stop_ticks
 
 THIS_RUN = "this soak"

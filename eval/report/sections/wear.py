@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eval.report.schema.numbers import median, number, series
 from eval.report.schema.report_data import Wear, WornJoint
 from eval.report.soak_result import SoakResult
+from eval.statistics.numbers import median, number, series
 from robots.arrays import Floats, Ints
 
 DIGITS = 4

@@ -17,7 +17,7 @@ from eval.history.history import add_record
 from eval.history.soak_record import Run
 from eval.report.build import build
 from eval.report.cli import cli
-from eval.report.html import ends
+from eval.report.html import interval_text
 from eval.report.report_files import write_report
 from eval.shard.shard import Shard
 from eval.soak.assembly import assemble
@@ -122,7 +122,7 @@ def test_a_trend_is_a_page_and_its_sentences(tmp_path, monkeypatch, capsys):
     assert ("2026-01-03 22:00" in said, "2026-01-04 22:00" in said) == (True, True)
     events, hours = night(1).per_draw_counts.hard_events
     assert "per h, 95 %" in said
-    assert ends(tuple(map(float, draw_rate_interval(events, hours)))) in said
+    assert interval_text(tuple(map(float, draw_rate_interval(events, hours)))) in said
     page = tmp_path / "history" / "trend.html"
     assert said.endswith(f"page: {page}\n")
     assert Page(page.read_text()).open == []

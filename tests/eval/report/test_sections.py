@@ -10,13 +10,13 @@ import pytest
 
 from eval.judge.monitors import Channels
 from eval.report.build import build
-from eval.report.html import EVENTS_SHOWN, cells, duration, margin, of_limit, plots, render
-from eval.report.junit import junit
+from eval.report.html import EVENTS_SHOWN, duration, event_cells, load_text, margin_text, plots, render
 from eval.report.plots.curves import heat_plot, wear_plot
+from eval.report.report_files import junit
 from eval.report.schema.json_schema import SCHEMA, schema
-from eval.report.schema.numbers import figure
 from eval.report.schema.report_data import Report
 from eval.statistics.budget import load_budget
+from eval.statistics.numbers import figure
 from support.arm6 import SPEC
 from support.eval.reports import BUNDLE, HOURS, ROBOTS, TICKS, Page, report, soak
 
@@ -229,7 +229,7 @@ def test_soak_with_many_events_stays_readable_and_small():
     found = build(busy(64, 4), load_budget())
     text = render(found)
     assert len(text) < 10_000_000
-    shown = [event for row in cells(found).values() for cell in row.values() for event in cell.shown]
+    shown = [event for row in event_cells(found).values() for cell in row.values() for event in cell.shown]
     assert EVENTS_SHOWN / 2 < len(shown) <= EVENTS_SHOWN
     page = Page(text)
     linked = {load[1:] for load in page.loads if load.startswith("#events")}
@@ -243,7 +243,7 @@ def test_an_event_with_a_bundle_is_shown_before_others():
     last = max(night.counts.log(), key=lambda e: e.start if e.monitor.name == "velocity" else 0)
     place = f"events/{last.robot:04}-{last.start:08}-velocity"
     found = build(replace(night, bundles=(place,)), load_budget())
-    assert cells(found)["velocity"][last.joint].shown[0].bundle == place
+    assert event_cells(found)["velocity"][last.joint].shown[0].bundle == place
 
 
 def test_the_hottest_draw_is_named():
@@ -355,4 +355,4 @@ def test_the_schema_explains_every_record():
     ],
 )
 def test_loads_are_formatted(load, said, left):
-    assert (of_limit(load), margin(load)) == (said, left)
+    assert (load_text(load), margin_text(load)) == (said, left)

@@ -87,7 +87,6 @@ def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.
         goals_reached=np.array([14_400] * 7 + [14_000]),
         parameters={"payload.mass_kg": np.linspace(0, 1, robots), "cable.length_m": np.ones(robots)},
         bundles=(),
-        limitations=("Links are rigid.",),
     )
 
 

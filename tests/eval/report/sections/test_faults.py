@@ -12,7 +12,7 @@ from eval.faults.settings import FaultSettings
 from eval.judge.monitors import NAMES
 from eval.report.build import build
 from eval.report.html import render
-from eval.report.junit import junit
+from eval.report.report_files import junit
 from eval.report.schema.report_data import Report
 from eval.report.sections.faults import fault_table
 from eval.statistics.budget import load_budget

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from eval.report.build import build
 from eval.report.html import render
-from eval.report.plots.timeline import timeline_plot
+from eval.report.plots.bars import timeline_plot
 from eval.report.schema.rows import EventRow
 from eval.report.sections.timeline import STEPS, bars, timeline
 from eval.statistics.budget import load_budget

@@ -7,14 +7,14 @@ import subprocess
 import numpy as np
 import pytest
 
-from eval.report.html import ends, render, render_history
-from eval.report.plots.trend import TREND_QUANTITIES
-from eval.report.schema.numbers import figure
+from eval.report.html import interval_text, render, render_history
+from eval.report.plots.curves import TREND_QUANTITIES
 from eval.report.schema.report_data import Report
 from eval.report.schema.trend_rows import Trend
 from eval.report.sections.trend import THIS_RUN, trend
 from eval.statistics.dispersion import dispersion_p, draw_rate_interval, draw_rate_upper
 from eval.statistics.evidence import rate_upper, share_upper
+from eval.statistics.numbers import figure
 from support.eval.nights import OTHER, named, night
 from support.eval.reports import Page, report
 
@@ -182,7 +182,7 @@ def test_page_of_nights_is_valid_and_self_contained():
     assert (text.count('<span class="chip ok">'), text.count('<span class="chip no">')) == (5, 1)
     for each in found.runs:
         assert each.started[:16].replace("T", " ") in said
-        assert f"{figure(each.rate.value, 2)}{ends((each.rate.low, each.rate.high))}" in said
+        assert f"{figure(each.rate.value, 2)}{interval_text((each.rate.low, each.rate.high))}" in said
     for key, value in night(1).settings.task.items():
         assert f"{key.replace('_', ' ').capitalize()} {value}" in re.sub(
             r"(?<=\w)(?=a1|d1|f1|arm6|8|none)", " ", said

@@ -1,12 +1,10 @@
-"""Section "evidence": confidence bounds of hard events, all monitors together."""
+"""Section "verdict": confidence bounds of hard events, all monitors together, and the statement that they support."""
 
 import numpy as np
 
 from eval.judge.counts import Counts
 from eval.judge.monitors import MONITORS
-from eval.report.schema.numbers import Number, number
 from eval.report.schema.rows import Evidence, FurtherHours
-from eval.report.sections.statement import dispersion_sentence, event_statement
 from eval.statistics.dispersion import dispersion_p, draw_rate_interval, draw_rate_upper
 from eval.statistics.evidence import (
     CONFIDENCE,
@@ -16,6 +14,7 @@ from eval.statistics.evidence import (
     rate_upper,
     share_upper,
 )
+from eval.statistics.numbers import Number, figure, number
 from robots.arrays import Floats
 
 MTBF_WANTED_H = (100.0, 1000.0)
@@ -40,7 +39,14 @@ def evidence(counts: Counts) -> Evidence:
         dispersion=dispersion_sentence(p, total, counts.robots),
         family=len(hard_family(counts)),
         family_confidence=each_confidence(counts),
-        further=tuple(_further(mtbf, total, exposure) for mtbf in MTBF_WANTED_H),
+        further=tuple(
+            FurtherHours(
+                mtbf_h=mtbf,
+                hours=further_hours(mtbf, total, exposure),
+                same_rate_hours=further_hours(mtbf, 2 * total, exposure),
+            )
+            for mtbf in MTBF_WANTED_H
+        ),
     )
 
 
@@ -75,9 +81,40 @@ def statement(counts: Counts, found: Evidence) -> str:
     )
 
 
-def _further(mtbf: float, events: int, hours: float) -> FurtherHours:
-    return FurtherHours(
-        mtbf_h=mtbf,
-        hours=further_hours(mtbf, events, hours),
-        same_rate_hours=further_hours(mtbf, 2 * events, hours),
+def event_statement(
+    events: int,
+    hours: float,
+    draws: str,
+    bounds: tuple[Number, Number, float],
+    shares: tuple[float, float],
+) -> str:
+    """Return the sentence that the counts support: events, bounds of their rate, availability and goals.
+
+    Args:
+        events: hard ones. hours: operating time. draws: number of draws in words.
+        bounds: of the rate if draws are alike, of the rate if they differ, and of the probability of a bad draw.
+        shares: availability, and goals reached ÷ goals due.
+    """
+    alike, differ, bad_draw = bounds
+    bound = "no bound on the rate" if alike is None else f"rate ≤ {figure(alike, 2)} per hour"
+    if differ is not None:
+        bound += f" (≤ {figure(differ, 2)} where draws differ)"
+    availability, goals = (100 * share for share in shares)
+    return (
+        f"{events:,} hard event{'s' if events != 1 else ''} in {figure(hours)} hours of operating time over {draws}:"
+        f" {bound}, P(bad draw) ≤ {bad_draw:.2g} (each with {100 * CONFIDENCE:.0f} % confidence),"
+        f" availability {availability:.2f} %, goals reached {goals:.2f} %."
     )
+
+
+def dispersion_sentence(p: float, events: int, draws: int) -> str:
+    """Return what the p-value `p` of equal rates says about differences between draws."""
+    if events < 2:
+        return "Fewer than two hard events cannot show whether draws differ."
+    chance = (
+        f"chance alone spreads {events:,} hard events over {draws:,} draws this unevenly"
+        f" in {100 * p:.2g} % of cases"
+    )
+    if p <= 1 - CONFIDENCE:
+        return f"Draws differ: {chance}. Only the bound for differing draws is valid."
+    return f"Draws were not shown to differ: {chance}. Few events cannot show it, so both bounds are given."

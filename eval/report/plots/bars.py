@@ -1,13 +1,16 @@
-"""Margin plot: histogram of the load of every monitor."""
+"""Plots of bars in rows: the load of every monitor as a histogram, and events and stops of every robot over time."""
 
 from collections.abc import Iterator, Sequence
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from eval.judge.counts import BINS_PER_LIMIT
-from eval.report.plots.canvas import COOL, HARD, SOFT, STYLE, WARM, canvas, segments, svg
+from eval.report.plots.canvas import COOL, GRID, HARD, INK, SOFT, STYLE, WARM, canvas, svg
 from eval.report.schema.rows import MonitorRow
+from eval.report.sections.timeline import Timeline
 from robots.arrays import Floats
 
 DECADES = 9
@@ -55,3 +58,39 @@ def _points(rows: Sequence[MonitorRow], field: str) -> Iterator[tuple[float, int
     for place, row in enumerate(rows):
         loads = [getattr(channel, field) for channel in row.channels]
         yield from ((load, place) for load in loads if load is not None)
+
+
+def timeline_plot(timeline: Timeline, end_h: float) -> str:
+    """Return the plot with the first robot on top: events in the upper half of its row, stops in the lower half."""
+    rows = len(timeline.judged)
+    height = min(6.4, 0.55 + max(0.5, 0.17 * rows))
+    with mpl.rc_context(STYLE | {"axes.grid": False, "path.simplify": False}):
+        figure, axes = canvas(10.6, height)
+        lane = 72 * (height - 0.47) / rows  # points
+        _bars(axes, timeline.judged, GRID, 0.86 * lane, alpha=0.55)
+        _bars(axes, timeline.diverged, INK, 0.86 * lane, alpha=0.55)
+        _bars(axes, timeline.unlisted, SOFT, 0.43 * lane, up=-0.215, alpha=0.3)
+        _bars(axes, timeline.soft, SOFT, 0.43 * lane, up=-0.215)
+        _bars(axes, timeline.stops, COOL, 0.43 * lane, up=0.215)
+        _bars(axes, timeline.latches, WARM, 0.43 * lane, up=0.215)
+        # On top of all others, and never too thin to be seen.
+        _bars(axes, timeline.hard, HARD, max(2.5, 0.43 * lane), up=-0.215)
+        axes.set(xlim=(0, end_h), ylim=(rows - 0.5, -0.5), xlabel="h", ylabel="robot")
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=16, integer=True))
+        axes.spines["left"].set_visible(False)
+        return svg(figure, "timeline", "Events and stops of each robot over time")
+
+
+def _bars(axes: Axes, bars: Floats, colour: str, width: float, up: float = 0.0, alpha: float = 1.0) -> None:
+    """Bars (N, 3) of robot, begin and end, `width` points high."""
+    robot, begin, end = bars.T
+    segments(axes, (begin, end), (robot + up, robot + up), colour, width, alpha)
+
+
+def segments(
+    axes: Axes, x: tuple[Floats, Floats], y: tuple[Floats, Floats], colour: str, width: float, alpha: float
+) -> None:
+    """Draw straight strokes from (N,) to (N,) as one path, which keeps the page small."""
+    gap = np.full(len(x[0]), np.nan)
+    paths = [np.stack((*ends, gap), axis=1).ravel() for ends in (x, y)]
+    axes.plot(*paths, color=colour, linewidth=width, alpha=alpha, solid_capstyle="butt")
