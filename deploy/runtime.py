@@ -146,9 +146,9 @@ class Runtime(Stage):
 
     def sense(self) -> Float32s | None:
         """Read and estimate; return the observation (B, N) when the policy is due, else None."""
-        sample, due = self.robot.read(), self.ticks % self.decimation == 0
-        self.state = self.estimator.step(self.t, sample, self.smoother.sent)
-        self.state = self.capabilities.step(self.t, sample, self.state, due)
+        t, sample, due = self.t, self.robot.read(), self.ticks % self.decimation == 0
+        state = self.estimator.step(t, sample, self.smoother.sent)
+        self.state = self.capabilities.step(t, sample, state, due)
         self.task.observe(self, sample, due)
         if not due:
             return None
@@ -174,15 +174,15 @@ class Runtime(Stage):
         reason = self.stop_reasons()
         at_rest = self.smoother.at_rest if any_true(stopping) else stopping  # asked of stopping robots only
         send_planned = self.supervisor.step(reason, at_rest)
+        setpoint, tau = planned, self.verdict.tau
         if any_true(reason) or not all_true(np.isfinite(planned.q)):
             # A robot that already stops sends its plan, whatever the reason; a plan that is not finite is never sent.
-            self._send(
-                *self.planned_or_prepared_stop(send_planned & np.isfinite(planned.q).all(axis=1), planned)
-            )
-        else:
-            self._send(planned, self.verdict.tau)
+            finite = np.isfinite(planned.q).all(axis=1)
+            setpoint, tau = self.planned_or_prepared_stop(send_planned & finite, planned)
+        running = self.supervisor.running
+        self._send(setpoint, tau, running)
         self.prepared_stop.prepare(send_planned, ahead, self.verdict.tau_ahead)
-        self.task.step(self.supervisor.running)
+        self.task.step(running)
         self.ticks_since_arming += 1
         self.ticks += 1
 
@@ -207,19 +207,15 @@ class Runtime(Stage):
         self.smoother.hold(lost, self.smoother.q)
         return select(~lost, planned, self.smoother.sent)
 
-    def _send(self, setpoint: Setpoint, tau: Floats) -> None:
+    def _send(self, setpoint: Setpoint, tau: Floats, running: Bools) -> None:
         self.smoother.commit(setpoint)
         qd, feed_forward = (self._zeros, self._zeros) if self.springs else (setpoint.qd, tau)
-        powered = self.supervisor.powered
-        current = self._current()
+        powered, current = self.supervisor.powered, self.estimator.windings.foldback.current_share
+        if not all_true(running):  # a stop has all of a drive's current, as it was checked with all of it
+            current = np.where(running[:, None], current, 1.0)
         self.command = Command(q=setpoint.q, qd=qd, tau=feed_forward, powered=powered, current=current)
         self.estimator.external_torque.command(tau, powered)
         self.robot.write(self.command)
-
-    def _current(self) -> Floats:
-        """(B, n) share of each drive's current limit; a stop has all of it, as it was checked with all of it."""
-        fold, running = self.estimator.windings.foldback.current_share, self.supervisor.running
-        return fold if all_true(running) else np.where(running[:, None], fold, 1.0)
 
     def arm(self, ids: Bools) -> Ints:
         """Power robots where `ids` holds, drives are off, joints rest and every check passes.

@@ -16,7 +16,7 @@ LARGEST = float(np.finfo(np.float64).max)
 """The largest finite number: as a bound it refuses only what is not finite."""
 
 
-class Belief(NamedTuple):
+class Estimate(NamedTuple):
     """Estimate and last setpoint of B robots."""
 
     state: State

@@ -79,9 +79,9 @@ class CheckTable:
         inside &= values <= self._high
         if all_true(inside):
             return None
-        return np.asarray(np.bitwise_or.reduce(self._given(values, inside), axis=1))
+        return np.asarray(np.bitwise_or.reduce(self._reasons_outside(values, inside), axis=1))
 
-    def _given(self, values: Floats, inside: Bools) -> Ints:
+    def _reasons_outside(self, values: Floats, inside: Bools) -> Ints:
         reason = np.where(np.isfinite(values), self._reason, self._reason_not_finite)
         return np.where(inside, 0, reason)
 
@@ -94,8 +94,8 @@ class CheckTable:
         inside = (values >= self._low[0]) & (values <= self._high[0])
         if reason is Reason.NOT_FINITE:
             inside |= self._reason == Reason.TORQUE
-        given = self._given(values, inside) & int(reason) != 0
-        columns = np.split(given, np.cumsum(self._widths)[:-1])
+        found = self._reasons_outside(values, inside) & int(reason) != 0
+        columns = np.split(found, np.cumsum(self._widths)[:-1])
         return {
             check.name: column if check.per_joint else np.zeros(self._n, dtype=bool)
             for check, column in zip(self.checks, columns, strict=True)

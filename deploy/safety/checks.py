@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.safety.check import LARGEST, Belief, Check, Limits, Motion, Pose
+from deploy.safety.check import LARGEST, Check, Estimate, Limits, Motion, Pose
 from deploy.state import Reason
 from robots.arrays import Floats
 from robots.capabilities import required
@@ -42,10 +42,10 @@ def _torque_max(limits: Limits) -> Floats:
     return np.minimum(limits.torque, LARGEST)
 
 
-BELIEF: tuple[Check[Belief], ...] = (
+ESTIMATE: tuple[Check[Estimate], ...] = (
     Check(
         name="estimated_joint_angle",
-        value=lambda belief: belief.state.q,
+        value=lambda estimate: estimate.state.q,
         low=_joint("q_min"),
         high=_joint("q_max"),
         reason=Reason.OUTSIDE,
@@ -53,13 +53,13 @@ BELIEF: tuple[Check[Belief], ...] = (
     ),
     Check(
         name="estimated_joint_speed",  # only that it is finite: the setpoint's speed is what has a limit
-        value=lambda belief: belief.state.qd,
+        value=lambda estimate: estimate.state.qd,
         reason=Reason.NOT_FINITE,
         per_joint=True,
     ),
     Check(
         name="tracking_error",
-        value=lambda belief: belief.sent.q - belief.state.q,
+        value=lambda estimate: estimate.sent.q - estimate.state.q,
         low=lambda limits: -limits.robot.margins.tracking_rad,
         high=lambda limits: limits.robot.margins.tracking_rad,
         reason=Reason.TRACKING,
@@ -67,7 +67,7 @@ BELIEF: tuple[Check[Belief], ...] = (
     ),
     Check(
         name="housing_temperature",
-        value=lambda belief: belief.state.temperature,
+        value=lambda estimate: estimate.state.temperature,
         high=_motor("housing_max_c"),
         reason=Reason.HEAT,
         reason_not_finite=Reason.HEAT,
@@ -75,7 +75,7 @@ BELIEF: tuple[Check[Belief], ...] = (
     ),
     Check(
         name="winding_temperature",
-        value=lambda belief: belief.state.hottest,
+        value=lambda estimate: estimate.state.hottest,
         high=_motor("winding_max_c"),
         reason=Reason.HEAT,
         reason_not_finite=Reason.HEAT,
@@ -84,21 +84,21 @@ BELIEF: tuple[Check[Belief], ...] = (
     # Ages are whole ticks but for rounding: half a tick keeps a limit that is one of them in its place.
     Check(
         name="stale_samples",
-        value=lambda belief: belief.state.age[:, None],
+        value=lambda estimate: estimate.state.age[:, None],
         high=lambda limits: limits.robot.margins.stale_s + limits.robot.dt / 2,
         reason=Reason.STALE,
         reason_not_finite=Reason.STALE,
     ),
     Check(
         name="lost_samples",
-        value=lambda belief: belief.state.age[:, None],
+        value=lambda estimate: estimate.state.age[:, None],
         high=lambda limits: limits.robot.margins.lost_s + limits.robot.dt / 2,
         reason=Reason.LOST,
         reason_not_finite=Reason.LOST,
     ),
     Check(
         name="base_tilt",
-        value=lambda belief: -required(belief.state.base).gravity[:, 2:],
+        value=lambda estimate: -required(estimate.state.base).gravity[:, 2:],
         low=lambda limits: np.cos(required(limits.robot.base).tilt_max_rad),
         reason=Reason.FALLEN,
         needs=frozenset({"floating_base"}),
@@ -204,7 +204,7 @@ PLACE: tuple[Check[Pose], ...] = (
 class Checks(NamedTuple):
     """All checks, by the record that they read and the moments at which they are made."""
 
-    belief: tuple[Check[Belief], ...] = BELIEF
+    estimate: tuple[Check[Estimate], ...] = ESTIMATE
     motion: tuple[Check[Motion], ...] = MOTION
     pose: tuple[Check[Pose], ...] = POSE
     place: tuple[Check[Pose], ...] = PLACE

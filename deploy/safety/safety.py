@@ -9,7 +9,7 @@ import numpy as np
 
 from deploy.masks import all_true
 from deploy.motion.drive_law import DriveLaw, StiffDrives
-from deploy.safety.check import Belief, Limits, Motion, Pose
+from deploy.safety.check import Estimate, Limits, Motion, Pose
 from deploy.safety.check_evaluation import CheckTable
 from deploy.safety.checks import CHECKS, Checks
 from deploy.state import Reason, Setpoint, State, Verdict
@@ -50,7 +50,7 @@ class Safety:
         self.twice_jerk = 2 * spec.joint_array("qddd_max")
         limits, rows = Limits(spec, self._drives.torque_limit), fleet.robots
         self._plan = CheckTable(rows, limits, checks.motion, checks.pose, checks.place)
-        self._belief = CheckTable(self._fleet_mid_stop.robots, limits, checks.belief, checks.place)
+        self._estimate = CheckTable(self._fleet_mid_stop.robots, limits, checks.estimate, checks.place)
         self._poses = CheckTable(rows, limits, checks.pose, checks.place)
         self._centre = np.array(spec.workspace.centre) if spec.workspace else np.zeros(3)
 
@@ -77,9 +77,7 @@ class Safety:
         q, qd, qdd = pairs.reshape(3, 2 * robots, -1)
         tau = self._drives.torque(state, q, qd, qdd)
         needed = tau
-        if not all_true(
-            state.fold == 1.0
-        ):  # a drive whose current is limited has less to give than its range
+        if not all_true(state.fold == 1.0):  # a drive with limited current has less to give than its range
             needed = np.concatenate((tau[:robots] / state.fold, tau[robots:]))
         poses = begin, mid_stop, rest = self._drives.expected_poses(state, setpoint.q, q_mid_stop, q_rest)
         expected, targets = np.concatenate((begin, rest, setpoint.q, q_rest)).reshape(2, 2 * robots, -1)
@@ -90,11 +88,11 @@ class Safety:
         ends = Pose(targets, kinematics, self._centre)
         middle = self._fleet_mid_stop.kinematics(mid_stop, jacobians=False)
         plan = self._plan.values(motion, ends, ends)
-        belief = self._belief.values(Belief(state, sent), Pose(q_mid_stop, middle, self._centre))
-        reason = _or_zeros(self._belief.reasons(belief), robots)
+        estimate = self._estimate.values(Estimate(state, sent), Pose(q_mid_stop, middle, self._centre))
+        reason = _or_zeros(self._estimate.reasons(estimate), robots)
         if (by_point := self._plan.reasons(plan)) is not None:
             reason |= by_point[:robots] | by_point[robots:]
-        values = plan, belief
+        values = plan, estimate
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:], poses=poses, values=values)
 
     def check_poses(self, q: Floats) -> Ints:
@@ -110,16 +108,16 @@ class Safety:
 
         No joint is meant by a check of the robot as a whole.
         """
-        plan, belief = verdict.values
-        found = self._belief.failed(belief[robot], reason)
-        for row in (robot, robot + len(belief)):
+        plan, estimate = verdict.values
+        found = self._estimate.failed(estimate[robot], reason)
+        for row in (robot, robot + len(estimate)):
             for name, joints in self._plan.failed(plan[row], reason).items():
                 found[name] = joints | found[name] if name in found else joints
         return found
 
     def names(self, reason: Reason) -> set[str]:
         """Return the names of the checks of the robot as a whole that give a reason."""
-        checks = (*self._plan.checks, *self._belief.checks)
+        checks = (*self._plan.checks, *self._estimate.checks)
         return {check.name for check in checks if check.reason is reason and not check.per_joint}
 
     def colliding_shapes(self, verdict: Verdict, robot: int) -> tuple[str, ...]:

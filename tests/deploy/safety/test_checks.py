@@ -59,11 +59,11 @@ def test_robots_have_the_checks_whose_needs_they_meet(tmp_path):
 def test_a_reader_of_the_wrong_width_fails_at_its_first_use(per_joint, expected):
     check = Check(
         name="own_angle",
-        value=lambda belief: belief.state.q,
+        value=lambda estimate: estimate.state.q,
         reason=Reason.OUTSIDE,
         per_joint=per_joint,
     )
-    safety = arm(belief=check)
+    safety = arm(estimate=check)
     if expected is None:
         assert judge(safety=safety).reason[0] == 0
         return
@@ -72,9 +72,11 @@ def test_a_reader_of_the_wrong_width_fails_at_its_first_use(per_joint, expected)
 
 
 def test_a_bound_of_the_wrong_width_fails_at_construction():
-    check = Check(name="own", value=lambda belief: belief.state.q, high=np.zeros(2), reason=Reason.OUTSIDE)
+    check = Check(
+        name="own", value=lambda estimate: estimate.state.q, high=np.zeros(2), reason=Reason.OUTSIDE
+    )
     with pytest.raises(ValueError, match=r"safety check own: high: found shape \(2,\), expected a number or"):
-        arm(belief=check)
+        arm(estimate=check)
 
 
 def test_a_name_is_given_once():
