@@ -1,11 +1,24 @@
 """Random numbers as a function of seed, robot and counter: no state to save, and independent of grouping."""
 
 from collections.abc import Sequence
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 Keys = NDArray[np.uint64]
+
+
+class Stream(IntEnum):
+    """Independent streams of random numbers of one robot; a number is never reused for another purpose."""
+
+    GOALS = 0
+    SENSOR_NOISE = 1
+    PUSHES = 2
+    PAYLOAD = 3
+    PACKETS = 4
+    SENSOR_GARBAGE = 5
+    FAULTS = 6
 
 
 DEPLOYED = 2**31
@@ -22,9 +35,9 @@ def training_seed(seed: int, robot: int) -> np.random.SeedSequence:
     return np.random.SeedSequence(seed, spawn_key=(robot,))
 
 
-def stream_keys(seeds: Sequence[np.random.SeedSequence], purpose: int) -> Keys:
-    """Return (B, 2), one key for each robot; each purpose has its own stream."""
-    children = [np.random.SeedSequence(s.entropy, spawn_key=(*s.spawn_key, purpose)) for s in seeds]
+def stream_keys(seeds: Sequence[np.random.SeedSequence], stream: Stream) -> Keys:
+    """Return (B, 2), one key of the stream for each robot."""
+    children = [np.random.SeedSequence(s.entropy, spawn_key=(*s.spawn_key, stream)) for s in seeds]
     return np.stack([child.generate_state(2, np.uint64) for child in children])
 
 

@@ -4,47 +4,60 @@ A sensor delivers packets: all of its channels, taken at one time. Deviations fr
 """
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import AfterValidator, Field, PositiveFloat, PositiveInt, model_validator
 
 from robots.strict import Source, Strict
 
-Kind = Literal[
-    "encoder",
-    "velocity",
-    "current",
-    "temperature",
-    "gyro",
-    "accelerometer",
-    "orientation",
-    "force",
-    "torque",
-    "contact",
-    "goal",
-]
+Place = Literal["joints", "site", "feet", "none"]
+"""joints: one channel for each joint. site: one site of model.xml, in its frame. feet: one site at each foot. none: no
+site."""
 
-UNITS: dict[Kind, str] = {
-    "encoder": "rad",
-    "velocity": "rad/s",
-    "current": "A",
-    "temperature": "degC",
-    "gyro": "rad/s",
-    "accelerometer": "m/s^2",
-    "orientation": "quat_wxyz",
-    "force": "N",
-    "torque": "N*m",
-    "contact": "N",
-    "goal": "m",
+
+class SensorKind(NamedTuple):
+    """Type of sensor: all that robot.toml, runtime and simulation know of it.
+
+    Attributes:
+        unit: of its readings. at: where it measures. channels: numbers at each joint or site.
+        mujoco: MuJoCo's name of it, as in `mjSENS_GYRO`; None where the plant computes its readings.
+        needed: every robot must have it, for joint state and heat.
+    """
+
+    unit: str
+    at: Place
+    channels: int = 1
+    mujoco: str | None = None
+    needed: bool = False
+
+
+KINDS = {
+    "encoder": SensorKind("rad", "joints", needed=True),
+    "velocity": SensorKind("rad/s", "joints"),
+    "current": SensorKind("A", "joints", needed=True),
+    "temperature": SensorKind("degC", "joints", needed=True),
+    "gyro": SensorKind("rad/s", "site", 3, "GYRO"),
+    "accelerometer": SensorKind("m/s^2", "site", 3, "ACCELEROMETER"),
+    "orientation": SensorKind("quat_wxyz", "site", 4, "FRAMEQUAT"),
+    "force": SensorKind("N", "site", 3, "FORCE"),
+    "torque": SensorKind("N*m", "site", 3, "TORQUE"),
+    "contact": SensorKind("N", "feet", 1, "TOUCH"),
+    "goal": SensorKind("m", "none", 3),
 }
-"""Unit of each kind."""
+"""All types of sensors, each declared here only."""
 
-AT_JOINTS: tuple[Kind, ...] = ("encoder", "velocity", "current", "temperature")
-"""One channel for each joint."""
-AT_ONE_SITE: tuple[Kind, ...] = ("gyro", "accelerometer", "orientation", "force", "torque")
-"""Sensors at one site of model.xml, in its frame: three channels, four for an orientation."""
-NEEDED: tuple[Kind, ...] = ("encoder", "current", "temperature")
-"""Sensors that every robot must have: for joint state and heat."""
+NEEDED = tuple(name for name, kind in KINDS.items() if kind.needed)
+AT_JOINTS = tuple(name for name, kind in KINDS.items() if kind.at == "joints")
+
+
+def _known(name: str) -> str:
+    if name not in KINDS:
+        raise ValueError(f"expected one of {', '.join(map(repr, KINDS))}")
+    return name
+
+
+Kind = Annotated[str, AfterValidator(_known)]
+"""Name of a type of sensor, a key of `KINDS`."""
 
 BUFFER_S = 0.25
 """s, the largest delay of a packet in simulation."""
@@ -100,17 +113,17 @@ class Sensor(Strict):
         return self.noise**2 + self.resolution**2 / 12.0
 
 
+SITES = {"site": (1, 1, "one"), "feet": (1, math.inf, "at least one")}
+"""Number of a sensor's sites, by place: least, most, and both as text; elsewhere none."""
+
 Sensors = dict[Kind, Sensor]
 """By kind, in the order of robot.toml: the order of their channels."""
 
 
 def channels(kind: Kind, sensor: Sensor, joints: int) -> int:
     """Return the number of channels, which is that of the numbers in a packet."""
-    if kind in AT_JOINTS:
-        return joints
-    if kind == "contact":
-        return len(sensor.sites)
-    return 4 if kind == "orientation" else 3
+    places = {"joints": joints, "feet": len(sensor.sites)}
+    return KINDS[kind].channels * places.get(KINDS[kind].at, 1)
 
 
 def check_sensors(sensors: Sensors, control_hz: int) -> None:
@@ -123,19 +136,12 @@ def check_sensors(sensors: Sensors, control_hz: int) -> None:
         if kind not in sensors:
             raise ValueError(f"sensors: no {kind}; found {', '.join(sensors) or 'none'}")
     for kind, sensor in sensors.items():
-        if sensor.unit != UNITS[kind]:
-            raise ValueError(f"sensors.{kind}.unit: found {sensor.unit!r}, expected {UNITS[kind]!r}")
-        least, most, expected = _sites(kind)
+        if sensor.unit != (unit := KINDS[kind].unit):
+            raise ValueError(f"sensors.{kind}.unit: found {sensor.unit!r}, expected {unit!r}")
+        least, most, expected = SITES.get(KINDS[kind].at, (0, 0, "none"))
         if not least <= len(sensor.sites) <= most:
             raise ValueError(f"sensors.{kind}.sites: found {list(sensor.sites)}, expected {expected}")
         if sensor.rate_hz > control_hz:
             raise ValueError(
                 f"sensors.{kind}.rate_hz: found {sensor.rate_hz}, expected at most control_hz {control_hz}"
             )
-
-
-def _sites(kind: Kind) -> tuple[float, float, str]:
-    """Return the number of a sensor's sites: least, most, and both as text."""
-    if kind == "contact":
-        return 1, math.inf, "at least one"
-    return (1, 1, "one") if kind in AT_ONE_SITE else (0, 0, "none")

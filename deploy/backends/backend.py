@@ -1,9 +1,9 @@
 """A robot as the runtime sees it, and the backend that opens one: simulated, or on a wire."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -16,8 +16,6 @@ from robots.spec import RobotSpec
 
 if TYPE_CHECKING:
     from deploy.runtime import Runtime
-
-ControlMode = Literal["position", "velocity", "torque"]
 
 
 class Robot(Protocol):
@@ -54,20 +52,18 @@ class Robot(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """The robot that a run asks a backend for.
+    """Robots that a run or a soak asks a backend for.
 
     Attributes:
         spec: the robot as described by its folder.
-        seed: of everything random about a simulated robot.
+        seeds: one for each of B robots, of everything random about a simulated one. A robot on a wire is one.
         gains: drive gains from the policy's contract; None: the drives' own.
-        mode: control mode of the commands.
-        draw: parameters of a simulated robot, in place of those that `seed` would draw.
+        draw: parameters of simulated robots, in place of those that `seeds` would draw.
     """
 
     spec: RobotSpec
-    seed: np.random.SeedSequence
+    seeds: Sequence[np.random.SeedSequence]
     gains: Gains | None = None
-    mode: ControlMode = "position"
     draw: Draw | None = None
 
 
@@ -76,13 +72,11 @@ class Abilities:
     """Abilities of the robots of a backend; a request beyond them is refused before anything is opened.
 
     Attributes:
-        modes: control modes of its drives.
         control_hz: lowest and highest control rate.
         gains: whether the gains of its drives can be set.
         simulated: whether a drawn robot can be asked for, and be viewed.
     """
 
-    modes: tuple[ControlMode, ...]
     control_hz: tuple[int, int]
     gains: bool
     simulated: bool = False
@@ -100,30 +94,25 @@ class Backend(ABC, Generic[R]):
         """Refuse a request beyond the abilities.
 
         Raises:
-            ConfigError: the control mode, the control rate or the gains.
+            ConfigError: the control rate or the gains.
         """
-        can, hz = self.abilities, request.spec.rates.control_hz
-        low, high = can.control_hz
-        if request.mode not in can.modes:
-            raise ConfigError(
-                f"--backend: control mode: found {request.mode}, expected one of {', '.join(can.modes)}"
-            )
+        (low, high), hz = self.abilities.control_hz, request.spec.rates.control_hz
         if not low <= hz <= high:
             raise ConfigError(f"--backend: control_hz of the robot: found {hz}, expected {low} to {high}")
-        if request.gains is not None and not can.gains:
+        if request.gains is not None and not self.abilities.gains:
             raise ConfigError("--backend: kp and kd of the policy's contract: found some, expected none")
 
     @abstractmethod
     def open(self, request: Request) -> R:
-        """Connect to one robot, drives off. `check` has accepted the request.
+        """Connect to the robots, drives off. `check` has accepted the request.
 
         Raises:
             FirstshiftError: it cannot be connected; nothing has moved.
         """
 
     def attach(self, robot: R, runtime: "Runtime") -> None:
-        """Connect a simulated world to the runtime, before the first tick; a robot on a wire needs none."""
+        """Connect simulated surroundings to the runtime, before the first tick; a robot on a wire needs none."""
 
     def viewer(self, robot: R) -> Callable[[object], None]:
-        """Open a window on a simulated robot; return the call that brings it up to date."""
+        """Open a window on a simulated robot; return the call that updates it."""
         raise NotImplementedError

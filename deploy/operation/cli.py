@@ -71,7 +71,7 @@ def run(
     spec = load_robot(robot)
     seed_text, source, drawn = random_source(spec, seed, draw)
     brain = Policy.load(policy, spec)
-    request = Request(spec=spec, seed=source, gains=brain.contract.action.gains, draw=drawn)
+    request = Request(spec=spec, seeds=[source], gains=brain.contract.action.gains, draw=drawn)
     connection.check(request)
     check_folder(out)
     about = {"robot": spec.name, "robot_digest": spec.digest, "policy": str(policy)}

@@ -19,7 +19,7 @@ from deploy.truth import Truth
 from robots.arrays import Bools, Floats
 from robots.capabilities import Capability
 from robots.errors import ConfigError
-from robots.randomness import generator_at, stream_keys
+from robots.randomness import Stream, generator_at, stream_keys
 from robots.spec import RobotSpec
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class Task(Stage, ABC):
         self.spec, robots = spec, len(seeds)
         self.rule = self.scoring(spec)
         self.score = Score(self.rule, robots, spec.dt)
-        self._keys, self._period = stream_keys(seeds, purpose=0), round(self.rule.period_s / spec.dt)
+        self._keys, self._period = stream_keys(seeds, Stream.GOALS), round(self.rule.period_s / spec.dt)
         self.goal, self.achieved, self.ended_goal = np.zeros((3, robots, self.size))
         self._invisible = np.full((robots, 3), np.nan)
         self.elapsed, self.number, self.attempted, self.reached = np.zeros((4, robots), dtype=np.int64)

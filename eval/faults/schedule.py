@@ -2,7 +2,6 @@
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from typing import cast
 
 import numpy as np
 
@@ -10,12 +9,9 @@ from deploy.backends.sim.sensor_faults import Fault
 from eval.faults.catalogue import catalogue
 from eval.faults.fault_class import FaultClass, Injection, SensorFault
 from eval.faults.settings import HOURS_MAX, FaultSettings
-from robots.randomness import Keys, generator_at, stream_keys
-from robots.sensors import Kind
+from robots.randomness import Keys, Stream, generator_at, stream_keys
 from robots.spec import RobotSpec
 
-PURPOSE = 6
-"""Number of the stream of random numbers."""
 FIRST_S, SPREAD_S = 3.0, 2.0
 """Begin of the first slot, s, and span in which a fault begins in its slot, s, so that each meets another motion."""
 SLOTS_MAX = 10_000
@@ -64,7 +60,7 @@ class Schedule:
         return tuple(
             Fault(
                 robot=robot,
-                sensor=cast(Kind, fault.where),
+                sensor=fault.where,
                 what=fault.failure,
                 channel=channel,
                 begins=begins,
@@ -101,7 +97,7 @@ def plan(
     slots = range(round(FIRST_S / spec.dt), ticks, round(faults.cycle_s / spec.dt))
     injections = [
         injection
-        for robot, key in enumerate(stream_keys(seeds, PURPOSE))
+        for robot, key in enumerate(stream_keys(seeds, Stream.FAULTS))
         for injection in _robot_injections(classes, robot, first + robot, key, slots, spec.dt)
         if slots[injection.slot] + slots.step <= ticks
     ]

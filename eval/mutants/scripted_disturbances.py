@@ -51,7 +51,7 @@ def push_link(
     def disturb(runtime: Runtime, robot: SimRobot, t: float) -> None:
         if t >= at:
             torque = (torque_nm + torque_rate * (t - at)) * np.array(axis)
-            robot.plant.batch.bind("xfrc_applied")[:, robot.plant.pushes.bodies[joint], 3:] = torque
+            robot.plant.batch.bind("xfrc_applied")[:, robot.plant.bodies[joint], 3:] = torque
 
     return disturb
 
@@ -86,7 +86,7 @@ def hot_motors_at_start(housing_c: float, rise_k: float) -> Disturbance:
             robot.plant.housings.apply()
             robot.settle_sensors(np.ones(robot.robots, dtype=bool))
             rise = np.full(robot.plant.housing.shape, rise_k)
-            robot.warm(rise)
+            robot.plant.warm(rise)
             runtime.estimator.windings.resume(rise, 0.0)
 
     return disturb

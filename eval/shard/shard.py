@@ -177,6 +177,6 @@ class Shard(Stage):
         known = truth.valid[:, None]
         folded_back = 1.0 - self.runtime.estimator.windings.foldback.current_share
         winding, folded_back = (np.where(known, x, np.nan)[rows] for x in (truth.winding_c, folded_back))
-        worn = np.where(known, np.stack(self.robot.plant.worn()), np.nan)[:, rows]
+        worn = np.where(known, np.stack(self.robot.plant.wear.worn()), np.nan)[:, rows]
         counted = (getattr(counts, name) for name in COUNTED)
         self._samples.append((winding, worn, folded_back, *counted, counts.by_monitor()))

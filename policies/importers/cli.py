@@ -26,9 +26,9 @@ from policies.importers.reference_policy import MissingSettingError, PolicyFacts
 from policies.importers.standard_graph import to_standard_graph
 from policies.importers.template import render_template
 from policies.importers.torch_files.network_settings import NetworkSettings
-from policies.importers.untrusted.resource_limits import limit_resources
 from robots.errors import ConfigError, ContractError
 from robots.models.fleet import Fleet
+from robots.models.sandbox import limit_import
 from robots.spec import RobotSpec, load_robot
 from robots.strict import parse
 
@@ -168,7 +168,7 @@ def policy_import(
     draft_path = contract or file.with_suffix(".toml")
     if descriptor is not None and not template:
         raise ConfigError(f"--descriptor {descriptor}: found without --template, expected both")
-    with limit_resources(file):
+    with limit_import(file):
         if template:
             _run_template(file, draft_path, descriptor, robot)
         else:

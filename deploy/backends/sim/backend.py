@@ -15,29 +15,34 @@ from robots.spec import RobotSpec
 
 
 class SimBackend(Backend[SimRobot]):
-    """One simulated robot in this process."""
+    """Simulated robots in this process, with faults of their sensors, and a number of threads for their physics."""
 
-    abilities = Abilities(modes=("position",), control_hz=(1, 100_000), gains=True, simulated=True)
+    abilities = Abilities(control_hz=(1, 100_000), gains=True, simulated=True)
+
+    def __init__(self, faults: Sequence[Fault] = (), threads: int = 1) -> None:
+        self._faults, self._threads = faults, threads
 
     def open(self, request: Request) -> SimRobot:
         """Build the simulation."""
-        return SimRobot(request.spec, [request.seed], given=request.draw, gains=request.gains)
+        return SimRobot(
+            request.spec,
+            request.seeds,
+            given=request.draw,
+            faults=self._faults,
+            gains=request.gains,
+            threads=self._threads,
+        )
 
     def attach(self, robot: SimRobot, runtime: Runtime) -> None:
-        """Show the goals to the simulated cameras, and warm the windings as the runtime believes them to be."""
-        connect(robot, runtime)
-        robot.warm(runtime.estimator.windings.rise)
+        """Show the goals to the simulated cameras; warm the windings to the runtime's estimate."""
+        robot.goal_source = lambda: runtime.task.goal_position
+        robot.plant.warm(runtime.estimator.windings.rise)
 
     def viewer(self, robot: SimRobot) -> Callable[[object], None]:
         """Open MuJoCo's viewer."""
         from deploy.backends.sim.view import View
 
         return View(robot).step
-
-
-def connect(robot: SimRobot, runtime: Runtime) -> None:
-    """Let the simulated cameras of `robot` see the goals of the runtime's task, if it has visible ones."""
-    robot.goal_source = lambda: runtime.task.goal_position
 
 
 def simulate(
@@ -50,17 +55,15 @@ def simulate(
     faults: Sequence[Fault] = (),
     threads: int = 1,
 ) -> tuple[Runtime, SimRobot]:
-    """Build a runtime on B simulated robots, with the contract's drive gains.
+    """Build a runtime on B simulated robots, with the contract's drive gains; arguments as of `SimRobot`, `Runtime`.
 
-    Args:
-        spec: the robot. contract: of the policy.
-        policy: None where the caller puts its own between the halves of a tick.
-        seeds: B seeds: one draw, one stream of noise and one sequence of goals each.
-        given: B robots as they are, in place of those that the seeds would draw.
-        faults: of their sensors.
-        threads: for physics; results do not depend on it.
+    Raises:
+        ConfigError: as `Backend.check`.
     """
-    robot = SimRobot(spec, seeds, given=given, faults=faults, gains=contract.action.gains, threads=threads)
+    backend = SimBackend(faults, threads)
+    request = Request(spec=spec, seeds=seeds, gains=contract.action.gains, draw=given)
+    backend.check(request)
+    robot = backend.open(request)
     runtime = Runtime(spec, contract, robot, seeds, policy)
-    connect(robot, runtime)
+    backend.attach(robot, runtime)
     return runtime, robot

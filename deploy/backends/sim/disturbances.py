@@ -1,4 +1,4 @@
-"""Disturbances of B robots that come and go: a payload, and pushes.
+"""Disturbances of B robots that come and go. A new one is a class listed in `DISTURBANCES`, with a table in draws.toml.
 
 Every phase is a function of seed, robot and its number, so that only the numbers of the phases have to be saved.
 """
@@ -14,7 +14,7 @@ from deploy.backends.sim.model.plant_model import PlantModel
 from deploy.stage import Stage
 from robots.arrays import Bools, Ints
 from robots.draws import Draw
-from robots.randomness import generator_at, stream_keys
+from robots.randomness import Stream, generator_at, stream_keys
 
 Seeds = Sequence[np.random.SeedSequence]
 
@@ -26,16 +26,17 @@ class Intermittent(Stage, ABC):
     """Disturbance in phases of whole ticks, off in even ones and on in odd ones.
 
     Attributes:
-        purpose: number of its stream of random numbers.
+        name: key in `Plant.disturbances`. stream: of its random numbers.
         phase: (B,) number of the present phase. until: (B,) tick at which it ends.
     """
 
-    purpose: ClassVar[int]
+    name: ClassVar[str]
+    stream: ClassVar[Stream]
     carried = ("phase", "until")
 
-    def __init__(self, seeds: Seeds, dt: float) -> None:
-        """Begin the first phase of every robot at tick 0."""
-        self._dt, self._keys = dt, stream_keys(seeds, self.purpose)
+    def __init__(self, batch: Batch, plant: PlantModel, draw: Draw, seeds: Seeds, dt: float) -> None:
+        """Begin the first phase of every robot at tick 0. A subclass reads the draw first, for `seconds`."""
+        self._dt, self._keys = dt, stream_keys(seeds, self.stream)
         self.phase, self.until = np.zeros(len(seeds), dtype=np.int64), np.zeros(len(seeds), dtype=np.int64)
         self._extend(np.arange(len(seeds)))
 
@@ -61,6 +62,9 @@ class Intermittent(Stage, ABC):
         self._extend(over)
         self.apply(over)
 
+    def reset(self, rows: Ints) -> None:
+        """Write again what a reset of robots `rows` cleared; nothing by default: the schedule goes on."""
+
     def apply_all(self) -> None:
         """Write restored phases into the simulations."""
         self._extend(np.zeros(0, dtype=np.int64))
@@ -80,17 +84,16 @@ class Intermittent(Stage, ABC):
 class Payload(Intermittent):
     """Ball at the tool: off for `payload.free_s`, on for `payload.carried_s`; starts anywhere in that cycle."""
 
-    purpose = 3
+    name, stream = "payload", Stream.PAYLOAD
 
     def __init__(self, batch: Batch, plant: PlantModel, draw: Draw, seeds: Seeds, dt: float) -> None:
-        """Read the draw and begin."""
         self._batch, self._body = batch, plant.payload
         mass = draw["payload.mass_kg"]
         radius = (mass * 3.0 / (4.0 * np.pi * DENSITY)) ** (1.0 / 3.0)
         self._mass, self._inertia = mass, 0.4 * mass * radius**2
         self._durations = np.stack((draw["payload.free_s"], draw["payload.carried_s"]))
         batch.expand("body_ipos")[:, self._body] = draw["payload.com_m"]
-        super().__init__(seeds, dt)
+        super().__init__(batch, plant, draw, seeds, dt)
         cycle = self._durations.sum(axis=0)
         passed = [self.rng(robot).random() * cycle[robot] for robot in range(len(cycle))]
         self.until -= np.rint(np.array(passed) / dt).astype(np.int64)
@@ -110,21 +113,16 @@ class Payload(Intermittent):
 
 
 class Pushes(Intermittent):
-    """Constant force on a random link: off for an exponential pause, on for `push.lasts_s`.
+    """Constant force on a random link: off for an exponential pause, on for `push.lasts_s`."""
 
-    Attributes:
-        bodies: (n,) ids of the links.
-    """
-
-    purpose = 2
+    name, stream = "pushes", Stream.PUSHES
 
     def __init__(self, batch: Batch, plant: PlantModel, draw: Draw, seeds: Seeds, dt: float) -> None:
-        """Read the draw."""
-        self._applied, self.bodies = batch.bind("xfrc_applied"), plant.bodies
+        self._applied, self._bodies = batch.bind("xfrc_applied"), plant.bodies
         self._force, self._every, self._lasts = (
             draw[f"push.{name}"] for name in ("force_n", "every_s", "lasts_s")
         )
-        super().__init__(seeds, dt)
+        super().__init__(batch, plant, draw, seeds, dt)
 
     def seconds(self, robot: int) -> float:
         """Return the drawn duration of a push, or an exponential pause, s."""
@@ -138,6 +136,14 @@ class Pushes(Intermittent):
         for robot in rows[self.on[rows]]:
             rng = self.rng(robot)
             direction = rng.standard_normal(3)
-            self._applied[robot, rng.choice(self.bodies), :3] = (
+            self._applied[robot, rng.choice(self._bodies), :3] = (
                 self._force[robot] * direction / np.linalg.norm(direction)
             )
+
+    def reset(self, rows: Ints) -> None:
+        """Write the forces again."""
+        self.apply(rows)
+
+
+DISTURBANCES: tuple[type[Intermittent], ...] = (Payload, Pushes)
+"""Those of every plant, in the order in which they step."""

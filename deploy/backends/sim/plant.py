@@ -7,13 +7,13 @@ from mujoco import MjLogConfig
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
-from deploy.backends.sim.disturbances import Payload, Pushes
+from deploy.backends.sim.disturbances import DISTURBANCES
 from deploy.backends.sim.drives import Drives, Supply
 from deploy.backends.sim.heat import Housings, Windings
 from deploy.backends.sim.kinematics import Kinematics
 from deploy.backends.sim.model.drawn_parameters import write_draw
 from deploy.backends.sim.model.plant_model import PlantModel, build
-from deploy.backends.sim.wear import Wear, WornJoints
+from deploy.backends.sim.wear import Wear
 from deploy.masks import all_true, any_true
 from deploy.stage import Stage
 from deploy.state import Command
@@ -41,15 +41,18 @@ class Plant(Stage):
     copied after each step, and carried.
 
     Attributes:
+        q, qd: (B, n) rad and rad/s of the links. braked: (B,) brakes closed. housing: (B, n) °C. All are live views.
+        readings: true values (B, channels) by kind of sensor; encoders are on the motor's side and wear.
+        disturbances: by name.
         base: places of the floating base, or None. on_gantry: (B, equalities) base held, of a robot that has one.
-        dofs: (n,) places of the joints in `qvel`.
+        dofs: (n,) places of the joints in `qvel`. bodies: (n,) ids of the links.
         tool: (B, 3) m, world. tool_velocity: (B, 3) m/s, mean over the last control period.
         current: (B, n) A, of the motors.
         valid: (B,) False from the moment a simulation diverged.
     """
 
     carried = ("rows", "tick", "valid", "current", "sensed", "tool", "tool_velocity", "travel", "turned")
-    parts = ("drives", "supply", "housings", "windings", "wear", "payload", "pushes")
+    parts = ("drives", "supply", "housings", "windings", "wear")
 
     def __init__(
         self,
@@ -80,19 +83,19 @@ class Plant(Stage):
         self.supply = Supply(self.batch, draw, self.drives.gear)
         self.windings, self.housings = Windings(self.batch, draw), Housings(spec, self.batch, draw)
         self.wear = Wear(distributions.wear, self.batch, model, draw)
-        self.payload = Payload(self.batch, model, draw, seeds, spec.dt)
-        self.pushes = Pushes(self.batch, model, draw, seeds, spec.dt)
-        self._dt = spec.dt
+        self.disturbances = {d.name: d(self.batch, model, draw, seeds, spec.dt) for d in DISTURBANCES}
+        self.q, self.qd, self.braked = self.kinematics.q, self.kinematics.qd, self.drives.braked
+        self.housing, self._dt = self.housings.celsius, spec.dt
         self._supply_ticks, self._slow_ticks = (
             max(1, round(s * spec.rates.control_hz)) for s in (SUPPLY_S, SLOW_S)
         )
         self._bind(model)
         self._allocate(draw.robots, spec.n)
-        self._readings = self._readings_of(model)
+        self.readings = self._readings_of(model)
         self.reset(self.valid.copy(), np.tile(spec.joint_array("q_home"), (draw.robots, 1)))
 
     def _bind(self, model: PlantModel) -> None:
-        bind, self.dofs = self.batch.bind, model.dofs
+        bind, self.dofs, self.bodies = self.batch.bind, model.dofs, model.bodies
         self.rows, self._ctrl, self._rise = self.batch.state, bind("ctrl"), bind("act")
         self._force, self._tau = bind("actuator_force"), bind("qfrc_actuator")
         self._site, self._contacts = bind("site_xpos")[:, model.tool], bind("ncon")
@@ -119,34 +122,14 @@ class Plant(Stage):
         }
         return readings | {kind: self.sensed[:, places] for kind, places in model.site_sensors.items()}
 
-    @property
-    def q(self) -> Floats:
-        """(B, n) rad, angles of the links."""
-        return self.kinematics.q
-
-    @property
-    def qd(self) -> Floats:
-        """(B, n) rad/s, speeds of the links."""
-        return self.kinematics.qd
-
-    @property
-    def braked(self) -> Bools:
-        """(B,) brakes closed."""
-        return self.drives.braked
-
-    @property
-    def housing(self) -> Floats:
-        """(B, n) °C."""
-        return self.housings.celsius
-
-    def reading(self, kind: Kind) -> Floats:
-        """Return the true value (B, channels) at each sensor of `kind`; encoders are on the motor's side and wear."""
-        return self._readings[kind]
+    def stages(self) -> dict[str, Stage]:
+        """Stages inside, disturbances included."""
+        return {**super().stages(), **self.disturbances}
 
     def reset(self, ids: Bools, q: Floats) -> None:
         """Rest robots where `ids` (B,) holds at `q` (B, n) rad, brakes closed, motors and joints as at the start.
 
-        Payload and pushes keep their own schedule: they do not restart with an episode.
+        Disturbances keep their own schedule: they do not restart with an episode.
         """
         rows = np.flatnonzero(ids)
         self.batch.reset(rows)
@@ -157,7 +140,8 @@ class Plant(Stage):
         self.housings.reset(rows)
         self.windings.square[rows] = 0.0
         self.wear.reset(rows)
-        self.pushes.apply(rows)
+        for disturbance in self.disturbances.values():
+            disturbance.reset(rows)
         self.travel[rows] = self.turned[rows] = 0.0
         self._forward(rows)
         self.current[rows] = 0.0
@@ -178,8 +162,8 @@ class Plant(Stage):
         self.drives.apply()
         self.housings.apply()
         self.wear.apply()
-        self.payload.apply_all()
-        self.pushes.apply_all()
+        for disturbance in self.disturbances.values():
+            disturbance.apply_all()
         self._warnings[:] = 0
         self._update_kinematics()
 
@@ -187,8 +171,8 @@ class Plant(Stage):
     def step(self, command: Command) -> None:
         """Advance one control period under a command."""
         tick = int(self.tick[0])
-        self.payload.step(tick)
-        self.pushes.step(tick)
+        for disturbance in self.disturbances.values():
+            disturbance.step(tick)
         if self.base:
             self.on_gantry[command.powered, self.base.gantry] = 0
         self._roll(self.drives.step(command, self.kinematics.motor_q))
@@ -250,10 +234,6 @@ class Plant(Stage):
     def _update_kinematics(self) -> None:
         self.kinematics.update()
         np.add(self.kinematics.motor_q, self.wear.encoder_rad, out=self._encoder)
-
-    def worn(self) -> WornJoints:
-        """Return the present state of the joints."""
-        return self.wear.worn()
 
     def truth(self, t: float) -> Truth:
         """Return the ground truth at time `t`, s."""

@@ -56,7 +56,7 @@ class SimRobot(Stage):
         self.goal_source: Callable[[], Floats] | None = None
         self.goal = np.full((self.robots, 3), np.nan)
         self._true_values = [
-            self.goal if kind == "goal" else self.plant.reading(kind) for kind in self.spec.sensors
+            self.goal if kind == "goal" else self.plant.readings[kind] for kind in self.spec.sensors
         ]
         self.settle_sensors(np.ones(self.robots, dtype=bool))
 
@@ -90,10 +90,6 @@ class SimRobot(Stage):
         """Rest robots where `ids` holds at `q` (B, n) rad, motors as at the start."""
         self.plant.reset(ids, q)
         self.settle_sensors(ids)
-
-    def warm(self, rise: Floats) -> None:
-        """Set the windings (B, n) K above their housings, from work before this run."""
-        self.plant.warm(rise)
 
     def truth(self) -> Truth:
         """Return the ground truth now: not for the runtime."""

@@ -12,12 +12,9 @@ from deploy.stage import Stage
 from deploy.state import Packet, Sample
 from robots.arrays import Bools, Floats, Ints
 from robots.draws import Draw
-from robots.randomness import generator_at, stream_keys
-from robots.sensors import AT_JOINTS, Kind
+from robots.randomness import Stream, generator_at, stream_keys
+from robots.sensors import KINDS, Kind
 from robots.spec import RobotSpec
-
-NOISE, TRAVEL, GARBAGE = 1, 4, 5
-"""Purposes of the streams of random numbers."""
 
 
 class Sensors(Stage):
@@ -49,8 +46,9 @@ class Sensors(Stage):
         """
         robots, sheet, sizes = len(seeds), list(spec.sensors.values()), list(spec.channels.values())
         self._dt, self._faults = spec.dt, faults
-        self.noise_keys, self._garbage_keys = stream_keys(seeds, NOISE), stream_keys(seeds, GARBAGE)
-        self._packets = Packets(spec, draw, stream_keys(seeds, TRAVEL), faults)
+        self.noise_keys = stream_keys(seeds, Stream.SENSOR_NOISE)
+        self._garbage_keys = stream_keys(seeds, Stream.SENSOR_GARBAGE)
+        self._packets = Packets(spec, draw, stream_keys(seeds, Stream.PACKETS), faults)
         self._length = self._packets.length
         self._sensor = np.repeat(np.arange(len(sheet)), sizes)
         ends = np.cumsum(sizes)
@@ -96,7 +94,7 @@ class Sensors(Stage):
         """Return (C,) for each channel that of the nearest housing: its own joint's, or the last joint's."""
         housing = np.arange(self.columns["temperature"].start, self.columns["temperature"].stop)
         parts = [
-            housing if kind in AT_JOINTS else np.full(size, housing[-1])
+            housing if KINDS[kind].at == "joints" else np.full(size, housing[-1])
             for kind, size in spec.channels.items()
         ]
         return np.concatenate(parts)

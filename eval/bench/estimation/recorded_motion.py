@@ -56,7 +56,7 @@ def record_motion(spec: RobotSpec, policy: Path, first: int) -> Motion:
     for _ in range(round(MOTION_S / spec.dt)):
         runtime.tick()
         truth, setpoint = robot.truth(), runtime.setpoint
-        encoder_q = robot.plant.reading("encoder").copy()
+        encoder_q = robot.plant.readings["encoder"].copy()
         rows.append((truth.q.copy(), truth.qd.copy(), encoder_q, np.hstack((setpoint.q, setpoint.qd))))
     q, qd, encoder_q, sent = (np.array(column) for column in zip(*rows, strict=True))
     return Motion(q=q, qd=qd, encoder_q=encoder_q, sent=sent, draw=robot.draw, seeds=seeds)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.backends.backend import Request
-from deploy.backends.sim.backend import SimBackend
+from deploy.backends.sim.backend import SimBackend, simulate
 from deploy.operation.cli import cli
 from robots.errors import ConfigError
 from robots.motors.gains import Gains
@@ -52,7 +52,7 @@ class Arm:
         self.calls.append("close")
 
 class Wire(Backend):
-    abilities = Abilities(modes=("position",), control_hz=(100, 1000), gains=False)
+    abilities = Abilities(control_hz=(100, 1000), gains=False)
 
     def open(self, request):
         OPENED.append(Arm(request.spec))
@@ -112,22 +112,17 @@ def test_gains_that_a_backend_cannot_set_are_refused(outside, tmp_path, monkeypa
     assert (outside().OPENED, out.exists()) == ([], False)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"mode": "torque"}, "control mode: found torque, expected one of position"),
-        ({"spec": SPEC.model_copy(update={"rates": SPEC.rates.model_copy(update={"control_hz": 200_000})})},
-         "control_hz of the robot: found 200000, expected 1 to 100000"),
-    ],
-)  # fmt: skip
-def test_a_request_beyond_the_abilities_is_refused(changes, message):
-    request = {"spec": SPEC, "seed": robot_seed(3, 0)} | changes
+def test_a_control_rate_beyond_the_abilities_is_refused_by_run_and_soak_alike():
+    fast = SPEC.model_copy(update={"rates": SPEC.rates.model_copy(update={"control_hz": 200_000})})
+    message, seeds = "control_hz of the robot: found 200000, expected 1 to 100000", [robot_seed(3, 0)]
     with pytest.raises(ConfigError, match=message):
-        SimBackend().check(Request(**request))
+        SimBackend().check(Request(spec=fast, seeds=seeds))
+    with pytest.raises(ConfigError, match=message):
+        simulate(fast, arm_contract(), seeds)
 
 
 def test_the_simulation_sets_gains():
     gains = Gains(np.full(SPEC.n, 400.0), np.full(SPEC.n, 40.0))
-    request = Request(spec=SPEC, seed=robot_seed(3, 0), gains=gains)
+    request = Request(spec=SPEC, seeds=[robot_seed(3, 0)], gains=gains)
     SimBackend().check(request)
     assert SimBackend().open(request).gains is gains

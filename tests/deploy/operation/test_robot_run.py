@@ -3,7 +3,7 @@ import signal
 import numpy as np
 import pytest
 
-from deploy.backends.sim.backend import connect
+from deploy.backends.sim.backend import SimBackend
 from deploy.backends.sim.robot import SimRobot
 from deploy.operation.clock import WallClock
 from deploy.operation.loop_timing import LoopTiming
@@ -44,7 +44,7 @@ class Bench:
         self.time, self.at, self.slots = FakeTime(), at or {}, 0
         self.robot, self.policy = Watched(SPEC, seeds), Policy.load(policy, SPEC)
         self.runtime = Runtime(SPEC, self.policy.contract, self.robot, seeds, self.policy)
-        connect(self.robot, self.runtime)
+        SimBackend().attach(self.robot, self.runtime)
         clock = WallClock(SPEC.dt, now=self.time.now, sleep=self.sleep)
         self.timing = LoopTiming(clock, SPEC.rates.control_hz, now=self.time.now)
         self.recorder = Recorder(folder, self.runtime, start_ns=0, about={})

@@ -122,7 +122,7 @@ def test_wear_samples_are_nan_where_the_simulation_diverged(arm_policy):
     plant = shard.runtime.robot.plant
     plant.wear.life[:] = np.linspace(0.1, 2.0, WIDTH)[:, None]
     plant.valid[2] = False
-    expected = np.stack(plant.worn())
+    expected = np.stack(plant.wear.worn())
     expected[:, 2] = np.nan
     found = shard.run(lambda ticks: None, lambda: False)
     np.testing.assert_array_equal(found.worn[0], expected)

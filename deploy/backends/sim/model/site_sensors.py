@@ -3,20 +3,10 @@
 import mujoco
 
 from robots.errors import RobotError
-from robots.sensors import Kind
+from robots.sensors import KINDS, Kind
 from robots.spec import RobotSpec
 
 CONTACT_FORCE, LEVEL = "firstshift/strongest contact", "firstshift/level"
-SENSORS = {
-    "gyro": mujoco.mjtSensor.mjSENS_GYRO,
-    "accelerometer": mujoco.mjtSensor.mjSENS_ACCELEROMETER,
-    "orientation": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
-    "force": mujoco.mjtSensor.mjSENS_FORCE,
-    "torque": mujoco.mjtSensor.mjSENS_TORQUE,
-    "contact": mujoco.mjtSensor.mjSENS_TOUCH,
-}
-"""MuJoCo's type for each kind of sensor that sits at sites. Force and torque are what the site's body and all that it
-carries put on its parent; an orientation is relative to a body aligned with gravity, which is what an IMU knows."""
 
 
 def _name(kind: Kind, site: str) -> str:
@@ -32,11 +22,17 @@ def add_site_sensors(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
     if "orientation" in spec.sensors:
         mjcf.worldbody.add_body(name=LEVEL)
     for kind in spec.sensors:
-        if kind in SENSORS:
+        if KINDS[kind].mujoco:
             _add_sensor(mjcf, kind, spec)
 
 
 def _add_sensor(mjcf: mujoco.MjSpec, kind: Kind, spec: RobotSpec) -> None:
+    """Add a sensor at each of its sites.
+
+    Force and torque are what the site's body and all that it carries put on its parent; an orientation is relative to a
+    body aligned with gravity, which is what an IMU knows.
+    """
+    measured = getattr(mujoco.mjtSensor, f"mjSENS_{KINDS[kind].mujoco}")
     sites, bodies = ({part.name for part in parts if part.name} for parts in (mjcf.sites, mjcf.bodies))
     for site in spec.sensors[kind].sites:
         if site not in sites | bodies:
@@ -46,7 +42,7 @@ def _add_sensor(mjcf: mujoco.MjSpec, kind: Kind, spec: RobotSpec) -> None:
             )
         if site not in sites:  # at the body's origin
             mjcf.body(site).add_site(name=site)
-        sensor = mjcf.add_sensor(name=_name(kind, site), type=SENSORS[kind])
+        sensor = mjcf.add_sensor(name=_name(kind, site), type=measured)
         sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_SITE, site
         if kind == "orientation":
             sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_BODY, LEVEL
@@ -61,7 +57,7 @@ def add_contact_force(mjcf: mujoco.MjSpec) -> None:
 
 def find_site_sensors(model: mujoco.MjModel, spec: RobotSpec) -> dict[Kind, slice]:
     """Return the places of each kind of sensor in `sensordata`."""
-    return {kind: _places(model, kind, spec) for kind in spec.sensors if kind in SENSORS}
+    return {kind: _places(model, kind, spec) for kind in spec.sensors if KINDS[kind].mujoco}
 
 
 def _places(model: mujoco.MjModel, kind: Kind, spec: RobotSpec) -> slice:

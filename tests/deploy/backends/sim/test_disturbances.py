@@ -7,6 +7,7 @@ from support.deploy.plants import BUSY, DT, HOME, PLANT_MODEL, command, drawn, e
 
 mujoco = pytest.importorskip("mujoco")
 disturbances = pytest.importorskip("deploy.backends.sim.disturbances")
+plant_module = pytest.importorskip("deploy.backends.sim.plant")
 
 
 def history(turns, ticks):
@@ -27,8 +28,8 @@ def lengths(course, value):
 def test_payloads_come_and_go_as_drawn():
     """Carried and free for as long as drawn, to the tick, and each robot somewhere else in its cycle at first."""
     plant = drawn(40, {"payload.carried_s": 0.35, "payload.free_s": 0.2})
-    at_first = plant.payload.on.copy()
-    course = history(plant.payload, 500)
+    at_first = plant.disturbances["payload"].on.copy()
+    course = history(plant.disturbances["payload"], 500)
     for robot in range(40):
         assert set(lengths(course[:, robot], True)) == {70}
         assert set(lengths(course[:, robot], False)) == {40}
@@ -42,9 +43,9 @@ def test_a_payload_is_a_ball_of_aluminium_where_the_draw_says():
     com = np.array([0.02, -0.01, 0.03])
     plant = drawn(4, BUSY | {"payload.mass_kg": 0.8, "payload.com_m": com})
     for tick in range(300):
-        plant.payload.step(tick)
+        plant.disturbances["payload"].step(tick)
         for i in range(4):
-            own, on = plant.batch.get_model(i), bool(plant.payload.on[i])
+            own, on = plant.batch.get_model(i), bool(plant.disturbances["payload"].on[i])
             body = own.body("firstshift/payload")
             assert body.mass[0] == (0.8 if on else 0.0)
             radius = (0.8 / (4 / 3 * np.pi * 2700.0)) ** (1 / 3)
@@ -64,7 +65,7 @@ def test_payload_loads_every_joint():
         )
         for mass in (2.0, 0.0)
     )
-    assert loaded.payload.on[0]
+    assert loaded.disturbances["payload"].on[0]
     forces = []
     for plant in (loaded, free):
         model, data = plant.batch.get_model(0), plant.batch.get_data(0)
@@ -77,7 +78,7 @@ def test_payload_loads_every_joint():
 
 def test_pushes_last_as_drawn_after_exponential_pauses():
     plant = drawn(200, {"push.every_s": 2.0, "push.lasts_s": 0.1})
-    course = history(plant.pushes, 8000)
+    course = history(plant.disturbances["pushes"], 8000)
     assert not course[0].any()
     assert {n for robot in range(200) for n in lengths(course[:, robot], True)} == {20}
     pauses = DT * np.array([n for robot in range(200) for n in lengths(course[:, robot], False)])
@@ -91,8 +92,8 @@ def test_pushes_come_from_everywhere_on_every_moving_link():
     plant = drawn(100, {"push.every_s": 1.0, "push.lasts_s": 0.1, "push.force_n": 17.0})
     applied, seen = plant.batch.bind("xfrc_applied"), []
     for tick in range(2000):
-        plant.pushes.step(tick)
-        on = plant.pushes.on
+        plant.disturbances["pushes"].step(tick)
+        on = plant.disturbances["pushes"].on
         assert not applied[~on].any()
         if tick % 25 == 0:
             seen.append(applied[on].copy())
@@ -113,17 +114,19 @@ def test_a_push_is_felt_while_it_lasts():
     rest = plant.q[0].copy()
     for tick in range(1000):
         plant.step(command(HOME))
-        on = bool(plant.pushes.on[0])
+        on = bool(plant.disturbances["pushes"].on[0])
         moved[on] = (
-            max(moved[on], np.abs(plant.q[0] - rest).max()) if on or tick < plant.pushes.until[0] else 0
+            max(moved[on], np.abs(plant.q[0] - rest).max())
+            if on or tick < plant.disturbances["pushes"].until[0]
+            else 0
         )
-    assert plant.pushes.phase[0] > 3
+    assert plant.disturbances["pushes"].phase[0] > 3
     assert moved[True] > 1e-3
 
 
 def test_a_reset_does_not_end_a_push():
     plant = exact(1, {"push.every_s": 1.0, "push.lasts_s": 1.0, "push.force_n": 30.0})
-    while not plant.pushes.on[0]:
+    while not plant.disturbances["pushes"].on[0]:
         plant.step(command(HOME))
     before = plant.batch.bind("xfrc_applied").copy()
     plant.reset(np.ones(1, dtype=bool), HOME[None])
@@ -134,17 +137,43 @@ def test_a_reset_does_not_end_a_push():
 def test_disturbances_depend_on_the_seed_and_not_on_the_group():
     many, alone = drawn(5, BUSY), drawn(5, BUSY, rows=slice(3, 4))
     for name in ("payload", "pushes"):
-        courses = [history(getattr(plant, name), 600) for plant in (many, alone)]
+        courses = [history(plant.disturbances[name], 600) for plant in (many, alone)]
         np.testing.assert_array_equal(courses[0][:, 3:4], courses[1])
         assert (courses[0] != courses[0][:, :1]).any()
-    assert disturbances.Payload.purpose != disturbances.Pushes.purpose
+    assert disturbances.Payload.stream != disturbances.Pushes.stream
 
 
 def test_tick_without_a_change_writes_nothing(monkeypatch):
     plant, done = drawn(3), []
     monkeypatch.setattr(disturbances.Intermittent, "_extend", lambda *_: done.append(1))
     for tick in range(100):
-        plant.pushes.step(tick)
-        plant.payload.step(tick)
+        plant.disturbances["pushes"].step(tick)
+        plant.disturbances["payload"].step(tick)
     assert not done
-    assert min(plant.pushes.until.min(), plant.payload.until.min()) > 100
+    assert min(plant.disturbances["pushes"].until.min(), plant.disturbances["payload"].until.min()) > 100
+
+
+class Lift(disturbances.Intermittent):
+    """The base is lifted by 1 N for every other tick."""
+
+    name, stream, carried = "lift", 99, (*disturbances.Intermittent.carried, "force")
+
+    def __init__(self, batch, plant, draw, seeds, dt):
+        self.force, self._batch = np.zeros(len(seeds)), batch
+        super().__init__(batch, plant, draw, seeds, dt)
+
+    def seconds(self, robot):
+        return DT
+
+    def apply(self, rows):
+        self.force[rows] = self.on[rows]
+
+
+def test_another_disturbance_is_one_class(monkeypatch):
+    monkeypatch.setattr(plant_module, "DISTURBANCES", (*disturbances.DISTURBANCES, Lift))
+    plant, seen = drawn(2), []
+    for _ in range(4):
+        plant.step(command(np.tile(HOME, (2, 1))))
+        seen.append(plant.disturbances["lift"].force.tolist())
+    assert seen == [[0.0, 0.0], [1.0, 1.0]] * 2
+    np.testing.assert_array_equal(plant.save()["lift.force"], [1.0, 1.0])

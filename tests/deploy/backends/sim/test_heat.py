@@ -50,7 +50,7 @@ def test_housing_starts_at_the_drawn_temperature_and_cools_to_ambient():
     truth = plant.truth(0.0)
     np.testing.assert_array_equal(truth.housing_c, 30.0)
     np.testing.assert_array_equal(truth.winding_c, 30.0)
-    np.testing.assert_array_equal(plant.reading("temperature"), 30.0)
+    np.testing.assert_array_equal(plant.readings["temperature"], 30.0)
     for _ in range(400):
         plant.step(command(HOME))
     idle = plant.truth(0.0).housing_c[0, 0]  # no load on the vertical axis

@@ -90,7 +90,7 @@ def test_category_0_needs_no_command():
     assert not plant.braked.any()
     plant.brake(np.array([False, True]))
     assert plant.braked.tolist() == [False, True]
-    motor = plant.reading("encoder")[1]  # brakes sit where the motor is
+    motor = plant.readings["encoder"][1]  # brakes sit where the motor is
     np.testing.assert_array_equal(plant.drives.held[1], motor)
     assert np.abs(motor - plant.q[1]).max() > 0.001
 
@@ -153,7 +153,7 @@ def assert_same(one, other, rows=slice(None)):
         of_all = expected[name] if name == "tick" else expected[name][rows]
         np.testing.assert_array_equal(found[name], of_all, err_msg=name)
     for kind in SPEC.channels.keys() - {"goal"}:
-        np.testing.assert_array_equal(other.reading(kind), one.reading(kind)[rows], err_msg=kind)
+        np.testing.assert_array_equal(other.readings[kind], one.readings[kind][rows], err_msg=kind)
     for name, values in one.truth(0.0)._asdict().items():
         if name not in ("t", "base"):
             np.testing.assert_array_equal(getattr(other.truth(0.0), name), values[rows], err_msg=name)
@@ -176,8 +176,8 @@ def test_robot_alone_equals_the_same_robot_in_a_group():
     for q in wild(5, 450):
         group.step(command(q))
         alone.step(command(q[2:3]))
-    assert group.payload.phase[2] > 1
-    assert group.pushes.phase[2] > 1
+    assert group.disturbances["payload"].phase[2] > 1
+    assert group.disturbances["pushes"].phase[2] > 1
     assert group.wear.life[2].min() > 0
     assert_same(group, alone, slice(2, 3))
 
@@ -193,15 +193,15 @@ def test_saved_and_restored_goes_on_bit_for_bit():
     for k in range(30):
         other.step(command(path[k]))
     assert not other.valid.all()
-    assert (other.payload.on != one.payload.on).any()
+    assert (other.disturbances["payload"].on != one.disturbances["payload"].on).any()
     other.restore(one.save())
     for kind in SPEC.channels.keys() - {"goal"}:
-        np.testing.assert_array_equal(other.reading(kind), one.reading(kind), err_msg=kind)
+        np.testing.assert_array_equal(other.readings[kind], one.readings[kind], err_msg=kind)
     for k in range(430, 700):
         one.step(command(path[k]))
         other.step(command(path[k]))
         assert_same(one, other)
-    assert one.pushes.phase.max() > 2
+    assert one.disturbances["pushes"].phase.max() > 2
     assert other.valid.all()
 
 
@@ -211,13 +211,13 @@ def test_reset_of_a_subset_leaves_the_others_alone():
         for each in (plant, twin):
             each.step(command(np.tile(HOME + 0.1 * k * DT, (3, 1)), 0.1, 30.0))
     pose, one = np.tile(HOME - 0.2, (3, 1)), np.array([False, True, False])
-    assert (plant.worn().friction > 1.0).all()
+    assert (plant.wear.worn().friction > 1.0).all()
     plant.reset(one, pose)
     np.testing.assert_array_equal(plant.q[1], pose[1])
     np.testing.assert_array_equal(plant.qd[1], 0.0)
     np.testing.assert_array_equal(plant.truth(0.0).winding_c[1], plant.housing[1])
-    np.testing.assert_array_equal(plant.worn().friction[1], 1.0)
-    np.testing.assert_allclose(plant.reading("current")[1], 0.0, atol=1e-6)
+    np.testing.assert_array_equal(plant.wear.worn().friction[1], 1.0)
+    np.testing.assert_allclose(plant.readings["current"][1], 0.0, atol=1e-6)
     for _ in range(250):
         for each in (plant, twin):
             each.step(command(np.tile(HOME, (3, 1)), powered=~one))

@@ -39,7 +39,7 @@ def test_worn_parameters_grow_in_proportion_to_the_wear():
     play = 0.0004 + 0.001 * life
     np.testing.assert_allclose(own.jnt_range[PLANT_MODEL.backlash], np.stack((-play / 2, play / 2), axis=1))
     np.testing.assert_allclose(own.actuator_gainprm[:, 1], new.actuator_gainprm[:, 1] * (1.0 - 0.1 * life))
-    worn = plant.worn()
+    worn = plant.wear.worn()
     np.testing.assert_allclose(worn.friction[0], 1.0 + 0.5 * life)
     np.testing.assert_allclose(worn.backlash_rad[0], play)
     np.testing.assert_allclose(worn.encoder_rad[0], -0.002 * life)
@@ -50,7 +50,7 @@ def test_worn_torque_constant_stays_positive():
     plant = exact(1, {"wear.torque_constant": -0.9})
     plant.wear.life[:] = 50.0
     plant.wear.apply()
-    assert (plant.worn().torque_constant == 0.05).all()
+    assert (plant.wear.worn().torque_constant == 0.05).all()
     assert (plant.batch.get_model(0).actuator_gainprm[:, 1] > 0).all()
 
 
@@ -60,7 +60,7 @@ def test_worn_parameters_stay_physical():
     plant = exact(1, worst)
     plant.wear.life[:] = 3.0 / 1.0 * 2.0 ** ((300.0 + 50.0) / 10.0)
     plant.wear.apply()
-    worn = plant.worn()
+    worn = plant.wear.worn()
     np.testing.assert_array_equal(worn.friction, 20.0)
     np.testing.assert_array_equal(worn.backlash_rad, 0.05)
     np.testing.assert_array_equal(worn.encoder_rad[0], [-0.1] * 3 + [0.1] * 3)
@@ -72,7 +72,7 @@ def test_slipped_encoder_reads_with_an_offset():
     plant.wear.life[:] = 1.5
     plant.wear.apply()
     plant.step(command(HOME))
-    np.testing.assert_allclose(plant.reading("encoder") - plant.kinematics.motor_q, -0.003, rtol=1e-9)
+    np.testing.assert_allclose(plant.readings["encoder"] - plant.kinematics.motor_q, -0.003, rtol=1e-9)
 
 
 def test_current_follows_the_worn_torque_constant():
@@ -83,7 +83,7 @@ def test_current_follows_the_worn_torque_constant():
     for plant in plants:
         for _ in range(200):
             plant.step(command(HOME))
-    new, worn = (plant.reading("current")[0, 1] for plant in plants)
+    new, worn = (plant.readings["current"][0, 1] for plant in plants)
     torques = [plant.truth(0.0).tau[0, 1] for plant in plants]
     assert abs(new) > 0.1
     assert torques[1] == pytest.approx(torques[0], rel=1e-3)
@@ -111,5 +111,5 @@ def test_restored_wear_is_bit_identical():
     new.restore(old.save())
     for name in ("dof_frictionloss", "jnt_range", "actuator_gainprm"):
         np.testing.assert_array_equal(new.batch.expand(name), old.batch.expand(name))
-    for one, other in zip(old.worn(), new.worn(), strict=True):
+    for one, other in zip(old.wear.worn(), new.wear.worn(), strict=True):
         np.testing.assert_array_equal(one, other)

@@ -101,7 +101,7 @@ def test_stance_is_known_on_a_tilted_floor(tmp_path, tilt):
     base = runtime.state.base
     assert np.abs(base.velocity_in_base).max() < 0.03
     assert np.abs(runtime.capabilities["floating_base"].filter.bias[:, 3:]).max() < 0.2
-    np.testing.assert_allclose(-base.gravity, robot.plant.reading("accelerometer") / 9.81, atol=0.01)
+    np.testing.assert_allclose(-base.gravity, robot.plant.readings["accelerometer"] / 9.81, atol=0.01)
 
 
 def test_packet_from_the_future_does_not_silence_the_gravity_direction(standing):

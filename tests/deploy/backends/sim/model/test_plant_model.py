@@ -7,6 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from deploy.backends.sim.model.plant_model import build
 from deploy.backends.sim.plant import Plant
+from deploy.backends.sim.robot import SimRobot
+from robots import sensors
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
 from robots.errors import ConfigError, RobotError
@@ -14,7 +16,7 @@ from robots.models.mujoco_model import load_mujoco
 from robots.motors.windings import nominal_windings
 from robots.randomness import robot_seed
 from robots.spec import load_robot
-from support.arm6 import SPEC, copy_of_arm
+from support.arm6 import ARM, SPEC, copy_of_arm
 from support.deploy.plants import BUSY, HOME, PLAIN, PLANT_MODEL, N, command, drawn, exact
 
 mujoco = pytest.importorskip("mujoco")
@@ -47,7 +49,7 @@ def test_every_drawn_quantity_changes_the_plant():
     assert plant.truth(0.0).self_collision.all()
     for k in range(600):
         plant.step(command(folded + 0.1 * np.sin(0.05 * k)))
-    seen = np.concatenate((plant.rows, plant.reading("encoder"), plant.housing), axis=1)
+    seen = np.concatenate((plant.rows, plant.readings["encoder"], plant.housing), axis=1)
     same = [name for robot, name in enumerate(LIVED, 1) if (seen[robot] == seen[0]).all()]
     assert not same
 
@@ -172,7 +174,7 @@ def test_backlash_rests_on_the_side_of_the_load(load):
     plant.batch.bind("qfrc_applied")[0, PLANT_MODEL.dofs[5] + 1] = load
     for _ in range(100):
         plant.step(command(HOME))
-    motor = plant.reading("encoder")[0, 5]
+    motor = plant.readings["encoder"][0, 5]
     assert plant.q[0, 5] - motor == pytest.approx(np.sign(load) * play / 2, abs=4e-4)
     assert plant.truth(0.0).q[0, 5] == plant.q[0, 5]
 
@@ -183,7 +185,7 @@ def test_motor_encoder_does_not_see_backlash():
     for k in range(200):
         plant.batch.bind("qfrc_applied")[0, PLANT_MODEL.dofs[5] + 1] = 0.3 * (-1) ** (k // 50)
         plant.step(command(HOME))
-        ways.append((plant.q[0, 5], plant.reading("encoder")[0, 5]))
+        ways.append((plant.q[0, 5], plant.readings["encoder"][0, 5]))
     link, motor = np.ptp(np.array(ways)[50:], axis=0)
     assert link > 0.0035
     assert motor < 0.0005
@@ -215,18 +217,30 @@ def test_sensors_of_every_kind_read_their_sites(tmp_path, tilt):
     mujoco.mj_kinematics(model, data)
     attitude = Rotation.from_euler("XY", tilt) * Rotation.from_matrix(data.site("tool").xmat.reshape(3, 3))
     up = attitude.inv().apply([0.0, 0.0, 9.81])
-    np.testing.assert_allclose(plant.reading("accelerometer")[0], up, atol=0.02)
-    np.testing.assert_allclose(plant.reading("gyro")[0], 0.0, atol=1e-3)
-    np.testing.assert_allclose(plant.reading("force")[0], model.body("wrist_3_link").mass * up, atol=0.02)
-    said = Rotation.from_quat(plant.reading("orientation")[0], scalar_first=True)
+    np.testing.assert_allclose(plant.readings["accelerometer"][0], up, atol=0.02)
+    np.testing.assert_allclose(plant.readings["gyro"][0], 0.0, atol=1e-3)
+    np.testing.assert_allclose(plant.readings["force"][0], model.body("wrist_3_link").mass * up, atol=0.02)
+    said = Rotation.from_quat(plant.readings["orientation"][0], scalar_first=True)
     np.testing.assert_allclose(said.inv().apply([0.0, 0.0, 9.81]), up, atol=1e-6)
     assert (said * attitude.inv()).magnitude() < 0.02  # what is left is yaw, which gravity does not know
-    assert plant.reading("torque").shape == (1, 3)
-    assert not plant.reading("contact").any()
-    np.testing.assert_array_equal(plant.reading("velocity"), plant.kinematics.motor_qd)
+    assert plant.readings["torque"].shape == (1, 3)
+    assert not plant.readings["contact"].any()
+    np.testing.assert_array_equal(plant.readings["velocity"], plant.kinematics.motor_qd)
     for kind, channels in spec.channels.items():
         if kind != "goal":
-            assert plant.reading(kind).shape == (1, channels)
+            assert plant.readings[kind].shape == (1, channels)
+
+
+def test_another_type_of_sensor_is_one_row(tmp_path, monkeypatch):
+    """Declared once, it is read from robot.toml, simulated, and delivered as packets."""
+    monkeypatch.setitem(sensors.KINDS, "magnetometer", sensors.SensorKind("T", "site", 3, "MAGNETOMETER"))
+    text = (ARM / "robot.toml").read_text()
+    table = text[text.index("[sensors.force]") : text.index("[sensors.goal]")]
+    table = table.replace("sensors.force", "sensors.magnetometer").replace('"N"', '"T"')
+    spec = load_robot(copy_of_arm(tmp_path, toml=[(r"\[sensors.goal\]", f"{table}\n[sensors.goal]")]))
+    robot = SimRobot(spec, [robot_seed(3, 0)])
+    assert robot.read()["magnetometer"].value.shape == (1, 3)
+    assert np.isfinite(robot.read()["magnetometer"].value).all()
 
 
 def test_an_unknown_cable_link_is_one_clear_error(tmp_path):
@@ -307,5 +321,5 @@ def test_an_arm_without_a_tool_carries_its_payload_on_its_last_link(tmp_path):
     for _ in range(400):
         plant.step(command(HOME))
     assert plant.valid.all()
-    assert plant.payload.on.all()
+    assert plant.disturbances["payload"].on.all()
     np.testing.assert_allclose(plant.q[0], HOME, atol=0.05)
