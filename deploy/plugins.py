@@ -14,24 +14,18 @@ BACKENDS, TASKS = "firstshift.backends", "firstshift.tasks"
 
 
 def installed(group: str) -> Mapping[str, EntryPoint]:
-    """Return the entry points of a group by name, sorted; none of them is imported.
-
-    Raises:
-        ConfigError: two installed distributions claim the same name.
-    """
+    """Return the entry points of a group by name, sorted and not imported; no two may have one name."""
     return _scan(group, tuple(sys.path))
 
 
 def load(group: str, name: str, given: str) -> Any:
     """Import the plug-in `name` of a group and return the object that its entry point names.
 
-    Args:
-        group: of entry points.
-        name: looked up among installed names only, so that it may come from an untrusted file.
-        given: where the name was given, for the error: an option or a field, with its value.
+    Names are looked up among installed ones only, so that they may come from an untrusted file.
 
     Raises:
-        ConfigError: the name is unknown, or a module that the plug-in imports is missing.
+        ConfigError: beginning with `given`, an option or a field with its value: the name is unknown, or a module that
+            the plug-in imports is missing.
     """
     known = installed(group)
     if name not in known:

@@ -14,11 +14,7 @@ Part = TypeVar("Part")
 
 
 def required(part: Part | None) -> Part:
-    """Return an optional part of a robot, where a declaration names the capability.
-
-    Raises:
-        RuntimeError: the robot has no such part: the declaration does not name what it needs.
-    """
+    """Return an optional part of a robot, which a declaration must name as needed (else RuntimeError)."""
     if part is None:
         raise RuntimeError("a part of the robot was read without its capability being declared as needed")
     return part

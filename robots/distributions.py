@@ -205,11 +205,7 @@ def load_distributions(spec: RobotSpec) -> Distributions:
 
 
 def check_transport(kind: Kind, sensor: Sensor, delay: float, loss: float, source: str) -> None:
-    """Refuse factors of a sensor's delay and loss that the simulated bus cannot reproduce.
-
-    Raises:
-        ConfigError: packets would be delayed longer than the buffer holds, or more than half of them would be lost.
-    """
+    """Refuse (ConfigError) delays longer than the simulated bus buffers, or losses above `LOSS_MAX`."""
     if sensor.delay_s * delay > BUFFER_S:
         raise ConfigError(
             f"{source}: sensors.delay and sensors.jitter: {kind} would take {sensor.delay_s * delay:g} s, at most"

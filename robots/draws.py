@@ -67,10 +67,7 @@ class Draw(Mapping[str, Floats]):
 def draw(distributions: Distributions, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> Draw:
     """Return one robot for each seed. Every quantity has its own random stream: a new quantity changes no other.
 
-    Args:
-        distributions: the spans.
-        spec: the robot, for its numbers of joints and sensors.
-        seeds: B seeds, as `robots.randomness.robot_seed` gives them.
+    The B seeds are those of `robots.randomness.robot_seed`.
     """
     return Draw(
         {

@@ -91,11 +91,7 @@ class Backend(ABC, Generic[R]):
     abilities: ClassVar[Abilities]
 
     def check(self, request: Request) -> None:
-        """Refuse a request beyond the abilities.
-
-        Raises:
-            ConfigError: the control rate or the gains.
-        """
+        """Refuse (ConfigError) a request whose control rate or gains are beyond the abilities."""
         (low, high), hz = self.abilities.control_hz, request.spec.rates.control_hz
         if not low <= hz <= high:
             raise ConfigError(f"--backend: control_hz of the robot: found {hz}, expected {low} to {high}")
@@ -104,11 +100,7 @@ class Backend(ABC, Generic[R]):
 
     @abstractmethod
     def open(self, request: Request) -> R:
-        """Connect to the robots, drives off. `check` has accepted the request.
-
-        Raises:
-            FirstshiftError: it cannot be connected; nothing has moved.
-        """
+        """Connect to the robots, drives off, after `check`; FirstshiftError: not connected, nothing has moved."""
 
     def attach(self, robot: R, runtime: "Runtime") -> None:
         """Connect simulated surroundings to the runtime, before the first tick; a robot on a wire needs none."""

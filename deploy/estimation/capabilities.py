@@ -17,18 +17,15 @@ class CapabilityEstimators(Stage):
     """Those of one kind of robot, in the order of `ESTIMATORS`."""
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Allocate for B robots."""
         present = [kind for kind in ESTIMATORS if kind.capability in spec.capabilities]
         self._by_capability: dict[Capability, CapabilityEstimator] = {
             kind.capability: kind(spec, robots) for kind in present
         }
 
     def __getitem__(self, capability: Capability) -> CapabilityEstimator:
-        """Return the stage of a capability that the robot has."""
         return self._by_capability[capability]
 
     def __contains__(self, capability: Capability) -> bool:
-        """Return True if the robot has the capability, and that has a stage."""
         return capability in self._by_capability
 
     def stages(self) -> dict[str, Stage]:

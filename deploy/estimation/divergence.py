@@ -30,7 +30,6 @@ class Divergence(Stage):
     carried = ("nis", "accepted", "refused")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Convert seconds to samples of the encoder; nothing is confirmed."""
         shape, period_s = (robots, spec.n), 1.0 / spec.sensors["encoder"].rate_hz
         self.nis = np.zeros(shape)
         self.accepted, self.refused = np.zeros((2, *shape), dtype=np.int64)

@@ -40,13 +40,7 @@ class Estimator(Stage):
     parts = ("joints", "setpoints", "stuck_detection", "divergence", "windings", "external_torque")
 
     def __init__(self, spec: RobotSpec, robots: int, *, springs: Gains | None = None) -> None:
-        """Allocate.
-
-        Args:
-            spec: encoder noise and acceleration density of the joints.
-            robots: B.
-            springs: gains of soft drives; None: drives hold joints at their setpoints.
-        """
+        """Allocate; `springs` are the gains of soft drives, None if drives hold joints at their setpoints."""
         self._look = sample_count(LOOK_S, spec.dt)
         look_s, encoder = self._look * spec.dt, spec.sensors["encoder"]
         self.joints, self.setpoints = JointFilter(spec, robots), SetpointHistory(spec, robots)

@@ -28,7 +28,6 @@ class Foldback(Stage):
     carried = ("level", "current_share", "speed_share")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Allocate; nothing is reduced."""
         shape = robots, spec.n
         self.level, self.current_share, self.speed_share = np.zeros(shape), np.ones(shape), np.ones(robots)
         self._soft, self._hard = spec.motor_array("winding_soft_c"), spec.motor_array("winding_max_c")

@@ -65,7 +65,6 @@ class JointFilter(Stage):
     carried = ("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "seeded")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Allocate; not seeded."""
         shape, sensors = (robots, spec.n), spec.sensors
         self.e, self.ed, self.p00, self.p01, self.p11, self.t_sample = np.zeros((6, *shape))
         self.t_speed, self.seeded = np.full(robots, -np.inf), np.zeros(robots, dtype=bool)

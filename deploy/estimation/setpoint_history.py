@@ -23,7 +23,6 @@ class SetpointHistory(Stage):
     carried = ("ring",)
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Allocate."""
         self._dt, self._n, self.depth = spec.dt, spec.n, round(HISTORY_S / spec.dt)
         self.ring = np.zeros((robots, self.depth, 2 * spec.n))
         self._first_row, self._newest = np.arange(robots) * self.depth, 0

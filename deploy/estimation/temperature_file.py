@@ -64,15 +64,12 @@ class TemperatureFile:
         """Read the file, if there is one, and start the observer from it.
 
         Args:
-            path: the file.
-            spec: the robot.
-            windings: its observer, before the first tick.
+            windings: the observer, before the first tick.
             same_robot: True if the file is about the robot that will run; else its contents are replaced.
             now: clock, s since 1970.
 
         Raises:
             ConfigError: the file has other contents, or is about another robot.
-            OutputError: it cannot be written.
         """
         self._path, self._windings, self._now = path, windings, now
         self._robot, self._joints = spec.name, spec.joint_names

@@ -24,7 +24,6 @@ class ToolKinematics(CapabilityEstimator):
     carried = ("position",)
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Allocate for B robots."""
         self._fleet, self.position = Fleet(spec, robots), np.zeros((robots, 3))
         self._kinematics: Kinematics | None = None
 
@@ -40,11 +39,7 @@ class ToolKinematics(CapabilityEstimator):
         """Keep everything: the tool follows from the joints."""
 
     def joint_torque(self, force: Floats) -> Floats:
-        """(B, n) N·m, joint torques equal to a force (B, 3) N on the tool where it was placed last: Jᵀf.
-
-        Raises:
-            RuntimeError: the tool was not placed yet.
-        """
+        """(B, n) N·m, joint torques equal to a force (B, 3) N on the tool where it was placed last: Jᵀf."""
         if self._kinematics is None:
             raise RuntimeError("the tool was not placed yet")
         return self._kinematics.torque_of_tool_force(force)

@@ -50,11 +50,6 @@ class WindingObserver(Stage):
     parts = ("foldback",)
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Allocate; nothing is known before the first sample.
-
-        Raises:
-            RobotError: a motor's winding is not described in model.xml.
-        """
         shape = robots, spec.n
         self.winding, self.housing, self.hottest, self.last_square, self.current = np.full(
             (5, *shape), np.nan
@@ -83,12 +78,7 @@ class WindingObserver(Stage):
         self.repeats[ids], self.t_current[ids] = 0, -np.inf
 
     def step(self, t: float, sample: Sample) -> None:
-        """Advance one tick.
-
-        Args:
-            t: s, now.
-            sample: the newest packets; a reading that is not finite counts as the last one that was.
-        """
+        """Advance to `t` s; a reading that is not finite counts as the last one that was."""
         current, housing = sample["current"], sample["temperature"]
         square = np.minimum(current.value * current.value, self._square_max)
         np.copyto(self.last_square, square, where=np.isfinite(square))

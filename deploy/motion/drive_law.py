@@ -33,23 +33,13 @@ class DriveLaw(ABC):
 
     @abstractmethod
     def torque(self, state: State, q: Floats, qd: Floats, qdd: Floats) -> Floats:
-        """Return (R, n) N·m that setpoints need, R a whole number of times B.
-
-        Args:
-            state: estimate of the B robots.
-            q: (R, n) rad. qd: (R, n) rad/s. qdd: (R, n) rad/s², points of their trajectories.
-        """
+        """Return (R, n) N·m that R setpoints q, qd, qdd (R, n) need, R a whole number of times the B robots."""
 
     @abstractmethod
     def expected_poses(
         self, state: State, q: Floats, q_mid_stop: Floats, q_rest: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """Return (B, n) rad each: where joints are expected at a setpoint, in the middle of its stop and at its end.
-
-        Args:
-            state: the estimate.
-            q: (B, n) rad, a setpoint. q_mid_stop, q_rest: (B, n) rad, of the stop that begins there.
-        """
+        """Return (B, n) rad each: joints expected at a setpoint `q`, in the middle of its stop and at its end."""
 
 
 class StiffDrives(DriveLaw):
@@ -77,7 +67,6 @@ class SpringDrives(DriveLaw):
     """
 
     def __init__(self, spec: RobotSpec, gains: Gains) -> None:
-        """Take the gains."""
         self._gains, self._torque_max = gains, torque_max(spec)
         self._twice_qdd = 2.0 * spec.joint_array("qdd_max")
         self.torque_limit = np.full(spec.n, np.inf)

@@ -21,7 +21,6 @@ class PreparedStop(Stage):
     """
 
     def __init__(self, robots: int, n: int) -> None:
-        """Rest at zero: nothing is sent before arming."""
         rest = np.zeros((robots, n))
         self.setpoint, self.tau = Setpoint(q=rest, qd=rest, qdd=rest), rest
 

@@ -38,7 +38,6 @@ class Smoother(Stage):
     carried = ("q", "qd", "qdd", "origin", "expected", "age")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Build the planners: one for the trajectories that robots are on, one for stops."""
         shape = (robots, spec.n)
         self.q, self.qd, self.qdd = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self.origin = np.full((robots, 4 * spec.n + 2), np.nan)

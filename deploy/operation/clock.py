@@ -33,7 +33,7 @@ class Unpaced:
 
 
 class WallClock:
-    """Slots at t0 + k · period. A slot that passes unused is skipped and counted, never made up for."""
+    """Slots at t0 + k · period (s), from the first `wait` on. A slot that passes unused is skipped and counted."""
 
     def __init__(
         self,
@@ -42,13 +42,6 @@ class WallClock:
         now: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Start the grid at the first `wait`.
-
-        Args:
-            period: s.
-            now: s, a monotonic clock.
-            sleep: blocks for s.
-        """
         self.period, self.skipped = period, 0
         self.hz: float | None = 1 / period
         self._now, self._sleep = now, sleep

@@ -32,11 +32,6 @@ class Interrupts:
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        """Begin with no signal received.
-
-        Args:
-            now: s, a monotonic clock.
-        """
         self.count, self.now, self._first, self._raised = 0, now, np.inf, False
 
     def __call__(self, number: int, _frame: FrameType | None) -> None:

@@ -29,22 +29,15 @@ class Lateness:
 
 
 class RateLimited(Generic[T]):
-    """Call that goes through at most once per period of wall time."""
+    """Call that goes through at most once per `period` s of wall time; the first one does."""
 
     def __init__(
         self, period: float, call: Callable[[T], None], *, now: Callable[[], float] = time.monotonic
     ) -> None:
-        """Let the first call through.
-
-        Args:
-            period: s.
-            call: the function to call.
-            now: s, a monotonic clock.
-        """
         self._period, self._call, self._now, self._next = period, call, now, -np.inf
 
     def __call__(self, argument: T) -> None:
-        """Pass the argument on if a period has passed since the last call that went through."""
+        """Pass the argument on, if it is time."""
         if (now := self._now()) >= self._next:
             self._next = now + self._period
             self._call(argument)
@@ -54,13 +47,7 @@ class LoopTiming:
     """Statistics of a clock: rate, lateness, skipped slots. Memory does not grow with time."""
 
     def __init__(self, clock: Clock, hz: int, *, now: Callable[[], float] = time.monotonic) -> None:
-        """Count from the first `wait` on.
-
-        Args:
-            clock: sets the rate.
-            hz: slots in a second of robot time.
-            now: s, a monotonic clock.
-        """
+        """Count from the first `wait` on; `hz` slots of the clock are one second of robot time."""
         self.ticks, self.late_max = 0, 0.0
         self._clock, self._hz, self._now = clock, hz, now
         self._skipped_max = round(OVERRUN_SHARE * hz)

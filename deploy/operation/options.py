@@ -17,11 +17,7 @@ SPEED_MAX = 1000.0
 
 
 def speed_factor(speed: str) -> float:
-    """Return robot time divided by wall time; infinite for `max`.
-
-    Raises:
-        ConfigError: it is neither `max` nor a factor within bounds.
-    """
+    """Return robot time divided by wall time, a factor within bounds; infinite for `max`."""
     if speed == "max":
         return math.inf
     try:
@@ -39,12 +35,8 @@ def random_source(
     """Return the seed of everything random, in words and as such, and the draw if a file holds it.
 
     Args:
-        spec: the robot.
         seed: of a robot that is drawn now; None: `SEED`, unless there is a draw.
-        draw: robot of a soak, as SEED:ROBOT or FILE:ROBOT.
-
-    Raises:
-        ConfigError: a number out of bounds, a draw that cannot be read, or both seed and draw.
+        draw: robot of a soak, as SEED:ROBOT or FILE:ROBOT, without a seed beside it.
     """
     if draw is None:
         number = SEED if seed is None else seed

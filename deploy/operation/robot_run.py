@@ -47,15 +47,7 @@ class RobotRun:
         duration: float,
         watchers: "Sequence[Watcher]" = (),
     ) -> None:
-        """Prepare a run; nothing moves before `run`.
-
-        Args:
-            runtime: disarmed.
-            timing: of its ticks.
-            recorder: fed after each tick.
-            duration: s of robot time from arming to the stop; may be infinite.
-            watchers: called after each tick, when all of its work is done.
-        """
+        """Take a disarmed runtime and the s of robot time from arming to the stop; watchers see each finished tick."""
         self.runtime, self.timing, self.recorder = runtime, timing, recorder
         self.statistics, self.interrupts = RunStatistics(), Interrupts()
         self.ending: Ending | None = None

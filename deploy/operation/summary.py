@@ -18,13 +18,7 @@ from robots.errors import OutputError
 def report(run: RobotRun, about: Mapping[str, str], path: Path, *, lost: str | None = None) -> None:
     """Write the summary of a finished run to `path` and print it.
 
-    A disk error is printed and not raised: the exit code is about the robot.
-
-    Args:
-        run: finished.
-        about: robot, policy and options.
-        path: of the JSON file.
-        lost: another file that could not be written, in words.
+    A disk error is printed and not raised: the exit code is about the robot. `lost` is that of another file.
     """
     summary = _summary(run, about)
     warnings = [text for text in (run.recorder.lost, lost) if text]

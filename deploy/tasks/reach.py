@@ -57,7 +57,6 @@ class Reach(Task):
     }
 
     def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> None:
-        """Sample the pool of goals and give every robot its first one."""
         self.pool, self.camera_goal = goal_pool(spec, self.config), np.zeros((len(seeds), 3))
         super().__init__(spec, seeds)
 

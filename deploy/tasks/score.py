@@ -47,7 +47,6 @@ class Score(Stage):
     carried = ("total",)
 
     def __init__(self, rule: Scoring, robots: int, dt: float) -> None:
-        """Allocate for B robots with a control period of `dt` s."""
         self.rule, self.total = rule, np.zeros((robots, rule.size))
         self._share = dt / rule.period_s
 

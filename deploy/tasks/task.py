@@ -59,12 +59,7 @@ class Task(Stage, ABC):
     parts = ("score",)
 
     def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> None:
-        """Give every robot its first goal.
-
-        Args:
-            spec: the robot.
-            seeds: B seeds, from which each robot's goals follow.
-        """
+        """Give every robot its first goal; all goals follow from the B seeds."""
         self.spec, robots = spec, len(seeds)
         self.rule = self.scoring(spec)
         self.score = Score(self.rule, robots, spec.dt)
@@ -143,11 +138,7 @@ class Task(Stage, ABC):
         self._choose(ids)
 
     def step(self, running: Bools) -> None:
-        """Count one tick.
-
-        Args:
-            running: (B,) robots that follow their policy: a stopped robot reaches nothing.
-        """
+        """Count one tick; only robots `running` (B,) under their policy can reach a goal."""
         self.elapsed += 1
         np.greater_equal(self.elapsed, self._period, out=self.ended)
         success = self.score.step(self.achieved, self.goal, self.ended, running)
@@ -165,15 +156,7 @@ class Task(Stage, ABC):
 
 
 def find_task(name: str, given: str) -> type[Task]:
-    """Return the installed task of that name.
-
-    Args:
-        name: as in a contract.
-        given: where the name was given, for the error.
-
-    Raises:
-        ConfigError: no such task is installed.
-    """
+    """Return the installed task of that name in a contract; `given` is where it was named, for the error."""
     task: Any = load(TASKS, name, given)
     return task  # type: ignore[no-any-return]
 

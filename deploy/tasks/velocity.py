@@ -43,7 +43,6 @@ class Velocity(Task):
     }
 
     def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> None:
-        """Give every robot its first command."""
         base = _base(spec)
         self._low, self._high = np.array(base.command_min), np.array(base.command_max)
         super().__init__(spec, seeds)

@@ -21,7 +21,6 @@ class SnapshotPipe:
     """Writing end of a pipe that takes snapshots and never blocks: those that find it full are dropped."""
 
     def __init__(self, pipe: int) -> None:
-        """Write to the file descriptor of a pipe."""
         os.set_blocking(pipe, False)
         self._pipe: int | None = pipe
         self._unsent = b""
@@ -70,13 +69,7 @@ class ConsoleProcess(SnapshotPipe):
 
 
 def snapshot(run: "RobotRun", *, title: str, notes: Sequence[str]) -> dict[str, Any]:
-    """Return the present state of robot 0 as plain data.
-
-    Args:
-        run: after a tick.
-        title: robot, policy and backend.
-        notes: further news for the operator.
-    """
+    """Return the present state of robot 0 as plain data, with a title and notes for the operator."""
     runtime, timing = run.runtime, run.timing
     late = timing.lateness
     return {

@@ -82,7 +82,6 @@ class _LinePrinter:
         self._printed: tuple[object, ...] = ()
 
     def __call__(self, s: Snapshot) -> None:
-        """Print the snapshot if it is due."""
         news = (s["mode"], s["notes"])
         if int(s["elapsed"]) != self._second or news != self._printed:
             self._console.print(line(s), soft_wrap=True, highlight=False, markup=False)

@@ -19,7 +19,6 @@ class DiskWriter:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open the file, in the thread."""
         self.error: OSError | None = None
         self._position = 0
         self._queue: SimpleQueue[bytes | Event | None] = SimpleQueue()

@@ -13,12 +13,8 @@ from robots.errors import OutputError
 def replacing(path: Path, option: str = "--out") -> Iterator[Path]:
     """Yield an empty file beside `path`, to be filled; it replaces `path` if the block ends without an error.
 
-    Args:
-        path: of the file.
-        option: that `path` was given as, for the error.
-
     Raises:
-        OutputError: the place cannot be written. An earlier file there is left as it was.
+        OutputError: naming the `option`, if the place cannot be written. An earlier file there is left as it was.
     """
     partial = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
     try:

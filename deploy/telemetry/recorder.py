@@ -20,11 +20,7 @@ EVENTS_MAX = 20
 
 
 def check_folder(folder: Path) -> None:
-    """Make `folder` and check that files can be made in it.
-
-    Raises:
-        OutputError: they cannot.
-    """
+    """Make `folder` and check that files can be made in it, or raise OutputError."""
     probe = folder / f".{secrets.token_hex(4)}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -44,11 +40,6 @@ class Recorder:
     """
 
     def __init__(self, folder: Path, runtime: Runtime, *, start_ns: int, about: Mapping[str, str]) -> None:
-        """Replace the recording of a previous run in `folder`.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
         self._events: list[Recording] = []
         self.lost: str | None = None
         self._folder, self._spec, self._start_ns, self._about = folder, runtime.spec, start_ns, dict(about)

@@ -45,15 +45,7 @@ class Recording:
     def __init__(
         self, path: Path, spec: RobotSpec, *, start_ns: int, goal_m: float, about: Mapping[str, str]
     ) -> None:
-        """Open the file, in the background.
-
-        Args:
-            path: the file, which is replaced.
-            spec: the robot.
-            start_ns: time of tick 0, ns since the epoch.
-            goal_m: m, tolerance of a goal.
-            about: metadata of the run.
-        """
+        """Open the file, in the background; `start_ns` is the time of tick 0, `goal_m` the tolerance of a goal."""
         self.path, self.spec, self._start_ns, self._goal_m = path, spec, start_ns, goal_m
         self._state_names = [signal.name for signal in recorded_signals(spec) if signal.in_state]
         # Channels fall silent when their context is no longer referenced.

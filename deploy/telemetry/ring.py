@@ -29,12 +29,7 @@ class Ring:
         self._numbers = self.rows.view(np.float64).reshape(plain)[:, :, len(COUNTERS) :]
 
     def step(self, runtime: Runtime, extra: tuple[Floats | Bools, ...] = ()) -> Rows:
-        """Record the tick that has just ended; return its rows (B,).
-
-        Args:
-            runtime: after a tick.
-            extra: (B, ...) the extra columns of the row type, in its order.
-        """
+        """Record the tick that has just ended; return its rows (B,). `extra`: added columns (B, ...)."""
         self._ticks = runtime.ticks
         at = (self._ticks - 1) % len(self.rows)
         for place, read in zip(self._integers[at], self._counters, strict=True):

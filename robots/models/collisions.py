@@ -30,14 +30,7 @@ class Collisions:
     def __init__(
         self, model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs, copies: int, margin: float
     ) -> None:
-        """Put the shapes side by side.
-
-        Args:
-            model, geometry: one robot; the shapes of the world come with each copy.
-            pairs: indices of shapes that may meet.
-            copies: how many robots.
-            margin: m.
-        """
+        """Put the shapes side by side; those of the world come with each copy. `pairs` may meet, `margin` is in m."""
         shapes = list(geometry.geometryObjects)
         # The fixed shape of a pair comes first.
         pairs = [(b, a) if shapes[b].parentJoint == 0 else (a, b) for a, b in pairs]
@@ -81,7 +74,6 @@ class PairChecks:
     def __init__(
         self, model: pin.Model, shapes: list[pin.GeometryObject], pairs: Pairs, copies: int, margin: float
     ) -> None:
-        """Copy the shapes and the pairs; arguments as of `Collisions`."""
         self._geometry, self._copies = pin.GeometryModel(), copies
         joints = model.njoints - 1
         for copy in range(copies):
@@ -126,11 +118,7 @@ def nearest_shapes(
 
 
 def check_home(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs) -> None:
-    """Check that shapes keep `margins.collision_m` apart in the home pose.
-
-    Raises:
-        RobotError: naming the two that are nearest, if they are too near.
-    """
+    """Refuse (RobotError) a home pose with two shapes nearer than `margins.collision_m`."""
     gap, a, b = nearest_shapes(model, geometry, pairs, spec.joint_array("q_home")[None])
     if gap < (margin := spec.margins.collision_m or 0.0):
         raise RobotError(

@@ -24,11 +24,7 @@ def is_urdf(model: Path) -> bool:
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """Return the root of an XML file of bounded size and depth.
-
-    Raises:
-        RobotError: it cannot be read, is too large or too deep, or is no XML.
-    """
+    """Return the root of an XML file of bounded size and depth, or raise RobotError."""
     try:
         size = path.stat().st_size
         if size > TEXT_BYTES_MAX:
@@ -112,14 +108,10 @@ def _names(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, str
 def find_file(name: str, model: Path, folder: Path, places: Sequence[str] = ("",)) -> list[Path]:
     """Return the files on disk that a library may take for a name in a model.
 
-    Args:
-        name: as written in the model.
-        model: the file that refers to it.
-        folder: of the robot.
-        places: directories to search, relative to the model.
+    `places` are the directories to search, relative to the model.
 
     Raises:
-        RobotError: there is no such file, or a library would also search outside of the folder.
+        RobotError: there is no such file, or a library would also search outside of the robot's folder.
     """
     if name.startswith(PACKAGE):
         rest = name.removeprefix(PACKAGE)

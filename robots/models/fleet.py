@@ -25,12 +25,7 @@ class Fleet:
     """
 
     def __init__(self, spec: RobotSpec, robots: int, *, collisions: bool = False) -> None:
-        """Build the block.
-
-        Args:
-            spec: the robot.
-            robots: B.
-            collisions: whether `kinematics` includes self-collision.
+        """Build the block; with `collisions`, `kinematics` includes self-collision.
 
         Raises:
             RobotError: as `load_pinocchio`, or the home pose is too near a singularity or a self-collision.
@@ -66,9 +61,7 @@ class Fleet:
     def kinematics(self, q: Floats, *, jacobians: bool = True) -> Kinematics:
         """Return kinematics, and self-collision if the fleet has it, at joint angles (B, n) rad.
 
-        Args:
-            q: joint angles.
-            jacobians: False leaves out what velocities and manipulability need, which takes half of the time.
+        Without `jacobians`, for velocities and manipulability, it takes half of the time.
         """
         block = self._block
         points = np.empty((self.robots, *block.points.shape[1:]))

@@ -41,11 +41,7 @@ def imu_in_base(spec: RobotSpec, model: pin.Model) -> NDArray[np.float64]:
 
 
 def check_contacts(spec: RobotSpec, base: Base, model: pin.Model) -> None:
-    """Check that contact sensors, if any, are one at each foot, in the order of the feet.
-
-    Raises:
-        RobotError: they are not.
-    """
+    """Refuse (RobotError) contact sensors that are not one at each foot, in the order of the feet."""
     if "contact" not in spec.sensors:
         return
     sites = spec.sensors["contact"].sites

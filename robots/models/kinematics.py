@@ -79,12 +79,7 @@ class Kinematics:
         return jacobian if joints is None else jacobian * joints
 
     def tool_velocity(self, qd: Floats, robots: slice = slice(None)) -> Floats:
-        """Return (R, 3) m/s, the tool's velocity for joint speeds (R, n) rad/s.
-
-        Args:
-            qd: joint speeds, a whole number of times as many rows as robots are chosen.
-            robots: the robots.
-        """
+        """Return (R, 3) m/s, the tool's velocity for joint speeds (R, n) rad/s, R a whole number of times `robots`."""
         jacobian, crossing = self._tool_jacobian(robots), _crossing(self.tool_position[robots])
         twist: Floats = np.matvec(jacobian, qd.reshape(-1, len(jacobian), qd.shape[1]))
         velocity: Floats = twist[..., :3] + np.matvec(crossing, twist[..., 3:])

@@ -21,11 +21,7 @@ SIGNATURE = sum(int(mode) for mode in (_INPUT.mjINPUT_POS, _INPUT.mjINPUT_VEL, _
 
 
 def open_model(model: Path, folder: Path) -> mujoco.MjSpec:
-    """Read MJCF or URDF without changes.
-
-    Raises:
-        RobotError: MuJoCo cannot read it, or it refers to a file outside of the folder.
-    """
+    """Read MJCF or URDF without changes; RobotError if MuJoCo cannot, or if a file is outside of the folder."""
     referenced_files(model, folder)
     try:
         if is_urdf(model):
@@ -36,11 +32,7 @@ def open_model(model: Path, folder: Path) -> mujoco.MjSpec:
 
 
 def compile_model(mjcf: mujoco.MjSpec, model: Path) -> mujoco.MjModel:
-    """Compile a model that was read from a file.
-
-    Raises:
-        RobotError: with MuJoCo's message if it cannot.
-    """
+    """Compile a model that was read from a file; RobotError with MuJoCo's message if it cannot."""
     try:
         return mjcf.compile()
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as e:

@@ -101,29 +101,17 @@ def _from_base(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -
 
 
 def tool_frame(spec: RobotSpec, model: pin.Model) -> list[int]:
-    """Return the frame of the site or else the body that robot.toml calls the tool; empty without tool.
-
-    Raises:
-        RobotError: there is no such site or body.
-    """
+    """Return the frame of the site or else the body that robot.toml calls the tool; empty without tool."""
     return [site_or_body(spec, model, spec.tool, "the tool")] if spec.tool else []
 
 
 def foot_frames(spec: RobotSpec, model: pin.Model) -> list[int]:
-    """Return the frames of the sites or else the bodies that robot.toml calls feet; empty without floating base.
-
-    Raises:
-        RobotError: there is no such site or body.
-    """
+    """Return the frames of the sites or else the bodies that robot.toml calls feet; empty without floating base."""
     return [site_or_body(spec, model, foot, "a foot") for foot in (spec.base.feet if spec.base else ())]
 
 
 def site_or_body(spec: RobotSpec, model: pin.Model, name: str, what: str) -> int:
-    """Return the frame of a site or else a body.
-
-    Raises:
-        RobotError: there is no such one; `what` is what robot.toml calls it.
-    """
+    """Return the frame of a site or else a body, which robot.toml calls `what`."""
     for kind in (SITE, BODY):
         if model.existFrame(name, kind):
             return int(model.getFrameId(name, kind))

@@ -28,10 +28,7 @@ REFUSED = 2
 
 
 def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
-    """Check that MuJoCo can compile a model within bounds.
-
-    Args:
-        model: MJCF or URDF. folder: must contain its files. cpu_s: s of a core.
+    """Check that MuJoCo can compile MJCF or URDF, whose files are in `folder`, within `cpu_s` s of a core.
 
     Raises:
         RobotError: with MuJoCo's message if it cannot; or it takes too long, too much memory, or crashes.

@@ -33,14 +33,7 @@ class MotorHeat:
 
 
 def temperatures(heat: MotorHeat, current: float, ambient: float, t: float) -> tuple[float, float]:
-    """Return the temperatures of winding and housing, °C, after a constant current; the motor starts at ambient.
-
-    Args:
-        heat: the motor.
-        current: A.
-        ambient: °C.
-        t: s.
-    """
+    """Return °C of winding and housing, t s after a constant current, A, began to flow in a motor at `ambient`, °C."""
     loss = current**2 * heat.resistance
     inner, outer = 1.0 / heat.winding_to_housing, 1.0 / heat.housing_to_ambient
     # Rises above ambient, in W; the third row is the constant 1, for the terms that do not depend on them.

@@ -55,11 +55,7 @@ def simulate(
     faults: Sequence[Fault] = (),
     threads: int = 1,
 ) -> tuple[Runtime, SimRobot]:
-    """Build a runtime on B simulated robots, with the contract's drive gains; arguments as of `SimRobot`, `Runtime`.
-
-    Raises:
-        ConfigError: as `Backend.check`.
-    """
+    """Build a runtime on B simulated robots, with the contract's drive gains; arguments as of `SimRobot`, `Runtime`."""
     backend = SimBackend(faults, threads)
     request = Request(spec=spec, seeds=seeds, gains=contract.action.gains, draw=given)
     backend.check(request)

@@ -37,12 +37,7 @@ class Drives(Stage):
     carried = ("history", "held", "braked")
 
     def __init__(self, spec: RobotSpec, batch: Batch, draw: Draw, gains: Gains | None = None) -> None:
-        """Read gears, limits and delays; every drive begins with its brakes closed at 0 rad.
-
-        Args:
-            spec: rates. batch: simulations of the robots. draw: the robots.
-            gains: with power; None: the drives' own.
-        """
+        """Begin with every brake closed at 0 rad; `gains` are those in force with power, None for the drives' own."""
         robots, n = draw.robots, spec.n
         self.gear = np.ones((robots, n)) * batch.model.actuator_gear[:, 0]
         self.command = np.zeros((robots, n * INPUTS))
@@ -142,7 +137,6 @@ class Supply(Stage):
     carried = ("limit",)
 
     def __init__(self, batch: Batch, draw: Draw, gear: Floats) -> None:
-        """Read voltages."""
         self.limit = batch.expand("actuator_gainprm")[:, :, VOLTAGE_MAX]
         self._gear, self._volts = gear, self.limit.copy()
         self._ohm4 = 4.0 * draw["drives.supply_ohm"]

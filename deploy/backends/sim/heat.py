@@ -34,7 +34,6 @@ class Windings(Stage):
     carried = ("square",)
 
     def __init__(self, batch: Batch, draw: Draw) -> None:
-        """Read the motors, and keep MuJoCo from warming them."""
         gain, dynamics = batch.expand("actuator_gainprm"), batch.expand("actuator_dynprm")
         self._ohm, self._per_k, self._reference_c = (
             gain[:, :, place].copy() for place in (RESISTANCE, RESISTANCE_PER_K, REFERENCE_C)
@@ -76,7 +75,6 @@ class Housings(Stage):
     carried = ("celsius",)
 
     def __init__(self, spec: RobotSpec, batch: Batch, draw: Draw) -> None:
-        """Read the motors; every housing begins as warm as drawn."""
         each = np.ones((draw.robots, spec.n))
         self._ambient = each * draw["climate.ambient_c"][:, None]
         self._start = self._ambient + draw["climate.warm_start_k"][:, None]

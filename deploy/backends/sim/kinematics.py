@@ -18,7 +18,6 @@ class Kinematics:
     """
 
     def __init__(self, batch: Batch, plant: PlantModel) -> None:
-        """Find the joints in the state of every simulation."""
         self._qpos, self._backlash = batch.bind("qpos"), plant.model.jnt_qposadr[plant.backlash]
         self._joints = plant.model.jnt_qposadr[plant.joints]
         self.base, self._base_start = _base(batch, plant)

@@ -18,11 +18,6 @@ class Scene:
     """
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Compile the model.
-
-        Raises:
-            RobotError: as `read_mjcf`.
-        """
         mjcf = read_mjcf(spec)
         if "floating_base" in spec.capabilities:
             _add_floor(mjcf)
@@ -30,12 +25,7 @@ class Scene:
         self.data, self._n = mujoco.MjData(self.model), spec.n
 
     def pose(self, q: Floats, base: Floats | None) -> None:
-        """Set the pose.
-
-        Args:
-            q: (n,) rad.
-            base: (7,) position in the world, m, and orientation, w first; None for a robot that is mounted.
-        """
+        """Set joints (n,) rad and base (7,): position in the world, m, orientation, w first; None where mounted."""
         if base is not None:
             self.data.qpos[:7] = base
         self.data.qpos[-self._n :] = q

@@ -61,11 +61,7 @@ def silent(fault: Fault, ticks: Ints, dt: float) -> Bools:
 
 
 def checked(faults: Sequence[Fault], spec: RobotSpec, robots: int) -> Sequence[Fault]:
-    """Return the faults if B robots can have them.
-
-    Raises:
-        ConfigError: an unknown sensor, robot or channel, or one channel where all must fail.
-    """
+    """Refuse (ConfigError) faults of unknown sensors, robots or channels, and of one channel where all must fail."""
     for fault in faults:
         known = spec.channels
         if fault.sensor not in known:

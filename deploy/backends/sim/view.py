@@ -17,11 +17,6 @@ class View:
     """Window on the true pose of one robot; closing it ends the view, not the run."""
 
     def __init__(self, robot: SimRobot, row: int = 0) -> None:
-        """Open the window on robot `row`.
-
-        Raises:
-            ConfigError: there is no display.
-        """
         check_display()
         self._robot, self._row, self._scene = robot, row, Scene(robot.spec)
         self._viewer = mujoco.viewer.launch_passive(self._scene.model, self._scene.data)
@@ -41,11 +36,7 @@ class View:
 
 
 def check_display() -> None:
-    """Check that a window can be opened: the viewer's own thread would wait forever for it.
-
-    Raises:
-        ConfigError: it cannot.
-    """
+    """Refuse (ConfigError) without a display: the viewer's own thread would wait forever for it."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ConfigError("--view: found neither DISPLAY nor WAYLAND_DISPLAY, expected a display")
     with warnings.catch_warnings():

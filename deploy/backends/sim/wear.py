@@ -40,7 +40,6 @@ class Wear(Stage):
     carried = ("life",)
 
     def __init__(self, wear: distributions.Wear, batch: Batch, plant: PlantModel, draw: Draw) -> None:
-        """Read what wears; every joint begins new."""
         self._wear, self._draw = wear, draw
         self.dofs, self._backlash = plant.dofs, plant.backlash
         self._friction, self._range = batch.expand("dof_frictionloss"), batch.expand("jnt_range")

@@ -75,16 +75,7 @@ class BaseFilter(Stage):
         look_s: float | None = None,
         tilt_s: float | None = None,
     ) -> None:
-        """Allocate.
-
-        Args:
-            noise: of the IMU and the feet.
-            dt: s, period of the IMU's samples.
-            robots: B.
-            feet: F.
-            look_s: s, period at which feet are given; None: dt.
-            tilt_s: s, period at which the direction of up is given; None: as feet.
-        """
+        """Allocate; periods in s: dt of the IMU's samples, look_s of feet, tilt_s of up (None: as feet)."""
         self.quat_wxyz, self.velocity = np.tile([1.0, 0.0, 0.0, 0.0], (robots, 1)), np.zeros((robots, 3))
         self.bias, self.reading = np.zeros((2, robots, 6))
         self.P, self.innovation = np.zeros((robots, 12, 12)), np.zeros((robots, feet, 3))
@@ -110,8 +101,7 @@ class BaseFilter(Stage):
         the gyro's sample is new, it is fused with the accelerometer's last one.
 
         Args:
-            t: s, now.
-            imu: the newest packets.
+            t: s, now. imu: the newest packets.
             feet: at the times of these packets; None: not evaluated in this tick.
             upright: of an IMU that estimates its own orientation.
         """

@@ -64,13 +64,7 @@ class Motion(NamedTuple):
 
 
 def move(belief: Belief, dt: Floats, before: Floats, after: Floats) -> Motion:
-    """Return the state after dt.
-
-    Args:
-        belief: at the beginning.
-        dt: (B,) s.
-        before: (B, 6) rad/s and m/s², gyro and accelerometer at the beginning. after: (B, 6) at the end.
-    """
+    """Return the state after dt (B,) s; gyro and accelerometer (B, 6) rad/s and m/s² as `before` and `after` it."""
     lag, before, after = dt[:, None], before - belief.bias, after - belief.bias
     turn = exp(0.5 * lag * (before + after)[:, :3])
     quat_wxyz = product(belief.quat_wxyz, turn)

@@ -45,7 +45,6 @@ class FloatingBase(CapabilityEstimator):
     parts = ("filter",)
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Allocate; the filter's noise comes from the IMU's data sheet and from the base's table."""
         if (base := spec.base) is None:
             raise RuntimeError(f"{spec.name} has no floating base")
         dt = 1.0 / spec.sensors["gyro"].rate_hz

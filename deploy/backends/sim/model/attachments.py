@@ -59,11 +59,7 @@ def _last_link(model: mujoco.MjModel, spec: RobotSpec) -> str:
 
 
 def add_cable(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, cable: Cable, spec: RobotSpec) -> None:
-    """Add a tendon from an anchor above the robot to the link that the cable is plugged into.
-
-    Raises:
-        ConfigError: that link is not in model.xml.
-    """
+    """Add a tendon from an anchor above the robot to the link that the cable is plugged into, a body of model.xml."""
     names = [nominal.body(i).name for i in range(nominal.nbody)]
     if cable.link not in names:
         known = ", ".join(filter(None, names))

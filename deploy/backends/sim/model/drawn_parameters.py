@@ -76,15 +76,7 @@ def _write_mounting(batch: Batch, plant: PlantModel, draw: Draw) -> None:
 
 
 def tilted(gravity: Floats, tilt_rad: Floats) -> Floats:
-    """Return gravity in the frame of a tilted base, turned about x, then about its own y.
-
-    Args:
-        gravity: (3,) m/s², world.
-        tilt_rad: (B, 2) about x and y.
-
-    Returns:
-        (B, 3) m/s².
-    """
+    """Return gravity (B, 3) of (3,) m/s² in the frame of a base tilted (B, 2) rad about x, then about its own y."""
     (sin_x, sin_y), (cos_x, cos_y) = np.sin(tilt_rad).T, np.cos(tilt_rad).T
     x, y, z = gravity
     y, z = y * cos_x + z * sin_x, z * cos_x - y * sin_x

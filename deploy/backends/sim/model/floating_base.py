@@ -38,10 +38,7 @@ class FloatingBase:
 def add_ground(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, spec: RobotSpec) -> None:
     """Add a floor where model.xml has none, a gantry that holds the base, and sensors that count contacts.
 
-    A robot that is mounted needs none of it.
-
-    Raises:
-        RobotError: `base.may_touch` names a body that is not in model.xml.
+    A robot that is mounted needs none of it. `base.may_touch` must name bodies of model.xml.
     """
     if spec.base is None:
         return

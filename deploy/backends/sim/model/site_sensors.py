@@ -14,11 +14,7 @@ def _name(kind: Kind, site: str) -> str:
 
 
 def add_site_sensors(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """Add the robot's sensors, and a body aligned with gravity if one of them measures orientation.
-
-    Raises:
-        RobotError: a sensor's site is neither a site nor a body of model.xml.
-    """
+    """Add the robot's sensors, and a body aligned with gravity if one of them measures orientation."""
     if "orientation" in spec.sensors:
         mjcf.worldbody.add_body(name=LEVEL)
     for kind in spec.sensors:
