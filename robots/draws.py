@@ -4,7 +4,7 @@ A draw is plain data: stored, it re-creates its robots exactly. The runtime in `
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 from zlib import crc32
@@ -23,24 +23,11 @@ FILE_MAX = 1 << 29
 """Characters of a stored draw: more than any soak needs."""
 
 
-class Draw(Mapping[str, Floats]):
-    """Real properties of B robots: (B, ...) numbers by name, as in `draw["links.mass"]`."""
+class Draw(dict[str, Floats]):
+    """Real properties of B robots: numbers (B, ...) by name, as in `draw["links.mass"]`.
 
-    def __init__(self, values: Mapping[str, Floats]) -> None:
-        """Take the numbers of `draw` or `load_draw`."""
-        self._values = dict(values)
-
-    def __getitem__(self, name: str) -> Floats:
-        """Return (B, ...) numbers; the shape after B is that of the quantity's `each`."""
-        return self._values[name]
-
-    def __iter__(self) -> Iterator[str]:
-        """Iterate over names."""
-        return iter(self._values)
-
-    def __len__(self) -> int:
-        """Return the number of quantities."""
-        return len(self._values)
+    The shape after B is that of the quantity's `each`.
+    """
 
     @property
     def robots(self) -> int:
@@ -52,7 +39,7 @@ class Draw(Mapping[str, Floats]):
         new = {
             name: np.array(np.broadcast_to(x, self[name].shape), dtype=float) for name, x in values.items()
         }
-        return Draw(dict(self) | new)
+        return Draw(self | new)
 
     def robot(self, row: int) -> "Draw":
         """Return one robot of the draw."""

@@ -1,17 +1,11 @@
 """Errors that firstshift raises on purpose.
 
-    FirstshiftError              exit code 2: bad input, nothing moved, nothing overwritten
-    ├── RobotError               a robot folder that cannot be read or makes no sense
-    ├── ContractError            a policy that does not match its contract, its robot or its rates
-    ├── ConfigError              a settings file or an option out of bounds
-    └── OutputError              a place that cannot be written
-
 A message names the file, the field, the value found and the value or bound expected.
 """
 
 
 class FirstshiftError(Exception):
-    """Base of all errors that a user can correct."""
+    """Base of all errors that a user can correct. Exit code 2: bad input, nothing moved, nothing overwritten."""
 
 
 class RobotError(FirstshiftError):

@@ -14,13 +14,11 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from robots.capabilities import Capability
-from robots.capsule import Capsule
 from robots.errors import RobotError
 from robots.models.files import read_xml, referenced_files
-from robots.motors.drive import Drive
 from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
 from robots.strict import Strict, read_toml
-from robots.tables import Base, Joint, Margins, Motor, Rates, Workspace
+from robots.tables import Base, Capsule, Drive, Joint, Margins, Motor, Rates, Workspace
 
 ROBOTS = Path(__file__).parent
 

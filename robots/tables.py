@@ -1,10 +1,10 @@
-"""Tables of robot.toml: joints, motors, rates, margins, workspace, floating base."""
+"""Tables of robot.toml: joints, drives, motors, rates, margins, workspace, capsules, floating base."""
 
 from typing import Annotated, Self
 
+import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from robots.motors.drive import Drive
 from robots.strict import Source, Strict
 
 Celsius = Annotated[float, Field(ge=-50, le=300)]
@@ -43,6 +43,36 @@ class Joint(Strict):
                 f"q_home of {self.name} is {self.q_home} rad, outside [{self.q_min}, {self.q_max}]"
             )
         return self
+
+
+class Drive(Strict):
+    """Motor with a gear that follows position, speed and torque; gains and torque are at the joint.
+
+    Attributes:
+        gear: turns of the motor for one turn of the joint.
+        torque_constant: N·m/A of the motor, without its gear.
+        resistance_ohm: of the winding at `reference_c`, °C. copper_per_k: 1/K, its growth with temperature.
+        winding_resistance_k_per_w: K/W, winding to housing.
+        winding_capacity_j_per_k: J/K, the winding's time constant divided by its thermal resistance.
+        supply_v: V, the highest voltage of the motor.
+        kp, kd: N·m/rad and N·m·s/rad.
+        torque_max: N·m, for joints without a torque range in the model.
+        armature: kg·m² of the rotor, times gear², for joints without one in the model. Without it a joint with play is
+            so light that a stiff drive oscillates.
+    """
+
+    gear: PositiveFloat
+    torque_constant: PositiveFloat
+    resistance_ohm: PositiveFloat
+    reference_c: Celsius
+    copper_per_k: Annotated[float, Field(ge=0)]
+    winding_resistance_k_per_w: PositiveFloat
+    winding_capacity_j_per_k: PositiveFloat
+    supply_v: PositiveFloat
+    kp: PositiveFloat
+    kd: Annotated[float, Field(ge=0)]
+    torque_max: PositiveFloat | None = None
+    armature: PositiveFloat | None = None
 
 
 class Motor(Strict):
@@ -152,6 +182,21 @@ class Workspace(Strict):
     radius_max: PositiveFloat
     centre: tuple[float, float, float]
     tool_speed_max: PositiveFloat
+
+
+class Capsule(Strict):
+    """Points nearer than `radius` to the line from `start` to `end`, m, frame of `body`: a link in collision checks."""
+
+    body: str
+    start: tuple[float, float, float]
+    end: tuple[float, float, float]
+    radius: PositiveFloat
+
+    @model_validator(mode="after")
+    def _has_length(self) -> Self:
+        if np.allclose(self.start, self.end, rtol=0.0, atol=1e-6):
+            raise ValueError(f"start and end are both {list(self.start)}, expected a line between them")
+        return self
 
 
 class Base(Strict):

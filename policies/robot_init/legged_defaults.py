@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from policies.robot_init.vendor_model import VendorModel
-from robots.models.inertial import AT_THE_IMU
+from robots.models.nominal_model import AT_THE_IMU
 
 FOOT = re.compile("foot|feet|sole|toe|ankle", re.IGNORECASE)
 """Pattern of the names of feet: sites or end bodies."""

@@ -9,9 +9,8 @@ import numpy as np
 
 from robots.errors import RobotError
 from robots.models.files import is_urdf, referenced_files, urdf_text
-from robots.motors.drive import Drive
 from robots.spec import RobotSpec
-from robots.tables import Joint
+from robots.tables import Drive, Joint
 
 _INPUT = mujoco.mjtCtrlInput
 INPUTS = 3

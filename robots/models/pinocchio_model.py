@@ -4,10 +4,10 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from robots.capsule import Capsule
 from robots.errors import RobotError
 from robots.models.files import is_urdf, read_xml, referenced_files, urdf_text
 from robots.spec import RobotSpec
+from robots.tables import Capsule
 
 Read = tuple[pin.Model, pin.GeometryModel]
 FLOATING = "JointModelFreeFlyer"

@@ -14,9 +14,8 @@ from robots.errors import RobotError
 from robots.models.blocks import strided_view
 from robots.models.collision_pruning import prune_pairs
 from robots.models.collisions import Collisions, check_home, collision_pairs, nearest_shapes
-from robots.models.inertial import imu_in_base
 from robots.models.kinematics import Frames, yoshikawa
-from robots.models.nominal_model import load_pinocchio
+from robots.models.nominal_model import imu_in_base, load_pinocchio
 from robots.models.pinocchio_model import foot_frames, tool_frame
 from robots.spec import RobotSpec
 

@@ -1,14 +1,15 @@
 """Nominal windings of a robot's motors, from the drives of robot.toml or of the model."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 
 from robots.arrays import Floats
 from robots.errors import RobotError
-from robots.motors.drive import Drive
+from robots.models.files import read_xml
 from robots.spec import RobotSpec
+from robots.tables import Drive
 
 Attributes = dict[str, str]
 
@@ -16,8 +17,7 @@ DEFAULT_CLASS = "main"
 """Class of elements that name none."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Windings:
+class Windings(NamedTuple):
     """One number for each joint's motor (n,).
 
     Attributes:
@@ -42,19 +42,9 @@ def nominal_windings(spec: RobotSpec) -> Windings:
             impossible.
     """
     if spec.drives:
-        rows = np.array([_declared(drive) for drive in spec.drives]).T
-    else:
-        motors = _dcmotors(spec)
-        rows = np.array([_winding(spec, name, motors) for name in spec.joint_names]).T
-    resistance, alpha, reference_c, to_housing, capacity, constant = rows
-    return Windings(
-        resistance=resistance,
-        alpha=alpha,
-        reference_c=reference_c,
-        to_housing=to_housing,
-        capacity=capacity,
-        constant=constant,
-    )
+        return Windings(*np.array([_declared(drive) for drive in spec.drives]).T)
+    motors = _dcmotors(spec)
+    return Windings(*np.array([_winding(spec, name, motors) for name in spec.joint_names]).T)
 
 
 def _declared(drive: Drive) -> tuple[float, ...]:
@@ -113,10 +103,7 @@ def _numbers(motor: Attributes, key: str, count: int, where: str) -> list[float]
 
 def _dcmotors(spec: RobotSpec) -> dict[str, Attributes]:
     """Return the attributes of each joint's dcmotor, with those of its class and of the classes around that."""
-    try:
-        root = ElementTree.parse(spec.model_path).getroot()
-    except (OSError, ElementTree.ParseError) as e:
-        raise RobotError(f"{spec.model_path}: not readable as XML: {e}") from e
+    root = read_xml(spec.model_path)
     classes: dict[str, Attributes] = {DEFAULT_CLASS: {}}
     for top in root.findall("default"):
         _read_class(top, {}, classes)

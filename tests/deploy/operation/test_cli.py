@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import deploy.operation.cli
+from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.robot import SimRobot
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
@@ -197,9 +198,9 @@ def test_temperatures_persist_between_runs_except_for_a_drawn_robot(
     command, arm_policy, tmp_path, monkeypatch
 ):
     hot, begun = [45.0] * SPEC.n, []  # however quickly the run starts, it can be armed
-    warm = SimRobot.warm
+    warm = Plant.warm
     monkeypatch.setattr(
-        SimRobot, "warm", lambda robot, rise: (warm(robot, rise), begun.append(robot.truth()))
+        Plant, "warm", lambda plant, rise: (warm(plant, rise), begun.append(plant.truth(0.0)))
     )
     for further in ((), ("--draw", "7:1")):
         heat = {"robot": "arm6", "joints": SPEC.joint_names, "unix_s": time.time(), "rise_k": hot}
