@@ -167,7 +167,7 @@ class Runtime(Stage):
             self.action.step(action, self.smoother.q)
         stopping = self.supervisor.stopping
         self.action.hold(stopping, self.smoother.q)
-        self.smoother.speed_scale = self.estimator.windings.foldback.speed_share
+        self.smoother.speed_share = self.estimator.windings.foldback.speed_share
         planned = self.smoother.next(self.action.q, stopping)
         ahead, q_mid_stop, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_mid_stop, q_rest)
@@ -210,10 +210,10 @@ class Runtime(Stage):
     def _send(self, setpoint: Setpoint, tau: Floats, running: Bools) -> None:
         self.smoother.commit(setpoint)
         qd, feed_forward = (self._zeros, self._zeros) if self.springs else (setpoint.qd, tau)
-        powered, current = self.supervisor.powered, self.estimator.windings.foldback.current_share
+        powered, share = self.supervisor.powered, self.estimator.windings.foldback.current_share
         if not all_true(running):  # a stop has all of a drive's current, as it was checked with all of it
-            current = np.where(running[:, None], current, 1.0)
-        self.command = Command(q=setpoint.q, qd=qd, tau=feed_forward, powered=powered, current=current)
+            share = np.where(running[:, None], share, 1.0)
+        self.command = Command(q=setpoint.q, qd=qd, tau=feed_forward, powered=powered, current_share=share)
         self.estimator.external_torque.command(tau, powered)
         self.robot.write(self.command)
 

@@ -69,8 +69,8 @@ class State(NamedTuple):
             filter is confirmed.
         nis: (B, n) running mean of the normalized innovation squared; near 1 for a consistent filter.
         temperature: (B, n) °C, motor housing.
-        winding: (B, n) °C, estimated. hottest: (B, n) °C, upper bound. fold: (B, n) share of its current that a drive
-            may use while running.
+        winding: (B, n) °C, estimated. hottest: (B, n) °C, upper bound.
+        current_share: (B, n) share of its current that a drive may use while running.
         fault: (B,) int64 bit sets of `Reason`, faults of the estimate; 0 for none.
         base: estimate of the floating base; None for robots without one.
     """
@@ -84,7 +84,7 @@ class State(NamedTuple):
     temperature: Floats
     winding: Floats
     hottest: Floats
-    fold: Floats
+    current_share: Floats
     fault: Ints
     base: BaseState | None = None
 
@@ -174,11 +174,11 @@ class Command(NamedTuple):
     Attributes:
         q: (B, n) rad. qd: (B, n) rad/s. tau: (B, n) N·m, feed-forward.
         powered: (B,) drives on; if False the brakes hold and the other fields are ignored.
-        current: (B, n) share of the current limit that a drive may use.
+        current_share: (B, n) share of its current limit that a drive may use.
     """
 
     q: Floats
     qd: Floats
     tau: Floats
     powered: Bools
-    current: Floats
+    current_share: Floats

@@ -34,7 +34,7 @@ ModelName = Annotated[
 
 
 def _is_default(value: object) -> bool:
-    """Return whether a key has its default: it is left out of the digest, which a new key must not change."""
+    """Return True if a key has its default: it is left out of the digest, which a new key must not change."""
     return value in (None, (), MODEL)
 
 

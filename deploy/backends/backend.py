@@ -73,8 +73,8 @@ class Abilities:
 
     Attributes:
         control_hz: lowest and highest control rate.
-        gains: whether the gains of its drives can be set.
-        simulated: whether a drawn robot can be asked for, and be viewed.
+        gains: the gains of its drives can be set.
+        simulated: a drawn robot can be asked for, and be viewed.
     """
 
     control_hz: tuple[int, int]

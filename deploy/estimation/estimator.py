@@ -57,8 +57,8 @@ class Estimator(Stage):
         self._hidden_var = encoder.bias**2 / 3.0 + spec.joint_array("play") ** 2 / 12.0
 
     def reset(self, ids: Bools, sent: Setpoint) -> None:
-        """Forget robots `ids` (B,), whose setpoint has long been `sent`; their next sample seeds them."""
-        self.joints.seeded[ids], self.divergence.accepted[ids] = False, 0
+        """Forget robots `ids` (B,), whose setpoint has long been `sent`; their next sample initializes them."""
+        self.joints.initialized[ids], self.divergence.accepted[ids] = False, 0
         self.follow(ids, sent, sent)
         self.windings.reset(ids)
         self.external_torque.reset(ids)
@@ -87,9 +87,9 @@ class Estimator(Stage):
         valid = packet.fresh & self.setpoints.covers(packet.t, t)
         setpoint, _ = self.setpoints.at(packet.t, valid, tick)
         z, finite = packet.value - self._origin(setpoint), np.isfinite(packet.value)
-        if not all_true(joints.seeded):
-            self._seed(~joints.seeded & valid & finite.all(axis=1), packet.t, z)
-        new = (packet.t[:, None] > joints.t_sample) & (valid & joints.seeded)[:, None] & finite
+        if not all_true(joints.initialized):
+            self._initialize(~joints.initialized & valid & finite.all(axis=1), packet.t, z)
+        new = (packet.t[:, None] > joints.t_sample) & (valid & joints.initialized)[:, None] & finite
         fused = self._fuse(packet.t, z, new)
         if "velocity" in sample:
             self._fuse_speed(t, sample["velocity"], tick)
@@ -104,32 +104,32 @@ class Estimator(Stage):
         """Return the angles or speeds (B, n) that deviations are measured from: the setpoint, 0 on soft drives."""
         return setpoint if self._stiff else self._zero
 
-    def _seed(self, ids: Bools, t: Floats, z: Floats) -> None:
+    def _initialize(self, ids: Bools, t: Floats, z: Floats) -> None:
         """Start the filters of robots `ids` (B,) from their first packet."""
         self._restart(np.repeat(ids[:, None], z.shape[1], axis=1), t, z)
-        self.joints.seeded[ids], self.divergence.nis[ids] = True, 1.0
+        self.joints.initialized[ids], self.divergence.nis[ids] = True, 1.0
         self.stuck_detection.repeats[ids], self.fault[ids] = 0, 0
 
     def _restart(self, joints: Bools, t: Floats, z: Floats) -> None:
         """Start the filters of `joints` (B, n) from this sample."""
         if any_true(joints):
-            self.joints.seed(joints, t, z)
+            self.joints.initialize(joints, t, z)
             self.divergence.restart(joints)
 
     def _fuse(self, t: Floats, z: Floats, new: Bools) -> Bools:
         """Correct by deviations z (B, n) rad taken at t (B,) s where `new`; return where they were inside the gate."""
-        innovation = self.joints.predict(t, z, new)
-        fused = new & self.joints.inside_gate(innovation)
-        restarted = self.divergence.step(innovation.nis, new, fused)
+        predicted = self.joints.predict(t, z, new)
+        fused = new & self.joints.inside_gate(predicted)
+        restarted = self.divergence.step(predicted.nis, new, fused)
         if restarted is not None:
             self._restart(restarted, t, z)
-        self.joints.correct(t, innovation, fused)
+        self.joints.correct(t, predicted, fused)
         return fused
 
     def _fuse_speed(self, t: float, packet: Packet, tick: int) -> None:
         """Correct by measured speeds."""
         valid = packet.fresh & self.setpoints.covers(packet.t, t)
-        new = valid & (packet.t > self.joints.t_speed) & self.joints.seeded
+        new = valid & (packet.t > self.joints.t_speed) & self.joints.initialized
         _, speed = self.setpoints.at(packet.t, new, tick)
         self.joints.correct_by_speed(packet.t, packet.value - self._origin(speed), new)
 
@@ -139,7 +139,7 @@ class Estimator(Stage):
         if any_true(self.stuck_detection.repeated):
             self.fault[self.stuck.any(axis=1)] |= np.int64(Reason.STUCK)
         if any_true(diverged := self.diverged):
-            self.fault[diverged.any(axis=1) & self.joints.seeded] |= np.int64(Reason.DIVERGED)
+            self.fault[diverged.any(axis=1) & self.joints.initialized] |= np.int64(Reason.DIVERGED)
         self.fault[self.external_torque.look(current)] |= np.int64(Reason.LOAD)
 
     @property
@@ -162,7 +162,7 @@ class Estimator(Stage):
         dt = t - joints.t_sample
         age = dt.max(axis=1)
         if not all_true(confirmed):
-            age[~(confirmed.all(axis=1) & joints.seeded)] = np.inf
+            age[~(confirmed.all(axis=1) & joints.initialized)] = np.inf
         return State(
             t=t,
             q=self._origin(sent.q) + (joints.e + joints.ed * dt),
@@ -173,6 +173,6 @@ class Estimator(Stage):
             temperature=sample["temperature"].value,
             winding=self.windings.winding,
             hottest=self.windings.hottest,
-            fold=self.windings.foldback.current_share,
+            current_share=self.windings.foldback.current_share,
             fault=self.fault,
         )

@@ -33,7 +33,7 @@ class ExternalTorque(Stage):
     """Residuals of B × n motors, compared with their bounds.
 
     Attributes:
-        tau: (B, n) N·m, feed-forward sent last. powered: (B,) whether the drives were on then.
+        tau: (B, n) N·m, feed-forward sent last. powered: (B,) drives that were on then.
         packets: (B, n) packets in a row above the bound. t: (B,) s, when the last of them was taken.
     """
 
@@ -51,7 +51,7 @@ class ExternalTorque(Stage):
         self.powered[ids], self.packets[ids] = False, 0
 
     def command(self, tau: Floats, powered: Bools) -> None:
-        """Store what is sent: feed-forward (B, n) N·m and whether drives are on (B,)."""
+        """Store what is sent: feed-forward (B, n) N·m, and drives that are on (B,)."""
         self.tau[:], self.powered[:] = tau, powered
 
     def look(self, current: Packet) -> Bools:

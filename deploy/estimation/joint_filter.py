@@ -30,11 +30,11 @@ from robots.spec import RobotSpec
 
 GATE = 8.0
 """Standard deviations of an innovation above which a sample is rejected: a gross error, not noise."""
-SEED_SPEED_STD = 1.0
+INITIAL_SPEED_STD = 1.0
 """rad/s, standard deviation of the speed of a filter that was started from one sample."""
 
 
-class Innovation(NamedTuple):
+class Prediction(NamedTuple):
     """Prediction to a packet's time, compared with the packet; every array (B, n).
 
     Attributes:
@@ -58,16 +58,16 @@ class JointFilter(Stage):
         e, ed: (B, n) rad and rad/s. p00, p01, p11: (B, n) their covariance.
         t_sample: (B, n) s, time of the state: when the last fused angle was taken.
         t_speed: (B,) s, when the last fused speed packet was taken.
-        seeded: (B,) whether the filters of a robot were started.
+        initialized: (B,) robots whose filters were started.
         gate: standard deviations.
     """
 
-    carried = ("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "seeded")
+    carried = ("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "initialized")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         shape, sensors = (robots, spec.n), spec.sensors
         self.e, self.ed, self.p00, self.p01, self.p11, self.t_sample = np.zeros((6, *shape))
-        self.t_speed, self.seeded = np.full(robots, -np.inf), np.zeros(robots, dtype=bool)
+        self.t_speed, self.initialized = np.full(robots, -np.inf), np.zeros(robots, dtype=bool)
         self.gate = GATE
         # numpy is fastest where all shapes are equal.
         self._wide, self._r = np.zeros(shape), np.full(shape, sensors["encoder"].variance)
@@ -76,13 +76,13 @@ class JointFilter(Stage):
         unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=1.0)  # [[1/3, 1/2], [1/2, 1]]
         self._q_3, self._q_2, self._q = (density * unit[place] for place in ((0, 0), (0, 1), (1, 1)))
 
-    def seed(self, joints: Bools, t: Floats, z: Floats) -> None:
+    def initialize(self, joints: Bools, t: Floats, z: Floats) -> None:
         """Start the filters of `joints` (B, n) from samples z (B, n) rad taken at t (B,) s, at the setpoint's speed.
 
-        x = [z, 0],  P = diag(r, SEED_SPEED_STD²)
+        x = [z, 0],  P = diag(r, INITIAL_SPEED_STD²)
         """
         self.e[joints], self.ed[joints] = z[joints], 0.0
-        self.p00[joints], self.p01[joints], self.p11[joints] = self._r[joints], 0.0, SEED_SPEED_STD**2
+        self.p00[joints], self.p01[joints], self.p11[joints] = self._r[joints], 0.0, INITIAL_SPEED_STD**2
         np.copyto(self.t_sample, t[:, None], where=joints)
 
     def angle_variance(self, dt: Floats) -> Floats:
@@ -93,7 +93,7 @@ class JointFilter(Stage):
         variance: Floats = self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._q_3 * dt))
         return variance
 
-    def predict(self, t: Floats, z: Floats, new: Bools) -> Innovation:
+    def predict(self, t: Floats, z: Floats, new: Bools) -> Prediction:
         """Predict to the packets' times and compare.
 
         x⁻ = F x,  P⁻ = F P Fᵀ + Q,  y = z − H x⁻,  S = H P⁻ Hᵀ + r
@@ -108,16 +108,16 @@ class JointFilter(Stage):
             dt[~new] = 0.0
         e, p00 = self.e + self.ed * dt, self.angle_variance(dt)
         y, s = z - e, p00 + self._r
-        return Innovation(dt, e, p00, y, s, y * y / s)
+        return Prediction(dt, e, p00, y, s, y * y / s)
 
-    def inside_gate(self, innovation: Innovation) -> Bools:
+    def inside_gate(self, predicted: Prediction) -> Bools:
         """Return (B, n) samples with y² <= gate² S."""
-        inside: Bools = innovation.nis <= self.gate**2
+        inside: Bools = predicted.nis <= self.gate**2
         return inside
 
-    def correct(self, t: Floats, innovation: Innovation, fused: Bools) -> None:
+    def correct(self, t: Floats, predicted: Prediction, fused: Bools) -> None:
         """Correct where `fused` (B, n), by packets taken at t (B,) s: K = P⁻ Hᵀ/S, x = x⁻ + K y, P = (I − K H) P⁻."""
-        dt, e, p00, y, s, _ = innovation
+        dt, e, p00, y, s, _ = predicted
         if not all_true(fused):  # predicted over 0 s and corrected by a sample of infinite variance
             missing = ~fused
             e[missing], p00[missing] = self.e[missing], self.p00[missing]

@@ -43,7 +43,7 @@ class SetpointHistory(Stage):
         self.ring[ids] = np.concatenate((sent.q, sent.qd), axis=1)[ids][:, None]
 
     def covers(self, t: Floats, now: float) -> Bools:
-        """Return (B,) whether the times t (B,) s are inside the history and at most one period after `now`."""
+        """Return (B,) robots whose t (B,) s is inside the history and at most one period after `now`."""
         covered: Bools = (t <= now + self._dt) & (t > now - (self.depth - 1) * self._dt)
         return covered
 

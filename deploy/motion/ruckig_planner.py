@@ -52,7 +52,7 @@ class RuckigPlanner:
     def plan(self, origin: Floats, trajectory: Trajectory) -> bool:
         """Fill `trajectory`, `origin` as in `TrackingTrajectories.plan`; return False where Ruckig has no plan."""
         self._set_stopping(origin[:, -1] != 0)
-        if not all_true(origin[:, -2] == self._speed_scale):
+        if not all_true(origin[:, -2] == self._speed_share):
             self._set_limits(origin[:, -2])
         self._joints[:] = origin[:, :-2].reshape(len(origin), 4, self._n).swapaxes(0, 1)
         if not all_true(self._stopping):  # a stop has no limit of speed
@@ -76,12 +76,12 @@ class RuckigPlanner:
         by_joint = [kind for kind in kinds for _ in range(self._n)]
         self._in.per_dof_control_interface = [*by_joint, ControlInterface.Position]
 
-    def _set_limits(self, speed_scale: Floats) -> None:
+    def _set_limits(self, speed_share: Floats) -> None:
         """Limit speed and acceleration of each robot to its scale (R,)."""
-        self._speed_scale = speed_scale.copy()
-        self._speed = self._qd_max * speed_scale[:, None]
+        self._speed_share = speed_share.copy()
+        self._speed = self._qd_max * speed_share[:, None]
         self._in.max_velocity = [*self._speed.ravel().tolist(), 1.0]
-        self._in.max_acceleration = [*(self._qdd_max * speed_scale[:, None]).ravel().tolist(), 1.0]
+        self._in.max_acceleration = [*(self._qdd_max * speed_share[:, None]).ravel().tolist(), 1.0]
 
     def _move_inside(self) -> None:
         """Move speeds that end near the limit inside, where a target is followed."""

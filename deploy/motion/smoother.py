@@ -29,7 +29,7 @@ class Smoother(Stage):
         origin: (B, 4n + 2) where each robot's trajectory began, and its inputs then: q, qd, qdd, target, speed scale,
             stopping.
         expected: (B, 4n + 2) the same of now, if all went as planned: a robot that differs gets a new trajectory.
-        speed_scale: (B,) share of its speed and acceleration that a robot may use to follow a target; an input. One
+        speed_share: (B,) share of its speed and acceleration that a robot may use to follow a target; an input. One
             that falls while the robot brakes carries it beyond its target: it should fall in small steps.
         q_min, q_max: (B, n) rad, to which targets are clamped.
         age: (B,) ticks since `origin`, less those at rest after a stop.
@@ -47,7 +47,7 @@ class Smoother(Stage):
         self.q_max = np.tile(spec.joint_array("q_max") - margin, (robots, 1))
         self._tracking, self._stops = TrackingTrajectories(spec, robots), StopTrajectories(spec, robots)
         self._age_max = round(horizon_s(spec) / spec.dt)
-        self.speed_scale, self._full = np.ones(robots), np.ones((robots, 1))
+        self.speed_share, self._full = np.ones(robots), np.ones((robots, 1))
 
     def next(self, q_target: Floats, stopping: Bools) -> Setpoint:
         """Return one step from the last sent setpoint: towards a target, or towards rest; NaN where Ruckig has no plan.
@@ -57,15 +57,15 @@ class Smoother(Stage):
             stopping: (B,) robots that brake to rest instead.
         """
         target, stops = np.minimum(np.maximum(q_target, self.q_min), self.q_max), stopping[:, None]
-        speed_scale = self.speed_scale
+        speed_share = self.speed_share
         if any_true(stopping):
             target[stopping] = 0.0  # unused: it must not count as a new target
             self.age -= stopping & self.at_rest  # or rounding would creep on
-            speed_scale = np.where(
-                stopping, 1.0, speed_scale
+            speed_share = np.where(
+                stopping, 1.0, speed_share
             )  # a stop has its full limits, as it was checked
         self.age += 1
-        self._plan(np.concatenate((self.q, self.qd, self.qdd, target, speed_scale[:, None], stops), axis=1))
+        self._plan(np.concatenate((self.q, self.qd, self.qdd, target, speed_share[:, None], stops), axis=1))
         planned = self._tracking.at(self.age)
         self.expected[:, : planned[0].size] = planned.reshape(len(planned), -1)
         return _setpoint(planned)
@@ -108,7 +108,7 @@ class Smoother(Stage):
 
     @property
     def at_rest(self) -> Bools:
-        """(B,) whether the last sent setpoint is at rest."""
+        """(B,) robots whose last sent setpoint is at rest."""
         return np.asarray(np.maximum(np.abs(self.qd), np.abs(self.qdd)).max(axis=1) < REST)
 
 

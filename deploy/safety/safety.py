@@ -77,8 +77,8 @@ class Safety:
         q, qd, qdd = pairs.reshape(3, 2 * robots, -1)
         tau = self._drives.torque(state, q, qd, qdd)
         needed = tau
-        if not all_true(state.fold == 1.0):  # a drive with limited current has less to give than its range
-            needed = np.concatenate((tau[:robots] / state.fold, tau[robots:]))
+        if not all_true(state.current_share == 1.0):  # a drive with limited current gives less than its range
+            needed = np.concatenate((tau[:robots] / state.current_share, tau[robots:]))
         poses = begin, mid_stop, rest = self._drives.expected_poses(state, setpoint.q, q_mid_stop, q_rest)
         expected, targets = np.concatenate((begin, rest, setpoint.q, q_rest)).reshape(2, 2 * robots, -1)
         kinematics = self._kinematics(expected)

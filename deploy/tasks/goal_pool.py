@@ -99,7 +99,7 @@ def sample_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
 
 
 def _poses_in_shell(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Floats]:
-    """(K, n) rad and (K, 3) m: configurations with their tool where goals may be; whether they are safe costs more.
+    """Return (K, n) rad and (K, 3) m, configurations with their tool where goals may be; not yet checked for safety.
 
     Beyond a singularity lies another branch of the arm, and the singularity check lets nobody through: only
     configurations on the home pose's branch count.

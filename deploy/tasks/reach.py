@@ -8,7 +8,7 @@ import numpy as np
 from deploy.policy.observation_sources import ObservationSource
 from deploy.state import Sample
 from deploy.tasks.goal_pool import ReachConfig, goal_pool
-from deploy.tasks.score import Scoring
+from deploy.tasks.success import SuccessCriterion
 from deploy.tasks.task import Task
 from deploy.truth import Truth
 from robots.arrays import Floats
@@ -61,9 +61,9 @@ class Reach(Task):
         super().__init__(spec, seeds)
 
     @classmethod
-    def scoring(cls, spec: RobotSpec) -> Scoring:
+    def success_criterion(cls, spec: RobotSpec) -> SuccessCriterion:
         """Within 2 cm when the period ends."""
-        return Scoring(size=3, period_s=cls.config.period_s, tolerance=cls.config.tolerance_m)
+        return SuccessCriterion(size=3, period_s=cls.config.period_s, tolerance=cls.config.tolerance_m)
 
     @classmethod
     def true_achieved(cls, truth: Truth) -> Floats:

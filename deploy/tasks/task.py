@@ -14,7 +14,7 @@ from deploy.plugins import TASKS, installed, load
 from deploy.policy.observation_sources import SOURCES, ObservationSource
 from deploy.stage import Stage
 from deploy.state import Sample
-from deploy.tasks.score import Score, Scoring
+from deploy.tasks.success import SuccessCriterion, SuccessEvaluation
 from deploy.truth import Truth
 from robots.arrays import Bools, Floats
 from robots.capabilities import Capability
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 class Task(Stage, ABC):
     """Goals of B robots, each with G numbers, one period after another.
 
-    `reached` counts by the robot's own belief; the judge counts by ground truth, by the same `scoring`.
+    `reached` counts by the robot's estimate; the judge counts by ground truth, by the same `success_criterion`.
 
     Attributes:
-        goal: (B, G) the present goal. achieved: (B, G) the robots' belief of what a goal is compared with.
+        goal: (B, G) the present goal. achieved: (B, G) estimate of what a goal is compared with.
         elapsed: (B,) ticks of the present period. number: (B,) goals given so far.
         attempted, reached: (B,) goals whose period ended, and those that were reached.
         ended: (B,) goals whose period ended in the last tick. ended_goal: (B, G) the last of them.
@@ -56,14 +56,14 @@ class Task(Stage, ABC):
         "ended",
         "ended_goal",
     )
-    parts = ("score",)
+    parts = ("success",)
 
     def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> None:
         """Give every robot its first goal; all goals follow from the B seeds."""
         self.spec, robots = spec, len(seeds)
-        self.rule = self.scoring(spec)
-        self.score = Score(self.rule, robots, spec.dt)
-        self._keys, self._period = stream_keys(seeds, Stream.GOALS), round(self.rule.period_s / spec.dt)
+        self.criterion = self.success_criterion(spec)
+        self.success = SuccessEvaluation(self.criterion, robots, spec.dt)
+        self._keys, self._period = stream_keys(seeds, Stream.GOALS), round(self.criterion.period_s / spec.dt)
         self.goal, self.achieved, self.ended_goal = np.zeros((3, robots, self.size))
         self._invisible = np.full((robots, 3), np.nan)
         self.elapsed, self.number, self.attempted, self.reached = np.zeros((4, robots), dtype=np.int64)
@@ -72,11 +72,11 @@ class Task(Stage, ABC):
 
     @classmethod
     @abstractmethod
-    def scoring(cls, spec: RobotSpec) -> Scoring:
-        """Return the rule by which goals count as reached, for belief and for ground truth alike."""
+    def success_criterion(cls, spec: RobotSpec) -> SuccessCriterion:
+        """Return the criterion by which goals count as reached, by estimate and by ground truth alike."""
 
     @classmethod
-    def shorten_period(cls, spec: RobotSpec, period_s: float) -> RobotSpec:
+    def limit_goal_period(cls, spec: RobotSpec, period_s: float) -> RobotSpec:
         """Return the robot with goals of at most `period_s` s, where the robot decides how long they last."""
         del period_s
         return spec
@@ -134,14 +134,14 @@ class Task(Stage, ABC):
     def reset(self, ids: Bools) -> None:
         """Give a new goal and a full period to robots where `ids` (B,) holds."""
         self.elapsed[ids] = 0
-        self.score.reset(ids)
+        self.success.reset(ids)
         self._choose(ids)
 
     def step(self, running: Bools) -> None:
         """Count one tick; only robots `running` (B,) under their policy can reach a goal."""
         self.elapsed += 1
         np.greater_equal(self.elapsed, self._period, out=self.ended)
-        success = self.score.step(self.achieved, self.goal, self.ended, running)
+        success = self.success.step(self.achieved, self.goal, self.ended, running)
         if success is None:
             return
         self.attempted += self.ended

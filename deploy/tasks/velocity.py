@@ -7,7 +7,7 @@ import numpy as np
 
 from deploy.policy.observation_sources import BASE, ObservationSource
 from deploy.state import Sample
-from deploy.tasks.score import Scoring
+from deploy.tasks.success import SuccessCriterion
 from deploy.tasks.task import Task
 from deploy.truth import Truth
 from robots.arrays import Bools, Floats
@@ -48,14 +48,14 @@ class Velocity(Task):
         super().__init__(spec, seeds)
 
     @classmethod
-    def scoring(cls, spec: RobotSpec) -> Scoring:
+    def success_criterion(cls, spec: RobotSpec) -> SuccessCriterion:
         """Mean velocity of the whole period within tolerance of the command."""
-        return Scoring(
+        return SuccessCriterion(
             size=3, period_s=_base(spec).command_s, tolerance=1.0, distance=command_error, mean=True
         )
 
     @classmethod
-    def shorten_period(cls, spec: RobotSpec, period_s: float) -> RobotSpec:
+    def limit_goal_period(cls, spec: RobotSpec, period_s: float) -> RobotSpec:
         """Return the robot with commands of at most `period_s` s."""
         base = _base(spec)
         shorter = base.model_copy(update={"command_s": min(base.command_s, period_s)})

@@ -43,7 +43,7 @@ class Recorder:
         self._events: list[Recording] = []
         self.lost: str | None = None
         self._folder, self._spec, self._start_ns, self._about = folder, runtime.spec, start_ns, dict(about)
-        self._goal_m = runtime.task.rule.tolerance
+        self._goal_m = runtime.task.criterion.tolerance
         self._ring = Ring(runtime.spec, runtime.robot.robots, row_type(runtime.spec, runtime.task.size))
         self._every = max(1, runtime.spec.rates.control_hz // STREAM_HZ)
         self._after = round(AFTER_S / runtime.spec.dt)

@@ -69,7 +69,7 @@ SIGNALS = (
         in_state=True,
     ),
 )
-"""SI units, temperatures in °C. `goal`, and `achieved` by the robot's belief, are in the units of the task."""
+"""SI units, temperatures in °C. `goal`, and `achieved` by the robot's estimate, are in the units of the task."""
 
 
 def recorded_signals(spec: RobotSpec) -> tuple[Signal, ...]:

@@ -68,7 +68,7 @@ class StageBench(Trial):
         self.run(round(ARM_S / self.runtime.spec.dt))
         self.runtime.arm(np.ones(self.robots, dtype=bool))
         # Goals out of step, as in any hour of a shift but the first. Otherwise all robots would rest at once.
-        period = round(self.runtime.task.rule.period_s / self.runtime.spec.dt)
+        period = round(self.runtime.task.criterion.period_s / self.runtime.spec.dt)
         self.runtime.task.elapsed[:] = np.arange(self.robots) * period // self.robots
         self.run(round(WARM_S / self.runtime.spec.dt))
         self.stopwatch.clear()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from deploy.policy.contract import Observed
 from deploy.stage import Arrays, Stage
 from deploy.state import Command, Mode, State, Target
-from deploy.tasks.score import Score, Scoring
+from deploy.tasks.success import SuccessCriterion, SuccessEvaluation
 from deploy.truth import Truth
 from eval.judge.counts import BINS, REASONS, Counts
 from eval.judge.events import BadTicks, EventLog
@@ -54,7 +54,7 @@ class Judge(Stage):
         torque_max: Floats,
         robots: int,
         *,
-        scoring: Scoring,
+        criterion: SuccessCriterion,
         counted: int | None = None,
         observed: Observed | None = None,
         monitors: Sequence[Monitor] = MONITORS,
@@ -65,7 +65,7 @@ class Judge(Stage):
             spec: limits and margins.
             torque_max: (n,) N·m, each actuator's range at the joint.
             robots: B.
-            scoring: rule by which the task's goals count as reached.
+            criterion: rule by which the task's goals count as reached.
             counted: R, number of robots that are judged, the first ones; all by default.
             observed: statistics of the observations in training; without them observations are not judged.
             monitors: the catalogue; `MONITORS` and any others. The robot gets those whose needs it meets.
@@ -73,14 +73,14 @@ class Judge(Stage):
         Raises:
             ConfigError: the robot's limits.toml.
         """
-        self._dt, self._goal_s = spec.dt, scoring.period_s
+        self._dt, self._goal_s = spec.dt, criterion.period_s
         self._robots, self._size = counted or robots, len(observed.mean) if observed else 0
         self._channels = Channels.of_robot(spec, monitors)
         judged = JudgedRobot(spec=spec, torque_max=torque_max, limits=load_limits(spec), observed=observed)
         self.ratios = LimitRatios(self._channels, judged, self._robots)
         self._sent_speed = [monitor.name for monitor in self._channels.catalogue].index("velocity_sent")
-        self.buffer = TickBuffer(robots, spec.n, self._size, scoring.size)
-        self.score = Score(scoring, self._robots, spec.dt)
+        self.buffer = TickBuffer(robots, spec.n, self._size, criterion.size)
+        self.score = SuccessEvaluation(criterion, self._robots, spec.dt)
         channels = len(self.ratios.limits)
         self.events = EventLog(self._channels, self._robots, round(EVENT_GAP_S / spec.dt))
         self.ticks, self.invalid, self.running, self.moving = np.zeros((4, self._robots), dtype=np.int64)
@@ -199,7 +199,7 @@ class Judge(Stage):
         """Count goals that are over. Where `attempted` rises, the goal of the tick before is over."""
         before, now = window.before, window.now
         over, running = now.attempted > before.attempted, window.running & now.valid
-        for tick in range(len(over)) if self.score.rule.mean else np.flatnonzero(over.any(axis=1)):
+        for tick in range(len(over)) if self.score.criterion.mean else np.flatnonzero(over.any(axis=1)):
             reached = self.score.step(now.achieved[tick], before.goal[tick], over[tick], running[tick])
             if reached is not None:
                 self.reached += reached

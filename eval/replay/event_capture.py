@@ -72,7 +72,7 @@ class EventCapture:
         counts = shard.judge.counts()
         new = self._new_events(counts, before)
         if new:
-            end, goal_m = shard.runtime.ticks, shard.runtime.task.rule.tolerance
+            end, goal_m = shard.runtime.ticks, shard.runtime.task.criterion.tolerance
             window, end_digest = self._record_window(shard, *self._state_before(min(e.start for e in new)))
             for event in new:
                 self._write(event, window, end, end_digest, goal_m)

@@ -92,7 +92,7 @@ class Replay:
     @property
     def goal_m(self) -> float:
         """Distance at which a goal counts as reached, m."""
-        return self.shard.runtime.task.rule.tolerance
+        return self.shard.runtime.task.criterion.tolerance
 
     def run(self, observe: Callable[[], None] = lambda: None) -> ReplayResult:
         """Simulate the window, once; `observe` is called after every tick."""

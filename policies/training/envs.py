@@ -38,7 +38,7 @@ class RuntimeEnv(VecEnv):
         self._recipe, self._spec = recipe, spec
         contract = contract_of(recipe, spec, {})
         self.runtime, self._robot = simulate(spec, contract, seeds, threads=threads)
-        self._task, self._rule = self.runtime.task, self.runtime.task.rule
+        self._task, self._rule = self.runtime.task, self.runtime.task.criterion
         self._fleet = Fleet(spec, self.num_envs)
         self._limits = Limits(spec, recipe.reward.near_share)
         self._rng = np.random.default_rng(recipe.seed)

@@ -45,7 +45,7 @@ class _Proof:
         self._range = spec.joint_array("q_min"), spec.joint_array("q_max")
 
     def clear(self, number: int) -> bool:
-        """Return whether every box of joint angles was proven clear for a pair."""
+        """Return True if every box of joint angles was proven clear for a pair."""
         reach, boxes, cleared = self._reach(number), deque([self._range]), 0
         for examined in range(BOXES_MAX):
             if not boxes:

@@ -50,7 +50,7 @@ class Collisions:
         self._steepness = strided_view([place.rotation for place in placements])[:, 2, 2]
 
     def check(self, model: pin.Model, data: pin.Data) -> Bools | bool:
-        """Return (copies,) whether shapes are too near, at the placements in `data` of the `model` of all copies.
+        """Return (copies,) robots with shapes too near, at the placements in `data` of the `model` of all copies.
 
         One False if none are.
         """

@@ -19,7 +19,7 @@ PACKAGE = "package://"
 
 
 def is_urdf(model: Path) -> bool:
-    """Return whether the file name ends in .urdf."""
+    """Return True if the file name ends in .urdf."""
     return model.suffix == ".urdf"
 
 

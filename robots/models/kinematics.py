@@ -17,7 +17,7 @@ class Frames(NamedTuple):
     """Tool and feet of a robot with n joints.
 
     Attributes:
-        has_tool: whether the first tracked point is the tool; the others are feet.
+        has_tool: the first tracked point is the tool; the others are feet.
         home_sign: sign of det J of the tool in the home pose; 0 without tool.
         tool_joints: (n,) joints that carry the tool; None where all do.
         foot_joints: (F, n) 1 where a joint carries a foot, else 0.
@@ -49,7 +49,7 @@ class Kinematics:
             frames: tool and feet of the robot.
             points: (B, F, 3) m, tool, if any, and feet.
             jacobians: (B, 6, n) of the point at the origin; None where they were not computed.
-            colliding: (B,) whether shapes are too near; None where it was not computed.
+            colliding: (B,) shapes are too near; None where it was not computed.
         """
         self._frames, self._points, self._jacobians, self._colliding = frames, points, jacobians, colliding
         self._tool = points[:, 0] if frames.has_tool else None
@@ -63,7 +63,7 @@ class Kinematics:
 
     @property
     def colliding(self) -> Bools:
-        """(B,) whether any pair of shapes is nearer than the collision margin; q must be inside the working ranges."""
+        """(B,) robots with two shapes nearer than the collision margin; q must be inside the working ranges."""
         if self._colliding is None:
             raise RuntimeError("self-collision: the fleet was built without collisions")
         return self._colliding

@@ -90,7 +90,7 @@ def _frames(spec: RobotSpec, model: pin.Model, tool: list[int], feet: list[int])
 
 
 def _carried_by(model: pin.Model, frame: int) -> Bools:
-    """Return (n,) whether a joint moves the frame."""
+    """Return (n,) joints that move the frame."""
     supports = list(model.supports[model.frames[frame].parentJoint])
     return np.array([joint in supports for joint in range(1, model.njoints)])
 

@@ -15,7 +15,7 @@ class Gains(NamedTuple):
 
 
 def same_gains(one: Gains | None, other: Gains | None) -> bool:
-    """Return whether two sets of gains, or their absence, are equal."""
+    """Return True if two sets of gains, or their absence, are equal."""
     if one is None or other is None:
         return one is other
     return np.array_equal(one, other)

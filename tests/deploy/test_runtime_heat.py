@@ -25,7 +25,7 @@ def test_step_in_pace_during_braking_keeps_the_range():
     beyond = 0.0
     target = np.minimum(far, SPEC.joint_array("q_max") - SPEC.margins.q_target_rad)
     for tick in range(400):
-        smoother.speed_scale[tick >= 40 + 3 * np.arange(40)] = 1.0 - (1.0 - PACE_MIN) / STEPS
+        smoother.speed_share[tick >= 40 + 3 * np.arange(40)] = 1.0 - (1.0 - PACE_MIN) / STEPS
         smoother.commit(smoother.next(far, still))
         beyond = max(beyond, (smoother.q - target).max())
     assert 0.0 < beyond < room
@@ -38,7 +38,7 @@ def test_reduced_pace_is_respected_and_stops_use_full_limits():
     home = np.tile(SPEC.joint_array("q_home"), (2, 1))
     for one in (smoother, whole):
         one.hold(np.ones(2, dtype=bool), home)
-    smoother.speed_scale[1] = 0.5
+    smoother.speed_share[1] = 0.5
     far = home + np.array([1.0, -0.6, 0.8, 1.2, -0.8, 2.0])
     sent = [smoother.q.copy()]
     for tick in range(300):
@@ -108,4 +108,4 @@ def test_stopping_robot_has_its_full_current(tmp_path):
     runtime.requested_stop[1] = int(Reason.OPERATOR)
     runtime.tick()
     assert runtime.supervisor.mode.tolist() == [Mode.RUNNING, Mode.STOPPING]
-    np.testing.assert_array_equal(runtime.command.current, np.repeat([[0.7], [1.0]], N, axis=1))
+    np.testing.assert_array_equal(runtime.command.current_share, np.repeat([[0.7], [1.0]], N, axis=1))

@@ -61,7 +61,7 @@ def bits(runtime):
             base.quat_wxyz,
             base.velocity_in_base,
             runtime.capabilities["floating_base"].filter.P.reshape(len(base.age), -1),
-            runtime.task.score.total,
+            runtime.task.success.total,
         ],
         axis=1,
     )
@@ -240,7 +240,7 @@ def test_commands_are_counted_as_followed():
     runtime = standing(2)
     period = round(QUADRUPED.base.command_s / DT)
     runtime.task.elapsed[:], runtime.task.attempted[:], runtime.task.reached[:] = 0, 0, 0
-    runtime.task.score.total[:] = 0.0
+    runtime.task.success.total[:] = 0.0
     live(runtime, period)
     np.testing.assert_array_equal(runtime.task.goal, 0.0)  # it may be asked for nothing but to stand
     assert runtime.task.attempted.tolist() == runtime.task.reached.tolist() == [1, 1]
@@ -284,7 +284,7 @@ def test_feet_are_measured_in_the_base_frame():
 
 def judged(runtime, ticks, action=None):
     """What the judge finds while it lives."""
-    judge = Judge(QUADRUPED, TORQUE_MAX, runtime.robot.robots, scoring=runtime.task.rule)
+    judge = Judge(QUADRUPED, TORQUE_MAX, runtime.robot.robots, criterion=runtime.task.criterion)
     for tick in range(ticks):
         live(runtime, 1, action if action is None else action(tick))
         judge_tick(judge, runtime.robot.truth(), runtime, None)
@@ -337,7 +337,7 @@ def test_motion_other_than_commanded_is_not_counted(asked):
     runtime = standing(1)
     period = round(QUADRUPED.base.command_s / DT)
     runtime.task.elapsed[:], runtime.task.attempted[:], runtime.task.reached[:] = 0, 0, 0
-    runtime.task.score.total[:] = 0.0
+    runtime.task.success.total[:] = 0.0
     runtime.task._low[:], runtime.task._high[:] = asked, asked
     runtime.task.goal[:] = asked
     counts = judged(runtime, 2 * period)

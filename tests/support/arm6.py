@@ -29,7 +29,7 @@ def copy_of_arm(folder, *, toml=(), xml=()):
 
 def arm_judge(torque_max, robots, **how):
     """A judge of the arm at its task."""
-    return Judge(SPEC, torque_max, robots, scoring=Reach.scoring(SPEC), **how)
+    return Judge(SPEC, torque_max, robots, criterion=Reach.success_criterion(SPEC), **how)
 
 
 def complaint(folder):

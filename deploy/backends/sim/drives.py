@@ -85,8 +85,8 @@ class Drives(Stage):
         self._old[:] = self._later
         np.multiply(self._to_go, difference, out=self._new)
         self._new += self.command
-        if not all_true(command.current == self._current):
-            self._current[:] = command.current
+        if not all_true(command.current_share == self._current):
+            self._current[:] = command.current_share
             self.torque_limit[:] = self.torque_limit_nominal * self._current[:, :, None]
         off = ~command.powered
         if any_true(self.braked & command.powered):

@@ -25,8 +25,8 @@ from deploy.estimation.floating_base.base_measurements import BaseNoise, Feet, I
 from deploy.estimation.floating_base.base_model import (
     ACC,
     PHI,
-    Belief,
     G,
+    NominalState,
     V,
     diagonal,
     error_transition,
@@ -41,9 +41,9 @@ from deploy.state import BaseState
 from robots.arrays import Bools, Floats
 
 REST_BAND = (0.8, 1.2)
-"""Specific force of a robot at rest, as share of G: a filter is seeded from no other sample."""
-SEED_ACCELERATION_STD, SEED_SPEED_STD = 0.3, 0.5
-"""m/s², m/s: standard deviations of a robot's motion when its filter is seeded."""
+"""Specific force of a robot at rest, as share of G: a filter is initialized from no other sample."""
+INITIAL_ACCELERATION_STD, INITIAL_SPEED_STD = 0.3, 0.5
+"""m/s², m/s: standard deviations of a robot's motion when its filter is initialized."""
 OBSERVED = slice(3, 9)
 """Errors in H of a foot: δv and δb_g."""
 
@@ -56,12 +56,12 @@ class BaseFilter(Stage):
         P: (B, 12, 12) covariance of their errors.
         reading: (B, 6) last fused gyro and accelerometer. t_sample: (B,) s, when the gyro's was taken.
         t_accelerometer: (B,) s, when the newest of the accelerometer was taken.
-        seeded: (B,). innovation: (B, F, 3) of the feet, whitened.
+        initialized: (B,). innovation: (B, F, 3) of the feet, whitened.
     """
 
     carried = (
         *("quat_wxyz", "velocity", "bias", "P", "reading", "t_sample", "t_accelerometer"),
-        *("seeded", "innovation"),
+        *("initialized", "innovation"),
     )
     parts = ("imu_check", "divergence")
 
@@ -80,18 +80,18 @@ class BaseFilter(Stage):
         self.bias, self.reading = np.zeros((2, robots, 6))
         self.P, self.innovation = np.zeros((robots, 12, 12)), np.zeros((robots, feet, 3))
         self.t_sample, self.t_accelerometer = np.zeros((2, robots))
-        self.seeded = np.zeros(robots, dtype=bool)
+        self.initialized = np.zeros(robots, dtype=bool)
         self.imu_check = ImuCheck(dt, robots)
         self.divergence = BaseDivergence(robots, look_s or dt, tilt_s or look_s or dt)
         self._noise, self._dt = noise, dt
-        self._belief = Belief(self.quat_wxyz, self.velocity, self.bias)
+        self._nominal = NominalState(self.quat_wxyz, self.velocity, self.bias)
         self._walk = np.repeat([noise.gyro_walk**2, noise.accelerometer_walk**2], 3)
         self._foot_var = noise.slip**2 / dt
         self._H = np.tile(np.eye(3, 6), (robots, feet, 1, 1))  # of each foot: columns δv, δb_g
 
     def reset(self, ids: Bools) -> None:
-        """Forget robots `ids` (B,); their next sample at rest seeds them."""
-        self.seeded[ids] = False
+        """Forget robots `ids` (B,); their next sample at rest initializes them."""
+        self.initialized[ids] = False
 
     @np.errstate(all="ignore")  # numbers that overflow are found by `divergence`
     def step(self, t: float, imu: Imu, feet: Feet | None, upright: Upright | None = None) -> BaseState:
@@ -109,9 +109,9 @@ class BaseFilter(Stage):
         valid = np.isfinite(imu.t) & np.isfinite(imu.t_accelerometer)
         valid &= np.maximum(imu.t, imu.t_accelerometer) <= t + self._dt
         valid &= imu.fresh & in_range(reading)
-        newer = valid & self.seeded & (imu.t > self.t_sample)
-        if any_true(valid & ~self.seeded):
-            self._seed(valid & ~self.seeded, imu, reading)
+        newer = valid & self.initialized & (imu.t > self.t_sample)
+        if any_true(valid & ~self.initialized):
+            self._initialize(valid & ~self.initialized, imu, reading)
         new_force = newer & (imu.t_accelerometer > self.t_accelerometer)
         self.imu_check.step(np.stack([newer, new_force], axis=1), reading, self.reading)
         np.copyto(self.t_accelerometer, imu.t_accelerometer, where=new_force)
@@ -120,26 +120,26 @@ class BaseFilter(Stage):
         if feet is not None:
             self._correct_by_feet(fused, feet)
         if upright is not None:
-            self._correct_by_up(upright.fresh & self.seeded, upright)
+            self._correct_by_up(upright.fresh & self.initialized, upright)
         return self._state(t)
 
-    def _seed(self, ids: Bools, imu: Imu, reading: Floats) -> None:
+    def _initialize(self, ids: Bools, imu: Imu, reading: Floats) -> None:
         """Start robots `ids` (B,) that are at rest, with the tilt that the accelerometer measures."""
         force = norm(reading[:, 3:])[:, 0]
         ids = ids & (force >= REST_BAND[0] * G) & (force <= REST_BAND[1] * G)
         quat_wxyz = from_up(reading[ids, 3:])
-        self.P[ids], self.quat_wxyz[ids] = self._seed_covariance(quat_wxyz), quat_wxyz
+        self.P[ids], self.quat_wxyz[ids] = self._initial_covariance(quat_wxyz), quat_wxyz
         self.velocity[ids], self.bias[ids], self.reading[ids] = 0.0, 0.0, reading[ids]
-        self.innovation[ids], self.imu_check.repeats[ids], self.seeded[ids] = 0.0, 0, True
+        self.innovation[ids], self.imu_check.repeats[ids], self.initialized[ids] = 0.0, 0, True
         self.t_sample[ids], self.t_accelerometer[ids] = imu.t[ids], imu.t_accelerometer[ids]
         self.divergence.reset(ids)
 
-    def _seed_covariance(self, quat_wxyz: Floats) -> Floats:
+    def _initial_covariance(self, quat_wxyz: Floats) -> Floats:
         """Return P (N, 12, 12) of robots at rest: their tilt has the error of the accelerometer's bias."""
         noise, bias_var = self._noise, self._noise.accelerometer_bias**2
-        tilt_var = (bias_var + SEED_ACCELERATION_STD**2) / G**2
+        tilt_var = (bias_var + INITIAL_ACCELERATION_STD**2) / G**2
         P = np.zeros((len(quat_wxyz), 12, 12))
-        diagonal(P)[:] = np.repeat([tilt_var, SEED_SPEED_STD**2, noise.gyro_bias**2, bias_var], 3)
+        diagonal(P)[:] = np.repeat([tilt_var, INITIAL_SPEED_STD**2, noise.gyro_bias**2, bias_var], 3)
         P[:, 2, 2] = 0.0  # yaw is counted from here
         tilt_by_bias = skew(np.array([0.0, 0.0, bias_var / G])) @ matrix(quat_wxyz)
         P[:, PHI, ACC], P[:, ACC, PHI] = tilt_by_bias, tilt_by_bias.swapaxes(1, 2)
@@ -150,7 +150,7 @@ class BaseFilter(Stage):
         rows = fused[:, None]
         dt, reading = np.where(fused, t - self.t_sample, 0.0), np.where(rows, reading, self.reading)
         unseen = np.maximum(dt - self._dt, 0.0) ** 3 / 12  # a bridge between two measured ends
-        motion = move(self._belief, dt, self.reading, reading)
+        motion = move(self._nominal, dt, self.reading, reading)
         F, Q = error_transition(motion, self._noise, dt, unseen)
         FP, P = F @ self.P, self.P
         P[:, :6, 6:] = FP[:, :, 6:]
@@ -224,9 +224,9 @@ class BaseFilter(Stage):
 
     def _state(self, t: float) -> BaseState:
         """Predict to now, with the last readings."""
-        lag = np.where(self.seeded, np.maximum(t - self.t_sample, 0.0), 0.0)
-        age = np.where(self.seeded, t - np.minimum(self.t_sample, self.t_accelerometer), np.inf)
-        motion = move(self._belief, lag, self.reading, self.reading)
+        lag = np.where(self.initialized, np.maximum(t - self.t_sample, 0.0), 0.0)
+        age = np.where(self.initialized, t - np.minimum(self.t_sample, self.t_accelerometer), np.inf)
+        motion = move(self._nominal, lag, self.reading, self.reading)
         turning, velocity = (self.reading - self.bias)[:, :3], matvec(motion.R, motion.velocity)
         finite = np.isfinite(motion.quat_wxyz.sum(axis=1) + turning.sum(axis=1) + velocity.sum(axis=1))
         return BaseState(
@@ -239,5 +239,5 @@ class BaseFilter(Stage):
             age=age,
             innovation=self.innovation,
             stuck=self.imu_check.stuck,
-            diverged=self.seeded & ~(finite & self.divergence.consistent(self.P)),
+            diverged=self.initialized & ~(finite & self.divergence.consistent(self.P)),
         )

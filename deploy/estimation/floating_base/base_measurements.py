@@ -34,7 +34,7 @@ class Imu(NamedTuple):
 
     Attributes:
         t: (B,) s, when the gyro's sample was taken, on the runtime's clock.
-        fresh: (B,) whether a gyro packet arrived since the last read.
+        fresh: (B,) a gyro packet arrived since the last read.
         gyro: (B, 3) rad/s in the base frame.
         accelerometer: (B, 3) m/s² in the base frame, specific force: at rest +G along up. It may be older than `gyro`.
         t_accelerometer: (B,) s, when it was taken.
@@ -51,7 +51,7 @@ class Feet(NamedTuple):
     """Feet at the time of the gyro's sample.
 
     Attributes:
-        stance: (B, F) whether a foot stands.
+        stance: (B, F) feet that stand.
         position: (B, F, 3) m, velocity: (B, F, 3) m/s, relative to the base, in the base frame.
     """
 
@@ -64,7 +64,7 @@ class Upright(NamedTuple):
     """Direction of up by an IMU that estimates its own orientation; its yaw is not used.
 
     Attributes:
-        fresh: (B,) whether there is a new one.
+        fresh: (B,) there is a new one.
         up: (B, 3) unit vector, in the base frame at the time of the gyro's sample.
         variance: rad², of each of its two angles, for the gate.
         correlated_variance: rad², larger, for the correction: its bias is the same in many samples.

@@ -40,7 +40,7 @@ PHI, V, GYRO, ACC = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 """Slices of the errors."""
 
 
-class Belief(NamedTuple):
+class NominalState(NamedTuple):
     """Nominal state: quat_wxyz (B, 4), velocity (B, 3) m/s in the base frame, bias (B, 6) of gyro and accelerometer."""
 
     quat_wxyz: Floats
@@ -63,13 +63,13 @@ class Motion(NamedTuple):
     coasting: Floats
 
 
-def move(belief: Belief, dt: Floats, before: Floats, after: Floats) -> Motion:
+def move(nominal: NominalState, dt: Floats, before: Floats, after: Floats) -> Motion:
     """Return the state after dt (B,) s; gyro and accelerometer (B, 6) rad/s and m/s² as `before` and `after` it."""
-    lag, before, after = dt[:, None], before - belief.bias, after - belief.bias
+    lag, before, after = dt[:, None], before - nominal.bias, after - nominal.bias
     turn = exp(0.5 * lag * (before + after)[:, :3])
-    quat_wxyz = product(belief.quat_wxyz, turn)
+    quat_wxyz = product(nominal.quat_wxyz, turn)
     R, turn_back = matrix(quat_wxyz), matrix(turn).swapaxes(1, 2)
-    coasting = matvec(turn_back, belief.velocity + 0.5 * lag * before[:, 3:]) - G * lag * R[:, 2]
+    coasting = matvec(turn_back, nominal.velocity + 0.5 * lag * before[:, 3:]) - G * lag * R[:, 2]
     return Motion(quat_wxyz, R, coasting + 0.5 * lag * after[:, 3:], turn_back, coasting)
 
 

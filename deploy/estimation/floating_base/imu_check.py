@@ -33,10 +33,10 @@ class ImuCheck(Stage):
 
     @property
     def stuck(self) -> Bools:
-        """(B,) whether gyro or accelerometer repeats itself."""
+        """(B,) robots whose gyro or accelerometer repeats itself."""
         return np.asarray((self.repeats >= self.samples - 1).any(axis=1))
 
 
 def in_range(*readings: Floats) -> Bools:
-    """Return whether all numbers along the last axis are finite and inside ±`RANGE`."""
+    """Return True where all numbers along the last axis are finite and inside ±`RANGE`."""
     return np.asarray((np.abs(np.concatenate(readings, axis=-1)) <= RANGE).all(axis=-1))

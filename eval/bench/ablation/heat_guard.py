@@ -148,7 +148,7 @@ def _run(spec: RobotSpec, policy: Path, robots: Ints, drawn: Draw, variant: Vari
     hottest, folded = np.full((len(robots), spec.n), -np.inf), np.zeros(len(robots), dtype=np.int64)
     for _ in trial.advance(TRIAL_S):
         np.maximum(hottest, trial.robot.truth().winding_c, out=hottest)
-        folded += (trial.runtime.command.current < 1.0).any(axis=1)
+        folded += (trial.runtime.command.current_share < 1.0).any(axis=1)
     counts = trial.judge.counts()
     return HeatResults(
         winding=hottest.max(axis=1),

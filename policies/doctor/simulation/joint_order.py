@@ -123,7 +123,7 @@ def _goals_by_variant(context: CheckContext, variants: list[Variant]) -> tuple[I
     rows = [k % ROBOTS_PER_VARIANT for k in range(ROBOTS_PER_VARIANT * len(variants))]
     seconds = (
         SECONDS
-        if find_task(context.contract.task, "contract: task").scoring(context.spec).mean
+        if find_task(context.contract.task, "contract: task").success_criterion(context.spec).mean
         else SECONDS_PER_VARIANT
     )
     counts = run_simulation(context.spec, varied, ON_TIME, rows, seconds).counts

@@ -81,7 +81,7 @@ def run_simulation(
     Raises:
         FirstshiftError: the robot's files are incomplete for a simulation or its judge.
     """
-    spec = find_task(policy.contract.task, "contract: task").shorten_period(spec, COMMAND_S)
+    spec = find_task(policy.contract.task, "contract: task").limit_goal_period(spec, COMMAND_S)
     simulation = _Simulation(spec, policy, delay_periods, [robot_seed(SEED, row) for row in rows])
     for tick in range(round(seconds / spec.dt)):
         simulation.tick(tick)
@@ -103,8 +103,8 @@ class _Simulation:
         contract = policy.contract
         given = median_draw(load_distributions(spec), spec, robots)
         self._runtime, self._robot = simulate(spec, contract, seeds, policy, given=given)
-        rule, observed = self._runtime.task.rule, contract.observed
-        self._judge = Judge(spec, torque_max(spec), robots, scoring=rule, observed=observed)
+        rule, observed = self._runtime.task.criterion, contract.observed
+        self._judge = Judge(spec, torque_max(spec), robots, criterion=rule, observed=observed)
         self._rng = np.random.default_rng(SEED)
         self._delay_min, self._delay_max = (int(share * self._runtime.decimation) for share in delay_periods)
         self._pending_actions: dict[int, Float32s] = {}

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from deploy.estimation.divergence import CONFIRMED_S, NIS_S
 from deploy.estimation.estimator import Estimator
-from deploy.estimation.joint_filter import SEED_SPEED_STD
+from deploy.estimation.joint_filter import INITIAL_SPEED_STD
 from deploy.estimation.setpoint_history import HISTORY_S
 from deploy.estimation.stuck_detection import STUCK_SHARE
 from deploy.state import Packet, Reason, Setpoint
@@ -60,7 +60,7 @@ class ByFilterpy:
             kf = self.filters[robot][joint] = KalmanFilter(dim_x=2, dim_z=1)
             speed = sent(round(t / DT), len(self.t)).qd[robot, joint]
             kf.x = np.array([[z], [speed]])
-            kf.P = np.diag([NOISE**2, SEED_SPEED_STD**2])
+            kf.P = np.diag([NOISE**2, INITIAL_SPEED_STD**2])
             kf.H, kf.R, self.nis[robot, joint] = np.array([[1.0, 0.0]]), np.array([[NOISE**2]]), 1.0
         else:
             kf.F, kf.Q = _model(t - self.t[robot, joint], joint)
@@ -109,7 +109,7 @@ def test_covariance_stays_positive_and_state_finite(seed, loss):
     for tick, s, setpoint in packets(np.random.default_rng(seed), 4, 250, loss):
         state = estimator.step(tick * DT, s, setpoint)
         joints = estimator.joints
-        p00, p01, p11 = (p[joints.seeded] for p in (joints.p00, joints.p01, joints.p11))
+        p00, p01, p11 = (p[joints.initialized] for p in (joints.p00, joints.p01, joints.p11))
         assert (p00 > 0).all()
         assert (p11 > 0).all()
         assert (p00 * p11 > p01**2).all()
@@ -217,7 +217,7 @@ def test_measured_speed_equals_filterpys_second_update(with_speed):
             if tick == 0:
                 kf[joint].x, kf[joint].P = (
                     np.array([[z[0, joint]], [0.0]]),
-                    np.diag([NOISE**2, SEED_SPEED_STD**2]),
+                    np.diag([NOISE**2, INITIAL_SPEED_STD**2]),
                 )
             else:
                 kf[joint].F, kf[joint].Q = _model(DT, joint)
@@ -318,7 +318,7 @@ def test_saved_arrays_are_copies():
     for tick, s, setpoint in packets(np.random.default_rng(8), 1, 20, 0.0):
         estimator.step(tick * DT, s, setpoint)
     np.testing.assert_array_equal(saved["joints.e"], 0.0)
-    assert not saved["joints.seeded"].any()
+    assert not saved["joints.initialized"].any()
 
 
 @pytest.mark.parametrize("taken", [5, 9 - round(HISTORY_S / DT)])

@@ -262,7 +262,7 @@ def test_robots_are_checked_independently():
         temperature=temperature,
         winding=q,
         hottest=hottest,
-        fold=np.ones((robots, N)),
+        current_share=np.ones((robots, N)),
         fault=np.zeros(robots, dtype=np.int64),
     )
     setpoint = Setpoint(q=q, qd=qd, qdd=qdd)

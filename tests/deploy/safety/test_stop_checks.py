@@ -68,7 +68,7 @@ def test_allowed_stops_stay_within_all_limits(share):
             temperature=q * 0 + 30,
             winding=q * 0 + 30,
             hottest=q * 0 + 30,
-            fold=np.ones(q.shape),
+            current_share=np.ones(q.shape),
             fault=np.zeros(robots, dtype=np.int64),
         )
         fine = safety.step(here, start, start, *smoother.brake(start)).reason == 0

@@ -20,7 +20,7 @@ OUTSIDE = '''
 """Turn the first joint to one angle after another."""
 import numpy as np
 from deploy.policy.observation_sources import ObservationSource
-from deploy.tasks.score import Scoring
+from deploy.tasks.success import SuccessCriterion
 from deploy.tasks.task import Task
 
 class Turn(Task):
@@ -28,8 +28,8 @@ class Turn(Task):
     sources = {"angle_left": ObservationSource("joint", "rad", 1, lambda r: r.task.goal - r.task.achieved, "encoder")}
 
     @classmethod
-    def scoring(cls, spec):
-        return Scoring(size=1, period_s=0.5, tolerance=0.05)
+    def success_criterion(cls, spec):
+        return SuccessCriterion(size=1, period_s=0.5, tolerance=0.05)
 
     @classmethod
     def true_achieved(cls, truth):

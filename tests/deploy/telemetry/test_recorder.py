@@ -28,7 +28,7 @@ class Scripted:
 
     def __init__(self, robots=1):
         self.spec, self.robot, self.ticks = SPEC, SimpleNamespace(robots=robots), 0
-        self.task = SimpleNamespace(size=3, rule=SimpleNamespace(tolerance=0.02))
+        self.task = SimpleNamespace(size=3, criterion=SimpleNamespace(tolerance=0.02))
         self.supervisor = SimpleNamespace(
             mode=np.full(robots, Mode.RUNNING, np.int8), reason=np.zeros(robots, np.int64)
         )

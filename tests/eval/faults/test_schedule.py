@@ -67,7 +67,7 @@ def test_every_fault_of_a_sensor_reaches_its_own_channels_and_no_others():
     faults = [(each, each.channels[-1]) for each in OF_SENSORS]
     broken = SimRobot(SPEC, seeds, faults=one_each(faults, begins, lasts=150).sensor_faults())
     clean, rest = SimRobot(SPEC, seeds), np.zeros((len(seeds), N))
-    off = Command(q=rest, qd=rest, tau=rest, powered=rest[:, 0] > 0, current=rest + 1)
+    off = Command(q=rest, qd=rest, tau=rest, powered=rest[:, 0] > 0, current_share=rest + 1)
     differs = np.zeros((len(seeds), 300, len(SPEC.channels)), dtype=bool)
     for tick in range(300):
         for robot in (broken, clean):

@@ -224,7 +224,7 @@ def test_counts_by_other_limits_do_not_merge():
 
 def test_skipped_goal_counts_as_missed():
     bench = Bench()
-    bench.step(round(5.5 * Reach.scoring(SPEC).period_s / DT))
+    bench.step(round(5.5 * Reach.success_criterion(SPEC).period_s / DT))
     assert bench.judge.counts().goals_due == 4
     bench.attempted[:] = 5
     bench.step()

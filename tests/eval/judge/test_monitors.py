@@ -117,7 +117,7 @@ def test_an_arm_without_a_capability_is_judged_without_its_monitors(tmp_path, ed
     if "singularity" in missing:
         path.write_text(re.sub("manipulability = .*\n", "", path.read_text()))
     usual, less = (
-        Judge(spec, TORQUE_MAX, 2, scoring=Reach.scoring(SPEC), observed=OBSERVED)
+        Judge(spec, TORQUE_MAX, 2, criterion=Reach.success_criterion(SPEC), observed=OBSERVED)
         for spec in (SPEC, load_robot(folder))
     )
     for judge in (usual, less):

@@ -102,7 +102,7 @@ def test_goals_are_scored_at_their_end_or_at_a_violation():
     env.runtime.task.elapsed[:] = 0
     env.step(torch.zeros(3, N))
     assert env.due == 0
-    last = round(env.runtime.task.rule.period_s / SPEC.dt) - env.runtime.decimation
+    last = round(env.runtime.task.criterion.period_s / SPEC.dt) - env.runtime.decimation
     env.runtime.task.elapsed[:] = [last, 0, 0]
     beyond = env._robot.truth().q.copy()
     beyond[1, 0] = SPEC.joint_array("q_max")[0] + 0.1

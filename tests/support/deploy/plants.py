@@ -58,5 +58,5 @@ def command(q, qd=0.0, tau=0.0, powered=True, current=1.0):
         qd=np.broadcast_to(qd, q.shape),
         tau=np.broadcast_to(tau, q.shape),
         powered=np.broadcast_to(powered, len(q)),
-        current=np.broadcast_to(current, q.shape),
+        current_share=np.broadcast_to(current, q.shape),
     )

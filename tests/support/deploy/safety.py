@@ -44,7 +44,7 @@ def judge(
         temperature=np.broadcast_to(np.asarray(temperature, dtype=float), (1, N)),
         winding=np.full((1, N), 40.0),
         hottest=np.broadcast_to(np.asarray(hottest, dtype=float), (1, N)),
-        fold=np.ones((1, N)),
+        current_share=np.ones((1, N)),
         fault=np.zeros(1, dtype=np.int64),
     )
     ahead = setpoint if ahead is None else ahead

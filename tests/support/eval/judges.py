@@ -79,7 +79,7 @@ class Bench:
 
     def step(self, ticks=1):
         command = Command(
-            q=self.sent, qd=self.sent * 0, tau=self.tau_sent, powered=self.powered, current=self.sent
+            q=self.sent, qd=self.sent * 0, tau=self.tau_sent, powered=self.powered, current_share=self.sent
         )
         for tick in range(ticks):
             was = self.was if tick == 0 else self.truth.q
@@ -163,7 +163,11 @@ def feed(judge, series, ticks, rows=slice(None)):
             state=believed(at["off"] + np.nan_to_num(at["q"]), at["q_var"], at["age"]),
             observation=at["observation"],
             command=Command(
-                q=at["sent"], qd=at["sent"], tau=at["tau_sent"], powered=at["powered"], current=at["sent"]
+                q=at["sent"],
+                qd=at["sent"],
+                tau=at["tau_sent"],
+                powered=at["powered"],
+                current_share=at["sent"],
             ),
             mode=at["mode"],
             reason=at["reason"],

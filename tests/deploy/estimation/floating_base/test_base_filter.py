@@ -293,7 +293,7 @@ def test_garbage_raises_nothing_and_stays_with_its_robot(seed):
         expected = clean.step(t, one(imu, slice(1, 2)), one(feet, slice(1, 2)))
         for name in FIELDS:
             np.testing.assert_array_equal(getattr(state, name)[1], getattr(expected, name)[0])
-            assert state.diverged[0] or not base.seeded[0] or np.isfinite(getattr(state, name)[0]).all()
+            assert state.diverged[0] or not base.initialized[0] or np.isfinite(getattr(state, name)[0]).all()
 
 
 def test_reset_of_a_subset():
@@ -338,7 +338,7 @@ def test_no_initialization_in_free_fall_or_at_negative_time():
     t = np.array([0.0, 0.0, 0.0, -np.inf])
     state = base.step(0.0, Imu(t, np.ones(4, dtype=bool), np.zeros((4, 3)), force, t), feet)
     assert np.isinf(state.age).tolist() == [True, True, False, True]
-    assert not base.seeded[3]
+    assert not base.initialized[3]
     assert not state.diverged.any()
 
 

@@ -7,7 +7,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from scipy.spatial.transform import Rotation
 
 from deploy.estimation.floating_base.base_divergence import GATE
-from deploy.estimation.floating_base.base_filter import SEED_ACCELERATION_STD, SEED_SPEED_STD
+from deploy.estimation.floating_base.base_filter import INITIAL_ACCELERATION_STD, INITIAL_SPEED_STD
 from deploy.estimation.floating_base.base_model import G
 from support.deploy.floating_bases import DOWN, DT, NOISE, F, World, base_filter, cross, one, settled
 
@@ -25,11 +25,11 @@ class ByFilterpy:
         # Tilt is the accelerometer's answer: its errors are those of rest and of the bias.
         tilt_by_bias = cross(np.array([0, 0, 1 / G])) @ self.R.as_matrix()
         bias = NOISE.accelerometer_bias**2 * np.eye(3)
-        level = np.diag([1.0, 1.0, 0.0]) * SEED_ACCELERATION_STD**2 / G**2
+        level = np.diag([1.0, 1.0, 0.0]) * INITIAL_ACCELERATION_STD**2 / G**2
         P = np.zeros((12, 12))
         P[:3, :3] = tilt_by_bias @ bias @ tilt_by_bias.T + level
         P[:3, 9:], P[9:, :3], P[9:, 9:] = tilt_by_bias @ bias, bias @ tilt_by_bias.T, bias
-        P[3:6, 3:6] = SEED_SPEED_STD**2 * np.eye(3)
+        P[3:6, 3:6] = INITIAL_SPEED_STD**2 * np.eye(3)
         P[6:9, 6:9] = NOISE.gyro_bias**2 * np.eye(3)
         self.kf.P = P
 

@@ -234,7 +234,7 @@ def test_unguarded_robot_neither_folds_back_nor_stops_for_heat():
     assert not state.winding.any()
     assert not state.hottest.any()
     assert not state.temperature.any()
-    assert (state.fold == 1.0).all()
+    assert (state.current_share == 1.0).all()
 
 
 def test_hot_shift_of_resting_robots(arm_policy, monkeypatch):

@@ -1,6 +1,6 @@
-"""Score of goals: the rule by which a goal counts as reached, and its evaluation tick by tick.
+"""Success of goals: the criterion by which a goal counts as reached, and its evaluation tick by tick.
 
-The runtime evaluates it on its belief, the judge on ground truth.
+The runtime evaluates it on its estimate, the judge on ground truth.
 """
 
 from collections.abc import Callable
@@ -19,8 +19,8 @@ def euclidean(achieved: Floats, goal: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scoring:
-    """Rule by which a goal counts as reached.
+class SuccessCriterion:
+    """Criterion by which a goal counts as reached.
 
     Attributes:
         size: G, numbers in a goal.
@@ -37,18 +37,18 @@ class Scoring:
     mean: bool = False
 
 
-class Score(Stage):
-    """Evaluation of a `Scoring` for B robots.
+class SuccessEvaluation(Stage):
+    """Evaluation of a criterion for B robots.
 
     Attributes:
-        total: (B, G) sum of what was achieved since the goal was given, where the rule takes the mean.
+        total: (B, G) sum of what was achieved since the goal was given, where the criterion takes the mean.
     """
 
     carried = ("total",)
 
-    def __init__(self, rule: Scoring, robots: int, dt: float) -> None:
-        self.rule, self.total = rule, np.zeros((robots, rule.size))
-        self._share = dt / rule.period_s
+    def __init__(self, criterion: SuccessCriterion, robots: int, dt: float) -> None:
+        self.criterion, self.total = criterion, np.zeros((robots, criterion.size))
+        self._share = dt / criterion.period_s
 
     def reset(self, ids: Bools) -> None:
         """Begin anew for robots where `ids` (B,) holds."""
@@ -62,12 +62,12 @@ class Score(Stage):
             ended: (B,) goals whose period ends with this tick.
             running: (B,) robots that follow their policy.
         """
-        if self.rule.mean:
+        if self.criterion.mean:
             self.total += achieved
         if not any_true(ended):
             return None
-        if self.rule.mean:
+        if self.criterion.mean:
             achieved = self.total * self._share
             self.total[ended] = 0.0
-        near = self.rule.distance(achieved, goal) <= self.rule.tolerance
+        near = self.criterion.distance(achieved, goal) <= self.criterion.tolerance
         return np.asarray(ended & near & running)
