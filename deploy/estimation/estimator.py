@@ -8,12 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from deploy.estimation.divergence import Divergence
 from deploy.estimation.external_torque import ExternalTorque
+from deploy.estimation.fault_detection import Divergence, StuckDetection
 from deploy.estimation.joint_filter import JointFilter
 from deploy.estimation.sample_count import sample_count
 from deploy.estimation.setpoint_history import SetpointHistory
-from deploy.estimation.stuck_detection import StuckDetection
 from deploy.estimation.winding_observer import WindingObserver
 from deploy.masks import all_true, any_true
 from deploy.stage import Stage
@@ -105,13 +104,11 @@ class Estimator(Stage):
         return setpoint if self._stiff else self._zero
 
     def _initialize(self, ids: Bools, t: Floats, z: Floats) -> None:
-        """Start the filters of robots `ids` (B,) from their first packet."""
         self._restart(np.repeat(ids[:, None], z.shape[1], axis=1), t, z)
         self.joints.initialized[ids], self.divergence.nis[ids] = True, 1.0
         self.stuck_detection.repeats[ids], self.fault[ids] = 0, 0
 
     def _restart(self, joints: Bools, t: Floats, z: Floats) -> None:
-        """Start the filters of `joints` (B, n) from this sample."""
         if any_true(joints):
             self.joints.initialize(joints, t, z)
             self.divergence.restart(joints)
@@ -127,14 +124,12 @@ class Estimator(Stage):
         return fused
 
     def _fuse_speed(self, t: float, packet: Packet, tick: int) -> None:
-        """Correct by measured speeds."""
         valid = packet.fresh & self.setpoints.covers(packet.t, t)
         new = valid & (packet.t > self.joints.t_speed) & self.joints.initialized
         _, speed = self.setpoints.at(packet.t, new, tick)
         self.joints.correct_by_speed(packet.t, packet.value - self._origin(speed), new)
 
     def _detect_faults(self, current: Packet) -> None:
-        """Renew `fault`."""
         self.fault[:] = 0
         if any_true(self.stuck_detection.repeated):
             self.fault[self.stuck.any(axis=1)] |= np.int64(Reason.STUCK)

@@ -131,7 +131,6 @@ class WindingObserver(Stage):
         self._bound()
 
     def _bound(self) -> None:
-        """Renew the upper bound and the foldback."""
         margin = np.maximum(self.winding - self.housing, 0.0) * self.margin_share + self.margin_k
         np.add(self.winding, margin, out=self.hottest)
         self.foldback.step(self.winding, margin)

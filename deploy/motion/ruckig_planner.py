@@ -77,7 +77,6 @@ class RuckigPlanner:
         self._in.per_dof_control_interface = [*by_joint, ControlInterface.Position]
 
     def _set_limits(self, speed_share: Floats) -> None:
-        """Limit speed and acceleration of each robot to its scale (R,)."""
         self._speed_share = speed_share.copy()
         self._speed = self._qd_max * speed_share[:, None]
         self._in.max_velocity = [*self._speed.ravel().tolist(), 1.0]

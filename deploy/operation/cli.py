@@ -112,7 +112,6 @@ def _execute(
     about: dict[str, str],
     viewers: Sequence[Watcher],
 ) -> int:
-    """Run from the first tick to the summary; return the exit code."""
     recorder, heat_file = files
     console, title = ConsoleProcess(), f"{about['robot']}  {about['policy']}  {about['backend']}"
 

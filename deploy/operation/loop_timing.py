@@ -3,8 +3,7 @@
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -19,8 +18,7 @@ WINDOW_S = 1.0
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Lateness:
+class Lateness(NamedTuple):
     """Percentiles of the lateness of ticks, µs."""
 
     p50_us: float
@@ -49,22 +47,12 @@ class LoopTiming:
     def __init__(self, clock: Clock, hz: int, *, now: Callable[[], float] = time.monotonic) -> None:
         """Count from the first `wait` on; `hz` slots of the clock are one second of robot time."""
         self.ticks, self.late_max = 0, 0.0
-        self._clock, self._hz, self._now = clock, hz, now
+        self.clock, self._hz, self._now = clock, hz, now
         self._skipped_max = round(OVERRUN_SHARE * hz)
         self._histogram = np.zeros(BINS, dtype=np.int64)
         self._missed: deque[tuple[int, int]] = deque()
         self._marks: deque[tuple[float, int]] = deque()
         self._begin = 0.0
-
-    @property
-    def skipped(self) -> int:
-        """Slots that passed unused."""
-        return self._clock.skipped
-
-    @property
-    def hz(self) -> float | None:
-        """Requested tick rate in wall time, Hz; None: as fast as possible."""
-        return self._clock.hz
 
     @property
     def overrun(self) -> bool:
@@ -73,15 +61,15 @@ class LoopTiming:
 
     def wait(self) -> None:
         """Block until the next slot."""
-        before = self._clock.skipped
-        late = self._clock.wait()
+        before = self.clock.skipped
+        late = self.clock.wait()
         if self.ticks == 0:
             self._begin = self._now()
         self.ticks += 1
         self.late_max = max(self.late_max, late)
         self._histogram[min(max(int(late * 1e6), 0), BINS - 1)] += 1
-        slot = self.ticks + self._clock.skipped
-        if missed := self._clock.skipped - before:
+        slot = self.ticks + self.clock.skipped
+        if missed := self.clock.skipped - before:
             self._missed.append((slot, missed))
         while self._missed and self._missed[0][0] <= slot - self._hz:
             self._missed.popleft()

@@ -55,7 +55,6 @@ def random_source(
 
 
 def _stored(spec: RobotSpec, draw: str, path: Path, robot: int) -> tuple[np.random.SeedSequence, Draw]:
-    """Return seed and draw of one robot of a soak's draws.json."""
     number, robots = load_draw(path, load_distributions(spec), spec)
     if robot >= robots.robots:
         raise ConfigError(

@@ -3,7 +3,6 @@
 import json
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +41,8 @@ def _summary(run: RobotRun, about: Mapping[str, str]) -> dict[str, Any]:
         "time_s": run.runtime.t,
         "wall_s": timing.elapsed,
         "rate_hz": timing.rate,
-        "late_us": asdict(timing.lateness),
-        "skipped": timing.skipped,
+        "late_us": timing.lateness._asdict(),
+        "skipped": timing.clock.skipped,
         "stops": dict(statistics.stops),
         "last_stops": list(statistics.last_stops),
         "goals": {"reached": int(task.reached[0]), "attempted": int(task.attempted[0])},

@@ -35,13 +35,10 @@ class SnapshotPipe:
         except BlockingIOError:
             pass
         except OSError:  # the reader has gone
-            self._close()
+            SnapshotPipe.close(self)
 
     def close(self) -> None:
         """End the stream of snapshots."""
-        self._close()
-
-    def _close(self) -> None:
         if self._pipe is not None:
             os.close(self._pipe)
         self._pipe = None
@@ -80,9 +77,9 @@ def snapshot(run: "RobotRun", *, title: str, notes: Sequence[str]) -> dict[str, 
         "mode": Mode(int(runtime.supervisor.mode[0])).name,
         "reason": run.reason,
         "rate": timing.recent_rate(),
-        "hz": timing.hz,
-        "late_us": None if timing.hz is None else (late.p50_us, late.p99_us, late.max_us),
-        "skipped": timing.skipped,
+        "hz": timing.clock.hz,
+        "late_us": None if timing.clock.hz is None else (late.p50_us, late.p99_us, late.max_us),
+        "skipped": timing.clock.skipped,
         "reached": int(runtime.task.reached[0]),
         "attempted": int(runtime.task.attempted[0]),
         "stops": list(run.statistics.last_stops),

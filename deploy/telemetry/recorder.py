@@ -7,8 +7,7 @@ from pathlib import Path
 from deploy.runtime import Runtime
 from deploy.state import Mode, Reason
 from deploy.telemetry.recording import Recording
-from deploy.telemetry.ring import Ring
-from deploy.telemetry.signals import row_type
+from deploy.telemetry.signals import Ring, row_type
 from robots.errors import OutputError
 
 STREAM_HZ = 50

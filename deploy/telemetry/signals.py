@@ -1,4 +1,4 @@
-"""Recorded signals: the columns of the ring buffer, of event files and of the topic /state, each declared once."""
+"""Recorded signals: columns of the ring buffer, of event files and of the topic /state, each declared once."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,9 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.runtime import Runtime
-from robots.arrays import Floats
+from robots.arrays import Bools, Floats
 from robots.capabilities import Capability
 from robots.spec import RobotSpec
+
+RING_S = 2.0
+
+Rows = NDArray[np.void]
 
 COUNTERS: dict[str, Callable[[Runtime], int | NDArray[np.integer]]] = {
     "tick": lambda runtime: runtime.ticks - 1,
@@ -88,6 +92,39 @@ def row_type(spec: RobotSpec, goal_size: int) -> np.dtype[np.void]:
         for signal in recorded_signals(spec)
     ]
     return np.dtype([*((name, np.int64) for name in COUNTERS), *numbers])
+
+
+class Ring:
+    """Ring buffer of the last ticks at the control rate: an array (T, B) of `row_type`, the oldest overwritten."""
+
+    def __init__(
+        self, spec: RobotSpec, robots: int, row: np.dtype[np.void], *, seconds: float = RING_S
+    ) -> None:
+        """Allocate for B robots, in rows of `row_type` or of a type that adds columns to it."""
+        self.rows: Rows = np.zeros((round(seconds / spec.dt), robots), dtype=row)
+        self._ticks, self._counters = 0, tuple(COUNTERS.values())
+        self._readers = tuple(signal.read for signal in recorded_signals(spec))
+        plain = (*self.rows.shape, -1)
+        integers = self.rows.view(np.int64).reshape(plain).transpose(0, 2, 1)
+        self._integers = integers[:, : len(COUNTERS)]
+        self._numbers = self.rows.view(np.float64).reshape(plain)[:, :, len(COUNTERS) :]
+
+    def step(self, runtime: Runtime, extra: tuple[Floats | Bools, ...] = ()) -> Rows:
+        """Record the tick that has just ended; return its rows (B,). `extra`: added columns (B, ...)."""
+        self._ticks = runtime.ticks
+        at = (self._ticks - 1) % len(self.rows)
+        for place, read in zip(self._integers[at], self._counters, strict=True):
+            place[...] = read(runtime)
+        # All at once: a field at a time takes twice as long.
+        numbers = (*(read(runtime) for read in self._readers), *extra)
+        np.concatenate(numbers, axis=1, out=self._numbers[at])
+        rows: Rows = self.rows[at]
+        return rows
+
+    def last(self) -> Rows:
+        """Return a copy (≤ T, B) in the order of time."""
+        count = min(self._ticks, len(self.rows))
+        return self.rows[np.arange(self._ticks - count, self._ticks) % len(self.rows)]
 
 
 def state_schema() -> dict[str, Any]:

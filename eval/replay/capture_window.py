@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from deploy.runtime import Runtime
 from deploy.stage import Arrays
 from deploy.telemetry.recording import Recording
-from deploy.telemetry.ring import Ring, Rows
-from deploy.telemetry.signals import row_type
+from deploy.telemetry.signals import Ring, Rows, row_type
 from deploy.truth import Truth
 from robots.errors import OutputError
 from robots.spec import RobotSpec

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.telemetry.ring import Rows
+from deploy.telemetry.signals import Rows
 from eval.replay.replayer import Replay, ReplayResult
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from deploy.safety.supervisor import describe
 from deploy.state import Mode
-from deploy.telemetry.ring import Rows
+from deploy.telemetry.signals import Rows
 from eval.replay.replayer import Replay, ReplayResult
 
 BEFORE, AFTER = 5, 10

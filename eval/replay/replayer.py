@@ -8,7 +8,7 @@ import numpy as np
 
 from deploy.safety.diagnostics import StopDetector, explain_reasons
 from deploy.stage import Arrays
-from deploy.telemetry.ring import Rows
+from deploy.telemetry.signals import Rows
 from eval.faults.schedule import hours_max
 from eval.judge.counts import Counts
 from eval.judge.monitors import MONITORS

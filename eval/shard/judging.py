@@ -30,7 +30,9 @@ SAMPLED = ("winding_c", "worn", "folded_back", *COUNTED, "events")
 def make_judge(spec: RobotSpec, contract: Contract, robots: int, *, counted: int | None = None) -> Judge:
     """Return the judge of B robots before their first tick; the first `counted` are judged, by default all."""
     criterion = find_task(contract.task, "contract: task").success_criterion(spec)
-    return Judge(spec, torque_max(spec), robots, criterion=criterion, counted=counted, observed=contract.observed)
+    return Judge(
+        spec, torque_max(spec), robots, criterion=criterion, counted=counted, observed=contract.observed
+    )
 
 
 def judge_tick(judge: Judge, truth: Truth, runtime: Runtime, action: Action) -> None:

@@ -105,7 +105,6 @@ def _check_known(spec: RobotSpec, field: str, found: str, expected: str, element
 
 
 def _drive(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """Replace the model's actuators by the drives of robot.toml."""
     if any(actuator.dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR for actuator in mjcf.actuators):
         raise RobotError(
             f"{spec.folder / 'robot.toml'}: motors.{spec.joints[0].motor}.drive: {spec.model_path.name} has a dcmotor"

@@ -73,7 +73,6 @@ def _lock(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> Rea
 
 
 def _without(model: pin.Model, geometry: pin.GeometryModel, joints: list[int]) -> Read:
-    """Return the same with some joints fixed at their neutral position."""
     # Pinocchio looks for a joint's frame by its name alone, which is often that of its body as well.
     bodies = [frame for frame in model.frames if frame.type == BODY]
     for frame in bodies:
@@ -119,7 +118,6 @@ def site_or_body(spec: RobotSpec, model: pin.Model, name: str, what: str) -> int
 
 
 def _add_rotors(spec: RobotSpec, model: pin.Model) -> None:
-    """Add the rotor inertia of declared drives to joints for which the model has none."""
     for joint, drive in zip(spec.joints, spec.drives, strict=False):
         if drive.armature is not None and model.existJointName(joint.name):
             place = model.joints[model.getJointId(joint.name)].idx_v

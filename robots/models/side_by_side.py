@@ -90,13 +90,11 @@ def _frames(spec: RobotSpec, model: pin.Model, tool: list[int], feet: list[int])
 
 
 def _carried_by(model: pin.Model, frame: int) -> Bools:
-    """Return (n,) joints that move the frame."""
     supports = list(model.supports[model.frames[frame].parentJoint])
     return np.array([joint in supports for joint in range(1, model.njoints)])
 
 
 def _home_manipulability(spec: RobotSpec, model: pin.Model, tool: int) -> float:
-    """Return the signed manipulability of the home pose, which must not be below `margins.singularity`."""
     q, least = spec.joint_array("q_home"), spec.margins.singularity
     jacobian = pin.computeFrameJacobian(model, model.createData(), q, tool, pin.LOCAL_WORLD_ALIGNED)
     found = float(yoshikawa(jacobian[None][:, :, _carried_by(model, tool)])[0])

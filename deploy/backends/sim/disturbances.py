@@ -75,7 +75,6 @@ class Intermittent(Stage, ABC):
         return generator_at(self._keys[robot], int(self.phase[robot]))
 
     def _extend(self, rows: Ints) -> None:
-        """Add the durations of the present phases of robots `rows`."""
         for robot in rows:
             self.until[robot] += max(1, round(self.seconds(robot) / self._dt))
         self._next = int(self.until.min())

@@ -103,7 +103,6 @@ class Packets:
         return np.asarray(np.maximum.accumulate(until, axis=0) > np.arange(self.length)[:, None, None])
 
     def _fail(self, ticks: Ints, goes: Bools, late: Ints) -> None:
-        """Apply faults of packets to `goes` and `late`, in place."""
         for sensor, fault in self._faults:
             if fault.begins > ticks[-1] or fault.ends <= ticks[0]:
                 continue

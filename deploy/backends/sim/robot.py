@@ -72,7 +72,6 @@ class SimRobot(Stage):
         self.sensors.sample(self._channels())
 
     def _channels(self) -> Floats:
-        """Return the true values (B, C) of all channels."""
         return np.concatenate(self._true_values, axis=1)
 
     def settle_sensors(self, ids: Bools) -> None:

@@ -82,7 +82,6 @@ class Sensors(Stage):
         }
 
     def _each(self, spec: RobotSpec, field: str) -> Floats:
-        """Return (C,) a property of the sensor of every channel."""
         return np.array([getattr(sensor, field) for sensor in spec.sensors.values()])[self._sensor]
 
     def _nearest_housing(self, spec: RobotSpec) -> Ints:
@@ -143,7 +142,6 @@ class Sensors(Stage):
         return inside
 
     def _step_biases(self, chunk: int, truth: Floats) -> None:
-        """Advance the random walk of the biases, and their drift with temperature."""
         for robot, key in enumerate(self.noise_keys):
             self.bias_walk[robot] += self._walk_step[robot] * generator_at(
                 key, 2 * chunk + 1
@@ -152,7 +150,6 @@ class Sensors(Stage):
         self.offset[:] = self._bias + self.bias_walk + self._per_k * warmed
 
     def _prepare(self, chunk: int) -> None:
-        """Compute noise and arrivals of a chunk, once."""
         if chunk == self._chunk:
             return
         self._chunk, width = chunk, len(self._sensor)

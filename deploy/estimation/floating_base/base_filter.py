@@ -20,7 +20,7 @@ discrete time. filterpy is the oracle of the tests.
 
 import numpy as np
 
-from deploy.estimation.floating_base.base_divergence import GATE, BaseDivergence
+from deploy.estimation.floating_base.base_faults import GATE, BaseDivergence, ImuCheck, in_range
 from deploy.estimation.floating_base.base_measurements import BaseNoise, Feet, Imu, Upright
 from deploy.estimation.floating_base.base_model import (
     ACC,
@@ -33,7 +33,6 @@ from deploy.estimation.floating_base.base_model import (
     move,
     whiten,
 )
-from deploy.estimation.floating_base.imu_check import ImuCheck, in_range
 from deploy.estimation.rotations import exp, from_up, matrix, matvec, norm, product, skew
 from deploy.masks import any_true
 from deploy.stage import Stage
@@ -223,7 +222,6 @@ class BaseFilter(Stage):
         self.bias += error[:, 6:]
 
     def _state(self, t: float) -> BaseState:
-        """Predict to now, with the last readings."""
         lag = np.where(self.initialized, np.maximum(t - self.t_sample, 0.0), 0.0)
         age = np.where(self.initialized, t - np.minimum(self.t_sample, self.t_accelerometer), np.inf)
         motion = move(self._nominal, lag, self.reading, self.reading)

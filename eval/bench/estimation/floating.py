@@ -7,7 +7,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from deploy.estimation.floating_base.base_divergence import GATE
+from deploy.estimation.floating_base.base_faults import GATE
 from deploy.estimation.floating_base.base_filter import BaseFilter
 from deploy.estimation.rotations import matrix, matvec
 from deploy.state import BaseState

@@ -5,11 +5,10 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.estimation.divergence import CONFIRMED_S, NIS_S
 from deploy.estimation.estimator import Estimator
+from deploy.estimation.fault_detection import CONFIRMED_S, NIS_S, STUCK_SHARE
 from deploy.estimation.joint_filter import INITIAL_SPEED_STD
 from deploy.estimation.setpoint_history import HISTORY_S
-from deploy.estimation.stuck_detection import STUCK_SHARE
 from deploy.state import Packet, Reason, Setpoint
 from robots.models.nominal_model import torque_max
 from robots.motors.gains import Gains

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from deploy.estimation.divergence import CONFIRMED_S, NIS_MAX, REFUSED_S
 from deploy.estimation.estimator import Estimator
+from deploy.estimation.fault_detection import CONFIRMED_S, NIS_MAX, REFUSED_S, STUCK_S
 from deploy.estimation.joint_filter import GATE
-from deploy.estimation.stuck_detection import STUCK_S
 from deploy.state import Reason
 from support.arm6 import SPEC
 from support.deploy.estimators import DT, NOISE, N, begun, packets, sample, still

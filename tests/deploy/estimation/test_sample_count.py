@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from deploy.estimation.divergence import CONFIRMED_S
 from deploy.estimation.estimator import Estimator
+from deploy.estimation.fault_detection import CONFIRMED_S, STUCK_S
 from deploy.estimation.floating_base.base_filter import BaseFilter
 from deploy.estimation.sample_count import sample_count
-from deploy.estimation.stuck_detection import STUCK_S
 from deploy.state import Reason
 from robots.tables import Rates
 from support.arm6 import SPEC

@@ -128,7 +128,7 @@ def test_loop_rates(time):
         timing.wait()
         recent = timing.recent_rate()
     assert recent == pytest.approx(5, rel=0.25)
-    assert timing.skipped == 10 * 39
+    assert timing.clock.skipped == 10 * 39
     assert timing.rate == pytest.approx(409 / (399 * 0.005 + 2.0), rel=0.01)
 
 

@@ -98,7 +98,7 @@ def test_run_arms_works_and_comes_to_rest(bench):
     powered = [powered for powered, _ in b.robot.sent]
     assert 200 <= sum(powered) <= 210
     assert not powered[0]
-    assert (b.robot.cut, b.timing.skipped) == (0, 0)
+    assert (b.robot.cut, b.timing.clock.skipped) == (0, 0)
     assert b.run.statistics.stops == {"operator": 1}
     assert b.recorder.events == ()
 
@@ -212,7 +212,7 @@ def test_too_many_late_ticks_stop_the_robot(bench, lost_s, ending):
     b.at[100] = lambda: b.time.sleep(lost_s)
     assert b.live() is ending
     assert comes_to_rest(b)
-    assert b.timing.skipped == round(lost_s / SPEC.dt)
+    assert b.timing.clock.skipped == round(lost_s / SPEC.dt)
     assert ("overrun" in b.run.statistics.stops) is (ending is Ending.STOPPED)
 
 

@@ -7,7 +7,7 @@ from support.arm6 import SPEC
 
 pytest.importorskip("mujoco")
 
-from deploy.estimation.divergence import NIS_MAX
+from deploy.estimation.fault_detection import NIS_MAX
 from deploy.safety.diagnostics import StopDetector, StopExplanation, explain_reasons
 from deploy.safety.supervisor import REASON_TEXT
 from deploy.state import Reason

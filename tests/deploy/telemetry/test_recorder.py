@@ -11,8 +11,7 @@ from mcap.reader import make_reader
 from deploy.safety.supervisor import describe
 from deploy.state import Mode, Reason
 from deploy.telemetry.recorder import AFTER_S, EVENTS_MAX, Recorder, check_folder
-from deploy.telemetry.ring import RING_S, Ring
-from deploy.telemetry.signals import row_type
+from deploy.telemetry.signals import RING_S, Ring, row_type
 from robots.errors import OutputError
 from robots.spec import load_robot
 

@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from deploy.estimation.floating_base.base_divergence import CONTRADICTED_S, GATE, NIS_S
+from deploy.estimation.floating_base.base_faults import CONTRADICTED_S, GATE, NIS_S, RANGE, STUCK_S
 from deploy.estimation.floating_base.base_measurements import Feet, Imu, Upright
 from deploy.estimation.floating_base.base_model import G
-from deploy.estimation.floating_base.imu_check import RANGE, STUCK_S
 from deploy.estimation.rotations import matrix
 from deploy.state import BaseState
 from support.deploy.floating_bases import DT, LOOK_S, NOISE, F, World, base_filter, one, settled

@@ -6,7 +6,7 @@ from filterpy.common import Q_continuous_white_noise, van_loan_discretization
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.spatial.transform import Rotation
 
-from deploy.estimation.floating_base.base_divergence import GATE
+from deploy.estimation.floating_base.base_faults import GATE
 from deploy.estimation.floating_base.base_filter import INITIAL_ACCELERATION_STD, INITIAL_SPEED_STD
 from deploy.estimation.floating_base.base_model import G
 from support.deploy.floating_bases import DOWN, DT, NOISE, F, World, base_filter, cross, one, settled

@@ -1,4 +1,7 @@
-"""Divergence of a floating base's filter: uncertain, contradicted by its feet, or by the IMU's own orientation."""
+"""Fault detections of a floating base: IMU readings that repeat themselves, and a filter that has diverged.
+
+A filter has diverged when it is uncertain, or contradicted by its feet or by the IMU's own orientation.
+"""
 
 import numpy as np
 
@@ -7,6 +10,10 @@ from deploy.estimation.sample_count import sample_count
 from deploy.stage import Stage
 from robots.arrays import Bools, Floats
 
+RANGE = 1e4
+"""rad/s, m/s² or m: a reading beyond it is invalid."""
+STUCK_S = 0.05
+"""s of equal samples in a row, which no noise explains."""
 GATE = 16.27
 """Normalized innovation squared (NIS) above which a foot is left out: χ² with 3 degrees of freedom, 1 of 1000."""
 NIS_S, NIS_MAX = 1.5, 4 * GATE
@@ -15,6 +22,36 @@ CONTRADICTED_S = 0.08
 """s of measured tilts in a row outside the gate: a blow to the IMU is over by then."""
 TILT_STD_MAX, SPEED_STD_MAX = 0.5, 2.0
 """rad, m/s: standard deviations above which the base is lost."""
+
+
+class ImuCheck(Stage):
+    """Equal samples in a row.
+
+    Attributes:
+        repeats: (B, 2) of gyro and accelerometer, for one of them may be stuck alone.
+    """
+
+    carried = ("repeats",)
+
+    def __init__(self, dt: float, robots: int) -> None:
+        """Allocate; dt is the period of samples in s."""
+        self.repeats = np.zeros((robots, 2), dtype=np.int64)
+        self.samples = sample_count(STUCK_S, dt)
+
+    def step(self, new: Bools, reading: Floats, last: Floats) -> None:
+        """Compare readings (B, 6) with the last ones where `new` (B, 2): a sensor without new samples is not stuck."""
+        same = (reading == last).reshape(-1, 2, 3).all(axis=2)
+        np.copyto(self.repeats, (self.repeats + 1) * same, where=new)
+
+    @property
+    def stuck(self) -> Bools:
+        """(B,) robots whose gyro or accelerometer repeats itself."""
+        return np.asarray((self.repeats >= self.samples - 1).any(axis=1))
+
+
+def in_range(*readings: Floats) -> Bools:
+    """Return True where all numbers along the last axis are finite and inside ±`RANGE`."""
+    return np.asarray((np.abs(np.concatenate(readings, axis=-1)) <= RANGE).all(axis=-1))
 
 
 class BaseDivergence(Stage):
