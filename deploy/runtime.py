@@ -135,9 +135,9 @@ class Runtime(Stage):
     @property
     def tool(self) -> ToolKinematics:
         """Tool at the estimated joint angles; only for robots with one."""
-        if "tool" not in self.capabilities:
+        if "tool" not in self.capabilities.by_name:
             raise RuntimeError(f"{self.spec.name} has no tool")
-        return cast(ToolKinematics, self.capabilities["tool"])
+        return cast(ToolKinematics, self.capabilities.by_name["tool"])
 
     def tick(self) -> None:
         """Sense, run the policy when it is due, act."""

@@ -6,6 +6,7 @@ its own; the rest is here.
 
 import hashlib
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -69,7 +70,17 @@ class RobotSpec(Strict):
     joints: Annotated[tuple[Joint, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _capabilities_complete(self) -> Self:
+    def _consistent(self) -> Self:
+        self._check_capabilities()
+        self._check_sensors()
+        self._check_motors()
+        self._check_locked()
+        self._check_drives()
+        self._check_margins()
+        self._check_heat()
+        return self
+
+    def _check_capabilities(self) -> None:
         margins = self.margins
         of_tool = {"workspace": self.workspace, "margins.singularity": margins.singularity}
         for name, found in of_tool.items():
@@ -81,10 +92,8 @@ class RobotSpec(Strict):
             )
         if self.workspace is not None and margins.workspace_m is None:
             raise ValueError("margins.workspace_m: missing, expected one of a robot with a workspace")
-        return self
 
-    @model_validator(mode="after")
-    def _sensors_fit(self) -> Self:
+    def _check_sensors(self) -> None:
         check_sensors(self.sensors, self.rates.control_hz)
         for kind in IMU_SENSORS if self.base else ():
             if kind not in self.sensors:
@@ -92,7 +101,6 @@ class RobotSpec(Strict):
         for kind in STATE_SENSORS:
             if kind in self.sensors:
                 self._check_delay(kind, self.sensors[kind])
-        return self
 
     def _check_delay(self, kind: Kind, sensor: Sensor) -> None:
         """Refuse a sensor whose packets are stale when they arrive: they would stop the robot for ever."""
@@ -103,26 +111,21 @@ class RobotSpec(Strict):
                 f" below margins.stale_s {self.margins.stale_s}"
             )
 
-    @model_validator(mode="after")
-    def _motors_known(self) -> Self:
+    def _check_motors(self) -> None:
         for joint in self.joints:
             if joint.motor not in self.motors:
                 raise ValueError(
                     f"joint {joint.name} names motor {joint.motor!r}; known: {', '.join(self.motors)}"
                 )
-        return self
 
-    @model_validator(mode="after")
-    def _locked_or_driven(self) -> Self:
+    def _check_locked(self) -> None:
         for name in self.locked:
             if name in self.joint_names or self.locked.count(name) > 1:
                 raise ValueError(
                     f"locked: found {name!r}, expected each once and none that is listed in joints"
                 )
-        return self
 
-    @model_validator(mode="after")
-    def _all_driven_alike(self) -> Self:
+    def _check_drives(self) -> None:
         used = {joint.motor: self.motors[joint.motor].drive for joint in self.joints}
         without = [name for name, drive in used.items() if drive is None]
         if without and len(without) < len(used):
@@ -130,26 +133,21 @@ class RobotSpec(Strict):
                 f"motors.{without[0]}.drive: missing, but other motors have one: expected one for all, or none and"
                 " the drives of the model"
             )
-        return self
 
-    @model_validator(mode="after")
-    def _margins_fit(self) -> Self:
+    def _check_margins(self) -> None:
         for joint in self.joints:
             if joint.q_max - joint.q_min <= 2 * self.margins.q_target_rad:
                 raise ValueError(
                     f"margins.q_target_rad {self.margins.q_target_rad} leaves nothing of the range of {joint.name}"
                 )
-        return self
 
-    @model_validator(mode="after")
-    def _heat_ordered(self) -> Self:
+    def _check_heat(self) -> None:
         for name, motor in self.motors.items():
             if not motor.winding_soft_c < motor.winding_max_c - self.margins.winding_k:
                 raise ValueError(
                     f"motors.{name}: winding_soft_c {motor.winding_soft_c} is not below winding_max_c"
                     f" {motor.winding_max_c} less margins.winding_k {self.margins.winding_k}"
                 )
-        return self
 
     @property
     def capabilities(self) -> frozenset[Capability]:
@@ -211,6 +209,14 @@ class RobotSpec(Strict):
             with path.open("rb") as file:
                 text += f"\n{path.relative_to(self.folder)} {hashlib.file_digest(file, 'sha256').hexdigest()}"
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def check_known(self, field: str, found: str, expected: str, names: Iterable[str]) -> None:
+        """Refuse (RobotError) a name in robot.toml that is not among the names of the model's parts."""
+        if found not in (known := [name for name in names if name]):
+            raise RobotError(
+                f"{self.folder / 'robot.toml'}: {field}: found {found!r}, expected {expected} of"
+                f" {self.model_path.name}: {', '.join(known)}"
+            )
 
     def joint_array(self, field: str) -> NDArray[np.float64]:
         """Return (n,) one number of every joint, for example `qd_max`."""

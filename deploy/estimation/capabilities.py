@@ -14,31 +14,29 @@ ESTIMATORS: tuple[type[CapabilityEstimator], ...] = (FloatingBase, ToolKinematic
 
 
 class CapabilityEstimators(Stage):
-    """Those of one kind of robot, in the order of `ESTIMATORS`."""
+    """Estimator stages of one kind of robot, in the order of `ESTIMATORS`.
+
+    Attributes:
+        by_name: those of the capabilities that the robot has.
+    """
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         present = [kind for kind in ESTIMATORS if kind.capability in spec.capabilities]
-        self._by_capability: dict[Capability, CapabilityEstimator] = {
+        self.by_name: dict[Capability, CapabilityEstimator] = {
             kind.capability: kind(spec, robots) for kind in present
         }
 
-    def __getitem__(self, capability: Capability) -> CapabilityEstimator:
-        return self._by_capability[capability]
-
-    def __contains__(self, capability: Capability) -> bool:
-        return capability in self._by_capability
-
     def stages(self) -> dict[str, Stage]:
         """The stages by the name of their capability."""
-        return {str(name): stage for name, stage in self._by_capability.items()}
+        return {**self.by_name}
 
     def step(self, t: float, sample: Sample, state: State, due: bool) -> State:
         """Return the state with every capability's estimate; arguments as in `CapabilityEstimator.step`."""
-        for stage in self._by_capability.values():
+        for stage in self.by_name.values():
             state = stage.step(t, sample, state, due)
         return state
 
     def reset(self, ids: Bools) -> None:
         """Forget robots where `ids` (B,) holds."""
-        for stage in self._by_capability.values():
+        for stage in self.by_name.values():
             stage.reset(ids)

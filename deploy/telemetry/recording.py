@@ -7,22 +7,9 @@ from typing import Any
 
 import numpy as np
 from foxglove import Channel, Context, open_mcap
+from foxglove import messages as fg
 from foxglove.channels import JointStatesChannel, LogChannel, SceneUpdateChannel
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions
-from foxglove.messages import (
-    Color,
-    JointState,
-    JointStates,
-    Log,
-    LogLevel,
-    Pose,
-    Quaternion,
-    SceneEntity,
-    SceneUpdate,
-    SpherePrimitive,
-    Timestamp,
-    Vector3,
-)
 
 from deploy.safety.supervisor import describe
 from deploy.state import Mode
@@ -32,7 +19,7 @@ from robots.spec import RobotSpec
 
 CHUNK_BYTES = 1 << 16
 """Compressed and handed over at once: 0.1 ms of a tick."""
-BLUE, GREEN = Color(r=0.1, g=0.4, b=1.0, a=1.0), Color(r=0.1, g=0.8, b=0.3, a=0.4)
+BLUE, GREEN = fg.Color(r=0.1, g=0.4, b=1.0, a=1.0), fg.Color(r=0.1, g=0.8, b=0.3, a=0.4)
 TOOL_M = 0.02
 
 
@@ -85,13 +72,13 @@ class Recording:
                 for name, column, size, color in spheres
                 if np.isfinite(row[column]).all()
             ]
-            self._scene.log(SceneUpdate(entities=entities), log_time=ns)
+            self._scene.log(fg.SceneUpdate(entities=entities), log_time=ns)
 
     def log(self, tick: int, message: str, *, warning: bool) -> None:
         """Write a line to /log."""
         ns, stamp = self.time(tick)
-        level = LogLevel.Warning if warning else LogLevel.Info
-        self._log.log(Log(timestamp=stamp, level=level, message=message, name=self.spec.name), log_time=ns)
+        level = fg.LogLevel.Warning if warning else fg.LogLevel.Info
+        self._log.log(fg.Log(timestamp=stamp, level=level, message=message, name=self.spec.name), log_time=ns)
 
     def finish(self) -> None:
         """End the file, without waiting for the disk."""
@@ -102,28 +89,28 @@ class Recording:
         """Wait a bounded time until a finished file is complete."""
         self._disk.wait()
 
-    def time(self, tick: int) -> tuple[int, Timestamp]:
+    def time(self, tick: int) -> tuple[int, fg.Timestamp]:
         """Return the time of a tick, ns since the epoch and as a timestamp."""
         ns = self._start_ns + round(tick * self.spec.dt * 1e9)
-        return ns, Timestamp(ns // 10**9, ns % 10**9)
+        return ns, fg.Timestamp(ns // 10**9, ns % 10**9)
 
     def joint_states(
         self,
-        stamp: Timestamp,
+        stamp: fg.Timestamp,
         *,
         q: np.ndarray,
         qd: np.ndarray,
         qdd: np.ndarray | None = None,
         tau: np.ndarray | None = None,
-    ) -> JointStates:
+    ) -> fg.JointStates:
         """Return the message of all joints; None leaves a quantity out."""
         absent = [None] * self.spec.n
         columns = [absent if x is None else x.tolist() for x in (q, qd, qdd, tau)]
         joints = [
-            JointState(name=name, position=p, velocity=v, acceleration=a, effort=e)
+            fg.JointState(name=name, position=p, velocity=v, acceleration=a, effort=e)
             for name, p, v, a, e in zip(self.spec.joint_names, *columns, strict=True)
         ]
-        return JointStates(timestamp=stamp, joints=joints)
+        return fg.JointStates(timestamp=stamp, joints=joints)
 
     def _state_of(self, row: Any) -> dict[str, object]:
         # JSON has no word for a number that is not finite.
@@ -133,9 +120,10 @@ class Recording:
         return {"mode": mode, "reason": describe(reason) if reason else "", **counts, **numbers}
 
 
-def _sphere(stamp: Timestamp, name: str, at: list[float], size: float, color: Color) -> SceneEntity:
-    pose = Pose(
-        position=Vector3(x=at[0], y=at[1], z=at[2]), orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+def _sphere(stamp: fg.Timestamp, name: str, at: list[float], size: float, color: fg.Color) -> fg.SceneEntity:
+    pose = fg.Pose(
+        position=fg.Vector3(x=at[0], y=at[1], z=at[2]),
+        orientation=fg.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
     )
-    ball = SpherePrimitive(pose=pose, size=Vector3(x=size, y=size, z=size), color=color)
-    return SceneEntity(timestamp=stamp, frame_id="world", id=name, spheres=[ball])
+    ball = fg.SpherePrimitive(pose=pose, size=fg.Vector3(x=size, y=size, z=size), color=color)
+    return fg.SceneEntity(timestamp=stamp, frame_id="world", id=name, spheres=[ball])

@@ -1,8 +1,6 @@
 """MuJoCo model of a robot, from the same file as the Pinocchio model."""
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -55,7 +53,7 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
         _drive(mjcf, spec)
     for pair in spec.neighbours:
         for body in pair:
-            _check_known(spec, "neighbours", body, "a body", mjcf.bodies)
+            spec.check_known("neighbours", body, "a body", (each.name for each in mjcf.bodies))
         mjcf.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
     _exclude_mount(mjcf)
     if spec.tool and mjcf.site(spec.tool) is None and (body := mjcf.body(spec.tool)) is not None:
@@ -66,7 +64,7 @@ def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
 def _lock(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
     """Remove locked joints, and whatever else moves or holds them."""
     for name in spec.locked:
-        _check_known(spec, "locked", name, "joints", mjcf.joints)
+        spec.check_known("locked", name, "joints", (joint.name for joint in mjcf.joints))
     joints = [joint for joint in mjcf.joints if joint.name in spec.locked]
     for joint in joints:
         if joint.ref != 0.0:
@@ -93,15 +91,6 @@ def _exclude_mount(mjcf: mujoco.MjSpec) -> None:
         for mount in sorted(fixed - {"world", ""}):
             if body.name and frozenset((mount, body.name)) not in excluded:
                 mjcf.add_exclude(bodyname1=mount, bodyname2=body.name)
-
-
-def _check_known(spec: RobotSpec, field: str, found: str, expected: str, elements: Iterable[Any]) -> None:
-    names = [element.name for element in elements]
-    if found not in names:
-        raise RobotError(
-            f"{spec.folder / 'robot.toml'}: {field}: found {found!r}, expected {expected} of {spec.model_path.name}:"
-            f" {', '.join(filter(None, names))}"
-        )
 
 
 def _drive(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:

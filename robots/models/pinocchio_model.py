@@ -64,11 +64,7 @@ def _read_urdf(spec: RobotSpec) -> Read:
 def _lock(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> Read:
     names = list(model.names)
     for name in spec.locked:
-        if name not in names[1:]:
-            raise RobotError(
-                f"{spec.folder / 'robot.toml'}: locked: found {name!r}, expected joints of {spec.model_path.name}:"
-                f" {', '.join(names[1:])}"
-            )
+        spec.check_known("locked", name, "joints", names[1:])
     return _without(model, geometry, [names.index(name) for name in spec.locked])
 
 
@@ -151,9 +147,5 @@ def _placement(capsule: Capsule) -> pin.SE3:
 
 
 def _frame(spec: RobotSpec, model: pin.Model, body: str, field: str) -> int:
-    if not model.existFrame(body, BODY):
-        known = ", ".join(frame.name for frame in model.frames if frame.type == BODY)
-        raise RobotError(
-            f"{spec.folder / 'robot.toml'}: {field}: found {body!r}, expected a body of {spec.model_path.name}: {known}"
-        )
+    spec.check_known(field, body, "a body", (frame.name for frame in model.frames if frame.type == BODY))
     return int(model.getFrameId(body, BODY))

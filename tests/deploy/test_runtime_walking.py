@@ -60,7 +60,7 @@ def bits(runtime):
             runtime.state.q,
             base.quat_wxyz,
             base.velocity_in_base,
-            runtime.capabilities["floating_base"].filter.P.reshape(len(base.age), -1),
+            runtime.capabilities.by_name["floating_base"].filter.P.reshape(len(base.age), -1),
             runtime.task.success.total,
         ],
         axis=1,

@@ -3,14 +3,7 @@
 import numpy as np
 from mujoco.batch import Batch
 
-from deploy.backends.sim.model.motor_parameters import (
-    AMBIENT_C,
-    REFERENCE_C,
-    RESISTANCE,
-    RESISTANCE_PER_K,
-    WINDING_CAPACITY,
-    WINDING_TO_HOUSING,
-)
+from deploy.backends.sim.model import motor_parameters as motor
 from deploy.stage import Stage
 from robots.arrays import Floats
 from robots.draws import Draw
@@ -36,12 +29,13 @@ class Windings(Stage):
     def __init__(self, batch: Batch, draw: Draw) -> None:
         gain, dynamics = batch.expand("actuator_gainprm"), batch.expand("actuator_dynprm")
         self._ohm, self._per_k, self._reference_c = (
-            gain[:, :, place].copy() for place in (RESISTANCE, RESISTANCE_PER_K, REFERENCE_C)
+            gain[:, :, place].copy()
+            for place in (motor.RESISTANCE, motor.RESISTANCE_PER_K, motor.REFERENCE_C)
         )
         self.to_housing, self.capacity = (
-            dynamics[:, :, place].copy() for place in (WINDING_TO_HOUSING, WINDING_CAPACITY)
+            dynamics[:, :, place].copy() for place in (motor.WINDING_TO_HOUSING, motor.WINDING_CAPACITY)
         )
-        dynamics[:, :, WINDING_CAPACITY] = CAPACITY_OFF
+        dynamics[:, :, motor.WINDING_CAPACITY] = CAPACITY_OFF
         self.square = np.zeros((draw.robots, self._ohm.shape[1]))
 
     def ohm(self, celsius: Floats) -> Floats:
@@ -79,8 +73,8 @@ class Housings(Stage):
         self._ambient = each * draw["climate.ambient_c"][:, None]
         self._start = self._ambient + draw["climate.warm_start_k"][:, None]
         dynamics = batch.expand("actuator_dynprm")
-        self._ambient_of_winding = dynamics[:, :, AMBIENT_C]
-        self._winding_to_housing = dynamics[:, :, WINDING_TO_HOUSING].copy()
+        self._ambient_of_winding = dynamics[:, :, motor.AMBIENT_C]
+        self._winding_to_housing = dynamics[:, :, motor.WINDING_TO_HOUSING].copy()
         self.to_ambient = draw["drives.housing_to_ambient"] * spec.motor_array("housing_resistance_k_per_w")
         self.capacity = draw["drives.housing_capacity"] * spec.motor_array("housing_capacity_j_per_k")
         gear = batch.model.actuator_gear[:, 0]

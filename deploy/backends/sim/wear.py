@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from mujoco.batch import Batch
 
-from deploy.backends.sim.model.motor_parameters import MOTOR_CONSTANT
+from deploy.backends.sim.model.motor_parameters import TORQUE_CONSTANT
 from deploy.backends.sim.model.plant_model import PlantModel
 from deploy.stage import Stage
 from robots import distributions
@@ -43,7 +43,7 @@ class Wear(Stage):
         self._wear, self._draw = wear, draw
         self.dofs, self._backlash = plant.dofs, plant.backlash
         self._friction, self._range = batch.expand("dof_frictionloss"), batch.expand("jnt_range")
-        self._constant = batch.expand("actuator_gainprm")[:, :, MOTOR_CONSTANT]
+        self._constant = batch.expand("actuator_gainprm")[:, :, TORQUE_CONSTANT]
         self._new_friction, self._new_constant = self._friction[:, self.dofs], self._constant.copy()
         self.friction, self.constant = self._new_friction.copy(), self._constant.copy()
         self.life = np.zeros_like(self.friction)

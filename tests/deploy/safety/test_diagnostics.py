@@ -137,7 +137,7 @@ def test_silent_imu_is_named(reason):
 @pytest.mark.parametrize("robot", range(2))
 def test_diverged_base_estimate_is_named(robot):
     runtime = standing(2)
-    runtime.capabilities["floating_base"].filter.P[robot] *= 1e6
+    runtime.capabilities.by_name["floating_base"].filter.P[robot] *= 1e6
     runtime.tick()
     assert explain_reasons(runtime, int(Reason.DIVERGED), robot) == f"{REASON_TEXT[Reason.DIVERGED]} (base)"
     assert explain_reasons(runtime, int(Reason.DIVERGED), 1 - robot) == REASON_TEXT[Reason.DIVERGED]

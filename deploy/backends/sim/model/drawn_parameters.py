@@ -4,15 +4,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from deploy.backends.sim.model.motor_parameters import (
-    KD,
-    KP,
-    MOTOR_CONSTANT,
-    RESISTANCE,
-    VOLTAGE_MAX,
-    WINDING_CAPACITY,
-    WINDING_TO_HOUSING,
-)
+from deploy.backends.sim.model import motor_parameters as motor
 from deploy.backends.sim.model.plant_model import PlantModel
 from deploy.estimation.rotations import from_up
 from robots.arrays import Floats
@@ -58,13 +50,12 @@ def _write_joints(batch: Batch, plant: PlantModel, draw: Draw) -> None:
 
 def _write_drives(batch: Batch, draw: Draw) -> None:
     gain = batch.expand("actuator_gainprm")
-    gains = ((RESISTANCE, "resistance"), (MOTOR_CONSTANT, "torque_constant"), (KP, "kp"), (KD, "kd"))
-    for place, name in gains:
-        gain[:, :, place] *= draw[f"drives.{name}"]
-    gain[:, :, VOLTAGE_MAX] *= draw["drives.voltage"][:, None]
+    for name in ("resistance", "torque_constant", "kp", "kd"):
+        gain[:, :, getattr(motor, name.upper())] *= draw[f"drives.{name}"]
+    gain[:, :, motor.VOLTAGE_MAX] *= draw["drives.voltage"][:, None]
     dynamics = batch.expand("actuator_dynprm")
-    for place, name in ((WINDING_TO_HOUSING, "winding_to_housing"), (WINDING_CAPACITY, "winding_capacity")):
-        dynamics[:, :, place] *= draw[f"drives.{name}"]
+    for name in ("winding_to_housing", "winding_capacity"):
+        dynamics[:, :, getattr(motor, name.upper())] *= draw[f"drives.{name}"]
 
 
 def _write_mounting(batch: Batch, plant: PlantModel, draw: Draw) -> None:

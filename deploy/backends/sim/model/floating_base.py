@@ -7,7 +7,6 @@ import numpy as np
 
 from deploy.backends.sim.model.attachments import root_body
 from robots.arrays import Ints
-from robots.errors import RobotError
 from robots.spec import RobotSpec
 
 FLOOR, GANTRY, SELF_CONTACTS = "firstshift/floor", "firstshift/gantry", "firstshift/self-contacts"
@@ -48,13 +47,10 @@ def add_ground(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, spec: RobotSpec) ->
     root = root_body(nominal)
     gantry.name1, gantry.name2 = "world", root
     _count_contacts(mjcf, SELF_CONTACTS, (root, root), mujoco.mjtObj.mjOBJ_XBODY)
-    bodies = {body.name for body in mjcf.bodies}
+    bodies = sorted(body.name for body in mjcf.bodies)
     for number, pair in enumerate(spec.base.may_touch):
-        if unknown := set(pair) - bodies:
-            raise RobotError(
-                f"{spec.folder / 'robot.toml'}: base.may_touch: found {unknown.pop()!r}, expected bodies of the model:"
-                f" {', '.join(sorted(filter(None, bodies)))}"
-            )
+        for body in pair:
+            spec.check_known("base.may_touch", body, "bodies", bodies)
         _count_contacts(mjcf, _allowed(number), pair, mujoco.mjtObj.mjOBJ_BODY)
 
 

@@ -2,7 +2,6 @@
 
 import mujoco
 
-from robots.errors import RobotError
 from robots.sensors import KINDS, Kind
 from robots.spec import RobotSpec
 
@@ -31,11 +30,7 @@ def _add_sensor(mjcf: mujoco.MjSpec, kind: Kind, spec: RobotSpec) -> None:
     measured = getattr(mujoco.mjtSensor, f"mjSENS_{KINDS[kind].mujoco}")
     sites, bodies = ({part.name for part in parts if part.name} for parts in (mjcf.sites, mjcf.bodies))
     for site in spec.sensors[kind].sites:
-        if site not in sites | bodies:
-            raise RobotError(
-                f"{spec.folder / 'robot.toml'}: sensors.{kind}.sites: found {site!r}, expected sites or bodies of"
-                f" model.xml: {', '.join(sorted(sites | bodies))}"
-            )
+        spec.check_known(f"sensors.{kind}.sites", site, "sites or bodies", sorted(sites | bodies))
         if site not in sites:  # at the body's origin
             mjcf.body(site).add_site(name=site)
         sensor = mjcf.add_sensor(name=_name(kind, site), type=measured)

@@ -83,7 +83,9 @@ def test_robot_overturned_during_gyro_silence_is_not_estimated_upright(standing)
 def test_repeated_gravity_directions_do_not_reduce_variance_below_the_bias(standing):
     live(standing, 1000)
     bias_var = 4 * 0.003**2 / 3
-    claimed = np.sqrt(standing.capabilities["floating_base"].filter.P[:, :2, :2].trace(axis1=1, axis2=2))
+    claimed = np.sqrt(
+        standing.capabilities.by_name["floating_base"].filter.P[:, :2, :2].trace(axis1=1, axis2=2)
+    )
     wrong = np.linalg.norm(standing.state.base.gravity - truly_down(standing.robot), axis=1)
     assert (claimed > 0.5 * np.sqrt(2 * bias_var)).all()
     assert (wrong < 3 * claimed).all()
@@ -100,7 +102,7 @@ def test_stance_is_known_on_a_tilted_floor(tmp_path, tilt):
     live(runtime, 600)
     base = runtime.state.base
     assert np.abs(base.velocity_in_base).max() < 0.03
-    assert np.abs(runtime.capabilities["floating_base"].filter.bias[:, 3:]).max() < 0.2
+    assert np.abs(runtime.capabilities.by_name["floating_base"].filter.bias[:, 3:]).max() < 0.2
     np.testing.assert_allclose(-base.gravity, robot.plant.readings["accelerometer"] / 9.81, atol=0.01)
 
 
@@ -108,11 +110,11 @@ def test_packet_from_the_future_does_not_silence_the_gravity_direction(standing)
     once = iter([1e6])
     hearing(standing, "orientation", lambda packet: packet._replace(t=packet.t + next(once, 0.0)))
     live(standing, 100)
-    assert (standing.t - standing.capabilities["floating_base"].t_up < 0.05).all()
+    assert (standing.t - standing.capabilities.by_name["floating_base"].t_up < 0.05).all()
 
 
 def test_gravity_direction_counts_once_and_expires(standing):
-    walker, now = standing.capabilities["floating_base"], standing.t
+    walker, now = standing.capabilities.by_name["floating_base"], standing.t
     gyro = Packet(np.full(2, now), np.ones(2, dtype=bool), np.zeros((2, 3)))
     told = Packet(np.array([now, now - 0.2]), np.ones(2, dtype=bool), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)))
     walker.t_up[:] = -np.inf
