@@ -28,7 +28,7 @@ class CapabilityEstimators(Stage):
 
     def stages(self) -> dict[str, Stage]:
         """The stages by the name of their capability."""
-        return {**self.by_name}
+        return {str(name): stage for name, stage in self.by_name.items()}
 
     def step(self, t: float, sample: Sample, state: State, due: bool) -> State:
         """Return the state with every capability's estimate; arguments as in `CapabilityEstimator.step`."""
