@@ -424,7 +424,7 @@ def test_allowed_foot_contact_is_no_collision(tmp_path):
 
 def test_allowed_contacts_must_exist(tmp_path):
     may = ("foot_m = 0.01", f"foot_m = 0.01\nmay_touch = [[{FORELEGS.replace('left_shin', 'paw')}]]")
-    with pytest.raises(RobotError, match=r"base\.may_touch: found 'front_paw', expected bodies of the model"):
+    with pytest.raises(RobotError, match=r"base\.may_touch: found 'front_paw', expected bodies of model"):
         simulate(load_robot(changed(tmp_path, may)), walking_contract(), [robot_seed(3, 0)])
 
 
