@@ -1,7 +1,7 @@
 """Command policy-export: write one ONNX file with its contract, if ONNX Runtime agrees with torch."""
 
-import hashlib
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,14 +12,14 @@ from rich.console import Console
 
 from deploy.command_line import PASSED, main
 from deploy.policy.compatibility import check_contract
-from deploy.policy.contract import CONTRACT_KEY, Contract
+from deploy.policy.contract import Contract
 from deploy.policy.policy import AGREEMENT, BATCHES, Policy
-from deploy.policy.policy_file import GOLDEN_KEY, INPUT, OUTPUT, Golden
-from deploy.telemetry.output_files import replacing
+from deploy.policy.policy_file import INPUT, OUTPUT, Golden
+from policies.export.onnx_file import write_policy
 from policies.export.tracing import to_onnx
 from policies.training.checkpoint import Checkpoint, load_checkpoint
 from robots.errors import ContractError
-from robots.spec import RobotSpec, load_robot
+from robots.spec import load_robot
 from robots.strict import parse
 
 POLICIES = Path(__file__).parents[1]
@@ -48,8 +48,7 @@ def export(checkpoint_path: Path, out_path: Path, robot: str | Path | None = Non
     """Export a checkpoint; `out_path` is replaced only after all checks passed.
 
     Args:
-        checkpoint_path: from `policy-train`.
-        out_path: the ONNX file.
+        checkpoint_path: from `policy-train`. out_path: the ONNX file.
         robot: name or folder; None for the robot named in the contract.
 
     Raises:
@@ -60,28 +59,14 @@ def export(checkpoint_path: Path, out_path: Path, robot: str | Path | None = Non
     checkpoint = load_checkpoint(checkpoint_path)
     spec = load_robot(robot or checkpoint.contract.robot)
     check_contract(checkpoint.contract, spec, f"{checkpoint_path}: contract")
-    with replacing(out_path) as partial:
-        data = _onnx(checkpoint)
-        partial.write_bytes(data)
-        deviation = _compare(_loaded(partial, spec, out_path), checkpoint, checkpoint_path)
-    return Exported(
-        path=out_path,
-        file_bytes=len(data),
-        digest=hashlib.sha256(data).hexdigest(),
-        observations=len(checkpoint.rollout),
-        deviation=deviation,
-    )
-
-
-def _onnx(checkpoint: Checkpoint) -> bytes:
-    """Return the ONNX file; deterministic for the same checkpoint and library versions."""
     example = torch.zeros(2, len(checkpoint.actor.mean))  # batch 1 would be taken for a constant
     batch: dict[str, object] = {"observation": {0: torch.export.Dim("batch")}}
     model = to_onnx(checkpoint.actor, (example,), [INPUT], [OUTPUT], batch)
-    metadata = {CONTRACT_KEY: _contract(checkpoint).to_json(), GOLDEN_KEY: _golden(checkpoint)}
-    for key, value in metadata.items():
-        model.metadata_props.add(key=key, value=value)
-    return model.SerializeToString(deterministic=True)
+    contract, golden = _contract(checkpoint), _golden(checkpoint)
+    compare = partial(_compare, checkpoint=checkpoint, source=checkpoint_path)
+    digest, deviation = write_policy(out_path, model, contract, golden, spec, compare)
+    size, count = out_path.stat().st_size, len(checkpoint.rollout)
+    return Exported(path=out_path, file_bytes=size, digest=digest, observations=count, deviation=deviation)
 
 
 def _contract(checkpoint: Checkpoint) -> Contract:
@@ -92,19 +77,11 @@ def _contract(checkpoint: Checkpoint) -> Contract:
     return parse(data, Contract, source="contract", error=ContractError)
 
 
-def _golden(checkpoint: Checkpoint) -> str:
+def _golden(checkpoint: Checkpoint) -> Golden:
     rows = np.linspace(0, len(checkpoint.rollout) - 1, GOLDEN_PAIRS).round().astype(int)
     observation = checkpoint.rollout[torch.from_numpy(rows)]
     pairs = {"observation": observation.tolist(), "action": checkpoint.actor(observation).tolist()}
-    return parse(pairs, Golden, source="golden pairs").model_dump_json()
-
-
-def _loaded(partial: Path, spec: RobotSpec, out_path: Path) -> Policy:
-    """Load the written file with all the checks made on the robot."""
-    try:
-        return Policy.load(partial, spec)
-    except ContractError as e:
-        raise ContractError(str(e).replace(str(partial), f"{out_path} (not written)")) from e
+    return parse(pairs, Golden, source="golden pairs")
 
 
 def _compare(policy: Policy, checkpoint: Checkpoint, source: Path) -> tuple[float, ...]:

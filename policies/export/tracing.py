@@ -3,11 +3,13 @@
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import torch
 from onnx import ModelProto
 from torch import Tensor, nn
 
+from policies.export.onnx_file import strip_annotations
 from robots.errors import ContractError
 
 OPSET = 18
@@ -20,31 +22,19 @@ def to_onnx(
     outputs: Sequence[str],
     shapes: dict[str, object] | None = None,
 ) -> ModelProto:
-    """Return the ONNX graph of a module; deterministic for the same library versions.
+    """Return the ONNX graph of a module called with `examples`; deterministic for the same library versions.
 
     Args:
-        module: to trace.
-        examples: arguments. inputs, outputs: names.
-        shapes: dynamic dimensions by argument.
-
-    Raises:
-        ContractError: torch gives no program.
+        inputs, outputs: names. shapes: dynamic dimensions by argument.
     """
+    settings: dict[str, Any] = {"opset_version": OPSET, "external_data": False, "verbose": False}
+    settings |= {"input_names": inputs, "output_names": outputs, "dynamic_shapes": shapes}
     with _quiet():
-        program = torch.onnx.export(
-            module,
-            examples,
-            input_names=inputs,
-            output_names=outputs,
-            opset_version=OPSET,
-            dynamic_shapes=shapes,
-            external_data=False,
-            verbose=False,
-        )
+        program = torch.onnx.export(module, examples, **settings)
     if program is None:
         raise ContractError("torch.onnx.export gave no program")
-    model = program.model_proto
-    _strip(model)
+    model = program.model_proto  # a new one at each access
+    strip_annotations(model)
     return model
 
 
@@ -58,13 +48,3 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         logger.setLevel(level)
-
-
-def _strip(model: ModelProto) -> None:
-    """Remove torch's metadata: it has stack traces with local paths."""
-    graph = model.graph
-    del model.metadata_props[:], graph.value_info[:]
-    for part in (model, graph, *graph.node, *graph.initializer, *graph.input, *graph.output):
-        part.ClearField("doc_string")
-    for part in (graph, *graph.node, *graph.initializer, *graph.input, *graph.output):
-        part.ClearField("metadata_props")

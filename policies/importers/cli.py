@@ -1,22 +1,20 @@
 """Command policy-import: convert a policy of another library to one ONNX file with its contract."""
 
-import hashlib
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
-from onnx import helper
 from rich.console import Console
 
 from deploy.command_line import PASSED, main
-from deploy.policy.contract import CONTRACT_KEY
-from deploy.policy.policy import Policy
-from deploy.policy.policy_file import GOLDEN_KEY, Golden
+from deploy.policy.policy_file import Golden
 from deploy.tasks.task import tasks_of
 from deploy.telemetry.output_files import replacing
+from policies.export.onnx_file import write_policy
 from policies.importers.contract_builder import BuiltContract, build_contract
 from policies.importers.contract_draft import read_draft
 from policies.importers.file_formats import read_policy
@@ -29,7 +27,7 @@ from policies.importers.torch_files.network_settings import NetworkSettings
 from robots.errors import ConfigError, ContractError
 from robots.models.fleet import Fleet
 from robots.models.sandbox import limit_import
-from robots.spec import RobotSpec, load_robot
+from robots.spec import load_robot
 from robots.strict import parse
 
 GOLDEN_STEPS = 16
@@ -69,20 +67,11 @@ def import_policy(
     Fleet(spec, 1, collisions=True)
     reference = read_policy(path, draft.network)
     built = build_contract(draft, reference, spec, str(draft_path))
-    data, runs = _onnx(reference, built), record_reference(reference, built.columns, built.joints)
-    with replacing(out_path) as partial:
-        partial.write_bytes(data)
-        deviation = check_parity(_load_written(partial, spec, out_path), runs, str(path))
-    return ImportResult(facts=reference.facts, digest=hashlib.sha256(data).hexdigest(), deviation=deviation)
-
-
-def _onnx(reference: ReferencePolicy, built: BuiltContract) -> bytes:
+    runs, golden = record_reference(reference, built.columns, built.joints), _golden(reference, built)
     model = to_standard_graph(reference, built.columns.tolist(), built.joints.tolist())
-    helper.set_model_props(
-        model,
-        {CONTRACT_KEY: built.contract.to_json(), GOLDEN_KEY: _golden(reference, built).model_dump_json()},
-    )
-    return model.SerializeToString(deterministic=True)
+    compare = partial(check_parity, runs=runs, source=str(path))
+    digest, deviation = write_policy(out_path, model, built.contract, golden, spec, compare)
+    return ImportResult(facts=reference.facts, digest=digest, deviation=deviation)
 
 
 def _golden(reference: ReferencePolicy, built: BuiltContract) -> Golden:
@@ -92,14 +81,6 @@ def _golden(reference: ReferencePolicy, built: BuiltContract) -> Golden:
     action = reference.run(inputs, np.arange(GOLDEN_STEPS) == 0)[:, built.joints]
     pairs = {"observation": observation.tolist(), "action": action.tolist()}
     return parse(pairs, Golden, source="golden pairs", error=ContractError)
-
-
-def _load_written(partial: Path, spec: RobotSpec, out_path: Path) -> Policy:
-    """Load the written file with all the checks made on the robot."""
-    try:
-        return Policy.load(partial, spec)
-    except ContractError as e:
-        raise ContractError(str(e).replace(str(partial), f"{out_path} (not written)")) from e
 
 
 def write_template(

@@ -12,7 +12,7 @@ from deploy.policy.contract import Contract
 from deploy.policy.observation_sources import ObservationSource
 from deploy.tasks.task import sources_of
 from policies.importers.contract_draft import ContractDraft, TermDraft
-from policies.importers.reference_policy import ABSENT, ReferencePolicy
+from policies.importers.reference_policy import ABSENT, PolicyFacts, ReferencePolicy
 from robots.errors import ConfigError, ContractError
 from robots.spec import RobotSpec
 from robots.strict import parse
@@ -35,27 +35,24 @@ class BuiltContract:
     joints: Indices
 
 
-class _Joints(NamedTuple):
-    """Joint names in three orders.
+class _Block(NamedTuple):
+    """One term of a draft with its joints.
 
     Attributes:
-        observed, driven: in the policy's observation and action. robot: in the robot's own order.
-        sources: observation sources of robot and task.
+        source: declaration of its observation source.
+        names: joints in the policy's order; () for a source that is not per joint.
+        size: numbers in one reading of the contract.
     """
 
-    observed: tuple[str, ...]
-    driven: tuple[str, ...]
-    robot: tuple[str, ...]
-    sources: Mapping[str, ObservationSource]
-
-    def names_for(self, source: str) -> tuple[str, ...]:
-        """Return the joints of a source in the policy's order."""
-        return self.driven if source == "last_action" else self.observed
+    term: TermDraft
+    source: ObservationSource
+    names: tuple[str, ...]
+    size: int
 
     @property
-    def action(self) -> Indices:
-        """(A,) for each of the robot's joints, its index in the policy's action."""
-        return _positions_of(self.driven, self.robot)
+    def size_in_file(self) -> int:
+        """Numbers in one reading of the policy's observation."""
+        return len(self.names) or self.size
 
 
 def build_contract(
@@ -66,14 +63,10 @@ def build_contract(
     Raises:
         ContractError: the draft does not fit the policy's file, or names other joints than the robot's.
     """
-    sources, driven = _sources(draft, source), draft.action_joints or draft.joint_names
-    joints = _Joints(draft.joint_names, driven, spec.joint_names, sources)
-    _check_joints(joints, draft, spec, source)
-    sizes = [
-        joints.sources[term.source].size or len(joints.names_for(term.source)) for term in draft.observation
-    ]
-    _check_sizes(draft, joints, sizes, reference, source)
-    columns = _columns(draft, joints)
+    builder = _Builder(draft, spec, source)
+    builder.check_joints()
+    builder.check_sizes(reference.facts)
+    columns = builder.columns()
     data = {
         "robot": draft.robot,
         "robot_digest": spec.digest,
@@ -81,143 +74,142 @@ def build_contract(
         "policy_hz": draft.policy_hz,
         "control_hz": spec.rates.control_hz,
         "task": draft.task,
-        "observation": tuple(_term(term, joints, draft, source) for term in draft.observation),
-        "action": _action(draft, joints, source),
+        "observation": tuple(builder.term(block) for block in builder.blocks),
+        "action": builder.action(),
         "memory": reference.memory_size,
         "trained": {"imported": reference.facts.kind},
         "observed": _observed(reference, columns),
     }
     contract = parse(data, Contract, source=source, error=ContractError)
-    return BuiltContract(contract=contract, columns=columns, joints=joints.action)
+    return BuiltContract(contract=contract, columns=columns, joints=builder.joints)
 
 
-def _sources(draft: ContractDraft, source: str) -> Mapping[str, ObservationSource]:
-    """Return the observation sources that a draft may name.
+class _Builder:
+    """A draft with the robot's joint order.
 
-    Raises:
-        ContractError: its task is not installed, or it names another source.
+    Attributes:
+        driven: joints in the order of the action. driven_field: field of the draft that names them.
+        joints: (A,) as in `BuiltContract`.
     """
-    try:
-        sources = sources_of(draft.task)
-    except ConfigError as e:
-        raise ContractError(f"{source}: {e}") from e
-    for term in draft.observation:
+
+    def __init__(self, draft: ContractDraft, spec: RobotSpec, path: str) -> None:
+        self._draft, self._spec, self._path, self._robot = draft, spec, path, spec.joint_names
+        self.driven_field = "joint_names" if draft.action_joints is None else "action_joints"
+        self.driven = draft.action_joints or draft.joint_names
+        try:
+            sources = sources_of(draft.task)
+        except ConfigError as e:
+            raise ContractError(f"{path}: {e}") from e
+        self.blocks = [self._block(term, sources) for term in draft.observation]
+
+    def _block(self, term: TermDraft, sources: Mapping[str, ObservationSource]) -> _Block:
         if term.source not in sources:
-            raise ContractError(
-                f"{source}: observation {term.name!r}: source: found {term.source!r}, expected one of"
-                f" {', '.join(sources)}"
+            found, known = f"source: found {term.source!r}", ", ".join(sources)
+            raise self._error(f"observation {term.name!r}", f"{found}, expected one of {known}")
+        source = sources[term.source]
+        names = self.driven if term.source == "last_action" else self._draft.joint_names
+        return _Block(term, source, () if source.size else names, source.size or len(self._robot))
+
+    def _error(self, field: str, text: str) -> ContractError:
+        return ContractError(f"{self._path}: {field}: {text}")
+
+    @property
+    def joints(self) -> Indices:
+        """(A,) for each of the robot's joints, its index in the policy's action."""
+        return _positions_of(self.driven, self._robot)
+
+    def check_joints(self) -> None:
+        """Refuse unknown, missing and repeated joints, and terms that depend on joints of no robot."""
+        for name in (*self.driven, *self._robot):
+            if name not in self._robot:
+                near = ", ".join(get_close_matches(name, self._robot) or self._robot)
+                found = f"{self._spec.name} has no joint {name!r}"
+                raise self._error(self.driven_field, f"{found}, expected one of {near}")
+            self._check_once(self.driven, name, self.driven_field)
+        for name in (*self._draft.joint_names, *self._robot):
+            self._check_once(self._draft.joint_names, name, "joint_names")
+        if others := [name for name in self._draft.joint_names if name not in self._robot]:
+            for block in self.blocks:
+                self._check_constant(block, others[0])
+
+    def _check_once(self, names: tuple[str, ...], name: str, field: str) -> None:
+        if names.count(name) != 1:
+            raise self._error(field, f"found {name!r} {names.count(name)} times, expected once")
+
+    def _check_constant(self, block: _Block, joint: str) -> None:
+        """Refuse a term that is not 0 for a joint resting at its default position."""
+        term = block.term
+        if not block.names or term.source == "last_action":
+            return
+        low, high = term.clip or (0.0, 0.0)
+        at_rest = {"joint_position": bool(term.offset), "joint_velocity": not any(term.offset)}
+        if not at_rest.get(term.source) or not low <= 0 <= high:
+            raise self._error(
+                f"observation {term.name!r}: {term.source}",
+                f"cannot be known of {joint!r}, not a joint of {self._spec.name}: expected a position with the"
+                " default pose as offset, or a velocity without offset, and 0 inside clip",
             )
-    return sources
 
-
-def _check_joints(joints: _Joints, draft: ContractDraft, spec: RobotSpec, source: str) -> None:
-    field = "joint_names" if draft.action_joints is None else "action_joints"
-    for name in (*joints.driven, *joints.robot):
-        if name not in joints.robot:
-            near = ", ".join(get_close_matches(name, joints.robot)) or ", ".join(joints.robot)
-            raise ContractError(
-                f"{source}: {field}: {spec.name} has no joint {name!r}, expected one of {near}"
+    def check_sizes(self, facts: PolicyFacts) -> None:
+        """Compare the sizes of observation and action with those of the policy's file."""
+        total = sum(block.term.history * block.size_in_file for block in self.blocks)
+        if total != facts.observations:
+            parts = " + ".join(
+                f"{term.name} {block.size_in_file}" + (f" x {term.history}" if term.history > 1 else "")
+                for block in self.blocks
+                for term in (block.term,)
             )
-        _check_once(joints.driven, name, f"{source}: {field}")
-    for name in (*joints.observed, *joints.robot):
-        _check_once(joints.observed, name, f"{source}: joint_names")
-    if others := [name for name in joints.observed if name not in joints.robot]:
-        for term in draft.observation:
-            where = f"{source}: observation {term.name!r}"
-            _check_constant(term, joints, where, f"{others[0]!r}, not a joint of {spec.name}")
+            found = f"found {total} numbers ({parts})"
+            raise self._error("observation", f"{found}, the policy takes {facts.observations}")
+        if facts.actions != (count := len(self.driven)):
+            raise self._error(self.driven_field, f"found {count}, the policy gives {facts.actions} actions")
 
+    def columns(self) -> Indices:
+        """Return `BuiltContract.columns`; contracts are ordered by term, oldest reading first."""
+        parts, start = [], 0  # per term: (history, size) columns of the contract in the policy's joint order
+        for block in self.blocks:
+            history, size = block.term.history, block.size
+            part = start + np.arange(history * size).reshape(history, size)
+            start += part.size
+            if block.names:
+                padded = np.pad(part, ((0, 0), (0, 1)), constant_values=ABSENT)
+                part = padded[:, [self._robot.index(n) if n in self._robot else size for n in block.names]]
+            parts.append(part[::-1] if self._draft.frames == "newest_first" else part)
+        if self._draft.layout == "by_time":
+            return np.concatenate(parts, axis=1).ravel()
+        return np.concatenate([part.ravel() for part in parts])
 
-def _check_once(names: tuple[str, ...], name: str, source: str) -> None:
-    if names.count(name) != 1:
-        raise ContractError(f"{source}: found {name!r} {names.count(name)} times, expected once")
+    def term(self, block: _Block) -> dict[str, object]:
+        """Return the fields of a term of the contract."""
+        term, size = block.term, block.size_in_file
+        order = _positions_of(block.names, self._robot) if block.names else np.arange(size)
+        where, clip = f"{self._path}: observation {term.name!r}", term.clip
+        multiply = _expand(term.multiply, size, order, f"{where}: multiply")
+        if clip is not None and term.clip_first:
+            clip = (clip[0] * term.multiply[0], clip[1] * term.multiply[0])
+        return {
+            **term.model_dump(include={"name", "source", "history", "period_s"}),
+            "frame": block.source.frame,
+            "unit": block.source.unit,
+            "size": block.size,
+            "offset": _expand(term.offset, size, order, f"{where}: offset") if term.offset else None,
+            "scale": tuple(1.0 / factor for factor in multiply),
+            "clip": clip,
+            "fill": self._draft.fill or "first",
+        }
 
-
-def _check_constant(term: TermDraft, joints: _Joints, source: str, joint: str) -> None:
-    """Refuse a term that is not 0 for a joint resting at its default position."""
-    if joints.sources[term.source].frame != "joint" or term.source == "last_action":
-        return
-    low, high = term.clip or (0.0, 0.0)
-    at_rest = {"joint_position": bool(term.offset), "joint_velocity": not any(term.offset)}
-    if not at_rest.get(term.source) or not low <= 0 <= high:
-        raise ContractError(
-            f"{source}: {term.source}: cannot be known of {joint}: expected a position with the default pose as"
-            " offset, or a velocity without offset, and 0 inside clip"
-        )
-
-
-def _check_sizes(
-    draft: ContractDraft, joints: _Joints, sizes: list[int], reference: ReferencePolicy, source: str
-) -> None:
-    facts = reference.facts
-    total = sum(term.history * size for term, size in zip(draft.observation, sizes, strict=True))
-    if total != facts.observations:
-        parts = " + ".join(
-            f"{term.name} {size}" + (f" x {term.history}" if term.history > 1 else "")
-            for term, size in zip(draft.observation, sizes, strict=True)
-        )
-        raise ContractError(
-            f"{source}: observation: found {total} numbers ({parts}), the policy takes {facts.observations}"
-        )
-    if facts.actions != (count := len(joints.driven)):
-        field = "joint_names" if draft.action_joints is None else "action_joints"
-        raise ContractError(f"{source}: {field}: found {count}, the policy gives {facts.actions} actions")
-
-
-def _columns(draft: ContractDraft, joints: _Joints) -> Indices:
-    """Return `BuiltContract.columns`; contracts are ordered by term, oldest reading first, robot's joint order."""
-    blocks, start = [], 0  # per term: (history, size) columns of the contract in the policy's joint order
-    for term in draft.observation:
-        size = joints.sources[term.source].size or len(joints.robot)
-        block = start + np.arange(term.history * size).reshape(term.history, size)
-        start += block.size
-        if joints.sources[term.source].frame == "joint":
-            padded = np.pad(block, ((0, 0), (0, 1)), constant_values=ABSENT)
-            size_in_file = joints.names_for(term.source)
-            block = padded[:, [joints.robot.index(n) if n in joints.robot else size for n in size_in_file]]
-        blocks.append(block[::-1] if draft.frames == "newest_first" else block)
-    if draft.layout == "by_time":
-        return np.concatenate(blocks, axis=1).ravel()
-    return np.concatenate([block.ravel() for block in blocks])
-
-
-def _term(term: TermDraft, joints: _Joints, draft: ContractDraft, source: str) -> dict[str, object]:
-    size = joints.sources[term.source].size or len(joints.robot)
-    size_in_file, order = size, np.arange(size)
-    if joints.sources[term.source].frame == "joint":
-        names = joints.names_for(term.source)
-        size_in_file, order = len(names), _positions_of(names, joints.robot)
-    where = f"{source}: observation {term.name!r}"
-    multiply = _expand(term.multiply, size_in_file, order, f"{where}: multiply")
-    clip = term.clip
-    if clip is not None and term.clip_first:
-        clip = (clip[0] * term.multiply[0], clip[1] * term.multiply[0])
-    declared = joints.sources[term.source]
-    return {
-        "name": term.name,
-        "source": term.source,
-        "frame": declared.frame,
-        "unit": declared.unit,
-        "size": size,
-        "offset": _expand(term.offset, size_in_file, order, f"{where}: offset") if term.offset else None,
-        "scale": tuple(1.0 / factor for factor in multiply),
-        "clip": clip,
-        "history": term.history,
-        "fill": draft.fill or "first",
-        "period_s": term.period_s,
-    }
-
-
-def _action(draft: ContractDraft, joints: _Joints, source: str) -> dict[str, object]:
-    action, where, size, order = draft.action, f"{source}: action", len(joints.driven), joints.action
-    given = {name: getattr(action, name) for name in ("offset", "kp", "kd")}
-    return {
-        "mode": action.mode,
-        "size": size,
-        "scale": _expand(action.multiply, size, order, f"{where}: multiply"),
-        "clip": action.clip,
-        "leash_rad": action.leash_rad,
-        **{name: _expand(n, size, order, f"{where}: {name}") if n else None for name, n in given.items()},
-    }
+    def action(self) -> dict[str, object]:
+        """Return the fields of the contract's action."""
+        action, size, where = self._draft.action, len(self.driven), f"{self._path}: action"
+        return {
+            **action.model_dump(include={"mode", "clip", "leash_rad"}),
+            "size": size,
+            "scale": _expand(action.multiply, size, self.joints, f"{where}: multiply"),
+            **{
+                name: _expand(numbers, size, self.joints, f"{where}: {name}") if numbers else None
+                for name, numbers in (("offset", action.offset), ("kp", action.kp), ("kd", action.kd))
+            },
+        }
 
 
 def _positions_of(names: tuple[str, ...], robot: tuple[str, ...]) -> Indices:
@@ -236,7 +228,5 @@ def _observed(reference: ReferencePolicy, columns: Indices) -> dict[str, object]
     if reference.mean is None or reference.deviation is None:
         return None
     robot = np.argsort(columns)[np.count_nonzero(columns == ABSENT) :]
-    return {
-        "mean": tuple(reference.mean[k] for k in robot),
-        "deviation": tuple(reference.deviation[k] for k in robot),
-    }
+    both = {"mean": reference.mean, "deviation": reference.deviation}
+    return {name: tuple(numbers[k] for k in robot) for name, numbers in both.items()}

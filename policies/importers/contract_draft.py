@@ -1,6 +1,6 @@
 """Schema of the TOML in which a user describes an imported policy, in the policy's own joint order."""
 
-import tomllib
+import os
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -10,11 +10,11 @@ from deploy.policy.contract import Hertz
 from deploy.policy.contract_term import SIZE_MAX, Clip, Count, Name, Number, Positive
 from policies.importers.torch_files.network_settings import NetworkSettings
 from robots.errors import ContractError
-from robots.strict import Strict, parse, reject_placeholders
+from robots.strict import Strict, read_toml
 
 NONE = "none"
 """Explicit absence of a value in the TOML."""
-CHARACTERS_MAX = 1 << 20
+BYTES_MAX = 1 << 20
 
 
 def _as_tuple(value: object) -> object:
@@ -23,35 +23,30 @@ def _as_tuple(value: object) -> object:
     return (value,) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
-def _word_none_to_null(value: object) -> object:
-    return None if value == NONE else value
-
-
 Values = Annotated[tuple[Number, ...], Field(max_length=SIZE_MAX), BeforeValidator(_as_tuple)]
 """One number for all, one per element, or "none": ()."""
 PositiveValues = Annotated[
     tuple[Positive, ...], Field(min_length=1, max_length=SIZE_MAX), BeforeValidator(_as_tuple)
 ]
-OptionalClip = Annotated[Clip | None, BeforeValidator(_word_none_to_null)]
+Joints = Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
+OptionalClip = Annotated[Clip | None, BeforeValidator(lambda value: None if value == NONE else value)]
 
 
 class TermDraft(Strict):
-    """One term of the observation: (reading - offset) · multiply, clipped.
+    """One term of the observation: (reading - offset) · multiply, clipped; offset in units of the source.
 
-    Attributes:
-        name: unique name. source: an observation source of the robot or the task.
-        offset: in units of the source. multiply: factors per unit.
-        clip: (low, high). clip_first: True if clipped before multiplied; required where it makes a difference.
-        history: number of readings kept. period_s: s, period of gait_phase.
+    `clip_first` is required where it makes a difference, `period_s` (s) for gait_phase only.
     """
 
-    name: Name
-    source: Name
-    offset: Values
-    multiply: PositiveValues
-    clip: OptionalClip
-    clip_first: bool | None = None
-    history: Count
+    name: Name = Field(description="unique name; one such table per term, in the policy's order")
+    source: Name = Field(description="one of the sources above")
+    offset: Values = Field(description="subtracted from the reading; one number, one per element, or none")
+    multiply: PositiveValues = Field(description="then multiplied; one number, or one per element")
+    clip: OptionalClip = Field(description="[low, high] or none")
+    clip_first: bool | None = Field(None, description="true: clip before multiply; false: after")
+    history: Count = Field(
+        description="number of readings, 1 for the newest only; gait_phase also needs period_s, s, gait period"
+    )
     period_s: Positive | None = None
 
     @model_validator(mode="after")
@@ -71,36 +66,43 @@ class TermDraft(Strict):
 class ActionDraft(Strict):
     """The action: for "position", target = offset + multiply · clip(action); increments as in `ActionSpec`."""
 
-    mode: Literal["position", "position_increment"]
-    offset: Values
-    multiply: PositiveValues
-    clip: OptionalClip
+    mode: Literal["position", "position_increment"] = Field(
+        description='"position" (target = offset + multiply * action) or "position_increment"'
+    )
+    offset: Values = Field(description="rad, joint positions at an action of 0; none for increments")
+    multiply: PositiveValues = Field(description="rad per unit of action")
+    clip: OptionalClip = Field(description="[low, high] of the raw action, or none")
     leash_rad: Positive | None = None
-    kp: Values
-    kd: Values
+    kp: Values = Field(description="N·m/rad, drive gains in training; none: the robot's own")
+    kd: Values = Field(description="N·m·s/rad")
 
 
 class ContractDraft(Strict):
-    """Contract of an imported policy in the policy's own order.
+    """Contract of an imported policy in the policy's own order. Descriptions appear in the template.
 
     Attributes:
-        robot: name of the robot. task: name of its task.
-        policy_hz: Hz, rate of the policy.
-        joint_names: observed joints in the policy's order: the robot's, and possibly others.
-        action_joints: the robot's joints in the order of the action; None if all in the order of `joint_names`.
-        layout: with a history, readings grouped by term or by time.
-        frames: with a history, their order in time. fill: values before the first reading.
-        observation: terms in the policy's order. action: the action. network: settings missing in a weights file.
+        joint_names: observed joints: the robot's, and possibly others.
+        action_joints: None if all of them, in the order of `joint_names`.
+        layout, frames, fill: required with a history.
+        observation: terms in the policy's order. network: settings missing in a weights file.
     """
 
-    robot: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
-    task: Name
-    policy_hz: Hertz
-    joint_names: Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
-    action_joints: Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)] | None = None
-    layout: Literal["by_term", "by_time"] | None = None
-    frames: Literal["oldest_first", "newest_first"] | None = None
-    fill: Literal["first", "zeros"] | None = None
+    robot: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="name of the robot")
+    task: Name = Field(description="name of its task")
+    policy_hz: Hertz = Field(description="Hz, rate of the policy")
+    joint_names: Joints = Field(description="the robot's joints in the policy's order")
+    action_joints: Joints | None = Field(
+        None, description="those of joint_names that the action moves, in the order of the action"
+    )
+    layout: Literal["by_term", "by_time"] | None = Field(
+        None, description='"by_term" or "by_time": readings grouped by term, or by time'
+    )
+    frames: Literal["oldest_first", "newest_first"] | None = Field(
+        None, description='"oldest_first" or "newest_first"'
+    )
+    fill: Literal["first", "zeros"] | None = Field(
+        None, description='"first" (repeat the first reading) or "zeros": values before the first reading'
+    )
     observation: Annotated[tuple[TermDraft, ...], Field(min_length=1, max_length=SIZE_MAX)]
     action: ActionDraft
     network: NetworkSettings = NetworkSettings()
@@ -118,19 +120,9 @@ class ContractDraft(Strict):
 
 
 def read_draft(path: Path) -> ContractDraft:
-    """Read the contract's TOML.
-
-    Raises:
-        ContractError: one line per field that is wrong or still "?".
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-        data = tomllib.loads(text if len(text) <= CHARACTERS_MAX else "")
-    except OSError as e:
-        raise ContractError(
-            f"{path}: cannot be read: {e.strerror}; create it with policy-import --template"
-        ) from e
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-        raise ContractError(f"{path}: not valid TOML: {e}") from e
-    reject_placeholders(data, str(path), ContractError)
-    return parse(data, ContractDraft, source=str(path), error=ContractError)
+    """Read the contract's TOML; ContractError has one line per field that is wrong or still "?"."""
+    if not os.path.isfile(path):
+        raise ContractError(f"{path}: cannot be read: no such file; create it with policy-import --template")
+    if (size := path.stat().st_size) > BYTES_MAX:
+        raise ContractError(f"{path}: found {size} bytes, expected a contract of at most {BYTES_MAX}")
+    return read_toml(path, ContractDraft, ContractError)

@@ -5,6 +5,10 @@ from typing import Any
 
 from deploy.plugins import TASKS, installed
 from deploy.tasks.task import find_task
+from robots.strict import Strict
+
+FAR = 1e30
+"""Stands for infinity where only one side of a clip is bounded."""
 
 SOURCES: dict[str, str] = {
     "joint_pos": "joint_position",
@@ -24,16 +28,25 @@ SOURCES: dict[str, str] = {
 """Names with the same meaning in all libraries. Joint positions are relative to a default pose in each of them."""
 
 
+class Part(Strict, extra="ignore"):
+    """Part of another library's record: other keys are ignored."""
+
+
 def without_none(**fields: Any) -> dict[str, Any]:
     """Return the fields that are known: not None."""
     return {name: value for name, value in fields.items() if value is not None}
 
 
-def multiply_field(numbers: Sequence[float] | None) -> float | list[float] | None:
+def as_tuple(numbers: float | Sequence[float]) -> tuple[float, ...]:
+    """Return (number,) for one number."""
+    return (numbers,) if isinstance(numbers, int | float) else tuple(numbers)
+
+
+def multiply_field(numbers: float | Sequence[float] | None) -> float | list[float] | None:
     """Return one number for all or one each; None if one is not positive, as after rounding to 0."""
-    if numbers is None or min(numbers) <= 0:
+    if numbers is None or min(each := as_tuple(numbers)) <= 0:
         return None
-    return numbers[0] if len(numbers) == 1 else list(numbers)
+    return each[0] if len(each) == 1 else list(each)
 
 
 def gain_fields(kp: Sequence[float] | None, kd: Sequence[float] | None) -> dict[str, list[float]]:
@@ -44,30 +57,18 @@ def gain_fields(kp: Sequence[float] | None, kd: Sequence[float] | None) -> dict[
 
 
 def term_fields(name: str, field_name: str, pose: list[float] | None, **fields: Any) -> dict[str, Any]:
-    """Return the fields of one observation term.
-
-    Args:
-        name: of the term. field_name: its name in the training library.
-        pose: (n,) rad, default pose that joint positions are relative to.
-        fields: other known fields.
-    """
+    """Return the known fields of a term named `field_name` in its library; `pose` (n,) rad is what positions are of."""
     source = SOURCES.get(field_name)
     offset = None if source is None else pose if source == "joint_position" else "none"
     return without_none(name=name, source=source, offset=offset, **fields)
 
 
 def contract_fields(observation: list[dict[str, Any]] | None, fill: str, **fields: Any) -> dict[str, Any]:
-    """Return all known fields of the contract. These libraries group histories by term, oldest reading first.
-
-    Args:
-        observation: fields of the terms.
-        fill: values before the first reading.
-        fields: other known fields.
-    """
+    """Return all known fields of the contract. These libraries group histories by term, oldest reading first."""
     terms = observation or []
-    has_history = any(term_fields.get("history", 1) > 1 for term_fields in terms)
+    has_history = any(term.get("history", 1) > 1 for term in terms)
     history = {"layout": "by_term", "frames": "oldest_first", "fill": fill} if has_history else {}
-    named = {term_fields.get("source") for term_fields in terms}
+    named = {term.get("source") for term in terms}
     tasks = [name for name in installed(TASKS) if named & find_task(name, name).sources.keys()]
     task = tasks[0] if len(tasks) == 1 else None
     return without_none(task=task, observation=observation, **history, **fields)

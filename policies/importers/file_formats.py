@@ -1,8 +1,15 @@
-"""Recognition of a policy's file format by content, not by name, and dispatch to its reader."""
+"""Recognition of a policy's file format by content, not by name, and dispatch to its reader.
+
+To add a format, write a reader `read_...(path, network) -> ReferencePolicy` in a module of its own and add a row to
+`ARCHIVES`. All readers raise ContractError naming the file, the part, what was found and what was expected.
+"""
 
 import zipfile
+from collections.abc import Callable
+from functools import cached_property
 from io import BytesIO
 from pathlib import Path
+from pkgutil import resolve_name
 
 from policies.importers.onnx_files.foreign_onnx import load_onnx, read_onnx
 from policies.importers.reference_policy import ReferencePolicy
@@ -15,12 +22,39 @@ ZIP = b"PK\x03\x04"
 EXPECTED = "expected a policy: ONNX, rsl_rl, Stable-Baselines3 or torch"
 
 
-def read_policy(path: Path, network: NetworkSettings) -> ReferencePolicy:
-    """Read a policy of another library.
+class Archive:
+    """Contents of a zip archive that tell its format.
 
-    Args:
-        path: the file.
-        network: settings that a weights file does not hold.
+    Attributes:
+        names: of all members. folders: first folder of each inside torch's outer folder.
+    """
+
+    def __init__(self, path: Path, data: bytes) -> None:
+        self._path, self.names = path, read_names(data, str(path), EXPECTED)
+        self.folders = {name.split("/")[1] for name in self.names if name.count("/") > 1}
+
+    @cached_property
+    def keys(self) -> set[str]:
+        """Keys of the dictionary in a file of torch.save; empty for other contents."""
+        from policies.importers.untrusted.tensor_archive import load_tensors
+
+        data = load_tensors(self._path, EXPECTED)
+        return set(data) if isinstance(data, dict) else set()
+
+
+ARCHIVES: tuple[tuple[Callable[[Archive], bool], str], ...] = (
+    (lambda a: {"data", "policy.pth"} <= a.names, "stable_baselines.policy:read_stable_baselines"),
+    (lambda a: "models" in a.folders, "torch_files.exported_program:read_exported_program"),
+    (lambda a: "code" in a.folders, "torch_files.torchscript:read_torchscript"),
+    (lambda a: {"contract", "recipe"} <= a.keys, "file_formats:refuse_own_checkpoint"),
+    (lambda a: bool(a.keys & {"actor_state_dict", "model_state_dict"}), "rsl_rl.checkpoint:read_rsl_rl"),
+    (lambda _: True, "torch_files.state_dict:read_state_dict"),
+)
+"""Archive formats and their readers; the first that matches is imported, since torch takes seconds to import."""
+
+
+def read_policy(path: Path, network: NetworkSettings) -> ReferencePolicy:
+    """Read a policy of another library; `network` holds the settings that a weights file does not.
 
     Raises:
         MissingSettingError: `network` lacks a setting.
@@ -29,38 +63,16 @@ def read_policy(path: Path, network: NetworkSettings) -> ReferencePolicy:
     data = read_bytes(path, EXPECTED)
     if not data:
         raise ContractError(f"{path}: found an empty file, {EXPECTED}")
-    if zipfile.is_zipfile(BytesIO(data)):
-        return _read_archive(path, read_names(data, str(path), EXPECTED), network)
-    if data.startswith(ZIP):
-        raise ContractError(f"{path}: found a truncated archive, expected the whole file")
-    return read_onnx(load_onnx(path), str(path))
+    if not zipfile.is_zipfile(BytesIO(data)):
+        if data.startswith(ZIP):
+            raise ContractError(f"{path}: found a truncated archive, expected the whole file")
+        return read_onnx(load_onnx(path), str(path))
+    archive = Archive(path, data)
+    reader = next(reader for matches, reader in ARCHIVES if matches(archive))
+    policy: ReferencePolicy = resolve_name(f"policies.importers.{reader}")(path, network)
+    return policy
 
 
-def _read_archive(path: Path, names: set[str], network: NetworkSettings) -> ReferencePolicy:
-    """Import torch only in the readers that need it."""
-    inner = {name.partition("/")[2] for name in names}
-    if {"data", "policy.pth"} <= names:
-        from policies.importers.stable_baselines.policy import read_stable_baselines
-
-        return read_stable_baselines(path, network)
-    if any(name.startswith("models/") for name in inner):
-        from policies.importers.torch_files.exported_program import read_exported_program
-
-        return read_exported_program(path)
-    if any(name.startswith("code/") for name in inner):
-        from policies.importers.torch_files.torchscript import read_torchscript
-
-        return read_torchscript(path)
-    return _read_tensors(path, network)
-
-
-def _read_tensors(path: Path, network: NetworkSettings) -> ReferencePolicy:
-    from policies.importers.rsl_rl.checkpoint import ACTORS, read_rsl_rl
-    from policies.importers.torch_files.state_dict import read_state_dict
-    from policies.importers.untrusted.tensor_archive import load_tensors
-
-    data = load_tensors(path, EXPECTED)
-    keys = set(data) if isinstance(data, dict) else set()
-    if {"contract", "recipe"} <= keys:
-        raise ContractError(f"{path}: found a checkpoint of policy-train: use policy-export")
-    return (read_rsl_rl if keys & set(ACTORS) else read_state_dict)(path, network)
+def refuse_own_checkpoint(path: Path, _network: NetworkSettings) -> ReferencePolicy:
+    """Refuse a checkpoint of policy-train, which has its contract already."""
+    raise ContractError(f"{path}: found a checkpoint of policy-train: use policy-export")

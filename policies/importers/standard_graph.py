@@ -9,6 +9,7 @@ import onnx
 from onnx import GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, helper, numpy_helper
 
 from deploy.policy.policy_file import INPUT, MEMORY, NEXT, OUTPUT
+from policies.export.onnx_file import strip_annotations
 from policies.importers.reference_policy import ABSENT, ReferencePolicy
 
 PREFIX = "policy/"
@@ -26,43 +27,25 @@ def to_standard_graph(
     other, so that robots cannot influence each other.
 
     Args:
-        reference: the imported policy.
         columns, joints: permutations as in `contract_builder.BuiltContract`.
     """
-    inner = onnx.compose.add_prefix(_strip_annotations(reference.model), PREFIX)
-    build = _GraphBuilder()
-    robot_size = sum(column != ABSENT for column in columns)
-    source = INPUT if robot_size == len(columns) else build.append_zero(INPUT)
-    observation = build.gather(
-        source, [robot_size if column == ABSENT else column for column in columns], axis=1
-    )
+    plain = ModelProto()
+    plain.CopyFrom(reference.model)
+    strip_annotations(plain)
+    inner, build = onnx.compose.add_prefix(plain, PREFIX).graph, _GraphBuilder()
+    size = sum(column != ABSENT for column in columns)
+    source = INPUT if size == len(columns) else build.append_zero(INPUT)
+    observation = build.gather(source, [size if column == ABSENT else column for column in columns], axis=1)
     scanned = bool(reference.memory) or not reference.batched
-    action = (_scan_over_robots if scanned else _inline_batched)(build, inner.graph, reference, observation)
+    action = (_scan_over_robots if scanned else _inline_batched)(build, inner, reference, observation)
     build.identity(build.gather(action, joints, axis=1), OUTPUT)
-    inputs, outputs = {INPUT: robot_size}, {OUTPUT: reference.facts.actions}
-    if size := reference.memory_size:
-        inputs[MEMORY] = outputs[NEXT] = size
-    graph = helper.make_graph(
-        build.nodes,
-        "policy",
-        [_tensor_info(*e) for e in inputs.items()],
-        [_tensor_info(*e) for e in outputs.items()],
-        build.weights,
-    )
+    inputs, outputs = [_tensor_info(INPUT, size)], [_tensor_info(OUTPUT, reference.facts.actions)]
+    if memory := reference.memory_size:
+        inputs.append(_tensor_info(MEMORY, memory))
+        outputs.append(_tensor_info(NEXT, memory))
+    graph = helper.make_graph(build.nodes, "policy", inputs, outputs, build.weights)
     version = max(IR_MIN, reference.model.ir_version)
     return helper.make_model(graph, opset_imports=reference.model.opset_import, ir_version=version)
-
-
-def _strip_annotations(model: ModelProto) -> ModelProto:
-    """Return a copy without comments, metadata, and shapes that hold for one batch size only."""
-    plain = ModelProto()
-    plain.CopyFrom(model)
-    del plain.metadata_props[:], plain.graph.value_info[:]
-    for part in (plain, plain.graph, *plain.graph.node, *plain.graph.initializer):
-        part.ClearField("doc_string")
-    for part in (plain.graph, *plain.graph.node, *plain.graph.initializer):
-        part.ClearField("metadata_props")
-    return plain
 
 
 class _GraphBuilder:
@@ -114,34 +97,37 @@ def _scan_over_robots(
     build: _GraphBuilder, inner: GraphProto, reference: ReferencePolicy, observation: str
 ) -> str:
     """Insert the graph as the body of a Scan over robots."""
-    body, size = _GraphBuilder(), reference.memory_size
-    body.reshape("seen", [1, reference.facts.observations], PREFIX + reference.observation)
+    facts, size, scanned_action = reference.facts, reference.memory_size, f"{OUTPUT}_theirs"
+    body = _GraphBuilder()
+    body.reshape("seen", [1, facts.observations], PREFIX + reference.observation)
+    _split_memory(body, reference)
+    body.nodes.extend(inner.node)
+    body.weights.extend(inner.initializer)
+    body.reshape(PREFIX + reference.action, [facts.actions], "done")
+    inputs, outputs = [("seen", facts.observations)], [("done", facts.actions)]
+    from_outside, to_outside = [observation], [scanned_action]
+    flat = [
+        body.reshape(PREFIX + m.output_name, [m.size], f"flat_{k}") for k, m in enumerate(reference.memory)
+    ]
+    if size:
+        body.add("Concat", flat, "knows", axis=0)
+        inputs.append(("known", size))
+        outputs.append(("knows", size))
+        from_outside.append(MEMORY)
+        to_outside.append(NEXT)
+    infos = ([_tensor_info(*each, batch=False) for each in ends] for ends in (inputs, outputs))
+    graph = helper.make_graph(body.nodes, "one_robot", *infos, body.weights)
+    count = {"num_scan_inputs": len(from_outside)}
+    build.nodes.append(helper.make_node("Scan", from_outside, to_outside, body=graph, **count))
+    return scanned_action
+
+
+def _split_memory(body: _GraphBuilder, reference: ReferencePolicy) -> None:
+    """Reshape the parts of the flat memory of one robot to the graph's recurrent states."""
     ends = np.cumsum([0, *(memory.size for memory in reference.memory)])
     for (start, stop), memory in zip(pairwise(ends.tolist()), reference.memory, strict=True):
         part = body.add("Gather", ["known", body.integers(range(start, stop))], f"known_{start}", axis=0)
         body.reshape(part, memory.shape, PREFIX + memory.input_name)
-    body.nodes.extend(inner.node)
-    body.weights.extend(inner.initializer)
-    body.reshape(PREFIX + reference.action, [reference.facts.actions], "done")
-    flat = [
-        body.reshape(PREFIX + m.output_name, [m.size], f"flat_{k}") for k, m in enumerate(reference.memory)
-    ]
-    inputs, outputs = (
-        [_tensor_info("seen", reference.facts.observations, batch=False)],
-        [_tensor_info("done", reference.facts.actions, batch=False)],
-    )
-    from_outside, to_outside = [observation], [f"{OUTPUT}_theirs"]
-    if size:
-        body.add("Concat", flat, "knows", axis=0)
-        inputs.append(_tensor_info("known", size, batch=False))
-        outputs.append(_tensor_info("knows", size, batch=False))
-        from_outside.append(MEMORY)
-        to_outside.append(NEXT)
-    graph = helper.make_graph(body.nodes, "one_robot", inputs, outputs, body.weights)
-    build.nodes.append(
-        helper.make_node("Scan", from_outside, to_outside, body=graph, num_scan_inputs=len(from_outside))
-    )
-    return f"{OUTPUT}_theirs"
 
 
 def _tensor_info(name: str, size: int, *, batch: bool = True) -> ValueInfoProto:

@@ -103,8 +103,8 @@ class _Simulation:
         contract = policy.contract
         given = median_draw(load_distributions(spec), spec, robots)
         self._runtime, self._robot = simulate(spec, contract, seeds, policy, given=given)
-        rule, observed = self._runtime.task.criterion, contract.observed
-        self._judge = Judge(spec, torque_max(spec), robots, criterion=rule, observed=observed)
+        criterion, observed = self._runtime.task.criterion, contract.observed
+        self._judge = Judge(spec, torque_max(spec), robots, criterion=criterion, observed=observed)
         self._rng = np.random.default_rng(SEED)
         self._delay_min, self._delay_max = (int(share * self._runtime.decimation) for share in delay_periods)
         self._pending_actions: dict[int, Float32s] = {}

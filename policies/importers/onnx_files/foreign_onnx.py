@@ -26,15 +26,12 @@ EXPECTED = "expected ONNX"
 
 
 def load_onnx(path: Path) -> ModelProto:
-    """Read a graph, with weights from external files in the same folder.
-
-    Raises:
-        ContractError: the file is no ONNX, its weights are in another folder, or it has a forbidden operator.
-    """
+    """Read a graph, with weights from external files in the same folder; refuse forbidden operators."""
     model, budget = decode(read_bytes(path, EXPECTED), str(path)), BYTES_MAX
     for graph in graphs(model):
         for tensor in tensors(graph):
-            budget -= _embed_external_data(tensor, path, budget)
+            if tensor.data_location == TensorProto.EXTERNAL:
+                budget -= _embed_external_data(tensor, path, budget)
     _remove_unused_opsets(model)
     check_model(model, str(path))
     return model
@@ -53,28 +50,23 @@ def _embed_external_data(tensor: TensorProto, path: Path, budget: int) -> int:
 
     The budget is for all tensors: several may refer to the same bytes.
     """
-    if tensor.data_location != TensorProto.EXTERNAL:
-        return 0
     source, entries = f"{path}: tensor {tensor.name!r:.100}", {e.key: e.value for e in tensor.external_data}
     location = str(entries.get("location", ""))
     weights_path = path.parent / location
     if location != Path(location).name or weights_path.is_symlink() or not weights_path.is_file():
-        raise ContractError(
-            f"{source}: found its weights in {location!r:.100}, expected a file beside {path.name}"
-        )
+        found = f"found its weights in {location!r:.100}"
+        raise ContractError(f"{source}: {found}, expected a file beside {path.name}")
     try:
         start, size = int(entries.get("offset", 0)), int(entries.get("length", weights_path.stat().st_size))
         with weights_path.open("rb") as stream:
             stream.seek(start)
             data = stream.read(size) if 0 <= size <= budget else b""
     except (ValueError, OSError, OverflowError) as e:
-        raise ContractError(
-            f"{source}: found {shortened(e)}, expected offset and length in {location!r}"
-        ) from e
+        expected = f"expected offset and length in {location!r}"
+        raise ContractError(f"{source}: found {shortened(e)}, {expected}") from e
     if len(data) != size:
-        raise ContractError(
-            f"{source}: found {len(data)} bytes in {location!r}, expected {size}, {budget} at most"
-        )
+        found = f"found {len(data)} bytes in {location!r}"
+        raise ContractError(f"{source}: {found}, expected {size}, {budget} at most")
     tensor.raw_data = data
     tensor.data_location = TensorProto.DEFAULT
     del tensor.external_data[:]
@@ -85,9 +77,6 @@ def read_onnx(model: ModelProto, source: str) -> ReferencePolicy:
     """Find observation, action and memory of a checked graph; `source` names the file in error messages.
 
     Parts that the action does not depend on are removed: critics, reference motions, unused states.
-
-    Raises:
-        ContractError: an input or output cannot be identified, or the graph needs another input.
     """
     outputs = {value.name: value for value in model.graph.output}
     observation = _find_name(_inputs(model), OBSERVATIONS, f"{source}: input")
@@ -95,34 +84,31 @@ def read_onnx(model: ModelProto, source: str) -> ReferencePolicy:
     recurrent = [name for name in _inputs(_subgraph(model, [action])) if name in MEMORIES]
     model = _subgraph(model, [action, *(MEMORIES[name] for name in recurrent if MEMORIES[name] in outputs)])
     inputs, outputs = _inputs(model), {value.name: value for value in model.graph.output}
-    if observation not in inputs:
-        found = f"output {action!r}: does not depend on {observation!r}"
-        raise ContractError(f"{source}: {found}, expected an action computed from the observation")
-    _check_inputs(inputs, outputs, observation, source)
-    memory = tuple(
-        Memory(input_name=name, output_name=MEMORIES[name], shape=_shape(inputs[name], source))
-        for name in recurrent
+    _check_inputs(inputs, outputs, observation, action, source)
+    shapes = {name: _shape(inputs[name], source) for name in recurrent}
+    memory = tuple(Memory(input_name=n, output_name=MEMORIES[n], shape=shape) for n, shape in shapes.items())
+    facts = PolicyFacts(
+        kind="ONNX" + (" with memory" if memory else ""),
+        observations=_size(inputs[observation], source),
+        actions=_size(outputs[action], source),
+        known=known_from({entry.key: entry.value for entry in model.metadata_props}, source),
     )
-    reference = ReferencePolicy(
-        facts=PolicyFacts(
-            kind="ONNX" + (" with memory" if memory else ""),
-            observations=_size(inputs[observation], source),
-            actions=_size(outputs[action], source),
-            known=known_from({entry.key: entry.value for entry in model.metadata_props}, source),
-        ),
-        model=model,
-        observation=observation,
-        action=action,
-        memory=memory,
-        batched=False,
-        run=_OnnxRunner(model, observation, action, memory, source).run,
-    )
+    names = {"observation": observation, "action": action}
+    run = _OnnxRunner(model, observation, action, memory, source).run
+    reference = ReferencePolicy(facts=facts, model=model, memory=memory, batched=False, run=run, **names)
     return allow_any_batch(reference, source)
 
 
 def _check_inputs(
-    inputs: Mapping[str, ValueInfoProto], outputs: Mapping[str, ValueInfoProto], observation: str, source: str
+    inputs: Mapping[str, ValueInfoProto],
+    outputs: Mapping[str, ValueInfoProto],
+    observation: str,
+    action: str,
+    source: str,
 ) -> None:
+    if observation not in inputs:
+        found = f"output {action!r}: does not depend on {observation!r}"
+        raise ContractError(f"{source}: {found}, expected an action computed from the observation")
     for name in inputs:
         if name != observation and MEMORIES.get(name) not in outputs:
             pairs = ", ".join(f"{before} with {after}" for before, after in MEMORIES.items())
@@ -132,10 +118,15 @@ def _check_inputs(
 
 def allow_any_batch(reference: ReferencePolicy, source: str) -> ReferencePolicy:
     """Mark the graph as batched if a batch of three gives the same actions as three single runs."""
-    batched_model = _with_batch_axis(reference)
-    if reference.memory or not _accepts_batch(batched_model, reference, source):
+    if reference.memory:
         return reference
-    return replace(reference, model=batched_model, batched=True)
+    batched = ModelProto()
+    batched.CopyFrom(reference.model)
+    for value in (*batched.graph.input, *batched.graph.output):
+        if value.name in (reference.observation, reference.action):
+            value.type.tensor_type.shape.dim[0].dim_param = "batch"
+    same = _accepts_batch(batched, reference, source)
+    return replace(reference, model=batched, batched=True) if same else reference
 
 
 def _inputs(model: ModelProto) -> dict[str, ValueInfoProto]:
@@ -146,9 +137,8 @@ def _inputs(model: ModelProto) -> dict[str, ValueInfoProto]:
 def _find_name(found: Mapping[str, ValueInfoProto], known: Iterable[str], source: str) -> str:
     names = [name for name in known if name in found] or (list(found) if len(found) == 1 else [])
     if len(names) != 1:
-        raise ContractError(
-            f"{source}: found {list(found)!r:.200}, expected exactly one of {', '.join(known)}"
-        )
+        expected = f"expected exactly one of {', '.join(known)}"
+        raise ContractError(f"{source}: found {list(found)!r:.200}, {expected}")
     return names[0]
 
 
@@ -159,10 +149,8 @@ def _subgraph(model: ModelProto, outputs: list[str]) -> ModelProto:
     for node in reversed(model.graph.node):  # a valid graph is sorted
         if wanted.intersection(node.output):
             nodes.insert(0, node)
-            wanted.update(node.input)
-            wanted.update(
-                name for attribute in node.attribute for inner in attribute.g.node for name in inner.input
-            )
+            bodies = [inner for attribute in node.attribute for inner in attribute.g.node]
+            wanted.update(name for part in (node, *bodies) for name in part.input)
     part = ModelProto()
     part.CopyFrom(model)
     graph = part.graph
@@ -182,15 +170,10 @@ def _shape(value: ValueInfoProto, source: str) -> tuple[int, ...]:
     """Return the shape for one robot; a named dimension is the batch."""
     tensor = value.type.tensor_type
     shape = tuple(d.dim_value if d.HasField("dim_value") else 1 for d in tensor.shape.dim)
-    if (
-        tensor.elem_type != TensorProto.FLOAT
-        or not all(0 < d <= SIZE_MAX for d in shape)
-        or np.prod(shape) > SIZE_MAX
-    ):
-        kind = TensorProto.DataType.Name(tensor.elem_type)
-        raise ContractError(
-            f"{source}: {value.name!r}: found {kind} {shape}, expected FLOAT with 1 to {SIZE_MAX} numbers per robot"
-        )
+    fits = all(0 < d <= SIZE_MAX for d in shape) and np.prod(shape) <= SIZE_MAX
+    if tensor.elem_type != TensorProto.FLOAT or not fits:
+        found = f"{value.name!r}: found {TensorProto.DataType.Name(tensor.elem_type)} {shape}"
+        raise ContractError(f"{source}: {found}, expected FLOAT with 1 to {SIZE_MAX} numbers per robot")
     return shape
 
 
@@ -213,9 +196,8 @@ class _OnnxRunner:
 
     def run(self, observations: Float32s, resets: NDArray[np.bool_]) -> Float32s:
         """Return actions, as `reference_policy.RunSequence`."""
-        actions = []
         initial = {piece.input_name: np.zeros(piece.shape, np.float32) for piece in self._memory}
-        state = initial
+        actions, state = [], initial
         for row, reset in zip(observations, resets, strict=True):
             inputs = {self._observation: row[None], **(initial if reset else state)}
             try:
@@ -227,22 +209,12 @@ class _OnnxRunner:
         return np.array(actions, dtype=np.float32)
 
 
-def _with_batch_axis(reference: ReferencePolicy) -> ModelProto:
-    batched_model = ModelProto()
-    batched_model.CopyFrom(reference.model)
-    for value in (*batched_model.graph.input, *batched_model.graph.output):
-        if value.name in (reference.observation, reference.action):
-            value.type.tensor_type.shape.dim[0].dim_param = "batch"
-    return batched_model
-
-
 def _accepts_batch(batched_model: ModelProto, reference: ReferencePolicy, source: str) -> bool:
     observations = np.random.default_rng(0).normal(size=(3, reference.facts.observations)).astype(np.float32)
     single = reference.run(observations, np.ones(3, dtype=bool))
     try:
-        batch = load_session(batched_model.SerializeToString(), source).run(
-            [reference.action], {reference.observation: observations}
-        )[0]
+        session = load_session(batched_model.SerializeToString(), source)
+        batch = session.run([reference.action], {reference.observation: observations})[0]
     except Exception:  # noqa: BLE001 - a batch size of 1 is built in; ONNX Runtime's errors share no base
         return False
     return batch.shape == single.shape and bool(np.abs(batch - single).max() <= AGREEMENT)

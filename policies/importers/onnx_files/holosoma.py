@@ -12,6 +12,7 @@ from pydantic import AliasPath, Field
 from deploy.policy.contract import TEXT_MAX, Hertz
 from deploy.policy.contract_term import SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
 from policies.importers.draft_fields import (
+    Part,
     contract_fields,
     gain_fields,
     multiply_field,
@@ -19,18 +20,14 @@ from policies.importers.draft_fields import (
     without_none,
 )
 from robots.errors import ContractError
-from robots.strict import Strict, parse, read_json
+from robots.strict import parse, read_json
 
 POSITION = "JointPositionActionTerm"
 Path = Annotated[str, Field(max_length=1000)]
 """module:name of Python."""
 
 
-class _Part(Strict, extra="ignore"):
-    """Part of a record: other keys are ignored."""
-
-
-class _Term(_Part):
+class _Term(Part):
     name: Name
     func: Path
     history_length: Count
@@ -38,11 +35,11 @@ class _Term(_Part):
     clip: Clip | None
 
 
-class _ActionTerm(_Part):
+class _ActionTerm(Part):
     func: Path
 
 
-class _Experiment(_Part):
+class _Experiment(Part):
     fps: Hertz = Field(validation_alias=AliasPath("simulator", "config", "sim", "fps"))
     decimation: Count = Field(validation_alias=AliasPath("simulator", "config", "sim", "control_decimation"))
     control_type: Name = Field(validation_alias=AliasPath("robot", "control", "control_type"))
@@ -61,7 +58,7 @@ class _Experiment(_Part):
         return None if self.fps % self.decimation else self.fps // self.decimation
 
 
-class _Metadata(_Part):
+class _Metadata(Part):
     dof_names: Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
     kp: Numbers | None = None
     kd: Numbers | None = None
@@ -72,38 +69,33 @@ class _Metadata(_Part):
 
 
 def known_from(metadata: Mapping[str, str], source: str) -> dict[str, Any]:
-    """Return the contract's known fields, as `metadata.known_from`.
-
-    Raises:
-        ContractError: one line naming the key, the value found and what was expected.
-    """
+    """Return the contract's known fields, as `metadata.known_from`."""
     data = {
         key: read_json(metadata[key], f"{source}: metadata {key!r}", TEXT_MAX, ContractError)
         for key in _Metadata.model_fields
         if key in metadata
     }
-    metadata_values = parse(data, _Metadata, source=f"{source}: metadata", error=ContractError)
-    joints = list(metadata_values.dof_names)
-    for name in ("kp", "kd", "action_scale"):
-        numbers = getattr(metadata_values, name)
-        if isinstance(numbers, tuple) and len(numbers) != len(joints):
-            raise ContractError(
-                f"{source}: metadata {name!r}: found {len(numbers)} numbers, expected {len(joints)}, one for each of"
-                " dof_names"
-            )
-    experiment = metadata_values.experiment_config
+    found = parse(data, _Metadata, source=f"{source}: metadata", error=ContractError)
+    joints, experiment = list(found.dof_names), found.experiment_config
+    _check_sizes(found, source)
     pose = _pose(experiment, joints, source) if experiment else None
-    rate = experiment.hertz if experiment else None
     action = without_none(
         **(_action(experiment, pose) if experiment else {}),
-        multiply=multiply_field(_as_tuple(metadata_values.action_scale)),
-        **gain_fields(metadata_values.kp, metadata_values.kd),
+        multiply=multiply_field(found.action_scale),
+        **gain_fields(found.kp, found.kd),
     )
-    observation = [
-        _term(entry, pose, metadata_values.observation_clip)
-        for entry in metadata_values.observation_layout or ()
-    ]
+    observation = [_term(entry, pose, found.observation_clip) for entry in found.observation_layout or ()]
+    rate = experiment.hertz if experiment else None
     return contract_fields(observation or None, "zeros", joint_names=joints, policy_hz=rate, action=action)
+
+
+def _check_sizes(found: _Metadata, source: str) -> None:
+    count = len(found.dof_names)
+    for name in ("kp", "kd", "action_scale"):
+        numbers = getattr(found, name)
+        if isinstance(numbers, tuple) and len(numbers) != count:
+            where = f"{source}: metadata {name!r}: found {len(numbers)} numbers"
+            raise ContractError(f"{where}, expected {count}, one for each of dof_names")
 
 
 def _term(entry: _Term, pose: list[float] | None, common: float | None) -> dict[str, Any]:
@@ -111,7 +103,7 @@ def _term(entry: _Term, pose: list[float] | None, common: float | None) -> dict[
         entry.name,
         entry.func.rpartition(":")[2],
         pose,
-        multiply=multiply_field(_as_tuple(entry.scale)),
+        multiply=multiply_field(entry.scale),
         clip=_clip(entry.clip, common),
         clip_first=False,
         history=entry.history_length,
@@ -141,7 +133,3 @@ def _clip(own: tuple[float, float] | None, common: float | None) -> list[float] 
         return None
     low, high = own or (-common, common)
     return [max(low, -common), min(high, common)]
-
-
-def _as_tuple(numbers: float | tuple[float, ...] | None) -> tuple[float, ...] | None:
-    return (numbers,) if isinstance(numbers, int | float) else numbers

@@ -7,6 +7,7 @@ envs/mdp/actions/joint_actions.py.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,16 +15,18 @@ from pydantic import BeforeValidator, Field
 
 from deploy.policy.contract_term import SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
 from policies.importers.draft_fields import (
+    FAR,
     SOURCES,
+    Part,
+    as_tuple,
     contract_fields,
     gain_fields,
     multiply_field,
     without_none,
 )
-from policies.importers.onnx_files.metadata import FAR
 from policies.importers.untrusted.yaml_file import read_yaml
 from robots.errors import ContractError
-from robots.strict import Strict, parse
+from robots.strict import parse
 
 POSITION = ".JointPositionAction"
 
@@ -41,27 +44,28 @@ def _bounded(value: object) -> object:
 
 
 Names = Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
-Given = Annotated[Number | Numbers, BeforeValidator(_first_row)]
+OneOrEach = Annotated[Number | Numbers, BeforeValidator(_first_row)]
 """One number for all, or one per element."""
 Bounds = Annotated[tuple[Clip, ...], BeforeValidator(_bounded), Field(max_length=SIZE_MAX)]
 
 
-class _Part(Strict, extra="ignore"):
-    """Part of a record: other keys are ignored."""
-
-
-class _Overloads(_Part):
+class _Overloads(Part):
     clip: Annotated[Clip | None, BeforeValidator(_bounded)]
     scale: Number | Numbers | None
     history_length: Annotated[int, Field(ge=0, le=SIZE_MAX)] | None
     flatten_history_dim: bool
 
+    @property
+    def history(self) -> int:
+        """Number of readings, 1 for the newest only."""
+        return max(1, self.history_length or 0)
 
-class _Extras(_Part):
+
+class _Extras(Part):
     modifiers: None = None
 
 
-class _Term(_Part):
+class _Term(Part):
     name: Name
     shape: Annotated[tuple[Count, ...], Field(min_length=1, max_length=1)]
     overloads: _Overloads
@@ -71,29 +75,29 @@ class _Term(_Part):
     joint_vel_offsets: Numbers | None = None
 
 
-class _Action(_Part):
+class _Action(Part):
     full_path: Annotated[str, Field(max_length=1000)]
     joint_names: Names
-    scale: Given
-    offset: Given
+    scale: OneOrEach
+    offset: OneOrEach
     clip: Bounds | None
 
 
-class _Articulation(_Part):
+class _Articulation(Part):
     joint_names: Names
     default_joint_stiffness: Numbers
     default_joint_damping: Numbers
 
 
-class _Observations(_Part):
+class _Observations(Part):
     policy: Annotated[tuple[_Term, ...], Field(min_length=1, max_length=SIZE_MAX)]
 
 
-class _Scene(_Part):
+class _Scene(Part):
     dt: Annotated[Positive, Field(ge=1e-5, le=100)]
 
 
-class _Descriptor(_Part):
+class _Descriptor(Part):
     actions: Annotated[tuple[_Action, ...], Field(min_length=1, max_length=1)]
     articulations: Annotated[dict[Name, _Articulation], Field(max_length=100)]
     observations: _Observations
@@ -101,33 +105,17 @@ class _Descriptor(_Part):
 
 
 def read_descriptor(path: Path, observations: int) -> dict[str, Any]:
-    """Return the contract's fields that a descriptor gives.
-
-    Args:
-        path: the YAML.
-        observations: N of the policy, to detect the descriptor of another policy.
-
-    Raises:
-        ContractError: naming the file, the field, what was found and what was expected.
-    """
-    data = read_yaml(path)
-    descriptor = parse(data, _Descriptor, source=str(path), error=ContractError)
+    """Return the contract's fields that a descriptor gives; it must be of a policy with N = `observations`."""
+    descriptor = parse(read_yaml(path), _Descriptor, source=str(path), error=ContractError)
     terms, (action,) = descriptor.observations.policy, descriptor.actions
-    total = sum(term.shape[0] * max(1, term.overloads.history_length or 0) for term in terms)
-    if total != observations:
-        raise ContractError(
-            f"{path}: observations.policy: found {total} numbers, the policy takes {observations}"
-        )
-    joints, *others = dict.fromkeys(t.joint_names for t in terms if t.joint_names) or [action.joint_names]
-    if others or not set(action.joint_names) <= set(joints):
-        raise ContractError(
-            f"{path}: observations.policy: joint_names: found {list(others[0] if others else joints)!s:.300},"
-            f" expected the same joints for each term, including those of the action: {list(action.joint_names)!s:.300}"
-        )
+    where = f"{path}: observations.policy"
+    if (total := sum(term.shape[0] * term.overloads.history for term in terms)) != observations:
+        raise ContractError(f"{where}: found {total} numbers, the policy takes {observations}")
+    joints = _observed_joints(terms, action, where)
     _check_action(action, str(path))
     hertz = 1 / descriptor.scene.dt
     return contract_fields(
-        _terms(terms, str(path)),
+        _terms(terms, where),
         "first",
         joint_names=list(joints),
         action_joints=None if joints == action.joint_names else list(action.joint_names),
@@ -136,14 +124,24 @@ def read_descriptor(path: Path, observations: int) -> dict[str, Any]:
     )
 
 
-def _terms(terms: Sequence[_Term], source: str) -> list[dict[str, Any]]:
+def _observed_joints(terms: Sequence[_Term], action: _Action, where: str) -> tuple[str, ...]:
+    joints, *others = dict.fromkeys(t.joint_names for t in terms if t.joint_names) or [action.joint_names]
+    if others or not set(action.joint_names) <= set(joints):
+        found, moved = list(others[0] if others else joints), list(action.joint_names)
+        raise ContractError(
+            f"{where}: joint_names: found {found!s:.300}, expected the same joints for each term, including those"
+            f" of the action: {moved!s:.300}"
+        )
+    return joints
+
+
+def _terms(terms: Sequence[_Term], where: str) -> list[dict[str, Any]]:
     counts: Counter[str] = Counter()
     fields = []
     for term in terms:
         counts[term.name] += 1
-        where = f"{source}: observations.policy: {term.name}"
         if term.overloads.history_length and not term.overloads.flatten_history_dim:
-            raise ContractError(f"{where}: flatten_history_dim: found false, expected true")
+            raise ContractError(f"{where}: {term.name}: flatten_history_dim: found false, expected true")
         count = counts[term.name]
         fields.append(_term(term, term.name if count == 1 else f"{term.name}_{count}"))
     return fields
@@ -151,37 +149,35 @@ def _terms(terms: Sequence[_Term], source: str) -> list[dict[str, Any]]:
 
 def _term(term: _Term, name: str) -> dict[str, Any]:
     overloads, source = term.overloads, SOURCES.get(term.name)
-    offsets = {"joint_pos_rel": term.joint_pos_offsets, "joint_vel_rel": term.joint_vel_offsets}
-    offset = offsets.get(term.name)
+    offset = {"joint_pos_rel": term.joint_pos_offsets, "joint_vel_rel": term.joint_vel_offsets}.get(term.name)
     none = None if term.name == "joint_pos_rel" else "none"
     return without_none(
         name=name,
         source=source,
         offset=None if source is None else list(offset) if offset and any(offset) else none,
-        multiply=1.0 if overloads.scale is None else multiply_field(_as_tuple(overloads.scale)),
+        multiply=1.0 if overloads.scale is None else multiply_field(overloads.scale),
         clip=list(overloads.clip) if overloads.clip else "none",
         clip_first=True,
-        history=max(1, overloads.history_length or 0),
+        history=overloads.history,
     )
 
 
 def _check_action(action: _Action, source: str) -> None:
-    count, scale = len(action.joint_names), _as_tuple(action.scale)
-    for field, found in (("scale", scale), ("offset", _as_tuple(action.offset)), ("clip", action.clip or ())):
+    count, scale = len(action.joint_names), as_tuple(action.scale)
+    for field, found in (("scale", scale), ("offset", as_tuple(action.offset)), ("clip", action.clip or ())):
         expected = (0, count) if field == "clip" else (1, count)
         if len(found) not in expected:
             raise ContractError(f"{source}: actions.0.{field}: found {len(found)}, expected {count}")
     if action.clip and 0.0 in scale:
-        raise ContractError(
-            f"{source}: actions.0.scale: found 0, expected another number, since targets are clipped"
-        )
+        expected = "another number, since targets are clipped"
+        raise ContractError(f"{source}: actions.0.scale: found 0, expected {expected}")
 
 
 def _action(action: _Action, articulations: Mapping[str, _Articulation]) -> dict[str, Any]:
     """Return the action's fields; none unless joint positions are commanded."""
     if not action.full_path.endswith(POSITION):
         return {}
-    offset, scale = _as_tuple(action.offset), _as_tuple(action.scale)
+    offset, scale = as_tuple(action.offset), as_tuple(action.scale)
     return without_none(
         mode="position",
         offset=list(offset) if any(offset) else "none",
@@ -196,10 +192,9 @@ def _raw_clip(action: _Action, offset: Sequence[float], scale: Sequence[float]) 
 
     A negative scale swaps the lower and the upper bound.
     """
-    count = len(action.joint_names)
     raw = {
         tuple(sorted(max(-FAR, min(round((bound - o) / s, 6), FAR)) for bound in clip))
-        for clip, o, s in zip(action.clip or (), _expand(offset, count), _expand(scale, count), strict=True)
+        for clip, o, s in zip(action.clip or (), cycle(offset), cycle(scale), strict=False)
     }
     return list(raw.pop()) if len(raw) == 1 else None
 
@@ -210,14 +205,5 @@ def _gains(names: Sequence[str], articulations: Mapping[str, _Articulation]) -> 
         both = (arm.default_joint_stiffness, arm.default_joint_damping)
         if set(names) <= set(arm.joint_names) and all(len(n) == len(arm.joint_names) for n in both):
             places = [arm.joint_names.index(name) for name in names]
-            kp, kd = ([numbers[k] for k in places] for numbers in both)
-            return gain_fields(kp, kd)
+            return gain_fields(*([numbers[k] for k in places] for numbers in both))
     return {}
-
-
-def _expand(numbers: Sequence[float], count: int) -> list[float]:
-    return list(numbers) * count if len(numbers) == 1 else list(numbers)
-
-
-def _as_tuple(numbers: float | tuple[float, ...]) -> tuple[float, ...]:
-    return (numbers,) if isinstance(numbers, int | float) else numbers

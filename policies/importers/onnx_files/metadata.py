@@ -7,11 +7,12 @@ source/whole_body_tracking/whole_body_tracking/utils/exporter.py. Both write lis
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from deploy.policy.contract_term import SIZE_MAX
 from policies.importers.draft_fields import (
+    FAR,
     contract_fields,
     gain_fields,
     multiply_field,
@@ -28,16 +29,10 @@ ENTRY = re.compile(r"[\[(][^\[\]()]*[\])]|[^,]+")
 NAME = re.compile(r"[^\[\]{}\"',;]{1,100}")
 VELOCITIES = (["twist"], ["base_velocity"])
 """Values of command_names if the only command is a velocity."""
-FAR = 1e30
-"""Stands for infinity where only one side is bounded."""
 
 
 def known_from(metadata: Mapping[str, str], source: str) -> dict[str, Any]:
-    """Return the contract's fields known from ONNX metadata; `source` names the file in error messages.
-
-    Raises:
-        ContractError: one line naming the key, the value found and what was expected.
-    """
+    """Return the contract's fields known from ONNX metadata; `source` names the file in error messages."""
     if "dof_names" in metadata:
         return holosoma.known_from(metadata, source)
     if not metadata.keys() & {"joint_names", "observation_names"}:
@@ -45,24 +40,22 @@ def known_from(metadata: Mapping[str, str], source: str) -> dict[str, Any]:
     lists = _MetadataLists(metadata, source)
     joints = lists.names("joint_names")
     pose = lists.numbers("default_joint_pos", joints)
-    actuated = _actuated_joints(lists, joints)
-    kp, kd = (lists.numbers(key, actuated) for key in ("joint_stiffness", "joint_damping"))
-    scale = lists.numbers("action_scale", actuated if "," in metadata.get("action_scale", "") else None)
-    action = without_none(mode="position", multiply=multiply_field(scale), **gain_fields(kp, kd))
-    observation = _observation(lists, pose)
+    # There are as many actuated joints as gains; the metadata does not tell which ones.
+    actuated = joints and joints[: len(lists.entries("joint_stiffness") or joints)]
+    action, observation = _action(lists, actuated), _observation(lists, pose)
     if actuated != joints:
-        return contract_fields(
-            observation, "first", joint_names=joints, action_joints=PLACEHOLDER, action=action
-        )
+        unknown = {"action_joints": PLACEHOLDER, "action": action}
+        return contract_fields(observation, "first", joint_names=joints, **unknown)
     return contract_fields(
         observation, "first", joint_names=joints, action=without_none(offset=pose, **action)
     )
 
 
-def _actuated_joints(lists: "_MetadataLists", joints: list[str] | None) -> list[str] | None:
-    """Return as many joints as there are gains; the metadata does not tell which joints are actuated."""
-    count = len(lists.entries("joint_stiffness") or joints or ())
-    return joints[:count] if joints else joints
+def _action(lists: "_MetadataLists", actuated: list[str] | None) -> dict[str, Any]:
+    kp, kd = (lists.numbers(key, actuated) for key in ("joint_stiffness", "joint_damping"))
+    entries = lists.entries("action_scale") or ()
+    scale = lists.numbers("action_scale", actuated if len(entries) > 1 else None)
+    return without_none(mode="position", multiply=multiply_field(scale), **gain_fields(kp, kd))
 
 
 class _MetadataLists:
@@ -95,11 +88,8 @@ class _MetadataLists:
         if (entries := self.entries(key)) is None:
             return None
         if expected_names is not None and len(entries) != len(expected_names):
-            raise self.error(
-                key,
-                self._metadata[key],
-                f"{len(expected_names)} entries, one per name of {expected_names!r:.200}",
-            )
+            expected = f"{len(expected_names)} entries, one per name of {expected_names!r:.200}"
+            raise self.error(key, self._metadata[key], expected)
         return [self._row(key, entry) for entry in entries]
 
     def _row(self, key: str, entry: str) -> list[float]:
@@ -124,34 +114,32 @@ def _observation(lists: _MetadataLists, pose: list[float] | None) -> list[dict[s
     if (names := lists.names("observation_names")) is None:
         return None
     velocity = lists.names("command_names") in VELOCITIES
-    field_names = ["velocity_command" if velocity and name == "command" else name for name in names]
-    scales = lists.rows("observation_terms_scale", names)
-    clips = _clips(lists, names)
-    histories = _histories(lists, names)
+    scales = lists.rows("observation_terms_scale", names) or [None] * len(names)
+    clips, histories = _clips(lists, names), _histories(lists, names)
     return [
         term_fields(
             name,
-            field_names[k],
+            "velocity_command" if velocity and name == "command" else name,
             pose,
-            multiply=multiply_field(scales[k] if scales else None),
-            clip=clips[k] if clips else None,
-            clip_first=True if clips else None,
-            history=histories[k] if histories else None,
+            multiply=multiply_field(scale),
+            clip=clip,
+            clip_first=True if clip else None,
+            history=history,
         )
-        for k, name in enumerate(names)
+        for name, scale, clip, history in zip(names, scales, clips, histories, strict=True)
     ]
 
 
-def _clips(lists: _MetadataLists, names: list[str]) -> list[str | list[float]] | None:
+def _clips(lists: _MetadataLists, names: list[str]) -> Sequence[str | list[float] | None]:
     if (rows := lists.rows("observation_terms_clip", names)) is None:
-        return None
+        return [None] * len(names)
     for row in rows:
         if len(row) != 2 or not row[0] < row[1]:
             raise lists.error("observation_terms_clip", row, "low and high")
     return ["none" if row == [-math.inf, math.inf] else [max(row[0], -FAR), min(row[1], FAR)] for row in rows]
 
 
-def _histories(lists: _MetadataLists, names: list[str]) -> list[int] | None:
+def _histories(lists: _MetadataLists, names: list[str]) -> Sequence[int | None]:
     """Return history lengths, of mjlab (0 means the newest reading only) or of BeyondMimic."""
     key = "observation_terms_history_length"
     lengths = lists.numbers(key, names) or lists.numbers("observation_history_lengths", names)
@@ -159,4 +147,4 @@ def _histories(lists: _MetadataLists, names: list[str]) -> list[int] | None:
     for name, length, flattened in zip(names, lengths or (), flat, strict=False):
         if length not in range(SIZE_MAX + 1) or (length > 1 and not flattened):
             raise lists.error(key, (name, length, flattened), f"a length of 0 to {SIZE_MAX}, flattened")
-    return None if lengths is None else [max(1, int(length)) for length in lengths]
+    return [None] * len(names) if lengths is None else [max(1, int(length)) for length in lengths]

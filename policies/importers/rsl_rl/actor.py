@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from deploy.policy.contract_term import SIZE_MAX
-from policies.importers.normalizer import Normalizer
 from policies.importers.reference_policy import RunSequence
+from policies.importers.torch_files.mlp import Normalizer, build_mlp
 from policies.importers.torch_files.network_settings import Activation
-from policies.importers.torch_files.state_dict import LAYERS_MAX, build_mlp, linear_layers
+from policies.importers.torch_files.state_dict import LAYERS_MAX, linear_layers
 from policies.importers.untrusted.tensor_archive import check_tensor
 from robots.arrays import Float32s
 from robots.errors import ContractError
@@ -70,9 +70,8 @@ class Actor:
     @property
     def kind(self) -> str:
         """Architecture in words."""
-        return (type(self.rnn).__name__ if self.rnn else "MLP") + (
-            " with a normalizer" if self.normalizer else ""
-        )
+        layers = type(self.rnn).__name__ if self.rnn else "MLP"
+        return f"{layers} with a normalizer" if self.normalizer else layers
 
     @property
     def observations(self) -> int:
@@ -86,11 +85,8 @@ class Actor:
 
     def module(self, activation: Activation) -> nn.Sequential:
         """Return the module from (1, N) to (1, A), for tracing."""
-        parts = [
-            self.normalizer,
-            StatefulRnn(self.rnn) if self.rnn else None,
-            build_mlp(self.layers, activation),
-        ]
+        rnn = StatefulRnn(self.rnn) if self.rnn else None
+        parts = (self.normalizer, rnn, build_mlp(self.layers, activation))
         return nn.Sequential(*(part for part in parts if part is not None))
 
     def runner(self, activation: Activation) -> RunSequence | None:
@@ -130,27 +126,21 @@ def _runner(model: Any) -> RunSequence:
 
 
 def read_actor(weights: Mapping[str, Tensor], source: str) -> Actor:
-    """Build an actor from weights named as in version 5.
-
-    Raises:
-        ContractError: a tensor is missing, unknown, or of another shape.
-    """
+    """Build an actor from weights named as in version 5; refuse missing, unknown and misshapen tensors."""
     for name in weights:
         if not name.startswith(PARTS):
             expected = ", ".join(f"{part}*" for part in PARTS)
             raise ContractError(f"{source}: {name!r:.100}: unknown in an actor, expected {expected}")
-    layers = _layers(_part(weights, MLP), f"{source}: mlp")
-    rnn_weights, normalizer_weights = _part(weights, RNN), _part(weights, NORMALIZER)
-    rnn = _rnn(rnn_weights, layers[0].in_features, f"{source}: rnn") if rnn_weights else None
-    size = rnn.input_size if rnn else layers[0].in_features
+    normalizer, rnn, mlp, distribution = (_part(weights, part) for part in PARTS)
+    layers = _layers(mlp, f"{source}: mlp")
+    recurrent = _rnn(rnn, layers[0].in_features, f"{source}: rnn") if rnn else None
+    size = recurrent.input_size if recurrent else layers[0].in_features
     return Actor(
         weights=weights,
-        normalizer=_normalizer(normalizer_weights, size, f"{source}: obs_normalizer")
-        if normalizer_weights
-        else None,
-        rnn=rnn,
+        normalizer=_normalizer(normalizer, size, f"{source}: obs_normalizer") if normalizer else None,
+        rnn=recurrent,
         layers=layers,
-        std_type=_std_type(_part(weights, DISTRIBUTION), layers[-1].out_features, f"{source}: distribution"),
+        std_type=_std_type(distribution, layers[-1].out_features, f"{source}: distribution"),
     )
 
 

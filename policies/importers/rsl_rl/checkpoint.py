@@ -8,8 +8,8 @@ from torch import Tensor
 
 from policies.importers.reference_policy import PolicyFacts, ReferencePolicy
 from policies.importers.rsl_rl.actor import COUNT, read_actor
-from policies.importers.torch_files.network_settings import NetworkSettings
-from policies.importers.torch_files.state_dict import check_weights, required_activation
+from policies.importers.torch_files.network_settings import NetworkSettings, require_settings
+from policies.importers.torch_files.state_dict import check_weights
 from policies.importers.torch_files.traced_module import trace_module
 from policies.importers.untrusted.tensor_archive import load_tensors
 from robots.errors import ContractError
@@ -46,18 +46,16 @@ def read_rsl_rl(path: Path, network: NetworkSettings) -> ReferencePolicy:
     source = str(path)
     actor = read_actor(_weights(load_tensors(path, "expected a checkpoint of rsl_rl"), source), source)
     facts = PolicyFacts(kind=f"rsl_rl {actor.kind}", observations=actor.observations, actions=actor.actions)
-    activation = required_activation(network, facts, source)
+    activation = require_settings(facts, source, network.activation)
     if network.normalizer not in (None, "none"):
         found = f"network.normalizer: found {network.normalizer!r:.100}"
         raise ContractError(f"{source}: {found}, expected no setting: the checkpoint has its own")
     reference = trace_module(actor.module(activation), facts.observations, source, kind=facts.kind)
-    normalizer = actor.normalizer
-    return replace(
-        reference,
-        run=actor.runner(activation) or reference.run,
-        mean=tuple(normalizer.mean.tolist()) if normalizer else None,
-        deviation=tuple(normalizer.divisor.tolist()) if normalizer else None,
-    )
+    reference = replace(reference, run=actor.runner(activation) or reference.run)
+    if (normalizer := actor.normalizer) is None:
+        return reference
+    mean, deviation = tuple(normalizer.mean.tolist()), tuple(normalizer.divisor.tolist())
+    return replace(reference, mean=mean, deviation=deviation)
 
 
 def _weights(data: object, source: str) -> dict[str, Tensor]:

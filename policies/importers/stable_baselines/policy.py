@@ -8,7 +8,6 @@ unbounded, and the contract's clip replaces the clipping of `predict`.
 import itertools
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,11 +15,11 @@ import torch
 from torch import Tensor, nn
 
 from deploy.policy.contract_term import SIZE_MAX
-from policies.importers.reference_policy import MissingSettingError, PolicyFacts, ReferencePolicy
+from policies.importers.reference_policy import PolicyFacts, ReferencePolicy
 from policies.importers.stable_baselines.archive import read_zip
 from policies.importers.stable_baselines.vec_normalize import VecNormalize, read_vec_normalize
-from policies.importers.torch_files.activations import ACTIVATIONS
-from policies.importers.torch_files.network_settings import Activation, NetworkSettings
+from policies.importers.torch_files.mlp import ACTIVATIONS, Normalizer, build_mlp, linear_layer
+from policies.importers.torch_files.network_settings import Activation, NetworkSettings, require_settings
 from policies.importers.torch_files.traced_module import trace_module
 from robots.errors import ContractError
 
@@ -82,49 +81,36 @@ def read_stable_baselines(path: Path, network: NetworkSettings) -> ReferencePoli
         ContractError: the file is invalid, or of an unsupported kind.
         MissingSettingError: the activation or the normalizer is unknown: the zip does not name VecNormalize.
     """
+    source = str(path)
     settings, weights = read_zip(path)
-    family = _family(settings, str(path))
-    layers = list(_layers(weights, family, str(path)))
+    family = _family(settings, source)
+    layers = list(_layers(weights, family, source))
     sizes = layers[0].in_features, layers[-1].out_features
     for complaint in _unsupported(settings, sizes):
         raise ContractError(f"{path}: data: {complaint}")
-    activation = _activation(settings, family, network, str(path))
-    known: dict[str, Any] = {}
-    if clip := _clip(_part(settings, "action_space"), family):
-        known["action"] = {"clip": clip}
-    answers = {"activation": activation, "normalizer": network.normalizer}
-    if activation is None or network.normalizer is None:
-        missing = {name: "?" for name, answer in answers.items() if answer is None}
-        known["network"] = missing
-        facts = PolicyFacts(kind=family.kind, observations=sizes[0], actions=sizes[1], known=known)
-        raise MissingSettingError(f"{path}: network: {' and '.join(missing)}: not in the file", facts)
-    mlp = _mlp(layers, ACTIVATIONS[activation], squashed=family.squashed)
-    normalizer = _normalizer(network.normalizer_path(path), sizes[0])
-    if normalizer is None:
-        return trace_module(mlp, sizes[0], str(path), kind=family.kind, known=known)
-    normalized = nn.Sequential(_Normalize(normalizer), mlp)
-    return replace(
-        trace_module(normalized, sizes[0], str(path), kind=f"{family.kind} with VecNormalize", known=known),
-        mean=tuple(normalizer.mean.tolist()),
-        deviation=tuple(normalizer.divisor.tolist()),
-    )
+    found = _activation(settings, family, network, source)
+    clip = _clip(_part(settings, "action_space"), family)
+    known: dict[str, Any] = {"action": {"clip": clip}} if clip else {}
+    facts = PolicyFacts(kind=family.kind, observations=sizes[0], actions=sizes[1], known=known)
+    activation = require_settings(facts, source, found, network.normalizer)
+    mlp = build_mlp(layers, activation, *([nn.Tanh()] if family.squashed else []))
+    if (normalizer := _normalizer(network.normalizer_path(path), sizes[0])) is None:
+        return trace_module(mlp, sizes[0], source, kind=family.kind, known=known)
+    module, kind = nn.Sequential(_Normalize(normalizer), mlp), f"{family.kind} with VecNormalize"
+    mean, deviation = tuple(normalizer.mean.tolist()), tuple(normalizer.divisor.tolist())
+    return trace_module(module, sizes[0], source, kind=kind, known=known, mean=mean, deviation=deviation)
 
 
-class _Normalize(nn.Module):
+class _Normalize(Normalizer):
     """Normalizer in double precision with a single-precision result, as in Stable-Baselines3."""
 
-    mean: Tensor
-    divisor: Tensor
-
     def __init__(self, normalizer: VecNormalize) -> None:
-        super().__init__()
-        self.register_buffer("mean", torch.from_numpy(normalizer.mean))
-        self.register_buffer("divisor", torch.from_numpy(normalizer.divisor))
+        super().__init__(torch.from_numpy(normalizer.mean), torch.from_numpy(normalizer.divisor))
         self.clip = normalizer.clip
 
     def forward(self, observation: Tensor) -> Tensor:
         """Return normalized observations (B, N)."""
-        return ((observation.double() - self.mean) / self.divisor).clamp(-self.clip, self.clip).float()
+        return super().forward(observation.double()).clamp(-self.clip, self.clip).float()
 
 
 def _family(settings: Mapping[str, object], source: str) -> _Family:
@@ -146,30 +132,11 @@ def _layers(weights: Mapping[str, Tensor], family: _Family, source: str) -> Iter
         raise ContractError(f"{source}: policy.pth: found no tensor {missing[0]!r}, expected a plain MLP")
     width: int | None = None
     for name in names:
-        layer = _linear(weights[f"{name}.weight"], weights[f"{name}.bias"], width, f"{source}: {name}")
+        layer = linear_layer(f"{name}.", weights, source)
+        if width not in (None, layer.in_features):
+            raise ContractError(f"{source}: {name}: found {layer.in_features} inputs, expected {width}")
         width = layer.out_features
         yield layer
-
-
-def _linear(weight: Tensor, bias: Tensor, width: int | None, source: str) -> nn.Linear:
-    """Build a layer; shapes are checked before values: a tensor of a few bytes can claim any number of elements."""
-    rows, columns = weight.shape if weight.dim() == 2 else (0, 0)
-    plain = all(
-        t.dtype == torch.float32 and t.layout == torch.strided and t.is_contiguous() for t in (weight, bias)
-    )
-    if not plain or tuple(bias.shape) != (rows,) or columns != (width or columns) or columns == 0:
-        found = f"{weight.dtype} {tuple(weight.shape)} and {tuple(bias.shape)}"
-        raise ContractError(f"{source}: found {found}, expected torch.float32 (n, {width or 'N'}) and (n,)")
-    if bad := int((~weight.isfinite()).sum() + (~bias.isfinite()).sum()):
-        raise ContractError(f"{source}: found {bad} values NaN or infinite, expected all finite")
-    layer = nn.Linear(columns, rows, device="meta")
-    layer.load_state_dict({"weight": weight, "bias": bias}, assign=True)
-    return layer.requires_grad_(False)
-
-
-def _mlp(layers: list[nn.Linear], activation: type[nn.Module], *, squashed: bool) -> nn.Sequential:
-    parts = [part for layer in layers for part in (layer, activation())]
-    return nn.Sequential(*parts[:-1], *([nn.Tanh()] if squashed else []))
 
 
 def _unsupported(settings: Mapping[str, object], sizes: tuple[int, int]) -> Iterator[str]:

@@ -11,8 +11,9 @@ from deploy.policy.contract_term import SIZE_MAX
 from deploy.policy.onnx_graph import shortened
 from policies.importers.reference_policy import ReferencePolicy
 from policies.importers.torch_files.exported_program_check import check_tensors, sanitize_program
+from policies.importers.torch_files.network_settings import NetworkSettings
 from policies.importers.torch_files.traced_module import trace_module
-from policies.importers.untrusted.zip_archive import read_bytes, read_torch_members, repack
+from policies.importers.untrusted.zip_archive import in_folder, read_bytes, read_torch_members, repack
 from robots.errors import ContractError
 
 PROGRAM, EXAMPLES = "models/model.json", "data/sample_inputs/model.pt"
@@ -29,21 +30,14 @@ NEEDED = re.compile(
 EXPECTED = "expected a file of torch.export.save"
 
 
-def read_exported_program(path: Path) -> ReferencePolicy:
-    """Read a file of `torch.export.save`; buffers that the program changes become its memory.
-
-    Raises:
-        ContractError: the file is invalid, holds more than aten operators, or cannot be traced.
-    """
+def read_exported_program(path: Path, _network: NetworkSettings | None = None) -> ReferencePolicy:
+    """Read a file of `torch.export.save`; buffers that the program changes become its memory."""
     source = str(path)
     members = read_torch_members(read_bytes(path, EXPECTED), NEEDED, source, EXPECTED)
     if missing := [name for name in (PROGRAM, *TENSORS.values(), *VERSIONS) if name not in members]:
         raise ContractError(f"{source}: found no {missing[0]}, {EXPECTED}")
     for folder, config in TENSORS.items():
-        payloads = {
-            name.removeprefix(folder): data for name, data in members.items() if name.startswith(folder)
-        }
-        check_tensors(members[config], payloads, f"{source}: {config}")
+        check_tensors(members[config], in_folder(members, folder), f"{source}: {config}")
     members[PROGRAM] = sanitize_program(members[PROGRAM], f"{source}: {PROGRAM}")
     members[EXAMPLES] = b""
     program = _load(members, source)
@@ -69,9 +63,7 @@ def _observations(program: ExportedProgram, source: str) -> int:
         tuple(n.meta["val"].shape) for n in program.graph.nodes if n.op == "placeholder" and n.name in names
     ]
     if len(shapes) != 1 or len(shapes[0]) != 2:
-        raise ContractError(
-            f"{source}: found inputs of shapes {shapes}, expected one of (batch, observations)"
-        )
+        raise ContractError(f"{source}: found inputs of shapes {shapes}, expected (batch, observations)")
     batch, size = shapes[0]
     if (isinstance(batch, int) and batch != 1) or not isinstance(size, int) or not 0 < size <= SIZE_MAX:
         raise ContractError(

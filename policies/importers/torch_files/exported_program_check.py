@@ -37,43 +37,39 @@ SPECS = {
 
 
 def sanitize_program(text: bytes, source: str) -> bytes:
-    """Return the program without metadata and guards, with every other value checked.
-
-    Raises:
-        ContractError: naming a value that is not part of aten operators on tensors.
-    """
+    """Return the program without metadata and guards; refuse values other than aten operators on tensors."""
     program = _read(text, source)
-    try:
-        inner = program["graph_module"]
-        inner["metadata"], inner["treespec_namedtuple_fields"] = {}, {}
-        inner["module_call_graph"] = inner["module_call_graph"][:1]
-        program["guards_code"], program["torch_version"] = [], ""
-        for node in inner["graph"]["nodes"]:
-            node["metadata"] = {}
-        complaints = [*_symbols(program["range_constraints"]), *_unexpected(program, "")]
-    except (KeyError, TypeError, AttributeError, RecursionError) as e:
-        raise ContractError(f"{source}: found no exported program: a {type(e).__name__}") from e
-    if complaints:
-        raise ContractError(f"{source}: {complaints[0]}; nothing of it was run")
+    _refuse(_sanitize(program), source, "exported program")
     return json.dumps(program).encode()
 
 
 def check_tensors(text: bytes, payloads: Mapping[str, bytes], source: str) -> None:
-    """Refuse tensors that are pickled, missing, or larger than their bytes.
+    """Refuse tensors that are pickled, missing, or larger than their bytes."""
+    _refuse(_invalid_tensors(_read(text, source), payloads), source, "list of tensors")
 
-    Raises:
-        ContractError: naming the tensor.
-    """
-    config = _read(text, source)
+
+def _refuse(complaints: Iterator[str], source: str, expected: str) -> None:
+    """Raise ContractError for the first complaint, or if the data has another structure than the check expects."""
     try:
-        complaints = [
-            *_unexpected(config, "", names=DOTTED_NAME),
-            *_invalid_tensors(config["config"], payloads),
-        ]
+        complaint = next(complaints, None)
     except (KeyError, TypeError, AttributeError, RecursionError) as e:
-        raise ContractError(f"{source}: found no list of tensors: a {type(e).__name__}") from e
-    if complaints:
-        raise ContractError(f"{source}: {complaints[0]}; nothing of it was run")
+        raise ContractError(f"{source}: found no {expected}: a {type(e).__name__}") from e
+    if complaint is not None:
+        raise ContractError(f"{source}: {complaint}; nothing of it was run")
+
+
+def _sanitize(program: Any) -> Iterator[str]:
+    """Remove metadata and guards, then yield complaints about all other values."""
+    inner = program["graph_module"]
+    inner["metadata"], inner["treespec_namedtuple_fields"] = {}, {}
+    inner["module_call_graph"] = inner["module_call_graph"][:1]
+    program["guards_code"], program["torch_version"] = [], ""
+    for node in inner["graph"]["nodes"]:
+        node["metadata"] = {}
+    for name in program["range_constraints"]:
+        if not re.fullmatch(r"s\d{1,4}", name):
+            yield f"range_constraints: found {name!r:.100}, expected the size of a batch"
+    yield from _unexpected(program, "")
 
 
 def _read(text: bytes, source: str) -> Any:
@@ -83,12 +79,6 @@ def _read(text: bytes, source: str) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError) as e:
         raise ContractError(f"{source}: found no JSON of at most {TEXT_MAX} characters") from e
-
-
-def _symbols(constraints: Mapping[str, object]) -> Iterator[str]:
-    for name in constraints:
-        if not re.fullmatch(r"s\d{1,4}", name):
-            yield f"range_constraints: found {name!r:.100}, expected the size of a batch"
 
 
 def _unexpected(part: object, key: str, names: re.Pattern[str] = PLAIN_WORD) -> Iterator[str]:
@@ -119,8 +109,9 @@ def _expected(text: str, key: str) -> str | None:
     return None if (DOTTED_NAME if key in PATHS else PLAIN_WORD).fullmatch(text) else "a plain word"
 
 
-def _invalid_tensors(tensors: Mapping[str, Any], payloads: Mapping[str, bytes]) -> Iterator[str]:
-    for name, tensor in tensors.items():
+def _invalid_tensors(listed: Any, payloads: Mapping[str, bytes]) -> Iterator[str]:
+    yield from _unexpected(listed, "", names=DOTTED_NAME)
+    for name, tensor in listed["config"].items():
         if tensor["use_pickle"] is not False:
             yield f"{name}: found a pickle, expected plain numbers"
         elif (payload := payloads.get(tensor["path_name"])) is None:

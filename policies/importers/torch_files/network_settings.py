@@ -1,23 +1,25 @@
 """Network settings that a file of weights does not hold."""
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal, Self, get_args
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from deploy.policy.contract_term import Numbers, Scales
+from policies.importers.reference_policy import MissingSettingError, PolicyFacts
 from robots.errors import ContractError
-from robots.strict import Strict
+from robots.strict import PLACEHOLDER, Strict
 
 Activation = Literal["elu", "relu", "tanh", "selu", "leaky_relu", "gelu", "silu", "sigmoid"]
+EXPECTED = {
+    "activation": f"one of {', '.join(get_args(Activation))}",
+    "normalizer": "mean and std, the path of a VecNormalize file, or 'none'",
+}
 
 
 class NormalizerStatistics(Strict):
-    """(observation - mean) / std.
-
-    Attributes:
-        mean, std: (N,) subtracted, and divided by.
-    """
+    """(observation - mean) / std, each (N,)."""
 
     mean: Numbers
     std: Scales
@@ -32,22 +34,18 @@ class NormalizerStatistics(Strict):
 
 
 class NetworkSettings(Strict):
-    """Table [network] of the contract's TOML.
+    """Table [network] of the contract's TOML; None for what is not written there."""
 
-    Attributes:
-        activation: between layers; None if not given.
-        normalizer: of observations: statistics, or the path of a file; "none" if there is none; None if not given.
-    """
-
-    activation: Activation | None = None
-    normalizer: NormalizerStatistics | str | None = None
+    activation: Activation | None = Field(
+        None, description=f"activation between layers: {', '.join(get_args(Activation))}"
+    )
+    normalizer: NormalizerStatistics | str | None = Field(
+        None,
+        description='of observations: "none", { mean = [...], std = [...] }, or the path of a VecNormalize file',
+    )
 
     def normalizer_path(self, beside: Path) -> Path | None:
-        """Return the path of the normalizer's file, relative to the policy's folder; None if there is none.
-
-        Raises:
-            ContractError: the normalizer is given as numbers.
-        """
+        """Return the path of the normalizer's file, relative to the policy's folder; None if there is none."""
         if isinstance(self.normalizer, NormalizerStatistics):
             raise ContractError(
                 f"{beside}: network.normalizer: found numbers, expected the path of a file, or 'none'"
@@ -55,11 +53,7 @@ class NetworkSettings(Strict):
         return None if self.normalizer in (None, "none") else beside.parent / str(self.normalizer)
 
     def statistics(self, size: int, source: str) -> NormalizerStatistics | None:
-        """Return the normalizer's statistics for `size` observations; None if there is none.
-
-        Raises:
-            ContractError: the normalizer is given as a file, or has another size.
-        """
+        """Return the normalizer's statistics for `size` observations; None if there is none."""
         if self.normalizer in (None, "none"):
             return None
         expected = f'expected {{ mean = [...], std = [...] }} with {size} numbers each, or "none"'
@@ -68,3 +62,20 @@ class NetworkSettings(Strict):
         if (found := len(self.normalizer.mean)) != size:
             raise ContractError(f"{source}: network.normalizer: found {found} numbers, {expected}")
         return self.normalizer
+
+
+def require_settings(
+    facts: PolicyFacts, source: str, activation: Activation | None, normalizer: object = "none"
+) -> Activation:
+    """Return the activation if both settings are known.
+
+    Raises:
+        MissingSettingError: one is None; the facts have "?" in its place.
+    """
+    settings = {"activation": activation, "normalizer": normalizer}
+    missing = [name for name, setting in settings.items() if setting is None]
+    if activation is None or missing:
+        message = "; ".join(f"network.{name}: not in the file, expected {EXPECTED[name]}" for name in missing)
+        known = {**facts.known, "network": dict.fromkeys(missing, PLACEHOLDER)}
+        raise MissingSettingError(f"{source}: {message}", replace(facts, known=known))
+    return activation

@@ -12,10 +12,10 @@ from torch import Tensor
 from deploy.policy.contract_term import SIZE_MAX
 from deploy.policy.onnx_graph import shortened
 from policies.importers.reference_policy import ReferencePolicy
-from policies.importers.torch_files.torchscript_check import check_source
-from policies.importers.torch_files.torchscript_pickle import check_pickle
+from policies.importers.torch_files.network_settings import NetworkSettings
+from policies.importers.torch_files.torchscript_check import check_pickle, check_source
 from policies.importers.torch_files.traced_module import trace_module
-from policies.importers.untrusted.zip_archive import read_bytes, read_torch_members, repack
+from policies.importers.untrusted.zip_archive import in_folder, read_bytes, read_torch_members, repack
 from robots.errors import ContractError
 
 NEEDED = re.compile(r"data\.pkl|constants\.pkl|version|byteorder|(data|constants)/\d+|code/[\w/]+\.py")
@@ -24,13 +24,10 @@ EXPECTED = "expected a file of torch.jit.save"
 TRIED_MAX = 32
 
 
-def read_torchscript(path: Path) -> ReferencePolicy:
+def read_torchscript(path: Path, _network: NetworkSettings | None = None) -> ReferencePolicy:
     """Read a file of `torch.jit.save`; buffers that a step changes become the memory.
 
     The file does not state the observation size: the first size among its weights that runs is taken.
-
-    Raises:
-        ContractError: the file is invalid, its code uses more than tensors, or it cannot be traced.
     """
     source = str(path)
     members = read_torch_members(read_bytes(path, EXPECTED), NEEDED, source, EXPECTED)
@@ -46,10 +43,7 @@ def _check(members: Mapping[str, bytes], source: str) -> None:
     if not {"data.pkl", "constants.pkl"} <= members.keys():
         raise ContractError(f"{source}: found no data.pkl and constants.pkl, {EXPECTED}")
     for folder in ("data", "constants"):
-        prefix = f"{folder}/"
-        storages = {
-            name.removeprefix(prefix): data for name, data in members.items() if name.startswith(prefix)
-        }
+        storages = in_folder(members, f"{folder}/")
         check_pickle(members[f"{folder}.pkl"], storages, f"{source}: {folder}.pkl")
     for name, text in members.items():
         if name.endswith(".py"):
@@ -65,10 +59,8 @@ def _load(members: Mapping[str, bytes], source: str) -> torch.jit.ScriptModule:
     buffers = {name.rpartition(".")[2] for name, _ in module.named_buffers()}
     for node in graph.findAllNodes("prim::SetAttr"):
         if (name := node.s("name")) not in buffers:
-            kind = list(node.inputs())[1].type()
-            raise ContractError(
-                f"{source}: {name}: found state ({kind}) in an attribute, expected it in a buffer"
-            )
+            found = f"{name}: found state ({list(node.inputs())[1].type()}) in an attribute"
+            raise ContractError(f"{source}: {found}, expected it in a buffer")
     return module
 
 

@@ -1,11 +1,12 @@
-"""Check of TorchScript source before torch loads it: some of the code runs while loading."""
+"""Checks of the source and the pickles in TorchScript files, before torch loads them: some code runs while loading."""
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 
 import torch
 
+from policies.importers.untrusted.pickle_reader import PickleRules, read_pickle
 from robots.errors import ContractError
 
 TEXT_MAX = 1 << 20
@@ -24,14 +25,21 @@ _NAMES = (
 )
 PRIM, NAMES = frozenset(_PRIM.split()), frozenset(_NAMES.split())
 """Allowed built-ins of TorchScript. Excluded: fork, rpc_async, print."""
+OPCODES_MAX = 1_000_000
+SIZES = {
+    **dict.fromkeys(("BoolStorage", "ByteStorage", "CharStorage"), 1),
+    **dict.fromkeys(("HalfStorage", "BFloat16Storage", "ShortStorage"), 2),
+    **dict.fromkeys(("FloatStorage", "IntStorage"), 4),
+    **dict.fromkeys(("DoubleStorage", "LongStorage"), 8),
+}
+"""Bytes per number."""
+GLOBALS = frozenset(
+    {"torch._utils _rebuild_tensor_v2", "collections OrderedDict", *(f"torch {name}" for name in SIZES)}
+)
 
 
 def check_source(text: bytes, source: str) -> None:
-    """Refuse code that could access more than tensors. Its run time stays unknown.
-
-    Raises:
-        ContractError: naming the line and what it would use.
-    """
+    """Refuse code that could access more than tensors. Its run time stays unknown."""
     if len(text) > TEXT_MAX or not all(c == ord("\n") or ord(" ") <= c <= ord("~") for c in text):
         raise ContractError(f"{source}: found no plain text of at most {TEXT_MAX} characters")
     try:
@@ -84,3 +92,31 @@ def _is_allowed(node: ast.Attribute, *, outermost: bool) -> bool:
 def _operators() -> frozenset[str]:
     names = (schema.name.split("::") for schema in torch._C._jit_get_all_schemas())
     return frozenset(name for namespace, name in names if namespace == "aten") - REFUSED
+
+
+def check_pickle(data: bytes, storages: Mapping[str, bytes], source: str) -> None:
+    """Refuse classes other than the file's own, and tensors larger than their bytes, which torch does not compare.
+
+    `storages` holds the bytes of the tensors by the names that the pickle gives them.
+    """
+    rules = PickleRules(_check_global, lambda identifier: _check_storage(identifier, storages), OPCODES_MAX)
+    read_pickle(data, source, rules)
+
+
+def _check_global(name: str) -> str | None:
+    module = name.partition(" ")[0]
+    own = module.partition(".")[0] == "__torch__" and not module.startswith("__torch__.torch.classes")
+    if own or module == "torch.jit._pickle" or name in GLOBALS:
+        return None
+    return f"found {name!r:.100}, expected only the file's own classes, and tensors"
+
+
+def _check_storage(identifier: object, storages: Mapping[str, bytes]) -> str | None:
+    match identifier:
+        case ("storage", str(kind), str(key), _, int(numbers)) if key in storages:
+            size = SIZES.get(kind.removeprefix("torch "), 0)
+            if size and 0 <= numbers * size <= len(storages[key]):
+                return None
+            if size:
+                return f"tensor {key}: found {len(storages[key])} bytes, expected {numbers * size}"
+    return "found a persistent identifier of another kind, expected a storage of numbers"

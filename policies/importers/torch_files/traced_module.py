@@ -20,12 +20,13 @@ from robots.arrays import Float32s
 from robots.errors import ContractError
 
 OBSERVATION, ACTION = "obs", "actions"
+Fields = Mapping[str, Any]
 
 
 def trace_module(
-    module: nn.Module, observations: int, source: str, *, kind: str, known: Mapping[str, Any] | None = None
+    module: nn.Module, observations: int, source: str, *, kind: str, known: Fields | None = None, **more: Any
 ) -> ReferencePolicy:
-    """Trace a module from observations (1, N) to actions (1, A).
+    """Trace a module from observations (1, N) to actions (1, A); `more` are further fields of the result.
 
     Buffers that a step changes, in place or by assignment, become the memory.
 
@@ -37,26 +38,26 @@ def trace_module(
     with _inference_mode(source):
         actions = stateful.act(example).shape[-1]
         names = stateful.changed_buffers()
-        if nonzero := [name for name in names if stateful.initial[name].any()]:
-            raise ContractError(f"{source}: {nonzero[0]}: found a memory that does not start at 0")
-        memory = tuple(
-            Memory(
-                input_name=f"memory_{k}", output_name=f"next_{k}", shape=tuple(stateful.initial[name].shape)
-            )
-            for k, name in enumerate(names)
-        )
+        memory = _memory(stateful, names, source)
         model = _graph(stateful, example, names, memory)
     check_model(model, source)
+    facts = PolicyFacts(kind=kind, observations=observations, actions=actions, known=known or {})
+    fields = {"memory": memory, "run": stateful.run, **more}
     reference = ReferencePolicy(
-        facts=PolicyFacts(kind=kind, observations=observations, actions=actions, known=known or {}),
-        model=model,
-        observation=OBSERVATION,
-        action=ACTION,
-        memory=memory,
-        batched=False,
-        run=stateful.run,
+        facts=facts, model=model, observation=OBSERVATION, action=ACTION, batched=False, **fields
     )
     return allow_any_batch(reference, source)
+
+
+def _memory(stateful: "_StatefulModule", names: list[str], source: str) -> tuple[Memory, ...]:
+    for name in names:
+        if stateful.initial[name].any():
+            raise ContractError(f"{source}: {name}: found a memory that does not start at 0")
+    shapes = [tuple(stateful.initial[name].shape) for name in names]
+    return tuple(
+        Memory(input_name=f"memory_{k}", output_name=f"next_{k}", shape=shape)
+        for k, shape in enumerate(shapes)
+    )
 
 
 class _StatefulModule:
@@ -68,11 +69,7 @@ class _StatefulModule:
 
     def changed_buffers(self) -> list[str]:
         """Return the names of buffers that changed."""
-        return [
-            name
-            for name, initial_value in self.initial.items()
-            if not torch.equal(self.buffer(name), initial_value)
-        ]
+        return [name for name, value in self.initial.items() if not torch.equal(self.buffer(name), value)]
 
     def buffer(self, name: str) -> Tensor:
         """Return a buffer."""
@@ -111,9 +108,9 @@ class _StatefulModule:
 def _graph(
     stateful: _StatefulModule, example: Tensor, names: list[str], memory: tuple[Memory, ...]
 ) -> ModelProto:
-    def step(observation: Tensor, *known: Tensor) -> tuple[Tensor, ...]:
-        for name, memory_piece in zip(names, known, strict=True):
-            stateful.set_buffer(name, memory_piece.clone())
+    def step(observation: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
+        for name, state in zip(names, states, strict=True):
+            stateful.set_buffer(name, state.clone())
         action = stateful.module(observation)
         return action, *(stateful.buffer(name).clone() for name in names)
 
@@ -123,10 +120,7 @@ def _graph(
         graph = make_fx(functional)(*arguments).eval()
     finally:
         stateful.restart()
-    inputs, outputs = (
-        [memory_piece.input_name for memory_piece in memory],
-        [memory_piece.output_name for memory_piece in memory],
-    )
+    inputs, outputs = [part.input_name for part in memory], [part.output_name for part in memory]
     return to_onnx(graph, arguments, [OBSERVATION, *inputs], [ACTION, *outputs])
 
 

@@ -1,4 +1,4 @@
-"""Reader of untrusted torch.save files: tensors, numbers and text; no code is run."""
+"""Reader of untrusted torch.save files: tensors, numbers and text; no code is run, files that hold code are refused."""
 
 import re
 from pathlib import Path
@@ -36,20 +36,12 @@ KNOWN = frozenset({DICT, *REBUILT, *(f"torch {name}" for name in DTYPES)})
 
 
 def load_tensors(path: Path, expected: str) -> object:
-    """Return the contents of a torch.save file. `expected` ends error messages: "expected a checkpoint of …".
-
-    Raises:
-        ContractError: the file is no such archive, is too large, or holds code.
-    """
+    """Return the contents of a torch.save file. `expected` ends error messages: "expected a checkpoint of …"."""
     return parse_tensors(read_bytes(path, expected), str(path), expected)
 
 
 def parse_tensors(data: bytes, source: str, expected: str) -> object:
-    """Return the contents of the bytes of a torch.save file. Torch gets only the numbers, never the pickle.
-
-    Raises:
-        ContractError: as `load_tensors` does.
-    """
+    """Return the contents of the bytes of a torch.save file. Torch gets only the numbers, never the pickle."""
     members = read_torch_members(data, NEEDED, source, expected)
     if (pickled := members.get("data.pkl")) is None or members.get("byteorder", b"little") != b"little":
         raise ContractError(f"{source}: found no data.pkl in little-endian byte order, {expected}")
@@ -99,9 +91,8 @@ class _TensorBuilder:
                 if (kind, key) not in self._storages:
                     numbers = bytearray(self._members[f"data/{key}"])
                     dtype = DTYPES[kind.removeprefix("torch ")]
-                    self._storages[kind, key] = (
-                        torch.frombuffer(numbers, dtype=dtype) if numbers else torch.empty(0, dtype=dtype)
-                    )
+                    found = torch.frombuffer(numbers, dtype=dtype) if numbers else torch.empty(0, dtype=dtype)
+                    self._storages[kind, key] = found
                 return self._storages[kind, key]
         raise TypeError
 
@@ -110,9 +101,6 @@ def check_tensor(tensor: Tensor, shape: tuple[int, ...], source: str) -> None:
     """Refuse a tensor that is not float32, contiguous, finite and of this shape.
 
     The shape is checked before the values: a tensor of a few bytes can claim any number of elements.
-
-    Raises:
-        ContractError: naming what was found and what was expected.
     """
     plain = tensor.layout == torch.strided and tensor.device.type == "cpu" and tensor.is_contiguous()
     if tuple(tensor.shape) != shape or tensor.dtype != torch.float32 or not plain:

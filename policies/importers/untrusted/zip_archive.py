@@ -1,4 +1,7 @@
-"""Reader of untrusted zip archives: selected members, read in memory with limits; nothing is extracted to disk."""
+"""Reader of untrusted zip archives: selected members, read in memory with limits; nothing is extracted to disk.
+
+Files that are unreadable, no archive or too large raise ContractError.
+"""
 
 import io
 import re
@@ -22,15 +25,7 @@ T = TypeVar("T")
 
 
 def read_bytes(path: Path, expected: str, bytes_max: int | None = None) -> bytes:
-    """Return the bytes of a file, at most `bytes_max` (default `BYTES_MAX`).
-
-    Args:
-        path: the file. expected: end of error messages: "expected a checkpoint of …".
-        bytes_max: largest accepted size.
-
-    Raises:
-        ContractError: the file is unreadable or too large.
-    """
+    """Return the bytes of a file, at most `bytes_max` (default `BYTES_MAX`); `expected` ends error messages."""
     limit = BYTES_MAX if bytes_max is None else bytes_max
     try:
         with path.open("rb") as stream:
@@ -43,20 +38,12 @@ def read_bytes(path: Path, expected: str, bytes_max: int | None = None) -> bytes
 
 
 def read_names(data: bytes, source: str, expected: str) -> set[str]:
-    """Return the names of all members of an archive.
-
-    Raises:
-        ContractError: the bytes are no archive, or it is too large.
-    """
+    """Return the names of all members of an archive."""
     return _with_archive(data, source, expected, lambda archive: set(archive.namelist()))
 
 
 def read_members(data: bytes, needed: re.Pattern[str], source: str, expected: str) -> dict[str, bytes]:
-    """Return the members whose names match `needed`.
-
-    Raises:
-        ContractError: the bytes are no archive, it is too large, or a member has another compression than torch uses.
-    """
+    """Return the members whose names match `needed`; refuse other compressions than torch uses."""
 
     def read(archive: zipfile.ZipFile) -> dict[str, bytes]:
         records = [record for record in archive.infolist() if needed.fullmatch(record.filename)]
@@ -70,16 +57,17 @@ def read_members(data: bytes, needed: re.Pattern[str], source: str, expected: st
 
 
 def read_torch_members(data: bytes, needed: re.Pattern[str], source: str, expected: str) -> dict[str, bytes]:
-    """Return matching members of an archive of torch, named relative to its single outer folder.
-
-    Raises:
-        ContractError: as `read_members` does, or the archive has more than one outer folder.
-    """
+    """Return matching members of an archive of torch, named relative to its single outer folder."""
     if len(folders := {name.partition("/")[0] for name in read_names(data, source, expected)}) != 1:
         raise ContractError(f"{source}: found {len(folders)} outer folders, expected one")
     inside = re.compile(rf"[^/]*/({needed.pattern})", re.DOTALL)
     members = read_members(data, inside, source, expected)
     return {name.partition("/")[2]: content for name, content in members.items()}
+
+
+def in_folder(members: Mapping[str, bytes], folder: str) -> dict[str, bytes]:
+    """Return the members of a folder ("data/"), named relative to it."""
+    return {name.removeprefix(folder): data for name, data in members.items() if name.startswith(folder)}
 
 
 def repack(members: Mapping[str, bytes]) -> io.BytesIO:

@@ -209,7 +209,7 @@ def test_other_tensors_than_those_of_an_mlp_are_refused(ppo, tmp_path):
     )
     assert "found no tensor 'action_net.bias'" in spoiled(action_net__bias=None)
     assert "found 3 values NaN or infinite" in spoiled(action_net__bias=torch.full((3,), torch.nan))
-    assert "expected torch.float32 (n, 64) and (n,)" in spoiled(action_net__weight=torch.zeros(3, 63))
+    assert "action_net: found 63 inputs, expected 64" in spoiled(action_net__weight=torch.zeros(3, 63))
     assert "found torch.float16" in spoiled(action_net__weight=torch.zeros(3, 64).half())
     assert "found torch.float32 (3, 64)" in spoiled(action_net__weight=torch.zeros(1).expand(3, 64))
 

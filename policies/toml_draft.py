@@ -1,0 +1,30 @@
+"""TOML drafts for a person to complete: known values, "?" for the others, and a description of each."""
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import tomlkit
+from tomlkit.items import Table
+
+from robots.strict import PLACEHOLDER
+
+Part = TypeVar("Part", tomlkit.TOMLDocument, Table)
+
+
+def commented_document(head: str) -> tomlkit.TOMLDocument:
+    """Return a document that begins with these lines as comments."""
+    document = tomlkit.document()
+    for line in head.splitlines():
+        document.add(tomlkit.comment(line))
+    return document
+
+
+def fill(part: Part, known: Mapping[str, Any], descriptions: Mapping[str, str]) -> Part:
+    """Add the described keys, "?" for those not known, then the other known keys; None counts as not known."""
+    values = {key: value for key, value in known.items() if value is not None}
+    for key in [*descriptions, *(key for key in values if key not in descriptions)]:
+        item = tomlkit.item(values.get(key, PLACEHOLDER))
+        if key in descriptions:
+            item.comment(descriptions[key])
+        part.add(key, item)
+    return part
