@@ -21,9 +21,9 @@ def commented_document(head: str) -> tomlkit.TOMLDocument:
 
 def fill(part: Part, known: Mapping[str, Any], descriptions: Mapping[str, str]) -> Part:
     """Add the described keys, "?" for those not known, then the other known keys; None counts as not known."""
-    values = {key: value for key, value in known.items() if value is not None}
-    for key in [*descriptions, *(key for key in values if key not in descriptions)]:
-        item = tomlkit.item(values.get(key, PLACEHOLDER))
+    values = dict.fromkeys(descriptions, PLACEHOLDER) | {k: v for k, v in known.items() if v is not None}
+    for key, value in values.items():
+        item = tomlkit.item(value)
         if key in descriptions:
             item.comment(descriptions[key])
         part.add(key, item)

@@ -1,21 +1,19 @@
 """Input of all checks: a policy's file, a robot, and simulated runs of the two, computed on first use."""
 
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from deploy.policy.compatibility import mismatches
+from deploy.policy.contract_term import Term
 from deploy.policy.onnx_graph import shortened
 from deploy.policy.policy import BATCHES, Policy
 from deploy.policy.policy_file import read_policy_file
 from policies.doctor.checks.normalizer import Statistics, normalizer_of
-from policies.doctor.simulation.simulated_run import (
-    HALF_PERIOD_LATE,
-    JITTERED,
-    ON_TIME,
-    PERIOD_LATE,
-    SimulatedRun,
-    run_simulation,
-)
+from policies.doctor.simulation.simulated_run import ON_TIME, Delay, SimulatedRun, run_simulation
+from robots.arrays import Floats
 from robots.errors import ContractError, FirstshiftError
 from robots.spec import load_robot
 
@@ -32,10 +30,7 @@ class CheckContext:
     """
 
     def __init__(self, path: Path, robot: str | Path | None = None) -> None:
-        """Read the policy and the robot.
-
-        Args:
-            path: the policy's file. robot: name or folder; None for the robot named in the contract.
+        """Read the policy, and the robot of this name or folder; None for the robot named in the contract.
 
         Raises:
             ContractError: the file is no policy, its contract is unreadable, or its network cannot be run.
@@ -44,7 +39,7 @@ class CheckContext:
         self.path, self.file = path, read_policy_file(path)
         self.contract = self.file.contract
         self.spec = load_robot(robot or self.contract.robot)
-        self.policy = Policy(self.file, str(path))
+        self.policy, self._runs = Policy(self.file, str(path)), dict[Delay, SimulatedRun]()
         try:
             for batch in BATCHES:
                 self.policy.rehearse(self.file.observation[:1], batch)
@@ -69,10 +64,26 @@ class CheckContext:
             return self.normalizer
         return Statistics.of(self.contract.observed)
 
-    @cached_property
+    @property
+    def terms(self) -> Iterator[tuple[Term, slice]]:
+        """Terms with their part of the observation: all frames of a history."""
+        start = 0
+        for term in self.contract.observation:
+            end = start + term.size * term.history
+            yield term, slice(start, end)
+            start = end
+
+    @property
+    def training_means(self) -> Iterator[tuple[Term, Floats]]:
+        """Terms with their mean (size,) in training, newest frame, in units of the source; empty if unknown."""
+        for term, part in self.terms if self.training is not None else ():
+            mean = self.training.mean[part][-term.size :]
+            yield term, np.asarray(mean * np.array(term.scale) + np.array(term.offset or 0.0))
+
+    @property
     def run(self) -> SimulatedRun:
         """Simulated run with actions on time."""
-        return self._simulate(ON_TIME)
+        return self.delayed_run(ON_TIME)
 
     @property
     def works(self) -> bool:
@@ -82,26 +93,13 @@ class CheckContext:
         except NotSimulatedError:
             return False
 
-    @cached_property
-    def late_run(self) -> SimulatedRun:
-        """Simulated run with every action one policy period late."""
-        return self._simulate(PERIOD_LATE)
-
-    @cached_property
-    def half_late_run(self) -> SimulatedRun:
-        """Simulated run with every action half a policy period late."""
-        return self._simulate(HALF_PERIOD_LATE)
-
-    @cached_property
-    def jittered_run(self) -> SimulatedRun:
-        """Simulated run with a random delay of each action, up to one policy period."""
-        return self._simulate(JITTERED)
-
-    def _simulate(self, delay_periods: tuple[float, float]) -> SimulatedRun:
-        """Raises: NotSimulatedError: with the reason."""
+    def delayed_run(self, delay: Delay) -> SimulatedRun:
+        """Return the simulated run with this delay of actions; NotSimulatedError has the reason why there is none."""
         if self.incompatibilities:
             raise NotSimulatedError("the loader refuses the file, see row loader")
         try:
-            return run_simulation(self.spec, self.policy, delay_periods)
+            if delay not in self._runs:
+                self._runs[delay] = run_simulation(self.spec, self.policy, delay)
         except FirstshiftError as e:
             raise NotSimulatedError(str(e)) from e
+        return self._runs[delay]

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -39,19 +40,8 @@ class CheckResult:
     text: str
 
 
-def passed(text: str) -> Message:
-    """Return a message of a passed check."""
-    return Message(Verdict.PASS, text)
-
-
-def warned(text: str) -> Message:
-    """Return a message that a person should look at."""
-    return Message(Verdict.WARN, text)
-
-
-def failed(text: str) -> Message:
-    """Return a message of a defect to fix before anything moves."""
-    return Message(Verdict.FAIL, text)
+passed, warned, failed = (partial(Message, verdict) for verdict in Verdict)
+"""Messages of a passed check, of what a person should look at, and of a defect to fix before anything moves."""
 
 
 def summarize(check: str, notes: Iterable[Message]) -> CheckResult:
@@ -64,17 +54,13 @@ def summarize(check: str, notes: Iterable[Message]) -> CheckResult:
 def format_values(
     names: Sequence[str], *numbers: Floats, unit: str = "", selection: Selection = slice(None)
 ) -> str:
-    """Return names with their numbers: "elbow 1.2 of 3.1, wrist 2 of 3 rad", at most `NAMED_MAX`.
+    """Return selected names with their numbers, (n,) each: "elbow 1.2 of 3.1, wrist 2 of 3 rad".
 
-    Args:
-        names: n names. numbers: (n,) arrays, joined by "of".
-        unit: of all numbers, with a leading space.
-        selection: mask or indices of the names to list.
+    At most `NAMED_MAX` are listed. `unit` has a leading space.
     """
     indices = np.arange(len(names))[selection]
-    text = [
-        f"{names[k]} {' of '.join(f'{values[k]:.3g}' for values in numbers)}" for k in indices[:NAMED_MAX]
-    ]
+    named = indices[:NAMED_MAX]
+    text = [f"{names[k]} {' of '.join(f'{values[k]:.3g}' for values in numbers)}" for k in named]
     more = f" and {len(indices) - NAMED_MAX} more" if len(indices) > NAMED_MAX else ""
     return ", ".join(text) + unit + more
 

@@ -6,13 +6,10 @@ import numpy as np
 
 from policies.doctor.check_context import CheckContext, NotSimulatedError
 from policies.doctor.check_result import CheckResult, Message, failed, summarize, warned
-from policies.doctor.checks.action import action, gains
-from policies.doctor.checks.first_target import first_target
+from policies.doctor.checks.action import action, first_target, gains
 from policies.doctor.checks.identity import joints, loader
 from policies.doctor.checks.observations import normalizer, training
-from policies.doctor.checks.protection import protection
-from policies.doctor.checks.rates import rates
-from policies.doctor.checks.sources import sources
+from policies.doctor.checks.robot import protection, rates, sources
 from policies.doctor.simulation.joint_order import joint_order
 from policies.doctor.simulation.task_checks import chatter, delay, heat, jitter, simulation
 from policies.doctor.simulation.tilt import tilt

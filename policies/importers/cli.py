@@ -27,10 +27,18 @@ from policies.importers.torch_files.network_settings import NetworkSettings
 from robots.errors import ConfigError, ContractError
 from robots.models.fleet import Fleet
 from robots.models.sandbox import limit_import
-from robots.spec import load_robot
+from robots.spec import RobotSpec, load_robot
 from robots.strict import parse
 
 GOLDEN_STEPS = 16
+FORMAT = typer.Option("--as", help="output format")
+CONTRACT = typer.Option(help="TOML of its contract", show_default="<file>.toml")
+OUT = typer.Option(help="ONNX file to write", show_default="out/<file>.onnx")
+ROBOT = typer.Option(help="robot: name or folder", show_default="the contract's")
+TEMPLATE = typer.Option(
+    "--template", help="write the contract's TOML with the values known from the file, and stop"
+)
+DESCRIPTOR = typer.Option(help="YAML of Isaac Lab's I/O descriptors; only with --template")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,9 +97,8 @@ def write_template(
     """Write the contract's TOML, filled in from the policy's file; return the facts and the number of open values.
 
     Args:
-        path: the policy's file. draft_path: the TOML.
+        path: the policy's file. draft_path: the TOML. robot: name or folder, if known.
         descriptor: YAML of Isaac Lab's I/O descriptors, for values that the policy's file does not have.
-        robot: name or folder of the policy's robot, if known.
 
     Raises:
         RobotError: the robot is unknown or unreadable.
@@ -107,14 +114,17 @@ def write_template(
     if descriptor is not None:
         facts = _merge_descriptor(facts, read_descriptor(descriptor, facts.observations))
     if robot is not None:
-        spec = load_robot(robot)
-        fitting = tasks_of(spec)
-        task = {"task": fitting[0]} if len(fitting) == 1 else {}
-        facts = replace(facts, known={**facts.known, "robot": spec.name, **task})
+        facts = _merge_robot(facts, load_robot(robot))
     text, open_count = render_template(facts, path.name)
-    with replacing(draft_path) as partial:
-        partial.write_text(text, encoding="utf-8")
+    with replacing(draft_path) as written:
+        written.write_text(text, encoding="utf-8")
     return facts, open_count
+
+
+def _merge_robot(facts: PolicyFacts, spec: RobotSpec) -> PolicyFacts:
+    fitting = tasks_of(spec)
+    task = {"task": fitting[0]} if len(fitting) == 1 else {}
+    return replace(facts, known={**facts.known, "robot": spec.name, **task})
 
 
 def _merge_descriptor(facts: PolicyFacts, descriptor: dict[str, Any]) -> PolicyFacts:
@@ -125,25 +135,12 @@ def _merge_descriptor(facts: PolicyFacts, descriptor: dict[str, Any]) -> PolicyF
 
 def policy_import(
     file: Annotated[Path, typer.Argument(help="policy file as written by its library")],
-    as_: Annotated[Literal["firstshift"], typer.Option("--as", help="output format")] = "firstshift",
-    contract: Annotated[
-        Path | None, typer.Option(help="TOML of its contract", show_default="<file>.toml")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="ONNX file to write", show_default="out/<file>.onnx")
-    ] = None,
-    robot: Annotated[
-        str | None, typer.Option(help="robot: name or folder", show_default="the contract's")
-    ] = None,
-    template: Annotated[
-        bool,
-        typer.Option(
-            "--template", help="write the contract's TOML with the values known from the file, and stop"
-        ),
-    ] = False,
-    descriptor: Annotated[
-        Path | None, typer.Option(help="YAML of Isaac Lab's I/O descriptors; only with --template")
-    ] = None,
+    as_: Annotated[Literal["firstshift"], FORMAT] = "firstshift",
+    contract: Annotated[Path | None, CONTRACT] = None,
+    out: Annotated[Path | None, OUT] = None,
+    robot: Annotated[str | None, ROBOT] = None,
+    template: Annotated[bool, TEMPLATE] = False,
+    descriptor: Annotated[Path | None, DESCRIPTOR] = None,
 ) -> int:
     """Import a policy: ONNX, rsl_rl, Stable-Baselines3, TorchScript, torch.export, or weights with their contract."""
     draft_path = contract or file.with_suffix(".toml")
@@ -151,16 +148,12 @@ def policy_import(
         raise ConfigError(f"--descriptor {descriptor}: found without --template, expected both")
     with limit_import(file):
         if template:
-            _run_template(file, draft_path, descriptor, robot)
+            facts, count = write_template(file, draft_path, descriptor, robot)
+            todo = f"fill in {count} values marked ?" if count else "all values are filled in"
+            print(f"{draft_path}: {_describe(facts)}; {todo}")
         else:
             _run_import(file, draft_path, out or Path("out", f"{file.stem}.onnx"), robot)
     return PASSED
-
-
-def _run_template(file: Path, draft_path: Path, descriptor: Path | None, robot: str | None) -> None:
-    facts, open_count = write_template(file, draft_path, descriptor, robot)
-    todo = f"fill in {open_count} values marked ?" if open_count else "all values are filled in"
-    print(f"{draft_path}: {_describe(facts)}; {todo}")
 
 
 def _run_import(file: Path, draft_path: Path, out_path: Path, robot: str | None) -> None:

@@ -43,7 +43,7 @@ class TermDraft(Strict):
     offset: Values = Field(description="subtracted from the reading; one number, one per element, or none")
     multiply: PositiveValues = Field(description="then multiplied; one number, or one per element")
     clip: OptionalClip = Field(description="[low, high] or none")
-    clip_first: bool | None = Field(None, description="true: clip before multiply; false: after")
+    clip_first: bool | None = Field(default=None, description="true: clip before multiply; false: after")
     history: Count = Field(
         description="number of readings, 1 for the newest only; gait_phase also needs period_s, s, gait period"
     )
@@ -92,16 +92,17 @@ class ContractDraft(Strict):
     policy_hz: Hertz = Field(description="Hz, rate of the policy")
     joint_names: Joints = Field(description="the robot's joints in the policy's order")
     action_joints: Joints | None = Field(
-        None, description="those of joint_names that the action moves, in the order of the action"
+        default=None, description="those of joint_names that the action moves, in the order of the action"
     )
     layout: Literal["by_term", "by_time"] | None = Field(
-        None, description='"by_term" or "by_time": readings grouped by term, or by time'
+        default=None, description='"by_term" or "by_time": readings grouped by term, or by time'
     )
     frames: Literal["oldest_first", "newest_first"] | None = Field(
-        None, description='"oldest_first" or "newest_first"'
+        default=None, description='"oldest_first" or "newest_first"'
     )
     fill: Literal["first", "zeros"] | None = Field(
-        None, description='"first" (repeat the first reading) or "zeros": values before the first reading'
+        default=None,
+        description='"first" (repeat the first reading) or "zeros": values before the first reading',
     )
     observation: Annotated[tuple[TermDraft, ...], Field(min_length=1, max_length=SIZE_MAX)]
     action: ActionDraft

@@ -36,15 +36,11 @@ def record_reference(
 ) -> list[ReferenceRun]:
     """Run the reference on single observations after a reset, and on sequences with random resets.
 
-    Args:
-        reference: the policy. columns, joints: permutations as in `contract_builder.BuiltContract`.
-        seed: of the observations.
+    `columns` and `joints` are permutations as in `contract_builder.BuiltContract`.
     """
     rng, runs = np.random.default_rng(seed), []
-    for name, shape, chance in (
-        ("observation", (SINGLES, 1), 1.0),
-        ("sequence", (SEQUENCES, STEPS), RESET_CHANCE),
-    ):
+    kinds = ("observation", (SINGLES, 1), 1.0), ("sequence", (SEQUENCES, STEPS), RESET_CHANCE)
+    for name, shape, chance in kinds:
         inputs = reference.sample_observations(rng, shape)
         reordered = reference.reorder_observations(inputs, columns)
         resets = rng.random(shape) < chance

@@ -115,10 +115,11 @@ def _scan_over_robots(
         outputs.append(("knows", size))
         from_outside.append(MEMORY)
         to_outside.append(NEXT)
-    infos = ([_tensor_info(*each, batch=False) for each in ends] for ends in (inputs, outputs))
-    graph = helper.make_graph(body.nodes, "one_robot", *infos, body.weights)
-    count = {"num_scan_inputs": len(from_outside)}
-    build.nodes.append(helper.make_node("Scan", from_outside, to_outside, body=graph, **count))
+    starts, ends = ([_tensor_info(*each, batch=False) for each in group] for group in (inputs, outputs))
+    graph = helper.make_graph(body.nodes, "one_robot", starts, ends, body.weights)
+    count = len(from_outside)
+    scan = helper.make_node("Scan", from_outside, to_outside, body=graph, num_scan_inputs=count)
+    build.nodes.append(scan)
     return scanned_action
 
 

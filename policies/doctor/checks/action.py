@@ -1,4 +1,4 @@
-"""Checks of action scale and offset against joint limits and gains."""
+"""Checks of action scale and offset against joint limits and gains, and of the first target."""
 
 from collections.abc import Iterator
 
@@ -7,8 +7,9 @@ import pinocchio as pin
 
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import NAMED_MAX, Message, failed, flag, format_values, passed, warned
-from robots.arrays import Floats
+from robots.arrays import Bools, Floats
 from robots.models.nominal_model import load_pinocchio, torque_max
+from robots.motors.gains import Gains
 
 SHARE_MIN = 0.02
 """Share of a joint's range or speed; an action of 1 that requests less has almost no effect."""
@@ -17,24 +18,27 @@ FACTOR_MAX = 3.0
 DAMPING = (0.05, 20.0)
 """Plausible damping ratios of gains in the units of the contract."""
 REQUEST = "an action of 1 asks for "
+FAR = 0.5
+"""rad; a larger first step means that the policy assumes another pose."""
+WRONG_POSE = "the offset or the home pose of robot.toml is not the default pose of training."
 
 
 def action(context: CheckContext) -> Iterator[Message]:
     """Compare scale, offset and clip with the working range and the home pose."""
-    spec, spec_of_action = context.spec, context.contract.action
-    if spec_of_action.size != spec.n:
-        yield failed(f"found {spec_of_action.size} actions for {spec.n} joints: see the joint order.")
+    spec, command = context.spec, context.contract.action
+    if command.size != spec.n:
+        yield failed(f"found {command.size} actions for {spec.n} joints: see the joint order.")
         return
-    if spec_of_action.clip is None:
+    if command.clip is None:
         yield warned("clip: none, so only the working range limits the action: set the clip of training.")
-    offset = spec_of_action.offset
+    offset = command.offset
     yield from _increments(context) if offset is None else _positions(context, np.array(offset))
 
 
 def _increments(context: CheckContext) -> Iterator[Message]:
-    spec, hz = context.spec, context.contract.policy_hz
+    names, hz = context.spec.joint_names, context.contract.policy_hz
     low, high = context.contract.action.bounds
-    qd, qd_max = np.array(context.contract.action.scale) * hz, spec.joint_array("qd_max")
+    qd, qd_max = np.array(context.contract.action.scale) * hz, context.spec.joint_array("qd_max")
     requested = min(max(-low, high), 1.0) * qd
     excessive, at = requested > FACTOR_MAX * qd_max, f" at {hz} Hz"
     for note, selection, after in (
@@ -42,16 +46,27 @@ def _increments(context: CheckContext) -> Iterator[Message]:
         (warned, (requested > qd_max) & ~excessive, f"{at}: compare scale and rate with training."),
         (warned, requested < SHARE_MIN * qd_max, f"{at}, almost nothing: compare the scale with training."),
     ):
-        yield from flag(
-            note, selection, REQUEST, spec.joint_names, requested, qd_max, unit=" rad/s", after=after
-        )
-    yield passed(f"{REQUEST}{format_values(spec.joint_names, requested, qd_max, unit=' rad/s')}.")
+        yield from flag(note, selection, REQUEST, names, requested, qd_max, unit=" rad/s", after=after)
+    yield passed(f"{REQUEST}{format_values(names, requested, qd_max, unit=' rad/s')}.")
 
 
 def _positions(context: CheckContext, offset: Floats) -> Iterator[Message]:
-    names, scale = context.spec.joint_names, np.array(context.contract.action.scale)
-    q_min, q_max, home = (context.spec.joint_array(f"q_{end}") for end in ("min", "max", "home"))
-    outside, span = (offset < q_min) | (offset > q_max), q_max - q_min
+    names, home = context.spec.joint_names, context.spec.joint_array("q_home")
+    yield from _range_of_offset(context, offset)
+    scale, (q_min, q_max) = np.array(context.contract.action.scale), _working_range(context)
+    span = q_max - q_min
+    before = "an action of 1 moves "
+    for selection, after in (
+        (scale < SHARE_MIN * span, ", almost nothing: compare the scale with training."),
+        (scale > span, ", more than the joint can: compare the scale."),
+    ):
+        yield from flag(warned, selection, before, names, scale, span, unit=" rad", after=after)
+    yield passed(f"an action of 0 asks for {format_values(names, offset, home, unit=' rad')}, where home is.")
+
+
+def _range_of_offset(context: CheckContext, offset: Floats) -> Iterator[Message]:
+    names, (q_min, q_max) = context.spec.joint_names, _working_range(context)
+    scale, outside = np.array(context.contract.action.scale), (offset < q_min) | (offset > q_max)
     expected = "the offset must be the default pose of training, in the robot's order and in rad."
     after = f", outside the working range: {expected}"
     yield from flag(failed, outside, "an action of 0 asks for ", names, offset, unit=" rad", after=after)
@@ -61,47 +76,38 @@ def _positions(context: CheckContext, offset: Floats) -> Iterator[Message]:
             f"an action of 1 or -1 sends {', '.join(np.array(names)[beyond][:NAMED_MAX])} beyond the working range,"
             " where the smoother clamps it: compare offset and scale with training."
         )
-    for selection, after in (
-        (scale < SHARE_MIN * span, ", almost nothing: compare the scale with training."),
-        (scale > span, ", more than the joint can: compare the scale."),
-    ):
-        yield from flag(
-            warned, selection, "an action of 1 moves ", names, scale, span, unit=" rad", after=after
-        )
-    yield passed(f"an action of 0 asks for {format_values(names, offset, home, unit=' rad')}, where home is.")
+
+
+def _working_range(context: CheckContext) -> tuple[Floats, Floats]:
+    """(n,) smallest and largest position of each joint, rad."""
+    return context.spec.joint_array("q_min"), context.spec.joint_array("q_max")
 
 
 def gains(context: CheckContext) -> Iterator[Message]:
     """Compare the gains of training with torque and inertia; a contract without gains uses the robot's own."""
-    spec_of_action, spec = context.contract.action, context.spec
-    if spec_of_action.kp is None or spec_of_action.kd is None:
+    gains, spec = context.contract.action.gains, context.spec
+    if gains is None:
         if "imported" in context.contract.trained:
             yield warned(
                 "none in the contract, so they cannot be compared with training: the drives of"
                 f" {spec.name} use their own, which may be stiffer or softer."
             )
         yield passed(f"none in the contract: it was trained with the drives of {spec.name} as they are.")
-        return
-    if spec_of_action.size != spec.n:
-        yield failed(
-            f"found gains of {spec_of_action.size} joints, expected {spec.n}, one for each of {spec.name}'s."
-        )
-        return
-    yield from _check_torque_and_damping(context, np.array(spec_of_action.kp), np.array(spec_of_action.kd))
+    elif (size := context.contract.action.size) != spec.n:
+        yield failed(f"found gains of {size} joints, expected {spec.n}, one for each of {spec.name}'s.")
+    else:
+        yield from _torque_and_damping(context, gains)
 
 
-def _check_torque_and_damping(context: CheckContext, kp: Floats, kd: Floats) -> Iterator[Message]:
+def _torque_and_damping(context: CheckContext, gains: Gains) -> Iterator[Message]:
     """Check the torque of an action of 1 and the damping ratio of the gains."""
     names, limit = context.spec.joint_names, torque_max(context.spec)
-    tau = kp * np.array(context.contract.action.scale)
-    excessive = tau > FACTOR_MAX * limit
+    tau = gains.kp * np.array(context.contract.action.scale)
+    excessive, before = tau > FACTOR_MAX * limit, "kp × scale, the torque of an action of 1, is "
     for note, selection in ((failed, excessive), (warned, (tau > limit) & ~excessive)):
-        before, after = (
-            "kp × scale, the torque of an action of 1, is ",
-            ": compare kp and scale with training.",
-        )
+        after = ": compare kp and scale with training."
         yield from flag(note, selection, before, names, tau, limit, unit=" N·m", after=after)
-    ratio = kd / (2.0 * np.sqrt(kp * _inertia(context)))
+    ratio = gains.kd / (2.0 * np.sqrt(gains.kp * _inertia(context)))
     odd, usual = (ratio < DAMPING[0]) | (ratio > DAMPING[1]), f"{DAMPING[0]} to {DAMPING[1]}"
     after = f", usual is {usual}: are they of the joint, in N·m/rad and N·m·s/rad?"
     yield from flag(warned, odd, "kp and kd give a damping ratio of ", names, ratio, after=after)
@@ -113,3 +119,38 @@ def _inertia(context: CheckContext) -> Floats:
     model, _ = load_pinocchio(context.spec)
     mass = pin.crba(model, model.createData(), context.spec.joint_array("q_home"))
     return np.asarray(np.diag(mass))
+
+
+def first_target(context: CheckContext) -> Iterator[Message]:
+    """Check the largest first step from the home pose at rest, over several goals."""
+    if (gains := context.contract.action.gains) is not None:
+        yield from _first_torque(context, gains)
+        return
+    names, qd_max = context.spec.joint_names, context.spec.joint_array("qd_max")
+    jump, outside = np.abs(context.run.first_step).max(axis=0), _leaves_range(context)
+    far, speed = (jump > FAR) | outside, jump * context.contract.policy_hz
+    range_text = ", beyond the working range" if outside.any() else ""
+    before, after = "at the first step it sends ", f" away from the home pose{range_text}: {WRONG_POSE}"
+    yield from flag(failed, far, before, names, jump, unit=" rad", after=after)
+    before, after = (
+        "without the smoother the first step would need ",
+        ": start closer to the default pose, or ramp in.",
+    )
+    fast = (speed > qd_max) & ~far
+    yield from flag(warned, fast, before, names, speed, qd_max, unit=" rad/s", after=after)
+    fastest = f"without the smoother {speed.max():.2g} rad/s at most"
+    yield passed(f"the first target is {format_values(names, jump, unit=' rad')} from home; {fastest}.")
+
+
+def _leaves_range(context: CheckContext) -> Bools:
+    """(n,) True for joints whose first target is outside the working range."""
+    q, (q_min, q_max) = context.spec.joint_array("q_home") + context.run.first_step, _working_range(context)
+    return np.asarray(((q < q_min) | (q > q_max)).any(axis=0))
+
+
+def _first_torque(context: CheckContext, gains: Gains) -> Iterator[Message]:
+    """Check the torque of the first step, for compliant drives, which do not follow targets closely."""
+    names, limit = context.spec.joint_names, torque_max(context.spec)
+    tau, before = gains.kp * np.abs(context.run.first_step).max(axis=0), "the first step asks for "
+    yield from flag(failed, tau > limit, before, names, tau, limit, unit=" N·m", after=f": {WRONG_POSE}")
+    yield passed(f"{before}{format_values(names, tau, limit, unit=' N·m')}.")

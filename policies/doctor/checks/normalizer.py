@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from onnx import GraphProto, ModelProto, helper
 
 from deploy.policy.contract import Observed
 from deploy.policy.onnx_graph import decode
 from deploy.policy.policy import load_session
 from deploy.policy.policy_file import INPUT, PolicyFile
-from robots.arrays import Floats
+from robots.arrays import Float32s, Floats
 
 MIXING_OPERATORS = ("Gemm", "MatMul", "LSTM", "GRU", "RNN", "Conv", "Scan")
 """Operators that mix the numbers of an observation."""
@@ -45,10 +44,9 @@ def normalizer_of(file: PolicyFile) -> Statistics | None:
     if (name := _first_weighted_tensor(model.graph)) in (None, INPUT):
         return None
     zero, stepped = _values_of(model, str(name), file)
-    slopes = (stepped - zero) / STEP
-    size = file.contract.observation_size
+    slopes, size = (stepped - zero) / STEP, file.contract.observation_size
     nonzero = np.abs(slopes) > 1e-9
-    if zero.shape != (size,) or not (nonzero.sum(axis=0) == 1).all() or not (nonzero.sum(axis=1) == 1).all():
+    if zero.shape != (size,) or any((nonzero.sum(axis=axis) != 1).any() for axis in (0, 1)):
         return None  # not one linear function per number
     index = nonzero.argmax(axis=1)
     slope = slopes[np.arange(size), index].astype(float)
@@ -70,9 +68,7 @@ def _first_weighted_tensor(graph: GraphProto) -> str | None:
     return None
 
 
-def _values_of(
-    model: ModelProto, name: str, file: PolicyFile
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _values_of(model: ModelProto, name: str, file: PolicyFile) -> tuple[Float32s, Float32s]:
     """Return tensor `name` for an observation of zeros, (M,), and for a step of each number, (N, M)."""
     cut = ModelProto()
     cut.CopyFrom(model)
@@ -81,8 +77,7 @@ def _values_of(
     run = load_session(cut.SerializeToString(), "policy")
     size = file.contract.observation_size
     rows = np.concatenate((np.zeros((1, size)), STEP * np.eye(size))).astype(np.float32)
-    feeds = {
-        value.name: np.zeros((len(rows), file.contract.memory), np.float32) for value in run.get_inputs()
-    }
-    found = run.run([name], feeds | {INPUT: rows})[0].reshape(len(rows), -1)
+    memory = np.zeros((len(rows), file.contract.memory), np.float32)
+    feeds = {value.name: memory for value in run.get_inputs()} | {INPUT: rows}
+    found = run.run([name], feeds)[0].reshape(len(rows), -1)
     return found[0], found[1:]

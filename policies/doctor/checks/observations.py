@@ -29,40 +29,37 @@ SAMPLE = 1024
 def normalizer(context: CheckContext) -> Iterator[Message]:
     """Compare the normalizer in the graph with training, and check scale and influence of the observations."""
     observed, found = context.contract.observed, context.normalizer
-    if observed is not None and found is None:
-        yield failed(
-            "training normalized its observations, but the graph has no normalizer before its first weights:"
-            " export it again with the normalizer."
-        )
-    if observed is not None and found is not None:
+    if observed is not None:
         yield from _compare_statistics(Statistics.of(observed), found)
-    run, names = context.run, _number_names(context)
-    inputs = run.observation.astype(float)
+    names, inputs = _number_names(context), context.run.observation.astype(float)
     if found is not None:
         inputs = (inputs - found.mean) / found.deviation
     rms = np.sqrt((inputs**2).mean(axis=0))
-    yield from _check_scale(rms, names, graph=found is not None)
+    yield from _scale(rms, names, graph=found is not None)
     if context.training is None:
-        yield warned(
-            "no normalizer is in the graph, and the file does not tell whether training had one: ask; "
-            f"{_describe_scale(rms, names)}."
-        )
-    yield from _check_influence(context)
+        unknown = "no normalizer is in the graph, and the file does not tell whether training had one: ask"
+        yield warned(f"{unknown}; {_describe_scale(rms, names)}.")
+    yield from _saturation(context)
+    yield from _influence(context)
     how = "(x − mean)/deviation stands before the first weights" if found else "no normalizer is in the graph"
     yield passed(f"{how}; readings have an order of 1, and every term influences the actions.")
 
 
-def _compare_statistics(expected: Statistics, found: Statistics) -> Iterator[Message]:
+def _compare_statistics(expected: Statistics, found: Statistics | None) -> Iterator[Message]:
+    if found is None:
+        missing = "the graph has no normalizer before its first weights"
+        yield failed(
+            f"training normalized its observations, but {missing}: export it again with the normalizer."
+        )
+        return
     apart = np.abs(expected.mean - found.mean) / expected.deviation
     ratio = found.deviation / expected.deviation
     if (apart > 0.1).any() or (np.abs(np.log(ratio)) > 0.1).any():
-        yield warned(
-            "mean and deviation of the graph differ from those in the contract: terms may be scaled"
-            " both in the contract and in the graph."
-        )
+        differ = "mean and deviation of the graph differ from those in the contract"
+        yield warned(f"{differ}: terms may be scaled both in the contract and in the graph.")
 
 
-def _check_scale(rms: Floats, names: list[str], *, graph: bool) -> Iterator[Message]:
+def _scale(rms: Floats, names: list[str], *, graph: bool) -> Iterator[Message]:
     what = "behind the graph's normalizer" if graph else "and no normalizer in the graph"
     before = f"with the contract's scales {what} the network gets "
     advice = "it may get raw readings: compare the scales, and look for the normalizer of training."
@@ -74,11 +71,8 @@ def _describe_scale(rms: Floats, names: list[str]) -> str:
     """Describe the scale of readings without a normalizer."""
     if not (small := (rms < RMS_RANGE[0]) & (rms > RMS_ZERO)).any():
         return "the contract's scales alone bring its readings to an order of 1"
-    return (
-        "with the contract's scales it gets"
-        f" {format_values(names, rms, selection=_largest_first(-rms, small))} (root mean square), which is"
-        " very small"
-    )
+    numbers = format_values(names, rms, selection=_largest_first(-rms, small))
+    return f"with the contract's scales it gets {numbers} (root mean square), which is very small"
 
 
 def _number_names(context: CheckContext) -> list[str]:
@@ -90,8 +84,8 @@ def _number_names(context: CheckContext) -> list[str]:
     return names
 
 
-def _check_influence(context: CheckContext) -> Iterator[Message]:
-    """Check the share of actions at their clip, and whether each term changes the actions."""
+def _saturation(context: CheckContext) -> Iterator[Message]:
+    """Check the share of actions at their clip."""
     low, high = context.contract.action.bounds
     action = context.run.action
     share = float(((action <= low) | (action >= high)).mean())
@@ -101,11 +95,12 @@ def _check_influence(context: CheckContext) -> Iterator[Message]:
             f"{share:.0%} of all actions are at their clip: readings or weights have another scale than in training,"
             " or the normalizer is missing."
         )
-    if context.contract.memory:
-        return  # the memory influences the actions too
-    if ignored := [
-        f"{name} ({inputs:.1%})" for name, inputs in _influence_of_terms(context) if inputs < INFLUENCE_MIN
-    ]:
+
+
+def _influence(context: CheckContext) -> Iterator[Message]:
+    """Check whether each term changes the actions; a memory influences them too."""
+    changes = _influence_of_terms(context) if not context.contract.memory else ()
+    if ignored := [f"{name} ({change:.1%})" for name, change in changes if change < INFLUENCE_MIN]:
         yield warned(
             f"actions hardly change with {', '.join(ignored)} (change relative to their deviation): the scale may be"
             " far too large, or the term is not used."
@@ -114,19 +109,16 @@ def _check_influence(context: CheckContext) -> Iterator[Message]:
 
 def _influence_of_terms(context: CheckContext) -> Iterator[tuple[str, float]]:
     """Yield each term with the change of actions if its readings are permuted in time."""
-    run, start = context.run, 0
-    rng = np.random.default_rng(0)
+    run, rng = context.run, np.random.default_rng(0)
     rows = run.observation[rng.permutation(len(run.observation))[:SAMPLE]]
     action = _actions(context, rows)
     spread = max(float(action.std(axis=0).mean()), 1e-9)
-    for term in context.contract.observation:
-        end = start + term.size * term.history
+    for term, part in context.terms:
         other = rows.copy()
-        other[:, start:end] = rows[rng.permutation(len(rows)), start:end]
+        other[:, part] = rows[rng.permutation(len(rows)), part]
         changed = float(np.sqrt(((_actions(context, other) - action) ** 2).mean())) / spread
-        if np.ptp(rows[:, start:end], axis=0).any():  # a constant term cannot change anything
+        if np.ptp(rows[:, part], axis=0).any():  # a constant term cannot change anything
             yield term.name, changed
-        start = end
 
 
 def _actions(context: CheckContext, rows: Float32s) -> Float32s:
@@ -142,33 +134,37 @@ def training(context: CheckContext) -> Iterator[Message]:
             " mean and deviation of the normalizer, or for recorded observations."
         )
         return
-    yield from _check_history(context, expected)
-    observed_values, names = context.run.observation.astype(float), _number_names(context)
-    offset = np.abs(observed_values.mean(axis=0) - expected.mean) / expected.deviation
-    spread = observed_values.std(axis=0) / expected.deviation
+    yield from _histories(context, expected)
+    found, names = context.run.observation.astype(float), _number_names(context)
+    offset = np.abs(found.mean(axis=0) - expected.mean) / expected.deviation
+    spread = found.std(axis=0) / expected.deviation
     # A number that is constant in simulation was constant in training too.
-    moves = np.abs(observed_values - expected.mean).max(axis=0) > 1e-6
-    yield from _check_offset(offset, names)
-    before = "readings of the simulated robot vary more than in training, by these factors: "
-    wide, after = _largest_first(spread, spread > SPREAD[1]), ": compare scales and units."
-    yield from flag(warned, wide, before, names, spread, after=after)
-    still, after = (
-        (spread < SPREAD[0]) & moves & ~_is_command(context),
-        ": too large a scale, or a sensor without signal.",
-    )
-    yield from flag(warned, still, "readings hardly vary relative to training: ", names, spread, after=after)
+    moves = np.abs(found - expected.mean).max(axis=0) > 1e-6
+    yield from _offset(offset, names)
+    yield from _spread(spread, names, moves & ~_is_command(context))
+    vary = f"{spread[moves].min(initial=np.inf):.2g} to {spread.max():.2g} times as much"
     yield passed(
-        f"the simulated robot's means are within {offset.max():.1f} deviations of training's, and vary"
-        f" {spread[moves].min(initial=np.inf):.2g} to {spread.max():.2g} times as much."
+        f"the simulated robot's means are within {offset.max():.1f} deviations of training's, and vary {vary}."
     )
 
 
-def _check_offset(offset: Floats, names: list[str]) -> Iterator[Message]:
+def _offset(offset: Floats, names: list[str]) -> Iterator[Message]:
     before, far = "the mean of the simulated robot is off training's, in deviations: ", offset > OFFSET_FAIL
     after = ": compare scale, offset, unit, frame and order with training."
     yield from flag(failed, _largest_first(offset, far), before, names, offset, after=after)
     noticeable = _largest_first(offset, (offset > OFFSET_WARN) & ~far)
     yield from flag(warned, noticeable, before, names, offset, after=": compare them with training.")
+
+
+def _spread(spread: Floats, names: list[str], varying: Bools) -> Iterator[Message]:
+    before = "readings of the simulated robot vary more than in training, by these factors: "
+    wide, after = _largest_first(spread, spread > SPREAD[1]), ": compare scales and units."
+    yield from flag(warned, wide, before, names, spread, after=after)
+    before, after = (
+        "readings hardly vary relative to training: ",
+        ": too large a scale, or a sensor without signal.",
+    )
+    yield from flag(warned, (spread < SPREAD[0]) & varying, before, names, spread, after=after)
 
 
 def _is_command(context: CheckContext) -> Bools:
@@ -184,18 +180,13 @@ def _largest_first(numbers: Floats, selection: Bools) -> Ints:
     return places[np.argsort(-numbers[places])]
 
 
-def _check_history(context: CheckContext, expected: Statistics) -> Iterator[Message]:
+def _histories(context: CheckContext, expected: Statistics) -> Iterator[Message]:
     """Check that the frames of a history have similar statistics, as in the right layout."""
-    start = 0
-    for term in context.contract.observation:
-        end = start + term.size * term.history
-        mean, deviation = (
-            x[start:end].reshape(term.history, term.size) for x in (expected.mean, expected.deviation)
-        )
+    for term, part in context.terms:
+        shape = (term.history, term.size)
+        mean, deviation = expected.mean[part].reshape(shape), expected.deviation[part].reshape(shape)
         if float((np.ptp(mean, axis=0) / deviation.min(axis=0)).max()) > FRAME_SPREAD_MAX:
             yield warned(
-                f"{term.name}: the frames of its history differ by more than a deviation of training:"
-                " another layout was used:"
-                " by time or by term, newest or oldest first."
+                f"{term.name}: the frames of its history differ by more than a deviation of training: another layout"
+                " was used: by time or by term, newest or oldest first."
             )
-        start = end

@@ -48,11 +48,9 @@ class HeatRecorder:
         """Return the heat load; friction and iron losses follow from the heat balance of the housings."""
         housings, ticks = self._plant.housings, self._ticks
         stored = housings.capacity * (self._housing - self._initial_housing) / (ticks * self._dt)
-        lost, given = (
-            self._housing_rise / housings.to_ambient,
-            self._winding_rise / self._plant.windings.to_housing,
-        )
-        friction_power = stored + (lost - given) / ticks
+        lost = self._housing_rise / housings.to_ambient
+        received = self._winding_rise / self._plant.windings.to_housing
+        friction_power = stored + (lost - received) / ticks
         return HeatLoad(
             current=np.sqrt(self._square.mean(axis=0) / ticks),
             friction_power=np.maximum(friction_power.mean(axis=0), 0.0),
@@ -65,22 +63,19 @@ def winding_temperature(spec: RobotSpec, heat_load: HeatLoad, t: float) -> Float
 
     Friction power heats housing and winding alike in the end, so it is modelled as a higher ambient temperature.
     """
-    motors = nominal_windings(spec)
-    to_ambient = spec.motor_array("housing_resistance_k_per_w")
+    motors, to_ambient = nominal_windings(spec), spec.motor_array("housing_resistance_k_per_w")
     capacity = spec.motor_array("housing_capacity_j_per_k")
-    ambient = heat_load.ambient + heat_load.friction_power * to_ambient * (
-        1.0 - np.exp(-t / (to_ambient * capacity))
-    )
-    temperatures_c = []
-    for j in range(spec.n):
-        heat = MotorHeat(
-            resistance=float(motors.resistance[j]),
-            alpha=float(motors.alpha[j]),
-            reference_c=float(motors.reference_c[j]),
-            winding_to_housing=float(motors.to_housing[j]),
-            housing_to_ambient=float(to_ambient[j]),
-            winding_capacity=float(motors.capacity[j]),
-            housing_capacity=float(capacity[j]),
-        )
-        temperatures_c.append(temperatures(heat, float(heat_load.current[j]), float(ambient[j]), t)[0])
-    return np.array(temperatures_c)
+    share = 1.0 - np.exp(-t / (to_ambient * capacity))
+    ambient = heat_load.ambient + heat_load.friction_power * to_ambient * share
+    constants = {
+        "resistance": motors.resistance,
+        "alpha": motors.alpha,
+        "reference_c": motors.reference_c,
+        "winding_to_housing": motors.to_housing,
+        "housing_to_ambient": to_ambient,
+        "winding_capacity": motors.capacity,
+        "housing_capacity": capacity,
+    }
+    motor_of = [MotorHeat(**{k: float(v[j]) for k, v in constants.items()}) for j in range(spec.n)]
+    loads = zip(motor_of, heat_load.current.tolist(), ambient.tolist(), strict=True)
+    return np.array([temperatures(motor, current, around, t)[0] for motor, current, around in loads])

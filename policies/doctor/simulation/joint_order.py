@@ -66,8 +66,8 @@ class PermutedPolicy(Policy):
     def step(self, observation: Float32s) -> Float32s:
         """Return actions (B, A) in the robot's order for observations (B, N)."""
         permuted = np.take_along_axis(observation, self._columns, axis=1) * self._gain + self._bias
-        description = super().step(permuted.astype(np.float32))
-        restored = np.take_along_axis(description, self._inverse, axis=1) * self._slope + self._shift
+        action = super().step(permuted.astype(np.float32))
+        restored = np.take_along_axis(action, self._inverse, axis=1) * self._slope + self._shift
         return restored.astype(np.float32)
 
 
@@ -96,37 +96,30 @@ def joint_order(context: CheckContext) -> Iterator[Message]:
     counts, names = context.run.counts, context.spec.joint_names
     if counts.reached.sum() >= GOALS_GOOD * counts.attempted.sum():
         yield passed("not tried: the policy reaches its goals as it is.")
-        return
-    variants = joint_variants(names)
-    if len(variants) > VARIANTS_MAX:
+    elif len(variants := joint_variants(names)) > VARIANTS_MAX:
         yield warned(f"{len(names)} joints have too many orders to try: look at it with deploy-run --view.")
-        return
-    reached, attempted = _goals_by_variant(context, variants)
+    else:
+        yield warned(_best_variant(variants, *_goals_by_variant(context, variants)))
+
+
+def _best_variant(variants: list[Variant], reached: Ints, attempted: int) -> str:
+    """Return a sentence about the variant that reaches the most goals."""
     best = int(np.argmax(reached))
     if reached[best] >= GOALS_GOOD * attempted and reached[best] - reached[0] > IMPROVEMENT_MIN * attempted:
-        yield warned(
-            f"with {variants[best].description} it reaches {reached[best]} of {attempted} goals instead of"
-            f" {reached[0]}: training"
-            " had that order or sign: change the joint names accordingly, and import or export it again."
-        )
-        return
-    yield warned(
-        f"of {len(variants) - 1} exchanges of two joints and reversals of one none helps: order and signs"
-        " are not the reason,"
-        " or not the only one."
-    )
+        goals = f"{reached[best]} of {attempted} goals instead of {reached[0]}"
+        advice = "change the joint names accordingly, and import or export it again"
+        found = f"with {variants[best].description} it reaches {goals}"
+        return f"{found}: training had that order or sign: {advice}."
+    tried = f"of {len(variants) - 1} exchanges of two joints and reversals of one none helps"
+    return f"{tried}: order and signs are not the reason, or not the only one."
 
 
 def _goals_by_variant(context: CheckContext, variants: list[Variant]) -> tuple[Ints, int]:
     """Return the goals reached by each variant, and the number of goals of each."""
     varied = PermutedPolicy(context.file, str(context.path), variants)
     rows = [k % ROBOTS_PER_VARIANT for k in range(ROBOTS_PER_VARIANT * len(variants))]
-    seconds = (
-        SECONDS
-        if find_task(context.contract.task, "contract: task").success_criterion(context.spec).mean
-        else SECONDS_PER_VARIANT
-    )
+    commands = find_task(context.contract.task, "contract: task").success_criterion(context.spec).mean
+    seconds = SECONDS if commands else SECONDS_PER_VARIANT
     counts = run_simulation(context.spec, varied, ON_TIME, rows, seconds).counts
-    return counts.reached.reshape(-1, ROBOTS_PER_VARIANT).sum(axis=1), int(
-        counts.attempted[:ROBOTS_PER_VARIANT].sum()
-    )
+    reached = counts.reached.reshape(-1, ROBOTS_PER_VARIANT).sum(axis=1)
+    return reached, int(counts.attempted[:ROBOTS_PER_VARIANT].sum())

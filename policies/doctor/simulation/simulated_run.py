@@ -5,7 +5,7 @@ delay of actions is not modelled and shows whether the policy tolerates it.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,7 @@ COMMAND_S = 10.0
 """s, longest velocity command of a walking robot, so that a run contains its end."""
 GOALS_SHARE_MIN = 0.5
 """Share of goals that a working policy reaches."""
+Delay = tuple[float, float]
 ON_TIME, HALF_PERIOD_LATE, PERIOD_LATE, JITTERED = (0.0, 0.0), (0.5, 0.5), (1.0, 1.0), (0.0, 1.0)
 """Smallest and largest delay of an action, in policy periods; rounded to ticks."""
 
@@ -67,22 +68,21 @@ class SimulatedRun:
 def run_simulation(
     spec: RobotSpec,
     policy: Policy,
-    delay_periods: tuple[float, float],
+    delay: Delay,
     rows: Sequence[int] = range(ROBOTS),
     seconds: float = SECONDS,
 ) -> SimulatedRun:
-    """Simulate robots under a policy.
+    """Simulate robots under a policy that fits them.
 
     Args:
-        spec: the robot. policy: one that fits it.
-        delay_periods: smallest and largest random delay of an action, in policy periods.
+        delay: smallest and largest random delay of an action, in policy periods.
         rows: for each robot the index of its noise and goals. seconds: simulated time.
 
     Raises:
         FirstshiftError: the robot's files are incomplete for a simulation or its judge.
     """
     spec = find_task(policy.contract.task, "contract: task").limit_goal_period(spec, COMMAND_S)
-    simulation = _Simulation(spec, policy, delay_periods, [robot_seed(SEED, row) for row in rows])
+    simulation = _Simulation(spec, policy, delay, [robot_seed(SEED, row) for row in rows])
     for tick in range(round(seconds / spec.dt)):
         simulation.tick(tick)
     return simulation.result()
@@ -92,21 +92,15 @@ class _Simulation:
     """Running simulation and its records."""
 
     def __init__(
-        self,
-        spec: RobotSpec,
-        policy: Policy,
-        delay_periods: tuple[float, float],
-        seeds: Sequence[np.random.SeedSequence],
+        self, spec: RobotSpec, policy: Policy, delay: Delay, seeds: Sequence[np.random.SeedSequence]
     ) -> None:
-        robots = len(seeds)
-        self._policy, self._all_robots = policy, np.ones(robots, dtype=bool)
-        contract = policy.contract
-        given = median_draw(load_distributions(spec), spec, robots)
-        self._runtime, self._robot = simulate(spec, contract, seeds, policy, given=given)
+        robots, contract = len(seeds), policy.contract
+        draw = median_draw(load_distributions(spec), spec, robots)
+        self._runtime, self._robot = simulate(spec, contract, seeds, policy, given=draw)
         criterion, observed = self._runtime.task.criterion, contract.observed
         self._judge = Judge(spec, torque_max(spec), robots, criterion=criterion, observed=observed)
-        self._rng = np.random.default_rng(SEED)
-        self._delay_min, self._delay_max = (int(share * self._runtime.decimation) for share in delay_periods)
+        self._policy, self._rng = policy, np.random.default_rng(SEED)
+        self._delay_min, self._delay_max = (int(share * self._runtime.decimation) for share in delay)
         self._pending_actions: dict[int, Float32s] = {}
         self._arm = round(ARM_S / spec.dt)
         self._steps: list[tuple[Float32s, Float32s]] = []
@@ -119,28 +113,31 @@ class _Simulation:
         """Advance one tick, with the action that is due, if any."""
         runtime = self._runtime
         if tick == self._arm:
-            refused = runtime.arm(self._all_robots)
-            self._stops.update(
-                self._stop_reason(robot, refused) for robot in np.flatnonzero(refused).tolist()
-            )
+            refused = runtime.arm(np.ones(len(self._first_step), dtype=bool))
+            self._count_stops(np.flatnonzero(refused), refused)
         observation = runtime.sense()
         if observation is not None:
             self._run_policy(tick, observation)
         action, running = self._pending_actions.pop(tick, None), runtime.supervisor.running
         runtime.act(action)
-        leaving = self._leaving.step(runtime)
-        self._stops.update(self._stop_reason(robot, runtime.supervisor.reason) for robot in leaving)
+        self._count_stops(self._leaving.step(runtime), runtime.supervisor.reason)
         truth = self._robot.truth()
         judge_tick(self._judge, truth, runtime, action)
         self._heat_recorder.record(truth)
+        self._record(tick, running if action is not None else None)
+
+    def _count_stops(self, robots: Iterable[int], reason: Ints) -> None:
+        self._stops.update(explain_reasons(self._runtime, int(reason[robot]), int(robot)) for robot in robots)
+
+    def _record(self, tick: int, running: Bools | None) -> None:
+        """Record speeds, and the first target of robots that just started `running`; None without an action."""
+        runtime = self._runtime
         if tick >= self._arm:
             # Compliant drives do not follow the setpoint closely: use the estimated joint speed.
             self._speeds.append((runtime.setpoint if runtime.springs is None else runtime.state).qd.copy())
-        if action is not None:
-            self._record_first_step(running)
-
-    def _stop_reason(self, robot: int, reason: Ints) -> str:
-        return explain_reasons(self._runtime, int(reason[robot]), robot)
+        if running is not None:
+            starts = running & np.isnan(self._first_step[:, 0])
+            self._first_step[starts] = (runtime.target.q - runtime.state.q)[starts]
 
     def _run_policy(self, tick: int, observation: Float32s) -> None:
         action = self._policy.step(observation).copy()
@@ -151,17 +148,8 @@ class _Simulation:
         running = self._runtime.supervisor.running
         self._steps.append((observation[running], action[running]))
 
-    def _record_first_step(self, running: Bools) -> None:
-        """Record the first target of robots that just started running."""
-        starts = running & np.isnan(self._first_step[:, 0])
-        self._first_step[starts] = (self._runtime.target.q - self._runtime.state.q)[starts]
-
     def result(self) -> SimulatedRun:
-        """Return the result.
-
-        Raises:
-            ConfigError: a robot did not arm, or an observation was not finite.
-        """
+        """Return the result; ConfigError if a robot did not arm, or an observation was not finite."""
         if np.isnan(self._first_step).any():
             raise ConfigError(f"a robot did not start: {'; '.join(self._stops) or 'no reason'}")
         observation, action = (np.concatenate(rows) for rows in zip(*self._steps, strict=True))

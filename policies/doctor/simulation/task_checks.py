@@ -8,7 +8,16 @@ from eval.judge.monitors import MONITORS
 from policies.doctor.check_context import CheckContext, NotSimulatedError
 from policies.doctor.check_result import Message, failed, flag, format_values, passed, warned
 from policies.doctor.simulation.heat_extrapolation import winding_temperature
-from policies.doctor.simulation.simulated_run import GOALS_SHARE_MIN, ROBOTS, SECONDS, SimulatedRun
+from policies.doctor.simulation.simulated_run import (
+    GOALS_SHARE_MIN,
+    HALF_PERIOD_LATE,
+    JITTERED,
+    PERIOD_LATE,
+    ROBOTS,
+    SECONDS,
+    Delay,
+    SimulatedRun,
+)
 from robots.arrays import Floats
 
 GOALS_GOOD = 0.9
@@ -32,39 +41,36 @@ SHOWN_RATIOS = ("tracking", "torque", "velocity", "position_requested")
 def simulation(context: CheckContext) -> Iterator[Message]:
     """Check goals, stops and limit ratios, as judged in a soak."""
     try:
-        run, counts = context.run, context.run.counts
+        counts = context.run.counts
     except NotSimulatedError as e:
         yield failed(f"not tried: {e}.")
         return
     reached, attempted = int(counts.reached.sum()), int(counts.attempted.sum())
-    goals = f"{reached} of {attempted} goals"
+    goals = f"{ROBOTS} robots reached {reached} of {attempted} goals in {SECONDS:.0f} s"
     if attempted and reached < GOALS_SHARE_MIN * attempted:
-        yield failed(
-            f"{ROBOTS} robots reached {goals} in {SECONDS:.0f} s: something in the other rows differs from training,"
-            " or the joint signs and order in the network are not the robot's."
-        )
+        reason = "or the joint signs and order in the network are not the robot's"
+        yield failed(f"{goals}: something in the other rows differs from training, {reason}.")
     elif attempted and reached < GOALS_GOOD * attempted:
-        yield warned(f"{ROBOTS} robots reached {goals} in {SECONDS:.0f} s.")
-    if latches := int(counts.latches.sum()):
-        yield failed(f"stopped by power loss {latches} times: {_reasons(run)}.")
-    elif stops := int(counts.stops.sum()):
-        yield warned(f"stopped {stops} times: {_reasons(run)}.")
-    if hard := [f"{m.name} ({counts.total(m.name)})" for m in MONITORS if m.hard and counts.total(m.name)]:
-        yield failed(f"limits violated: {', '.join(hard)}: see the monitors in a soak report.")
+        yield warned(f"{goals}.")
+    yield from _stops(context.run)
     worst = {name: float(counts.worst[:, counts.columns(name)].max()) for name in SHOWN_RATIOS}
     if worst["position_requested"] > TARGET_RANGE_MAX and context.contract.action.gains is None:
-        yield warned(
-            f"asked for {worst['position_requested']:.2f} of the working range, which is clamped: compare scale and"
-            " offset, or penalize it in training."
-        )
+        found = f"asked for {worst['position_requested']:.2f} of the working range, which is clamped"
+        yield warned(f"{found}: compare scale and offset, or penalize it in training.")
     ratios = ", ".join(f"{name} {ratio:.2f}" for name, ratio in worst.items())
-    yield passed(
-        f"{ROBOTS} robots reached {goals} in {SECONDS:.0f} s without a stop; worst limit ratios: {ratios}."
-    )
+    yield passed(f"{goals} without a stop; worst limit ratios: {ratios}.")
 
 
-def _reasons(run: SimulatedRun) -> str:
-    return ", ".join(f"{why} ({count})" for why, count in run.stops.most_common(REASONS_SHOWN))
+def _stops(run: SimulatedRun) -> Iterator[Message]:
+    """Check stops and limits; the most frequent reasons are named."""
+    counts = run.counts
+    reasons = ", ".join(f"{why} ({count})" for why, count in run.stops.most_common(REASONS_SHOWN))
+    if latches := int(counts.latches.sum()):
+        yield failed(f"stopped by power loss {latches} times: {reasons}.")
+    elif stops := int(counts.stops.sum()):
+        yield warned(f"stopped {stops} times: {reasons}.")
+    if hard := [f"{m.name} ({counts.total(m.name)})" for m in MONITORS if m.hard and counts.total(m.name)]:
+        yield failed(f"limits violated: {', '.join(hard)}: see the monitors in a soak report.")
 
 
 def chatter(context: CheckContext) -> Iterator[Message]:
@@ -72,14 +78,11 @@ def chatter(context: CheckContext) -> Iterator[Message]:
     names, run = context.spec.joint_names, context.run
     level = _chatter_level(context, run)
     worst = f"{format_values(names, 100 * level, unit=' %')} of its speed above {_chatter_hz(context):g} Hz"
+    advice = "check delay, rates and the penalty on action changes in training"
     if (level > CHATTER_FAIL).any():
-        yield failed(
-            f"it chatters strongly: {worst}: check delay, rates and the penalty on action changes in training."
-        )
+        yield failed(f"it chatters strongly: {worst}: {advice}.")
     elif (level > CHATTER_WARN).any():
-        yield warned(
-            f"it chatters: {worst}: check delay, rates and the penalty on action changes in training."
-        )
+        yield warned(f"it chatters: {worst}: {advice}.")
     else:
         yield _passed_if_working(run, f"it moves smoothly: {worst}.")
 
@@ -113,9 +116,9 @@ def delay(context: CheckContext) -> Iterator[Message]:
     half_ms = 1e3 * context.spec.dt * (context.contract.control_hz // context.contract.policy_hz // 2)
     if not context.run.works:
         yield warned(NOT_COMPARABLE)
-    elif (effects := _degradation(context, context.late_run)) is None:
+    elif (effects := _degradation(context, PERIOD_LATE)) is None:
         yield passed(f"actions delayed by a policy period, {period_ms:g} ms, do no harm.")
-    elif (half := _degradation(context, context.half_late_run)) is None:
+    elif (half := _degradation(context, HALF_PERIOD_LATE)) is None:
         yield warned(f"with actions {period_ms:g} ms late {effects}; {half_ms:g} ms do no harm: {MEASURE}")
     else:
         yield failed(f"with actions only {half_ms:g} ms late {half}: {MEASURE}")
@@ -126,22 +129,18 @@ def jitter(context: CheckContext) -> Iterator[Message]:
     period_ms = 1e3 / context.contract.policy_hz
     if not context.run.works:
         yield warned(NOT_COMPARABLE)
-    elif effects := _degradation(context, context.jittered_run):
-        yield warned(
-            f"with random delays of actions up to {period_ms:g} ms {effects}: run it on a computer with"
-            " reliable timing, and train with jitter."
-        )
+    elif effects := _degradation(context, JITTERED):
+        found = f"with random delays of actions up to {period_ms:g} ms {effects}"
+        yield warned(f"{found}: run it on a computer with reliable timing, and train with jitter.")
     else:
         yield passed(f"random delays of actions up to {period_ms:g} ms do no harm.")
 
 
-def _degradation(context: CheckContext, other: SimulatedRun) -> str | None:
+def _degradation(context: CheckContext, delay: Delay) -> str | None:
     """Describe what got worse than in the run without delay; None if nothing did."""
-    run = context.run
+    run, other = context.run, context.delayed_run(delay)
     before, after = (int(each.counts.reached.sum()) for each in (run, other))
-    effects = []
-    if after < GOALS_GOOD * before:
-        effects.append(f"it reaches {after} goals instead of {before}")
+    effects = [f"it reaches {after} goals instead of {before}"] if after < GOALS_GOOD * before else []
     level, other_level = _chatter_level(context, run), _chatter_level(context, other)
     if (chattering := (other_level > CHATTER_GROWTH * level) & (other_level > CHATTER_WARN)).any():
         names = context.spec.joint_names
@@ -154,8 +153,7 @@ def _degradation(context: CheckContext, other: SimulatedRun) -> str | None:
 
 def heat(context: CheckContext) -> Iterator[Message]:
     """Extrapolate winding temperatures to eight hours with the two-node model."""
-    spec, heat_load = context.spec, context.run.heat_load
-    names = spec.joint_names
+    spec, names, heat_load = context.spec, context.spec.joint_names, context.run.heat_load
     hot = winding_temperature(spec, heat_load, SHIFT_S)
     soft, hard = spec.motor_array("winding_soft_c"), spec.motor_array("winding_max_c")
     room = f"after eight hours of this work, with middle values of draws.toml, at {heat_load.ambient:.0f} °C"

@@ -28,35 +28,38 @@ Convention = Callable[[Floats], Floats]
 
 def tilt(context: CheckContext) -> Iterator[Message]:
     """Tilt the base to four sides, in this project's convention and in other common ones."""
-    terms = [term for term in context.contract.observation if _is_gravity_term(term)]
-    if not terms:
+    terms = context.contract.observation
+    used = {term.source for term in terms if _is_gravity_term(term)}
+    if not used:
         yield passed("does not apply: no term depends on the tilt.")
         return
-    yield from _check_training_mean(context)
-    sizes = {term.source: term.size for term in context.contract.observation}
-    if mismatched := [term for term in context.contract.observation if term.size != sizes[term.source]]:
-        yield failed(
-            f"{mismatched[0].name}: {mismatched[0].source} has {mismatched[0].size} numbers here and"
-            f" {sizes[mismatched[0].source]} in another term."
-        )
+    for term, mean in context.training_means:
+        yield from _conventions(term, mean) if _is_gravity_term(term) else ()
+    sizes = {term.source: term.size for term in terms}
+    if other := next((term for term in terms if term.size != sizes[term.source]), None):
+        found = f"{other.source} has {other.size} numbers here and {sizes[other.source]} in another term"
+        yield failed(f"{other.name}: {found}.")
         return
     responses = _responses(context)
-    yield from _check_responses(responses - responses[0])
     calm = _rms(responses[0])
+    yield from _directions(responses - responses[0])
+    yield from _other_conventions(context, used, calm)
+    yield passed(
+        f"it responds to each tilt, and to opposite tilts with opposite actions; upright {calm:.2g}."
+    )
+
+
+def _other_conventions(context: CheckContext, used: set[str], calm: float) -> Iterator[Message]:
+    """Warn of a policy that fails, and is calmer in another convention than with `calm`, its actions in this one."""
     for source, name, convention in (
         ("projected_gravity", "gravity with the other sign, +1 upright", np.negative),
         ("base_orientation", "the quaternion as x, y, z, w", lambda q: np.roll(q, -1, axis=1)),
     ):
-        if any(term.source == source for term in terms):
-            other = _rms(_responses(context, {source: convention})[0])
-            if other < CALMER_SHARE * calm and not context.works:
-                yield warned(
-                    f"upright its actions are smaller with {name} ({other:.2g} instead of {calm:.2g}): training may"
-                    " have had that convention: convert it in the graph, or in the first weights."
-                )
-    yield passed(
-        f"it responds to each tilt, and to opposite tilts with opposite actions; upright {calm:.2g}."
-    )
+        other = _rms(_responses(context, {source: convention})[0]) if source in used else np.inf
+        if other < CALMER_SHARE * calm and not context.works:
+            found = f"upright its actions are smaller with {name} ({other:.2g} instead of {calm:.2g})"
+            advice = "convert it in the graph, or in the first weights"
+            yield warned(f"{found}: training may have had that convention: {advice}.")
 
 
 def _is_gravity_term(term: Term) -> bool:
@@ -67,52 +70,36 @@ def _rms(action: Floats) -> float:
     return float(np.sqrt((action**2).mean()))
 
 
-def _check_responses(change: Floats) -> Iterator[Message]:
+def _directions(change: Floats) -> Iterator[Message]:
     """Check changes of actions (5, A) relative to upright, in the order of `DIRECTIONS`."""
     for one, other in ((1, 2), (3, 4)):
         sides = f"{DIRECTIONS[one]} and {DIRECTIONS[other]}"
         response = float(np.abs(change[[one, other]]).max())
         if response < RESPONSE_MIN:
+            found = f"{sides} by {TILT_RAD} rad changes actions by {response:.1g} at most"
             yield warned(
-                f"tilting {sides} by {TILT_RAD} rad changes actions by {response:.1g} at most: it does not respond"
-                " to tilt: compare scale and frame of the term."
+                f"tilting {found}: it does not respond to tilt: compare scale and frame of the term."
             )
         elif _rms(change[one] + change[other]) > _rms(change[one] - change[other]):
-            yield warned(
-                f"tilting {sides} gives similar instead of opposite actions: sign, order or frame of the term may"
-                " differ from training."
-            )
-
-
-def _check_training_mean(context: CheckContext) -> Iterator[Message]:
-    """Check the mean of the term in training: a working robot is upright in the mean."""
-    start = 0
-    for term in context.contract.observation:
-        end = start + term.size * term.history
-        if context.training is not None and _is_gravity_term(term):
-            mean = context.training.mean[end - term.size : end] * np.array(term.scale)
-            yield from _conventions(term, mean + np.array(term.offset or 0.0))
-        start = end
+            found = f"tilting {sides} gives similar instead of opposite actions"
+            yield warned(f"{found}: sign, order or frame of the term may differ from training.")
 
 
 def _conventions(term: Term, mean: Floats) -> Iterator[Message]:
+    """Check the mean of the term in training: a working robot is upright in the mean."""
     if term.source == "projected_gravity" and mean[2] > 0.5:
-        yield failed(
-            f"{term.name}: in training its third number was {mean[2]:.2f} in the mean, expected -1 upright: the sign is"
-            " reversed."
-        )
+        found = f"in training its third number was {mean[2]:.2f} in the mean, expected -1 upright"
+        yield failed(f"{term.name}: {found}: the sign is reversed.")
     if term.source == "base_orientation" and abs(mean[3]) > abs(mean[0]):
-        yield failed(
-            f"{term.name}: in training its fourth number was {mean[3]:.2f} in the mean and its first {mean[0]:.2f}: its"
-            " order is x, y, z, w, expected w, x, y, z."
-        )
+        found = f"in training its fourth number was {mean[3]:.2f} in the mean and its first {mean[0]:.2f}"
+        yield failed(f"{term.name}: {found}: its order is x, y, z, w, expected w, x, y, z.")
 
 
 def _responses(context: CheckContext, conventions: dict[str, Convention] | None = None) -> Floats:
     """Return raw actions (5, A) after a second of standing, in the order of `DIRECTIONS`."""
     sources = _standing_readings(context)
     for source, convention in (conventions or {}).items():
-        sources[source] = _constant(convention(sources[source]()))
+        sources[source] = convention(sources[source]()).copy
     observation = Observation(context.contract, sources, len(DIRECTIONS))
     context.policy.resize(len(DIRECTIONS))
     steps = max([context.contract.policy_hz, *(term.history for term in context.contract.observation)])
@@ -133,12 +120,8 @@ def _standing_readings(context: CheckContext) -> dict[str, Callable[[], Floats]]
             rest = context.spec.joint_array("q_home")
         fits = term.source in known and term.size == known[term.source].shape[1]
         readings[term.source] = known[term.source] if fits else _repeat(rest)
-    return {source: _constant(value) for source, value in readings.items()}
+    return {source: value.copy for source, value in readings.items()}
 
 
 def _repeat(reading: Floats) -> Floats:
     return np.tile(reading, (len(DIRECTIONS), 1))
-
-
-def _constant(value: Floats) -> Callable[[], Floats]:
-    return value.copy

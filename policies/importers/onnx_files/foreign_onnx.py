@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,9 +94,9 @@ def read_onnx(model: ModelProto, source: str) -> ReferencePolicy:
         actions=_size(outputs[action], source),
         known=known_from({entry.key: entry.value for entry in model.metadata_props}, source),
     )
-    names = {"observation": observation, "action": action}
-    run = _OnnxRunner(model, observation, action, memory, source).run
-    reference = ReferencePolicy(facts=facts, model=model, memory=memory, batched=False, run=run, **names)
+    runner = _OnnxRunner(model, observation, action, memory, source)
+    fields: dict[str, Any] = {"observation": observation, "action": action, "memory": memory}
+    reference = ReferencePolicy(facts=facts, model=model, batched=False, run=runner.run, **fields)
     return allow_any_batch(reference, source)
 
 

@@ -169,8 +169,8 @@ def _check_action(action: _Action, source: str) -> None:
         if len(found) not in expected:
             raise ContractError(f"{source}: actions.0.{field}: found {len(found)}, expected {count}")
     if action.clip and 0.0 in scale:
-        expected = "another number, since targets are clipped"
-        raise ContractError(f"{source}: actions.0.scale: found 0, expected {expected}")
+        reason = "since targets are clipped"
+        raise ContractError(f"{source}: actions.0.scale: found 0, expected another number, {reason}")
 
 
 def _action(action: _Action, articulations: Mapping[str, _Articulation]) -> dict[str, Any]:

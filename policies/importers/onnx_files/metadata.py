@@ -114,7 +114,8 @@ def _observation(lists: _MetadataLists, pose: list[float] | None) -> list[dict[s
     if (names := lists.names("observation_names")) is None:
         return None
     velocity = lists.names("command_names") in VELOCITIES
-    scales = lists.rows("observation_terms_scale", names) or [None] * len(names)
+    unknown: list[Any] = [None] * len(names)
+    scales = lists.rows("observation_terms_scale", names) or unknown
     clips, histories = _clips(lists, names), _histories(lists, names)
     return [
         term_fields(

@@ -17,22 +17,16 @@ EXPECTED = "expected a zip of Stable-Baselines3"
 
 
 def read_zip(path: Path) -> tuple[dict[str, object], dict[str, Tensor]]:
-    """Return settings, with pickled parts left as text, and weights by name. Other members are not read.
-
-    Raises:
-        ContractError: the file is no such archive, is too large, or holds code in place of weights.
-    """
+    """Return settings, with pickled parts left as text, and weights by name. Other members are not read."""
     members = read_members(read_bytes(path, EXPECTED), NEEDED, str(path), EXPECTED)
     if missing := [name for name in (SETTINGS, WEIGHTS) if name not in members]:
         raise ContractError(f"{path}: found no {missing[0]!r} in it, {EXPECTED}")
     weights = parse_tensors(members[WEIGHTS], f"{path}: {WEIGHTS}", "expected tensors by name")
     if not isinstance(weights, dict) or not all(isinstance(item, Tensor) for item in weights.values()):
         raise ContractError(f"{path}: {WEIGHTS}: found a {type(weights).__name__}, expected tensors by name")
-    return _settings(members[SETTINGS], f"{path}: {SETTINGS}"), weights
-
-
-def _settings(data: bytes, source: str) -> dict[str, object]:
-    settings = read_json(data.decode(errors="replace"), source, SETTINGS_BYTES_MAX, ContractError)
+    text = members[SETTINGS].decode(errors="replace")
+    settings = read_json(text, f"{path}: {SETTINGS}", SETTINGS_BYTES_MAX, ContractError)
     if not isinstance(settings, dict):
-        raise ContractError(f"{source}: found a {type(settings).__name__}, expected settings by name")
-    return settings
+        found = f"found a {type(settings).__name__}"
+        raise ContractError(f"{path}: {SETTINGS}: {found}, expected settings by name")
+    return settings, weights

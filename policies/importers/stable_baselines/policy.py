@@ -117,9 +117,8 @@ def _family(settings: Mapping[str, object], source: str) -> _Family:
     module = _part(settings, "policy_class").get("__module__")
     if isinstance(module, str) and module in FAMILIES:
         return FAMILIES[module]
-    raise ContractError(
-        f"{source}: data: policy_class: found one of {module!r:.100}, expected one of {', '.join(FAMILIES)}"
-    )
+    found = f"policy_class: found one of {module!r:.100}"
+    raise ContractError(f"{source}: data: {found}, expected one of {', '.join(FAMILIES)}")
 
 
 def _layers(weights: Mapping[str, Tensor], family: _Family, source: str) -> Iterator[nn.Linear]:

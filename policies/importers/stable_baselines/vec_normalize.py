@@ -33,11 +33,7 @@ class VecNormalize:
 
 
 def read_vec_normalize(path: Path) -> VecNormalize | None:
-    """Read a file of `VecNormalize.save`; None if observations were not normalized.
-
-    Raises:
-        ContractError: naming the file, the field, what was found and what was expected.
-    """
+    """Read a file of `VecNormalize.save`; None if observations were not normalized."""
     state = _state(read_pickle(read_bytes(path, EXPECTED, FILE_BYTES_MAX), str(path)), CLASS, str(path))
     if not isinstance(normalizes := state.get("norm_obs"), bool):
         raise ContractError(f"{path}: norm_obs: found {_describe(normalizes)}, expected true or false")
@@ -47,10 +43,8 @@ def read_vec_normalize(path: Path) -> VecNormalize | None:
     mean, variance = (_vector(statistics.get(name), f"{path}: obs_rms.{name}") for name in ("mean", "var"))
     epsilon, clip = (_positive(state.get(name), f"{path}: {name}") for name in ("epsilon", "clip_obs"))
     if mean.shape != variance.shape or (variance < 0).any():
-        raise ContractError(
-            f"{path}: obs_rms.var: found {variance.size} numbers, smallest {variance.min():g}, expected"
-            f" {mean.size} numbers >= 0"
-        )
+        found = f"found {variance.size} numbers, smallest {variance.min():g}"
+        raise ContractError(f"{path}: obs_rms.var: {found}, expected {mean.size} numbers >= 0")
     # An infinite bound is the largest number of single precision.
     clip = min(clip, float(np.finfo(np.float32).max))
     return VecNormalize(mean=mean, divisor=np.sqrt(variance + epsilon), clip=clip)
@@ -72,9 +66,8 @@ def _vector(value: object, source: str) -> NDArray[np.float64]:
         case _:
             size, width, raw = 0, 0, b""
     if not 0 < size <= SIZE_MAX or not width or len(raw) != size * width:
-        raise ContractError(
-            f"{source}: found {_describe(value)}, expected a numpy vector of 1 to {SIZE_MAX} numbers, f4 or f8"
-        )
+        expected = f"expected a numpy vector of 1 to {SIZE_MAX} numbers, f4 or f8"
+        raise ContractError(f"{source}: found {_describe(value)}, {expected}")
     numbers = np.frombuffer(raw, f"<f{width}").astype(np.float64)
     if bad := int((~np.isfinite(numbers)).sum()):
         raise ContractError(f"{source}: found {bad} numbers NaN or infinite, expected all finite")

@@ -37,10 +37,10 @@ class NetworkSettings(Strict):
     """Table [network] of the contract's TOML; None for what is not written there."""
 
     activation: Activation | None = Field(
-        None, description=f"activation between layers: {', '.join(get_args(Activation))}"
+        default=None, description=f"activation between layers: {', '.join(get_args(Activation))}"
     )
     normalizer: NormalizerStatistics | str | None = Field(
-        None,
+        default=None,
         description='of observations: "none", { mean = [...], std = [...] }, or the path of a VecNormalize file',
     )
 

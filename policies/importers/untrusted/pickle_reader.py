@@ -51,11 +51,7 @@ NO_RULES = PickleRules()
 
 
 def read_pickle(data: bytes, source: str, rules: PickleRules = NO_RULES) -> object:
-    """Return numbers, text, bytes, tuples, lists and dicts with text keys; everything else is an `UnresolvedCall`.
-
-    Raises:
-        ContractError: the bytes are no pickle, the pickle is too long, or `rules` refuse it.
-    """
+    """Return numbers, text, bytes, tuples, lists and dicts with text keys; everything else is an `UnresolvedCall`."""
     stacks: list[list[object]] = [[]]
     memo: dict[int, object] = {}
     try:

@@ -1,5 +1,6 @@
 """Reader of untrusted YAML: plain data of limited size and depth, without custom tags and aliases."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from robots.errors import ContractError
@@ -9,29 +10,32 @@ DEPTH_MAX = 20
 
 
 def read_yaml(path: Path) -> object:
-    """Return the contents of a YAML file.
-
-    Raises:
-        ContractError: the file is unreadable, too long, too deeply nested, not plain YAML, or has an alias.
-    """
+    """Return the contents of a YAML file; refuse one that is too long, too deeply nested, or has an alias."""
     import yaml
 
     try:
         with path.open(encoding="utf-8") as stream:
             text = stream.read(CHARACTERS_MAX + 1)
-        if len(text) > CHARACTERS_MAX:
-            raise ContractError(f"{path}: found more than {CHARACTERS_MAX} characters, expected a descriptor")
-        depth = 0
-        for event in yaml.parse(text, Loader=yaml.SafeLoader):
-            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if isinstance(event, yaml.AliasEvent):  # nested aliases can expand to more than the memory
-                found = f"line {event.start_mark.line + 1}: found the alias {event.anchor!r:.100}"
-                raise ContractError(f"{path}: {found}, expected each value in full")
-            if depth > DEPTH_MAX:
-                raise ContractError(f"{path}: found more than {DEPTH_MAX} nested levels")
+        for complaint in _unexpected(text):
+            raise ContractError(f"{path}: {complaint}")
         return yaml.safe_load(text)
     except OSError as e:
         raise ContractError(f"{path}: cannot be read: {e.strerror}") from e
     except (yaml.YAMLError, ValueError, RecursionError) as e:
         problem = " ".join(str(getattr(e, "problem", None) or type(e).__name__).split())
         raise ContractError(f"{path}: not valid YAML: {problem:.200}") from e
+
+
+def _unexpected(text: str) -> Iterator[str]:
+    import yaml
+
+    if len(text) > CHARACTERS_MAX:
+        yield f"found more than {CHARACTERS_MAX} characters, expected a descriptor"
+    depth = 0
+    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if isinstance(event, yaml.AliasEvent):  # nested aliases can expand to more than the memory
+            found = f"line {event.start_mark.line + 1}: found the alias {event.anchor!r:.100}"
+            yield f"{found}, expected each value in full"
+        if depth > DEPTH_MAX:
+            yield f"found more than {DEPTH_MAX} nested levels"
