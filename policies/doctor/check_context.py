@@ -76,8 +76,10 @@ class CheckContext:
     @property
     def training_means(self) -> Iterator[tuple[Term, Floats]]:
         """Terms with their mean (size,) in training, newest frame, in units of the source; empty if unknown."""
-        for term, part in self.terms if self.training is not None else ():
-            mean = self.training.mean[part][-term.size :]
+        if (training := self.training) is None:
+            return
+        for term, part in self.terms:
+            mean = training.mean[part][-term.size :]
             yield term, np.asarray(mean * np.array(term.scale) + np.array(term.offset or 0.0))
 
     @property

@@ -47,7 +47,10 @@ ARCHIVES: tuple[tuple[Callable[[Archive], bool], str], ...] = (
     (lambda a: "models" in a.folders, "torch_files.exported_program:read_exported_program"),
     (lambda a: "code" in a.folders, "torch_files.torchscript:read_torchscript"),
     (lambda a: {"contract", "recipe"} <= a.keys, "file_formats:refuse_own_checkpoint"),
-    (lambda a: bool(a.keys & {"actor_state_dict", "model_state_dict"}), "rsl_rl.checkpoint:read_rsl_rl"),
+    (
+        lambda a: bool(a.keys & {"actor_state_dict", "model_state_dict"}),
+        "rsl_rl.actor_checkpoint:read_rsl_rl",
+    ),
     (lambda _: True, "torch_files.state_dict:read_state_dict"),
 )
 """Archive formats and their readers; the first that matches is imported, since torch takes seconds to import."""

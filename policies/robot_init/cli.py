@@ -63,7 +63,7 @@ def init_robot(model: Path, out: Path, *, walks: bool = False) -> tuple[VendorMo
         "draws.toml": draws_toml(vendor),
         "limits.toml": limits_toml(vendor, name),
     }
-    readme = README.format(name=name, model=folder_path, joints=len(vendor.joints) - len(vendor.locked))
+    readme = README.format(name=name, model=folder_path, joints=len(vendor.driven))
     texts = {file: tomlkit.dumps(table) for file, table in tables.items()} | {"README.md": readme}
     _write(out, files, folder, texts)
     return vendor, [field for file, table in tables.items() for field in _still_open(file, table)]

@@ -23,14 +23,8 @@ BASE = {
     "command_s": "s, duration of each command; estimate",
     "source": "source of the numbers",
 }
-ESTIMATES = {
-    "foot_m": 0.01,
-    "slip": 0.05,
-    "angular_acceleration": 20.0,
-    "jerk": 200.0,
-    "tilt_max_rad": 0.8,
-    "command_s": 10.0,
-}
+ESTIMATES = {"foot_m": 0.01, "slip": 0.05, "angular_acceleration": 20.0, "jerk": 200.0}
+ESTIMATES |= {"tilt_max_rad": 0.8, "command_s": 10.0}
 MARGINS = {
     "q_target_rad": 0.02,
     "q_soft_rad": 0.01,
@@ -53,39 +47,12 @@ ACCELERATION_DENSITY = 1000.0
 100 to 300 for a humanoid and at 300 to 1,000 for a small quadruped; too large a value has no visible cost, too small a
 value makes the filter lose the joint."""
 ARM_MARGINS = ("workspace_m", "singularity")
+SENSOR_FIELDS = ("unit", "resolution", "range", "noise", "bias", "drift")
 SENSORS = {
-    "velocity": {
-        "unit": "rad/s",
-        "resolution": 0.001,
-        "range": 60.0,
-        "noise": 0.05,
-        "bias": 0.0,
-        "drift": 0.0,
-    },
-    "gyro": {
-        "unit": "rad/s",
-        "resolution": 0.0001,
-        "range": 35.0,
-        "noise": 0.01,
-        "bias": 0.005,
-        "drift": 0.001,
-    },
-    "accelerometer": {
-        "unit": "m/s^2",
-        "resolution": 0.001,
-        "range": 160.0,
-        "noise": 0.05,
-        "bias": 0.05,
-        "drift": 0.01,
-    },
-    "orientation": {
-        "unit": "quat_wxyz",
-        "resolution": 1e-5,
-        "range": 1.1,
-        "noise": 0.001,
-        "bias": 0.003,
-        "drift": 0.0,
-    },
+    "velocity": ("rad/s", 0.001, 60.0, 0.05, 0.0, 0.0),
+    "gyro": ("rad/s", 0.0001, 35.0, 0.01, 0.005, 0.001),
+    "accelerometer": ("m/s^2", 0.001, 160.0, 0.05, 0.05, 0.01),
+    "orientation": ("quat_wxyz", 1e-5, 1.1, 0.001, 0.003, 0.0),
 }
 """Sensors of legged robots besides encoders, including the orientation of the IMU; estimates."""
 
@@ -107,7 +74,10 @@ def sensors(vendor: VendorModel, arm_sensors: Mapping[str, Any]) -> dict[str, di
     """Return the sensors: those of an arm at the bus rate, and the IMU at a site named so or else at the base."""
     site = next((name for name in vendor.sites if IMU.search(name)), vendor.bodies[0])
     fast = {kind: {**sensor, **PACKETS} for kind, sensor in arm_sensors.items() if kind != "temperature"}
-    own = {kind: {**numbers, **PACKETS} for kind, numbers in SENSORS.items()}
+    own: dict[str, dict[str, Any]] = {
+        kind: {**dict(zip(SENSOR_FIELDS, numbers, strict=True)), **PACKETS}
+        for kind, numbers in SENSORS.items()
+    }
     for kind in AT_THE_IMU:
         own[kind]["sites"] = [site]
     return {**arm_sensors, **fast, **own}

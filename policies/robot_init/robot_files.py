@@ -2,13 +2,15 @@
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import tomlkit
 from tomlkit.items import AoT, Table
 
 from policies.robot_init import legged_defaults
-from policies.robot_init.vendor_model import VendorJoint, VendorModel
+from policies.robot_init.vendor_model import Actuator, VendorJoint, VendorModel
+from policies.toml_draft import commented_document, fill
 from robots.spec import ROBOTS
 from robots.strict import PLACEHOLDER
 
@@ -55,6 +57,15 @@ JOINT = {
     "acceleration_density": "rad²/s³, estimate: see robots/tables.py",
     "play": "rad, estimate",
 }
+WORKSPACE = {
+    "z_min": "m; estimate: above a table at z = 0",
+    "radius_max": "m; arm stretched to its last body",
+    "centre": "m, of the first joint",
+    "tool_speed_max": "m/s; estimate",
+}
+LIMITS_HEAD = (
+    "Limits of {name} checked by the judge of a soak, besides robot.toml; explained in eval/judge/limits.py."
+)
 DRIVE_DEFAULTS = {"reference_c": 25.0, "copper_per_k": 0.0039}
 
 
@@ -62,41 +73,45 @@ def robot_toml(
     vendor: VendorModel, name: str, model: str, neighbours: tuple[tuple[str, str], ...]
 ) -> tomlkit.TOMLDocument:
     """Return robot.toml."""
-    document = _commented(HEAD.format(name=name))
     example = tomllib.loads((EXAMPLE / "robot.toml").read_text(encoding="utf-8"))
+    document = commented_document(HEAD.format(name=name))
     document |= {"name": name, "model": model}
     if not vendor.floating_base:
-        known = ", ".join((*vendor.sites, *vendor.bodies))
-        document.add("tool", _value(vendor.tool, f"a site or a body: {known}"))
+        known = f"a site or a body: {', '.join((*vendor.sites, *vendor.bodies))}"
+        fill(document, {"tool": vendor.tool}, {"tool": known})
     if vendor.locked:
-        document.add(
-            "locked",
-            _value(list(vendor.locked), "prismatic joints, and joints without actuator in the model"),
-        )
+        meaning = "prismatic joints, and joints without actuator in the model"
+        fill(document, {"locked": list(vendor.locked)}, {"locked": meaning})
     if neighbours:
-        near = _value([list(pair) for pair in neighbours], "excluded by the model, or touching in every pose")
-        document.add("neighbours", near)
-    document.add("rates", tomlkit.item(legged_defaults.RATES if vendor.floating_base else example["rates"]))
-    document.add("margins", _margins(vendor, example["margins"]))
-    if vendor.floating_base:
-        document.add(
-            "base", _table(legged_defaults.base_values(vendor), legged_defaults.base_descriptions(vendor))
-        )
-    else:
-        document.add("workspace", _workspace(vendor, example["workspace"]))
-    document.add("sensors", _sensors(vendor, example["sensors"]))
-    motors = _motors(vendor)
-    document.add("motors", _motor_tables(vendor, motors))
-    document.add("joints", _joints(vendor, motors))
-    if vendor.shapes and not vendor.plain:
-        document.add("capsules", _capsules(vendor))
+        meaning = "excluded by the model, or touching in every pose"
+        fill(document, {"neighbours": [list(pair) for pair in neighbours]}, {"neighbours": meaning})
+    document |= _tables(vendor, example)
     return document
+
+
+def _tables(vendor: VendorModel, example: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the tables of robot.toml in their order."""
+    motors, rates = _motors(vendor), legged_defaults.RATES if vendor.floating_base else example["rates"]
+    if vendor.floating_base:
+        known, descriptions = legged_defaults.base_values(vendor), legged_defaults.base_descriptions(vendor)
+        place = {"base": fill(tomlkit.table(), known, descriptions)}
+    else:
+        place = {"workspace": _workspace(vendor, example["workspace"])}
+    return {
+        "rates": tomlkit.item(rates),
+        "margins": _margins(vendor, example["margins"]),
+        **place,
+        "sensors": _sensors(vendor, example["sensors"]),
+        "motors": _motor_tables(vendor, motors),
+        "joints": _joints(vendor, motors),
+        **({"capsules": _capsules(vendor)} if vendor.shapes and not vendor.plain else {}),
+    }
 
 
 def draws_toml(vendor: VendorModel) -> tomlkit.TOMLDocument:
     """Return the example's draws.toml, with the cable on a link of this robot."""
     document = tomlkit.parse((EXAMPLE / "draws.toml").read_text(encoding="utf-8"))
-    bodies = [joint.body for joint in vendor.joints if joint.name not in vendor.locked]
+    bodies = [joint.body for joint in vendor.driven]
     cable = document["cable"]
     cable["link"] = bodies[len(bodies) // 2] if bodies else PLACEHOLDER
     cable["above_m"] = round(vendor.centre[2] + 1.2 * vendor.reach, 2)
@@ -107,50 +122,22 @@ def draws_toml(vendor: VendorModel) -> tomlkit.TOMLDocument:
 
 def limits_toml(vendor: VendorModel, name: str) -> tomlkit.TOMLDocument:
     """Return limits.toml; values that depend on the robot's size are open."""
-    document = _commented(
-        f"Limits of {name} checked by the judge of a soak, besides robot.toml; explained in eval/judge/limits.py."
-    )
-    example = tomllib.loads((EXAMPLE / "limits.toml").read_text(encoding="utf-8"))
-    left_out = {"motors", "manipulability"} if vendor.floating_base else {"motors"}
-    descriptions = {"power_w": PLACEHOLDER} | (
-        legged_defaults.LIMITS | {"contact_n": PLACEHOLDER} if vendor.floating_base else {}
-    )
-    document |= {key: value for key, value in example.items() if key not in left_out} | descriptions
-    motors = {
-        motor: {"power_w": PLACEHOLDER, "torque_rate": PLACEHOLDER, "source": PLACEHOLDER}
-        for motor in set(_motors(vendor).values())
-    }
-    document.add("motors", tomlkit.item(dict(sorted(motors.items()))))
+    limits = tomllib.loads((EXAMPLE / "limits.toml").read_text(encoding="utf-8"))
+    del limits["motors"]
+    limits["power_w"] = PLACEHOLDER
+    if vendor.floating_base:
+        del limits["manipulability"]
+        limits |= legged_defaults.LIMITS | {"contact_n": PLACEHOLDER}
+    document = commented_document(LIMITS_HEAD.format(name=name))
+    document |= limits
+    motor = dict.fromkeys(("power_w", "torque_rate", "source"), PLACEHOLDER)
+    document.add("motors", tomlkit.item(dict.fromkeys(sorted(set(_motors(vendor).values())), motor)))
     return document
-
-
-def _commented(text: str) -> tomlkit.TOMLDocument:
-    document = tomlkit.document()
-    for line in text.splitlines():
-        document.add(tomlkit.comment(line))
-    return document
-
-
-def _value(value: Any, meaning: str) -> Any:
-    """Return a value, or "?" for None, with its description as a comment."""
-    item = tomlkit.item(PLACEHOLDER if value is None else value)
-    return item.comment(meaning)
-
-
-def _table(values: Mapping[str, Any], descriptions: Mapping[str, str]) -> Table:
-    table = tomlkit.table()
-    for key, meaning in descriptions.items():
-        table.add(key, _value(values.get(key), meaning))
-    return table
 
 
 def _workspace(vendor: VendorModel, example: Mapping[str, Any]) -> Table:
-    table = tomlkit.table()
-    table.add("z_min", _value(0.03, "m; estimate: above a table at z = 0"))
-    table.add("radius_max", _value(vendor.reach or None, "m; arm stretched to its last body"))
-    table.add("centre", _value(list(vendor.centre), "m, of the first joint"))
-    table.add("tool_speed_max", _value(example["tool_speed_max"], "m/s; estimate"))
-    return table
+    known = {"z_min": 0.03, "radius_max": vendor.reach or None, "centre": list(vendor.centre)}
+    return fill(tomlkit.table(), known | {"tool_speed_max": example["tool_speed_max"]}, WORKSPACE)
 
 
 def _margins(vendor: VendorModel, example: Mapping[str, Any]) -> Table:
@@ -165,9 +152,8 @@ def _margins(vendor: VendorModel, example: Mapping[str, Any]) -> Table:
 
 def _sensors(vendor: VendorModel, example: Mapping[str, Any]) -> Any:
     found = {kind: example[kind] for kind in SENSORS}
-    found = (
-        legged_defaults.sensors(vendor, found) if vendor.floating_base else {**found, "goal": example["goal"]}
-    )
+    legged = vendor.floating_base
+    found = legged_defaults.sensors(vendor, found) if legged else {**found, "goal": example["goal"]}
     return tomlkit.item({kind: {**sensor, "source": ESTIMATE} for kind, sensor in found.items()})
 
 
@@ -175,48 +161,36 @@ def _motors(vendor: VendorModel) -> dict[str, str]:
     """Return the motor name of each driven joint; joints with the same properties share a motor."""
     kinds: dict[tuple[Any, ...], str] = {}
     found = {}
-    for joint in _driven(vendor):
-        properties = (joint.torque_range, joint.torque_max, joint.kp, joint.kd, joint.gear, joint.armature)
+    for joint in vendor.driven:
+        properties = (joint.torque_range, joint.actuator or Actuator(), joint.armature)
         found[joint.name] = kinds.setdefault(properties, f"motor{len(kinds) + 1}")
     return found
 
 
-def _driven(vendor: VendorModel) -> list[VendorJoint]:
-    return [joint for joint in vendor.joints if joint.name not in vendor.locked]
-
-
 def _motor_tables(vendor: VendorModel, motors: Mapping[str, str]) -> Table:
     table = tomlkit.table(is_super_table=True)
-    for joint in _driven(vendor):
-        name = motors[joint.name]
+    for joint in vendor.driven:
+        name, known = motors[joint.name], asdict(joint.actuator or Actuator())
         if name in table:
             continue
-        motor = _table({}, MOTOR)
+        motor = fill(tomlkit.table(), {}, MOTOR)
         if not vendor.drives:
-            known = {"gear": joint.gear, "kp": joint.kp, "kd": joint.kd, "torque_max": joint.torque_max}
-            given = {"torque_max": joint.torque_range is not None, "armature": joint.armature > 0}
-            descriptions = {key: meaning for key, meaning in DRIVE.items() if not given.get(key)}
-            motor.add("drive", _table(DRIVE_DEFAULTS | known, descriptions))
+            in_model = {"torque_max": joint.torque_range is not None, "armature": joint.armature > 0}
+            descriptions = {key: meaning for key, meaning in DRIVE.items() if not in_model.get(key)}
+            motor.add("drive", fill(tomlkit.table(), DRIVE_DEFAULTS | known, descriptions))
         table.add(name, motor)
     return table
 
 
 def _joints(vendor: VendorModel, motors: Mapping[str, str]) -> AoT:
-    tables = tomlkit.aot()
-    estimates = {
-        "acceleration_density": legged_defaults.ACCELERATION_DENSITY if vendor.floating_base else 0.02,
-        "play": 0.0005,
-    }
-    for joint in _driven(vendor):
-        low, high = (joint.low, joint.high) if vendor.floating_base else _working_range(joint)
+    tables, legged = tomlkit.aot(), vendor.floating_base
+    density = legged_defaults.ACCELERATION_DENSITY if legged else 0.02
+    for joint in vendor.driven:
+        low, high = (joint.low, joint.high) if legged else _working_range(joint)
         known = {"q_min": low, "q_max": high, "q_home": joint.home, "qd_max": joint.qd_max}
-        table = tomlkit.table()
-        table.add("name", joint.name)
-        for key, item in _table(known | estimates, JOINT).items():
-            table.add(key, item)
-        table.add("motor", motors[joint.name])
-        table.add("source", PLACEHOLDER)
-        tables.append(table)
+        table = fill(tomlkit.table(), {"name": joint.name}, {})
+        fill(table, known | {"acceleration_density": density, "play": 0.0005}, JOINT)
+        tables.append(fill(table, {"motor": motors[joint.name], "source": PLACEHOLDER}, {}))
     return tables
 
 
@@ -231,12 +205,5 @@ def _working_range(joint: VendorJoint) -> tuple[float | None, float | None]:
 def _capsules(vendor: VendorModel) -> AoT:
     tables = tomlkit.aot()
     for shape in vendor.shapes:
-        table = tomlkit.table()
-        table |= {
-            "body": shape.body,
-            "start": list(shape.start),
-            "end": list(shape.end),
-            "radius": shape.radius,
-        }
-        tables.append(table)
+        tables.append(fill(tomlkit.table(), asdict(shape), {}))
     return tables

@@ -21,16 +21,28 @@ JOINTS_MAX, BODIES_MAX, SHAPES_MAX = 100, 500, 500
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Actuator:
+    """Properties of a joint's actuator at the joint side; None for values that the model does not have.
+
+    Attributes:
+        torque_max: N·m. kp, kd: N·m/rad and N·m·s/rad. gear: motor turns per joint turn.
+    """
+
+    torque_max: float | None = None
+    kp: float | None = None
+    kd: float | None = None
+    gear: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VendorJoint:
     """A joint; None for values that the model does not have.
 
     Attributes:
         body: moved by the joint.
         slides: True for a prismatic joint.
-        low, high, home: rad. qd_max: rad/s.
-        torque_range: N·m, of the joint. torque_max: N·m, of its actuator, if the joint has no range.
-        kp, kd: N·m/rad and N·m·s/rad at the joint. gear: of the actuator, if any.
-        driven: True if it has an actuator.
+        low, high, home: rad. qd_max: rad/s. torque_range: N·m.
+        actuator: None if it is not driven.
         armature: kg·m² of the rotor at the joint side; 0 if the model has none.
     """
 
@@ -42,11 +54,7 @@ class VendorJoint:
     home: float | None
     qd_max: float | None
     torque_range: float | None
-    torque_max: float | None
-    kp: float | None
-    kd: float | None
-    gear: float | None
-    driven: bool
+    actuator: Actuator | None
     armature: float
 
     @property
@@ -77,14 +85,21 @@ class VendorModel:
     neighbours: tuple[tuple[str, str], ...]
     floating_base: bool
     drives: bool
-    centre: tuple[float, float, float]
+    centre: tuple[float, ...]
     reach: float
 
     @property
     def locked(self) -> tuple[str, ...]:
         """Joints that are probably not driven by a policy: slides, and joints without actuator if others have one."""
-        any_driven = any(joint.driven for joint in self.joints)
-        return tuple(joint.name for joint in self.joints if joint.slides or (any_driven and not joint.driven))
+        any_driven = any(joint.actuator for joint in self.joints)
+        return tuple(
+            joint.name for joint in self.joints if joint.slides or (any_driven and not joint.actuator)
+        )
+
+    @property
+    def driven(self) -> tuple[VendorJoint, ...]:
+        """Joints that are not locked."""
+        return tuple(joint for joint in self.joints if joint.name not in self.locked)
 
     @property
     def tool(self) -> str | None:
@@ -102,28 +117,26 @@ def read_vendor_model(path: Path, folder: Path) -> VendorModel:
     mjcf = open_model(path, folder)
     neighbours = tuple((each.bodyname1, each.bodyname2) for each in mjcf.excludes)
     model = compile_model(mjcf, path)
-    touching = [i for i in range(model.ngeom) if model.geom_bodyid[i] and _touches(model, i)]
+    touching = np.flatnonzero(
+        (model.geom_contype | model.geom_conaffinity) & (model.geom_bodyid > 0)
+    ).tolist()
     _check_sizes(model, touching, path)
     _check_names(model, path)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    speeds = _speeds(path)
-    kinds = model.jnt_type.tolist()
+    kinds, speeds = model.jnt_type.tolist(), _speeds(path)
     moving = [i for i, kind in enumerate(kinds) if kind in (_HINGE, _SLIDE)]
-    joints = tuple(_joint(model, i, path, speeds) for i in moving)
-    carriers = set(model.body_parentid[1:])
-    bodies = tuple(model.body(i).name for i in range(1, model.nbody))
+    bodies = [model.body(i).name for i in range(1, model.nbody)]
+    carriers = {model.body(i).name for i in model.body_parentid[1:]}
     return VendorModel(
-        joints=joints,
+        joints=tuple(_joint(model, i, path, speeds) for i in moving),
         sites=tuple(name for i in range(model.nsite) if (name := model.site(i).name)),
-        ends=tuple(model.body(i).name for i in range(1, model.nbody) if i not in carriers),
-        bodies=bodies,
+        ends=tuple(body for body in bodies if body not in carriers),
+        bodies=tuple(bodies),
         shapes=tuple(shape for i in touching if (shape := capsule_of(model, i))),
         plain=all(model.geom_type[i] == mujoco.mjtGeom.mjGEOM_CAPSULE for i in touching),
         neighbours=tuple(pair for pair in neighbours if set(pair) <= set(bodies)),
         floating_base=mujoco.mjtJoint.mjJNT_FREE in kinds,
         drives=bool((model.actuator_dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR).any()),
-        centre=tuple(data.xanchor[moving[0]].round(4).tolist()) if moving else (0.0, 0.0, 0.0),
+        centre=_centre(model, moving),
         reach=_reach(model, moving),
     )
 
@@ -150,12 +163,9 @@ def _check_names(model: mujoco.MjModel, path: Path) -> None:
 def _joint(model: mujoco.MjModel, i: int, path: Path, speeds: dict[str, float]) -> VendorJoint:
     joint, body = model.joint(i), model.body(model.jnt_bodyid[i])
     if not joint.name or not body.name:
-        raise RobotError(
-            f"{path}: joint {i} ({joint.name!r}) of body {body.name!r}: expected a name for both"
-        )
+        found = f"joint {i} ({joint.name!r}) of body {body.name!r}"
+        raise RobotError(f"{path}: {found}: expected a name for both")
     limited, bounded = bool(model.jnt_limited[i]), bool(model.jnt_actfrclimited[i])
-    actuator_of_joint = _actuator(model, i)
-    properties = actuator_of_joint or _Actuator(None, None, None, None)
     return VendorJoint(
         name=joint.name,
         body=body.name,
@@ -165,26 +175,12 @@ def _joint(model: mujoco.MjModel, i: int, path: Path, speeds: dict[str, float]) 
         home=_home(model, i),
         qd_max=speeds.get(joint.name),
         torque_range=float(model.jnt_actfrcrange[i, 1]) if bounded else None,
-        torque_max=None if bounded else properties.torque_max,
-        kp=properties.kp,
-        kd=properties.kd,
-        gear=properties.gear,
-        driven=actuator_of_joint is not None,
+        actuator=_actuator(model, i),
         armature=float(model.dof_armature[model.jnt_dofadr[i]]),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Actuator:
-    """Properties of a joint's actuator, at the joint side."""
-
-    torque_max: float | None
-    kp: float | None
-    kd: float | None
-    gear: float | None
-
-
-def _actuator(model: mujoco.MjModel, joint: int) -> _Actuator | None:
+def _actuator(model: mujoco.MjModel, joint: int) -> Actuator | None:
     on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     found = np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint))
     if not len(found):
@@ -194,7 +190,8 @@ def _actuator(model: mujoco.MjModel, joint: int) -> _Actuator | None:
     if model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE:
         # 0 means none: a velocity actuator has no stiffness. The bias of a force kp (u - l) is -kp.
         kp, kd = (round(float(gain), 6) or None for gain in -model.actuator_biasprm[actuator, 1:3] * gear**2)
-    return _Actuator(_torque(model, actuator, gear), kp, kd, gear if abs(gear) > 1.0 else None)
+    torque_max = None if model.jnt_actfrclimited[joint] else _torque(model, actuator, gear)
+    return Actuator(torque_max=torque_max, kp=kp, kd=kd, gear=gear if abs(gear) > 1.0 else None)
 
 
 def _torque(model: mujoco.MjModel, actuator: int, gear: float) -> float | None:
@@ -231,13 +228,15 @@ def _speed(joint: str, limit: Element, path: Path) -> float:
     try:
         return float(found)
     except ValueError as e:
-        raise RobotError(
-            f"{path}: joint {joint!r:.80}: velocity: found {found!r:.80}, expected a number"
-        ) from e
+        where = f"{path}: joint {joint!r:.80}: velocity"
+        raise RobotError(f"{where}: found {found!r:.80}, expected a number") from e
 
 
-def _touches(model: mujoco.MjModel, geom: int) -> bool:
-    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
+def _centre(model: mujoco.MjModel, moving: list[int]) -> tuple[float, ...]:
+    """Return the position of the first joint, m; the origin without joints."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return tuple(data.xanchor[moving[0]].round(4).tolist()) if moving else (0.0, 0.0, 0.0)
 
 
 def _reach(model: mujoco.MjModel, moving: list[int]) -> float:

@@ -19,7 +19,7 @@ from eval.judge.limits import load_limits
 from policies.robot_init.capsules import enclosing_capsule
 from policies.robot_init.cli import cli, init_robot, package_of
 from policies.robot_init.permanent_contacts import permanent_contacts
-from policies.robot_init.vendor_model import read_vendor_model
+from policies.robot_init.vendor_model import Actuator, read_vendor_model
 from robots.errors import OutputError, RobotError
 from robots.models.fleet import Fleet
 from robots.models.mujoco_model import load_mujoco
@@ -223,17 +223,11 @@ def test_actuators_are_converted_to_the_joint_side(tmp_path):
     path = tmp_path / "chain.xml"
     path.write_text(CHAIN)
     a, b, c, d = read_vendor_model(path, tmp_path).joints
-    assert (a.low, a.torque_max, a.gear, a.kp) == (pytest.approx(-np.pi / 3), 100.0, 50.0, None)
-    assert (b.low, b.torque_max, b.gear, b.kp, b.kd) == (None, None, None, None, 7.0)
-    assert (c.driven, c.torque_max) == (False, None)
-    assert (d.torque_range, d.torque_max, d.gear, d.kp, d.kd, d.armature) == (
-        3.0,
-        None,
-        2.0,
-        160.0,
-        12.0,
-        0.1,
-    )
+    assert (a.low, a.actuator) == (pytest.approx(-np.pi / 3), Actuator(torque_max=100.0, gear=50.0))
+    assert (b.low, b.actuator) == (None, Actuator(kd=7.0))
+    assert c.actuator is None
+    assert (d.torque_range, d.armature) == (3.0, 0.1)
+    assert d.actuator == Actuator(gear=2.0, kp=160.0, kd=12.0)
     assert read_vendor_model(path, tmp_path).locked == ("c",)
 
 

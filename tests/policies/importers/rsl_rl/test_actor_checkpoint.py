@@ -18,7 +18,7 @@ from onnx import numpy_helper
 
 from policies.importers.reference_policy import MissingSettingError
 from policies.importers.rsl_rl.actor import Actor
-from policies.importers.rsl_rl.checkpoint import read_rsl_rl
+from policies.importers.rsl_rl.actor_checkpoint import read_rsl_rl
 from policies.importers.torch_files.network_settings import NetworkSettings
 from robots.errors import ContractError
 from support.importers.parity import parity
