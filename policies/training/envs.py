@@ -38,11 +38,11 @@ class RuntimeEnv(VecEnv):
         self._recipe, self._spec = recipe, spec
         contract = contract_of(recipe, spec, {})
         self.runtime, self._robot = simulate(spec, contract, seeds, threads=threads)
-        self._task, self._rule = self.runtime.task, self.runtime.task.criterion
+        self._task, self._criterion = self.runtime.task, self.runtime.task.criterion
         self._fleet = Fleet(spec, self.num_envs)
         self._limits = Limits(spec, recipe.reward.near_share)
         self._rng = np.random.default_rng(recipe.seed)
-        period = round(self._rule.period_s * recipe.promise.policy_hz)
+        period = round(self._criterion.period_s * recipe.promise.policy_hz)
         self.max_episode_length = recipe.environment.goals_per_episode * period
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long)
         self._violations = {name: np.zeros(self.num_envs) for name in ("requested", "happened")}
@@ -62,7 +62,7 @@ class RuntimeEnv(VecEnv):
                 truth.q,
                 truth.qd / self._spec.joint_array("qd_max"),
                 task.goal - task.true_achieved(truth),
-                task.elapsed[:, None] * self._spec.dt / self._rule.period_s,
+                task.elapsed[:, None] * self._spec.dt / self._criterion.period_s,
                 self.runtime.supervisor.stopping[:, None],
             ),
             axis=1,
@@ -112,7 +112,7 @@ class RuntimeEnv(VecEnv):
             running = runtime.supervisor.mode == Mode.RUNNING
             runtime.act(None if tick else action)
             stopped |= running & (runtime.supervisor.mode == Mode.STOPPING)
-            reached |= task.ended & (self._distance(task.ended_goal) <= self._rule.tolerance)
+            reached |= task.ended & (self._distance(task.ended_goal) <= self._criterion.tolerance)
         truth, change = self._robot.truth(), runtime.action.last - self._last_action
         self._last_action[:] = runtime.action.last
         running = runtime.supervisor.mode == Mode.RUNNING
@@ -144,7 +144,7 @@ class RuntimeEnv(VecEnv):
         return np.where(np.isfinite(action), excess, 0.0)
 
     def _distance(self, goal: np.ndarray) -> np.ndarray:
-        return self._rule.distance(self._task.true_achieved(self._robot.truth()), goal)
+        return self._criterion.distance(self._task.true_achieved(self._robot.truth()), goal)
 
     def _sense(self) -> np.ndarray:
         """Return the observation; robots without power, as after a reset, are armed."""
