@@ -1,10 +1,27 @@
-"""Catalogue of the fault classes that are injected into simulated robots."""
+"""Catalogue of the fault classes that are injected into simulated robots: one declaration for each fault.
 
-from eval.faults.fault_class import FaultClass
-from eval.faults.plant_faults import PLANT_FAULTS
-from eval.faults.policy_faults import POLICY_FAULTS
-from eval.faults.sensor_faults import sensor_faults
-from robots.spec import RobotSpec
+Faults of sensors are seven failures of each kind, and bursts of lost encoder packets.
+"""
+
+from functools import partial
+
+import numpy as np
+
+from deploy.backends.sim.sensor_faults import OF_PACKETS, Failure
+from eval.faults import plant_effects
+from eval.faults.fault_class import (
+    JOINT,
+    ROBOT,
+    SOON_S,
+    ActionFault,
+    Answer,
+    FaultClass,
+    PolicyFault,
+    SensorFault,
+)
+from eval.faults.plant_effects import PlantFault
+from robots.sensors import NEEDED, Kind
+from robots.spec import IMU_SENSORS, RobotSpec
 
 NOT_INJECTED = (
     "Tick overrun: simulated time waits for the computer; tests produce late ticks with a simulated clock.",
@@ -16,9 +33,157 @@ NOT_INJECTED = (
     "Two faults at once, and a fault while the robot answers another one.",
 )
 """Faults that are not in the table of injections, and the reasons."""
+ENCODER: Kind = "encoder"
+BURSTS = {3: Answer.WENT_ON, 10: Answer.HELD, 25: Answer.STOPPED}
+"""Numbers of packets lost in a row, and their answers."""
+LONGER_S: dict[tuple[Kind, str], float] = {("current", Failure.STUCK): 5.0}
+"""Durations of faults that deploy detects later, s: it counts repeats of a current before it drops the sensor."""
+_MEANINGS = {
+    Failure.OFF: "sends nothing",
+    Failure.STUCK: "repeats its last value",
+    Failure.GARBAGE: "sends random values within its range",
+    Failure.WRONG: "is off by a tenth of its range",
+    Failure.SLOW: "sends one packet of ten",
+    Failure.DELAYED: "sends every packet 0.1 s late",
+    Failure.INTERMITTENT: "is silent for 0.2 s, active for 0.2 s",
+}
+JUMP = 1e6
+"""Action far beyond the contract's clip."""
+
+
+def _set(call: ActionFault, value: float) -> None:
+    call.action[call.channel] = value
+
+
+def _stall(call: ActionFault) -> None:
+    call.action[:] = call.last
+
+
+def _jump(call: ActionFault) -> None:
+    call.action[:] = JUMP if call.call % 2 else -JUMP
+
+
+POLICY_FAULTS = (
+    PolicyFault(
+        failure_mode="nan",
+        per_joint=True,
+        meaning="one number of the action is NaN",
+        effect=partial(_set, value=np.nan),
+    ),
+    PolicyFault(
+        failure_mode="infinite",
+        per_joint=True,
+        meaning="one number of the action is infinite",
+        effect=partial(_set, value=np.inf),
+    ),
+    PolicyFault(failure_mode="stalls", answer=Answer.HELD, meaning="repeats its last action", effect=_stall),
+    PolicyFault(
+        failure_mode="jumps",
+        answer=Answer.HELD,
+        meaning="outputs ±1e6 for every joint, with the other sign in each call",
+        effect=_jump,
+    ),
+    PolicyFault(
+        failure_mode="runs away",
+        per_joint=True,
+        answer=Answer.HELD,
+        meaning="drives one joint towards its limit",
+        effect=partial(_set, value=JUMP),
+    ),
+)
+PLANT_FAULTS = (
+    PlantFault(
+        component=JOINT,
+        failure_mode="housing hot",
+        per_joint=True,
+        lasts_s=12.0,
+        meaning="warmed by 6 K/s from outside",
+        effect=plant_effects.heat_housing,
+    ),
+    PlantFault(
+        component=JOINT,
+        failure_mode="winding short",
+        per_joint=True,
+        lasts_s=8.0,
+        meaning="a short between turns warms the winding by 15 K/s while it has power",
+        effect=plant_effects.short_winding,
+    ),
+    PlantFault(
+        component=JOINT,
+        failure_mode="blocked",
+        per_joint=True,
+        meaning="cannot be moved",
+        effect=plant_effects.block,
+    ),
+    PlantFault(
+        component=JOINT,
+        failure_mode="drive dead",
+        per_joint=True,
+        meaning="its amplifier gives no voltage",
+        effect=partial(plant_effects.supply, share=plant_effects.NO_VOLTAGE),
+    ),
+    PlantFault(
+        component=ROBOT,
+        failure_mode="brakes close",
+        meaning="without a command, with 1.5 times the joints' torque",
+        effect=plant_effects.close_brakes,
+    ),
+    PlantFault(
+        component=ROBOT,
+        failure_mode="cable caught",
+        meaning="pulls with 200 N per metre",
+        effect=plant_effects.catch_cable,
+    ),
+    PlantFault(
+        component=ROBOT,
+        failure_mode="supply sags",
+        meaning="to 30 % of its voltage",
+        effect=partial(plant_effects.supply, share=plant_effects.SAG),
+    ),
+    PlantFault(
+        component=ROBOT,
+        failure_mode="supply drops",
+        lasts_s=0.3,
+        meaning="to no voltage",
+        effect=partial(plant_effects.supply, share=plant_effects.NO_VOLTAGE),
+    ),
+)
 
 
 def catalogue(spec: RobotSpec) -> tuple[FaultClass, ...]:
     """Return all fault classes of a robot, in the order of the report."""
     others = (fault.of_robot(spec) for fault in (*POLICY_FAULTS, *PLANT_FAULTS))
-    return (*sensor_faults(spec), *others)
+    return (*_sensor_faults(spec), *others)
+
+
+def _sensor_faults(spec: RobotSpec) -> tuple[SensorFault, ...]:
+    """Return the classes of all sensors of a robot.
+
+    Without a sensor that it needs, a robot may stop and wait for its operator.
+    """
+    needed = (*NEEDED, *(IMU_SENSORS if "floating_base" in spec.capabilities else ()))
+    failures = (
+        SensorFault(
+            component=kind,
+            failure_mode=failure,
+            failure=failure,
+            channels=(None,) if failure in OF_PACKETS else (None, *range(channels)),
+            lasts_s=LONGER_S.get((kind, failure), SOON_S),
+            answer=Answer.STOPPED if kind in needed else Answer.HELD,
+            meaning=meaning,
+        )
+        for kind, channels in spec.channels.items()
+        for failure, meaning in _MEANINGS.items()
+    )
+    bursts = (
+        SensorFault(
+            component=ENCODER,
+            failure_mode=f"burst of {packets}",
+            failure=Failure.OFF,
+            lasts_s=packets / spec.sensors[ENCODER].rate_hz,
+            answer=answer,
+            meaning=f"{packets} packets in a row are lost",
+        )
+        for packets, answer in BURSTS.items()
+    )
+    return (*failures, *bursts)

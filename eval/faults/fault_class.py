@@ -10,7 +10,6 @@ from enum import IntEnum
 from typing import NamedTuple, Self
 
 from deploy.backends.sim.sensor_faults import Failure
-from eval.faults.plant_access import PlantAccess
 from robots.arrays import Float32s
 from robots.spec import RobotSpec
 
@@ -42,7 +41,7 @@ class FaultClass:
     """One thing that can fail, in one place.
 
     Attributes:
-        where: a kind of sensor, the policy, a joint or the whole robot. what: fails there.
+        component: a kind of sensor, the policy, a joint or the whole robot. failure_mode: short name for the report.
         channels: numbers of the sensor's channels, or of joints, that can fail alone; None for all at once.
         per_joint: each joint of a robot can fail alone.
         lasts_s: s, from the first sign to the last.
@@ -50,8 +49,8 @@ class FaultClass:
         meaning: for the report.
     """
 
-    where: str
-    what: str
+    component: str
+    failure_mode: str
     channels: tuple[int | None, ...] = (None,)
     per_joint: bool = False
     lasts_s: float = SOON_S
@@ -61,7 +60,7 @@ class FaultClass:
     @property
     def name(self) -> str:
         """Unique name in the catalogue."""
-        return f"{self.where} {self.what}"
+        return f"{self.component} {self.failure_mode}"
 
     def of_robot(self, spec: RobotSpec) -> Self:
         """Return the class with the channels of a robot."""
@@ -113,20 +112,5 @@ class PolicyFault(FaultClass):
         effect: changes the action (A,) of the robot in place, at each call of the policy.
     """
 
-    where: str = POLICY
+    component: str = POLICY
     effect: Callable[[ActionFault], None]
-
-
-Effect = Callable[[PlantAccess, Injection, bool], None]
-"""Change of the plant for an injection; True while it is active, False once when it has ended."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlantFault(FaultClass):
-    """Defect of the simulated body, its drives or its supply.
-
-    Attributes:
-        effect: applies the defect before each tick of the fault, and repairs it once at the end.
-    """
-
-    effect: Effect

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from deploy.backends.sim.plant import Plant
 from deploy.stage import Stage
-from eval.faults.fault_class import ActionFault, Injection, PlantFault, PolicyFault
-from eval.faults.plant_access import PlantAccess
+from eval.faults.fault_class import ActionFault, Injection, PolicyFault
+from eval.faults.plant_effects import PlantAccess, PlantFault
 from eval.faults.schedule import Schedule
 from robots.arrays import Float32s
 from robots.spec import RobotSpec

@@ -1,21 +1,41 @@
-"""Fault schedule: the fault of each robot in each slot, as a function of seed, robot and tick."""
+"""Fault schedule: its settings, and the fault of each robot in each slot as a function of seed, robot and tick."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from deploy.backends.sim.sensor_faults import Fault
 from eval.faults.catalogue import catalogue
 from eval.faults.fault_class import FaultClass, Injection, SensorFault
-from eval.faults.settings import HOURS_MAX, FaultSettings
 from robots.randomness import Keys, Stream, generator_at, stream_keys
 from robots.spec import RobotSpec
+from robots.strict import Strict
 
 FIRST_S, SPREAD_S = 3.0, 2.0
 """Begin of the first slot, s, and span in which a fault begins in its slot, s, so that each meets another motion."""
 SLOTS_MAX = 10_000
 """Most faults of a robot, since all are planned at the start."""
+HOURS_MAX = 10_000.0
+"""Upper bound of the simulated hours of a robot."""
+LEAST_CYCLE_S = 18.0
+"""s that the longest fault, the operator's delay and a restart take at least."""
+
+
+class FaultSettings(Strict):
+    """Timing of fault injection: each robot gets one fault of every class in turn, in an order of its own.
+
+    Attributes:
+        coverage: required share of handled injections in each class, to be shown with 95 % confidence.
+        cycle_s: s from one fault of a robot to its next.
+        operator_s: s until a robot without power is armed again; shorter than without faults.
+    """
+
+    coverage: Annotated[float, Field(gt=0, lt=1)]
+    cycle_s: Annotated[float, Field(ge=LEAST_CYCLE_S)]
+    operator_s: Annotated[float, Field(ge=0, le=LEAST_CYCLE_S)]
 
 
 class Schedule:
@@ -60,7 +80,7 @@ class Schedule:
         return tuple(
             Fault(
                 robot=robot,
-                sensor=fault.where,
+                sensor=fault.component,
                 what=fault.failure,
                 channel=channel,
                 begins=begins,

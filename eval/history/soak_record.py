@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator
 
-from eval.faults.settings import FaultSettings
+from eval.faults.schedule import FaultSettings
 from eval.statistics.per_draw_counts import PerDrawCounts
 from robots.strict import Strict
 

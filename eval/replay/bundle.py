@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from eval.faults.settings import FaultSettings
+from eval.faults.schedule import FaultSettings
 from eval.judge.counts import Event
 from eval.judge.monitors import NAMES
 from eval.shard.fingerprint import code_digest, processor, versions

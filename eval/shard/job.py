@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from eval.faults.settings import FaultSettings
+from eval.faults.schedule import FaultSettings
 from eval.shard.fingerprint import code_digest
 
 WIDTH = 16

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.policy.policy import Policy
-from eval.faults.settings import FaultSettings
+from eval.faults.schedule import FaultSettings
 from eval.judge.limits import load_limits
 from eval.shard.fingerprint import code_digest, processor, versions
 from eval.shard.job import WIDTH, ShardJob

@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from deploy.policy.policy import Policy
-from eval.faults.schedule import FIRST_S, hours_max
-from eval.faults.settings import FaultSettings
+from eval.faults.schedule import FIRST_S, FaultSettings, hours_max
 from eval.soak.configuration import SoakConfig
 from eval.soak.profile import Profile, load_profile
 from eval.statistics.budget import BUDGET

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from eval.faults.settings import HOURS_MAX, FaultSettings
+from eval.faults.schedule import HOURS_MAX, FaultSettings
 from robots.errors import ConfigError
 from robots.strict import Strict, read_toml
 

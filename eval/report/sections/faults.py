@@ -7,7 +7,7 @@ import numpy as np
 from eval.faults.catalogue import NOT_INJECTED, catalogue
 from eval.faults.fault_class import ANSWER_WORDS, JOINT, POLICY, Answer, FaultClass
 from eval.faults.fault_response import DIVERGED, NOT_RUNNING, FaultResponses
-from eval.faults.settings import FaultSettings
+from eval.faults.schedule import FaultSettings
 from eval.judge.monitors import MONITORS
 from eval.report.schema.fault_rows import FaultRow, FaultTable, Times, UnhandledFault
 from eval.statistics.budget import BudgetLine, budget_line
@@ -64,8 +64,8 @@ def _row(
     total, good = int(finished.sum()), int((finished & handled).sum())
     answers, bits = found.answer[finished], found.violated[finished]
     return FaultRow(
-        where=each.where,
-        what=each.what,
+        where=each.component,
+        what=each.failure_mode,
         meaning=each.meaning,
         required=ANSWER_WORDS[each.answer],
         injections=total,
@@ -123,7 +123,7 @@ def _violations(bits: int) -> Iterator[str]:
 
 
 def _channel(spec: RobotSpec, fault: FaultClass, channel: int) -> str:
-    return spec.joint_names[channel] if fault.where in (*AT_JOINTS, POLICY, JOINT) else str(channel)
+    return spec.joint_names[channel] if fault.component in (*AT_JOINTS, POLICY, JOINT) else str(channel)
 
 
 def _seconds(ticks: int, dt: float) -> float | None:

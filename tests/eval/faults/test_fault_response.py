@@ -16,7 +16,7 @@ from eval.faults.fault_response import (
     merge_responses,
     saved_responses,
 )
-from eval.faults.settings import FaultSettings
+from eval.faults.schedule import FaultSettings
 from eval.judge.monitors import NAMES
 from eval.mutants.guard_removal import ignore_non_finite_action
 from eval.mutants.situation import keep_guards
@@ -60,7 +60,9 @@ def told(fault, story, *, lasts=50, speed=0.0, hurt=None, before=RUN):
 
 def row(found, fault):
     table = fault_table(SPEC, FAULTS, found)
-    return next(each for each in table.rows if (each.where, each.what) == (fault.where, fault.what))
+    return next(
+        each for each in table.rows if (each.where, each.what) == (fault.component, fault.failure_mode)
+    )
 
 
 def test_unnoticed_fault_without_violation_is_handled():
@@ -166,7 +168,7 @@ def restless(tmp_path, monkeypatch):
         "joint winding short",
     )
     names += ("joint blocked", "robot cable caught", "robot supply sags")
-    faults = [(named(name), 1 if named(name).where in (JOINT, POLICY) else None) for name in names]
+    faults = [(named(name), 1 if named(name).component in (JOINT, POLICY) else None) for name in names]
     faults += [None] * (WIDTH - len(faults))
     monkeypatch.setattr(shards, "plan", lambda *_: one_each(faults, 70, lasts=500))
     digests = {"robot_digest": SPEC.digest, "policy_digest": Policy.load(path, SPEC).digest}

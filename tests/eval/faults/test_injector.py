@@ -5,8 +5,9 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from eval.faults.fault_class import JOINT, Answer, PlantFault, PolicyFault
+from eval.faults.fault_class import JOINT, Answer, PolicyFault
 from eval.faults.injector import Injector
+from eval.faults.plant_effects import PlantFault
 from support.arm6 import SPEC
 from support.eval.fault_schedules import CLASSES, N, one_each
 from support.runtimes import running
@@ -20,8 +21,12 @@ def negate(call):
     call.action[call.channel] *= -1.0
 
 
-WEAK = PlantFault(where=JOINT, what="weak", channels=(2,), meaning="half of its voltage", effect=weaken)
-MIRRORED = PolicyFault(what="mirrored", answer=Answer.HELD, meaning="one sign is wrong", effect=negate)
+WEAK = PlantFault(
+    component=JOINT, failure_mode="weak", channels=(2,), meaning="half of its voltage", effect=weaken
+)
+MIRRORED = PolicyFault(
+    failure_mode="mirrored", answer=Answer.HELD, meaning="one sign is wrong", effect=negate
+)
 
 
 def test_faults_from_outside_the_catalogue():

@@ -7,12 +7,10 @@ import pytest
 
 from deploy.backends.sim.robot import SimRobot
 from deploy.state import Command, Mode
-from eval.faults.catalogue import catalogue
+from eval.faults.catalogue import JUMP, catalogue
 from eval.faults.fault_class import JOINT, POLICY, ROBOT, Answer, SensorFault
 from eval.faults.injector import Injector
-from eval.faults.policy_faults import JUMP
-from eval.faults.schedule import plan
-from eval.faults.settings import FaultSettings
+from eval.faults.schedule import FaultSettings, plan
 from robots.randomness import robot_seed
 from support.arm6 import SPEC
 from support.eval.fault_schedules import CLASSES, DT, N, named, one_each
@@ -82,7 +80,7 @@ def test_every_fault_of_a_sensor_reaches_its_own_channels_and_no_others():
             differs[:, tick, k] = ~same
     assert not differs[:, :begins].any()
     for robot, fault in enumerate(OF_SENSORS):
-        expected = [kind == fault.where for kind in SPEC.channels]
+        expected = [kind == fault.component for kind in SPEC.channels]
         assert differs[robot].any(axis=0).tolist() == expected, fault.name
 
 
@@ -103,7 +101,7 @@ def test_faults_last_longer_than_the_detection_times_of_deploy():
 
 
 def test_every_policy_fault_reaches_the_runtime():
-    faults = [each for each in CLASSES if each.where == POLICY]
+    faults = [each for each in CLASSES if each.component == POLICY]
     schedule = one_each([(each, each.channels[-1]) for each in faults] + [None], 10, lasts=10)
     injector = Injector(SPEC, schedule, running(len(faults) + 1).robot.plant, N)
     rng = np.random.default_rng(0)
@@ -117,7 +115,7 @@ def test_every_policy_fault_reaches_the_runtime():
     np.testing.assert_array_equal(heard[before], said[before])
     np.testing.assert_array_equal(heard[after], said[after])
     np.testing.assert_array_equal(heard[:, -1], said[:, -1])
-    by = {each.what: heard[during, robot] for robot, each in enumerate(faults)}
+    by = {each.failure_mode: heard[during, robot] for robot, each in enumerate(faults)}
     assert np.isnan(by["nan"][:, -1]).all()
     assert np.isinf(by["infinite"][:, -1]).all()
     assert (by["runs away"][:, -1] == JUMP).all()
@@ -127,10 +125,13 @@ def test_every_policy_fault_reaches_the_runtime():
 
 
 def test_every_plant_fault_changes_its_robot_only_and_is_undone():
-    faults = [each for each in CLASSES if each.where in {JOINT, ROBOT}]
+    faults = [each for each in CLASSES if each.component in {JOINT, ROBOT}]
     joint, begins, lasts, robots = 1, 40, 60, len(faults) + 1
-    each_its_own = [(each, None if each.where == ROBOT else joint) for each in faults]
-    schedule, rows = one_each([*each_its_own, None], begins, lasts=lasts), [each.what for each in faults]
+    each_its_own = [(each, None if each.component == ROBOT else joint) for each in faults]
+    schedule, rows = (
+        one_each([*each_its_own, None], begins, lasts=lasts),
+        [each.failure_mode for each in faults],
+    )
     worlds = [running(robots, policy=Saying(robots)) for _ in range(2)]
     for world in worlds:
         world.policy.action[:, :2] = 0.4, -0.4
@@ -182,5 +183,5 @@ def test_short_circuit_without_power_heats_nothing_and_brakes_hold():
 
 @pytest.mark.parametrize("kind", ["gyro", "accelerometer"])
 def test_walking_robot_latches_without_its_imu(kind):
-    answers = {each.answer for each in catalogue(QUADRUPED) if each.where == kind}
+    answers = {each.answer for each in catalogue(QUADRUPED) if each.component == kind}
     assert answers == {Answer.STOPPED}

@@ -10,7 +10,7 @@ from support.policies import policy_model
 
 pytest.importorskip("mujoco")
 
-from eval.faults.settings import FaultSettings
+from eval.faults.schedule import FaultSettings
 from eval.replay import bundle
 from eval.replay import cli as command
 from eval.replay.array_files import write_arrays

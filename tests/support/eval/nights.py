@@ -1,6 +1,6 @@
 import numpy as np
 
-from eval.faults.settings import FaultSettings
+from eval.faults.schedule import FaultSettings
 from eval.history.soak_record import Run, Settings, SoakRecord
 from eval.judge.monitors import MONITORS
 from eval.statistics.per_draw_counts import PerDrawCounts

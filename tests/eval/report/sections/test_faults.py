@@ -8,7 +8,7 @@ import pytest
 from eval.faults.catalogue import NOT_INJECTED, catalogue
 from eval.faults.fault_class import Answer
 from eval.faults.fault_response import FaultResponses
-from eval.faults.settings import FaultSettings
+from eval.faults.schedule import FaultSettings
 from eval.judge.monitors import NAMES
 from eval.report.build import build
 from eval.report.html import render
