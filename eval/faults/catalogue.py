@@ -95,7 +95,6 @@ PLANT_FAULTS = (
     PlantFault(
         component=JOINT,
         failure_mode="housing hot",
-        per_joint=True,
         lasts_s=12.0,
         meaning="warmed by 6 K/s from outside",
         effect=plant_effects.heat_housing,
@@ -103,7 +102,6 @@ PLANT_FAULTS = (
     PlantFault(
         component=JOINT,
         failure_mode="winding short",
-        per_joint=True,
         lasts_s=8.0,
         meaning="a short between turns warms the winding by 15 K/s while it has power",
         effect=plant_effects.short_winding,
@@ -111,14 +109,12 @@ PLANT_FAULTS = (
     PlantFault(
         component=JOINT,
         failure_mode="blocked",
-        per_joint=True,
         meaning="cannot be moved",
         effect=plant_effects.block,
     ),
     PlantFault(
         component=JOINT,
         failure_mode="drive dead",
-        per_joint=True,
         meaning="its amplifier gives no voltage",
         effect=partial(plant_effects.supply, share=plant_effects.NO_VOLTAGE),
     ),

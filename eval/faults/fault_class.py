@@ -43,7 +43,7 @@ class FaultClass:
     Attributes:
         component: a kind of sensor, the policy, a joint or the whole robot. failure_mode: short name for the report.
         channels: numbers of the sensor's channels, or of joints, that can fail alone; None for all at once.
-        per_joint: each joint of a robot can fail alone.
+        per_joint: each joint's action can fail alone, as every fault of a joint can.
         lasts_s: s, from the first sign to the last.
         answer: the most severe one that is right; a gentler one is too, as long as no hard monitor fires.
         meaning: for the report.
@@ -64,7 +64,11 @@ class FaultClass:
 
     def of_robot(self, spec: RobotSpec) -> Self:
         """Return the class with the channels of a robot."""
-        return replace(self, channels=tuple(range(spec.n))) if self.per_joint else self
+        return (
+            replace(self, channels=tuple(range(spec.n)))
+            if self.per_joint or self.component == JOINT
+            else self
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

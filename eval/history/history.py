@@ -1,12 +1,13 @@
-"""History: a folder with one file for each finished soak, written whole or not at all and never overwritten."""
+"""History: a folder with a record of each finished soak, never overwritten; pooling and comparison of records."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import UTC
+from itertools import count
 from pathlib import Path
 
 from deploy.telemetry.output_files import replacing
-from eval.history.pooling import same_identity
 from eval.history.soak_record import Settings, SoakRecord
+from eval.statistics.per_draw_counts import PerDrawCounts, concatenate
 from robots.errors import ConfigError
 from robots.strict import parse, read_json
 
@@ -15,16 +16,16 @@ CHARACTERS_MAX = 1 << 28
 """Upper bound of the size of a record or report."""
 
 
-def claim_history(folder: Path) -> None:
-    """Make `folder` and check, before hours are spent, that a record can be written there.
+def check_writable(folder: Path, option: str = "--out") -> None:
+    """Make `folder`, and check before hours are spent that a file can be written there.
 
     Raises:
-        OutputError: it cannot.
+        OutputError: it cannot; the message names the option.
     """
     probe = folder / ".probe"
-    with replacing(probe, option="--history"):
+    with replacing(probe, option=option):
         pass
-    probe.unlink(missing_ok=True)  # another soak that claims the folder at the same time deletes it too
+    probe.unlink(missing_ok=True)  # another soak that checks the folder at the same time deletes it too
 
 
 def add_record(record: SoakRecord, folder: Path) -> Path:
@@ -44,11 +45,8 @@ def add_record(record: SoakRecord, folder: Path) -> Path:
 def _names(record: SoakRecord, folder: Path) -> Iterator[Path]:
     """Candidate paths: start time and seed, then with a number for soaks that began in the same second."""
     name = f"{record.run.moment.astimezone(UTC):%Y%m%dT%H%M%SZ}-seed{record.settings.seed}"
-    number = 1
     yield folder / f"{name}{SUFFIX}"
-    while True:
-        number += 1
-        yield folder / f"{name}-{number}{SUFFIX}"
+    yield from (folder / f"{name}-{number}{SUFFIX}" for number in count(2))
 
 
 def read_history(folder: Path) -> dict[str, SoakRecord]:
@@ -62,18 +60,18 @@ def read_history(folder: Path) -> dict[str, SoakRecord]:
     by_time = dict(sorted(records.items(), key=lambda item: item[1].run.moment))
     if by_time:
         name, first = next(iter(by_time.items()))
-        same_task(by_time, first.settings, name)
+        check_same_task(by_time, first.settings, name)
     return by_time
 
 
-def same_task(records: dict[str, SoakRecord], settings: Settings, name: str) -> None:
+def check_same_task(records: Mapping[str, SoakRecord], settings: Settings, name: str) -> None:
     """Check that the task of every record is that of `settings`, which belong to `name`.
 
     Raises:
         ConfigError: naming the file and the first field that differs.
     """
     for path, record in records.items():
-        same_identity(settings.task, record.settings.task, names=(name, path))
+        check_same_identity(settings.task, record.settings.task, names=(name, path))
 
 
 def read_record(path: Path, report: type[SoakRecord] = SoakRecord) -> SoakRecord:
@@ -111,3 +109,50 @@ def _text(path: Path) -> str:
         raise ConfigError(f"{path}: cannot be read: {e.strerror}") from e
     except UnicodeDecodeError as e:
         raise ConfigError(f"{path}: not valid JSON: {e}") from e
+
+
+def pool(records: Mapping[str, SoakRecord]) -> PerDrawCounts:
+    """Return the draws of all soaks.
+
+    Args:
+        records: one or more, by the name used in errors, such as their file.
+
+    Raises:
+        ConfigError: two soaks have different identities, or the same seed and therefore the same draws.
+    """
+    (first, reference), *_ = records.items()
+    name_of_seed: dict[int, str] = {}
+    for name, record in records.items():
+        check_same_identity(reference.settings.identity, record.settings.identity, names=(first, name))
+        seed = record.settings.seed
+        if seed in name_of_seed:
+            raise ConfigError(
+                f"{name}: seed: found {seed}, also the seed of {name_of_seed[seed]}:"
+                " the same draws are no new evidence"
+            )
+        name_of_seed[seed] = name
+    return concatenate([record.per_draw_counts for record in records.values()])
+
+
+def check_same_draws(a: SoakRecord, b: SoakRecord, *, names: tuple[str, str]) -> None:
+    """Check that `b` differs from `a` in nothing but the policy; `names` are used in errors.
+
+    Raises:
+        ConfigError: the first key, by name, whose values differ.
+    """
+    a_fixed, b_fixed = (
+        {**record.settings.identity, **record.settings.draws, "policy_digest": "any"} for record in (a, b)
+    )
+    check_same_identity(a_fixed, b_fixed, names=names)
+
+
+def check_same_identity(a: Mapping[str, str], b: Mapping[str, str], *, names: tuple[str, str]) -> None:
+    """Check that `a` and `b` have the same keys and values; `names` are used in errors.
+
+    Raises:
+        ConfigError: the first key, by name, whose values differ, or that only one of them has.
+    """
+    for key in sorted(a.keys() | b.keys()):
+        if a.get(key) != b.get(key):
+            found, expected = b.get(key, "nothing"), a.get(key, "nothing")
+            raise ConfigError(f"{names[1]}: {key}: found {found}, but {names[0]} has {expected}")

@@ -12,9 +12,8 @@ from deploy.operation.clock import WallClock
 from deploy.operation.loop_timing import RateLimited
 from deploy.telemetry.output_files import replacing
 from eval.replay.capture_window import write_mcap
-from eval.replay.comparison import mismatch
-from eval.replay.event_table import table
 from eval.replay.event_video import EventVideo
+from eval.replay.replay_text import mismatch, table
 from eval.replay.replayer import Replay
 from robots.errors import ConfigError
 

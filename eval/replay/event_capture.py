@@ -11,8 +11,7 @@ from typing import Any
 from deploy.stage import Arrays
 from eval.judge.counts import Counts, Event
 from eval.replay import bundle
-from eval.replay.array_files import state_digest, write_arrays
-from eval.replay.bundle_folders import new_bundle
+from eval.replay.bundle_files import new_bundle, state_digest, write_arrays
 from eval.replay.capture_window import Window, columns, write_mcap
 from eval.shard.job import POLL_S, ShardJob
 from eval.shard.shard import Shard

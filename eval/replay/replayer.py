@@ -13,8 +13,8 @@ from eval.faults.schedule import hours_max
 from eval.judge.counts import Counts
 from eval.judge.monitors import MONITORS
 from eval.replay import bundle
-from eval.replay.array_files import read_arrays, state_digest
 from eval.replay.bundle import BundleInfo, EventRecord
+from eval.replay.bundle_files import read_arrays, state_digest
 from eval.replay.capture_window import Window, columns, from_columns, window_type
 from eval.replay.event_capture import WINDOW_POLLS, select_events
 from eval.shard.job import POLL_S, WIDTH, ShardJob

@@ -9,8 +9,7 @@ from rich.table import Column, Table
 
 from deploy.command_line import PASSED, main
 from deploy.telemetry.output_files import replacing
-from eval.history.history import read_history, read_record
-from eval.history.pooling import same_draws
+from eval.history.history import check_same_draws, read_history, read_record
 from eval.history.soak_record import SoakRecord
 from eval.report.html import interval_text, percent, render_history
 from eval.report.schema.report_data import Report
@@ -30,7 +29,7 @@ def compare(a: SoakPath, b: SoakPath) -> int:
     Differences are B - A, each with its 95 % interval.
     """
     console, first, second = Console(), read_record(a, Report), read_record(b, Report)
-    same_draws(first, second, names=(str(a), str(b)))
+    check_same_draws(first, second, names=(str(a), str(b)))
     table = _plain_table("", "A", "B", "B − A", "from", "to", "conclusion", "differ")
     for each in differences(first.per_draw_counts, second.per_draw_counts):
         table.add_row(*_cells(each))

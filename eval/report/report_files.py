@@ -8,6 +8,7 @@ from pathlib import Path
 from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
 
 from deploy.telemetry.output_files import replacing
+from eval.history.history import check_writable
 from eval.report.html import render
 from eval.report.schema.report_data import Report
 from eval.statistics.budget import BudgetLine
@@ -51,8 +52,8 @@ FILES = {
 LOCK = ".lock"
 
 
-def claim_folder(out: Path, extra: Collection[str] = ()) -> None:
-    """Make the folder `out` and check, before hours are spent, that the report can be written there.
+def check_report_folder(out: Path, extra: Collection[str] = ()) -> None:
+    """Make the folder `out`, and check before hours are spent that the report can be written there.
 
     Args:
         out: the folder. extra: names of further files to be written.
@@ -60,10 +61,7 @@ def claim_folder(out: Path, extra: Collection[str] = ()) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    probe = out / ".probe"
-    with replacing(probe):
-        pass
-    probe.unlink(missing_ok=True)  # another soak that claims the folder at the same time deletes it too
+    check_writable(out)
     for name in (*FILES, *extra):
         if (out / name).is_dir():
             raise OutputError(f"--out {out}: {name} is a folder, expected a file or nothing of that name")

@@ -12,6 +12,7 @@ import numpy as np
 
 from deploy.stage import Arrays
 from deploy.telemetry.output_files import replacing
+from eval.history.history import check_writable
 from robots.errors import ConfigError, OutputError
 
 IDENTITY, SUFFIX = "identity", ".npz"
@@ -93,9 +94,7 @@ def prepare_folder(folder: Path) -> None:
     Raises:
         OutputError: nothing can be written there.
     """
-    probe = folder / f".probe{SUFFIX}"
-    with replacing(probe):
-        pass
+    check_writable(folder)
     _delete(folder.glob(f".*{SUFFIX}"))
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 from rich.console import Console
 
 from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
-from eval.history.history import add_record, claim_history, read_history, same_task
+from eval.history.history import add_record, check_same_task, check_writable, read_history
 from eval.history.soak_record import Run, SoakRecord
 from eval.replay.bundle import DRAWS
-from eval.replay.bundle_folders import delete_bundles, list_bundles, replace_bundles
+from eval.replay.bundle_files import delete_bundles, list_bundles, replace_bundles
 from eval.replay.event_capture import EVENTS
 from eval.report.build import build
-from eval.report.report_files import PAGE, claim_folder, delete_report, lock_folder, write_report
+from eval.report.report_files import PAGE, check_report_folder, delete_report, lock_folder, write_report
 from eval.report.schema.report_data import Report
 from eval.report.sections.trend import THIS_RUN, trend
 from eval.shard.judging import ShardResult
@@ -53,7 +53,7 @@ def soak_test(
     """
     config = options.configure(policy, robot, profile, hours, robots, seed, workers, budget)
     limits = load_budget(config.budget)
-    claim_folder(out, EXTRA_FILES)
+    check_report_folder(out, EXTRA_FILES)
     with lock_folder(out):
         return _run(config, limits, out, history)
 
@@ -118,9 +118,9 @@ def _prepare(config: SoakConfig, out: Path, console: Console) -> float:
 
 def _earlier_records(history: Path, config: SoakConfig) -> dict[str, SoakRecord]:
     """Read the records in `history`, and check that one of this soak can be added."""
-    claim_history(history)
+    check_writable(history, "--history")
     records = read_history(history)
-    same_task(records, settings(config), "this soak")
+    check_same_task(records, settings(config), "this soak")
     return records
 
 

@@ -1,17 +1,52 @@
-"""Options of soak-test, and the configuration that they and the profile make."""
+"""Options of soak-test, profiles of options from TOML files, and the configuration that they make."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from pydantic import Field
 
 from deploy.policy.policy import Policy
-from eval.faults.schedule import FIRST_S, FaultSettings, hours_max
+from eval.faults.schedule import FIRST_S, HOURS_MAX, FaultSettings, hours_max
 from eval.soak.configuration import SoakConfig
-from eval.soak.profile import Profile, load_profile
 from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError
 from robots.spec import load_robot
+from robots.strict import Strict, read_toml
+
+PROFILES = Path(__file__).parents[1] / "profiles"
+
+
+class Profile(Strict):
+    """One file of eval/profiles, or a user's own.
+
+    Attributes:
+        meaning: one sentence for the reader. hours: simulated hours of each robot. robots: number of robots, each
+            with its own draw.
+        budget: the budget file, relative to the profile's folder.
+        faults: fault injection; None for no faults.
+    """
+
+    meaning: Annotated[str, Field(min_length=1)]
+    hours: Annotated[float, Field(gt=0, le=HOURS_MAX)]
+    robots: Annotated[int, Field(ge=1, le=100_000)]
+    budget: Annotated[str, Field(min_length=1)]
+    faults: FaultSettings | None = None
+
+
+def load_profile(name: str) -> tuple[Profile, Path]:
+    """Read a profile by its name in eval/profiles or by its path, and return it with the path of its budget.
+
+    Raises:
+        ConfigError: there is no such profile, or the file is unreadable, misspelt or out of bounds.
+    """
+    path = Path(name) if name.endswith(".toml") else PROFILES / f"{name}.toml"
+    if path.parent == PROFILES and not path.is_file():
+        known = ", ".join(sorted(file.stem for file in PROFILES.glob("*.toml")))
+        raise ConfigError(f"--profile {name}: found no such profile, expected a file.toml or one of: {known}")
+    profile = read_toml(path, Profile)
+    return profile, (path.parent / profile.budget).resolve()
+
 
 DEFAULTS = Profile(meaning="options without a profile", hours=8.0, robots=32, budget=BUDGET.name)
 

@@ -53,7 +53,7 @@ def compare(a: PerDrawCounts, b: PerDrawCounts, confidence: float = CONFIDENCE) 
     """Compare goals reached ÷ due, hard events per hour of operating time, and availability.
 
     Args:
-        a, b: of the same draws in the same order; `pooling.same_draws` checks that.
+        a, b: of the same draws in the same order; `history.check_same_draws` checks that.
 
     Raises:
         ConfigError: the numbers of draws differ, or a policy has no exposure.

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from eval.history.pooling import pool
+from eval.history.history import pool
 from eval.history.soak_record import SoakRecord
 from eval.report.schema.trend_rows import Estimate, RunGroup, RunRow, Trend
 from eval.report.sections.verdict import dispersion_sentence, event_statement

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import pytest
 
 from eval.history import history
-from eval.history.history import SUFFIX, add_record, claim_history, read_history, read_record
+from eval.history.history import SUFFIX, add_record, check_writable, read_history, read_record
 from eval.history.soak_record import SoakRecord
 from eval.report import report_files as written
 from eval.report.report_files import write_report
@@ -18,10 +18,10 @@ from support.eval.nights import LATER, OTHER, SETTINGS, night
 from support.eval.reports import report
 
 
-@pytest.mark.parametrize("module", [history, written])
-def test_two_soaks_may_claim_a_folder_at_once(tmp_path, monkeypatch, module):
+@pytest.mark.parametrize("check", [check_writable, written.check_report_folder])
+def test_two_soaks_may_check_a_folder_at_once(tmp_path, monkeypatch, check):
     """The other one deletes the probe of both."""
-    whole = module.replacing
+    whole = history.replacing
 
     @contextmanager
     def deleted(path, **how):
@@ -29,8 +29,8 @@ def test_two_soaks_may_claim_a_folder_at_once(tmp_path, monkeypatch, module):
             yield partial
         path.unlink()
 
-    monkeypatch.setattr(module, "replacing", deleted)
-    (module.claim_folder if module is written else module.claim_history)(tmp_path)
+    monkeypatch.setattr(history, "replacing", deleted)
+    check(tmp_path)
     assert not any(tmp_path.iterdir())
 
 
@@ -200,7 +200,7 @@ def test_a_full_disk_leaves_no_part_of_a_night(tmp_path, monkeypatch):
 
 
 def test_a_claim_leaves_only_the_folder(tmp_path):
-    claim_history(tmp_path / "new")
+    check_writable(tmp_path / "new")
     assert list((tmp_path / "new").iterdir()) == []
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from eval.history.pooling import pool, same_draws, same_identity
+from eval.history.history import check_same_draws, check_same_identity, pool
 from eval.statistics.dispersion import draw_rate_upper
 from eval.statistics.per_draw_counts import concatenate, stop_ticks
 from robots.errors import ConfigError
@@ -61,9 +61,9 @@ def test_another_identity_is_refused_by_its_key_and_both_values(key):
 def test_key_missing_on_one_side_is_refused():
     more = IDENTITY | {"mujoco": "4.0"}
     with pytest.raises(ConfigError, match=r"^b: mujoco: found 4\.0, but a has nothing$"):
-        same_identity(IDENTITY, more, names=("a", "b"))
+        check_same_identity(IDENTITY, more, names=("a", "b"))
     with pytest.raises(ConfigError, match=r"^b: mujoco: found nothing, but a has 4\.0$"):
-        same_identity(more, IDENTITY, names=("a", "b"))
+        check_same_identity(more, IDENTITY, names=("a", "b"))
 
 
 def test_equal_draws_count_once():
@@ -72,7 +72,7 @@ def test_equal_draws_count_once():
 
 
 def test_different_policy_or_budget_has_the_same_draws():
-    same_draws(
+    check_same_draws(
         night(1), night(1, policy_digest="z9", policy="b.onnx", budget="b", workers=7), names=("a", "b")
     )
 
@@ -87,4 +87,4 @@ def test_different_policy_or_budget_has_the_same_draws():
 )
 def test_any_other_difference_has_other_draws(key, changes):
     with pytest.raises(ConfigError, match=rf"^b: {key}: found .*, but a has "):
-        same_draws(night(), night(**changes), names=("a", "b"))
+        check_same_draws(night(), night(**changes), names=("a", "b"))

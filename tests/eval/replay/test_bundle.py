@@ -12,9 +12,16 @@ pytest.importorskip("mujoco")
 from eval.judge.counts import Event
 from eval.judge.monitors import MONITORS, NAMES
 from eval.replay import bundle
-from eval.replay.array_files import read_arrays, state_digest, write_arrays
 from eval.replay.bundle import FILES, BundleInfo, EventRecord, JobRecord
-from eval.replay.bundle_folders import delete_bundles, list_bundles, new_bundle, replace_bundles
+from eval.replay.bundle_files import (
+    delete_bundles,
+    list_bundles,
+    new_bundle,
+    read_arrays,
+    replace_bundles,
+    state_digest,
+    write_arrays,
+)
 from eval.replay.event_capture import HARD_BUNDLES, SOFT_BUNDLES, select_events
 from robots.errors import ConfigError, OutputError
 from robots.spec import load_robot

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from eval.replay import bundle
-from eval.replay.array_files import state_digest
+from eval.replay.bundle_files import state_digest
 from eval.replay.event_capture import EventCapture
 from eval.shard.shard import Shard
 

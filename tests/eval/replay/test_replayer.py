@@ -13,9 +13,9 @@ pytest.importorskip("mujoco")
 from eval.faults.schedule import FaultSettings
 from eval.replay import bundle
 from eval.replay import cli as command
-from eval.replay.array_files import write_arrays
+from eval.replay.bundle_files import write_arrays
 from eval.replay.capture_window import columns
-from eval.replay.comparison import first_difference, mismatch
+from eval.replay.replay_text import first_difference, mismatch
 from eval.replay.replayer import Replay
 from robots.errors import ConfigError, RobotError
 from support.eval.bundles import ROBOTS_COUNTED, TICKS, first, replayed

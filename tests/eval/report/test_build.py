@@ -11,7 +11,7 @@ from eval.judge.monitors import Channels
 from eval.report.build import CURVE_POINTS, build
 from eval.report.html import decimals, render
 from eval.report.plots.curves import wear_plot
-from eval.report.report_files import claim_folder, junit, write_report
+from eval.report.report_files import check_report_folder, junit, write_report
 from eval.report.schema.report_data import Report
 from eval.statistics.budget import load_budget
 from robots.errors import OutputError
@@ -326,7 +326,7 @@ def test_an_older_report_is_replaced_and_nothing_is_left_over(tmp_path):
     assert '"passed"' in (tmp_path / "a" / "b" / "report.json").read_text()
 
 
-@pytest.mark.parametrize("attempt", [claim_folder, lambda out: write_report(report(), out)])
+@pytest.mark.parametrize("attempt", [check_report_folder, lambda out: write_report(report(), out)])
 def test_unwritable_folder_is_refused(tmp_path, attempt):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError, match="file"):
@@ -348,9 +348,9 @@ def test_failed_write_keeps_all_old_files(tmp_path):
 def test_folder_in_place_of_a_report_file_is_an_error_before_the_soak(tmp_path):
     (tmp_path / "report.html").mkdir()
     with pytest.raises(OutputError, match=r"report\.html is a folder"):
-        claim_folder(tmp_path)
+        check_report_folder(tmp_path)
 
 
 def test_claim_creates_the_folder_only(tmp_path):
-    claim_folder(tmp_path / "new")
+    check_report_folder(tmp_path / "new")
     assert list((tmp_path / "new").iterdir()) == []

@@ -15,7 +15,7 @@ pytest.importorskip("mujoco")
 
 from deploy.policy.policy import Policy
 from eval.history.soak_record import Run
-from eval.report.report_files import LOCK, claim_folder, lock_folder
+from eval.report.report_files import LOCK, check_report_folder, lock_folder
 from eval.shard import shard as shard_module
 from eval.shard.fingerprint import code_digest
 from eval.shard.job import WIDTH
@@ -330,7 +330,7 @@ def test_bad_input_names_the_expected_value(arm_policy, tmp_path, monkeypatch, c
 @pytest.mark.slow
 def test_folder_of_a_running_soak_is_refused(arm_policy, tmp_path):
     out = tmp_path / "out"
-    claim_folder(out)
+    check_report_folder(out)
     options = ("--policy", arm_policy, "--hours", 0.001, "--robots", 1, "--workers", 1, "--out", out)
     with lock_folder(out):
         done = subprocess.run(soak_test(*options), capture_output=True, text=True, check=False)

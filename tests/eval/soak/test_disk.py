@@ -20,8 +20,7 @@ pytest.importorskip("mujoco")
 from deploy.policy.policy import Policy
 from eval.history.soak_record import Run
 from eval.replay import bundle
-from eval.replay.array_files import write_arrays
-from eval.replay.bundle_folders import new_bundle
+from eval.replay.bundle_files import new_bundle, write_arrays
 from eval.replay.capture_window import columns, window_type, write_mcap
 from eval.report import report_files as written
 from eval.report.build import build
@@ -60,7 +59,7 @@ def restless(tmp_path):
 def test_soak_writes_no_more_than_estimated(finished, tmp_path):
     soak, shards, out = finished.soak, finished.shards, tmp_path / "out"
     needed = disk_usage(soak)
-    written.claim_folder(out)
+    written.check_report_folder(out)
     shutil.copytree(finished.kept, out / "unfinished")
     events = size(out / "unfinished" / "events")
     kept = size(out / "unfinished") - events
@@ -136,7 +135,7 @@ def meanwhile(path, do):
 def test_lost_report_folder_is_an_error_and_not_recreated(restless, tmp_path):
     """It is moved away between the ends of the two shards; when it is put back, the soak goes on from there."""
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
-    written.claim_folder(out)
+    written.check_report_folder(out)
     restless = replace(restless, hours=0.0004)  # before the second shard has anything else to write
     first, second = (restless.checkpoint(number, out / "unfinished").path for number in (0, 1))
     meanwhile(first, lambda: out.rename(elsewhere))
@@ -180,9 +179,7 @@ def test_denied_file_access_is_reported(restless, tmp_path, monkeypatch):
     checkpoint.store({"runtime.ticks": np.array(400)})
     with monkeypatch.context() as patch:
         patch.setattr(Path, "open", denied)
-        with pytest.raises(
-            OutputError, match=r"unfinished/\.probe\.npz: cannot be written: Permission denied"
-        ):
+        with pytest.raises(OutputError, match=r"unfinished/\.probe: cannot be written: Permission denied"):
             prepare_folder(tmp_path / "unfinished")
         with pytest.raises(OutputError, match=r"shard-0000\.npz: cannot be written: Permission denied"):
             checkpoint.store({})
@@ -201,11 +198,11 @@ def test_denied_file_access_is_reported(restless, tmp_path, monkeypatch):
 def test_wrong_file_type_in_place_of_series_or_trends_is_an_error_before_the_soak(tmp_path):
     (tmp_path / "tensorboard").touch()
     with pytest.raises(OutputError, match="tensorboard is a file, expected a folder"):
-        written.claim_folder(tmp_path, (SERIES, TENSORBOARD))
+        written.check_report_folder(tmp_path, (SERIES, TENSORBOARD))
     (tmp_path / "tensorboard").unlink()
     (tmp_path / SERIES).mkdir()
     with pytest.raises(OutputError, match=r"series\.parquet is a folder, expected a file"):
-        written.claim_folder(tmp_path, (SERIES, TENSORBOARD))
+        written.check_report_folder(tmp_path, (SERIES, TENSORBOARD))
 
 
 def test_partial_files_of_a_killed_start_are_removed(tmp_path):

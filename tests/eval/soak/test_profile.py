@@ -8,7 +8,7 @@ from eval.faults.catalogue import catalogue
 from eval.faults.schedule import plan
 from eval.soak import cli as command
 from eval.soak import options as soak_options
-from eval.soak.profile import PROFILES, load_profile
+from eval.soak.options import PROFILES, load_profile
 from eval.statistics.budget import BUDGET, load_budget
 from eval.statistics.evidence import trials_needed
 from robots.errors import ConfigError

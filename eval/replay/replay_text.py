@@ -1,6 +1,10 @@
-"""Table of the ticks around the start of an event, one line each."""
+"""Replay in words: the ticks around the start of the event, and the first difference from the recording."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from deploy.safety.supervisor import describe
 from deploy.state import Mode
@@ -43,3 +47,41 @@ def _tool_values(row: Rows) -> tuple[float, ...]:
 def _joint_values(row: Rows, joint: int) -> tuple[float, ...]:
     names = ("q_sent", "q_true", "q", "qd_true", "tau_sent", "tau_true", "winding_true_c")
     return tuple(float(row[name][joint]) for name in names)
+
+
+class Mismatch(NamedTuple):
+    """First tick at which a signal differs from the recording."""
+
+    tick: int
+    signal: str
+    found: NDArray[np.generic]
+    recorded: NDArray[np.generic]
+
+
+def first_difference(found: Rows, recorded: Rows) -> Mismatch | None:
+    """Return the first tick at which any bit differs; of several signals in that tick, the first in a row's order."""
+    first: Mismatch | None = None
+    for name in recorded.dtype.names or ():
+        a, b = found[name], recorded[name]
+        ticks = np.flatnonzero((_bits(a) != _bits(b)).any(axis=1))
+        if ticks.size and (first is None or recorded["tick"][ticks[0]] < first.tick):
+            first = Mismatch(int(recorded["tick"][ticks[0]]), name, a[ticks[0]], b[ticks[0]])
+    return first
+
+
+def mismatch(replay: Replay, result: ReplayResult) -> str:
+    """Return the first mismatch in words; empty if everything is equal."""
+    info = replay.info
+    if difference := first_difference(result.rows, replay.recorded):
+        return (
+            f"at tick {difference.tick - info.event.start:+d} of the event, {difference.signal}: found"
+            f" {difference.found.tolist()}, recorded {difference.recorded.tolist()}"
+        )
+    if result.event != info.event:
+        return f"the judge found {result.event}, recorded {info.event}"
+    return "" if result.end_digest == info.end_digest else "all signals agree, but not the state at the end"
+
+
+def _bits(array: NDArray[np.generic]) -> NDArray[np.uint8]:
+    """(T, bytes); NaNs compare by their bits."""
+    return np.ascontiguousarray(array).reshape(len(array), -1).view(np.uint8)
