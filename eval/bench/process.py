@@ -71,7 +71,6 @@ def memory(spec: RobotSpec, policy: Path, console: Console) -> None:
 
 
 def _resident_kib() -> int:
-    """Return the present resident memory in KiB; the peak on systems without /proc."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except OSError:

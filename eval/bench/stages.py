@@ -51,11 +51,7 @@ class StageBench(Trial):
     def __init__(self, spec: RobotSpec, policy: Path, robots: int, *, every_stage: bool) -> None:
         """Arm B robots and run them for `WARM_S`.
 
-        Args:
-            spec: the robot.
-            policy: ONNX file.
-            robots: B.
-            every_stage: time each stage, which slows the tick; else only physics, tick and judge.
+        Timing every stage slows the tick; otherwise only physics, tick and judge are timed.
         """
         super().__init__(spec, policy, [robot_seed(SEED, robot) for robot in range(robots)])
         self.stopwatch, self.robots = Stopwatch(), robots

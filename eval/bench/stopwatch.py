@@ -12,7 +12,6 @@ class Stopwatch:
     """Timer of wrapped methods; time in a nested wrapped method counts for that method only."""
 
     def __init__(self) -> None:
-        """Start without methods."""
         self.samples: dict[str, list[float]] = {}
         self._nested = [0.0]
 

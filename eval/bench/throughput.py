@@ -97,7 +97,6 @@ class RolloutReplay:
     """Recorder of a batch's rollouts, which can repeat them."""
 
     def __init__(self, batch: Batch) -> None:
-        """Wrap the batch's rollout, whose results stay the same."""
         self._batch, self._rollout = batch, batch.rollout
         self._calls: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
         batch.rollout = self._recorded

@@ -27,14 +27,7 @@ class Trial:
         *,
         draw: Draw | None = None,
     ) -> None:
-        """Build everything, with brakes on.
-
-        Args:
-            spec: the robot.
-            policy: ONNX file.
-            seeds: B seeds.
-            draw: parameters of the B robots, instead of those drawn from the seeds.
-        """
+        """Build everything for B seeds, with brakes on; `draw` replaces the parameters drawn from the seeds."""
         self.policy = Policy.load(policy, spec)
         contract = self.policy.contract
         self.runtime, self.robot = simulate(spec, contract, seeds, self.policy, given=draw)

@@ -94,7 +94,6 @@ class FaultResponseTracker(Stage):
     )
 
     def __init__(self, spec: RobotSpec, schedule: Schedule) -> None:
-        """Allocate."""
         self._schedule, shape = schedule, schedule.class_index.shape
         self.class_index, self.channel = schedule.class_index.copy(), schedule.channel.copy()
         self.began, self.complete, self.stopped, self.rest, self.resumed = np.full((5, *shape), NOT_BEGUN)
@@ -109,12 +108,7 @@ class FaultResponseTracker(Stage):
         self._qd_max, self._settle_ticks = spec.joint_array("qd_max"), round(SETTLE_S / spec.dt)
 
     def begin(self, tick: int, mode: Modes, judge: Judge) -> None:
-        """Start to follow injections that begin at a tick, before that tick.
-
-        Args:
-            tick: now. mode: (B,) of `Mode`, after the last tick.
-            judge: of all ticks so far.
-        """
+        """Start to follow injections that begin at a tick, before that tick; `mode` (B,) is of the tick before."""
         beginning = self._schedule.beginning(tick)
         if not beginning:
             return
@@ -184,7 +178,6 @@ class FaultResponseTracker(Stage):
 
 
 def _note_first(ticks: Ints, place: Place, now: Ints, holds: Bools) -> None:
-    """Set ticks that are not set yet, where a condition holds."""
     ticks[place] = np.where(holds & (ticks[place] < 0), now, ticks[place])
 
 

@@ -27,12 +27,7 @@ class Injector(Stage):
     carried: ClassVar[tuple[str, ...]] = ("last_action",)
 
     def __init__(self, spec: RobotSpec, schedule: Schedule, plant: Plant, actions: int) -> None:
-        """Allocate.
-
-        Args:
-            spec: the robot. schedule: of faults.
-            plant: of the simulated robots, new. actions: A, size of the policy's action.
-        """
+        """Allocate for a new plant, and for A numbers in the policy's action."""
         self._schedule, self._access = schedule, PlantAccess(spec, plant)
         self.last_action = np.zeros((plant.batch.nsim, actions), dtype=np.float32)
         self._active: list[Injection] = []

@@ -37,7 +37,6 @@ class PlantAccess:
     """
 
     def __init__(self, spec: RobotSpec, plant: Plant) -> None:
-        """Look up the arrays of a new plant."""
         self.plant, self.dt, self.torque_max = plant, spec.dt, torque_max(spec)
         batch, model = plant.batch, plant.batch.model
         self.friction_loss, self.winding_rise = batch.expand("dof_frictionloss"), batch.bind("act")

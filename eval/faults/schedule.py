@@ -47,11 +47,7 @@ class Schedule:
     """
 
     def __init__(self, classes: Sequence[FaultClass], robots: int, injections: Sequence[Injection]) -> None:
-        """Sort by ticks.
-
-        Args:
-            classes: the catalogue. robots: B. injections: one for each robot and slot.
-        """
+        """Sort the injections, one for each of B robots and slot, by ticks; `classes` is the catalogue."""
         self.injections = injections
         shape = robots, 1 + max((injection.slot for injection in injections), default=-1)
         self.class_index, self.channel = np.zeros((2, *shape), dtype=np.int64)
@@ -105,11 +101,7 @@ def plan(
 ) -> Schedule:
     """Plan slots of equal length, with one fault and the time to recover in each slot of every robot.
 
-    Args:
-        spec: the robot.
-        faults: settings; None for no faults.
-        seeds: B seeds. first: number of the first of these robots in the soak.
-        ticks: of the simulation; a slot that does not fit is left out.
+    The B seeds belong to the robots from number `first` on. A slot that does not fit into `ticks` is left out.
     """
     classes = catalogue(spec)
     if faults is None:

@@ -75,11 +75,7 @@ def check_same_task(records: Mapping[str, SoakRecord], settings: Settings, name:
 
 
 def read_record(path: Path, report: type[SoakRecord] = SoakRecord) -> SoakRecord:
-    """Read the record of a finished soak.
-
-    Args:
-        path: a file of a history, a report.json, or the folder of one.
-        report: schema of a report.json, which has more fields.
+    """Read the record of a finished soak: a file of a history, a report.json of schema `report`, or its folder.
 
     Raises:
         ConfigError: it cannot be read, was edited, or is of an interrupted soak.
@@ -112,10 +108,7 @@ def _text(path: Path) -> str:
 
 
 def pool(records: Mapping[str, SoakRecord]) -> PerDrawCounts:
-    """Return the draws of all soaks.
-
-    Args:
-        records: one or more, by the name used in errors, such as their file.
+    """Return the draws of one or more soaks, by the name used in errors, such as their file.
 
     Raises:
         ConfigError: two soaks have different identities, or the same seed and therefore the same draws.

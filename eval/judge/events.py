@@ -21,10 +21,9 @@ class BadTicks(NamedTuple):
     channel: Ints
     ratio: Floats
 
-
-def _select(bad: BadTicks, which: NDArray[Any]) -> BadTicks:
-    """Return those at the given indices, or where a mask holds."""
-    return BadTicks(bad.tick[which], bad.robot[which], bad.channel[which], bad.ratio[which])
+    def at(self, index: NDArray[Any]) -> "BadTicks":
+        """Return those at an index or mask."""
+        return BadTicks(*(column[index] for column in self))
 
 
 class EventLog(Stage):
@@ -55,7 +54,7 @@ class EventLog(Stage):
         """Count bad ticks, in any order, that are later than all recorded before."""
         place = bad.robot * self.row.shape[1] + bad.channel
         order = np.lexsort((bad.tick, place))  # channel by channel, each in the order of time
-        bad, place = _select(bad, order), place[order]
+        bad, place = bad.at(order), place[order]
         here, first, count = np.unique(place, return_index=True, return_counts=True)
         end = first + count - 1
         before = np.roll(bad.tick, 1)
@@ -73,7 +72,7 @@ class EventLog(Stage):
     def _rows(self, bad: BadTicks, place: Ints, begins: Bools, first: Ints) -> Ints:
         """Row of the log of each bad tick's event, -1 if it is not logged."""
         row = self.row.reshape(-1)[place]
-        row[begins] = self._append(_select(bad, begins))
+        row[begins] = self._append(bad.at(begins))
         sets_row = begins.copy()
         sets_row[first] = True
         return row[np.maximum.accumulate(np.where(sets_row, np.arange(len(row)), 0))]

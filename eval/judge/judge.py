@@ -62,9 +62,7 @@ class Judge(Stage):
         """Allocate.
 
         Args:
-            spec: limits and margins.
-            torque_max: (n,) N·m, each actuator's range at the joint.
-            robots: B.
+            spec: limits and margins. torque_max: (n,) N·m, each actuator's range at the joint. robots: B.
             criterion: rule by which the task's goals count as reached.
             counted: R, number of robots that are judged, the first ones; all by default.
             observed: statistics of the observations in training; without them observations are not judged.
@@ -130,7 +128,6 @@ class Judge(Stage):
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _judge_pending(self) -> None:
-        """Judge the pending ticks."""
         if not self.buffer.pending:
             return
         window = TickWindow(self.buffer.pending_ticks(self._robots), self.ratios.robot)

@@ -40,7 +40,6 @@ class LimitRatios:
     """
 
     def __init__(self, channels: Channels, robot: JudgedRobot, robots: int) -> None:
-        """Compute the limits and allocate."""
         self._channels, self.robot, self._robots = channels, robot, robots
         self._n, self._joint_monitors = len(channels.joints), channels.joint_monitors
         self._applies = [monitor in channels.monitors for monitor in channels.catalogue]

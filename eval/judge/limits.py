@@ -71,13 +71,10 @@ def load_limits(spec: RobotSpec) -> Limits:
     if limits.motors.keys() != spec.motors.keys():
         found, expected = (", ".join(sorted(motors)) for motors in (limits.motors, spec.motors))
         raise ConfigError(f"{path}: motors: found {found}, expected {expected}")
-    needed = "manipulability" in spec.capabilities
-    if needed and limits.manipulability is None:
+    needed, present = "manipulability" in spec.capabilities, limits.manipulability is not None
+    if needed != present:
+        found, expected, has = ("one", "none", "no ") if present else ("none", "one", "")
         raise ConfigError(
-            f"{path}: manipulability: found none, expected one: robot.toml has margins.singularity"
-        )
-    if not needed and limits.manipulability is not None:
-        raise ConfigError(
-            f"{path}: manipulability: found one, expected none: robot.toml has no margins.singularity"
+            f"{path}: manipulability: found {found}, expected {expected}: robot.toml has {has}margins.singularity"
         )
     return limits

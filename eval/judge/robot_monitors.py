@@ -15,7 +15,6 @@ FALLING_RAD = 0.2
 
 
 def _norms(vectors: Floats) -> Floats:
-    """(T, R) Euclidean norms of vectors (T, R, 3)."""
     return np.asarray(np.sqrt(np.einsum("tbi,tbi->tb", vectors, vectors)))
 
 

@@ -56,7 +56,6 @@ class TickWindow:
     """
 
     def __init__(self, ticks: Ticks, robot: JudgedRobot) -> None:
-        """Split `ticks` (PAST + T, R, ...)."""
         self.robot, self.ticks = robot, ticks
         self.now, self.before = ticks.at(slice(PAST, None)), ticks.at(slice(PAST - 1, -1))
         self.drives_on = ticks.powered & ticks.valid

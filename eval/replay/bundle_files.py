@@ -57,7 +57,6 @@ def read_arrays(path: Path, expected: Mapping[str, NDArray[np.generic]]) -> Arra
 
 
 def _array(file: zipfile.ZipFile, where: str, name: str, like: NDArray[np.generic]) -> NDArray[np.generic]:
-    """One array; its header must describe `like`."""
     with file.open(f"{name}.npy") as stream:
         version = np.lib.format.read_magic(stream)
         if version != (1, 0):

@@ -25,12 +25,8 @@ TRUE_SCHEMA = {
     "title": "firstshift.True",
     "type": "object",
     "properties": {
-        "winding_c": _NUMBERS,
-        "tool": _NUMBERS,
-        "tool_velocity": _NUMBERS,
-        "powered": {"type": "boolean"},
-        "self_collision": {"type": "boolean"},
-        "valid": {"type": "boolean"},
+        **dict.fromkeys(("winding_c", "tool", "tool_velocity"), _NUMBERS),
+        **{name: {"type": "boolean"} for name in FLAGS},
     },
 }
 

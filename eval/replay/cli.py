@@ -84,7 +84,6 @@ def _print(console: Console, line: str) -> None:
 
 
 def _viewer(replay: Replay) -> Callable[[], None]:
-    """Callback that shows the robot in real time."""
     from deploy.backends.sim.view import View as Viewer
 
     clock, view = WallClock(replay.spec.dt), RateLimited(VIEW_S, Viewer(replay.shard.robot, replay.row).step)

@@ -32,13 +32,7 @@ class EventCapture:
     """
 
     def __init__(self, job: ShardJob, shard: Shard, folder: Path) -> None:
-        """Copy the inputs that a bundle needs and that might change during the soak.
-
-        Args:
-            job: of the shard.
-            shard: before its next tick.
-            folder: of the bundles; made with the first one.
-        """
+        """Copy the inputs of bundles that might change during the soak; the first bundle makes `folder`."""
         spec = shard.runtime.spec
         self._job, self._folder, self._spec = job, folder, spec
         self._poll = round(POLL_S / spec.dt)

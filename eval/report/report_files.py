@@ -35,7 +35,6 @@ def junit(report: Report) -> str:
 
 
 def _describe(line: BudgetLine) -> str:
-    """Return the line in words."""
     found = "not finite" if line.found is None else f"{line.found:.6g}"
     bound = "at least" if line.at_least else "at most"
     allowed = "no limit" if line.allowed is None else f"allowed {bound} {line.allowed:.6g}"
@@ -53,10 +52,7 @@ LOCK = ".lock"
 
 
 def check_report_folder(out: Path, extra: Collection[str] = ()) -> None:
-    """Make the folder `out`, and check before hours are spent that the report can be written there.
-
-    Args:
-        out: the folder. extra: names of further files to be written.
+    """Make the folder `out`, and check before hours are spent that the report and `extra` files can be written there.
 
     Raises:
         OutputError: it cannot be written.
@@ -90,11 +86,7 @@ def lock_folder(out: Path) -> Iterator[None]:
 
 
 def write_report(report: Report, out: Path, extra: Mapping[str, bytes] | None = None) -> None:
-    """Write report.json, report.html and junit.xml into the folder `out`, replacing older ones.
-
-    Args:
-        report: contents. out: the folder.
-        extra: contents of further files by name.
+    """Write report.json, report.html, junit.xml and `extra` files into the folder `out`, replacing older ones.
 
     Raises:
         OutputError: the folder cannot be written; the older files remain.
@@ -107,9 +99,6 @@ def write_report(report: Report, out: Path, extra: Mapping[str, bytes] | None = 
 
 def delete_report(out: Path, extra: Collection[str] = ()) -> None:
     """Delete the files of `write_report` in the folder `out`, if there are any, and folders that are empty then.
-
-    Args:
-        out: the folder. extra: names of the further files.
 
     Raises:
         OutputError: they cannot be deleted.

@@ -21,7 +21,6 @@ class SoakResult:
             above.
         worn: (T, 4, R, n) wear of the joints: friction relative to the new joint, backlash and encoder error in rad,
             torque constant relative to the new motor; NaN as `winding_c`.
-        winding_soft_c, winding_max_c: (n,) °C.
         stops, latches: (T, R) stops, and power losses, up to each sample.
         goals_bin_h: h, width of the bins of `goals_attempted` and `goals_reached`, (H,) of all robots together.
         parameters: (R,) by name, drawn parameters of each robot: see `eval.statistics.sensitivity`.
@@ -36,8 +35,6 @@ class SoakResult:
     winding_c: Floats
     folded_back: Floats
     worn: Floats
-    winding_soft_c: Floats
-    winding_max_c: Floats
     stops: Ints
     latches: Ints
     goals_bin_h: float

@@ -36,13 +36,7 @@ def make_judge(spec: RobotSpec, contract: Contract, robots: int, *, counted: int
 
 
 def judge_tick(judge: Judge, truth: Truth, runtime: Runtime, action: Action) -> None:
-    """Pass the tick that has just ended to the judge.
-
-    Args:
-        judge: gets the inputs.
-        truth: ground truth after the tick. runtime: its state, decisions and command of the tick.
-        action: output of the policy; None between two of its steps, or where it is not recorded.
-    """
+    """Pass the tick that has just ended, with the ground truth after it, to the judge."""
     judge.step(
         truth=truth,
         state=runtime.state,

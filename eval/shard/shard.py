@@ -68,9 +68,7 @@ class Shard(Stage):
     def __init__(self, job: ShardJob, *, draw: Draw | None = None) -> None:
         """Build all parts. Robots beyond those that count only fill up the width and are not reported.
 
-        Args:
-            job: to run.
-            draw: parameters of the `WIDTH` robots, instead of those that the seeds would draw.
+        `draw` replaces the parameters of the `WIDTH` robots that the seeds would draw.
 
         Raises:
             ConfigError: code, robot or policy changed since the job was made.

@@ -1,22 +1,17 @@
 """Assembly of the shards' results into the input of the report."""
 
-import sys
 from collections.abc import Sequence
 from functools import reduce
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eval.faults.fault_response import merge_responses
-from eval.history.soak_record import Run, Settings
+from eval.history.soak_record import Run
 from eval.judge.counts import merge
-from eval.judge.limits import load_limits
 from eval.report.sections.faults import fault_table
 from eval.report.soak_result import SoakResult
-from eval.shard.fingerprint import code_digest, versions
-from eval.shard.job import WIDTH
 from eval.shard.judging import ShardResult
 from eval.soak.configuration import SoakConfig
 from eval.statistics.sensitivity import parameter_values
@@ -31,11 +26,8 @@ def assemble(
 ) -> SoakResult:
     """Concatenate the robots of all shards.
 
-    Heat and wear are NaN after the end of an interrupted shard; its goals and stops keep their last values.
-
-    Args:
-        config: of the soak. shards: in order; only the first ones if not all began. run: time and extent.
-        bundles: folders of events, relative to the report's.
+    Heat and wear are NaN after the end of an interrupted shard; its goals and stops keep their last values. If not all
+    shards began, `shards` are the first ones. `bundles` are relative to the report's folder.
     """
     counts = reduce(merge, (shard.counts for shard in shards))
     drawn = parameter_values(config.draw_robots(), load_distributions(config.spec))
@@ -47,13 +39,11 @@ def assemble(
         **{name: _join_totals([getattr(shard, name) for shard in shards]) for name in TOTALS},
     }
     return SoakResult(
-        settings=settings(config),
+        settings=config.settings(),
         run=run,
         counts=counts,
         sample_h=sample_h * np.arange(samples + 1, dtype=np.float64),
         **arrays,
-        winding_soft_c=config.spec.motor_array("winding_soft_c"),
-        winding_max_c=config.spec.motor_array("winding_max_c"),
         goals_bin_h=per_bin * sample_h,
         goals_attempted=_binned([shard.attempted for shard in shards], per_bin),
         goals_reached=_binned([shard.reached for shard in shards], per_bin),
@@ -89,31 +79,3 @@ def _binned(parts: Sequence[NDArray[np.int64]], per_bin: int) -> NDArray[np.int6
     total = running_total(parts)
     samples = len(total) - 1
     return np.diff(total[[*range(0, samples, per_bin), samples]])
-
-
-def settings(config: SoakConfig) -> Settings:
-    """Return the settings of the soak for its record and report."""
-    return Settings(
-        command=" ".join(["soak-test", *sys.argv[1:]]),
-        robot=config.spec.name,
-        robot_digest=config.spec.digest,
-        draws_digest=load_distributions(config.spec).digest,
-        limits_digest=load_limits(config.spec).digest,
-        policy=_relative(config.policy_path),
-        policy_digest=config.policy.digest,
-        code_digest=code_digest(),
-        faults=config.faults,
-        budget=_relative(config.budget),
-        seed=config.seed,
-        hours=config.hours,
-        robots=config.robots,
-        shard_width=WIDTH,
-        workers=config.workers,
-        versions=versions(),
-    )
-
-
-def _relative(path: Path) -> str:
-    """Path relative to the working directory, if it is inside."""
-    here = Path.cwd()
-    return str(path.resolve().relative_to(here) if path.resolve().is_relative_to(here) else path)

@@ -18,7 +18,7 @@ from eval.report.schema.report_data import Report
 from eval.report.sections.trend import THIS_RUN, trend
 from eval.shard.judging import ShardResult
 from eval.soak import options
-from eval.soak.assembly import assemble, settings
+from eval.soak.assembly import assemble
 from eval.soak.checkpoint import delete_checkpoints
 from eval.soak.configuration import SoakConfig
 from eval.soak.disk import check_disk_space
@@ -120,7 +120,7 @@ def _earlier_records(history: Path, config: SoakConfig) -> dict[str, SoakRecord]
     """Read the records in `history`, and check that one of this soak can be added."""
     check_writable(history, "--history")
     records = read_history(history)
-    check_same_task(records, settings(config), "this soak")
+    check_same_task(records, config.settings(), "this soak")
     return records
 
 

@@ -1,10 +1,12 @@
 """Configuration of a soak, and the shard jobs and checkpoints that follow from it."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.policy.policy import Policy
 from eval.faults.schedule import FaultSettings
+from eval.history.soak_record import Settings
 from eval.judge.limits import load_limits
 from eval.shard.fingerprint import code_digest, processor, versions
 from eval.shard.job import WIDTH, ShardJob
@@ -72,21 +74,41 @@ class SoakConfig:
             for start in range(0, self.robots, WIDTH)
         ]
 
+    def settings(self) -> Settings:
+        """Return the settings for record and report; paths inside the working directory are relative to it."""
+        here = Path.cwd()
+        policy, budget = (
+            str(path.resolve().relative_to(here) if path.resolve().is_relative_to(here) else path)
+            for path in (self.policy_path, self.budget)
+        )
+        return Settings(
+            command=" ".join(["soak-test", *sys.argv[1:]]),
+            robot=self.spec.name,
+            robot_digest=self.spec.digest,
+            draws_digest=load_distributions(self.spec).digest,
+            limits_digest=load_limits(self.spec).digest,
+            policy=policy,
+            policy_digest=self.policy.digest,
+            code_digest=code_digest(),
+            faults=self.faults,
+            budget=budget,
+            seed=self.seed,
+            hours=self.hours,
+            robots=self.robots,
+            shard_width=WIDTH,
+            workers=self.workers,
+            versions=versions(),
+        )
+
     def checkpoint(self, number: int, folder: Path) -> Checkpoint:
         """Return the checkpoint of job `number`; its identity holds everything that decides the shard's results."""
+        settings = self.settings()
         identity: dict[str, str | int] = {
-            "robot_digest": self.spec.digest,
-            "draws_digest": load_distributions(self.spec).digest,
-            "limits_digest": load_limits(self.spec).digest,
-            "policy_digest": self.policy.digest,
-            "code_digest": code_digest(),
-            **versions(),
+            **settings.identity,
+            **settings.draws,
             "processor": processor(),
-            "seed": self.seed,
-            "robots": self.robots,
             "ticks": self.ticks,
             "sample_ticks": self.sample_ticks,
             "first": number * WIDTH,
-            "faults": self.faults.model_dump_json() if self.faults else "none",
         }
         return Checkpoint(folder / f"shard-{number:04}{SUFFIX}", identity)

@@ -90,10 +90,7 @@ def disk_usage(config: SoakConfig) -> DiskUsage:
 def check_disk_space(config: SoakConfig, out: Path, unfinished: Path, console: Console) -> None:
     """Print how much the soak may write into the folder `out`, which must exist, and check that it is free.
 
-    Args:
-        config: of the soak. out: output folder.
-        unfinished: a folder in it; files of an earlier start there are replaced, or are part of the total.
-        console: for the message.
+    Files of an earlier start, in its folder `unfinished`, are replaced or are part of the total.
 
     Raises:
         OutputError: there is not enough space.

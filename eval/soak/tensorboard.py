@@ -24,12 +24,7 @@ HARD = np.array([monitor.hard for monitor in MONITORS])
 
 
 def event_file(config: SoakConfig, shards: Sequence[ShardResult], started: str) -> bytes:
-    """Return the event file. Steps are simulated seconds; wall time is `started` plus simulated time.
-
-    Args:
-        config: of the soak. shards: results.
-        started: ISO 8601 with zone.
-    """
+    """Return the event file. Steps are simulated seconds; wall time is `started`, ISO 8601, plus simulated time."""
     start, stream = datetime.fromisoformat(started).timestamp(), io.BytesIO()
     writer = RecordWriter(stream)
     for event in (Event(wall_time=start, file_version=VERSION), *_points(config, shards, start)):
@@ -64,7 +59,6 @@ def intervals(samples: int, sample_s: float) -> list[int]:
 
 
 def _simulated_ticks(config: SoakConfig, shard: ShardResult) -> Ints:
-    """(T, R) ticks so far."""
     return config.sample_ticks * np.arange(len(shard.running))[:, None] * np.ones_like(shard.running)
 
 

@@ -86,10 +86,7 @@ def resumed_ticks(config: SoakConfig, folder: Path, console: Console) -> int:
 def run_soak(config: SoakConfig, folder: Path, console: Console) -> list[ShardResult]:
     """Run every shard and return the results in order; after Ctrl-C, of the shards that have begun.
 
-    Args:
-        config: of the soak.
-        folder: for checkpoints, from which shards resume, and for the bundles of events.
-        console: shows progress.
+    `folder` gets the checkpoints, from which shards resume, and the bundles of events.
 
     Raises:
         ConfigError, OutputError: a checkpoint cannot be read or written.

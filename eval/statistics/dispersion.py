@@ -89,10 +89,7 @@ def draw_rate_upper(events: ArrayLike, hours: ArrayLike, confidence: float = CON
 def draw_rate_lower(events: ArrayLike, hours: ArrayLike, confidence: float = CONFIDENCE) -> Floats:
     """Return the lower bound of the rate, per hour, over draws that may differ; 0 without events.
 
-    Args:
-        events, hours, confidence: as `draw_rate_upper`.
-
-    Source: Patil (1960), as `draw_rate_upper`.
+    Args and source: as `draw_rate_upper`.
     """
     total, exposure, r = _pooled(events, hours, confidence)
     if exposure <= 0:
@@ -104,12 +101,9 @@ def draw_rate_lower(events: ArrayLike, hours: ArrayLike, confidence: float = CON
 def draw_rate_interval(
     events: ArrayLike, hours: ArrayLike, confidence: float = CONFIDENCE
 ) -> tuple[Floats, Floats]:
-    """Return the central interval of the rate, per hour, over draws that may differ.
+    """Return the central interval of the rate, per hour, over draws that may differ; `confidence` is two-sided.
 
-    Args:
-        events, hours: as `draw_rate_upper`. confidence: two-sided.
-
-    Source: Patil (1960), as `draw_rate_upper`.
+    Args and source: as `draw_rate_upper`.
     """
     each = (1 + confidence) / 2
     return draw_rate_lower(events, hours, each), draw_rate_upper(events, hours, each)

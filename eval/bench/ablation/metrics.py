@@ -49,7 +49,6 @@ class MetricsRecorder:
     """Sums over the ticks of a trial, from which its metrics follow."""
 
     def __init__(self, trial: Trial) -> None:
-        """Start before the first tick."""
         shape = trial.robot.robots, trial.runtime.spec.n
         self._trial, self._last = trial, np.zeros((JERK_ORDER, *shape))
         self._powered_run, self._ticks = np.zeros(shape[0], dtype=np.int64), 0

@@ -23,7 +23,6 @@ class LatestPacketEstimator(Estimator):
     carried = (*Estimator.carried, "t_last", "q_last", "qd_last")
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Start without packets."""
         super().__init__(spec, robots)
         self.t_last = np.full((robots, 1), -np.inf)
         self.q_last, self.qd_last = np.zeros((2, robots, spec.n))
@@ -60,7 +59,6 @@ class UnlimitedSmoother(Smoother):
     """
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Start at rest."""
         super().__init__(spec, robots)
         self._dt = spec.dt
 
@@ -88,7 +86,6 @@ class HeatBlindEstimator(Estimator):
     """Estimator that reports 0 °C for every housing and winding."""
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Replace the winding observer too."""
         super().__init__(spec, robots)
         self.windings = HousingTemperatureObserver(spec, robots)
 

@@ -27,7 +27,6 @@ class LibraryLoop:
     """One robot and its control stack, of library calls only."""
 
     def __init__(self, spec: RobotSpec, contract: Contract, policy: Path) -> None:
-        """Start at the home pose."""
         self._spec, self.decimation = spec, contract.control_hz // contract.policy_hz
         self._model = load_mujoco(spec)
         self.data, self._rng = mujoco.MjData(self._model), np.random.default_rng(0)

@@ -21,7 +21,6 @@ class VendorLoop:
     """One robot in MuJoCo, stepped in a loop with the contract's gains."""
 
     def __init__(self, spec: RobotSpec, policy: Policy, gains: Gains) -> None:
-        """Start at the home pose, with the policy resized to one robot."""
         self._model = _compile_model(spec)
         self._data, self._policy, self._gains = mujoco.MjData(self._model), policy, gains
         self._data.qpos[7:] = spec.joint_array("q_home")

@@ -14,12 +14,13 @@ def heat(result: SoakResult, at: Ints) -> tuple[Heat, ...]:
     usual, counts = median(result.winding_c[at]), result.counts
     peak = np.nan_to_num(counts.winding_c(), nan=-np.inf)
     above_h = counts.bad_ticks[:, counts.columns("heat_soft")] * counts.dt / 3600
+    soft_c, max_c = (counts.limits[counts.columns(name)] for name in ("heat_soft", "heat_hard"))
     folded = np.ma.masked_invalid(result.folded_back).mean(axis=0).filled(0.0)
     return tuple(
         Heat(
             joint=joint,
-            soft_c=float(result.winding_soft_c[k]),
-            max_c=float(result.winding_max_c[k]),
+            soft_c=float(soft_c[k]),
+            max_c=float(max_c[k]),
             median_c=series(usual[:, k], 2),
             hottest_c=series(hottest[:, k], 2),
             peak_c=number(peak[:, k].max(), 2),

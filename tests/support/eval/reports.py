@@ -8,7 +8,7 @@ from eval.history.soak_record import Run, Settings
 from eval.report.build import build
 from eval.report.soak_result import SoakResult
 from eval.statistics.budget import load_budget
-from support.arm6 import SPEC, arm_judge
+from support.arm6 import arm_judge
 
 OBSERVED = Observed(mean=(0.0,), deviation=(1.0,))
 ROBOTS, HOURS, TICKS = 16, 8.0, 8 * 3600 * 200
@@ -78,8 +78,6 @@ def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.
         winding_c=winding,
         folded_back=np.zeros_like(winding),
         worn=wearing(hours, robots),
-        winding_soft_c=SPEC.motor_array("winding_soft_c"),
-        winding_max_c=SPEC.motor_array("winding_max_c"),
         stops=np.zeros((samples, robots), dtype=np.int64),
         latches=np.zeros((samples, robots), dtype=np.int64),
         goals_bin_h=1.0,
