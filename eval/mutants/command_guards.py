@@ -1,6 +1,16 @@
 """Mutants of guards of commands: safety checks, planner limits, action clip and leash, and the runtime."""
 
 from deploy.state import Reason
+from eval.mutants.attacks import (
+    action_spike,
+    cycle_poses,
+    jam_joint,
+    move_slowly_to,
+    move_to,
+    nan_after,
+    switch_policy,
+    turn_last_joint,
+)
 from eval.mutants.guard_removal import (
     follow_non_finite_action,
     ignore_non_finite_action,
@@ -17,16 +27,6 @@ from eval.mutants.guard_removal import (
     stop_instantly,
     widen_target_range,
 )
-from eval.mutants.hostile_policies import (
-    action_spike,
-    cycle_poses,
-    move_slowly_to,
-    move_to,
-    nan_after,
-    switch_policy,
-    turn_last_joint,
-)
-from eval.mutants.scripted_disturbances import jam_joint
 from eval.mutants.situation import INVALID, Mutant, Situation, check_off
 
 FAR = {"shoulder_lift": -0.5, "elbow": 0.6, "wrist_1": -1.94}

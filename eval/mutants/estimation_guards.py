@@ -2,21 +2,22 @@
 
 from deploy.backends.sim.sensor_faults import Failure
 from deploy.state import Reason
+from eval.mutants.attacks import (
+    encoder_offset_at_start,
+    hot_motors_at_start,
+    jam_joint,
+    move_slowly_to,
+    move_to,
+    push_link,
+    sensor_faults,
+    slipping_brakes,
+)
 from eval.mutants.guard_removal import (
     arm_while_moving,
     ignore_reasons,
     in_sequence,
     open_innovation_gate,
     trust_first_sample,
-)
-from eval.mutants.hostile_policies import move_slowly_to, move_to
-from eval.mutants.scripted_disturbances import (
-    encoder_offset_at_start,
-    hot_motors_at_start,
-    jam_joint,
-    push_link,
-    sensor_faults,
-    slipping_brakes,
 )
 from eval.mutants.situation import LATCHES, Mutant, Situation, check_off
 

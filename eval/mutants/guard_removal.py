@@ -53,17 +53,16 @@ def ignore_reasons(reasons: Reason) -> GuardRemoval:
     """Remove these stop reasons from safety and from the estimator."""
     kept = ~np.int64(reasons)
 
-    def masked_verdict(step: Callable[..., Verdict], *arguments: Any) -> Verdict:
-        verdict = step(*arguments)
-        return verdict._replace(reason=verdict.reason & kept)
+    def masked(field: str) -> Callable[..., Any]:
+        def step(original: Callable[..., Any], *arguments: Any) -> Any:
+            result = original(*arguments)
+            return result._replace(**{field: getattr(result, field) & kept})
 
-    def masked_state(step: Callable[..., State], *arguments: Any) -> State:
-        state = step(*arguments)
-        return state._replace(fault=state.fault & kept)
+        return step
 
     def remove_guard(runtime: Runtime) -> None:
-        wrap_method(runtime.safety, "step", masked_verdict)
-        wrap_method(runtime.estimator, "step", masked_state)
+        wrap_method(runtime.safety, "step", masked("reason"))
+        wrap_method(runtime.estimator, "step", masked("fault"))
 
     return remove_guard
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from deploy.backends.sim.sensor_faults import Failure
 from deploy.state import Reason
+from eval.mutants.attacks import cycle_poses, hot_motors_at_start, move_to, sensor_faults
 from eval.mutants.command_guards import FAR
 from eval.mutants.guard_removal import (
     accept_stuck_currents,
@@ -13,8 +14,6 @@ from eval.mutants.guard_removal import (
     remove_foldback,
     remove_heat_margin,
 )
-from eval.mutants.hostile_policies import cycle_poses, move_to
-from eval.mutants.scripted_disturbances import hot_motors_at_start, sensor_faults
 from eval.mutants.situation import Mutant, Situation, check_off
 
 BURDEN = {"payload.mass_kg": 4.0, "payload.carried_s": 1e6, "payload.free_s": 0.01}

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from deploy.state import Reason
 from eval.judge.counts import Counts
 from eval.judge.monitors import NAMES
+from eval.mutants.attacks import cycle_poses, encoder_offset_at_start, hot_motors_at_start, nan_after
 from eval.mutants.command_guards import FAR, SAFETY, SENT
 from eval.mutants.estimation_guards import ESTIMATION
 from eval.mutants.guard_removal import (
@@ -19,8 +20,6 @@ from eval.mutants.guard_removal import (
     widen_target_range,
 )
 from eval.mutants.heat_guards import HEAT_GUARDS
-from eval.mutants.hostile_policies import cycle_poses, nan_after
-from eval.mutants.scripted_disturbances import encoder_offset_at_start, hot_motors_at_start
 from eval.mutants.situation import INVALID, LATCHES, Mutant, Situation, run_situation
 from eval.statistics.budget import check, load_budget
 from robots.spec import RobotSpec

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field
 from eval.faults.schedule import FaultSettings
 from eval.judge.counts import Event
 from eval.judge.monitors import NAMES
-from eval.shard.fingerprint import code_digest, processor, versions
+from eval.shard.job import code_digest, processor, versions
 from robots.errors import ConfigError
 from robots.models.files import referenced_files
 from robots.spec import RobotSpec

@@ -18,7 +18,7 @@ from robots.errors import OutputError
 def junit(report: Report) -> str:
     """Return the XML text; lines of an interrupted soak that have passed so far are marked as skipped."""
     suite = TestSuite("soak-test")
-    suite.timestamp = report.run.started
+    suite.timestamp, suite.time = report.run.started, report.run.wall_s
     suite.add_property("statement", report.statement)
     suite.add_property("policy_digest", report.settings.policy_digest)
     for line in report.budget:
@@ -28,7 +28,6 @@ def junit(report: Report) -> str:
         elif report.run.interrupted:
             case.result = [Skipped(f"interrupted after {report.run.hours:.3g} h; so far {_describe(line)}")]
         suite.add_testcase(case)
-    suite.time = report.run.wall_s
     document = JUnitXml()
     document.add_testsuite(suite)
     return document.tostring().decode()
@@ -43,11 +42,7 @@ def _describe(line: BudgetLine) -> str:
 
 
 PAGE = "report.html"
-FILES = {
-    "report.json": lambda report: report.model_dump_json(indent=1),
-    PAGE: render,
-    "junit.xml": junit,
-}
+FILES = {"report.json": lambda report: report.model_dump_json(indent=1), PAGE: render, "junit.xml": junit}
 LOCK = ".lock"
 
 

@@ -16,8 +16,7 @@ from deploy.truth import Truth
 from eval.faults.fault_response import FaultResponseTracker
 from eval.faults.injector import Injector
 from eval.faults.schedule import plan
-from eval.shard.fingerprint import code_digest
-from eval.shard.job import ARM_S, OPERATOR_S, POLL_S, WIDTH, ShardJob
+from eval.shard.job import ARM_S, OPERATOR_S, POLL_S, WIDTH, ShardJob, code_digest
 from eval.shard.judging import (
     COUNTED,
     SAMPLED,

@@ -8,8 +8,7 @@ from deploy.policy.policy import Policy
 from eval.faults.schedule import FaultSettings
 from eval.history.soak_record import Settings
 from eval.judge.limits import load_limits
-from eval.shard.fingerprint import code_digest, processor, versions
-from eval.shard.job import WIDTH, ShardJob
+from eval.shard.job import WIDTH, ShardJob, code_digest, processor, versions
 from eval.soak.checkpoint import SUFFIX, Checkpoint
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw

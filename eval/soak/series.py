@@ -11,7 +11,7 @@ from arro3.io import write_parquet
 from numpy.typing import NDArray
 
 from eval.judge.monitors import MONITORS
-from eval.shard.fingerprint import code_digest
+from eval.shard.job import code_digest
 from eval.shard.judging import ShardResult
 from eval.soak.configuration import SoakConfig
 from robots.distributions import load_distributions

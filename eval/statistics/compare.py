@@ -50,10 +50,7 @@ class Difference:
 
 
 def compare(a: PerDrawCounts, b: PerDrawCounts, confidence: float = CONFIDENCE) -> tuple[Difference, ...]:
-    """Compare goals reached ÷ due, hard events per hour of operating time, and availability.
-
-    Args:
-        a, b: of the same draws in the same order; `history.check_same_draws` checks that.
+    """Compare goals reached ÷ due, hard events per hour of operating time, and availability on the same draws.
 
     Raises:
         ConfigError: the numbers of draws differ, or a policy has no exposure.

@@ -16,11 +16,10 @@ CAUSES_SHOWN = 10
 
 def sensitivity(result: SoakResult) -> Sensitivity:
     """Return the strongest correlations of a parameter with an outcome."""
-    counts = result.counts
-    operated = (counts.running > 0) & (counts.due > 0)
+    operated = (result.counts.running > 0) & (result.counts.due > 0)
     table = correlate(
         {name: column[operated] for name, column in result.parameters.items()},
-        {name: column[operated] for name, column in outcomes(counts).items()},
+        {name: column[operated] for name, column in outcomes(result.counts).items()},
     )
     draws = int(operated.sum())
     return Sensitivity(

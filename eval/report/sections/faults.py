@@ -1,7 +1,5 @@
 """Section "faults": responses to injected faults by class."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from eval.faults.catalogue import NOT_INJECTED, catalogue
@@ -72,12 +70,8 @@ def _row(
         not_running=int((members & (found.began == NOT_RUNNING)).sum()),
         handled=good,
         handled_lower=float(share_lower(good, total)) if total else 0.0,
-        answers={
-            ANSWER_WORDS[answer]: int(np.sum(answers == answer)) for answer in Answer if answer in answers
-        },
-        violations={
-            name: int(np.sum(bits >> k & 1)) for k, name in _HARD_BITS.items() if np.any(bits >> k & 1)
-        },
+        answers={word: n for a, word in ANSWER_WORDS.items() if (n := int(np.sum(answers == a)))},
+        violations={name: n for k, name in _HARD_BITS.items() if (n := int(np.sum(bits >> k & 1)))},
         stopped=_times(found.stopped[finished], dt),
         at_rest=_times(found.rest[finished], dt),
         resumed=int(np.sum(found.resumed[finished] >= 0)),
@@ -90,11 +84,8 @@ def _times(ticks: Ints, dt: float) -> Times | None:
     seconds = ticks[ticks >= 0] * dt
     if not len(seconds):
         return None
-    return Times(
-        count=len(seconds),
-        median_s=round(float(np.median(seconds)), 4),
-        worst_s=round(float(seconds.max()), 4),
-    )
+    median, worst = (round(float(value), 4) for value in (np.median(seconds), seconds.max()))
+    return Times(count=len(seconds), median_s=median, worst_s=worst)
 
 
 def _worst(values: Floats) -> float | None:
@@ -105,25 +96,18 @@ def _unhandled(
     spec: RobotSpec, classes: tuple[FaultClass, ...], found: FaultResponses, place: tuple[int, int]
 ) -> UnhandledFault:
     fault, channel = classes[found.class_index[place]], int(found.channel[place])
+    at_joint = fault.component in (*AT_JOINTS, POLICY, JOINT)
     return UnhandledFault(
         robot=place[0],
         fault=fault.name,
-        channel=None if channel < 0 else _channel(spec, fault, channel),
+        channel=None if channel < 0 else spec.joint_names[channel] if at_joint else str(channel),
         start_h=round(float(found.began[place]) * spec.dt / 3600, 5),
         answer=ANSWER_WORDS[Answer(found.answer[place])],
-        violations=tuple(_violations(int(found.violated[place]))),
+        violations=tuple(name for k, name in _HARD_BITS.items() if found.violated[place] >> k & 1),
         stopped_s=_seconds(int(found.stopped[place]), spec.dt),
         at_rest_s=_seconds(int(found.rest[place]), spec.dt),
         deviation_rad=number(float(found.tracking_error[place]), 4),
     )
-
-
-def _violations(bits: int) -> Iterator[str]:
-    return (name for k, name in _HARD_BITS.items() if bits >> k & 1)
-
-
-def _channel(spec: RobotSpec, fault: FaultClass, channel: int) -> str:
-    return spec.joint_names[channel] if fault.component in (*AT_JOINTS, POLICY, JOINT) else str(channel)
 
 
 def _seconds(ticks: int, dt: float) -> float | None:

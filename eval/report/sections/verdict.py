@@ -82,11 +82,7 @@ def statement(counts: Counts, found: Evidence) -> str:
 
 
 def event_statement(
-    events: int,
-    hours: float,
-    draws: str,
-    bounds: tuple[Number, Number, float],
-    shares: tuple[float, float],
+    events: int, hours: float, draws: str, bounds: tuple[Number, Number, float], shares: tuple[float, float]
 ) -> str:
     """Return the sentence that the counts support: events, bounds of their rate, availability and goals.
 

@@ -10,7 +10,7 @@ import pytest
 
 from deploy.policy.contract import Contract
 from deploy.tasks.task import find_task, sources_of, tasks_of
-from eval.shard.fingerprint import code_digest
+from eval.shard.job import code_digest
 from robots.errors import ConfigError, ContractError
 from support.arm6 import SPEC
 from support.contracts import arm_contract

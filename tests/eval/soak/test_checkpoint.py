@@ -15,8 +15,7 @@ from support.policies import policy_model, saved
 pytest.importorskip("mujoco")
 
 from deploy.policy.policy import Policy
-from eval.shard.fingerprint import code_digest
-from eval.shard.job import WIDTH
+from eval.shard.job import WIDTH, code_digest
 from eval.shard.shard import Shard
 from eval.soak.checkpoint import DAMAGED, Checkpoint, delete_checkpoints, prepare_folder
 from eval.soak.configuration import SoakConfig

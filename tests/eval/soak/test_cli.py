@@ -17,8 +17,7 @@ from deploy.policy.policy import Policy
 from eval.history.soak_record import Run
 from eval.report.report_files import LOCK, check_report_folder, lock_folder
 from eval.shard import shard as shard_module
-from eval.shard.fingerprint import code_digest
-from eval.shard.job import WIDTH
+from eval.shard.job import WIDTH, code_digest
 from eval.shard.judging import COUNTED
 from eval.shard.shard import Shard
 from eval.soak import cli as command

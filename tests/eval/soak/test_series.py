@@ -12,7 +12,7 @@ from support.eval.shards import N, asked, job, lived
 pytest.importorskip("mujoco")
 
 from eval.judge.monitors import NAMES
-from eval.shard.fingerprint import code_digest
+from eval.shard.job import code_digest
 from eval.shard.judging import COUNTED
 from eval.shard.shard import Shard
 from eval.soak.assembly import running_total
