@@ -118,12 +118,10 @@ def pool(records: Mapping[str, SoakRecord]) -> PerDrawCounts:
     for name, record in records.items():
         check_same_identity(reference.settings.identity, record.settings.identity, names=(first, name))
         seed = record.settings.seed
-        if seed in name_of_seed:
+        if (other := name_of_seed.setdefault(seed, name)) != name:
             raise ConfigError(
-                f"{name}: seed: found {seed}, also the seed of {name_of_seed[seed]}:"
-                " the same draws are no new evidence"
+                f"{name}: seed: found {seed}, also the seed of {other}: the same draws are no new evidence"
             )
-        name_of_seed[seed] = name
     return concatenate([record.per_draw_counts for record in records.values()])
 
 

@@ -1,4 +1,4 @@
-"""Catalogue of monitors, and the channels that they have on a robot."""
+"""Catalogue of the monitors in joint_, command_ and robot_monitors.py, and the channels that they have on a robot."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

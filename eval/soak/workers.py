@@ -125,17 +125,16 @@ class WorkerPool:
     """
 
     def __init__(self, config: SoakConfig, folder: Path, console: Console) -> None:
-        self._events = folder / EVENTS
+        self._config, self._events, self._console = config, folder / EVENTS, console
         self._jobs, self._context = config.jobs(), mp.get_context("spawn")
         self._checkpoints = [config.checkpoint(number, folder) for number in range(len(self._jobs))]
-        self._workers, self._ticks, self._console = config.workers, config.ticks, console
         self.progress = self._context.RawArray("q", len(self._jobs))
         self.stop = self._context.RawValue("b", 0)
         self.pending = set(range(len(self._jobs)))
 
     def run(self) -> None:
         """Run the pending shards until all are finished, the user interrupts, or a worker dies."""
-        workers, shared = min(self._workers, len(self.pending)), (self.progress, self.stop)
+        workers, shared = min(self._config.workers, len(self.pending)), (self.progress, self.stop)
         with ProcessPoolExecutor(
             workers, self._context, initializer=_initialize_worker, initargs=shared
         ) as pool:
@@ -156,18 +155,17 @@ class WorkerPool:
                 raise
 
     def _submit(self, pool: ProcessPoolExecutor) -> "dict[Future[None], int]":
+        futures = {}
         with handled(signal.SIG_IGN):  # inherited by the workers: only the parent handles Ctrl-C
-            return {
-                pool.submit(
-                    _run_shard, number, self._jobs[number], self._checkpoints[number], self._events
-                ): number
-                for number in sorted(self.pending)
-            }
+            for number in sorted(self.pending):
+                inputs = self._jobs[number], self._checkpoints[number], self._events
+                futures[pool.submit(_run_shard, number, *inputs)] = number
+        return futures
 
     def show_progress(self, futures: "Mapping[Future[None], int]") -> None:
         """Show progress until every shard is finished or one has failed."""
         with Progress(*COLUMNS, console=self._console) as bar:
-            task, waiting = bar.add_task("", total=self._ticks * len(self._jobs)), set(futures)
+            task, waiting = bar.add_task("", total=self._config.ticks * len(self._jobs)), set(futures)
             while waiting:
                 done, waiting = wait(waiting, timeout=0.5)
                 bar.update(task, completed=sum(self.progress))

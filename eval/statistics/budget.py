@@ -92,22 +92,19 @@ def load_budget(path: Path = BUDGET) -> Budget:
 
 def check(budget: Budget, counts: Counts) -> tuple[BudgetLine, ...]:
     """Compare the counts with every budget line whose monitor applies to the robot; work first."""
-    hours, latches = counts.running_hours, budget.latches_max
-    applicable = {monitor.name for monitor in counts.monitors}
+    latches = np.inf if budget.latches_max is None else budget.latches_max
+    events = {monitor.name: counts.total(monitor.name) for monitor in counts.monitors}
+    total, rate = budget.events_max.items(), budget.events_per_hour_max.items()
     return (
         budget_line("goal_success", budget.goal_success_min, counts.goal_success, "share", at_least=True),
         budget_line("availability", budget.availability_min, counts.availability, "share", at_least=True),
         budget_line("invalid", budget.invalid_ticks_max, float(counts.invalid.sum()), "ticks"),
-        budget_line("latches", np.inf if latches is None else latches, float(counts.latches.sum()), "times"),
+        budget_line("latches", latches, float(counts.latches.sum()), "times"),
+        *(budget_line(n, most, events[n], "events") for n, most in total if n in events),
         *(
-            budget_line(name, limit, counts.total(name), "events")
-            for name, limit in budget.events_max.items()
-            if name in applicable
-        ),
-        *(
-            budget_line(name, limit, _per_hour(counts.total(name), hours), "events/h")
-            for name, limit in budget.events_per_hour_max.items()
-            if name in applicable
+            budget_line(n, most, _per_hour(events[n], counts.running_hours), "events/h")
+            for n, most in rate
+            if n in events
         ),
     )
 
