@@ -14,8 +14,7 @@ from deploy.backends.backend import Backend, Request
 from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
 from deploy.estimation.temperature_file import PERIOD_S as HEAT_S
 from deploy.estimation.temperature_file import TemperatureFile
-from deploy.operation.clock import Clock, Unpaced, WallClock
-from deploy.operation.loop_timing import LoopTiming, RateLimited
+from deploy.operation.loop_timing import Clock, LoopTiming, RateLimited, Unpaced, WallClock
 from deploy.operation.options import SEED, random_source, speed_factor
 from deploy.operation.robot_run import Ending, RobotRun, Watcher
 from deploy.operation.summary import report

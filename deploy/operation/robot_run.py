@@ -7,7 +7,7 @@ import numpy as np
 
 from deploy.operation.interrupts import Interrupts, handled
 from deploy.operation.loop_timing import LoopTiming
-from deploy.operation.run_statistics import RunStatistics
+from deploy.operation.summary import RunStatistics
 from deploy.runtime import Runtime
 from deploy.safety.diagnostics import StopExplanation, explain_reasons
 from deploy.safety.supervisor import CATEGORY_1

@@ -8,8 +8,7 @@ import typer
 from rich.console import Console
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
-from deploy.operation.clock import WallClock
-from deploy.operation.loop_timing import RateLimited
+from deploy.operation.loop_timing import RateLimited, WallClock
 from deploy.telemetry.output_files import replacing
 from eval.replay.capture_window import write_mcap
 from eval.replay.event_video import EventVideo

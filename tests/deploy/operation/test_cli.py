@@ -114,7 +114,7 @@ def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(command, arm_polic
             signal.raise_signal(signal.SIGINT)
         return 0.0
 
-    monkeypatch.setattr("deploy.operation.clock.Unpaced.wait", wait)
+    monkeypatch.setattr("deploy.operation.loop_timing.Unpaced.wait", wait)
     assert command("--policy", arm_policy, "--speed", "max", "--out", tmp_path)[0] == 130
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert (summary["ended"], summary["reason"]) == ("interrupted", "stopped by the operator")

@@ -5,8 +5,7 @@ import pytest
 
 from deploy.backends.sim.backend import SimBackend
 from deploy.backends.sim.robot import SimRobot
-from deploy.operation.clock import WallClock
-from deploy.operation.loop_timing import LoopTiming
+from deploy.operation.loop_timing import LoopTiming, WallClock
 from deploy.operation.robot_run import Ending, RobotRun
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime

@@ -8,24 +8,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from deploy.backends.sim.model.attachments import (
-    ANCHOR,
-    CABLE,
-    LOAD,
-    PAYLOAD,
-    add_backlash,
-    add_cable,
-    add_payload,
-    backlash_name,
-)
+from deploy.backends.sim.model import attachments
 from deploy.backends.sim.model.floating_base import FloatingBase, add_ground, find_floating_base
-from deploy.backends.sim.model.site_sensors import (
-    CONTACT_FORCE,
-    LEVEL,
-    add_contact_force,
-    add_site_sensors,
-    find_site_sensors,
-)
 from robots.arrays import Ints
 from robots.distributions import Cable
 from robots.models.mujoco_model import load_mujoco, read_mjcf
@@ -88,12 +72,12 @@ def build(spec: RobotSpec, cable: Cable) -> PlantModel:
     nominal, mjcf = load_mujoco(spec), read_mjcf(spec)
     _prepare(mjcf)
     for name in spec.joint_names:
-        add_backlash(mjcf.joint(name), nominal)
+        attachments.add_backlash(mjcf.joint(name), nominal)
     add_ground(mjcf, nominal, spec)
-    add_payload(mjcf, nominal, spec)
-    add_cable(mjcf, nominal, cable, spec)
-    add_site_sensors(mjcf, spec)
-    add_contact_force(mjcf)
+    attachments.add_payload(mjcf, nominal, spec)
+    attachments.add_cable(mjcf, nominal, cable, spec)
+    attachments.add_site_sensors(mjcf, spec)
+    attachments.add_contact_force(mjcf)
     model = mjcf.compile()
     # A diverged simulation must be noticed, not silently reset.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -118,15 +102,15 @@ def _find(model: mujoco.MjModel, spec: RobotSpec) -> PlantModel:
     return PlantModel(
         model=model,
         joints=joints,
-        backlash=np.array([model.joint(backlash_name(name)).id for name in spec.joint_names]),
+        backlash=np.array([model.joint(attachments.backlash_name(name)).id for name in spec.joint_names]),
         bodies=bodies,
         link=link,
-        payload=model.body(PAYLOAD).id,
-        cable=model.tendon(CABLE).id,
-        anchor=model.site(ANCHOR).id,
-        tool=model.site(spec.tool or LOAD).id,
-        level=model.body(LEVEL).id if "orientation" in spec.sensors else None,
-        contact_force=int(model.sensor(CONTACT_FORCE).adr[0]),
+        payload=model.body(attachments.PAYLOAD).id,
+        cable=model.tendon(attachments.CABLE).id,
+        anchor=model.site(attachments.ANCHOR).id,
+        tool=model.site(spec.tool or attachments.LOAD).id,
+        level=model.body(attachments.LEVEL).id if "orientation" in spec.sensors else None,
+        contact_force=int(model.sensor(attachments.CONTACT_FORCE).adr[0]),
         base=find_floating_base(model, spec),
-        site_sensors=find_site_sensors(model, spec),
+        site_sensors=attachments.find_site_sensors(model, spec),
     )

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from deploy.operation.clock import Unpaced, WallClock
-from deploy.operation.loop_timing import LoopTiming, RateLimited
+from deploy.operation.loop_timing import LoopTiming, RateLimited, Unpaced, WallClock
 from support.deploy.fake_time import FakeTime
 
 
