@@ -65,11 +65,7 @@ def draw(distributions: Distributions, spec: RobotSpec, seeds: Sequence[np.rando
 
 
 def load_draw(path: Path, distributions: Distributions, spec: RobotSpec) -> tuple[int, Draw]:
-    """Return the seed and the robots that `Draw.to_json` stored.
-
-    Raises:
-        ConfigError: unreadable, another robot's, or beyond physical bounds.
-    """
+    """Return the seed and robots that `Draw.to_json` stored; refuse (ConfigError) another robot's, or beyond bounds."""
     stored = _read(path)
     _check_identity(stored, path, distributions, spec)
     quantities = {name: quantity for name, quantity, _ in distributions.spans()}

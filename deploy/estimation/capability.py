@@ -21,14 +21,7 @@ class CapabilityEstimator(Stage, ABC):
 
     @abstractmethod
     def step(self, t: float, sample: Sample, state: State, due: bool) -> State:
-        """Return the state with this capability's estimate.
+        """Return the state at `t` s with this capability's estimate; `due`: the policy observes in this tick."""
 
-        Args:
-            t: s, now.
-            sample: newest packets. state: of the joints, and of capabilities before this one.
-            due: True in ticks in which the policy observes.
-        """
-
-    @abstractmethod
     def reset(self, ids: Bools) -> None:
-        """Forget robots where `ids` (B,) holds."""
+        """Forget robots where `ids` (B,) holds; nothing by default: the estimate follows from the joints."""

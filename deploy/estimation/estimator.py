@@ -74,12 +74,8 @@ class Estimator(Stage):
 
         Ignored are packets from more than a period in the future (they would stay fresh for ever) or from before the
         setpoint history, and angles that are not finite, not newer than the last, or outside the gate. The age of a
-        robot is infinite until all of its filters are confirmed.
-
-        Args:
-            t: s, now, a whole number of periods.
-            sample: the newest packets.
-            sent: the setpoint that the drives should have reached by now.
+        robot is infinite until all of its filters are confirmed. `t` s is now, a whole number of periods; `sent` the
+        setpoint that the drives should have reached by now.
         """
         tick, packet, joints = round(t / self.dt), sample["encoder"], self.joints
         self.setpoints.append(tick, sent)

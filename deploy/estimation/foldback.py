@@ -34,11 +34,9 @@ class Foldback(Stage):
         self._current_min, self._speed_min = spec.margins.fold_min, spec.margins.pace_min
 
     def step(self, winding: Floats, margin: Floats) -> None:
-        """Raise the level by whole steps at once, reduce it with hysteresis; an unknown winding counts as too hot.
+        """Raise the level by whole steps at once, reduce it with hysteresis.
 
-        Args:
-            winding: (B, n) °C, NaN where unknown.
-            margin: (B, n) K that the winding may be hotter.
+        A winding (B, n) °C may be hotter by `margin` (B, n) K; NaN, unknown, counts as too hot.
         """
         share = (winding - self._soft) / np.maximum(self._hard - margin - self._soft, RANGE_MIN_K)
         stepped = np.floor(np.clip(share, 0.0, 1.0) * STEPS) / STEPS

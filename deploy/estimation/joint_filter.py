@@ -98,10 +98,8 @@ class JointFilter(Stage):
 
         x⁻ = F x,  P⁻ = F P Fᵀ + Q,  y = z − H x⁻,  S = H P⁻ Hᵀ + r
 
-        Args:
-            t: (B,) s, when the packets were taken.
-            z: (B, n) rad, measured deviations.
-            new: (B, n) samples that may be fused; the others are predicted over 0 s.
+        Packets were taken at t (B,) s, with deviations z (B, n) rad; those that are not `new` (B, n) are predicted
+        over 0 s.
         """
         dt = self._per_joint(t) - self.t_sample
         if not all_true(new):

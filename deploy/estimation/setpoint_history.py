@@ -48,12 +48,9 @@ class SetpointHistory(Stage):
         return covered
 
     def at(self, t: Floats, valid: Bools, tick: int) -> tuple[Floats, Floats]:
-        """Return setpoints (B, n) rad and their speeds (B, n) rad/s at times t: nearest tick plus speed times the rest.
+        """Return setpoints and speeds (B, n) rad, rad/s at t (B,) s: of the nearest tick, plus speed times the rest.
 
-        Args:
-            t: (B,) s.
-            valid: (B,) where t may be used; elsewhere the result is of time 0.
-            tick: the present one; no later setpoint is known.
+        Where t is not `valid` (B,) the result is of time 0; no setpoint after the present `tick` is known.
         """
         ticks = (t if all_true(valid) else np.where(valid, t, 0.0)) / self._dt
         whole = np.minimum(np.rint(ticks), tick)

@@ -61,15 +61,12 @@ class TemperatureFile:
         same_robot: bool = True,
         now: Callable[[], float] = time.time,
     ) -> None:
-        """Read the file, if there is one, and start the observer from it.
+        """Read the file, if there is one, and start the observer from it before the first tick.
 
-        Args:
-            windings: the observer, before the first tick.
-            same_robot: True if the file is about the robot that will run; else its contents are replaced.
-            now: clock, s since 1970.
+        Contents about another robot than will run, not `same_robot`, are replaced. `now` is a clock, s since 1970.
 
         Raises:
-            ConfigError: the file has other contents, or is about another robot.
+            ConfigError: the file has other contents, or is about a robot of another name or with other joints.
         """
         self._path, self._windings, self._now = path, windings, now
         self._robot, self._joints = spec.name, spec.joint_names

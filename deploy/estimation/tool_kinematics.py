@@ -6,7 +6,7 @@ import numpy as np
 
 from deploy.estimation.capability import CapabilityEstimator
 from deploy.state import Sample, State
-from robots.arrays import Bools, Floats
+from robots.arrays import Floats
 from robots.capabilities import Capability
 from robots.models.fleet import Fleet
 from robots.models.kinematics import Kinematics
@@ -34,9 +34,6 @@ class ToolKinematics(CapabilityEstimator):
             self._kinematics = self._fleet.kinematics(state.q)
             self.position[:] = self._kinematics.tool_position
         return state
-
-    def reset(self, ids: Bools) -> None:
-        """Keep everything: the tool follows from the joints."""
 
     def joint_torque(self, force: Floats) -> Floats:
         """(B, n) N·m, joint torques equal to a force (B, 3) N on the tool where it was placed last: Jᵀf."""

@@ -52,9 +52,7 @@ class Smoother(Stage):
     def next(self, q_target: Floats, stopping: Bools) -> Setpoint:
         """Return one step from the last sent setpoint: towards a target, or towards rest; NaN where Ruckig has no plan.
 
-        Args:
-            q_target: (B, n) rad, clamped here to the working range less its margin.
-            stopping: (B,) robots that brake to rest instead.
+        Targets (B, n) rad are clamped to the working range less its margin; robots `stopping` (B,) brake instead.
         """
         target, stops = np.minimum(np.maximum(q_target, self.q_min), self.q_max), stopping[:, None]
         speed_share = self.speed_share

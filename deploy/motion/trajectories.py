@@ -74,9 +74,7 @@ class TrackingTrajectories(_BlockPlans):
     def plan(self, origin: Floats, changed: Bools | None = None) -> None:
         """Plan again every block that holds a robot of `changed` (B,): the others in it get the same plan as before.
 
-        Args:
-            origin: (B, 4n + 2) q, qd, qdd where the trajectories begin, target, speed scale, 1 to stop instead.
-            changed: robots with another origin than before; by default all.
+        An origin (B, 4n + 2) is q, qd, qdd where the trajectory begins, target, speed share, 1 to stop instead.
         """
         for block, rows in enumerate(self._rows):
             if changed is None or any_true(changed[rows]):

@@ -34,9 +34,7 @@ def random_source(
 ) -> tuple[str, np.random.SeedSequence, Draw | None]:
     """Return the seed of everything random, in words and as such, and the draw if a file holds it.
 
-    Args:
-        seed: of a robot that is drawn now; None: `SEED`, unless there is a draw.
-        draw: robot of a soak, as SEED:ROBOT or FILE:ROBOT, without a seed beside it.
+    `draw` is the robot of a soak, as SEED:ROBOT or FILE:ROBOT; a robot drawn now has `seed`, None for `SEED`.
     """
     if draw is None:
         number = SEED if seed is None else seed

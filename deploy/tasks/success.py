@@ -55,12 +55,9 @@ class SuccessEvaluation(Stage):
         self.total[ids] = 0.0
 
     def step(self, achieved: Floats, goal: Floats, ended: Bools, running: Bools) -> Bools | None:
-        """Count one tick; return (B,) goals that ended and were reached, None if none ended.
+        """Count one tick, with (B, G) achieved; return (B,) goals that `ended` and were reached, None if none ended.
 
-        Args:
-            achieved: (B, G) in this tick. goal: (B, G).
-            ended: (B,) goals whose period ends with this tick.
-            running: (B,) robots that follow their policy.
+        Only robots `running` (B,) under their policy reach a goal.
         """
         if self.criterion.mean:
             self.total += achieved

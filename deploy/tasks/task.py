@@ -92,13 +92,7 @@ class Task(Stage, ABC):
 
     @abstractmethod
     def observe(self, runtime: "Runtime", sample: Sample, due: bool) -> None:
-        """Update `achieved`, and what else the task's sources read, from a new estimate.
-
-        Args:
-            runtime: after this tick's estimate.
-            sample: newest packets.
-            due: True in ticks in which the policy observes.
-        """
+        """Update `achieved`, and what else the task's sources read, from a new estimate; `due`: the policy observes."""
 
     @property
     def goal_position(self) -> Floats:
@@ -116,9 +110,7 @@ class Task(Stage, ABC):
     ) -> dict[str, list[float]]:
         """Return the observation terms of a policy trained for this task: the maximum of each number, by source.
 
-        Args:
-            spec: the robot.
-            reach_m: m, maximum of positions. leash_rad: rad, maximum of a target ahead of its setpoint.
+        Positions reach `reach_m` m at most, and a target is at most `leash_rad` rad ahead of its setpoint.
         """
         range_max = np.maximum(np.abs(spec.joint_array("q_min")), np.abs(spec.joint_array("q_max")))
         return {

@@ -21,12 +21,9 @@ HOPELESS = 500
 
 
 def prune_pairs(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs) -> Pairs:
-    """Return the pairs that are not proven to stay farther apart than the collision margin.
+    """Return the pairs that are not proven to stay farther apart than the collision margin in the working ranges.
 
-    Args:
-        spec: the robot: its working ranges and its margin.
-        model, geometry: as `load_pinocchio`, all joints hinges; without pairs of their own.
-        pairs: indices of shapes.
+    Model and geometry are those of `load_pinocchio`, all joints hinges, without pairs of their own.
     """
     alone = geometry.copy()
     for a, b in pairs:

@@ -65,10 +65,7 @@ def torque_max(spec: RobotSpec) -> Floats:
 
 
 def imu_in_base(spec: RobotSpec, model: pin.Model) -> Floats:
-    """Return (3,) m, the IMU in the frame of the root body, whose axes it must have.
-
-    Args:
-        spec: a robot with a floating base. model: in the frame of its root body.
+    """Return (3,) m, the IMU in the frame of the root body, which is that of `model`.
 
     Raises:
         RobotError: its sensors have several sites, or one that moves with a joint or is turned.

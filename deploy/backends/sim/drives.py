@@ -74,9 +74,7 @@ class Drives(Stage):
     def step(self, command: Command, q: Floats) -> Floats:
         """Return the controls (B, substeps, controls) of the coming period.
 
-        Args:
-            command: where its drives are off, brakes close.
-            q: (B, n) rad, angles of the motors, which the brakes close on.
+        Where the command's drives are off, brakes close on the motors' angles q (B, n) rad.
         """
         np.multiply(command.q, self.gear, out=self._q)
         np.multiply(command.qd, self.gear, out=self._qd)
