@@ -1,4 +1,4 @@
-"""Task: goals or commands of B robots, their progress, their score, and what a policy may observe of them.
+"""Task: goals or commands of B robots, their progress, their success, and what a policy may observe of them.
 
 The runtime, the judge and the training environment know a task by these members only. Tasks are found by the name in
 a policy's contract among the entry points of the group `firstshift.tasks`; a package that declares one is enough.
@@ -47,14 +47,8 @@ class Task(Stage, ABC):
     """Observation sources that only this task has, by name."""
 
     carried: ClassVar[tuple[str, ...]] = (
-        "goal",
-        "achieved",
-        "elapsed",
-        "number",
-        "attempted",
-        "reached",
-        "ended",
-        "ended_goal",
+        *("goal", "achieved", "elapsed", "number", "attempted", "reached"),
+        *("ended", "ended_goal"),
     )
     parts = ("success",)
 

@@ -180,10 +180,6 @@ class Plant(Stage):
         """Set the windings (B, n) K above their housings."""
         self._rise[:] = rise
 
-    def brake(self, ids: Bools) -> None:
-        """Close the brakes of robots where `ids` (B,) holds, on their present pose."""
-        self.drives.brake(ids, self.kinematics.motor_q)
-
     def _roll(self, control: Floats) -> None:
         ids = None if all_true(self.valid) else np.flatnonzero(self.valid)
         try:

@@ -10,10 +10,12 @@ from mcap.reader import make_reader
 
 from deploy.safety.supervisor import describe
 from deploy.state import Mode, Reason
+from deploy.telemetry import signals
 from deploy.telemetry.recorder import AFTER_S, EVENTS_MAX, Recorder, check_folder
 from deploy.telemetry.signals import RING_S, Ring, row_type
 from robots.errors import OutputError
 from robots.spec import load_robot
+from support.runtimes import built
 
 SPEC = load_robot("arm6")
 START_NS = 1_700_000_000_000_000_000
@@ -275,3 +277,13 @@ def test_disk_that_fills_up_during_a_run_is_reported_once_and_stops_no_tick(tmp_
     writer = record(tmp_path, 8000)
     assert writer.lost == f"{tmp_path / 'run.mcap'}: cannot be written: File too large"
     assert (caplog.text, *capfd.readouterr()) == ("", "", "")
+
+
+def test_another_signal_is_one_row(monkeypatch):
+    age = signals.Signal(name="age", size=1, read=lambda runtime: runtime.state.age[:, None], in_state=True)
+    monkeypatch.setattr(signals, "SIGNALS", (*signals.SIGNALS, age))
+    runtime = built()
+    ring = signals.Ring(SPEC, runtime.robot.robots, signals.row_type(SPEC, runtime.task.size))
+    runtime.tick()
+    np.testing.assert_array_equal(ring.step(runtime)["age"][:, 0], runtime.state.age)
+    assert "age" in signals.state_schema()["properties"]

@@ -48,7 +48,7 @@ def test_brakes_are_not_delayed_by_the_bus():
     plant = exact(1, {"drives.delay_s": 0.005})
     for k in range(40):
         plant.step(command(HOME + 0.4 * k * DT, 0.4))
-    plant.brake(np.ones(1, dtype=bool))
+    plant.drives.brake(np.ones(1, dtype=bool), plant.kinematics.motor_q)
     np.testing.assert_array_equal(plant.drives.history[0], np.tile(plant.drives.command[0], (10, 1)))
     control = plant.drives.step(command(HOME, powered=False), plant.kinematics.motor_q)
     np.testing.assert_array_equal(control[0, :, ::3], np.tile(plant.drives.held * plant.drives.gear, (5, 1)))
