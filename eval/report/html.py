@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,6 +51,7 @@ def render_history(trend: Trend, task: Mapping[str, str]) -> str:
     return _template("history.html").render(r=None, trend=trend, trend_plots=_trend_plots(trend), task=task)
 
 
+@cache
 def _template(name: str) -> Template:
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),

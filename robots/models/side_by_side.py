@@ -12,7 +12,7 @@ import pinocchio as pin
 from robots.arrays import Bools, Floats
 from robots.errors import RobotError
 from robots.models.blocks import strided_view
-from robots.models.collision_pruning import prune_pairs
+from robots.models.collision_pruning import pairs_to_check
 from robots.models.collisions import Collisions, check_home, collision_pairs, nearest_shapes
 from robots.models.kinematics import Frames, yoshikawa
 from robots.models.nominal_model import imu_in_base, load_pinocchio
@@ -53,7 +53,7 @@ class Blocks:
         checked = collisions and "self_collision" in spec.capabilities
         pairs = collision_pairs(self._model, self._geometry, near) if checked else []
         check_home(spec, self._model, self._geometry, pairs)
-        self._pairs = prune_pairs(spec, self._model, self._geometry, pairs)
+        self._pairs = pairs_to_check(spec, self._model, self._geometry, pairs) if pairs else []
 
     def nearest_shapes(self, poses: Floats) -> tuple[float, str, str]:
         """Return the nearest shapes, as `Fleet.nearest_shapes`."""
