@@ -14,6 +14,7 @@ from onnx import numpy_helper
 
 from deploy.policy.policy_file import GOLDEN_KEY
 from support.policies import A, golden, metadata, policy_model, saved, tensor, weights
+from support.shared import made_once
 
 # Cases are the same for everybody, and none fails for a slow machine.
 settings.register_profile("same", derandomize=True, deadline=None)
@@ -37,6 +38,10 @@ def shipped_policy(tmp_path_factory):
     """The shipped checkpoint as policy-export leaves it."""
     pytest.importorskip("torch")
     pytest.importorskip("onnxscript")
-    from policies.export.cli import POLICIES, export
 
-    return export(POLICIES / "arm.pt", tmp_path_factory.mktemp("shipped") / "arm.onnx").path
+    def make(folder):
+        from policies.export.cli import POLICIES, export
+
+        export(POLICIES / "arm.pt", folder / "arm.onnx")
+
+    return made_once(tmp_path_factory, "shipped", make) / "arm.onnx"

@@ -10,6 +10,7 @@ from eval.statistics.budget import BUDGET
 from robots.spec import ROBOTS, load_robot
 from support.eval.bundles import ROBOTS_COUNTED, TICKS, first
 from support.policies import policy_model, saved
+from support.shared import made_once
 
 PUSHES = {"force_n": (2000.0, 3000.0), "lasts_s": (0.1, 0.2), "every_s": (1.5, 2.0)}
 """What no robot withstands."""
@@ -43,9 +44,10 @@ def events(pushed, tmp_path_factory):
     """Bundles that its workers wrote."""
     from eval.soak.workers import run_soak
 
-    folder = tmp_path_factory.mktemp("soak")
-    run_soak(pushed, folder, Console(quiet=True))
-    return folder / "events"
+    soaked = made_once(
+        tmp_path_factory, "pushed", lambda folder: run_soak(pushed, folder, Console(quiet=True))
+    )
+    return soaked / "events"
 
 
 @pytest.fixture(scope="session")

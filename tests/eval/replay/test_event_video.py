@@ -30,11 +30,19 @@ pytestmark = pytest.mark.slow
 
 def test_an_event_becomes_a_moving_picture(events, tmp_path):
     """In a process of its own: Mesa's LLVM and the one that comes with torch do not bear each other."""
-    done = replayed(first(events, "velocity"), "--video", tmp_path / "a.gif")
+    about, folder = min(
+        ((bundle.open_bundle(path), path) for path in events.iterdir()), key=lambda b: b[0].end - b[0].begin
+    )
+    print(
+        [
+            (bundle.open_bundle(path).begin, bundle.open_bundle(path).end, path.name)
+            for path in events.iterdir()
+        ]
+    )
+    done = replayed(folder, "--video", tmp_path / "a.gif")
     if "needs OpenGL" in done.stderr:
         pytest.skip("there is no OpenGL")
     assert (done.returncode, done.stderr) == (0, "")
-    about = bundle.open_bundle(first(events, "velocity"))
     with Image.open(tmp_path / "a.gif") as picture:
         assert picture.n_frames == pytest.approx((about.end - about.begin) / 8, abs=2)
         assert picture.info["duration"] == 40

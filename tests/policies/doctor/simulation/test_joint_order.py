@@ -25,8 +25,8 @@ pytestmark = pytest.mark.slow
 
 
 def some(names):
-    """Every third: a few seconds instead of many."""
-    return joint_variants(names)[::3]
+    """Every sixth, with the exchange and the reversal that are tried here: a few seconds instead of many."""
+    return joint_variants(names)[::6]
 
 
 EXCHANGED = [0, 2, 1, 3, 4, 5]
@@ -51,6 +51,7 @@ def reversed_joint(joint, terms):
     return change
 
 
+@pytest.mark.usefixtures("one_goal")
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -68,12 +69,13 @@ def test_helpful_exchange_is_named(shipped_policy, terms, tmp_path, monkeypatch,
     assert "change the joint names accordingly, and import or export it again" in found.text
 
 
+@pytest.mark.usefixtures("one_goal")
 def test_unhelpful_exchanges_are_not_named(arm_policy, monkeypatch):
     """A policy that asks for nothing reaches nothing in any order."""
     monkeypatch.setattr(joint_order, "joint_variants", some)
     found = run_check(CheckContext(arm_policy), "joint order")
     assert found.verdict is Verdict.WARN
-    assert "of 7 exchanges of two joints and reversals of one none helps" in found.text
+    assert "of 3 exchanges of two joints and reversals of one none helps" in found.text
 
 
 def test_every_exchange_and_reversal_is_tried_once():

@@ -5,7 +5,6 @@ import re
 import shutil
 import subprocess
 import sys
-from functools import partial
 
 import numpy as np
 import onnx
@@ -16,14 +15,12 @@ pytest.importorskip("mujoco")
 from onnx import helper
 
 from deploy.policy.contract import CONTRACT_KEY
-from policies.doctor import check_context
 from policies.doctor import cli as checking
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Verdict
 from policies.doctor.checklist import CHECKS, run_check, run_checks
 from policies.doctor.simulation import joint_order
 from policies.doctor.simulation.heat_extrapolation import HeatLoad, winding_temperature
-from policies.doctor.simulation.simulated_run import run_simulation
 from robots.motors.motor import MotorHeat, temperatures
 from robots.spec import load_robot
 from support.arm6 import SPEC
@@ -69,12 +66,6 @@ def nervous(shipped_policy, tmp_path_factory):
     return CheckContext(ailing(shipped_policy, tmp_path_factory.mktemp("nervous"), graph=louder(6.0)))
 
 
-@pytest.fixture
-def brief(monkeypatch):
-    """Simulate 1 s instead of 12 s, for tests of what the first steps already show."""
-    monkeypatch.setattr(check_context, "run_simulation", partial(run_simulation, seconds=1.0))
-
-
 def unobserved(data):
     data["observed"] = None
 
@@ -95,6 +86,7 @@ def test_first_target_is_within_one_action_step(sound):
 # ---- the normalizer ----
 
 
+@pytest.mark.usefixtures("one_goal")
 def test_normalizer_lost_by_the_graph_is_found(sick):
     case = sick(graph=without_normalizer)
     found = run_check(case, "normalizer")
@@ -105,6 +97,7 @@ def test_normalizer_lost_by_the_graph_is_found(sick):
     assert run_check(case, "simulation").verdict is Verdict.FAIL
 
 
+@pytest.mark.usefixtures("one_goal")
 def test_missing_normalizer_is_suspected_and_the_simulation_fails(sick):
     case = sick(graph=without_normalizer, contract=unobserved)
     found = run_check(case, "normalizer")
@@ -114,9 +107,10 @@ def test_missing_normalizer_is_suspected_and_the_simulation_fails(sick):
     assert run_check(case, "training").verdict is Verdict.WARN
     trial = run_check(case, "simulation")
     assert trial.verdict is Verdict.FAIL
-    assert "reached 0 of 24 goals" in trial.text
+    assert "reached 0 of 8 goals" in trial.text
 
 
+@pytest.mark.usefixtures("two_goals")
 def test_scale_in_degrees_gives_unscaled_observations(sick):
     def degrees(data):
         term = data["observation"][0]
@@ -125,12 +119,13 @@ def test_scale_in_degrees_gives_unscaled_observations(sick):
     case = sick(contract=degrees)
     found = run_check(case, "normalizer")
     assert found.verdict is Verdict.WARN
-    assert "the network gets joint_position wrist_2 7" in found.text
+    assert "the network gets joint_position wrist_2 8" in found.text
     training = run_check(case, "training")
     assert training.verdict is Verdict.FAIL
-    assert "off training's, in deviations: joint_position wrist_2 7" in training.text
+    assert "off training's, in deviations: joint_position wrist_2 8" in training.text
 
 
+@pytest.mark.usefixtures("one_goal")
 def test_term_with_too_large_a_scale_has_no_effect(sick):
     def deafen(data):
         data["observation"][3]["scale"] = [850.0] * 3
@@ -147,6 +142,7 @@ def test_term_with_too_large_a_scale_has_no_effect(sick):
 # ---- order and sign that the names do not show ----
 
 
+@pytest.mark.usefixtures("two_goals")
 def test_wrong_joint_order_misses_every_goal(sick, shipped_policy):
     terms = json.loads(metadata(onnx.load(shipped_policy), CONTRACT_KEY).value)["observation"]
     case = sick(graph=in_another_order([2, 0, 1, 3, 5, 4], terms), contract=unobserved)
@@ -157,6 +153,7 @@ def test_wrong_joint_order_misses_every_goal(sick, shipped_policy):
     assert "and order with training" in training.text
 
 
+@pytest.mark.usefixtures("one_goal")
 def test_reversed_actions_miss_every_goal(sick):
     case = sick(graph=answering(helper.make_node("Neg", ["said"], ["action"])))
     trial = run_check(case, "simulation")
@@ -187,6 +184,7 @@ def test_a_default_pose_that_is_not_home_jumps_at_activation(sick, brief):
     assert "the home pose of robot.toml is not the default pose of training" in found.text
 
 
+@pytest.mark.usefixtures("one_goal")
 def test_doubled_scale_starts_too_fast(double):
     found = run_check(double, "first target")
     assert found.verdict is Verdict.WARN
@@ -196,6 +194,7 @@ def test_doubled_scale_starts_too_fast(double):
 # ---- delay, jitter, shaking ----
 
 
+@pytest.mark.usefixtures("one_goal")
 def test_noisy_policy_shakes(nervous):
     found = run_check(nervous, "chatter")
     assert found.verdict is Verdict.WARN
@@ -209,6 +208,7 @@ def test_noisy_policy_shakes(nervous):
         ("double", Verdict.FAIL, "with actions only 10 ms late"),
     ],
 )
+@pytest.mark.usefixtures("one_goal")
 def test_delay_absent_in_training_is_named(request, policy, verdict, said):
     found = run_check(request.getfixturevalue(policy), "delay")
     assert found.verdict is verdict
@@ -216,6 +216,7 @@ def test_delay_absent_in_training_is_named(request, policy, verdict, said):
     assert "measure the robot's delay from sensor to motion, and train with it" in found.text
 
 
+@pytest.mark.usefixtures("one_goal")
 def test_policy_sensitive_to_jitter_is_named(nervous):
     found = run_check(nervous, "jitter")
     assert found.verdict is Verdict.WARN
@@ -223,6 +224,7 @@ def test_policy_sensitive_to_jitter_is_named(nervous):
     assert "run it on a computer with reliable timing" in found.text
 
 
+@pytest.mark.usefixtures("one_goal")
 def test_stops_by_late_packets_are_named(sick, tmp_path):
     robot, digest = robot_and_digest(tmp_path, toml=[("delay_s = 0.008", "delay_s = 0.025")])
     found = run_check(sick(robot, contract=digest), "simulation")
@@ -316,9 +318,12 @@ def test_walking_robot_is_checked(tmp_path, brief):
     assert "does not tell whether training had one" in run_check(case, "normalizer").text
 
 
-@pytest.mark.parametrize("command_s", [2.0, 30.0])
-def test_walking_robot_without_a_finished_command_does_not_count_as_working(tmp_path, command_s):
+@pytest.mark.parametrize(("command_s", "seconds"), [(2.0, 4.2), (30.0, 12.2)])
+def test_walking_robot_without_a_finished_command_does_not_count_as_working(
+    tmp_path, simulate_for, command_s, seconds
+):
     """Trained with gravity of the other sign it asks for nothing upright; as it is here, it folds up."""
+    simulate_for(seconds)
     folder = shutil.copytree(QUADRUPED.folder, tmp_path / "robot")
     text = (folder / "robot.toml").read_text()
     (folder / "robot.toml").write_text(text.replace("command_s = 2.0", f"command_s = {command_s}"))
@@ -389,12 +394,13 @@ def command(monkeypatch, capsys):
     return run
 
 
+@pytest.mark.usefixtures("one_goal")
 def test_command_prints_every_row_and_exits_with_1_on_a_failure(command, arm_policy, monkeypatch):
     monkeypatch.setattr(joint_order, "VARIANTS_MAX", 1)
     code, said, _ = command(arm_policy)
     assert code == 1
     assert all(f" {check} " in said for check in CHECKS)
-    assert "8 robots reached 0 of 24 goals" in said
+    assert "8 robots reached 0 of 8 goals" in said
     assert "6 joints have too many orders to try" in said
 
 
