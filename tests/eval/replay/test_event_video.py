@@ -8,9 +8,8 @@ import pytest
 from mcap.reader import make_reader
 from onnx import helper
 from PIL import Image
-from rich.console import Console
 
-from support.eval.bundles import first, replayed
+from support.eval.bundles import replayed
 from support.faulty_policies import written
 from support.walking import PLACES, QUADRUPED, walking_contract
 
@@ -18,10 +17,11 @@ pytest.importorskip("mujoco")
 
 from deploy.policy.policy import Policy
 from eval.replay import bundle
+from eval.replay.event_capture import EventCapture
 from eval.replay.event_video import opengl_context
 from eval.replay.replayer import Replay
+from eval.shard.shard import Shard
 from eval.soak.configuration import SoakConfig
-from eval.soak.workers import run_soak
 from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError
 
@@ -64,7 +64,10 @@ def fallen(tmp_path_factory):
     path = written(folder, [node], {"w": w}, contract)
     how = {"budget": BUDGET, "hours": 2 / 3600, "robots": 1, "seed": 3, "workers": 1}
     policy = Policy.load(path, QUADRUPED)
-    run_soak(SoakConfig(spec=QUADRUPED, policy=policy, policy_path=path, **how), folder, Console(quiet=True))
+    (job,) = SoakConfig(spec=QUADRUPED, policy=policy, policy_path=path, **how).jobs()
+    shard = Shard(job)
+    capture = EventCapture(job, shard, folder / "events")
+    shard.run(lambda _: None, lambda: False, lambda: capture.flush(shard), capture.observe)
     return min((folder / "events").iterdir())
 
 

@@ -7,6 +7,7 @@ from deploy.policy.policy import Policy
 from eval.statistics.budget import BUDGET
 from support.arm6 import SPEC
 from support.policies import policy_model, saved
+from support.shared import made_once
 
 
 @pytest.fixture(scope="session")
@@ -16,12 +17,23 @@ def finished(tmp_path_factory):
     `soak`; `kept`, the folder of its checkpoints and bundles; `shards`, its results. Nobody may change them.
     """
     from eval.shard.job import WIDTH
+    from eval.shard.judging import shard_result
     from eval.soak.configuration import SoakConfig
     from eval.soak.workers import run_soak
 
-    folder = tmp_path_factory.mktemp("finished")
-    path = saved(policy_model(), folder)
-    options = {"budget": BUDGET, "hours": 0.0013, "robots": WIDTH + 2, "seed": 3, "workers": 1}
-    soak = SoakConfig(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **options)
-    shards = run_soak(soak, folder / "unfinished", Console(quiet=True))
-    return SimpleNamespace(soak=soak, kept=folder / "unfinished", shards=shards)
+    def config(folder):
+        path = folder / "policy.onnx"
+        options = {"budget": BUDGET, "hours": 0.0013, "robots": WIDTH + 2, "seed": 3, "workers": 1}
+        return SoakConfig(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **options)
+
+    def make(folder):
+        saved(policy_model(), folder)
+        run_soak(config(folder), folder / "unfinished", Console(quiet=True))
+
+    folder = made_once(tmp_path_factory, "finished", make)
+    soak, kept = config(folder), folder / "unfinished"
+    shards = [
+        shard_result(SPEC, soak.policy.contract, job.robots, soak.checkpoint(number, kept).load())
+        for number, job in enumerate(soak.jobs())
+    ]
+    return SimpleNamespace(soak=soak, kept=kept, shards=shards)
