@@ -16,7 +16,6 @@ from eval.bench.soak_setup import SEED
 from eval.bench.stopwatch import Stopwatch
 from eval.bench.trial import Trial
 from eval.shard.job import ARM_S, WIDTH
-from robots.arrays import Floats
 from robots.models.mujoco_model import INPUTS, load_mujoco
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
@@ -137,17 +136,12 @@ def _print_rates(spec: RobotSpec, policy: Path, times: dict[int, dict[str, float
 
 def _bare_physics_rate(spec: RobotSpec, robots: int) -> float:
     batch = Batch(load_mujoco(spec), robots, nthread=1)
-    batch.qpos = spec.joint_array("q_home")
-    batch.ctrl = _home_controls(spec, batch.model.actuator_gear[:, 0])
+    batch.qpos, controls = spec.joint_array("q_home"), np.zeros((spec.n, INPUTS))
+    controls[:, 0] = batch.model.actuator_gear[:, 0] * spec.joint_array("q_home")
+    batch.ctrl = controls.ravel()
     substeps, ticks = spec.rates.physics_hz // spec.rates.control_hz, 200
     batch.step(nstep=20 * substeps)
     began = time.perf_counter()
     for _ in range(ticks):
         batch.step(nstep=substeps)
     return ticks * robots * spec.dt / (time.perf_counter() - began)
-
-
-def _home_controls(spec: RobotSpec, gear: Floats) -> Floats:
-    controls = np.zeros((spec.n, INPUTS))
-    controls[:, 0] = gear * spec.joint_array("q_home")
-    return controls.ravel()

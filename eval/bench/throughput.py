@@ -75,14 +75,12 @@ def _shard_worker(folder: Path, policy: Path, number: int, barrier: Any, sender:
         gc.collect()
         gc.freeze()
         physics = RolloutReplay(shard.robot.plant.batch)
-        sender.send([_round(run, physics, barrier) for _ in range(ROUNDS)])
+        rounds = []
+        for _ in range(ROUNDS):
+            physics.record()
+            rounds.append((_timed(lambda: run(ROUND_S), barrier), _timed(physics.replay, barrier)))
+        sender.send(rounds)
         gc.unfreeze()
-
-
-def _round(run: Callable[[float], None], physics: "RolloutReplay", barrier: Any) -> tuple[float, float]:
-    """Return s of a shard's round, and of its physics alone."""
-    physics.record()
-    return _timed(lambda: run(ROUND_S), barrier), _timed(physics.replay, barrier)
 
 
 def _timed(work: Callable[[], None], barrier: Any) -> float:

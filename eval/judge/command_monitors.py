@@ -17,8 +17,7 @@ SENT_TOLERANCE = 1e-4
 
 
 def _torque_difference(window: TickWindow) -> Floats:
-    _, drives_on = window.sent_differences[0]
-    return zero_unless(drives_on, window.now.tau_sent - window.before.tau_sent)
+    return zero_unless(window.sent_differences[0].drives_on, window.now.tau_sent - window.before.tau_sent)
 
 
 def _jump(window: TickWindow) -> Floats:
@@ -31,24 +30,19 @@ def _jump(window: TickWindow) -> Floats:
     missed = np.abs(window.now.sent - window.before.q) - window.robot.limits.arming_rad
     jump[first] = np.maximum(missed, 0.0)[first]
     second = now & before & ~on[PAST - 2 : -2]
-    jump[second] = window.sent_differences[0][0][second]
+    jump[second] = window.sent_differences[0].values[second]
     return jump
 
 
 def _motion_sent(name: str, unit: str, limit: str, order: int, ordinal: str) -> Monitor:
     """Declare the monitor of a difference of the angles sent, 0 where it looks at a tick without power."""
-
-    def difference(window: TickWindow) -> Floats:
-        values, drives_on = window.sent_differences[order - 1]
-        return zero_unless(drives_on, values)
-
     return JointMonitor(
         name=name,
         unit=unit,
         hard=True,
         meaning=f"{ordinal} backward difference of angles sent",
         limit=lambda robot: robot.spec.joint_array(limit),
-        value=difference,
+        value=lambda window: zero_unless(*window.sent_differences[order - 1]),
         difference_order=order,
         tolerance=SENT_TOLERANCE,
     )

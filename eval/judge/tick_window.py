@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,6 +47,17 @@ class JudgedRobot:
         return SingularityMetric(self.spec)
 
 
+class SentDifference(NamedTuple):
+    """Backward difference of the angles sent.
+
+    Attributes:
+        drives_on: (T, R) in all ticks that the difference looks at. values: (T, R, n) rad.
+    """
+
+    drives_on: Bools
+    values: Floats
+
+
 class TickWindow:
     """Ticks to be judged, each beside the tick before it, and values that several monitors share.
 
@@ -76,15 +88,12 @@ class TickWindow:
         return self.now.tau * self.now.qd
 
     @cached_property
-    def sent_differences(self) -> tuple[tuple[Floats, Bools], ...]:
-        """First, second and third backward difference of the angles sent (T, R, n), in rad.
-
-        Each with (T, R): drives on in all ticks that the difference looks at.
-        """
+    def sent_differences(self) -> tuple[SentDifference, ...]:
+        """First, second and third backward difference of the angles sent."""
         values, on, found = self.ticks.sent, self.drives_on, []
         for order in range(1, PAST + 1):
             values, on = np.diff(values, axis=0), on[1:] & on[:-1]
-            found.append((values[PAST - order :], on[PAST - order :]))
+            found.append(SentDifference(on[PAST - order :], values[PAST - order :]))
         return tuple(found)
 
 

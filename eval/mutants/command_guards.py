@@ -160,13 +160,13 @@ SAFETY = (
     ),
     Mutant(
         guard="safety: the stop's first step, middle and end are not checked",
-        remove_guard=skip_stop_checks(ahead=False, mid_stop=False, rest=False),
+        remove_guard=skip_stop_checks(),
         situation=TABLE,
         monitor="workspace",
     ),
     Mutant(
         guard="safety: the end of the stop is not checked",
-        remove_guard=skip_stop_checks(rest=False),
+        remove_guard=skip_stop_checks(rest_only=True),
         situation=WRIST,
         monitor="self_collision",
     ),

@@ -67,15 +67,13 @@ def ignore_reasons(reasons: Reason) -> GuardRemoval:
     return remove_guard
 
 
-def skip_stop_checks(*, ahead: bool = True, mid_stop: bool = True, rest: bool = True) -> GuardRemoval:
-    """Give safety the setpoint instead of parts of the prepared stop: those that are False."""
+def skip_stop_checks(*, rest_only: bool = False) -> GuardRemoval:
+    """Give safety the setpoint in place of the prepared stop, or in place of the stop's end alone."""
 
     def step(
         check: Callable[..., Verdict], state: State, sent: Setpoint, now: Setpoint, *stop: Any
     ) -> Verdict:
-        first, q_mid_stop, q_rest = stop
-        checked = first if ahead else now, q_mid_stop if mid_stop else now.q, q_rest if rest else now.q
-        return check(state, sent, now, *checked)
+        return check(state, sent, now, *(stop[:2] if rest_only else (now, now.q)), now.q)
 
     return lambda runtime: wrap_method(runtime.safety, "step", step)
 

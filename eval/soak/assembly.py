@@ -53,20 +53,19 @@ def assemble(
     )
 
 
+def _padded(parts: Sequence[NDArray[Any]], **how: Any) -> list[NDArray[Any]]:
+    longest = max(map(len, parts))
+    return [np.pad(p, ((0, longest - len(p)), *((0, 0),) * (p.ndim - 1)), **how) for p in parts]
+
+
 def pad_and_join(parts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Join (T, ..., R, n) of shards along the robots; shorter ones are padded with NaN."""
-    longest = max(map(len, parts))
-    padded = [
-        np.pad(p, ((0, longest - len(p)), *((0, 0),) * (p.ndim - 1)), constant_values=np.nan) for p in parts
-    ]
-    return np.concatenate(padded, axis=-2)
+    return np.concatenate(_padded(parts, constant_values=np.nan), axis=-2)
 
 
 def _join_totals(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     """Join running totals (T, R, ...) of shards along the robots; shorter ones keep their last values."""
-    longest = max(map(len, parts))
-    padded = [np.pad(p, ((0, longest - len(p)), *((0, 0),) * (p.ndim - 1)), "edge") for p in parts]
-    return np.concatenate(padded, axis=1)
+    return np.concatenate(_padded(parts, mode="edge"), axis=1)
 
 
 def running_total(parts: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:

@@ -21,7 +21,7 @@ DT = 0.005
 FEET = 4
 STAND = np.tile([0.0, 0.7, -1.4], FEET)
 """rad, abduction, hip and knee of each leg: the foot is under its hip."""
-LEFT, FRONT, DIAGONAL = np.array([1, -1, 1, -1]), np.array([1, 1, -1, -1]), np.array([0.0, 1.0, 1.0, 0.0])
+FRONT, DIAGONAL = np.array([1, 1, -1, -1]), np.array([0.0, 1.0, 1.0, 0.0])
 SETTLED_S = 0.5
 """s to drop onto the feet."""
 FOOT_STD, FOOT_SPEED_STD, CONTACT_N = 0.001, 0.02, 10.0

@@ -76,11 +76,8 @@ def events(counts: Counts, bundles: Sequence[str]) -> tuple[EventRow, ...]:
     """Return the events recorded one by one, hard ones first, each with its bundle if there is one."""
     known = {PurePosixPath(bundle).name: bundle for bundle in bundles}
     log = sorted(counts.log(), key=lambda event: (not event.monitor.hard, event.start, event.robot))
-    return tuple(_event(event, counts.dt, known.get(_bundle(event))) for event in log)
-
-
-def _bundle(event: Event) -> str:
-    return bundle_name(event.robot, event.start, event.monitor.name)
+    names = (bundle_name(event.robot, event.start, event.monitor.name) for event in log)
+    return tuple(_event(event, counts.dt, known.get(name)) for event, name in zip(log, names, strict=True))
 
 
 def _event(event: Event, dt: float, bundle: str | None) -> EventRow:
