@@ -14,21 +14,25 @@ from eval.replay.replayer import Replay, ReplayResult
 BEFORE, AFTER = 5, 10
 """Ticks shown before an event, and from its start on."""
 TOOL_COLUMNS = ("x m", "y m", "z m", "speed m/s")
-JOINT_COLUMNS = ("q sent", "q true", "q est.", "qd true", "N·m sent", "N·m true", "winding °C")
+JOINT_COLUMNS = {
+    **{"q sent": "q_sent", "q true": "q_true", "q est.": "q", "qd true": "qd_true"},
+    **{"N·m sent": "tau_sent", "N·m true": "tau_true", "winding °C": "winding_true_c"},
+}
+"""Signals of a row by the titles of their columns."""
 
 
 def table(replay: Replay, result: ReplayResult) -> Iterator[str]:
     """Yield load (1 at the limit), mode and signals of each tick, bad ticks marked with !, then each stop's reason."""
     event, spec = replay.info.event, replay.spec
     joint = None if event.joint is None else spec.joint_names.index(event.joint)
-    names = TOOL_COLUMNS if joint is None else JOINT_COLUMNS
+    names = TOOL_COLUMNS if joint is None else tuple(JOINT_COLUMNS)
     yield _line(" tick", "mode", "load", names, "reasons")
     start = event.start - replay.info.begin
     for place in range(max(0, start - BEFORE), min(len(result.rows), start + AFTER)):
         row, load = result.rows[place], result.load[place]
-        numbers = _tool_values(row) if joint is None else _joint_values(row, joint)
+        joint_values = (row[name][joint] for name in JOINT_COLUMNS.values())
+        shown = tuple(f"{x:.4g}" for x in (_tool_values(row) if joint is None else joint_values))
         mark, reason = " " if load <= 1 else "!", int(row["reason"])
-        shown = tuple(f"{x:.4g}" for x in numbers)
         tick, mode = f"{mark}{place - start:+4d}", Mode(int(row["mode"])).name
         yield _line(tick, mode, f"{load:.4g}", shown, describe(reason) if reason else "")
     for place, text in result.stops.items():
@@ -42,11 +46,6 @@ def _line(tick: str, mode: str, load: str, numbers: tuple[str, ...], reasons: st
 def _tool_values(row: Rows) -> tuple[float, ...]:
     velocity = row["tool_velocity_true"]
     return (*row["tool_true"].tolist(), float(velocity @ velocity) ** 0.5)
-
-
-def _joint_values(row: Rows, joint: int) -> tuple[float, ...]:
-    names = ("q_sent", "q_true", "q", "qd_true", "tau_sent", "tau_true", "winding_true_c")
-    return tuple(float(row[name][joint]) for name in names)
 
 
 class Mismatch(NamedTuple):
