@@ -191,11 +191,7 @@ class Distributions(Strict):
 
 
 def load_distributions(spec: RobotSpec) -> Distributions:
-    """Read the robot's draws.toml.
-
-    Raises:
-        ConfigError: unreadable, misspelt, beyond physical bounds, or packets that are delayed longer than the buffer.
-    """
+    """Read the robot's draws.toml; refuse (ConfigError) spans beyond physical bounds or the simulated bus."""
     path = spec.folder / "draws.toml"
     distributions = read_toml(path, Distributions, ConfigError)
     errors = distributions.sensors

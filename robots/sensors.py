@@ -127,11 +127,7 @@ def channels(kind: Kind, sensor: Sensor, joints: int) -> int:
 
 
 def check_sensors(sensors: Sensors, control_hz: int) -> None:
-    """Check the sensors of a robot against each other and the control rate.
-
-    Raises:
-        ValueError: one is missing, in another unit, at no site or at too many, or faster than the control rate.
-    """
+    """Refuse (ValueError) sensors that are missing, in another unit, at wrong sites, or faster than `control_hz`."""
     for kind in NEEDED:
         if kind not in sensors:
             raise ValueError(f"sensors: no {kind}; found {', '.join(sensors) or 'none'}")

@@ -234,11 +234,7 @@ class _RobotFile(RobotSpec):
 
 
 def load_robot(robot: str | Path) -> RobotSpec:
-    """Read a robot by its name in `robots/` or by the path of its folder.
-
-    Raises:
-        RobotError: no such robot, or a file of it is unreadable, misspelt or out of bounds.
-    """
+    """Read a robot by its name in `robots/` or by the path of its folder; RobotError names what is wrong in it."""
     folder = Path(robot)
     if not folder.is_dir():
         folder = ROBOTS / str(robot)

@@ -148,11 +148,7 @@ def find_task(name: str, given: str) -> type[Task]:
 
 
 def sources_of(name: str) -> Mapping[str, ObservationSource]:
-    """Return the observation sources of every robot and those of a task, by name.
-
-    Raises:
-        ConfigError: no such task is installed, or it declares a source that robots have.
-    """
+    """Return the observation sources of every robot and those of a task, which must have other names."""
     task = find_task(name, f"task: found {name!r}")
     if twice := sorted(task.sources.keys() & SOURCES.keys()):
         raise ConfigError(f"task {name!r}: sources: found {', '.join(twice)}, which every robot has")

@@ -37,11 +37,7 @@ def compile_model(mjcf: mujoco.MjSpec, model: Path) -> mujoco.MjModel:
 
 
 def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
-    """Read the model at the robot's physics rate, with the drives of robot.toml, to compile or to add to.
-
-    Raises:
-        RobotError: MuJoCo cannot read it, or it lacks a part that robot.toml names.
-    """
+    """Read the model at the robot's physics rate, with the drives of robot.toml, to compile or to add to."""
     mjcf = open_model(spec.model_path, spec.folder)
     if spec.base and is_urdf(spec.model_path):  # URDF cannot declare a free root
         mjcf.worldbody.bodies[0].add_freejoint()
@@ -151,11 +147,7 @@ def _needed(value: float | None, field: str, theirs: str, joint: Joint, spec: Ro
 
 
 def load_mujoco(spec: RobotSpec) -> mujoco.MjModel:
-    """Compile model.xml at the robot's physics rate.
-
-    Raises:
-        RobotError: MuJoCo cannot read it, or its joints, drives or tool are not those of robot.toml.
-    """
+    """Compile the model at the physics rate; refuse (RobotError) other joints, drives or tool than robot.toml's."""
     path, model = spec.model_path, compile_model(read_mjcf(spec), spec.model_path)
     free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
     if free.any() != (spec.base is not None):

@@ -17,11 +17,7 @@ _SET_ASIDE = "/body"
 
 
 def read_pinocchio(spec: RobotSpec) -> Read:
-    """Return model and collision geometry, not yet compared with robot.toml; a floating base becomes the world.
-
-    Raises:
-        RobotError: Pinocchio cannot read the file or would leave a part of it out, or it has no such joint or body.
-    """
+    """Return model and collision geometry, not yet compared with robot.toml; a floating base becomes the world."""
     path = spec.model_path
     referenced_files(path, spec.folder)
     try:
