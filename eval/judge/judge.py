@@ -113,13 +113,14 @@ class Judge(Stage):
             attempted: (B,) goals over so far. Where it rises, the goal of the tick before is over.
         """
         tilt = 0.0 if truth.base is None else true_tilt(truth.base)
+        finite = True if action is None else np.isfinite(action).all(axis=1)
         # In the order of `Ticks`: keywords would cost as much as the copying.
         tick: tuple[Any, ...] = (
             *(target.q, truth.q, truth.qd, truth.tau, truth.winding_c),
             *(command.q, command.tau, state.q, state.q_var),
             *(truth.tool_position, truth.tool_velocity, achieved, goal),
             *(state.age, truth.contact_n, tilt),
-            *(command.powered, _finite(action), truth.self_collision, truth.valid),
+            *(command.powered, finite, truth.self_collision, truth.valid),
             *(mode, reason, attempted, observation[:, : self._size]),
         )
         self.buffer.append(tick)
@@ -201,11 +202,6 @@ class Judge(Stage):
             if reached is not None:
                 self.reached += reached
         self.attempted[:] = now.attempted[-1]
-
-
-def _finite(action: NDArray[np.floating] | None) -> Any:
-    """(B,) all numbers of the action are finite; True without an action."""
-    return True if action is None else np.isfinite(action).all(axis=1)
 
 
 def _bad_ticks(block: RatioBlock, first_tick: int) -> BadTicks:

@@ -45,7 +45,8 @@ class LimitRatios:
         self._applies = [monitor in channels.monitors for monitor in channels.catalogue]
         limits = [self._limit(*each) for each in zip(channels.catalogue, self._applies, strict=True)]
         self.limits, monitors = np.concatenate(limits), zip(channels.catalogue, limits, strict=True)
-        scales = [1.0 / _undivided(monitor, limit, robot.spec.dt) for monitor, limit in monitors]
+        # A difference is not divided by dt, and its limit includes the monitor's tolerance.
+        scales = [1.0 / (x * robot.spec.dt**m.difference_order * (1 + m.tolerance)) for m, x in monitors]
         self._joint_scale = np.stack([np.tile(s, robots) for s in scales[: self._joint_monitors]])[:, None]
         self._robot_scale = np.array(scales[self._joint_monitors :])[:, None]
         self._allocate()
@@ -99,8 +100,3 @@ class LimitRatios:
         bins = self._bins[: len(scaled.flat)]
         np.copyto(bins, scaled.flat, casting="unsafe")
         return np.bincount(bins, minlength=len(self.limits) * BINS).reshape(-1, BINS)
-
-
-def _undivided(monitor: Monitor, limit: Floats, dt: float) -> Floats:
-    """Limit of a difference that is not divided by dt, with the monitor's tolerance."""
-    return limit * dt**monitor.difference_order * (1 + monitor.tolerance)

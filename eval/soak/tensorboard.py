@@ -36,7 +36,8 @@ def _points(config: SoakConfig, shards: Sequence[ShardResult], start: float) -> 
     """One event for each interval, at its end, with the rates and shares of that interval."""
     sample_s = config.sample_ticks * config.spec.dt
     totals = {name: running_total([getattr(shard, name) for shard in shards]) for name in _TOTALS}
-    ticks = running_total([_simulated_ticks(config, shard) for shard in shards])
+    samples = [np.arange(len(shard.running))[:, None] * np.ones_like(shard.running) for shard in shards]
+    ticks = config.sample_ticks * running_total(samples)
     hot, folded = (pad_and_join([getattr(s, name) for s in shards]) for name in ("winding_c", "folded_back"))
     edges = intervals(len(ticks) - 1, sample_s)
     per_s = round(1 / config.spec.dt)
@@ -56,10 +57,6 @@ def intervals(samples: int, sample_s: float) -> list[int]:
     """Return the samples that separate intervals: at most `POINTS` intervals, none shorter than a step."""
     width = max(1, -(-samples // POINTS), int(np.ceil(1 / sample_s)))
     return [*range(0, max(1, samples - width + 1), width), samples] if samples else [0]
-
-
-def _simulated_ticks(config: SoakConfig, shard: ShardResult) -> Ints:
-    return config.sample_ticks * np.arange(len(shard.running))[:, None] * np.ones_like(shard.running)
 
 
 def _work(increase: dict[str, Ints], ticks: Ints, hours: float) -> dict[str, float]:
