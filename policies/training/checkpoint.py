@@ -57,12 +57,7 @@ class Checkpoint:
 def save_checkpoint(
     path: Path, actor: Actor, contract: Contract, rollout: Tensor, *, seed: int, recipe: str
 ) -> None:
-    """Write a checkpoint atomically; the arguments are the attributes of `Checkpoint`.
-
-    Raises:
-        ContractError: `load_checkpoint` would refuse it.
-        OutputError: the file cannot be written.
-    """
+    """Write a checkpoint atomically, if `load_checkpoint` accepts it; the arguments are its attributes."""
     file = {
         "format": 1,
         "actor": {name: tensor.detach().cpu().clone() for name, tensor in actor.state_dict().items()},
@@ -79,31 +74,23 @@ def save_checkpoint(
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """Read a checkpoint; no code in the file is run.
-
-    Raises:
-        ContractError: naming the file, the key, what was found and what was expected.
-    """
+    """Read a checkpoint; no code in the file is run. ContractError names file, key, found and expected value."""
     return _checked(load_tensors(path, "expected a checkpoint of policy-train"), str(path))
 
 
 def _checked(data: object, source: str) -> Checkpoint:
     file = parse(data, _File, source=source, error=ContractError)
     contract = Contract.from_json(file.contract, f"{source}: contract")
-    sizes = (contract.observation_size, contract.action_size)
     with torch.device("meta"):  # shapes only
-        actor = Actor(*sizes, file.layers)
+        actor = Actor(contract.observation_size, contract.action_size, file.layers)
     _check_weights(file.actor, actor.state_dict(), source)
     if (rows := len(file.rollout) if file.rollout.dim() else 0) < ROLLOUT_MIN:
         raise ContractError(f"{source}: rollout: found {rows} observations, expected at least {ROLLOUT_MIN}")
-    check_tensor(file.rollout, (rows, sizes[0]), f"{source}: rollout")
+    check_tensor(file.rollout, (rows, contract.observation_size), f"{source}: rollout")
     actor.load_state_dict(file.actor, assign=True)
+    actor.eval().requires_grad_(False)
     return Checkpoint(
-        actor=actor.eval().requires_grad_(False),
-        contract=contract,
-        rollout=file.rollout,
-        seed=file.seed,
-        recipe=file.recipe,
+        actor=actor, contract=contract, rollout=file.rollout, seed=file.seed, recipe=file.recipe
     )
 
 

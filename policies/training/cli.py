@@ -18,7 +18,7 @@ from policies.training.envs import RuntimeEnv
 from policies.training.networks import Actor
 from policies.training.recipe import Learner, Recipe, contract_of, find_recipe, load_recipe
 from robots.errors import ConfigError
-from robots.spec import load_robot
+from robots.spec import RobotSpec, load_robot
 
 SAVE_INTERVAL = 200
 ROLLOUT = 2048
@@ -26,34 +26,17 @@ ROLLOUT = 2048
 
 
 def train(recipe: Recipe, text: str, out: Path, *, threads: int) -> Path:
-    """Train by a recipe and write a checkpoint.
+    """Train by a recipe, write a checkpoint and return its path.
 
     Args:
-        recipe: the settings. text: of the recipe, kept in the checkpoint.
-        out: folder for TensorBoard's events, the curves and the checkpoint.
+        text: of the recipe, kept in the checkpoint. out: folder for TensorBoard's events, curves and checkpoint.
         threads: for physics; results do not depend on it.
-
-    Returns:
-        Path of the checkpoint.
-
-    Raises:
-        ConfigError: `out` holds another training.
     """
     if any(out.glob("events.*")):
-        raise ConfigError(
-            f"--out {out}: contains another training, expected an empty folder: the curves would mix"
-        )
-    torch.manual_seed(recipe.seed)
-    # One thread: torch's sums depend on the number of threads, so results would depend on the machine.
-    torch.set_num_threads(1)
+        found = f"--out {out}: contains another training"
+        raise ConfigError(f"{found}, expected an empty folder: the curves would mix")
     spec = load_robot(recipe.robot)
-    env = RuntimeEnv(recipe, spec, threads=threads)
-    runner = OnPolicyRunner(env, _settings(recipe.learner), log_dir=str(out), device="cpu")
-    for number, stage in enumerate(recipe.learner.stages):
-        _set_learning_rate(runner, stage.learning_rate)
-        runner.learn(stage.iterations, init_at_random_ep_len=number == 0)
-        runner.current_learning_iteration += 1
-    policy = runner.get_inference_policy()
+    env, policy = _learn(recipe, spec, out, threads)
     rollout, success = roll_out(env, policy)
     print(f"goals reached without exploration: {100 * success:.2f} %")
     trained = {"recipe": recipe.name, "seed": str(recipe.seed), "goals_reached": f"{success:.4f}"}
@@ -64,6 +47,20 @@ def train(recipe: Recipe, text: str, out: Path, *, threads: int) -> Path:
     return path
 
 
+def _learn(recipe: Recipe, spec: RobotSpec, out: Path, threads: int) -> tuple[RuntimeEnv, MLPModel]:
+    """Run the recipe's learner; return the environment and the trained policy."""
+    torch.manual_seed(recipe.seed)
+    # One thread: torch's sums depend on the number of threads, so results would depend on the machine.
+    torch.set_num_threads(1)
+    env = RuntimeEnv(recipe, spec, threads=threads)
+    runner = OnPolicyRunner(env, _settings(recipe.learner), log_dir=str(out), device="cpu")
+    for number, stage in enumerate(recipe.learner.stages):
+        _set_learning_rate(runner, stage.learning_rate)
+        runner.learn(stage.iterations, init_at_random_ep_len=number == 0)
+        runner.current_learning_iteration += 1
+    return env, runner.get_inference_policy()
+
+
 def _set_learning_rate(runner: OnPolicyRunner, rate: float) -> None:
     runner.alg.learning_rate = rate
     for group in runner.alg.optimizer.param_groups:
@@ -71,11 +68,7 @@ def _set_learning_rate(runner: OnPolicyRunner, rate: float) -> None:
 
 
 def roll_out(env: RuntimeEnv, policy: MLPModel) -> tuple[Tensor, float]:
-    """Run one episode without exploration.
-
-    Returns:
-        (ROLLOUT, N) observations spread over it, in time order, and the share of goals reached.
-    """
+    """Run one episode without exploration; return (ROLLOUT, N) observations over it and the share of goals reached."""
     seen, due, reached = [], 0, 0
     with torch.inference_mode():
         for _ in range(env.max_episode_length):
@@ -90,38 +83,29 @@ def roll_out(env: RuntimeEnv, policy: MLPModel) -> tuple[Tensor, float]:
 
 def _settings(learner: Learner) -> dict[str, Any]:
     """Return the recipe as rsl_rl's configuration."""
-    network = {
-        "class_name": "MLPModel",
-        "hidden_dims": list(learner.hidden),
-        "activation": "elu",
-        "obs_normalization": True,
-    }
+    network: dict[str, Any] = {"class_name": "MLPModel", "hidden_dims": list(learner.hidden)}
+    network |= {"activation": "elu", "obs_normalization": True}
     distribution = {"class_name": "GaussianDistribution", "init_std": learner.init_std, "std_type": "log"}
-    ppo = learner.model_dump(exclude={"stages", "num_steps_per_env", "hidden", "init_std"})
+    ppo = {"class_name": "PPO", "schedule": "fixed", "rnd_cfg": None, "symmetry_cfg": None}
     return {
         "num_steps_per_env": learner.num_steps_per_env,
         "save_interval": SAVE_INTERVAL,
         "obs_groups": {"actor": ["actor"], "critic": ["actor", "privileged"]},
         "actor": {**network, "distribution_cfg": distribution},
         "critic": network,
-        "algorithm": {
-            "class_name": "PPO",
-            "schedule": "fixed",
-            "rnd_cfg": None,
-            "symmetry_cfg": None,
-            **ppo,
-        },
+        "algorithm": ppo | learner.model_dump(exclude={"stages", "num_steps_per_env", "hidden", "init_std"}),
     }
 
 
+RECIPE = typer.Option(help="Recipe: a name in policies/ or a path.")
+OUT = typer.Option(help="Folder for checkpoint, curves and TensorBoard events.")
+THREADS = typer.Option(help="Threads for physics; results do not depend on it.", min=1)
+
+
 def policy_train(
-    recipe: Annotated[str, typer.Option(help="Recipe: a name in policies/ or a path.")] = "arm",
-    out: Annotated[Path, typer.Option(help="Folder for checkpoint, curves and TensorBoard events.")] = Path(
-        "out/train"
-    ),
-    threads: Annotated[
-        int, typer.Option(help="Threads for physics; results do not depend on it.", min=1)
-    ] = 2,
+    recipe: Annotated[str, RECIPE] = "arm",
+    out: Annotated[Path, OUT] = Path("out/train"),
+    threads: Annotated[int, THREADS] = 2,
 ) -> int:
     """Train a policy by a recipe; the checkpoint is <out>/<recipe>.pt."""
     path = find_recipe(recipe)

@@ -25,19 +25,11 @@ class RuntimeEnv(VecEnv):
     """
 
     def __init__(self, recipe: Recipe, spec: RobotSpec, *, threads: int) -> None:
-        """Build runtime and simulation, and arm every robot.
-
-        Args:
-            recipe: rewards and promises.
-            spec: its robot.
-            threads: for physics; results do not depend on it.
-        """
+        """Build runtime and simulation, and arm every robot; results do not depend on the `threads` of physics."""
         self.num_envs, self.num_actions, self.device = recipe.environment.robots, spec.n, "cpu"
-        self.cfg = recipe.model_dump()
+        self.cfg, self._recipe, self._spec = recipe.model_dump(), recipe, spec
         seeds = [training_seed(recipe.seed, robot) for robot in range(self.num_envs)]
-        self._recipe, self._spec = recipe, spec
-        contract = contract_of(recipe, spec, {})
-        self.runtime, self._robot = simulate(spec, contract, seeds, threads=threads)
+        self.runtime, self._robot = simulate(spec, contract_of(recipe, spec, {}), seeds, threads=threads)
         self._task, self._criterion = self.runtime.task, self.runtime.task.criterion
         self._fleet = Fleet(spec, self.num_envs)
         self._limits = Limits(spec, recipe.reward.near_share)
@@ -49,40 +41,33 @@ class RuntimeEnv(VecEnv):
         self._last_action = np.zeros((self.num_envs, spec.n))
         self._restart(np.ones(self.num_envs, dtype=bool))
         # Out of step from the start: goals that change for all robots at once make every batch a different world.
-
-        self.runtime.task.elapsed[:] = self._rng.integers(period, size=self.num_envs)
-        self.runtime.task.elapsed *= self.runtime.decimation
+        self._task.elapsed[:] = self._rng.integers(period, size=self.num_envs) * self.runtime.decimation
         self._observation = self._sense()
 
     def get_observations(self) -> TensorDict:
         """Return the observations of actor and critic."""
         truth, task = self._robot.truth(), self._task
-        privileged = np.concatenate(
-            (
-                truth.q,
-                truth.qd / self._spec.joint_array("qd_max"),
-                task.goal - task.true_achieved(truth),
-                task.elapsed[:, None] * self._spec.dt / self._criterion.period_s,
-                self.runtime.supervisor.stopping[:, None],
-            ),
-            axis=1,
+        privileged = (
+            truth.q,
+            truth.qd / self._spec.joint_array("qd_max"),
+            task.goal - task.true_achieved(truth),
+            task.elapsed[:, None] * self._spec.dt / self._criterion.period_s,
+            self.runtime.supervisor.stopping[:, None],
         )
-        return TensorDict(
-            {
-                "actor": torch.from_numpy(self._observation.copy()),
-                "privileged": torch.from_numpy(privileged).float(),
-            },
-            batch_size=[self.num_envs],
-        )
+        groups = {
+            "actor": torch.from_numpy(self._observation.copy()),
+            "privileged": torch.from_numpy(np.concatenate(privileged, axis=1)).float(),
+        }
+        return TensorDict(groups, batch_size=[self.num_envs])
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, object]]:
         """Run one policy step."""
-        step = self._live(actions.numpy().astype(np.float64))
+        step = self._run_period(actions.numpy().astype(np.float64))
         total, broken = reward(step, self._limits, self._recipe.reward)
         total += shaping(step, self._limits, self._recipe.shaping)
-        self.episode_length_buf += 1
         valid = self._robot.truth().valid
         total = np.where(valid, total, self._recipe.reward.joint_limit)
+        self.episode_length_buf += 1
         time_out = (self.episode_length_buf >= self.max_episode_length).numpy()
         done = broken | time_out | ~valid
         # A goal that a broken limit or a diverged simulation cuts off counts as missed.
@@ -92,19 +77,13 @@ class RuntimeEnv(VecEnv):
         if done.any():
             self._restart(done)
         self._observation = self._sense()
-        extras = {"time_outs": torch.from_numpy(time_out & ~broken).float(), "log": log}
-        return (
-            self.get_observations(),
-            torch.from_numpy(total).float(),
-            torch.from_numpy(done).float(),
-            extras,
-        )
+        rewards, dones, cut = (torch.from_numpy(x).float() for x in (total, done, time_out & ~broken))
+        return self.get_observations(), rewards, dones, {"time_outs": cut, "log": log}
 
-    def _live(self, action: np.ndarray) -> Step:
+    def _run_period(self, action: np.ndarray) -> Step:
         """Act until the policy is due again; the caller does the last `sense`, after resets."""
-        runtime, task = self.runtime, self._task
-        qdd, stopped = runtime.setpoint.qdd.copy(), np.zeros(self.num_envs, dtype=bool)
-        reached = np.zeros(self.num_envs, dtype=bool)
+        runtime, task, qdd = self.runtime, self._task, self.runtime.setpoint.qdd.copy()
+        stopped, reached = np.zeros((2, self.num_envs), dtype=bool)
         goal = task.goal.copy()
         for tick in range(runtime.decimation):
             if tick:
@@ -113,9 +92,15 @@ class RuntimeEnv(VecEnv):
             runtime.act(None if tick else action)
             stopped |= running & (runtime.supervisor.mode == Mode.STOPPING)
             reached |= task.ended & (self._distance(task.ended_goal) <= self._criterion.tolerance)
-        truth, change = self._robot.truth(), runtime.action.last - self._last_action
-        self._last_action[:] = runtime.action.last
         running = runtime.supervisor.mode == Mode.RUNNING
+        decisions = {"reached": reached & running, "running": running, "stopped": stopped}
+        return self._measure(action, goal, qdd, decisions)
+
+    def _measure(self, action: np.ndarray, goal: Floats, qdd: Floats, decisions: dict[str, Bools]) -> Step:
+        """Return the step that has just ended, with the goal and the setpoint's acceleration at its beginning."""
+        runtime, truth = self.runtime, self._robot.truth()
+        change = runtime.action.last - self._last_action
+        self._last_action[:] = runtime.action.last
         return Step(
             q=truth.q,
             qd=truth.qd,
@@ -123,13 +108,11 @@ class RuntimeEnv(VecEnv):
             qdd_change=runtime.setpoint.qdd - qdd,
             dt=runtime.decimation * self._spec.dt,
             distance=self._distance(goal),
-            reached=reached & running,
             q_target=runtime.target.q,
             action_change=change,
             action_excess=self._excess(action),
             manipulability=self._manipulability(truth.q),
-            running=running,
-            stopped=stopped,
+            **decisions,
         )
 
     def _manipulability(self, q: Floats) -> Floats:
@@ -173,8 +156,6 @@ class RuntimeEnv(VecEnv):
         if self.due > 0:
             log["Task/success"] = self.reached / self.due
         if done.any():
-            log |= {
-                f"joint_limit_violations/{name}": float(count[done].mean())
-                for name, count in self._violations.items()
-            }
+            counts = self._violations.items()
+            log |= {f"joint_limit_violations/{name}": float(count[done].mean()) for name, count in counts}
         return log

@@ -62,13 +62,13 @@ def _unsupported_parts(model: "MLPModel") -> Iterator[str]:
     from rsl_rl.modules.distribution import GaussianDistribution
 
     # Exact types: a subclass may compute something else under the same attributes.
-    if type(model) is not MLPModel:
-        yield f"found {type(model).__name__}, expected MLPModel"
-    if model.obs_normalization and type(model.obs_normalizer) is not EmpiricalNormalization:
-        yield f"found normalizer {type(model.obs_normalizer).__name__}, expected EmpiricalNormalization"
-    if model.distribution is not None and type(model.distribution) is not GaussianDistribution:
-        yield f"found distribution {type(model.distribution).__name__}, expected GaussianDistribution"
-    found = [type(layer).__name__ for layer in model.mlp]
-    expected = ["Linear", "ELU"] * (len(found) // 2) + ["Linear"]
-    if found != expected:
-        yield f"found layers {', '.join(found)}, expected {', '.join(expected)}"
+    for part, found, expected in (
+        ("", model, MLPModel),
+        ("normalizer ", model.obs_normalizer if model.obs_normalization else None, EmpiricalNormalization),
+        ("distribution ", model.distribution, GaussianDistribution),
+    ):
+        if found is not None and type(found) is not expected:
+            yield f"found {part}{type(found).__name__}, expected {expected.__name__}"
+    layers = [type(layer).__name__ for layer in model.mlp]
+    if layers != (plain := ["Linear", "ELU"] * (len(layers) // 2) + ["Linear"]):
+        yield f"found layers {', '.join(layers)}, expected {', '.join(plain)}"

@@ -7,7 +7,6 @@ from pydantic import Field, PositiveFloat, PositiveInt
 
 from deploy.policy.contract import ActionSpec, Contract
 from deploy.policy.contract_term import Term
-from deploy.policy.observation_sources import ObservationSource
 from deploy.tasks.task import find_task, sources_of
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
@@ -146,16 +145,15 @@ def load_recipe(path: Path) -> Recipe:
 
 
 def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Contract:
-    """Return the contract of a policy trained by a recipe.
-
-    Args:
-        recipe: the recipe.
-        spec: its robot.
-        trained: provenance.
-    """
-    n, promise, sources = spec.n, recipe.promise, sources_of(recipe.task)
-    task = find_task(recipe.task, "recipe: task")
-    scales = task.observation_scales(spec, reach_m=promise.reach_m, leash_rad=promise.leash_rad)
+    """Return the contract of a policy trained by a recipe for its robot; `trained` is its provenance."""
+    n, promise = spec.n, recipe.promise
+    action = ActionSpec(
+        mode="position_increment",
+        size=n,
+        scale=(promise.increment_rad,) * n,
+        clip=(-1.0, 1.0),
+        leash_rad=promise.leash_rad,
+    )
     return Contract(
         robot=spec.name,
         robot_digest=spec.digest,
@@ -163,20 +161,21 @@ def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Con
         policy_hz=promise.policy_hz,
         control_hz=spec.rates.control_hz,
         task=recipe.task,
-        observation=tuple(_term(name, sources[name], scale) for name, scale in scales.items()),
-        action=ActionSpec(
-            mode="position_increment",
-            size=n,
-            scale=(promise.increment_rad,) * n,
-            clip=(-1.0, 1.0),
-            leash_rad=promise.leash_rad,
-        ),
+        observation=_terms(recipe, spec),
+        action=action,
         trained=trained,
     )
 
 
-def _term(name: str, source: ObservationSource, scale: list[float]) -> Term:
-    """Return a term without clip or history, divided by its physical maximum."""
-    return Term(
-        name=name, source=name, frame=source.frame, unit=source.unit, size=len(scale), scale=tuple(scale)
-    )
+def _terms(recipe: Recipe, spec: RobotSpec) -> tuple[Term, ...]:
+    """Return terms without clip or history, each divided by its physical maximum."""
+    task, sources = find_task(recipe.task, "recipe: task"), sources_of(recipe.task)
+    promise = recipe.promise
+    scales = task.observation_scales(spec, reach_m=promise.reach_m, leash_rad=promise.leash_rad)
+    terms = []
+    for name, scale in scales.items():
+        frame, unit = sources[name].frame, sources[name].unit
+        terms.append(
+            Term(name=name, source=name, frame=frame, unit=unit, size=len(scale), scale=tuple(scale))
+        )
+    return tuple(terms)
