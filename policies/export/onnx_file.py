@@ -14,6 +14,7 @@ from robots.errors import ContractError
 from robots.spec import RobotSpec
 
 T = TypeVar("T")
+Compare = Callable[[Policy], T]
 
 
 def write_policy(
@@ -22,14 +23,9 @@ def write_policy(
     contract: Contract,
     golden: Golden,
     spec: RobotSpec,
-    compare: Callable[[Policy], T],
+    compare: Compare[T],
 ) -> tuple[str, T]:
-    """Write the file if it loads on its robot and `compare` accepts it; return its SHA-256 and the comparison.
-
-    Raises:
-        ContractError: the loader or `compare` refuses the file.
-        OutputError: `out_path` cannot be written.
-    """
+    """Write the file if it loads on its robot and `compare` accepts it; return its SHA-256 and the comparison."""
     helper.set_model_props(model, {CONTRACT_KEY: contract.to_json(), GOLDEN_KEY: golden.model_dump_json()})
     with replacing(out_path) as partial:
         partial.write_bytes(model.SerializeToString(deterministic=True))

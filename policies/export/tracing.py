@@ -24,8 +24,7 @@ def to_onnx(
 ) -> ModelProto:
     """Return the ONNX graph of a module called with `examples`; deterministic for the same library versions.
 
-    Args:
-        inputs, outputs: names. shapes: dynamic dimensions by argument.
+    `inputs` and `outputs` are names, `shapes` dynamic dimensions by argument.
     """
     settings: dict[str, Any] = {"opset_version": OPSET, "external_data": False, "verbose": False}
     settings |= {"input_names": inputs, "output_names": outputs, "dynamic_shapes": shapes}

@@ -57,12 +57,7 @@ ARCHIVES: tuple[tuple[Callable[[Archive], bool], str], ...] = (
 
 
 def read_policy(path: Path, network: NetworkSettings) -> ReferencePolicy:
-    """Read a policy of another library; `network` holds the settings that a weights file does not.
-
-    Raises:
-        MissingSettingError: `network` lacks a setting.
-        ContractError: the format is unknown, or its reader refuses the file.
-    """
+    """Read a policy of another library; MissingSettingError if `network` lacks a setting that the file has not."""
     data = read_bytes(path, EXPECTED)
     if not data:
         raise ContractError(f"{path}: found an empty file, {EXPECTED}")

@@ -45,8 +45,8 @@ def record_reference(
         reordered = reference.reorder_observations(inputs, columns)
         resets = rng.random(shape) < chance
         resets[:, 0] = True
-        flat = reference.run(inputs.reshape(-1, reference.facts.observations), resets.ravel())
-        action = flat.reshape(*shape, reference.facts.actions)[..., joints]
+        flat = reference.run(inputs.reshape(-1, inputs.shape[-1]), resets.ravel())
+        action = flat.reshape(*shape, -1)[..., joints]
         runs.append(ReferenceRun(name=name, observation=reordered, resets=resets, action=action))
     return runs
 

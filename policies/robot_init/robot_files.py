@@ -57,6 +57,10 @@ JOINT = {
     "acceleration_density": "rad²/s³, estimate: see robots/tables.py",
     "play": "rad, estimate",
 }
+LISTS = {
+    "locked": "prismatic joints, and joints without actuator in the model",
+    "neighbours": "excluded by the model, or touching in every pose",
+}
 WORKSPACE = {
     "z_min": "m; estimate: above a table at z = 0",
     "radius_max": "m; arm stretched to its last body",
@@ -74,38 +78,35 @@ def robot_toml(
 ) -> tomlkit.TOMLDocument:
     """Return robot.toml."""
     example = tomllib.loads((EXAMPLE / "robot.toml").read_text(encoding="utf-8"))
-    document = commented_document(HEAD.format(name=name))
-    document |= {"name": name, "model": model}
+    document = fill(commented_document(HEAD.format(name=name)), {"name": name, "model": model}, {})
     if not vendor.floating_base:
-        known = f"a site or a body: {', '.join((*vendor.sites, *vendor.bodies))}"
-        fill(document, {"tool": vendor.tool}, {"tool": known})
-    if vendor.locked:
-        meaning = "prismatic joints, and joints without actuator in the model"
-        fill(document, {"locked": list(vendor.locked)}, {"locked": meaning})
-    if neighbours:
-        meaning = "excluded by the model, or touching in every pose"
-        fill(document, {"neighbours": [list(pair) for pair in neighbours]}, {"neighbours": meaning})
+        known = ", ".join((*vendor.sites, *vendor.bodies))
+        fill(document, {"tool": vendor.tool}, {"tool": f"a site or a body: {known}"})
+    lists = {"locked": list(vendor.locked), "neighbours": [list(pair) for pair in neighbours]}
+    for key, entries in lists.items():
+        if entries:
+            fill(document, {key: entries}, {key: LISTS[key]})
     document |= _tables(vendor, example)
     return document
 
 
 def _tables(vendor: VendorModel, example: Mapping[str, Any]) -> dict[str, Any]:
     """Return the tables of robot.toml in their order."""
-    motors, rates = _motors(vendor), legged_defaults.RATES if vendor.floating_base else example["rates"]
-    if vendor.floating_base:
-        known, descriptions = legged_defaults.base_values(vendor), legged_defaults.base_descriptions(vendor)
-        place = {"base": fill(tomlkit.table(), known, descriptions)}
-    else:
-        place = {"workspace": _workspace(vendor, example["workspace"])}
+    legged, motors = vendor.floating_base, _motors(vendor)
     return {
-        "rates": tomlkit.item(rates),
+        "rates": tomlkit.item(legged_defaults.RATES if legged else example["rates"]),
         "margins": _margins(vendor, example["margins"]),
-        **place,
+        **({"base": _base(vendor)} if legged else {"workspace": _workspace(vendor, example["workspace"])}),
         "sensors": _sensors(vendor, example["sensors"]),
         "motors": _motor_tables(vendor, motors),
         "joints": _joints(vendor, motors),
         **({"capsules": _capsules(vendor)} if vendor.shapes and not vendor.plain else {}),
     }
+
+
+def _base(vendor: VendorModel) -> Table:
+    known, descriptions = legged_defaults.base_values(vendor), legged_defaults.base_descriptions(vendor)
+    return fill(tomlkit.table(), known, descriptions)
 
 
 def draws_toml(vendor: VendorModel) -> tomlkit.TOMLDocument:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from deploy.policy.contract import Observed
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Message, failed, flag, format_values, passed, warned
 from policies.doctor.checks.normalizer import Statistics
@@ -29,8 +30,7 @@ SAMPLE = 1024
 def normalizer(context: CheckContext) -> Iterator[Message]:
     """Compare the normalizer in the graph with training, and check scale and influence of the observations."""
     observed, found = context.contract.observed, context.normalizer
-    if observed is not None:
-        yield from _compare_statistics(Statistics.of(observed), found)
+    yield from _compare_statistics(observed, found)
     names, inputs = _number_names(context), context.run.observation.astype(float)
     if found is not None:
         inputs = (inputs - found.mean) / found.deviation
@@ -45,13 +45,16 @@ def normalizer(context: CheckContext) -> Iterator[Message]:
     yield passed(f"{how}; readings have an order of 1, and every term influences the actions.")
 
 
-def _compare_statistics(expected: Statistics, found: Statistics | None) -> Iterator[Message]:
+def _compare_statistics(observed: Observed | None, found: Statistics | None) -> Iterator[Message]:
+    if observed is None:
+        return
     if found is None:
         missing = "the graph has no normalizer before its first weights"
         yield failed(
             f"training normalized its observations, but {missing}: export it again with the normalizer."
         )
         return
+    expected = Statistics.of(observed)
     apart = np.abs(expected.mean - found.mean) / expected.deviation
     ratio = found.deviation / expected.deviation
     if (apart > 0.1).any() or (np.abs(np.log(ratio)) > 0.1).any():
@@ -129,9 +132,9 @@ def _actions(context: CheckContext, rows: Float32s) -> Float32s:
 def training(context: CheckContext) -> Iterator[Message]:
     """Compare observation statistics of training and simulation, number by number."""
     if (expected := context.training) is None:
+        missing = "neither contract nor graph has observation statistics of training: nothing to compare"
         yield warned(
-            "neither contract nor graph has observation statistics of training: nothing to compare: ask for"
-            " mean and deviation of the normalizer, or for recorded observations."
+            f"{missing}: ask for mean and deviation of the normalizer, or for recorded observations."
         )
         return
     yield from _histories(context, expected)
@@ -142,10 +145,9 @@ def training(context: CheckContext) -> Iterator[Message]:
     moves = np.abs(found - expected.mean).max(axis=0) > 1e-6
     yield from _offset(offset, names)
     yield from _spread(spread, names, moves & ~_is_command(context))
-    vary = f"{spread[moves].min(initial=np.inf):.2g} to {spread.max():.2g} times as much"
-    yield passed(
-        f"the simulated robot's means are within {offset.max():.1f} deviations of training's, and vary {vary}."
-    )
+    vary = f"vary {spread[moves].min(initial=np.inf):.2g} to {spread.max():.2g} times as much"
+    means = f"within {offset.max():.1f} deviations of training's"
+    yield passed(f"the simulated robot's means are {means}, and {vary}.")
 
 
 def _offset(offset: Floats, names: list[str]) -> Iterator[Message]:

@@ -73,8 +73,7 @@ class PermutedPolicy(Policy):
 
 def _permutation(contract: Contract, variant: Variant) -> tuple[Ints | Floats, ...]:
     """Return columns, gain and bias (N,) of the observation, and places, slope and shift (A,) of the action."""
-    places, signs = variant.places, variant.signs
-    parts, start = [], 0
+    (_, places, signs), parts, start = variant, [], 0
     for term in contract.observation:
         scale, offset = np.array(term.scale), np.array(term.offset or np.zeros(term.size))
         joints = term.frame == "joint" and term.size == len(places)
@@ -84,8 +83,7 @@ def _permutation(contract: Contract, variant: Variant) -> tuple[Ints | Floats, .
             parts.append((start + place, gain, bias))
             start += term.size
     columns, gain, bias = (np.concatenate(part) for part in zip(*parts, strict=True))
-    inverse = np.argsort(places)
-    scale = np.array(contract.action.scale)
+    inverse, scale = np.argsort(places), np.array(contract.action.scale)
     offset = np.array(contract.action.offset or np.zeros(len(places)))
     shift = (signs[inverse] * offset[inverse] - offset) / scale
     return columns, gain, bias, inverse, signs[inverse] * scale[inverse] / scale, shift

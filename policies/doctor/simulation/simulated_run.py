@@ -102,11 +102,10 @@ class _Simulation:
         self._policy, self._rng = policy, np.random.default_rng(SEED)
         self._delay_min, self._delay_max = (int(share * self._runtime.decimation) for share in delay)
         self._pending_actions: dict[int, Float32s] = {}
-        self._arm = round(ARM_S / spec.dt)
         self._steps: list[tuple[Float32s, Float32s]] = []
         self._speeds: list[Floats] = []
         self._first_step = np.full((robots, spec.n), np.nan)
-        self._heat_recorder = HeatRecorder(self._robot)
+        self._arm, self._heat_recorder = round(ARM_S / spec.dt), HeatRecorder(self._robot)
         self._leaving, self._stops = StopDetector(), Counter[str]()
 
     def tick(self, tick: int) -> None:

@@ -96,6 +96,12 @@ class _Observations(Part):
 class _Scene(Part):
     dt: Annotated[Positive, Field(ge=1e-5, le=100)]
 
+    @property
+    def policy_hz(self) -> int | None:
+        """Rate of the policy; None if it is no whole number."""
+        hertz = 1 / self.dt
+        return round(hertz) if abs(hertz - round(hertz)) < 1e-3 else None
+
 
 class _Descriptor(Part):
     actions: Annotated[tuple[_Action, ...], Field(min_length=1, max_length=1)]
@@ -113,13 +119,12 @@ def read_descriptor(path: Path, observations: int) -> dict[str, Any]:
         raise ContractError(f"{where}: found {total} numbers, the policy takes {observations}")
     joints = _observed_joints(terms, action, where)
     _check_action(action, str(path))
-    hertz = 1 / descriptor.scene.dt
     return contract_fields(
         _terms(terms, where),
         "first",
         joint_names=list(joints),
         action_joints=None if joints == action.joint_names else list(action.joint_names),
-        policy_hz=round(hertz) if abs(hertz - round(hertz)) < 1e-3 else None,
+        policy_hz=descriptor.scene.policy_hz,
         action=_action(action, descriptor.articulations),
     )
 

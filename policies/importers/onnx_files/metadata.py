@@ -43,12 +43,9 @@ def known_from(metadata: Mapping[str, str], source: str) -> dict[str, Any]:
     # There are as many actuated joints as gains; the metadata does not tell which ones.
     actuated = joints and joints[: len(lists.entries("joint_stiffness") or joints)]
     action, observation = _action(lists, actuated), _observation(lists, pose)
-    if actuated != joints:
-        unknown = {"action_joints": PLACEHOLDER, "action": action}
-        return contract_fields(observation, "first", joint_names=joints, **unknown)
-    return contract_fields(
-        observation, "first", joint_names=joints, action=without_none(offset=pose, **action)
-    )
+    unknown = {} if actuated == joints else {"action_joints": PLACEHOLDER}
+    action |= {} if unknown else without_none(offset=pose)
+    return contract_fields(observation, "first", joint_names=joints, action=action, **unknown)
 
 
 def _action(lists: "_MetadataLists", actuated: list[str] | None) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Reference policy from a torch module: traced to ONNX, with changing buffers as memory input and output."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from operator import attrgetter
 from typing import Any
@@ -28,10 +28,7 @@ def trace_module(
 ) -> ReferencePolicy:
     """Trace a module from observations (1, N) to actions (1, A); `more` are further fields of the result.
 
-    Buffers that a step changes, in place or by assignment, become the memory.
-
-    Raises:
-        ContractError: the module cannot be run or traced, or its memory does not start at 0.
+    Buffers that a step changes, in place or by assignment, become the memory, which must start at 0.
     """
     stateful = _StatefulModule(module.eval(), source)
     example = torch.randn(1, observations, generator=torch.Generator().manual_seed(0))
@@ -116,8 +113,7 @@ def _graph(
 
     arguments = (example, *(stateful.initial[name].clone() for name in names))
     try:
-        functional: Callable[..., tuple[Tensor, ...]] = torch.func.functionalize(step)
-        graph = make_fx(functional)(*arguments).eval()
+        graph = make_fx(torch.func.functionalize(step))(*arguments).eval()
     finally:
         stateful.restart()
     inputs, outputs = [part.input_name for part in memory], [part.output_name for part in memory]

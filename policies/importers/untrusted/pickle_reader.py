@@ -55,8 +55,7 @@ def read_pickle(data: bytes, source: str, rules: PickleRules = NO_RULES) -> obje
     stacks: list[list[object]] = [[]]
     memo: dict[int, object] = {}
     try:
-        opcodes = islice(pickletools.genops(data), rules.opcodes_max)
-        for step, (opcode, argument, _) in enumerate(opcodes):
+        for step, (opcode, argument, _) in enumerate(islice(pickletools.genops(data), rules.opcodes_max)):
             if opcode.name == "STOP":
                 return stacks[-1].pop()
             if complaint := _complaint(opcode.name, argument, stacks[-1], step, rules):
