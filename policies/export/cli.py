@@ -24,6 +24,9 @@ from robots.strict import parse
 
 POLICIES = Path(__file__).parents[1]
 GOLDEN_PAIRS = 16
+POLICY = typer.Option(help="Checkpoint: a name in policies/ or a path.")
+OUT = typer.Option(help="ONNX file to write.", show_default="out/<policy>.onnx")
+ROBOT = typer.Option(help="Robot: a name or a folder.", show_default="the contract's")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,13 +117,9 @@ def find_checkpoint(policy: str) -> Path:
 
 
 def policy_export(
-    policy: Annotated[str, typer.Option(help="Checkpoint: a name in policies/ or a path.")] = "arm.pt",
-    out: Annotated[
-        Path | None, typer.Option(help="ONNX file to write.", show_default="out/<policy>.onnx")
-    ] = None,
-    robot: Annotated[
-        str | None, typer.Option(help="Robot: a name or a folder.", show_default="the contract's")
-    ] = None,
+    policy: Annotated[str, POLICY] = "arm.pt",
+    out: Annotated[Path | None, OUT] = None,
+    robot: Annotated[str | None, ROBOT] = None,
 ) -> int:
     """Export a checkpoint to one ONNX file with its contract, if ONNX Runtime agrees with torch."""
     checkpoint_path = find_checkpoint(policy)

@@ -97,13 +97,8 @@ def write_template(
     """Write the contract's TOML, filled in from the policy's file; return the facts and the number of open values.
 
     Args:
-        path: the policy's file. draft_path: the TOML. robot: name or folder, if known.
+        robot: name or folder, if known.
         descriptor: YAML of Isaac Lab's I/O descriptors, for values that the policy's file does not have.
-
-    Raises:
-        RobotError: the robot is unknown or unreadable.
-        ContractError: the policy or the descriptor is unreadable, or the TOML exists.
-        OutputError: the TOML cannot be written.
     """
     if draft_path.exists():
         raise ContractError(f"{draft_path}: exists already, expected another path, or remove it first")

@@ -58,24 +58,12 @@ class _Block(NamedTuple):
 def build_contract(
     draft: ContractDraft, reference: ReferencePolicy, spec: RobotSpec, source: str
 ) -> BuiltContract:
-    """Build the contract in the robot's joint order; `source` names the draft in error messages.
-
-    Raises:
-        ContractError: the draft does not fit the policy's file, or names other joints than the robot's.
-    """
+    """Build the contract in the robot's joint order; `source` names the draft in error messages."""
     builder = _Builder(draft, spec, source)
     builder.check_joints()
     builder.check_sizes(reference.facts)
     columns = builder.columns()
-    data = {
-        "robot": draft.robot,
-        "robot_digest": spec.digest,
-        "joint_names": spec.joint_names,
-        "policy_hz": draft.policy_hz,
-        "control_hz": spec.rates.control_hz,
-        "task": draft.task,
-        "observation": tuple(builder.term(block) for block in builder.blocks),
-        "action": builder.action(),
+    data = builder.contract() | {
         "memory": reference.memory_size,
         "trained": {"imported": reference.facts.kind},
         "observed": _observed(reference, columns),
@@ -179,8 +167,18 @@ class _Builder:
             return np.concatenate(parts, axis=1).ravel()
         return np.concatenate([part.ravel() for part in parts])
 
-    def term(self, block: _Block) -> dict[str, object]:
-        """Return the fields of a term of the contract."""
+    def contract(self) -> dict[str, object]:
+        """Return the fields of the contract that follow from draft and robot."""
+        return {
+            **self._draft.model_dump(include={"robot", "task", "policy_hz"}),
+            "robot_digest": self._spec.digest,
+            "joint_names": self._robot,
+            "control_hz": self._spec.rates.control_hz,
+            "observation": tuple(self._term(block) for block in self.blocks),
+            "action": self._action(),
+        }
+
+    def _term(self, block: _Block) -> dict[str, object]:
         term, size = block.term, block.size_in_file
         order = _positions_of(block.names, self._robot) if block.names else np.arange(size)
         where, clip = f"{self._path}: observation {term.name!r}", term.clip
@@ -198,8 +196,7 @@ class _Builder:
             "fill": self._draft.fill or "first",
         }
 
-    def action(self) -> dict[str, object]:
-        """Return the fields of the contract's action."""
+    def _action(self) -> dict[str, object]:
         action, size, where = self._draft.action, len(self.driven), f"{self._path}: action"
         return {
             **action.model_dump(include={"mode", "clip", "leash_rad"}),

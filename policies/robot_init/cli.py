@@ -18,6 +18,7 @@ from robots.models.files import is_urdf, referenced_files
 from robots.models.sandbox import check_compiles
 from robots.strict import placeholder_fields
 
+WALKS = typer.Option("--walks", help="the base is free (floating); for URDF, which cannot express it")
 SUFFIXES = (".xml", ".urdf")
 README = """# {name}
 
@@ -47,26 +48,29 @@ def init_robot(model: Path, out: Path, *, walks: bool = False) -> tuple[VendorMo
         OutputError: the folder exists or cannot be written.
     """
     folder = package_of(model)
-    check_compiles(model, folder)
+    vendor, name = _read_robot(model, folder, walks=walks), out.resolve().name
     files = [model.resolve(), *referenced_files(model, folder)]
-    vendor = read_vendor_model(model, folder)
-    if walks and not is_urdf(model) and not vendor.floating_base:
-        raise RobotError(f"{model}: found no free joint, expected one: --walks is for URDF only")
-    vendor = replace(vendor, floating_base=vendor.floating_base or walks)
-    if not vendor.joints:
-        raise RobotError(f"{model}: found no joint, expected at least one")
-    folder_path = model.resolve().relative_to(folder).as_posix()
+    model_path = model.resolve().relative_to(folder).as_posix()
     pairs = dict.fromkeys((*vendor.neighbours, *permanent_contacts(model, folder, vendor)))
-    name = out.resolve().name
     tables = {
-        "robot.toml": robot_toml(vendor, name, folder_path, tuple(pairs)),
+        "robot.toml": robot_toml(vendor, name, model_path, tuple(pairs)),
         "draws.toml": draws_toml(vendor),
         "limits.toml": limits_toml(vendor, name),
     }
-    readme = README.format(name=name, model=folder_path, joints=len(vendor.driven))
-    texts = {file: tomlkit.dumps(table) for file, table in tables.items()} | {"README.md": readme}
+    texts = {file: tomlkit.dumps(table) for file, table in tables.items()}
+    texts["README.md"] = README.format(name=name, model=model_path, joints=len(vendor.driven))
     _write(out, files, folder, texts)
     return vendor, [field for file, table in tables.items() for field in _still_open(file, table)]
+
+
+def _read_robot(model: Path, folder: Path, *, walks: bool) -> VendorModel:
+    check_compiles(model, folder)
+    vendor = read_vendor_model(model, folder)
+    if walks and not is_urdf(model) and not vendor.floating_base:
+        raise RobotError(f"{model}: found no free joint, expected one: --walks is for URDF only")
+    if not vendor.joints:
+        raise RobotError(f"{model}: found no joint, expected at least one")
+    return replace(vendor, floating_base=vendor.floating_base or walks)
 
 
 def _still_open(file: str, document: tomlkit.TOMLDocument) -> Iterator[tuple[str, str]]:
@@ -106,20 +110,16 @@ def _write(out: Path, files: list[Path], folder: Path, texts: dict[str, str]) ->
 def robot_init(
     model: Annotated[Path, typer.Argument(help="the vendor's MJCF (.xml) or URDF (.urdf)")],
     out: Annotated[Path | None, typer.Option(help="folder to write", show_default="out/<model>")] = None,
-    walks: Annotated[
-        bool, typer.Option("--walks", help="the base is free (floating); for URDF, which cannot express it")
-    ] = False,
+    walks: Annotated[bool, WALKS] = False,
 ) -> int:
     """Create a robot folder from a vendor's model: known values, estimates marked as such, and "?" for the rest."""
-    folder_path = out or Path("out", model.stem)
-    vendor, still_open = init_robot(model, folder_path, walks=walks)
-    print(
-        f"{folder_path}: {len(vendor.joints)} joints, {len(vendor.locked)} of them locked, {len(vendor.shapes)} shapes"
-    )
+    folder = out or Path("out", model.stem)
+    vendor, still_open = init_robot(model, folder, walks=walks)
+    counts = f"{len(vendor.joints)} joints, {len(vendor.locked)} of them locked, {len(vendor.shapes)} shapes"
+    print(f"{folder}: {counts}")
     if vendor.floating_base:
         print("floating base: a walking robot without tool")
-    print(f"{len(still_open)} fields to fill in:")
-    print("\n".join(_grouped(still_open)))
+    print(f"{len(still_open)} fields to fill in:", *_grouped(still_open), sep="\n")
     return PASSED
 
 

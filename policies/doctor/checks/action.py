@@ -123,20 +123,19 @@ def _inertia(context: CheckContext) -> Floats:
 
 def first_target(context: CheckContext) -> Iterator[Message]:
     """Check the largest first step from the home pose at rest, over several goals."""
-    if (gains := context.contract.action.gains) is not None:
-        yield from _first_torque(context, gains)
-        return
+    gains = context.contract.action.gains
+    yield from _first_step(context) if gains is None else _first_torque(context, gains)
+
+
+def _first_step(context: CheckContext) -> Iterator[Message]:
     names, qd_max = context.spec.joint_names, context.spec.joint_array("qd_max")
     jump, outside = np.abs(context.run.first_step).max(axis=0), _leaves_range(context)
     far, speed = (jump > FAR) | outside, jump * context.contract.policy_hz
     range_text = ", beyond the working range" if outside.any() else ""
     before, after = "at the first step it sends ", f" away from the home pose{range_text}: {WRONG_POSE}"
     yield from flag(failed, far, before, names, jump, unit=" rad", after=after)
-    before, after = (
-        "without the smoother the first step would need ",
-        ": start closer to the default pose, or ramp in.",
-    )
-    fast = (speed > qd_max) & ~far
+    before, fast = "without the smoother the first step would need ", (speed > qd_max) & ~far
+    after = ": start closer to the default pose, or ramp in."
     yield from flag(warned, fast, before, names, speed, qd_max, unit=" rad/s", after=after)
     fastest = f"without the smoother {speed.max():.2g} rad/s at most"
     yield passed(f"the first target is {format_values(names, jump, unit=' rad')} from home; {fastest}.")

@@ -34,15 +34,8 @@ def loader(context: CheckContext) -> Iterator[Message]:
 
 def joints(context: CheckContext) -> Iterator[Message]:
     """Check joint names, their order, and the mean position of each joint in training."""
-    found, robot, name = context.contract.joint_names, context.spec.joint_names, context.spec.name
-    if unknown := [joint for joint in found if joint not in robot]:
-        suggestions = "; ".join(_nearest(joint, robot) for joint in unknown[:NAMED_MAX])
-        expected = f"{suggestions}; expected {', '.join(robot)}"
-        yield failed(f"{len(unknown)} joints are not joints of {name}: {expected}.")
-    if missing := [joint for joint in robot if joint not in found]:
-        yield failed(f"the contract lacks {', '.join(missing)}: name every joint of {name}.")
-    if twice := sorted({joint for joint in found if found.count(joint) > 1}):
-        yield failed(f"named more than once: {', '.join(twice)}.")
+    found, robot = context.contract.joint_names, context.spec.joint_names
+    yield from _names(found, robot, context.spec.name)
     if found == robot:
         yield from _training_pose(context)
     elif sorted(found) == sorted(robot):
@@ -51,6 +44,17 @@ def joints(context: CheckContext) -> Iterator[Message]:
         yield failed(
             f"the right joints in another order ({', '.join(misplaced)}): export it again, or {advice}."
         )
+
+
+def _names(found: tuple[str, ...], robot: tuple[str, ...], name: str) -> Iterator[Message]:
+    if unknown := [joint for joint in found if joint not in robot]:
+        suggestions = "; ".join(_nearest(joint, robot) for joint in unknown[:NAMED_MAX])
+        expected = f"{suggestions}; expected {', '.join(robot)}"
+        yield failed(f"{len(unknown)} joints are not joints of {name}: {expected}.")
+    if missing := [joint for joint in robot if joint not in found]:
+        yield failed(f"the contract lacks {', '.join(missing)}: name every joint of {name}.")
+    if twice := sorted({joint for joint in found if found.count(joint) > 1}):
+        yield failed(f"named more than once: {', '.join(twice)}.")
 
 
 def _nearest(name: str, known: tuple[str, ...]) -> str:

@@ -63,19 +63,22 @@ def winding_temperature(spec: RobotSpec, heat_load: HeatLoad, t: float) -> Float
 
     Friction power heats housing and winding alike in the end, so it is modelled as a higher ambient temperature.
     """
-    motors, to_ambient = nominal_windings(spec), spec.motor_array("housing_resistance_k_per_w")
-    capacity = spec.motor_array("housing_capacity_j_per_k")
-    share = 1.0 - np.exp(-t / (to_ambient * capacity))
+    to_ambient = spec.motor_array("housing_resistance_k_per_w")
+    share = 1.0 - np.exp(-t / (to_ambient * spec.motor_array("housing_capacity_j_per_k")))
     ambient = heat_load.ambient + heat_load.friction_power * to_ambient * share
+    loads = zip(_motors(spec), heat_load.current.tolist(), ambient.tolist(), strict=True)
+    return np.array([temperatures(motor, current, around, t)[0] for motor, current, around in loads])
+
+
+def _motors(spec: RobotSpec) -> list[MotorHeat]:
+    motors = nominal_windings(spec)
     constants = {
         "resistance": motors.resistance,
         "alpha": motors.alpha,
         "reference_c": motors.reference_c,
         "winding_to_housing": motors.to_housing,
-        "housing_to_ambient": to_ambient,
+        "housing_to_ambient": spec.motor_array("housing_resistance_k_per_w"),
         "winding_capacity": motors.capacity,
-        "housing_capacity": capacity,
+        "housing_capacity": spec.motor_array("housing_capacity_j_per_k"),
     }
-    motor_of = [MotorHeat(**{k: float(v[j]) for k, v in constants.items()}) for j in range(spec.n)]
-    loads = zip(motor_of, heat_load.current.tolist(), ambient.tolist(), strict=True)
-    return np.array([temperatures(motor, current, around, t)[0] for motor, current, around in loads])
+    return [MotorHeat(**{name: float(each[j]) for name, each in constants.items()}) for j in range(spec.n)]

@@ -154,16 +154,13 @@ def _subgraph(model: ModelProto, outputs: list[str]) -> ModelProto:
             wanted.update(name for part in (node, *bodies) for name in part.input)
     part = ModelProto()
     part.CopyFrom(model)
-    graph = part.graph
-    for field, kept in (
-        (graph.node, nodes),
-        (graph.initializer, [tensor for tensor in model.graph.initializer if tensor.name in wanted]),
-        (graph.input, [value for value in model.graph.input if value.name in wanted]),
-        (graph.output, [value for value in model.graph.output if value.name in outputs]),
-        (graph.value_info, []),
-    ):
+    graph, whole = part.graph, model.graph
+    for field in (graph.node, graph.initializer, graph.input, graph.output, graph.value_info):
         del field[:]
-        field.extend(kept)
+    graph.node.extend(nodes)
+    graph.initializer.extend(tensor for tensor in whole.initializer if tensor.name in wanted)
+    graph.input.extend(value for value in whole.input if value.name in wanted)
+    graph.output.extend(value for value in whole.output if value.name in outputs)
     return part
 
 

@@ -37,11 +37,7 @@ RENAMED = {
 def read_rsl_rl(path: Path, network: NetworkSettings) -> ReferencePolicy:
     """Read the mean of a Gaussian actor: an MLP with optional LSTM or GRU and optional normalizer.
 
-    The reference is run by rsl_rl's own classes if rsl_rl is installed.
-
-    Raises:
-        MissingSettingError: `network` lacks the activation.
-        ContractError: the file holds code, or an actor of another kind.
+    The reference is run by rsl_rl's own classes if it is installed; `network` must have the activation.
     """
     source = str(path)
     actor = read_actor(_weights(load_tensors(path, "expected a checkpoint of rsl_rl"), source), source)

@@ -75,12 +75,7 @@ FAMILIES = {
 
 
 def read_stable_baselines(path: Path, network: NetworkSettings) -> ReferencePolicy:
-    """Read the policy of a zip, with the normalizer named by `network`.
-
-    Raises:
-        ContractError: the file is invalid, or of an unsupported kind.
-        MissingSettingError: the activation or the normalizer is unknown: the zip does not name VecNormalize.
-    """
+    """Read the policy of a zip, with the normalizer named by `network`: the zip does not name VecNormalize."""
     source = str(path)
     settings, weights = read_zip(path)
     family = _family(settings, source)

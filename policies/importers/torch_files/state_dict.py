@@ -23,11 +23,7 @@ WRAPPER = "state_dict"
 def read_state_dict(path: Path, network: NetworkSettings) -> ReferencePolicy:
     """Read the MLP of a state_dict, or of {"state_dict": ...}, with the normalizer given in `network`.
 
-    The actions are the output of the last linear layer.
-
-    Raises:
-        MissingSettingError: `network` lacks the activation or the normalizer.
-        ContractError: the file holds code, or anything but the weights of one MLP.
+    The actions are the output of the last linear layer; `network` must have activation and normalizer.
     """
     source = str(path)
     data = load_tensors(path, "expected the state_dict of an MLP")
