@@ -181,18 +181,17 @@ class _Builder:
     def _term(self, block: _Block) -> dict[str, object]:
         term, size = block.term, block.size_in_file
         order = _positions_of(block.names, self._robot) if block.names else np.arange(size)
-        where, clip = f"{self._path}: observation {term.name!r}", term.clip
+        where = f"{self._path}: observation {term.name!r}"
         multiply = _expand(term.multiply, size, order, f"{where}: multiply")
-        if clip is not None and term.clip_first:
-            clip = (clip[0] * term.multiply[0], clip[1] * term.multiply[0])
+        factor = term.multiply[0] if term.clip_first else 1.0
         return {
             **term.model_dump(include={"name", "source", "history", "period_s"}),
             "frame": block.source.frame,
             "unit": block.source.unit,
             "size": block.size,
             "offset": _expand(term.offset, size, order, f"{where}: offset") if term.offset else None,
-            "scale": tuple(1.0 / factor for factor in multiply),
-            "clip": clip,
+            "scale": tuple(1.0 / number for number in multiply),
+            "clip": tuple(bound * factor for bound in term.clip) if term.clip else None,
             "fill": self._draft.fill or "first",
         }
 

@@ -13,6 +13,8 @@ from robots.errors import ContractError
 SINGLES, SEQUENCES, STEPS = 1024, 16, 200
 RESET_CHANCE = 0.01
 """Probability of a reset before each step of a sequence."""
+KINDS = ("observation", (SINGLES, 1), 1.0), ("sequence", (SEQUENCES, STEPS), RESET_CHANCE)
+"""Single observations, each after a reset, and sequences with random resets: name, shape, probability of a reset."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,13 +36,9 @@ class ReferenceRun:
 def record_reference(
     reference: ReferencePolicy, columns: NDArray[np.int64], joints: NDArray[np.int64], seed: int = 0
 ) -> list[ReferenceRun]:
-    """Run the reference on single observations after a reset, and on sequences with random resets.
-
-    `columns` and `joints` are permutations as in `contract_builder.BuiltContract`.
-    """
+    """Run the reference on single observations and on sequences, permuted as in `contract_builder.BuiltContract`."""
     rng, runs = np.random.default_rng(seed), []
-    kinds = ("observation", (SINGLES, 1), 1.0), ("sequence", (SEQUENCES, STEPS), RESET_CHANCE)
-    for name, shape, chance in kinds:
+    for name, shape, chance in KINDS:
         inputs = reference.sample_observations(rng, shape)
         reordered = reference.reorder_observations(inputs, columns)
         resets = rng.random(shape) < chance

@@ -15,11 +15,7 @@ NEAR_M = 0.02
 
 
 def permanent_contacts(path: Path, folder: Path, vendor: VendorModel) -> tuple[tuple[str, str], ...]:
-    """Return pairs of bodies that touch in all of `POSES` random poses, except on the same or adjacent links.
-
-    Raises:
-        RobotError: MuJoCo cannot read the model.
-    """
+    """Return pairs of bodies that touch in all of `POSES` random poses, except on the same or adjacent links."""
     mjcf = open_model(path, folder)
     for number, shape in enumerate(vendor.shapes):
         line = [*shape.start, *shape.end]
@@ -28,14 +24,21 @@ def permanent_contacts(path: Path, folder: Path, vendor: VendorModel) -> tuple[t
     model = compile_model(mjcf, path)
     geoms = [model.geom(f"firstshift/{number}").id for number in range(len(vendor.shapes))]
     pairs = [(a, b) for a, b in combinations(geoms, 2) if _on_separate_links(model, a, b)]
+    pairs = _touching_in_all_poses(model, vendor, pairs)
+    bodies = [tuple(model.body(model.geom_bodyid[geom]).name for geom in pair) for pair in pairs]
+    return tuple(dict.fromkeys((a, b) for a, b in bodies))
+
+
+def _touching_in_all_poses(
+    model: mujoco.MjModel, vendor: VendorModel, pairs: list[tuple[int, int]]
+) -> list[tuple[int, int]]:
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     for _ in range(POSES):
         for joint in vendor.joints:
             data.joint(joint.name).qpos = 0.0 if joint.name in vendor.locked else rng.uniform(*joint.span)
         mujoco.mj_kinematics(model, data)
         pairs = [pair for pair in pairs if mujoco.mj_geomDistance(model, data, *pair, NEAR_M, None) < NEAR_M]
-    bodies = [tuple(model.body(model.geom_bodyid[geom]).name for geom in pair) for pair in pairs]
-    return tuple(dict.fromkeys((a, b) for a, b in bodies))
+    return pairs
 
 
 def _on_separate_links(model: mujoco.MjModel, a: int, b: int) -> bool:

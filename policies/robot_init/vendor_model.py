@@ -163,18 +163,19 @@ def _check_names(model: mujoco.MjModel, path: Path) -> None:
 def _joint(model: mujoco.MjModel, i: int, path: Path, speeds: dict[str, float]) -> VendorJoint:
     joint, body = model.joint(i), model.body(model.jnt_bodyid[i])
     if not joint.name or not body.name:
-        found = f"joint {i} ({joint.name!r}) of body {body.name!r}"
-        raise RobotError(f"{path}: {found}: expected a name for both")
-    limited, bounded = bool(model.jnt_limited[i]), bool(model.jnt_actfrclimited[i])
+        raise RobotError(
+            f"{path}: joint {i} ({joint.name!r}) of body {body.name!r}: expected a name for both"
+        )
+    low, high = model.jnt_range[i].tolist() if model.jnt_limited[i] else (None, None)
     return VendorJoint(
         name=joint.name,
         body=body.name,
         slides=bool(model.jnt_type[i] == _SLIDE),
-        low=float(model.jnt_range[i, 0]) if limited else None,
-        high=float(model.jnt_range[i, 1]) if limited else None,
+        low=low,
+        high=high,
         home=_home(model, i),
         qd_max=speeds.get(joint.name),
-        torque_range=float(model.jnt_actfrcrange[i, 1]) if bounded else None,
+        torque_range=float(model.jnt_actfrcrange[i, 1]) if model.jnt_actfrclimited[i] else None,
         actuator=_actuator(model, i),
         armature=float(model.dof_armature[model.jnt_dofadr[i]]),
     )

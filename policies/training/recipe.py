@@ -147,13 +147,7 @@ def load_recipe(path: Path) -> Recipe:
 def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Contract:
     """Return the contract of a policy trained by a recipe for its robot; `trained` is its provenance."""
     n, promise = spec.n, recipe.promise
-    action = ActionSpec(
-        mode="position_increment",
-        size=n,
-        scale=(promise.increment_rad,) * n,
-        clip=(-1.0, 1.0),
-        leash_rad=promise.leash_rad,
-    )
+    scale, clip, leash = (promise.increment_rad,) * n, (-1.0, 1.0), promise.leash_rad
     return Contract(
         robot=spec.name,
         robot_digest=spec.digest,
@@ -162,7 +156,7 @@ def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Con
         control_hz=spec.rates.control_hz,
         task=recipe.task,
         observation=_terms(recipe, spec),
-        action=action,
+        action=ActionSpec(mode="position_increment", size=n, scale=scale, clip=clip, leash_rad=leash),
         trained=trained,
     )
 

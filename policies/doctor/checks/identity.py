@@ -10,6 +10,7 @@ from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import NAMED_MAX, Message, failed, format_values, passed, warned
 from robots.errors import ContractError
 
+UNKNOWN = "the file has no joint statistics of training, so only the simulation shows whether the network has this order"
 ROBOT = "use the robot of the training, or export again for this one"
 
 
@@ -19,9 +20,8 @@ def loader(context: CheckContext) -> Iterator[Message]:
     if contract.robot != spec.name:
         yield failed(f"robot: found {contract.robot!r}, expected {spec.name!r}: {ROBOT}.")
     elif contract.robot_digest != spec.digest:
-        digests = f"({contract.robot_digest:.12}, now {spec.digest:.12})"
-        advice = f"undo the changes in {spec.folder}, or train or import again"
-        yield failed(f"robot_digest: {spec.name} has changed since training {digests}: {advice}.")
+        found = f"{spec.name} has changed since training ({contract.robot_digest:.12}, now {spec.digest:.12})"
+        yield failed(f"robot_digest: {found}: undo the changes in {spec.folder}, or train or import again.")
     yield from (failed(f"{line}.") for line in context.incompatibilities)
     try:
         for batch in BATCHES:
@@ -69,15 +69,12 @@ def _training_pose(context: CheckContext) -> Iterator[Message]:
         q for term, q in context.training_means if term.source == "joint_position" and q.size == spec.n
     )
     if (q := next(positions, None)) is None:
-        reason = "the file has no joint statistics of training"
-        yield warned(f"{begin}; {reason}, so only the simulation shows whether the network has this order.")
+        yield warned(f"{begin}; {UNKNOWN}.")
         return
     low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
     for j in np.flatnonzero((q < low) | (q > high))[:NAMED_MAX]:
-        fits = np.array(names)[(low <= q[j]) & (q[j] <= high)]
-        others = f", which fits {' or '.join(fits) if len(fits) else 'no joint'}"
-        yield warned(
-            f"in training the mean of {names[j]} was {q[j]:.3g} rad, outside its range {low[j]:.3g} to"
-            f" {high[j]:.3g}{others}: compare order, offset and unit with training."
-        )
+        fits = " or ".join(np.array(names)[(low <= q[j]) & (q[j] <= high)]) or "no joint"
+        mean = f"in training the mean of {names[j]} was {q[j]:.3g} rad"
+        outside = f"outside its range {low[j]:.3g} to {high[j]:.3g}, which fits {fits}"
+        yield warned(f"{mean}, {outside}: compare order, offset and unit with training.")
     yield passed(f"{begin}; mean in training: {format_values(names, q, unit=' rad')}.")

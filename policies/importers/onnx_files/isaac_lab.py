@@ -118,14 +118,13 @@ def read_descriptor(path: Path, observations: int) -> dict[str, Any]:
     if (total := sum(term.shape[0] * term.overloads.history for term in terms)) != observations:
         raise ContractError(f"{where}: found {total} numbers, the policy takes {observations}")
     joints = _observed_joints(terms, action, where)
-    _check_action(action, str(path))
     return contract_fields(
         _terms(terms, where),
         "first",
         joint_names=list(joints),
         action_joints=None if joints == action.joint_names else list(action.joint_names),
         policy_hz=descriptor.scene.policy_hz,
-        action=_action(action, descriptor.articulations),
+        action=_action(action, descriptor.articulations, str(path)),
     )
 
 
@@ -178,8 +177,9 @@ def _check_action(action: _Action, source: str) -> None:
         raise ContractError(f"{source}: actions.0.scale: found 0, expected another number, {reason}")
 
 
-def _action(action: _Action, articulations: Mapping[str, _Articulation]) -> dict[str, Any]:
+def _action(action: _Action, articulations: Mapping[str, _Articulation], source: str) -> dict[str, Any]:
     """Return the action's fields; none unless joint positions are commanded."""
+    _check_action(action, source)
     if not action.full_path.endswith(POSITION):
         return {}
     offset, scale = as_tuple(action.offset), as_tuple(action.scale)

@@ -46,12 +46,9 @@ def read_rsl_rl(path: Path, network: NetworkSettings) -> ReferencePolicy:
     if network.normalizer not in (None, "none"):
         found = f"network.normalizer: found {network.normalizer!r:.100}"
         raise ContractError(f"{source}: {found}, expected no setting: the checkpoint has its own")
-    reference = trace_module(actor.module(activation), facts.observations, source, kind=facts.kind)
-    reference = replace(reference, run=actor.runner(activation) or reference.run)
-    if (normalizer := actor.normalizer) is None:
-        return reference
-    mean, deviation = tuple(normalizer.mean.tolist()), tuple(normalizer.divisor.tolist())
-    return replace(reference, mean=mean, deviation=deviation)
+    module, statistics = actor.module(activation), actor.normalizer.statistics if actor.normalizer else {}
+    reference = trace_module(module, facts.observations, source, kind=facts.kind, **statistics)
+    return replace(reference, run=actor.runner(activation) or reference.run)
 
 
 def _weights(data: object, source: str) -> dict[str, Tensor]:

@@ -91,9 +91,10 @@ def read_stable_baselines(path: Path, network: NetworkSettings) -> ReferencePoli
     mlp = build_mlp(layers, activation, *([nn.Tanh()] if family.squashed else []))
     if (normalizer := _normalizer(network.normalizer_path(path), sizes[0])) is None:
         return trace_module(mlp, sizes[0], source, kind=family.kind, known=known)
-    module, kind = nn.Sequential(_Normalize(normalizer), mlp), f"{family.kind} with VecNormalize"
-    mean, deviation = tuple(normalizer.mean.tolist()), tuple(normalizer.divisor.tolist())
-    return trace_module(module, sizes[0], source, kind=kind, known=known, mean=mean, deviation=deviation)
+    first, kind = _Normalize(normalizer), f"{family.kind} with VecNormalize"
+    return trace_module(
+        nn.Sequential(first, mlp), sizes[0], source, kind=kind, known=known, **first.statistics
+    )
 
 
 class _Normalize(Normalizer):

@@ -1,6 +1,7 @@
 """Multilayer perceptrons and normalizers from checked tensors."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from torch import Tensor, nn
 
@@ -35,6 +36,11 @@ class Normalizer(nn.Module):
         super().__init__()
         self.register_buffer("mean", mean)
         self.register_buffer("divisor", divisor)
+
+    @property
+    def statistics(self) -> dict[str, Any]:
+        """Mean and deviation, as in `ReferencePolicy`."""
+        return {"mean": tuple(self.mean.tolist()), "deviation": tuple(self.divisor.tolist())}
 
     def forward(self, observation: Tensor) -> Tensor:
         """(1, N) to (1, N)."""
