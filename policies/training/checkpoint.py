@@ -1,9 +1,8 @@
 """Checkpoints of `policy-train`: tensors, numbers and text; no code."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import torch
 from pydantic import ConfigDict, Field, StrictInt
@@ -12,7 +11,7 @@ from torch import Tensor
 from deploy.policy.contract import Contract
 from deploy.policy.contract_term import Count
 from deploy.telemetry.output_files import replacing
-from policies.importers.untrusted.tensor_archive import check_tensor, load_tensors
+from policies.importers.untrusted.tensor_archive import check_tensor, check_tensors, load_tensors
 from policies.training.networks import Actor
 from robots.errors import ContractError
 from robots.strict import Strict, parse
@@ -81,24 +80,21 @@ def load_checkpoint(path: Path) -> Checkpoint:
 def _checked(data: object, source: str) -> Checkpoint:
     file = parse(data, _File, source=source, error=ContractError)
     contract = Contract.from_json(file.contract, f"{source}: contract")
-    with torch.device("meta"):  # shapes only
-        actor = Actor(contract.observation_size, contract.action_size, file.layers)
-    _check_weights(file.actor, actor.state_dict(), source)
+    actor = _actor(file, contract, source)
     if (rows := len(file.rollout) if file.rollout.dim() else 0) < ROLLOUT_MIN:
         raise ContractError(f"{source}: rollout: found {rows} observations, expected at least {ROLLOUT_MIN}")
     check_tensor(file.rollout, (rows, contract.observation_size), f"{source}: rollout")
-    actor.load_state_dict(file.actor, assign=True)
-    actor.eval().requires_grad_(False)
     return Checkpoint(
         actor=actor, contract=contract, rollout=file.rollout, seed=file.seed, recipe=file.recipe
     )
 
 
-def _check_weights(found: Mapping[str, Tensor], expected: Mapping[str, Any], source: str) -> None:
-    if found.keys() != expected.keys():
-        names = [", ".join(sorted(keys)) for keys in (found, expected)]
-        raise ContractError(f"{source}: actor: found tensors {names[0]:.300}; expected {names[1]}")
-    for name, tensor in found.items():
-        check_tensor(tensor, tuple(expected[name].shape), f"{source}: actor.{name}")
-    if (least := found["divisor"].min().item()) <= 0:
+def _actor(file: _File, contract: Contract, source: str) -> Actor:
+    with torch.device("meta"):  # shapes only
+        actor = Actor(contract.observation_size, contract.action_size, file.layers)
+    shapes = {name: tuple(tensor.shape) for name, tensor in actor.state_dict().items()}
+    check_tensors(file.actor, shapes, f"{source}: actor")
+    if (least := file.actor["divisor"].min().item()) <= 0:
         raise ContractError(f"{source}: actor.divisor: found {least:g}, expected all above 0")
+    actor.load_state_dict(file.actor, assign=True)
+    return actor.eval().requires_grad_(False)

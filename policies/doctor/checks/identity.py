@@ -10,7 +10,10 @@ from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import NAMED_MAX, Message, failed, format_values, passed, warned
 from robots.errors import ContractError
 
-UNKNOWN = "the file has no joint statistics of training, so only the simulation shows whether the network has this order"
+UNKNOWN = (
+    "the file has no joint statistics of training, so only the simulation shows whether the network"
+    " has this order"
+)
 ROBOT = "use the robot of the training, or export again for this one"
 
 

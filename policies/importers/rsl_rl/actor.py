@@ -14,7 +14,7 @@ from policies.importers.reference_policy import RunSequence
 from policies.importers.torch_files.mlp import Normalizer, build_mlp
 from policies.importers.torch_files.network_settings import Activation
 from policies.importers.torch_files.state_dict import LAYERS_MAX, linear_layers
-from policies.importers.untrusted.tensor_archive import check_tensor
+from policies.importers.untrusted.tensor_archive import check_tensor, check_tensors
 from robots.arrays import Float32s
 from robots.errors import ContractError
 
@@ -170,13 +170,13 @@ def _rnn(found: Mapping[str, Tensor], size: int, source: str) -> nn.LSTM | nn.GR
             f" an LSTM (4·{size}, N) or a GRU (3·{size}, N), N at most {SIZE_MAX}"
         )
     rnn = GATES[gates](shape[1], size, layers, device="meta")
-    _check(found, {name: tuple(tensor.shape) for name, tensor in rnn.state_dict().items()}, source)
+    check_tensors(found, {name: tuple(tensor.shape) for name, tensor in rnn.state_dict().items()}, source)
     rnn.load_state_dict(found, assign=True)
     return rnn.requires_grad_(False)
 
 
 def _normalizer(found: Mapping[str, Tensor], size: int, source: str) -> Normalizer:
-    _check(found, dict.fromkeys(("_mean", "_var", "_std"), (1, size)), source)
+    check_tensors(found, dict.fromkeys(("_mean", "_var", "_std"), (1, size)), source)
     if (least := found["_std"].min().item()) < 0:
         raise ContractError(f"{source}._std: found {least:g}, expected none below 0")
     return Normalizer(found["_mean"][0], found["_std"][0] + EPS)
@@ -191,10 +191,3 @@ def _std_type(found: Mapping[str, Tensor], size: int, source: str) -> str:
         )
     check_tensor(found[name], (size,), f"{source}.{name}")
     return STD_TYPES[name]
-
-
-def _check(found: Mapping[str, Tensor], expected: Mapping[str, tuple[int, ...]], source: str) -> None:
-    if found.keys() != expected.keys():
-        raise ContractError(f"{source}: found {sorted(found)!s:.300}, expected {sorted(expected)}")
-    for name, shape in expected.items():
-        check_tensor(found[name], shape, f"{source}.{name}")

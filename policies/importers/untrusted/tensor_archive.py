@@ -1,6 +1,7 @@
 """Reader of untrusted torch.save files: tensors, numbers and text; no code is run, files that hold code are refused."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,14 @@ class _TensorBuilder:
                     self._storages[kind, key] = found
                 return self._storages[kind, key]
         raise TypeError
+
+
+def check_tensors(found: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]], source: str) -> None:
+    """Refuse other tensors than those named in `shapes`, and those that `check_tensor` refuses."""
+    if found.keys() != shapes.keys():
+        raise ContractError(f"{source}: found tensors {sorted(found)!s:.300}, expected {sorted(shapes)}")
+    for name, shape in shapes.items():
+        check_tensor(found[name], shape, f"{source}.{name}")
 
 
 def check_tensor(tensor: Tensor, shape: tuple[int, ...], source: str) -> None:

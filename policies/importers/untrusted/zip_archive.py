@@ -6,9 +6,9 @@ Files that are unreadable, no archive or too large raise ContractError.
 import io
 import re
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
 
 from robots.errors import ContractError
 
@@ -20,8 +20,6 @@ RECORD = b"PK\x01\x02"
 """Signature of each entry of an archive's central directory."""
 UNPACKERS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """The only two methods for which Python limits the size of one decompression step."""
-
-T = TypeVar("T")
 
 
 def read_bytes(path: Path, expected: str, bytes_max: int | None = None) -> bytes:
@@ -39,21 +37,19 @@ def read_bytes(path: Path, expected: str, bytes_max: int | None = None) -> bytes
 
 def read_names(data: bytes, source: str, expected: str) -> set[str]:
     """Return the names of all members of an archive."""
-    return _with_archive(data, source, expected, lambda archive: set(archive.namelist()))
+    with _opened(data, source, expected) as archive:
+        return set(archive.namelist())
 
 
 def read_members(data: bytes, needed: re.Pattern[str], source: str, expected: str) -> dict[str, bytes]:
     """Return the members whose names match `needed`; refuse other compressions than torch uses."""
-
-    def read(archive: zipfile.ZipFile) -> dict[str, bytes]:
+    with _opened(data, source, expected) as archive:
         records = [record for record in archive.infolist() if needed.fullmatch(record.filename)]
         for record in records:
             if record.compress_type not in UNPACKERS:
                 found = f"{record.filename}: found compression {record.compress_type}"
                 raise ContractError(f"{source}: {found}, expected none")
         return {record.filename: archive.read(record) for record in records}
-
-    return _with_archive(data, source, expected, read)
 
 
 def read_torch_members(data: bytes, needed: re.Pattern[str], source: str, expected: str) -> dict[str, bytes]:
@@ -80,8 +76,9 @@ def repack(members: Mapping[str, bytes]) -> io.BytesIO:
     return stream
 
 
-def _with_archive(data: bytes, source: str, expected: str, read: Callable[[zipfile.ZipFile], T]) -> T:
-    """Apply `read` to an archive within the limits; its entries are counted before Python parses them."""
+@contextmanager
+def _opened(data: bytes, source: str, expected: str) -> Iterator[zipfile.ZipFile]:
+    """Open an archive within the limits; its entries are counted before Python parses them."""
     if (count := data.count(RECORD)) > MEMBERS_MAX:
         raise ContractError(f"{source}: found {count} members, expected at most {MEMBERS_MAX}")
     try:
@@ -89,10 +86,9 @@ def _with_archive(data: bytes, source: str, expected: str, read: Callable[[zipfi
             size = sum(record.file_size for record in archive.infolist())
             if size > BYTES_MAX:
                 raise ContractError(f"{source}: found {size} bytes unpacked, expected at most {BYTES_MAX}")
-            return read(archive)
+            yield archive
     except ContractError:
         raise
     except Exception as e:  # bytes of unknown origin can fail in any way
-        raise ContractError(
-            f"{source}: found no archive that can be read: a {type(e).__name__}, {expected}"
-        ) from e
+        found = f"found no archive that can be read: a {type(e).__name__}"
+        raise ContractError(f"{source}: {found}, {expected}") from e

@@ -147,8 +147,14 @@ BAD = {
         put("layers", value=[32, 17]),
         "actor.mlp.2.weight: found torch.float32 (16, 32) contiguous, expected torch.float32 (17, 32)",
     ),
-    "more layers": (put("layers", value=[32, 16, 8]), "actor: found tensors divisor, mean, mlp.0.bias"),
-    "tensor missing": (lambda file: file["actor"].pop("mean"), "actor: found tensors divisor, mlp.0.bias"),
+    "more layers": (
+        put("layers", value=[32, 16, 8]),
+        "actor: found tensors ['divisor', 'mean', 'mlp.0.bias'",
+    ),
+    "tensor missing": (
+        lambda file: file["actor"].pop("mean"),
+        "actor: found tensors ['divisor', 'mlp.0.bias'",
+    ),
     "double": (
         put("actor", "mean", value=torch.zeros(30, dtype=torch.float64)),
         "actor.mean: found torch.float64 (30,) contiguous, expected torch.float32 (30,) contiguous",

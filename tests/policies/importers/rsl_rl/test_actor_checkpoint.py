@@ -158,7 +158,7 @@ BAD = {
     "half a normalizer": (
         "MLP",
         put("obs_normalizer._var", None),
-        "obs_normalizer: found ['_mean', '_std'], exp",
+        "obs_normalizer: found tensors ['_mean', '_std'], exp",
     ),
     "negative": (
         "MLP",
@@ -191,7 +191,7 @@ BAD = {
     "no layer of memory": (
         "LSTM",
         put("rnn.rnn.weight_hh_l1", None),
-        "rnn: found ['bias_hh_l0', 'bias_hh_l1'",
+        "rnn: found tensors ['bias_hh_l0', 'bias_hh_l1'",
     ),
     "other memory": (
         "LSTM",
