@@ -14,7 +14,11 @@ BACKENDS, TASKS = "firstshift.backends", "firstshift.tasks"
 
 
 def installed(group: str) -> Mapping[str, EntryPoint]:
-    """Return the entry points of a group by name, sorted and not imported; no two may have one name."""
+    """Return the entry points of a group by name, sorted and not imported.
+
+    Raises:
+        ConfigError: two installed distributions claim the same name.
+    """
     return _scan(group, tuple(sys.path))
 
 

@@ -27,7 +27,11 @@ M = TypeVar("M", bound=Strict)
 
 
 def read_toml(path: Path, schema: type[M], error: type[FirstshiftError] = ConfigError) -> M:
-    """Read a TOML file into a strict record; an `error` names file, key, value and expectation."""
+    """Read a TOML file into a strict record; an `error` names file, key, value and expectation.
+
+    Raises:
+        FirstshiftError: of class `error`, naming file, key, value and expectation.
+    """
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as e:
@@ -39,7 +43,11 @@ def read_toml(path: Path, schema: type[M], error: type[FirstshiftError] = Config
 
 
 def reject_placeholders(data: object, source: str, error: type[FirstshiftError]) -> None:
-    """Refuse a draft with fields still to be filled in, one line for each of them."""
+    """Refuse a draft with fields still to be filled in, one line for each of them.
+
+    Raises:
+        FirstshiftError: of class `error`, one line for each of them.
+    """
     if fields := list(placeholder_fields(data)):
         raise error(
             "\n".join(f"{source}: {field}: still {PLACEHOLDER!r}, to be filled in" for field in fields)
@@ -60,7 +68,11 @@ def placeholder_fields(data: object, field: str = "") -> Iterator[str]:
 def read_json(
     text: str, source: str, characters_max: int, error: type[FirstshiftError] = ConfigError
 ) -> object:
-    """Return plain data from JSON of at most `characters_max`; `source` names its origin in an `error`."""
+    """Return plain data from JSON of at most `characters_max`; `source` names its origin in an `error`.
+
+    Raises:
+        FirstshiftError: of class `error`: too long, nested too deeply, or not JSON.
+    """
     if len(text) > characters_max:
         raise error(f"{source}: {len(text)} characters of JSON, at most {characters_max}")
     try:
@@ -70,7 +82,11 @@ def read_json(
 
 
 def parse(data: object, schema: type[M], *, source: str, error: type[FirstshiftError] = ConfigError) -> M:
-    """Return a strict record from plain data; an `error` has one line for each wrong field of `source`."""
+    """Return a strict record from plain data; an `error` has one line for each wrong field of `source`.
+
+    Raises:
+        FirstshiftError: of class `error`, one line for each field that is wrong.
+    """
     try:
         return schema.model_validate(_tuples(data))
     except ValidationError as e:

@@ -40,7 +40,11 @@ class ExternalTorque(Stage):
     carried = ("tau", "powered", "packets", "t")
 
     def __init__(self, spec: RobotSpec, robots: int, look_s: float) -> None:
-        """Allocate; `look_s` is the period of `look`."""
+        """Allocate; `look_s` is the period of `look`.
+
+        Raises:
+            RobotError: a motor's constant, or a joint's range of torque, is not in model.xml.
+        """
         self.tau, self.powered = np.zeros((robots, spec.n)), np.zeros(robots, dtype=bool)
         self.packets, self.t = np.zeros((robots, spec.n), dtype=np.int64), np.full(robots, -np.inf)
         self.packets_min = sample_count(DETECTION_S, max(look_s, 1.0 / spec.sensors["current"].rate_hz))

@@ -36,7 +36,11 @@ class ToolKinematics(CapabilityEstimator):
         return state
 
     def joint_torque(self, force: Floats) -> Floats:
-        """(B, n) N·m, joint torques equal to a force (B, 3) N on the tool where it was placed last: Jᵀf."""
+        """(B, n) N·m, joint torques equal to a force (B, 3) N on the tool where it was placed last: Jᵀf.
+
+        Raises:
+            RuntimeError: the tool was not placed yet.
+        """
         if self._kinematics is None:
             raise RuntimeError("the tool was not placed yet")
         return self._kinematics.torque_of_tool_force(force)

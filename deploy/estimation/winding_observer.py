@@ -50,6 +50,11 @@ class WindingObserver(Stage):
     parts = ("foldback",)
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
+        """Allocate; nothing is known before the first sample.
+
+        Raises:
+            RobotError: a motor's winding is not described in model.xml.
+        """
         shape = robots, spec.n
         self.winding, self.housing, self.hottest, self.last_square, self.current = np.full(
             (5, *shape), np.nan

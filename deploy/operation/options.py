@@ -17,7 +17,11 @@ SPEED_MAX = 1000.0
 
 
 def speed_factor(speed: str) -> float:
-    """Return robot time divided by wall time, a factor within bounds; infinite for `max`."""
+    """Return robot time divided by wall time, a factor within bounds; infinite for `max`.
+
+    Raises:
+        ConfigError: it is neither `max` nor a factor within bounds.
+    """
     if speed == "max":
         return math.inf
     try:
@@ -35,6 +39,9 @@ def random_source(
     """Return the seed of everything random, in words and as such, and the draw if a file holds it.
 
     `draw` is the robot of a soak, as SEED:ROBOT or FILE:ROBOT; a robot drawn now has `seed`, None for `SEED`.
+
+    Raises:
+        ConfigError: a number out of bounds, a draw that cannot be read, or both seed and draw.
     """
     if draw is None:
         number = SEED if seed is None else seed

@@ -60,7 +60,11 @@ _POOLS: dict[tuple[str, ReachConfig], GoalPool] = {}
 
 
 def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
-    """Return the pool of a robot, sampled once in a process: it takes half a second."""
+    """Return the pool of a robot, sampled once in a process: it takes half a second.
+
+    Raises:
+        RobotError: no goal can be reached.
+    """
     key = spec.digest, config
     if key not in _POOLS:
         _POOLS[key] = sample_pool(spec, config)

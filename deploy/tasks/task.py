@@ -142,13 +142,21 @@ class Task(Stage, ABC):
 
 
 def find_task(name: str, given: str) -> type[Task]:
-    """Return the installed task of that name in a contract; `given` is where it was named, for the error."""
+    """Return the installed task of that name in a contract; `given` is where it was named, for the error.
+
+    Raises:
+        ConfigError: no such task is installed.
+    """
     task: Any = load(TASKS, name, given)
     return task  # type: ignore[no-any-return]
 
 
 def sources_of(name: str) -> Mapping[str, ObservationSource]:
-    """Return the observation sources of every robot and those of a task, which must have other names."""
+    """Return the observation sources of every robot and those of a task, by name.
+
+    Raises:
+        ConfigError: no such task is installed, or it declares a source that robots have.
+    """
     task = find_task(name, f"task: found {name!r}")
     if twice := sorted(task.sources.keys() & SOURCES.keys()):
         raise ConfigError(f"task {name!r}: sources: found {', '.join(twice)}, which every robot has")

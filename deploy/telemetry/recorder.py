@@ -39,6 +39,11 @@ class Recorder:
     """
 
     def __init__(self, folder: Path, runtime: Runtime, *, start_ns: int, about: Mapping[str, str]) -> None:
+        """Replace the recording of a previous run in `folder`.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
         self._events: list[Recording] = []
         self.lost: str | None = None
         self._folder, self._spec, self._start_ns, self._about = folder, runtime.spec, start_ns, dict(about)

@@ -46,7 +46,11 @@ def _check_depth(root: ElementTree.Element, path: Path) -> ElementTree.Element:
 
 
 def urdf_text(model: Path, folder: Path) -> str:
-    """Return URDF that both libraries read alike: meshes by absolute path, no visuals, every link a body of its own."""
+    """Return URDF that both libraries read alike: meshes by absolute path, no visuals, every link a body of its own.
+
+    Raises:
+        RobotError: it cannot be read, or a mesh is not inside the folder.
+    """
     root = read_xml(model)
     for link in root.findall("link"):
         for visual in link.findall("visual"):

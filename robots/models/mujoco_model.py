@@ -37,7 +37,11 @@ def compile_model(mjcf: mujoco.MjSpec, model: Path) -> mujoco.MjModel:
 
 
 def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:
-    """Read the model at the robot's physics rate, with the drives of robot.toml, to compile or to add to."""
+    """Read the model at the robot's physics rate, with the drives of robot.toml, to compile or to add to.
+
+    Raises:
+        RobotError: MuJoCo cannot read it, or it lacks a part that robot.toml names.
+    """
     mjcf = open_model(spec.model_path, spec.folder)
     if spec.base and is_urdf(spec.model_path):  # URDF cannot declare a free root
         mjcf.worldbody.bodies[0].add_freejoint()

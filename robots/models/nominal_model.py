@@ -53,7 +53,11 @@ def _check_parts(spec: RobotSpec, model: pin.Model) -> None:
 
 
 def torque_max(spec: RobotSpec) -> Floats:
-    """Return (n,) N·m, each joint's `actuatorfrcrange` in the model, or its drive's where the model has none."""
+    """Return (n,) N·m, each joint's `actuatorfrcrange` in the model, or its drive's where the model has none.
+
+    Raises:
+        RobotError: a joint has none.
+    """
     limit = np.array(load_pinocchio(spec)[0].upperEffortLimit)
     for joint, drive in enumerate(spec.drives):
         if drive.torque_max is not None and not 0 < limit[joint] < np.inf:

@@ -17,7 +17,11 @@ _SET_ASIDE = "/body"
 
 
 def read_pinocchio(spec: RobotSpec) -> Read:
-    """Return model and collision geometry, not yet compared with robot.toml; a floating base becomes the world."""
+    """Return model and collision geometry, not yet compared with robot.toml; a floating base becomes the world.
+
+    Raises:
+        RobotError: Pinocchio cannot read the file or would leave a part of it out, or it has no such joint or body.
+    """
     path = spec.model_path
     referenced_files(path, spec.folder)
     try:
@@ -92,17 +96,29 @@ def _from_base(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -
 
 
 def tool_frame(spec: RobotSpec, model: pin.Model) -> list[int]:
-    """Return the frame of the site or else the body that robot.toml calls the tool; empty without tool."""
+    """Return the frame of the site or else the body that robot.toml calls the tool; empty without tool.
+
+    Raises:
+        RobotError: there is no such site or body.
+    """
     return [site_or_body(spec, model, spec.tool, "the tool")] if spec.tool else []
 
 
 def foot_frames(spec: RobotSpec, model: pin.Model) -> list[int]:
-    """Return the frames of the sites or else the bodies that robot.toml calls feet; empty without floating base."""
+    """Return the frames of the sites or else the bodies that robot.toml calls feet; empty without floating base.
+
+    Raises:
+        RobotError: there is no such site or body.
+    """
     return [site_or_body(spec, model, foot, "a foot") for foot in (spec.base.feet if spec.base else ())]
 
 
 def site_or_body(spec: RobotSpec, model: pin.Model, name: str, what: str) -> int:
-    """Return the frame of a site or else a body, which robot.toml calls `what`."""
+    """Return the frame of a site or else a body, which robot.toml calls `what`.
+
+    Raises:
+        RobotError: there is no such one; `what` is what robot.toml calls it.
+    """
     for kind in (SITE, BODY):
         if model.existFrame(name, kind):
             return int(model.getFrameId(name, kind))

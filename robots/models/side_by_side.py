@@ -44,6 +44,11 @@ class Blocks:
     """
 
     def __init__(self, spec: RobotSpec, *, collisions: bool) -> None:
+        """Read the model, find the pairs of shapes that can meet, and check the home pose.
+
+        Raises:
+            RobotError: as `load_pinocchio`, or the home pose is too near a singularity or a self-collision.
+        """
         self._model, self._geometry = load_pinocchio(spec)
         self._margin, self._built = spec.margins.collision_m or 0.0, dict[int, Block]()
         tool, feet = tool_frame(spec, self._model), foot_frames(spec, self._model)

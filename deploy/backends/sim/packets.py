@@ -29,6 +29,11 @@ class Packets:
     """
 
     def __init__(self, spec: RobotSpec, draw: Draw, keys: Keys, faults: Sequence[Fault] = ()) -> None:
+        """Take each robot's delays and losses.
+
+        Raises:
+            ConfigError: a fault of a sensor or channel that the robot lacks, or of one channel where all must fail.
+        """
         sheet = list(spec.sensors.values())
         self._keys, self._dt, self._control_hz = keys, spec.dt, spec.rates.control_hz
         self._rates = np.array([sensor.rate_hz for sensor in sheet])

@@ -18,6 +18,11 @@ class Scene:
     """
 
     def __init__(self, spec: RobotSpec) -> None:
+        """Compile the model.
+
+        Raises:
+            RobotError: as `read_mjcf`.
+        """
         mjcf = read_mjcf(spec)
         if "floating_base" in spec.capabilities:
             _add_floor(mjcf)

@@ -39,6 +39,11 @@ class Sensors(Stage):
         seeds: Sequence[np.random.SeedSequence],
         faults: Sequence[Fault] = (),
     ) -> None:
+        """Read each robot's errors from its draw.
+
+        Raises:
+            ConfigError: a fault of a sensor that the robot lacks.
+        """
         robots, sheet, sizes = len(seeds), list(spec.sensors.values()), list(spec.channels.values())
         self._dt, self._faults = spec.dt, faults
         self.noise_keys = stream_keys(seeds, Stream.SENSOR_NOISE)

@@ -17,6 +17,11 @@ class View:
     """Window on the true pose of one robot; closing it ends the view, not the run."""
 
     def __init__(self, robot: SimRobot, row: int = 0) -> None:
+        """Open the window on robot `row`.
+
+        Raises:
+            ConfigError: there is no display.
+        """
         check_display()
         self._robot, self._row, self._scene = robot, row, Scene(robot.spec)
         self._viewer = mujoco.viewer.launch_passive(self._scene.model, self._scene.data)

@@ -61,7 +61,11 @@ def _last_link(model: mujoco.MjModel, spec: RobotSpec) -> str:
 
 
 def add_cable(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, cable: Cable, spec: RobotSpec) -> None:
-    """Add a tendon from an anchor above the robot to the link that the cable is plugged into, a body of model.xml."""
+    """Add a tendon from an anchor above the robot to the link that the cable is plugged into.
+
+    Raises:
+        ConfigError: that link is not in model.xml.
+    """
     names = [nominal.body(i).name for i in range(nominal.nbody)]
     if cable.link not in names:
         known = ", ".join(filter(None, names))
@@ -84,7 +88,11 @@ def _name(kind: Kind, site: str) -> str:
 
 
 def add_site_sensors(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """Add the robot's sensors, and a body aligned with gravity if one of them measures orientation."""
+    """Add the robot's sensors, and a body aligned with gravity if one of them measures orientation.
+
+    Raises:
+        RobotError: a sensor's site is neither a site nor a body of model.xml.
+    """
     if "orientation" in spec.sensors:
         mjcf.worldbody.add_body(name=LEVEL)
     for kind in spec.sensors:

@@ -38,6 +38,9 @@ def add_ground(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, spec: RobotSpec) ->
     """Add a floor where model.xml has none, a gantry that holds the base, and sensors that count contacts.
 
     A robot that is mounted needs none of it. `base.may_touch` must name bodies of model.xml.
+
+    Raises:
+        RobotError: `base.may_touch` names a body that is not in model.xml.
     """
     if spec.base is None:
         return

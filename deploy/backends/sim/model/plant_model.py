@@ -63,7 +63,12 @@ class PlantModel:
 
 
 def build(spec: RobotSpec, cable: Cable) -> PlantModel:
-    """Extend model.xml and compile it; its parts must be those of robot.toml and draws.toml."""
+    """Extend model.xml and compile it.
+
+    Raises:
+        RobotError: model.xml or a sensor's site makes no sense.
+        ConfigError: the cable's link is not in model.xml.
+    """
     nominal, mjcf = load_mujoco(spec), read_mjcf(spec)
     _prepare(mjcf)
     for name in spec.joint_names:
