@@ -64,7 +64,15 @@ class Plant(Stage):
         gains: Gains | None = None,
         threads: int = 1,
     ) -> None:
-        """Build the simulations at home, brakes closed; a floating base hangs on a gantry until it is powered."""
+        """Build the simulations at home, brakes closed; a floating base hangs on a gantry until it is powered.
+
+        Args:
+            spec: the robot as it should be. draw: B robots as they are.
+            distributions: of the draw: link of the cable, and life of a joint.
+            seeds: B seeds of pushes and of the cycle of loads.
+            gains: of the drives; None: their own.
+            threads: for physics; results do not depend on it.
+        """
         _disable_log_file()
         model = build(spec, distributions.cable)
         self.batch = Batch(model.model, draw.robots, nthread=threads)
