@@ -12,9 +12,9 @@ pytest.importorskip("mujoco")
 
 from mujoco.batch import Batch
 
+import eval.bench.__main__ as command
 from deploy.command_line import main
 from deploy.policy.policy import Policy
-from eval.bench import __main__ as command
 from eval.bench import stages, stopwatch
 from eval.bench.baselines.library_loop import LibraryLoop
 from eval.bench.budget_check import make_idle

@@ -9,10 +9,10 @@ from support.arm6 import SPEC
 
 pytest.importorskip("mujoco")
 
+import eval.mutants.__main__ as command
 from deploy.command_line import BUDGET_EXCEEDED, PASSED
 from deploy.state import Reason
 from eval.judge.monitors import NAMES
-from eval.mutants import __main__ as command
 from eval.mutants import suite
 from eval.mutants.situation import INVALID, LATCHES, keep_guards, run_situation
 from eval.mutants.suite import ALL_GUARDS_OFF, MUTANTS, Row, run_mutants
