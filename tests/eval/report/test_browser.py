@@ -10,9 +10,8 @@ from dataclasses import replace
 import pytest
 
 from eval.report.build import build
-from eval.report.html import render
 from eval.statistics.budget import load_budget
-from support.eval.reports import BUNDLE, soak
+from support.eval.reports import BUNDLE, rendered, soak
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 BROWSER = next((name for name in BROWSERS if shutil.which(name)), None)
@@ -72,7 +71,7 @@ def browse(folder, text):
 @pytest.mark.skipif(BROWSER is None, reason="no browser")
 def test_browser_renders_the_report_without_errors(tmp_path):
     result = replace(soak(["velocity", "position_requested"]), bundles=(BUNDLE,))
-    found, complaints = browse(tmp_path, render(build(result, load_budget())))
+    found, complaints = browse(tmp_path, rendered(build(result, load_budget())))
     assert complaints == []
     assert sorted(map(int, found)) == sorted(WIDTHS)
     for width in WIDTHS:
@@ -87,7 +86,7 @@ def test_browser_renders_the_report_without_errors(tmp_path):
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser")
 def test_browser_check_detects_a_broken_page(tmp_path):
-    text = render(build(soak(["velocity"]), load_budget()))
+    text = rendered(build(soak(["velocity"]), load_budget()))
     broken = text.replace('d="M', 'd="Q', 1)
     assert broken != text
     _, complaints = browse(tmp_path, broken)

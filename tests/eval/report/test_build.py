@@ -9,14 +9,14 @@ from junitparser import JUnitXml
 from eval.judge.counts import REASONS
 from eval.judge.monitors import Channels
 from eval.report.build import CURVE_POINTS, build
-from eval.report.html import decimals, render
+from eval.report.html import decimals
 from eval.report.plots.curves import wear_plot
 from eval.report.report_files import check_report_folder, junit, write_report
 from eval.report.schema.report_data import Report
 from eval.statistics.budget import load_budget
 from robots.errors import OutputError
 from support.arm6 import SPEC
-from support.eval.reports import HOURS, ROBOTS, TICKS, Page, report, soak
+from support.eval.reports import HOURS, ROBOTS, TICKS, Page, rendered, report, soak
 
 HARD = [monitor for monitor in Channels.of_robot(SPEC).monitors if monitor.hard]
 
@@ -50,7 +50,7 @@ def test_margins_are_shown_without_events():
     row = next(row for row in found.monitors if row.name == "tracking")
     # Of 92 million ticks 100 lie at 0.7, fewer than 1 in 10,000, and the others at 0.4.
     assert {channel.tail for channel in row.channels} == {0.41}
-    words = " ".join("".join(Page(render(found)).words).split())
+    words = " ".join("".join(Page(rendered(found)).words).split())
     assert "without 1 in 10000" in words
     assert "59 %" in words
 
@@ -66,7 +66,7 @@ def test_dropped_events_are_counted_and_reported():
     result.counts.events[3, result.counts.columns("velocity").start] = 701
     found = build(result, load_budget())
     assert next(row for row in found.monitors if row.name == "velocity").unlisted == 700
-    assert "700 more were counted above but are not listed" in render(found)
+    assert "700 more were counted above but are not listed" in rendered(found)
 
 
 def test_policy_without_training_statistics_is_not_judged_by_them():
@@ -122,12 +122,12 @@ def test_json_round_trips(tmp_path):
     assert Report.model_validate_json(found.model_dump_json()) == found
     write_report(found, tmp_path)
     again = Report.model_validate_json((tmp_path / "report.json").read_text())
-    assert render(again) == (tmp_path / "report.html").read_text()
+    assert rendered(again) == (tmp_path / "report.html").read_text()
 
 
 @pytest.mark.parametrize("events", [(), ("jerk", "workspace", "position_requested")])
 def test_page_is_valid_small_and_self_contained(events):
-    text = render(report(events))
+    text = rendered(report(events))
     page = Page(text)
     assert page.open == []
     assert len(page.ids) == len(set(page.ids))
@@ -142,7 +142,7 @@ def test_page_is_valid_small_and_self_contained(events):
 
 def test_page_shows_the_report():
     found = report(["velocity"])
-    words = " ".join("".join(Page(render(found)).words).split())
+    words = " ".join("".join(Page(rendered(found)).words).split())
     assert found.statement in words
     assert "Failed" in words
     assert "Budget exceeded: velocity." in words
@@ -162,7 +162,7 @@ def test_page_shows_the_report():
 
 def test_interruption_is_shown_everywhere():
     found = report(["jerk"], interrupted=True, ticks=TICKS // 4)
-    words = " ".join("".join(Page(render(found)).words).split())
+    words = " ".join("".join(Page(rendered(found)).words).split())
     assert found.verdict == "interrupted"
     assert "Interrupted after 2 of 8 hours" in words
     assert "Budget exceeded so far: jerk." in words
@@ -171,7 +171,7 @@ def test_interruption_is_shown_everywhere():
 
 
 def test_hostile_name_is_escaped():
-    text = render(report(policy="<script>alert(1)</script>"))
+    text = rendered(report(policy="<script>alert(1)</script>"))
     assert "<script" not in text
     assert "&lt;script&gt;" in text
 
@@ -183,7 +183,7 @@ def test_very_short_run_has_a_report(ticks, samples):
     object.__setattr__(result, "goals_attempted", empty)
     object.__setattr__(result, "goals_reached", empty)
     found = build(result, load_budget())
-    Page(render(found))
+    Page(rendered(found))
     assert "no bound" in found.statement if ticks == 0 else "rate ≤" in found.statement
 
 
@@ -200,7 +200,7 @@ def test_non_finite_numbers():
     assert worthless.wear[0].median[-1] is worthless.wear[0].joints[3].median[1] is None
     for each in (found, worthless):
         assert Report.model_validate_json(each.model_dump_json()) == each
-        assert "∞" in render(each)
+        assert "∞" in rendered(each)
 
 
 def test_wear_by_quantity_and_joint():
@@ -236,7 +236,7 @@ def test_most_worn_joint_has_the_longest_travel_and_a_known_end():
 @pytest.mark.slow
 def test_the_page_shows_the_wear():
     found = report()
-    words = " ".join("".join(Page(render(found)).words).split())
+    words = " ".join("".join(Page(rendered(found)).words).split())
     assert found.goals.change in words
     for row in found.wear:
         assert f"{row.name.capitalize()}, {row.unit}" in words
@@ -246,7 +246,7 @@ def test_the_page_shows_the_wear():
                 assert f"{decimals(start, row.unit)} → {decimals(end, row.unit)}" in words
     assert "100.0 → 107.5 100.0 → 115.0 0.30 → 0.38 0.30 → 0.45 0.00 → 0.75" in words
     for name in ("Friction", "Backlash", "Encoder error", "Torque constant"):
-        assert f'aria-label="{name} over time"' in render(found)
+        assert f'aria-label="{name} over time"' in rendered(found)
 
 
 def test_axis_of_negligible_wear_spans_one_percent():
@@ -301,8 +301,8 @@ def test_stops_by_reason():
     found = build(result, load_budget())
     assert (found.stops.total, found.stops.latches) == (3, 1)
     assert found.stops.reasons == {"NONE": 1, "WORKSPACE": 2}
-    assert "No robot stopped" in render(report())
-    assert "workspace" in render(found)
+    assert "No robot stopped" in rendered(report())
+    assert "workspace" in rendered(found)
 
 
 def test_one_test_case_for_each_budget_line():

@@ -10,7 +10,7 @@ import pytest
 
 from eval.judge.monitors import Channels
 from eval.report.build import build
-from eval.report.html import EVENTS_SHOWN, duration, event_cells, load_text, margin_text, plots, render
+from eval.report.html import EVENTS_SHOWN, duration, event_cells, load_text, margin_text, plots
 from eval.report.plots.curves import heat_plot, wear_plot
 from eval.report.report_files import junit
 from eval.report.schema.json_schema import SCHEMA, schema
@@ -18,7 +18,7 @@ from eval.report.schema.report_data import Report
 from eval.statistics.budget import load_budget
 from eval.statistics.numbers import figure
 from support.arm6 import SPEC
-from support.eval.reports import BUNDLE, HOURS, ROBOTS, TICKS, Page, report, soak
+from support.eval.reports import BUNDLE, HOURS, ROBOTS, TICKS, Page, rendered, report, soak
 
 CHANNELS = Channels.of_robot(SPEC)
 HARD = sum(monitor.hard for monitor in CHANNELS.monitors)
@@ -28,7 +28,7 @@ def words(found):
     """What the page says; figures take long and say nothing here."""
     none = {"timeline": "", "margins": "", "goals": "", "heat": [""] * SPEC.n, "wear": [""] * 4}
     with patch("eval.report.html.plots", lambda _: none):
-        return " ".join("".join(Page(render(found)).words).split())
+        return " ".join("".join(Page(rendered(found)).words).split())
 
 
 def with_events(result, robots, monitor="velocity"):
@@ -191,7 +191,7 @@ def test_a_report_without_loads_has_no_margins():
     result.counts.bins[:] = 0
     found = build(result, load_budget())
     assert {row.load_histogram for row in found.monitors} == {()}
-    assert "Margins of every monitor" not in render(found)
+    assert "Margins of every monitor" not in rendered(found)
 
 
 def test_an_event_is_linked_from_its_joint_and_to_its_bundle():
@@ -199,7 +199,7 @@ def test_an_event_is_linked_from_its_joint_and_to_its_bundle():
         replace(soak(["velocity", "jerk"]), bundles=(BUNDLE, "events/0003-00720001-jerk")), load_budget()
     )
     assert {event.monitor: event.bundle for event in found.events} == {"velocity": BUNDLE, "jerk": None}
-    page = Page(render(found))
+    page = Page(rendered(found))
     assert f"{BUNDLE}/" in page.loads
     assert f"soak-replay {BUNDLE}" in words(found)
     assert [load for load in page.loads if load.startswith("events/")] == [f"{BUNDLE}/"]
@@ -227,7 +227,7 @@ def busy(robots, each):
 
 def test_soak_with_many_events_stays_readable_and_small():
     found = build(busy(64, 4), load_budget())
-    text = render(found)
+    text = rendered(found)
     assert len(text) < 10_000_000
     shown = [event for row in event_cells(found).values() for cell in row.values() for event in cell.shown]
     assert EVENTS_SHOWN / 2 < len(shown) <= EVENTS_SHOWN

@@ -2,7 +2,7 @@ import json
 import multiprocessing as mp
 import os
 import signal
-import threading
+from concurrent.futures import wait
 from dataclasses import replace
 
 import numpy as np
@@ -17,9 +17,9 @@ pytest.importorskip("mujoco")
 from deploy.policy.policy import Policy
 from eval.shard.job import WIDTH, code_digest
 from eval.shard.shard import Shard
+from eval.soak import workers
 from eval.soak.checkpoint import DAMAGED, Checkpoint, delete_checkpoints, prepare_folder
 from eval.soak.configuration import SoakConfig
-from eval.soak.workers import resumed_ticks, run_soak
 from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError, OutputError
 
@@ -149,38 +149,40 @@ def test_code_digest_is_part_of_the_identity(restless, tmp_path):
     assert json.loads(json.dumps(identity)) == identity
 
 
-def kill_a_worker_when(path):
-    """From a thread: as soon as there is something at `path`, a worker is killed as the system does it."""
+@pytest.mark.slow
+def test_killed_worker_changes_no_result(finished, tmp_path, monkeypatch, capsys):
+    """It is killed in the midst of the first shard, as the system does it; the second has a checkpoint already."""
+    soak, show_progress = finished.soak, workers.WorkerPool.show_progress
 
-    def work():
-        while not path.exists():
-            over.wait(0.01)
+    def kill(pool, futures):
+        while not sum(pool.progress):
+            wait(futures, timeout=0.01)
         for child in mp.active_children():
             os.kill(child.pid, signal.SIGKILL)
+        patch.undo()
+        show_progress(pool, futures)
 
-    over = threading.Event()
-    threading.Thread(target=work, daemon=True).start()
-
-
-@pytest.mark.slow
-def test_killed_worker_changes_no_result(finished, tmp_path, capsys):
-    soak = finished.soak
-    kill_a_worker_when(soak.checkpoint(0, tmp_path).path)
-    disturbed = run_soak(soak, tmp_path, Console())
+    prepare_folder(tmp_path)
+    shard = Shard(soak.jobs()[1])
+    shard.run(lambda _: None, lambda: shard.runtime.ticks >= 200)
+    soak.checkpoint(1, tmp_path).store(shard.save())
+    with monkeypatch.context() as patch:
+        patch.setattr(workers.WorkerPool, "show_progress", kill)
+        disturbed = workers.run_soak(soak, tmp_path, Console())
     assert "a worker died: its shards resume from their checkpoints" in capsys.readouterr().out
     assert len(finished.shards) == len(disturbed) == 2
     for number in (0, 1):
         assert_same(*(soak.checkpoint(number, folder).load() for folder in (finished.kept, tmp_path)))
-    assert resumed_ticks(soak, tmp_path, Console(quiet=True)) == 2 * soak.ticks
+    assert workers.resumed_ticks(soak, tmp_path, Console(quiet=True)) == 2 * soak.ticks
 
 
 def test_damage_is_reported_before_the_soak_runs(restless, tmp_path, capsys):
     kept = restless.checkpoint(1, tmp_path / "unfinished")
     prepare_folder(tmp_path / "unfinished")
     kept.store({"runtime.ticks": np.array(400)})
-    assert resumed_ticks(restless, tmp_path / "unfinished", Console()) == 400
+    assert workers.resumed_ticks(restless, tmp_path / "unfinished", Console()) == 400
     spoil(kept.path, "cut")
-    assert resumed_ticks(restless, tmp_path / "unfinished", Console()) == 0
+    assert workers.resumed_ticks(restless, tmp_path / "unfinished", Console()) == 0
     assert "shard-0001.npz: damaged and renamed: its robots start again" in capsys.readouterr().out.replace(
         "\n", ""
     )

@@ -3,7 +3,6 @@ import os
 import re
 import shutil
 import sys
-import threading
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -119,27 +118,18 @@ def test_a_soak_that_does_not_fit_is_refused_with_both_numbers(restless, tmp_pat
     check_disk_space(*asked)
 
 
-def meanwhile(path, do):
-    """From a thread: as soon as there is something at `path`."""
-
-    def work():
-        while not path.exists():
-            over.wait(0.01)
-        do()
-
-    over = threading.Event()
-    threading.Thread(target=work, daemon=True).start()
-
-
 @pytest.mark.slow
-def test_lost_report_folder_is_an_error_and_not_recreated(restless, tmp_path):
-    """It is moved away between the ends of the two shards; when it is put back, the soak goes on from there."""
+def test_lost_report_folder_is_an_error_and_not_recreated(restless, tmp_path, monkeypatch):
+    """It is moved away once the soak has begun; when it is put back, the soak goes on from there."""
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    restless, run = replace(restless, hours=0.0004), workers.WorkerPool.run
+    first = restless.checkpoint(0, out / "unfinished")
     written.check_report_folder(out)
-    restless = replace(restless, hours=0.0004)  # before the second shard has anything else to write
-    first, second = (restless.checkpoint(number, out / "unfinished").path for number in (0, 1))
-    meanwhile(first, lambda: out.rename(elsewhere))
-    with pytest.raises(OutputError, match=rf"{second}: cannot be written: {out / 'unfinished'} was deleted"):
+    prepare_folder(out / "unfinished")
+    first.store({"runtime.ticks": np.array(restless.ticks)})
+    monkeypatch.setattr(workers.WorkerPool, "run", lambda pool: (out.rename(elsewhere), run(pool)))
+    lost = f"{first.path}: cannot be written: {out / 'unfinished'} was deleted"
+    with pytest.raises(OutputError, match=lost):
         run_soak(restless, out / "unfinished", QUIET)
     assert not out.exists()
     assert restless.checkpoint(0, elsewhere / "unfinished").load() is not None

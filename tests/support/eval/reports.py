@@ -1,11 +1,14 @@
 import dataclasses
 import html.parser
+from functools import cache
 
 import numpy as np
 
 from deploy.policy.contract import Observed
 from eval.history.soak_record import Run, Settings
 from eval.report.build import build
+from eval.report.html import render
+from eval.report.schema.report_data import Report
 from eval.report.soak_result import SoakResult
 from eval.statistics.budget import load_budget
 from support.arm6 import arm_judge
@@ -90,6 +93,16 @@ def soak(events=(), *, interrupted=False, ticks=TICKS, samples=481, policy="arm.
 
 def report(*args, **kwargs):
     return build(soak(*args, **kwargs), load_budget())
+
+
+def rendered(found):
+    """The page of a report; pages of equal reports are rendered once in a process."""
+    return _page(found.model_dump_json())
+
+
+@cache
+def _page(found):
+    return render(Report.model_validate_json(found))
 
 
 class Page(html.parser.HTMLParser):

@@ -11,13 +11,12 @@ from eval.faults.fault_response import FaultResponses
 from eval.faults.schedule import FaultSettings
 from eval.judge.monitors import NAMES
 from eval.report.build import build
-from eval.report.html import render
 from eval.report.report_files import junit
 from eval.report.schema.report_data import Report
 from eval.report.sections.faults import fault_table
 from eval.statistics.budget import load_budget
 from support.arm6 import SPEC
-from support.eval.reports import Page, soak
+from support.eval.reports import Page, rendered, soak
 
 CLASSES, ROBOTS = catalogue(SPEC), 60
 
@@ -62,7 +61,7 @@ def test_unhandled_fault_fails_and_is_named():
     assert [line.name for line in found.budget if not line.passed] == ["fault_coverage"]
     about = f"lowest bound: {CLASSES[-1].name}, 59 of 60 handled; with 1 unhandled, 95 % needs 93 injections"
     assert found.budget[0].about == about
-    assert about in "".join(Page(render(found)).words)
+    assert about in "".join(Page(rendered(found)).words)
     assert f"allowed at least 0.95 ({about})" in junit(found)
     assert (found.faults.rows[-1].handled, found.faults.rows[-1].violations) == (59, {"torque": 1})
     assert found.faults.rows[-1].deviation_rad is None
@@ -78,7 +77,7 @@ def test_unhandled_fault_fails_and_is_named():
 def test_a_class_that_was_not_injected_is_no_failure_of_the_robot():
     told = every_class_handled()
     told.complete[:, 0] = -1
-    page = render(report(told))
+    page = rendered(report(told))
     words = " ".join("".join(Page(page).words).split())
     assert words.count("not injected") == 1
     assert words.count("60 of 60") == len(CLASSES) - 1
@@ -91,7 +90,7 @@ def test_a_class_that_was_not_injected_is_no_failure_of_the_robot():
 def test_the_page_shows_every_class_and_what_was_not_injected():
     told = every_class_handled()
     told.violated[3, -1] = 1 << NAMES.index("torque")
-    words = " ".join("".join(Page(render(report(told))).words).split())
+    words = " ".join("".join(Page(rendered(report(told))).words).split())
     for each in CLASSES:
         assert each.name in words
     for sentence in NOT_INJECTED:
@@ -99,4 +98,4 @@ def test_the_page_shows_every_class_and_what_was_not_injected():
     assert "0.10 / 0.10" in words
     assert "category 1category 2 60" in words
     assert "The first 1 unhandled faults" in words
-    assert "Injected faults" not in render(build(soak(), load_budget()))
+    assert "Injected faults" not in rendered(build(soak(), load_budget()))

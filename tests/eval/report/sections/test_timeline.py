@@ -8,12 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eval.report.build import build
-from eval.report.html import render
 from eval.report.plots.bars import timeline_plot
 from eval.report.schema.rows import EventRow
 from eval.report.sections.timeline import STEPS, bars, timeline
 from eval.statistics.budget import load_budget
-from support.eval.reports import TICKS, report, soak
+from support.eval.reports import TICKS, rendered, report, soak
 
 ROBOTS, END_H = 5, 8.0
 STEP = END_H / STEPS
@@ -70,7 +69,7 @@ def test_time_from_which_events_are_only_counted():
     found = build(result, load_budget())
     assert [row.unlisted_h for row in found.robots] == [1.0 if k in {3, 11} else None for k in range(16)]
     np.testing.assert_allclose(timeline(found.robots, (), 8.0).unlisted, [(3, 1.0, 8.0), (11, 1.0, 8.0)])
-    assert "events not listed one by one" in render(found)
+    assert "events not listed one by one" in rendered(found)
 
 
 def drawn(found):

@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from eval.report.html import interval_text, render, render_history
+from eval.report.html import interval_text, render_history
 from eval.report.plots.curves import TREND_QUANTITIES
 from eval.report.schema.report_data import Report
 from eval.report.schema.trend_rows import Trend
@@ -16,7 +16,7 @@ from eval.statistics.dispersion import dispersion_p, draw_rate_interval, draw_ra
 from eval.statistics.evidence import rate_upper, share_upper
 from eval.statistics.numbers import figure
 from support.eval.nights import OTHER, named, night
-from support.eval.reports import Page, report
+from support.eval.reports import Page, rendered, report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 B, C = OTHER["policy_digest"], {**OTHER["policy_digest"], **OTHER["code_digest"], **OTHER["numpy"]}
@@ -155,7 +155,7 @@ def words(page):
 
 def test_trend_is_shown_only_with_a_history():
     whole = report().model_copy(update={"trend": trend({**year(), THIS_RUN: report()})})
-    page, bare = render(whole), render(report())
+    page, bare = rendered(whole), rendered(report())
     assert page.count("<svg") == bare.count("<svg") + len(TREND_QUANTITIES)
     last = whole.trend.last
     assert f"{last.statement} {last.dispersion}" in words(page)
