@@ -242,7 +242,8 @@ def test_a_view_without_a_display_is_exit_2(command, arm_policy, tmp_path, monke
 @pytest.mark.slow
 def test_process_without_torch_prints_lines(arm_policy, tmp_path):
     code = (
-        "import sys, deploy.operation.cli\n"
+        "import sys, deploy.operation.cli, deploy.telemetry.console as console\n"
+        "console.WAIT_S = 300\n"
         "try: deploy.operation.cli.cli()\n"
         "finally: sys.exit(99) if 'torch' in sys.modules else None"
     )

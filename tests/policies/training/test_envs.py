@@ -44,7 +44,7 @@ def test_training_runs_the_shipped_tick():
     learner = Learner(contract.observation_size)
     shipped, robot = simulate(SPEC, contract, seeds, learner)
     every = np.ones(robots, dtype=bool)
-    q = env._robot.plant.q.copy()
+    q = env.runtime.robot.plant.q.copy()
     robot.reset(every, q)
     shipped.reset(every)
     shipped.task.restore(env.runtime.task.save())
@@ -58,7 +58,7 @@ def test_training_runs_the_shipped_tick():
             shipped.act(None if observation is None else learner.step(observation))
             ticks += 1
         np.testing.assert_array_equal(shipped.command.q, env.runtime.command.q)
-        np.testing.assert_array_equal(robot.truth().q, env._robot.truth().q)
+        np.testing.assert_array_equal(robot.truth().q, env.runtime.robot.truth().q)
     assert (shipped.supervisor.mode == Mode.RUNNING).any()
     assert np.abs(shipped.command.q - q).max() > 0.1
 
@@ -66,11 +66,11 @@ def test_training_runs_the_shipped_tick():
 def test_episode_ends_with_its_goals_and_restarts_elsewhere():
     env = env_of(4)
     env.episode_length_buf[2] = env.max_episode_length - 1
-    before = env._robot.truth().q.copy()
+    before = env.runtime.robot.truth().q.copy()
     _, _, done, extras = env.step(torch.zeros(4, N))
     assert done.tolist() == [0, 0, 1, 0]
     assert extras["time_outs"].tolist() == [0, 0, 1, 0]
-    assert np.abs(env._robot.truth().q - before).max(axis=1)[2] > 0.05
+    assert np.abs(env.runtime.robot.truth().q - before).max(axis=1)[2] > 0.05
     assert env.episode_length_buf.tolist() == [1, 1, 0, 1]
     for _ in range(10):
         env.step(torch.zeros(4, N))
@@ -81,7 +81,7 @@ def test_actor_observes_no_ground_truth():
     env = env_of(2)
     observation = env.get_observations()
     assert observation["actor"].shape == (2, contract_of(RECIPE, SPEC, {}).observation_size)
-    env._robot.plant.tool += 1.0
+    env.runtime.robot.plant.tool += 1.0
     after = env.get_observations()
     torch.testing.assert_close(after["actor"], observation["actor"], rtol=0, atol=0)
     assert (after["privileged"] != observation["privileged"]).any()
@@ -104,9 +104,9 @@ def test_goals_are_scored_at_their_end_or_at_a_violation():
     assert env.due == 0
     last = round(env.runtime.task.criterion.period_s / SPEC.dt) - env.runtime.decimation
     env.runtime.task.elapsed[:] = [last, 0, 0]
-    beyond = env._robot.truth().q.copy()
+    beyond = env.runtime.robot.truth().q.copy()
     beyond[1, 0] = SPEC.joint_array("q_max")[0] + 0.1
-    env._robot.plant.kinematics.place(np.array([1]), beyond)
+    env.runtime.robot.plant.kinematics.place(np.array([1]), beyond)
     env.step(torch.zeros(3, N))
     assert env.due == 2
 

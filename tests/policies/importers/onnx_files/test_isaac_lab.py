@@ -284,9 +284,9 @@ BOMB = "0: &0 [x, x]\n" + "".join(f"{k}: &{k} [*{k - 1}, *{k - 1}]\n" for k in r
 )
 def test_yaml_beyond_data_is_refused_quickly(tmp_path, monkeypatch, text, message):
     monkeypatch.chdir(tmp_path)
-    began = time.monotonic()
+    began = time.process_time()
     assert refused(written(tmp_path, text)).startswith(message)
-    assert time.monotonic() - began < 30
+    assert time.process_time() - began < 30
     assert not (tmp_path / "escaped").exists()
 
 
