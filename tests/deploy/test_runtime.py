@@ -103,6 +103,7 @@ def test_policy_steps_at_its_own_rate():
     assert sum(asked) == 40 // ratio
 
 
+@pytest.mark.slow
 def test_same_seeds_same_bits_other_seeds_other_bits():
     one, other, stranger = running(3), running(3), running(3, seed=6)
     for runtime in (one, other, stranger):
@@ -118,6 +119,7 @@ def test_threads_do_not_change_a_bit():
     assert_same(one, two)
 
 
+@pytest.mark.slow
 def test_robot_alone_equals_the_same_robot_in_a_group():
     group = running(4)
     together, _ = play(group, 400)
@@ -191,6 +193,7 @@ def test_prepared_stop_is_part_of_the_saved_state():
     assert (one.command.q != other.command.q).any()
 
 
+@pytest.mark.slow
 def test_arm_with_policy_gains_is_checked_at_its_setpoint():
     """Down to the edge of its workspace: the guards of a walker, which look where joints are, would stop it above."""
     soft = arm_contract().action.model_copy(update={"kp": (2000.0,) * N, "kd": (100.0,) * N})

@@ -104,6 +104,7 @@ def test_robot_hangs_where_it_will_stand(tmp_path):
     assert not runtime.arm(np.ones(1, dtype=bool)).any()
 
 
+@pytest.mark.slow
 def test_base_sensors_follow_the_base():
     runtime = standing(4)
     base = runtime.robot.truth().base
@@ -171,6 +172,7 @@ def test_drive_springs_are_limited_to_the_drive_torque():
     np.testing.assert_array_equal(tau, np.full((2, 12), 40.0))
 
 
+@pytest.mark.slow
 def test_robot_alone_equals_the_same_robot_in_a_group():
     three, alone = standing(3), standing(1)
     for tick in range(60):
@@ -191,6 +193,7 @@ def test_saved_and_restored_goes_on_bit_for_bit():
     np.testing.assert_array_equal(bits(other), bits(one))
 
 
+@pytest.mark.slow
 def test_fall_latches_the_supervisor():
     runtime = standing(2)
     legs = np.zeros((2, 12))
@@ -236,6 +239,7 @@ def test_a_base_may_carry_a_tool(tmp_path):
     np.testing.assert_array_equal(*both)
 
 
+@pytest.mark.slow
 def test_commands_are_counted_as_followed():
     runtime = standing(2)
     period = round(QUADRUPED.base.command_s / DT)
@@ -291,6 +295,7 @@ def judged(runtime, ticks, action=None):
     return judge.counts()
 
 
+@pytest.mark.slow
 def test_judge_counts_falls_and_followed_commands():
     runtime = standing(2)
     period = round(QUADRUPED.base.command_s / DT)

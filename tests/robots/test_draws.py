@@ -95,6 +95,7 @@ def test_no_robot_is_the_nominal_one():
         assert not np.isin([0.0, 1.0], values).any(), name
 
 
+@pytest.mark.slow
 def test_draws_fill_their_spans():
     d = drawn(3, range(2000))
     for name, (_, span) in QUANTITIES.items():

@@ -84,6 +84,7 @@ def _model(dt, joint=0):
 
 
 @pytest.mark.parametrize(("seed", "loss"), [(0, 0.0), (1, 0.2), (2, 0.7)])
+@pytest.mark.slow
 def test_equals_filterpy(seed, loss):
     robots, rng = 3, np.random.default_rng(seed)
     estimator, oracle = begun(robots), ByFilterpy(robots)
@@ -103,6 +104,7 @@ def test_equals_filterpy(seed, loss):
 
 @settings(max_examples=15)
 @given(seed=st.integers(0, 2**31), loss=st.floats(0, 0.95))
+@pytest.mark.slow
 def test_covariance_stays_positive_and_state_finite(seed, loss):
     estimator = begun(4)
     for tick, s, setpoint in packets(np.random.default_rng(seed), 4, 250, loss):

@@ -135,6 +135,7 @@ def test_braking_is_planned_without_touching_what_comes_next():
         other.commit(plain)
 
 
+@pytest.mark.slow
 def test_robots_are_independent_to_the_bit():
     """Each on a schedule of its own, so that some trajectories are read long after their end while others go on."""
     robots, ticks, rng = BLOCK + 5, 300, np.random.default_rng(5)

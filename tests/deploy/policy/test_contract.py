@@ -16,6 +16,7 @@ from support.contracts import NAMES, SWAPPED, arm_contract, contracts, term
 
 @settings(max_examples=200)
 @given(contracts())
+@pytest.mark.slow
 def test_json_keeps_every_bit(contract):
     back = Contract.from_json(contract.to_json(), "x.onnx")
     assert back == contract

@@ -162,6 +162,7 @@ def check_invariants(before, reason_before, after_mode, reason, at_rest, obey):
         assert (after_mode == Mode.STOPPING) == (not at_rest)
 
 
+@pytest.mark.slow
 def test_all_short_input_sequences():
     """All 6^5 sequences of (reason, rest) from RUNNING keep the invariants."""
     steps = list(itertools.product((0, SOFT, HARD), (True, False)))

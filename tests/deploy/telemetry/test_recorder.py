@@ -188,6 +188,7 @@ def test_a_stop_soon_after_another_is_an_event_of_its_own(tmp_path, second):
         assert times == [START_NS + tick * TICK_NS for tick in range(last - DEPTH + 1, last + 1)]
 
 
+@pytest.mark.slow
 def test_the_number_of_events_is_bounded(tmp_path):
     stops = dict.fromkeys(range(0, 10_000, 250), Reason.STALE)
     writer = record(tmp_path, 10_000, stops=stops)
@@ -273,6 +274,7 @@ def small_disk():
 
 
 @pytest.mark.usefixtures("small_disk")
+@pytest.mark.slow
 def test_disk_that_fills_up_during_a_run_is_reported_once_and_stops_no_tick(tmp_path, caplog, capfd):
     writer = record(tmp_path, 8000)
     assert writer.lost == f"{tmp_path / 'run.mcap'}: cannot be written: File too large"

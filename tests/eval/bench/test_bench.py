@@ -65,6 +65,7 @@ def test_time_is_counted_once_where_it_was_spent(monkeypatch):
     assert (watch.total("outer"), watch.total("inner")) == (0.0, 0.25)
 
 
+@pytest.mark.slow
 def test_a_bench_watches_every_stage_and_leaves_the_results_alone(arm_policy, monkeypatch):
     monkeypatch.setattr(stages, "WARM_S", 0.25)
     bench = stages.StageBench(SPEC, arm_policy, 2, every_stage=True)

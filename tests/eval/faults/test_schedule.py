@@ -59,6 +59,7 @@ def test_schedule_depends_on_seed_and_robot_only():
 OF_SENSORS = [each for each in CLASSES if isinstance(each, SensorFault)]
 
 
+@pytest.mark.slow
 def test_every_fault_of_a_sensor_reaches_its_own_channels_and_no_others():
     """Robots that stand still, each with its own fault, beside twins that have none; a housing is warmed in both."""
     begins, seeds = 130, [robot_seed(5, robot) for robot in range(len(OF_SENSORS))]
@@ -88,6 +89,7 @@ TIMED = ("encoder off", "encoder stuck", "current off", "current stuck", "temper
 """Faults that deploy has a timer for, which ends in a stop."""
 
 
+@pytest.mark.slow
 def test_faults_last_longer_than_the_detection_times_of_deploy():
     faults, begins = [named(name) for name in TIMED], 70
     schedule = one_each([(each, None) for each in faults], begins)

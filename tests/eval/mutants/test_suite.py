@@ -58,6 +58,7 @@ def test_judge_detects_a_missing_guard(start):
     assert row.caught
 
 
+@pytest.mark.slow
 def test_a_mutant_that_weakens_nothing_is_missed():
     (row,) = run_mutants(SPEC, (replace(named("planner: jerk"), remove_guard=keep_guards),))
     assert (row.with_guard, row.without_guard) == (0, 0)
@@ -72,6 +73,7 @@ def test_caught_means_silent_with_the_guard_and_an_event_without(with_guard, wit
     assert Row(mutant=MUTANTS[0], with_guard=with_guard, without_guard=without_guard).caught == caught
 
 
+@pytest.mark.slow
 def test_with_guards_off_and_draws_doubled_every_monitor_fires():
     assert not suite.silent_monitors(SPEC)
 

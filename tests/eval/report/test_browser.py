@@ -69,6 +69,7 @@ def browse(folder, text):
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser")
+@pytest.mark.slow
 def test_browser_renders_the_report_without_errors(tmp_path):
     result = replace(soak(["velocity", "position_requested"]), bundles=(BUNDLE,))
     found, complaints = browse(tmp_path, rendered(build(result, load_budget())))
@@ -85,6 +86,7 @@ def test_browser_renders_the_report_without_errors(tmp_path):
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser")
+@pytest.mark.slow
 def test_browser_check_detects_a_broken_page(tmp_path):
     text = rendered(build(soak(["velocity"]), load_budget()))
     broken = text.replace('d="M', 'd="Q', 1)

@@ -177,6 +177,7 @@ def test_hostile_name_is_escaped():
 
 
 @pytest.mark.parametrize(("ticks", "samples"), [(0, 1), (1, 1), (1, 2)])
+@pytest.mark.slow
 def test_very_short_run_has_a_report(ticks, samples):
     result = soak(ticks=ticks, samples=samples, interrupted=True)
     empty = np.zeros(0, dtype=np.int64)
@@ -334,6 +335,7 @@ def test_unwritable_folder_is_refused(tmp_path, attempt):
     assert (tmp_path / "file").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_failed_write_keeps_all_old_files(tmp_path):
     write_report(report(["jerk"]), tmp_path)
     before = (tmp_path / "report.json").read_text()

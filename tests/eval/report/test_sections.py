@@ -225,6 +225,7 @@ def busy(robots, each):
     return replace(result, counts=replace(result.counts, **{f"log_{name}": x for name, x in log.items()}))
 
 
+@pytest.mark.slow
 def test_soak_with_many_events_stays_readable_and_small():
     found = build(busy(64, 4), load_budget())
     text = rendered(found)

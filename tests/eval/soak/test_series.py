@@ -91,6 +91,7 @@ def test_the_same_shards_give_the_same_bytes(soak):
     assert len({series(soak, shards) for _ in range(8)}) == 1
 
 
+@pytest.mark.slow
 def test_last_sample_equals_the_judge_counts(arm_policy):
     shard = Shard(job(arm_policy, ticks=600, sample_ticks=200, robots=5))
     shard.runtime.estimator.windings.foldback.current_share[3, 2] = 0.75

@@ -27,6 +27,7 @@ def night(rng, draws, many=30):
 
 
 @pytest.mark.parametrize("draws", [16, 64])
+@pytest.mark.slow
 def test_chance_names_a_parameter_no_more_often_than_alpha(draws):
     rng = np.random.default_rng(3)
     named = 0

@@ -104,6 +104,7 @@ def test_a_draft_is_refused_with_a_line_for_each_open_field(tmp_path):
     assert any(line.endswith("robot.toml: joints.elbow.qd_max: still '?', to be filled in") for line in lines)
 
 
+@pytest.mark.slow
 def test_a_filled_in_draft_is_a_robot_that_holds_its_home(tmp_path):
     """Through both libraries, the simulated plant with its draws, and the whole runtime."""
     init_robot(vendors(tmp_path), tmp_path / "mine")

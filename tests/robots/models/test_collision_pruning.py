@@ -21,6 +21,7 @@ def names_of(shapes, pairs):
     return {tuple(shapes.geometryObjects[i].name for i in pair) for pair in pairs}
 
 
+@pytest.mark.slow
 def test_unchecked_pairs_cannot_collide():
     """Proven for every pose of the working ranges; looked at here in its corners and in 5,000 poses."""
     arm, shapes = load_pinocchio(SPEC)

@@ -285,6 +285,7 @@ def test_unused_options_keep_the_digest():
     assert not keys & SPEC.model_dump(mode="json").keys()
 
 
+@pytest.mark.slow
 def test_elements_nested_too_deeply_are_refused(tmp_path):
     path = tmp_path / "deep.urdf"
     path.write_text(f"<robot name='deep'>{'<a>' * 500_000}{'</a>' * 500_000}</robot>")

@@ -76,6 +76,7 @@ def test_payload_loads_every_joint():
     np.testing.assert_allclose(forces[0] - forces[1], jacobian.T @ [0.0, 0.0, 2.0 * 9.81], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_pushes_last_as_drawn_after_exponential_pauses():
     plant = drawn(200, {"push.every_s": 2.0, "push.lasts_s": 0.1})
     course = history(plant.disturbances["pushes"], 8000)

@@ -129,6 +129,7 @@ def test_bias_is_constant_per_channel():
     assert np.abs(error).max() > ENCODER.bias / 2
 
 
+@pytest.mark.slow
 def test_drift_is_a_random_walk():
     sensors = honest(range(200), drift=1.0)
     steps = 40

@@ -343,6 +343,7 @@ def test_no_initialization_in_free_fall_or_at_negative_time():
 
 @settings(max_examples=8)
 @given(seed=st.integers(0, 2**31), loss=st.floats(0, 0.95))
+@pytest.mark.slow
 def test_covariance_stays_symmetric_and_positive(seed, loss):
     base = base_filter(4)
     for t, imu, feet in World(seed, 4, 250).packets(loss, lag_max=2, slipping=0.1):
@@ -382,6 +383,7 @@ def tilt_errors(*, told, feet=False, ticks=2000):
     return leans[:, :2], base.P[:, [1, 0], [1, 0]]
 
 
+@pytest.mark.slow
 def test_measured_gravity_direction_makes_tilt_observable_without_feet():
     alone, _ = tilt_errors(told=False)
     told, variance = tilt_errors(told=True)

@@ -80,6 +80,7 @@ def test_robot_overturned_during_gyro_silence_is_not_estimated_upright(standing)
     assert Reason(int(standing.supervisor.reason[1])) & (Reason.DIVERGED | Reason.FALLEN)
 
 
+@pytest.mark.slow
 def test_repeated_gravity_directions_do_not_reduce_variance_below_the_bias(standing):
     live(standing, 1000)
     bias_var = 4 * 0.003**2 / 3
@@ -92,6 +93,7 @@ def test_repeated_gravity_directions_do_not_reduce_variance_below_the_bias(stand
 
 
 @pytest.mark.parametrize("tilt", [(0.1, 0.0), (0.0, -0.1)])
+@pytest.mark.slow
 def test_stance_is_known_on_a_tilted_floor(tmp_path, tilt):
     """What an IMU says of up is what its accelerometer feels: no acceleration is left over."""
     spec = load_robot(changed(tmp_path, ("[motors.leg]\n", UPRIGHT)))

@@ -237,6 +237,7 @@ def test_unguarded_robot_neither_folds_back_nor_stops_for_heat():
     assert (state.current_share == 1.0).all()
 
 
+@pytest.mark.slow
 def test_hot_shift_of_resting_robots(arm_policy, monkeypatch):
     """A row for each robot and variant; what it lacks of the limit is what its winding has not reached."""
     small = {"CANDIDATES": 3, "CANDIDATE_S": 1.0, "ROBOTS": 2, "TRIAL_S": 3.0}

@@ -37,12 +37,14 @@ def rmse(followed, name, robots):
     return tuple(floating.rms(getattr(followed[feet], name)[:, robots]) for feet in (True, False))
 
 
+@pytest.mark.slow
 def test_robot_walks_without_falling(truth):
     up = matrix(truth.quat_wxyz.reshape(-1, 4))[:, 2, 2]
     assert up.min() > np.cos(0.5)
     assert np.abs(truth.velocity_in_world).max(axis=(0, 2)).min() > 0.05
 
 
+@pytest.mark.slow
 def test_tilt_and_velocity_are_far_better_than_by_integration(followed, trots):
     for robots, tilt_max, speed_max in ((~trots, 0.016, 0.03), (trots, 0.018, 0.06)):
         tilt, alone = rmse(followed, "gravity", robots)

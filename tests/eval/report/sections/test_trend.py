@@ -153,6 +153,7 @@ def words(page):
     return " ".join("".join(Page(page).words).split())
 
 
+@pytest.mark.slow
 def test_trend_is_shown_only_with_a_history():
     whole = report().model_copy(update={"trend": trend({**year(), THIS_RUN: report()})})
     page, bare = rendered(whole), rendered(report())

@@ -33,6 +33,7 @@ def forward(plant, robot=0, **state):
     return model, data
 
 
+@pytest.mark.slow
 def test_every_drawn_quantity_changes_the_plant():
     """One robot many times, each time with one quantity a little changed: no change goes unnoticed."""
     robots, seed = 1 + len(LIVED), robot_seed(1, 0)
