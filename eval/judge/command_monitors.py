@@ -1,4 +1,4 @@
-"""Monitors of the command that was sent: torque rate, jump, speed, acceleration and jerk of each joint.
+"""Monitors of each joint's command: torque rate, jump, speed, acceleration, jerk; add one to `COMMAND_MONITORS`.
 
 Speed, acceleration and jerk are backward differences of the angles sent. On a continuous trajectory each is a mean of
 the true derivative, weighted by a B-spline, so that it keeps the limits of the trajectory.

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from deploy.state import Reason
+from eval.judge.channels import Channels
 from eval.judge.monitor import Monitor
-from eval.judge.monitors import Channels
 from robots.arrays import Floats, Ints
 from robots.errors import ConfigError
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.stage import Stage
-from eval.judge.monitors import Channels
+from eval.judge.channels import Channels
 from robots.arrays import Bools, Floats, Ints
 
 EVENTS_KEPT = 500

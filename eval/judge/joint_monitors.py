@@ -1,4 +1,4 @@
-"""Monitors of each joint's true state, of the policy's target and of the estimated angle."""
+"""Monitors of each joint's true state, the policy's target and the estimated angle; add one to `JOINT_MONITORS`."""
 
 import numpy as np
 

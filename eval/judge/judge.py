@@ -15,12 +15,13 @@ from deploy.stage import Arrays, Stage
 from deploy.state import Command, Mode, State, Target
 from deploy.tasks.success import SuccessCriterion, SuccessEvaluation
 from deploy.truth import Truth
+from eval.judge.channels import Channels
 from eval.judge.counts import BINS, REASONS, Counts
 from eval.judge.events import BadTicks, EventLog
 from eval.judge.limit_ratios import LimitRatios, RatioBlock
 from eval.judge.limits import load_limits
 from eval.judge.monitor import Monitor
-from eval.judge.monitors import MONITORS, Channels
+from eval.judge.monitors import MONITORS
 from eval.judge.tick_buffer import BLOCK_TICKS, TickBuffer
 from eval.judge.tick_window import JudgedRobot, TickWindow, true_tilt
 from robots.arrays import Floats, Ints

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from eval.judge.channels import Channels
 from eval.judge.counts import BINS, BINS_PER_LIMIT
 from eval.judge.monitor import Monitor
-from eval.judge.monitors import Channels
 from eval.judge.tick_buffer import BLOCK_TICKS
 from eval.judge.tick_window import JudgedRobot, TickWindow
 from robots.arrays import Floats, Ints

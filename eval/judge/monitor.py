@@ -1,4 +1,4 @@
-"""Monitor declarations: the value that is measured, its limit, its meaning, and what a robot needs to have it."""
+"""Type of a monitor: the value measured, its limit, its meaning, the capabilities it needs. monitors.py lists all."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Monitors of the whole robot: contacts, tool, floating base, power, observation and action."""
+"""Monitors of the whole robot: contacts, tool, base, power, observation, action; add one to `ROBOT_MONITORS`."""
 
 import numpy as np
 

@@ -17,12 +17,12 @@ from deploy.telemetry.output_files import replacing
 from policies.export.onnx_file import write_policy
 from policies.importers.contract_builder import BuiltContract, build_contract
 from policies.importers.contract_draft import read_draft
-from policies.importers.file_formats import read_policy
+from policies.importers.contract_template import render_template
 from policies.importers.onnx_files.isaac_lab import read_descriptor
 from policies.importers.parity import check_parity, record_reference
+from policies.importers.readers import read_policy
 from policies.importers.reference_policy import MissingSettingError, PolicyFacts, ReferencePolicy
 from policies.importers.standard_graph import to_standard_graph
-from policies.importers.template import render_template
 from policies.importers.torch_files.network_settings import NetworkSettings
 from robots.errors import ConfigError, ContractError
 from robots.models.fleet import Fleet

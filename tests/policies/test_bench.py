@@ -8,7 +8,7 @@ pytest.importorskip("rsl_rl.models")
 
 from policies import bench as command
 from policies.importers.contract_draft import read_draft
-from policies.importers.file_formats import read_policy
+from policies.importers.readers import read_policy
 from support.arm6 import SPEC
 
 pytestmark = pytest.mark.slow

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from junitparser import JUnitXml
 
+from eval.judge.channels import Channels
 from eval.judge.counts import REASONS
-from eval.judge.monitors import Channels
 from eval.report.build import CURVE_POINTS, build
 from eval.report.html import decimals
 from eval.report.plots.curves import wear_plot

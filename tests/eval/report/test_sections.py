@@ -8,7 +8,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from eval.judge.monitors import Channels
+from eval.judge.channels import Channels
 from eval.report.build import build
 from eval.report.html import EVENTS_SHOWN, duration, event_cells, load_text, margin_text, plots
 from eval.report.plots.curves import heat_plot, wear_plot

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from eval.judge.monitors import MONITORS, Channels
+from eval.judge.channels import Channels
+from eval.judge.monitors import MONITORS
 from eval.statistics.budget import BUDGET, budget_line, check, load_budget
 from robots.errors import ConfigError
 from robots.spec import load_robot

@@ -267,7 +267,9 @@ def test_invalid_metadata_of_holosoma_is_refused(key, value, complaint):
 
 
 def test_onnx_metadata_fill_the_template():
-    written = pytest.importorskip("policies.importers.template", exc_type=ImportError).render_template
+    written = pytest.importorskip(
+        "policies.importers.contract_template", exc_type=ImportError
+    ).render_template
     facts = read_onnx(graph(MJLAB), "a.onnx").facts
     assert facts.known == known_from(MJLAB, "a.onnx")
     text, still_open = written(facts, "a.onnx")

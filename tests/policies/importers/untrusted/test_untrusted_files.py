@@ -19,7 +19,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("onnxscript")
 pytest.importorskip("rsl_rl.models")
 
-from policies.importers.file_formats import read_policy
+from policies.importers.readers import read_policy
 from policies.importers.torch_files.network_settings import NetworkSettings
 from policies.importers.untrusted import zip_archive
 from robots.errors import ContractError

@@ -1,7 +1,7 @@
-"""Recognition of a policy's file format by content, not by name, and dispatch to its reader.
+"""Table of the readers, one for each file format, recognised by content; a new importer adds a row to `ARCHIVES`.
 
-To add a format, write a reader `read_...(path, network) -> ReferencePolicy` in a module of its own and add a row to
-`ARCHIVES`. All readers raise ContractError naming the file, the part, what was found and what was expected.
+A reader is a function `read_...(path, network) -> ReferencePolicy` in a module of its own. All readers raise
+ContractError naming the file, the part, what was found and what was expected.
 """
 
 import zipfile
@@ -46,7 +46,7 @@ ARCHIVES: tuple[tuple[Callable[[Archive], bool], str], ...] = (
     (lambda a: {"data", "policy.pth"} <= a.names, "stable_baselines.policy:read_stable_baselines"),
     (lambda a: "models" in a.folders, "torch_files.exported_program:read_exported_program"),
     (lambda a: "code" in a.folders, "torch_files.torchscript:read_torchscript"),
-    (lambda a: {"contract", "recipe"} <= a.keys, "file_formats:refuse_own_checkpoint"),
+    (lambda a: {"contract", "recipe"} <= a.keys, "readers:refuse_own_checkpoint"),
     (
         lambda a: bool(a.keys & {"actor_state_dict", "model_state_dict"}),
         "rsl_rl.actor_checkpoint:read_rsl_rl",
