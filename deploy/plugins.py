@@ -22,24 +22,24 @@ def installed(group: str) -> Mapping[str, EntryPoint]:
     return _scan(group, tuple(sys.path))
 
 
-def load(group: str, name: str, given: str) -> Any:
+def load(group: str, name: str, origin: str) -> Any:
     """Import the plug-in `name` of a group and return the object that its entry point names.
 
     Names are looked up among installed ones only, so that they may come from an untrusted file.
 
     Raises:
-        ConfigError: beginning with `given`, an option or a field with its value: the name is unknown, or a module that
+        ConfigError: beginning with `origin`, an option or a field with its value: the name is unknown, or a module that
             the plug-in imports is missing.
     """
     known = installed(group)
     if name not in known:
-        raise ConfigError(f"{given}: unknown; known: {', '.join(known)}")
+        raise ConfigError(f"{origin}: unknown; known: {', '.join(known)}")
     try:
         return known[name].load()
     except (ImportError, AttributeError) as e:
         entry, owner = known[name], known[name].dist
         extras = f"; pip extra: {owner.name}[{','.join(entry.extras)}]" if owner and entry.extras else ""
-        raise ConfigError(f"{given}: {entry.module} cannot be imported: {e}{extras}") from e
+        raise ConfigError(f"{origin}: {entry.module} cannot be imported: {e}{extras}") from e
 
 
 @lru_cache

@@ -12,17 +12,18 @@ from deploy.estimation.capabilities import CapabilityEstimators
 from deploy.estimation.estimator import Estimator
 from deploy.estimation.tool_kinematics import ToolKinematics
 from deploy.masks import all_true, any_true
-from deploy.motion.drive_law import SpringDrives
+from deploy.motion.drive_law import spring_drives
 from deploy.motion.prepared_stop import PreparedStop, select
 from deploy.motion.smoother import Smoother
 from deploy.policy.action import Action
 from deploy.policy.contract import Contract
 from deploy.policy.observation import Observation
 from deploy.policy.policy import Policy
+from deploy.reasons import Reason
 from deploy.safety.safety import Safety
 from deploy.safety.supervisor import Supervisor
 from deploy.stage import Arrays, Stage
-from deploy.state import BaseState, Command, Reason, Setpoint, State, Target, Verdict
+from deploy.state import BaseState, Command, Setpoint, State, Target, Verdict
 from deploy.tasks.task import Task, find_task, sources_of
 from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.models.fleet import Fleet
@@ -30,19 +31,19 @@ from robots.motors.gains import same_gains
 from robots.spec import RobotSpec
 
 _NOT_FINITE, _MOVING = np.int64(Reason.NOT_FINITE), np.int64(Reason.MOVING)
-"""As numpy numbers, which are five times as fast in array expressions as members of an enumeration."""
+"""Bits as np.int64, which are five times as fast in array expressions as members of an enumeration."""
 
 
 class Runtime(Stage):
     """Stages of the tick for B robots.
 
     `sense` and `act` are the two halves of a tick; a policy, shipped or in training, sits between them. After a tick
-    its records can be read: `state`, `target`, `verdict`, `setpoint`, `command`; after `restore` only after the next
-    tick. `save` holds all state but that of the robots themselves.
+    its records can be read: `state`, `target`, `verdict`, `setpoint`, `command`; after `restore` they are invalid until
+    the next tick. `save` holds all state but that of the robots themselves.
 
     Attributes:
         ticks: control ticks so far. decimation: control ticks for each step of the policy.
-        requested_stop: (B,) bit sets of `Reason`, of `stop`. ticks_since_arming: (B,).
+        requested_stop: (B,) bit sets of `Reason` that `stop` was called with. ticks_since_arming: (B,).
     """
 
     carried = ("requested_stop", "ticks_since_arming")
@@ -81,9 +82,10 @@ class Runtime(Stage):
         self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
         if not same_gains(gains, robot.gains):
             raise RuntimeError("the robot's drives have other gains than the policy's contract")
-        self.springs = SpringDrives(spec, gains) if gains and "floating_base" in spec.capabilities else None
+        self.springs = spring_drives(spec, gains)
         self.estimator = Estimator(spec, robots, springs=gains if self.springs else None)
         self.capabilities = CapabilityEstimators(spec, robots)
+        # The fleet holds setpoints and, as many again, first steps of the stops that would begin there.
         self.safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True), self.springs)
         self.action = Action(contract.action, robots)
         self.smoother = Smoother(spec, robots)
@@ -172,13 +174,13 @@ class Runtime(Stage):
         ahead, q_mid_stop, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_mid_stop, q_rest)
         reason = self.stop_reasons()
-        at_rest = self.smoother.at_rest if any_true(stopping) else stopping  # asked of stopping robots only
+        at_rest = self.smoother.at_rest if any_true(stopping) else stopping  # all False while none stops
         send_planned = self.supervisor.step(reason, at_rest)
         setpoint, tau = planned, self.verdict.tau
         if any_true(reason) or not all_true(np.isfinite(planned.q)):
-            # A robot that already stops sends its plan, whatever the reason; a plan that is not finite is never sent.
+            # A stopping robot keeps sending its plan even if that is refused; one that is not finite is never sent.
             finite = np.isfinite(planned.q).all(axis=1)
-            setpoint, tau = self.planned_or_prepared_stop(send_planned & finite, planned)
+            setpoint, tau = self.select_setpoint(send_planned & finite, planned)
         running = self.supervisor.running
         self._send(setpoint, tau, running)
         self.prepared_stop.prepare(send_planned, ahead, self.verdict.tau_ahead)
@@ -193,25 +195,25 @@ class Runtime(Stage):
             reason[~self.action.finite] |= _NOT_FINITE
         return reason
 
-    def planned_or_prepared_stop(self, send_planned: Bools, planned: Setpoint) -> tuple[Setpoint, Floats]:
+    def select_setpoint(self, send_planned: Bools, planned: Setpoint) -> tuple[Setpoint, Floats]:
         """Return setpoint and torque as planned where `send_planned` holds, elsewhere those of the prepared stop."""
         tau = np.nan_to_num(np.where(send_planned[:, None], self.verdict.tau, self.prepared_stop.tau))
         return self.cut_power_without_plan(select(send_planned, planned, self.prepared_stop.setpoint)), tau
 
     def cut_power_without_plan(self, planned: Setpoint) -> Setpoint:
         """Cut power of robots without any finite plan; they rest at the setpoint sent last."""
-        lost = np.asarray(~np.isfinite(planned.q + planned.qd + planned.qdd).all(axis=1))
-        if not any_true(lost):
+        unplanned = np.asarray(~np.isfinite(planned.q + planned.qd + planned.qdd).all(axis=1))
+        if not any_true(unplanned):
             return planned
-        self.supervisor.latch(lost & self.supervisor.powered, Reason.NOT_FINITE)
-        self.smoother.hold(lost, self.smoother.q)
-        return select(~lost, planned, self.smoother.sent)
+        self.supervisor.latch(unplanned & self.supervisor.powered, Reason.NOT_FINITE)
+        self.smoother.hold(unplanned, self.smoother.q)
+        return select(~unplanned, planned, self.smoother.sent)
 
     def _send(self, setpoint: Setpoint, tau: Floats, running: Bools) -> None:
         self.smoother.commit(setpoint)
         qd, feed_forward = (self._zeros, self._zeros) if self.springs else (setpoint.qd, tau)
         powered, share = self.supervisor.powered, self.estimator.windings.foldback.current_share
-        if not all_true(running):  # a stop has all of a drive's current, as it was checked with all of it
+        if not all_true(running):  # current is limited while running only: stops were checked at full current
             share = np.where(running[:, None], share, 1.0)
         self.command = Command(q=setpoint.q, qd=qd, tau=feed_forward, powered=powered, current_share=share)
         self.estimator.external_torque.command(tau, powered)
@@ -225,6 +227,7 @@ class Runtime(Stage):
         """
         ids = ids & ~self.supervisor.powered
         here = Setpoint(q=self.state.q, qd=np.zeros_like(self.state.q), qdd=np.zeros_like(self.state.q))
+        # At rest a stop is the pose itself.
         self.verdict = self.safety.step(self.state, here, here, here, here.q, here.q)
         reason = np.where(ids, self.verdict.reason | self.state.fault, 0)
         reason[ids & self.estimator.moving.any(axis=1)] |= _MOVING
@@ -244,11 +247,11 @@ class Runtime(Stage):
             self.policy.reset(ids)
 
     def stop(self, reason: Reason) -> None:
-        """Request a controlled stop of every robot; arming withdraws it."""
+        """Request a controlled stop of every robot; arming clears it."""
         self.requested_stop |= np.int64(reason)
 
     def reset(self, ids: Bools) -> None:
-        """Begin anew, disarmed, with robots where `ids` holds: their backend has put them somewhere else."""
+        """Reset and disarm robots where `ids` (B,) holds, which their backend has moved."""
         self.smoother.hold(ids, self.smoother.q)
         self.estimator.reset(ids, self.smoother.sent)
         self.capabilities.reset(ids)

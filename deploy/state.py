@@ -6,7 +6,7 @@ some are made on every tick: a frozen dataclass takes three times as long to mak
 """
 
 from collections.abc import Mapping
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 from typing import NamedTuple
 
 from robots.arrays import Bools, Floats, Ints
@@ -111,32 +111,6 @@ class Setpoint(NamedTuple):
     q: Floats
     qd: Floats
     qdd: Floats
-
-
-class Reason(IntFlag):
-    """Reasons to refuse a setpoint or to stop a robot, one bit each; several may hold."""
-
-    NONE = 0
-    POSITION = 1 << 0
-    VELOCITY = 1 << 1
-    TORQUE = 1 << 2
-    WORKSPACE = 1 << 3
-    COLLISION = 1 << 4
-    SINGULARITY = 1 << 5
-    TOOL_SPEED = 1 << 6
-    HEAT = 1 << 7
-    STALE = 1 << 8
-    LOST = 1 << 9
-    TRACKING = 1 << 10
-    NOT_FINITE = 1 << 11
-    OVERRUN = 1 << 12
-    OPERATOR = 1 << 13
-    OUTSIDE = 1 << 14
-    STUCK = 1 << 15
-    DIVERGED = 1 << 16
-    MOVING = 1 << 17
-    LOAD = 1 << 18
-    FALLEN = 1 << 19
 
 
 class Verdict(NamedTuple):

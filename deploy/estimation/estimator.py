@@ -15,8 +15,9 @@ from deploy.estimation.sample_count import sample_count
 from deploy.estimation.setpoint_history import SetpointHistory
 from deploy.estimation.winding_observer import WindingObserver
 from deploy.masks import all_true, any_true
+from deploy.reasons import Reason
 from deploy.stage import Stage
-from deploy.state import Packet, Reason, Sample, Setpoint, State
+from deploy.state import Packet, Sample, Setpoint, State
 from robots.arrays import Bools, Floats
 from robots.motors.gains import Gains
 from robots.spec import RobotSpec

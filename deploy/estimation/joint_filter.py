@@ -52,14 +52,14 @@ class Prediction(NamedTuple):
 
 
 class JointFilter(Stage):
-    """The Kalman equations; selection of packets, confirmation and restarts are decided by `Estimator`.
+    """The Kalman equations; `Estimator` selects packets, `Divergence` decides on confirmation and restarts.
 
     Attributes:
         e, ed: (B, n) rad and rad/s. p00, p01, p11: (B, n) their covariance.
         t_sample: (B, n) s, time of the state: when the last fused angle was taken.
         t_speed: (B,) s, when the last fused speed packet was taken.
         initialized: (B,) robots whose filters were started.
-        gate: standard deviations.
+        gate: innovation gate, in standard deviations.
     """
 
     carried = ("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "initialized")
@@ -70,14 +70,14 @@ class JointFilter(Stage):
         self.t_speed, self.initialized = np.full(robots, -np.inf), np.zeros(robots, dtype=bool)
         self.gate = GATE
         # numpy is fastest where all shapes are equal.
-        self._wide, self._r = np.zeros(shape), np.full(shape, sensors["encoder"].variance)
+        self._joint_buffer, self._r = np.zeros(shape), np.full(shape, sensors["encoder"].variance)
         self._r_speed = sensors["velocity"].variance if "velocity" in sensors else np.inf
         density = np.tile(spec.joint_array("acceleration_density"), (robots, 1))
         unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=1.0)  # [[1/3, 1/2], [1/2, 1]]
-        self._q_3, self._q_2, self._q = (density * unit[place] for place in ((0, 0), (0, 1), (1, 1)))
+        self._q_dt3, self._q_dt2, self._q = (density * unit[place] for place in ((0, 0), (0, 1), (1, 1)))
 
     def initialize(self, joints: Bools, t: Floats, z: Floats) -> None:
-        """Start the filters of `joints` (B, n) from samples z (B, n) rad taken at t (B,) s, at the setpoint's speed.
+        """Start the filters of `joints` (B, n) from samples z (B, n) rad taken at t (B,) s, with a rate of 0.
 
         x = [z, 0],  P = diag(r, INITIAL_SPEED_STD²)
         """
@@ -90,7 +90,7 @@ class JointFilter(Stage):
 
         p00 + 2 dt p01 + dt² p11 + q dt³/3
         """
-        variance: Floats = self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._q_3 * dt))
+        variance: Floats = self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._q_dt3 * dt))
         return variance
 
     def predict(self, t: Floats, z: Floats, new: Bools) -> Prediction:
@@ -121,7 +121,7 @@ class JointFilter(Stage):
             e[missing], p00[missing] = self.e[missing], self.p00[missing]
             dt[missing], y[missing], s[missing] = 0.0, 0.0, np.inf
         np.copyto(self.t_sample, t[:, None], where=fused)
-        p01, p11 = self.p01 + dt * (self.p11 + self._q_2 * dt), self.p11 + self._q * dt
+        p01, p11 = self.p01 + dt * (self.p11 + self._q_dt2 * dt), self.p11 + self._q * dt
         k0, k1 = p00 / s, p01 / s
         np.add(e, k0 * y, out=self.e)
         self.ed += k1 * y
@@ -132,8 +132,8 @@ class JointFilter(Stage):
     def correct_by_speed(self, t: Floats, z: Floats, new: Bools) -> None:
         """Correct robots `new` (B,) by rates z (B, n) rad/s measured at t (B,) s, where they are inside the gate."""
         # y = z − H x, S = H P Hᵀ + r_speed + q |t − t_sample|: process noise for the time between the two samples
-        y, apart = z - self.ed, np.abs(self._per_joint(t) - self.t_sample)
-        s = self.p11 + self._r_speed + self._q * apart
+        y, dt = z - self.ed, np.abs(self._per_joint(t) - self.t_sample)
+        s = self.p11 + self._r_speed + self._q * dt
         fused = new[:, None] & (y * y <= self.gate**2 * s)
         np.copyto(self.t_speed, t, where=new)
         np.copyto(y, 0.0, where=~fused)
@@ -147,5 +147,5 @@ class JointFilter(Stage):
 
     def _per_joint(self, robots: Floats) -> Floats:
         """Return (B,) values as (B, n) in a buffer that the next call overwrites."""
-        np.copyto(self._wide, robots[:, None])
-        return self._wide
+        np.copyto(self._joint_buffer, robots[:, None])
+        return self._joint_buffer

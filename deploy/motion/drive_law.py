@@ -87,3 +87,8 @@ class SpringDrives(DriveLaw):
         """
         distance = state.qd * np.abs(state.qd) / self._twice_qdd
         return state.q, state.q + 0.75 * distance, state.q + distance
+
+
+def spring_drives(spec: RobotSpec, gains: Gains | None) -> SpringDrives | None:
+    """Return the drive law of a robot with a floating base under the gains of training; None: drives are stiff."""
+    return SpringDrives(spec, gains) if gains and "floating_base" in spec.capabilities else None

@@ -69,19 +69,19 @@ def run(
     connection = _backend(backend, simulation={"--draw": draw is not None, "--view": view})
     spec = load_robot(robot)
     seed_text, source, drawn = random_source(spec, seed, draw)
-    brain = Policy.load(policy, spec)
-    request = Request(spec=spec, seeds=[source], gains=brain.contract.action.gains, draw=drawn)
+    loaded = Policy.load(policy, spec)
+    request = Request(spec=spec, seeds=[source], gains=loaded.contract.action.gains, draw=drawn)
     connection.check(request)
     check_folder(out)
     about = {"robot": spec.name, "robot_digest": spec.digest, "policy": str(policy)}
-    about |= {"policy_digest": brain.digest, "backend": backend, "seed": seed_text, "speed": speed}
-    with closing(connection.open(request)) as body:
-        viewers = [RateLimited(VIEW_S, connection.viewer(body))] if view else []
-        runtime = Runtime(spec, brain.contract, body, [source], brain)
+    about |= {"policy_digest": loaded.digest, "backend": backend, "seed": seed_text, "speed": speed}
+    with closing(connection.open(request)) as connected:
+        viewers = [RateLimited(VIEW_S, connection.viewer(connected))] if view else []
+        runtime = Runtime(spec, loaded.contract, connected, [source], loaded)
         heat_file = TemperatureFile(
             out / "heat.json", spec, runtime.estimator.windings, same_robot=draw is None
         )
-        connection.attach(body, runtime)
+        connection.attach(connected, runtime)
         recorder = Recorder(out, runtime, start_ns=time.time_ns(), about=about)
         timing = _timing(spec.rates.control_hz, factor)
         files = recorder, heat_file

@@ -7,11 +7,10 @@ import numpy as np
 
 from deploy.operation.interrupts import Interrupts, handled
 from deploy.operation.loop_timing import LoopTiming
+from deploy.operation.stop_explanation import StopExplanation, explain_reasons
 from deploy.operation.summary import RunStatistics
+from deploy.reasons import CATEGORY_1, Reason
 from deploy.runtime import Runtime
-from deploy.safety.diagnostics import StopExplanation, explain_reasons
-from deploy.safety.supervisor import CATEGORY_1
-from deploy.state import Reason
 from deploy.telemetry.recorder import Recorder
 
 ARM_WITHIN_S = 1.0

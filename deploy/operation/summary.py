@@ -12,9 +12,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from deploy.operation.stop_explanation import StopDetector
+from deploy.reasons import Reason
 from deploy.runtime import Runtime
-from deploy.safety.diagnostics import StopDetector
-from deploy.state import Reason
 from deploy.telemetry.output_files import replacing
 from robots.arrays import Floats
 from robots.errors import OutputError

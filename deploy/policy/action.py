@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.policy.contract import ActionSpec
+from deploy.policy.contract_action import ActionSpec
 from deploy.stage import Stage
 from deploy.state import Target
 from robots.arrays import Bools, Floats

@@ -6,13 +6,14 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from deploy.state import Reason, Setpoint, State
+from deploy.reasons import Reason
+from deploy.state import Setpoint, State
 from robots.arrays import Bools, Floats
 from robots.capabilities import Capability
 from robots.models.kinematics import Kinematics
 from robots.spec import RobotSpec
 
-LARGEST = float(np.finfo(np.float64).max)
+UNBOUNDED = float(np.finfo(np.float64).max)
 """The largest finite number: as a bound it refuses only what is not finite."""
 
 
@@ -24,10 +25,10 @@ class Estimate(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Points of trajectories: the setpoints of B robots, then the first steps of the stops that would begin there.
+    """2B points of trajectories: B setpoints, then the first step of the stop that would begin at each.
 
     Attributes:
-        q: (2B, n) rad. qd: (2B, n) rad/s.
+        q: (2B, n) rad. qd: (2B, n) rad/s. qdd: (2B, n) rad/s².
         qd_peak: (2B, n) rad/s, the speed when a stop has brought the acceleration to zero.
         tau: (2B, n) N·m, divided by the share of current that each drive has left.
         kinematics: of B poses at the setpoint, then B at rest.
@@ -35,6 +36,7 @@ class Motion(NamedTuple):
 
     q: Floats
     qd: Floats
+    qdd: Floats
     qd_peak: Floats
     tau: Floats
     kinematics: Kinematics
@@ -102,8 +104,8 @@ class Check(Generic[Record]):
 
     name: str
     value: Callable[[Record], Floats | Bools]
-    low: Bound = -LARGEST
-    high: Bound = LARGEST
+    low: Bound = -UNBOUNDED
+    high: Bound = UNBOUNDED
     reason: Reason
     reason_not_finite: Reason = Reason.NOT_FINITE
     per_joint: bool = False

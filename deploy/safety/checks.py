@@ -1,7 +1,8 @@
 """The safety checks, one row each, in tables by the record that they read.
 
-To add a check, append a row, here or to a copy of `CHECKS` that is given to `Safety`. A robot has those checks whose
-needs it meets.
+To add a check, append a row, here or to a copy of `CHECKS` that is given to `Safety`. A check applies if the robot has
+all capabilities in `needs`. A quantity that no record has yet is added to its record in check.py and filled in by
+safety.py; a new reason is a row of deploy/reasons.py.
 """
 
 from collections.abc import Callable
@@ -9,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.safety.check import LARGEST, Check, Estimate, Limits, Motion, Pose
-from deploy.state import Reason
+from deploy.reasons import Reason
+from deploy.safety.check import UNBOUNDED, Check, Estimate, Limits, Motion, Pose
 from robots.arrays import Floats
 from robots.capabilities import required
 
@@ -39,7 +40,7 @@ def _speed_max(limits: Limits) -> Floats:
 
 
 def _torque_max(limits: Limits) -> Floats:
-    return np.minimum(limits.torque, LARGEST)
+    return np.minimum(limits.torque, UNBOUNDED)
 
 
 ESTIMATE: tuple[Check[Estimate], ...] = (
@@ -81,7 +82,7 @@ ESTIMATE: tuple[Check[Estimate], ...] = (
         reason_not_finite=Reason.HEAT,
         per_joint=True,
     ),
-    # Ages are whole ticks but for rounding: half a tick keeps a limit that is one of them in its place.
+    # Ages are whole ticks but for rounding: half a tick more, so that an age equal to the limit passes.
     Check(
         name="stale_samples",
         value=lambda estimate: estimate.state.age[:, None],
@@ -151,7 +152,7 @@ MOTION: tuple[Check[Motion], ...] = (
 )
 """Checks of a setpoint, and of the first step of the stop that would begin there."""
 
-POSE: tuple[Check[Pose], ...] = (
+END_POSES: tuple[Check[Pose], ...] = (
     Check(
         name="joint_angle_of_pose",
         value=lambda pose: pose.q,
@@ -170,7 +171,7 @@ POSE: tuple[Check[Pose], ...] = (
 )
 """Checks of the poses at a setpoint and at the end of its stop."""
 
-PLACE: tuple[Check[Pose], ...] = (
+ALL_POSES: tuple[Check[Pose], ...] = (
     Check(
         name="self_collision",
         value=lambda pose: pose.kinematics.colliding[:, None],
@@ -206,8 +207,8 @@ class Checks(NamedTuple):
 
     estimate: tuple[Check[Estimate], ...] = ESTIMATE
     motion: tuple[Check[Motion], ...] = MOTION
-    pose: tuple[Check[Pose], ...] = POSE
-    place: tuple[Check[Pose], ...] = PLACE
+    end_poses: tuple[Check[Pose], ...] = END_POSES
+    all_poses: tuple[Check[Pose], ...] = ALL_POSES
 
 
 CHECKS = Checks()

@@ -9,10 +9,11 @@ import numpy as np
 
 from deploy.masks import all_true
 from deploy.motion.drive_law import DriveLaw, StiffDrives
+from deploy.reasons import Reason
 from deploy.safety.check import Estimate, Limits, Motion, Pose
-from deploy.safety.check_evaluation import CheckTable
+from deploy.safety.check_table import CheckTable
 from deploy.safety.checks import CHECKS, Checks
-from deploy.state import Reason, Setpoint, State, Verdict
+from deploy.state import Setpoint, State, Verdict
 from robots.arrays import Bools, Floats, Ints
 from robots.models.fleet import Fleet
 from robots.models.kinematics import Kinematics
@@ -49,9 +50,9 @@ class Safety:
         self._gap_max = (spec.margins.collision_m or 0.0) + GAP_TOLERANCE_M
         self.twice_jerk = 2 * spec.joint_array("qddd_max")
         limits, rows = Limits(spec, self._drives.torque_limit), fleet.robots
-        self._plan = CheckTable(rows, limits, checks.motion, checks.pose, checks.place)
-        self._estimate = CheckTable(self._fleet_mid_stop.robots, limits, checks.estimate, checks.place)
-        self._poses = CheckTable(rows, limits, checks.pose, checks.place)
+        self._plan = CheckTable(rows, limits, checks.motion, checks.end_poses, checks.all_poses)
+        self._estimate = CheckTable(self._fleet_mid_stop.robots, limits, checks.estimate, checks.all_poses)
+        self._poses = CheckTable(rows, limits, checks.end_poses, checks.all_poses)
         self._centre = np.array(spec.workspace.centre) if spec.workspace else np.zeros(3)
 
     # A setpoint that is not finite is refused by its own check: numpy's warnings would add nothing.
@@ -84,7 +85,7 @@ class Safety:
         kinematics = self._kinematics(expected)
         # A stop first brings the acceleration to zero, and the speed that it gains until then counts.
         qd_peak = qd + qdd * np.abs(qdd) / self.twice_jerk
-        motion = Motion(q, qd, qd_peak, needed, kinematics)
+        motion = Motion(q, qd, qdd, qd_peak, needed, kinematics)
         ends = Pose(targets, kinematics, self._centre)
         middle = self._fleet_mid_stop.kinematics(mid_stop, jacobians=False)
         plan = self._plan.values(motion, ends, ends)

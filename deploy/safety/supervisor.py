@@ -12,58 +12,16 @@ Nothing here depends on the policy.
 import numpy as np
 
 from deploy.masks import all_true, any_true
+from deploy.reasons import CATEGORY_1, Reason
 from deploy.stage import Stage
-from deploy.state import Mode, Reason
+from deploy.state import Mode
 from robots.arrays import Bools, Ints
-
-CATEGORY_1 = (
-    Reason.LOST
-    | Reason.NOT_FINITE
-    | Reason.HEAT
-    | Reason.TRACKING
-    | Reason.OUTSIDE
-    | Reason.STUCK
-    | Reason.DIVERGED
-    | Reason.LOAD
-    | Reason.FALLEN
-    | Reason.OVERRUN
-    | Reason.OPERATOR
-)
-"""Reasons of category 1; every other reason is category 2."""
 
 _DISARMED, _ARMING, _RUNNING, _STOPPING, _HOLDING, _LATCHED = (np.int8(mode) for mode in Mode)
 _LATCHING = np.int64(CATEGORY_1)
 """Numbers of numpy, which are five times as fast as an enumeration's."""
 _POWERED = np.array([mode not in (Mode.DISARMED, Mode.LATCHED) for mode in Mode])
 """True for modes with drives on."""
-
-REASON_TEXT = {
-    Reason.POSITION: "a joint would leave its working range",
-    Reason.VELOCITY: "a joint would exceed its speed limit",
-    Reason.TORQUE: "a joint would need more torque than its drive has",
-    Reason.WORKSPACE: "the tool would leave its workspace",
-    Reason.COLLISION: "links would come closer than the collision margin",
-    Reason.SINGULARITY: "the arm would come too close to a singularity, or pass through it",
-    Reason.TOOL_SPEED: "the tool would exceed its speed limit",
-    Reason.HEAT: "a motor is too hot, or its temperature is unknown",
-    Reason.STALE: "sensor samples are missing",
-    Reason.LOST: "sensor samples have been missing for too long",
-    Reason.TRACKING: "a joint does not follow its setpoint",
-    Reason.NOT_FINITE: "a number is not finite",
-    Reason.OVERRUN: "too many ticks were late",
-    Reason.OPERATOR: "stopped by the operator",
-    Reason.OUTSIDE: "a joint is outside its working range",
-    Reason.STUCK: "a sensor repeats the same reading",
-    Reason.MOVING: "a joint moves while the drives are off",
-    Reason.DIVERGED: "an estimate does not fit the measurements",
-    Reason.LOAD: "a motor's current does not fit its motion",
-    Reason.FALLEN: "the base tilts beyond its limit: the robot is falling or has fallen",
-}
-
-
-def describe(reason: int) -> str:
-    """Return a bit set of reasons as text."""
-    return "; ".join(REASON_TEXT[bit] for bit in Reason(reason)) or "no reason"
 
 
 class Supervisor(Stage):

@@ -19,7 +19,7 @@ GOALS_SEED = 20_250_811
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReachConfig:
-    """The task.
+    """Goal region, period and tolerance.
 
     Attributes:
         radius_min, radius_max: m, the shell around the workspace's centre.
@@ -48,12 +48,12 @@ class GoalPool:
     """Points the arm can reach.
 
     Attributes:
-        q: (K, n) rad, a configuration that reaches each. tool: (K, 3) m. chance: (K,) cumulative, ends at 1.
+        q: (K, n) rad, a configuration that reaches each. tool: (K, 3) m. cumulative_probability: (K,).
     """
 
     q: Floats
     tool: Floats
-    chance: Floats
+    cumulative_probability: Floats
 
 
 _POOLS: dict[tuple[str, ReachConfig], GoalPool] = {}
@@ -99,7 +99,7 @@ def sample_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
         np.floor(tool / config.cell_m), axis=0, return_inverse=True, return_counts=True
     )
     weight = 1.0 / count[cell]
-    return GoalPool(q=q, tool=tool, chance=np.cumsum(weight) / np.cumsum(weight)[-1])
+    return GoalPool(q=q, tool=tool, cumulative_probability=np.cumsum(weight) / np.cumsum(weight)[-1])
 
 
 def _poses_in_shell(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Floats]:

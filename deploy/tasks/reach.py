@@ -62,7 +62,7 @@ class Reach(Task):
 
     @classmethod
     def success_criterion(cls, spec: RobotSpec) -> SuccessCriterion:
-        """Within 2 cm when the period ends."""
+        """Within `tolerance_m` when the period ends."""
         return SuccessCriterion(size=3, period_s=cls.config.period_s, tolerance=cls.config.tolerance_m)
 
     @classmethod
@@ -72,7 +72,7 @@ class Reach(Task):
 
     def sample_goal(self, rng: np.random.Generator) -> Floats:
         """(3,) m, uniform in the volume of the pool."""
-        goal: Floats = self.pool.tool[np.searchsorted(self.pool.chance, rng.random())]
+        goal: Floats = self.pool.tool[np.searchsorted(self.pool.cumulative_probability, rng.random())]
         return goal
 
     def observe(self, runtime: "Runtime", sample: Sample, due: bool) -> None:
@@ -82,8 +82,8 @@ class Reach(Task):
         self.achieved[:] = runtime.tool.position
         if "goal" in sample:
             packet = sample["goal"]
-            old = runtime.t - packet.t > GOAL_TIMEOUT_S
-            known = np.isfinite(packet.value) & ~old[:, None]
+            stale = runtime.t - packet.t > GOAL_TIMEOUT_S
+            known = np.isfinite(packet.value) & ~stale[:, None]
             self.camera_goal[:] = np.where(known, packet.value, self.achieved)
 
     @property

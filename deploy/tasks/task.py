@@ -141,13 +141,13 @@ class Task(Stage, ABC):
             self.number[robot] += 1
 
 
-def find_task(name: str, given: str) -> type[Task]:
-    """Return the installed task of that name in a contract; `given` is where it was named, for the error.
+def find_task(name: str, origin: str) -> type[Task]:
+    """Return the installed task of that name in a contract; `origin` is where it was named, for the error.
 
     Raises:
         ConfigError: no such task is installed.
     """
-    task: Any = load(TASKS, name, given)
+    task: Any = load(TASKS, name, origin)
     return task  # type: ignore[no-any-return]
 
 

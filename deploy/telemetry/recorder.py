@@ -4,8 +4,9 @@ import secrets
 from collections.abc import Mapping
 from pathlib import Path
 
+from deploy.reasons import Reason
 from deploy.runtime import Runtime
-from deploy.state import Mode, Reason
+from deploy.state import Mode
 from deploy.telemetry.recording import Recording
 from deploy.telemetry.signals import Ring, row_type
 from robots.errors import OutputError

@@ -11,7 +11,7 @@ from foxglove import messages as fg
 from foxglove.channels import JointStatesChannel, LogChannel, SceneUpdateChannel
 from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 
-from deploy.safety.supervisor import describe
+from deploy.reasons import describe
 from deploy.state import Mode
 from deploy.telemetry.disk_writer import DiskWriter
 from deploy.telemetry.signals import recorded_signals, state_schema

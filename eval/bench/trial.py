@@ -30,7 +30,7 @@ class Trial:
         """Build everything for B seeds, with brakes on; `draw` replaces the parameters drawn from the seeds."""
         self.policy = Policy.load(policy, spec)
         contract = self.policy.contract
-        self.runtime, self.robot = simulate(spec, contract, seeds, self.policy, given=draw)
+        self.runtime, self.robot = simulate(spec, contract, seeds, self.policy, draw=draw)
         self.judge = make_judge(spec, contract, len(seeds))
         self._motors = nominal_windings(spec)
         self._ohm = self._motors.resistance * self.robot.draw["drives.resistance"]

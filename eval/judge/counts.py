@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from deploy.state import Reason
+from deploy.reasons import Reason
 from eval.judge.channels import Channels
 from eval.judge.monitor import Monitor
 from robots.arrays import Floats, Ints

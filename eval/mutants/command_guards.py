@@ -1,6 +1,6 @@
 """Mutants of guards of commands: safety checks, planner limits, action clip and leash, and the runtime."""
 
-from deploy.state import Reason
+from deploy.reasons import Reason
 from eval.mutants.attacks import (
     action_spike,
     cycle_poses,

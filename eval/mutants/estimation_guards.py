@@ -1,7 +1,7 @@
 """Mutants of guards of estimates: sensor checks, filter gate and confirmation, load detection, arming."""
 
 from deploy.backends.sim.sensor_faults import Failure
-from deploy.state import Reason
+from deploy.reasons import Reason
 from eval.mutants.attacks import (
     encoder_offset_at_start,
     hot_motors_at_start,

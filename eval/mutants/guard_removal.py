@@ -9,8 +9,9 @@ import numpy as np
 
 from deploy.estimation.estimator import Estimator
 from deploy.motion.smoother import Smoother
+from deploy.reasons import Reason
 from deploy.runtime import Runtime
-from deploy.state import Reason, Setpoint, State, Verdict
+from deploy.state import Setpoint, State, Verdict
 from robots.arrays import Bools, Floats
 
 GuardRemoval = Callable[[Runtime], None]
@@ -142,7 +143,7 @@ def plan_nan_at(t: float, *, angles: bool) -> GuardRemoval:
 def send_non_finite(runtime: Runtime) -> None:
     """Send the planned setpoint even if it is not finite."""
     wrap_method(runtime, "cut_power_without_plan", lambda _, planned: planned)
-    wrap_method(runtime, "planned_or_prepared_stop", lambda _, obey, planned: (planned, runtime.verdict.tau))
+    wrap_method(runtime, "select_setpoint", lambda _, obey, planned: (planned, runtime.verdict.tau))
 
 
 def stop_instantly(runtime: Runtime) -> None:
@@ -154,7 +155,7 @@ def stop_instantly(runtime: Runtime) -> None:
         parts = [np.where(obey[:, None], *pair) for pair in zip(setpoint, rest, strict=True)]
         return Setpoint(*parts), tau
 
-    wrap_method(runtime, "planned_or_prepared_stop", choose)
+    wrap_method(runtime, "select_setpoint", choose)
 
 
 def ignore_non_finite_action(runtime: Runtime) -> None:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from deploy.backends.sim.sensor_faults import Failure
-from deploy.state import Reason
+from deploy.reasons import Reason
 from eval.mutants.attacks import cycle_poses, hot_motors_at_start, move_to, sensor_faults
 from eval.mutants.command_guards import FAR
 from eval.mutants.guard_removal import (

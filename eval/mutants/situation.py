@@ -8,11 +8,12 @@ import numpy as np
 from deploy.backends.sim.backend import simulate
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.sensor_faults import Fault
-from deploy.policy.contract import ActionSpec, Contract, Observed
+from deploy.policy.contract import Contract, Observed
+from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import Term
 from deploy.policy.observation_sources import SOURCES
+from deploy.reasons import Reason
 from deploy.runtime import Runtime
-from deploy.state import Reason
 from eval.judge.counts import Counts
 from eval.mutants.guard_removal import GuardRemoval, ignore_reasons, in_sequence
 from eval.shard.job import ARM_S
@@ -100,7 +101,7 @@ def run_situation(spec: RobotSpec, situation: Situation, remove_guard: GuardRemo
     """Simulate a situation with a guard removed; return the judge's counts."""
     seeds = [robot_seed(SEED, robot) for robot in range(ROBOTS)]
     robots, faults = _draw(spec, seeds, situation), situation.faults(spec)
-    runtime, robot = simulate(spec, contract(spec, situation), seeds, given=robots, faults=faults)
+    runtime, robot = simulate(spec, contract(spec, situation), seeds, draw=robots, faults=faults)
     judge = make_judge(spec, runtime.contract, ROBOTS)
     situation.prepare(runtime)
     remove_guard(runtime)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from deploy.state import Reason
+from deploy.reasons import Reason
 from eval.judge.counts import Counts
 from eval.judge.monitors import NAMES
 from eval.mutants.attacks import cycle_poses, encoder_offset_at_start, hot_motors_at_start, nan_after

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.safety.supervisor import describe
+from deploy.reasons import describe
 from deploy.state import Mode
 from deploy.telemetry.signals import Rows
 from eval.replay.replayer import Replay, ReplayResult

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.safety.diagnostics import StopDetector, explain_reasons
+from deploy.operation.stop_explanation import StopDetector, explain_reasons
 from deploy.stage import Arrays
 from deploy.telemetry.signals import Rows
 from eval.faults.schedule import hours_max

@@ -80,7 +80,7 @@ class Shard(Stage):
         _check_digest(job.policy_digest, policy.digest, job.policy)
         schedule = plan(spec, job.faults, seeds, job.first, job.ticks)
         self._job, self.action, faults = job, None, schedule.sensor_faults()
-        self.runtime, self.robot = simulate(spec, policy.contract, seeds, policy, given=draw, faults=faults)
+        self.runtime, self.robot = simulate(spec, policy.contract, seeds, policy, draw=draw, faults=faults)
         self.judge = make_judge(spec, policy.contract, WIDTH, counted=job.robots)
         self.injector = Injector(spec, schedule, self.robot.plant, policy.contract.action_size)
         self.responses = FaultResponseTracker(spec, schedule)

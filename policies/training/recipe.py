@@ -5,7 +5,8 @@ from typing import Annotated
 
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from deploy.policy.contract import ActionSpec, Contract
+from deploy.policy.contract import Contract
+from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import Term
 from deploy.tasks.task import find_task, sources_of
 from robots.errors import ConfigError

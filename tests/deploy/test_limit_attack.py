@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from deploy.safety.supervisor import CATEGORY_1
-from deploy.state import Mode, Reason
+from deploy.reasons import CATEGORY_1, Reason
+from deploy.state import Mode
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
 from support.arm6 import SPEC

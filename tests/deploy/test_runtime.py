@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from deploy.reasons import Reason
 from deploy.runtime import Runtime
-from deploy.state import Mode, Reason
+from deploy.state import Mode
 from deploy.tasks.goal_pool import ReachConfig, goal_pool
 from robots.models.fleet import Fleet
 from robots.randomness import robot_seed

@@ -5,7 +5,8 @@ import pytest
 
 from deploy.backends.sim.sensor_faults import Failure, Fault
 from deploy.motion.smoother import Smoother
-from deploy.state import Mode, Reason, Setpoint
+from deploy.reasons import Reason
+from deploy.state import Mode, Setpoint
 from deploy.tasks.reach import GOAL_TIMEOUT_S
 from support.arm6 import SPEC
 from support.runtimes import Saying, assert_same, assert_within_limits, every, play, running

@@ -5,7 +5,8 @@ import pytest
 
 from deploy.estimation.foldback import STEPS
 from deploy.motion.smoother import Smoother
-from deploy.state import Mode, Reason
+from deploy.reasons import Reason
+from deploy.state import Mode
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm

@@ -7,8 +7,9 @@ import pytest
 from deploy.estimation.rotations import exp, matrix, matvec
 from deploy.motion.drive_law import SpringDrives
 from deploy.policy.compatibility import check_contract
-from deploy.policy.contract import ActionSpec
-from deploy.state import Mode, Reason
+from deploy.policy.contract_action import ActionSpec
+from deploy.reasons import Reason
+from deploy.state import Mode
 from deploy.tasks.velocity import Velocity
 from robots.errors import ContractError, RobotError
 from robots.models.fleet import Fleet

@@ -1,6 +1,7 @@
 from hypothesis import strategies as st
 
-from deploy.policy.contract import ActionSpec, Contract
+from deploy.policy.contract import Contract
+from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import Term
 from deploy.tasks.task import installed_sources, sources_of
 from support.arm6 import SPEC

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from deploy.policy.contract import ActionSpec, Contract
+from deploy.policy.contract import Contract
+from deploy.policy.contract_action import ActionSpec
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.contracts import term

@@ -27,7 +27,7 @@ class SimBackend(Backend[SimRobot]):
         return SimRobot(
             request.spec,
             request.seeds,
-            given=request.draw,
+            draw=request.draw,
             faults=self._faults,
             gains=request.gains,
             threads=self._threads,
@@ -51,13 +51,13 @@ def simulate(
     seeds: Sequence[np.random.SeedSequence],
     policy: Policy | None = None,
     *,
-    given: Draw | None = None,
+    draw: Draw | None = None,
     faults: Sequence[Fault] = (),
     threads: int = 1,
 ) -> tuple[Runtime, SimRobot]:
     """Build a runtime on B simulated robots, with the contract's drive gains; arguments as of `SimRobot`, `Runtime`."""
     backend = SimBackend(faults, threads)
-    request = Request(spec=spec, seeds=seeds, gains=contract.action.gains, draw=given)
+    request = Request(spec=spec, seeds=seeds, gains=contract.action.gains, draw=draw)
     backend.check(request)
     robot = backend.open(request)
     runtime = Runtime(spec, contract, robot, seeds, policy)

@@ -1,4 +1,7 @@
-"""Disturbances of B robots that come and go. A new one is a class listed in `DISTURBANCES`, with a table in draws.toml.
+"""Disturbances of B robots that come and go.
+
+A new one is a class listed in `DISTURBANCES`, a table of its drawn numbers in robots/distributions.py and every
+draws.toml, and a random stream of its own in robots/randomness.py.
 
 Every phase is a function of seed, robot and its number, so that only the numbers of the phases have to be saved.
 """

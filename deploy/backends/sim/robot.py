@@ -12,7 +12,9 @@ from deploy.state import Command, Sample
 from deploy.truth import Truth
 from robots.arrays import Bools, Floats
 from robots.distributions import load_distributions
-from robots.draws import Draw, draw
+from robots.draws import Draw
+from robots.draws import draw as draw_robots
+from robots.errors import ConfigError
 from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
@@ -33,7 +35,7 @@ class SimRobot(Stage):
         spec: RobotSpec,
         seeds: Sequence[np.random.SeedSequence],
         *,
-        given: Draw | None = None,
+        draw: Draw | None = None,
         faults: Sequence[Fault] = (),
         gains: Gains | None = None,
         threads: int = 1,
@@ -43,21 +45,22 @@ class SimRobot(Stage):
         Args:
             spec: the robot as it should be.
             seeds: B seeds: one draw, one stream of noise each.
-            given: B robots as they are, in place of those that the seeds would draw.
+            draw: B robots as they are, in place of those that the seeds would draw.
             faults: of their sensors.
             gains: of their drives, as the policy's contract has them; None: the drives' own.
             threads: for physics; results do not depend on it.
         """
         self.spec, self.robots, self.gains = spec, len(seeds), gains
         distributions = load_distributions(spec)
-        self.draw = given or draw(distributions, spec, seeds)
+        self.draw = draw or draw_robots(distributions, spec, seeds)
         self.plant = Plant(spec, distributions, self.draw, seeds, gains=gains, threads=threads)
         self.sensors = Sensors(spec, self.draw, seeds, faults)
         self.goal_source: Callable[[], Floats] | None = None
         self.goal = np.full((self.robots, 3), np.nan)
-        self._true_values = [
-            self.goal if kind == "goal" else self.plant.readings[kind] for kind in self.spec.sensors
-        ]
+        readings = {**self.plant.readings, "goal": self.goal}
+        if unknown := [kind for kind in spec.sensors if kind not in readings]:
+            raise ConfigError(f"{spec.folder / 'robot.toml'}: sensors: {unknown[0]} cannot be simulated")
+        self._true_values = [readings[kind] for kind in spec.sensors]
         self.settle_sensors(np.ones(self.robots, dtype=bool))
 
     def read(self) -> Sample:

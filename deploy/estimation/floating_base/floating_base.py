@@ -11,7 +11,8 @@ from deploy.estimation.floating_base.base_measurements import BaseNoise, Feet, I
 from deploy.estimation.rotations import matrix
 from deploy.estimation.sample_count import sample_count
 from deploy.masks import any_true
-from deploy.state import Packet, Reason, Sample, State
+from deploy.reasons import Reason
+from deploy.state import Packet, Sample, State
 from robots.arrays import Bools, Floats
 from robots.capabilities import Capability
 from robots.models.fleet import Fleet

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from deploy.backends.sim.backend import simulate
+from deploy.operation.stop_explanation import StopDetector, explain_reasons
 from deploy.policy.policy import Policy
-from deploy.safety.diagnostics import StopDetector, explain_reasons
 from deploy.tasks.task import find_task
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge
@@ -96,7 +96,7 @@ class _Simulation:
     ) -> None:
         robots, contract = len(seeds), policy.contract
         draw = median_draw(load_distributions(spec), spec, robots)
-        self._runtime, self._robot = simulate(spec, contract, seeds, policy, given=draw)
+        self._runtime, self._robot = simulate(spec, contract, seeds, policy, draw=draw)
         criterion, observed = self._runtime.task.criterion, contract.observed
         self._judge = Judge(spec, torque_max(spec), robots, criterion=criterion, observed=observed)
         self._policy, self._rng = policy, np.random.default_rng(SEED)

@@ -9,7 +9,8 @@ from deploy.estimation.estimator import Estimator
 from deploy.estimation.fault_detection import CONFIRMED_S, NIS_S, STUCK_SHARE
 from deploy.estimation.joint_filter import INITIAL_SPEED_STD
 from deploy.estimation.setpoint_history import HISTORY_S
-from deploy.state import Packet, Reason, Setpoint
+from deploy.reasons import Reason
+from deploy.state import Packet, Setpoint
 from robots.models.nominal_model import torque_max
 from robots.motors.gains import Gains
 from robots.spec import load_robot

@@ -6,7 +6,7 @@ import pytest
 from deploy.estimation.estimator import Estimator
 from deploy.estimation.fault_detection import CONFIRMED_S, NIS_MAX, REFUSED_S, STUCK_S
 from deploy.estimation.joint_filter import GATE
-from deploy.state import Reason
+from deploy.reasons import Reason
 from support.arm6 import SPEC
 from support.deploy.estimators import DT, NOISE, N, begun, packets, sample, still
 

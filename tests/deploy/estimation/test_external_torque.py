@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from deploy.estimation.external_torque import DETECTION_S, TORQUE_SHARE, ExternalTorque
-from deploy.safety.supervisor import CATEGORY_1
-from deploy.state import Mode, Packet, Reason
+from deploy.reasons import CATEGORY_1, Reason
+from deploy.state import Mode, Packet
 from robots.models.nominal_model import torque_max
 from robots.motors.windings import nominal_windings
 from support.arm6 import SPEC

@@ -7,7 +7,7 @@ from deploy.estimation.estimator import Estimator
 from deploy.estimation.fault_detection import CONFIRMED_S, STUCK_S
 from deploy.estimation.floating_base.base_filter import BaseFilter
 from deploy.estimation.sample_count import sample_count
-from deploy.state import Reason
+from deploy.reasons import Reason
 from robots.tables import Rates
 from support.arm6 import SPEC
 from support.deploy.estimators import sample, still

@@ -8,8 +8,9 @@ from deploy.backends.sim.robot import SimRobot
 from deploy.operation.loop_timing import LoopTiming, WallClock
 from deploy.operation.robot_run import Ending, RobotRun
 from deploy.policy.policy import Policy
+from deploy.reasons import Reason
 from deploy.runtime import Runtime
-from deploy.state import Mode, Reason
+from deploy.state import Mode
 from deploy.telemetry.recorder import Recorder
 from robots.randomness import robot_seed
 from robots.spec import load_robot

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from deploy.policy.action import Action
-from deploy.policy.contract import ActionSpec
+from deploy.policy.contract_action import ActionSpec
 
 SCALE = (0.05, 0.05, 0.05, 0.1, 0.1, 0.2)
 LEASH = 0.3

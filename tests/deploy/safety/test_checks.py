@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from deploy.reasons import Reason
 from deploy.safety.check import Check, Limits
-from deploy.safety.check_evaluation import CheckTable
+from deploy.safety.check_table import CheckTable
 from deploy.safety.checks import CHECKS
 from deploy.safety.safety import Safety
-from deploy.state import Reason
 from robots.models.fleet import Fleet
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
@@ -31,7 +31,7 @@ def arm(spec=SPEC, **more):
 
 @pytest.mark.parametrize("moment", ["setpoint", "q_mid_stop", "q_rest"])
 def test_a_check_from_outside_is_made_like_any_other(moment):
-    safety, right = arm(place=FENCE), HOME + np.eye(SPEC.n)[0]
+    safety, right = arm(all_poses=FENCE), HOME + np.eye(SPEC.n)[0]
     assert judge(safety=safety).reason[0] == 0
     verdict = judge(safety=safety, q_hat=HOME, **{moment: point(right) if moment == "setpoint" else right})
     assert Reason(int(verdict.reason[0])) & Reason.WORKSPACE
@@ -81,7 +81,7 @@ def test_a_bound_of_the_wrong_width_fails_at_construction():
 
 def test_a_name_is_given_once():
     with pytest.raises(ValueError, match="tool_height, tool_radius, tool_height, expected each once"):
-        arm(place=next(check for check in CHECKS.place if check.name == "tool_height"))
+        arm(all_poses=next(check for check in CHECKS.all_poses if check.name == "tool_height"))
 
 
 def test_rows_may_stand_in_any_order():

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from deploy.reasons import CATEGORY_1, Reason
 from deploy.safety.safety import Safety
-from deploy.safety.supervisor import CATEGORY_1
-from deploy.state import Reason, Setpoint, State
+from deploy.state import Setpoint, State
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
 from support.arm6 import SPEC

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from deploy.motion.smoother import Smoother
+from deploy.reasons import Reason
 from deploy.safety.safety import Safety
-from deploy.state import Reason, Setpoint, State
+from deploy.state import Setpoint, State
 from robots.models.fleet import Fleet
 from support.arm6 import SPEC
 from support.deploy.safety import HIGH, HOME, LOW, MARGINS, SPACE, N, one, point, reasons

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.safety.supervisor import CATEGORY_1, REASON_TEXT, Supervisor, describe
-from deploy.state import Mode, Reason
+from deploy.reasons import CATEGORY_1, REASONS, Reason, describe
+from deploy.safety.supervisor import Supervisor
+from deploy.state import Mode
 
 DT, ARMING, HOLD = 0.01, 3, 4
 SOFT, HARD = int(Reason.STALE), int(Reason.LOST)
@@ -235,8 +236,9 @@ def test_saved_and_restored():
 
 
 def test_every_reason_has_a_description():
-    assert set(REASON_TEXT) == set(Reason)
+    assert set(REASONS) == set(Reason)
     assert describe(0) == "no reason"
     assert (
-        describe(int(Reason.HEAT | Reason.LOST)) == f"{REASON_TEXT[Reason.HEAT]}; {REASON_TEXT[Reason.LOST]}"
+        describe(int(Reason.HEAT | Reason.LOST))
+        == f"{REASONS[Reason.HEAT].text}; {REASONS[Reason.LOST].text}"
     )

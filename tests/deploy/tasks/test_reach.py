@@ -68,9 +68,9 @@ def test_goal_pool_is_deterministic():
 
 
 def test_chances_are_a_cumulative_distribution():
-    assert (np.diff(POOL.chance) > 0).all()
-    assert POOL.chance[0] > 0
-    assert POOL.chance[-1] == pytest.approx(1.0, abs=1e-9)
+    assert (np.diff(POOL.cumulative_probability) > 0).all()
+    assert POOL.cumulative_probability[0] > 0
+    assert POOL.cumulative_probability[-1] == pytest.approx(1.0, abs=1e-9)
 
 
 def unevenness(drawn):
@@ -93,7 +93,7 @@ def unevenness(drawn):
 def test_goals_are_uniform_in_volume():
     """As nearly as cells of 10 cm can make it (1 would be exact); joint space alone is several times worse."""
     rng = np.random.default_rng(0)
-    chosen = POOL.tool[np.searchsorted(POOL.chance, rng.random(4000))]
+    chosen = POOL.tool[np.searchsorted(POOL.cumulative_probability, rng.random(4000))]
     unweighted = POOL.tool[rng.integers(len(POOL.tool), size=4000)]
     even, raw = unevenness(np.stack((chosen, unweighted)))
     assert even < 4.5

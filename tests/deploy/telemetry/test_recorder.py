@@ -8,8 +8,8 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
-from deploy.safety.supervisor import describe
-from deploy.state import Mode, Reason
+from deploy.reasons import Reason, describe
+from deploy.state import Mode
 from deploy.telemetry import signals
 from deploy.telemetry.recorder import AFTER_S, EVENTS_MAX, Recorder, check_folder
 from deploy.telemetry.signals import RING_S, Ring, row_type

@@ -5,9 +5,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pytest
 
+from deploy.reasons import Reason
+
 pytest.importorskip("mujoco")
 
-from deploy.state import Mode, Reason
+from deploy.state import Mode
 from deploy.tasks.reach import Reach
 from eval.judge.counts import REASONS, Counts, merge
 from eval.judge.monitors import MONITORS

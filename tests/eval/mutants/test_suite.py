@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from deploy.reasons import Reason
 from support.arm6 import SPEC
 
 pytest.importorskip("mujoco")
 
 import eval.mutants.__main__ as command
 from deploy.command_line import BUDGET_EXCEEDED, PASSED
-from deploy.state import Reason
 from eval.judge.monitors import NAMES
 from eval.mutants import suite
 from eval.mutants.situation import INVALID, LATCHES, keep_guards, run_situation

@@ -1,7 +1,8 @@
 import numpy as np
 
+from deploy.reasons import Reason
 from deploy.safety.safety import Safety
-from deploy.state import Reason, Setpoint, State
+from deploy.state import Setpoint, State
 from robots.models.fleet import Fleet
 from support.arm6 import SPEC
 

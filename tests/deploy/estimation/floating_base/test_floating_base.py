@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from deploy.estimation.rotations import matrix
-from deploy.state import Mode, Packet, Reason
+from deploy.reasons import Reason
+from deploy.state import Mode, Packet
 from robots.distributions import load_distributions
 from robots.draws import median_draw
 from robots.errors import RobotError
@@ -98,7 +99,7 @@ def test_stance_is_known_on_a_tilted_floor(tmp_path, tilt):
     """What an IMU says of up is what its accelerometer feels: no acceleration is left over."""
     spec = load_robot(changed(tmp_path, ("[motors.leg]\n", UPRIGHT)))
     given = median_draw(load_distributions(spec), spec, 1).replaced({"mounting.tilt_rad": np.array([tilt])})
-    runtime, robot = simulate(spec, walking_contract(spec), [robot_seed(3, 0)], given=given)
+    runtime, robot = simulate(spec, walking_contract(spec), [robot_seed(3, 0)], draw=given)
     live(runtime, round(ARM_S / spec.dt))
     assert not runtime.arm(np.ones(1, dtype=bool)).any()
     live(runtime, 600)

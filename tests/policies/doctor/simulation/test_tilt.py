@@ -7,7 +7,8 @@ pytest.importorskip("mujoco")
 
 from onnx import helper
 
-from deploy.policy.contract import ActionSpec, Observed
+from deploy.policy.contract import Observed
+from deploy.policy.contract_action import ActionSpec
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Verdict
 from policies.doctor.checklist import run_check

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
+from deploy.reasons import REASONS, Reason
 from support.arm6 import SPEC
 
 pytest.importorskip("mujoco")
 
 from deploy.estimation.fault_detection import NIS_MAX
-from deploy.safety.diagnostics import StopDetector, StopExplanation, explain_reasons
-from deploy.safety.supervisor import REASON_TEXT
-from deploy.state import Reason
+from deploy.operation.stop_explanation import StopDetector, StopExplanation, explain_reasons
 from support.runtimes import built, heard, running
 from support.walking import standing
 
@@ -68,11 +67,11 @@ def moving(runtime, robot=0):
 )
 @pytest.mark.parametrize("robot", range(2))
 def test_a_reason_names_its_joint(runtime, befall, reason, robot):
-    assert explain_reasons(runtime, int(reason), robot) == REASON_TEXT[reason]
+    assert explain_reasons(runtime, int(reason), robot) == REASONS[reason].text
     befall(runtime, robot)
     runtime.act(None)
-    assert explain_reasons(runtime, int(reason), robot) == f"{REASON_TEXT[reason]} (wrist_2)"
-    assert explain_reasons(runtime, int(reason), 1 - robot) == REASON_TEXT[reason]
+    assert explain_reasons(runtime, int(reason), robot) == f"{REASONS[reason].text} (wrist_2)"
+    assert explain_reasons(runtime, int(reason), 1 - robot) == REASONS[reason].text
 
 
 @pytest.mark.parametrize(
@@ -86,7 +85,7 @@ def test_refused_setpoint_names_its_joint_for_its_robot_only(runtime, part, valu
     runtime.verdict = runtime.safety.step(*here)
     assert runtime.verdict.reason[1] & reason
     assert "wrist_2" in explain_reasons(runtime, int(reason), robot=1)
-    assert explain_reasons(runtime, int(reason)) == REASON_TEXT[reason]
+    assert explain_reasons(runtime, int(reason)) == REASONS[reason].text
 
 
 @pytest.mark.parametrize("late", range(2))
@@ -97,7 +96,8 @@ def test_refused_stop_names_its_joint(runtime, late):
     points[late].qd[1, WRIST] = 50.0
     runtime.verdict = runtime.safety.step(runtime.state, here, *points, here.q, here.q)
     assert (
-        explain_reasons(runtime, int(Reason.VELOCITY), robot=1) == f"{REASON_TEXT[Reason.VELOCITY]} (wrist_2)"
+        explain_reasons(runtime, int(Reason.VELOCITY), robot=1)
+        == f"{REASONS[Reason.VELOCITY].text} (wrist_2)"
     )
 
 
@@ -114,7 +114,7 @@ def test_joint_with_an_invalid_estimate_is_named(runtime, reason):
     runtime.robot.read = astray
     while not runtime.verdict.reason[1] & reason:
         runtime.tick()
-    assert explain_reasons(runtime, int(reason), robot=1) == f"{REASON_TEXT[reason]} (wrist_2)"
+    assert explain_reasons(runtime, int(reason), robot=1) == f"{REASONS[reason].text} (wrist_2)"
 
 
 @pytest.mark.parametrize("reason", [Reason.STALE, Reason.LOST])
@@ -130,8 +130,8 @@ def test_silent_imu_is_named(reason):
     runtime.robot.read = silent
     while not runtime.verdict.reason[1] & reason:
         runtime.tick()
-    assert explain_reasons(runtime, int(reason), robot=1) == f"{REASON_TEXT[reason]} (IMU)"
-    assert explain_reasons(runtime, int(reason), robot=0) == REASON_TEXT[reason]
+    assert explain_reasons(runtime, int(reason), robot=1) == f"{REASONS[reason].text} (IMU)"
+    assert explain_reasons(runtime, int(reason), robot=0) == REASONS[reason].text
 
 
 @pytest.mark.parametrize("robot", range(2))
@@ -139,8 +139,8 @@ def test_diverged_base_estimate_is_named(robot):
     runtime = standing(2)
     runtime.capabilities.by_name["floating_base"].filter.P[robot] *= 1e6
     runtime.tick()
-    assert explain_reasons(runtime, int(Reason.DIVERGED), robot) == f"{REASON_TEXT[Reason.DIVERGED]} (base)"
-    assert explain_reasons(runtime, int(Reason.DIVERGED), 1 - robot) == REASON_TEXT[Reason.DIVERGED]
+    assert explain_reasons(runtime, int(Reason.DIVERGED), robot) == f"{REASONS[Reason.DIVERGED].text} (base)"
+    assert explain_reasons(runtime, int(Reason.DIVERGED), 1 - robot) == REASONS[Reason.DIVERGED].text
 
 
 def test_power_loss_while_running_counts_as_a_stop(runtime):
@@ -157,7 +157,7 @@ def test_power_loss_while_running_counts_as_a_stop(runtime):
 def test_joint_with_nan_is_named(runtime):
     runtime.state.q[0, WRIST] = np.nan
     runtime.act(None)
-    assert explain_reasons(runtime, int(Reason.NOT_FINITE)) == f"{REASON_TEXT[Reason.NOT_FINITE]} (wrist_2)"
+    assert explain_reasons(runtime, int(Reason.NOT_FINITE)) == f"{REASONS[Reason.NOT_FINITE].text} (wrist_2)"
 
 
 def test_planned_joint_with_nan_is_named_despite_nan_torques(runtime):
@@ -168,7 +168,7 @@ def test_planned_joint_with_nan_is_named_despite_nan_torques(runtime):
     assert np.isnan(runtime.verdict.tau[1]).all()
     assert (
         explain_reasons(runtime, int(Reason.NOT_FINITE), robot=1)
-        == f"{REASON_TEXT[Reason.NOT_FINITE]} (wrist_2)"
+        == f"{REASONS[Reason.NOT_FINITE].text} (wrist_2)"
     )
 
 
@@ -187,8 +187,8 @@ def test_colliding_shapes_are_named(runtime, place, q, shapes):
     poses[place][0] = q
     planned = here._replace(q=poses[0])
     runtime.verdict = runtime.safety.step(runtime.state, here, planned, here, *poses[1:])
-    assert explain_reasons(runtime, int(Reason.COLLISION)) == f"{REASON_TEXT[Reason.COLLISION]} ({shapes})"
-    assert explain_reasons(runtime, int(Reason.COLLISION), robot=1) == REASON_TEXT[Reason.COLLISION]
+    assert explain_reasons(runtime, int(Reason.COLLISION)) == f"{REASONS[Reason.COLLISION].text} ({shapes})"
+    assert explain_reasons(runtime, int(Reason.COLLISION), robot=1) == REASONS[Reason.COLLISION].text
 
 
 def test_pose_of_nan_names_no_collision(runtime):
@@ -208,7 +208,7 @@ def test_separate_shapes_are_not_named_for_a_pose_of_nan(runtime):
             runtime.state, here, here._replace(q=planned), here, midst, planned
         )
         assert runtime.verdict.reason[0] & Reason.COLLISION
-        assert explain_reasons(runtime, int(Reason.COLLISION)) == REASON_TEXT[Reason.COLLISION]
+        assert explain_reasons(runtime, int(Reason.COLLISION)) == REASONS[Reason.COLLISION].text
 
 
 @pytest.mark.parametrize("value", [np.nan, 0.7])
@@ -224,7 +224,7 @@ def test_silent_motor_is_named(runtime, value):
     while not runtime.estimator.windings.unknown.any():
         runtime.tick()
     assert runtime.supervisor.reason[0] & Reason.HEAT
-    assert explain_reasons(runtime, int(Reason.HEAT)) == f"{REASON_TEXT[Reason.HEAT]} (wrist_2)"
+    assert explain_reasons(runtime, int(Reason.HEAT)) == f"{REASONS[Reason.HEAT].text} (wrist_2)"
 
 
 def test_reason_is_described_from_the_tick_in_which_it_came(runtime):
@@ -239,8 +239,8 @@ def test_reason_is_described_from_the_tick_in_which_it_came(runtime):
     runtime.supervisor.reason[0] |= np.int64(Reason.OPERATOR)
     runtime.act(None)
     why.step(runtime)
-    assert explain_reasons(runtime, int(Reason.TRACKING)) == REASON_TEXT[Reason.TRACKING]  # not any more
-    assert str(why) == f"{REASON_TEXT[Reason.TRACKING]} (wrist_2); {REASON_TEXT[Reason.OPERATOR]}"
+    assert explain_reasons(runtime, int(Reason.TRACKING)) == REASONS[Reason.TRACKING].text  # not any more
+    assert str(why) == f"{REASONS[Reason.TRACKING].text} (wrist_2); {REASONS[Reason.OPERATOR].text}"
     runtime.supervisor.reason[0] = 0
     why.step(runtime)
     assert str(why) == ""
@@ -248,7 +248,7 @@ def test_reason_is_described_from_the_tick_in_which_it_came(runtime):
 
 @pytest.mark.parametrize("reason", list(Reason))
 def test_every_reason_has_a_description(runtime, reason):
-    assert explain_reasons(runtime, int(reason)).startswith(REASON_TEXT[reason])
+    assert explain_reasons(runtime, int(reason)).startswith(REASONS[reason].text)
 
 
 def test_several_reasons_are_listed_in_order(runtime):
@@ -278,4 +278,4 @@ def test_refused_arming_names_the_current_reasons():
     heard(runtime)
     beyond(runtime)
     refused = runtime.arm(np.ones(1, dtype=bool))
-    assert explain_reasons(runtime, int(refused[0])).endswith(f"{REASON_TEXT[Reason.OUTSIDE]} (wrist_2)")
+    assert explain_reasons(runtime, int(refused[0])).endswith(f"{REASONS[Reason.OUTSIDE].text} (wrist_2)")

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from deploy.masks import all_true
+from deploy.reasons import Reason
 from deploy.safety.check import Bound, Check, Limits
-from deploy.state import Reason
 from robots.arrays import Bools, Floats, Ints
 from robots.spec import RobotSpec
 

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.reasons import REASONS, Reason
 from deploy.runtime import Runtime
-from deploy.safety.supervisor import REASON_TEXT
-from deploy.state import Mode, Reason
+from deploy.state import Mode
 from robots.arrays import Bools
 
 AGES = (Reason.STALE, Reason.LOST)
@@ -52,7 +52,7 @@ def explain_reasons(runtime: Runtime, reason: int, robot: int = 0) -> str:
     texts = []
     for bit in Reason(reason):
         about = [*_joint_names(runtime, bit, robot), *_parts(runtime, bit, robot)]
-        texts.append(f"{REASON_TEXT[bit]} ({', '.join(about)})" if about else REASON_TEXT[bit])
+        texts.append(f"{REASONS[bit].text} ({', '.join(about)})" if about else REASONS[bit].text)
     return "; ".join(texts) or "no reason"
 
 
