@@ -63,7 +63,7 @@ def test_goals_cover_four_fifths_of_the_reachable_volume():
 def test_goal_pool_is_deterministic():
     small = ReachConfig(candidates=1600)
     again = sample_pool(SPEC, small)
-    for name in ("q", "tool", "chance"):
+    for name in ("q", "tool", "cumulative_probability"):
         np.testing.assert_array_equal(getattr(goal_pool(SPEC, small), name), getattr(again, name))
 
 
