@@ -16,17 +16,21 @@ from robots.spec import RobotSpec
 
 JAMMED = 1e5
 """N·m of friction."""
+FOREVER = 10**9
+"""Ticks, longer than every situation."""
 
 
 def sensor_faults(
-    failure: Failure, at: float, *, sensor: Kind = "encoder", channel: int | None = None, until: float = 1e6
+    failure: Failure, at: float, *, sensor: Kind = "encoder", channel: int | None = None, ticks: int = FOREVER
 ) -> SensorFaults:
-    """Return the faults of a sensor of every robot, from `at` to `until` in s, as a function of the spec."""
+    """Return the faults of a sensor of every robot, from `at` s for a number of ticks, as a function of the spec."""
 
     def faults(spec: RobotSpec) -> tuple[Fault, ...]:
-        begins, ends = (round(t * spec.rates.control_hz) for t in (at, until))
+        begins = round(at * spec.rates.control_hz)
         return tuple(
-            Fault(robot=robot, sensor=sensor, what=failure, channel=channel, begins=begins, ends=ends)
+            Fault(
+                robot=robot, sensor=sensor, what=failure, channel=channel, begins=begins, ends=begins + ticks
+            )
             for robot in range(ROBOTS)
         )
 

@@ -101,7 +101,7 @@ ESTIMATION = (
         situation=Situation(
             description="one packet of one encoder is off by 0.6 rad",
             policy=move_to(wrist_3=2.7),
-            faults=sensor_faults(Failure.WRONG, 0.8, channel=5, until=0.805),
+            faults=sensor_faults(Failure.WRONG, 0.8, channel=5, ticks=1),
         ),
         monitor=LATCHES,
     ),
@@ -112,7 +112,7 @@ ESTIMATION = (
             description="the first packets are off by 0.6 rad, and the operator arms at once",
             policy=HOME,
             disturbance=encoder_offset_at_start(5, 0.6),
-            arm_s=0.005,
+            arm_at_once=True,
             seconds=0.6,
         ),
         monitor="tracking",

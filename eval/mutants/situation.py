@@ -54,7 +54,7 @@ class Situation:
         draws: fixed numbers of the draw. spread: factor on the distance of all others from the middle of their span,
             within physical limits. faults: of sensors, as a function of the spec.
         scale, leash: rad, of the contract's action.
-        arm_s: s, time of arming.
+        arm_at_once: arm after one tick instead of `ARM_S`.
     """
 
     description: str
@@ -67,7 +67,7 @@ class Situation:
     faults: SensorFaults = lambda spec: ()
     scale: float = SCALE
     leash: float = LEASH
-    arm_s: float = ARM_S
+    arm_at_once: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,8 +105,9 @@ def run_situation(spec: RobotSpec, situation: Situation, remove_guard: GuardRemo
     judge = make_judge(spec, runtime.contract, ROBOTS)
     situation.prepare(runtime)
     remove_guard(runtime)
+    armed = 1 if situation.arm_at_once else round(ARM_S / spec.dt)
     for tick in range(round(situation.seconds / spec.dt)):
-        if tick == round(situation.arm_s / spec.dt):
+        if tick == armed:
             runtime.arm(np.ones(ROBOTS, dtype=bool))
         situation.disturbance(runtime, robot, tick * spec.dt)
         action = None if runtime.sense() is None else situation.policy(runtime)

@@ -56,7 +56,7 @@ ALL_GUARDS_OFF = (
         policy=nan_after(0.1),
         disturbance=encoder_offset_at_start(5, 0.6),
         spread=2.0,
-        arm_s=0.005,
+        arm_at_once=True,
         seconds=0.2,
     ),
 )

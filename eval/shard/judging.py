@@ -60,7 +60,7 @@ class ShardResult:
         counts: from the judge.
         responses: to injected faults.
         winding_c: (T, R, n) °C, true winding temperature; NaN where the simulation diverged, as in the next two.
-        worn: (T, 4, R, n) wear of the joints, in the order of `Worn`.
+        worn: (T, 4, R, n) wear of the joints, in the order of `WornJoints`.
         folded_back: (T, R, n) share of its current that a working motor could not draw because of its heat.
         attempted, reached: (T, R) goals so far.
         running: (T, R) ticks in operation so far. stops, latches: (T, R) as in `Counts`, so far.
