@@ -1,5 +1,7 @@
 import json
 import os
+import sys
+import textwrap
 
 # Threads of torch that wait for each other sleep: otherwise they take the cores from other tests' processes.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -45,3 +47,38 @@ def shipped_policy(tmp_path_factory):
         export(POLICIES / "arm.pt", folder / "arm.onnx")
 
     return made_once(tmp_path_factory, "shipped", make) / "arm.onnx"
+
+
+@pytest.fixture
+def call(monkeypatch, capsys):
+    """Call a command line in this process: exit code, standard output and standard error."""
+
+    def call(cli, *arguments):
+        capsys.readouterr()  # what was printed before
+        monkeypatch.setattr(sys, "argv", ["command", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            cli()
+        return caught.value.code, *capsys.readouterr()
+
+    return call
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """Install a distribution of one module with an entry point; return the folder of its module."""
+
+    def install(module, text, group, entry):
+        place = tmp_path / "site"
+        info = place / f"{module}-1.0.dist-info"
+        info.mkdir(parents=True)
+        (place / f"{module}.py").write_text(textwrap.dedent(text))
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[firstshift.{group}]\n{entry}\n")
+        monkeypatch.syspath_prepend(place)
+        modules.append(module)
+        return place
+
+    modules = []
+    yield install
+    for module in modules:
+        sys.modules.pop(module, None)

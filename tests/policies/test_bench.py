@@ -1,5 +1,3 @@
-import sys
-
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -40,9 +38,7 @@ def test_loading_time_is_printed(arm_policy, capsys):
     assert ": loaded and verified in 0." in capsys.readouterr().out
 
 
-def test_an_unknown_bench_is_refused(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["bench", "nothing"])
-    with pytest.raises(SystemExit) as caught:
-        command.main(command.bench)
-    assert caught.value.code == 2
-    assert "found 'nothing', expected one of import, load or all" in capsys.readouterr().err
+def test_an_unknown_bench_is_refused(call):
+    code, _, said = call(lambda: command.main(command.bench), "nothing")
+    assert code == 2
+    assert "found 'nothing', expected one of import, load or all" in said

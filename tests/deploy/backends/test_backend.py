@@ -1,6 +1,5 @@
 import json
 import sys
-import textwrap
 
 import numpy as np
 import pytest
@@ -61,30 +60,16 @@ class Wire(Backend):
 
 
 @pytest.fixture
-def outside(tmp_path, monkeypatch):
+def outside(installed):
     """A distribution of somebody else's, installed; its module."""
-    place = tmp_path / "site"
-    info = place / "echo_wire-1.0.dist-info"
-    info.mkdir(parents=True)
-    (place / "echo_wire.py").write_text(textwrap.dedent(OUTSIDE))
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: echo-wire\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[firstshift.backends]\necho = echo_wire:Wire\n")
-    monkeypatch.syspath_prepend(place)
-    yield lambda: sys.modules["echo_wire"]
-    sys.modules.pop("echo_wire", None)
+    installed("echo_wire", OUTSIDE, "backends", "echo = echo_wire:Wire")
+    return lambda: sys.modules["echo_wire"]
 
 
-def deploy_run(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["deploy-run", *map(str, arguments)])
-    with pytest.raises(SystemExit) as caught:
-        cli()
-    return caught.value.code
-
-
-def test_a_backend_from_another_package_drives_a_robot(outside, arm_policy, tmp_path, monkeypatch):
+def test_a_backend_from_another_package_drives_a_robot(outside, call, arm_policy, tmp_path):
     out = tmp_path / "out"
     options = ("--policy", arm_policy, "--backend", "echo", "--speed", "max", "--duration", 1, "--out", out)
-    code = deploy_run(monkeypatch, *options)
+    code, *_ = call(cli, *options)
     summary = json.loads((out / "summary.json").read_text())
     assert (code, summary["ended"], summary["backend"]) == (0, "done", "echo")
     (arm,) = outside().OPENED
@@ -94,21 +79,20 @@ def test_a_backend_from_another_package_drives_a_robot(outside, arm_policy, tmp_
 
 @pytest.mark.usefixtures("outside")
 @pytest.mark.parametrize("option", [("--view",), ("--draw", "7:1")])
-def test_options_of_the_simulation_are_refused_for_other_backends(
-    arm_policy, tmp_path, monkeypatch, capsys, option
-):
+def test_options_of_the_simulation_are_refused_for_other_backends(call, arm_policy, tmp_path, option):
     out = tmp_path / "out"
-    assert deploy_run(monkeypatch, "--policy", arm_policy, "--backend", "echo", "--out", out, *option) == 2
+    code, _, said = call(cli, "--policy", arm_policy, "--backend", "echo", "--out", out, *option)
     expected = f"error: --backend echo: found {option[0]}, which only simulated robots have\n"
-    assert capsys.readouterr().err == expected
+    assert (code, said) == (2, expected)
     assert not out.exists()
 
 
-def test_gains_that_a_backend_cannot_set_are_refused(outside, tmp_path, monkeypatch, capsys):
+def test_gains_that_a_backend_cannot_set_are_refused(outside, call, tmp_path):
     soft = arm_contract().action.model_copy(update={"kp": (400.0,) * SPEC.n, "kd": (40.0,) * SPEC.n})
     policy, out = saved(policy_model(arm_contract(action=soft)), tmp_path), tmp_path / "out"
-    assert deploy_run(monkeypatch, "--policy", policy, "--backend", "echo", "--out", out) == 2
-    assert "kp and kd of the policy's contract: found some, expected none" in capsys.readouterr().err
+    code, _, said = call(cli, "--policy", policy, "--backend", "echo", "--out", out)
+    assert code == 2
+    assert "kp and kd of the policy's contract: found some, expected none" in said
     assert (outside().OPENED, out.exists()) == ([], False)
 
 

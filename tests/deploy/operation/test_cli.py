@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,18 +36,10 @@ class Blind:
 
 
 @pytest.fixture
-def command(monkeypatch, capsys):
-    """Run the command line; return its exit code and what it said."""
+def command(call, monkeypatch):
+    """`deploy-run` without a screen."""
     monkeypatch.setattr(deploy.operation.cli, "ConsoleProcess", Blind)
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["deploy-run", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            deploy.operation.cli.cli()
-        said = capsys.readouterr()
-        return caught.value.code, said.out, said.err
-
-    return run
+    return partial(call, deploy.operation.cli.cli)
 
 
 def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):

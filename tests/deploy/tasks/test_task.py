@@ -2,8 +2,6 @@
 
 import json
 import re
-import sys
-import textwrap
 
 import numpy as np
 import pytest
@@ -48,17 +46,9 @@ class Turn(Task):
 
 
 @pytest.fixture
-def outside(tmp_path, monkeypatch):
+def outside(installed):
     """The folder of an installed distribution that declares the task."""
-    place = tmp_path / "site"
-    info = place / "turning-1.0.dist-info"
-    info.mkdir(parents=True)
-    (place / "turning.py").write_text(textwrap.dedent(OUTSIDE))
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: turning\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[firstshift.tasks]\nturn = turning:Turn\n")
-    monkeypatch.syspath_prepend(place)
-    yield place
-    sys.modules.pop("turning", None)
+    return installed("turning", OUTSIDE, "tasks", "turn = turning:Turn")
 
 
 def turning_contract():
@@ -117,15 +107,9 @@ def test_the_source_of_an_outside_task_is_part_of_the_code_digest(outside):
     assert len({without, as_package}) == 2
 
 
-def command(monkeypatch, cli, *arguments):
-    monkeypatch.setattr(sys, "argv", ["command", *map(str, arguments)])
-    with pytest.raises(SystemExit) as caught:
-        cli()
-    return caught.value.code
-
-
 @pytest.mark.slow
-def test_a_task_of_another_package_trains_and_soaks(outside, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("outside")
+def test_a_task_of_another_package_trains_and_soaks(call, tmp_path):
     pytest.importorskip("torch")
     from eval.soak.cli import cli as soak_test
     from policies.export.cli import cli as policy_export
@@ -137,13 +121,10 @@ def test_a_task_of_another_package_trains_and_soaks(outside, tmp_path, monkeypat
     small = re.sub("goals_per_episode = .*", "goals_per_episode = 1", head)
     stages = "[[learner.stages]]\niterations = 1\nlearning_rate = 1e-3\n"
     (tmp_path / "turn.toml").write_text(small.replace('name = "arm"', 'name = "turn"') + stages)
-    assert (
-        command(monkeypatch, policy_train, "--recipe", tmp_path / "turn.toml", "--out", tmp_path / "train")
-        == 0
-    )
+    assert call(policy_train, "--recipe", tmp_path / "turn.toml", "--out", tmp_path / "train")[0] == 0
     policy, checkpoint = tmp_path / "turn.onnx", tmp_path / "train" / "turn.pt"
-    assert command(monkeypatch, policy_export, "--policy", checkpoint, "--out", policy) == 0
+    assert call(policy_export, "--policy", checkpoint, "--out", policy)[0] == 0
     options = ("--hours", 2 / 3600, "--robots", 3, "--workers", 1, "--out", tmp_path / "soak")
-    assert command(monkeypatch, soak_test, "--policy", policy, *options) in (0, 1)
+    assert call(soak_test, "--policy", policy, *options)[0] in (0, 1)
     report = json.loads((tmp_path / "soak" / "report.json").read_text())
     assert [robot["goals_due"] for robot in report["robots"]] == [4] * 3

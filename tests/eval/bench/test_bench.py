@@ -1,4 +1,3 @@
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -134,28 +133,23 @@ def test_idle_policy_loads_and_outputs_zero(tmp_path):
     assert Policy.load(working, SPEC).step(observation).any()
 
 
-def test_an_unknown_bench_is_refused(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["bench", "nothing"])
-    with pytest.raises(SystemExit) as caught:
-        main(command.bench)
-    assert caught.value.code == 2
+def test_an_unknown_bench_is_refused(call):
+    code, _, said = call(lambda: main(command.bench), "nothing")
+    assert code == 2
     known = "stages, throughput, reproducibility, estimate, floating, ablation, heat, startup, memory, budget, walk"
-    assert f"found 'nothing', expected one of {known} or all" in capsys.readouterr().err
+    assert f"found 'nothing', expected one of {known} or all" in said
 
 
-def test_figure_omits_what_cannot_be_drawn(monkeypatch, capsys):
+def test_figure_omits_what_cannot_be_drawn(call, monkeypatch):
     seen = []
     monkeypatch.setitem(
         command.BENCHES, "ablation", lambda spec, policy, console, picture: seen.append(picture)
     )
-    codes = []
-    for which in ("ablation", "startup"):
-        monkeypatch.setattr(sys, "argv", ["bench", which, "--picture", "figures.png"])
-        with pytest.raises(SystemExit) as caught:
-            main(command.bench)
-        codes.append(caught.value.code)
-    assert (codes, seen) == ([0, 2], [Path("figures.png")])
-    assert "--picture figures.png: found 'startup', expected estimate or ablation" in capsys.readouterr().err
+    picture = ("--picture", "figures.png")
+    assert call(lambda: main(command.bench), "ablation", *picture)[0] == 0
+    code, _, said = call(lambda: main(command.bench), "startup", *picture)
+    assert (code, seen) == (2, [Path("figures.png")])
+    assert "--picture figures.png: found 'startup', expected estimate or ablation" in said
 
 
 def test_differences_between_results_are_named():

@@ -1,7 +1,6 @@
 """A history of nights: kept whole, never overwritten, and refused if it is not what was kept."""
 
 import json
-import sys
 from contextlib import contextmanager
 
 import pytest
@@ -204,19 +203,13 @@ def test_a_claim_leaves_only_the_folder(tmp_path):
     assert list((tmp_path / "new").iterdir()) == []
 
 
-def soak_test(monkeypatch, *options):
-    monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, options)])
-    with pytest.raises(SystemExit) as caught:
-        command.cli()
-    return caught.value.code
-
-
 @pytest.mark.slow
-def test_soak_is_stored_and_shown_with_earlier_nights(arm_policy, tmp_path, monkeypatch, capsys):
+def test_soak_is_stored_and_shown_with_earlier_nights(call, arm_policy, tmp_path):
     """Four and a half seconds of eight idle arms; then the same of half the hours, which is another task."""
     history, out = tmp_path / "history", tmp_path / "out"
     asked = ("--policy", arm_policy, "--robots", 8, "--workers", 1, "--out", out, "--history", history)
-    assert soak_test(monkeypatch, *asked, "--hours", 0.00125) == 1
+    code, said, _ = call(command.cli, *asked, "--hours", 0.00125)
+    assert code == 1
     whole = Report.model_validate_json((out / "report.json").read_text())
     (path, kept), *_ = read_history(history).items()
     assert kept.model_dump() == whole.model_dump(include={*SoakRecord.model_fields})
@@ -225,20 +218,22 @@ def test_soak_is_stored_and_shown_with_earlier_nights(arm_policy, tmp_path, monk
     (row,) = whole.trend.runs
     assert (row.hard_events, row.draws, row.goals.value) == (0, 8, whole.goals.success)
     assert "Trend over earlier soaks" in (out / "report.html").read_text()
-    assert f"\npooled with earlier soaks: {whole.trend.last.statement}\nreport: " in capsys.readouterr().out
+    assert f"\npooled with earlier soaks: {whole.trend.last.statement}\nreport: " in said
     before = (out / "report.json").read_bytes()
-    assert soak_test(monkeypatch, *asked, "--hours", 0.000625) == 2
-    assert f"{path}: hours: found 0.00125, but this soak has 0.000625" in capsys.readouterr().err
+    code, _, said = call(command.cli, *asked, "--hours", 0.000625)
+    assert code == 2
+    assert f"{path}: hours: found 0.00125, but this soak has 0.000625" in said
     assert (out / "report.json").read_bytes() == before
     assert len(list(history.iterdir())) == 1
 
 
 @pytest.mark.parametrize("place", ["file", "file/below", "/dev/null/history"])
-def test_unwritable_history_is_an_error_before_the_soak(arm_policy, tmp_path, monkeypatch, capsys, place):
+def test_unwritable_history_is_an_error_before_the_soak(call, arm_policy, tmp_path, place):
     (tmp_path / "file").write_text("mine")
     history = tmp_path / place
     asked = ("--policy", arm_policy, "--hours", 100, "--out", tmp_path / "out", "--history", history)
-    assert soak_test(monkeypatch, *asked) == 2
-    assert f"error: --history {history}" in capsys.readouterr().err
+    code, _, said = call(command.cli, *asked)
+    assert code == 2
+    assert f"error: --history {history}" in said
     assert list((tmp_path / "out").iterdir()) == []
     assert (tmp_path / "file").read_text() == "mine"

@@ -5,8 +5,6 @@ from functools import cache
 import pytest
 from rich.console import Console
 
-from deploy.policy.policy import Policy
-from eval.statistics.budget import BUDGET
 from robots.spec import ROBOTS, load_robot
 from support.eval.bundles import ROBOTS_COUNTED, TICKS, first
 from support.policies import policy_model, saved
@@ -19,7 +17,7 @@ PUSHES = {"force_n": (2000.0, 3000.0), "lasts_s": (0.1, 0.2), "every_s": (1.5, 2
 @pytest.fixture(scope="session")
 def pushed(tmp_path_factory):
     """A soak of 3.25 s of three arms that are thrown about, by their policy and by somebody else."""
-    from eval.soak.configuration import SoakConfig
+    from support.eval.soaks import soak_config
 
     folder = tmp_path_factory.mktemp("pushed")
     robot = shutil.copytree(ROBOTS / "arm6", folder / "arm6")
@@ -28,15 +26,7 @@ def pushed(tmp_path_factory):
         draws = re.sub(rf"(?m)^{name} = .*$", f"{name} = {{ low = {low}, high = {high} }}", draws)
     (robot / "draws.toml").write_text(draws)
     spec, path = load_robot(robot), saved(policy_model(), folder)
-    policy = Policy.load(path, spec)
-    how = {
-        "budget": BUDGET,
-        "hours": TICKS * spec.dt / 3600,
-        "robots": ROBOTS_COUNTED,
-        "seed": 3,
-        "workers": 1,
-    }
-    return SoakConfig(spec=spec, policy=policy, policy_path=path, **how)
+    return soak_config(path, spec, hours=TICKS * spec.dt / 3600, robots=ROBOTS_COUNTED)
 
 
 @pytest.fixture(scope="session")

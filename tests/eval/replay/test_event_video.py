@@ -10,19 +10,17 @@ from onnx import helper
 from PIL import Image
 
 from support.eval.bundles import replayed
+from support.eval.soaks import soak_config
 from support.faulty_policies import written
 from support.walking import PLACES, QUADRUPED, walking_contract
 
 pytest.importorskip("mujoco")
 
-from deploy.policy.policy import Policy
 from eval.replay import bundle
 from eval.replay.event_capture import EventCapture
 from eval.replay.event_video import opengl_context
 from eval.replay.replayer import Replay
 from eval.shard.shard import Shard
-from eval.soak.configuration import SoakConfig
-from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError
 
 pytestmark = pytest.mark.slow
@@ -62,9 +60,7 @@ def fallen(tmp_path_factory):
     w[PLACES["projected_gravity"].stop - 1] = -2.0
     node = helper.make_node("MatMul", ["observation", "w"], ["action"])
     path = written(folder, [node], {"w": w}, contract)
-    how = {"budget": BUDGET, "hours": 2 / 3600, "robots": 1, "seed": 3, "workers": 1}
-    policy = Policy.load(path, QUADRUPED)
-    (job,) = SoakConfig(spec=QUADRUPED, policy=policy, policy_path=path, **how).jobs()
+    (job,) = soak_config(path, QUADRUPED, hours=2 / 3600, robots=1).jobs()
     shard = Shard(job)
     capture = EventCapture(job, shard, folder / "events")
     shard.run(lambda _: None, lambda: False, lambda: capture.flush(shard), capture.observe)

@@ -1,6 +1,6 @@
 import json
 import re
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -124,15 +124,8 @@ def changed(folder, name, change):
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["soak-replay", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            command.cli()
-        said = capsys.readouterr()
-        return caught.value.code, said.out, said.err
-
-    return run
+def run(call):
+    return partial(call, command.cli)
 
 
 def test_another_state_is_not_reproduced(one, run):

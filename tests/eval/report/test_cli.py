@@ -1,18 +1,16 @@
 """soak-report, over soaks as they were lived."""
 
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
 
-from support.arm6 import SPEC
 from support.eval.nights import LATER, night
 from support.eval.reports import Page
 from support.policies import policy_model, saved
 
 pytest.importorskip("mujoco")
 
-from deploy.policy.policy import Policy
 from eval.history.history import add_record
 from eval.history.soak_record import Run
 from eval.report.build import build
@@ -21,43 +19,35 @@ from eval.report.html import interval_text
 from eval.report.report_files import write_report
 from eval.shard.shard import Shard
 from eval.soak.assembly import assemble
-from eval.soak.configuration import SoakConfig
-from eval.statistics.budget import BUDGET, load_budget
+from eval.statistics.budget import load_budget
 from eval.statistics.compare import compare
 from eval.statistics.dispersion import draw_rate_interval
+from support.eval.soaks import soak_config
 
 RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, resumed_hours=0.0, interrupted=False)
 
 
 def soaked(path):
     """4.7 s of 3 robots, as soak-test reports them."""
-    policy = Policy.load(path, SPEC)
-    soak = SoakConfig(
-        spec=SPEC, policy=policy, policy_path=path, budget=BUDGET, hours=0.0013, robots=3, seed=3, workers=1
-    )
+    soak = soak_config(path, hours=0.0013, robots=3)
     (job,) = soak.jobs()
     shard = Shard(job).run(lambda ticks: None, lambda: False)
     return build(assemble(soak, [shard], RUN), load_budget())
 
 
-def soak_report(monkeypatch, *words):
+@pytest.fixture
+def soak_report(call, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr(sys, "argv", ["soak-report", *map(str, words)])
-    with pytest.raises(SystemExit) as caught:
-        cli()
-    return caught.value.code
+    return partial(call, cli)
 
 
 @pytest.mark.slow
-def test_two_policies_on_the_same_draws(arm_policy, tmp_path, monkeypatch, capsys):
+def test_two_policies_on_the_same_draws(soak_report, arm_policy, tmp_path):
     """One does nothing, the other throws the arms about: a report's folder, and a night that was kept."""
     idle, restless = soaked(arm_policy), soaked(saved(policy_model(), tmp_path))
     write_report(idle, tmp_path / "idle")
-    assert (
-        soak_report(monkeypatch, "compare", tmp_path / "idle", add_record(restless, tmp_path / "history"))
-        == 0
-    )
-    said = capsys.readouterr().out
+    code, said, _ = soak_report("compare", tmp_path / "idle", add_record(restless, tmp_path / "history"))
+    assert code == 0
     assert (
         f"A: {idle.settings.policy} ({idle.settings.policy_digest[:12]}) on 3 draws of seed 3, 0.0013 h"
         in said
@@ -88,12 +78,11 @@ def test_digest_of_results_excludes_run_details():
 
 
 @pytest.fixture
-def refused(tmp_path, monkeypatch, capsys):
+def refused(soak_report):
     def attempt(*words):
-        assert soak_report(monkeypatch, *words) == 2
-        said = capsys.readouterr()
-        assert said.out == ""
-        return said.err
+        code, said, complaint = soak_report(*words)
+        assert (code, said) == (2, "")
+        return complaint
 
     return attempt
 
@@ -113,11 +102,11 @@ def test_malformed_report_is_refused(refused, tmp_path):
     assert f"error: {tmp_path / 'gone'}: cannot be read" in refused("compare", tmp_path / "gone", tmp_path)
 
 
-def test_a_trend_is_a_page_and_its_sentences(tmp_path, monkeypatch, capsys):
+def test_a_trend_is_a_page_and_its_sentences(soak_report, tmp_path):
     for seed, started in ((1, LATER), (2, "2026-01-04T22:00:00+01:00")):
         add_record(night(seed, started=started), tmp_path / "history")
-    assert soak_report(monkeypatch, "trend", tmp_path / "history") == 0
-    said = capsys.readouterr().out
+    code, said, _ = soak_report("trend", tmp_path / "history")
+    assert code == 0
     assert "over 32 draws of 2 soaks" in said
     assert ("2026-01-03 22:00" in said, "2026-01-04 22:00" in said) == (True, True)
     events, hours = night(1).per_draw_counts.hard_events
@@ -126,7 +115,7 @@ def test_a_trend_is_a_page_and_its_sentences(tmp_path, monkeypatch, capsys):
     page = tmp_path / "history" / "trend.html"
     assert said.endswith(f"page: {page}\n")
     assert Page(page.read_text()).open == []
-    assert soak_report(monkeypatch, "trend", tmp_path / "history", "--out", tmp_path / "a" / "b.html") == 0
+    assert soak_report("trend", tmp_path / "history", "--out", tmp_path / "a" / "b.html")[0] == 0
     assert (tmp_path / "a" / "b.html").read_bytes() == page.read_bytes()
 
 
@@ -144,5 +133,5 @@ def test_unwritable_page_is_reported(refused, tmp_path):
 
 
 @pytest.mark.parametrize("words", [(), ("forecast",), ("compare", "a")])
-def test_unknown_command_exits_with_2(monkeypatch, words):
-    assert soak_report(monkeypatch, *words) == 2
+def test_unknown_command_exits_with_2(soak_report, words):
+    assert soak_report(*words)[0] == 2

@@ -3,8 +3,6 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from deploy.policy.policy import Policy
-from eval.statistics.budget import BUDGET
 from support.arm6 import SPEC
 from support.policies import policy_model, saved
 from support.shared import made_once
@@ -18,13 +16,11 @@ def finished(tmp_path_factory):
     """
     from eval.shard.job import WIDTH
     from eval.shard.judging import shard_result
-    from eval.soak.configuration import SoakConfig
     from eval.soak.workers import run_soak
+    from support.eval.soaks import soak_config
 
     def config(folder):
-        path = folder / "policy.onnx"
-        options = {"budget": BUDGET, "hours": 0.0013, "robots": WIDTH + 2, "seed": 3, "workers": 1}
-        return SoakConfig(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **options)
+        return soak_config(folder / "policy.onnx", hours=0.0013, robots=WIDTH + 2)
 
     def make(folder):
         saved(policy_model(), folder)

@@ -9,19 +9,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from support.arm6 import SPEC
 from support.policies import policy_model, saved
 
 pytest.importorskip("mujoco")
 
-from deploy.policy.policy import Policy
 from eval.shard.job import WIDTH, code_digest
 from eval.shard.shard import Shard
 from eval.soak import workers
 from eval.soak.checkpoint import DAMAGED, Checkpoint, delete_checkpoints, prepare_folder
-from eval.soak.configuration import SoakConfig
-from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError, OutputError
+from support.eval.soaks import soak_config
 
 IDENTITY = {"seed": 7, "robot_digest": "abc"}
 ARRAYS = {"judge.ticks": np.arange(5), "robot.goal": np.array([[0.1, np.nan, -np.inf]])}
@@ -30,17 +27,7 @@ ARRAYS = {"judge.ticks": np.arange(5), "robot.goal": np.array([[0.1, np.nan, -np
 @pytest.fixture
 def restless(tmp_path):
     """A soak of 4.7 s of two shards whose policy throws the arms about."""
-    path = saved(policy_model(), tmp_path)
-    return SoakConfig(
-        spec=SPEC,
-        policy=Policy.load(path, SPEC),
-        policy_path=path,
-        budget=BUDGET,
-        hours=0.0013,
-        robots=WIDTH + 1,
-        seed=3,
-        workers=1,
-    )
+    return soak_config(saved(policy_model(), tmp_path), hours=0.0013, robots=WIDTH + 1)
 
 
 def assert_same(a, b):

@@ -3,6 +3,7 @@ import subprocess
 import sys
 from concurrent.futures import wait
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from support.eval.shards import job
 
 pytest.importorskip("mujoco")
 
-from deploy.policy.policy import Policy
 from eval.history.soak_record import Run
 from eval.report.report_files import LOCK, check_report_folder, lock_folder
 from eval.shard import shard as shard_module
@@ -24,11 +24,11 @@ from eval.soak import cli as command
 from eval.soak import workers
 from eval.soak.assembly import assemble
 from eval.soak.checkpoint import prepare_folder
-from eval.soak.configuration import SoakConfig
 from eval.soak.tensorboard import TENSORBOARD
 from eval.soak.workers import run_soak
 from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError
+from support.eval.soaks import soak_config
 
 CONSOLE = Console(quiet=True)
 ROBOTS = WIDTH + 2
@@ -41,12 +41,7 @@ FILES = {"report.json", "report.html", "junit.xml", "draws.json", "series.parque
 def asked(arm_policy):
     """A soak of 2.2 s of two shards, the second not full."""
 
-    def build(**changes):
-        idle = {"policy": Policy.load(arm_policy, SPEC), "policy_path": arm_policy}
-        wanted = {"hours": 0.0006, "robots": ROBOTS, "seed": 3, "workers": 1, **idle, **changes}
-        return SoakConfig(spec=SPEC, budget=BUDGET, **wanted)
-
-    return build
+    return partial(soak_config, arm_policy, hours=0.0006, robots=ROBOTS)
 
 
 def assert_same(a, b):
@@ -186,17 +181,9 @@ def test_interrupted_shard_leaves_nan_samples(arm_policy, asked):
 
 
 @pytest.fixture
-def soak_test(arm_policy, tmp_path, monkeypatch):
-    """Exit code of `soak-test` with the idle policy into `tmp_path / "out"`, called in this process."""
-
-    def call(*options):
-        arguments = ("--policy", arm_policy, "--out", tmp_path / "out", *options)
-        monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            command.cli()
-        return caught.value.code
-
-    return call
+def soak_test(call, arm_policy, tmp_path):
+    """`soak-test` with the idle policy into `tmp_path / "out"`: exit code, standard output and standard error."""
+    return partial(call, command.cli, "--policy", arm_policy, "--out", tmp_path / "out")
 
 
 @pytest.mark.slow
@@ -229,7 +216,7 @@ def impatient(crew, futures):
 @pytest.mark.slow
 def test_ctrl_c_keeps_a_partial_report(soak_test, tmp_path, monkeypatch):
     monkeypatch.setattr(workers.WorkerPool, "show_progress", impatient)
-    assert soak_test("--hours", 100, "--robots", 24, "--workers", 1) == 130
+    assert soak_test("--hours", 100, "--robots", 24, "--workers", 1)[0] == 130
     report = json.loads((tmp_path / "out" / "unfinished" / "report.json").read_text())
     assert report["verdict"] == "interrupted"
     assert report["exposure"]["draws"] == WIDTH
@@ -259,7 +246,7 @@ def test_finished_soak_is_replaced_by_a_finished_soak_only(soak_test, tmp_path, 
         (out / name).write_text("before")
 
     def ended():
-        code = soak_test("--hours", 0.001, "--robots", 1, "--workers", 1)
+        code, *_ = soak_test("--hours", 0.001, "--robots", 1, "--workers", 1)
         return code, {path.relative_to(out).as_posix(): path for path in out.rglob("*") if path.is_file()}
 
     with monkeypatch.context() as patch:
@@ -309,19 +296,19 @@ BAD = {
 
 
 @pytest.mark.parametrize(("options", "message"), BAD.values(), ids=BAD)
-def test_bad_input_names_the_expected_value(soak_test, tmp_path, capsys, options, message):
-    assert soak_test("--hours", 0.001, *options) == 2
-    assert message in capsys.readouterr().err
+def test_bad_input_names_the_expected_value(soak_test, tmp_path, options, message):
+    code, _, said = soak_test("--hours", 0.001, *options)
+    assert code == 2
+    assert message in said
     assert not list(tmp_path.glob("out/*"))
 
 
-def test_folder_of_a_running_soak_is_refused(soak_test, tmp_path, capsys):
+def test_folder_of_a_running_soak_is_refused(soak_test, tmp_path):
     out = tmp_path / "out"
     check_report_folder(out)
     with lock_folder(out):
-        assert soak_test("--hours", 0.001, "--robots", 1, "--workers", 1) == 2
-        said = f"error: --out {out}: another soak is writing there, expected an unused folder\n"
-        assert capsys.readouterr().err == said
+        expected = f"error: --out {out}: another soak is writing there, expected an unused folder\n"
+        assert soak_test("--hours", 0.001, "--robots", 1, "--workers", 1) == (2, "", expected)
         assert {path.name for path in out.iterdir()} == {LOCK}
     assert not any(out.iterdir())
     with lock_folder(out):

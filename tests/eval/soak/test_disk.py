@@ -2,7 +2,6 @@ import errno
 import os
 import re
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +15,6 @@ from support.policies import policy_model, saved
 
 pytest.importorskip("mujoco")
 
-from deploy.policy.policy import Policy
 from eval.history.soak_record import Run
 from eval.replay import bundle
 from eval.replay.bundle_files import new_bundle, write_arrays
@@ -28,13 +26,13 @@ from eval.soak import cli as command
 from eval.soak import workers
 from eval.soak.assembly import assemble
 from eval.soak.checkpoint import delete_checkpoints, prepare_folder
-from eval.soak.configuration import SoakConfig
 from eval.soak.disk import check_disk_space, disk_usage, window_bytes
 from eval.soak.series import SERIES, series
 from eval.soak.tensorboard import TENSORBOARD, event_file
 from eval.soak.workers import resumed_ticks, run_soak
 from eval.statistics.budget import BUDGET, load_budget
 from robots.errors import ConfigError, OutputError
+from support.eval.soaks import soak_config
 
 QUIET = Console(quiet=True)
 RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, resumed_hours=0.0, interrupted=False)
@@ -49,9 +47,7 @@ def size(folder):
 @pytest.fixture
 def restless(tmp_path):
     """A soak of 3.2 s of two shards whose policy throws the arms about."""
-    path = saved(policy_model(), tmp_path)
-    how = {"budget": BUDGET, "hours": 0.0009, "robots": WIDTH + 1, "seed": 3, "workers": 1}
-    return SoakConfig(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **how)
+    return soak_config(saved(policy_model(), tmp_path), hours=0.0009, robots=WIDTH + 1)
 
 
 @pytest.mark.slow
@@ -207,26 +203,22 @@ def test_partial_files_of_a_killed_start_are_removed(tmp_path):
 
 
 @pytest.mark.slow
-def test_full_disk_at_the_end_keeps_the_soak(arm_policy, tmp_path, monkeypatch, capsys):
+def test_full_disk_at_the_end_keeps_the_soak(call, arm_policy, tmp_path, monkeypatch):
     out = tmp_path / "out"
     options = ("--policy", arm_policy, "--hours", 0.0003, "--robots", 2, "--workers", 1, "--out", out)
-    monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, options)])
 
     def full(path, data):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    def ends_with(code):
-        with pytest.raises(SystemExit) as caught:
-            command.cli()
-        assert caught.value.code == code
-        return capsys.readouterr()
-
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
-        said = ends_with(2).err
+        code, _, said = call(command.cli, *options)
+    assert code == 2
     assert re.fullmatch(rf"error: --out {out}/\S+: cannot be written: No space left on device\n", said)
     assert {file.name for file in out.iterdir()} == {"unfinished"}
-    assert "resuming after 0.0003 of 0.0003 hours" in ends_with(1).out
+    code, said, _ = call(command.cli, *options)
+    assert code == 1
+    assert "resuming after 0.0003 of 0.0003 hours" in said
     assert {file.name for file in out.iterdir()} == {
         *("draws.json", "report.json", "report.html", "junit.xml"),
         *("series.parquet", "tensorboard"),

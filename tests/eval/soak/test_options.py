@@ -1,7 +1,5 @@
 """Profiles: those that are shipped, one's own, and what is said of a wrong one."""
 
-import sys
-
 import pytest
 
 from eval.faults.catalogue import catalogue
@@ -74,8 +72,8 @@ def test_a_wrong_profile_is_named_with_its_field(tmp_path, text, message):
         load_profile(str(path))
 
 
-def asked(monkeypatch, *options):
-    """What `soak-test` with these options would run; it ends before it does."""
+def asked(call, monkeypatch, *options):
+    """What `soak-test` with these options would run, and its errors; it ends before it does."""
     seen = {}
 
     def stop(**what):
@@ -83,21 +81,17 @@ def asked(monkeypatch, *options):
         raise ConfigError("enough")
 
     monkeypatch.setattr(soak_options, "SoakConfig", stop)
-    monkeypatch.setattr(sys, "argv", ["soak-test", *map(str, options)])
-    with pytest.raises(SystemExit):
-        command.cli()
-    return seen
+    return seen, call(command.cli, *options)[2]
 
 
-def test_options_override_the_profile(arm_policy, monkeypatch):
+def test_options_override_the_profile(call, arm_policy, monkeypatch):
     policy = ("--policy", arm_policy)
-    plain = asked(monkeypatch, *policy)
+    plain, _ = asked(call, monkeypatch, *policy)
     assert (plain["hours"], plain["robots"], plain["budget"], plain["faults"]) == (8.0, 32, BUDGET, None)
-    shift = asked(monkeypatch, *policy, "--profile", "shift")
+    shift, _ = asked(call, monkeypatch, *policy, "--profile", "shift")
     assert (shift["hours"], shift["robots"], shift["budget"]) == (8.0, 32, BUDGET)
-    short = asked(
-        monkeypatch, *policy, "--profile", "faults", "--hours", 0.1, "--robots", 8, "--budget", BUDGET
-    )
+    small = ("--profile", "faults", "--hours", 0.1, "--robots", 8, "--budget", BUDGET)
+    short, _ = asked(call, monkeypatch, *policy, *small)
     assert (short["hours"], short["robots"], short["budget"]) == (0.1, 8, BUDGET)
     assert short["faults"] == load_profile("faults")[0].faults
 
@@ -121,7 +115,8 @@ def test_options_override_the_profile(arm_policy, monkeypatch):
         ),
     ],
 )
-def test_missing_profile_is_reported(arm_policy, monkeypatch, capsys, options, message):
-    assert asked(monkeypatch, "--policy", arm_policy, *options) == {}
-    assert message in capsys.readouterr().err
+def test_missing_profile_is_reported(call, arm_policy, monkeypatch, options, message):
+    seen, said = asked(call, monkeypatch, "--policy", arm_policy, *options)
+    assert seen == {}
+    assert message in said
     assert len(list(PROFILES.glob("*.toml"))) == 5

@@ -7,7 +7,8 @@ import pytest
 from arro3.io import read_parquet
 
 from support.arm6 import SPEC
-from support.eval.shards import N, asked, job, lived
+from support.eval.shards import N, job, lived
+from support.eval.soaks import soak_config
 
 pytest.importorskip("mujoco")
 
@@ -23,7 +24,7 @@ from robots.distributions import load_distributions
 
 @pytest.fixture
 def soak(arm_policy):
-    return asked(arm_policy)
+    return soak_config(arm_policy, hours=8.0, robots=10)
 
 
 def read(data):

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from support.eval.shards import M, N, asked, lived
+from support.eval.shards import M, N, lived
+from support.eval.soaks import soak_config
 
 pytest.importorskip("mujoco")
 
@@ -17,7 +18,7 @@ STARTED, BEGUN = "2026-01-01T01:00:00+01:00", 1767225600.0
 
 @pytest.fixture
 def soak(arm_policy):
-    return asked(arm_policy)
+    return soak_config(arm_policy, hours=8.0, robots=10)
 
 
 def read(data, folder):

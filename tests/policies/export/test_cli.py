@@ -221,16 +221,10 @@ def test_the_default_out_is_named_after_the_policy(tmp_path, monkeypatch, capsys
     assert "on 1100 observations of real rollouts: largest deviation " in printed
 
 
-def test_bad_input_exits_with_2_and_one_line(tmp_path, monkeypatch, capsys):
+def test_bad_input_exits_with_2_and_one_line(call, tmp_path):
     path = tmp_path / "evil.pt"
     path.write_bytes(b"nothing good")
-    monkeypatch.setattr(
-        "sys.argv", ["policy-export", "--policy", str(path), "--out", str(tmp_path / "x.onnx")]
-    )
-    with pytest.raises(SystemExit) as caught:
-        cli()
     what = "found no archive that can be read: a BadZipFile, expected a checkpoint of policy-train"
     expected = f"error: {path}: {what}\n"
-    printed = capsys.readouterr()
-    assert (caught.value.code, printed.out, printed.err) == (2, "", expected)
+    assert call(cli, "--policy", path, "--out", tmp_path / "x.onnx") == (2, "", expected)
     assert os.listdir(tmp_path) == ["evil.pt"]

@@ -1,6 +1,6 @@
 """policy-import as its users run it: a library's own file, its template, filled in, imported, loaded, asked again."""
 
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -124,17 +124,8 @@ FILES = {
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    """The command with its arguments: exit code, standard output, standard error."""
-
-    def call(*arguments):
-        capsys.readouterr()  # what the libraries said
-        monkeypatch.setattr(sys, "argv", ["policy-import", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            cli()
-        return caught.value.code, *capsys.readouterr()
-
-    return call
+def run(call):
+    return partial(call, cli)
 
 
 def fill_in(draft, answers):

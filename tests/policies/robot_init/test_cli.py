@@ -1,6 +1,5 @@
 import re
 import shutil
-import sys
 import tomllib
 from pathlib import Path
 
@@ -261,12 +260,9 @@ def test_a_capsule_holds_all_points(points):
     assert radius < 2 * np.sort(np.ptp(cloud, axis=0))[1]
 
 
-def test_command_lists_open_fields(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["robot-init", str(vendors(tmp_path)), "--out", str(tmp_path / "mine")])
-    with pytest.raises(SystemExit) as ended:
-        cli()
-    text = capsys.readouterr().out
-    assert ended.value.code == 0
+def test_command_lists_open_fields(call, tmp_path):
+    code, text, _ = call(cli, vendors(tmp_path), "--out", tmp_path / "mine")
+    assert code == 0
     assert "8 joints, 2 of them locked" in text
     joints = ", ".join(SPEC.joint_names)
     assert f"  robot.toml joints.{joints}: qd_max, qdd_max, qddd_max, source\n" in text
@@ -276,14 +272,12 @@ def test_command_lists_open_fields(tmp_path, monkeypatch, capsys):
     ("name", "found"),
     [("nothing.xml", "no file"), ("folder.xml", "a folder"), ("mesh.stl", "another kind of file")],
 )
-def test_malformed_model_is_reported(tmp_path, monkeypatch, capsys, name, found):
+def test_malformed_model_is_reported(call, tmp_path, name, found):
     (tmp_path / "folder.xml").mkdir()
     (tmp_path / "mesh.stl").touch()
-    monkeypatch.setattr(sys, "argv", ["robot-init", str(tmp_path / name)])
-    with pytest.raises(SystemExit) as ended:
-        cli()
-    assert ended.value.code == 2
-    assert f"{name}: found {found}, expected a model: MJCF (.xml) or URDF (.urdf)" in capsys.readouterr().err
+    code, _, said = call(cli, tmp_path / name)
+    assert code == 2
+    assert f"{name}: found {found}, expected a model: MJCF (.xml) or URDF (.urdf)" in said
 
 
 def test_speed_of_nan_is_refused(tmp_path):

@@ -6,10 +6,13 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from functools import partial
+
 from policies.training.checkpoint import load_checkpoint
 from robots.errors import ContractError, OutputError
 from support.checkpoints import made_actor, saved
 from support.contracts import arm_contract
+from support.refusals import refusal
 
 pytestmark = pytest.mark.slow
 
@@ -37,11 +40,7 @@ class Evil:
         return os.mkdir, (str(self.witness),)
 
 
-def refused(path):
-    with pytest.raises(ContractError) as caught:
-        load_checkpoint(path)
-    assert str(caught.value).startswith(f"{path}: ")
-    return str(caught.value).removeprefix(f"{path}: ")
+refused = partial(refusal, load_checkpoint, lines=3)
 
 
 def test_a_malicious_pickle_is_named_and_never_run(tmp_path):

@@ -9,8 +9,6 @@ from eval.faults.fault_response import FaultResponses
 from eval.judge.monitors import MONITORS
 from eval.shard.job import WIDTH, ShardJob
 from eval.shard.judging import COUNTED, ShardResult
-from eval.soak.configuration import SoakConfig
-from eval.statistics.budget import BUDGET
 from robots.models.nominal_model import torque_max
 from support.arm6 import SPEC, arm_judge
 
@@ -22,12 +20,6 @@ def job(policy, **changes):
 
 
 N, M = SPEC.n, len(MONITORS)
-
-
-def asked(path):
-    """For 8 h of 10 robots, which is two shards."""
-    how = {"budget": BUDGET, "hours": 8.0, "robots": 10, "seed": 3, "workers": 1}
-    return SoakConfig(spec=SPEC, policy=Policy.load(path, SPEC), policy_path=path, **how)
 
 
 def lived(samples, robots, seed=0):

@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import onnx
@@ -382,16 +383,9 @@ def test_overflowing_scale_is_not_simulated(sick, brief):
 
 
 @pytest.fixture
-def command(monkeypatch, capsys):
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["policy-check", *map(str, arguments)])
-        monkeypatch.setenv("COLUMNS", "400")
-        with pytest.raises(SystemExit) as caught:
-            checking.cli()
-        said = capsys.readouterr()
-        return caught.value.code, said.out, said.err
-
-    return run
+def command(call, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    return partial(call, checking.cli)
 
 
 @pytest.mark.usefixtures("one_goal")

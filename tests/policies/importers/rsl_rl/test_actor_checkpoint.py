@@ -24,6 +24,7 @@ from robots.errors import ContractError
 from support.importers.parity import parity
 from support.importers.rsl_rl_files import KINDS, A, Env, N, saved
 from support.paths import DATA
+from support.refusals import refusal
 
 pytestmark = pytest.mark.slow
 
@@ -114,12 +115,7 @@ def test_normalizer_setting_for_a_checkpoint_is_refused(tmp_path):
 
 
 def refused(path):
-    with pytest.raises(ContractError) as caught:
-        read_rsl_rl(path, ELU)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message.removeprefix(f"{path}: ")
+    return refusal(read_rsl_rl, path, ELU)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,5 @@
 import pickle
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -6,18 +7,14 @@ import pytest
 
 from policies.importers.stable_baselines.vec_normalize import read_vec_normalize
 from policies.importers.untrusted.pickle_reader import OPCODES_MAX, UnresolvedCall, read_pickle
-from robots.errors import ContractError
 from support.importers.stable_baselines import Command, Tiny, kept, normalizing
+from support.refusals import refusal
 
 gymnasium = pytest.importorskip("gymnasium")
 pytest.importorskip("stable_baselines3")
 
 
-def refused(path):
-    with pytest.raises(ContractError) as caught:
-        read_vec_normalize(path)
-    assert "\n" not in str(caught.value)
-    return str(caught.value).removeprefix(f"{path}: ")
+refused = partial(refusal, read_vec_normalize)
 
 
 def spoiled(folder, **state):

@@ -6,6 +6,8 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnxscript")
 
+from functools import partial
+
 from torch import nn
 
 from policies.importers.torch_files.exported_program import read_exported_program
@@ -13,6 +15,7 @@ from robots.errors import ContractError
 from support.importers.exported_programs import saved
 from support.importers.parity import parity
 from support.importers.torch_files import HIDDEN, A, N, changed
+from support.refusals import refusal
 
 pytestmark = pytest.mark.slow
 
@@ -53,13 +56,7 @@ def spoiled(folder, data, name, change):
     return changed(path, name, changed_text)
 
 
-def refused(path):
-    with pytest.raises(ContractError) as caught:
-        read_exported_program(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message.removeprefix(f"{path}: ")
+refused = partial(refusal, read_exported_program)
 
 
 def first_node(program):

@@ -14,6 +14,7 @@ from policies.importers.torch_files.state_dict import read_state_dict
 from robots.errors import ContractError
 from robots.strict import parse
 from support.importers.parity import parity
+from support.refusals import refusal
 
 pytestmark = pytest.mark.slow
 
@@ -32,12 +33,7 @@ def file_of(folder, data):
 
 
 def refused(path, network=TANH, error=ContractError):
-    with pytest.raises(error) as caught:
-        read_state_dict(path, network)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message.removeprefix(f"{path}: ")
+    return refusal(read_state_dict, path, network, error=error)
 
 
 def test_mlp_equals_its_module(tmp_path):

@@ -3,6 +3,8 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnxscript")
 
+from functools import partial
+
 from torch import nn
 
 from policies.importers.torch_files.torchscript import read_torchscript
@@ -11,6 +13,7 @@ from robots.errors import ContractError
 from support.importers.parity import parity
 from support.importers.torch_files import HIDDEN, A, N, Recurrent, changed, members, mlp, saved_script
 from support.paths import SHARED
+from support.refusals import refusal
 
 pytestmark = pytest.mark.slow
 
@@ -34,13 +37,7 @@ class Hidden(Attribute):
         return self.state.clone()
 
 
-def refused(path):
-    with pytest.raises(ContractError) as caught:
-        read_torchscript(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}: ")
-    assert "\n" not in message
-    return message.removeprefix(f"{path}: ")
+refused = partial(refusal, read_torchscript)
 
 
 # ---- policies ----
