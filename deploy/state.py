@@ -68,8 +68,8 @@ class State(NamedTuple):
         age: (B,) s since the newest accepted sample was measured, of the joint with the oldest; infinite until every
             filter is confirmed.
         nis: (B, n) running mean of the normalized innovation squared; near 1 for a consistent filter.
-        temperature: (B, n) °C, motor housing.
-        winding: (B, n) °C, estimated. hottest: (B, n) °C, upper bound.
+        housing_c: (B, n) °C, motor housing.
+        winding_c: (B, n) °C, estimated. hottest_c: (B, n) °C, its upper bound.
         current_share: (B, n) share of its current that a drive may use while running.
         fault: (B,) int64 bit sets of `Reason`, faults of the estimate; 0 for none.
         base: estimate of the floating base; None for robots without one.
@@ -81,9 +81,9 @@ class State(NamedTuple):
     q_var: Floats
     age: Floats
     nis: Floats
-    temperature: Floats
-    winding: Floats
-    hottest: Floats
+    housing_c: Floats
+    winding_c: Floats
+    hottest_c: Floats
     current_share: Floats
     fault: Ints
     base: BaseState | None = None

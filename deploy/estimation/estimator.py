@@ -162,9 +162,9 @@ class Estimator(Stage):
             q_var=joints.angle_variance(dt) + self._hidden_var,
             age=age,
             nis=self.divergence.nis,
-            temperature=sample["temperature"].value,
-            winding=self.windings.winding,
-            hottest=self.windings.hottest,
+            housing_c=sample["temperature"].value,
+            winding_c=self.windings.winding,
+            hottest_c=self.windings.hottest,
             current_share=self.windings.foldback.current_share,
             fault=self.fault,
         )

@@ -43,8 +43,8 @@ class RunStatistics:
 
     def step(self, runtime: Runtime, reason: str) -> None:
         """Count the tick that has just ended; `reason` says in words why the robot does not run."""
-        self.housing_max_c = _maximum(self.housing_max_c, runtime.state.temperature)
-        self.winding_max_c = _maximum(self.winding_max_c, runtime.state.winding)
+        self.housing_max_c = _maximum(self.housing_max_c, runtime.state.housing_c)
+        self.winding_max_c = _maximum(self.winding_max_c, runtime.state.winding_c)
         if 0 in self._stop_events.step(runtime):
             bits = int(runtime.supervisor.reason[0])
             self.stops.update(bit.name.lower() for bit in Reason(bits) if bit.name)

@@ -68,7 +68,7 @@ ESTIMATE: tuple[Check[Estimate], ...] = (
     ),
     Check(
         name="housing_temperature",
-        value=lambda estimate: estimate.state.temperature,
+        value=lambda estimate: estimate.state.housing_c,
         high=_motor("housing_max_c"),
         reason=Reason.HEAT,
         reason_not_finite=Reason.HEAT,
@@ -76,7 +76,7 @@ ESTIMATE: tuple[Check[Estimate], ...] = (
     ),
     Check(
         name="winding_temperature",
-        value=lambda estimate: estimate.state.hottest,
+        value=lambda estimate: estimate.state.hottest_c,
         high=_motor("winding_max_c"),
         reason=Reason.HEAT,
         reason_not_finite=Reason.HEAT,

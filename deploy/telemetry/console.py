@@ -95,8 +95,8 @@ def _joints(runtime: Runtime) -> list[list[Any]]:
         state.qd[0],
         sent.q[0] - state.q[0],
         runtime.command.tau[0],
-        *(state.temperature[0], spec.motor_array("housing_soft_c"), spec.motor_array("housing_max_c")),
-        *(state.winding[0], spec.motor_array("winding_soft_c"), spec.motor_array("winding_max_c")),
+        *(state.housing_c[0], spec.motor_array("housing_soft_c"), spec.motor_array("housing_max_c")),
+        *(state.winding_c[0], spec.motor_array("winding_soft_c"), spec.motor_array("winding_max_c")),
     )
     columns = [[round(float(x), 4) for x in column] for column in numbers]
     return [list(row) for row in zip(spec.joint_names, *columns, strict=True)]

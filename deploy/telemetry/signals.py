@@ -48,8 +48,8 @@ class Signal:
 SIGNALS = (
     Signal(name="q", read=lambda runtime: runtime.state.q),
     Signal(name="qd", read=lambda runtime: runtime.state.qd),
-    Signal(name="housing_c", read=lambda runtime: runtime.state.temperature, in_state=True),
-    Signal(name="winding_c", read=lambda runtime: runtime.state.winding, in_state=True),
+    Signal(name="housing_c", read=lambda runtime: runtime.state.housing_c, in_state=True),
+    Signal(name="winding_c", read=lambda runtime: runtime.state.winding_c, in_state=True),
     Signal(name="q_target", read=lambda runtime: runtime.action.q, in_state=True),
     Signal(name="q_sent", read=lambda runtime: runtime.setpoint.q),
     Signal(name="qd_sent", read=lambda runtime: runtime.setpoint.qd),

@@ -67,7 +67,7 @@ def test_refuses_to_arm_with_reasons():
     runtime.robot.reset(every(runtime), outside)
     runtime.reset(every(runtime))
     heard(runtime)
-    runtime.state.temperature[2, 4] = 95.0
+    runtime.state.housing_c[2, 4] = 95.0
     runtime.state.age[3] = 1.0
     refused = [Reason(int(r)) for r in runtime.arm(every(runtime))]
     assert refused == [Reason.NONE, Reason.POSITION | Reason.OUTSIDE, Reason.HEAT, Reason.STALE | Reason.LOST]

@@ -96,7 +96,7 @@ def test_foldback_keeps_windings_below_their_hard_limit(tmp_path):
     assert runtime.supervisor.mode[0] == Mode.LATCHED
     assert Reason(int(runtime.supervisor.reason[0])) == Reason.HEAT
     assert runtime.estimator.windings.foldback.speed_share[0] == PACE_MIN
-    np.testing.assert_allclose(runtime.state.winding.max(), hottest[-1], atol=8)
+    np.testing.assert_allclose(runtime.state.winding_c.max(), hottest[-1], atol=8)
 
 
 def test_stopping_robot_has_its_full_current(tmp_path):

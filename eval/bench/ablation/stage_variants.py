@@ -92,8 +92,8 @@ class HeatBlindEstimator(Estimator):
     def step(self, t: float, sample: Sample, sent: Setpoint) -> State:
         """Return the state with all temperatures at 0 °C."""
         state = super().step(t, sample, sent)
-        cold = np.zeros_like(state.temperature)
-        return state._replace(temperature=cold, winding=cold, hottest=cold)
+        cold = np.zeros_like(state.housing_c)
+        return state._replace(housing_c=cold, winding_c=cold, hottest_c=cold)
 
 
 Variant = Callable[[Runtime], None]

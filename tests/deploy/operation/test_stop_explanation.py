@@ -30,7 +30,7 @@ def astray(runtime, robot=0):
 
 
 def hot(runtime, robot=0):
-    runtime.state.temperature[robot, WRIST] = 500.0
+    runtime.state.housing_c[robot, WRIST] = 500.0
 
 
 def lost(runtime, robot=0):

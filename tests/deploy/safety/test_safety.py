@@ -120,17 +120,17 @@ def test_a_joint_found_outside_its_range_is_category_1(joint):
 @pytest.mark.parametrize("joint", range(N))
 def test_heat(joint):
     limit = SPEC.motor_array("housing_max_c")[joint]
-    assert reasons(temperature=one(joint, limit, np.full(N, 20.0))) == 0
-    assert reasons(temperature=one(joint, limit + HAIR, np.full(N, 20.0))) == Reason.HEAT
-    assert reasons(temperature=one(joint, np.nan, np.full(N, 20.0))) == Reason.HEAT
+    assert reasons(housing_c=one(joint, limit, np.full(N, 20.0))) == 0
+    assert reasons(housing_c=one(joint, limit + HAIR, np.full(N, 20.0))) == Reason.HEAT
+    assert reasons(housing_c=one(joint, np.nan, np.full(N, 20.0))) == Reason.HEAT
 
 
 @pytest.mark.parametrize("joint", range(N))
 def test_winding_possibly_above_its_limit_stops_the_robot(joint):
     limit = SPEC.motor_array("winding_max_c")[joint]
-    assert reasons(hottest=one(joint, limit, np.full(N, 20.0))) == 0
-    assert reasons(hottest=one(joint, limit + HAIR, np.full(N, 20.0))) == Reason.HEAT
-    assert reasons(hottest=one(joint, np.nan, np.full(N, 20.0))) == Reason.HEAT
+    assert reasons(hottest_c=one(joint, limit, np.full(N, 20.0))) == 0
+    assert reasons(hottest_c=one(joint, limit + HAIR, np.full(N, 20.0))) == Reason.HEAT
+    assert reasons(hottest_c=one(joint, np.nan, np.full(N, 20.0))) == Reason.HEAT
 
 
 @pytest.mark.parametrize(
@@ -245,13 +245,13 @@ def test_robots_are_checked_independently():
     }
     robots, straight = 11, one(4, 0.0, HOME)
     q, qd, qdd = np.tile(HOME, (robots, 1)), np.zeros((robots, N)), np.zeros((robots, N))
-    q_hat, sent, temperature, hottest = q.copy(), q.copy(), *np.full((2, robots, N), 30.0)
+    q_hat, sent, housing_c, hottest_c = q.copy(), q.copy(), *np.full((2, robots, N), 30.0)
     q[9] = straight
     qd[1, 5], qdd[4, 5] = 4.0, 1000.0
     # Only together: the speed that the acceleration will still add counts, and none of the others'.
     qd[7, 1:3], qdd[7, 1:3] = -2.3, -8.0
     rest = q_hat.copy()
-    rest[2, 0], rest[10], sent[5, 3], temperature[6, 2] = HIGH[0], straight, HOME[3] + 0.2, 95.0
+    rest[2, 0], rest[10], sent[5, 3], housing_c[6, 2] = HIGH[0], straight, HOME[3] + 0.2, 95.0
     state = State(
         t=0.0,
         q=q_hat,
@@ -259,9 +259,9 @@ def test_robots_are_checked_independently():
         q_var=q,
         age=np.zeros(robots),
         nis=q,
-        temperature=temperature,
-        winding=q,
-        hottest=hottest,
+        housing_c=housing_c,
+        winding_c=q,
+        hottest_c=hottest_c,
         current_share=np.ones((robots, N)),
         fault=np.zeros(robots, dtype=np.int64),
     )

@@ -65,9 +65,9 @@ def test_allowed_stops_stay_within_all_limits(share):
             q_var=q * 0,
             age=np.zeros(robots),
             nis=q * 0,
-            temperature=q * 0 + 30,
-            winding=q * 0 + 30,
-            hottest=q * 0 + 30,
+            housing_c=q * 0 + 30,
+            winding_c=q * 0 + 30,
+            hottest_c=q * 0 + 30,
             current_share=np.ones(q.shape),
             fault=np.zeros(robots, dtype=np.int64),
         )

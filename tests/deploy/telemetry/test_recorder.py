@@ -40,8 +40,8 @@ class Scripted:
 
     def tick(self):
         joints = [self.numbers(self.ticks, part) for part in (*range(8), 10)]
-        q, qd, temperature, winding = (*joints[:3], joints[8])
-        self.state = SimpleNamespace(q=q, qd=qd, temperature=temperature, winding=winding, base=None)
+        q, qd, housing_c, winding_c = (*joints[:3], joints[8])
+        self.state = SimpleNamespace(q=q, qd=qd, housing_c=housing_c, winding_c=winding_c, base=None)
         self.action = SimpleNamespace(q=joints[3])
         self.setpoint = SimpleNamespace(q=joints[4], qd=joints[5], qdd=joints[6])
         self.command = SimpleNamespace(tau=joints[7])

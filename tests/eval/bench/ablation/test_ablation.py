@@ -231,9 +231,9 @@ def test_hot_draw_changes_masses_and_ambient_temperature_only():
 def test_unguarded_robot_neither_folds_back_nor_stops_for_heat():
     stage, still = HeatBlindEstimator(SPEC, 1), Setpoint(*np.zeros((3, 1, N)))
     state = stage.step(0.0, heard(0.0, np.zeros((1, N)), housing=149.0, current=30.0), still)
-    assert not state.winding.any()
-    assert not state.hottest.any()
-    assert not state.temperature.any()
+    assert not state.winding_c.any()
+    assert not state.hottest_c.any()
+    assert not state.housing_c.any()
     assert (state.current_share == 1.0).all()
 
 
