@@ -85,7 +85,6 @@ class Runtime(Stage):
         self.springs = spring_drives(spec, gains)
         self.estimator = Estimator(spec, robots, springs=gains if self.springs else None)
         self.capabilities = CapabilityEstimators(spec, robots)
-        # The fleet holds setpoints and, as many again, first steps of the stops that would begin there.
         self.safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True), self.springs)
         self.action = Action(contract.action, robots)
         self.smoother = Smoother(spec, robots)
