@@ -9,6 +9,7 @@ from typing import NamedTuple
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
+from deploy.reasons import Reason, describe
 from eval.report.plots.bars import margins_plot, timeline_plot
 from eval.report.plots.curves import TREND_QUANTITIES, goals_plot, heat_plot, trend_plot, wear_plot
 from eval.report.schema.report_data import Report
@@ -62,7 +63,7 @@ def _template(name: str) -> Template:
     )
     environment.filters |= {
         each.__name__: each
-        for each in (percent, load_text, margin_text, figure, decimals, duration, interval_text)
+        for each in (percent, load_text, margin_text, figure, decimals, duration, interval_text, reason_text)
     }
     return environment.get_template(name)
 
@@ -141,6 +142,11 @@ def duration(hours: float) -> str:
     """Format hours in a readable unit: h, min or s."""
     unit, worth = next((u, w) for u, w in (("h", 1), ("min", 60), ("s", 3600)) if hours * w >= 1 or u == "s")
     return f"{figure(hours * worth, 2)} {unit}"
+
+
+def reason_text(name: str) -> str:
+    """Return what a stop reason means, by its name in `Reason`."""
+    return describe(Reason[name])
 
 
 def decimals(value: float | None, unit: str) -> str:

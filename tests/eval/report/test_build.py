@@ -303,7 +303,7 @@ def test_stops_by_reason():
     assert (found.stops.total, found.stops.latches) == (3, 1)
     assert found.stops.reasons == {"NONE": 1, "WORKSPACE": 2}
     assert "No robot stopped" in rendered(report())
-    assert "workspace" in rendered(found)
+    assert 'workspace<div class="what">the tool would leave its workspace' in rendered(found)
 
 
 def test_one_test_case_for_each_budget_line():
