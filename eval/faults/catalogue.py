@@ -14,10 +14,10 @@ from eval.faults.fault_class import (
     ROBOT,
     SOON_S,
     ActionFault,
-    Answer,
     FaultClass,
     PolicyFault,
     SensorFault,
+    StopCategory,
 )
 from eval.faults.plant_effects import PlantFault
 from robots.sensors import NEEDED, Kind
@@ -34,7 +34,7 @@ NOT_INJECTED = (
 )
 """Faults that are not in the table of injections, and the reasons."""
 ENCODER: Kind = "encoder"
-BURSTS = {3: Answer.WENT_ON, 10: Answer.HELD, 25: Answer.STOPPED}
+BURSTS = {3: StopCategory.NO_STOP, 10: StopCategory.CATEGORY_2, 25: StopCategory.CATEGORY_1}
 """Numbers of packets lost in a row, and their answers."""
 LONGER_S: dict[tuple[Kind, str], float] = {("current", Failure.STUCK): 5.0}
 """Durations of faults that deploy detects later, s: it counts repeats of a current before it drops the sensor."""
@@ -76,17 +76,22 @@ POLICY_FAULTS = (
         meaning="one number of the action is infinite",
         effect=partial(_set, value=np.inf),
     ),
-    PolicyFault(failure_mode="stalls", answer=Answer.HELD, meaning="repeats its last action", effect=_stall),
+    PolicyFault(
+        failure_mode="stalls",
+        answer=StopCategory.CATEGORY_2,
+        meaning="repeats its last action",
+        effect=_stall,
+    ),
     PolicyFault(
         failure_mode="jumps",
-        answer=Answer.HELD,
+        answer=StopCategory.CATEGORY_2,
         meaning="outputs ±1e6 for every joint, with the other sign in each call",
         effect=_jump,
     ),
     PolicyFault(
         failure_mode="runs away",
         per_joint=True,
-        answer=Answer.HELD,
+        answer=StopCategory.CATEGORY_2,
         meaning="drives one joint towards its limit",
         effect=partial(_set, value=JUMP),
     ),
@@ -165,7 +170,7 @@ def _sensor_faults(spec: RobotSpec) -> tuple[SensorFault, ...]:
             failure=failure,
             channels=(None,) if failure in OF_PACKETS else (None, *range(channels)),
             lasts_s=LONGER_S.get((kind, failure), SOON_S),
-            answer=Answer.STOPPED if kind in needed else Answer.HELD,
+            answer=StopCategory.CATEGORY_1 if kind in needed else StopCategory.CATEGORY_2,
             meaning=meaning,
         )
         for kind, channels in spec.channels.items()

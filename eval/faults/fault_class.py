@@ -14,22 +14,22 @@ from robots.arrays import Float32s
 from robots.spec import RobotSpec
 
 
-class Answer(IntEnum):
-    """Answers of a robot to a fault, in the order of severity."""
+class StopCategory(IntEnum):
+    """Answers of a robot to a fault, in the order of severity: stop categories of IEC 60204-1, or no stop."""
 
-    WENT_ON = 0
-    HELD = 1
-    STOPPED = 2
-    CUT = 3
+    NO_STOP = 0
+    CATEGORY_2 = 1
+    CATEGORY_1 = 2
+    CATEGORY_0 = 3
 
 
-ANSWER_WORDS = {
-    Answer.WENT_ON: "go on",
-    Answer.HELD: "category 2",
-    Answer.STOPPED: "category 1",
-    Answer.CUT: "category 0",
+CATEGORY_NAMES = {
+    StopCategory.NO_STOP: "go on",
+    StopCategory.CATEGORY_2: "category 2",
+    StopCategory.CATEGORY_1: "category 1",
+    StopCategory.CATEGORY_0: "category 0",
 }
-"""Names of the answers in IEC 60204-1."""
+"""Texts of the answers in report.json."""
 
 SOON_S = 3.0
 """Duration of most faults, s: longer than the timers of deploy that wait for them."""
@@ -54,7 +54,7 @@ class FaultClass:
     channels: tuple[int | None, ...] = (None,)
     per_joint: bool = False
     lasts_s: float = SOON_S
-    answer: Answer = Answer.STOPPED
+    answer: StopCategory = StopCategory.CATEGORY_1
     meaning: str
 
     @property

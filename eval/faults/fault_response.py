@@ -15,7 +15,7 @@ from deploy.masks import any_true
 from deploy.stage import Stage
 from deploy.state import Command, Mode
 from deploy.truth import Truth
-from eval.faults.fault_class import Answer, Injection
+from eval.faults.fault_class import Injection, StopCategory
 from eval.faults.schedule import Schedule
 from eval.judge.judge import Judge
 from eval.judge.monitors import MONITORS
@@ -46,7 +46,7 @@ class FaultResponses:
         began: (R, S) tick of the soak, or `NOT_BEGUN` or `NOT_RUNNING`. complete: (R, S) end of the response.
         stopped: (R, S) first tick out of operation. rest: (R, S) first tick at rest by ground truth after that.
         resumed: (R, S) ticks from the end of the fault until the robot was in operation.
-        answer: (R, S) the most severe `Answer`.
+        answer: (R, S) the most severe `StopCategory`.
         violated: (R, S) bit set of the hard monitors that fired.
         tracking_error: (R, S) rad, largest distance of a true angle from the one sent, until rest.
         limit_ratio: (R, S) largest share of the limits of angle and speed.
@@ -162,8 +162,8 @@ class FaultResponseTracker(Stage):
         cut = self.powered[rows] & ~powered & (self.speed[rows] > REST_RAD_S)
         answer = np.select(
             (cut, now == Mode.LATCHED, (now == Mode.STOPPING) | (now == Mode.HOLDING)),
-            (Answer.CUT, Answer.STOPPED, Answer.HELD),
-            Answer.WENT_ON,
+            (StopCategory.CATEGORY_0, StopCategory.CATEGORY_1, StopCategory.CATEGORY_2),
+            StopCategory.NO_STOP,
         )
         self.answer[place] = np.maximum(self.answer[place], answer)
         self.powered[rows], self.speed[rows] = powered, np.abs(command.qd[rows]).max(axis=1)

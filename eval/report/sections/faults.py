@@ -3,7 +3,7 @@
 import numpy as np
 
 from eval.faults.catalogue import NOT_INJECTED, catalogue
-from eval.faults.fault_class import ANSWER_WORDS, JOINT, POLICY, Answer, FaultClass
+from eval.faults.fault_class import CATEGORY_NAMES, JOINT, POLICY, FaultClass, StopCategory
 from eval.faults.fault_response import DIVERGED, NOT_RUNNING, FaultResponses
 from eval.faults.schedule import FaultSettings
 from eval.judge.monitors import MONITORS
@@ -65,12 +65,12 @@ def _row(
         where=each.component,
         what=each.failure_mode,
         meaning=each.meaning,
-        required=ANSWER_WORDS[each.answer],
+        required=CATEGORY_NAMES[each.answer],
         injections=total,
         not_running=int((members & (found.began == NOT_RUNNING)).sum()),
         handled=good,
         handled_lower=float(share_lower(good, total)) if total else 0.0,
-        answers={word: n for a, word in ANSWER_WORDS.items() if (n := int(np.sum(answers == a)))},
+        answers={word: n for a, word in CATEGORY_NAMES.items() if (n := int(np.sum(answers == a)))},
         violations={name: n for k, name in _HARD_BITS.items() if (n := int(np.sum(bits >> k & 1)))},
         stopped=_times(found.stopped[finished], dt),
         at_rest=_times(found.rest[finished], dt),
@@ -102,7 +102,7 @@ def _unhandled(
         fault=fault.name,
         channel=None if channel < 0 else spec.joint_names[channel] if at_joint else str(channel),
         start_h=round(float(found.began[place]) * spec.dt / 3600, 5),
-        answer=ANSWER_WORDS[Answer(found.answer[place])],
+        answer=CATEGORY_NAMES[StopCategory(found.answer[place])],
         violations=tuple(name for k, name in _HARD_BITS.items() if found.violated[place] >> k & 1),
         stopped_s=_seconds(int(found.stopped[place]), spec.dt),
         at_rest_s=_seconds(int(found.rest[place]), spec.dt),

@@ -8,7 +8,7 @@ import pytest
 
 from deploy.policy.policy import Policy
 from deploy.state import Mode
-from eval.faults.fault_class import JOINT, POLICY, Answer
+from eval.faults.fault_class import JOINT, POLICY, StopCategory
 from eval.faults.fault_response import (
     NOT_RUNNING,
     SETTLE_S,
@@ -68,7 +68,7 @@ def row(found, fault):
 def test_unnoticed_fault_without_violation_is_handled():
     fault = named("force off")
     one, found = told(fault, [(400, RUN, 0.5)])
-    assert (one.answer, one.stopped, one.rest, one.resumed) == (Answer.WENT_ON, -1, -1, 0)
+    assert (one.answer, one.stopped, one.rest, one.resumed) == (StopCategory.NO_STOP, -1, -1, 0)
     assert one.complete == 50 + SETTLE
     assert row(found, fault).handled == 1
     one, found = told(fault, [(400, RUN, 0.5)], hurt=49)
@@ -88,7 +88,7 @@ def test_hold_time_is_from_injection_to_true_rest():
     one, found = told(
         fault, [(7, RUN, 0.5), (20, STOP, 0.4), (3, HOLD, 0.2), (60, HOLD, 0.0), (200, RUN, 0.1)]
     )
-    assert (one.answer, one.stopped, one.rest) == (Answer.HELD, 7, 30)
+    assert (one.answer, one.stopped, one.rest) == (StopCategory.CATEGORY_2, 7, 30)
     assert one.resumed == 90 - 50
     assert one.complete == 90 + SETTLE
     assert one.tracking_error == pytest.approx(0.01)
@@ -101,7 +101,7 @@ def test_too_severe_response_is_not_handled():
     story = [(5, RUN, 0.5), (10, STOP, 0.4), (100, LATCHED, 0.0), (200, RUN, 0.1)]
     for name, handled in (("force off", 0), ("encoder off", 1)):
         one, found = told(named(name), story)
-        assert one.answer == Answer.STOPPED
+        assert one.answer == StopCategory.CATEGORY_1
         assert row(found, named(name)).handled == handled
     (fault,) = fault_table(SPEC, FAULTS, told(named("force off"), story)[1]).unhandled
     assert (fault.fault, fault.answer, fault.channel, fault.violations) == (
@@ -113,13 +113,15 @@ def test_too_severe_response_is_not_handled():
     assert (fault.stopped_s, fault.at_rest_s) == (5 * DT, 15 * DT)
 
 
-@pytest.mark.parametrize(("speed", "answer"), [(0.5, Answer.CUT), (0.0, Answer.STOPPED)])
+@pytest.mark.parametrize(
+    ("speed", "answer"), [(0.5, StopCategory.CATEGORY_0), (0.0, StopCategory.CATEGORY_1)]
+)
 def test_power_loss_in_motion_is_category_0(speed, answer):
     one, found = told(
         named("encoder off"), [(5, RUN, 0.5), (300, LATCHED, 0.0), (200, RUN, 0.1)], speed=speed
     )
     assert one.answer == answer
-    assert row(found, named("encoder off")).handled == (answer == Answer.STOPPED)
+    assert row(found, named("encoder off")).handled == (answer == StopCategory.CATEGORY_1)
 
 
 def test_robot_without_recovery_is_followed_to_the_end_of_its_slot():
@@ -195,7 +197,7 @@ def test_shard_resumed_during_faults_is_bit_identical(restless):
     assert (found.began[:8] == 70).all()
     assert (found.stopped >= 0).sum() >= 2
     assert CLASSES[found.class_index[0, 0]].name == "encoder stuck"
-    assert found.answer[0, 0] == Answer.STOPPED
+    assert found.answer[0, 0] == StopCategory.CATEGORY_1
 
 
 @pytest.mark.parametrize(

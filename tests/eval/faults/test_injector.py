@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from eval.faults.fault_class import JOINT, Answer, PolicyFault
+from eval.faults.fault_class import JOINT, PolicyFault, StopCategory
 from eval.faults.injector import Injector
 from eval.faults.plant_effects import PlantFault
 from support.arm6 import SPEC
@@ -25,7 +25,7 @@ WEAK = PlantFault(
     component=JOINT, failure_mode="weak", channels=(2,), meaning="half of its voltage", effect=weaken
 )
 MIRRORED = PolicyFault(
-    failure_mode="mirrored", answer=Answer.HELD, meaning="one sign is wrong", effect=negate
+    failure_mode="mirrored", answer=StopCategory.CATEGORY_2, meaning="one sign is wrong", effect=negate
 )
 
 

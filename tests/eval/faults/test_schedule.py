@@ -8,7 +8,7 @@ import pytest
 from deploy.backends.sim.robot import SimRobot
 from deploy.state import Command, Mode
 from eval.faults.catalogue import JUMP, catalogue
-from eval.faults.fault_class import JOINT, POLICY, ROBOT, Answer, SensorFault
+from eval.faults.fault_class import JOINT, POLICY, ROBOT, SensorFault, StopCategory
 from eval.faults.injector import Injector
 from eval.faults.schedule import FaultSettings, plan
 from robots.randomness import robot_seed
@@ -186,4 +186,4 @@ def test_short_circuit_without_power_heats_nothing_and_brakes_hold():
 @pytest.mark.parametrize("kind", ["gyro", "accelerometer"])
 def test_walking_robot_latches_without_its_imu(kind):
     answers = {each.answer for each in catalogue(QUADRUPED) if each.component == kind}
-    assert answers == {Answer.STOPPED}
+    assert answers == {StopCategory.CATEGORY_1}

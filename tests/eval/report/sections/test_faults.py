@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.faults.catalogue import NOT_INJECTED, catalogue
-from eval.faults.fault_class import Answer
+from eval.faults.fault_class import StopCategory
 from eval.faults.fault_response import FaultResponses
 from eval.faults.schedule import FaultSettings
 from eval.judge.monitors import NAMES
@@ -25,8 +25,11 @@ def every_class_handled():
     """One of each class for each of 60 robots: all hold after 0.1 s and rest after 0.2 to 0.495 s."""
     shape = ROBOTS, len(CLASSES)
     kind = np.tile(np.arange(len(CLASSES)), (ROBOTS, 1))
-    answer = np.array([min(each.answer, Answer.HELD) for each in CLASSES])[kind]
-    left, rest = np.where(answer == Answer.HELD, 20, -1), np.where(answer == Answer.HELD, 40, -1)
+    answer = np.array([min(each.answer, StopCategory.CATEGORY_2) for each in CLASSES])[kind]
+    left, rest = (
+        np.where(answer == StopCategory.CATEGORY_2, 20, -1),
+        np.where(answer == StopCategory.CATEGORY_2, 40, -1),
+    )
     rest[:, :] = np.where(rest > 0, rest + np.arange(ROBOTS)[:, None], -1)
     whole = {"began": 720, "complete": 400, "resumed": 30, "channel": 1, "violated": 0}
     error, ratio = np.full(shape, 0.01), np.full(shape, 0.8)
