@@ -12,12 +12,12 @@ import typer
 
 from deploy.backends.backend import Backend, Request
 from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
-from deploy.estimation.temperature_file import PERIOD_S as HEAT_S
-from deploy.estimation.temperature_file import TemperatureFile
 from deploy.operation.loop_timing import Clock, LoopTiming, RateLimited, Unpaced, WallClock
 from deploy.operation.options import SEED, random_source, speed_factor
 from deploy.operation.robot_run import Ending, RobotRun, Watcher
 from deploy.operation.summary import report
+from deploy.operation.temperature_file import PERIOD_S as HEAT_S
+from deploy.operation.temperature_file import TemperatureFile
 from deploy.plugins import BACKENDS, installed, load
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
+from deploy.observation_sources import ObservationSource
 from deploy.policy.contract import Contract
 from deploy.policy.contract_term import Term
-from deploy.policy.observation_sources import ObservationSource
 from deploy.tasks.task import find_task, sources_of
 from robots.errors import ContractError
 from robots.spec import RobotSpec

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from deploy.policy.observation_sources import Frame
+from deploy.observation_sources import Frame
 from robots.strict import Strict
 
 SIZE_MAX = 4096  # numbers in one observation: a bound on memory, far above any policy here

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from deploy.policy.observation_sources import ObservationSource
+from deploy.observation_sources import ObservationSource
 from deploy.state import Sample
 from deploy.tasks.goal_pool import ReachConfig, goal_pool
 from deploy.tasks.success import SuccessCriterion

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from deploy.observation_sources import SOURCES, ObservationSource
 from deploy.plugins import TASKS, installed, load
-from deploy.policy.observation_sources import SOURCES, ObservationSource
 from deploy.stage import Stage
 from deploy.state import Sample
 from deploy.tasks.success import SuccessCriterion, SuccessEvaluation

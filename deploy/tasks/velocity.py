@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from deploy.policy.observation_sources import BASE, ObservationSource
+from deploy.observation_sources import BASE, ObservationSource
 from deploy.state import Sample
 from deploy.tasks.success import SuccessCriterion
 from deploy.tasks.task import Task

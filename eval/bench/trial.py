@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.backends.sim.backend import simulate
 from deploy.policy.policy import Policy
+from deploy.simulation import simulate
 from eval.shard.job import ARM_S, POLL_S
 from eval.shard.judging import judge_tick, make_judge
 from eval.shard.shard import rearm

@@ -9,7 +9,6 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.backends.sim.robot import SimRobot
-from deploy.estimation.rotations import matrix, matvec
 from deploy.policy.policy import Policy
 from deploy.state import Mode
 from deploy.tasks.velocity import Velocity
@@ -23,6 +22,7 @@ from robots.distributions import load_distributions
 from robots.draws import Draw, median_draw
 from robots.errors import ConfigError
 from robots.randomness import robot_seed
+from robots.rotations import matrix, matvec
 from robots.spec import RobotSpec
 
 SEED, ROBOTS, WALK_S = 7, 32, 60.0

@@ -5,15 +5,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deploy.backends.sim.backend import simulate
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.sensor_faults import Fault
+from deploy.observation_sources import SOURCES
 from deploy.policy.contract import Contract, Observed
 from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import Term
-from deploy.policy.observation_sources import SOURCES
 from deploy.reasons import Reason
 from deploy.runtime import Runtime
+from deploy.simulation import simulate
 from eval.judge.counts import Counts
 from eval.mutants.guard_removal import GuardRemoval, ignore_reasons, in_sequence
 from eval.shard.job import ARM_S

@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.backends.sim.backend import simulate
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
+from deploy.simulation import simulate
 from deploy.stage import Arrays, Stage
 from deploy.truth import Truth
 from eval.faults.fault_response import FaultResponseTracker

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.observation_sources import ObservationSource
 from deploy.policy.contract import Contract
-from deploy.policy.observation_sources import ObservationSource
 from deploy.tasks.task import sources_of
 from policies.importers.contract_draft import ContractDraft, TermDraft
 from policies.importers.reference_policy import ABSENT, PolicyFacts, ReferencePolicy

@@ -8,7 +8,7 @@ import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
-from deploy.backends.sim.backend import simulate
+from deploy.simulation import simulate
 from deploy.state import Mode
 from policies.training.recipe import Recipe, contract_of
 from policies.training.rewards import Limits, Step, reward, shaping

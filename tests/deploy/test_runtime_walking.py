@@ -4,7 +4,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deploy.estimation.rotations import exp, matrix, matvec
 from deploy.motion.drive_law import SpringDrives
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract_action import ActionSpec
@@ -15,6 +14,7 @@ from robots.errors import ContractError, RobotError
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import load_pinocchio, torque_max
 from robots.randomness import robot_seed
+from robots.rotations import exp, matrix, matvec
 from robots.spec import load_robot
 from support.walking import (
     ARM_S,

@@ -6,8 +6,8 @@ pytest.importorskip("tomlkit")
 import numpy as np
 import tomlkit
 
-from deploy.backends.sim.backend import simulate
 from deploy.policy.action import ActionSpec
+from deploy.simulation import simulate
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.contracts import arm_contract, term

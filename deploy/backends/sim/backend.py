@@ -1,17 +1,14 @@
-"""The simulation as a backend, and a runtime on B simulated robots."""
+"""The simulation as a backend."""
 
 from collections.abc import Callable, Sequence
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from deploy.backends.backend import Abilities, Backend, Request
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.sensor_faults import Fault
-from deploy.policy.contract import Contract
-from deploy.policy.policy import Policy
-from deploy.runtime import Runtime
-from robots.draws import Draw
-from robots.spec import RobotSpec
+
+if TYPE_CHECKING:
+    from deploy.runtime import Runtime
 
 
 class SimBackend(Backend[SimRobot]):
@@ -33,7 +30,7 @@ class SimBackend(Backend[SimRobot]):
             threads=self._threads,
         )
 
-    def attach(self, robot: SimRobot, runtime: Runtime) -> None:
+    def attach(self, robot: SimRobot, runtime: "Runtime") -> None:
         """Show the goals to the simulated cameras; warm the windings to the runtime's estimate."""
         robot.goal_source = lambda: runtime.task.goal_position
         robot.plant.warm(runtime.estimator.windings.rise)
@@ -43,23 +40,3 @@ class SimBackend(Backend[SimRobot]):
         from deploy.backends.sim.view import View
 
         return View(robot).step
-
-
-def simulate(
-    spec: RobotSpec,
-    contract: Contract,
-    seeds: Sequence[np.random.SeedSequence],
-    policy: Policy | None = None,
-    *,
-    draw: Draw | None = None,
-    faults: Sequence[Fault] = (),
-    threads: int = 1,
-) -> tuple[Runtime, SimRobot]:
-    """Build a runtime on B simulated robots, with the contract's drive gains; arguments as of `SimRobot`, `Runtime`."""
-    backend = SimBackend(faults, threads)
-    request = Request(spec=spec, seeds=seeds, gains=contract.action.gains, draw=draw)
-    backend.check(request)
-    robot = backend.open(request)
-    runtime = Runtime(spec, contract, robot, seeds, policy)
-    backend.attach(robot, runtime)
-    return runtime, robot

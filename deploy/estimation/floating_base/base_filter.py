@@ -33,11 +33,11 @@ from deploy.estimation.floating_base.base_model import (
     move,
     whiten,
 )
-from deploy.estimation.rotations import exp, from_up, matrix, matvec, norm, product, skew
 from deploy.masks import any_true
 from deploy.stage import Stage
 from deploy.state import BaseState
 from robots.arrays import Bools, Floats
+from robots.rotations import exp, from_up, matrix, matvec, norm, product, skew
 
 REST_BAND = (0.8, 1.2)
 """Specific force of a robot at rest, as share of G: a filter is initialized from no other sample."""

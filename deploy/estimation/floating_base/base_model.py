@@ -31,8 +31,8 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.estimation.floating_base.base_measurements import BaseNoise
-from deploy.estimation.rotations import exp, matrix, matvec, product, skew
 from robots.arrays import Floats
+from robots.rotations import exp, matrix, matvec, product, skew
 
 G = 9.81
 """m/s²."""

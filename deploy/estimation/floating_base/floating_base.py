@@ -8,7 +8,6 @@ import numpy as np
 from deploy.estimation.capability import CapabilityEstimator
 from deploy.estimation.floating_base.base_filter import BaseFilter
 from deploy.estimation.floating_base.base_measurements import BaseNoise, Feet, Imu, Upright
-from deploy.estimation.rotations import matrix
 from deploy.estimation.sample_count import sample_count
 from deploy.masks import any_true
 from deploy.reasons import Reason
@@ -16,6 +15,7 @@ from deploy.state import Packet, Sample, State
 from robots.arrays import Bools, Floats
 from robots.capabilities import Capability
 from robots.models.fleet import Fleet
+from robots.rotations import matrix
 from robots.sensors import Sensor
 from robots.spec import RobotSpec
 from robots.tables import Base

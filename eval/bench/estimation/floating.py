@@ -9,7 +9,6 @@ from rich.table import Table
 
 from deploy.estimation.floating_base.base_faults import GATE
 from deploy.estimation.floating_base.base_filter import BaseFilter
-from deploy.estimation.rotations import matrix, matvec
 from deploy.state import BaseState
 from eval.bench.estimation.quadruped import (
     CONTACT_N,
@@ -22,6 +21,7 @@ from eval.bench.estimation.quadruped import (
 )
 from robots.arrays import Bools, Floats
 from robots.randomness import robot_seed
+from robots.rotations import matrix, matvec
 
 SEED, MOTIONS, DRAWS, MOTION_S, SETTLED_S = 11, 64, 1024, 5.0, 1.0
 SENSOR_SEED = SEED + 1

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.backends.sim.backend import simulate
 from deploy.backends.sim.sensors import Sensors
 from deploy.estimation.estimator import Estimator
 from deploy.policy.policy import Policy
+from deploy.simulation import simulate
 from deploy.state import Sample, Setpoint, State
 from eval.shard.job import ARM_S
 from robots.arrays import Floats

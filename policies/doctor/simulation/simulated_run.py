@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.backends.sim.backend import simulate
 from deploy.operation.stop_explanation import StopDetector, explain_reasons
 from deploy.policy.policy import Policy
+from deploy.simulation import simulate
 from deploy.tasks.task import find_task
 from eval.judge.counts import Counts
 from eval.judge.judge import Judge

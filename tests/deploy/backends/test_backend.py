@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from deploy.backends.backend import Request
-from deploy.backends.sim.backend import SimBackend, simulate
+from deploy.backends.sim.backend import SimBackend
 from deploy.operation.cli import cli
+from deploy.simulation import simulate
 from robots.errors import ConfigError
 from robots.motors.gains import Gains
 from robots.randomness import robot_seed

@@ -17,7 +17,7 @@ from support.runtimes import built, play
 OUTSIDE = '''
 """Turn the first joint to one angle after another."""
 import numpy as np
-from deploy.policy.observation_sources import ObservationSource
+from deploy.observation_sources import ObservationSource
 from deploy.tasks.success import SuccessCriterion
 from deploy.tasks.task import Task
 

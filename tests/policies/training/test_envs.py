@@ -8,7 +8,7 @@ pytest.importorskip("torch")
 
 import torch
 
-from deploy.backends.sim.backend import simulate
+from deploy.simulation import simulate
 from deploy.state import Mode
 from policies.training.envs import RuntimeEnv
 from policies.training.recipe import contract_of, find_recipe, load_recipe

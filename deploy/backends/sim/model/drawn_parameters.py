@@ -6,9 +6,9 @@ from mujoco.batch import Batch
 
 from deploy.backends.sim.model import motor_parameters as motor
 from deploy.backends.sim.model.plant_model import PlantModel
-from deploy.estimation.rotations import from_up
 from robots.arrays import Floats
 from robots.draws import Draw
+from robots.rotations import from_up
 
 _WITH_HALF_LENGTH = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 """Shapes with a half-length, `size[1]`, that grows with the link; the others keep their size and only move."""

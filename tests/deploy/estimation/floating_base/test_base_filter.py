@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from deploy.estimation.floating_base.base_faults import CONTRADICTED_S, GATE, NIS_S, RANGE, STUCK_S
 from deploy.estimation.floating_base.base_measurements import Feet, Imu, Upright
 from deploy.estimation.floating_base.base_model import G
-from deploy.estimation.rotations import matrix
 from deploy.state import BaseState
+from robots.rotations import matrix
 from support.deploy.floating_bases import DT, LOOK_S, NOISE, F, World, base_filter, one, settled
 
 STUCK_SAMPLES, NIS_SAMPLES = round(STUCK_S / DT), round(NIS_S / LOOK_S)

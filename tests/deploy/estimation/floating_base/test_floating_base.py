@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from deploy.estimation.rotations import matrix
 from deploy.reasons import Reason
 from deploy.state import Mode, Packet
 from robots.distributions import load_distributions
@@ -12,6 +11,7 @@ from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import load_pinocchio
 from robots.randomness import robot_seed
+from robots.rotations import matrix
 from robots.spec import load_robot
 from support.walking import ARM_S, QUADRUPED, STAND, changed, live, walking_contract
 

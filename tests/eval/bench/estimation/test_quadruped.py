@@ -8,10 +8,10 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
-from deploy.estimation.rotations import exp, matrix
 from eval.bench.estimation import floating
 from eval.bench.estimation.quadruped import DT, MODEL, STAND, Gait, simulate_quadrupeds
 from robots.randomness import robot_seed
+from robots.rotations import exp, matrix
 
 MOTIONS, DRAWS = 8, 128
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from deploy.estimation.rotations import exp, from_up, matrix, product, skew
+from robots.rotations import exp, from_up, matrix, product, skew
 
 RNG = np.random.default_rng(0)
 TURNS = np.concatenate([np.zeros((1, 3)), 1e-9 * np.eye(3), RNG.uniform(-3, 3, (60, 3))])

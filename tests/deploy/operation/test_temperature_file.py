@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from deploy.estimation.temperature_file import TemperatureFile
 from deploy.estimation.winding_observer import WindingObserver
+from deploy.operation.temperature_file import TemperatureFile
 from robots.errors import ConfigError, OutputError
 from support.arm6 import SPEC
 from support.deploy.thermal import NOMINAL, live, sample
