@@ -24,7 +24,7 @@ from support.runtimes import (
 )
 
 SimRobot = pytest.importorskip("deploy.backends.sim.robot").SimRobot
-simulate = pytest.importorskip("deploy.backends.sim.backend").simulate
+simulate = pytest.importorskip("deploy.simulation").simulate
 ARM_S = pytest.importorskip("eval.shard.job").ARM_S
 
 POOL = goal_pool(SPEC, ReachConfig())

@@ -69,9 +69,9 @@ def hot_arm(tmp_path, **limits):
 
 def lived(spec, seconds, enough_c=np.inf):
     """(T,) °C, the hottest winding in truth, and the runtime, at home while under power and below `enough_c`."""
-    backend = pytest.importorskip("deploy.backends.sim.backend")
+    simulation = pytest.importorskip("deploy.simulation")
     seeds, hottest = [robot_seed(3, 0)], []
-    runtime, robot = backend.simulate(spec, arm_contract(), seeds, Saying(1))
+    runtime, robot = simulation.simulate(spec, arm_contract(), seeds, Saying(1))
     heard(runtime)
     assert runtime.arm(np.ones(1, dtype=bool))[0] == 0
     for _ in range(round(seconds / spec.dt)):
@@ -102,9 +102,9 @@ def test_foldback_keeps_windings_below_their_hard_limit(tmp_path):
 def test_stopping_robot_has_its_full_current(tmp_path):
     """The stop was checked with it; a robot at work keeps to its share."""
     spec = hot_arm(tmp_path)
-    backend = pytest.importorskip("deploy.backends.sim.backend")
+    simulation = pytest.importorskip("deploy.simulation")
     seeds = [robot_seed(3, robot) for robot in range(2)]
-    runtime, _ = backend.simulate(spec, arm_contract(), seeds, Saying(2))
+    runtime, _ = simulation.simulate(spec, arm_contract(), seeds, Saying(2))
     heard(runtime)
     runtime.arm(np.ones(2, dtype=bool))
     for _ in range(103):

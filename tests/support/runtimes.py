@@ -7,7 +7,7 @@ from robots.randomness import robot_seed
 from support.arm6 import SPEC
 from support.contracts import arm_contract
 
-simulate = pytest.importorskip("deploy.backends.sim.backend").simulate
+simulate = pytest.importorskip("deploy.simulation").simulate
 ARM_S = pytest.importorskip("eval.shard.job").ARM_S
 
 

@@ -10,7 +10,7 @@ from robots.spec import load_robot
 from support.contracts import term
 from support.paths import TEST_ROBOTS
 
-simulate = pytest.importorskip("deploy.backends.sim.backend").simulate
+simulate = pytest.importorskip("deploy.simulation").simulate
 
 QUADRUPED = load_robot(TEST_ROBOTS / "quadruped")
 STAND = QUADRUPED.joint_array("q_home")

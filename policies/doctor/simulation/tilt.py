@@ -4,12 +4,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from deploy.estimation import rotations
 from deploy.observation_sources import SOURCES
 from deploy.policy.contract_term import Term
 from deploy.policy.observation import Observation
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Message, failed, passed, warned
+from robots import rotations
 from robots.arrays import Floats
 
 TILT_RAD = 0.2

@@ -15,7 +15,7 @@ from robots.rotations import matrix
 from robots.spec import load_robot
 from support.walking import ARM_S, QUADRUPED, STAND, changed, live, walking_contract
 
-simulate = pytest.importorskip("deploy.backends.sim.backend").simulate
+simulate = pytest.importorskip("deploy.simulation").simulate
 
 SENSOR = """[sensors.{kind}]
 unit = "{unit}"
