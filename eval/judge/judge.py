@@ -5,7 +5,7 @@ all ratios are compared with 1 at once. NaN is bad.
 """
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,18 +113,16 @@ class Judge(Stage):
             achieved: (B, G) what goals are compared with, by ground truth. goal: (B, G) the present goals.
             attempted: (B,) goals over so far. Where it rises, the goal of the tick before is over.
         """
-        tilt = 0.0 if truth.base is None else true_tilt(truth.base)
-        finite = True if action is None else np.isfinite(action).all(axis=1)
-        # In the order of `Ticks`: keywords would cost as much as the copying.
-        tick: tuple[Any, ...] = (
-            *(target.q, truth.q, truth.qd, truth.tau, truth.winding_c),
-            *(command.q, command.tau, state.q, state.q_var),
-            *(truth.tool_position, truth.tool_velocity, achieved, goal),
-            *(state.age, truth.contact_n, tilt),
-            *(command.powered, finite, truth.self_collision, truth.valid),
-            *(mode, reason, attempted, observation[:, : self._size]),
-        )
-        self.buffer.append(tick)
+        ticks, row = self.buffer.ticks, self.buffer.row
+        ticks.tilt[row] = 0.0 if truth.base is None else true_tilt(truth.base)
+        ticks.action_finite[row] = True if action is None else np.isfinite(action).all(axis=1)
+        ticks.mode[row] = mode
+        ticks.reason[row] = reason
+        ticks.achieved[row] = achieved
+        ticks.goal[row] = goal
+        ticks.attempted[row] = attempted
+        ticks.observation[row] = observation[:, : self._size]
+        self.buffer.append(truth, state, target, command)
         if self.buffer.pending == BLOCK_TICKS:
             self._judge_pending()
 

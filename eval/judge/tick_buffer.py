@@ -1,18 +1,29 @@
 """Ring buffer of judge inputs, evaluated 200 ticks at a time."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.stage import Arrays, Stage
+from deploy.state import Command, State, Target
+from deploy.truth import Truth
 from robots.arrays import Bools, Floats, Ints
 
 BLOCK_TICKS = 200
 """Ticks evaluated at once, to share the cost of numpy calls. Results do not depend on it."""
 PAST = 3
 """Ticks kept from before the block: as many as a third difference needs."""
+
+PerJoint = Annotated[Floats, float, "joints"]
+Vector = Annotated[Floats, float, "xyz"]
+Goal = Annotated[Floats, float, "goal"]
+Number = Annotated[Floats, float]
+Flag = Annotated[Bools, bool]
+Integer = Annotated[Ints, np.int64]
+Observation = Annotated[NDArray[np.float32], np.float32, "observation"]
+"""Each with its dtype and its dimensions after ticks and robots: the buffer is allocated from them."""
 
 
 class Ticks(NamedTuple):
@@ -23,30 +34,30 @@ class Ticks(NamedTuple):
     `achieved` is what `goal` is compared with, by ground truth. `tilt`: rad, of a floating base.
     """
 
-    target: Floats
-    q: Floats
-    qd: Floats
-    tau: Floats
-    winding_c: Floats
-    sent: Floats
-    tau_sent: Floats
-    q_hat: Floats
-    q_var: Floats
-    tool_position: Floats
-    tool_velocity: Floats
-    achieved: Floats
-    goal: Floats
-    age: Floats
-    contact_n: Floats
-    tilt: Floats
-    powered: Bools
-    action_finite: Bools
-    self_collision: Bools
-    valid: Bools
-    mode: Ints
-    reason: Ints
-    attempted: Ints
-    observation: NDArray[np.float32]
+    target: PerJoint
+    q: PerJoint
+    qd: PerJoint
+    tau: PerJoint
+    winding_c: PerJoint
+    sent: PerJoint
+    tau_sent: PerJoint
+    q_hat: PerJoint
+    q_var: PerJoint
+    tool_position: Vector
+    tool_velocity: Vector
+    achieved: Goal
+    goal: Goal
+    age: Number
+    contact_n: Number
+    tilt: Number
+    powered: Flag
+    action_finite: Flag
+    self_collision: Flag
+    valid: Flag
+    mode: Integer
+    reason: Integer
+    attempted: Integer
+    observation: Observation
 
     def at(self, index: Any) -> "Ticks":
         """Return views of all arrays at an index."""
@@ -60,39 +71,52 @@ class TickBuffer(Stage):
     Before the first tick robots are disarmed, and all else is 0.
 
     Attributes:
-        pending: number of ticks appended and not yet judged.
+        ticks: the arrays. pending: number of ticks appended and not yet judged.
     """
 
     def __init__(self, robots: int, n: int, observation: int, goal: int) -> None:
         """Allocate for B robots of n joints, observations and goals of so many numbers."""
-        shape = (PAST + BLOCK_TICKS, robots)
-        flags, integers = np.zeros((4, *shape), dtype=bool), np.zeros((3, *shape), dtype=np.int64)
-        arrays: tuple[Any, ...] = (
-            *np.zeros((9, *shape, n)),
-            *np.zeros((2, *shape, 3)),
-            *np.zeros((2, *shape, goal)),
-            *np.zeros((3, *shape)),
-            *flags,
-            *integers,
-            np.zeros((*shape, observation), dtype=np.float32),
-        )
-        self._ticks, self.pending = Ticks(*arrays), 0
+        sizes = {"joints": n, "xyz": 3, "goal": goal, "observation": observation}
+        arrays: dict[str, Any] = {}
+        for name, kind in get_type_hints(Ticks, include_extras=True).items():
+            dtype, *dimensions = kind.__metadata__
+            shape = (PAST + BLOCK_TICKS, robots, *(sizes[each] for each in dimensions))
+            arrays[name] = np.zeros(shape, dtype)
+        self.ticks, self.pending = Ticks(**arrays), 0
 
-    def append(self, tick: tuple[NDArray[Any], ...]) -> None:
-        """Append one tick (B, ...), in the order of `Ticks`."""
-        row = PAST + self.pending
-        arrays: tuple[NDArray[Any], ...] = self._ticks
-        for array, value in zip(arrays, tick, strict=True):
-            array[row] = value
+    @property
+    def row(self) -> int:
+        """Index in `ticks` of the tick to be appended."""
+        return PAST + self.pending
+
+    def append(self, truth: Truth, state: State, target: Target, command: Command) -> None:
+        """Append a tick (B, ...); the caller writes the other fields. Assignment by name is the fastest way."""
+        ticks, row = self.ticks, self.row
+        ticks.target[row] = target.q
+        ticks.q[row] = truth.q
+        ticks.qd[row] = truth.qd
+        ticks.tau[row] = truth.tau
+        ticks.winding_c[row] = truth.winding_c
+        ticks.sent[row] = command.q
+        ticks.tau_sent[row] = command.tau
+        ticks.q_hat[row] = state.q
+        ticks.q_var[row] = state.q_var
+        ticks.tool_position[row] = truth.tool_position
+        ticks.tool_velocity[row] = truth.tool_velocity
+        ticks.age[row] = state.age
+        ticks.contact_n[row] = truth.contact_n
+        ticks.powered[row] = command.powered
+        ticks.self_collision[row] = truth.self_collision
+        ticks.valid[row] = truth.valid
         self.pending += 1
 
     def pending_ticks(self, robots: int) -> Ticks:
         """Return views of the pending ticks of the first robots, and of the `PAST` ticks before."""
-        return self._ticks.at((slice(PAST + self.pending), slice(robots)))
+        return self.ticks.at((slice(PAST + self.pending), slice(robots)))
 
     def clear(self) -> None:
         """Drop all but the last `PAST` ticks."""
-        for array in self._ticks:
+        for array in self.ticks:
             array[:PAST] = array[self.pending : self.pending + PAST]
         self.pending = 0
 
@@ -107,4 +131,4 @@ class TickBuffer(Stage):
         self.pending = 0
 
     def _past(self) -> dict[str, NDArray[Any]]:
-        return {name: array[:PAST].swapaxes(0, 1) for name, array in self._ticks._asdict().items()}
+        return {name: array[:PAST].swapaxes(0, 1) for name, array in self.ticks._asdict().items()}
