@@ -1,3 +1,5 @@
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -69,12 +71,30 @@ def heard(runtime):
 def running(robots=2, seed=5, **how):
     """The same, armed and under way."""
     runtime = built(robots, seed, **how)
-    heard(runtime)
-    assert not runtime.arm(every(runtime)).any()
-    for _ in range(25):
-        runtime.tick()
+    if how:
+        _start(runtime)
+    else:
+        state, body = _under_way(robots, seed)
+        runtime.restore(state)
+        runtime.robot.restore(body)
+    runtime.tick()
     assert (runtime.supervisor.mode == Mode.RUNNING).all()
     return runtime
+
+
+@cache
+def _under_way(robots, seed):
+    """State of runtime and robots a tick earlier, simulated once in a process."""
+    runtime = built(robots, seed)
+    _start(runtime)
+    return runtime.save(), runtime.robot.save()
+
+
+def _start(runtime):
+    heard(runtime)
+    assert not runtime.arm(every(runtime)).any()
+    for _ in range(24):
+        runtime.tick()
 
 
 def assert_within_limits(q):

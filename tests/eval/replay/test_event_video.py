@@ -60,7 +60,7 @@ def fallen(tmp_path_factory):
     w[PLACES["projected_gravity"].stop - 1] = -2.0
     node = helper.make_node("MatMul", ["observation", "w"], ["action"])
     path = written(folder, [node], {"w": w}, contract)
-    (job,) = soak_config(path, QUADRUPED, hours=2 / 3600, robots=1).jobs()
+    (job,) = soak_config(path, QUADRUPED, hours=1.4 / 3600, robots=1).jobs()
     shard = Shard(job)
     capture = EventCapture(job, shard, folder / "events")
     shard.run(lambda _: None, lambda: False, lambda: capture.flush(shard), capture.observe)

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -372,11 +373,17 @@ def said_upright(world, k, variance, rng):
     return Upright(np.ones(len(lean), dtype=bool), seen, variance, variance)
 
 
+@cache
+def long_walk(ticks):
+    world = World(5, 64, ticks)
+    return world, list(world.packets())
+
+
 def tilt_errors(*, told, feet=False, ticks=2000):
     """(B,) rad, and what the filter says of them, after a while with or without being told where up is."""
-    world, rng, robots = World(5, 64, ticks), np.random.default_rng(6), 64
+    (world, stream), rng, robots = long_walk(ticks), np.random.default_rng(6), 64
     base = base_filter(robots)
-    for t, imu, legs in world.packets():
+    for t, imu, legs in stream:
         upright = said_upright(world, round(t / DT), 1e-4, rng) if told else None
         state = base.step(t, imu, legs._replace(stance=legs.stance & feet), upright)
     leans = np.matvec(matrix(state.quat_wxyz), world.R[ticks - 1][:, 2])

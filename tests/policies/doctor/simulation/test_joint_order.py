@@ -24,9 +24,10 @@ from support.policies import metadata
 pytestmark = pytest.mark.slow
 
 
-def some(names):
-    """Every sixth, with the exchange and the reversal that are tried here: a few seconds instead of many."""
-    return joint_variants(names)[::6]
+@pytest.fixture
+def brief_search(monkeypatch, one_goal):
+    """Every sixth variant, with the exchange and the reversal that are tried here."""
+    monkeypatch.setattr(joint_order, "joint_variants", lambda names: joint_variants(names)[::6])
 
 
 EXCHANGED = [0, 2, 1, 3, 4, 5]
@@ -51,7 +52,7 @@ def reversed_joint(joint, terms):
     return change
 
 
-@pytest.mark.usefixtures("one_goal")
+@pytest.mark.usefixtures("brief_search")
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -59,8 +60,7 @@ def reversed_joint(joint, terms):
         (lambda terms: reversed_joint(2, terms), "elbow reversed"),
     ],
 )
-def test_helpful_exchange_is_named(shipped_policy, terms, tmp_path, monkeypatch, change, said):
-    monkeypatch.setattr(joint_order, "joint_variants", some)
+def test_helpful_exchange_is_named(shipped_policy, terms, tmp_path, change, said):
     case = CheckContext(ailing(shipped_policy, tmp_path, graph=change(terms)))
     assert run_check(case, "simulation").verdict is Verdict.FAIL
     found = run_check(case, "joint order")
@@ -69,10 +69,9 @@ def test_helpful_exchange_is_named(shipped_policy, terms, tmp_path, monkeypatch,
     assert "change the joint names accordingly, and import or export it again" in found.text
 
 
-@pytest.mark.usefixtures("one_goal")
-def test_unhelpful_exchanges_are_not_named(arm_policy, monkeypatch):
+@pytest.mark.usefixtures("brief_search")
+def test_unhelpful_exchanges_are_not_named(arm_policy):
     """A policy that asks for nothing reaches nothing in any order."""
-    monkeypatch.setattr(joint_order, "joint_variants", some)
     found = run_check(CheckContext(arm_policy), "joint order")
     assert found.verdict is Verdict.WARN
     assert "of 3 exchanges of two joints and reversals of one none helps" in found.text

@@ -20,7 +20,7 @@ from policies.doctor import cli as checking
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Verdict
 from policies.doctor.checklist import CHECKS, run_check, run_checks
-from policies.doctor.simulation import joint_order
+from policies.doctor.simulation import joint_order, simulated_run
 from policies.doctor.simulation.heat_extrapolation import HeatLoad, winding_temperature
 from robots.motors.motor import MotorHeat, temperatures
 from robots.spec import load_robot
@@ -319,12 +319,13 @@ def test_walking_robot_is_checked(tmp_path, brief):
     assert "does not tell whether training had one" in run_check(case, "normalizer").text
 
 
-@pytest.mark.parametrize(("command_s", "seconds"), [(2.0, 4.2), (30.0, 12.2)])
+@pytest.mark.parametrize(("command_s", "seconds"), [(2.0, 4.2), (30.0, 5.2)])
 def test_walking_robot_without_a_finished_command_does_not_count_as_working(
-    tmp_path, simulate_for, command_s, seconds
+    tmp_path, simulate_for, monkeypatch, command_s, seconds
 ):
     """Trained with gravity of the other sign it asks for nothing upright; as it is here, it folds up."""
     simulate_for(seconds)
+    monkeypatch.setattr(simulated_run, "COMMAND_S", 3.0)
     folder = shutil.copytree(QUADRUPED.folder, tmp_path / "robot")
     text = (folder / "robot.toml").read_text()
     (folder / "robot.toml").write_text(text.replace("command_s = 2.0", f"command_s = {command_s}"))
