@@ -15,7 +15,7 @@ from eval.judge.monitor import Monitor
 from robots.arrays import Floats, Ints
 from robots.errors import ConfigError
 
-REASONS = ("NONE", *(str(reason.name) for reason in Reason))
+REASON_NAMES = ("NONE", *(str(reason.name) for reason in Reason))
 BINS, BINS_PER_LIMIT = 201, 100
 """Histogram of ratios: bins of 0.01 of the limit; the last holds all from 2 on."""
 
@@ -48,7 +48,7 @@ class Counts:
         limits: (C,) in the unit of the channel's monitor; infinite where unknown, and then nothing is judged.
         ticks: (R,) simulated. invalid: (R,) of them with a diverged simulation, not judged.
         running, moving: (R,) ticks in operation, and in operation with a joint in motion.
-        stops: (R,) times that the robot left operation. reasons: (R, len(REASONS)) why; several may hold.
+        stops: (R,) times that the robot left operation. reasons: (R, len(REASON_NAMES)) why; several may hold.
         latches: (R,) times that the robot lost its power and waited for its operator.
         attempted, reached: (R,) goals; reached by ground truth.
         bad_ticks, events: (R, C). worst: (R, C) highest ratio, bad or not.

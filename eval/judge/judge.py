@@ -16,7 +16,7 @@ from deploy.state import Command, Mode, State, Target
 from deploy.tasks.success import SuccessCriterion, SuccessEvaluation
 from deploy.truth import Truth
 from eval.judge.channels import Channels
-from eval.judge.counts import BINS, REASONS, Counts
+from eval.judge.counts import BINS, REASON_NAMES, Counts
 from eval.judge.events import BadTicks, EventLog
 from eval.judge.limit_ratios import LimitRatios, RatioBlock
 from eval.judge.limits import load_limits
@@ -84,7 +84,7 @@ class Judge(Stage):
         self.events = EventLog(self._channels, self._robots, round(EVENT_GAP_S / spec.dt))
         self.ticks, self.invalid, self.running, self.moving = np.zeros((4, self._robots), dtype=np.int64)
         self.stops, self.latches, self.attempted, self.reached = np.zeros((4, self._robots), dtype=np.int64)
-        self.reasons = np.zeros((self._robots, len(REASONS)), dtype=np.int64)
+        self.reasons = np.zeros((self._robots, len(REASON_NAMES)), dtype=np.int64)
         self.worst, self.bins = np.zeros((self._robots, channels)), np.zeros((channels, BINS), dtype=np.int64)
 
     def step(
@@ -190,7 +190,9 @@ class Judge(Stage):
             reason = window.now.reason[tick]
             self.stops += stop[tick]
             self.reasons[:, 0] += stop[tick] & (reason == 0)
-            self.reasons[:, 1:] += stop[tick][:, None] & (reason[:, None] >> np.arange(len(REASONS) - 1)) & 1
+            self.reasons[:, 1:] += (
+                stop[tick][:, None] & (reason[:, None] >> np.arange(len(REASON_NAMES) - 1)) & 1
+            )
 
     def _count_goals(self, window: TickWindow) -> None:
         """Count goals that are over. Where `attempted` rises, the goal of the tick before is over."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from eval.history.soak_record import Verdict
-from eval.judge.counts import REASONS, Counts
+from eval.judge.counts import REASON_NAMES, Counts
 from eval.report.schema.report_data import Exposure, Report, Stops
 from eval.report.sections.causes import sensitivity
 from eval.report.sections.faults import fault_line
@@ -77,7 +77,7 @@ def _exposure(counts: Counts) -> Exposure:
 
 
 def _stops(counts: Counts) -> Stops:
-    reasons = zip(REASONS, counts.reasons.sum(axis=0).tolist(), strict=True)
+    reasons = zip(REASON_NAMES, counts.reasons.sum(axis=0).tolist(), strict=True)
     return Stops(
         total=int(counts.stops.sum()),
         latches=int(counts.latches.sum()),

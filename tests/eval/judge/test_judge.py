@@ -11,7 +11,7 @@ pytest.importorskip("mujoco")
 
 from deploy.state import Mode
 from deploy.tasks.reach import Reach
-from eval.judge.counts import REASONS, Counts, merge
+from eval.judge.counts import REASON_NAMES, Counts, merge
 from eval.judge.monitors import MONITORS
 from robots.errors import ConfigError
 from support.arm6 import SPEC, arm_judge
@@ -42,6 +42,20 @@ def test_clean_motion_counts_nothing():
     assert counts.evaluations == 3 * GAP
     assert counts.worst.max() < 1
     assert counts.bad_draws() == 0
+
+
+def test_every_input_is_written_on_every_tick():
+    bench = Bench(robots=2)
+    bench.step()
+    judge, written = bench.judge, {}
+    for sentinel in (0, 1):  # twice: a flag has no third value
+        for array in judge.buffer.ticks:
+            array[judge.buffer.row] = sentinel
+        row = judge.buffer.row
+        bench.step()
+        for name, array in judge.buffer.ticks._asdict().items():
+            written[name] = written.get(name, False) or bool((array[row] != sentinel).any())
+    assert all(written.values()), [name for name in written if not written[name]]
 
 
 def test_diverged_robots_are_counted_and_not_judged():
@@ -163,13 +177,13 @@ def test_stops_and_goals_equal_a_slow_reference():
     series = random_series(ticks, robots, seed=4)
     judge = arm_judge(TORQUE_MAX, robots, observed=OBSERVED)
     feed(judge, series, range(ticks))
-    stops, latches, reached, reasons = *np.zeros((3, robots)), np.zeros((robots, len(REASONS)))
+    stops, latches, reached, reasons = *np.zeros((3, robots)), np.zeros((robots, len(REASON_NAMES)))
     before = [Mode.DISARMED] * robots
     for t, r in np.ndindex(ticks, robots):
         mode, reason = series["mode"][t, r], Reason(int(series["reason"][t, r]))
         if mode != before[r] and (mode == Mode.STOPPING or before[r] == Mode.RUNNING):
             stops[r] += 1
-            for k, name in enumerate(REASONS):
+            for k, name in enumerate(REASON_NAMES):
                 reasons[r, k] += reason == Reason.NONE if k == 0 else Reason[name] in reason
         latches[r] += mode == Mode.LATCHED != before[r]
         before[r] = mode

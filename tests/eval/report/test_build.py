@@ -7,7 +7,7 @@ import pytest
 from junitparser import JUnitXml
 
 from eval.judge.channels import Channels
-from eval.judge.counts import REASONS
+from eval.judge.counts import REASON_NAMES
 from eval.report.build import CURVE_POINTS, build
 from eval.report.html import decimals
 from eval.report.plots.curves import wear_plot
@@ -297,8 +297,8 @@ def test_one_bin_cannot_be_compared(reached):
 def test_stops_by_reason():
     result = soak()
     result.counts.stops[2], result.counts.latches[2] = 3, 1
-    result.counts.reasons[2, REASONS.index("WORKSPACE")] = 2
-    result.counts.reasons[2, REASONS.index("NONE")] = 1
+    result.counts.reasons[2, REASON_NAMES.index("WORKSPACE")] = 2
+    result.counts.reasons[2, REASON_NAMES.index("NONE")] = 1
     found = build(result, load_budget())
     assert (found.stops.total, found.stops.latches) == (3, 1)
     assert found.stops.reasons == {"NONE": 1, "WORKSPACE": 2}
