@@ -1,15 +1,12 @@
 """Films of events."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from onnx import helper
 from PIL import Image
 
-from support.eval.bundles import replayed
+from support.eval.bundles import SCRIPT, replayed
 from support.eval.soaks import soak_config
 from support.faulty_policies import written
 from support.walking import PLACES, QUADRUPED, walking_contract
@@ -26,30 +23,35 @@ from robots.errors import ConfigError
 pytestmark = pytest.mark.slow
 
 
-def test_an_event_becomes_a_moving_picture(events, tmp_path):
-    """In a process of its own: Mesa's LLVM and the one that comes with torch do not bear each other."""
-    about, folder = min(
-        ((bundle.open_bundle(path), path) for path in events.iterdir()), key=lambda b: b[0].end - b[0].begin
-    )
-    print(
-        [
-            (bundle.open_bundle(path).begin, bundle.open_bundle(path).end, path.name)
-            for path in events.iterdir()
-        ]
-    )
-    done = replayed(folder, "--video", tmp_path / "a.gif")
+def frames_of(folder, path, places, script=SCRIPT):
+    """Frames (H, W, 3) of the video of an event, its number of frames and its information.
+
+    In a process of its own: Mesa's LLVM and the one that comes with torch do not bear each other.
+    """
+    done = replayed(folder, "--video", path, script=script)
     if "needs OpenGL" in done.stderr:
         pytest.skip("there is no OpenGL")
     assert (done.returncode, done.stderr) == (0, "")
-    with Image.open(tmp_path / "a.gif") as picture:
-        assert picture.n_frames == pytest.approx((about.end - about.begin) / 8, abs=2)
-        assert picture.info["duration"] == 40
-        frames = []
-        for place in (0, picture.n_frames - 1):
-            picture.seek(place)
+    frames = []
+    with Image.open(path) as picture:
+        for place in places:
+            picture.seek(place if place >= 0 else picture.n_frames + place)
             frames.append(np.asarray(picture.convert("RGB"), dtype=float))
+        return frames, picture.n_frames, picture.info
+
+
+def assert_moving(frames):
     assert frames[0].std() > 10
     assert np.abs(frames[1] - frames[0])[:300].max() > 50
+
+
+def test_an_event_becomes_a_moving_picture(events, tmp_path):
+    bundles = [(bundle.open_bundle(path), path) for path in events.iterdir()]
+    about, folder = min(bundles, key=lambda b: b[0].end - b[0].begin)
+    frames, count, info = frames_of(folder, tmp_path / "a.gif", (0, -1))
+    assert count == pytest.approx((about.end - about.begin) / 8, abs=2)
+    assert info["duration"] == 40
+    assert_moving(frames)
 
 
 @pytest.fixture(scope="module")
@@ -82,17 +84,7 @@ def test_base_pose_is_recorded(fallen):
 
 
 def test_camera_follows_a_walking_robot(fallen, tmp_path):
-    done = replayed(fallen, "--video", tmp_path / "a.gif")
-    if "needs OpenGL" in done.stderr:
-        pytest.skip("there is no OpenGL")
-    assert (done.returncode, done.stderr) == (0, "")
-    with Image.open(tmp_path / "a.gif") as picture:
-        frames = []
-        for place in (0, picture.n_frames - 1):
-            picture.seek(place)
-            frames.append(np.asarray(picture.convert("RGB"), dtype=float))
-    assert frames[0].std() > 10
-    assert np.abs(frames[1] - frames[0])[:300].max() > 50
+    assert_moving(frames_of(fallen, tmp_path / "a.gif", (0, -1))[0])
 
 
 FAR = """
@@ -114,16 +106,7 @@ replay.cli()
 
 
 def test_first_frame_far_from_the_origin_is_as_bright_as_the_others(fallen, tmp_path):
-    code = [sys.executable, "-c", FAR, str(fallen), "--video", str(tmp_path / "a.gif")]
-    done = subprocess.run(code, capture_output=True, text=True, check=False)
-    if "needs OpenGL" in done.stderr:
-        pytest.skip("there is no OpenGL")
-    assert (done.returncode, done.stderr) == (0, "")
-    with Image.open(tmp_path / "a.gif") as picture:
-        bright = []
-        for place in range(3):
-            picture.seek(place)
-            bright.append(np.asarray(picture.convert("L"), dtype=float)[:300].mean())
+    bright = [frame[:300].mean() for frame in frames_of(fallen, tmp_path / "a.gif", range(3), FAR)[0]]
     assert bright == pytest.approx([bright[-1]] * 3, rel=0.1)
 
 

@@ -25,6 +25,7 @@ from policies.doctor.check_result import (
 from policies.doctor.checklist import CHECKS, run_check, run_checks
 from robots.errors import ContractError, RobotError
 from support.contracts import NAMES, SWAPPED, contracts
+from support.doctor import text_of
 from support.faulty_policies import (
     ailing,
     answering,
@@ -82,60 +83,56 @@ def test_row_verdict_is_its_worst_note_and_omits_passed_ones():
 
 def test_joints_in_another_order_are_named_with_their_places(sick):
     case = sick(contract=lambda data: data.update(joint_names=SWAPPED))
-    found = run_check(case, "joints")
-    assert found.verdict is Verdict.FAIL
-    assert found.text.startswith("the right joints in another order (")
+    found = text_of(case, "joints", Verdict.FAIL)
+    assert found.startswith("the right joints in another order (")
     moved = [k for k in range(6) if SWAPPED[k] != NAMES[k]]
-    assert all(f"{k}: {SWAPPED[k]}, not {NAMES[k]}" in found.text for k in moved)
+    assert all(f"{k}: {SWAPPED[k]}, not {NAMES[k]}" in found for k in moved)
     assert "joint_names: the right joints in another order" in run_check(case, "loader").text
 
 
 def test_unknown_joints_get_suggestions_and_missing_joints_are_listed(sick):
     wrong = ["sholder_pan", "shoulder_lift", "elbow_joint", "wrist_1", "wrist_1", "wrist_3"]
-    found = run_check(sick(contract=lambda data: data.update(joint_names=wrong)), "joints")
-    assert found.verdict is Verdict.FAIL
+    found = text_of(sick(contract=lambda data: data.update(joint_names=wrong)), "joints", Verdict.FAIL)
     for said in (
         "'sholder_pan', perhaps shoulder_pan",
         "'elbow_joint', perhaps elbow",
         "lacks shoulder_pan, elbow, wrist_2",
         "more than once: wrist_1",
     ):
-        assert said in found.text
+        assert said in found
 
 
 def test_network_trained_in_another_joint_order_is_suspected(sick, shipped_policy):
     """Its normalizer still knows where each joint stood."""
     order = in_another_order([2, 0, 1, 3, 5, 4], contract_of(shipped_policy)["observation"])
-    found = run_check(sick(graph=order), "joints")
-    assert found.verdict is Verdict.WARN
-    assert "in training the mean of shoulder_lift was 1.24 rad, outside its range -2.4 to -0.3" in found.text
-    assert "which fits shoulder_pan or elbow or wrist_3" in found.text
+    found = text_of(sick(graph=order), "joints", Verdict.WARN)
+    assert "in training the mean of shoulder_lift was 1.24 rad, outside its range -2.4 to -0.3" in found
+    assert "which fits shoulder_pan or elbow or wrist_3" in found
 
 
 def test_joint_order_is_unknown_without_training_statistics(sick):
-    found = run_check(
-        sick(graph=without_normalizer, contract=lambda data: data.update(observed=None)), "joints"
+    found = text_of(
+        sick(graph=without_normalizer, contract=lambda data: data.update(observed=None)),
+        "joints",
+        Verdict.WARN,
     )
-    assert found.verdict is Verdict.WARN
-    assert "so only the simulation shows whether the network has this order" in found.text
+    assert "so only the simulation shows whether the network has this order" in found
 
 
 # ---- scale, offset, gains ----
 
 
 def test_doubled_scale_exceeds_joint_limits(sick):
-    found = run_check(sick(contract=action(scale=[0.1] * 6)), "action")
-    assert found.verdict is Verdict.WARN
-    assert "an action of 1 asks for shoulder_pan 5 of 3.14, " in found.text
-    assert "at 50 Hz: compare scale and rate with training" in found.text
+    found = text_of(sick(contract=action(scale=[0.1] * 6)), "action", Verdict.WARN)
+    assert "an action of 1 asks for shoulder_pan 5 of 3.14, " in found
+    assert "at 50 Hz: compare scale and rate with training" in found
 
 
 @pytest.mark.parametrize(("scale", "verdict"), [(3.0, Verdict.FAIL), (0.001, Verdict.WARN)])
 def test_a_scale_in_another_unit_is_named(sick, scale, verdict):
-    found = run_check(sick(contract=action(scale=[0.05] * 5 + [scale])), "action")
-    assert found.verdict is verdict
-    assert f"wrist_3 {50 * scale:.3g} of 3.14 rad/s" in found.text
-    assert "elbow" not in found.text
+    found = text_of(sick(contract=action(scale=[0.05] * 5 + [scale])), "action", verdict)
+    assert f"wrist_3 {50 * scale:.3g} of 3.14 rad/s" in found
+    assert "elbow" not in found
 
 
 def positions(offset, scale=0.5, clip=(-1.0, 1.0)):
@@ -143,29 +140,23 @@ def positions(offset, scale=0.5, clip=(-1.0, 1.0)):
 
 
 def test_an_offset_outside_the_working_range_is_named(sick):
-    found = run_check(sick(contract=positions([0.0] * 6)), "action")
-    assert found.verdict is Verdict.FAIL
-    assert (
-        "an action of 0 asks for shoulder_lift 0, elbow 0, wrist_2 0 rad, outside the working" in found.text
-    )
-    assert "an action of 1 or -1 sends wrist_1 beyond the working range" in found.text
+    found = text_of(sick(contract=positions([0.0] * 6)), "action", Verdict.FAIL)
+    assert "an action of 0 asks for shoulder_lift 0, elbow 0, wrist_2 0 rad, outside the working" in found
+    assert "an action of 1 or -1 sends wrist_1 beyond the working range" in found
 
 
 def test_scales_are_compared_with_the_working_range(sick):
     home = [0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
     assert run_check(sick(contract=positions(home)), "action").verdict is Verdict.PASS
     for scale, said in ((7.0, "more than the joint can"), (0.01, "almost nothing")):
-        found = run_check(sick(contract=positions(home, scale)), "action")
-        assert found.verdict is Verdict.WARN
-        assert said in found.text
+        assert said in text_of(sick(contract=positions(home, scale)), "action", Verdict.WARN)
     unbounded = run_check(sick(contract=positions(home, clip=None)), "action")
     assert (unbounded.verdict, unbounded.text[:5]) == (Verdict.WARN, "clip:")
 
 
 def test_gains_are_compared_with_torque_and_inertia(sick):
-    found = run_check(sick(contract=action(kp=[8000.0] * 6, kd=[200.0] * 5 + [0.01])), "gains")
-    assert found.verdict is Verdict.FAIL
-    hard, odd, ratio = found.text.split("\n")
+    found = text_of(sick(contract=action(kp=[8000.0] * 6, kd=[200.0] * 5 + [0.01])), "gains", Verdict.FAIL)
+    hard, odd, ratio = found.split("\n")
     assert "is wrist_1 400 of 28, wrist_2 400 of 28, wrist_3 400 of 28 N·m: compare kp and scale" in hard
     assert "is shoulder_pan 400 of 150, shoulder_lift 400 of 150, elbow 400 of 150 N·m: compare" in odd
     assert "give a damping ratio of wrist_3 " in ratio
@@ -173,9 +164,10 @@ def test_gains_are_compared_with_torque_and_inertia(sick):
 
 
 def test_gains_that_an_import_does_not_name_cannot_be_compared(sick):
-    found = run_check(sick(contract=lambda data: data.update(trained={"imported": "ONNX"})), "gains")
-    assert found.verdict is Verdict.WARN
-    assert "they cannot be compared with training" in found.text
+    found = text_of(
+        sick(contract=lambda data: data.update(trained={"imported": "ONNX"})), "gains", Verdict.WARN
+    )
+    assert "they cannot be compared with training" in found
 
 
 def test_negative_gains_make_no_contract(sick):
@@ -188,23 +180,23 @@ def test_negative_gains_make_no_contract(sick):
 
 def test_different_control_and_training_rates_are_both_named(sick):
     case = sick(contract=lambda data: data.update(control_hz=500, trained={"step_dt": "0.01", "seed": "x"}))
-    found = run_check(case, "rates")
-    assert found.verdict is Verdict.FAIL
-    assert "made for control at 500 Hz, arm6 has 200 Hz" in found.text
-    assert "policy_hz is 50, training has step_dt: 100 Hz" in found.text
-    agreed = run_check(sick(contract=lambda data: data.update(trained={"policy_hz": "50"})), "rates")
-    assert agreed.verdict is Verdict.PASS
-    assert "as in training" in agreed.text
-    imported = run_check(sick(contract=lambda data: data.update(trained={"imported": "ONNX"})), "rates")
-    assert imported.verdict is Verdict.WARN
-    assert "the rate of training is not in the file: ask" in imported.text
+    found = text_of(case, "rates", Verdict.FAIL)
+    assert "made for control at 500 Hz, arm6 has 200 Hz" in found
+    assert "policy_hz is 50, training has step_dt: 100 Hz" in found
+    agreed = text_of(
+        sick(contract=lambda data: data.update(trained={"policy_hz": "50"})), "rates", Verdict.PASS
+    )
+    assert "as in training" in agreed
+    imported = text_of(
+        sick(contract=lambda data: data.update(trained={"imported": "ONNX"})), "rates", Verdict.WARN
+    )
+    assert "the rate of training is not in the file: ask" in imported
 
 
 def test_a_sensor_slower_than_the_policy_is_named(sick, tmp_path):
     robot, digest = robot_and_digest(tmp_path, toml=[('(unit = "rad"\n)rate_hz = 200', r"\1rate_hz = 40")])
-    found = run_check(sick(robot, contract=digest), "rates")
-    assert found.verdict is Verdict.WARN
-    assert "encoder has 40 new readings per second, the policy runs at 50 Hz" in found.text
+    found = text_of(sick(robot, contract=digest), "rates", Verdict.WARN)
+    assert "encoder has 40 new readings per second, the policy runs at 50 Hz" in found
 
 
 # ---- sensors, protection ----
@@ -214,19 +206,17 @@ def test_unmeasured_term_is_named_with_the_missing_sensor(sick):
     def ask(data):
         data["observation"][2].update(source="base_linear_velocity", frame="base", unit="m/s")
 
-    found = run_check(sick(contract=ask), "sources")
-    assert found.verdict is Verdict.FAIL
-    assert "tool_position (base_linear_velocity) needs gyro and accelerometer, arm6 has" in found.text
-    assert "train without the term" in found.text
+    found = text_of(sick(contract=ask), "sources", Verdict.FAIL)
+    assert "tool_position (base_linear_velocity) needs gyro and accelerometer, arm6 has" in found
+    assert "train without the term" in found
 
 
 def test_a_robot_without_the_camera_that_the_policy_needs(sick, tmp_path):
     camera = r'(?s)\[sensors\.goal\].*?calibrated to the arm\'s base"\n'
     robot, digest = robot_and_digest(tmp_path, toml=[(camera, "")])
-    found = run_check(sick(robot, contract=digest), "sources")
-    assert found.verdict is Verdict.FAIL
-    assert "goal_from_tool (goal_from_tool) needs goal, arm6 has" in found.text
-    assert "goal_torque (goal_torque) needs goal" in found.text
+    found = text_of(sick(robot, contract=digest), "sources", Verdict.FAIL)
+    assert "goal_from_tool (goal_from_tool) needs goal, arm6 has" in found
+    assert "goal_torque (goal_torque) needs goal" in found
 
 
 BARE = {
@@ -243,10 +233,9 @@ BARE = {
 @pytest.mark.parametrize(("old", "new", "said"), BARE.values(), ids=BARE)
 def test_a_robot_without_a_guard_is_named(sick, tmp_path, old, new, said):
     robot, digest = robot_and_digest(tmp_path, xml=[(old, new)])
-    found = run_check(sick(robot, contract=digest), "protection")
-    assert found.verdict is Verdict.FAIL
-    assert said in found.text
-    assert str(robot) in found.text
+    found = text_of(sick(robot, contract=digest), "protection", Verdict.FAIL)
+    assert said in found
+    assert str(robot) in found
 
 
 # ---- the loader ----

@@ -8,8 +8,10 @@ def first(events, monitor):
     return min(events.glob(f"*-{monitor}"))
 
 
-def replayed(*arguments):
-    script = "from eval.replay.cli import cli; cli()"
-    return subprocess.run(
-        [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True, check=False
-    )
+SCRIPT = "from eval.replay.cli import cli; cli()"
+
+
+def replayed(*arguments, script=SCRIPT):
+    """`soak-replay` in a process of its own."""
+    command = [sys.executable, "-c", script, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)

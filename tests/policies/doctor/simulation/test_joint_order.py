@@ -18,6 +18,7 @@ from policies.doctor.checklist import run_check
 from policies.doctor.simulation import joint_order
 from policies.doctor.simulation.joint_order import ROBOTS_PER_VARIANT, PermutedPolicy, joint_variants
 from support.contracts import NAMES
+from support.doctor import text_of
 from support.faulty_policies import ailing, answering, in_another_order, in_front
 from support.policies import metadata
 
@@ -63,18 +64,16 @@ def reversed_joint(joint, terms):
 def test_helpful_exchange_is_named(shipped_policy, terms, tmp_path, change, said):
     case = CheckContext(ailing(shipped_policy, tmp_path, graph=change(terms)))
     assert run_check(case, "simulation").verdict is Verdict.FAIL
-    found = run_check(case, "joint order")
-    assert found.verdict is Verdict.WARN
-    assert f"with {said} it reaches 4 of 4 goals instead of 0" in found.text
-    assert "change the joint names accordingly, and import or export it again" in found.text
+    found = text_of(case, "joint order", Verdict.WARN)
+    assert f"with {said} it reaches 4 of 4 goals instead of 0" in found
+    assert "change the joint names accordingly, and import or export it again" in found
 
 
 @pytest.mark.usefixtures("brief_search")
 def test_unhelpful_exchanges_are_not_named(arm_policy):
     """A policy that asks for nothing reaches nothing in any order."""
-    found = run_check(CheckContext(arm_policy), "joint order")
-    assert found.verdict is Verdict.WARN
-    assert "of 3 exchanges of two joints and reversals of one none helps" in found.text
+    found = text_of(CheckContext(arm_policy), "joint order", Verdict.WARN)
+    assert "of 3 exchanges of two joints and reversals of one none helps" in found
 
 
 def test_every_exchange_and_reversal_is_tried_once():

@@ -26,6 +26,7 @@ from robots.motors.motor import MotorHeat, temperatures
 from robots.spec import load_robot
 from support.arm6 import SPEC
 from support.contracts import arm_contract
+from support.doctor import text_of
 from support.faulty_policies import (
     ailing,
     answering,
@@ -90,9 +91,8 @@ def test_first_target_is_within_one_action_step(sound):
 @pytest.mark.usefixtures("one_goal")
 def test_normalizer_lost_by_the_graph_is_found(sick):
     case = sick(graph=without_normalizer)
-    found = run_check(case, "normalizer")
-    assert found.verdict is Verdict.FAIL
-    assert found.text.startswith(
+    found = text_of(case, "normalizer", Verdict.FAIL)
+    assert found.startswith(
         "training normalized its observations, but the graph has no normalizer before its first"
     )
     assert run_check(case, "simulation").verdict is Verdict.FAIL
@@ -101,14 +101,11 @@ def test_normalizer_lost_by_the_graph_is_found(sick):
 @pytest.mark.usefixtures("one_goal")
 def test_missing_normalizer_is_suspected_and_the_simulation_fails(sick):
     case = sick(graph=without_normalizer, contract=unobserved)
-    found = run_check(case, "normalizer")
-    assert found.verdict is Verdict.WARN
-    assert "the file does not tell whether training had one: ask" in found.text
-    assert "with the contract's scales it gets goal_torque wrist_2 0.0" in found.text
+    found = text_of(case, "normalizer", Verdict.WARN)
+    assert "the file does not tell whether training had one: ask" in found
+    assert "with the contract's scales it gets goal_torque wrist_2 0.0" in found
     assert run_check(case, "training").verdict is Verdict.WARN
-    trial = run_check(case, "simulation")
-    assert trial.verdict is Verdict.FAIL
-    assert "reached 0 of 8 goals" in trial.text
+    assert "reached 0 of 8 goals" in text_of(case, "simulation", Verdict.FAIL)
 
 
 @pytest.mark.usefixtures("two_goals")
@@ -118,9 +115,7 @@ def test_scale_in_degrees_gives_unscaled_observations(sick):
         term["scale"] = [scale / 57.3 for scale in term["scale"]]
 
     case = sick(contract=degrees)
-    found = run_check(case, "normalizer")
-    assert found.verdict is Verdict.WARN
-    assert "the network gets joint_position wrist_2 8" in found.text
+    assert "the network gets joint_position wrist_2 8" in text_of(case, "normalizer", Verdict.WARN)
     training = run_check(case, "training")
     assert training.verdict is Verdict.FAIL
     assert "off training's, in deviations: joint_position wrist_2 8" in training.text
@@ -132,9 +127,7 @@ def test_term_with_too_large_a_scale_has_no_effect(sick):
         data["observation"][3]["scale"] = [850.0] * 3
 
     case = sick(contract=deafen)
-    heard = run_check(case, "normalizer")
-    assert heard.verdict is Verdict.WARN
-    assert "actions hardly change with goal_from_tool (" in heard.text
+    assert "actions hardly change with goal_from_tool (" in text_of(case, "normalizer", Verdict.WARN)
     training = run_check(case, "training")
     assert training.verdict is Verdict.WARN
     assert "readings hardly vary relative to training: goal_from_tool 0 " in training.text
@@ -157,10 +150,9 @@ def test_wrong_joint_order_misses_every_goal(sick, shipped_policy):
 @pytest.mark.usefixtures("one_goal")
 def test_reversed_actions_miss_every_goal(sick):
     case = sick(graph=answering(helper.make_node("Neg", ["said"], ["action"])))
-    trial = run_check(case, "simulation")
-    assert trial.verdict is Verdict.FAIL
-    assert "joint signs and order in the network" in trial.text
-    assert "links would come closer than the collision margin" in trial.text
+    trial = text_of(case, "simulation", Verdict.FAIL)
+    assert "joint signs and order in the network" in trial
+    assert "links would come closer than the collision margin" in trial
     assert "of all actions are at their clip" in run_check(case, "normalizer").text
     for check, said in (
         ("delay", "cannot be seen"),
@@ -179,17 +171,15 @@ def test_a_default_pose_that_is_not_home_jumps_at_activation(sick, brief):
         offset = [0.0, -1.0, 1.0, -1.5, -1.5, 0.0]
         data["action"].update(mode="position", offset=offset, leash_rad=None, scale=[0.05] * 6)
 
-    found = run_check(sick(contract=elsewhere), "first target")
-    assert found.verdict is Verdict.FAIL
-    assert "at the first step it sends shoulder_lift 0.6" in found.text
-    assert "the home pose of robot.toml is not the default pose of training" in found.text
+    found = text_of(sick(contract=elsewhere), "first target", Verdict.FAIL)
+    assert "at the first step it sends shoulder_lift 0.6" in found
+    assert "the home pose of robot.toml is not the default pose of training" in found
 
 
 @pytest.mark.usefixtures("one_goal")
 def test_doubled_scale_starts_too_fast(double):
-    found = run_check(double, "first target")
-    assert found.verdict is Verdict.WARN
-    assert "without the smoother the first step would need shoulder_pan 5.0" in found.text
+    found = text_of(double, "first target", Verdict.WARN)
+    assert "without the smoother the first step would need shoulder_pan 5.0" in found
 
 
 # ---- delay, jitter, shaking ----
@@ -197,9 +187,8 @@ def test_doubled_scale_starts_too_fast(double):
 
 @pytest.mark.usefixtures("one_goal")
 def test_noisy_policy_shakes(nervous):
-    found = run_check(nervous, "chatter")
-    assert found.verdict is Verdict.WARN
-    assert re.match(r"it chatters: shoulder_pan [678][.\d]*, ", found.text)
+    found = text_of(nervous, "chatter", Verdict.WARN)
+    assert re.match(r"it chatters: shoulder_pan [678][.\d]*, ", found)
 
 
 @pytest.mark.parametrize(
@@ -211,26 +200,23 @@ def test_noisy_policy_shakes(nervous):
 )
 @pytest.mark.usefixtures("one_goal")
 def test_delay_absent_in_training_is_named(request, policy, verdict, said):
-    found = run_check(request.getfixturevalue(policy), "delay")
-    assert found.verdict is verdict
-    assert re.match(rf"{said} it reaches \d+ goals instead of \d+", found.text)
-    assert "measure the robot's delay from sensor to motion, and train with it" in found.text
+    found = text_of(request.getfixturevalue(policy), "delay", verdict)
+    assert re.match(rf"{said} it reaches \d+ goals instead of \d+", found)
+    assert "measure the robot's delay from sensor to motion, and train with it" in found
 
 
 @pytest.mark.usefixtures("one_goal")
 def test_policy_sensitive_to_jitter_is_named(nervous):
-    found = run_check(nervous, "jitter")
-    assert found.verdict is Verdict.WARN
-    assert re.search(r"random delays of actions up to 20 ms it reaches \d+ goals instead", found.text)
-    assert "run it on a computer with reliable timing" in found.text
+    found = text_of(nervous, "jitter", Verdict.WARN)
+    assert re.search(r"random delays of actions up to 20 ms it reaches \d+ goals instead", found)
+    assert "run it on a computer with reliable timing" in found
 
 
 @pytest.mark.usefixtures("one_goal")
 def test_stops_by_late_packets_are_named(sick, tmp_path):
     robot, digest = robot_and_digest(tmp_path, toml=[("delay_s = 0.008", "delay_s = 0.025")])
-    found = run_check(sick(robot, contract=digest), "simulation")
-    assert found.verdict is Verdict.WARN
-    assert re.search(r"stopped \d+ times: sensor samples are missing \(\d+\)", found.text)
+    found = text_of(sick(robot, contract=digest), "simulation", Verdict.WARN)
+    assert re.search(r"stopped \d+ times: sensor samples are missing \(\d+\)", found)
 
 
 # ---- heat ----
@@ -239,13 +225,12 @@ def test_stops_by_late_packets_are_named(sick, tmp_path):
 def test_overheating_motors_are_named_with_the_hour(sick, tmp_path):
     cool = ("housing_resistance_k_per_w = 4.0", "housing_resistance_k_per_w = 12.0")
     robot, digest = robot_and_digest(tmp_path, toml=[cool])
-    found = run_check(sick(robot, contract=digest), "heat")
-    assert found.verdict is Verdict.FAIL
+    found = text_of(sick(robot, contract=digest), "heat", Verdict.FAIL)
     assert (
         "after eight hours of this work, with middle values of draws.toml, at 25 °C: shoulder_lift 13"
-        in found.text
+        in found
     )
-    assert re.search(r"too hot: the first is too hot within [345][.\d]* h", found.text)
+    assert re.search(r"too hot: the first is too hot within [345][.\d]* h", found)
 
 
 def test_eight_hours_equal_the_two_node_model():
@@ -308,10 +293,9 @@ def test_walking_robot_is_checked(tmp_path, brief):
     node = helper.make_node("MatMul", ["observation", "w"], ["action"])
     case = CheckContext(written(tmp_path, [node], {"w": w}, contract), QUADRUPED.folder)
     assert run_check(case, "loader").verdict is Verdict.PASS
-    doubts = run_check(case, "sources")
-    assert doubts.verdict is Verdict.WARN
-    assert "base_linear_velocity (base_linear_velocity): no sensor measures it" in doubts.text
-    assert "base_orientation (base_orientation): no sensor measures yaw" in doubts.text
+    doubts = text_of(case, "sources", Verdict.WARN)
+    assert "base_linear_velocity (base_linear_velocity): no sensor measures it" in doubts
+    assert "base_orientation (base_orientation): no sensor measures yaw" in doubts
     assert "it does not respond to tilt" in run_check(case, "tilt").text
     first = run_check(case, "first target")
     assert first.verdict is Verdict.PASS
@@ -344,10 +328,9 @@ def test_walking_robot_without_a_finished_command_does_not_count_as_working(
 def test_robot_that_cannot_be_simulated_has_one_row_with_the_reason(sick, tmp_path):
     robot, digest = robot_and_digest(tmp_path, xml=[('actuatorfrcrange="-150 150" ', "")])
     case = sick(robot, contract=digest)
-    trial = run_check(case, "simulation")
-    assert trial.verdict is Verdict.FAIL
-    assert "not tried: " in trial.text
-    assert "no actuatorfrcrange on joints shoulder_pan, shoulder_lift, elbow" in trial.text
+    trial = text_of(case, "simulation", Verdict.FAIL)
+    assert "not tried: " in trial
+    assert "no actuatorfrcrange on joints shoulder_pan, shoulder_lift, elbow" in trial
     for check in ("training", "first target", "chatter", "delay", "jitter", "heat"):
         assert (run_check(case, check).verdict, run_check(case, check).text) == (
             Verdict.WARN,
@@ -364,9 +347,8 @@ def test_policy_output_of_nan_never_starts(sick, brief):
     broken = onnx.load(case.path)
     nan(broken)
     case.path.write_bytes(broken.SerializeToString())
-    found = run_check(CheckContext(case.path), "simulation")
-    assert found.verdict is Verdict.FAIL
-    assert "a robot did not start: a number is not finite" in found.text
+    found = text_of(CheckContext(case.path), "simulation", Verdict.FAIL)
+    assert "a robot did not start: a number is not finite" in found
 
 
 def test_overflowing_scale_is_not_simulated(sick, brief):
@@ -374,9 +356,8 @@ def test_overflowing_scale_is_not_simulated(sick, brief):
         data["observation"][0]["scale"] = [1e-300] * 6
 
     case = sick(contract=tiny)
-    found = run_check(case, "simulation")
-    assert found.verdict is Verdict.FAIL
-    assert found.text.startswith("not tried: a")
+    found = text_of(case, "simulation", Verdict.FAIL)
+    assert found.startswith("not tried: a")
     assert run_check(case, "training").text == "not tried: see row simulation."
 
 

@@ -14,6 +14,7 @@ from policies.doctor.check_result import Verdict
 from policies.doctor.checklist import run_check
 from policies.doctor.checks.observations import training
 from support.contracts import arm_contract, term
+from support.doctor import text_of
 from support.faulty_policies import written
 
 A = 4
@@ -55,9 +56,8 @@ def balancing(folder, source="projected_gravity", *, even=False, gain=2.0, turne
 @pytest.mark.parametrize("source", UPRIGHT)
 @pytest.mark.parametrize("history", [1, 3])
 def test_policy_with_our_gravity_convention_passes(tmp_path, source, history):
-    found = run_check(balancing(tmp_path, source, history=history), "tilt")
-    assert found.verdict is Verdict.PASS
-    assert "opposite tilts with opposite actions; upright 0." in found.text
+    found = text_of(balancing(tmp_path, source, history=history), "tilt", Verdict.PASS)
+    assert "opposite tilts with opposite actions; upright 0." in found
 
 
 @pytest.mark.parametrize(
@@ -72,9 +72,7 @@ def test_policy_with_our_gravity_convention_passes(tmp_path, source, history):
     ],
 )
 def test_policy_of_another_gravity_convention_is_recognized(tmp_path, source, turned, said):
-    found = run_check(balancing(tmp_path, source, turned=turned), "tilt")
-    assert found.verdict is Verdict.WARN
-    assert said in found.text
+    assert said in text_of(balancing(tmp_path, source, turned=turned), "tilt", Verdict.WARN)
 
 
 def test_working_policy_is_not_suspected(tmp_path, monkeypatch):
@@ -92,24 +90,19 @@ def test_working_policy_is_not_suspected(tmp_path, monkeypatch):
     ],
 )
 def test_training_statistics_reveal_the_convention(tmp_path, source, mean, said):
-    found = run_check(balancing(tmp_path, source, mean=mean), "tilt")
-    assert found.verdict is Verdict.FAIL
-    assert said in found.text
-    ours = run_check(balancing(tmp_path, source, mean=UPRIGHT[source]), "tilt")
-    assert ours.verdict is Verdict.PASS
+    assert said in text_of(balancing(tmp_path, source, mean=mean), "tilt", Verdict.FAIL)
+    text_of(balancing(tmp_path, source, mean=UPRIGHT[source]), "tilt", Verdict.PASS)
 
 
 def test_policy_without_gravity_observation(tmp_path):
-    found = run_check(balancing(tmp_path, gain=0.01), "tilt")
-    assert found.verdict is Verdict.WARN
-    assert found.text.count("rad changes actions by 0.002 at most: it does not respond to tilt") == 2
+    found = text_of(balancing(tmp_path, gain=0.01), "tilt", Verdict.WARN)
+    assert found.count("rad changes actions by 0.002 at most: it does not respond to tilt") == 2
 
 
 def test_policy_with_the_same_response_to_every_tilt(tmp_path):
-    found = run_check(balancing(tmp_path, even=True), "tilt")
-    assert found.verdict is Verdict.WARN
-    assert "tilting forwards and backwards gives similar" in found.text
-    assert "tilting right and left gives similar" in found.text
+    found = text_of(balancing(tmp_path, even=True), "tilt", Verdict.WARN)
+    assert "tilting forwards and backwards gives similar" in found
+    assert "tilting right and left gives similar" in found
 
 
 def test_fixed_base_is_not_checked(arm_policy):
