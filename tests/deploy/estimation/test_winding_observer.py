@@ -129,6 +129,7 @@ def test_winding_margins_without_room_are_refused(tmp_path, name):
         load_robot(copy_of_arm(tmp_path, toml=[(old, new)]))
 
 
+@pytest.mark.slow
 def test_follows_the_equation_through_changing_current_and_housing():
     """To a tenth of a kelvin: the housing is measured, the current is not constant."""
     heat = WindingObserver(SPEC, 1)

@@ -99,6 +99,7 @@ def test_the_library_loop_moves_its_robot(arm_policy):
     np.testing.assert_allclose(robot.data.qpos, robot.target, atol=0.01)
 
 
+@pytest.mark.slow
 def test_errors_of_the_estimator_are_measured_against_the_true_motion(tmp_path):
     """On a motion and a delay that are known: raw angles are two ticks old, estimates are not."""
     seeds = [robot_seed(2, robot) for robot in range(4)]

@@ -117,6 +117,7 @@ def test_unseen_limits_follow_from_the_counts():
     assert text.endswith("no real robot was tested.")
 
 
+@pytest.mark.slow
 def test_json_round_trips(tmp_path):
     found = report(["jerk"])
     assert Report.model_validate_json(found.model_dump_json()) == found
@@ -188,6 +189,7 @@ def test_very_short_run_has_a_report(ticks, samples):
     assert "no bound" in found.statement if ticks == 0 else "rate ≤" in found.statement
 
 
+@pytest.mark.slow
 def test_non_finite_numbers():
     result = soak(["velocity"])
     result.counts.worst[3, result.counts.columns("velocity").start] = np.inf
@@ -316,6 +318,7 @@ def test_one_test_case_for_each_budget_line():
     ]
 
 
+@pytest.mark.slow
 def test_an_older_report_is_replaced_and_nothing_is_left_over(tmp_path):
     write_report(report(["jerk"]), tmp_path / "a" / "b")
     write_report(report(), tmp_path / "a" / "b")

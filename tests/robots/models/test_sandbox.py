@@ -60,6 +60,7 @@ def test_no_code_of_the_current_folder_runs(tmp_path, monkeypatch):
     assert not (tmp_path / "ran").exists()
 
 
+@pytest.mark.slow
 def test_lower_system_limits_are_no_obstacle(tmp_path):
     """A process whose own hard limits are below those of the sandbox cannot raise them, and need not."""
     path = written(tmp_path)

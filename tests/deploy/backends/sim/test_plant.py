@@ -182,6 +182,7 @@ def test_robot_alone_equals_the_same_robot_in_a_group():
     assert_same(group, alone, slice(2, 3))
 
 
+@pytest.mark.slow
 def test_saved_and_restored_goes_on_bit_for_bit():
     """Into a plant that has lived another life, in which one robot diverged; nothing of it remains."""
     path = wild(3, 700)

@@ -65,6 +65,7 @@ def test_only_the_heading_depends_on_the_initial_yaw():
     np.testing.assert_allclose(turned.velocity_in_world, turn.apply(state.velocity_in_world), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_robots_do_not_touch_each_other():
     """The row of 64 equals the row alone, bit for bit."""
     robots, some = 64, (0, 1, 30, 63)

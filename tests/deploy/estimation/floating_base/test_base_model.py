@@ -91,6 +91,7 @@ class ByFilterpy:
 
 
 @pytest.mark.parametrize(("seed", "loss", "slipping"), [(0, 0.0, 0.0), (1, 0.2, 0.05), (2, 0.6, 0.2)])
+@pytest.mark.slow
 def test_equals_filterpy(seed, loss, slipping):
     robots = 2
     base, oracles, refused = base_filter(robots), [None] * robots, 0

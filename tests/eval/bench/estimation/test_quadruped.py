@@ -53,17 +53,20 @@ def test_tilt_and_velocity_are_far_better_than_by_integration(followed, trots):
         assert speed < min(speed_max, alone / 10)
 
 
+@pytest.mark.slow
 def test_angular_velocity_is_better_without_its_bias(followed, trots):
     turning, alone = rmse(followed, "angular_velocity", ~trots)
     assert turning < min(0.025, 0.95 * alone)
 
 
+@pytest.mark.slow
 def test_error_is_consistent_with_the_covariance(followed):
     """Five errors: a foot that lands is neither white nor Gaussian, so the range is wide on purpose."""
     assert 3.0 < followed[True].nees.mean() < 8.0
     assert followed[True].refused < 0.01
 
 
+@pytest.mark.slow
 def test_feet_equal_pinocchio(truth):
     """What a caller computes from joint angles is what the filter is promised, in the base frame."""
     model, expected = pin.buildModelFromMJCF(str(MODEL)), mujoco.MjModel.from_xml_path(str(MODEL))

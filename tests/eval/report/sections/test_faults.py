@@ -90,6 +90,7 @@ def test_a_class_that_was_not_injected_is_no_failure_of_the_robot():
     assert 'class="hit' not in faults
 
 
+@pytest.mark.slow
 def test_the_page_shows_every_class_and_what_was_not_injected():
     told = every_class_handled()
     told.violated[3, -1] = 1 << NAMES.index("torque")

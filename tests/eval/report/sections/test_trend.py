@@ -196,6 +196,7 @@ def test_hostile_name_is_escaped():
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
+@pytest.mark.slow
 def test_browser_renders_every_plot_without_errors(tmp_path):
     page = tmp_path / "trend.html"
     page.write_text(render_history(trend(year()), night(1).settings.task))
