@@ -114,6 +114,7 @@ def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(command, arm_polic
     assert [Path(event).name for event in summary["events"]] == ["event-300.mcap"]
 
 
+@pytest.mark.slow
 def test_a_defect_is_exit_70_with_its_traceback(command, arm_policy, tmp_path, monkeypatch):
     """1 would be a verdict."""
 
