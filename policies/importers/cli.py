@@ -24,9 +24,9 @@ from policies.importers.readers import read_policy
 from policies.importers.reference_policy import MissingSettingError, PolicyFacts, ReferencePolicy
 from policies.importers.standard_graph import to_standard_graph
 from policies.importers.torch_files.network_settings import NetworkSettings
+from policies.importers.untrusted.resource_limits import limit_import
 from robots.errors import ConfigError, ContractError
 from robots.models.fleet import Fleet
-from robots.models.sandbox import limit_import
 from robots.spec import RobotSpec, load_robot
 from robots.strict import parse
 

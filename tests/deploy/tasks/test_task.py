@@ -124,7 +124,7 @@ def test_a_task_of_another_package_trains_and_soaks(call, tmp_path):
     assert call(policy_train, "--recipe", tmp_path / "turn.toml", "--out", tmp_path / "train")[0] == 0
     policy, checkpoint = tmp_path / "turn.onnx", tmp_path / "train" / "turn.pt"
     assert call(policy_export, "--policy", checkpoint, "--out", policy)[0] == 0
-    options = ("--hours", 2 / 3600, "--robots", 3, "--workers", 1, "--out", tmp_path / "soak")
+    options = ("--hours", 2 / 3600, "--robots", 17, "--workers", 2, "--out", tmp_path / "soak")
     assert call(soak_test, "--policy", policy, *options)[0] in (0, 1)
     report = json.loads((tmp_path / "soak" / "report.json").read_text())
-    assert [robot["goals_due"] for robot in report["robots"]] == [4] * 3
+    assert [robot["goals_due"] for robot in report["robots"]] == [4] * 17

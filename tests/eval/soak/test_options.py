@@ -73,7 +73,7 @@ def test_a_wrong_profile_is_named_with_its_field(tmp_path, text, message):
 
 
 def asked(call, monkeypatch, *options):
-    """What `soak-test` with these options would run, and its errors; it ends before it does."""
+    """Soak that `soak-test` would run with these options, not run, and the text of its errors."""
     seen = {}
 
     def stop(**what):

@@ -384,8 +384,8 @@ def test_repeated_weights_are_read_up_to_the_file_limit(tmp_path, monkeypatch):
 
 SCRIPT = """
 import sys
-from robots.models import sandbox
-sandbox.IMPORT_S, sandbox.MEMORY_GIB = float(sys.argv.pop()), 4
+from policies.importers.untrusted import resource_limits
+resource_limits.IMPORT_S, resource_limits.MEMORY_GIB = float(sys.argv.pop()), 4
 from policies.importers.cli import cli
 cli()
 """
