@@ -14,7 +14,7 @@ from eval.replay.capture_window import write_mcap
 from eval.replay.event_video import EventVideo
 from eval.replay.replay_text import mismatch, table
 from eval.replay.replayer import Replay
-from robots.errors import ConfigError
+from eval.video.film import check_film
 
 VIEW_S = 1 / 30
 """s between two frames of the viewer."""
@@ -23,7 +23,7 @@ VIEW_S = 1 / 30
 BundleFolder = Annotated[Path, typer.Argument(help="Folder of an event from soak-test.")]
 View = Annotated[bool, typer.Option("--view", help="Show the replay in MuJoCo's viewer.")]
 VideoFile = Annotated[
-    Path | None, typer.Option(help="GIF file to render to; needs OpenGL (EGL), but no display.")
+    Path | None, typer.Option(help="GIF or MP4 file to render to; needs OpenGL (EGL), but no display.")
 ]
 McapFile = Annotated[
     Path | None,
@@ -39,8 +39,8 @@ def soak_replay(
     Exit codes: 0 reproduced, 1 not reproduced, 2 bad input.
     """
     console = Console()
-    if video is not None and video.suffix != ".gif":
-        raise ConfigError(f"--video {video}: found {video.suffix or 'no suffix'}, expected .gif")
+    if video is not None:
+        check_film(video)
     replay = Replay(bundle)
     _print_event(replay, console)
     renderer = None if video is None else EventVideo(replay.spec)

@@ -14,23 +14,27 @@ from robots.errors import ConfigError
 
 
 class View:
-    """Window on the true pose of one robot; closing it ends the view, not the run."""
+    """Window on the true pose of one robot; closing it ends the view, not the run.
 
-    def __init__(self, robot: SimRobot, row: int = 0) -> None:
-        """Open the window on robot `row`.
+    Attributes:
+        robot: the simulation; another one of the same robot may take its place.
+    """
+
+    def __init__(self, robot: SimRobot, row: int = 0, option: str = "--view") -> None:
+        """Open the window on robot `row`; an error names the `option` that asked for it.
 
         Raises:
             ConfigError: there is no display.
         """
-        check_display()
-        self._robot, self._row, self._scene = robot, row, Scene(robot.spec)
+        check_display(option)
+        self.robot, self._row, self._scene = robot, row, Scene(robot.spec)
         self._viewer = mujoco.viewer.launch_passive(self._scene.model, self._scene.data)
 
     def step(self, _: object = None) -> None:
         """Update the window."""
         if not self._viewer.is_running():
             return
-        plant, row = self._robot.plant, self._row
+        plant, row = self.robot.plant, self._row
         base = plant.kinematics.base
         with self._viewer.lock():
             pose = None if base is None else np.concatenate((base.position[row], base.quat_wxyz[row]))
@@ -39,13 +43,17 @@ class View:
                 self._viewer.cam.lookat[:] = pose[:3]
         self._viewer.sync()
 
+    def close(self) -> None:
+        """Close the window."""
+        self._viewer.close()
 
-def check_display() -> None:
-    """Refuse (ConfigError) without a display: the viewer's own thread would wait forever for it."""
+
+def check_display(option: str) -> None:
+    """Refuse (ConfigError) an option without a display: the viewer's own thread would wait forever for it."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ConfigError("--view: found neither DISPLAY nor WAYLAND_DISPLAY, expected a display")
+        raise ConfigError(f"{option}: found neither DISPLAY nor WAYLAND_DISPLAY, expected a display")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", glfw.GLFWError)
         if not glfw.init():
-            raise ConfigError("--view: GLFW cannot open a window on this display")
+            raise ConfigError(f"{option}: GLFW cannot open a window on this display")
         glfw.terminate()

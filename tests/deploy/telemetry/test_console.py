@@ -40,7 +40,7 @@ def test_the_view_follows_the_true_pose_until_it_is_closed(monkeypatch):
     from deploy.backends.sim import view
 
     windows = []
-    monkeypatch.setattr(view, "check_display", lambda: None)
+    monkeypatch.setattr(view, "check_display", lambda _: None)
     monkeypatch.setattr(
         view.mujoco.viewer, "launch_passive", lambda *args: windows.append(Window(*args)) or windows[0]
     )
@@ -57,7 +57,7 @@ def test_view_follows_a_walking_robot(monkeypatch):
     from deploy.backends.sim import view
 
     windows = []
-    monkeypatch.setattr(view, "check_display", lambda: None)
+    monkeypatch.setattr(view, "check_display", lambda _: None)
     monkeypatch.setattr(
         view.mujoco.viewer, "launch_passive", lambda *args: windows.append(Window(*args)) or windows[0]
     )

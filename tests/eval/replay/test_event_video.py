@@ -15,10 +15,8 @@ pytest.importorskip("mujoco")
 
 from eval.replay import bundle
 from eval.replay.event_capture import EventCapture
-from eval.replay.event_video import opengl_context
 from eval.replay.replayer import Replay
 from eval.shard.shard import Shard
-from robots.errors import ConfigError
 
 pytestmark = pytest.mark.slow
 
@@ -108,11 +106,3 @@ replay.cli()
 def test_first_frame_far_from_the_origin_is_as_bright_as_the_others(fallen, tmp_path):
     bright = [frame[:300].mean() for frame in frames_of(fallen, tmp_path / "a.gif", range(3), FAR)[0]]
     assert bright == pytest.approx([bright[-1]] * 3, rel=0.1)
-
-
-def test_no_opengl_is_bad_input(monkeypatch):
-    monkeypatch.setattr("eval.replay.event_video.CONTEXTS", ("none", "either"))
-    with pytest.raises(
-        ConfigError, match="--video: needs OpenGL, found none of none, either: No module named"
-    ):
-        opengl_context()

@@ -1,6 +1,7 @@
 """Reward and shaping of a policy step, by ground truth."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,18 +50,43 @@ class Limits:
         """(B, n) rad outside the working range, 0 inside."""
         return np.maximum(np.abs(q - self._centre) - self._half, 0.0)
 
+    def broken(self, q: Floats) -> Bools:
+        """(B,) robots with any joint outside its working range, which ends the episode."""
+        return np.asarray((self.beyond(q) > 0).any(axis=1))
+
     def near(self, q: Floats) -> Bools:
         """(B, n) joints beyond the near share of their range."""
         return np.abs(q - self._centre) > self._near * self._half
 
 
-def reward(step: Step, limits: Limits, w: Reward) -> tuple[Floats, Bools]:
-    """Return (B,) the reward without shaping and (B,) robots with a joint out of range, which ends the episode."""
-    broken = np.asarray((limits.beyond(step.q) > 0).any(axis=1))
+class RewardTerms(NamedTuple):
+    """Terms (B,) of the reward without shaping, named as in `Reward`."""
+
+    success: Floats
+    joint_limit: Floats
+    near_limit: Floats
+    power: Floats
+    jerk: Floats
+    survival: Floats
+
+    @property
+    def total(self) -> Floats:
+        """(B,) the reward."""
+        return self.success + self.joint_limit + self.near_limit + self.power + self.jerk + self.survival
+
+
+def reward_terms(step: Step, limits: Limits, w: Reward) -> RewardTerms:
+    """Return the terms of the reward without shaping."""
     power = np.abs(step.tau * step.qd).sum(axis=1)
     jerk = np.linalg.norm(step.qdd_change, axis=1) / step.dt
-    total = w.success * step.reached + w.joint_limit * broken + w.near_limit * limits.near(step.q).sum(axis=1)
-    return total + w.power * power + w.jerk * jerk + w.survival, broken
+    return RewardTerms(
+        success=np.asarray(w.success * step.reached, dtype=np.float64),
+        joint_limit=np.asarray(w.joint_limit * limits.broken(step.q), dtype=np.float64),
+        near_limit=w.near_limit * limits.near(step.q).sum(axis=1),
+        power=w.power * power,
+        jerk=w.jerk * jerk,
+        survival=np.full(len(power), w.survival),
+    )
 
 
 def shaping(step: Step, limits: Limits, w: Shaping) -> Floats:

@@ -1,0 +1,129 @@
+"""Episodes of B simulated robots: the runtime, policy step by policy step, with the caller in the policy's place.
+
+It has no physics, filter or smoother of its own: a policy step is `act`, then `sense` until the policy is due.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from deploy.policy.contract import Contract
+from deploy.simulation import simulate
+from deploy.state import Mode
+from policies.environments.rewards import Limits, Step, reward_terms, shaping
+from policies.training.recipe import Recipe
+from robots.arrays import Bools, Float32s, Floats
+from robots.models.fleet import Fleet
+from robots.spec import RobotSpec
+
+
+class Episodes:
+    """B robots, each with one draw; the caller decides when an episode ends, and at which pose the next one begins.
+
+    A policy step is `run`, then `restart` of robots whose episode ended, then `sense`.
+
+    Attributes:
+        runtime: the shipped one. robot: the simulation. task: of the runtime.
+        limits: working range of the joints.
+        goal_steps: policy steps for each goal.
+        peak_qd: (B, n) rad/s, the largest true joint speeds, until the caller clears them.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        spec: RobotSpec,
+        contract: Contract,
+        seeds: Sequence[np.random.SeedSequence],
+        *,
+        threads: int,
+    ) -> None:
+        """Build runtime and simulation; `restart` everybody first.
+
+        Args:
+            recipe: rewards. contract: of the policy in training.
+            seeds: B seeds: one draw, one stream of noise and one sequence of goals each.
+            threads: for physics; results do not depend on it.
+        """
+        self.runtime, self.robot = simulate(spec, contract, seeds, threads=threads)
+        self.task, self._criterion = self.runtime.task, self.runtime.task.criterion
+        self._spec, self._recipe, self._fleet = spec, recipe, Fleet(spec, len(seeds))
+        self.limits = Limits(spec, recipe.reward.near_share)
+        self.goal_steps = round(self._criterion.period_s * contract.policy_hz)
+        self._last_action, self.peak_qd = np.zeros((2, len(seeds), spec.n))
+
+    def restart(self, ids: Bools, q: Floats) -> None:
+        """Rest robots where `ids` (B,) holds at `q` (B, n) rad, with a new goal; `sense` powers them."""
+        self.robot.reset(ids, q)
+        self.runtime.reset(ids)
+        self._last_action[ids] = 0.0
+
+    def sense(self) -> Float32s:
+        """Return the observation (B, N); robots without power, as after a restart, are armed."""
+        observation = self.runtime.sense()
+        if observation is None:
+            raise RuntimeError(f"tick {self.runtime.ticks} is between policy ticks")
+        off = ~self.runtime.supervisor.powered
+        if off.any():
+            self.runtime.arm(off)
+        return observation.copy()
+
+    def run(self, action: Floats) -> Step:
+        """Act until the policy is due again; the caller does the last `sense`, after restarts."""
+        runtime, task, qdd = self.runtime, self.task, self.runtime.setpoint.qdd.copy()
+        stopped, reached = np.zeros((2, len(qdd)), dtype=bool)
+        goal = task.goal.copy()
+        for tick in range(runtime.decimation):
+            if tick:
+                runtime.sense()
+            running = runtime.supervisor.mode == Mode.RUNNING
+            runtime.act(None if tick else action)
+            stopped |= running & (runtime.supervisor.mode == Mode.STOPPING)
+            reached |= task.ended & (self._distance(task.ended_goal) <= self._criterion.tolerance)
+            np.maximum(self.peak_qd, np.abs(self.robot.plant.qd), out=self.peak_qd)
+        running = runtime.supervisor.mode == Mode.RUNNING
+        decisions = {"reached": reached & running, "running": running, "stopped": stopped}
+        return self._measure(action, goal, qdd, decisions)
+
+    def reward(self, step: Step) -> Floats:
+        """(B,) reward and shaping of a step by the recipe."""
+        total = reward_terms(step, self.limits, self._recipe.reward).total
+        total += shaping(step, self.limits, self._recipe.shaping)
+        return np.where(self.robot.plant.valid, total, self._recipe.reward.joint_limit)
+
+    def failed(self, step: Step) -> Bools:
+        """(B,) episodes that a joint out of range ended, or a simulation that diverged."""
+        return self.limits.broken(step.q) | ~self.robot.plant.valid
+
+    def _measure(self, action: Floats, goal: Floats, qdd: Floats, decisions: dict[str, Bools]) -> Step:
+        """Return the step that has just ended, with the goal and the setpoint's acceleration at its beginning."""
+        runtime, truth = self.runtime, self.robot.truth()
+        change = runtime.action.last - self._last_action
+        self._last_action[:] = runtime.action.last
+        return Step(
+            q=truth.q,
+            qd=truth.qd,
+            tau=truth.tau,
+            qdd_change=runtime.setpoint.qdd - qdd,
+            dt=runtime.decimation * self._spec.dt,
+            distance=self._distance(goal),
+            q_target=runtime.target.q,
+            action_change=change,
+            action_excess=self._excess(action),
+            manipulability=self._manipulability(truth.q),
+            **decisions,
+        )
+
+    def _manipulability(self, q: Floats) -> Floats:
+        """(B,) at joint angles (B, n) rad; infinite for robots without a tool."""
+        if "manipulability" not in self._spec.capabilities:
+            return np.full(len(q), np.inf)
+        return self._fleet.kinematics(q).manipulability()
+
+    def _excess(self, action: Floats) -> Floats:
+        """Return the part of actions beyond the contract's clip; 0 for non-finite actions, which stop the robot."""
+        excess = action - np.clip(action, *self.runtime.contract.action.bounds)
+        return np.where(np.isfinite(action), excess, 0.0)
+
+    def _distance(self, goal: Floats) -> Floats:
+        return self._criterion.distance(self.task.true_achieved(self.robot.truth()), goal)
