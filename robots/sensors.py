@@ -43,6 +43,7 @@ KINDS = {
     "torque": SensorKind("N*m", "site", 3, "TORQUE"),
     "contact": SensorKind("N", "feet", 1, "TOUCH"),
     "goal": SensorKind("m", "none", 3),
+    "distance": SensorKind("m", "site"),
 }
 """All types of sensors, each declared here only."""
 

@@ -44,6 +44,7 @@ class Plant(Stage):
         q, qd: (B, n) rad and rad/s of the links. braked: (B,) brakes closed. housing: (B, n) °C. All are live views.
         readings: true values (B, channels) by kind of sensor; encoders are on the motor's side and wear.
         disturbances: by name.
+        beam: of the distance sensor, or None.
         base: places of the floating base, or None. on_gantry: (B, equalities) base held, of a robot that has one.
         dofs: (n,) places of the joints in `qvel`. bodies: (n,) ids of the links.
         tool: (B, 3) m, world. tool_velocity: (B, 3) m/s, mean over the last control period.
@@ -99,6 +100,7 @@ class Plant(Stage):
         self._force, self._tau = bind("actuator_force"), bind("qfrc_actuator")
         self._site, self._contacts = bind("site_xpos")[:, model.tool], bind("ncon")
         self._sensordata, self._contact_force = bind("sensordata"), model.contact_force
+        self.beam = model.beam
         self.base, self.on_gantry = model.base, bind("eq_active")
         self._damping = self.batch.expand("dof_damping")[:, self.dofs]
         # Of any kind: a simulation that is warned stops in the middle of a rollout, be it for a number that is not

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from deploy.backends.sim.goal_distance import GoalDistance
 from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.sensor_faults import Fault
 from deploy.backends.sim.sensors import Sensors
@@ -25,6 +26,7 @@ class SimRobot(Stage):
     Attributes:
         goal: (B, 3) m, world, as the simulated cameras see it; NaN: none.
         goal_source: where `read` takes the goals from, or None.
+        distance: simulated distance sensor, or None.
     """
 
     carried = ("goal",)
@@ -57,11 +59,19 @@ class SimRobot(Stage):
         self.sensors = Sensors(spec, self.draw, seeds, faults)
         self.goal_source: Callable[[], Floats] | None = None
         self.goal = np.full((self.robots, 3), np.nan)
+        self.distance = GoalDistance(self.plant.batch, self.plant.beam) if self.plant.beam else None
         readings = {**self.plant.readings, "goal": self.goal}
+        if self.distance:
+            readings["distance"] = self.distance.value
+            self.distance.reset(np.ones(self.robots, dtype=bool), self.goal)
         if unknown := [kind for kind in spec.sensors if kind not in readings]:
             raise ConfigError(f"{spec.folder / 'robot.toml'}: sensors: {unknown[0]} cannot be simulated")
         self._true_values = [readings[kind] for kind in spec.sensors]
         self.settle_sensors(np.ones(self.robots, dtype=bool))
+
+    def stages(self) -> dict[str, Stage]:
+        """Stages inside, the distance sensor included."""
+        return super().stages() | ({"distance": self.distance} if self.distance else {})
 
     def read(self) -> Sample:
         """Return the newest packets; goals that are visible from now on arrive in later ones."""
@@ -71,7 +81,11 @@ class SimRobot(Stage):
 
     def write(self, command: Command) -> None:
         """Advance every robot one control period under its command."""
+        if self.distance:
+            self.distance.aim(self.goal)
         self.plant.step(command)
+        if self.distance:
+            self.distance.measure(self.goal)
         self.sensors.sample(self._channels())
 
     def _channels(self) -> Floats:
@@ -91,6 +105,8 @@ class SimRobot(Stage):
     def reset(self, ids: Bools, q: Floats) -> None:
         """Rest robots where `ids` holds at `q` (B, n) rad, motors as at the start."""
         self.plant.reset(ids, q)
+        if self.distance:
+            self.distance.reset(ids, self.goal)
         self.settle_sensors(ids)
 
     def truth(self) -> Truth:

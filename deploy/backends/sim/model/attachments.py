@@ -1,5 +1,7 @@
 """Attachments of the plant: backlash behind every gear, a payload, a cable, and MuJoCo's sensors."""
 
+from typing import NamedTuple
+
 import mujoco
 import numpy as np
 
@@ -10,6 +12,7 @@ from robots.spec import RobotSpec
 
 PAYLOAD, LOAD = "firstshift/payload", "firstshift/load"
 CABLE, ANCHOR = "firstshift/cable", "firstshift/anchor"
+BEAM = "firstshift/beam"
 CONTACT_FORCE, LEVEL = "firstshift/strongest contact", "firstshift/level"
 
 
@@ -83,6 +86,38 @@ def add_cable(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, cable: Cable, spec: 
     tendon.springlength, tendon.stiffness = [0.0, 1.0], [1.0, 0.0, 0.0]
 
 
+class Beam(NamedTuple):
+    """Beam of a distance sensor: ids of its site and of the body that carries it, and its place in `sensordata`."""
+
+    site: int
+    body: int
+    place: int
+
+
+def add_beam(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
+    """Add a rangefinder where the robot has a distance sensor, at a site of its own that can be turned to the goal.
+
+    Raises:
+        RobotError: the sensor's site is neither a site nor a body of model.xml.
+    """
+    if "distance" not in spec.sensors:
+        return
+    site = mjcf.site(_ensured_site(mjcf, "distance", spec.sensors["distance"].sites[0], spec))
+    # MuJoCo gives a site that begins with its body's axes those axes for ever.
+    beam = site.parent.add_site(name=BEAM, pos=site.pos, quat=[0.0, 1.0, 0.0, 0.0])
+    sensor = mjcf.add_sensor(name=BEAM, type=mujoco.mjtSensor.mjSENS_RANGEFINDER)
+    sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_SITE, beam.name
+    sensor.intprm[0] = 1 << int(mujoco.mjtRayDataField.mjRAYDATA_DIST)
+
+
+def find_beam(model: mujoco.MjModel, spec: RobotSpec) -> Beam | None:
+    """Return the beam of the distance sensor; None without one."""
+    if "distance" not in spec.sensors:
+        return None
+    site, place = model.site(BEAM).id, int(model.sensor(BEAM).adr[0])
+    return Beam(site=site, body=int(model.site_bodyid[site]), place=place)
+
+
 def _name(kind: Kind, site: str) -> str:
     return f"firstshift/{kind}/{site}"
 
@@ -103,19 +138,25 @@ def add_site_sensors(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:
 def _add_sensor(mjcf: mujoco.MjSpec, kind: Kind, spec: RobotSpec) -> None:
     """Add a sensor at each of its sites.
 
-    Force and torque are what the site's body and all that it carries put on its parent; an orientation is relative to a
-    body aligned with gravity, which is what an IMU knows.
+    Force and torque are those with which its parent holds the site's body and all that it carries; an orientation is
+    relative to a body aligned with gravity, which is what an IMU knows.
     """
     measured = getattr(mujoco.mjtSensor, f"mjSENS_{KINDS[kind].mujoco}")
-    sites, bodies = ({part.name for part in parts if part.name} for parts in (mjcf.sites, mjcf.bodies))
     for site in spec.sensors[kind].sites:
-        spec.check_known(f"sensors.{kind}.sites", site, "sites or bodies", sorted(sites | bodies))
-        if site not in sites:  # at the body's origin
-            mjcf.body(site).add_site(name=site)
+        _ensured_site(mjcf, kind, site, spec)
         sensor = mjcf.add_sensor(name=_name(kind, site), type=measured)
         sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_SITE, site
         if kind == "orientation":
             sensor.reftype, sensor.refname = mujoco.mjtObj.mjOBJ_BODY, LEVEL
+
+
+def _ensured_site(mjcf: mujoco.MjSpec, kind: Kind, site: str, spec: RobotSpec) -> str:
+    """Return the name of a sensor's site; add it at the origin of the body of that name, if it names a body."""
+    sites, bodies = ({part.name for part in parts if part.name} for parts in (mjcf.sites, mjcf.bodies))
+    spec.check_known(f"sensors.{kind}.sites", site, "sites or bodies", sorted(sites | bodies))
+    if site not in sites:
+        mjcf.body(site).add_site(name=site)
+    return site
 
 
 def add_contact_force(mjcf: mujoco.MjSpec) -> None:

@@ -32,6 +32,7 @@ class PlantModel:
             measures orientation.
         contact_force: place in `sensordata` of the normal force of the strongest contact, for the judge only.
         base: None for a robot that is mounted.
+        beam: of the distance sensor, or None.
         site_sensors: places in `sensordata`, by kind of sensor.
     """
 
@@ -47,6 +48,7 @@ class PlantModel:
     level: int | None
     contact_force: int
     base: FloatingBase | None
+    beam: attachments.Beam | None
     site_sensors: dict[Kind, slice]
 
     @property
@@ -77,6 +79,7 @@ def build(spec: RobotSpec, cable: Cable) -> PlantModel:
     attachments.add_payload(mjcf, nominal, spec)
     attachments.add_cable(mjcf, nominal, cable, spec)
     attachments.add_site_sensors(mjcf, spec)
+    attachments.add_beam(mjcf, spec)
     attachments.add_contact_force(mjcf)
     model = mjcf.compile()
     # A diverged simulation must be noticed, not silently reset.
@@ -112,5 +115,6 @@ def _find(model: mujoco.MjModel, spec: RobotSpec) -> PlantModel:
         level=model.body(attachments.LEVEL).id if "orientation" in spec.sensors else None,
         contact_force=int(model.sensor(attachments.CONTACT_FORCE).adr[0]),
         base=find_floating_base(model, spec),
+        beam=attachments.find_beam(model, spec),
         site_sensors=attachments.find_site_sensors(model, spec),
     )
