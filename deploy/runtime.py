@@ -1,7 +1,6 @@
 """One control tick: read, estimate, observe, run the policy, plan, check, decide, send. For any number of robots."""
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import cast
 
 import numpy as np
@@ -23,7 +22,7 @@ from deploy.reasons import Reason
 from deploy.safety.safety import Safety
 from deploy.safety.supervisor import Supervisor
 from deploy.stage import Arrays, Stage
-from deploy.state import BaseState, Command, Setpoint, State, Target, Verdict
+from deploy.state import BaseState, Command, Sample, Setpoint, State, Target, Verdict
 from deploy.tasks.task import Task, find_task, sources_of
 from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.models.fleet import Fleet
@@ -38,8 +37,8 @@ class Runtime(Stage):
     """Stages of the tick for B robots.
 
     `sense` and `act` are the two halves of a tick; a policy, shipped or in training, sits between them. After a tick
-    its records can be read: `state`, `target`, `verdict`, `setpoint`, `command`; after `restore` they are invalid until
-    the next tick. `save` holds all state but that of the robots themselves.
+    its records can be read: `sample`, `state`, `target`, `verdict`, `setpoint`, `command`; after `restore` they are
+    invalid until the next tick. `save` holds all state but that of the robots themselves.
 
     Attributes:
         ticks: control ticks so far. decimation: control ticks for each step of the policy.
@@ -52,6 +51,7 @@ class Runtime(Stage):
         *("capabilities", "prepared_stop"),
     )
 
+    sample: Sample
     state: State
     verdict: Verdict
     command: Command
@@ -91,7 +91,8 @@ class Runtime(Stage):
         self.prepared_stop = PreparedStop(robots, spec.n)
         self.supervisor = Supervisor(robots, spec.dt)
         self.task: Task = find_task(contract.task, f"contract: task {contract.task!r}")(spec, seeds)
-        readers = {name: partial(source.read, self) for name, source in sources_of(contract.task).items()}
+        sources = sources_of(contract.task)
+        readers = {term.source: sources[term.source].reader(self) for term in contract.observation}
         self.observation = Observation(contract, readers, robots)
         self.requested_stop, self.ticks_since_arming = np.zeros((2, robots), dtype=np.int64)
         self._zeros = np.zeros((robots, spec.n))
@@ -147,7 +148,8 @@ class Runtime(Stage):
 
     def sense(self) -> Float32s | None:
         """Read and estimate; return the observation (B, N) when the policy is due, else None."""
-        t, sample, due = self.t, self.robot.read(), self.ticks % self.decimation == 0
+        t, due = self.t, self.ticks % self.decimation == 0
+        self.sample = sample = self.robot.read()
         state = self.estimator.step(t, sample, self.smoother.sent)
         self.state = self.capabilities.step(t, sample, state, due)
         self.task.observe(self, sample, due)

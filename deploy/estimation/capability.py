@@ -7,6 +7,7 @@ from deploy.stage import Stage
 from deploy.state import Sample, State
 from robots.arrays import Bools
 from robots.capabilities import Capability
+from robots.sensors import Kind
 from robots.spec import RobotSpec
 
 
@@ -14,6 +15,8 @@ class CapabilityEstimator(Stage, ABC):
     """Stage after the joints' estimator, present in robots with `capability`."""
 
     capability: ClassVar[Capability]
+    sensors: ClassVar[tuple[Kind, ...]] = ()
+    """Sensors that it reads, of those that the robot has."""
 
     @abstractmethod
     def __init__(self, spec: RobotSpec, robots: int) -> None:

@@ -20,6 +20,7 @@ from deploy.stage import Stage
 from deploy.state import Packet, Sample, Setpoint, State
 from robots.arrays import Bools, Floats
 from robots.motors.gains import Gains
+from robots.sensors import Kind
 from robots.spec import RobotSpec
 
 LOOK_S = 0.02
@@ -36,6 +37,8 @@ class Estimator(Stage):
         fault: (B,) bit set of `Reason`, found at the last evaluation.
     """
 
+    sensors: ClassVar[tuple[Kind, ...]] = ("encoder", "velocity", "current", "temperature")
+    """Sensors that it reads, of those that the robot has."""
     carried: ClassVar[tuple[str, ...]] = ("fault",)
     parts = ("joints", "setpoints", "stuck_detection", "divergence", "windings", "external_torque")
 

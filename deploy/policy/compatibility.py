@@ -1,12 +1,15 @@
-"""Compatibility of a policy's contract with a robot."""
+"""Compatibility of a policy's contract with a robot, and the sensors that both read together."""
 
 from collections.abc import Iterator
 
-from deploy.observation_sources import ObservationSource
+from deploy.estimation.capabilities import ESTIMATORS
+from deploy.estimation.estimator import Estimator
 from deploy.policy.contract import Contract
 from deploy.policy.contract_term import Term
+from deploy.sources.source import ObservationSource
 from deploy.tasks.task import find_task, sources_of
 from robots.errors import ContractError
+from robots.sensors import Kind
 from robots.spec import RobotSpec
 
 
@@ -41,6 +44,15 @@ def mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
         yield f"action.size: found {contract.action_size}, expected {spec.n}, one for each joint"
 
 
+def sensors_read(contract: Contract, spec: RobotSpec) -> frozenset[Kind]:
+    """Return the robot's sensors that an estimator or a term of the contract reads."""
+    stages = [stage.sensors for stage in ESTIMATORS if stage.capability in spec.capabilities]
+    sources = sources_of(contract.task)
+    terms = [sources[term.source].sensors for term in contract.observation]
+    read = {kind for kinds in (Estimator.sensors, *stages, *terms) for kind in kinds}
+    return frozenset(kind for kind in spec.sensors if kind in read)
+
+
 def _task(name: str, spec: RobotSpec) -> Iterator[str]:
     if missing := find_task(name, f"task: found {name!r}").needs - spec.capabilities:
         yield f"task: found {name!r}, which needs {_listed(tuple(sorted(missing)))}; {_has(spec)}"
@@ -68,13 +80,11 @@ def _listed(names: tuple[str, ...]) -> str:
 
 def _term(term: Term, source: ObservationSource, actions: int, spec: RobotSpec) -> Iterator[str]:
     field = f"observation.{term.name}"
-    expected = actions if term.source == "last_action" else source.size or spec.n
-    if term.size != expected:
-        yield f"{field}.size: found {term.size}, expected {expected} for {term.source}"
-    if missing := source.needs - spec.capabilities:
-        yield f"{field}.source: {term.source} needs {', '.join(sorted(missing))}; {_has(spec)}"
-    elif missing_sensors := [kind for kind in source.sensors if kind not in spec.sensors]:
-        yield (
-            f"{field}.source: {term.source} needs a sensor of kind {' and '.join(missing_sensors)}; {spec.name} has"
-            f" {', '.join(spec.sensors)}"
-        )
+    missing = source.missing(spec)
+    if missing:
+        yield f"{field}.source: {term.source} needs {missing}"
+    if source.needs <= spec.capabilities:
+        of_term = {"last_action": actions, "gait_phase": 2 * len(term.phase_offsets)}
+        expected = of_term.get(term.source, source.count(spec))
+        if term.size != expected:
+            yield f"{field}.size: found {term.size}, expected {expected} for {term.source}"

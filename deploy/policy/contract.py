@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from deploy.policy.contract_action import ActionSpec
-from deploy.policy.contract_term import SIZE_MAX, Name, Numbers, Scales, Term
+from deploy.policy.contract_term import ONE_LEG, SIZE_MAX, Name, Numbers, Scales, Term
 from deploy.tasks.task import sources_of
 from robots.errors import ConfigError, ContractError
 from robots.strict import Strict, parse, read_json
@@ -65,8 +65,11 @@ class Contract(Strict):
             raise ValueError(f"observation: terms named twice: {', '.join(twice)}")
         if self.observation_size > SIZE_MAX:
             raise ValueError(f"observation: {self.observation_size} numbers, at most {SIZE_MAX}")
-        if len(periods := {term.period_s for term in self.observation if term.period_s}) > 1:
+        gaits = [term for term in self.observation if term.period_s]
+        if len(periods := {term.period_s for term in gaits if term.period_s}) > 1:
             raise ValueError(f"observation: period_s: found {sorted(periods)}, expected the same for all")
+        if len(legs := {term.phase_offsets for term in gaits}) > 1:
+            raise ValueError(f"observation: phase_offsets: found {sorted(legs)}, expected the same for all")
         sizes = {len(self.observed.mean), len(self.observed.deviation)} if self.observed else set()
         if wrong := sizes - {self.observation_size}:
             raise ValueError(f"observed: found {wrong.pop()} numbers, expected {self.observation_size}")
@@ -100,6 +103,11 @@ class Contract(Strict):
     def period_s(self) -> float:
         """s, period of the gait; infinite without a gait term."""
         return next((term.period_s for term in self.observation if term.period_s), math.inf)
+
+    @property
+    def phase_offsets(self) -> tuple[float, ...]:
+        """Turns by which each leg of the gait is ahead; of one leg without a gait term."""
+        return next((term.phase_offsets for term in self.observation if term.period_s), ONE_LEG)
 
     @property
     def action_size(self) -> int:

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from deploy.observation_sources import Frame
+from deploy.sources.source import Frame
 from robots.strict import Strict
 
 SIZE_MAX = 4096  # numbers in one observation: a bound on memory, far above any policy here
@@ -26,13 +26,17 @@ Scales = Annotated[tuple[Positive, ...], Field(min_length=1, max_length=SIZE_MAX
 Clip = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
 
 
+ONE_LEG = (0.0,)
+"""Offsets of a gait whose phase is that of one leg."""
+
+
 class Term(Strict):
     """One part of the observation: clip((reading - offset) / scale), with its history.
 
     Attributes:
         name: unique in the contract.
         source: name of an observation source of the robot or the task.
-        frame: "joint", in the order of `joint_names`, "world", "base" or "clock".
+        frame: "joint", in the order of `joint_names`, "world", "base", "sensor" or "clock".
         unit: of the source, before scaling.
         size: numbers in one reading.
         offset: (size,) units; None: nothing is taken away.
@@ -41,6 +45,7 @@ class Term(Strict):
         history: readings kept, oldest first.
         fill: readings before the first one: "first" repeats that one, "zeros".
         period_s: s, of gait_phase alone.
+        phase_offsets: turns by which each leg is ahead of the gait's phase, of gait_phase alone; by default one leg.
     """
 
     name: Name
@@ -54,6 +59,7 @@ class Term(Strict):
     history: Count = 1
     fill: Literal["first", "zeros"] = "first"
     period_s: Positive | None = None
+    phase_offsets: Annotated[Numbers, Field(exclude_if=lambda turns: turns == ONE_LEG)] = ONE_LEG
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -66,5 +72,10 @@ class Term(Strict):
             raise ValueError(
                 f"term {self.name!r}: period_s: found {self.period_s or 'none'}, expected"
                 f" {'s of one gait' if self.source == 'gait_phase' else 'it of gait_phase alone'}"
+            )
+        if self.phase_offsets != ONE_LEG and self.source != "gait_phase":
+            raise ValueError(
+                f"term {self.name!r}: phase_offsets: found {list(self.phase_offsets)}, expected them of gait_phase"
+                " alone"
             )
         return self

@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from deploy.observation_sources import ObservationSource
+from deploy.sources.maximum import REACH, REACH_SQUARED, sensor_range
+from deploy.sources.readings import SILENT_S, sensor_reading
+from deploy.sources.source import ObservationSource
 from deploy.state import Sample
 from deploy.tasks.goal_pool import ReachConfig, goal_pool
 from deploy.tasks.success import SuccessCriterion
@@ -18,9 +20,6 @@ from robots.spec import RobotSpec
 if TYPE_CHECKING:
     from deploy.runtime import Runtime
 
-GOAL_TIMEOUT_S = 1.0
-"""s without a packet of the goal camera after which a goal counts as unknown: the tool then stays where it is."""
-
 
 def _torque_to_goal(runtime: "Runtime") -> Floats:
     """(B, n) N·m, joint torques of a spring of 1 N/m that pulls the tool to the goal."""
@@ -32,6 +31,10 @@ def _camera_goal(runtime: "Runtime") -> Floats:
     if not isinstance(task, Reach):
         raise RuntimeError(f"task {task.name} has no goal that a camera sees")
     return task.camera_goal
+
+
+def _distance(runtime: "Runtime") -> Floats:
+    return sensor_reading(runtime, "distance", missing=runtime.spec.sensors["distance"].range)
 
 
 class Reach(Task):
@@ -47,14 +50,51 @@ class Reach(Task):
     config: ClassVar[ReachConfig] = ReachConfig()
     carried: ClassVar[tuple[str, ...]] = (*Task.carried, "camera_goal")
     sources: ClassVar[Mapping[str, ObservationSource]] = {
-        "goal_position": ObservationSource("world", "m", 3, _camera_goal, "goal camera", ("goal",)),
+        "goal_position": ObservationSource(
+            frame="world",
+            unit="m",
+            size=3,
+            sensing="exteroceptive",
+            maximum=REACH,
+            read=_camera_goal,
+            meaning="goal: goal camera; the tool while it has seen none for 1 s",
+            sensors=("goal",),
+        ),
         "goal_from_tool": ObservationSource(
-            "world", "m", 3, lambda r: _camera_goal(r) - r.tool.position, "goal camera and encoder", ("goal",)
+            frame="world",
+            unit="m",
+            size=3,
+            sensing="exteroceptive",
+            maximum=REACH,
+            read=lambda runtime: _camera_goal(runtime) - runtime.tool.position,
+            meaning="goal minus tool: goal camera and encoder",
+            sensors=("goal",),
         ),
         "goal_torque": ObservationSource(
-            "joint", "N·m", None, _torque_to_goal, "goal camera and encoder", ("goal",)
+            frame="joint",
+            unit="N·m",
+            each="joint",
+            sensing="exteroceptive",
+            maximum=REACH_SQUARED,
+            read=_torque_to_goal,
+            meaning="joint torques of a spring of 1 N/m from tool to goal: goal camera and encoder",
+            sensors=("goal",),
+        ),
+        "goal_distance": ObservationSource(
+            frame="sensor",
+            unit="m",
+            sensing="exteroceptive",
+            maximum=sensor_range("distance"),
+            read=_distance,
+            meaning="distance of the goal from the distance sensor; its range without reading, as while a link is in"
+            " between",
+            sensors=("distance",),
         ),
     }
+    observation: ClassVar[tuple[str, ...]] = (
+        *("joint_position", "joint_velocity", "tool_position", "goal_from_tool", "goal_torque"),
+        *("target_offset", "last_action"),
+    )
 
     def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> None:
         self.pool, self.camera_goal = goal_pool(spec, self.config), np.zeros((len(seeds), 3))
@@ -82,7 +122,7 @@ class Reach(Task):
         self.achieved[:] = runtime.tool.position
         if "goal" in sample:
             packet = sample["goal"]
-            stale = runtime.t - packet.t > GOAL_TIMEOUT_S
+            stale = runtime.t - packet.t > SILENT_S
             known = np.isfinite(packet.value) & ~stale[:, None]
             self.camera_goal[:] = np.where(known, packet.value, self.achieved)
 
@@ -95,19 +135,3 @@ class Reach(Task):
         """(B, n) rad, joint configurations of the pool."""
         q: Floats = self.pool.q[rng.integers(len(self.pool.q), size=len(self.goal))]
         return q
-
-    @classmethod
-    def observation_scales(
-        cls, spec: RobotSpec, *, reach_m: float, leash_rad: float
-    ) -> dict[str, list[float]]:
-        """Tool, goal and the torque towards it beside what every task has."""
-        joints = super().observation_scales(spec, reach_m=reach_m, leash_rad=leash_rad)
-        return {
-            "joint_position": joints["joint_position"],
-            "joint_velocity": joints["joint_velocity"],
-            "tool_position": [reach_m] * 3,
-            "goal_from_tool": [reach_m] * 3,
-            "goal_torque": [reach_m**2] * spec.n,
-            "target_offset": joints["target_offset"],
-            "last_action": joints["last_action"],
-        }

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from deploy.observation_sources import SOURCES, ObservationSource
 from deploy.plugins import TASKS, installed, load
+from deploy.sources.catalogue import SOURCES
+from deploy.sources.source import ObservationSource
 from deploy.stage import Stage
 from deploy.state import Sample
 from deploy.tasks.success import SuccessCriterion, SuccessEvaluation
@@ -45,6 +46,13 @@ class Task(Stage, ABC):
     """Capabilities without which a robot cannot do the task."""
     sources: ClassVar[Mapping[str, ObservationSource]] = {}
     """Observation sources that only this task has, by name."""
+    observation: ClassVar[tuple[str, ...]] = (
+        "joint_position",
+        "joint_velocity",
+        "target_offset",
+        "last_action",
+    )
+    """Sources that a policy trained for the task observes by default, in order."""
 
     carried: ClassVar[tuple[str, ...]] = (
         *("goal", "achieved", "elapsed", "number", "attempted", "reached"),
@@ -97,22 +105,6 @@ class Task(Stage, ABC):
         """Draw (B, n) rad, poses in which training episodes begin; the home pose by default."""
         del rng
         return np.tile(self.spec.joint_array("q_home"), (len(self.goal), 1))
-
-    @classmethod
-    def observation_scales(
-        cls, spec: RobotSpec, *, reach_m: float, leash_rad: float
-    ) -> dict[str, list[float]]:
-        """Return the observation terms of a policy trained for this task: the maximum of each number, by source.
-
-        Positions reach `reach_m` m at most, and a target is at most `leash_rad` rad ahead of its setpoint.
-        """
-        range_max = np.maximum(np.abs(spec.joint_array("q_min")), np.abs(spec.joint_array("q_max")))
-        return {
-            "joint_position": range_max.tolist(),
-            "joint_velocity": spec.joint_array("qd_max").tolist(),
-            "target_offset": [leash_rad] * spec.n,
-            "last_action": [1.0] * spec.n,
-        }
 
     def arm(self, ids: Bools) -> None:
         """React to robots `ids` (B,) being armed; goals stay by default."""

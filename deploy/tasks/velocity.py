@@ -5,7 +5,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from deploy.observation_sources import BASE, ObservationSource
+from deploy.masks import any_true
+from deploy.sources.floating_base import BASE
+from deploy.sources.maximum import COMMAND, UNITY
+from deploy.sources.source import ObservationSource
 from deploy.state import Sample
 from deploy.tasks.success import SuccessCriterion
 from deploy.tasks.task import Task
@@ -30,21 +33,66 @@ def command_error(achieved: Floats, goal: Floats) -> Floats:
     return np.maximum(speed, np.abs(missed[..., 2]) / TURN_TOLERANCE)
 
 
+def yaw(quat_wxyz: Floats) -> Floats:
+    """(B,) rad, heading of the x axis of bases (B, 4) in the world."""
+    w, x, y, z = quat_wxyz.T
+    return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+
+
+def _heading_error(runtime: "Runtime") -> Floats:
+    """(B, 2) sine and cosine of the angle to the left from the heading to the commanded one."""
+    task = runtime.task
+    if not isinstance(task, Velocity):
+        raise RuntimeError(f"task {task.name} commands no heading")
+    turned = task.goal[:, 2] * task.elapsed * runtime.spec.dt
+    error = task.heading + turned - yaw(runtime.base.quat_wxyz)
+    return np.stack((np.sin(error), np.cos(error)), axis=1)
+
+
 class Velocity(Task):
-    """Commands of m/s forwards, m/s to the left and rad/s to the left, uniform in the robot's command range."""
+    """Commands of m/s forwards, m/s to the left and rad/s to the left, uniform in the robot's command range.
+
+    Attributes:
+        heading: (B,) rad, estimated heading when the present command was given. The commanded heading turns from there
+            at the commanded rate.
+    """
 
     name = "velocity"
     size = 3
     needs: ClassVar[frozenset[Capability]] = BASE
     sources: ClassVar[Mapping[str, ObservationSource]] = {
         "velocity_command": ObservationSource(
-            "base", "m/s, m/s, rad/s", 3, lambda r: r.task.goal, "operator"
+            frame="base",
+            unit="m/s, m/s, rad/s",
+            size=3,
+            sensing="none",
+            maximum=COMMAND,
+            read=lambda runtime: runtime.task.goal,
+            meaning="command: forwards, to the left, turning to the left: operator",
+        ),
+        "heading_error": ObservationSource(
+            frame="base",
+            unit="1",
+            size=2,
+            sensing="proprioceptive",
+            maximum=UNITY,
+            read=_heading_error,
+            meaning="sine and cosine of the angle to the left from the heading to the commanded one, which begins with"
+            " each command where the robot heads and turns at the commanded rate: gyro and clock",
+            sensors=("gyro", "accelerometer"),
+            needs=BASE,
         ),
     }
+    observation: ClassVar[tuple[str, ...]] = (
+        *("base_angular_velocity", "projected_gravity", "velocity_command"),
+        *("joint_position", "joint_velocity", "last_action"),
+    )
+    carried: ClassVar[tuple[str, ...]] = (*Task.carried, "heading")
 
     def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> None:
         base = _base(spec)
         self._low, self._high = np.array(base.command_min), np.array(base.command_max)
+        self.heading = np.zeros(len(seeds))
         super().__init__(spec, seeds)
 
     @classmethod
@@ -67,9 +115,7 @@ class Velocity(Task):
         base = truth.base
         if base is None:
             raise RuntimeError("task velocity: the robot has no floating base")
-        w, x, y, z = base.quat_wxyz.T
-        # The first column of the rotation: the base's x axis in the world.
-        heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        heading, (w, x, y, z) = yaw(base.quat_wxyz), base.quat_wxyz.T
         cos, sin, (vx, vy, _) = np.cos(heading), np.sin(heading), base.velocity.T
         # The last row of the rotation: the upward part of each axis of the base.
         up = np.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)), axis=1)
@@ -81,8 +127,10 @@ class Velocity(Task):
         return rng.uniform(self._low, self._high)
 
     def observe(self, runtime: "Runtime", sample: Sample, due: bool) -> None:
-        """Read the estimated velocity of the base."""
+        """Read the estimated velocity of the base, and its heading where a command begins."""
         del sample, due
+        if any_true(begins := self.elapsed == 0):
+            self.heading[begins] = yaw(runtime.base.quat_wxyz[begins])
         self.achieved[:, :2] = runtime.base.velocity_in_base[:, :2]
         self.achieved[:, 2] = runtime.base.angular_velocity[:, 2]
 

@@ -7,13 +7,13 @@ import numpy as np
 
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.sensor_faults import Fault
-from deploy.observation_sources import SOURCES
 from deploy.policy.contract import Contract, Observed
 from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import Term
 from deploy.reasons import Reason
 from deploy.runtime import Runtime
 from deploy.simulation import simulate
+from deploy.sources.catalogue import SOURCES
 from eval.judge.counts import Counts
 from eval.mutants.guard_removal import GuardRemoval, ignore_reasons, in_sequence
 from eval.shard.job import ARM_S

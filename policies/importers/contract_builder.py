@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.observation_sources import ObservationSource
 from deploy.policy.contract import Contract
+from deploy.sources.source import ObservationSource
 from deploy.tasks.task import sources_of
 from policies.importers.contract_draft import ContractDraft, TermDraft
 from policies.importers.reference_policy import ABSENT, PolicyFacts, ReferencePolicy
@@ -52,7 +52,7 @@ class _Block(NamedTuple):
     @property
     def size_in_file(self) -> int:
         """Numbers in one reading of the policy's observation."""
-        return len(self.names) or self.size
+        return len(self.names) * self.source.size or self.size
 
 
 def build_contract(
@@ -96,7 +96,8 @@ class _Builder:
             raise self._error(f"observation {term.name!r}", f"{found}, expected one of {known}")
         source = sources[term.source]
         names = self.driven if term.source == "last_action" else self._draft.joint_names
-        return _Block(term, source, () if source.size else names, source.size or len(self._robot))
+        legs = len(term.phase_offsets) if term.source == "gait_phase" else 1
+        return _Block(term, source, names if source.each == "joint" else (), legs * source.count(self._spec))
 
     def _error(self, field: str, text: str) -> ContractError:
         return ContractError(f"{self._path}: {field}: {text}")
@@ -160,8 +161,10 @@ class _Builder:
             part = start + np.arange(history * size).reshape(history, size)
             start += part.size
             if block.names:
-                padded = np.pad(part, ((0, 0), (0, 1)), constant_values=ABSENT)
-                part = padded[:, [self._robot.index(n) if n in self._robot else size for n in block.names]]
+                joints, each = len(self._robot), block.source.size
+                padded = np.pad(part, ((0, 0), (0, each)), constant_values=ABSENT).reshape(history, -1, each)
+                places = [self._robot.index(n) if n in self._robot else joints for n in block.names]
+                part = padded[:, places].reshape(history, -1)
             parts.append(part[::-1] if self._draft.frames == "newest_first" else part)
         if self._draft.layout == "by_time":
             return np.concatenate(parts, axis=1).ravel()
@@ -180,12 +183,14 @@ class _Builder:
 
     def _term(self, block: _Block) -> dict[str, object]:
         term, size = block.term, block.size_in_file
-        order = _positions_of(block.names, self._robot) if block.names else np.arange(size)
+        order = np.arange(size)
+        if block.names:
+            order = order.reshape(-1, block.source.size)[_positions_of(block.names, self._robot)].ravel()
         where = f"{self._path}: observation {term.name!r}"
         multiply = _expand(term.multiply, size, order, f"{where}: multiply")
         factor = term.multiply[0] if term.clip_first else 1.0
         return {
-            **term.model_dump(include={"name", "source", "history", "period_s"}),
+            **term.model_dump(include={"name", "source", "history", "period_s", "phase_offsets"}),
             "frame": block.source.frame,
             "unit": block.source.unit,
             "size": block.size,

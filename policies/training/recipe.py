@@ -7,7 +7,9 @@ from pydantic import Field, PositiveFloat, PositiveInt
 
 from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
-from deploy.policy.contract_term import Term
+from deploy.policy.contract_term import ONE_LEG, Numbers, Term
+from deploy.sources.maximum import Scale
+from deploy.sources.templates import observation_sources, physical_maxima
 from deploy.tasks.task import find_task, sources_of
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
@@ -31,6 +33,17 @@ class Promise(Strict):
     increment_rad: PositiveFloat
     leash_rad: PositiveFloat
     reach_m: PositiveFloat
+
+
+class Gait(Strict):
+    """Phase of a gait that the policy observes.
+
+    Attributes:
+        period_s: s. phase_offsets: turns by which each leg is ahead.
+    """
+
+    period_s: PositiveFloat
+    phase_offsets: Numbers = ONE_LEG
 
 
 class Environment(Strict):
@@ -110,12 +123,19 @@ class Learner(Strict):
 
 
 class Recipe(Strict):
-    """All settings of a training."""
+    """All settings of a training.
+
+    Attributes:
+        observation: name of a template, or sources in order; None: those of the task.
+        gait: given exactly if gait_phase is observed.
+    """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
     robot: str
     task: str
     seed: Annotated[int, Field(ge=0)]
+    observation: str | Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    gait: Gait | None = None
     promise: Promise
     environment: Environment
     reward: Reward
@@ -164,13 +184,28 @@ def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Con
 
 def _terms(recipe: Recipe, spec: RobotSpec) -> tuple[Term, ...]:
     """Return terms without clip or history, each divided by its physical maximum."""
-    task, sources = find_task(recipe.task, "recipe: task"), sources_of(recipe.task)
-    promise = recipe.promise
-    scales = task.observation_scales(spec, reach_m=promise.reach_m, leash_rad=promise.leash_rad)
+    where = f"recipe {recipe.name}: observation"
+    task, known = find_task(recipe.task, "recipe: task"), sources_of(recipe.task)
+    names = observation_sources(recipe.observation or task.observation, known, spec, where)
+    if ("gait_phase" in names) != (recipe.gait is not None):
+        found, expected = ("no", "one") if recipe.gait is None else ("a", "none")
+        raise ConfigError(f"{where}: found {found} table gait, expected {expected}: {', '.join(names)}")
+    scale = Scale(spec, recipe.promise.reach_m, recipe.promise.leash_rad)
     terms = []
-    for name, scale in scales.items():
-        frame, unit = sources[name].frame, sources[name].unit
+    for name in names:
+        source, gait = known[name], recipe.gait if name == "gait_phase" else None
+        maxima = physical_maxima(name, source, scale, where)
+        if gait:
+            maxima *= len(gait.phase_offsets)
         terms.append(
-            Term(name=name, source=name, frame=frame, unit=unit, size=len(scale), scale=tuple(scale))
+            Term(
+                name=name,
+                source=name,
+                frame=source.frame,
+                unit=source.unit,
+                size=len(maxima),
+                scale=maxima,
+                **(gait.model_dump() if gait else {}),
+            )
         )
     return tuple(terms)

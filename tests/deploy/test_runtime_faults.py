@@ -6,8 +6,8 @@ import pytest
 from deploy.backends.sim.sensor_faults import Failure, Fault
 from deploy.motion.smoother import Smoother
 from deploy.reasons import Reason
+from deploy.sources.readings import SILENT_S
 from deploy.state import Mode, Setpoint
-from deploy.tasks.reach import GOAL_TIMEOUT_S
 from support.arm6 import SPEC
 from support.runtimes import Saying, assert_same, assert_within_limits, every, play, running
 
@@ -178,7 +178,7 @@ def test_faults_of_other_sensors_break_no_limit(sensor, what):
 
 def test_lost_goal_is_replaced_by_the_tool_position():
     runtime = failing("off", 10_000, sensor="goal")
-    play(runtime, round((GOAL_TIMEOUT_S + 0.5) / SPEC.dt))
+    play(runtime, round((SILENT_S + 0.5) / SPEC.dt))
     away = np.linalg.norm(runtime.task.camera_goal - runtime.tool.position, axis=1)
     assert away[0] > 0.01
     assert away[1] == 0.0

@@ -18,6 +18,25 @@ QUADRUPED = load_robot(TEST_ROBOTS / "quadruped")
 STAND = QUADRUPED.joint_array("q_home")
 KP, KD = 150.0, 4.0
 ARM_S = 0.5
+CONTACT_SENSORS = (
+    "[sensors.gyro]",
+    """[sensors.contact]
+unit = "N"
+sites = ["front_left", "front_right", "rear_left", "rear_right"]
+rate_hz = 200
+resolution = 0.1
+range = 500.0
+noise = 1.0
+bias = 0.0
+drift = 0.0
+drift_per_k = 0.0
+delay_s = 0.0
+loss = 0.0
+source = "estimate"
+
+[sensors.gyro]""",
+)
+"""Change of robot.toml that gives it one at each foot, for `changed`."""
 TERMS = (
     term("base_angular_velocity", 3),
     term("base_linear_velocity", 3),

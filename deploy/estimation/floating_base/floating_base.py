@@ -16,7 +16,7 @@ from robots.arrays import Bools, Floats
 from robots.capabilities import Capability
 from robots.models.fleet import Fleet
 from robots.rotations import matrix
-from robots.sensors import Sensor
+from robots.sensors import Kind, Sensor
 from robots.spec import RobotSpec
 from robots.tables import Base
 
@@ -42,6 +42,7 @@ class FloatingBase(CapabilityEstimator):
     """
 
     capability: ClassVar[Capability] = "floating_base"
+    sensors: ClassVar[tuple[Kind, ...]] = ("gyro", "accelerometer", "orientation", "contact")
     carried = ("gravity", "t_up")
     parts = ("filter",)
 
@@ -92,6 +93,15 @@ class FloatingBase(CapabilityEstimator):
             return np.asarray(sample["contact"].value > CONTACT_N)
         depth = np.matvec(position, self.gravity)
         return np.asarray(depth >= depth.max(axis=1, keepdims=True) - self._foot_m)
+
+    def height(self, sample: Sample, state: State) -> Floats:
+        """Return (B, 1) m, the IMU above the mean of the standing feet; above the lowest foot where none stands."""
+        position = self._fleet.kinematics(state.q, jacobians=False).feet_position
+        depth, stands = np.matvec(position, self.gravity), self._stance(sample, position)
+        standing = stands.sum(axis=1)
+        mean = np.where(stands, depth, 0.0).sum(axis=1) / np.maximum(standing, 1)
+        height: Floats = np.where(standing > 0, mean, depth.max(axis=1))
+        return height[:, None]
 
     def measured_up(self, t: float, sample: Sample, gyro: Packet) -> Upright | None:
         """Return up by the IMU's orientation, turned to the time of the gyro's sample; None without that sensor.

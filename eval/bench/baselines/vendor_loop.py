@@ -42,14 +42,15 @@ class VendorLoop:
 
     def _observation(self, t: float, command: Floats) -> Floats:
         contract = self._policy.contract
-        sources = self._sources(2 * np.pi * t / contract.period_s, command)
+        phase = 2 * np.pi * t / contract.period_s + 2 * np.pi * np.array(contract.phase_offsets)
+        sources = self._sources(phase, command)
         terms = [
             (sources[term.source] - np.array(term.offset or 0.0)) / term.scale
             for term in contract.observation
         ]
         return np.concatenate(terms)[None]
 
-    def _sources(self, phase: float, command: Floats) -> dict[str, Floats]:
+    def _sources(self, phase: Floats, command: Floats) -> dict[str, Floats]:
         data, velocity = self._data, np.zeros(3)
         w, x, y, z = data.qpos[3:7]
         up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
@@ -63,7 +64,7 @@ class VendorLoop:
             "joint_position": data.qpos[7:],
             "joint_velocity": data.qvel[6:],
             "last_action": self._last_action,
-            "gait_phase": np.array([np.sin(phase), np.cos(phase)]),
+            "gait_phase": np.concatenate((np.sin(phase), np.cos(phase))),
         }
 
     def forward_speed(self) -> float:

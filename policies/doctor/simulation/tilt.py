@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from deploy.observation_sources import SOURCES
 from deploy.policy.contract_term import Term
 from deploy.policy.observation import Observation
+from deploy.sources.catalogue import SOURCES
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Message, failed, passed, warned
 from robots import rotations

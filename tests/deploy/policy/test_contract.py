@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from deploy.observation_sources import SOURCES
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract import TEXT_MAX, Contract, Observed
 from deploy.policy.contract_action import ActionSpec
+from deploy.sources.catalogue import SOURCES
 from robots.errors import ContractError
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm

@@ -17,13 +17,20 @@ from support.runtimes import built, play
 OUTSIDE = '''
 """Turn the first joint to one angle after another."""
 import numpy as np
-from deploy.observation_sources import ObservationSource
+from deploy.sources.maximum import UNITY
+from deploy.sources.source import ObservationSource
 from deploy.tasks.success import SuccessCriterion
 from deploy.tasks.task import Task
 
 class Turn(Task):
     name, size = "turn", 1
-    sources = {"angle_left": ObservationSource("joint", "rad", 1, lambda r: r.task.goal - r.task.achieved, "encoder")}
+    sources = {
+        "angle_left": ObservationSource(
+            frame="joint", unit="rad", sensing="proprioceptive", maximum=UNITY, meaning="angle left to turn: encoder",
+            read=lambda runtime: runtime.task.goal - runtime.task.achieved,
+        )
+    }
+    observation = (*Task.observation, "angle_left")
 
     @classmethod
     def success_criterion(cls, spec):
@@ -38,10 +45,6 @@ class Turn(Task):
 
     def observe(self, runtime, sample, due):
         self.achieved[:] = runtime.state.q[:, :1]
-
-    @classmethod
-    def observation_scales(cls, spec, *, reach_m, leash_rad):
-        return super().observation_scales(spec, reach_m=reach_m, leash_rad=leash_rad) | {"angle_left": [1.0]}
 '''
 
 

@@ -236,3 +236,42 @@ def test_a_draft_of_another_policy_is_refused():
         settled(drafted(), observations=48)
     with pytest.raises(ContractError, match="joint_names: found 6, the policy gives 7 actions"):
         settled(drafted(), actions=7)
+
+
+@pytest.mark.parametrize(
+    ("frames", "layout"), list(product(("oldest_first", "newest_first"), ("by_term", "by_time")))
+)
+def test_numbers_of_one_joint_stay_together(frames, layout):
+    """Two numbers for each joint, in the owner's order of joints: each finds its own place in the contract."""
+    once = {"clip": "none", "history": 2}
+    pairs = tuple(float(k) for k in range(12))
+    terms = (
+        {"name": "angle", "source": "joint_sin_cos", "offset": pairs, "multiply": 1.0, **once},
+        {"name": "goal", "source": "goal_position", "offset": "none", "multiply": 1.0, **once},
+    )
+    how = {"observation": terms, "frames": frames, "layout": layout, "fill": "first"}
+    built = settled(drafted(**how), observations=2 * (12 + 3))
+    term = built.contract.observation[0]
+    place = {name: THEIRS.index(name) for name in NAMES}
+    assert term.size == 12
+    assert term.offset == tuple(float(2 * place[name] + k) for name in NAMES for k in range(2))
+    assert sorted(built.columns) == list(range(30))
+    newest = built.columns[:12] if frames == "newest_first" else built.columns[-15:-3]
+    if layout == "by_term":
+        newest = built.columns[:12] if frames == "newest_first" else built.columns[12:24]
+    ours = [2 * NAMES.index(name) + k for name in THEIRS for k in range(2)]
+    np.testing.assert_array_equal(newest, 12 + np.array(ours))
+
+
+def test_a_gait_of_several_legs_is_imported():
+    gait = {
+        "name": "gait",
+        "source": "gait_phase",
+        "offset": "none",
+        "multiply": 1.0,
+        "clip": "none",
+        "history": 1,
+    }
+    legs = gait | {"period_s": 0.5, "phase_offsets": (0.0, 0.5)}
+    built = settled(drafted(observation=(legs,), task="velocity"), observations=4)
+    assert (built.contract.observation[0].size, built.contract.phase_offsets) == (4, (0.0, 0.5))
