@@ -9,7 +9,7 @@ from policies.doctor.check_result import CheckResult, Message, failed, summarize
 from policies.doctor.checks.action import action, first_target, gains
 from policies.doctor.checks.identity import joints, loader
 from policies.doctor.checks.observations import normalizer, training
-from policies.doctor.checks.robot import protection, rates, sources
+from policies.doctor.checks.robot import proprioception, protection, rates, sources
 from policies.doctor.simulation.joint_order import joint_order
 from policies.doctor.simulation.task_checks import chatter, delay, heat, jitter, simulation
 from policies.doctor.simulation.tilt import tilt
@@ -22,6 +22,7 @@ CHECKS: dict[str, Callable[[CheckContext], Iterator[Message]]] = {
     "gains": gains,
     "rates": rates,
     "sources": sources,
+    "proprioception": proprioception,
     "protection": protection,
     "normalizer": normalizer,
     "training": training,

@@ -78,7 +78,7 @@ def _inference_s(context: CheckContext) -> float:
 
 def sources(context: CheckContext) -> Iterator[Message]:
     """List the sensor or estimator of each term."""
-    sensors, supplies, known = context.spec.sensors, [], sources_of(context.contract.task)
+    sensors, meanings, known = context.spec.sensors, [], sources_of(context.contract.task)
     for term in context.contract.observation:
         declared, name = known[term.source], f"{term.name} ({term.source})"
         refused = [x for x in context.incompatibilities if x.startswith(f"observation.{term.name}.source")]
@@ -90,8 +90,23 @@ def sources(context: CheckContext) -> Iterator[Message]:
             yield failed(f"{refused[0]}.")
         elif declared.doubt:
             yield warned(f"{name}: {declared.doubt}.")
-        supplies.append(f"{term.name}: {declared.supply}")
-    yield passed("; ".join(supplies) + ".")
+        meanings.append(f"{term.name}: {declared.meaning}")
+    yield passed("; ".join(meanings) + ".")
+
+
+def proprioception(context: CheckContext) -> Iterator[Message]:
+    """Warn of an actor that leans on sensors of the world around the robot."""
+    contract, known = context.contract, sources_of(context.contract.task)
+    outside = [term for term in contract.observation if known[term.source].sensing == "exteroceptive"]
+    if outside:
+        names = ", ".join(f"{term.name} ({term.source})" for term in outside)
+        numbers = sum(term.size * term.history for term in outside)
+        yield warned(
+            f"{numbers} of {contract.observation_size} numbers are exteroceptive: {names}: such sensors are slower,"
+            " noisier and sometimes blind. Prefer proprioception for the actor and leave them to the critic; what the"
+            " task cannot do without, train with its delay, noise and gaps."
+        )
+    yield passed("no number comes from a sensor of the world around the robot.")
 
 
 def protection(context: CheckContext) -> Iterator[Message]:

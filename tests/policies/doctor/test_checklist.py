@@ -211,6 +211,23 @@ def test_unmeasured_term_is_named_with_the_missing_sensor(sick):
     assert "train without the term" in found
 
 
+def test_an_actor_that_leans_on_exteroceptive_sources_is_named(sound):
+    found = text_of(sound, "proprioception", Verdict.WARN)
+    assert "9 of 36 numbers are exteroceptive: goal_from_tool (goal_from_tool), goal_torque" in found
+    assert "Prefer proprioception for the actor" in found
+
+
+def test_an_actor_of_the_body_alone_is_not_warned(sick):
+    def blind(data):
+        for each in data["observation"]:
+            if each["source"] == "goal_from_tool":
+                each.update(source="tool_position")
+            if each["source"] == "goal_torque":
+                each.update(source="joint_velocity", unit="rad/s")
+
+    assert run_check(sick(contract=blind), "proprioception").verdict is Verdict.PASS
+
+
 def test_a_robot_without_the_camera_that_the_policy_needs(sick, tmp_path):
     camera = r'(?s)\[sensors\.goal\].*?calibrated to the arm\'s base"\n'
     robot, digest = robot_and_digest(tmp_path, toml=[(camera, "")])
