@@ -3,6 +3,7 @@
 Faults of sensors are seven failures of each kind, and bursts of lost encoder packets.
 """
 
+from collections.abc import Collection
 from functools import partial
 
 import numpy as np
@@ -32,7 +33,7 @@ NOT_INJECTED = (
     "Limits of joints, workspace and collisions: checked in every tick; runaway policies drive towards them.",
     "Two faults at once, and a fault while the robot answers another one.",
 )
-"""Faults that are not in the table of injections, and the reasons."""
+"""Faults that are in no table of injections, and the reasons."""
 ENCODER: Kind = "encoder"
 BURSTS = {3: StopCategory.NO_STOP, 10: StopCategory.CATEGORY_2, 25: StopCategory.CATEGORY_1}
 """Numbers of packets lost in a row, and their answers."""
@@ -151,14 +152,25 @@ PLANT_FAULTS = (
 )
 
 
-def catalogue(spec: RobotSpec) -> tuple[FaultClass, ...]:
-    """Return all fault classes of a robot, in the order of the report."""
+def catalogue(spec: RobotSpec, read: Collection[Kind]) -> tuple[FaultClass, ...]:
+    """Return all fault classes of a robot, in the order of the report; of its sensors, those of the kinds in `read`."""
     others = (fault.of_robot(spec) for fault in (*POLICY_FAULTS, *PLANT_FAULTS))
-    return (*_sensor_faults(spec), *others)
+    return (*_sensor_faults(spec, read), *others)
 
 
-def _sensor_faults(spec: RobotSpec) -> tuple[SensorFault, ...]:
-    """Return the classes of all sensors of a robot.
+def not_injected(spec: RobotSpec, read: Collection[Kind]) -> tuple[str, ...]:
+    """Return the faults that are not in the catalogue, and the reasons; `read` as in `catalogue`."""
+    unread = (
+        f"Failures of the sensor {kind} ({len(_MEANINGS)} classes): not read by the runtime with this policy; whatever"
+        " it sends, nothing changes."
+        for kind in spec.sensors
+        if kind not in read
+    )
+    return (*unread, *NOT_INJECTED)
+
+
+def _sensor_faults(spec: RobotSpec, read: Collection[Kind]) -> tuple[SensorFault, ...]:
+    """Return the classes of the sensors of a robot that are read.
 
     Without a sensor that it needs, a robot may stop and wait for its operator.
     """
@@ -174,6 +186,7 @@ def _sensor_faults(spec: RobotSpec) -> tuple[SensorFault, ...]:
             meaning=meaning,
         )
         for kind, channels in spec.channels.items()
+        if kind in read
         for failure, meaning in _MEANINGS.items()
     )
     bursts = (

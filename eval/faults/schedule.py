@@ -1,7 +1,7 @@
 """Fault schedule: its settings, and the fault of each robot in each slot as a function of seed, robot and tick."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -11,6 +11,7 @@ from deploy.backends.sim.sensor_faults import Fault
 from eval.faults.catalogue import catalogue
 from eval.faults.fault_class import FaultClass, Injection, SensorFault
 from robots.randomness import Keys, Stream, generator_at, stream_keys
+from robots.sensors import Kind
 from robots.spec import RobotSpec
 from robots.strict import Strict
 
@@ -94,6 +95,7 @@ def hours_max(faults: FaultSettings | None) -> float:
 
 def plan(
     spec: RobotSpec,
+    read: Collection[Kind],
     faults: FaultSettings | None,
     seeds: Sequence[np.random.SeedSequence],
     first: int,
@@ -101,9 +103,10 @@ def plan(
 ) -> Schedule:
     """Plan slots of equal length, with one fault and the time to recover in each slot of every robot.
 
-    The B seeds belong to the robots from number `first` on. A slot that does not fit into `ticks` is left out.
+    The B seeds belong to the robots from number `first` on. A slot that does not fit into `ticks` is left out. Sensors
+    that are not among those `read` do not fail.
     """
-    classes = catalogue(spec)
+    classes = catalogue(spec, read)
     if faults is None:
         return Schedule(classes, len(seeds), ())
     slots = range(round(FIRST_S / spec.dt), ticks, round(faults.cycle_s / spec.dt))

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.policy.compatibility import sensors_read
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.simulation import simulate
@@ -78,7 +79,7 @@ class Shard(Stage):
         seeds = [robot_seed(job.seed, job.first + row) for row in range(WIDTH)]
         self._policy = policy = Policy.load(job.policy, spec)
         _check_digest(job.policy_digest, policy.digest, job.policy)
-        schedule = plan(spec, job.faults, seeds, job.first, job.ticks)
+        schedule = plan(spec, sensors_read(policy.contract, spec), job.faults, seeds, job.first, job.ticks)
         self._job, self.action, faults = job, None, schedule.sensor_faults()
         self.runtime, self.robot = simulate(spec, policy.contract, seeds, policy, draw=draw, faults=faults)
         self.judge = make_judge(spec, policy.contract, WIDTH, counted=job.robots)

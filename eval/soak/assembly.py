@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.policy.compatibility import sensors_read
 from eval.faults.fault_response import merge_responses
 from eval.history.soak_record import Run
 from eval.judge.counts import merge
@@ -32,6 +33,7 @@ def assemble(
     counts = reduce(merge, (shard.counts for shard in shards))
     drawn = parameter_values(config.draw_robots(), load_distributions(config.spec))
     samples = max(len(shard.attempted) for shard in shards) - 1
+    read = sensors_read(config.policy.contract, config.spec)
     responses = merge_responses([shard.responses for shard in shards])
     per_bin, sample_h = max(1, -(-samples // GOAL_BINS)), config.sample_ticks * config.spec.dt / 3600
     arrays: dict[str, Any] = {
@@ -49,7 +51,7 @@ def assemble(
         goals_reached=_binned([shard.reached for shard in shards], per_bin),
         parameters={name: column[: counts.robots] for name, column in drawn.items()},
         bundles=tuple(bundles),
-        faults=None if config.faults is None else fault_table(config.spec, config.faults, responses),
+        faults=None if config.faults is None else fault_table(config.spec, read, config.faults, responses),
     )
 
 

@@ -1,8 +1,10 @@
 """Section "faults": responses to injected faults by class."""
 
+from collections.abc import Collection
+
 import numpy as np
 
-from eval.faults.catalogue import NOT_INJECTED, catalogue
+from eval.faults.catalogue import catalogue, not_injected
 from eval.faults.fault_class import CATEGORY_NAMES, JOINT, POLICY, FaultClass, StopCategory
 from eval.faults.fault_response import DIVERGED, NOT_RUNNING, FaultResponses
 from eval.faults.schedule import FaultSettings
@@ -12,16 +14,21 @@ from eval.statistics.budget import BudgetLine, budget_line
 from eval.statistics.evidence import share_lower, trials_needed
 from eval.statistics.numbers import number
 from robots.arrays import Bools, Floats, Ints
-from robots.sensors import AT_JOINTS
+from robots.sensors import AT_JOINTS, Kind
 from robots.spec import RobotSpec
 
 UNHANDLED_LISTED = 500
 _HARD_BITS = {k: monitor.name for k, monitor in enumerate(MONITORS) if monitor.hard} | {DIVERGED: "diverged"}
 
 
-def fault_table(spec: RobotSpec, settings: FaultSettings, found: FaultResponses) -> FaultTable:
-    """Return every fault class of the catalogue, injected or not, and the first unhandled faults."""
-    classes = catalogue(spec)
+def fault_table(
+    spec: RobotSpec, read: Collection[Kind], settings: FaultSettings, found: FaultResponses
+) -> FaultTable:
+    """Return every fault class of the catalogue, injected or not, and the first unhandled faults.
+
+    `read` are the sensors that the runtime reads with this policy.
+    """
+    classes = catalogue(spec, read)
     required = np.array([each.answer for each in classes])[found.class_index]
     finished = found.complete >= 0
     handled = finished & (found.violated == 0) & (found.answer <= required)
@@ -33,7 +40,7 @@ def fault_table(spec: RobotSpec, settings: FaultSettings, found: FaultResponses)
             _row(spec, found, each, found.class_index == k, handled) for k, each in enumerate(classes)
         ),
         unhandled=tuple(_unhandled(spec, classes, found, (robot, slot)) for robot, slot in unhandled),
-        not_injected=NOT_INJECTED,
+        not_injected=not_injected(spec, read),
     )
 
 

@@ -59,7 +59,7 @@ def told(fault, story, *, lasts=50, speed=0.0, hurt=None, before=RUN):
 
 
 def row(found, fault):
-    table = fault_table(SPEC, FAULTS, found)
+    table = fault_table(SPEC, SPEC.sensors, FAULTS, found)
     return next(
         each for each in table.rows if (each.where, each.what) == (fault.component, fault.failure_mode)
     )
@@ -103,7 +103,7 @@ def test_too_severe_response_is_not_handled():
         one, found = told(named(name), story)
         assert one.answer == StopCategory.CATEGORY_1
         assert row(found, named(name)).handled == handled
-    (fault,) = fault_table(SPEC, FAULTS, told(named("force off"), story)[1]).unhandled
+    (fault,) = fault_table(SPEC, SPEC.sensors, FAULTS, told(named("force off"), story)[1]).unhandled
     assert (fault.fault, fault.answer, fault.channel, fault.violations) == (
         "force off",
         "category 1",
@@ -149,7 +149,7 @@ def test_budget_line_is_the_worst_class():
     fault = named("force off")
     _, found = told(fault, [(400, RUN, 0.5)])
     many = merge_responses([found] * 59)
-    table = fault_table(SPEC, FAULTS, many)
+    table = fault_table(SPEC, SPEC.sensors, FAULTS, many)
     assert row(many, fault).handled_lower == pytest.approx(float(share_lower(59, 59)))
     assert (fault_line(table).found, fault_line(table).passed) == (0.0, False)
     alone = table.model_copy(update={"rows": (row(many, fault),)})

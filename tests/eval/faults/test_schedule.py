@@ -1,5 +1,6 @@
 """Faults on schedule: who suffers what and when, and that what was scheduled really breaks."""
 
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -19,11 +20,12 @@ from support.walking import QUADRUPED
 
 FAULTS = FaultSettings(coverage=0.95, cycle_s=20.0, operator_s=5.0)
 SEEDS = [robot_seed(7, robot) for robot in range(8)]
+planned = partial(plan, SPEC, SPEC.sensors)
 TICKS = round((3.0 + 20.0 * 2 * len(CLASSES)) / DT)
 
 
 def test_classes_and_channels_are_equally_frequent():
-    schedule = plan(SPEC, FAULTS, SEEDS, 0, TICKS)
+    schedule = planned(FAULTS, SEEDS, 0, TICKS)
     assert schedule.class_index.shape == (8, 2 * len(CLASSES))
     for row in schedule.class_index:
         np.testing.assert_array_equal(np.bincount(row[: len(CLASSES)]), 1)
@@ -35,7 +37,7 @@ def test_classes_and_channels_are_equally_frequent():
 
 
 def test_slots_leave_time_to_recover_and_do_not_overlap():
-    injections = plan(SPEC, FAULTS, SEEDS, 0, TICKS).injections
+    injections = planned(FAULTS, SEEDS, 0, TICKS).injections
     assert max(each.slot_end for each in injections) < TICKS
     for robot in range(8):
         mine = sorted((each for each in injections if each.robot == robot), key=lambda each: each.begins)
@@ -46,14 +48,17 @@ def test_slots_leave_time_to_recover_and_do_not_overlap():
 
 
 def test_schedule_depends_on_seed_and_robot_only():
-    whole = plan(SPEC, FAULTS, SEEDS, 0, TICKS)
-    part, short = plan(SPEC, FAULTS, SEEDS[3:5], 3, TICKS), plan(SPEC, FAULTS, SEEDS, 0, TICKS // 3)
+    whole = planned(FAULTS, SEEDS, 0, TICKS)
+    part, short = (
+        planned(FAULTS, SEEDS[3:5], 3, TICKS),
+        planned(FAULTS, SEEDS, 0, TICKS // 3),
+    )
     np.testing.assert_array_equal(part.class_index, whole.class_index[3:5])
     np.testing.assert_array_equal(part.channel, whole.channel[3:5])
     mine = [each._replace(robot=each.robot - 3) for each in whole.injections if 3 <= each.robot < 5]
     assert mine == part.injections
     np.testing.assert_array_equal(short.class_index, whole.class_index[:, : short.class_index.shape[1]])
-    assert not plan(SPEC, None, SEEDS, 0, TICKS).injections
+    assert not planned(None, SEEDS, 0, TICKS).injections
 
 
 OF_SENSORS = [each for each in CLASSES if isinstance(each, SensorFault)]
@@ -185,5 +190,5 @@ def test_short_circuit_without_power_heats_nothing_and_brakes_hold():
 
 @pytest.mark.parametrize("kind", ["gyro", "accelerometer"])
 def test_walking_robot_latches_without_its_imu(kind):
-    answers = {each.answer for each in catalogue(QUADRUPED) if each.component == kind}
+    answers = {each.answer for each in catalogue(QUADRUPED, QUADRUPED.sensors) if each.component == kind}
     assert answers == {StopCategory.CATEGORY_1}

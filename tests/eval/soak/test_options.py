@@ -2,6 +2,7 @@
 
 import pytest
 
+from deploy.policy.compatibility import sensors_read
 from eval.faults.catalogue import catalogue
 from eval.faults.schedule import plan
 from eval.soak import cli as command
@@ -12,6 +13,7 @@ from eval.statistics.evidence import trials_needed
 from robots.errors import ConfigError
 from robots.randomness import robot_seed
 from support.arm6 import SPEC
+from support.contracts import arm_contract
 
 GOOD = 'meaning = "mine"\nhours = 1.5\nrobots = 3\nbudget = "mine.toml"\n'
 FAULTS = "[faults]\ncoverage = 0.9\ncycle_s = 20.0\noperator_s = 5.0\n"
@@ -37,7 +39,8 @@ def test_shipped_profiles_match_their_names(name, robots, hours):
 def test_the_faults_profile_injects_enough_for_the_coverage_that_it_states():
     profile, _ = load_profile("faults")
     seeds, ticks = [robot_seed(7, 0)], round(profile.hours * 3600 / SPEC.dt)
-    each = len(plan(SPEC, profile.faults, seeds, 0, ticks).injections) // len(catalogue(SPEC))
+    read = sensors_read(arm_contract(), SPEC)
+    each = len(plan(SPEC, read, profile.faults, seeds, 0, ticks).injections) // len(catalogue(SPEC, read))
     assert each * profile.robots >= trials_needed(profile.faults.coverage) * 1.2  # some find no robot at work
 
 

@@ -3,7 +3,7 @@ from eval.faults.fault_class import Injection
 from eval.faults.schedule import Schedule
 from support.arm6 import SPEC
 
-CLASSES, N, DT = catalogue(SPEC), SPEC.n, SPEC.dt
+CLASSES, N, DT = catalogue(SPEC, SPEC.sensors), SPEC.n, SPEC.dt
 
 
 def named(name):

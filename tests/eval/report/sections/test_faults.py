@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eval.faults.catalogue import NOT_INJECTED, catalogue
+from deploy.policy.compatibility import sensors_read
+from eval.faults.catalogue import catalogue, not_injected
 from eval.faults.fault_class import StopCategory
 from eval.faults.fault_response import FaultResponses
 from eval.faults.schedule import FaultSettings
@@ -16,9 +17,11 @@ from eval.report.schema.report_data import Report
 from eval.report.sections.faults import fault_table
 from eval.statistics.budget import load_budget
 from support.arm6 import SPEC
+from support.contracts import arm_contract
 from support.eval.reports import Page, rendered, soak
 
-CLASSES, ROBOTS = catalogue(SPEC), 60
+READ = sensors_read(arm_contract(), SPEC)
+CLASSES, ROBOTS = catalogue(SPEC, READ), 60
 
 
 def every_class_handled():
@@ -39,7 +42,7 @@ def every_class_handled():
 
 
 def report(found):
-    table = fault_table(SPEC, FaultSettings(coverage=0.95, cycle_s=20.0, operator_s=5.0), found)
+    table = fault_table(SPEC, READ, FaultSettings(coverage=0.95, cycle_s=20.0, operator_s=5.0), found)
     return build(replace(soak(), faults=table), load_budget())
 
 
@@ -97,7 +100,8 @@ def test_the_page_shows_every_class_and_what_was_not_injected():
     words = " ".join("".join(Page(rendered(report(told))).words).split())
     for each in CLASSES:
         assert each.name in words
-    for sentence in NOT_INJECTED:
+    assert "Failures of the sensor force (7 classes): not read" in words
+    for sentence in not_injected(SPEC, READ):
         assert sentence in words
     assert "0.10 / 0.10" in words
     assert "category 1category 2 60" in words
