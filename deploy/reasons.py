@@ -33,6 +33,7 @@ class Reason(IntFlag):
     MOVING = 1 << 17
     LOAD = 1 << 18
     FALLEN = 1 << 19
+    ACCELERATION = 1 << 20
 
 
 class StopReason(NamedTuple):
@@ -49,6 +50,7 @@ class StopReason(NamedTuple):
 REASONS = {
     Reason.POSITION: StopReason(2, "a joint would leave its working range"),
     Reason.VELOCITY: StopReason(2, "a joint would exceed its speed limit"),
+    Reason.ACCELERATION: StopReason(2, "a joint would exceed its acceleration limit"),
     Reason.TORQUE: StopReason(2, "a joint would need more torque than its drive has"),
     Reason.WORKSPACE: StopReason(2, "the tool would leave its workspace"),
     Reason.COLLISION: StopReason(2, "links would come closer than the collision margin"),

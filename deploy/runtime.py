@@ -11,9 +11,9 @@ from deploy.estimation.capabilities import CapabilityEstimators
 from deploy.estimation.estimator import Estimator
 from deploy.estimation.tool_kinematics import ToolKinematics
 from deploy.masks import all_true, any_true
-from deploy.motion.drive_law import spring_drives
+from deploy.motion.drive_law import SpringDrives, drive_law
 from deploy.motion.prepared_stop import PreparedStop, select
-from deploy.motion.smoother import Smoother
+from deploy.motion.smoothers import drive_modes, make_smoother
 from deploy.policy.action import Action
 from deploy.policy.contract import Contract
 from deploy.policy.observation import Observation
@@ -26,7 +26,7 @@ from deploy.state import BaseState, Command, Sample, Setpoint, State, Target, Ve
 from deploy.tasks.task import Task, find_task, sources_of
 from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.models.fleet import Fleet
-from robots.motors.gains import same_gains
+from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 _NOT_FINITE, _MOVING = np.int64(Reason.NOT_FINITE), np.int64(Reason.MOVING)
@@ -73,22 +73,21 @@ class Runtime(Stage):
             robot: opened by a backend, B robots wide.
             seeds: B seeds, from which each robot's goals follow.
             policy: None where the caller puts its own between `sense` and `act`.
-
-        Raises:
-            RuntimeError: the drives have other gains than the contract.
         """
         self.spec, self.contract, self.robot, self.policy = spec, contract, robot, policy
-        robots, gains = robot.robots, contract.action.gains
+        robots, mode, gains = robot.robots, contract.action.control_mode, contract.action.gains
         self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
-        if not same_gains(gains, robot.gains):
-            raise RuntimeError("the robot's drives have other gains than the policy's contract")
-        self.springs = spring_drives(spec, gains)
-        self.estimator = Estimator(spec, robots, springs=gains if self.springs else None)
+        fleet, self.drives = Fleet(spec, 2 * robots, collisions=True), drive_modes(spec, mode, gains, robots)
+        law = drive_law(spec, mode, gains, fleet)
+        self.springs = law if isinstance(law, SpringDrives) else None
+        self.estimator = Estimator(
+            spec, robots, springs=gains if self.springs else None, torque_mode=mode is ControlMode.TORQUE
+        )
         self.capabilities = CapabilityEstimators(spec, robots)
-        self.safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True), self.springs)
-        self.action = Action(contract.action, robots)
-        self.smoother = Smoother(spec, robots)
-        self.prepared_stop = PreparedStop(robots, spec.n)
+        self.safety = Safety(spec, fleet, law, mode=mode)
+        self.action = Action(contract.action, self.drives.policy)
+        self.smoother = make_smoother(spec, self.drives)
+        self.prepared_stop = PreparedStop(robots, spec.n, self.drives.stop if self.drives.free else None)
         self.supervisor = Supervisor(robots, spec.dt)
         self.task: Task = find_task(contract.task, f"contract: task {contract.task!r}")(spec, seeds)
         sources = sources_of(contract.task)
@@ -157,7 +156,7 @@ class Runtime(Stage):
             return None
         off = ~self.supervisor.powered
         if any_true(off):  # the target of a robot without power follows its joints
-            self.action.reset(off, self.state.q)
+            self.action.reset(off, self._target_without_power)
         return self.observation.step()
 
     def act(self, action: Floats | Float32s | None) -> None:
@@ -169,9 +168,9 @@ class Runtime(Stage):
         if action is not None:
             self.action.step(action, self.smoother.q)
         stopping = self.supervisor.stopping
-        self.action.hold(stopping, self.smoother.q)
+        self.action.hold(stopping, self.smoother.target_at_rest)
         self.smoother.speed_share = self.estimator.windings.foldback.speed_share
-        planned = self.smoother.next(self.action.q, stopping)
+        planned = self.smoother.plan(self.action.value, stopping, self.state)
         ahead, q_mid_stop, q_rest = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_mid_stop, q_rest)
         reason = self.stop_reasons()
@@ -210,15 +209,26 @@ class Runtime(Stage):
         self.smoother.hold(unplanned, self.smoother.q)
         return select(~unplanned, planned, self.smoother.sent)
 
+    @property
+    def _target_without_power(self) -> Floats:
+        """(B, n) target of robots without power: angles follow the joints, speeds and torques are 0."""
+        angles = self.contract.action.control_mode is ControlMode.POSITION
+        return self.state.q if angles else self._zeros
+
     def _send(self, setpoint: Setpoint, tau: Floats, running: Bools) -> None:
+        if self.drives.free:
+            setpoint = setpoint._replace(tau=tau)
         self.smoother.commit(setpoint)
         qd, feed_forward = (self._zeros, self._zeros) if self.springs else (setpoint.qd, tau)
         powered, share = self.supervisor.powered, self.estimator.windings.foldback.current_share
         if not all_true(running):  # current is limited while running only: stops were checked at full current
             share = np.where(running[:, None], share, 1.0)
-        self.command = Command(q=setpoint.q, qd=qd, tau=feed_forward, powered=powered, current_share=share)
+        drive = setpoint.drive or self.drives.stop
+        self.command = Command(drive, setpoint.q, qd, feed_forward, powered, share)
         self.estimator.external_torque.command(tau, powered)
         self.robot.write(self.command)
+        if self.drives.free:
+            self.estimator.follow_joints(drive.kp[:, 0] == 0.0, self.t)
 
     def arm(self, ids: Bools) -> Ints:
         """Power robots where `ids` holds, drives are off, joints rest and every check passes.
@@ -238,7 +248,7 @@ class Runtime(Stage):
         self.estimator.follow(granted, self.smoother.sent, here)
         self.smoother.hold(granted, self.state.q)
         self.prepared_stop.rest(granted, here)
-        self.action.reset(granted, self.state.q)
+        self.action.reset(granted, self._target_without_power)
         self.task.arm(granted)
         self._reset_policy(granted)
         return reason

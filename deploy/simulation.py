@@ -39,7 +39,8 @@ def simulate(
         ConfigError: the simulation cannot do what robot or contract ask for.
     """
     backend = SimBackend(faults, threads)
-    request = Request(spec=spec, seeds=seeds, gains=contract.action.gains, draw=draw)
+    action = contract.action
+    request = Request(spec=spec, seeds=seeds, gains=action.gains, mode=action.control_mode, draw=draw)
     backend.check(request)
     robot = backend.open(request)
     runtime = Runtime(spec, contract, robot, seeds, policy)

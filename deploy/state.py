@@ -89,28 +89,47 @@ class State(NamedTuple):
     base: BaseState | None = None
 
 
+class DriveMode(NamedTuple):
+    """Quantity that drives follow, and how firmly.
+
+    Attributes:
+        mode: (B,) of `ControlMode`.
+        kp: (B, n) N·m/rad, stiffness: 0 where a drive follows no angle. kd: (B, n) N·m·s/rad, damping.
+    """
+
+    mode: Ints
+    kp: Floats
+    kd: Floats
+
+
 class Target(NamedTuple):
     """Joint target of the policy, before any limit.
 
     Attributes:
-        q: (B, n) rad, may lie outside the working range.
-        finite: (B,) the policy's action was finite; where it was not, `q` repeats the last target.
+        drive: how drives are to follow it.
+        value: (B, n) rad, rad/s or N·m, as `drive.mode` says; may lie beyond the joints' limits.
+        finite: (B,) the policy's action was finite; where it was not, `value` repeats the last target.
     """
 
-    q: Floats
+    drive: DriveMode
+    value: Floats
     finite: Bools
 
 
 class Setpoint(NamedTuple):
-    """Point of a jerk-limited trajectory.
+    """Point of a trajectory.
 
     Attributes:
-        q: (B, n) rad. qd: (B, n) rad/s. qdd: (B, n) rad/s².
+        q: (B, n) rad. qd: (B, n) rad/s. qdd: (B, n) rad/s². In torque mode they are predicted.
+        tau: (B, n) N·m, torque to be sent in torque mode; None where no robot can be in torque mode.
+        drive: how drives are to follow it; None: as they do in a stop.
     """
 
     q: Floats
     qd: Floats
     qdd: Floats
+    tau: Floats | None = None
+    drive: DriveMode | None = None
 
 
 class Verdict(NamedTuple):
@@ -143,14 +162,16 @@ class Mode(IntEnum):
 
 
 class Command(NamedTuple):
-    """Command to the drives.
+    """Command to the drives: each gives tau + kp (q − its angle) + kd (qd − its speed).
 
     Attributes:
+        drive: mode, stiffness and damping.
         q: (B, n) rad. qd: (B, n) rad/s. tau: (B, n) N·m, feed-forward.
         powered: (B,) drives on; if False the brakes hold and the other fields are ignored.
         current_share: (B, n) share of its current limit that a drive may use.
     """
 
+    drive: DriveMode
     q: Floats
     qd: Floats
     tau: Floats

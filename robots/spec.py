@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 from robots.capabilities import Capability
 from robots.errors import RobotError
 from robots.models.files import read_xml, referenced_files
+from robots.motors.control_mode import ControlMode
 from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
 from robots.strict import Strict, read_toml
 from robots.tables import Base, Capsule, Drive, Joint, Margins, Motor, Rates, Workspace
@@ -117,6 +118,22 @@ class RobotSpec(Strict):
                 raise ValueError(
                     f"joint {joint.name} names motor {joint.motor!r}; known: {', '.join(self.motors)}"
                 )
+        if ControlMode.TORQUE in self.control_modes:
+            self._check_torque_mode()
+
+    def _check_torque_mode(self) -> None:
+        """Refuse a robot whose drives follow torques without limits for that, or without a fixed base."""
+        if self.base is not None:
+            raise ValueError(
+                "motors: modes: found 'torque', expected none of a robot with a base: its motion cannot be predicted"
+            )
+        for joint in self.joints:
+            if joint.torque_mode is None:
+                raise ValueError(
+                    f"joints.{joint.name}.torque_mode: missing, and its motor has the mode 'torque'"
+                )
+        if self.margins.speed_in_torque_mode is None:
+            raise ValueError("margins.speed_in_torque_mode: missing, and all motors have the mode 'torque'")
 
     def _check_locked(self) -> None:
         for name in self.locked:
@@ -160,6 +177,12 @@ class RobotSpec(Strict):
             "self_collision": self.margins.collision_m,
         }
         return frozenset(name for name, part in parts.items() if part is not None)
+
+    @property
+    def control_modes(self) -> tuple[ControlMode, ...]:
+        """Control modes that the drives of all joints have."""
+        motors = [self.motors[joint.motor] for joint in self.joints]
+        return tuple(mode for mode in ControlMode if all(mode.name.lower() in each.modes for each in motors))
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -5,10 +5,31 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from robots.motors.control_mode import ControlModes
 from robots.strict import Source, Strict
 
 Celsius = Annotated[float, Field(ge=-50, le=300)]
 Fraction = Annotated[float, Field(gt=0, le=1)]
+POSITION_ONLY: ControlModes = ("position",)
+"""Control modes of a motor that names none."""
+
+
+def _is_none(value: object) -> bool:
+    return value is None
+
+
+class TorqueMode(Strict):
+    """Limits of a joint in torque mode, where the drive follows no angle.
+
+    Attributes:
+        rate_max: N·m/s, rate2_max: N·m/s²: first and second rate of the torque sent.
+        acceleration_density: rad²/s³, process noise of the estimator: of the joint's motion around the one that the
+            nominal model predicts.
+    """
+
+    rate_max: PositiveFloat
+    rate2_max: PositiveFloat
+    acceleration_density: PositiveFloat
 
 
 class Joint(Strict):
@@ -21,6 +42,7 @@ class Joint(Strict):
             the joint itself on drives that act as springs.
         play: rad by which the link can move while the encoder stands still.
         motor: a name in `motors`.
+        torque_mode: limits in torque mode; needed if the motor's drive can follow torques.
         source: where the numbers come from.
     """
 
@@ -34,6 +56,7 @@ class Joint(Strict):
     acceleration_density: PositiveFloat
     play: Annotated[float, Field(ge=0)]
     motor: str
+    torque_mode: Annotated[TorqueMode | None, Field(exclude_if=_is_none)] = None
     source: Source
 
     @model_validator(mode="after")
@@ -84,6 +107,7 @@ class Motor(Strict):
         iron_w_s2: W/(rad/s)² of the motor's shaft: heat of eddy currents.
         winding_soft_c, winding_max_c: °C, thresholds of warning and of damage.
         housing_soft_c, housing_max_c: °C, thresholds of a warning and of a latched stop.
+        modes: control modes that its drive has.
         drive: its winding and its amplifier, where the model has no `dcmotor`.
         source: where the numbers come from.
     """
@@ -95,6 +119,7 @@ class Motor(Strict):
     winding_max_c: Celsius
     housing_soft_c: Celsius
     housing_max_c: Celsius
+    modes: Annotated[ControlModes, Field(exclude_if=lambda modes: modes == POSITION_ONLY)] = POSITION_ONLY
     drive: Drive | None = None
     source: Source
 
@@ -129,6 +154,8 @@ class Margins(Strict):
         q_target_rad: targets are clamped this far inside the working range.
         q_soft_rad: setpoints are refused, and the judge calls it soft, this far inside.
         speed: setpoint speed, as a fraction of qd_max and of tool_speed_max: the rest is for the drive's own ringing.
+        speed_in_torque_mode: the same of a robot whose drives can follow torques, in that mode: the rest is for errors
+            of prediction and estimate.
         tau: setpoint torque by the nominal model, as a fraction of the torque range.
         collision_m: clearance between capsules; without it, self-collision is not checked.
         workspace_m: how far inside the workspace setpoints stay; of robots with a workspace, and of all of those.
@@ -147,6 +174,7 @@ class Margins(Strict):
     q_target_rad: PositiveFloat
     q_soft_rad: PositiveFloat
     speed: Fraction
+    speed_in_torque_mode: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
     tau: Fraction
     collision_m: PositiveFloat | None = None
     workspace_m: PositiveFloat | None = None

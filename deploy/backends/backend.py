@@ -11,6 +11,7 @@ from deploy.state import Command, Sample
 from robots.arrays import Bools
 from robots.draws import Draw
 from robots.errors import ConfigError
+from robots.motors.control_mode import ControlMode
 from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
@@ -23,11 +24,9 @@ class Robot(Protocol):
 
     Attributes:
         robots: B.
-        gains: drive gains in force if they are those of a policy's contract; None: the drives' own.
     """
 
     robots: int
-    gains: Gains | None
 
     def read(self) -> Sample:
         """Return the newest packet of every sensor; never block longer than a control period.
@@ -58,12 +57,14 @@ class Request:
         spec: the robot as described by its folder.
         seeds: one for each of B robots, of everything random about a simulated one. A robot on a wire is one.
         gains: drive gains from the policy's contract; None: the drives' own.
+        mode: in which drives are to follow the policy; they follow its stops by position.
         draw: parameters of simulated robots, in place of those that `seeds` would draw.
     """
 
     spec: RobotSpec
     seeds: Sequence[np.random.SeedSequence]
     gains: Gains | None = None
+    mode: ControlMode = ControlMode.POSITION
     draw: Draw | None = None
 
 
@@ -74,11 +75,13 @@ class Abilities:
     Attributes:
         control_hz: lowest and highest control rate.
         gains: the gains of its drives can be set.
+        modes: in which its drives can follow a policy.
         simulated: a drawn robot can be asked for, and be viewed.
     """
 
     control_hz: tuple[int, int]
     gains: bool
+    modes: tuple[ControlMode, ...] = (ControlMode.POSITION,)
     simulated: bool = False
 
 
@@ -91,12 +94,17 @@ class Backend(ABC, Generic[R]):
     abilities: ClassVar[Abilities]
 
     def check(self, request: Request) -> None:
-        """Refuse (ConfigError) a request whose control rate or gains are beyond the abilities."""
+        """Refuse (ConfigError) a request whose control rate, gains or mode are beyond the abilities."""
         (low, high), hz = self.abilities.control_hz, request.spec.rates.control_hz
         if not low <= hz <= high:
             raise ConfigError(f"--backend: control_hz of the robot: found {hz}, expected {low} to {high}")
         if request.gains is not None and not self.abilities.gains:
             raise ConfigError("--backend: kp and kd of the policy's contract: found some, expected none")
+        if request.mode not in self.abilities.modes:
+            known = ", ".join(mode.name.lower() for mode in self.abilities.modes)
+            raise ConfigError(
+                f"--backend: action.mode of the policy's contract: found {request.mode.name.lower()}, expected {known}"
+            )
 
     @abstractmethod
     def open(self, request: Request) -> R:

@@ -42,11 +42,17 @@ class Estimator(Stage):
     carried: ClassVar[tuple[str, ...]] = ("fault",)
     parts = ("joints", "setpoints", "stuck_detection", "divergence", "windings", "external_torque")
 
-    def __init__(self, spec: RobotSpec, robots: int, *, springs: Gains | None = None) -> None:
-        """Allocate; `springs` are the gains of soft drives, None if drives hold joints at their setpoints."""
+    def __init__(
+        self, spec: RobotSpec, robots: int, *, springs: Gains | None = None, torque_mode: bool = False
+    ) -> None:
+        """Allocate; `springs` are the gains of soft drives, None if drives hold joints at their setpoints.
+
+        In `torque_mode` setpoints are predicted by the nominal model, and joints deviate from them by its errors.
+        """
         self._look = sample_count(LOOK_S, spec.dt)
         look_s, encoder = self._look * spec.dt, spec.sensors["encoder"]
-        self.joints, self.setpoints = JointFilter(spec, robots), SetpointHistory(spec, robots)
+        self.joints = JointFilter(spec, robots, torque_mode=torque_mode)
+        self.setpoints = SetpointHistory(spec, robots)
         # Packets of an encoder slower than the control rate could always arrive between two looks.
         self._stuck_look = self._look if encoder.rate_hz == spec.rates.control_hz else 1
         stuck_look_s = look_s if self._stuck_look > 1 else 1.0 / encoder.rate_hz
@@ -72,6 +78,21 @@ class Estimator(Stage):
         self.joints.ed[ids] += self._origin(old.qd - new.qd)[ids]
         self.setpoints.fill(ids, new)
         self.stuck_detection.setpoint[ids] = new.q[ids]
+
+    def follow_joints(self, ids: Bools, t: float) -> None:
+        """Move the setpoint history of robots `ids` (B,) onto their estimated motion until `t` s: they deviate by 0.
+
+        For drives that hold no angle: their next setpoint is predicted from the estimate, not from the setpoint before.
+        """
+        if not any_true(ids):
+            return
+        joints = self.joints
+        e, ed = (np.where(ids[:, None], x, 0.0) for x in (joints.e, joints.ed))
+        now = e + ed * (t - joints.t_sample)
+        self.setpoints.shift(now, ed, round(t / self.dt))
+        self.stuck_detection.setpoint += now
+        joints.e -= e
+        joints.ed -= ed
 
     def step(self, t: float, sample: Sample, sent: Setpoint) -> State:
         """Fuse the packets that arrived and predict to now.

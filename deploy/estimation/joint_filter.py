@@ -26,6 +26,7 @@ from filterpy.common import Q_continuous_white_noise
 from deploy.masks import all_true
 from deploy.stage import Stage
 from robots.arrays import Bools, Floats
+from robots.capabilities import required
 from robots.spec import RobotSpec
 
 GATE = 8.0
@@ -64,7 +65,7 @@ class JointFilter(Stage):
 
     carried = ("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "initialized")
 
-    def __init__(self, spec: RobotSpec, robots: int) -> None:
+    def __init__(self, spec: RobotSpec, robots: int, *, torque_mode: bool = False) -> None:
         shape, sensors = (robots, spec.n), spec.sensors
         self.e, self.ed, self.p00, self.p01, self.p11, self.t_sample = np.zeros((6, *shape))
         self.t_speed, self.initialized = np.full(robots, -np.inf), np.zeros(robots, dtype=bool)
@@ -72,7 +73,7 @@ class JointFilter(Stage):
         # numpy is fastest where all shapes are equal.
         self._joint_buffer, self._r = np.zeros(shape), np.full(shape, sensors["encoder"].variance)
         self._r_speed = sensors["velocity"].variance if "velocity" in sensors else np.inf
-        density = np.tile(spec.joint_array("acceleration_density"), (robots, 1))
+        density = np.tile(_density(spec, torque_mode), (robots, 1))
         unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=1.0)  # [[1/3, 1/2], [1/2, 1]]
         self._q_dt3, self._q_dt2, self._q = (density * unit[place] for place in ((0, 0), (0, 1), (1, 1)))
 
@@ -149,3 +150,10 @@ class JointFilter(Stage):
         """Return (B,) values as (B, n) in a buffer that the next call overwrites."""
         np.copyto(self._joint_buffer, robots[:, None])
         return self._joint_buffer
+
+
+def _density(spec: RobotSpec, torque_mode: bool) -> Floats:
+    """Return (n,) rad²/s³, the process noise of each joint."""
+    if not torque_mode:
+        return spec.joint_array("acceleration_density")
+    return np.array([required(joint.torque_mode).acceleration_density for joint in spec.joints])

@@ -42,6 +42,13 @@ class SetpointHistory(Stage):
         """Overwrite the whole history of robots `ids` (B,) by one setpoint."""
         self.ring[ids] = np.concatenate((sent.q, sent.qd), axis=1)[ids][:, None]
 
+    def shift(self, q: Floats, qd: Floats, tick: int) -> None:
+        """Add a motion at speeds qd (B, n) rad/s that is at q (B, n) rad at the present `tick`."""
+        places = np.arange(self.depth)
+        age = (tick - places) % self.depth * self._dt
+        self.ring[:, :, : self._n] += q[:, None] - qd[:, None] * age[:, None]
+        self.ring[:, :, self._n :] += qd[:, None]
+
     def covers(self, t: Floats, now: float) -> Bools:
         """Return (B,) robots whose t (B,) s is inside the history and at most one period after `now`."""
         covered: Bools = (t <= now + self._dt) & (t > now - (self.depth - 1) * self._dt)

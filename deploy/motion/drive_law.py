@@ -18,6 +18,7 @@ from deploy.state import State
 from robots.arrays import Floats
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
+from robots.motors.control_mode import ControlMode
 from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
@@ -60,6 +61,14 @@ class StiffDrives(DriveLaw):
         return q, q_mid_stop, q_rest
 
 
+class TorqueDrives(StiffDrives):
+    """Stiff drives of a robot in torque mode: its stops need the torque of friction too, which the policy's had."""
+
+    def torque(self, state: State, q: Floats, qd: Floats, qdd: Floats) -> Floats:
+        """Return inverse dynamics and friction."""
+        return super().torque(state, q, qd, qdd) + self._fleet.friction(qd)
+
+
 class SpringDrives(DriveLaw):
     """Drives that act as springs: the torque of the angle between setpoint and joint, up to the drive's range.
 
@@ -89,6 +98,9 @@ class SpringDrives(DriveLaw):
         return state.q, state.q + 0.75 * distance, state.q + distance
 
 
-def spring_drives(spec: RobotSpec, gains: Gains | None) -> SpringDrives | None:
-    """Return the drive law of a robot with a floating base under the gains of training; None: drives are stiff."""
-    return SpringDrives(spec, gains) if gains and "floating_base" in spec.capabilities else None
+def drive_law(spec: RobotSpec, action: ControlMode, gains: Gains | None, fleet: Fleet) -> DriveLaw:
+    """Return the law of drives in the mode of an action: springs on a floating base with the gains of training."""
+    if action is ControlMode.TORQUE:
+        return TorqueDrives(spec, fleet)
+    springs = gains and gains.stiff and "floating_base" in spec.capabilities
+    return SpringDrives(spec, gains) if gains and springs else StiffDrives(spec, fleet)

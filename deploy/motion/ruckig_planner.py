@@ -14,6 +14,9 @@ RENEW_S = 1.0
 """s. No trajectory is read later than this, so that rounding at its end cannot add up to a drift; only where a stop
 may take longer than this, it is that long."""
 
+SPEED_MIN = 1e-3
+"""Share of a joint's speed limit below which a target speed counts as 0: Ruckig plans no motion of hours."""
+
 
 def horizon_s(spec: RobotSpec) -> float:
     """Return s after which no trajectory is read any more."""
@@ -21,7 +24,7 @@ def horizon_s(spec: RobotSpec) -> float:
 
 
 class RuckigPlanner:
-    """Planner of R robots.
+    """Planner of R robots: targets are angles.
 
     After the joints of the robots comes a clock: a joint that moves for longer than any trajectory is read. Beyond the
     end of the last joint Ruckig computes in another order, with other last bits; with the clock that never comes, and
@@ -51,10 +54,8 @@ class RuckigPlanner:
 
     def plan(self, origin: Floats, trajectory: Trajectory) -> bool:
         """Fill `trajectory`, `origin` as in `TrackingTrajectories.plan`; return False where Ruckig has no plan."""
-        self._set_stopping(origin[:, -1] != 0)
-        if not all_true(origin[:, -2] == self._speed_share):
-            self._set_limits(origin[:, -2])
         self._joints[:] = origin[:, :-2].reshape(len(origin), 4, self._n).swapaxes(0, 1)
+        self._prepare(origin[:, -2], origin[:, -1] != 0)
         if not all_true(self._stopping):  # a stop has no limit of speed
             self._move_inside()
         # As lists: Ruckig's binding reads an array number by number, in three times the time.
@@ -66,6 +67,12 @@ class RuckigPlanner:
         except RuckigError:
             return False
         return True
+
+    def _prepare(self, speed_share: Floats, stopping: Bools) -> None:
+        """Set limits and interfaces for the inputs."""
+        self._set_stopping(stopping)
+        if not all_true(speed_share == self._speed_share):
+            self._set_limits(speed_share)
 
     def _set_stopping(self, stopping: Bools) -> None:
         """Choose for each robot: speed to zero, or position to a target."""
@@ -89,3 +96,34 @@ class RuckigPlanner:
         edge = (np.abs(np.abs(peak) - self._speed) < EDGE) & ~self._stopping[:, None]
         if any_true(edge):
             qd -= np.where(edge, np.sign(peak) * EDGE, 0.0)
+
+
+class VelocityPlanner(RuckigPlanner):
+    """Planner of R robots: targets are speeds.
+
+    A joint goes towards the end of its range at the speed that is asked for: Ruckig's position interface, with that
+    speed as its limit, brakes in time to rest there. Its velocity interface knows no end of the range: it serves joints
+    that have none, and those that are to stand.
+    """
+
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        """Set the limits of robot.toml, speed and range less their margins."""
+        super().__init__(spec, robots)
+        margin = spec.margins.q_target_rad
+        self._low, self._high = spec.joint_array("q_min") + margin, spec.joint_array("q_max") - margin
+
+    def _prepare(self, speed_share: Floats, stopping: Bools) -> None:
+        """Turn target speeds into angles, limits of speed and interfaces."""
+        self._stopping[:] = stopping
+        limit = self._qd_max * speed_share[:, None]
+        speed, target = np.clip(self._joints[3], -limit, limit), self._joints[3]
+        end = np.where(speed > 0, self._high, self._low)
+        travels = (np.abs(speed) > SPEED_MIN * self._qd_max) & ~stopping[:, None]
+        to_end = travels & np.isfinite(end)
+        target[:] = np.where(to_end, end, 0.0)
+        self._speed = np.where(to_end, np.abs(speed), limit)
+        self._in.target_velocity = [*np.where(travels & ~to_end, speed, 0.0).ravel().tolist(), 0.0]
+        self._in.max_velocity = [*self._speed.ravel().tolist(), 1.0]
+        self._in.max_acceleration = [*(self._qdd_max * speed_share[:, None]).ravel().tolist(), 1.0]
+        kinds = (ControlInterface.Velocity, ControlInterface.Position)
+        self._in.per_dof_control_interface = [*(kinds[each] for each in to_end.ravel().tolist()), kinds[1]]

@@ -1,19 +1,20 @@
-"""Jerk-limited setpoints, towards a target or into a stop.
+"""Jerk-limited setpoints, towards a target angle or at a target speed, or into a stop.
 
 A robot that is where it was planned to be, for a target that has not changed, stays on its trajectory; any other gets
 a new one.
 """
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.masks import all_true, any_true
-from deploy.motion.ruckig_planner import horizon_s
+from deploy.motion.ruckig_planner import RuckigPlanner, VelocityPlanner, horizon_s
 from deploy.motion.trajectories import StopTrajectories, TrackingTrajectories
 from deploy.stage import Stage
-from deploy.state import Setpoint
+from deploy.state import Setpoint, State
 from robots.arrays import Bools, Floats
 from robots.spec import RobotSpec
 
@@ -35,7 +36,8 @@ class Smoother(Stage):
         age: (B,) ticks since `origin`, less those at rest after a stop.
     """
 
-    carried = ("q", "qd", "qdd", "origin", "expected", "age")
+    carried: ClassVar[tuple[str, ...]] = ("q", "qd", "qdd", "origin", "expected", "age")
+    planner: ClassVar[type[RuckigPlanner]] = RuckigPlanner
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         shape = (robots, spec.n)
@@ -45,16 +47,27 @@ class Smoother(Stage):
         margin = spec.margins.q_target_rad
         self.q_min = np.tile(spec.joint_array("q_min") + margin, (robots, 1))
         self.q_max = np.tile(spec.joint_array("q_max") - margin, (robots, 1))
-        self._tracking, self._stops = TrackingTrajectories(spec, robots), StopTrajectories(spec, robots)
+        self._tracking = TrackingTrajectories(spec, robots, self.planner)
+        self._stops = StopTrajectories(spec, robots)
         self._age_max = round(horizon_s(spec) / spec.dt)
         self.speed_share, self._full = np.ones(robots), np.ones((robots, 1))
 
-    def next(self, q_target: Floats, stopping: Bools) -> Setpoint:
+    @property
+    def target_at_rest(self) -> Floats:
+        """(B, n) target under which robots at rest stay where they are."""
+        return self.q
+
+    def plan(self, target: Floats, stopping: Bools, state: State) -> Setpoint:
+        """Return the next setpoint of every robot, as `next`; the estimate is of no use where drives follow angles."""
+        del state
+        return self.next(target, stopping)
+
+    def next(self, target: Floats, stopping: Bools) -> Setpoint:
         """Return one step from the last sent setpoint: towards a target, or towards rest; NaN where Ruckig has no plan.
 
-        Targets (B, n) rad are clamped to the working range less its margin; robots `stopping` (B,) brake instead.
+        Robots `stopping` (B,) brake instead of following their targets (B, n).
         """
-        target, stops = np.minimum(np.maximum(q_target, self.q_min), self.q_max), stopping[:, None]
+        target, stops = self._limited(target), stopping[:, None]
         speed_share = self.speed_share
         if any_true(stopping):
             target[stopping] = 0.0  # unused: it must not count as a new target
@@ -63,12 +76,16 @@ class Smoother(Stage):
                 stopping, 1.0, speed_share
             )  # a stop has its full limits, as it was checked
         self.age += 1
-        self._plan(np.concatenate((self.q, self.qd, self.qdd, target, speed_share[:, None], stops), axis=1))
+        self._replan(np.concatenate((self.q, self.qd, self.qdd, target, speed_share[:, None], stops), axis=1))
         planned = self._tracking.at(self.age)
         self.expected[:, : planned[0].size] = planned.reshape(len(planned), -1)
         return _setpoint(planned)
 
-    def _plan(self, now: Floats) -> None:
+    def _limited(self, target: Floats) -> Floats:
+        """Return target angles inside the working range less its margin."""
+        return np.minimum(np.maximum(target, self.q_min), self.q_max)
+
+    def _replan(self, now: Floats) -> None:
         """Plan again for robots that are not where they were expected, have new inputs, or were on one for too long."""
         as_expected = now == self.expected
         old = self.age >= self._age_max
@@ -108,6 +125,25 @@ class Smoother(Stage):
     def at_rest(self) -> Bools:
         """(B,) robots whose last sent setpoint is at rest."""
         return np.asarray(np.maximum(np.abs(self.qd), np.abs(self.qdd)).max(axis=1) < REST)
+
+
+class VelocitySmoother(Smoother):
+    """Smoother of robots in velocity mode: targets are speeds, rad/s; the planner keeps angles in their range."""
+
+    planner = VelocityPlanner
+
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        super().__init__(spec, robots)
+        self._still = np.zeros((robots, spec.n))
+
+    @property
+    def target_at_rest(self) -> Floats:
+        """(B, n) rad/s."""
+        return self._still
+
+    def _limited(self, target: Floats) -> Floats:
+        """Return a copy: the planner limits speeds."""
+        return target.copy()
 
 
 def _setpoint(x: Floats) -> Setpoint:

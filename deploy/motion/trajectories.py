@@ -27,10 +27,10 @@ Planned = tuple[slice, Trajectory | None]
 class _BlockPlans:
     """A trajectory for each block of robots, or for each robot of a block that Ruckig cannot plan as a whole."""
 
-    def __init__(self, spec: RobotSpec, robots: int) -> None:
+    def __init__(self, spec: RobotSpec, robots: int, planner: type[RuckigPlanner] = RuckigPlanner) -> None:
         self._rows, self._n, self._robots = block_rows(robots), spec.n, robots
         self._dt, self._horizon = spec.dt, horizon_s(spec)
-        self._block, self._single = RuckigPlanner(spec, self._rows[0].stop), RuckigPlanner(spec, 1)
+        self._block, self._single = planner(spec, self._rows[0].stop), planner(spec, 1)
 
     def _plan_block(self, origin: Floats, rows: slice, trajectory: Trajectory) -> list[Planned]:
         """Plan the robots `rows`, in `trajectory` if one serves all; `origin` as in `TrackingTrajectories.plan`."""
@@ -64,10 +64,10 @@ class _BlockPlans:
 
 
 class TrackingTrajectories(_BlockPlans):
-    """Trajectories that B robots are on, read for many ticks."""
+    """Trajectories that B robots are on, read for many ticks; the planner decides on the meaning of targets."""
 
-    def __init__(self, spec: RobotSpec, robots: int) -> None:
-        super().__init__(spec, robots)
+    def __init__(self, spec: RobotSpec, robots: int, planner: type[RuckigPlanner]) -> None:
+        super().__init__(spec, robots, planner)
         self._trajectories = [self._block.empty_trajectory() for _ in self._rows]
         self._planned: list[list[Planned]] = [[(rows, None)] for rows in self._rows]
 

@@ -70,7 +70,8 @@ def run(
     spec = load_robot(robot)
     seed_text, source, drawn = random_source(spec, seed, draw)
     loaded = Policy.load(policy, spec)
-    request = Request(spec=spec, seeds=[source], gains=loaded.contract.action.gains, draw=drawn)
+    action = loaded.contract.action
+    request = Request(spec=spec, seeds=[source], gains=action.gains, mode=action.control_mode, draw=drawn)
     connection.check(request)
     check_folder(out)
     about = {"robot": spec.name, "robot_digest": spec.digest, "policy": str(policy)}

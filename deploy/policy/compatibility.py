@@ -37,6 +37,9 @@ def mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
     if contract.control_hz != spec.rates.control_hz:
         yield f"control_hz: found {contract.control_hz} Hz, expected {spec.rates.control_hz} Hz"
     yield from _task(contract.task, spec)
+    if contract.action.control_mode not in spec.control_modes:
+        known = ", ".join(mode.name.lower() for mode in spec.control_modes)
+        yield f"action.mode: found {contract.action.mode!r}; the drives of {spec.name} have the modes {known}"
     sources = sources_of(contract.task)
     for term in contract.observation:
         yield from _term(term, sources[term.source], contract.action_size, spec)

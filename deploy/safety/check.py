@@ -9,8 +9,9 @@ import numpy as np
 from deploy.reasons import Reason
 from deploy.state import Setpoint, State
 from robots.arrays import Bools, Floats
-from robots.capabilities import Capability
+from robots.capabilities import Capability, required
 from robots.models.kinematics import Kinematics
+from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 UNBOUNDED = float(np.finfo(np.float64).max)
@@ -78,10 +79,18 @@ class Limits(NamedTuple):
     Attributes:
         robot: its limits and margins.
         torque: (n,) N·m that a setpoint may need; infinite where drives saturate instead.
+        mode: of the drives when they follow the policy.
     """
 
     robot: RobotSpec
     torque: Floats
+    mode: ControlMode
+
+    @property
+    def speed_share(self) -> float:
+        """Share of joint and tool speed limits that a setpoint may have."""
+        margins = self.robot.margins
+        return required(margins.speed_in_torque_mode) if self.mode is ControlMode.TORQUE else margins.speed
 
 
 Record = TypeVar("Record")

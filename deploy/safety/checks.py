@@ -19,6 +19,10 @@ SPEED_TOLERANCE = 1e-6
 """Relative tolerance on speed: Ruckig meets its limits exactly, up to rounding."""
 
 
+ACCELERATION_TOLERANCE = 1e-4
+"""Relative tolerance on acceleration: that of a state that Ruckig had to move to find a plan."""
+
+
 def _joint(field: str) -> Callable[[Limits], Floats]:
     return lambda limits: limits.robot.joint_array(field)
 
@@ -36,7 +40,11 @@ def _soft_max(limits: Limits) -> Floats:
 
 
 def _speed_max(limits: Limits) -> Floats:
-    return limits.robot.margins.speed * limits.robot.joint_array("qd_max") * (1 + SPEED_TOLERANCE)
+    return limits.speed_share * limits.robot.joint_array("qd_max") * (1 + SPEED_TOLERANCE)
+
+
+def _acceleration_max(limits: Limits) -> Floats:
+    return limits.robot.joint_array("qdd_max") * (1 + ACCELERATION_TOLERANCE)
 
 
 def _torque_max(limits: Limits) -> Floats:
@@ -133,6 +141,14 @@ MOTION: tuple[Check[Motion], ...] = (
         per_joint=True,
     ),
     Check(
+        name="joint_acceleration",
+        value=lambda motion: motion.qdd,
+        low=lambda limits: -_acceleration_max(limits),
+        high=_acceleration_max,
+        reason=Reason.ACCELERATION,
+        per_joint=True,
+    ),
+    Check(
         name="joint_torque",
         value=lambda motion: motion.tau,
         low=lambda limits: -_torque_max(limits),
@@ -143,9 +159,7 @@ MOTION: tuple[Check[Motion], ...] = (
     Check(
         name="tool_speed",
         value=lambda motion: motion.tool_speed_squared,
-        high=lambda limits: (
-            (limits.robot.margins.speed * required(limits.robot.workspace).tool_speed_max) ** 2
-        ),
+        high=lambda limits: (limits.speed_share * required(limits.robot.workspace).tool_speed_max) ** 2,
         reason=Reason.TOOL_SPEED,
         needs=frozenset({"workspace"}),
     ),

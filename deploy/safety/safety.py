@@ -17,6 +17,7 @@ from deploy.state import Setpoint, State, Verdict
 from robots.arrays import Bools, Floats, Ints
 from robots.models.fleet import Fleet
 from robots.models.kinematics import Kinematics
+from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 GAP_TOLERANCE_M = 1e-4
@@ -31,7 +32,12 @@ class Safety:
     """
 
     def __init__(
-        self, spec: RobotSpec, fleet: Fleet, drives: DriveLaw | None = None, checks: Checks = CHECKS
+        self,
+        spec: RobotSpec,
+        fleet: Fleet,
+        drives: DriveLaw | None = None,
+        checks: Checks = CHECKS,
+        mode: ControlMode = ControlMode.POSITION,
     ) -> None:
         """Compute the bounds.
 
@@ -40,6 +46,7 @@ class Safety:
             fleet: its nominal model, 2B robots wide, with collisions.
             drives: the law of its drives; stiff drives by default.
             checks: those that a robot has if it meets their needs.
+            mode: of the drives when they follow the policy.
 
         Raises:
             ValueError: two checks of one name in a table, or a bound of the wrong shape.
@@ -49,7 +56,7 @@ class Safety:
         self._jacobians = "tool" in spec.capabilities  # what reads them reads the tool
         self._gap_max = (spec.margins.collision_m or 0.0) + GAP_TOLERANCE_M
         self.twice_jerk = 2 * spec.joint_array("qddd_max")
-        limits, rows = Limits(spec, self._drives.torque_limit), fleet.robots
+        limits, rows = Limits(spec, self._drives.torque_limit, mode), fleet.robots
         self._plan = CheckTable(rows, limits, checks.motion, checks.end_poses, checks.all_poses)
         self._estimate = CheckTable(self._fleet_mid_stop.robots, limits, checks.estimate, checks.all_poses)
         self._poses = CheckTable(rows, limits, checks.end_poses, checks.all_poses)
@@ -77,6 +84,9 @@ class Safety:
         pairs = np.concatenate((setpoint.q, ahead.q, setpoint.qd, ahead.qd, setpoint.qdd, ahead.qdd))
         q, qd, qdd = pairs.reshape(3, 2 * robots, -1)
         tau = self._drives.torque(state, q, qd, qdd)
+        if setpoint.tau is not None and setpoint.drive is not None:
+            sent_as_torque = (setpoint.drive.mode == ControlMode.TORQUE)[:, None]
+            np.copyto(tau[:robots], setpoint.tau, where=sent_as_torque)
         needed = tau
         if not all_true(state.current_share == 1.0):  # a drive with limited current gives less than its range
             needed = np.concatenate((tau[:robots] / state.current_share, tau[robots:]))

@@ -124,7 +124,7 @@ JOINT_SOURCES: Mapping[str, ObservationSource] = {
         each="joint",
         sensing="proprioceptive",
         maximum=maximum.LEASH,
-        read=lambda runtime: runtime.action.q - runtime.state.q,
+        read=lambda runtime: runtime.action.value - runtime.state.q,
         meaning="own target minus joint angle: encoder and memory",
     ),
     "last_action": ObservationSource(

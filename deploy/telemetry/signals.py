@@ -50,7 +50,7 @@ SIGNALS = (
     Signal(name="qd", read=lambda runtime: runtime.state.qd),
     Signal(name="housing_c", read=lambda runtime: runtime.state.housing_c, in_state=True),
     Signal(name="winding_c", read=lambda runtime: runtime.state.winding_c, in_state=True),
-    Signal(name="q_target", read=lambda runtime: runtime.action.q, in_state=True),
+    Signal(name="target", read=lambda runtime: runtime.action.value, in_state=True),
     Signal(name="q_sent", read=lambda runtime: runtime.setpoint.q),
     Signal(name="qd_sent", read=lambda runtime: runtime.setpoint.qd),
     Signal(name="qdd_sent", read=lambda runtime: runtime.setpoint.qdd),

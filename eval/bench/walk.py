@@ -104,7 +104,7 @@ def measure_walk(trial: Trial, seconds: float) -> WalkResult:
             continue
         forward += motion[0]
         differences = (
-            runtime.target.q - runtime.setpoint.q,
+            runtime.target.value - runtime.setpoint.q,
             required(runtime.state.base).velocity_in_base - velocity,
             runtime.state.qd - qd,
         )

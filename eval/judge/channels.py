@@ -12,6 +12,7 @@ from eval.judge.monitors import MONITORS
 from robots.arrays import Ints
 from robots.capabilities import Capability
 from robots.errors import ConfigError
+from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 
@@ -24,16 +25,22 @@ class Channels:
 
     Attributes:
         catalogue: all monitors, joint monitors first. joints: names, n of them.
-        capabilities: of the robot.
+        capabilities: of the robot. mode: of the policy that moves it.
     """
 
     catalogue: tuple[Monitor, ...]
     joints: tuple[str, ...]
     capabilities: frozenset[Capability]
+    mode: ControlMode = ControlMode.POSITION
 
     @classmethod
-    def of_robot(cls, spec: RobotSpec, monitors: Sequence[Monitor] = MONITORS) -> Self:
-        """Return the channels of a robot, of monitors in any order.
+    def of_robot(
+        cls,
+        spec: RobotSpec,
+        monitors: Sequence[Monitor] = MONITORS,
+        mode: ControlMode = ControlMode.POSITION,
+    ) -> Self:
+        """Return the channels of a robot under a policy of some mode, of monitors in any order.
 
         Raises:
             ConfigError: two monitors have the same name.
@@ -45,12 +52,13 @@ class Channels:
                     f"monitors: found {name!r} {names.count(name)} times, expected different names"
                 )
         ordered = tuple(sorted(monitors, key=lambda monitor: not monitor.per_joint))
-        return cls(catalogue=ordered, joints=spec.joint_names, capabilities=spec.capabilities)
+        return cls(catalogue=ordered, joints=spec.joint_names, capabilities=spec.capabilities, mode=mode)
 
     @cached_property
     def monitors(self) -> tuple[Monitor, ...]:
         """Monitors of the catalogue that the robot has."""
-        return tuple(monitor for monitor in self.catalogue if monitor.needs <= self.capabilities)
+        has = (each for each in self.catalogue if each.needs <= self.capabilities)
+        return tuple(monitor for monitor in has if monitor.mode in {None, self.mode})
 
     @cached_property
     def joint_monitors(self) -> int:

@@ -17,18 +17,26 @@ SENT_TOLERANCE = 1e-4
 
 
 def _torque_difference(window: TickWindow) -> Floats:
-    return zero_unless(window.sent_differences[0].drives_on, window.now.tau_sent - window.before.tau_sent)
+    on = window.drives_on[PAST:] & window.drives_on[PAST - 1 : -1]
+    return zero_unless(on, window.now.tau_sent - window.before.tau_sent)
 
 
 def _jump(window: TickWindow) -> Floats:
-    """Distance from the true angle in the first tick of power, and from rest in the second; else 0."""
-    on, jump = window.drives_on, np.zeros(window.now.q.shape)
-    if on[PAST - 2 :].all():
+    """Distance from the true angle in the first tick of drives that follow angles, and from rest in the second; else 0.
+
+    Drives that followed torques or speeds before take over a moving joint: it is where its speed has brought it, and a
+    drive that is less stiff than its own gains make it may be farther off, by as much.
+    """
+    holds, on, jump = window.drives_hold, window.drives_on, np.zeros(window.now.q.shape)
+    if holds[PAST - 2 :].all():
         return jump
-    now, before = on[PAST:], on[PAST - 1 : -1]
+    now, before, was_on = holds[PAST:], holds[PAST - 1 : -1], on[PAST - 1 : -1]
     first = now & ~before & window.before.valid
-    missed = np.abs(window.now.sent - window.before.q) - window.robot.limits.arming_rad
-    jump[first] = np.maximum(missed, 0.0)[first]
+    expected = window.before.q + zero_unless(was_on, window.before.qd * window.robot.spec.dt)
+    missed = np.abs(window.now.sent - expected)
+    taken_over, share = first & was_on, window.now.stiffness / window.robot.stiffness
+    missed[taken_over] *= np.minimum(share, 1.0)[taken_over]
+    jump[first] = np.maximum(missed - window.robot.limits.arming_rad, 0.0)[first]
     second = now & before & ~on[PAST - 2 : -2]
     jump[second] = window.sent_differences[0].values[second]
     return jump

@@ -6,13 +6,18 @@ from eval.judge.monitor import JointMonitor, zero_unless
 from eval.judge.tick_buffer import PAST
 from eval.judge.tick_window import TickWindow
 from robots.arrays import Floats
+from robots.motors.control_mode import ControlMode
 
 TORQUE_FULL = 0.999
 """Share of the torque range that counts as its end: a drive saturates there and cannot exceed it."""
 
 
-def _target_from_middle(window: TickWindow) -> Floats:
+def _target(window: TickWindow) -> Floats:
     """0 without power, when nobody follows the target."""
+    return zero_unless(window.now.powered, window.now.target)
+
+
+def _target_from_middle(window: TickWindow) -> Floats:
     return zero_unless(window.now.powered, window.now.target - window.robot.q_middle)
 
 
@@ -39,6 +44,25 @@ JOINT_MONITORS = (
         meaning="the policy's target, before clamping, beyond the working range",
         limit=lambda robot: robot.q_half_range,
         value=_target_from_middle,
+        mode=ControlMode.POSITION,
+    ),
+    JointMonitor(
+        name="velocity_requested",
+        unit="rad/s",
+        hard=False,
+        meaning="the policy's target speed, before clamping, beyond the joint's limit",
+        limit=lambda robot: robot.spec.joint_array("qd_max"),
+        value=_target,
+        mode=ControlMode.VELOCITY,
+    ),
+    JointMonitor(
+        name="torque_requested",
+        unit="N·m",
+        hard=False,
+        meaning="the policy's target torque, before clamping, beyond the actuator's range",
+        limit=lambda robot: robot.torque_max,
+        value=_target,
+        mode=ControlMode.TORQUE,
     ),
     JointMonitor(
         name="position_soft",

@@ -25,6 +25,7 @@ from eval.judge.monitors import MONITORS
 from eval.judge.tick_buffer import BLOCK_TICKS, TickBuffer
 from eval.judge.tick_window import JudgedRobot, TickWindow, true_tilt
 from robots.arrays import Floats, Ints
+from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 EVENT_GAP_S = 0.5
@@ -56,6 +57,7 @@ class Judge(Stage):
         robots: int,
         *,
         criterion: SuccessCriterion,
+        mode: ControlMode = ControlMode.POSITION,
         counted: int | None = None,
         observed: Observed | None = None,
         monitors: Sequence[Monitor] = MONITORS,
@@ -65,6 +67,7 @@ class Judge(Stage):
         Args:
             spec: limits and margins. torque_max: (n,) N·m, each actuator's range at the joint. robots: B.
             criterion: rule by which the task's goals count as reached.
+            mode: in which drives follow the policy.
             counted: R, number of robots that are judged, the first ones; all by default.
             observed: statistics of the observations in training; without them observations are not judged.
             monitors: the catalogue; `MONITORS` and any others. The robot gets those whose needs it meets.
@@ -74,7 +77,7 @@ class Judge(Stage):
         """
         self._dt, self._goal_s = spec.dt, criterion.period_s
         self._robots, self._size = counted or robots, len(observed.mean) if observed else 0
-        self._channels = Channels.of_robot(spec, monitors)
+        self._channels = Channels.of_robot(spec, monitors, mode)
         judged = JudgedRobot(spec=spec, torque_max=torque_max, limits=load_limits(spec), observed=observed)
         self.ratios = LimitRatios(self._channels, judged, self._robots)
         self._sent_speed = [monitor.name for monitor in self._channels.catalogue].index("velocity_sent")

@@ -10,6 +10,7 @@ from eval.judge.tick_window import JudgedRobot, TickWindow
 from robots.arrays import Bools, Floats
 from robots.capabilities import Capability
 from robots.errors import ConfigError
+from robots.motors.control_mode import ControlMode
 
 Part = TypeVar("Part")
 
@@ -30,6 +31,7 @@ class Monitor:
         limit: (n,) or a number; infinite if unknown, and then nothing is judged.
         value: (T, R, n) per joint, else (T, R): the value in every tick of the window. 0 where it cannot be known.
         needs: capabilities without which a robot does not have this monitor.
+        mode: control mode of the policies that it judges; None: of all.
         difference_order: order of a backward difference that `value` returns without dividing by dt**order.
         tolerance: share by which the limit may be exceeded, for rounding.
     """
@@ -43,6 +45,7 @@ class Monitor:
     limit: Callable[[JudgedRobot], Floats | float]
     value: Callable[[TickWindow], NDArray[Any]]
     needs: frozenset[Capability] = frozenset()
+    mode: ControlMode | None = None
     difference_order: int = 0
     tolerance: float = 0.0
 

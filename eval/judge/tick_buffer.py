@@ -29,9 +29,10 @@ Observation = Annotated[NDArray[np.float32], np.float32, "observation"]
 class Ticks(NamedTuple):
     """Arrays (PAST + T, B, ...) of the arguments of `Judge.step`. The first `PAST` ticks were judged before.
 
-    `target` and `sent` are angles, `tau_sent` feed-forward torques of the command. `q_hat`, `q_var` and `age` are the
-    estimate before the physics of that tick. `action_finite` is True where the policy was not called.
-    `achieved` is what `goal` is compared with, by ground truth. `tilt`: rad, of a floating base.
+    `target` is in the unit of the control mode. Of the command, `sent` are angles, `tau_sent` feed-forward torques and
+    `stiffness` N·m/rad. `q_hat`, `q_var` and `age` are the estimate before the physics of that tick. `action_finite` is
+    True where the policy was not called. `achieved` is what `goal` is compared with, by ground truth. `tilt`: rad, of a
+    floating base.
     """
 
     target: PerJoint
@@ -41,6 +42,7 @@ class Ticks(NamedTuple):
     winding_c: PerJoint
     sent: PerJoint
     tau_sent: PerJoint
+    stiffness: PerJoint
     q_hat: PerJoint
     q_var: PerJoint
     tool_position: Vector
@@ -92,7 +94,7 @@ class TickBuffer(Stage):
     def append(self, truth: Truth, state: State, target: Target, command: Command) -> None:
         """Append a tick (B, ...); the caller writes the other fields. Assignment by name is the fastest way."""
         ticks, row = self.ticks, self.row
-        ticks.target[row] = target.q
+        ticks.target[row] = target.value
         ticks.q[row] = truth.q
         ticks.qd[row] = truth.qd
         ticks.tau[row] = truth.tau
@@ -106,6 +108,7 @@ class TickBuffer(Stage):
         ticks.age[row] = state.age
         ticks.contact_n[row] = truth.contact_n
         ticks.powered[row] = command.powered
+        ticks.stiffness[row] = command.drive.kp
         ticks.self_collision[row] = truth.self_collision
         ticks.valid[row] = truth.valid
         self.pending += 1

@@ -13,6 +13,7 @@ from eval.judge.limits import Limits
 from eval.judge.singularity import SingularityMetric
 from eval.judge.tick_buffer import PAST, Ticks
 from robots.arrays import Bools, Floats
+from robots.motors.drive_gains import drive_gains
 from robots.spec import RobotSpec
 
 
@@ -42,6 +43,11 @@ class JudgedRobot:
         return (self.spec.joint_array("q_max") - self.spec.joint_array("q_min")) / 2
 
     @cached_property
+    def stiffness(self) -> Floats:
+        """(n,) N·m/rad, of the drives' own."""
+        return drive_gains(self.spec).kp
+
+    @cached_property
     def singularity(self) -> SingularityMetric:
         """Manipulability at true angles."""
         return SingularityMetric(self.spec)
@@ -51,7 +57,7 @@ class SentDifference(NamedTuple):
     """Backward difference of the angles sent.
 
     Attributes:
-        drives_on: (T, R) in all ticks that the difference looks at. values: (T, R, n) rad.
+        drives_on: (T, R) in all ticks that the difference looks at drives follow angles. values: (T, R, n) rad.
     """
 
     drives_on: Bools
@@ -64,13 +70,14 @@ class TickWindow:
     Attributes:
         robot: constants.
         ticks: (PAST + T, R, ...). now: (T, R, ...) the ticks to be judged. before: (T, R, ...) the tick before each.
-        drives_on: (PAST + T, R) powered, and the simulation valid.
+        drives_on: (PAST + T, R) powered, and the simulation valid. drives_hold: (PAST + T, R) and they follow angles.
     """
 
     def __init__(self, ticks: Ticks, robot: JudgedRobot) -> None:
         self.robot, self.ticks = robot, ticks
         self.now, self.before = ticks.at(slice(PAST, None)), ticks.at(slice(PAST - 1, -1))
         self.drives_on = ticks.powered & ticks.valid
+        self.drives_hold = self.drives_on & (ticks.stiffness > 0.0).all(axis=2)
 
     @cached_property
     def running(self) -> Bools:
@@ -90,7 +97,7 @@ class TickWindow:
     @cached_property
     def sent_differences(self) -> tuple[SentDifference, ...]:
         """First, second and third backward difference of the angles sent."""
-        values, on, found = self.ticks.sent, self.drives_on, []
+        values, on, found = self.ticks.sent, self.drives_hold, []
         for order in range(1, PAST + 1):
             values, on = np.diff(values, axis=0), on[1:] & on[:-1]
             found.append(SentDifference(on[PAST - order :], values[PAST - order :]))

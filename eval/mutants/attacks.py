@@ -103,7 +103,7 @@ def move_to(**to: float) -> HostilePolicy:
         q = runtime.spec.joint_array("q_home").copy()
         for name, value in to.items():
             q[runtime.spec.joint_names.index(name)] = value
-        return np.asarray((q - runtime.action.q) / runtime.contract.action.scale)
+        return np.asarray((q - runtime.action.value) / runtime.contract.action.scale)
 
     return policy
 

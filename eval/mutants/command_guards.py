@@ -86,6 +86,17 @@ SAFETY = (
             seconds=4.5,
         ),
     ),
+    check_off(
+        "safety: acceleration",
+        Reason.ACCELERATION,
+        "acceleration",
+        Situation(
+            description="planner with 20 % too much acceleration",
+            policy=TO_AND_FRO,
+            prepare=scale_planner_limits(qdd_max=1.2),
+            seconds=2.0,
+        ),
+    ),
     Mutant(
         guard="safety: the further increase of speed during a stop is not checked",
         remove_guard=ignore_speed_overshoot,
@@ -107,7 +118,7 @@ SAFETY = (
                 1.9, move_slowly_to(0.8, **FAR), move_to(shoulder_lift=-1.4, elbow=0.6, wrist_1=-1.94)
             ),
             prepare=in_sequence(
-                ignore_reasons(Reason.TOOL_SPEED | Reason.SINGULARITY),
+                ignore_reasons(Reason.ACCELERATION | Reason.TOOL_SPEED | Reason.SINGULARITY),
                 scale_limits_while_following(qdd_max=4.0, qddd_max=0.8),
             ),
             draws=LIGHT,
@@ -198,7 +209,11 @@ SENT = (
     Mutant(
         guard="planner: acceleration × 1.2",
         remove_guard=scale_planner_limits(qdd_max=1.2),
-        situation=FAST_JOINT,
+        situation=Situation(
+            description="a joint moves as fast as allowed; acceleration check off",
+            policy=SPIN,
+            prepare=ignore_reasons(Reason.ACCELERATION),
+        ),
         monitor="acceleration",
     ),
     Mutant(

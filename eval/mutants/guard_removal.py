@@ -8,6 +8,7 @@ from typing import Any, ParamSpec
 import numpy as np
 
 from deploy.estimation.estimator import Estimator
+from deploy.motion.prepared_stop import select
 from deploy.motion.smoother import Smoother
 from deploy.reasons import Reason
 from deploy.runtime import Runtime
@@ -110,8 +111,7 @@ def scale_limits_while_following(**factors: float) -> GuardRemoval:
 
         def plan(nominal: Callable[..., Setpoint], q_target: Floats, stopping: Bools) -> Setpoint:
             scaled.commit(runtime.smoother.sent)
-            pairs = zip(nominal(q_target, stopping), scaled.next(q_target, stopping), strict=True)
-            return Setpoint(*(np.where(stopping[:, None], *pair) for pair in pairs))
+            return select(stopping, nominal(q_target, stopping), scaled.next(q_target, stopping))
 
         wrap_method(runtime.smoother, "next", plan)
 
@@ -131,7 +131,7 @@ def plan_nan_at(t: float, *, angles: bool) -> GuardRemoval:
         def plan(step: Callable[..., Setpoint], *arguments: Any) -> Setpoint:
             setpoint = step(*arguments)
             if round((runtime.t - t) / runtime.spec.dt) == 0:
-                for part in setpoint[0 if angles else 1 :]:
+                for part in (setpoint.q, setpoint.qd, setpoint.qdd)[0 if angles else 1 :]:
                     part[:] = np.nan
             return setpoint
 
@@ -151,9 +151,8 @@ def stop_instantly(runtime: Runtime) -> None:
 
     def choose(nominal: Callable[..., tuple[Setpoint, Floats]], obey: Bools, planned: Setpoint) -> object:
         setpoint, tau = nominal(obey, planned)
-        rest = [runtime.smoother.q, np.zeros_like(setpoint.qd), np.zeros_like(setpoint.qdd)]
-        parts = [np.where(obey[:, None], *pair) for pair in zip(setpoint, rest, strict=True)]
-        return Setpoint(*parts), tau
+        still = np.zeros_like(setpoint.qd)
+        return select(obey, setpoint, Setpoint(q=runtime.smoother.q, qd=still, qdd=still)), tau
 
     wrap_method(runtime, "select_setpoint", choose)
 
@@ -171,7 +170,7 @@ def follow_non_finite_action(runtime: Runtime) -> None:
     """Let non-finite actions move the target."""
 
     def step(_: object, action: Floats, q_setpoint: Floats) -> object:
-        runtime.action.q += runtime.action.scale * action
+        runtime.action.value += runtime.action.scale * action
         return runtime.action.target
 
     wrap_method(runtime.action, "step", step)

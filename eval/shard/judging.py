@@ -31,7 +31,13 @@ def make_judge(spec: RobotSpec, contract: Contract, robots: int, *, counted: int
     """Return the judge of B robots before their first tick; the first `counted` are judged, by default all."""
     criterion = find_task(contract.task, "contract: task").success_criterion(spec)
     return Judge(
-        spec, torque_max(spec), robots, criterion=criterion, counted=counted, observed=contract.observed
+        spec,
+        torque_max(spec),
+        robots,
+        criterion=criterion,
+        mode=contract.action.control_mode,
+        counted=counted,
+        observed=contract.observed,
     )
 
 

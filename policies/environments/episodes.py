@@ -14,6 +14,7 @@ from policies.environments.rewards import Limits, Step, reward_terms, shaping
 from policies.training.recipe import Recipe
 from robots.arrays import Bools, Float32s, Floats
 from robots.models.fleet import Fleet
+from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 
@@ -47,6 +48,7 @@ class Episodes:
         """
         self.runtime, self.robot = simulate(spec, contract, seeds, threads=threads)
         self.task, self._criterion = self.runtime.task, self.runtime.task.criterion
+        self._angles = contract.action.control_mode is ControlMode.POSITION
         self._spec, self._recipe, self._fleet = spec, recipe, Fleet(spec, len(seeds))
         self.limits = Limits(spec, recipe.reward.near_share)
         self.goal_steps = round(self._criterion.period_s * contract.policy_hz)
@@ -107,7 +109,7 @@ class Episodes:
             qdd_change=runtime.setpoint.qdd - qdd,
             dt=runtime.decimation * self._spec.dt,
             distance=self._distance(goal),
-            q_target=runtime.target.q,
+            q_target=runtime.target.value if self._angles else truth.q,
             action_change=change,
             action_excess=self._excess(action),
             manipulability=self._manipulability(truth.q),

@@ -15,6 +15,9 @@ from robots.models.kinematics import Kinematics
 from robots.models.side_by_side import Blocks
 from robots.spec import RobotSpec
 
+SLIDING = 0.05
+"""rad/s at which a joint has three quarters of its dry friction."""
+
 
 class Fleet:
     """Kinematics and dynamics of B equal robots; arrays (B, ...).
@@ -57,6 +60,21 @@ class Fleet:
             tau = pin.rnea(block.model, block.data, q[rows].ravel(), qd[rows].ravel(), qdd[rows].ravel())
             torque[rows] = tau.reshape(-1, self.n)
         return torque
+
+    def acceleration(self, q: Floats, qd: Floats, tau: Floats) -> Floats:
+        """Return (B, n) rad/s² under motor torques (B, n) N·m by the articulated-body algorithm, friction included.
+
+        Source: Featherstone, Rigid Body Dynamics Algorithms (2008), table 7.1.
+        """
+        block, moving, acceleration = self._block, tau - self.friction(qd), np.empty((self.robots, self.n))
+        for rows in self._rows:
+            qdd = pin.aba(block.model, block.data, q[rows].ravel(), qd[rows].ravel(), moving[rows].ravel())
+            acceleration[rows] = qdd.reshape(-1, self.n)
+        return acceleration
+
+    def friction(self, qd: Floats) -> Floats:
+        """Return (R, n) N·m of damping and dry friction at speeds (R, n) rad/s, smooth around rest."""
+        return np.asarray(self._blocks.damping * qd + self._blocks.dry_friction * np.tanh(qd / SLIDING))
 
     def kinematics(self, q: Floats, *, jacobians: bool = True) -> Kinematics:
         """Return kinematics, and self-collision if the fleet has it, at joint angles (B, n) rad.

@@ -41,6 +41,7 @@ class Blocks:
 
     Attributes:
         frames: tool and feet of the robot.
+        damping: (n,) N·m·s/rad, dry_friction: (n,) N·m, of its joints.
     """
 
     def __init__(self, spec: RobotSpec, *, collisions: bool) -> None:
@@ -50,6 +51,7 @@ class Blocks:
             RobotError: as `load_pinocchio`, or the home pose is too near a singularity or a self-collision.
         """
         self._model, self._geometry = load_pinocchio(spec)
+        self.damping, self.dry_friction = self._model.damping.copy(), self._model.friction.copy()
         self._margin, self._built = spec.margins.collision_m or 0.0, dict[int, Block]()
         tool, feet = tool_frame(spec, self._model), foot_frames(spec, self._model)
         self._tracked = [self._model.frames[frame] for frame in (*tool, *feet)]

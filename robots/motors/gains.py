@@ -1,4 +1,4 @@
-"""Gains of position-controlled drives."""
+"""Gains of drives."""
 
 from typing import NamedTuple
 
@@ -8,14 +8,12 @@ from robots.arrays import Floats
 
 
 class Gains(NamedTuple):
-    """Proportional and derivative gain of each drive: (n,) kp in N·m/rad, kd in N·m·s/rad, both at the joint."""
+    """Stiffness and damping of each drive: kp in N·m/rad, kd in N·m·s/rad, (n,) each, both at the joint."""
 
     kp: Floats
     kd: Floats
 
-
-def same_gains(one: Gains | None, other: Gains | None) -> bool:
-    """Return True if two sets of gains, or their absence, are equal."""
-    if one is None or other is None:
-        return one is other
-    return np.array_equal(one, other)
+    @property
+    def stiff(self) -> bool:
+        """True if every drive holds its angle."""
+        return bool((np.asarray(self.kp) > 0).all())

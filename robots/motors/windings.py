@@ -1,20 +1,14 @@
 """Nominal windings of a robot's motors, from the drives of robot.toml or of the model."""
 
 from typing import NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 
 from robots.arrays import Floats
 from robots.errors import RobotError
-from robots.models.files import read_xml
+from robots.motors.dcmotors import Attributes, dcmotors, numbers
 from robots.spec import RobotSpec
 from robots.tables import Drive
-
-Attributes = dict[str, str]
-
-DEFAULT_CLASS = "main"
-"""Class of elements that name none."""
 
 
 class Windings(NamedTuple):
@@ -43,7 +37,7 @@ def nominal_windings(spec: RobotSpec) -> Windings:
     """
     if spec.drives:
         return Windings(*np.array([_declared(drive) for drive in spec.drives]).T)
-    motors = _dcmotors(spec)
+    motors = dcmotors(spec)
     return Windings(*np.array([_winding(spec, name, motors) for name in spec.joint_names]).T)
 
 
@@ -62,8 +56,8 @@ def _winding(spec: RobotSpec, joint: str, motors: dict[str, Attributes]) -> tupl
     if joint not in motors:
         raise RobotError(f"{spec.model_path}: actuator: no dcmotor on joint {joint!r}")
     where = f"{spec.model_path}: actuator: dcmotor of joint {joint!r}"
-    resistance = _numbers(motors[joint], "resistance", 1, where)[0]
-    to_housing, capacity, constant, alpha, reference_c, _ = _numbers(motors[joint], "thermal", 6, where)
+    resistance = numbers(motors[joint], "resistance", 1, where)[0]
+    to_housing, capacity, constant, alpha, reference_c, _ = numbers(motors[joint], "thermal", 6, where)
     # Two of the first three are given; of all three the capacity is not read. Source: MuJoCo, XML reference.
     if constant > 0 and to_housing > 0:
         capacity = constant / to_housing
@@ -79,45 +73,12 @@ def _winding(spec: RobotSpec, joint: str, motors: dict[str, Attributes]) -> tupl
 
 def _constant(motor: Attributes, where: str) -> float:
     """Return N·m/A at the joint. MuJoCo takes the geometric mean of the constants of torque and voltage."""
-    torque, volts = _numbers(motor, "motorconst", 2, where)
+    torque, volts = numbers(motor, "motorconst", 2, where)
     constant = float(np.sqrt(torque * volts)) if torque > 0 and volts > 0 else max(torque, volts)
-    gear, *_ = _numbers({"gear": "1"} | motor, "gear", 6, where)
+    gear, *_ = numbers({"gear": "1"} | motor, "gear", 6, where)
     if not (torque >= 0 and volts >= 0 and constant > 0 and gear != 0):
         raise RobotError(
             f"{where}: found motorconst {motor['motorconst']!r} and gear {gear:g}, expected constants of at least 0"
             " N·m/A, one of them above 0, and a gear that is not 0"
         )
     return constant * gear
-
-
-def _numbers(motor: Attributes, key: str, count: int, where: str) -> list[float]:
-    """Return the numbers of an attribute; those left out at its end are 0."""
-    try:
-        numbers = [float(word) for word in motor[key].split()]
-    except (KeyError, ValueError):
-        numbers = []
-    if not 0 < len(numbers) <= count or not np.isfinite(numbers).all():
-        raise RobotError(f"{where}: {key}: found {motor.get(key)!r}, expected up to {count} numbers")
-    return numbers + [0.0] * (count - len(numbers))
-
-
-def _dcmotors(spec: RobotSpec) -> dict[str, Attributes]:
-    """Return the attributes of each joint's dcmotor, with those of its class and of the classes around that."""
-    root = read_xml(spec.model_path)
-    classes: dict[str, Attributes] = {DEFAULT_CLASS: {}}
-    for top in root.findall("default"):
-        _read_class(top, {}, classes)
-    found = [
-        classes.get(motor.get("class", DEFAULT_CLASS), {}) | motor.attrib
-        for motor in root.findall("actuator/dcmotor")
-    ]
-    return {motor["joint"]: motor for motor in found if "joint" in motor}
-
-
-def _read_class(element: ElementTree.Element, inherited: Attributes, classes: dict[str, Attributes]) -> None:
-    own = inherited.copy()
-    for motor in element.findall("dcmotor"):
-        own |= motor.attrib
-    classes[element.get("class", DEFAULT_CLASS)] = own
-    for inner in element.findall("default"):
-        _read_class(inner, own, classes)

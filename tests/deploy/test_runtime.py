@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from deploy.reasons import Reason
-from deploy.runtime import Runtime
 from deploy.state import Mode
 from deploy.tasks.goal_pool import ReachConfig, goal_pool
 from robots.models.fleet import Fleet
-from robots.randomness import robot_seed
+from robots.motors.control_mode import ControlMode
+from robots.motors.drive_gains import drive_gains
 from support.arm6 import SPEC
 from support.contracts import arm_contract
 from support.runtimes import (
@@ -210,13 +210,13 @@ def test_arm_with_policy_gains_is_checked_at_its_setpoint():
     assert SPEC.workspace.z_min <= np.min(heights) < SPEC.workspace.z_min + 0.02
 
 
-def test_drive_gains_other_than_the_contract_are_refused():
-    seeds = [robot_seed(5, 0)]
+def test_commands_carry_the_gains_of_the_contract():
     soft = arm_contract().action.model_copy(update={"kp": (400.0,) * N, "kd": (40.0,) * N})
-    with pytest.raises(RuntimeError, match="other gains than the policy's contract"):
-        Runtime(SPEC, arm_contract(action=soft), SimRobot(SPEC, seeds), seeds)
-    with pytest.raises(RuntimeError, match="other gains than the policy's contract"):
-        Runtime(SPEC, arm_contract(), SimRobot(SPEC, seeds, gains=soft.gains), seeds)
+    for action, gains in ((soft, soft.gains), (arm_contract().action, drive_gains(SPEC))):
+        runtime = running(2, contract=arm_contract(action=action))
+        for found, expected in zip(runtime.command.drive[1:], gains, strict=True):
+            np.testing.assert_array_equal(found, np.tile(expected, (2, 1)))
+        assert (runtime.command.drive.mode == ControlMode.POSITION).all()
 
 
 def test_reset_of_a_subset():

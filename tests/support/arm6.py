@@ -2,11 +2,15 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from deploy.state import DriveMode
 from deploy.tasks.reach import Reach
 from eval.judge.judge import Judge
 from robots.errors import RobotError
+from robots.motors.control_mode import ControlMode
+from robots.motors.drive_gains import drive_gains
 from robots.spec import ROBOTS, load_robot
 
 ARM = ROBOTS / "arm6"
@@ -30,6 +34,12 @@ def copy_of_arm(folder, *, toml=(), xml=()):
 def arm_judge(torque_max, robots, **how):
     """A judge of the arm at its task."""
     return Judge(SPEC, torque_max, robots, criterion=Reach.success_criterion(SPEC), **how)
+
+
+def position_drives(robots, spec=SPEC):
+    """Drives that follow angles, with gains of their own."""
+    gains = (np.tile(gain, (robots, 1)) for gain in drive_gains(spec))
+    return DriveMode(np.full(robots, ControlMode.POSITION), *gains)
 
 
 def complaint(folder):

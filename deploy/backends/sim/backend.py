@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from deploy.backends.backend import Abilities, Backend, Request
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.sensor_faults import Fault
+from robots.motors.control_mode import ControlMode
 
 if TYPE_CHECKING:
     from deploy.runtime import Runtime
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 class SimBackend(Backend[SimRobot]):
     """Simulated robots in this process, with faults of their sensors, and a number of threads for their physics."""
 
-    abilities = Abilities(control_hz=(1, 100_000), gains=True, simulated=True)
+    abilities = Abilities(control_hz=(1, 100_000), gains=True, modes=tuple(ControlMode), simulated=True)
 
     def __init__(self, faults: Sequence[Fault] = (), threads: int = 1) -> None:
         self._faults, self._threads = faults, threads
@@ -26,7 +27,6 @@ class SimBackend(Backend[SimRobot]):
             request.seeds,
             draw=request.draw,
             faults=self._faults,
-            gains=request.gains,
             threads=self._threads,
         )
 

@@ -13,6 +13,7 @@ from robots.arrays import Bools, Floats
 from robots.distributions import COMMAND_DELAY_S
 from robots.draws import Draw
 from robots.models.mujoco_model import INPUTS
+from robots.motors.drive_gains import drive_gains
 from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 from robots.tables import Rates
@@ -30,14 +31,15 @@ class Drives(Stage):
         command: (B, controls) the newest command, on the motor's side.
         held: (B, n) rad, pose held by the brakes. braked: (B,) brakes closed.
         gear: (B, n) ratio.
-        gains: kp and kd in force, (B, n) each, on the motor's side.
+        gains: kp and kd in force, (B, n) each, on the motor's side. commanded: those of the newest command, at the
+            joint.
         torque_limit: (B, n, 2) N·m on the motor's side, in force. torque_limit_nominal: (n, 2) at full current.
     """
 
     carried = ("history", "held", "braked")
 
-    def __init__(self, spec: RobotSpec, batch: Batch, draw: Draw, gains: Gains | None = None) -> None:
-        """Begin with every brake closed at 0 rad; `gains` are those in force with power, None for the drives' own."""
+    def __init__(self, spec: RobotSpec, batch: Batch, draw: Draw) -> None:
+        """Begin with every brake closed at 0 rad."""
         robots, n = draw.robots, spec.n
         self.gear = np.ones((robots, n)) * batch.model.actuator_gear[:, 0]
         self.command = np.zeros((robots, n * INPUTS))
@@ -49,10 +51,8 @@ class Drives(Stage):
         gain = batch.expand("actuator_gainprm")
         self.gains = gain[:, :, KP], gain[:, :, KD]
         self._own = self.gains[0].copy(), self.gains[1].copy()
-        self._powered = self._own
-        if gains:  # on the motor's side of the gear: an angle is that much larger there, and a torque smaller
-            square = batch.model.actuator_gear[:, 0] ** 2
-            self._powered = (gains.kp / square * draw["drives.kp"], gains.kd / square * draw["drives.kd"])
+        self._nominal, self._factors = drive_gains(spec), (draw["drives.kp"], draw["drives.kd"])
+        self.commanded = Gains(*(np.tile(gain, (robots, 1)) for gain in self._nominal))
         self._allocate(spec.rates, draw["drives.delay_s"])
 
     def _allocate(self, rates: Rates, delay_s: Floats) -> None:
@@ -86,9 +86,14 @@ class Drives(Stage):
         if not all_true(command.current_share == self._current):
             self._current[:] = command.current_share
             self.torque_limit[:] = self.torque_limit_nominal * self._current[:, :, None]
-        off = ~command.powered
-        if any_true(self.braked & command.powered):
+        off, drive = ~command.powered, command.drive
+        opening = any_true(self.braked & command.powered)
+        if opening:
             self.braked &= off
+        if opening or not (
+            all_true(drive.kp == self.commanded.kp) and all_true(drive.kd == self.commanded.kd)
+        ):
+            self.commanded.kp[:], self.commanded.kd[:] = drive.kp, drive.kd
             self.apply()
         if any_true(off):
             self.brake(off, q)
@@ -110,8 +115,15 @@ class Drives(Stage):
         self._hold(rows)
 
     def apply(self) -> None:
-        """Write the gains: the requested ones where there is power, the drives' own where brakes are closed."""
-        for gain, own, powered in zip(self.gains, self._own, self._powered, strict=True):
+        """Write the gains: the commanded ones where there is power, the drives' own where brakes are closed.
+
+        On the motor's side of the gear an angle is that much larger, and a torque smaller.
+        """
+        square = self.gear**2
+        for gain, own, nominal, commanded, factor in zip(
+            self.gains, self._own, self._nominal, self.commanded, self._factors, strict=True
+        ):
+            powered = np.where(commanded == nominal, own, commanded / square * factor)
             gain[:] = np.where(self.braked[:, None], own, powered)
 
     def _hold(self, rows: np.ndarray) -> None:

@@ -21,7 +21,6 @@ from deploy.truth import Truth
 from robots.arrays import Bools, Floats
 from robots.distributions import Distributions
 from robots.draws import Draw
-from robots.motors.gains import Gains
 from robots.sensors import Kind
 from robots.spec import RobotSpec
 
@@ -62,7 +61,6 @@ class Plant(Stage):
         draw: Draw,
         seeds: Sequence[np.random.SeedSequence],
         *,
-        gains: Gains | None = None,
         threads: int = 1,
     ) -> None:
         """Build the simulations at home, brakes closed; a floating base hangs on a gantry until it is powered.
@@ -71,7 +69,6 @@ class Plant(Stage):
             spec: the robot as it should be. draw: B robots as they are.
             distributions: of the draw: link of the cable, and life of a joint.
             seeds: B seeds of pushes and of the cycle of loads.
-            gains: of the drives; None: their own.
             threads: for physics; results do not depend on it.
         """
         _disable_log_file()
@@ -79,7 +76,7 @@ class Plant(Stage):
         self.batch = Batch(model.model, draw.robots, nthread=threads)
         write_draw(self.batch, model, draw)
         self.kinematics = Kinematics(self.batch, model)
-        self.drives = Drives(spec, self.batch, draw, gains)
+        self.drives = Drives(spec, self.batch, draw)
         self.supply = Supply(self.batch, draw, self.drives.gear)
         self.windings, self.housings = Windings(self.batch, draw), Housings(spec, self.batch, draw)
         self.wear = Wear(distributions.wear, self.batch, model, draw)

@@ -16,7 +16,6 @@ from robots.distributions import load_distributions
 from robots.draws import Draw
 from robots.draws import draw as draw_robots
 from robots.errors import ConfigError
-from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
 
@@ -39,7 +38,6 @@ class SimRobot(Stage):
         *,
         draw: Draw | None = None,
         faults: Sequence[Fault] = (),
-        gains: Gains | None = None,
         threads: int = 1,
     ) -> None:
         """Draw B robots and put them at home, brakes closed.
@@ -49,13 +47,12 @@ class SimRobot(Stage):
             seeds: B seeds: one draw, one stream of noise each.
             draw: B robots as they are, in place of those that the seeds would draw.
             faults: of their sensors.
-            gains: of their drives, as the policy's contract has them; None: the drives' own.
             threads: for physics; results do not depend on it.
         """
-        self.spec, self.robots, self.gains = spec, len(seeds), gains
+        self.spec, self.robots = spec, len(seeds)
         distributions = load_distributions(spec)
         self.draw = draw or draw_robots(distributions, spec, seeds)
-        self.plant = Plant(spec, distributions, self.draw, seeds, gains=gains, threads=threads)
+        self.plant = Plant(spec, distributions, self.draw, seeds, threads=threads)
         self.sensors = Sensors(spec, self.draw, seeds, faults)
         self.goal_source: Callable[[], Floats] | None = None
         self.goal = np.full((self.robots, 3), np.nan)

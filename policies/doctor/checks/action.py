@@ -9,6 +9,7 @@ from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import NAMED_MAX, Message, failed, flag, format_values, passed, warned
 from robots.arrays import Bools, Floats
 from robots.models.nominal_model import load_pinocchio, torque_max
+from robots.motors.control_mode import UNITS, ControlMode
 from robots.motors.gains import Gains
 
 SHARE_MIN = 0.02
@@ -31,8 +32,12 @@ def action(context: CheckContext) -> Iterator[Message]:
         return
     if command.clip is None:
         yield warned("clip: none, so only the working range limits the action: set the clip of training.")
-    offset = command.offset
-    yield from _increments(context) if offset is None else _positions(context, np.array(offset))
+    if command.offset is not None:
+        yield from _positions(context, np.array(command.offset))
+    elif command.control_mode is ControlMode.POSITION:
+        yield from _increments(context)
+    else:
+        yield from _speeds_or_torques(context)
 
 
 def _increments(context: CheckContext) -> Iterator[Message]:
@@ -48,6 +53,22 @@ def _increments(context: CheckContext) -> Iterator[Message]:
     ):
         yield from flag(note, selection, REQUEST, names, requested, qd_max, unit=" rad/s", after=after)
     yield passed(f"{REQUEST}{format_values(names, requested, qd_max, unit=' rad/s')}.")
+
+
+def _speeds_or_torques(context: CheckContext) -> Iterator[Message]:
+    """Compare an action of 1 with the limits of speed, or with the ranges of torque."""
+    names, mode = context.spec.joint_names, context.contract.action.control_mode
+    limit = context.spec.joint_array("qd_max") if mode is ControlMode.VELOCITY else torque_max(context.spec)
+    low, high = context.contract.action.bounds
+    requested, unit = np.array(context.contract.action.scale) * min(max(-low, high), 1.0), f" {UNITS[mode]}"
+    excessive, after = requested > FACTOR_MAX * limit, ": compare the scale with training."
+    for note, selection, text in (
+        (failed, excessive, after),
+        (warned, (requested > limit) & ~excessive, after),
+        (warned, requested < SHARE_MIN * limit, f", almost nothing{after}"),
+    ):
+        yield from flag(note, selection, REQUEST, names, requested, limit, unit=unit, after=text)
+    yield passed(f"{REQUEST}{format_values(names, requested, limit, unit=unit)}.")
 
 
 def _positions(context: CheckContext, offset: Floats) -> Iterator[Message]:
@@ -123,8 +144,11 @@ def _inertia(context: CheckContext) -> Floats:
 
 def first_target(context: CheckContext) -> Iterator[Message]:
     """Check the largest first step from the home pose at rest, over several goals."""
-    gains = context.contract.action.gains
-    yield from _first_step(context) if gains is None else _first_torque(context, gains)
+    command = context.contract.action
+    if command.control_mode is not ControlMode.POSITION:
+        yield passed("a target speed or torque has no first step: the smoother begins at rest.")
+    else:
+        yield from _first_step(context) if command.gains is None else _first_torque(context, command.gains)
 
 
 def _first_step(context: CheckContext) -> Iterator[Message]:

@@ -98,7 +98,8 @@ class _Simulation:
         draw = median_draw(load_distributions(spec), spec, robots)
         self._runtime, self._robot = simulate(spec, contract, seeds, policy, draw=draw)
         criterion, observed = self._runtime.task.criterion, contract.observed
-        self._judge = Judge(spec, torque_max(spec), robots, criterion=criterion, observed=observed)
+        mode = contract.action.control_mode
+        self._judge = Judge(spec, torque_max(spec), robots, criterion=criterion, mode=mode, observed=observed)
         self._policy, self._rng = policy, np.random.default_rng(SEED)
         self._delay_min, self._delay_max = (int(share * self._runtime.decimation) for share in delay)
         self._pending_actions: dict[int, Float32s] = {}
@@ -136,7 +137,7 @@ class _Simulation:
             self._speeds.append((runtime.setpoint if runtime.springs is None else runtime.state).qd.copy())
         if running is not None:
             starts = running & np.isnan(self._first_step[:, 0])
-            self._first_step[starts] = (runtime.target.q - runtime.state.q)[starts]
+            self._first_step[starts] = (runtime.target.value - runtime.state.q)[starts]
 
     def _run_policy(self, tick: int, observation: Float32s) -> None:
         action = self._policy.step(observation).copy()

@@ -9,6 +9,7 @@ from deploy.backends.sim.backend import SimBackend
 from deploy.operation.cli import cli
 from deploy.simulation import simulate
 from robots.errors import ConfigError
+from robots.motors.control_mode import ControlMode
 from robots.motors.gains import Gains
 from robots.randomness import robot_seed
 from robots.spec import load_robot
@@ -25,7 +26,7 @@ from deploy.state import Packet
 OPENED = []
 
 class Arm:
-    robots, gains = 1, None
+    robots = 1
 
     def __init__(self, spec):
         self.spec, self.tick, self.calls = spec, 0, []
@@ -106,8 +107,7 @@ def test_a_control_rate_beyond_the_abilities_is_refused_by_run_and_soak_alike():
         simulate(fast, arm_contract(), seeds)
 
 
-def test_the_simulation_sets_gains():
+def test_the_simulation_sets_gains_and_every_mode():
     gains = Gains(np.full(SPEC.n, 400.0), np.full(SPEC.n, 40.0))
-    request = Request(spec=SPEC, seeds=[robot_seed(3, 0)], gains=gains)
-    SimBackend().check(request)
-    assert SimBackend().open(request).gains is gains
+    for mode in ControlMode:
+        SimBackend().check(Request(spec=SPEC, seeds=[robot_seed(3, 0)], gains=gains, mode=mode))

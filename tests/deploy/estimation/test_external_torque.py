@@ -115,12 +115,14 @@ def test_weakly_pushed_blocked_joint_stops_its_robot(joint):
     runtime = running(policy=policy)
     for _ in range(100):  # to rest
         runtime.tick()
-    goal = runtime.action.q[:, joint] + 0.02
+    goal = runtime.action.value[:, joint] + 0.02
     modes, reasons = [], Reason.NONE
     plant = runtime.robot.plant
     for _ in range(60):
         plant.batch.expand("dof_frictionloss")[1, plant.dofs[joint]] = 1e5
-        policy.action[:, joint] = (goal - runtime.action.q[:, joint]) / runtime.contract.action.scale[joint]
+        policy.action[:, joint] = (goal - runtime.action.value[:, joint]) / runtime.contract.action.scale[
+            joint
+        ]
         runtime.tick()
         reasons |= Reason(int(runtime.verdict.reason[1] | runtime.state.fault[1]))
         modes.append(runtime.supervisor.mode.copy())

@@ -90,8 +90,8 @@ BAD_FIELDS = {
     "clip reversed": (["action", "clip"], [1.0, -1.0], "low 1.0 is not below high -1.0"),
     "unknown mode": (
         ["action", "mode"],
-        "torque",
-        "action.mode: Input should be 'position_increment' or 'position', found 'torque'",
+        "current",
+        "action.mode: Input should be 'position_increment', 'position', 'velocity' or 'torque', found 'current'",
     ),
     "unknown source": (["observation", 3, "source"], "base_velocity", "found 'base_velocity'"),
     "unit of another": (
@@ -232,6 +232,25 @@ def test_gait_phases_share_one_period():
         ({"kp": (1.0,) * 6}, "action: found one of kp and kd, expected both or none"),
         ({"kp": (1.0,) * 6, "kd": (1.0,) * 4}, "action kd has 4 numbers, size is 6"),
         ({"mode": "position_increment", "leash_rad": 0.3}, "action offset: found one in mode"),
+        ({"mode": "velocity"}, "action offset: found one in mode 'velocity'"),
+        (
+            {"mode": "torque", "offset": None, "leash_rad": 0.3},
+            "action leash_rad: found one in mode 'torque'",
+        ),
+        ({"change_max": (0.1,) * 5}, "action change_max has 5 numbers, size is 6"),
+        (
+            {"mode": "position_increment", "offset": None, "leash_rad": 0.3, "change_max": (0.1,) * 6},
+            "action change_max: found one in mode 'position_increment', where scale bounds it",
+        ),
+        ({"kp": (0.0,) * 6, "kd": (1.0,) * 6}, "action kp: found 0 in mode 'position', expected all above 0"),
+        (
+            {"mode": "velocity", "offset": None, "kp": (0.0, *(1.0,) * 5), "kd": (1.0,) * 6},
+            "action kp: found 0 in mode 'velocity', expected all above 0, or all 0",
+        ),
+        (
+            {"mode": "torque", "offset": None, "kp": (1.0,) * 6, "kd": (1.0,) * 6},
+            "action kp: found some in mode 'torque', expected none: they are 0",
+        ),
     ],
 )
 def test_action_fields_belong_to_one_mode(changes, message):

@@ -9,6 +9,7 @@ from deploy.safety.check_table import CheckTable
 from deploy.safety.checks import CHECKS
 from deploy.safety.safety import Safety
 from robots.models.fleet import Fleet
+from robots.motors.control_mode import ControlMode
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.deploy.safety import HOME, judge, point
@@ -47,7 +48,7 @@ def test_robots_have_the_checks_whose_needs_they_meet(tmp_path):
         (bare, {"base_tilt", "manipulability", "self_collision"}),
         (walker, {"manipulability", "tool_height", "tool_radius", "tool_speed"}),
     ):
-        table = CheckTable(2, Limits(spec, np.zeros(spec.n)), *CHECKS)
+        table = CheckTable(2, Limits(spec, np.zeros(spec.n), ControlMode.POSITION), *CHECKS)
         every = {check.name for checks in CHECKS for check in checks}
         assert every - {check.name for check in table.checks} == missing
     assert judge(safety=arm(bare)).reason[0] == 0

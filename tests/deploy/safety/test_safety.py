@@ -240,7 +240,11 @@ def test_robots_are_checked_independently():
     """Eleven robots, each with another fault, and every verdict is that of its own fault."""
     faults = {
         **{1: Reason.VELOCITY, 2: Reason.POSITION, 5: Reason.TRACKING, 6: Reason.HEAT},
-        **{4: Reason.TORQUE | Reason.VELOCITY, 7: Reason.TOOL_SPEED, 8: Reason.VELOCITY},
+        **{
+            4: Reason.TORQUE | Reason.VELOCITY | Reason.ACCELERATION,
+            7: Reason.TOOL_SPEED | Reason.ACCELERATION,
+            8: Reason.VELOCITY,
+        },
         **dict.fromkeys((9, 10), Reason.SINGULARITY | Reason.POSITION),
     }
     robots, straight = 11, one(4, 0.0, HOME)

@@ -42,7 +42,7 @@ class Scripted:
         joints = [self.numbers(self.ticks, part) for part in (*range(8), 10)]
         q, qd, housing_c, winding_c = (*joints[:3], joints[8])
         self.state = SimpleNamespace(q=q, qd=qd, housing_c=housing_c, winding_c=winding_c, base=None)
-        self.action = SimpleNamespace(q=joints[3])
+        self.action = SimpleNamespace(value=joints[3])
         self.setpoint = SimpleNamespace(q=joints[4], qd=joints[5], qdd=joints[6])
         self.command = SimpleNamespace(tau=joints[7])
         self.task.achieved, self.task.goal = (self.numbers(self.ticks, part, 3) for part in (8, 9))
@@ -124,7 +124,7 @@ def test_logged_numbers_match_their_tick(tmp_path):
         assert spheres["goal"].size.x == 0.04
         assert found["/state"][k][2]["housing_c"] == script.numbers(tick, 2)[0].tolist()
         assert found["/state"][k][2]["winding_c"] == script.numbers(tick, 10)[0].tolist()
-        assert found["/state"][k][2]["q_target"] == script.numbers(tick, 3)[0].tolist()
+        assert found["/state"][k][2]["target"] == script.numbers(tick, 3)[0].tolist()
 
 
 def test_mode_changes_are_logged_with_their_reasons(tmp_path):

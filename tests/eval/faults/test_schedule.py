@@ -13,7 +13,7 @@ from eval.faults.fault_class import JOINT, POLICY, ROBOT, SensorFault, StopCateg
 from eval.faults.injector import Injector
 from eval.faults.schedule import FaultSettings, plan
 from robots.randomness import robot_seed
-from support.arm6 import SPEC
+from support.arm6 import SPEC, position_drives
 from support.eval.fault_schedules import CLASSES, DT, N, named, one_each
 from support.runtimes import Saying, running
 from support.walking import QUADRUPED
@@ -71,7 +71,8 @@ def test_every_fault_of_a_sensor_reaches_its_own_channels_and_no_others():
     faults = [(each, each.channels[-1]) for each in OF_SENSORS]
     broken = SimRobot(SPEC, seeds, faults=one_each(faults, begins, lasts=150).sensor_faults())
     clean, rest = SimRobot(SPEC, seeds), np.zeros((len(seeds), N))
-    off = Command(q=rest, qd=rest, tau=rest, powered=rest[:, 0] > 0, current_share=rest + 1)
+    drive = position_drives(len(seeds))
+    off = Command(drive, q=rest, qd=rest, tau=rest, powered=rest[:, 0] > 0, current_share=rest + 1)
     differs = np.zeros((len(seeds), 300, len(SPEC.channels)), dtype=bool)
     for tick in range(300):
         for robot in (broken, clean):

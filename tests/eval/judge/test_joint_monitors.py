@@ -29,7 +29,7 @@ def work(bench, joint, power):
 
 
 ATTACKS = {
-    "position_requested": lambda b, j, by: b.target.q[0].__setitem__(j, Q_MAX[j] + by),
+    "position_requested": lambda b, j, by: b.target.value[0].__setitem__(j, Q_MAX[j] + by),
     "position_soft": lambda b, j, by: hold(b, j, Q_MAX[j] - SOFT + by),
     "position_hard": lambda b, j, by: hold(b, j, Q_MIN[j] - by),
     "velocity": lambda b, j, by: b.truth.qd[0].__setitem__(j, -SPEC.joints[j].qd_max - by),

@@ -126,8 +126,8 @@ def test_an_arm_without_a_capability_is_judged_without_its_monitors(tmp_path, ed
     assert {monitor.name for monitor in a.monitors} - {monitor.name for monitor in b.monitors} == missing
     for monitor in MONITORS:
         columns = a.columns(monitor.name)
-        judged = monitor.name not in missing and "floating_base" not in monitor.needs
-        assert bool(a.worst[:, columns].any()) == ("floating_base" not in monitor.needs)
+        judged = monitor.name not in missing and monitor in a.monitors
+        assert bool(a.worst[:, columns].any()) == (monitor in a.monitors)
         wanted = a.worst[:, columns] if judged else np.zeros_like(a.worst[:, columns])
         np.testing.assert_array_equal(b.worst[:, columns], wanted)
         np.testing.assert_array_equal(np.isfinite(b.limits[columns]), judged)

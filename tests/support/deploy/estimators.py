@@ -51,7 +51,7 @@ def begun(robots, rows=slice(None)):
     """An estimator that knows what was sent before the first packet."""
     estimator = Estimator(SPEC, len(np.arange(robots)[rows]))
     for tick in range(-10, 0):
-        setpoint = Setpoint(*(part[rows] for part in sent(tick, robots)))
+        setpoint = Setpoint(*(part[rows] for part in sent(tick, robots)[:3]))
         silence = np.zeros(len(setpoint.q))
         estimator.step(tick * DT, sample(silence, silence, setpoint.q), setpoint)
     return estimator

@@ -5,7 +5,7 @@ from deploy.state import Command
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
 from robots.randomness import robot_seed
-from support.arm6 import SPEC
+from support.arm6 import SPEC, position_drives
 
 Plant = pytest.importorskip("deploy.backends.sim.plant").Plant
 build = pytest.importorskip("deploy.backends.sim.model.plant_model").build
@@ -51,9 +51,10 @@ def exact(robots=1, changes=None, **how):
     return drawn(robots, PLAIN | (changes or {}), **how)
 
 
-def command(q, qd=0.0, tau=0.0, powered=True, current=1.0):
+def command(q, qd=0.0, tau=0.0, powered=True, current=1.0, spec=SPEC):
     q = np.atleast_2d(q)
     return Command(
+        drive=position_drives(len(q), spec),
         q=q,
         qd=np.broadcast_to(qd, q.shape),
         tau=np.broadcast_to(tau, q.shape),

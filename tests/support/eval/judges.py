@@ -11,7 +11,7 @@ from deploy.state import Command, Mode, State, Target
 from eval.judge.judge import EVENT_GAP_S
 from eval.judge.limits import load_limits
 from eval.judge.monitors import NAMES
-from support.arm6 import SPEC, arm_judge
+from support.arm6 import SPEC, arm_judge, position_drives
 
 N, DT = SPEC.n, SPEC.dt
 TORQUE_MAX = np.array([150.0, 150.0, 150.0, 28.0, 28.0, 28.0])
@@ -62,7 +62,10 @@ class Bench:
             contact_n=np.zeros(robots),
             valid=np.ones(robots, dtype=bool),
         )
-        self.target = Target(q=np.tile(HOME, (robots, 1)), finite=np.ones(robots, dtype=bool))
+        self.target = Target(
+            position_drives(robots), np.tile(HOME, (robots, 1)), finite=np.ones(robots, dtype=bool)
+        )
+        self.drive = position_drives(robots)
         self.sent, self.tau_sent = np.tile(HOME, (robots, 1)), np.zeros((robots, N))
         self.was = np.tile(HOME, (robots, 1))
         self.q_var, self.age = np.full((robots, N), 1e-6), np.zeros(robots)
@@ -78,9 +81,8 @@ class Bench:
         self.attempted = np.zeros(robots, dtype=np.int64)
 
     def step(self, ticks=1):
-        command = Command(
-            q=self.sent, qd=self.sent * 0, tau=self.tau_sent, powered=self.powered, current_share=self.sent
-        )
+        still = self.sent * 0
+        command = Command(self.drive, self.sent, still, self.tau_sent, self.powered, current_share=self.sent)
         for tick in range(ticks):
             was = self.was if tick == 0 else self.truth.q
             self.judge.step(
@@ -158,11 +160,12 @@ def feed(judge, series, ticks, rows=slice(None)):
         truth = World(**{field.name: at[field.name] for field in fields(World)})
         judge.step(
             truth=truth,
-            target=Target(q=at["target"], finite=at["powered"]),
+            target=Target(position_drives(len(at["q"])), at["target"], finite=at["powered"]),
             action=None if t % 4 else at["said"],
             state=believed(at["off"] + np.nan_to_num(at["q"]), at["q_var"], at["age"]),
             observation=at["observation"],
             command=Command(
+                drive=position_drives(len(at["q"])),
                 q=at["sent"],
                 qd=at["sent"],
                 tau=at["tau_sent"],

@@ -345,7 +345,7 @@ def test_heat_follows_the_closed_form_within_1_k(tmp_path, minutes, hz, factors)
     plant, dt = exact(1, changes, spec=spec), spec.dt
     tau = np.zeros(N)
     for k in range(round(minutes * 60 / dt)):
-        plant.step(command(HOME, tau=tau))
+        plant.step(command(HOME, tau=tau, spec=spec))
         # A commanded torque sags as the winding warms: the current is held from outside.
         if k % 20 == 0:
             measured = plant.current[0, 5]
@@ -360,10 +360,11 @@ def test_heat_follows_the_closed_form_within_1_k(tmp_path, minutes, hz, factors)
 
 def test_a_commanded_torque_sags_as_the_winding_heats(tmp_path):
     """The drive takes its winding for cold: of the current it asks for, it gets R0 / R(T)."""
-    plant, tau = exact(spec=re40_arm(tmp_path, 50)), np.zeros(N)
+    spec = re40_arm(tmp_path, 50)
+    plant, tau = exact(spec=spec), np.zeros(N)
     tau[5] = 4.0 * 0.0603 * 101
     for _ in range(60 * 50):
-        plant.step(command(HOME, tau=tau))
+        plant.step(command(HOME, tau=tau, spec=spec))
     warmer = plant.truth(0.0).winding_c[0, 5] - 25.0
     assert warmer > 20.0
     assert plant.current[0, 5] == pytest.approx(4.0 / (1.0 + 0.0039 * warmer), rel=1e-3)
