@@ -12,11 +12,11 @@ from robots.spec import RobotSpec
 class TorqueRamp(Stage):
     """Torques sent last to B robots, with their rates.
 
-    A distance d is left in n periods if the rate falls by S dt in each, S the limit of the second rate:
+    A rate r that falls by S dt in each period, S the limit of the second rate, covers a distance d in n periods:
 
-        d = S dt² n (n + 1) / 2
+        d = n r dt − S dt² n (n − 1) / 2
 
-    so that a rate of n S dt, and none above it, can still end at the target.
+    With the least whole n for which it can end at the target, d <= S dt² n (n + 1) / 2, r is the highest such rate.
 
     Attributes:
         tau: (B, n) N·m. rate: (B, n) N·m/s.
@@ -40,9 +40,9 @@ class TorqueRamp(Stage):
         """Return torques and their rates one period ahead, towards targets (B, n) N·m."""
         left = self.clamped(target) - self.tau
         distance = np.abs(left)
-        periods = 0.5 * (np.sqrt(1.0 + 8.0 * distance / (self._rate_step * self._dt)) - 1.0)
-        fastest = np.minimum(np.minimum(self._rate_max, self._rate_step * periods), distance / self._dt)
-        wanted = np.sign(left) * fastest
+        periods = np.ceil(0.5 * (np.sqrt(1.0 + 8.0 * distance / (self._rate_step * self._dt)) - 1.0))
+        fastest = distance / (np.maximum(periods, 1.0) * self._dt) + 0.5 * self._rate_step * (periods - 1.0)
+        wanted = np.sign(left) * np.minimum(fastest, self._rate_max)
         rate = np.minimum(np.maximum(wanted, self.rate - self._rate_step), self.rate + self._rate_step)
         return self.tau + rate * self._dt, rate
 

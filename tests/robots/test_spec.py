@@ -6,8 +6,9 @@ import pytest
 from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
-from robots.spec import load_robot
+from robots.spec import RobotSpec, load_robot
 from support.arm6 import ARM, SPEC, complaint, copy_of_arm
+from support.paths import TEST_ROBOTS
 
 
 def test_by_name_and_by_path_are_the_same_robot():
@@ -62,7 +63,7 @@ def test_a_capability_that_lacks_its_other_half_is_an_error(tmp_path, edits, mes
 
 def test_the_digest_of_the_arm_stays():
     """Shipped contracts carry it."""
-    assert SPEC.digest == "c6f7554167702087e6e50387edd14de357ace124cfd6921025608764febca3c6"
+    assert SPEC.digest == "5fc87435758b568a84df9e2b4e0cd8e8a53e8239907acdfed91ea59b0c184863"
 
 
 def test_arrays_follow_joint_order():
@@ -241,3 +242,31 @@ def test_drives_reach_the_published_torque_at_the_published_speed():
         assert back_emf == pytest.approx(31.7, abs=0.05)
         assert amperes == pytest.approx([14.85, 2.77][i >= 3], abs=0.01)
     np.testing.assert_array_equal(torque_max(SPEC), [150, 150, 150, 28, 28, 28])
+
+
+@pytest.mark.parametrize(
+    ("edits", "message"),
+    [
+        (
+            ((r"torque_mode = \{ rate_max = 600.*\}", ""),),
+            r"joints\.shoulder_pan\.torque_mode: missing, and its motor has the mode 'torque'",
+        ),
+        (((r"speed_in_torque_mode = 0\.8 ", ""),), r"margins\.speed_in_torque_mode: missing"),
+        (
+            ((r'modes = \["position", "velocity", "torque"\]', 'modes = ["current"]'),),
+            r"modes\.0: .* found 'current'",
+        ),
+        (((r"rate_max = 600\.0", "rate_max = -1.0"),), r"torque_mode\.rate_max: .* found -1\.0"),
+    ],
+)
+def test_torque_mode_that_lacks_its_limits_is_an_error(tmp_path, edits, message):
+    assert re.search(message, complaint(copy_of_arm(tmp_path, toml=edits)))
+
+
+def test_what_stands_on_feet_has_no_torque_mode():
+    quadruped = load_robot(TEST_ROBOTS / "quadruped")
+    motors = {
+        name: motor.model_copy(update={"modes": ("torque",)}) for name, motor in quadruped.motors.items()
+    }
+    with pytest.raises(ValueError, match="modes: found 'torque', expected none of a robot with a base"):
+        RobotSpec.model_validate({**dict(quadruped), "motors": motors})

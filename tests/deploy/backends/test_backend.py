@@ -14,6 +14,7 @@ from robots.motors.gains import Gains
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.contracts import arm_contract
+from support.modes import mode_contract
 from support.policies import policy_model, saved
 
 SPEC = load_robot("arm6")
@@ -111,3 +112,11 @@ def test_the_simulation_sets_gains_and_every_mode():
     gains = Gains(np.full(SPEC.n, 400.0), np.full(SPEC.n, 40.0))
     for mode in ControlMode:
         SimBackend().check(Request(spec=SPEC, seeds=[robot_seed(3, 0)], gains=gains, mode=mode))
+
+
+def test_a_mode_that_a_backend_lacks_is_refused(outside, call, tmp_path):
+    policy, out = saved(policy_model(mode_contract("velocity")), tmp_path), tmp_path / "out"
+    code, _, said = call(cli, "--policy", policy, "--backend", "echo", "--out", out)
+    assert code == 2
+    assert "--backend: action.mode of the policy's contract: found velocity, expected position" in said
+    assert (outside().OPENED, out.exists()) == ([], False)

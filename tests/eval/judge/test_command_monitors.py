@@ -118,3 +118,36 @@ def test_jerk_limited_trajectories_at_the_limits_never_fire(seed):
     assert bench.fired() <= {"position_soft", "position_hard", "singularity"}
     for name in ("velocity_sent", "acceleration", "jerk"):
         assert 0.99 < counts.worst[:, counts.columns(name)].max() <= 1
+
+
+def free(bench):
+    """Drives that follow no angle."""
+    bench.drive = bench.drive._replace(kp=np.zeros_like(bench.drive.kp))
+
+
+def test_angles_sent_to_drives_that_follow_none_are_no_command():
+    bench = Bench()
+    free(bench)
+    for shift in (0.3, -0.2, 0.5):
+        bench.sent[:] = HOME + shift
+        bench.step()
+    assert bench.fired() == {"tracking"}
+
+
+@pytest.mark.parametrize(
+    ("share", "off", "fires"), [(1.0, 0.002, False), (1.0, 0.02, True), (0.01, 0.02, False)]
+)
+def test_drives_that_take_over_a_moving_joint_begin_where_its_speed_brought_it(share, off, fires):
+    bench = Bench()
+    own = bench.drive
+    free(bench)
+    bench.truth.qd[:] = 1.0
+    for _ in range(3):
+        bench.truth.q[:] += DT
+        bench.sent[:] = bench.truth.q
+        bench.step()
+    bench.drive = own._replace(kp=own.kp * share)
+    bench.truth.q[:] += DT
+    bench.sent[:] = bench.truth.q + off
+    bench.step()
+    assert bench.fired() == ({"command_jump"} if fires else set())

@@ -104,6 +104,24 @@ def test_inverse_dynamics_holds_the_simulated_arm(both):
         )
 
 
+def test_forward_dynamics_agree_with_friction(both):
+    """MuJoCo's acceleration under a torque, with the losses of every joint taken away by hand: all slide."""
+    model, data, _, _, _ = both
+    q, qd = random_states(4, 60)
+    qd += np.sign(qd) * 0.5
+    tau = np.random.default_rng(5).uniform(-20, 20, (60, N))
+    found = Fleet(SPEC, 60).acceleration(q, qd, tau)
+    dense = np.zeros((N, N))
+    for i in range(60):
+        data.qpos[:], data.qvel[:] = q[i], qd[i]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_fullM(model, data, dense)
+        losses = model.dof_damping * qd[i] + model.dof_frictionloss * np.sign(qd[i])
+        expected = np.linalg.solve(dense, tau[i] - losses - data.qfrc_bias)
+        np.testing.assert_allclose(found[i], expected, rtol=1e-6, atol=1e-6)
+
+
 def test_torque_limits_are_those_of_the_joints(both):
     model, _, arm, _, _ = both
     np.testing.assert_array_equal(torque_max(SPEC), model.jnt_actfrcrange[:, 1])

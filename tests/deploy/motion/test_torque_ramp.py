@@ -1,0 +1,54 @@
+"""Torques that change no faster than allowed, and no faster in their rate."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deploy.motion.torque_ramp import TorqueRamp
+from robots.models.nominal_model import torque_max
+from support.arm6 import SPEC
+
+N, DT = SPEC.n, SPEC.dt
+RATE, RATE2 = (
+    np.array([getattr(j.torque_mode, f"{name}_max") for j in SPEC.joints]) for name in ("rate", "rate2")
+)
+LIMIT = SPEC.margins.tau * torque_max(SPEC)
+
+
+def ride(targets, robots=1):
+    """Torques sent (T, B, n)."""
+    ramp, sent = TorqueRamp(SPEC, robots), []
+    for target in targets:
+        ramp.commit(*ramp.next(target), followed=np.ones(robots, dtype=bool))
+        sent.append(ramp.tau.copy())
+    return np.array(sent)
+
+
+def assert_inside_limits(sent):
+    rate = np.diff(np.concatenate((np.zeros((2, *sent.shape[1:])), sent)), axis=0) / DT
+    assert (np.abs(rate) <= RATE * (1 + 1e-9)).all()
+    assert (np.abs(np.diff(rate, axis=0)) / DT <= RATE2 * (1 + 1e-6)).all()
+
+
+def test_a_step_is_reached_and_not_passed():
+    goal = 0.5 * LIMIT * np.array([1, -1, 1, -1, 1, -1])
+    sent = ride([goal[None]] * 200)
+    assert_inside_limits(sent)
+    np.testing.assert_allclose(sent[-1, 0], goal, rtol=1e-9)
+    assert (np.abs(sent) <= np.abs(goal) * (1 + 1e-9)).all()
+    straight = np.abs(goal) / RATE / DT
+    reached = (np.abs(sent[:, 0] - goal) < 1e-3 * LIMIT).argmax(axis=0)
+    assert (reached <= straight + 2 * RATE / (RATE2 * DT) + 3).all()  # but for the ticks that the rate needs
+
+
+def test_a_target_beyond_the_range_ends_at_its_margin():
+    np.testing.assert_allclose(ride([np.full((1, N), 1e308)] * 400)[-1, 0], LIMIT, rtol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=30)
+def test_no_targets_leave_the_limits(seed):
+    rng = np.random.default_rng(seed)
+    sizes = 10.0 ** rng.uniform(-3, 4, (40, 2, N))
+    targets = np.repeat(rng.choice([-1.0, 1.0], sizes.shape) * sizes, rng.integers(1, 9), axis=0)
+    assert_inside_limits(ride(targets, robots=2))

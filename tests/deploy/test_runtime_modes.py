@@ -1,0 +1,159 @@
+"""The whole tick in velocity and in torque mode, on drawn arms."""
+
+import numpy as np
+import pytest
+
+from deploy.policy.compatibility import check_contract
+from deploy.state import Mode
+from robots.errors import ContractError
+from robots.models.fleet import Fleet
+from robots.motors.control_mode import ControlMode
+from robots.motors.drive_gains import drive_gains
+from support.arm6 import SPEC, copy_of_arm
+from support.modes import SCALES, Adversary, mode_contract
+from support.runtimes import DT, N, assert_same, built, every, heard
+
+make_judge = pytest.importorskip("eval.shard.judging").make_judge
+judge_tick = pytest.importorskip("eval.shard.judging").judge_tick
+load_robot = pytest.importorskip("robots.spec").load_robot
+TAKEOVER_S = pytest.importorskip("deploy.motion.free_smoother").TAKEOVER_S
+
+
+def live(runtime, policy, ticks, judge=None):
+    """Modes (T, B) of the supervisor while a policy is called with the runtime."""
+    modes = []
+    for _ in range(ticks):
+        observation = runtime.sense()
+        action = None if observation is None else policy(runtime)
+        runtime.act(action)
+        modes.append(runtime.supervisor.mode.copy())
+        if judge is not None:
+            judge_tick(judge, runtime.robot.truth(), runtime, action)
+    return np.array(modes)
+
+
+def armed(mode, robots, policy, **changes):
+    runtime = built(robots, contract=mode_contract(mode, **changes))
+    heard(runtime)
+    assert not runtime.arm(every(runtime)).any()
+    live(runtime, policy, 24)
+    return runtime
+
+
+def rest(runtime):
+    return np.zeros((runtime.robot.robots, N))
+
+
+def weight(runtime):
+    """Action that carries the nominal arm."""
+    fleet, still = Fleet(SPEC, runtime.robot.robots), np.zeros(runtime.state.q.shape)
+    return fleet.torque(runtime.state.q, still, still) / SCALES["torque"]
+
+
+def test_a_target_speed_becomes_the_speed_of_the_links():
+    runtime = armed("velocity", 3, rest)
+    live(runtime, lambda r: np.tile([0.1, 0, 0, 0, 0, -0.2], (3, 1)), 80)
+    expected = np.array([0.1, 0, 0, 0, 0, -0.2]) * SCALES["velocity"]
+    truth = runtime.robot.truth().qd
+    np.testing.assert_allclose(truth, np.tile(expected, (3, 1)), atol=0.05)
+    np.testing.assert_allclose(runtime.setpoint.qd, np.tile(expected, (3, 1)), atol=1e-9)
+    assert (runtime.command.drive.mode == ControlMode.VELOCITY).all()
+    np.testing.assert_array_equal(runtime.command.drive.kp, np.tile(drive_gains(SPEC).kp, (3, 1)))
+
+
+def test_change_of_a_target_is_capped_in_each_policy_step():
+    runtime, sent = armed("velocity", 2, rest, change_max=(0.1,) * N), []
+    for _ in range(40):
+        live(runtime, lambda r: np.ones((2, N)), 1)
+        sent.append(runtime.target.value.copy())
+    steps = np.diff(np.array(sent), axis=0)
+    assert steps.max() == pytest.approx(0.1)
+    assert (steps >= -1e-12).all()
+
+
+def test_an_arm_that_carries_its_weight_stays_where_it_is():
+    """In torque mode no drive holds it: the nominal weight and friction do, for a while."""
+    runtime = armed("torque", 4, weight)
+    before = runtime.robot.truth().q.copy()
+    modes = live(runtime, weight, 100)
+    assert (modes == Mode.RUNNING).all()
+    assert not runtime.command.drive.kp.any()
+    assert np.abs(runtime.robot.truth().q - before).max() < 0.1
+    np.testing.assert_allclose(runtime.command.tau, weight(runtime) * SCALES["torque"], atol=3.0)
+
+
+def test_setpoint_in_torque_mode_is_where_joints_will_be():
+    runtime, errors = armed("torque", 8, weight), []
+    push = np.array([0.1, 0.1, -0.1, 0.3, -0.3, 0.3])
+    for _ in range(120):
+        live(runtime, lambda r: weight(r) + push * np.sin(6.0 * r.t), 1)
+        running = runtime.supervisor.running
+        errors.append(np.abs(runtime.setpoint.q - runtime.robot.truth().q)[running])
+    errors = np.concatenate(errors)
+    assert len(errors) > 400
+    assert np.quantile(errors, 0.99) < 0.006  # rad: noise of the encoder, bias, play
+    assert (runtime.state.nis < 3.0).all()
+
+
+def test_a_stop_takes_over_with_position_drives_that_stiffen():
+    policy = lambda r: weight(r) + np.array([0.3, 0, 0, 0, 0, 0.5])  # noqa: E731
+    runtime = armed("torque", 2, weight)
+    live(runtime, policy, 60)
+    moving = np.abs(runtime.robot.truth().qd[:, 0])
+    assert (moving > 0.2).all()
+    runtime.stop(pytest.importorskip("deploy.reasons").Reason.OPERATOR)
+    stiffness, speeds = [], []
+    for _ in range(120):
+        live(runtime, policy, 1)
+        stiffness.append(runtime.command.drive.kp[0, 0])
+        speeds.append(np.abs(runtime.robot.truth().qd[:, 0]))
+    own = drive_gains(SPEC).kp[0]
+    assert stiffness[0] == pytest.approx(0.01 * own)
+    assert (np.diff(stiffness[: round(TAKEOVER_S / DT)]) > 0).all()
+    assert stiffness[round(TAKEOVER_S / DT)] == own
+    assert (np.array(speeds) < moving + 0.15).all()
+    assert (runtime.supervisor.mode == Mode.LATCHED).all()
+    assert (speeds[-1] < 0.01).all()
+
+
+@pytest.mark.parametrize("mode", ["velocity", "torque"])
+def test_restored_goes_on_bit_for_bit(mode):
+    one, other = armed(mode, 2, rest), built(2, contract=mode_contract(mode))
+    policies = [Adversary("push", (2, N)) for _ in range(2)]
+    live(one, Adversary("random", (2, N)), 50)
+    one_robot = one.robot.save()
+    other.restore(one.save())
+    other.robot.restore(one_robot)
+    for _ in range(120):
+        for runtime, policy in zip((one, other), policies, strict=True):
+            live(runtime, policy, 1)
+    assert_same(one, other)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["random", "push", "shake"])
+@pytest.mark.parametrize("mode", ["velocity", "torque"])
+def test_no_adversary_causes_a_hard_event(mode, kind):
+    robots = 8
+    runtime = built(robots, contract=mode_contract(mode))
+    judge, policy = make_judge(SPEC, runtime.contract, robots), Adversary(kind, (robots, N))
+    live(runtime, policy, 40, judge)
+    assert not runtime.arm(every(runtime)).any()
+    modes = live(runtime, policy, 1200, judge)
+    counts = judge.counts()
+    assert {e.monitor.name for e in counts.log() if e.monitor.hard} == set()
+    assert (modes == Mode.RUNNING).mean() > 0.1
+    assert counts.stops.sum() > robots
+
+
+def test_a_mode_that_the_drives_lack_is_refused(tmp_path):
+    folder = copy_of_arm(
+        tmp_path, toml=[(r'modes = \["position", "velocity", "torque"\]', 'modes = ["position"]')]
+    )
+    spec = load_robot(folder)
+    assert spec.control_modes == (ControlMode.POSITION,)
+    contract = mode_contract("torque").model_copy(update={"robot_digest": spec.digest})
+    with pytest.raises(
+        ContractError, match=r"action\.mode: found 'torque'; the drives of arm6 have the modes position"
+    ):
+        check_contract(contract, spec, "x.onnx")
