@@ -19,6 +19,7 @@ class Stream(IntEnum):
     PACKETS = 4
     SENSOR_GARBAGE = 5
     FAULTS = 6
+    START_POSES = 7
 
 
 DEPLOYED = 2**31

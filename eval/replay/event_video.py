@@ -8,13 +8,13 @@ import numpy as np
 from PIL import Image as Picture
 from PIL import ImageDraw
 
+from deploy.backends.sim.scene import GOAL_M
 from deploy.state import Mode
 from eval.replay.replayer import Replay, ReplayResult
 from eval.video.film import FRAME_S, write_film
 from eval.video.renderer import HEIGHT, WIDTH, Image, Renderer
 from robots.spec import RobotSpec
 
-GOAL_M = 0.02
 LOAD_MAX = 1.5
 """Load at the end of the bar."""
 RED, GREY, DARK = (230, 70, 60), (235, 235, 235), (24, 26, 30)

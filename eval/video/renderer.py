@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.backends.sim.scene import Scene
+from deploy.backends.sim.scene import Scene, add_goal
 from robots.arrays import Floats
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
@@ -15,7 +15,6 @@ from robots.spec import RobotSpec
 WIDTH, HEIGHT = 480, 360
 CONTEXTS = ("egl", "osmesa", "cgl", "glfw")
 """OpenGL backends, tried in this order; the first two need no display."""
-GREEN = (0.1, 0.8, 0.3, 0.6)
 
 Image = NDArray[np.uint8]
 
@@ -59,24 +58,17 @@ class Renderer:
         mujoco.mjv_updateScene(
             self._robot.model, self._robot.data, self._options, None, self._camera, categories, self._scene
         )
-        if np.isfinite(goal).all():
-            self._add_goal(goal, goal_m)
+        add_goal(self._scene, goal, goal_m)
         image = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
         mujoco.mjr_render(self._rect, self._scene, self._gl)
         mujoco.mjr_readPixels(image, None, self._rect, self._gl)
-        return image[::-1]
+        return image[::-1].copy()
 
     def close(self) -> None:
         """Release the OpenGL context."""
         self._context.make_current()
         self._gl.free()
         self._context.free()
-
-    def _add_goal(self, goal: Floats, goal_m: float) -> None:
-        size, turn = np.full(3, goal_m), np.eye(3).ravel()
-        geom = self._scene.geoms[self._scene.ngeom]
-        mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_SPHERE, size, goal, turn, np.array(GREEN, np.float32))
-        self._scene.ngeom += 1
 
 
 def opengl_context(option: str) -> Any:

@@ -1,12 +1,15 @@
 """Scene for the viewer and for videos: MuJoCo's nominal model of one robot at a given pose."""
 
 import mujoco
+import numpy as np
 
 from robots.arrays import Floats
 from robots.models.mujoco_model import compile_model, read_mjcf
 from robots.spec import RobotSpec
 
 FLOOR = "firstshift/visible floor"
+GREEN, GOAL_M = (0.1, 0.8, 0.3, 0.6), 0.02
+"""Colour, and radius where nothing else is known, of the sphere at a goal."""
 SQUARE_M, LIGHT, DARK = 0.5, (0.78, 0.8, 0.82), (0.66, 0.69, 0.72)
 
 
@@ -35,6 +38,17 @@ class Scene:
             self.data.qpos[:7] = base
         self.data.qpos[-self._n :] = q
         mujoco.mj_forward(self.model, self.data)
+
+
+def add_goal(scene: mujoco.MjvScene, goal: Floats, radius: float) -> None:
+    """Add a sphere at a goal (3,) m, world, to what is drawn; none where it is not finite."""
+    if not np.isfinite(goal).all():
+        return
+    geom, sphere = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_SPHERE
+    mujoco.mjv_initGeom(
+        geom, sphere, np.full(3, radius), goal, np.eye(3).ravel(), np.array(GREEN, np.float32)
+    )
+    scene.ngeom += 1
 
 
 def _add_floor(mjcf: mujoco.MjSpec) -> None:

@@ -9,12 +9,12 @@ import mujoco.viewer
 import numpy as np
 
 from deploy.backends.sim.robot import SimRobot
-from deploy.backends.sim.scene import Scene
+from deploy.backends.sim.scene import GOAL_M, Scene, add_goal
 from robots.errors import ConfigError
 
 
 class View:
-    """Window on the true pose of one robot; closing it ends the view, not the run.
+    """Window on the true pose of one robot and on its visible goal; closing it ends the view, not the run.
 
     Attributes:
         robot: the simulation; another one of the same robot may take its place.
@@ -41,6 +41,8 @@ class View:
             self._scene.pose(plant.q[row], pose)
             if pose is not None:
                 self._viewer.cam.lookat[:] = pose[:3]
+            self._viewer.user_scn.ngeom = 0
+            add_goal(self._viewer.user_scn, self.robot.goal[row], GOAL_M)
         self._viewer.sync()
 
     def close(self) -> None:
@@ -48,9 +50,14 @@ class View:
         self._viewer.close()
 
 
+def has_display() -> bool:
+    """Return False where there is no display, as far as the environment tells."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 def check_display(option: str) -> None:
     """Refuse (ConfigError) an option without a display: the viewer's own thread would wait forever for it."""
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if not has_display():
         raise ConfigError(f"{option}: found neither DISPLAY nor WAYLAND_DISPLAY, expected a display")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", glfw.GLFWError)

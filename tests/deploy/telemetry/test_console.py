@@ -24,7 +24,7 @@ class Window:
 
     def __init__(self, model, data):
         self.data, self.synced, self.open = data, [], True
-        self.cam = SimpleNamespace(lookat=np.zeros(3))
+        self.cam, self.user_scn = SimpleNamespace(lookat=np.zeros(3)), mujoco.MjvScene(model, 10)
 
     def is_running(self):
         return self.open
@@ -48,9 +48,15 @@ def test_the_view_follows_the_true_pose_until_it_is_closed(monkeypatch):
     seen, pose = view.View(robot), SPEC.joint_array("q_home") + 0.1
     robot.reset(np.ones(1, dtype=bool), pose[None])
     seen.step()
+    assert windows[0].user_scn.ngeom == 0
+    robot.goal[:] = goal = [0.3, 0.1, 0.4]
+    for _ in range(2):
+        seen.step()
+    assert windows[0].user_scn.ngeom == 1
+    np.testing.assert_allclose(windows[0].user_scn.geoms[0].pos, goal, rtol=1e-6)
     windows[0].open = False
     seen.step()
-    np.testing.assert_array_equal(windows[0].synced, [pose])
+    np.testing.assert_array_equal(windows[0].synced, [pose] * 3)
 
 
 def test_view_follows_a_walking_robot(monkeypatch):

@@ -1,0 +1,178 @@
+"""The Gymnasium environment of one robot."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+gymnasium = pytest.importorskip("gymnasium")
+
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
+
+import policies.environments.registry as _registered
+from policies.environments.pictures import Camera
+from robots.errors import ConfigError
+from support.arm6 import SPEC
+from support.paths import ROOT
+
+ID = "firstshift/arm6-reach-position{}-v0"
+KINDS = ["", "-goal"]
+N = SPEC.n
+
+assert _registered
+
+
+def actions(count, seed=0):
+    return np.random.default_rng(seed).uniform(-1.0, 1.0, (count, N)).astype(np.float32)
+
+
+def numbers(observation):
+    """All numbers of an observation, one after another."""
+    return np.concatenate(list(observation.values())) if isinstance(observation, dict) else observation
+
+
+def trajectory(env, seed, count=30):
+    """Observations and rewards of random actions after a seeded reset."""
+    seen = [numbers(env.reset(seed=seed)[0])]
+    rewards = []
+    for action in actions(count):
+        observation, reward, *_ = env.step(action)
+        seen.append(numbers(observation))
+        rewards.append(reward)
+    return np.array(seen), np.array(rewards)
+
+
+@pytest.fixture
+def opengl():
+    try:
+        Camera(SPEC, "test").close()
+    except ConfigError as e:
+        pytest.skip(str(e))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_check_env_finds_nothing(kind, opengl):
+    with gymnasium.make(ID.format(kind)) as env:
+        check_env(env.unwrapped)  # warnings are errors here
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_equal_seeds_make_equal_trajectories(kind):
+    with gymnasium.make(ID.format(kind)) as env, gymnasium.make(ID.format(kind)) as other:
+        (seen, rewards), second = trajectory(env, 4), trajectory(env, 4)
+        np.testing.assert_array_equal(second[0], seen)
+        np.testing.assert_array_equal(second[1], rewards)
+        np.testing.assert_array_equal(trajectory(other, 4)[0], seen)
+        assert np.abs(trajectory(env, 5)[0] - seen).max() > 0.01
+        assert np.abs(np.diff(seen, axis=0)).max() > 0.01
+
+
+def test_next_episode_of_the_same_robot_starts_elsewhere():
+    with gymnasium.make(ID.format("")) as env:
+        first, _ = env.reset(seed=2)
+        draw = env.unwrapped.session.episodes.robot.draw
+        second, _ = env.reset()
+        assert env.unwrapped.session.episodes.robot.draw is draw
+        assert np.abs(second - first)[:N].max() > 0.02
+        first_again, _ = env.reset(seed=2)
+        np.testing.assert_array_equal(first_again, first)
+        np.testing.assert_array_equal(env.reset()[0], second)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_unseeded_robots_differ(kind):
+    with gymnasium.make(ID.format(kind)) as env, gymnasium.make(ID.format(kind)) as other:
+        assert (numbers(env.reset()[0]) != numbers(other.reset()[0])).any()
+
+
+def test_episode_is_cut_when_its_goal_is_over():
+    with gymnasium.make(ID.format("-goal")) as env:
+        before, _ = env.reset(seed=1)
+        ends = []
+        for action in np.zeros((200, N), np.float32):
+            after, _, terminated, truncated, _ = env.step(action)
+            ends.append((terminated, truncated))
+        assert ends == [(False, False)] * 199 + [(False, True)]
+        np.testing.assert_array_equal(after["desired_goal"], before["desired_goal"])
+        with pytest.raises(ResetNeeded):
+            env.step(action)
+        assert (env.reset()[0]["desired_goal"] != before["desired_goal"]).any()
+
+
+def test_joint_out_of_range_terminates():
+    with gymnasium.make(ID.format("")) as env:
+        env.reset(seed=1)
+        robot = env.unwrapped.session.episodes.robot
+        beyond = robot.truth().q.copy()
+        beyond[0, 0] = SPEC.joint_array("q_max")[0] + 0.1
+        robot.plant.kinematics.place(np.array([0]), beyond)
+        _, reward, terminated, truncated, info = env.step(np.zeros(N, np.float32))
+        assert (terminated, truncated) == (True, False)
+        assert info["joint_limit"] == -1.0
+        assert reward < -1.0
+
+
+def test_step_before_reset_is_refused():
+    env = gymnasium.make(ID.format("")).unwrapped
+    with pytest.raises(ResetNeeded):
+        env.step(np.zeros(N, np.float32))
+
+
+def test_action_of_another_size_is_refused():
+    env = gymnasium.make(ID.format("")).unwrapped
+    env.reset(seed=1)
+    with pytest.raises(ConfigError, match=r"action: found shape \(1, 5\), expected \(1, 6\)"):
+        env.step(np.zeros(5, np.float32))
+
+
+def test_reset_options_are_refused():
+    with (
+        gymnasium.make(ID.format("")) as env,
+        pytest.raises(ConfigError, match=r"reset: options: found pose, expected none"),
+    ):
+        env.reset(options={"pose": 1})
+
+
+def test_window_without_display_is_bad_input(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(ConfigError, match="render_mode 'human': found neither DISPLAY nor WAYLAND_DISPLAY"):
+        gymnasium.make(ID.format(""), render_mode="human")
+
+
+def test_images_show_robot_and_goal(opengl):
+    with gymnasium.make(ID.format("-goal"), render_mode="rgb_array") as env:
+        env.reset(seed=3)
+        before = env.render()
+        assert (before.dtype, before.ndim) == (np.uint8, 3)
+        for action in np.ones((20, N), np.float32):
+            env.step(action)
+        after = env.render()
+        assert np.abs(after.astype(float) - before).max() > 50
+        env.unwrapped.session.episodes.task.goal[:] = [0.3, 0.3, 2.5]  # out of the picture
+        greenness = after[:, :, 1].astype(float) - after[:, :, 0]
+        gone = env.render()
+        assert greenness.max() > 60 > (gone[:, :, 1].astype(float) - gone[:, :, 0]).max()
+
+
+FIRST_PICTURES_THEN_TORCH = """
+import gymnasium
+import policies.environments.registry
+env = gymnasium.make("firstshift/arm6-reach-position-v0", render_mode="rgb_array")
+env.reset(seed=1)
+env.render()
+import torch._dynamo
+env.render()
+print("alive")
+"""
+
+
+@pytest.mark.slow
+def test_torch_survives_pictures_that_came_first(opengl):
+    pytest.importorskip("torch")
+    command = [sys.executable, "-c", FIRST_PICTURES_THEN_TORCH]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert (done.returncode, done.stdout) == (0, "alive\n"), done.stderr
