@@ -7,8 +7,9 @@ from typing import Literal
 from pydantic import PositiveInt
 
 from deploy.policy.contract import Contract
+from deploy.policy.contract_action import MODES
 from deploy.tasks.task import find_task, tasks_of
-from policies.training.recipe import RECIPES, Recipe, contract_of, find_recipe, load_recipe
+from policies.training.recipe import RECIPES, Promise, Recipe, contract_of, find_recipe, load_recipe
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 from robots.strict import Strict, parse
@@ -83,8 +84,7 @@ def read_settings(options: Mapping[str, object], *, goal: bool) -> Settings:
 
 def modes_of(spec: RobotSpec) -> tuple[str, ...]:
     """Return the control modes that the drives of a robot can do."""
-    del spec
-    return ("position",)
+    return tuple(mode.name.lower() for mode in spec.control_modes)
 
 
 def _recipe(spec: RobotSpec, chosen: Options) -> Recipe:
@@ -107,7 +107,8 @@ def _check(field: str, found: str, known: tuple[str, ...]) -> None:
 
 
 def _subject(recipe: Recipe) -> dict[str, str]:
-    return {"robot": recipe.robot, "task": recipe.task, "mode": "position"}
+    mode = MODES[recipe.promise.mode].name.lower()
+    return {"robot": recipe.robot, "task": recipe.task, "mode": mode}
 
 
 def shipped_recipe(spec: RobotSpec, task: str, mode: str) -> Recipe | None:
@@ -120,9 +121,15 @@ def shipped_recipe(spec: RobotSpec, task: str, mode: str) -> Recipe | None:
 def _from_template(spec: RobotSpec, task: str, mode: str) -> Recipe:
     template, rate = load_recipe(find_recipe(TEMPLATE)), spec.rates.control_hz
     policy_hz = next(hz for hz in range(min(POLICY_HZ_MAX, rate), 0, -1) if rate % hz == 0)
-    promise = template.promise.model_copy(update={"policy_hz": policy_hz})
+    promise, observation = {**dict(template.promise), "policy_hz": policy_hz}, None
+    if mode != "position":
+        promise |= {"mode": mode, "increment_rad": None, "leash_rad": None, "share": 1.0}
+        # A target that is no angle has no offset from the joint.
+        sources = find_task(task, "option task").observation
+        observation = tuple(source for source in sources if source != "target_offset")
     subject = {"name": f"{spec.name}-{task}-{mode}", "robot": spec.name, "task": task}
-    return template.model_copy(update={**subject, "promise": promise})
+    changes = {"promise": Promise.model_validate(promise), "observation": observation}
+    return template.model_copy(update={**subject, **changes})
 
 
 def _one_goal(recipe: Recipe) -> Recipe:

@@ -1,9 +1,10 @@
 """Training recipe, read strictly, and the contract that follows from it."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, PositiveFloat, PositiveInt
+import numpy as np
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
@@ -12,6 +13,7 @@ from deploy.sources.maximum import Scale
 from deploy.sources.templates import observation_sources, physical_maxima
 from deploy.tasks.task import find_task, sources_of
 from robots.errors import ConfigError
+from robots.models.nominal_model import torque_max
 from robots.spec import RobotSpec
 from robots.strict import Strict, read_toml
 
@@ -25,14 +27,31 @@ class Promise(Strict):
     """Properties of the run time that the policy is trained for.
 
     Attributes:
-        policy_hz: Hz. increment_rad: rad of target for a full action. leash_rad: rad of target ahead of the setpoint.
-        reach_m: m, what positions are divided by.
+        mode: of the action, as in a contract.
+        policy_hz: Hz. reach_m: m, what positions are divided by.
+        increment_rad: rad of target for a full action. leash_rad: rad of target ahead of the setpoint. Both of
+            "position_increment" alone.
+        share: of a full action in any other mode: share of half the working range around its middle, of the joint's
+            speed limit, or of its torque limit.
     """
 
+    mode: Literal["position_increment", "position", "velocity", "torque"] = "position_increment"
     policy_hz: PositiveInt
-    increment_rad: PositiveFloat
-    leash_rad: PositiveFloat
+    increment_rad: PositiveFloat | None = None
+    leash_rad: PositiveFloat | None = None
+    share: Share | None = None
     reach_m: PositiveFloat
+
+    @model_validator(mode="after")
+    def _fields_of_mode(self) -> Self:
+        increments = self.mode == "position_increment"
+        needed = {"increment_rad": increments, "leash_rad": increments, "share": not increments}
+        for name, meant in needed.items():
+            if (found := getattr(self, name)) is not None and not meant:
+                raise ValueError(f"promise.{name}: found {found} in mode {self.mode!r}, expected none")
+            if found is None and meant:
+                raise ValueError(f"promise.{name}: missing in mode {self.mode!r}")
+        return self
 
 
 class Gait(Strict):
@@ -167,18 +186,35 @@ def load_recipe(path: Path) -> Recipe:
 
 def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Contract:
     """Return the contract of a policy trained by a recipe for its robot; `trained` is its provenance."""
-    n, promise = spec.n, recipe.promise
-    scale, clip, leash = (promise.increment_rad,) * n, (-1.0, 1.0), promise.leash_rad
     return Contract(
         robot=spec.name,
         robot_digest=spec.digest,
         joint_names=spec.joint_names,
-        policy_hz=promise.policy_hz,
+        policy_hz=recipe.promise.policy_hz,
         control_hz=spec.rates.control_hz,
         task=recipe.task,
         observation=_terms(recipe, spec),
-        action=ActionSpec(mode="position_increment", size=n, scale=scale, clip=clip, leash_rad=leash),
+        action=_action(recipe.promise, spec),
         trained=trained,
+    )
+
+
+def _action(promise: Promise, spec: RobotSpec) -> ActionSpec:
+    """Return the meaning of actions in [-1, 1]."""
+    low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
+    full = {
+        "position_increment": np.full(spec.n, promise.increment_rad or 0.0),
+        "position": (high - low) / 2 * (promise.share or 0.0),
+        "velocity": spec.joint_array("qd_max") * (promise.share or 0.0),
+        "torque": torque_max(spec) * (promise.share or 0.0),
+    }
+    return ActionSpec(
+        mode=promise.mode,
+        size=spec.n,
+        offset=tuple(((high + low) / 2).tolist()) if promise.mode == "position" else None,
+        scale=tuple(full[promise.mode].tolist()),
+        clip=(-1.0, 1.0),
+        leash_rad=promise.leash_rad,
     )
 
 
@@ -190,7 +226,8 @@ def _terms(recipe: Recipe, spec: RobotSpec) -> tuple[Term, ...]:
     if ("gait_phase" in names) != (recipe.gait is not None):
         found, expected = ("no", "one") if recipe.gait is None else ("a", "none")
         raise ConfigError(f"{where}: found {found} table gait, expected {expected}: {', '.join(names)}")
-    scale = Scale(spec, recipe.promise.reach_m, recipe.promise.leash_rad)
+    leash_rad = np.nan if recipe.promise.leash_rad is None else recipe.promise.leash_rad
+    scale = Scale(spec, recipe.promise.reach_m, leash_rad)
     terms = []
     for name in names:
         source, gait = known[name], recipe.gait if name == "gait_phase" else None

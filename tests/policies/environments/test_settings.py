@@ -36,6 +36,20 @@ def test_every_robot_task_and_mode_is_registered():
     assert spec.kwargs == ARM
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", environment_ids())
+@pytest.mark.parametrize("kind", ["", "-goal"])
+def test_every_environment_runs_in_its_mode(name, kind):
+    env = gymnasium.make(f"{name}{kind}-v0")
+    env.action_space.seed(1)
+    env.reset(seed=1)
+    for _ in range(20):
+        *_, info = env.step(env.action_space.sample())
+    assert info["running"]
+    contract = env.unwrapped.session.settings.contract
+    assert contract.action.control_mode.name.lower() == environment_ids()[name]["mode"]
+
+
 def test_environment_has_the_contract_and_the_goals_of_its_recipe():
     recipe, settings = load_recipe(find_recipe("arm")), read_settings(ARM, goal=False)
     assert settings.recipe == recipe
