@@ -1,103 +1,31 @@
 """Reach: bring the tool to one point after another."""
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
-from deploy.sources.maximum import REACH, REACH_SQUARED, sensor_range
-from deploy.sources.readings import SILENT_S, sensor_reading
-from deploy.sources.source import ObservationSource
-from deploy.state import Sample
 from deploy.tasks.goal_pool import ReachConfig, goal_pool
 from deploy.tasks.success import SuccessCriterion
-from deploy.tasks.task import Task
-from deploy.truth import Truth
+from deploy.tasks.tool_goals import ToolGoals
 from robots.arrays import Floats
 from robots.capabilities import Capability
 from robots.spec import RobotSpec
 
-if TYPE_CHECKING:
-    from deploy.runtime import Runtime
 
-
-def _torque_to_goal(runtime: "Runtime") -> Floats:
-    """(B, n) N·m, joint torques of a spring of 1 N/m that pulls the tool to the goal."""
-    return runtime.tool.joint_torque(_camera_goal(runtime) - runtime.tool.position)
-
-
-def _camera_goal(runtime: "Runtime") -> Floats:
-    task = runtime.task
-    if not isinstance(task, Reach):
-        raise RuntimeError(f"task {task.name} has no goal that a camera sees")
-    return task.camera_goal
-
-
-def _distance(runtime: "Runtime") -> Floats:
-    return sensor_reading(runtime, "distance", missing=runtime.spec.sensors["distance"].range)
-
-
-class Reach(Task):
-    """Tool positions in the world, m, drawn from the pool of reachable goals.
-
-    Attributes:
-        camera_goal: (B, 3) m, the goal as the camera saw it last; the tool's position where it is unknown.
-    """
+class Reach(ToolGoals):
+    """Tool positions in the world, m, drawn from the pool of reachable goals."""
 
     name = "reach"
-    size = 3
     needs: ClassVar[frozenset[Capability]] = frozenset({"tool", "workspace"})
     config: ClassVar[ReachConfig] = ReachConfig()
-    carried: ClassVar[tuple[str, ...]] = (*Task.carried, "camera_goal")
-    sources: ClassVar[Mapping[str, ObservationSource]] = {
-        "goal_position": ObservationSource(
-            frame="world",
-            unit="m",
-            size=3,
-            sensing="exteroceptive",
-            maximum=REACH,
-            read=_camera_goal,
-            meaning="goal: goal camera; the tool while it has seen none for 1 s",
-            sensors=("goal",),
-        ),
-        "goal_from_tool": ObservationSource(
-            frame="world",
-            unit="m",
-            size=3,
-            sensing="exteroceptive",
-            maximum=REACH,
-            read=lambda runtime: _camera_goal(runtime) - runtime.tool.position,
-            meaning="goal minus tool: goal camera and encoder",
-            sensors=("goal",),
-        ),
-        "goal_torque": ObservationSource(
-            frame="joint",
-            unit="N·m",
-            each="joint",
-            sensing="exteroceptive",
-            maximum=REACH_SQUARED,
-            read=_torque_to_goal,
-            meaning="joint torques of a spring of 1 N/m from tool to goal: goal camera and encoder",
-            sensors=("goal",),
-        ),
-        "goal_distance": ObservationSource(
-            frame="sensor",
-            unit="m",
-            sensing="exteroceptive",
-            maximum=sensor_range("distance"),
-            read=_distance,
-            meaning="distance of the goal from the distance sensor; its range without reading, as while a link is in"
-            " between",
-            sensors=("distance",),
-        ),
-    }
     observation: ClassVar[tuple[str, ...]] = (
         *("joint_position", "joint_velocity", "tool_position", "goal_from_tool", "goal_torque"),
         *("target_offset", "last_action"),
     )
 
     def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> None:
-        self.pool, self.camera_goal = goal_pool(spec, self.config), np.zeros((len(seeds), 3))
+        self.pool = goal_pool(spec, self.config)
         super().__init__(spec, seeds)
 
     @classmethod
@@ -105,31 +33,10 @@ class Reach(Task):
         """Within `tolerance_m` when the period ends."""
         return SuccessCriterion(size=3, period_s=cls.config.period_s, tolerance=cls.config.tolerance_m)
 
-    @classmethod
-    def true_achieved(cls, truth: Truth) -> Floats:
-        """(B, 3) m, the tool in the world."""
-        return truth.tool_position
-
     def sample_goal(self, rng: np.random.Generator) -> Floats:
         """(3,) m, uniform in the volume of the pool."""
         goal: Floats = self.pool.tool[np.searchsorted(self.pool.cumulative_probability, rng.random())]
         return goal
-
-    def observe(self, runtime: "Runtime", sample: Sample, due: bool) -> None:
-        """Read tool and camera when the policy is due."""
-        if not due:
-            return
-        self.achieved[:] = runtime.tool.position
-        if "goal" in sample:
-            packet = sample["goal"]
-            stale = runtime.t - packet.t > SILENT_S
-            known = np.isfinite(packet.value) & ~stale[:, None]
-            self.camera_goal[:] = np.where(known, packet.value, self.achieved)
-
-    @property
-    def goal_position(self) -> Floats:
-        """(B, 3) m in the world."""
-        return self.goal
 
     def start_poses(self, rng: np.random.Generator) -> Floats:
         """(B, n) rad, joint configurations of the pool."""
