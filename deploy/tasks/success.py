@@ -5,6 +5,7 @@ The runtime evaluates it on its estimate, the judge on ground truth.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,18 @@ def euclidean(achieved: Floats, goal: Floats) -> Floats:
     return np.asarray(np.linalg.norm(achieved - goal, axis=-1))
 
 
+class CoreGoals(NamedTuple):
+    """Goals whose success is counted apart, too.
+
+    Attributes:
+        meaning: which goals these are, in words that follow "goals".
+        contains: (K, G) goals to (K,) True for those among them.
+    """
+
+    meaning: str
+    contains: Callable[[Floats], Bools]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SuccessCriterion:
     """Criterion by which a goal counts as reached.
@@ -28,6 +41,7 @@ class SuccessCriterion:
         tolerance: largest distance that counts, in the unit of `distance`.
         distance: (..., G) achieved and (..., G) goal to (...,).
         mean: compare the mean of what was achieved over the period, not its last value.
+        core: goals that are counted apart as well; None for most tasks.
     """
 
     size: int
@@ -35,6 +49,7 @@ class SuccessCriterion:
     tolerance: float
     distance: Callable[[Floats, Floats], Floats] = euclidean
     mean: bool = False
+    core: CoreGoals | None = None
 
 
 class SuccessEvaluation(Stage):

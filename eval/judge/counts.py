@@ -45,12 +45,13 @@ class Counts:
 
     Attributes:
         channels: monitors and joints of the columns. dt: s, the control period. goal_s: s that a goal lasts.
+        core_goals: which goals are counted apart, in words; empty for none.
         limits: (C,) in the unit of the channel's monitor; infinite where unknown, and then nothing is judged.
         ticks: (R,) simulated. invalid: (R,) of them with a diverged simulation, not judged.
         running, moving: (R,) ticks in operation, and in operation with a joint in motion.
         stops: (R,) times that the robot left operation. reasons: (R, len(REASON_NAMES)) why; several may hold.
         latches: (R,) times that the robot lost its power and waited for its operator.
-        attempted, reached: (R,) goals; reached by ground truth.
+        attempted, reached: (R,) goals; reached by ground truth. core_attempted, core_reached: (R,) of core goals.
         bad_ticks, events: (R, C). worst: (R, C) highest ratio, bad or not.
         bins: (C, BINS) histogram of the ratios of all robots; those of invalid ticks are in the first bin.
         log_robot, log_channel: (L,) rows and columns. log_start, log_last: (L,) ticks. log_worst: (L,) ratio.
@@ -59,6 +60,7 @@ class Counts:
     channels: Channels
     dt: float
     goal_s: float
+    core_goals: str
     limits: Floats
     ticks: Ints
     invalid: Ints
@@ -69,6 +71,8 @@ class Counts:
     latches: Ints
     attempted: Ints
     reached: Ints
+    core_attempted: Ints
+    core_reached: Ints
     bad_ticks: Ints
     events: Ints
     worst: Floats
@@ -132,6 +136,11 @@ class Counts:
     def goal_success(self) -> float:
         """Goals reached ÷ goals due; 0 for none."""
         return float(self.reached.sum() / max(1, self.goals_due))
+
+    @property
+    def core_success(self) -> float:
+        """Core goals reached ÷ core goals attempted; 0 for none."""
+        return float(self.core_reached.sum() / max(1, self.core_attempted.sum()))
 
     def columns(self, monitor: str) -> slice:
         """Return the columns of a monitor: one for each joint, or a single one."""
@@ -201,7 +210,7 @@ class Counts:
             )
 
 
-_SHARED = ("channels", "dt", "goal_s", "limits")
+_SHARED = ("channels", "dt", "goal_s", "core_goals", "limits")
 _LOG = ("log_robot", "log_channel", "log_start", "log_last", "log_worst")
 _ROWS = tuple(field.name for field in fields(Counts) if field.name not in (*_SHARED, *_LOG, "bins"))
 

@@ -24,7 +24,7 @@ from eval.judge.monitor import Monitor
 from eval.judge.monitors import MONITORS
 from eval.judge.tick_buffer import BLOCK_TICKS, TickBuffer
 from eval.judge.tick_window import JudgedRobot, TickWindow, true_tilt
-from robots.arrays import Floats, Ints
+from robots.arrays import Bools, Floats, Ints
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
@@ -34,7 +34,7 @@ MOVING = 0.01
 """Share of a joint's speed limit above which it is in motion."""
 _COUNTED = (
     *("ticks", "invalid", "running", "moving", "stops", "reasons", "latches", "attempted", "reached"),
-    *("worst", "bins"),
+    *("core_attempted", "core_reached", "worst", "bins"),
 )
 """Attributes of the judge that are fields of `Counts`."""
 
@@ -75,7 +75,7 @@ class Judge(Stage):
         Raises:
             ConfigError: the robot's limits.toml.
         """
-        self._dt, self._goal_s = spec.dt, criterion.period_s
+        self._dt = spec.dt
         self._robots, self._size = counted or robots, len(observed.mean) if observed else 0
         self._channels = Channels.of_robot(spec, monitors, mode)
         judged = JudgedRobot(spec=spec, torque_max=torque_max, limits=load_limits(spec), observed=observed)
@@ -87,6 +87,7 @@ class Judge(Stage):
         self.events = EventLog(self._channels, self._robots, round(EVENT_GAP_S / spec.dt))
         self.ticks, self.invalid, self.running, self.moving = np.zeros((4, self._robots), dtype=np.int64)
         self.stops, self.latches, self.attempted, self.reached = np.zeros((4, self._robots), dtype=np.int64)
+        self.core_attempted, self.core_reached = np.zeros((2, self._robots), dtype=np.int64)
         self.reasons = np.zeros((self._robots, len(REASON_NAMES)), dtype=np.int64)
         self.worst, self.bins = np.zeros((self._robots, channels)), np.zeros((channels, BINS), dtype=np.int64)
 
@@ -151,7 +152,8 @@ class Judge(Stage):
         return Counts(
             channels=self._channels,
             dt=self._dt,
-            goal_s=self._goal_s,
+            goal_s=self.score.criterion.period_s,
+            core_goals=core.meaning if (core := self.score.criterion.core) else "",
             limits=self.ratios.limits.copy(),
             bad_ticks=events.bad_ticks.copy(),
             events=events.events.copy(),
@@ -205,7 +207,17 @@ class Judge(Stage):
             reached = self.score.step(now.achieved[tick], before.goal[tick], over[tick], running[tick])
             if reached is not None:
                 self.reached += reached
+                self._count_core_goals(before.goal[tick], over[tick], reached)
         self.attempted[:] = now.attempted[-1]
+
+    def _count_core_goals(self, goal: Floats, over: Bools, reached: Bools) -> None:
+        """Count goals (R, G) that are `over` (R,), and those `reached` (R,), if they are core goals."""
+        if self.score.criterion.core is None:
+            return
+        core = over.copy()
+        core[over] = self.score.criterion.core.contains(goal[over])
+        self.core_attempted += core
+        self.core_reached += core & reached
 
 
 def _bad_ticks(block: RatioBlock, first_tick: int) -> BadTicks:

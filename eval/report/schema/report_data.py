@@ -91,10 +91,21 @@ class GoalBin(Strict):
     high: Share
 
 
+class CoreGoalCounts(Strict):
+    """Goals that a task counts apart, as `Goals`; `meaning` says which, in words."""
+
+    meaning: str
+    attempted: Count
+    reached: Count
+    success: Share
+    low: Share
+    high: Share
+
+
 class Goals(Strict):
     """Goals of all robots: `success` is reached ÷ due, `low` and `high` its 95 % interval for independent goals.
 
-    `change` is a sentence on the first and the last bin.
+    `core` is None for tasks without such goals. `change` is a sentence on the first and the last bin.
     """
 
     due: Count
@@ -102,6 +113,7 @@ class Goals(Strict):
     success: Share
     low: Share
     high: Share
+    core: CoreGoalCounts | None = None
     bins: tuple[GoalBin, ...]
     change: str
 

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 
-from eval.report.schema.report_data import GoalBin, Goals
+from eval.judge.counts import Counts
+from eval.report.schema.report_data import CoreGoalCounts, GoalBin, Goals
 from eval.report.soak_result import SoakResult
 from eval.statistics.evidence import share_interval
 
@@ -19,8 +20,25 @@ def goals(result: SoakResult) -> Goals:
         success=counts.goal_success,
         low=float(low),
         high=float(high),
+        core=_core(counts),
         bins=bins,
         change=_change([each for each in bins if each.attempted]),
+    )
+
+
+def _core(counts: Counts) -> CoreGoalCounts | None:
+    """Return the core goals whose time is over; None where the task has none."""
+    if not counts.core_goals:
+        return None
+    attempted, reached = int(counts.core_attempted.sum()), int(counts.core_reached.sum())
+    low, high = share_interval(reached, attempted)
+    return CoreGoalCounts(
+        meaning=counts.core_goals,
+        attempted=attempted,
+        reached=reached,
+        success=counts.core_success,
+        low=float(low),
+        high=float(high),
     )
 
 

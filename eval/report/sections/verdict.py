@@ -72,13 +72,16 @@ def interval(ends: tuple[Floats, Floats]) -> tuple[Number, Number]:
 
 def statement(counts: Counts, found: Evidence) -> str:
     """Return the first sentence of the report."""
-    return event_statement(
+    of_all = event_statement(
         found.hard_events,
         counts.running_hours,
         f"{counts.robots} draws",
         (found.hard_rate_upper, found.draw_rate_upper, found.bad_draw_upper),
         (counts.availability, counts.goal_success),
     )
+    if not counts.core_goals:
+        return of_all
+    return f"{of_all} Goals {counts.core_goals} reached: {100 * counts.core_success:.2f} %."
 
 
 def event_statement(
