@@ -82,7 +82,8 @@ def _number_names(context: CheckContext) -> list[str]:
     """(N,) "joint_position elbow", "goal 2"."""
     joints, names = context.spec.joint_names, []
     for term in context.contract.observation:
-        parts = joints if term.size == len(joints) else tuple(str(k) for k in range(term.size))
+        of_joints = term.frame == "joint" and term.size == len(joints)
+        parts = joints if of_joints else tuple(str(k) for k in range(term.size))
         names += [f"{term.name} {part}" for _ in range(term.history) for part in parts]
     return names
 

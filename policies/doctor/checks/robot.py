@@ -113,7 +113,9 @@ def protection(context: CheckContext) -> Iterator[Message]:
     """Check torque limits, self-collision shapes and motor heat; all that are missing are named."""
     spec = context.spec
     yield from _defined(spec, _torque, "torque is not limited: give each joint its range")
-    if pairs := len(collision_pairs(*load_pinocchio(spec))):
+    if "self_collision" not in spec.capabilities:
+        yield warned("self-collisions are not checked: robot.toml has no margins.collision_m.")
+    elif pairs := len(collision_pairs(*load_pinocchio(spec))):
         yield passed(f"{pairs} pairs of shapes are checked.")
     else:
         found = "no two shapes that could touch: self-collisions are not detected"
