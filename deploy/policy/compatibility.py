@@ -57,8 +57,11 @@ def sensors_read(contract: Contract, spec: RobotSpec) -> frozenset[Kind]:
 
 
 def _task(name: str, spec: RobotSpec) -> Iterator[str]:
-    if missing := find_task(name, f"task: found {name!r}").needs - spec.capabilities:
+    task = find_task(name, f"task: found {name!r}")
+    if missing := task.needs - spec.capabilities:
         yield f"task: found {name!r}, which needs {_listed(tuple(sorted(missing)))}; {_has(spec)}"
+    elif misfit := task.misfit(spec):
+        yield f"task: found {name!r}, which {misfit}"
 
 
 def _has(spec: RobotSpec) -> str:

@@ -73,6 +73,12 @@ class Task(Stage, ABC):
         self._choose(np.ones(robots, dtype=bool))
 
     @classmethod
+    def misfit(cls, spec: RobotSpec) -> str:
+        """Return why a robot that has the capabilities cannot do the task, in words after "which"; else empty."""
+        del spec
+        return ""
+
+    @classmethod
     @abstractmethod
     def success_criterion(cls, spec: RobotSpec) -> SuccessCriterion:
         """Return the criterion by which goals count as reached, by estimate and by ground truth alike."""
@@ -161,5 +167,7 @@ def installed_sources() -> dict[str, ObservationSource]:
 
 
 def tasks_of(spec: RobotSpec) -> tuple[str, ...]:
-    """Return the names of the installed tasks that a robot has the capabilities for."""
-    return tuple(name for name in installed(TASKS) if find_task(name, name).needs <= spec.capabilities)
+    """Return the names of the installed tasks that a robot can do."""
+    tasks = {name: find_task(name, name) for name in installed(TASKS)}
+    able = {name: task for name, task in tasks.items() if task.needs <= spec.capabilities}
+    return tuple(name for name, task in able.items() if not task.misfit(spec))
