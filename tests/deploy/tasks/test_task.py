@@ -78,7 +78,9 @@ def test_a_task_that_is_not_installed_is_refused():
     with pytest.raises(ConfigError, match=r"task turn: unknown; known: planar_reach, reach, velocity"):
         find_task("turn", "task turn")
     text = arm_contract().to_json().replace('"task":"reach"', '"task":"turn"')
-    with pytest.raises(ContractError, match=r"x: .*task: found 'turn': unknown; known: planar_reach, reach, velocity"):
+    with pytest.raises(
+        ContractError, match=r"x: .*task: found 'turn': unknown; known: planar_reach, reach, velocity"
+    ):
         Contract.from_json(text, "x")
 
 
