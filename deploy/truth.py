@@ -34,11 +34,15 @@ class Truth(NamedTuple):
         tau: (B, n) N·m, actuator torque at the joint.
         tool_position: (B, 3) m, world.
         tool_velocity: (B, 3) m/s, world, mean over the last control period.
-        self_collision: (B,) any contact between links or with the table; contacts with a floor do not count.
-        contact_n: (B,) N, normal force of the strongest contact, 0 where there is none.
+        self_collision: (B,) any contact between links, with the table or with a touchable goal that is not allowed;
+            contacts with a floor do not count.
+        contact_n: (B,) N, normal force of the strongest contact, 0 where there is none; contacts of pairs that have a
+            limit of their own are left out.
         winding_c, housing_c: (B, n) °C.
         valid: (B,) False from the moment the simulation of a robot diverged.
         base: of a robot with a floating base.
+        allowed_contact_n: (B, P) N, normal force of the strongest contact of each allowed pair with a limit, in the
+            order of robot.toml; None of a robot without such pairs.
     """
 
     t: float
@@ -53,3 +57,4 @@ class Truth(NamedTuple):
     housing_c: Floats
     valid: Bools
     base: BaseTruth | None = None
+    allowed_contact_n: Floats | None = None

@@ -6,9 +6,12 @@ whose needs it meets. No other code depends on the kind of robot.
 
 from typing import Literal, TypeVar
 
-Capability = Literal["tool", "workspace", "manipulability", "floating_base", "self_collision"]
+Capability = Literal[
+    "tool", "workspace", "manipulability", "floating_base", "self_collision", "allowed_contact"
+]
 """tool: a site or body with a pose of its own. workspace: bounds on the tool's position and speed. manipulability: a
-least distance from singularities. floating_base: the robot stands on feet. self_collision: shapes kept apart."""
+least distance from singularities. floating_base: the robot stands on feet. self_collision: shapes kept apart.
+allowed_contact: some may touch, with a limit of force."""
 
 Part = TypeVar("Part")
 

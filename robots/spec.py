@@ -20,7 +20,7 @@ from robots.models.files import read_xml, referenced_files
 from robots.motors.control_mode import ControlMode
 from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
 from robots.strict import Strict, read_toml
-from robots.tables import Base, Capsule, Drive, Joint, Margins, Motor, Rates, Workspace
+from robots.tables import GOAL, Base, Capsule, Drive, Joint, Margins, MayTouch, Motor, Rates, Workspace
 
 ROBOTS = Path(__file__).parent
 
@@ -53,6 +53,7 @@ class RobotSpec(Strict):
         locked: joints of the model that stay at 0 and have no drive.
         capsules: shapes of bodies for collision checks; empty for the shapes of the model.
         neighbours: pairs of bodies that are always near each other, and are not checked for collision.
+        may_touch: pairs of bodies whose contact is no collision.
     """
 
     folder: Path
@@ -62,6 +63,7 @@ class RobotSpec(Strict):
     locked: Annotated[tuple[str, ...], Field(exclude_if=_is_default)] = ()
     capsules: Annotated[tuple[Capsule, ...], Field(exclude_if=_is_default)] = ()
     neighbours: Annotated[tuple[tuple[str, str], ...], Field(exclude_if=_is_default)] = ()
+    may_touch: Annotated[tuple[MayTouch, ...], Field(exclude_if=_is_default)] = ()
     rates: Rates
     margins: Margins
     workspace: Workspace | None = None
@@ -76,6 +78,7 @@ class RobotSpec(Strict):
         self._check_sensors()
         self._check_motors()
         self._check_locked()
+        self._check_contacts()
         self._check_drives()
         self._check_margins()
         self._check_heat()
@@ -142,6 +145,14 @@ class RobotSpec(Strict):
                     f"locked: found {name!r}, expected each once and none that is listed in joints"
                 )
 
+    def _check_contacts(self) -> None:
+        pairs = [sorted(pair.bodies) for pair in self.may_touch]
+        for pair in pairs:
+            if pairs.count(pair) > 1:
+                raise ValueError(
+                    f"may_touch: found {pair} {pairs.count(pair)} times, expected each pair once"
+                )
+
     def _check_drives(self) -> None:
         used = {joint.motor: self.motors[joint.motor].drive for joint in self.joints}
         without = [name for name, drive in used.items() if drive is None]
@@ -175,6 +186,7 @@ class RobotSpec(Strict):
             "manipulability": self.margins.singularity,
             "floating_base": self.base,
             "self_collision": self.margins.collision_m,
+            "allowed_contact": next((pair for pair in self.may_touch if pair.force_n is not None), None),
         }
         return frozenset(name for name, part in parts.items() if part is not None)
 
@@ -183,6 +195,11 @@ class RobotSpec(Strict):
         """Control modes that the drives of all joints have."""
         motors = [self.motors[joint.motor] for joint in self.joints]
         return tuple(mode for mode in ControlMode if all(mode.name.lower() in each.modes for each in motors))
+
+    @property
+    def touches_goal(self) -> bool:
+        """True if some body may touch the task's goal."""
+        return any(GOAL in pair.bodies for pair in self.may_touch)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -227,6 +227,28 @@ class Capsule(Strict):
         return self
 
 
+GOAL = "goal"
+"""Name of the task's goal among the bodies that may touch; in simulation a sphere stands there."""
+
+
+class MayTouch(Strict):
+    """Two bodies whose contact is no collision, such as feet that brush at every step, or a tool and the goal.
+
+    Attributes:
+        bodies: of model.xml, or one of them and "goal".
+        force_n: N, limit of the normal force of their contacts; None: that of all contacts.
+    """
+
+    bodies: tuple[str, str]
+    force_n: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _two(self) -> Self:
+        if self.bodies[0] == self.bodies[1]:
+            raise ValueError(f"may_touch: found {self.bodies[0]!r} twice in a pair, expected two bodies")
+        return self
+
+
 class Base(Strict):
     """Floating base that stands on its feet. Its frame is the IMU's, with the axes of model.xml's root body.
 
@@ -234,7 +256,6 @@ class Base(Strict):
         feet: bodies or sites of model.xml that stand on the ground.
         foot_m: m by which another foot may be higher than the lowest and count as standing; only without contact
             sensors.
-        may_touch: pairs of bodies that may touch each other, such as feet that brush at every step.
         slip: m/s/√Hz, velocity of a standing foot, with the errors of its kinematics.
         angular_acceleration: rad/s²/√Hz, jerk: m/s³/√Hz, of motion between two samples of the IMU.
         tilt_max_rad: a tilt above it counts as a fall.
@@ -245,7 +266,6 @@ class Base(Strict):
 
     feet: Annotated[tuple[str, ...], Field(min_length=1)]
     foot_m: Annotated[float, Field(ge=0)]
-    may_touch: tuple[tuple[str, str], ...] = ()
     slip: PositiveFloat
     angular_acceleration: PositiveFloat
     jerk: PositiveFloat

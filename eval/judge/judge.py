@@ -77,6 +77,7 @@ class Judge(Stage):
         """
         self._dt = spec.dt
         self._robots, self._size = counted or robots, len(observed.mean) if observed else 0
+        self._force_max = np.array([pair.force_n for pair in spec.may_touch if pair.force_n is not None])
         self._channels = Channels.of_robot(spec, monitors, mode)
         judged = JudgedRobot(spec=spec, torque_max=torque_max, limits=load_limits(spec), observed=observed)
         self.ratios = LimitRatios(self._channels, judged, self._robots)
@@ -119,6 +120,7 @@ class Judge(Stage):
         """
         ticks, row = self.buffer.ticks, self.buffer.row
         ticks.tilt[row] = 0.0 if truth.base is None else true_tilt(truth.base)
+        ticks.allowed_contact[row] = self._share_of_limit(truth)
         ticks.action_finite[row] = True if action is None else np.isfinite(action).all(axis=1)
         ticks.mode[row] = mode
         ticks.reason[row] = reason
@@ -129,6 +131,11 @@ class Judge(Stage):
         self.buffer.append(truth, state, target, command)
         if self.buffer.pending == BLOCK_TICKS:
             self._judge_pending()
+
+    def _share_of_limit(self, truth: Truth) -> Floats | float:
+        """(B,) largest force of an allowed contact as a share of its limit; 0 of a robot without such limits."""
+        forces = truth.allowed_contact_n
+        return 0.0 if forces is None else np.asarray((forces / self._force_max).max(axis=1))
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _judge_pending(self) -> None:

@@ -138,4 +138,13 @@ ROBOT_MONITORS = (
         limit=lambda robot: YES,
         value=_ran_without_action,
     ),
+    Monitor(
+        name="allowed_contact_force",
+        unit="1",
+        hard=True,
+        meaning="true normal force of the contacts that robot.toml allows, as a share of their force_n",
+        needs=frozenset({"allowed_contact"}),
+        limit=lambda robot: 1.0,
+        value=lambda window: window.now.allowed_contact,
+    ),
 )

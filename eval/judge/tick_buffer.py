@@ -32,7 +32,7 @@ class Ticks(NamedTuple):
     `target` is in the unit of the control mode. Of the command, `sent` are angles, `tau_sent` feed-forward torques and
     `stiffness` N·m/rad. `q_hat`, `q_var` and `age` are the estimate before the physics of that tick. `action_finite` is
     True where the policy was not called. `achieved` is what `goal` is compared with, by ground truth. `tilt`: rad, of a
-    floating base.
+    floating base. `allowed_contact` is the largest force of an allowed contact, as a share of its limit.
     """
 
     target: PerJoint
@@ -52,6 +52,7 @@ class Ticks(NamedTuple):
     age: Number
     contact_n: Number
     tilt: Number
+    allowed_contact: Number
     powered: Flag
     action_finite: Flag
     self_collision: Flag

@@ -56,7 +56,7 @@ class Blocks:
         tool, feet = tool_frame(spec, self._model), foot_frames(spec, self._model)
         self._tracked = [self._model.frames[frame] for frame in (*tool, *feet)]
         self.frames = _frames(spec, self._model, tool, feet)
-        near = (*spec.neighbours, *(spec.base.may_touch if spec.base else ()))
+        near = (*spec.neighbours, *(pair.bodies for pair in spec.may_touch))
         checked = collisions and "self_collision" in spec.capabilities
         pairs = collision_pairs(self._model, self._geometry, near) if checked else []
         check_home(spec, self._model, self._geometry, pairs)

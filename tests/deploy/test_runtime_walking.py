@@ -417,7 +417,7 @@ def crossed(spec):
 
 def test_allowed_foot_contact_is_no_collision(tmp_path):
     assert crossed(QUADRUPED)
-    may = ("foot_m = 0.01", f"foot_m = 0.01\nmay_touch = [[{FORELEGS}]]")
+    may = ("[sensors.encoder]", f"[[may_touch]]\nbodies = [{FORELEGS}]\n\n[sensors.encoder]")
     brushing = load_robot(changed(tmp_path, may))
     assert not crossed(brushing)
     together = STAND.copy()
@@ -429,8 +429,9 @@ def test_allowed_foot_contact_is_no_collision(tmp_path):
 
 
 def test_allowed_contacts_must_exist(tmp_path):
-    may = ("foot_m = 0.01", f"foot_m = 0.01\nmay_touch = [[{FORELEGS.replace('left_shin', 'paw')}]]")
-    with pytest.raises(RobotError, match=r"base\.may_touch: found 'front_paw', expected bodies of model"):
+    pair = FORELEGS.replace("left_shin", "paw")
+    may = ("[sensors.encoder]", f"[[may_touch]]\nbodies = [{pair}]\n\n[sensors.encoder]")
+    with pytest.raises(RobotError, match=r"may_touch: found 'front_paw', expected a body of model"):
         simulate(load_robot(changed(tmp_path, may)), walking_contract(), [robot_seed(3, 0)])
 
 

@@ -7,6 +7,7 @@ from mujoco import MjLogConfig
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
+from deploy.backends.sim.contacts import Contacts
 from deploy.backends.sim.disturbances import DISTURBANCES
 from deploy.backends.sim.drives import Drives, Supply
 from deploy.backends.sim.heat import Housings, Windings
@@ -52,7 +53,7 @@ class Plant(Stage):
     """
 
     carried = ("rows", "tick", "valid", "current", "sensed", "tool", "tool_velocity", "travel", "turned")
-    parts = ("drives", "supply", "housings", "windings", "wear")
+    parts = ("drives", "supply", "housings", "windings", "wear", "contacts")
 
     def __init__(
         self,
@@ -88,6 +89,7 @@ class Plant(Stage):
         )
         self._bind(model)
         self._allocate(draw.robots, spec.n)
+        self.contacts = Contacts(self.batch, model, self.sensed)
         self.readings = self._readings_of(model)
         self.reset(self.valid.copy(), np.tile(spec.joint_array("q_home"), (draw.robots, 1)))
 
@@ -95,8 +97,8 @@ class Plant(Stage):
         bind, self.dofs, self.bodies = self.batch.bind, model.dofs, model.bodies
         self.rows, self._ctrl, self._rise = self.batch.state, bind("ctrl"), bind("act")
         self._force, self._tau = bind("actuator_force"), bind("qfrc_actuator")
-        self._site, self._contacts = bind("site_xpos")[:, model.tool], bind("ncon")
-        self._sensordata, self._contact_force = bind("sensordata"), model.contact_force
+        self._site = bind("site_xpos")[:, model.tool]
+        self._sensordata = bind("sensordata")
         self.beam = model.beam
         self.base, self.on_gantry = model.base, bind("eq_active")
         self._damping = self.batch.expand("dof_damping")[:, self.dofs]
@@ -131,6 +133,7 @@ class Plant(Stage):
         """
         rows = np.flatnonzero(ids)
         self.batch.reset(rows)
+        self.contacts.reset(rows)
         self.kinematics.place(rows, q)
         self.drives.rest(rows, q)
         self._ctrl[rows] = self.drives.command[rows]
@@ -238,19 +241,14 @@ class Plant(Stage):
             tau=self._tau.take(self.dofs, axis=1),
             tool_position=self.tool,
             tool_velocity=self.tool_velocity,
-            self_collision=self._self_collision(),
-            contact_n=self.sensed[:, self._contact_force],
+            self_collision=self.contacts.collision,
+            contact_n=self.contacts.strongest_n,
+            allowed_contact_n=self.contacts.allowed_n,
             winding_c=self.housing + self._rise,
             housing_c=self.housing,
             valid=self.valid,
             base=self.kinematics.base,
         )
-
-    def _self_collision(self) -> Bools:
-        if self.base is None:
-            return np.asarray(self._contacts > 0)
-        allowed = self.sensed[:, self.base.allowed_contacts].sum(axis=1)
-        return np.asarray(self.sensed[:, self.base.self_contacts] > allowed)
 
 
 def _disable_log_file() -> None:

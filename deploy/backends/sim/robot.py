@@ -78,6 +78,7 @@ class SimRobot(Stage):
 
     def write(self, command: Command) -> None:
         """Advance every robot one control period under its command."""
+        self.plant.contacts.show(self.goal)
         if self.distance:
             self.distance.aim(self.goal)
         self.plant.step(command)

@@ -22,7 +22,8 @@ NOT_SIMULATED = (
     "The supply voltage drops under load but never fails. Brakes are drives that hold. Currents are sampled once per"
     " control tick, both by the simulated windings and by the thermal observer: faster changes heat neither.",
     "A payload appears at the tool and vanishes, a push is a force on one link, the cable is a spring without mass:"
-    " nothing is gripped, nobody is clamped, and the only obstacles are the robot and the scene in its model.",
+    " nothing is gripped, nobody is clamped, and the only obstacles are the robot, the scene in its model and, where it"
+    " may be touched, a rigid goal.",
     "The computer meets every deadline: simulated time waits for it.",
     "The operator arms a latched robot again after a fixed delay, without looking for the cause.",
     "The report counts only what the simulation can show; no real robot was tested.",

@@ -34,6 +34,7 @@ class World:
     contact_n: np.ndarray
     valid: np.ndarray
     base = None
+    allowed_contact_n = None
 
 
 SIZE = 5

@@ -13,7 +13,7 @@ from robots.spec import RobotSpec
 PAYLOAD, LOAD = "firstshift/payload", "firstshift/load"
 CABLE, ANCHOR = "firstshift/cable", "firstshift/anchor"
 BEAM = "firstshift/beam"
-CONTACT_FORCE, LEVEL = "firstshift/strongest contact", "firstshift/level"
+LEVEL = "firstshift/level"
 
 
 def backlash_name(joint: str) -> str:
@@ -157,13 +157,6 @@ def _ensured_site(mjcf: mujoco.MjSpec, kind: Kind, site: str, spec: RobotSpec) -
     if site not in sites:
         mjcf.body(site).add_site(name=site)
     return site
-
-
-def add_contact_force(mjcf: mujoco.MjSpec) -> None:
-    """Add the force of the strongest contact, in its own frame, whose first axis is the normal."""
-    force, strongest, one = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 2, 1
-    sensor = mjcf.add_sensor(name=CONTACT_FORCE, type=mujoco.mjtSensor.mjSENS_CONTACT)
-    sensor.intprm[:3] = force, strongest, one
 
 
 def find_site_sensors(model: mujoco.MjModel, spec: RobotSpec) -> dict[Kind, slice]:

@@ -1,10 +1,11 @@
-"""Ground of a robot with a floating base: floor, gantry, and counts of self-contacts."""
+"""Ground of a robot with a floating base: floor, gantry, and count of self-contacts."""
 
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
+from deploy.backends.sim.model.allowed_contacts import add_contact_sensor
 from deploy.backends.sim.model.attachments import root_body
 from robots.arrays import Ints
 from robots.spec import RobotSpec
@@ -23,7 +24,6 @@ class FloatingBase:
         stands_m: m, its height when the lowest part of the robot at home touches the floor.
         gantry: id of the equality that holds it until the drives are on.
         self_contacts: place of the number of the robot's contacts with itself.
-        allowed_contacts: places of the numbers of contacts of each pair of bodies that may touch.
     """
 
     qpos: slice
@@ -31,16 +31,12 @@ class FloatingBase:
     stands_m: float
     gantry: int
     self_contacts: int
-    allowed_contacts: Ints
 
 
 def add_ground(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, spec: RobotSpec) -> None:
-    """Add a floor where model.xml has none, a gantry that holds the base, and sensors that count contacts.
+    """Add a floor where model.xml has none, a gantry that holds the base, and a sensor that counts self-contacts.
 
-    A robot that is mounted needs none of it. `base.may_touch` must name bodies of model.xml.
-
-    Raises:
-        RobotError: `base.may_touch` names a body that is not in model.xml.
+    A robot that is mounted needs none of it.
     """
     if spec.base is None:
         return
@@ -49,25 +45,7 @@ def add_ground(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, spec: RobotSpec) ->
     gantry = mjcf.add_equality(name=GANTRY, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY)
     root = root_body(nominal)
     gantry.name1, gantry.name2 = "world", root
-    _count_contacts(mjcf, SELF_CONTACTS, (root, root), mujoco.mjtObj.mjOBJ_XBODY)
-    bodies = sorted(body.name for body in mjcf.bodies)
-    for number, pair in enumerate(spec.base.may_touch):
-        for body in pair:
-            spec.check_known("base.may_touch", body, "bodies", bodies)
-        _count_contacts(mjcf, _allowed(number), pair, mujoco.mjtObj.mjOBJ_BODY)
-
-
-def _allowed(number: int) -> str:
-    return f"{SELF_CONTACTS} allowed {number}"
-
-
-def _count_contacts(mjcf: mujoco.MjSpec, name: str, pair: tuple[str, str], kind: mujoco.mjtObj) -> None:
-    """Add a sensor of the number of contacts between two bodies, or all that they carry."""
-    sensor = mjcf.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
-    sensor.objtype = sensor.reftype = kind
-    sensor.objname, sensor.refname = pair
-    found, any_of_them, one = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND), 0, 1
-    sensor.intprm[:3] = found, any_of_them, one
+    add_contact_sensor(mjcf, SELF_CONTACTS, (root, root), mujoco.mjtObj.mjOBJ_XBODY)
 
 
 def _floors(model: mujoco.MjModel) -> Ints:
@@ -92,12 +70,10 @@ def find_floating_base(model: mujoco.MjModel, spec: RobotSpec) -> FloatingBase |
     # MuJoCo derives the gantry's place from `qpos0` whenever it derives constants, as `write_draw` does.
     model.qpos0[qpos + 2] = stands_m
     model.eq_data[gantry, :10] = *np.zeros(5), stands_m, *model.qpos0[qpos + 3 : qpos + 7]
-    allowed = [model.sensor(_allowed(number)).adr[0] for number in range(len(spec.base.may_touch))]
     return FloatingBase(
         qpos=slice(qpos, qpos + 7),
         qvel=slice(qvel, qvel + 6),
         stands_m=stands_m,
         gantry=gantry,
         self_contacts=int(model.sensor(SELF_CONTACTS).adr[0]),
-        allowed_contacts=np.array(allowed, dtype=np.int64),
     )

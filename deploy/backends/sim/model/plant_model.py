@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from deploy.backends.sim.model import attachments
+from deploy.backends.sim.model.allowed_contacts import ContactPlaces, add_contacts, find_contacts
 from deploy.backends.sim.model.floating_base import FloatingBase, add_ground, find_floating_base
 from robots.arrays import Ints
 from robots.distributions import Cable
@@ -30,7 +31,7 @@ class PlantModel:
         tool: site id of the tool; of a robot without one, of its payload.
         level: id of a body that stays aligned with gravity, however the robot or its floor is tilted; of a robot that
             measures orientation.
-        contact_force: place in `sensordata` of the normal force of the strongest contact, for the judge only.
+        contacts: places of contact sensors, for the judge only.
         base: None for a robot that is mounted.
         beam: of the distance sensor, or None.
         site_sensors: places in `sensordata`, by kind of sensor.
@@ -46,7 +47,7 @@ class PlantModel:
     anchor: int
     tool: int
     level: int | None
-    contact_force: int
+    contacts: ContactPlaces
     base: FloatingBase | None
     beam: attachments.Beam | None
     site_sensors: dict[Kind, slice]
@@ -80,7 +81,7 @@ def build(spec: RobotSpec, cable: Cable) -> PlantModel:
     attachments.add_cable(mjcf, nominal, cable, spec)
     attachments.add_site_sensors(mjcf, spec)
     attachments.add_beam(mjcf, spec)
-    attachments.add_contact_force(mjcf)
+    add_contacts(mjcf, nominal, spec)
     model = mjcf.compile()
     # A diverged simulation must be noticed, not silently reset.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -113,7 +114,7 @@ def _find(model: mujoco.MjModel, spec: RobotSpec) -> PlantModel:
         anchor=model.site(attachments.ANCHOR).id,
         tool=model.site(spec.tool or attachments.LOAD).id,
         level=model.body(attachments.LEVEL).id if "orientation" in spec.sensors else None,
-        contact_force=int(model.sensor(attachments.CONTACT_FORCE).adr[0]),
+        contacts=find_contacts(model, spec),
         base=find_floating_base(model, spec),
         beam=attachments.find_beam(model, spec),
         site_sensors=attachments.find_site_sensors(model, spec),
