@@ -9,6 +9,7 @@ from deploy.policy.contract_term import Term
 from deploy.sources.source import ObservationSource
 from deploy.tasks.task import find_task, sources_of
 from robots.errors import ContractError
+from robots.motors.control_mode import ControlMode
 from robots.sensors import Kind
 from robots.spec import RobotSpec
 
@@ -43,6 +44,11 @@ def mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
     sources = sources_of(contract.task)
     for term in contract.observation:
         yield from _term(term, sources[term.source], contract.action_size, spec)
+        if term.source == "target_offset" and contract.action.control_mode is not ControlMode.POSITION:
+            yield (
+                f"observation.{term.name}.source: target_offset is a difference of angles, expected none with"
+                f" action.mode {contract.action.mode!r}"
+            )
     if contract.action_size != spec.n:
         yield f"action.size: found {contract.action_size}, expected {spec.n}, one for each joint"
 

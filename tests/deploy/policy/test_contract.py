@@ -13,6 +13,7 @@ from robots.errors import ContractError
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.contracts import NAMES, SWAPPED, arm_contract, contracts, term
+from support.modes import mode_contract
 
 
 @settings(max_examples=200)
@@ -284,3 +285,12 @@ def test_sensor_missing_on_the_robot_is_named(tmp_path):
         " temperature, force"
         for name in ("goal_from_tool", "goal_torque")
     ]
+
+
+def test_a_distance_from_the_target_needs_targets_that_are_angles():
+    action = mode_contract("velocity").action
+    contract = arm_contract(observation=(term("target_offset", 6),), action=action)
+    with pytest.raises(
+        ContractError, match=r"target_offset is a difference of angles, .* action\.mode 'velocity'"
+    ):
+        check_contract(contract, SPEC, "x.onnx")
