@@ -116,7 +116,7 @@ def test_same_soak_twice_shows_no_difference():
 
 def test_draws_on_which_policies_differ_are_counted():
     a, b = soaked(1, hard=1.0), soaked(1, hard=1.0)
-    b.events[[2, 5, 7], 60:61] += 1
+    b.events[[2, 5, 7], b.columns("self_collision")] += 1
     assert [each.differing for each in compare(a, b)] == [0, 3, 0]
 
 
