@@ -5,7 +5,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from robots.motors.control_mode import ControlModes
+from robots.motors.control_mode import ControlMode, ControlModes
 from robots.strict import Source, Strict
 
 Celsius = Annotated[float, Field(ge=-50, le=300)]
@@ -154,8 +154,9 @@ class Margins(Strict):
         q_target_rad: targets are clamped this far inside the working range.
         q_soft_rad: setpoints are refused, and the judge calls it soft, this far inside.
         speed: setpoint speed, as a fraction of qd_max and of tool_speed_max: the rest is for the drive's own ringing.
-        speed_in_torque_mode: the same of a robot whose drives can follow torques, in that mode: the rest is for errors
-            of prediction and estimate.
+        speed_in_velocity_mode: the same in velocity mode, where a policy may shake; None: as `speed`.
+        speed_in_torque_mode: the same in torque mode, of a robot whose drives have it: the rest is for errors of
+            prediction and estimate.
         tau: setpoint torque by the nominal model, as a fraction of the torque range.
         collision_m: clearance between capsules; without it, self-collision is not checked.
         workspace_m: how far inside the workspace setpoints stay; of robots with a workspace, and of all of those.
@@ -174,6 +175,7 @@ class Margins(Strict):
     q_target_rad: PositiveFloat
     q_soft_rad: PositiveFloat
     speed: Fraction
+    speed_in_velocity_mode: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
     speed_in_torque_mode: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
     tau: Fraction
     collision_m: PositiveFloat | None = None
@@ -186,6 +188,14 @@ class Margins(Strict):
     winding_share: Annotated[float, Field(ge=0)]
     fold_min: Fraction
     pace_min: Fraction
+
+    def speed_in(self, mode: ControlMode) -> float:
+        """Return the share of speed limits that setpoints may have in a control mode."""
+        own = {
+            ControlMode.VELOCITY: self.speed_in_velocity_mode,
+            ControlMode.TORQUE: self.speed_in_torque_mode,
+        }
+        return own.get(mode) or self.speed
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

@@ -10,7 +10,6 @@ from deploy.motion.smoother import Smoother
 from deploy.motion.torque_ramp import TorqueRamp
 from deploy.state import DriveMode, Setpoint, State
 from robots.arrays import Bools, Floats, Ints
-from robots.capabilities import required
 from robots.models.fleet import Fleet
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -51,7 +50,7 @@ class TorqueSmoother(Smoother):
         self._drive, self._stop, self._rate = drive, stop, np.zeros((robots, spec.n))
         self._qdd_max = ACCELERATION_SHARE * spec.joint_array("qdd_max")
         self._qd_max = (
-            ACCELERATION_SHARE * required(spec.margins.speed_in_torque_mode) * spec.joint_array("qd_max")
+            ACCELERATION_SHARE * spec.margins.speed_in(ControlMode.TORQUE) * spec.joint_array("qd_max")
         )
         self._takeover = round(TAKEOVER_S / spec.dt)
         self.held = np.full(robots, self._takeover)

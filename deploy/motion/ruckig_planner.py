@@ -1,10 +1,13 @@
 """One Ruckig instance that plans the joints of several robots in one call."""
 
+from typing import ClassVar
+
 import numpy as np
 from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
 from deploy.masks import all_true, any_true
 from robots.arrays import Bools, Floats
+from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 EDGE = 1e-8
@@ -31,11 +34,13 @@ class RuckigPlanner:
     no robot's bits depend on when its neighbours arrive.
     """
 
+    mode: ClassVar[ControlMode] = ControlMode.POSITION
+
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Set the limits of robot.toml, speed less its margin."""
         self._n, self._size = spec.n, robots * spec.n + 1
         self._otg, self._in = Ruckig(self._size, spec.dt), InputParameter(self._size)
-        self._qd_max = np.tile(spec.margins.speed * spec.joint_array("qd_max"), (robots, 1))
+        self._qd_max = np.tile(spec.margins.speed_in(self.mode) * spec.joint_array("qd_max"), (robots, 1))
         self._twice_jerk = np.tile(2 * spec.joint_array("qddd_max"), (robots, 1))
         self._qdd_max = np.tile(spec.joint_array("qdd_max"), (robots, 1))
         self._in.max_jerk = [*self._twice_jerk.ravel() / 2, 1.0]
@@ -105,6 +110,8 @@ class VelocityPlanner(RuckigPlanner):
     speed as its limit, brakes in time to rest there. Its velocity interface knows no end of the range: it serves joints
     that have none, and those that are to stand.
     """
+
+    mode = ControlMode.VELOCITY
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Set the limits of robot.toml, speed and range less their margins."""

@@ -9,7 +9,7 @@ import numpy as np
 from deploy.reasons import Reason
 from deploy.state import Setpoint, State
 from robots.arrays import Bools, Floats
-from robots.capabilities import Capability, required
+from robots.capabilities import Capability
 from robots.models.kinematics import Kinematics
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -89,8 +89,7 @@ class Limits(NamedTuple):
     @property
     def speed_share(self) -> float:
         """Share of joint and tool speed limits that a setpoint may have."""
-        margins = self.robot.margins
-        return required(margins.speed_in_torque_mode) if self.mode is ControlMode.TORQUE else margins.speed
+        return self.robot.margins.speed_in(self.mode)
 
 
 Record = TypeVar("Record")

@@ -10,8 +10,9 @@ python -m eval.bench heat              the hottest motors in the hottest rooms, 
 python -m eval.bench startup           time to the first tick of deploy-run, and its imports
 python -m eval.bench memory            growth of a soak's memory
 python -m eval.bench budget            half an hour of 32 robots by the shipped budget; an idle policy that fails it
+python -m eval.bench adversaries       policies that ask for anything, in velocity and torque mode: an hour, 16 robots
 python -m eval.bench walk              a walking robot beside a bare loop: --robot FOLDER --policy FILE
-python -m eval.bench                   all of them but the last
+python -m eval.bench                   all of them but the last two
 """
 
 from collections.abc import Callable
@@ -24,6 +25,7 @@ from rich.console import Console
 from deploy.command_line import PASSED, main
 from eval.bench.ablation.ablation import ablation
 from eval.bench.ablation.heat_guard import heat_guard
+from eval.bench.adversaries import adversaries
 from eval.bench.budget_check import budget_check
 from eval.bench.estimation.estimate import estimate
 from eval.bench.estimation.floating import floating
@@ -48,9 +50,11 @@ BENCHES: dict[str, Callable[..., None]] = {
     "startup": startup,
     "memory": memory,
     "budget": budget_check,
+    "adversaries": adversaries,
     "walk": walk,
 }
-WALKING_ROBOTS = ("walk",)
+NOT_IN_ALL = ("adversaries", "walk")
+"""One takes hours, the other a robot that walks."""
 WITH_PICTURE = ("estimate", "ablation")
 
 
@@ -71,7 +75,7 @@ def bench(
         raise ConfigError(f"bench: --picture {picture}: found {name!r}, expected {' or '.join(WITH_PICTURE)}")
     options = {} if picture is None else {"picture": picture}
     for line, measure in BENCHES.items():
-        if name == line or (name == "all" and line not in WALKING_ROBOTS):
+        if name == line or (name == "all" and line not in NOT_IN_ALL):
             measure(load_robot(robot), policy, console, **options)
     return PASSED
 

@@ -1,0 +1,136 @@
+"""Adversaries in velocity and torque mode: policies that ask for anything, against the guards and the judge.
+
+Each control mode of the robot's drives but position is given a random policy and an adversarial one, at full scale: 16
+drawn robots for an hour each.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from deploy.policy.contract import Contract
+from deploy.policy.contract_action import ActionSpec
+from deploy.policy.contract_term import Term
+from deploy.runtime import Runtime
+from deploy.simulation import simulate
+from deploy.tasks.task import tasks_of
+from eval.bench.soak_setup import SEED
+from eval.judge.counts import Counts
+from eval.shard.job import ARM_S, POLL_S, WIDTH
+from eval.shard.judging import judge_tick, make_judge
+from eval.shard.shard import rearm
+from robots.arrays import Floats
+from robots.models.nominal_model import torque_max
+from robots.motors.control_mode import ControlMode
+from robots.randomness import robot_seed
+from robots.spec import RobotSpec, load_robot
+
+HOURS, WORKERS, POLICY_HZ = 1.0, 2, 50
+PHASE_S, PUSH_S = 10.0, 2.0
+"""s of shaking, then of pushing, and s of a push in one direction."""
+
+
+class Case(NamedTuple):
+    """One soak under an adversary."""
+
+    robot: Path
+    mode: ControlMode
+    policy: str
+    hours: float
+
+
+class RandomPolicy:
+    """Independent actions in [-1, 1] at every step."""
+
+    def __init__(self) -> None:
+        self._rng = np.random.default_rng(SEED)
+
+    def __call__(self, runtime: Runtime) -> Floats:
+        """(B, A) actions."""
+        return self._rng.uniform(-1.0, 1.0, runtime.target.value.shape)
+
+
+class AdversarialPolicy(RandomPolicy):
+    """Shaking that follows each joint's own speed, and pushes towards the ends of all joints, in turns."""
+
+    def __call__(self, runtime: Runtime) -> Floats:
+        """(B, A) actions."""
+        t, state = runtime.t, runtime.state
+        if t % (2.0 * PHASE_S) < PHASE_S:
+            return np.sign(state.qd + 0.02 * np.sin(977.0 * state.q))
+        push = np.random.default_rng([SEED, int(t / PUSH_S)])
+        return push.choice([-1.0, 1.0], state.q.shape)
+
+
+POLICIES: dict[str, Callable[[], RandomPolicy]] = {"random": RandomPolicy, "adversarial": AdversarialPolicy}
+
+
+def adversary_contract(spec: RobotSpec, mode: ControlMode) -> Contract:
+    """Return a contract in a mode under which an action of 1 asks for the whole limit of a joint."""
+    scale = spec.joint_array("qd_max") if mode is ControlMode.VELOCITY else torque_max(spec)
+    angles = Term(
+        name="q", source="joint_position", frame="joint", unit="rad", size=spec.n, scale=(1.0,) * spec.n
+    )
+    fields = {"mode": mode.name.lower(), "size": spec.n, "scale": tuple(scale), "clip": (-1.0, 1.0)}
+    return Contract(
+        robot=spec.name,
+        robot_digest=spec.digest,
+        joint_names=spec.joint_names,
+        policy_hz=POLICY_HZ,
+        control_hz=spec.rates.control_hz,
+        task=tasks_of(spec)[0],
+        observation=(angles,),
+        action=ActionSpec.model_validate(fields),
+        trained={"recipe": "adversary"},
+    )
+
+
+def run_case(case: Case) -> tuple[str, ...]:
+    """Simulate one case and return its row of the table."""
+    spec = load_robot(case.robot)
+    contract, policy = adversary_contract(spec, case.mode), POLICIES[case.policy]()
+    seeds = [robot_seed(SEED, robot) for robot in range(WIDTH)]
+    runtime, robot = simulate(spec, contract, seeds)
+    judge = make_judge(spec, contract, WIDTH)
+    for tick in range(round(3600.0 * case.hours / spec.dt)):
+        if tick == round(ARM_S / spec.dt):
+            runtime.arm(np.ones(WIDTH, dtype=bool))
+        if tick % round(POLL_S / spec.dt) == 0:
+            rearm(runtime)
+        action = None if runtime.sense() is None else policy(runtime)
+        runtime.act(action)
+        judge_tick(judge, robot.truth(), runtime, action)
+    return _row(judge.counts())
+
+
+def adversaries(spec: RobotSpec, policy: Path, console: Console, hours: float = HOURS) -> None:
+    """Print hard events, availability and the worst limit ratios of every case."""
+    del policy
+    modes = [mode for mode in spec.control_modes if mode is not ControlMode.POSITION]
+    cases = [Case(spec.folder, mode, name, hours) for mode in modes for name in POLICIES]
+    table = Table(title=f"{spec.name}: {WIDTH} robots, {hours:g} h each", title_justify="left")
+    for column in ("mode", "policy", "hard events", "stops", "in operation", "worst of limit"):
+        table.add_column(column)
+    with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
+        for case, row in zip(cases, pool.map(run_case, cases), strict=True):
+            table.add_row(case.mode.name.lower(), case.policy, *row)
+    console.print(table)
+
+
+def _row(counts: Counts) -> tuple[str, ...]:
+    hard = [monitor for monitor in counts.monitors if monitor.hard]
+    found = {monitor.name: counts.total(monitor.name) for monitor in hard if counts.total(monitor.name)}
+    worst = {m.name: float(counts.worst[:, counts.columns(m.name)].max()) for m in hard}
+    highest = sorted(worst, key=lambda name: -worst[name])[:3]
+    return (
+        ", ".join(f"{name} {count}" for name, count in found.items()) or "0",
+        str(int(counts.stops.sum())),
+        f"{100 * counts.availability:.0f} %",
+        ", ".join(f"{name} {worst[name]:.3f}" for name in highest),
+    )
