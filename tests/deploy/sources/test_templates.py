@@ -9,7 +9,7 @@ from deploy.sources.catalogue import SOURCES
 from deploy.sources.maximum import Maximum, Scale
 from deploy.sources.source import ObservationSource
 from deploy.sources.templates import TEMPLATES, observation_sources, physical_maxima
-from deploy.tasks.task import installed_sources, sources_of
+from deploy.tasks.task import find_task, installed_sources, sources_of
 from robots.errors import ConfigError
 from robots.models.nominal_model import torque_max
 from robots.spec import load_robot
@@ -27,6 +27,13 @@ ARM = Scale(SPEC, reach_m=0.85, leash_rad=0.3)
 def test_an_observation_has_the_numbers_of_its_sources(template, numbers):
     names = observation_sources(template, REACH, SPEC, "here")
     assert sum(REACH[name].count(SPEC) for name in names) == numbers
+
+
+def test_the_layout_of_a_planar_arm_is_what_its_task_observes():
+    planar, known = load_robot("planar3"), sources_of("planar_reach")
+    names = observation_sources("planar_9", known, planar, "here")
+    assert names == find_task("planar_reach", "here").observation
+    assert sum(known[name].count(planar) for name in names) == 9
 
 
 def test_the_egocentric_layout_of_a_quadruped(tmp_path):
