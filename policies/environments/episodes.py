@@ -82,7 +82,9 @@ class Episodes:
             runtime.act(None if tick else action)
             stopped |= running & (runtime.supervisor.mode == Mode.STOPPING)
             reached |= task.ended & (self._distance(task.ended_goal) <= self._criterion.tolerance)
-            np.maximum(self.peak_qd, np.abs(self.robot.plant.qd), out=self.peak_qd)
+            np.fmax(
+                self.peak_qd, np.abs(self.robot.plant.qd), out=self.peak_qd
+            )  # fmax: NaN of a diverged one
         running = runtime.supervisor.mode == Mode.RUNNING
         decisions = {"reached": reached & running, "running": running, "stopped": stopped}
         return self._measure(action, goal, qdd, decisions)

@@ -2,6 +2,7 @@
 
 import importlib
 from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,14 +12,31 @@ from deploy.operation.loop_timing import WallClock
 from deploy.tasks.task import Task
 from eval.video.renderer import Image, Renderer
 from policies.environments.session import Session
+from robots.arrays import Floats
 from robots.spec import RobotSpec
 
 OPTION = "render_mode {!r}"
 """Option that asks for pictures."""
 
 
+class Pose(NamedTuple):
+    """What a picture shows: joints (n,) rad, base (7,) or None where mounted, goal (3,) m and its tolerance."""
+
+    q: Floats
+    base: Floats | None
+    goal: Floats
+    goal_m: float
+
+
+def true_pose(robot: SimRobot, task: Task, row: int) -> Pose:
+    """Return the true pose of robot `row`, and its goal as a sphere of its tolerance."""
+    base = robot.plant.kinematics.base
+    pose = None if base is None else np.concatenate((base.position[row], base.quat_wxyz[row]))
+    return Pose(robot.plant.q[row].copy(), pose, task.goal_position[row].copy(), task.criterion.tolerance)
+
+
 class Camera:
-    """Off-screen camera on the true pose of any robot of a simulation, with its goal as a sphere of its tolerance."""
+    """Off-screen camera."""
 
     def __init__(self, spec: RobotSpec, option: str) -> None:
         """Create the renderer; an error names the `option` that asked for it.
@@ -31,14 +49,12 @@ class Camera:
             importlib.import_module("triton")
         self._renderer, self._first = Renderer(spec, option), True
 
-    def image(self, robot: SimRobot, task: Task, row: int) -> Image:
-        """Image (H, W, 3) of robot `row`."""
-        base, q, goal = robot.plant.kinematics.base, robot.plant.q[row], task.goal_position[row]
-        pose = None if base is None else np.concatenate((base.position[row], base.quat_wxyz[row]))
+    def image(self, pose: Pose) -> Image:
+        """Image (H, W, 3)."""
         if self._first:  # MuJoCo draws an infinite floor around the camera position of the image before
             self._first = False
-            self._renderer.image(q, pose, goal, task.criterion.tolerance)
-        return self._renderer.image(q, pose, goal, task.criterion.tolerance)
+            self._renderer.image(*pose)
+        return self._renderer.image(*pose)
 
     def close(self) -> None:
         """Release the renderer."""
@@ -78,7 +94,7 @@ class Screen:
         if self._camera is None:
             self._camera = Camera(self._session.settings.spec, OPTION.format(self._mode))
         episodes = self._session.episodes
-        return self._camera.image(episodes.robot, episodes.task, row)
+        return self._camera.image(true_pose(episodes.robot, episodes.task, row))
 
     def close(self) -> None:
         """Close window and renderer."""

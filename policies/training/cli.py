@@ -17,42 +17,56 @@ from policies.training.curves import draw_curves
 from policies.training.envs import RuntimeEnv
 from policies.training.networks import Actor
 from policies.training.recipe import Learner, Recipe, contract_of, find_recipe, load_recipe
+from policies.training.watchers import Film, JointSpeeds, Window
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 
 SAVE_INTERVAL = 200
+SPEEDS_EVERY = 10
+"""Iterations between two lines of the largest joint speeds."""
 ROLLOUT = 2048
 """Observations kept in a checkpoint, to compare torch and ONNX Runtime at export."""
 
 
-def train(recipe: Recipe, text: str, out: Path, *, threads: int) -> Path:
+def train(
+    recipe: Recipe, text: str, out: Path, *, threads: int, view: bool = False, video: Path | None = None
+) -> Path:
     """Train by a recipe, write a checkpoint and return its path.
 
     Args:
         text: of the recipe, kept in the checkpoint. out: folder for TensorBoard's events, curves and checkpoint.
         threads: for physics; results do not depend on it.
+        view: show robot 0 while it learns. video: of the trained policy on robot 0.
     """
     if any(out.glob("events.*")):
         found = f"--out {out}: contains another training"
         raise ConfigError(f"{found}, expected an empty folder: the curves would mix")
     spec = load_robot(recipe.robot)
-    env, policy = _learn(recipe, spec, out, threads)
-    rollout, success = roll_out(env, policy)
+    film = None if video is None else Film(video, spec, recipe.promise.policy_hz)
+    env, policy = _learn(recipe, spec, out, threads, view)
+    rollout, success = roll_out(env, policy, film)
     print(f"goals reached without exploration: {100 * success:.2f} %")
     trained = {"recipe": recipe.name, "seed": str(recipe.seed), "goals_reached": f"{success:.4f}"}
     actor, contract = Actor.from_rsl_rl(policy), contract_of(recipe, spec, trained)
     path = out / f"{recipe.name}.pt"
     save_checkpoint(path, actor, contract, rollout, seed=recipe.seed, recipe=text)
     draw_curves(out, out / f"{recipe.name}.png")
+    if film is not None:
+        film.write()
     return path
 
 
-def _learn(recipe: Recipe, spec: RobotSpec, out: Path, threads: int) -> tuple[RuntimeEnv, MLPModel]:
+def _learn(
+    recipe: Recipe, spec: RobotSpec, out: Path, threads: int, view: bool
+) -> tuple[RuntimeEnv, MLPModel]:
     """Run the recipe's learner; return the environment and the trained policy."""
     torch.manual_seed(recipe.seed)
     # One thread: torch's sums depend on the number of threads, so results would depend on the machine.
     torch.set_num_threads(1)
     env = RuntimeEnv(recipe, spec, threads=threads)
+    env.watchers.append(JointSpeeds(env.episodes, spec, SPEEDS_EVERY * recipe.learner.num_steps_per_env))
+    if view:
+        env.watchers.append(Window(env.episodes))
     runner = OnPolicyRunner(env, _settings(recipe.learner), log_dir=str(out), device="cpu")
     for number, stage in enumerate(recipe.learner.stages):
         _set_learning_rate(runner, stage.learning_rate)
@@ -67,13 +81,15 @@ def _set_learning_rate(runner: OnPolicyRunner, rate: float) -> None:
         group["lr"] = rate
 
 
-def roll_out(env: RuntimeEnv, policy: MLPModel) -> tuple[Tensor, float]:
+def roll_out(env: RuntimeEnv, policy: MLPModel, film: Film | None = None) -> tuple[Tensor, float]:
     """Run one episode without exploration; return (ROLLOUT, N) observations over it and the share of goals reached."""
     seen, due, reached = [], 0, 0
     with torch.inference_mode():
         for _ in range(env.max_episode_length):
             observation = env.get_observations()
             seen.append(observation["actor"])
+            if film is not None:
+                film.capture(env.episodes)
             env.step(policy(observation))
             due += env.due
             reached += env.reached
@@ -99,6 +115,10 @@ def _settings(learner: Learner) -> dict[str, Any]:
 
 RECIPE = typer.Option(help="Recipe: a name in policies/ or a path.")
 OUT = typer.Option(help="Folder for checkpoint, curves and TensorBoard events.")
+VIEW = typer.Option("--view", help="Show robot 0 in MuJoCo's viewer while it learns.")
+VIDEO = typer.Option(
+    help="GIF or MP4 file: the trained policy on robot 0; needs OpenGL (EGL), but no display."
+)
 THREADS = typer.Option(help="Threads for physics; results do not depend on it.", min=1)
 
 
@@ -106,6 +126,8 @@ def policy_train(
     recipe: Annotated[str, RECIPE] = "arm",
     out: Annotated[Path, OUT] = Path("out/train"),
     threads: Annotated[int, THREADS] = 2,
+    view: Annotated[bool, VIEW] = False,
+    video: Annotated[Path | None, VIDEO] = None,
 ) -> int:
     """Train a policy by a recipe; the checkpoint is <out>/<recipe>.pt."""
     path = find_recipe(recipe)
@@ -113,7 +135,8 @@ def policy_train(
     with replacing(out / ".probe"):
         pass
     (out / ".probe").unlink()
-    print(f"checkpoint: {train(settings, path.read_text(encoding='utf-8'), out, threads=threads)}")
+    text = path.read_text(encoding="utf-8")
+    print(f"checkpoint: {train(settings, text, out, threads=threads, view=view, video=video)}")
     return PASSED
 
 

@@ -27,8 +27,9 @@ def draw_curves(events: Path, out: Path) -> None:
 
 
 def _curve(axes: Axes, log: EventAccumulator, tag: str, title: str) -> None:
-    points = log.Scalars(tag)
+    # Of a short training some have no point: reward per episode, before one has ended.
+    points = log.Scalars(tag) if tag in log.Tags()["scalars"] else []
     axes.plot([point.step for point in points], [point.value for point in points], linewidth=1.2)
     axes.set_title(title, loc="left", fontsize=9)
-    axes.set_ylim(bottom=min(0.0, *(point.value for point in points)))
+    axes.set_ylim(bottom=min([0.0, *(point.value for point in points)]))
     axes.grid(alpha=0.3)

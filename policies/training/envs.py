@@ -1,5 +1,7 @@
 """Training environment: rsl_rl's view of episodes of simulated robots."""
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from rsl_rl.env import VecEnv
@@ -17,6 +19,11 @@ class RuntimeEnv(VecEnv):
     """B robots, each with one draw for the whole training; episodes of several goals.
 
     Observation groups: `actor`, the contract's observation, and `privileged`, ground truth for the critic only.
+
+    Attributes:
+        episodes: the robots and their runtime. runtime: theirs.
+        watchers: called after every policy step.
+        due, reached: goals of the last step that ended, and those that were reached.
     """
 
     def __init__(self, recipe: Recipe, spec: RobotSpec, *, threads: int) -> None:
@@ -30,6 +37,7 @@ class RuntimeEnv(VecEnv):
         self.max_episode_length = recipe.environment.goals_per_episode * self.episodes.goal_steps
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long)
         self._violations = {name: np.zeros(self.num_envs) for name in ("requested", "happened")}
+        self.watchers: list[Callable[[], None]] = []
         self._restart(np.ones(self.num_envs, dtype=bool))
         # Out of step from the start: goals that change for all robots at once make every batch a different world.
         elapsed = self._rng.integers(self.episodes.goal_steps, size=self.num_envs)
@@ -67,6 +75,8 @@ class RuntimeEnv(VecEnv):
         if done.any():
             self._restart(done)
         self._observation = self.episodes.sense()
+        for watch in self.watchers:
+            watch()
         rewards, dones, cut = (torch.from_numpy(x).float() for x in (total, done, time_out & ~broken))
         return self.get_observations(), rewards, dones, {"time_outs": cut, "log": log}
 

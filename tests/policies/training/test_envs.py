@@ -86,6 +86,24 @@ def test_actor_observes_no_ground_truth():
     assert (after["privileged"] != observation["privileged"]).any()
 
 
+def test_peaks_are_the_largest_true_speeds_of_every_tick():
+    env, speeds = env_of(2), []
+    robot = env.episodes.robot
+    write = robot.write
+
+    def watched(command):
+        write(command)
+        speeds.append(np.abs(robot.truth().qd))
+
+    robot.write = watched
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        env.step(torch.from_numpy(rng.uniform(-1, 1, (2, N))))
+    assert len(speeds) == 20 * env.runtime.decimation
+    assert np.max(speeds) > 0.1
+    np.testing.assert_array_equal(env.episodes.peak_qd, np.max(speeds, axis=0))
+
+
 def test_nan_action_costs_a_stop_and_spreads_no_nan():
     env = env_of(3)
     actions = torch.zeros(3, N)
