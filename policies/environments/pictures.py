@@ -35,6 +35,12 @@ def true_pose(robot: SimRobot, task: Task, row: int) -> Pose:
     return Pose(robot.plant.q[row].copy(), pose, task.goal_position[row].copy(), task.criterion.tolerance)
 
 
+def load_before_opengl() -> None:
+    """Load triton, which torch loads when it likes: it crashes in a process in which Mesa has loaded its LLVM first."""
+    with suppress(ImportError):
+        importlib.import_module("triton")
+
+
 class Camera:
     """Off-screen camera."""
 
@@ -44,9 +50,7 @@ class Camera:
         Raises:
             ConfigError: OpenGL is not available.
         """
-        # Triton, which torch loads when it likes, crashes in a process in which Mesa has loaded its LLVM first.
-        with suppress(ImportError):
-            importlib.import_module("triton")
+        load_before_opengl()
         self._renderer, self._first = Renderer(spec, option), True
 
     def image(self, pose: Pose) -> Image:
@@ -84,6 +88,7 @@ class Screen:
             return
         robot = self._session.episodes.robot
         if self._view is None:
+            load_before_opengl()
             self._view = View(robot, 0, OPTION.format(self._mode))
         self._view.robot = robot
         self._view.step()

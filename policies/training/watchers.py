@@ -5,7 +5,7 @@ from pathlib import Path
 from deploy.operation.loop_timing import RateLimited
 from eval.video.film import FRAME_S, check_film, write_film
 from policies.environments.episodes import Episodes
-from policies.environments.pictures import Camera, Pose, true_pose
+from policies.environments.pictures import Camera, Pose, load_before_opengl, true_pose
 from robots.spec import RobotSpec
 
 VIEW_S = 1 / 30
@@ -41,6 +41,7 @@ class Window:
         """
         from deploy.backends.sim.view import View
 
+        load_before_opengl()
         self._view = RateLimited(VIEW_S, View(episodes.robot).step)
 
     def __call__(self) -> None:

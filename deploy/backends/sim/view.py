@@ -1,7 +1,9 @@
 """MuJoCo's viewer on a simulated robot, where there is a display."""
 
+import atexit
 import os
 import sys
+import threading
 import warnings
 
 import glfw
@@ -11,6 +13,9 @@ import numpy as np
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.scene import GOAL_M, Scene, add_goal
 from robots.errors import ConfigError
+
+CLOSE_S = 5.0
+"""s to wait for the window's thread to end."""
 
 
 class View:
@@ -28,7 +33,11 @@ class View:
         """
         check_display(option)
         self.robot, self._row, self._scene = robot, row, Scene(robot.spec)
+        before = set(threading.enumerate())
         self._viewer = mujoco.viewer.launch_passive(self._scene.model, self._scene.data)
+        self._viewer.opt.geomgroup[:] = 1  # shapes for collisions, too: some robots have no others
+        self._threads = set(threading.enumerate()) - before
+        atexit.register(self.close)
 
     def step(self, _: object = None) -> None:
         """Update the window."""
@@ -46,8 +55,11 @@ class View:
         self._viewer.sync()
 
     def close(self) -> None:
-        """Close the window."""
-        self._viewer.close()
+        """Close the window and wait for its thread: MuJoCo ends GLFW when the process exits, which must come later."""
+        if self._viewer.is_running():
+            self._viewer.close()
+        for thread in self._threads:
+            thread.join(CLOSE_S)
 
 
 def has_display() -> bool:

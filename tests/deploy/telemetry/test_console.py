@@ -25,9 +25,13 @@ class Window:
     def __init__(self, model, data):
         self.data, self.synced, self.open = data, [], True
         self.cam, self.user_scn = SimpleNamespace(lookat=np.zeros(3)), mujoco.MjvScene(model, 10)
+        self.opt = mujoco.MjvOption()
 
     def is_running(self):
         return self.open
+
+    def close(self):
+        self.open = False
 
     def lock(self):
         return contextlib.nullcontext()
@@ -54,7 +58,9 @@ def test_the_view_follows_the_true_pose_until_it_is_closed(monkeypatch):
         seen.step()
     assert windows[0].user_scn.ngeom == 1
     np.testing.assert_allclose(windows[0].user_scn.geoms[0].pos, goal, rtol=1e-6)
-    windows[0].open = False
+    assert windows[0].opt.geomgroup.all()
+    seen.close()
+    assert not windows[0].open
     seen.step()
     np.testing.assert_array_equal(windows[0].synced, [pose] * 3)
 
