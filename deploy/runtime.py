@@ -15,9 +15,9 @@ from deploy.motion.drive_law import SpringDrives, drive_law
 from deploy.motion.prepared_stop import PreparedStop, select
 from deploy.motion.smoothers import drive_modes, make_smoother
 from deploy.policy.action import Action
+from deploy.policy.actor import Actor
 from deploy.policy.contract import Contract
 from deploy.policy.observation import Observation
-from deploy.policy.policy import Policy
 from deploy.reasons import Reason
 from deploy.safety.safety import Safety
 from deploy.safety.supervisor import Supervisor
@@ -63,7 +63,7 @@ class Runtime(Stage):
         contract: Contract,
         robot: Robot,
         seeds: Sequence[np.random.SeedSequence],
-        policy: Policy | None = None,
+        policy: Actor | None = None,
     ) -> None:
         """Build every stage; nothing moves until `arm`.
 
@@ -72,7 +72,7 @@ class Runtime(Stage):
             contract: of the policy, checked against `spec` beforehand.
             robot: opened by a backend, B robots wide.
             seeds: B seeds, from which each robot's goals follow.
-            policy: None where the caller puts its own between `sense` and `act`.
+            policy: or another actor in its place; None where the caller puts its own between `sense` and `act`.
         """
         self.spec, self.contract, self.robot, self.policy = spec, contract, robot, policy
         robots, mode, gains = robot.robots, contract.action.control_mode, contract.action.gains

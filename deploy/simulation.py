@@ -8,8 +8,8 @@ from deploy.backends.backend import Request
 from deploy.backends.sim.backend import SimBackend
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.sensor_faults import Fault
+from deploy.policy.actor import Actor
 from deploy.policy.contract import Contract
-from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from robots.draws import Draw
 from robots.spec import RobotSpec
@@ -19,7 +19,7 @@ def simulate(
     spec: RobotSpec,
     contract: Contract,
     seeds: Sequence[np.random.SeedSequence],
-    policy: Policy | None = None,
+    policy: Actor | None = None,
     *,
     draw: Draw | None = None,
     faults: Sequence[Fault] = (),

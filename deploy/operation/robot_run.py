@@ -65,6 +65,10 @@ class RobotRun:
         """Reason in words why the robot does not run; empty while it runs."""
         return explain_reasons(self.runtime, self._refused) if self._refused else str(self._stop_reasons)
 
+    def end(self) -> None:
+        """Ask for the controlled stop at the end of a run now, whatever its duration."""
+        self._t_end = min(self._t_end, self.runtime.t)
+
     def run(self) -> Ending:
         """Arm, work, and come to rest, whatever happens."""
         with handled(self.interrupts):

@@ -6,10 +6,10 @@ from typing import Self
 import numpy as np
 import onnxruntime as ort
 
+from deploy.policy.actor import Actor
 from deploy.policy.compatibility import check_contract
 from deploy.policy.onnx_graph import shortened
 from deploy.policy.policy_file import INPUT, MEMORY, NEXT, OUTPUT, PolicyFile, read_policy_file
-from deploy.stage import Stage
 from robots.arrays import Bools, Float32s
 from robots.errors import ContractError
 from robots.spec import RobotSpec
@@ -18,7 +18,7 @@ AGREEMENT = 1e-5  # absolute, in the unit of a raw action
 BATCHES = (1, 64)  # one robot, and many
 
 
-class Policy(Stage):
+class Policy(Actor):
     """Policy of B robots. Results are bit-identical for the same observations and memory at the same B.
 
     A non-finite observation affects the action and memory of its own robot only.

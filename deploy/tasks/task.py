@@ -26,6 +26,8 @@ from robots.spec import RobotSpec
 if TYPE_CHECKING:
     from deploy.runtime import Runtime
 
+FOR_EVER_S = 1e9
+
 
 class Task(Stage, ABC):
     """Goals of B robots, each with G numbers, one period after another.
@@ -139,12 +141,40 @@ class Task(Stage, ABC):
             self.number[robot] += 1
 
 
+class NoGoal(Task):
+    """Goals of no numbers, which never end: for any robot that is moved by hand or checked. Not for training."""
+
+    name = "none"
+    size = 0
+
+    @classmethod
+    def success_criterion(cls, spec: RobotSpec) -> SuccessCriterion:
+        """One goal for ever."""
+        del spec
+        return SuccessCriterion(size=0, period_s=FOR_EVER_S, tolerance=0.0)
+
+    @classmethod
+    def true_achieved(cls, truth: Truth) -> Floats:
+        """(B, 0)."""
+        return np.zeros((len(truth.q), 0))
+
+    def sample_goal(self, rng: np.random.Generator) -> Floats:
+        """(0,)."""
+        del rng
+        return np.zeros(0)
+
+    def observe(self, runtime: "Runtime", sample: Sample, due: bool) -> None:
+        """Nothing to update."""
+
+
 def find_task(name: str, origin: str) -> type[Task]:
-    """Return the installed task of that name in a contract; `origin` is where it was named, for the error.
+    """Return the task of that name in a contract, installed or `NoGoal`; `origin` is where it was named, for the error.
 
     Raises:
         ConfigError: no such task is installed.
     """
+    if name == NoGoal.name:
+        return NoGoal
     task: Any = load(TASKS, name, origin)
     return task  # type: ignore[no-any-return]
 

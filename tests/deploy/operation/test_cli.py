@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import deploy.operation.cli
+import deploy.operation.session
 from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.robot import SimRobot
 from deploy.policy.policy import Policy
@@ -38,7 +39,7 @@ class Blind:
 @pytest.fixture
 def command(call, monkeypatch):
     """`deploy-run` without a screen."""
-    monkeypatch.setattr(deploy.operation.cli, "ConsoleProcess", Blind)
+    monkeypatch.setattr(deploy.operation.session, "ConsoleProcess", Blind)
     return partial(call, deploy.operation.cli.cli)
 
 

@@ -1,0 +1,79 @@
+"""Keys from standard input, a terminal or a pipe, without waiting for them.
+
+A terminal gives all keys that were pressed since the last time, so that none acts late. A pipe gives one key at a time,
+so that a text of keys plays at the pace of the robot.
+"""
+
+import os
+import select
+import sys
+import termios
+import tty
+from types import TracebackType
+from typing import Any, Self
+
+from robots.errors import ConfigError
+
+END = "end"
+"""Key that stands for the end of the input: a terminal that was closed, a pipe that ended."""
+ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
+ESCAPES = (b"\x1b[", b"\x1bO")
+"""Beginnings of an arrow key, in the two modes of a terminal."""
+ARROW_BYTES, RECEIVED_BYTES = 3, 1024
+
+
+class Keyboard:
+    """Keys of an input. While it is entered, a terminal sends each key at once and does not show it.
+
+    The terminal's own settings come back on every way out of the block.
+    """
+
+    def __init__(self, stream: Any = None) -> None:
+        """Take an open file, by default standard input.
+
+        Raises:
+            ConfigError: there is no such input.
+        """
+        try:
+            self._input: int = (stream or sys.stdin).fileno()
+        except (AttributeError, OSError, ValueError) as e:
+            raise ConfigError("--policy jog: standard input is closed, expected a terminal or a pipe") from e
+        self._pending, self._ended, self._terminal = b"", False, os.isatty(self._input)
+        self._settings: list[Any] | None = None
+
+    def __enter__(self) -> Self:
+        if self._terminal:
+            self._settings = termios.tcgetattr(self._input)
+            tty.setcbreak(self._input, termios.TCSANOW)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._settings is not None:
+            termios.tcsetattr(self._input, termios.TCSANOW, self._settings)
+
+    def read(self) -> list[str]:
+        """Return new keys: characters, names of arrows, or `END`; empty if there are none yet."""
+        self._receive()
+        keys = [END] if self._ended and not self._pending else []
+        while self._pending and (self._terminal or not keys):
+            keys.append(self._next())
+        return keys
+
+    def _next(self) -> str:
+        if self._pending.startswith(ESCAPES) and len(self._pending) > 2:
+            letter, self._pending = self._pending[2:3], self._pending[3:]
+            return ARROWS.get(letter.decode(errors="replace"), "unknown")
+        key, self._pending = self._pending[:1], self._pending[1:]
+        return key.decode(errors="replace")
+
+    def _receive(self) -> None:
+        if self._ended or len(self._pending) > ARROW_BYTES or not select.select([self._input], [], [], 0)[0]:
+            return
+        try:
+            found = os.read(self._input, RECEIVED_BYTES)
+        except OSError:  # the terminal has gone
+            found = b""
+        self._ended = not found
+        self._pending += found

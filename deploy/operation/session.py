@@ -1,0 +1,180 @@
+"""Session of one robot, from the options of a command line to the files that it leaves: deploy-run and deploy-check."""
+
+import gc
+import math
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from deploy.backends.backend import Backend, Request
+from deploy.operation.loop_timing import Clock, LoopTiming, RateLimited, Unpaced, WallClock
+from deploy.operation.options import SEED, random_source, speed_factor
+from deploy.operation.robot_run import RobotRun, Watcher
+from deploy.operation.summary import report
+from deploy.operation.temperature_file import PERIOD_S as HEAT_S
+from deploy.operation.temperature_file import TemperatureFile
+from deploy.plugins import BACKENDS, installed, load
+from deploy.policy.actor import Actor
+from deploy.runtime import Runtime
+from deploy.telemetry.console import ConsoleProcess, snapshot
+from deploy.telemetry.recorder import Recorder, check_folder
+from robots.errors import ConfigError
+from robots.spec import RobotSpec
+
+CONSOLE_S, VIEW_S = 0.2, 1 / 30
+
+RobotName = Annotated[str, typer.Option(help="name in robots/, or a folder")]
+BackendName = Annotated[str, typer.Option(help=f"connection to the robot: {', '.join(installed(BACKENDS))}")]
+Speed = Annotated[str, typer.Option(help="robot time divided by wall time: a factor, or max")]
+Seed = Annotated[int | None, typer.Option(help=f"of the goals and of a simulated robot  [{SEED}]")]
+DrawName = Annotated[
+    str | None,
+    typer.Option(
+        help="robot of a soak, with its noise and its goals: SEED:ROBOT, or FILE:ROBOT with the soak's draws.json"
+    ),
+]
+Out = Annotated[
+    Path, typer.Option(help="folder; a previous run in it is replaced, motor temperatures are kept")
+]
+ViewFlag = Annotated[bool, typer.Option("--view", help="open MuJoCo's viewer")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """Options of every command that drives one robot, as given.
+
+    Attributes:
+        duration: s of robot time.
+    """
+
+    spec: RobotSpec
+    backend: str
+    duration: float
+    speed: str
+    seed: int | None
+    draw: str | None
+    out: Path
+    view: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drive:
+    """What moves the robot.
+
+    Attributes:
+        name: for the summary: the policy's file. actor: in the place of the policy.
+        spec: the robot within whose limits it is moved.
+        watchers: called after each tick.
+        title: line for the console.
+    """
+
+    name: str
+    actor: Actor
+    spec: RobotSpec
+    watchers: Sequence[Watcher] = ()
+    title: Callable[[], str] | None = None
+
+
+class Session:
+    """One robot, its clock and its folder.
+
+    Attributes:
+        seed_text: seed or draw, in words.
+    """
+
+    def __init__(self, options: Options) -> None:
+        """Check the options; nothing is opened or written.
+
+        Raises:
+            ConfigError: an option out of bounds.
+        """
+        self._options, self._factor = options, speed_factor(options.speed)
+        if not options.duration > 0:
+            raise ConfigError(f"--duration {options.duration}: expected s above 0, or inf")
+        given = {"--draw": options.draw is not None, "--view": options.view}
+        self._backend = _backend(options.backend, simulation=given)
+        self.seed_text, self._source, self._drawn = random_source(options.spec, options.seed, options.draw)
+
+    def run(self, drive: Drive) -> RobotRun:
+        """Drive the robot from arming to rest, write its files, and return the finished run."""
+        options, action = self._options, drive.actor.contract.action
+        request = Request(
+            spec=options.spec,
+            seeds=[self._source],
+            gains=action.gains,
+            mode=action.control_mode,
+            draw=self._drawn,
+        )
+        self._backend.check(request)
+        check_folder(options.out)
+        with closing(self._backend.open(request)) as robot:
+            viewers = [RateLimited(VIEW_S, self._backend.viewer(robot))] if options.view else []
+            runtime = Runtime(drive.spec, drive.actor.contract, robot, [self._source], drive.actor)
+            heat_file = self._heat_file(runtime)
+            self._backend.attach(robot, runtime)
+            about = self._about(drive)
+            recorder = Recorder(options.out, runtime, start_ns=time.time_ns(), about=about)
+            return self._execute(runtime, (recorder, heat_file), drive, viewers, about)
+
+    def _heat_file(self, runtime: Runtime) -> TemperatureFile:
+        path, same = self._options.out / "heat.json", self._options.draw is None
+        return TemperatureFile(path, self._options.spec, runtime.estimator.windings, same_robot=same)
+
+    def _about(self, drive: Drive) -> dict[str, str]:
+        spec, options = self._options.spec, self._options
+        about = {"robot": spec.name, "robot_digest": spec.digest, "policy": drive.name}
+        about |= {"policy_digest": drive.actor.digest, "backend": options.backend}
+        return about | {"seed": self.seed_text, "speed": options.speed}
+
+    def _execute(
+        self,
+        runtime: Runtime,
+        files: tuple[Recorder, TemperatureFile],
+        drive: Drive,
+        viewers: Sequence[Watcher],
+        about: dict[str, str],
+    ) -> RobotRun:
+        (recorder, heat_file), console = files, ConsoleProcess()
+        title = drive.title or (lambda: f"{about['robot']}  {about['policy']}  {about['backend']}")
+
+        def show(run: RobotRun) -> None:
+            notes = [lost for lost in (recorder.lost, heat_file.error) if lost]
+            console.offer(snapshot(run, title=title(), notes=notes))
+
+        shown: list[Watcher] = [RateLimited(CONSOLE_S, show), RateLimited(HEAT_S, heat_file.save), *viewers]
+        watchers = [*drive.watchers, *shown]
+        timing = _timing(runtime.spec.rates.control_hz, self._factor)
+        run = RobotRun(runtime, timing, recorder, duration=self._options.duration, watchers=watchers)
+        # Objects made so far stay: the garbage collector shall not visit them in the middle of a tick.
+        gc.collect()
+        gc.freeze()
+        try:
+            run.run()
+        finally:
+            gc.unfreeze()
+            if runtime.ticks:
+                show(run)
+            recorder.close()
+            heat_file.close()
+            console.close()
+            report(run, about, recorder.path.parent / "summary.json", lost=heat_file.error)
+        return run
+
+
+def _backend(name: str, simulation: dict[str, bool]) -> Backend[Any]:
+    """Return the backend of that name; refuse given options of the `simulation` for any other."""
+    backend: Backend[Any] = load(BACKENDS, name, f"--backend {name}")()
+    given = [option for option, is_given in simulation.items() if is_given]
+    if given and not backend.abilities.simulated:
+        raise ConfigError(f"--backend {name}: found {given[0]}, which only simulated robots have")
+    return backend
+
+
+def _timing(control_hz: int, factor: float) -> LoopTiming:
+    clock: Clock = Unpaced() if math.isinf(factor) else WallClock(1 / (control_hz * factor))
+    return LoopTiming(clock, control_hz)
