@@ -22,24 +22,15 @@ from robots.spec import load_robot
 from support.contracts import SWAPPED, arm_contract
 from support.paths import ROOT
 from support.policies import policy_model, saved
+from support.screen import NoScreen
 
 SPEC = load_robot("arm6")
-
-
-class Blind:
-    """A screen nobody looks at."""
-
-    def offer(self, snapshot):
-        json.dumps(snapshot)
-
-    def close(self):
-        """Nothing to close."""
 
 
 @pytest.fixture
 def command(call, monkeypatch):
     """`deploy-run` without a screen."""
-    monkeypatch.setattr(deploy.operation.session, "ConsoleProcess", Blind)
+    monkeypatch.setattr(deploy.operation.session, "ConsoleProcess", NoScreen)
     return partial(call, deploy.operation.cli.cli)
 
 
