@@ -10,6 +10,7 @@ python -m eval.bench heat              the hottest motors in the hottest rooms, 
 python -m eval.bench startup           time to the first tick of deploy-run, and its imports
 python -m eval.bench memory            growth of a soak's memory
 python -m eval.bench budget            half an hour of 32 robots by the shipped budget; an idle policy that fails it
+python -m eval.bench teleport          a policy that asks for far angles: drives without limits, real ones, a cap
 python -m eval.bench adversaries       policies that ask for anything, in velocity and torque mode: an hour, 16 robots
 python -m eval.bench walk              a walking robot beside a bare loop: --robot FOLDER --policy FILE
 python -m eval.bench                   all of them but the last two
@@ -32,6 +33,7 @@ from eval.bench.estimation.floating import floating
 from eval.bench.process import memory, startup
 from eval.bench.reproducibility import reproducibility
 from eval.bench.stages import stages
+from eval.bench.teleport import teleport
 from eval.bench.throughput import throughput
 from eval.bench.walk import walk
 from robots.errors import ConfigError
@@ -50,12 +52,13 @@ BENCHES: dict[str, Callable[..., None]] = {
     "startup": startup,
     "memory": memory,
     "budget": budget_check,
+    "teleport": teleport,
     "adversaries": adversaries,
     "walk": walk,
 }
 NOT_IN_ALL = ("adversaries", "walk")
 """One takes hours, the other a robot that walks."""
-WITH_PICTURE = ("estimate", "ablation")
+WITH_PICTURE = ("estimate", "ablation", "teleport")
 
 
 def bench(
