@@ -30,6 +30,12 @@ class CoreGoals(NamedTuple):
     meaning: str
     contains: Callable[[Floats], Bools]
 
+    def among(self, ids: Bools, goal: Floats) -> Bools:
+        """Return (R,) robots of `ids` (R,) whose goal (R, G) is a core goal."""
+        core = ids.copy()
+        core[ids] = self.contains(goal[ids])
+        return core
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SuccessCriterion:

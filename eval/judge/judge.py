@@ -221,8 +221,7 @@ class Judge(Stage):
         """Count goals (R, G) that are `over` (R,), and those `reached` (R,), if they are core goals."""
         if self.score.criterion.core is None:
             return
-        core = over.copy()
-        core[over] = self.score.criterion.core.contains(goal[over])
+        core = self.score.criterion.core.among(over, goal)
         self.core_attempted += core
         self.core_reached += core & reached
 

@@ -69,9 +69,9 @@ class RuntimeEnv(VecEnv):
         time_out = (self.episode_length_buf >= self.max_episode_length).numpy()
         done = failed | time_out
         # A goal that a broken limit or a diverged simulation cuts off counts as missed.
-        self.due = int((self._task.ended | failed).sum())
-        self.reached = int(step.reached.sum())
-        log = self._log(step, broken, done)
+        due = self._task.ended | failed
+        self.due, self.reached = int(due.sum()), int(step.reached.sum())
+        log = self._log(step, broken, done) | self._core_success(due, step.reached)
         if done.any():
             self._restart(done)
         self._observation = self.episodes.sense()
@@ -79,6 +79,14 @@ class RuntimeEnv(VecEnv):
             watch()
         rewards, dones, cut = (torch.from_numpy(x).float() for x in (total, done, time_out & ~broken))
         return self.get_observations(), rewards, dones, {"time_outs": cut, "log": log}
+
+    def _core_success(self, due: Bools, reached: Bools) -> dict[str, float]:
+        """Return the share of core goals reached, of robots whose goal was `due` (B,); nothing where none was."""
+        task, core = self._task, self._task.criterion.core
+        if core is None:
+            return {}
+        counted = core.among(due, np.where(task.ended[:, None], task.ended_goal, task.goal))
+        return {"Task/success_core": float(reached[counted].mean())} if counted.any() else {}
 
     def _restart(self, ids: Bools) -> None:
         """Rest robots at start poses of the task, and begin their episodes."""

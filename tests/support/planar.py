@@ -98,6 +98,14 @@ STICKING = 0.005
 """m of a goal's height that a radian of the elbow outweighs: the side of the bend stays in a camera's noise."""
 
 
+def joint_angles(goal):
+    """Return (K, 3) rad that bring the tool to goals (K, 3) m: what the network of `reaching` computes."""
+    bend = np.arccos(np.clip((np.hypot(goal[:, 0], goal[:, 2]) / LINK_M - 1) / 2, -1, 1)) * np.sign(
+        goal[:, 2]
+    )
+    return np.stack((np.arctan2(goal[:, 2], goal[:, 0]) - bend, bend, bend), axis=1)
+
+
 def reaching(path, spec=PLANAR3):
     """A policy that sends the joints where the tool is at the goal, by the nominal lengths of the links."""
     contract, n = planar_contract(spec, "position"), spec.n

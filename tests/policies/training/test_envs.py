@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from support.arm6 import SPEC
+from support.planar import PLANAR3, joint_angles
 from support.runtimes import Thinking
 
 pytest.importorskip("torch")
@@ -11,7 +12,7 @@ import torch
 from deploy.simulation import simulate
 from deploy.state import Mode
 from policies.training.envs import RuntimeEnv
-from policies.training.recipe import contract_of, find_recipe, load_recipe
+from policies.training.recipe import Promise, contract_of, find_recipe, load_recipe
 from robots.randomness import training_seed
 
 pytestmark = pytest.mark.slow
@@ -126,3 +127,26 @@ def test_goals_are_scored_at_their_end_or_at_a_violation():
     env.runtime.robot.plant.kinematics.place(np.array([1]), beyond)
     env.step(torch.zeros(3, N))
     assert env.due == 2
+
+
+def test_success_of_core_goals_is_logged_apart():
+    """Of a policy that reaches goals with a positive height only; an arm's task logs nothing of the kind."""
+    small = RECIPE.environment.model_copy(update={"robots": 16})
+    promise = Promise(mode="position", policy_hz=50, share=1.0, reach_m=0.9)
+    planar = {"robot": "planar3", "task": "planar_reach", "environment": small, "promise": promise}
+    env = RuntimeEnv(RECIPE.model_copy(update=planar), PLANAR3, threads=1)
+    core, shares = env.runtime.task.criterion.core, []
+    for _ in range(500):
+        goal = env.runtime.task.goal.copy()
+        wanted = np.where(goal[:, 2:] > 0.0, joint_angles(goal), 0.0)
+        _, _, _, extras = env.step(torch.from_numpy(wanted / (np.pi / 2)))
+        due = env.runtime.task.ended
+        if due.any() and core.contains(goal[due]).any():
+            expected = (goal[due, 2] > 0.0)[core.contains(goal[due])].mean()
+            shares.append((extras["log"]["Task/success_core"], expected))
+        else:
+            assert "Task/success_core" not in extras["log"]
+    found, expected = np.array(shares).T
+    assert len(found) > 20
+    assert np.abs(found - expected).mean() < 0.1
+    assert 0.2 < found.mean() < 0.8
