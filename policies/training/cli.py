@@ -67,7 +67,7 @@ def _learn(
     env.watchers.append(JointSpeeds(env.episodes, spec, SPEEDS_EVERY * recipe.learner.num_steps_per_env))
     if view:
         env.watchers.append(Window(env.episodes))
-    runner = OnPolicyRunner(env, _settings(recipe.learner), log_dir=str(out), device="cpu")
+    runner = OnPolicyRunner(env, learner_settings(recipe.learner), log_dir=str(out), device="cpu")
     for number, stage in enumerate(recipe.learner.stages):
         _set_learning_rate(runner, stage.learning_rate)
         runner.learn(stage.iterations, init_at_random_ep_len=number == 0)
@@ -97,7 +97,7 @@ def roll_out(env: RuntimeEnv, policy: MLPModel, film: Film | None = None) -> tup
     return torch.cat(seen)[torch.from_numpy(rows)], reached / max(1, due)
 
 
-def _settings(learner: Learner) -> dict[str, Any]:
+def learner_settings(learner: Learner) -> dict[str, Any]:
     """Return the recipe as rsl_rl's configuration."""
     network: dict[str, Any] = {"class_name": "MLPModel", "hidden_dims": list(learner.hidden)}
     network |= {"activation": "elu", "obs_normalization": True}
