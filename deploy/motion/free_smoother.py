@@ -21,9 +21,6 @@ TAKEOVER_SHARE = 0.01
 """Share of its stiffness that a drive begins with."""
 
 
-END_RAD = 0.05
-"""rad before the end of the range of targets at which the policy's torques bring a joint to rest: room for a stop from
-the noise of the estimated speed."""
 ACCELERATION_SHARE, SPEED_S = 0.8, 0.1
 """Share of a joint's acceleration that the policy may use, and s in which a speed is brought to its bound: the rest is
 for the rate of the torque."""
@@ -55,7 +52,6 @@ class TorqueSmoother(Smoother):
         self._qd_max = (
             ACCELERATION_SHARE * spec.margins.speed_in(ControlMode.TORQUE) * spec.joint_array("qd_max")
         )
-        self._delay = SPEED_S + 0.5 * self._qdd_max / spec.joint_array("qddd_max")
         self._takeover = round(TAKEOVER_S / spec.dt)
         self.held = np.full(robots, self._takeover)
 
@@ -79,22 +75,14 @@ class TorqueSmoother(Smoother):
         """Return torques that cause no more acceleration than allowed, nor a speed that leaves no way to brake."""
         q, qd = state.q, state.qd
         wanted = self._fleet.acceleration(q, qd, self.ramp.clamped(target))
-        rooms = self.q_max - END_RAD - q, q - self.q_min - END_RAD
-        up, down = (self._braking_speed(np.maximum(room, 0.0)) for room in rooms)
+        up, down = (
+            np.sqrt(self._qdd_max * np.maximum(room, 0.0)) for room in (self.q_max - q, q - self.q_min)
+        )
         fastest, slowest = np.minimum(up, self._qd_max), -np.minimum(down, self._qd_max)
         high = np.clip((fastest - qd) / SPEED_S, -self._qdd_max, self._qdd_max)
         low = np.clip((slowest - qd) / SPEED_S, -self._qdd_max, self._qdd_max)
         qdd = np.minimum(np.maximum(wanted, low), high)
         return self._fleet.torque(q, qd, qdd) + self._fleet.friction(qd)
-
-    def _braking_speed(self, room: Floats) -> Floats:
-        """Return the speed (B, n) rad/s that half the acceleration brings to rest within `room` (B, n) rad.
-
-        v²/(2a) + v t = room, t the time of `SPEED_S` and of the jerk before the acceleration acts.
-        """
-        a = 0.5 * self._qdd_max
-        lag = a * self._delay
-        return np.asarray(np.sqrt(lag * lag + 2.0 * a * room) - lag)
 
     def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
         """Return the stop that would begin at `start`, as `Smoother.brake`, with position drives."""

@@ -16,9 +16,6 @@ class TorqueRamp(Stage):
 
         d = n r dt − S dt² n (n − 1) / 2
 
-    All joints of a robot take the time of the slowest, so that their torques go straight to the target: on the way of
-    each by itself they may move the robot as neither end does.
-
     With the least whole n for which it can end at the target, d <= S dt² n (n + 1) / 2, r is the highest such rate.
 
     Attributes:
@@ -45,9 +42,7 @@ class TorqueRamp(Stage):
         distance = np.abs(left)
         periods = np.ceil(0.5 * (np.sqrt(1.0 + 8.0 * distance / (self._rate_step * self._dt)) - 1.0))
         fastest = distance / (np.maximum(periods, 1.0) * self._dt) + 0.5 * self._rate_step * (periods - 1.0)
-        with np.errstate(invalid="ignore"):  # a joint that has arrived: 0 / 0
-            duration = np.fmax(np.nanmax(distance / np.minimum(fastest, self._rate_max), axis=1), self._dt)
-        wanted = left / duration[:, None]
+        wanted = np.sign(left) * np.minimum(fastest, self._rate_max)
         rate = np.minimum(np.maximum(wanted, self.rate - self._rate_step), self.rate + self._rate_step)
         return self.tau + rate * self._dt, rate
 

@@ -91,9 +91,8 @@ class Task(Stage, ABC):
         del period_s
         return spec
 
-    @classmethod
     @abstractmethod
-    def true_achieved(cls, truth: Truth) -> Floats:
+    def true_achieved(self, truth: Truth) -> Floats:
         """Return (B, G) what a goal is compared with, from ground truth."""
 
     @abstractmethod

@@ -12,12 +12,10 @@ from deploy.sources.source import ObservationSource
 from deploy.state import Sample
 from deploy.tasks.success import SuccessCriterion
 from deploy.tasks.task import Task
+from deploy.tasks.walking import WalkingTask, yaw
 from deploy.truth import Truth
-from robots.arrays import Bools, Floats
-from robots.capabilities import Capability
-from robots.errors import RobotError
+from robots.arrays import Floats
 from robots.spec import RobotSpec
-from robots.tables import Base
 
 if TYPE_CHECKING:
     from deploy.runtime import Runtime
@@ -33,12 +31,6 @@ def command_error(achieved: Floats, goal: Floats) -> Floats:
     return np.maximum(speed, np.abs(missed[..., 2]) / TURN_TOLERANCE)
 
 
-def yaw(quat_wxyz: Floats) -> Floats:
-    """(B,) rad, heading of the x axis of bases (B, 4) in the world."""
-    w, x, y, z = quat_wxyz.T
-    return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
-
-
 def _heading_error(runtime: "Runtime") -> Floats:
     """(B, 2) sine and cosine of the angle to the left from the heading to the commanded one."""
     task = runtime.task
@@ -49,7 +41,7 @@ def _heading_error(runtime: "Runtime") -> Floats:
     return np.stack((np.sin(error), np.cos(error)), axis=1)
 
 
-class Velocity(Task):
+class Velocity(WalkingTask):
     """Commands of m/s forwards, m/s to the left and rad/s to the left, uniform in the robot's command range.
 
     Attributes:
@@ -59,7 +51,6 @@ class Velocity(Task):
 
     name = "velocity"
     size = 3
-    needs: ClassVar[frozenset[Capability]] = BASE
     sources: ClassVar[Mapping[str, ObservationSource]] = {
         "velocity_command": ObservationSource(
             frame="base",
@@ -90,7 +81,7 @@ class Velocity(Task):
     carried: ClassVar[tuple[str, ...]] = (*Task.carried, "heading")
 
     def __init__(self, spec: RobotSpec, seeds: Sequence[np.random.SeedSequence]) -> None:
-        base = _base(spec)
+        base = self.base_of(spec)
         self._low, self._high = np.array(base.command_min), np.array(base.command_max)
         self.heading = np.zeros(len(seeds))
         super().__init__(spec, seeds)
@@ -99,15 +90,8 @@ class Velocity(Task):
     def success_criterion(cls, spec: RobotSpec) -> SuccessCriterion:
         """Mean velocity of the whole period within tolerance of the command."""
         return SuccessCriterion(
-            size=3, period_s=_base(spec).command_s, tolerance=1.0, distance=command_error, mean=True
+            size=3, period_s=cls.base_of(spec).command_s, tolerance=1.0, distance=command_error, mean=True
         )
-
-    @classmethod
-    def limit_goal_period(cls, spec: RobotSpec, period_s: float) -> RobotSpec:
-        """Return the robot with commands of at most `period_s` s."""
-        base = _base(spec)
-        shorter = base.model_copy(update={"command_s": min(base.command_s, period_s)})
-        return spec.model_copy(update={"base": shorter})
 
     @classmethod
     def true_achieved(cls, truth: Truth) -> Floats:
@@ -133,13 +117,3 @@ class Velocity(Task):
             self.heading[begins] = yaw(runtime.base.quat_wxyz[begins])
         self.achieved[:, :2] = runtime.base.velocity_in_base[:, :2]
         self.achieved[:, 2] = runtime.base.angular_velocity[:, 2]
-
-    def arm(self, ids: Bools) -> None:
-        """Begin a new command: a robot without power cannot follow one."""
-        self.reset(ids)
-
-
-def _base(spec: RobotSpec) -> Base:
-    if spec.base is None:
-        raise RobotError(f"{spec.folder / 'robot.toml'}: base: missing, task velocity needs one")
-    return spec.base
