@@ -22,6 +22,7 @@ TOOL_SPEED = 0.25
 """m/s, largest speed of the tool. Source: ISO 10218-1, reduced speed in manual mode."""
 LEASH_RAD = 0.03
 """rad by which the target may lead the setpoint: more than a joint at reduced speed needs to brake."""
+ROUNDING_RAD = 1e-9
 
 
 def reduced_speed(spec: RobotSpec) -> RobotSpec:
@@ -91,6 +92,11 @@ class Jog(Actor):
     def stop(self) -> None:
         """Ask for no further motion."""
         self.to_go[:] = 0.0
+
+    @property
+    def moving(self) -> bool:
+        """True until the target has moved as far as was asked for."""
+        return bool((np.abs(self.to_go) > ROUNDING_RAD).any())
 
     def step(self, observation: Float32s) -> Float32s:
         """Return the share of a step (B, n) by which each target moves now."""

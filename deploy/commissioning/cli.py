@@ -1,0 +1,95 @@
+"""deploy-check: move each joint of a robot by itself, and compare what it does with robot.toml and the model."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.commissioning.bounds import Bounds
+from deploy.commissioning.evaluation import Evaluation
+from deploy.commissioning.moves import CheckMoves
+from deploy.commissioning.report import write_report
+from deploy.operation.jog import Jog, reduced_speed
+from deploy.operation.robot_run import Ending
+from deploy.operation.session import (
+    BackendName,
+    DrawName,
+    Drive,
+    Options,
+    Out,
+    RobotName,
+    Seed,
+    Session,
+    Speed,
+    ViewFlag,
+)
+from robots.errors import ConfigError
+from robots.spec import RobotSpec, load_robot
+
+ANGLE_DEG = (2.0, 15.0)
+"""Least and largest --angle-deg: less than the least is lost in noise and play."""
+RUN_S = 1200.0
+"""s after which a check ends in any case."""
+
+Angle = Annotated[
+    float,
+    typer.Option(help=f"degrees by which each joint moves, either way, {ANGLE_DEG[0]:g} to {ANGLE_DEG[1]:g}"),
+]
+
+
+def check(
+    robot: RobotName = "arm6",
+    backend: BackendName = "sim",
+    angle_deg: Angle = 5.0,
+    speed: Speed = "1",
+    seed: Seed = None,
+    draw: DrawName = None,
+    out: Out = Path("out/check"),
+    view: ViewFlag = False,
+) -> int:
+    """Commission a robot: order, sign, scale, delay, friction, gravity and tracking of each joint.
+
+    The robot moves from where it stands, slowly, within all checks of a run. A robot with a floating base hangs
+    from its gantry and is jogged instead. Exit codes: 0 passed, 1 a joint failed, 2 bad input and nothing moved,
+    70 internal error, 130 interrupted.
+    """
+    spec = load_robot(robot)
+    if not ANGLE_DEG[0] <= angle_deg <= ANGLE_DEG[1]:
+        raise ConfigError(
+            f"--angle-deg {angle_deg:g}: expected degrees from {ANGLE_DEG[0]:g} to {ANGLE_DEG[1]:g}"
+        )
+    _check_fixed(spec)
+    options = Options(
+        spec=spec, backend=backend, duration=RUN_S, speed=speed, seed=seed, draw=draw, out=out, view=view
+    )
+    session, bounds, slow = Session(options), Bounds(spec), reduced_speed(spec)
+    actor = Jog(slow)
+    moves = CheckMoves(actor, slow, float(np.deg2rad(angle_deg)))
+    run = session.run(Drive(name="check", actor=actor, spec=slow, watchers=[moves]))
+    refused = run.reason if run.ending is Ending.REFUSED else ""
+    findings = Evaluation(spec, moves, bounds, refused).findings
+    about = {"robot": spec.name, "robot_digest": spec.digest, "angle_deg": angle_deg}
+    write_report(findings, out / "check.json", {**about, "seed": session.seed_text})
+    if run.ending is Ending.INTERRUPTED:
+        return INTERRUPTED
+    return PASSED if findings.passed and run.ending is Ending.DONE else BUDGET_EXCEEDED
+
+
+def _check_fixed(spec: RobotSpec) -> None:
+    """Refuse (ConfigError) a robot that floats: what its legs stand on moves its joints, too."""
+    if spec.base is not None:
+        raise ConfigError(
+            f"--robot {spec.name}: found a floating base, expected a fixed one: hang the robot from its gantry, and"
+            " use deploy-run --policy jog"
+        )
+
+
+def cli() -> None:
+    """Run `deploy-check`."""
+    main(check)
+
+
+if __name__ == "__main__":
+    cli()
