@@ -19,7 +19,9 @@ NEIGHBOURS = {"up": -1, "down": 1}
 
 
 class JogKeys:
-    """Watcher of a run that reads keys every `POLL_S` of robot time, once the robot is armed.
+    """Watcher of a run that reads keys every `POLL_S` of robot time; those of a pipe wait until the robot is armed.
+
+    Motions are for a robot that runs: keys pressed before it does, or while it stops, do not move it later.
 
     Attributes:
         joint: number of the chosen joint.
@@ -40,7 +42,8 @@ class JogKeys:
         mode = Mode(int(run.runtime.supervisor.mode[0]))
         if mode != Mode.RUNNING:
             self._jog.stop()
-        if mode > Mode.ARMING and run.runtime.ticks % self._every == 0:
+        armed = mode > Mode.ARMING or self._keyboard.terminal
+        if armed and run.runtime.ticks % self._every == 0:
             for key in self._keyboard.read():
                 self._press(key, run, mode == Mode.RUNNING)
 

@@ -25,7 +25,11 @@ ARROW_BYTES, RECEIVED_BYTES = 3, 1024
 class Keyboard:
     """Keys of an input. While it is entered, a terminal sends each key at once and does not show it.
 
-    The terminal's own settings come back on every way out of the block.
+    Keys of a terminal that were pressed before it is entered are dropped. Its own settings come back on every way out
+    of the block.
+
+    Attributes:
+        terminal: keys come from a terminal.
     """
 
     def __init__(self, stream: Any = None) -> None:
@@ -38,13 +42,13 @@ class Keyboard:
             self._input: int = (stream or sys.stdin).fileno()
         except (AttributeError, OSError, ValueError) as e:
             raise ConfigError("--policy jog: standard input is closed, expected a terminal or a pipe") from e
-        self._pending, self._ended, self._terminal = b"", False, os.isatty(self._input)
+        self._pending, self._ended, self.terminal = b"", False, os.isatty(self._input)
         self._settings: list[Any] | None = None
 
     def __enter__(self) -> Self:
-        if self._terminal:
+        if self.terminal:
             self._settings = termios.tcgetattr(self._input)
-            tty.setcbreak(self._input, termios.TCSANOW)
+            tty.setcbreak(self._input, termios.TCSAFLUSH)
         return self
 
     def __exit__(
@@ -57,7 +61,7 @@ class Keyboard:
         """Return new keys: characters, names of arrows, or `END`; empty if there are none yet."""
         self._receive()
         keys = [END] if self._ended and not self._pending else []
-        while self._pending and (self._terminal or not keys):
+        while self._pending and (self.terminal or not keys):
             keys.append(self._next())
         return keys
 

@@ -67,7 +67,7 @@ class RobotRun:
 
     def end(self) -> None:
         """Ask for the controlled stop at the end of a run now, whatever its duration."""
-        self._t_end = min(self._t_end, self.runtime.t)
+        self._duration, self._t_end = 0.0, min(self._t_end, self.runtime.t)
 
     def run(self) -> Ending:
         """Arm, work, and come to rest, whatever happens."""

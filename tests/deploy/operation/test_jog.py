@@ -131,6 +131,50 @@ def test_keys_do_not_act_after_a_stop(jog, robots, monkeypatch):
     assert 0 < moved(robots[0])[0] < STEP_RAD - 0.002
 
 
+def test_keys_of_a_terminal_do_not_wait_until_the_robot_is_armed(call, monkeypatch, tmp_path):
+    """Pressed too early they would move it as soon as it has power."""
+    monkeypatch.setattr(deploy.operation.session, "ConsoleProcess", NoScreen)
+    ours, theirs = os.openpty()
+    keys, made = {5: b"+", 8: b"+", 150: b"2-", 220: b"q"}, []
+
+    class Typed(SimRobot):
+        def write(self, command):
+            super().write(command)
+            made.append(command.q[0].copy())
+            os.write(ours, keys.get(len(made), b""))
+
+    monkeypatch.setattr("deploy.backends.sim.backend.SimRobot", Typed)
+    with os.fdopen(theirs) as stream:
+        monkeypatch.setattr(sys, "stdin", stream)
+        options = ("--policy", "jog", "--speed", "max", "--out", tmp_path / "out")
+        assert call(deploy.operation.cli.cli, *options)[0] == 0
+    os.close(ours)
+    far = made[-1] - made[100]
+    assert far[1] == pytest.approx(-STEP_RAD, abs=1e-6)
+    assert np.abs(np.delete(far, 1)).max() < 1e-6
+    assert len(made) < 240
+
+
+def test_end_before_the_robot_is_armed_ends_the_run(call, monkeypatch, tmp_path):
+    monkeypatch.setattr(deploy.operation.session, "ConsoleProcess", NoScreen)
+    ours, theirs = os.openpty()
+    commands = []
+
+    class Typed(SimRobot):
+        def write(self, command):
+            super().write(command)
+            commands.append(command)
+            os.write(ours, b"q" if len(commands) == 3 else b"")
+
+    monkeypatch.setattr("deploy.backends.sim.backend.SimRobot", Typed)
+    with os.fdopen(theirs) as stream:
+        monkeypatch.setattr(sys, "stdin", stream)
+        options = ("--policy", "jog", "--speed", "max", "--out", tmp_path / "out")
+        assert call(deploy.operation.cli.cli, *options)[0] == 0
+    os.close(ours)
+    assert len(commands) < 30
+
+
 def test_reduced_speed_is_a_limit_of_the_robot():
     slow = reduced_speed(SPEC)
     np.testing.assert_allclose(slow.joint_array("qd_max"), 0.05 * SPEC.joint_array("qd_max"))
