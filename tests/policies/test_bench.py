@@ -41,4 +41,4 @@ def test_loading_time_is_printed(arm_policy, capsys):
 def test_an_unknown_bench_is_refused(call):
     code, _, said = call(lambda: command.main(command.bench), "nothing")
     assert code == 2
-    assert "found 'nothing', expected one of import, load or all" in said
+    assert "found 'nothing', expected one of import, load, episodes or all" in said

@@ -14,7 +14,7 @@ from policies.importers.contract_draft import ContractDraft
 from policies.importers.reference_policy import ABSENT, PolicyFacts
 from robots.errors import ContractError
 from robots.strict import parse
-from support.arm6 import SPEC
+from support.arm6 import SPEC, position_drives
 from support.contracts import NAMES
 
 THEIRS = tuple(NAMES[k] for k in (3, 0, 5, 1, 4, 2))
@@ -110,8 +110,8 @@ def test_targets_equal_the_original():
     multiply = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
     result = settled(drafted(action=drafted()["action"] | {"multiply": multiply, "clip": (-2.0, 2.0)}))
     theirs = np.random.default_rng(0).normal(size=(1, 6)) * 3
-    action = Action(result.contract.action, 1)
-    target = action.step(theirs[:, result.joints], np.zeros((1, 6))).q[0]
+    action = Action(result.contract.action, position_drives(1))
+    target = action.step(theirs[:, result.joints], np.zeros((1, 6))).value[0]
     for k, name in enumerate(THEIRS):
         expected = POSE[k] + multiply[k] * np.clip(theirs[0, k], -2, 2)
         assert target[NAMES.index(name)] == pytest.approx(expected, rel=1e-12)
