@@ -113,12 +113,11 @@ def _residual(
     speed = log.column("qd_sent", *span)[:, joint]
     steady = np.flatnonzero(np.abs(speed) > CONSTANT_SPEED * np.abs(speed).max())
     first, last = (float(log.column("t")[span.begin + steady[end]]) for end in (0, -1))
-    rows, t, current = log.packets("current", span.begin, span.end)
+    _, t, current = log.packets("current", span.begin, span.end)
     inside = (t >= first) & (t <= last)
     q = log.column("q_hat")[np.searchsorted(log.column("t"), t[inside] - 1e-9)]
     still = np.zeros((1, q.shape[1]))
     nominal = np.array([fleet.torque(pose[None], still, still)[0, joint] for pose in q])
-    del rows
     residual = constant[joint] * current[inside, joint] - nominal
     error = residual.std() / np.sqrt(max(len(residual) - 1, 1))
     return float(residual.mean()), float(np.sign(speed[steady].sum())), float(error)
