@@ -39,7 +39,7 @@ class Step:
 
 
 class Limits:
-    """Working range of the joints, for rewards."""
+    """Working range of the joints, for rewards and start poses."""
 
     def __init__(self, spec: RobotSpec, near_share: float) -> None:
         """Centre and half width of every joint's range."""
@@ -53,6 +53,11 @@ class Limits:
     def broken(self, q: Floats) -> Bools:
         """(B,) robots with any joint outside its working range, which ends the episode."""
         return np.asarray((self.beyond(q) > 0).any(axis=1))
+
+    def draw(self, rng: np.random.Generator, share: float, robots: int) -> Floats:
+        """Return poses (robots, n) rad, uniform in that share of every joint's range, around its middle."""
+        spread = share * self._half
+        return self._centre + rng.uniform(-spread, spread, (robots, len(spread)))
 
     def near(self, q: Floats) -> Bools:
         """(B, n) joints beyond the near share of their range."""

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from policies.environments.episodes import Episodes
 from policies.environments.rewards import Step
 from policies.training.recipe import Recipe, contract_of
-from robots.arrays import Bools
+from robots.arrays import Bools, Floats
 from robots.randomness import training_seed
 from robots.spec import RobotSpec
 
@@ -33,7 +33,7 @@ class RuntimeEnv(VecEnv):
         seeds = [training_seed(recipe.seed, robot) for robot in range(self.num_envs)]
         self.episodes = Episodes(recipe, spec, contract_of(recipe, spec, {}), seeds, threads=threads)
         self.runtime, self._task = self.episodes.runtime, self.episodes.task
-        self._rng = np.random.default_rng(recipe.seed)
+        self._rng, self._start_range = np.random.default_rng(recipe.seed), recipe.environment.start_range
         self.max_episode_length = recipe.environment.goals_per_episode * self.episodes.goal_steps
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long)
         self._violations = {name: np.zeros(self.num_envs) for name in ("requested", "happened")}
@@ -89,11 +89,17 @@ class RuntimeEnv(VecEnv):
         return {"Task/success_core": float(reached[counted].mean())} if counted.any() else {}
 
     def _restart(self, ids: Bools) -> None:
-        """Rest robots at start poses of the task, and begin their episodes."""
-        self.episodes.restart(ids, self._task.start_poses(self._rng))
+        """Rest robots at start poses, and begin their episodes."""
+        self.episodes.restart(ids, self._start_poses())
         self.episode_length_buf[torch.from_numpy(ids)] = 0
         for count in self._violations.values():
             count[ids] = 0.0
+
+    def _start_poses(self) -> Floats:
+        """Draw (B, n) rad by the recipe."""
+        if self._start_range is None:
+            return self._task.start_poses(self._rng)
+        return self.episodes.limits.draw(self._rng, self._start_range, self.num_envs)
 
     def _log(self, step: Step, broken: Bools, done: Bools) -> dict[str, float]:
         """Return scalars for TensorBoard; violations are policy steps with any joint, or its target, out of range."""

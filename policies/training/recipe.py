@@ -66,10 +66,18 @@ class Gait(Strict):
 
 
 class Environment(Strict):
-    """B robots trained at once, and the goals between two resets."""
+    """B robots trained at once, and their episodes.
+
+    Attributes:
+        goals_per_episode: goals between two resets.
+        start_range: share of each joint's working range, around its middle, in which episodes begin; None: at start
+            poses of the task. An arm that may bend in two ways learns to change from one to the other only if it is
+            shown both.
+    """
 
     robots: PositiveInt
     goals_per_episode: PositiveInt
+    start_range: Share | None = None
 
 
 class Reward(Strict):

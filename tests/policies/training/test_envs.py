@@ -150,3 +150,14 @@ def test_success_of_core_goals_is_logged_apart():
     assert len(found) > 20
     assert np.abs(found - expected).mean() < 0.1
     assert 0.2 < found.mean() < 0.8
+
+
+def test_episodes_begin_anywhere_in_the_start_range():
+    recipe = load_recipe(find_recipe("planar3_velocity"))
+    share, robots = recipe.environment.start_range, 64
+    small = recipe.environment.model_copy(update={"robots": robots})
+    env = RuntimeEnv(recipe.model_copy(update={"environment": small}), PLANAR3, threads=1)
+    q, end = env.runtime.robot.truth().q, share * PLANAR3.joint_array("q_max")
+    assert (np.abs(q) <= end + 0.01).all()
+    assert (np.abs(q).max(axis=0) > 0.8 * end).all()
+    assert (np.abs(q.mean(axis=0)) < 0.25 * end).all()  # over three standard deviations of the mean
