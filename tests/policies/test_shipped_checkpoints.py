@@ -15,8 +15,8 @@ pytestmark = pytest.mark.slow
 CHECKPOINTS = sorted(POLICIES.glob("*.pt"))
 
 
-def test_a_checkpoint_is_shipped():
-    assert [path.name for path in CHECKPOINTS] == ["arm.pt"]
+def test_checkpoints_are_shipped():
+    assert [path.name for path in CHECKPOINTS] == ["arm.pt", "planar3_position.pt", "planar3_velocity.pt"]
 
 
 def robot_of(path):
