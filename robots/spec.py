@@ -273,13 +273,17 @@ class _RobotFile(RobotSpec):
     folder: Path = Field(default=Path(), exclude=True)
 
 
-def load_robot(robot: str | Path) -> RobotSpec:
-    """Read a robot by its name in `robots/` or by the path of its folder; RobotError names what is wrong in it."""
+def load_robot(robot: str | Path, option: str = "--robot") -> RobotSpec:
+    """Read a robot by its name in `robots/` or by the path of its folder.
+
+    Raises:
+        RobotError: names what is wrong in the folder, or the `option` or field that said `robot`.
+    """
     folder = Path(robot)
     if not folder.is_dir():
         folder = ROBOTS / str(robot)
     if not (folder / "robot.toml").is_file():
-        raise RobotError(f"--robot {robot}: no such folder with a robot.toml; known: {_known()}")
+        raise RobotError(f"{option} {robot}: no such folder with a robot.toml; known: {_known()}")
     file = read_toml(folder / "robot.toml", _RobotFile, RobotError)
     if "folder" in file.model_fields_set:
         raise RobotError(f"{folder / 'robot.toml'}: folder: unknown key")

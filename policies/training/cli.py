@@ -41,7 +41,7 @@ def train(
     if any(out.glob("events.*")):
         found = f"--out {out}: contains another training"
         raise ConfigError(f"{found}, expected an empty folder: the curves would mix")
-    spec = load_robot(recipe.robot)
+    spec = load_robot(recipe.robot, f"recipe {recipe.name}: robot")
     film = None if video is None else Film(video, spec, recipe.promise.policy_hz)
     env, policy = _learn(recipe, spec, out, threads, view)
     rollout, success = roll_out(env, policy, film)
