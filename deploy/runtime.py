@@ -81,7 +81,7 @@ class Runtime(Stage):
         law = drive_law(spec, mode, gains, fleet)
         self.springs = law if isinstance(law, SpringDrives) else None
         self.estimator = Estimator(
-            spec, robots, springs=gains if self.springs else None, torque_mode=mode is ControlMode.TORQUE
+            spec, robots, springs=gains if self.springs else None, free=self.drives.policy.kp[0] == 0.0
         )
         self.capabilities = CapabilityEstimators(spec, robots)
         self.safety = Safety(spec, fleet, law, mode=mode)
@@ -228,7 +228,8 @@ class Runtime(Stage):
         self.estimator.external_torque.command(tau, powered)
         self.robot.write(self.command)
         if self.drives.free:
-            self.estimator.follow_joints(drive.kp[:, 0] == 0.0, self.t)
+            torque_mode = self.contract.action.control_mode is ControlMode.TORQUE
+            self.estimator.follow_joints(drive.kp == 0.0, self.t, speeds=torque_mode)
 
     def arm(self, ids: Bools) -> Ints:
         """Power robots where `ids` holds, drives are off, joints rest and every check passes.

@@ -79,7 +79,8 @@ class Sensor(Strict):
             others.
         rate_hz: packets per second.
         resolution: the step between two readings.
-        range: the largest reading, either way: values beyond it read as this.
+        range: the largest reading, either way: values beyond it read as this. Encoders of joints without ends count
+            turns, and have no largest reading.
         noise: standard deviation of a reading.
         bias: the largest constant error.
         drift: standard deviation of a bias' random walk after an hour.

@@ -212,6 +212,12 @@ class RobotSpec(Strict):
         return len(self.joints)
 
     @property
+    def pose_range(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(n,) rad each, ends of a range with every pose: the working range, or a turn around home without one."""
+        low, high, home = (self.joint_array(f"q_{end}") for end in ("min", "max", "home"))
+        return np.where(np.isinf(low), home - np.pi, low), np.where(np.isinf(high), home + np.pi, high)
+
+    @property
     def channels(self) -> dict[Kind, int]:
         """Number of channels of each sensor, in the order of robot.toml."""
         return {kind: channels(kind, sensor, self.n) for kind, sensor in self.sensors.items()}

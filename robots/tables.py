@@ -1,5 +1,6 @@
 """Tables of robot.toml: joints, drives, motors, rates, margins, workspace, capsules, floating base."""
 
+import math
 from typing import Annotated, Self
 
 import numpy as np
@@ -24,7 +25,7 @@ class TorqueMode(Strict):
     Attributes:
         rate_max: N·m/s, rate2_max: N·m/s²: first and second rate of the torque sent.
         acceleration_density: rad²/s³, process noise of the estimator: of the joint's motion around the one that the
-            nominal model predicts.
+            nominal model predicts. Also of a joint without stiffness in velocity mode, such as a wheel.
     """
 
     rate_max: PositiveFloat
@@ -36,7 +37,7 @@ class Joint(Strict):
     """Working limits of one joint, as an integrator sets them: inside the mechanical ones of model.xml.
 
     Attributes:
-        q_min, q_max, q_home: rad.
+        q_min, q_max: rad, the working range; both left out for a joint without ends, such as a wheel. q_home: rad.
         qd_max: rad/s, limit of the drive. qdd_max: rad/s², qddd_max: rad/s³, limits of setpoints.
         acceleration_density: rad²/s³, process noise of the estimator: of the joint's deviation from its setpoint, or of
             the joint itself on drives that act as springs.
@@ -47,8 +48,8 @@ class Joint(Strict):
     """
 
     name: str
-    q_min: float
-    q_max: float
+    q_min: Annotated[float, Field(exclude_if=math.isinf)] = -math.inf
+    q_max: Annotated[float, Field(exclude_if=math.isinf)] = math.inf
     q_home: float
     qd_max: PositiveFloat
     qdd_max: PositiveFloat
@@ -60,7 +61,11 @@ class Joint(Strict):
     source: Source
 
     @model_validator(mode="after")
-    def _home_inside(self) -> Self:
+    def _range_around_home(self) -> Self:
+        if math.isinf(self.q_min) != math.isinf(self.q_max):
+            raise ValueError(
+                f"{self.name}: found one of q_min and q_max, expected both, or none of a joint without ends"
+            )
         if not self.q_min < self.q_home < self.q_max:
             raise ValueError(
                 f"q_home of {self.name} is {self.q_home} rad, outside [{self.q_min}, {self.q_max}]"

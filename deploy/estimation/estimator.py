@@ -43,15 +43,15 @@ class Estimator(Stage):
     parts = ("joints", "setpoints", "stuck_detection", "divergence", "windings", "external_torque")
 
     def __init__(
-        self, spec: RobotSpec, robots: int, *, springs: Gains | None = None, torque_mode: bool = False
+        self, spec: RobotSpec, robots: int, *, springs: Gains | None = None, free: Bools | None = None
     ) -> None:
         """Allocate; `springs` are the gains of soft drives, None if drives hold joints at their setpoints.
 
-        In `torque_mode` setpoints are predicted by the nominal model, and joints deviate from them by its errors.
+        Drives of joints `free` (n,) hold no angle: setpoints follow these joints, which deviate by errors of the model.
         """
         self._look = sample_count(LOOK_S, spec.dt)
         look_s, encoder = self._look * spec.dt, spec.sensors["encoder"]
-        self.joints = JointFilter(spec, robots, torque_mode=torque_mode)
+        self.joints = JointFilter(spec, robots, free)
         self.setpoints = SetpointHistory(spec, robots)
         # Packets of an encoder slower than the control rate could always arrive between two looks.
         self._stuck_look = self._look if encoder.rate_hz == spec.rates.control_hz else 1
@@ -79,19 +79,21 @@ class Estimator(Stage):
         self.setpoints.fill(ids, new)
         self.stuck_detection.setpoint[ids] = new.q[ids]
 
-    def follow_joints(self, ids: Bools, t: float) -> None:
-        """Move the setpoint history of robots `ids` (B,) onto their estimated motion until `t` s: they deviate by 0.
+    def follow_joints(self, ids: Bools, t: float, *, speeds: bool) -> None:
+        """Move the setpoint history of joints `ids` (B, n) onto their estimated angles at `t` s: they deviate by 0.
 
-        For drives that hold no angle: their next setpoint is predicted from the estimate, not from the setpoint before.
+        For drives that hold no angle: their next setpoint is planned from the estimate, not from the setpoint before.
+        With `speeds` the history gets the estimated speeds, too; else they go on to deviate in speed.
         """
         if not any_true(ids):
             return
         joints = self.joints
-        e, ed = (np.where(ids[:, None], x, 0.0) for x in (joints.e, joints.ed))
-        now = e + ed * (t - joints.t_sample)
+        age = t - joints.t_sample
+        now = np.where(ids, joints.e + joints.ed * age, 0.0)
+        ed = np.where(ids, joints.ed, 0.0) if speeds else self._zero
         self.setpoints.shift(now, ed, round(t / self.dt))
         self.stuck_detection.setpoint += now
-        joints.e -= e
+        joints.e -= now - ed * age
         joints.ed -= ed
 
     def step(self, t: float, sample: Sample, sent: Setpoint) -> State:

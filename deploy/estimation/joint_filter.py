@@ -65,7 +65,8 @@ class JointFilter(Stage):
 
     carried = ("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "initialized")
 
-    def __init__(self, spec: RobotSpec, robots: int, *, torque_mode: bool = False) -> None:
+    def __init__(self, spec: RobotSpec, robots: int, free: Bools | None = None) -> None:
+        """Allocate for drives that hold their angles, but those of joints `free` (n,)."""
         shape, sensors = (robots, spec.n), spec.sensors
         self.e, self.ed, self.p00, self.p01, self.p11, self.t_sample = np.zeros((6, *shape))
         self.t_speed, self.initialized = np.full(robots, -np.inf), np.zeros(robots, dtype=bool)
@@ -73,7 +74,7 @@ class JointFilter(Stage):
         # numpy is fastest where all shapes are equal.
         self._joint_buffer, self._r = np.zeros(shape), np.full(shape, sensors["encoder"].variance)
         self._r_speed = sensors["velocity"].variance if "velocity" in sensors else np.inf
-        density = np.tile(_density(spec, torque_mode), (robots, 1))
+        density = np.tile(_density(spec, np.zeros(spec.n, dtype=bool) if free is None else free), (robots, 1))
         unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=1.0)  # [[1/3, 1/2], [1/2, 1]]
         self._q_dt3, self._q_dt2, self._q = (density * unit[place] for place in ((0, 0), (0, 1), (1, 1)))
 
@@ -152,8 +153,10 @@ class JointFilter(Stage):
         return self._joint_buffer
 
 
-def _density(spec: RobotSpec, torque_mode: bool) -> Floats:
+def _density(spec: RobotSpec, free: Bools) -> Floats:
     """Return (n,) rad²/s³, the process noise of each joint."""
-    if not torque_mode:
-        return spec.joint_array("acceleration_density")
-    return np.array([required(joint.torque_mode).acceleration_density for joint in spec.joints])
+    sources = [
+        required(joint.torque_mode) if holds_no_angle else joint
+        for joint, holds_no_angle in zip(spec.joints, free, strict=True)
+    ]
+    return np.array([source.acceleration_density for source in sources])

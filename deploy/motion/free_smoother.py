@@ -6,8 +6,9 @@ import numpy as np
 
 from deploy.masks import any_true
 from deploy.motion.prepared_stop import select
-from deploy.motion.smoother import Smoother
+from deploy.motion.smoother import Smoother, VelocitySmoother
 from deploy.motion.torque_ramp import TorqueRamp
+from deploy.stage import Stage
 from deploy.state import DriveMode, Setpoint, State
 from robots.arrays import Bools, Floats, Ints
 from robots.models.fleet import Fleet
@@ -26,6 +27,74 @@ ACCELERATION_SHARE, SPEED_S = 0.8, 0.1
 for the rate of the torque."""
 
 
+class Takeover(Stage):
+    """Drives of a stop, which take over from drives of the policy that hold no angle, and become stiff.
+
+    Attributes:
+        held: (B,) ticks for which drives have followed angles, up to those of `TAKEOVER_S`.
+    """
+
+    carried: ClassVar[tuple[str, ...]] = ("held",)
+
+    def __init__(self, policy: DriveMode, stop: DriveMode, dt: float) -> None:
+        self._stop, self._free, self._ticks = stop, policy.kp == 0.0, round(TAKEOVER_S / dt)
+        self.held = np.full(len(stop.mode), self._ticks)
+
+    @property
+    def drive(self) -> DriveMode:
+        """Drives of a robot that stops now."""
+        return self._after(self.held)
+
+    @property
+    def first_drive(self) -> DriveMode:
+        """Drives of a robot whose stop begins."""
+        return self._after(np.zeros_like(self.held))
+
+    def _after(self, held: Ints) -> DriveMode:
+        """Return position drives that have been so for `held` (B,) ticks."""
+        if not any_true(held < self._ticks):
+            return self._stop
+        share = np.where(self._free, TAKEOVER_SHARE ** (1.0 - held / self._ticks)[:, None], 1.0)
+        # With the square root of its factor the damping ratio stays.
+        return self._stop._replace(kp=self._stop.kp * share, kd=self._stop.kd * np.sqrt(share))
+
+    def commit(self, followed: Bools) -> None:
+        """Count a tick in which robots `followed` (B,) the policy, and others an angle."""
+        self.held[:] = np.where(followed, 0, np.minimum(self.held + 1, self._ticks))
+
+
+class RollingSmoother(VelocitySmoother):
+    """Smoother of robots in velocity mode with wheels: joints without stiffness, which slip behind their setpoints.
+
+    While a robot follows the policy, each of those joints goes on from its estimated angle, at the speed sent.
+    """
+
+    parts: ClassVar[tuple[str, ...]] = ("takeover",)
+
+    def __init__(self, spec: RobotSpec, drive: DriveMode, stop: DriveMode) -> None:
+        """Take how drives follow the policy, and how they follow a stop."""
+        super().__init__(spec, len(drive.mode))
+        self._drive, self._free, self.takeover = drive, drive.kp == 0.0, Takeover(drive, stop, spec.dt)
+
+    def plan(self, target: Floats, stopping: Bools, state: State) -> Setpoint:
+        """Return the next setpoint of every robot, as `Smoother.next`, and how drives are to follow it."""
+        np.copyto(self.q, state.q, where=self._free & ~stopping[:, None])
+        planned = self.next(target, stopping)
+        ahead = planned._replace(drive=self._drive)
+        return select(~stopping, ahead, planned._replace(drive=self.takeover.drive))
+
+    def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
+        """Return the stop that would begin at `start`, as `Smoother.brake`, with position drives."""
+        stop, q_mid_stop, q_rest = super().brake(start)
+        return stop._replace(drive=self.takeover.first_drive), q_mid_stop, q_rest
+
+    def commit(self, sent: Setpoint) -> None:
+        """Remember what was sent, and how."""
+        super().commit(sent)
+        if sent.drive is not None:
+            self.takeover.commit(sent.drive.mode == self._drive.mode)
+
+
 class TorqueSmoother(Smoother):
     """Smoother of robots in torque mode.
 
@@ -35,25 +104,22 @@ class TorqueSmoother(Smoother):
     so that the mean of two torques acts in between.
 
     Attributes:
-        ramp: torques sent.
-        held: (B,) ticks for which drives have followed angles, up to those of `TAKEOVER_S`.
+        ramp: torques sent. takeover: drives of stops.
     """
 
-    carried: ClassVar[tuple[str, ...]] = (*Smoother.carried, "held")
-    parts: ClassVar[tuple[str, ...]] = ("ramp",)
+    parts: ClassVar[tuple[str, ...]] = ("ramp", "takeover")
 
     def __init__(self, spec: RobotSpec, drive: DriveMode, stop: DriveMode) -> None:
         """Take how drives follow the policy, and how they follow a stop."""
         robots = len(drive.mode)
         super().__init__(spec, robots)
         self.ramp, self._fleet, self._dt = TorqueRamp(spec, robots), Fleet(spec, robots), spec.dt
-        self._drive, self._stop, self._rate = drive, stop, np.zeros((robots, spec.n))
+        self._drive, self._rate = drive, np.zeros((robots, spec.n))
+        self.takeover = Takeover(drive, stop, spec.dt)
         self._qdd_max = ACCELERATION_SHARE * spec.joint_array("qdd_max")
         self._qd_max = (
             ACCELERATION_SHARE * spec.margins.speed_in(ControlMode.TORQUE) * spec.joint_array("qd_max")
         )
-        self._takeover = round(TAKEOVER_S / spec.dt)
-        self.held = np.full(robots, self._takeover)
 
     @property
     def target_at_rest(self) -> Floats:
@@ -69,7 +135,7 @@ class TorqueSmoother(Smoother):
         ahead = Setpoint(q=q, qd=qd, qdd=qdd, tau=tau, drive=self._drive)
         if not any_true(stopping):
             return ahead
-        return select(~stopping, ahead, self._as_stop(self.next(self.q, stopping), self.held))
+        return select(~stopping, ahead, _as_stop(self.next(self.q, stopping), self.takeover.drive))
 
     def _bounded(self, target: Floats, state: State) -> Floats:
         """Return torques that cause no more acceleration than allowed, nor a speed that leaves no way to brake."""
@@ -87,16 +153,7 @@ class TorqueSmoother(Smoother):
     def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
         """Return the stop that would begin at `start`, as `Smoother.brake`, with position drives."""
         stop, q_mid_stop, q_rest = super().brake(start)
-        return self._as_stop(stop, np.zeros_like(self.held)), q_mid_stop, q_rest
-
-    def _as_stop(self, setpoint: Setpoint, held: Ints) -> Setpoint:
-        """Return a setpoint for position drives that have been so for `held` (B,) ticks."""
-        drive = self._stop
-        if any_true(held < self._takeover):
-            share = TAKEOVER_SHARE ** (1.0 - held / self._takeover)[:, None]
-            # With the square root of its factor the damping ratio stays.
-            drive = DriveMode(mode=drive.mode, kp=drive.kp * share, kd=drive.kd * np.sqrt(share))
-        return setpoint._replace(tau=np.full_like(setpoint.q, np.nan), drive=drive)
+        return _as_stop(stop, self.takeover.first_drive), q_mid_stop, q_rest
 
     def commit(self, sent: Setpoint) -> None:
         """Remember what was sent, torques included."""
@@ -105,4 +162,8 @@ class TorqueSmoother(Smoother):
             return
         followed = np.asarray(sent.drive.mode == ControlMode.TORQUE)
         self.ramp.commit(sent.tau, self._rate, followed)
-        self.held[:] = np.where(followed, 0, np.minimum(self.held + 1, self._takeover))
+        self.takeover.commit(followed)
+
+
+def _as_stop(setpoint: Setpoint, drive: DriveMode) -> Setpoint:
+    return setpoint._replace(tau=np.full_like(setpoint.q, np.nan), drive=drive)

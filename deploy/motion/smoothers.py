@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deploy.motion.free_smoother import TorqueSmoother
+from deploy.motion.free_smoother import RollingSmoother, TorqueSmoother
 from deploy.motion.smoother import Smoother, VelocitySmoother
 from deploy.state import DriveMode
 from robots.motors.control_mode import ControlMode
@@ -18,7 +18,7 @@ class DriveModes(NamedTuple):
 
     Attributes:
         policy: while they follow the policy. stop: in every other state.
-        free: drives hold no angle while they follow the policy: the two modes differ.
+        free: some drives hold no angle while they follow the policy: the two modes differ.
     """
 
     policy: DriveMode
@@ -30,7 +30,7 @@ def drive_modes(spec: RobotSpec, mode: ControlMode, gains: Gains | None, robots:
     """Return the modes for the control mode and the gains of a contract; None: the drives' own gains."""
     own, shape = drive_gains(spec), (robots, spec.n)
     chosen = Gains(np.zeros(spec.n), np.zeros(spec.n)) if mode is ControlMode.TORQUE else gains or own
-    held = chosen if chosen.stiff else own
+    held = Gains(*(np.where(chosen.kp > 0.0, *gains) for gains in zip(chosen, own, strict=True)))
     policy, stop = (
         DriveMode(
             np.full(robots, number, dtype=np.int64), *(np.broadcast_to(gain, shape).copy() for gain in each)
@@ -45,4 +45,6 @@ def make_smoother(spec: RobotSpec, modes: DriveModes) -> Smoother:
     mode, robots = ControlMode(int(modes.policy.mode[0])), len(modes.policy.mode)
     if mode is ControlMode.TORQUE:
         return TorqueSmoother(spec, modes.policy, modes.stop)
+    if modes.free:
+        return RollingSmoother(spec, modes.policy, modes.stop)
     return VelocitySmoother(spec, robots) if mode is ControlMode.VELOCITY else Smoother(spec, robots)

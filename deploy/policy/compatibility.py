@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from deploy.estimation.capabilities import ESTIMATORS
 from deploy.estimation.estimator import Estimator
 from deploy.policy.contract import Contract
+from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import Term
 from deploy.sources.source import ObservationSource
 from deploy.tasks.task import find_task, sources_of
@@ -38,9 +39,7 @@ def mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
     if contract.control_hz != spec.rates.control_hz:
         yield f"control_hz: found {contract.control_hz} Hz, expected {spec.rates.control_hz} Hz"
     yield from _task(contract.task, spec)
-    if contract.action.control_mode not in spec.control_modes:
-        known = ", ".join(mode.name.lower() for mode in spec.control_modes)
-        yield f"action.mode: found {contract.action.mode!r}; the drives of {spec.name} have the modes {known}"
+    yield from _drives(contract.action, spec)
     sources = sources_of(contract.task)
     for term in contract.observation:
         yield from _term(term, sources[term.source], contract.action_size, spec)
@@ -72,6 +71,18 @@ def _task(name: str, spec: RobotSpec) -> Iterator[str]:
 
 def _has(spec: RobotSpec) -> str:
     return f"{spec.name} has {', '.join(sorted(spec.capabilities)) or 'none of the optional capabilities'}"
+
+
+def _drives(action: ActionSpec, spec: RobotSpec) -> Iterator[str]:
+    if action.control_mode not in spec.control_modes:
+        known = ", ".join(mode.name.lower() for mode in spec.control_modes)
+        yield f"action.mode: found {action.mode!r}; the drives of {spec.name} have the modes {known}"
+    free = [joint for joint, kp in zip(spec.joints, action.kp or (), strict=False) if kp == 0.0]
+    if free and spec.base is not None:
+        yield "action.kp: found 0, expected above 0 on a robot with a base: a joint that holds no angle carries nothing"
+    for joint in free:
+        if joint.torque_mode is None:
+            yield f"action.kp: found 0, expected above 0: joints.{joint.name} of {spec.name} has no torque_mode"
 
 
 def _joints(found: tuple[str, ...], spec: RobotSpec) -> Iterator[str]:

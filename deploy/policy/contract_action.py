@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from deploy.policy.contract_term import Clip, Count, Numbers, Positive, Scales
+from deploy.policy.contract_term import Clip, Count, NotNegatives, Numbers, Positive, Scales
 from robots.motors.control_mode import ControlMode
 from robots.motors.gains import Gains
 from robots.strict import Strict
@@ -34,7 +34,7 @@ class ActionSpec(Strict):
             "position_increment", where scale · clip is that bound.
         leash_rad: rad, largest distance of an incremented target from the smoother's setpoint.
         kp, kd: (size,) N·m/rad and N·m·s/rad, the drives' gains in training; None: those of the robot's own drives. Not
-            of "torque", where both are 0.
+            of "torque", where both are 0. In "velocity" kp may be 0: such a joint, a wheel, holds no angle.
     """
 
     mode: Literal["position_increment", "position", "velocity", "torque"]
@@ -44,7 +44,7 @@ class ActionSpec(Strict):
     clip: Clip | None
     change_max: Annotated[Scales | None, Field(exclude_if=lambda change_max: change_max is None)] = None
     leash_rad: Positive | None = None
-    kp: Scales | None = None
+    kp: NotNegatives | None = None
     kd: Scales | None = None
 
     @model_validator(mode="after")
@@ -72,6 +72,10 @@ class ActionSpec(Strict):
             raise ValueError("action: found one of kp and kd, expected both or none")
         if self.kp is not None and self.mode == "torque":
             raise ValueError("action kp: found some in mode 'torque', expected none: they are 0")
+        if 0.0 in (self.kp or ()) and self.mode != "velocity":
+            raise ValueError(
+                f"action kp: found 0 in mode {self.mode!r}, expected above 0: drives follow angles"
+            )
 
     @property
     def control_mode(self) -> ControlMode:

@@ -23,6 +23,8 @@ Count = Annotated[int, Field(strict=True, ge=1, le=SIZE_MAX)]
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 Numbers = Annotated[tuple[Number, ...], Field(min_length=1, max_length=SIZE_MAX)]
 Scales = Annotated[tuple[Positive, ...], Field(min_length=1, max_length=SIZE_MAX)]
+NotNegative = Annotated[float, Field(strict=True, ge=0)]
+NotNegatives = Annotated[tuple[NotNegative, ...], Field(min_length=1, max_length=SIZE_MAX)]
 Clip = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
 
 

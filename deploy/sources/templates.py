@@ -91,6 +91,6 @@ def physical_maxima(name: str, source: ObservationSource, scale: Scale, origin: 
     maxima = np.broadcast_to(value, (count // source.size, source.size)).ravel()
     if not (np.isfinite(maxima) & (maxima > 0.0)).all():
         raise ConfigError(
-            f"{origin}: {name}: {source.maximum.meaning}: found {maxima.tolist()}, expected numbers above 0"
+            f"{origin}: {name}: {source.maximum.meaning}: found {maxima.tolist()}, expected finite numbers above 0"
         )
     return tuple(maxima.tolist())

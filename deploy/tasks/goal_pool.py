@@ -110,7 +110,7 @@ def _poses_in_shell(spec: RobotSpec, config: ReachConfig) -> tuple[Floats, Float
     """
     if spec.workspace is None:
         raise RobotError(f"{spec.folder / 'robot.toml'}: workspace: found none, expected one to reach in")
-    low, high = (spec.joint_array(f"q_{end}") for end in ("min", "max"))
+    low, high = spec.pose_range
     margin = 2 * spec.margins.q_target_rad
     q = np.random.default_rng(GOALS_SEED).uniform(low + margin, high - margin, (config.candidates, spec.n))
     kinematics = Fleet(spec, len(q)).kinematics(q)

@@ -104,7 +104,7 @@ class FaultResponseTracker(Stage):
         self.bad_before = np.zeros((robots, len(MONITORS) + 1), dtype=np.int64)
         self.speed, self.powered = np.zeros(robots), np.zeros(robots, dtype=bool)
         low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
-        self._q_middle, self._q_half_range = (low + high) / 2, (high - low) / 2
+        self._q_middle, self._q_half_range = np.mean(spec.pose_range, axis=0), (high - low) / 2
         self._qd_max, self._settle_ticks = spec.joint_array("qd_max"), round(SETTLE_S / spec.dt)
 
     def begin(self, tick: int, mode: Modes, judge: Judge) -> None:

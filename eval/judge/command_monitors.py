@@ -27,12 +27,12 @@ def _jump(window: TickWindow) -> Floats:
     Drives that followed torques or speeds before take over a moving joint: it is where its speed has brought it, and a
     drive that is less stiff than its own gains make it may be farther off, by as much.
     """
-    holds, on, jump = window.drives_hold, window.drives_on, np.zeros(window.now.q.shape)
+    holds, on, jump = window.drives_hold, window.drives_on[:, :, None], np.zeros(window.now.q.shape)
     if holds[PAST - 2 :].all():
         return jump
     now, before, was_on = holds[PAST:], holds[PAST - 1 : -1], on[PAST - 1 : -1]
-    first = now & ~before & window.before.valid
-    expected = window.before.q + zero_unless(was_on, window.before.qd * window.robot.spec.dt)
+    first = now & ~before & window.before.valid[:, :, None]
+    expected = window.before.q + np.where(was_on, window.before.qd * window.robot.spec.dt, 0.0)
     missed = np.abs(window.now.sent - expected)
     taken_over, share = first & was_on, window.now.stiffness / window.robot.stiffness
     missed[taken_over] *= np.minimum(share, 1.0)[taken_over]
@@ -43,7 +43,7 @@ def _jump(window: TickWindow) -> Floats:
 
 
 def _motion_sent(name: str, unit: str, limit: str, order: int, ordinal: str) -> Monitor:
-    """Declare the monitor of a difference of the angles sent, 0 where it looks at a tick without power."""
+    """Declare the monitor of a difference of the angles sent, 0 where that looks at ticks without power."""
     return JointMonitor(
         name=name,
         unit=unit,

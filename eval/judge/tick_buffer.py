@@ -29,10 +29,11 @@ Observation = Annotated[NDArray[np.float32], np.float32, "observation"]
 class Ticks(NamedTuple):
     """Arrays (PAST + T, B, ...) of the arguments of `Judge.step`. The first `PAST` ticks were judged before.
 
-    `target` is in the unit of the control mode. Of the command, `sent` are angles, `tau_sent` feed-forward torques and
-    `stiffness` N·m/rad. `q_hat`, `q_var` and `age` are the estimate before the physics of that tick. `action_finite` is
-    True where the policy was not called. `achieved` is what `goal` is compared with, by ground truth. `tilt`: rad, of a
-    floating base. `allowed_contact` is the largest force of an allowed contact, as a share of its limit.
+    `target` is in the unit of the control mode. Of the command, `sent` are angles, `speed_sent` speeds, `tau_sent`
+    feed-forward torques, `stiffness` N·m/rad and `damping` N·m·s/rad. `q_hat`, `q_var` and `age` are the estimate
+    before the physics of that tick. `action_finite` is True where the policy was not called. `achieved` is what `goal`
+    is compared with, by ground truth. `tilt`: rad, of a floating base. `allowed_contact` is the largest force of an
+    allowed contact, as a share of its limit.
     """
 
     target: PerJoint
@@ -41,8 +42,10 @@ class Ticks(NamedTuple):
     tau: PerJoint
     winding_c: PerJoint
     sent: PerJoint
+    speed_sent: PerJoint
     tau_sent: PerJoint
     stiffness: PerJoint
+    damping: PerJoint
     q_hat: PerJoint
     q_var: PerJoint
     tool_position: Vector
@@ -101,6 +104,7 @@ class TickBuffer(Stage):
         ticks.tau[row] = truth.tau
         ticks.winding_c[row] = truth.winding_c
         ticks.sent[row] = command.q
+        ticks.speed_sent[row] = command.qd
         ticks.tau_sent[row] = command.tau
         ticks.q_hat[row] = state.q
         ticks.q_var[row] = state.q_var
@@ -110,6 +114,7 @@ class TickBuffer(Stage):
         ticks.contact_n[row] = truth.contact_n
         ticks.powered[row] = command.powered
         ticks.stiffness[row] = command.drive.kp
+        ticks.damping[row] = command.drive.kd
         ticks.self_collision[row] = truth.self_collision
         ticks.valid[row] = truth.valid
         self.pending += 1

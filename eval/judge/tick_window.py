@@ -34,12 +34,12 @@ class JudgedRobot:
 
     @cached_property
     def q_middle(self) -> Floats:
-        """(n,) rad, middle of the working range."""
-        return (self.spec.joint_array("q_max") + self.spec.joint_array("q_min")) / 2
+        """(n,) rad, middle of the working range; home of a joint without ends."""
+        return np.mean(self.spec.pose_range, axis=0)
 
     @cached_property
     def q_half_range(self) -> Floats:
-        """(n,) rad, from the middle of the working range to its ends."""
+        """(n,) rad, from the middle of the working range to its ends; infinite of a joint without them."""
         return (self.spec.joint_array("q_max") - self.spec.joint_array("q_min")) / 2
 
     @cached_property
@@ -57,10 +57,11 @@ class SentDifference(NamedTuple):
     """Backward difference of the angles sent.
 
     Attributes:
-        drives_on: (T, R) in all ticks that the difference looks at drives follow angles. values: (T, R, n) rad.
+        judged: (T, R, n) in all ticks that the difference looks at the drive follows angles, or in all of them speeds.
+        values: (T, R, n) rad.
     """
 
-    drives_on: Bools
+    judged: Bools
     values: Floats
 
 
@@ -70,14 +71,15 @@ class TickWindow:
     Attributes:
         robot: constants.
         ticks: (PAST + T, R, ...). now: (T, R, ...) the ticks to be judged. before: (T, R, ...) the tick before each.
-        drives_on: (PAST + T, R) powered, and the simulation valid. drives_hold: (PAST + T, R) and they follow angles.
+        drives_on: (PAST + T, R) powered, and the simulation valid.
+        drives_hold: (PAST + T, R, n) and they follow angles.
     """
 
     def __init__(self, ticks: Ticks, robot: JudgedRobot) -> None:
         self.robot, self.ticks = robot, ticks
         self.now, self.before = ticks.at(slice(PAST, None)), ticks.at(slice(PAST - 1, -1))
         self.drives_on = ticks.powered & ticks.valid
-        self.drives_hold = self.drives_on & (ticks.stiffness > 0.0).all(axis=2)
+        self.drives_hold = self.drives_on[:, :, None] & (ticks.stiffness > 0.0)
 
     @cached_property
     def running(self) -> Bools:
@@ -96,11 +98,17 @@ class TickWindow:
 
     @cached_property
     def sent_differences(self) -> tuple[SentDifference, ...]:
-        """First, second and third backward difference of the angles sent."""
-        values, on, found = self.ticks.sent, self.drives_hold, []
+        """First, second and third backward difference of the angles sent, or of the way at the speeds sent."""
+        holds, values, found = self.drives_hold, np.diff(self.ticks.sent, axis=0), []
+        judged = holds[1:] & holds[:-1]
+        if not judged.all():
+            rolls = self.drives_on[:, :, None] & ~holds & (self.ticks.damping > 0.0)
+            rolled = rolls[1:] & rolls[:-1]
+            np.copyto(values, self.robot.spec.dt * self.ticks.speed_sent[1:], where=rolled)
+            judged |= rolled
         for order in range(1, PAST + 1):
-            values, on = np.diff(values, axis=0), on[1:] & on[:-1]
-            found.append(SentDifference(on[PAST - order :], values[PAST - order :]))
+            found.append(SentDifference(judged[PAST - order :], values[PAST - order :]))
+            values, judged = np.diff(values, axis=0), judged[1:] & judged[:-1]
         return tuple(found)
 
 

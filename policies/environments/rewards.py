@@ -42,9 +42,10 @@ class Limits:
     """Working range of the joints, for rewards and start poses."""
 
     def __init__(self, spec: RobotSpec, near_share: float) -> None:
-        """Centre and half width of every joint's range."""
+        """Centre and half width of every joint's range; those of a turn to draw from, of a joint without ends."""
         low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
-        self._centre, self._half, self._near = (low + high) / 2, (high - low) / 2, near_share
+        (first, last), self._half, self._near = spec.pose_range, (high - low) / 2, near_share
+        self._centre, self._half_drawn = (first + last) / 2, (last - first) / 2
 
     def beyond(self, q: Floats) -> Floats:
         """(B, n) rad outside the working range, 0 inside."""
@@ -56,7 +57,7 @@ class Limits:
 
     def draw(self, rng: np.random.Generator, share: float, robots: int) -> Floats:
         """Return poses (robots, n) rad, uniform in that share of every joint's range, around its middle."""
-        spread = share * self._half
+        spread = share * self._half_drawn
         return self._centre + rng.uniform(-spread, spread, (robots, len(spread)))
 
     def near(self, q: Floats) -> Bools:

@@ -48,7 +48,7 @@ DRIVE = {
     "armature": "kg·m², rotor inertia times gear²",
 }
 JOINT = {
-    "q_min": "rad",
+    "q_min": "rad; leave out both of a joint without ends",
     "q_max": "rad",
     "q_home": "rad, rest and start position",
     "qd_max": "rad/s, limit of the drive",

@@ -209,7 +209,7 @@ def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Con
 
 def _action(promise: Promise, spec: RobotSpec) -> ActionSpec:
     """Return the meaning of actions in [-1, 1]."""
-    low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
+    low, high = spec.pose_range
     full = {
         "position_increment": np.full(spec.n, promise.increment_rad or 0.0),
         "position": (high - low) / 2 * (promise.share or 0.0),

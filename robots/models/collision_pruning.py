@@ -50,7 +50,7 @@ class _Proof:
         self._model, self._data = model, model.createData()
         self._geometry, self._placements = geometry, geometry.createData()
         self._margin = spec.margins.collision_m or 0.0
-        self._range = spec.joint_array("q_min"), spec.joint_array("q_max")
+        self._range = spec.pose_range
 
     def clear(self, number: int) -> bool:
         """Return True if every box of joint angles was proven clear for a pair."""

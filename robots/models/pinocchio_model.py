@@ -1,5 +1,7 @@
 """Pinocchio model of a robot, read from MJCF or URDF: locked joints removed, declared capsules added."""
 
+from xml.etree import ElementTree
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -12,6 +14,8 @@ from robots.tables import GOAL, Capsule
 Read = tuple[pin.Model, pin.GeometryModel]
 FLOATING = "JointModelFreeFlyer"
 """Pinocchio's name of the joint of a floating base."""
+NO_END = 1e300
+"""rad, in place of infinity, which URDF cannot say."""
 BODY, SITE = pin.FrameType.BODY, pin.FrameType.OP_FRAME
 _SET_ASIDE = "/body"
 
@@ -55,12 +59,26 @@ def _read_mjcf(spec: RobotSpec) -> Read:
 
 
 def _read_urdf(spec: RobotSpec) -> Read:
-    text = urdf_text(spec.model_path, spec.folder)
+    text, continuous = _hinges_for_continuous(urdf_text(spec.model_path, spec.folder))
     root = (pin.JointModelFreeFlyer(),) if spec.base else ()
     model = pin.buildModelFromXML(text, *root)
+    for place in (model.joints[model.getJointId(name)].idx_q for name in continuous):
+        model.lowerPositionLimit[place], model.upperPositionLimit[place] = -np.inf, np.inf
     if spec.capsules:  # they replace all shapes: in URDF, fixed surroundings are links, too
         return model, pin.GeometryModel()
     return model, pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
+
+
+def _hinges_for_continuous(text: str) -> tuple[str, list[str]]:
+    """Return URDF with hinges in place of continuous joints, which Pinocchio gives two numbers; and their names."""
+    root = ElementTree.fromstring(text)
+    continuous = [joint for joint in root.iter("joint") if joint.get("type") == "continuous"]
+    for joint in continuous:
+        joint.set("type", "revolute")
+        if (limit := joint.find("limit")) is None:
+            limit = ElementTree.SubElement(joint, "limit", effort="0", velocity="0")
+        limit.attrib |= {"lower": str(-NO_END), "upper": str(NO_END)}
+    return ElementTree.tostring(root, encoding="unicode"), [joint.get("name", "") for joint in continuous]
 
 
 def _lock(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel) -> Read:

@@ -100,6 +100,8 @@ def test_unknown_robot_names_the_known_ones(tmp_path):
         ("q_home = 0.0", "q_home = 1.9", ["joints.0", "q_home of shoulder_pan is 1.9", "1.3"]),
         ("q_home = 0.0", "q_home = -1.3", ["joints.0", "q_home of shoulder_pan", "outside"]),
         ("q_min = -1.3", "q_min = 2.5", ["joints.0", "2.5"]),
+        ("q_min = -1.3", "", ["joints.0", "shoulder_pan: found one of q_min and q_max, expected both"]),
+        ("q_min = -1.3", "q_min = -inf", ["joints.0.q_min", "finite", "-inf"]),
         ('motor = "size3"', 'motor = "size4"', ["shoulder_pan", "'size4'", "known: size3, size1"]),
         ('name = "arm6"', "name = 6", ["name", "string", "6"]),
         ('name = "arm6"', 'name = "arm6"\nfolder = "/"', ["folder"]),

@@ -1,6 +1,8 @@
 """The planar robots, contracts for them, and policies written by hand."""
 
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
@@ -9,6 +11,7 @@ from deploy.policy.contract import CONTRACT_KEY, Contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.policy.policy_file import GOLDEN_KEY
 from robots.models.nominal_model import torque_max
+from robots.motors.drive_gains import drive_gains
 from robots.spec import load_robot
 from support.contracts import term
 
@@ -19,7 +22,7 @@ REACH_M, LINK_M, HINGES = 0.9, 0.3, 3
 def planar_contract(spec=PLANAR3, mode="position_increment", **changes):
     """A contract for a planar robot with the observation of 9; full actions: 90°, or all speed or torque."""
     scales = {
-        "joint_position": spec.joint_array("q_max"),
+        "joint_position": spec.pose_range[1],
         "tool_position": np.full(3, REACH_M),
         "goal_position": np.full(3, REACH_M),
     }
@@ -122,9 +125,9 @@ def reaching(path, spec=PLANAR3):
     return saved_policy(path, graph_of(REACHING), arrays, contract)
 
 
-def trembling(path, spec=PLANAR3, mode="position_increment", seed=0):
+def trembling(path, spec=PLANAR3, mode="position_increment", seed=0, contract=None):
     """A policy of full actions that look random: the sine of a large multiple of noisy observations."""
-    contract = planar_contract(spec, mode)
+    contract = contract or planar_contract(spec, mode)
     weights = np.random.default_rng(seed).normal(0, 1e4, (contract.observation_size, spec.n))
     nodes = graph_of("phase = MatMul observation weights\nsine = Sin phase\naction = Mul sine three")
     return saved_policy(path, nodes, {"weights": weights, "three": 3.0}, contract)
@@ -146,3 +149,29 @@ def hostile(path, spec=PLANAR3, mode="position"):
     rate = np.zeros((contract.observation_size, spec.n))
     rate[-3:] = np.random.default_rng(1).uniform(-1.0, 1.0, (3, spec.n))
     return saved_policy(path, graph_of(HOSTILE), {"one": [[1.0]], "rate": rate}, contract)
+
+
+STOPS = ' range="-1.658 1.658"'
+
+
+def arm_with_wheel(folder):
+    """The folder of planar4 with a wheel in place of its last joint: the same joint without ends."""
+    robot = Path(folder) / "planar4"
+    shutil.copytree(PLANAR4.folder, robot)
+    text = (robot / "model.xml").read_text().replace(STOPS, "")
+    for joint in PLANAR4.joint_names[:-1]:
+        text = text.replace(f'<joint name="{joint}"', f'<joint name="{joint}"{STOPS}')
+    (robot / "model.xml").write_text(text)
+    text = (robot / "robot.toml").read_text()
+    arm, wheel = text.split('name = "wrist_roll"')
+    rest = [line for line in wheel.splitlines() if not line.startswith(("q_min", "q_max"))]
+    (robot / "robot.toml").write_text(arm + 'name = "wrist_roll"' + "\n".join(rest) + "\n")
+    return robot
+
+
+def wheel_contract(spec, mode="velocity"):
+    """A contract by which the last joint follows speeds without stiffness, and the others hold their angles."""
+    gains, contract = drive_gains(spec), planar_contract(spec, mode)
+    stiffness = (*gains.kp[:-1].tolist(), 0.0)
+    action = contract.action.model_copy(update={"kp": stiffness, "kd": tuple(gains.kd.tolist())})
+    return contract.model_copy(update={"action": action})

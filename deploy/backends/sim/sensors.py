@@ -63,6 +63,9 @@ class Sensors(Stage):
         self._resolution, self._range = (
             np.tile(self._each(spec, f), (robots, 1)) for f in ("resolution", "range")
         )
+        self._most = self._range.copy()
+        counts_turns = np.isinf(spec.joint_array("q_max"))
+        self._most[:, self.columns["encoder"]][:, counts_turns] = np.inf
         self._sigma = self._each(spec, "noise") * draw["sensors.noise"][:, self._sensor]
         self._bias = self._each(spec, "bias") * draw["sensors.bias"]
         drift_per_hour = self._each(spec, "drift") * draw["sensors.drift"][:, self._sensor]
@@ -140,7 +143,7 @@ class Sensors(Stage):
         self._chunk = NEVER
 
     def _quantized(self, x: Floats) -> Floats:
-        inside = np.minimum(np.maximum(x, -self._range), self._range)
+        inside = np.minimum(np.maximum(x, -self._most), self._most)
         inside /= self._resolution
         np.rint(inside, out=inside)
         inside *= self._resolution

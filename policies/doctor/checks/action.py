@@ -74,7 +74,7 @@ def _speeds_or_torques(context: CheckContext) -> Iterator[Message]:
 def _positions(context: CheckContext, offset: Floats) -> Iterator[Message]:
     names, home = context.spec.joint_names, context.spec.joint_array("q_home")
     yield from _range_of_offset(context, offset)
-    scale, (q_min, q_max) = np.array(context.contract.action.scale), _working_range(context)
+    scale, (q_min, q_max) = np.array(context.contract.action.scale), context.spec.pose_range
     span = q_max - q_min
     before = "an action of 1 moves "
     for selection, after in (
@@ -121,18 +121,23 @@ def gains(context: CheckContext) -> Iterator[Message]:
 
 
 def _torque_and_damping(context: CheckContext, gains: Gains) -> Iterator[Message]:
-    """Check the torque of an action of 1 and the damping ratio of the gains."""
+    """Check the torque of an action of 1, if that is an angle, and the damping ratio of the gains."""
     names, limit = context.spec.joint_names, torque_max(context.spec)
     tau = gains.kp * np.array(context.contract.action.scale)
-    excessive, before = tau > FACTOR_MAX * limit, "kp × scale, the torque of an action of 1, is "
-    for note, selection in ((failed, excessive), (warned, (tau > limit) & ~excessive)):
+    is_angle = context.contract.action.control_mode is ControlMode.POSITION
+    excessive, before = (tau > FACTOR_MAX * limit) & is_angle, "kp × scale, the torque of an action of 1, is "
+    for note, selection in ((failed, excessive), (warned, (tau > limit) & is_angle & ~excessive)):
         after = ": compare kp and scale with training."
         yield from flag(note, selection, before, names, tau, limit, unit=" N·m", after=after)
-    ratio = gains.kd / (2.0 * np.sqrt(gains.kp * _inertia(context)))
+    holds = gains.kp > 0.0  # without stiffness nothing oscillates
+    ratio = gains.kd / (2.0 * np.sqrt(np.where(holds, gains.kp, 1.0) * _inertia(context)))
     odd, usual = (ratio < DAMPING[0]) | (ratio > DAMPING[1]), f"{DAMPING[0]} to {DAMPING[1]}"
     after = f", usual is {usual}: are they of the joint, in N·m/rad and N·m·s/rad?"
-    yield from flag(warned, odd, "kp and kd give a damping ratio of ", names, ratio, after=after)
-    yield passed(f"{REQUEST}{format_values(names, tau, limit, unit=' N·m')}.")
+    yield from flag(warned, odd & holds, "kp and kd give a damping ratio of ", names, ratio, after=after)
+    if is_angle:
+        yield passed(f"{REQUEST}{format_values(names, tau, limit, unit=' N·m')}.")
+    else:
+        yield passed(f"kd of the contract: {format_values(names, gains.kd, unit=' N·m·s/rad')}.")
 
 
 def _inertia(context: CheckContext) -> Floats:

@@ -14,6 +14,7 @@ from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.contracts import NAMES, SWAPPED, arm_contract, contracts, term
 from support.modes import mode_contract
+from support.quadruped import QUADRUPED, quadruped_contract
 
 
 @settings(max_examples=200)
@@ -217,6 +218,32 @@ def test_gains_come_with_the_policy():
     assert ActionSpec(**POSITION).gains is None
 
 
+WHEEL = {"kp": (0.0, *(50.0,) * 5), "kd": (1.0,) * 6}
+
+
+def test_a_wheel_needs_the_limits_of_torque_mode(tmp_path):
+    """Without stiffness a joint moves as the nominal model says, less well than by a stiff drive."""
+    action = ActionSpec(mode="velocity", size=6, scale=(1.0,) * 6, clip=None, **WHEEL)
+    check_contract(arm_contract(action=action), SPEC, "x.onnx")
+    modes = (r'modes = \["position", "velocity", "torque"\]', 'modes = ["position", "velocity"]')
+    spec = load_robot(
+        copy_of_arm(tmp_path, toml=(modes, modes, (r"torque_mode = \{ rate_max = 600.*\}", "")))
+    )
+    with pytest.raises(ContractError) as caught:
+        check_contract(arm_contract(action=action, robot_digest=spec.digest), spec, "x.onnx")
+    expected = "expected above 0: joints.shoulder_pan of arm6 has no torque_mode"
+    assert str(caught.value) == f"x.onnx: action.kp: found 0, {expected}"
+
+
+def test_a_robot_with_a_base_has_no_joint_without_stiffness():
+    n = QUADRUPED.n
+    action = ActionSpec(
+        mode="velocity", size=n, scale=(1.0,) * n, clip=None, kp=(0.0, *(50.0,) * (n - 1)), kd=(1.0,) * n
+    )
+    with pytest.raises(ContractError, match=r"action\.kp: found 0, expected above 0 on a robot with a base"):
+        check_contract(quadruped_contract(action=action), QUADRUPED, "x.onnx")
+
+
 def test_gait_phases_share_one_period():
     terms = [term("gait_phase", 2, period_s=s).model_copy(update={"name": f"{s}"}) for s in (0.8, 0.9)]
     assert arm_contract(observation=tuple(terms[:1])).period_s == 0.8
@@ -243,7 +270,11 @@ def test_gait_phases_share_one_period():
             {"mode": "position_increment", "offset": None, "leash_rad": 0.3, "change_max": (0.1,) * 6},
             "action change_max: found one in mode 'position_increment', where scale bounds it",
         ),
-        ({"mode": "velocity", "offset": None, "kp": (0.0,) * 6, "kd": (1.0,) * 6}, "kp.0\n.*greater than 0"),
+        ({"mode": "velocity", "offset": None, "kp": (0.0,) * 6, "kd": (0.0,) * 6}, "kd.0\n.*greater than 0"),
+        (
+            {"kp": (1.0, 0.0, 1.0, 1.0, 1.0, 1.0), "kd": (1.0,) * 6},
+            "action kp: found 0 in mode 'position', expected above 0: drives follow angles",
+        ),
         (
             {"mode": "torque", "offset": None, "kp": (1.0,) * 6, "kd": (1.0,) * 6},
             "action kp: found some in mode 'torque', expected none: they are 0",

@@ -40,6 +40,35 @@ def test_derivatives_of_the_sent_command(name, field, order, share, fires, joint
     assert counts.bad_ticks[:, counts.columns(name)].sum() == (8 - order if fires else 0)
 
 
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize(
+    ("name", "field", "order"),
+    [("velocity_sent", "qd_max", 1), ("acceleration", "qdd_max", 2), ("jerk", "qddd_max", 3)],
+)
+@pytest.mark.parametrize(("share", "fires"), [(1 + 2e-4, True), (1 - 2e-4, False), (-1 - 2e-4, True)])
+def test_derivatives_of_the_speeds_sent_to_a_wheel(name, field, order, share, fires, joint):
+    """A drive without stiffness follows speeds: the angles sent, which jump here, do not count."""
+    bench = Bench()
+    bench.drive.kp[0, joint] = 0.0
+    rate = share * getattr(SPEC.joints[joint], field)
+    for tick in range(1, 8):
+        way = [np.prod([t - k for k in range(order)]) / [1, 2, 6][order - 1] for t in (tick - 1, tick)]
+        bench.speed_sent[0, joint] = rate * (way[1] - way[0]) * DT ** (order - 1)
+        bench.truth.q[0, joint] = bench.sent[0, joint] = HOME[joint] + 0.001 * (tick % 2)
+        bench.step()
+    assert bench.fired() == ({name} if fires else set())
+
+
+def test_a_drive_without_stiffness_and_damping_follows_no_speed():
+    """In torque mode the speed sent is that of the estimate."""
+    bench = Bench()
+    bench.drive.kp[:], bench.drive.kd[:] = 0.0, 0.0
+    for _ in range(5):
+        bench.speed_sent += 1.0
+        bench.step()
+    assert bench.fired() == set()
+
+
 @pytest.mark.parametrize("ticks_of_power", [1, 2, 3, 4])
 def test_a_difference_needs_power_on_all_its_ticks(ticks_of_power):
     """A jump of the angle where drives were off is no motion; inside powered ticks it is one."""

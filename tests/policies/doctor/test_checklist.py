@@ -171,7 +171,9 @@ def test_gains_that_an_import_does_not_name_cannot_be_compared(sick):
 
 
 def test_negative_gains_make_no_contract(sick):
-    with pytest.raises(ContractError, match=r"action\.kp\.2: Input should be greater than 0, found -60"):
+    with pytest.raises(
+        ContractError, match=r"action\.kp\.2: Input should be greater than or equal to 0, found -60"
+    ):
         sick(contract=action(kp=[60.0, 60.0, -60.0, 60.0, 60.0, 60.0], kd=[2.0] * 6))
 
 

@@ -18,9 +18,19 @@ mujoco = pytest.importorskip("mujoco")
 model_mujoco = pytest.importorskip("robots.models.mujoco_model")
 
 
-def test_urdf_loads_alike_in_pinocchio_and_mujoco(tmp_path):
+def with_a_wheel(folder):
+    """The robot of two links with an elbow that has no ends."""
+    folder = two_links(folder, edits=(("q_min = 0.3\nq_max = 1.9\n", ""),))
+    path, turns = folder / "two.urdf", '<joint name="elbow" type="continuous">'
+    text = path.read_text().replace('<joint name="elbow" type="revolute">', turns)
+    path.write_text(text.replace('<limit lower="-2" upper="2" effort="20"', '<limit effort="20"'))
+    return folder
+
+
+@pytest.mark.parametrize("robot", [two_links, with_a_wheel])
+def test_urdf_loads_alike_in_pinocchio_and_mujoco(tmp_path, robot):
     """Joints, torque ranges, mass matrix, weight and tool: everything that is computed from the model."""
-    spec = load_robot(two_links(tmp_path))
+    spec = load_robot(robot(tmp_path))
     model = model_mujoco.load_mujoco(spec)
     data, (arm, _) = mujoco.MjData(model), load_pinocchio(spec)
     arm_data, rng, dense = arm.createData(), np.random.default_rng(0), np.zeros((2, 2))
@@ -40,6 +50,24 @@ def test_urdf_loads_alike_in_pinocchio_and_mujoco(tmp_path):
         place, site = arm_data.oMf[arm.getFrameId("tip")], data.site("tip")
         np.testing.assert_allclose(place.translation, site.xpos, atol=1e-12)
         np.testing.assert_allclose(place.rotation.ravel(), site.xmat, atol=1e-12)
+
+
+def test_a_joint_without_ends_must_be_one_in_the_model(tmp_path):
+    spec = load_robot(with_a_wheel(tmp_path))
+    model, _ = load_pinocchio(spec)
+    np.testing.assert_array_equal(model.upperPositionLimit, [2.0, np.inf])
+    np.testing.assert_array_equal(spec.joint_array("q_min"), [spec.joints[0].q_min, -np.inf])
+    np.testing.assert_allclose(np.diff(spec.pose_range, axis=0)[0, 1], 2 * np.pi)
+    path = spec.folder / "two.urdf"
+    path.write_text(
+        path.read_text()
+        .replace("continuous", "revolute")
+        .replace('effort="20"', 'lower="-2" upper="2" effort="20"')
+    )
+    with pytest.raises(
+        RobotError, match=r"joints\.elbow: working range \[-inf, inf\] is not inside .*\[-2\.0000, 2"
+    ):
+        load_pinocchio(load_robot(spec.folder))
 
 
 def test_fleet_of_a_urdf_robot_has_its_tool(tmp_path):

@@ -68,6 +68,7 @@ class Bench:
         )
         self.drive = position_drives(robots)
         self.sent, self.tau_sent = np.tile(HOME, (robots, 1)), np.zeros((robots, N))
+        self.speed_sent = np.zeros((robots, N))
         self.was = np.tile(HOME, (robots, 1))
         self.q_var, self.age = np.full((robots, N), 1e-6), np.zeros(robots)
         self.off, self.observation = (
@@ -82,8 +83,8 @@ class Bench:
         self.attempted = np.zeros(robots, dtype=np.int64)
 
     def step(self, ticks=1):
-        still = self.sent * 0
-        command = Command(self.drive, self.sent, still, self.tau_sent, self.powered, current_share=self.sent)
+        sent = self.drive, self.sent, self.speed_sent, self.tau_sent
+        command = Command(*sent, self.powered, current_share=self.sent)
         for tick in range(ticks):
             was = self.was if tick == 0 else self.truth.q
             self.judge.step(
