@@ -16,7 +16,7 @@ from support.runtimes import DT, N, assert_same, built, every, heard
 make_judge = pytest.importorskip("eval.shard.judging").make_judge
 judge_tick = pytest.importorskip("eval.shard.judging").judge_tick
 load_robot = pytest.importorskip("robots.spec").load_robot
-TAKEOVER_S = pytest.importorskip("deploy.motion.free_smoother").TAKEOVER_S
+TAKEOVER_S = pytest.importorskip("deploy.motion.takeover").TAKEOVER_S
 
 
 def live(runtime, policy, ticks, judge=None):

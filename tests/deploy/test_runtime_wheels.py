@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.motion.free_smoother import TAKEOVER_S
+from deploy.motion.takeover import TAKEOVER_S
 from deploy.reasons import Reason
 from deploy.state import Mode
 from robots.motors.drive_gains import drive_gains
