@@ -15,6 +15,7 @@ from robots.models.nominal_model import torque_max
 from robots.spec import load_robot
 from support.arm6 import SPEC
 from support.paths import ROOT
+from support.planar import arm_with_wheel
 from support.walking import CONTACT_SENSORS, QUADRUPED, changed
 
 REACH, WALK = sources_of("reach"), sources_of("velocity")
@@ -97,8 +98,17 @@ def test_a_maximum_that_cannot_divide_is_refused(value):
         read=lambda runtime: runtime.state.q,
         meaning="angle",
     )
-    with pytest.raises(ConfigError, match=r"here: x: end of the range: found \[.*, expected numbers above 0"):
+    with pytest.raises(
+        ConfigError, match=r"here: x: end of the range: found \[.*, expected finite numbers above 0"
+    ):
         physical_maxima("x", endless, ARM, "here")
+
+
+def test_the_angle_of_a_wheel_has_no_maximum(tmp_path):
+    wheel = Scale(load_robot(arm_with_wheel(tmp_path)), reach_m=0.9, leash_rad=0.3)
+    with pytest.raises(ConfigError, match=r"joint_position: .*inf\], expected finite numbers above 0"):
+        physical_maxima("joint_position", REACH["joint_position"], wheel, "here")
+    assert physical_maxima("joint_sin_cos", REACH["joint_sin_cos"], wheel, "here") == (1.0,) * 8
 
 
 def test_every_source_has_a_maximum_for_every_number():

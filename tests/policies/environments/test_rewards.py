@@ -3,7 +3,9 @@ import pytest
 
 from policies.environments.rewards import Limits, Step, reward_terms, shaping
 from policies.training.recipe import find_recipe, load_recipe
+from robots.spec import load_robot
 from support.arm6 import SPEC
+from support.planar import arm_with_wheel
 
 RECIPE = load_recipe(find_recipe("arm"))
 N = SPEC.n
@@ -52,6 +54,17 @@ def test_reward_follows_the_recipe(changes, expected):
     step = step_of(**changes)
     np.testing.assert_allclose(reward_terms(step, LIMITS, RECIPE.reward).total, [expected], rtol=1e-12)
     assert LIMITS.broken(step.q).tolist() == ["q" in changes and changes["q"][0, 0] == BEYOND]
+
+
+def test_a_wheel_has_no_limits_and_starts_anywhere_in_a_turn(tmp_path):
+    spec = load_robot(arm_with_wheel(tmp_path))
+    limits, home = Limits(spec, 0.9), spec.joint_array("q_home")
+    turned = home + np.array([0.0, 0.0, 0.0, 40.0])
+    assert not limits.broken(turned[None])[0]
+    assert not limits.near(turned[None]).any()
+    drawn = limits.draw(np.random.default_rng(0), 1.0, 2000)
+    assert np.pi - 0.05 < np.abs(drawn[:, -1]).max() <= np.pi
+    assert not limits.broken(drawn).any()
 
 
 def test_shaping_grows_towards_the_goal_and_is_lost_at_a_stop():
