@@ -57,8 +57,10 @@ class PlanarReach(ToolGoals):
     def success_criterion(cls, spec: RobotSpec) -> SuccessCriterion:
         """Within `tolerance_m` when the period ends; core goals need at most `core_share` of each range."""
         config, chain = cls.config, PlanarChain.of_robot(spec)
-        low, high = (spec.joint_array(f"q_{end}")[list(chain.joints)] for end in ("min", "max"))
-        middle, reach = (high + low) / 2, config.core_share * (high - low) / 2
+        joints = list(chain.joints)
+        low, high = (end[joints] for end in spec.pose_range)
+        share = np.where(np.isinf(spec.joint_array("q_max")[joints]), 1.0, config.core_share)
+        middle, reach = (high + low) / 2, share * (high - low) / 2
 
         def contains(goal: Floats) -> Bools:
             return chain.reaches(goal, middle - reach, middle + reach)

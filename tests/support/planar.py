@@ -1,6 +1,7 @@
 """The planar robots, contracts for them, and policies written by hand."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -154,18 +155,18 @@ def hostile(path, spec=PLANAR3, mode="position"):
 STOPS = ' range="-1.658 1.658"'
 
 
-def arm_with_wheel(folder):
-    """The folder of planar4 with a wheel in place of its last joint: the same joint without ends."""
+def arm_with_wheel(folder, wheel="wrist_roll"):
+    """The folder of planar4 with a wheel in place of a joint, by default the last one: the same without ends."""
     robot = Path(folder) / "planar4"
     shutil.copytree(PLANAR4.folder, robot)
     text = (robot / "model.xml").read_text().replace(STOPS, "")
-    for joint in PLANAR4.joint_names[:-1]:
+    for joint in set(PLANAR4.joint_names) - {wheel}:
         text = text.replace(f'<joint name="{joint}"', f'<joint name="{joint}"{STOPS}')
     (robot / "model.xml").write_text(text)
-    text = (robot / "robot.toml").read_text()
-    arm, wheel = text.split('name = "wrist_roll"')
-    rest = [line for line in wheel.splitlines() if not line.startswith(("q_min", "q_max"))]
-    (robot / "robot.toml").write_text(arm + 'name = "wrist_roll"' + "\n".join(rest) + "\n")
+    head, *joints = (robot / "robot.toml").read_text().split("[[joints]]")
+    ends = re.compile("q_(min|max) = .*\n")
+    joints = [ends.sub("", text) if f'name = "{wheel}"' in text else text for text in joints]
+    (robot / "robot.toml").write_text("[[joints]]".join((head, *joints)))
     return robot
 
 

@@ -9,9 +9,10 @@ from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.models.planar_chain import PlanarChain
 from robots.randomness import robot_seed
+from robots.spec import load_robot
 from support.arm6 import SPEC
 from support.contracts import arm_contract, term
-from support.planar import PLANAR3, PLANAR4, planar_contract
+from support.planar import PLANAR3, PLANAR4, arm_with_wheel, planar_contract
 
 CONFIG = PlanarReach.config
 CRITERION = PlanarReach.success_criterion(PLANAR3)
@@ -52,6 +53,13 @@ def test_one_goal_in_six_needs_more_than_nine_tenths_of_a_range():
     radius = np.linalg.norm(GOALS, axis=1)
     assert radius[~core].max() < 0.5
     assert CRITERION.core.meaning == "inside 90 % of the joint ranges"
+
+
+def test_a_joint_without_ends_leaves_more_core_goals(tmp_path):
+    spec = load_robot(arm_with_wheel(tmp_path, "elbow"))
+    core, more = (each.core.contains(GOALS) for each in (CRITERION, PlanarReach.success_criterion(spec)))
+    assert (core <= more).all()
+    assert more.mean() > core.mean() + 0.1
 
 
 def test_core_goals_equal_those_of_brute_force():
