@@ -12,8 +12,9 @@ from deploy.estimation.estimator import Estimator
 from deploy.estimation.tool_kinematics import ToolKinematics
 from deploy.masks import all_true, any_true
 from deploy.motion.drive_law import SpringDrives, drive_law
+from deploy.motion.drive_modes import drive_modes
 from deploy.motion.prepared_stop import PreparedStop, select
-from deploy.motion.smoothers import drive_modes, make_smoother
+from deploy.motion.smoothers import make_smoother
 from deploy.policy.action import Action
 from deploy.policy.actor import Actor
 from deploy.policy.contract import Contract
@@ -25,6 +26,7 @@ from deploy.stage import Arrays, Stage
 from deploy.state import BaseState, Command, Sample, Setpoint, State, Target, Verdict
 from deploy.tasks.task import Task, find_task, sources_of
 from robots.arrays import Bools, Float32s, Floats, Ints
+from robots.capabilities import required
 from robots.models.fleet import Fleet
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -87,7 +89,7 @@ class Runtime(Stage):
         self.safety = Safety(spec, fleet, law, mode=mode)
         self.action = Action(contract.action, self.drives.policy)
         self.smoother = make_smoother(spec, self.drives)
-        self.prepared_stop = PreparedStop(robots, spec.n, self.drives.stop if self.drives.free else None)
+        self.prepared_stop = PreparedStop(self.drives)
         self.supervisor = Supervisor(robots, spec.dt)
         self.task: Task = find_task(contract.task, f"contract: task {contract.task!r}")(spec, seeds)
         sources = sources_of(contract.task)
@@ -123,7 +125,7 @@ class Runtime(Stage):
 
     @property
     def setpoint(self) -> Setpoint:
-        """Setpoint that was sent last."""
+        """Setpoint that was sent last, with the mode, stiffness and damping of the drives."""
         return self.smoother.sent
 
     @property
@@ -223,7 +225,7 @@ class Runtime(Stage):
         powered, share = self.supervisor.powered, self.estimator.windings.foldback.current_share
         if not all_true(running):  # current is limited while running only: stops were checked at full current
             share = np.where(running[:, None], share, 1.0)
-        drive = setpoint.drive or self.drives.stop
+        drive = required(setpoint.drive)
         self.command = Command(drive, setpoint.q, qd, feed_forward, powered, share)
         self.estimator.external_torque.command(tau, powered)
         self.robot.write(self.command)

@@ -122,7 +122,7 @@ class Setpoint(NamedTuple):
     Attributes:
         q: (B, n) rad. qd: (B, n) rad/s. qdd: (B, n) rad/s². In torque mode they are predicted.
         tau: (B, n) N·m, torque to be sent in torque mode; None where no robot can be in torque mode.
-        drive: how drives are to follow it; None: as they do in a stop.
+        drive: how drives are to follow it; None of a point that is not to be sent.
     """
 
     q: Floats

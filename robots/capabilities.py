@@ -17,7 +17,12 @@ Part = TypeVar("Part")
 
 
 def required(part: Part | None) -> Part:
-    """Return an optional part of a robot, which a declaration must name as needed (else RuntimeError)."""
+    """Return an optional part that must be there (else RuntimeError).
+
+    A part of a robot is there where a declaration names its capability as needed.
+    """
     if part is None:
-        raise RuntimeError("a part of the robot was read without its capability being declared as needed")
+        raise RuntimeError(
+            "an optional part was read where there is none: was its capability declared as needed?"
+        )
     return part

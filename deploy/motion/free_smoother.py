@@ -11,6 +11,7 @@ from deploy.motion.takeover import Takeover
 from deploy.motion.torque_ramp import TorqueRamp
 from deploy.state import DriveMode, Setpoint, State
 from robots.arrays import Bools, Floats
+from robots.capabilities import required
 from robots.models.fleet import Fleet
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -30,15 +31,14 @@ class RollingSmoother(VelocitySmoother):
 
     def __init__(self, spec: RobotSpec, drive: DriveMode, stop: DriveMode) -> None:
         """Take how drives follow the policy, and how they follow a stop."""
-        super().__init__(spec, len(drive.mode))
-        self._drive, self._free, self.takeover = drive, drive.kp == 0.0, Takeover(drive, stop, spec.dt)
+        super().__init__(spec, len(drive.mode), drive)
+        self._free, self.takeover = drive.kp == 0.0, Takeover(drive, stop, spec.dt)
 
     def plan(self, target: Floats, stopping: Bools, state: State) -> Setpoint:
-        """Return the next setpoint of every robot, as `Smoother.next`, and how drives are to follow it."""
+        """Return the next setpoint of every robot, as `Smoother.next`; drives of a stop become stiff."""
         np.copyto(self.q, state.q, where=self._free & ~stopping[:, None])
         planned = self.next(target, stopping)
-        ahead = planned._replace(drive=self._drive)
-        return select(~stopping, ahead, planned._replace(drive=self.takeover.drive))
+        return select(~stopping, planned, planned._replace(drive=self.takeover.drive))
 
     def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
         """Return the stop that would begin at `start`, as `Smoother.brake`, with position drives."""
@@ -48,8 +48,12 @@ class RollingSmoother(VelocitySmoother):
     def commit(self, sent: Setpoint) -> None:
         """Remember what was sent, and how."""
         super().commit(sent)
-        if sent.drive is not None:
-            self.takeover.commit(sent.drive.mode == self._drive.mode)
+        self.takeover.commit(required(sent.drive).mode == self.drive.mode)
+
+    def hold(self, ids: Bools, q: Floats) -> None:
+        """Put robots at rest, as `Smoother.hold`, with the stiff drives of a stop."""
+        super().hold(ids, q)
+        self.takeover.end(ids)
 
 
 class TorqueSmoother(Smoother):
@@ -69,9 +73,9 @@ class TorqueSmoother(Smoother):
     def __init__(self, spec: RobotSpec, drive: DriveMode, stop: DriveMode) -> None:
         """Take how drives follow the policy, and how they follow a stop."""
         robots = len(drive.mode)
-        super().__init__(spec, robots)
+        super().__init__(spec, robots, drive)
         self.ramp, self._fleet, self._dt = TorqueRamp(spec, robots), Fleet(spec, robots), spec.dt
-        self._drive, self._rate = drive, np.zeros((robots, spec.n))
+        self._rate = np.zeros((robots, spec.n))
         self.takeover = Takeover(drive, stop, spec.dt)
         self._qdd_max = ACCELERATION_SHARE * spec.joint_array("qdd_max")
         self._qd_max = (
@@ -89,7 +93,7 @@ class TorqueSmoother(Smoother):
         qdd = self._fleet.acceleration(state.q, state.qd, 0.5 * (self.ramp.tau + tau))
         qd = state.qd + qdd * self._dt
         q = state.q + 0.5 * (state.qd + qd) * self._dt
-        ahead = Setpoint(q=q, qd=qd, qdd=qdd, tau=tau, drive=self._drive)
+        ahead = Setpoint(q=q, qd=qd, qdd=qdd, tau=tau, drive=self.drive)
         if not any_true(stopping):
             return ahead
         return select(~stopping, ahead, _as_stop(self.next(self.q, stopping), self.takeover.drive))
@@ -115,11 +119,14 @@ class TorqueSmoother(Smoother):
     def commit(self, sent: Setpoint) -> None:
         """Remember what was sent, torques included."""
         super().commit(sent)
-        if sent.tau is None or sent.drive is None:
-            return
-        followed = np.asarray(sent.drive.mode == ControlMode.TORQUE)
-        self.ramp.commit(sent.tau, self._rate, followed)
+        followed = np.asarray(required(sent.drive).mode == ControlMode.TORQUE)
+        self.ramp.commit(required(sent.tau), self._rate, followed)
         self.takeover.commit(followed)
+
+    def hold(self, ids: Bools, q: Floats) -> None:
+        """Put robots at rest, as `Smoother.hold`, with the stiff drives of a stop."""
+        super().hold(ids, q)
+        self.takeover.end(ids)
 
 
 def _as_stop(setpoint: Setpoint, drive: DriveMode) -> Setpoint:

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.masks import all_true, any_true
+from deploy.motion.drive_modes import position_drives
 from deploy.motion.ruckig_planner import RuckigPlanner, VelocityPlanner, horizon_s
 from deploy.motion.trajectories import StopTrajectories, TrackingTrajectories
 from deploy.stage import Stage
-from deploy.state import Setpoint, State
+from deploy.state import DriveMode, Setpoint, State
 from robots.arrays import Bools, Floats
 from robots.spec import RobotSpec
 
@@ -34,13 +35,16 @@ class Smoother(Stage):
             that falls while the robot brakes carries it beyond its target: it should fall in small steps.
         q_min, q_max: (B, n) rad, to which targets are clamped.
         age: (B,) ticks since `origin`, less those at rest after a stop.
+        drive: how drives follow setpoints on the way to a target.
     """
 
     carried: ClassVar[tuple[str, ...]] = ("q", "qd", "qdd", "origin", "expected", "age")
     planner: ClassVar[type[RuckigPlanner]] = RuckigPlanner
 
-    def __init__(self, spec: RobotSpec, robots: int) -> None:
-        shape = (robots, spec.n)
+    def __init__(self, spec: RobotSpec, robots: int, drive: DriveMode | None = None) -> None:
+        """Begin at rest at 0 rad; `drive` None: position drives with the robot's own gains."""
+        shape, self.drive = (robots, spec.n), drive or position_drives(spec, robots)
+        self._sent_drive: DriveMode | None = self.drive
         self.q, self.qd, self.qdd = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self.origin = np.full((robots, 4 * spec.n + 2), np.nan)
         self.expected, self.age = self.origin.copy(), np.zeros(robots, dtype=np.int64)
@@ -79,7 +83,7 @@ class Smoother(Stage):
         self._replan(np.concatenate((self.q, self.qd, self.qdd, target, speed_share[:, None], stops), axis=1))
         planned = self._tracking.at(self.age)
         self.expected[:, : planned[0].size] = planned.reshape(len(planned), -1)
-        return _setpoint(planned)
+        return self._setpoint(planned)
 
     def _limited(self, target: Floats) -> Floats:
         """Return target angles inside the working range less its margin."""
@@ -101,11 +105,14 @@ class Smoother(Stage):
         stop = self._stops.points(
             np.concatenate((start.q, start.qd, start.qdd, start.q, self._full, self._full), axis=1)
         )
-        return _setpoint(stop), stop[:, 3], stop[:, 4]
+        return self._setpoint(stop), stop[:, 3], stop[:, 4]
+
+    def _setpoint(self, x: Floats) -> Setpoint:
+        return Setpoint(q=x[:, 0], qd=x[:, 1], qdd=x[:, 2], drive=self.drive)
 
     def commit(self, sent: Setpoint) -> None:
         """Remember what was sent."""
-        self.q[:], self.qd[:], self.qdd[:] = sent.q, sent.qd, sent.qdd
+        self.q[:], self.qd[:], self.qdd[:], self._sent_drive = sent.q, sent.qd, sent.qdd, sent.drive
 
     def hold(self, ids: Bools, q: Floats) -> None:
         """Put robots at rest where `ids` (B,) holds at `q` (B, n) rad."""
@@ -119,7 +126,7 @@ class Smoother(Stage):
     @property
     def sent(self) -> Setpoint:
         """The last setpoint sent."""
-        return Setpoint(q=self.q, qd=self.qd, qdd=self.qdd)
+        return Setpoint(q=self.q, qd=self.qd, qdd=self.qdd, drive=self._sent_drive)
 
     @property
     def at_rest(self) -> Bools:
@@ -132,8 +139,8 @@ class VelocitySmoother(Smoother):
 
     planner = VelocityPlanner
 
-    def __init__(self, spec: RobotSpec, robots: int) -> None:
-        super().__init__(spec, robots)
+    def __init__(self, spec: RobotSpec, robots: int, drive: DriveMode | None = None) -> None:
+        super().__init__(spec, robots, drive)
         self._still = np.zeros((robots, spec.n))
 
     @property
@@ -144,7 +151,3 @@ class VelocitySmoother(Smoother):
     def _limited(self, target: Floats) -> Floats:
         """Return a copy: the planner limits speeds."""
         return target.copy()
-
-
-def _setpoint(x: Floats) -> Setpoint:
-    return Setpoint(q=x[:, 0], qd=x[:, 1], qdd=x[:, 2])

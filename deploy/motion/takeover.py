@@ -47,6 +47,10 @@ class Takeover(Stage):
         # With the square root of its factor the damping ratio stays.
         return self._stop._replace(kp=self._stop.kp * share, kd=self._stop.kd * np.sqrt(share))
 
+    def end(self, ids: Bools) -> None:
+        """Drives of robots in `ids` (B,) have their whole stiffness."""
+        self.held[ids] = self._ticks
+
     def commit(self, followed: Bools) -> None:
         """Count a tick in which robots `followed` (B,) the policy, and others an angle."""
         self.held[:] = np.where(followed, 0, np.minimum(self.held + 1, self._ticks))

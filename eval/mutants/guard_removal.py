@@ -152,7 +152,7 @@ def stop_instantly(runtime: Runtime) -> None:
     def choose(nominal: Callable[..., tuple[Setpoint, Floats]], obey: Bools, planned: Setpoint) -> object:
         setpoint, tau = nominal(obey, planned)
         still = np.zeros_like(setpoint.qd)
-        return select(obey, setpoint, Setpoint(q=runtime.smoother.q, qd=still, qdd=still)), tau
+        return select(obey, setpoint, setpoint._replace(q=runtime.smoother.q, qd=still, qdd=still)), tau
 
     wrap_method(runtime, "select_setpoint", choose)
 

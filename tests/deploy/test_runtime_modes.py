@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.policy.compatibility import check_contract
+from deploy.reasons import Reason
 from deploy.state import Mode
 from robots.errors import ContractError
 from robots.models.fleet import Fleet
@@ -16,6 +17,7 @@ from support.runtimes import DT, N, assert_same, built, every, heard
 make_judge = pytest.importorskip("eval.shard.judging").make_judge
 judge_tick = pytest.importorskip("eval.shard.judging").judge_tick
 load_robot = pytest.importorskip("robots.spec").load_robot
+OPERATOR = Reason.OPERATOR
 TAKEOVER_S = pytest.importorskip("deploy.motion.takeover").TAKEOVER_S
 
 
@@ -101,7 +103,7 @@ def test_a_stop_takes_over_with_position_drives_that_stiffen():
     live(runtime, policy, 60)
     moving = np.abs(runtime.robot.truth().qd[:, 0])
     assert (moving > 0.2).all()
-    runtime.stop(pytest.importorskip("deploy.reasons").Reason.OPERATOR)
+    runtime.stop(OPERATOR)
     stiffness, speeds = [], []
     for _ in range(120):
         live(runtime, policy, 1)
@@ -128,6 +130,44 @@ def test_restored_goes_on_bit_for_bit(mode):
         for runtime, policy in zip((one, other), policies, strict=True):
             live(runtime, policy, 1)
     assert_same(one, other)
+
+
+@pytest.mark.parametrize("mode", ["velocity", "torque"])
+def test_a_stop_right_after_a_restore_is_the_one_that_was_prepared(mode):
+    one, other = armed(mode, 2, rest), built(2, contract=mode_contract(mode))
+    live(one, Adversary("random", (2, N)), 50)
+    other.restore(one.save())
+    other.robot.restore(one.robot.save())
+    for runtime in (one, other):
+        runtime.stop(OPERATOR)
+        live(runtime, rest, 1)
+    for found, expected in zip(other.command.drive, one.command.drive, strict=True):
+        np.testing.assert_array_equal(found, expected)
+    assert_same(one, other)
+
+
+def test_a_reset_ends_the_takeover_of_a_stop():
+    runtime = armed("torque", 2, rest)
+    runtime.stop(OPERATOR)
+    live(runtime, rest, 3)
+    assert (runtime.command.drive.kp < drive_gains(SPEC).kp).all()
+    runtime.robot.reset(every(runtime), np.tile(SPEC.joint_array("q_home"), (2, 1)))
+    runtime.reset(every(runtime))
+    live(runtime, rest, 14)  # fewer ticks than a takeover takes
+    assert not runtime.arm(every(runtime)).any()
+    live(runtime, rest, 1)
+    np.testing.assert_array_equal(runtime.command.drive.kp, np.tile(drive_gains(SPEC).kp, (2, 1)))
+
+
+@pytest.mark.parametrize("mode", ["position", "velocity", "torque"])
+def test_target_setpoint_and_command_carry_mode_and_gains(mode):
+    runtime = armed(mode, 2, lambda r: np.zeros((2, N)))
+    assert (runtime.supervisor.mode == Mode.RUNNING).all()
+    gains = (0 * g if mode == "torque" else g for g in drive_gains(SPEC))
+    expected = (np.full(2, ControlMode[mode.upper()]), *(np.tile(gain, (2, 1)) for gain in gains))
+    for record in (runtime.target, runtime.setpoint, runtime.command):
+        for found, wanted in zip(record.drive, expected, strict=True):
+            np.testing.assert_array_equal(found, wanted)
 
 
 @pytest.mark.slow

@@ -141,3 +141,12 @@ def test_restored_goes_on_bit_for_bit(spec):
     live(runtime, 0.5)
     for name, array in runtime.save().items():
         np.testing.assert_array_equal(array, expected[name], err_msg=name)
+
+
+def test_a_stop_right_after_a_restore_is_the_one_that_was_prepared(spec):
+    runtime, _ = rolling(spec, wheel_contract(spec), [0.2, 0.0, -0.2, 0.9])
+    live(runtime, 1.0)
+    runtime.restore(runtime.save())
+    runtime.stop(Reason.OPERATOR)
+    stiffness, _ = live(runtime, runtime.spec.dt)
+    assert stiffness[0, :, -1] == pytest.approx(0.01 * drive_gains(spec).kp[-1])

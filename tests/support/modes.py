@@ -6,10 +6,17 @@ from deploy.policy.contract_action import ActionSpec
 from support.arm6 import SPEC
 from support.contracts import arm_contract
 
-SCALES = {"velocity": SPEC.joint_array("qd_max"), "torque": np.array([60.0, 60.0, 60.0, 5.0, 5.0, 5.0])}
+_ENDS = SPEC.joint_array("q_min"), SPEC.joint_array("q_max")
+SCALES = {
+    "position": (_ENDS[1] - _ENDS[0]) / 2,
+    "velocity": SPEC.joint_array("qd_max"),
+    "torque": np.array([60.0, 60.0, 60.0, 5.0, 5.0, 5.0]),
+}
 
 
 def mode_contract(mode, **changes):
+    if mode == "position":
+        changes = {"offset": tuple(SPEC.joint_array("q_home")), **changes}
     scale = tuple(SCALES[mode].tolist())
     action = ActionSpec(**{"mode": mode, "size": SPEC.n, "scale": scale, "clip": (-1.0, 1.0), **changes})
     return arm_contract(action=action)

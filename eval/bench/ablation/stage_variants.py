@@ -66,11 +66,11 @@ class UnlimitedSmoother(Smoother):
         """Return the clamped target."""
         q = np.where(stopping[:, None], self.q, np.minimum(np.maximum(q_target, self.q_min), self.q_max))
         qd = (q - self.q) / self._dt
-        return Setpoint(q=q, qd=qd, qdd=(qd - self.qd) / self._dt)
+        return Setpoint(q=q, qd=qd, qdd=(qd - self.qd) / self._dt, drive=self.drive)
 
     def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
         """Return rest at the starting angle, reached within one tick."""
-        rest = Setpoint(q=start.q, qd=np.zeros_like(start.qd), qdd=-start.qd / self._dt)
+        rest = start._replace(qd=np.zeros_like(start.qd), qdd=-start.qd / self._dt)
         return rest, start.q, start.q
 
 
