@@ -90,7 +90,8 @@ class TemperatureFile:
         for name, expected in (("robot", self._robot), ("joints", self._joints)):
             found = getattr(previous, name)
             if found != expected:
-                raise ConfigError(f"{source}: {name}: found {found!r}, expected {expected!r}")
+                remedy = "each robot needs an --out of its own"
+                raise ConfigError(f"{source}: {name}: found {found!r}, expected {expected!r}: {remedy}")
         return previous
 
     def _temperatures(self, rise: Floats) -> Temperatures:
