@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from deploy.estimation.capabilities import ESTIMATORS
 from deploy.estimation.estimator import Estimator
 from deploy.policy.contract import Contract
-from deploy.policy.contract_action import ActionSpec
+from deploy.policy.contract_action import MODES, ActionSpec
 from deploy.policy.contract_term import Term
 from deploy.sources.source import ObservationSource
 from deploy.tasks.task import find_task, sources_of
@@ -38,8 +38,8 @@ def mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
         )
     if contract.control_hz != spec.rates.control_hz:
         yield f"control_hz: found {contract.control_hz} Hz, expected {spec.rates.control_hz} Hz"
-    yield from _task(contract.task, spec)
-    yield from _drives(contract.action, spec)
+    yield from _abilities(contract, spec)
+    yield from _free_joints(contract.action, spec)
     sources = sources_of(contract.task)
     for term in contract.observation:
         yield from _term(term, sources[term.source], contract.action_size, spec)
@@ -61,22 +61,35 @@ def sensors_read(contract: Contract, spec: RobotSpec) -> frozenset[Kind]:
     return frozenset(kind for kind in spec.sensors if kind in read)
 
 
-def _task(name: str, spec: RobotSpec) -> Iterator[str]:
+def _abilities(contract: Contract, spec: RobotSpec) -> Iterator[str]:
+    if misfit := task_misfit(contract.task, spec):
+        yield f"task: {misfit}"
+    if misfit := mode_misfit(contract.action.mode, spec):
+        yield f"action.mode: {misfit}"
+
+
+def task_misfit(name: str, spec: RobotSpec) -> str:
+    """Return why a robot cannot do a task: found, expected; empty if it can."""
     task = find_task(name, f"task: found {name!r}")
     if missing := task.needs - spec.capabilities:
-        yield f"task: found {name!r}, which needs {_listed(tuple(sorted(missing)))}; {_has(spec)}"
-    elif misfit := task.misfit(spec):
-        yield f"task: found {name!r}, which {misfit}"
+        return f"found {name!r}, which needs {_listed(tuple(sorted(missing)))}; {_has(spec)}"
+    misfit = task.misfit(spec)
+    return misfit and f"found {name!r}, which {misfit}"
+
+
+def mode_misfit(mode: str, spec: RobotSpec) -> str:
+    """Return why the drives of a robot cannot do the mode of an action: found, expected; empty if they can."""
+    if MODES[mode] in spec.control_modes:
+        return ""
+    known = ", ".join(mode.name.lower() for mode in spec.control_modes)
+    return f"found {mode!r}; the drives of {spec.name} have the modes {known}"
 
 
 def _has(spec: RobotSpec) -> str:
     return f"{spec.name} has {', '.join(sorted(spec.capabilities)) or 'none of the optional capabilities'}"
 
 
-def _drives(action: ActionSpec, spec: RobotSpec) -> Iterator[str]:
-    if action.control_mode not in spec.control_modes:
-        known = ", ".join(mode.name.lower() for mode in spec.control_modes)
-        yield f"action.mode: found {action.mode!r}; the drives of {spec.name} have the modes {known}"
+def _free_joints(action: ActionSpec, spec: RobotSpec) -> Iterator[str]:
     free = [joint for joint, kp in zip(spec.joints, action.kp or (), strict=False) if kp == 0.0]
     if free and spec.base is not None:
         yield "action.kp: found 0, expected above 0 on a robot with a base: a joint that holds no angle carries nothing"

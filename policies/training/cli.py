@@ -33,6 +33,8 @@ def train(
 ) -> Path:
     """Train by a recipe, write a checkpoint and return its path.
 
+    A recipe that does not fit its robot is refused before anything is written.
+
     Args:
         text: of the recipe, kept in the checkpoint. out: folder for TensorBoard's events, curves and checkpoint.
         threads: for physics; results do not depend on it.
@@ -42,6 +44,8 @@ def train(
         found = f"--out {out}: contains another training"
         raise ConfigError(f"{found}, expected an empty folder: the curves would mix")
     spec = load_robot(recipe.robot, f"recipe {recipe.name}: robot")
+    contract_of(recipe, spec, {})
+    _check_writable(out)
     film = None if video is None else Film(video, spec, recipe.promise.policy_hz)
     env, policy = _learn(recipe, spec, out, threads, view)
     rollout, success = roll_out(env, policy, film)
@@ -54,6 +58,13 @@ def train(
     if film is not None:
         film.write()
     return path
+
+
+def _check_writable(out: Path) -> None:
+    """Refuse (OutputError) a folder that the checkpoint could not be written to after the training."""
+    with replacing(out / ".probe"):
+        pass
+    (out / ".probe").unlink()
 
 
 def _learn(
@@ -132,9 +143,6 @@ def policy_train(
     """Train a policy by a recipe; the checkpoint is <out>/<recipe>.pt."""
     path = find_recipe(recipe)
     settings = load_recipe(path)
-    with replacing(out / ".probe"):
-        pass
-    (out / ".probe").unlink()
     text = path.read_text(encoding="utf-8")
     print(f"checkpoint: {train(settings, text, out, threads=threads, view=view, video=video)}")
     return PASSED

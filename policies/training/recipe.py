@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from deploy.policy.compatibility import check_contract, mode_misfit, task_misfit
 from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import ONE_LEG, Numbers, Term
@@ -15,7 +16,7 @@ from deploy.tasks.task import find_task, sources_of
 from robots.errors import ConfigError
 from robots.models.nominal_model import torque_max
 from robots.spec import RobotSpec
-from robots.strict import Strict, read_toml
+from robots.strict import Strict, parse, read_toml
 
 RECIPES = Path(__file__).parents[1]
 
@@ -193,18 +194,36 @@ def load_recipe(path: Path) -> Recipe:
 
 
 def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Contract:
-    """Return the contract of a policy trained by a recipe for its robot; `trained` is its provenance."""
-    return Contract(
-        robot=spec.name,
-        robot_digest=spec.digest,
-        joint_names=spec.joint_names,
-        policy_hz=recipe.promise.policy_hz,
-        control_hz=spec.rates.control_hz,
-        task=recipe.task,
-        observation=_terms(recipe, spec),
-        action=_action(recipe.promise, spec),
-        trained=trained,
-    )
+    """Return the contract of a policy trained by a recipe for its robot; `trained` is its provenance.
+
+    Raises:
+        FirstshiftError: naming recipe and field: task, mode, rate or observation do not fit the robot.
+    """
+    origin = f"recipe {recipe.name}"
+    _check_fit(recipe, spec, origin)
+    fields = {
+        "robot": spec.name,
+        "robot_digest": spec.digest,
+        "joint_names": spec.joint_names,
+        "policy_hz": recipe.promise.policy_hz,
+        "control_hz": spec.rates.control_hz,
+        "task": recipe.task,
+        "observation": _terms(recipe, spec),
+        "action": _action(recipe.promise, spec),
+        "trained": trained,
+    }
+    contract = parse(fields, Contract, source=f"{origin}: contract")
+    check_contract(contract, spec, f"{origin}: contract")
+    return contract
+
+
+def _check_fit(recipe: Recipe, spec: RobotSpec, origin: str) -> None:
+    """Refuse (ConfigError) a task that the robot cannot do, and a mode that its drives cannot do."""
+    find_task(recipe.task, f"{origin}: task: found {recipe.task!r}")
+    if misfit := task_misfit(recipe.task, spec):
+        raise ConfigError(f"{origin}: task: {misfit}")
+    if misfit := mode_misfit(recipe.promise.mode, spec):
+        raise ConfigError(f"{origin}: promise.mode: {misfit}")
 
 
 def _action(promise: Promise, spec: RobotSpec) -> ActionSpec:
@@ -229,7 +248,7 @@ def _action(promise: Promise, spec: RobotSpec) -> ActionSpec:
 def _terms(recipe: Recipe, spec: RobotSpec) -> tuple[Term, ...]:
     """Return terms without clip or history, each divided by its physical maximum."""
     where = f"recipe {recipe.name}: observation"
-    task, known = find_task(recipe.task, "recipe: task"), sources_of(recipe.task)
+    task, known = find_task(recipe.task, f"recipe {recipe.name}: task"), sources_of(recipe.task)
     names = observation_sources(recipe.observation or task.observation, known, spec, where)
     if ("gait_phase" in names) != (recipe.gait is not None):
         found, expected = ("no", "one") if recipe.gait is None else ("a", "none")

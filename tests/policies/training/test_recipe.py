@@ -1,13 +1,14 @@
-"""Actions that follow from a recipe's promise."""
+"""Actions that follow from a recipe's promise, and recipes that do not fit their robot."""
 
 import numpy as np
 import pytest
 
 from policies.training.recipe import Promise, contract_of, find_recipe, load_recipe
-from robots.errors import ConfigError
+from robots.errors import ConfigError, ContractError
 from robots.models.nominal_model import torque_max
 from robots.strict import parse
-from support.arm6 import SPEC
+from support.arm6 import SPEC, copy_of_arm
+from support.quadruped import QUADRUPED
 
 RECIPE = load_recipe(find_recipe("arm"))
 LOW, HIGH = SPEC.joint_array("q_min"), SPEC.joint_array("q_max")
@@ -58,3 +59,64 @@ def test_fields_of_another_mode_are_refused(promise, message):
 def test_offset_of_a_target_that_is_no_angle_is_refused():
     with pytest.raises(ConfigError, match="target_offset"):
         contract_of(recipe(("joint_position", "target_offset"), mode="velocity", share=1.0), SPEC, {})
+
+
+# ---- recipes that do not fit their robot ----
+
+WALK = {"task": "velocity", "observation": ("joint_position", "velocity_command")}
+SPEED = Promise(mode="velocity", policy_hz=50, share=1.0, reach_m=0.85)
+MISFITS = {
+    "mode": (
+        {**WALK, "promise": SPEED},
+        QUADRUPED,
+        r"promise\.mode: found 'velocity'; the drives of quadruped have the modes position",
+    ),
+    "capability": (WALK, SPEC, r"task: found 'velocity', which needs \[floating_base\]; arm6 has "),
+    "task's own check": (
+        {"task": "planar_reach", "observation": None},
+        QUADRUPED,
+        r"task: found 'planar_reach', which needs \[tool\]; quadruped has ",
+    ),
+    "unknown task": ({"task": "dance"}, SPEC, r"task: found 'dance': unknown; known: planar_reach, "),
+    "rate": (
+        {"observation": NO_TARGET, "promise": SPEED.model_copy(update={"policy_hz": 60})},
+        SPEC,
+        "contract: policy_hz 60 does not divide control_hz 200",
+    ),
+}
+
+
+@pytest.mark.parametrize(("changes", "spec", "message"), MISFITS.values(), ids=MISFITS)
+def test_a_recipe_that_does_not_fit_its_robot_is_refused(changes, spec, message):
+    with pytest.raises(ConfigError, match=f"recipe arm: {message}"):
+        contract_of(RECIPE.model_copy(update=changes), spec, {})
+
+
+def test_the_finished_contract_is_compared_with_the_robot(monkeypatch):
+    def one_line(contract, spec):
+        yield f"robot: found {contract.robot!r}, expected 'another'"
+
+    monkeypatch.setattr("deploy.policy.compatibility.mismatches", one_line)
+    with pytest.raises(ContractError, match="recipe arm: contract: robot: found 'arm6', expected 'another'"):
+        contract_of(RECIPE, SPEC, {})
+
+
+def test_a_training_that_cannot_be_done_writes_nothing(call, tmp_path):
+    pytest.importorskip("rsl_rl")
+    pytest.importorskip("av")
+    from policies.training.cli import cli as policy_train
+
+    spec = copy_of_arm(
+        tmp_path, toml=[(r'modes = \["position", "velocity", "torque"\]', 'modes = ["position"]')]
+    )
+    text = find_recipe("planar3_velocity").read_text(encoding="utf-8")
+    for old, new in (('"planar3"', f'"{spec}"'), ("planar_reach", "reach")):
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "fast.toml").write_text(text)
+    code, _, complaint = call(policy_train, "--recipe", tmp_path / "fast.toml", "--out", tmp_path / "out")
+    assert code == 2
+    assert complaint.startswith(
+        "error: recipe planar3_velocity: promise.mode: found 'velocity'; the drives of arm6"
+    )
+    assert not (tmp_path / "out").exists()
