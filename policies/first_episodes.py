@@ -13,6 +13,7 @@ from rich.console import Console
 from rsl_rl.runners import OnPolicyRunner
 
 from deploy.tasks.task import find_task
+from policies.environments.episodes import goal_steps
 from policies.environments.rewards import Step
 from policies.training.cli import learner_settings
 from policies.training.envs import RuntimeEnv
@@ -32,8 +33,8 @@ RECIPES = ("planar3_velocity", "planar3_position")
 def small_recipe(recipe: Recipe, seed: int) -> Recipe:
     """Return the recipe for four robots, one goal an episode."""
     spec, task = load_robot(recipe.robot), find_task(recipe.task, f"recipe {recipe.name}: task")
-    goal_steps = round(task.success_criterion(spec).period_s * recipe.promise.policy_hz)
-    updates = -(-EPISODES * goal_steps // STEPS)
+    steps = goal_steps(task.success_criterion(spec), recipe.promise.policy_hz)
+    updates = -(-EPISODES * steps // STEPS)
     stage = LearnerStage(iterations=updates, learning_rate=LEARNING_RATE)
     learner = recipe.learner.model_copy(update={"num_steps_per_env": STEPS, "stages": (stage,)})
     environment = recipe.environment.model_copy(update={"robots": ROBOTS, "goals_per_episode": 1})

@@ -4,12 +4,14 @@ It has no physics, filter or smoother of its own: a policy step is `act`, then `
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from deploy.policy.contract import Contract
 from deploy.simulation import simulate
 from deploy.state import Mode
+from deploy.tasks.success import SuccessCriterion
 from policies.environments.rewards import Limits, Step, reward_terms, shaping
 from policies.training.recipe import Recipe
 from robots.arrays import Bools, Float32s, Floats
@@ -18,8 +20,30 @@ from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 
+class End(NamedTuple):
+    """Episodes (B,) that ended with a policy step.
+
+    Attributes:
+        terminated: a joint is out of range, or the simulation diverged.
+        truncated: the time is over, and it did not terminate.
+    """
+
+    terminated: Bools
+    truncated: Bools
+
+    @property
+    def done(self) -> Bools:
+        """(B,) ended in either way."""
+        return self.terminated | self.truncated
+
+
+def goal_steps(criterion: SuccessCriterion, policy_hz: int) -> int:
+    """Return the policy steps for each goal."""
+    return round(criterion.period_s * policy_hz)
+
+
 class Episodes:
-    """B robots, each with one draw; the caller decides when an episode ends, and at which pose the next one begins.
+    """B robots, each with one draw; the caller counts the steps of an episode.
 
     A policy step is `run`, then `restart` of robots whose episode ended, then `sense`.
 
@@ -51,8 +75,15 @@ class Episodes:
         self._angles = contract.action.control_mode is ControlMode.POSITION
         self._spec, self._recipe, self._fleet = spec, recipe, Fleet(spec, len(seeds))
         self.limits = Limits(spec, recipe.reward.near_share)
-        self.goal_steps = round(self._criterion.period_s * contract.policy_hz)
+        self.goal_steps = goal_steps(self._criterion, contract.policy_hz)
         self._last_action, self.peak_qd = np.zeros((2, len(seeds), spec.n))
+
+    def start_poses(self, rng: np.random.Generator) -> Floats:
+        """Draw (B, n) rad by the recipe: in a share of the joint ranges, or by the task."""
+        share = self._recipe.environment.start_range
+        if share is None:
+            return self.task.start_poses(rng)
+        return self.limits.draw(rng, share, len(self._last_action))
 
     def restart(self, ids: Bools, q: Floats) -> None:
         """Rest robots where `ids` (B,) holds at `q` (B, n) rad, with a new goal; `sense` powers them."""
@@ -95,9 +126,10 @@ class Episodes:
         total += shaping(step, self.limits, self._recipe.shaping)
         return np.where(self.robot.plant.valid, total, self._recipe.reward.joint_limit)
 
-    def failed(self, step: Step) -> Bools:
-        """(B,) episodes that a joint out of range ended, or a simulation that diverged."""
-        return self.limits.broken(step.q) | ~self.robot.plant.valid
+    def end(self, step: Step, time_over: Bools) -> End:
+        """Return the episodes that a step ended; `time_over` (B,): it was their last."""
+        failed = self.limits.broken(step.q) | ~self.robot.plant.valid
+        return End(failed, time_over & ~failed)
 
     def _measure(self, action: Floats, goal: Floats, qdd: Floats, decisions: dict[str, Bools]) -> Step:
         """Return the step that has just ended, with the goal and the setpoint's acceleration at its beginning."""

@@ -9,7 +9,7 @@ from gymnasium.spaces import Box, Dict
 from numpy.typing import NDArray
 
 from deploy.tasks.task import find_task
-from policies.environments.episodes import Episodes
+from policies.environments.episodes import End, Episodes, goal_steps
 from policies.environments.goal_reward import TERMS, GoalReward
 from policies.environments.rewards import Step, reward_terms
 from policies.environments.settings import read_settings
@@ -28,14 +28,8 @@ class Transition(NamedTuple):
 
     observation: Observation
     reward: Floats
-    terminated: Bools
-    truncated: Bools
+    end: End
     info: Info
-
-    @property
-    def done(self) -> Bools:
-        """(B,) episodes that ended."""
-        return self.terminated | self.truncated
 
 
 class Session:
@@ -62,7 +56,7 @@ class Session:
         self.observation_space: Box | Dict = (
             goal_space(contract, criterion.size) if goal else observation_space(contract)
         )
-        self.max_steps = recipe.environment.goals_per_episode * round(criterion.period_s * contract.policy_hz)
+        self.max_steps = recipe.environment.goals_per_episode * goal_steps(criterion, contract.policy_hz)
         self._episodes: Episodes | None = None
         self._steps, self._number = np.zeros((2, robots), dtype=np.int64)
 
@@ -89,10 +83,10 @@ class Session:
 
     def begin(self, ids: Bools) -> None:
         """Begin episodes of robots where `ids` (B,) holds; `observe` comes next."""
-        q, task = np.zeros((self.robots, self.settings.spec.n)), self.episodes.task
+        q = np.zeros((self.robots, self.settings.spec.n))
         for robot in np.flatnonzero(ids):
             rng = generator_at(self._start_keys[robot], int(self._number[robot]))
-            q[robot] = task.start_poses(rng)[0]
+            q[robot] = self.episodes.start_poses(rng)[0]
         self.episodes.restart(ids, q)
         self._steps[ids] = 0
         self._number[ids] += 1
@@ -113,21 +107,19 @@ class Session:
         runtime, task = self.episodes.runtime, self.episodes.task
         goal, step = task.goal.copy(), self.episodes.run(self._checked(action))
         self._steps += 1
-        terminated = self.episodes.failed(step)
-        truncated = (self._steps >= self.max_steps) & ~terminated
-        done = terminated | truncated
+        end = self.episodes.end(step, self._steps >= self.max_steps)
         # The last observation of an episode is a look ahead: the tick is sensed again once the next one has begun.
-        saved = runtime.save() if done.any() else None
+        saved = runtime.save() if end.done.any() else None
         observation = self.observe()
         if isinstance(observation, dict):
-            observation["desired_goal"][done] = goal[done]
+            observation["desired_goal"][end.done] = goal[end.done]
         info = self._info(step, goal)
         reward = self.episodes.reward(step)
         if isinstance(observation, dict):
             reward = self.reward(observation["achieved_goal"], observation["desired_goal"], info)
         if saved is not None:
             runtime.restore(saved)
-        return Transition(observation, reward, terminated, truncated, info)
+        return Transition(observation, reward, end, info)
 
     def _info(self, step: Step, goal: Floats) -> Info:
         """Return success and what the reward for other goals needs; a diverged simulation costs what a limit costs."""

@@ -67,13 +67,13 @@ class RobotEnv(gymnasium.Env[Any, Any]):
         if self._ended:
             raise ResetNeeded("the episode has ended: reset() comes first")
         transition = self.session.step(np.asarray(action)[None])
-        self._ended = bool(transition.done[0])
+        self._ended = bool(transition.end.done[0])
         self._screen.update()
         return (
             row_of(transition.observation, 0),
             float(transition.reward[0]),
-            bool(transition.terminated[0]),
-            bool(transition.truncated[0]),
+            bool(transition.end.terminated[0]),
+            bool(transition.end.truncated[0]),
             info_of(transition.info, 0),
         )
 

@@ -75,14 +75,14 @@ class RobotVectorEnv(VectorEnv[Any, NDArray[np.float32], Any]):
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, Floats, Bools, Bools, dict[str, Any]]:
         """Run one policy step of every robot; episodes that ended begin anew."""
         transition = self.session.step(actions)
-        observation, done = transition.observation, transition.done
-        info = masked(transition.info, ~done)
-        if done.any():
+        observation, end = transition.observation, transition.end
+        info = masked(transition.info, ~end.done)
+        if end.done.any():
             info |= self._final(transition)
-            self.session.begin(done)
+            self.session.begin(end.done)
             observation = self.session.observe()
         self._screen.update()
-        return observation, transition.reward, transition.terminated, transition.truncated, info
+        return observation, transition.reward, end.terminated, end.truncated, info
 
     def render(self) -> tuple[Image, ...] | None:
         """Return an image (H, W, 3) of every robot in render mode "rgb_array", else None."""
@@ -104,7 +104,7 @@ class RobotVectorEnv(VectorEnv[Any, NDArray[np.float32], Any]):
         return [int(number) for number in seed]
 
     def _final(self, transition: Transition) -> dict[str, Any]:
-        done = transition.done
+        done = transition.end.done
         last = np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(done).tolist():
             last[row] = row_of(transition.observation, row)

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from policies.environments.episodes import Episodes
 from policies.environments.rewards import Step
 from policies.training.recipe import Recipe, contract_of
-from robots.arrays import Bools, Floats
+from robots.arrays import Bools
 from robots.randomness import training_seed
 from robots.spec import RobotSpec
 
@@ -33,7 +33,7 @@ class RuntimeEnv(VecEnv):
         seeds = [training_seed(recipe.seed, robot) for robot in range(self.num_envs)]
         self.episodes = Episodes(recipe, spec, contract_of(recipe, spec, {}), seeds, threads=threads)
         self.runtime, self._task = self.episodes.runtime, self.episodes.task
-        self._rng, self._start_range = np.random.default_rng(recipe.seed), recipe.environment.start_range
+        self._rng = np.random.default_rng(recipe.seed)
         self.max_episode_length = recipe.environment.goals_per_episode * self.episodes.goal_steps
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long)
         self._violations = {name: np.zeros(self.num_envs) for name in ("requested", "happened")}
@@ -63,21 +63,19 @@ class RuntimeEnv(VecEnv):
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, object]]:
         """Run one policy step."""
         step = self.episodes.run(actions.numpy().astype(np.float64))
-        total, broken = self.episodes.reward(step), self.episodes.limits.broken(step.q)
-        failed = self.episodes.failed(step)
+        total = self.episodes.reward(step)
         self.episode_length_buf += 1
-        time_out = (self.episode_length_buf >= self.max_episode_length).numpy()
-        done = failed | time_out
+        end = self.episodes.end(step, (self.episode_length_buf >= self.max_episode_length).numpy())
         # A goal that a broken limit or a diverged simulation cuts off counts as missed.
-        due = self._task.ended | failed
+        due = self._task.ended | end.terminated
         self.due, self.reached = int(due.sum()), int(step.reached.sum())
-        log = self._log(step, broken, done) | self._core_success(due, step.reached)
-        if done.any():
-            self._restart(done)
+        log = self._log(step, end.done) | self._core_success(due, step.reached)
+        if end.done.any():
+            self._restart(end.done)
         self._observation = self.episodes.sense()
         for watch in self.watchers:
             watch()
-        rewards, dones, cut = (torch.from_numpy(x).float() for x in (total, done, time_out & ~broken))
+        rewards, dones, cut = (torch.from_numpy(x).float() for x in (total, end.done, end.truncated))
         return self.get_observations(), rewards, dones, {"time_outs": cut, "log": log}
 
     def _core_success(self, due: Bools, reached: Bools) -> dict[str, float]:
@@ -90,21 +88,15 @@ class RuntimeEnv(VecEnv):
 
     def _restart(self, ids: Bools) -> None:
         """Rest robots at start poses, and begin their episodes."""
-        self.episodes.restart(ids, self._start_poses())
+        self.episodes.restart(ids, self.episodes.start_poses(self._rng))
         self.episode_length_buf[torch.from_numpy(ids)] = 0
         for count in self._violations.values():
             count[ids] = 0.0
 
-    def _start_poses(self) -> Floats:
-        """Draw (B, n) rad by the recipe."""
-        if self._start_range is None:
-            return self._task.start_poses(self._rng)
-        return self.episodes.limits.draw(self._rng, self._start_range, self.num_envs)
-
-    def _log(self, step: Step, broken: Bools, done: Bools) -> dict[str, float]:
+    def _log(self, step: Step, done: Bools) -> dict[str, float]:
         """Return scalars for TensorBoard; violations are policy steps with any joint, or its target, out of range."""
         self._violations["requested"] += self.episodes.limits.broken(step.q_target)
-        self._violations["happened"] += broken
+        self._violations["happened"] += self.episodes.limits.broken(step.q)
         log = {"Task/stops_per_step": float(step.stopped.mean()), "Task/running": float(step.running.mean())}
         if self.due > 0:
             log["Task/success"] = self.reached / self.due

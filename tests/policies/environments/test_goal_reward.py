@@ -29,8 +29,8 @@ def transitions(goal=None):
     for _ in range(STEPS):
         session = envs.session
         rows.append(session.step(rng.uniform(-1.0, 1.0, (ROBOTS, SPEC.n))))
-        if rows[-1].done.any():
-            session.begin(rows[-1].done)
+        if rows[-1].end.done.any():
+            session.begin(rows[-1].end.done)
             session.observe()
     return envs, rows
 

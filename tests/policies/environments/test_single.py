@@ -13,9 +13,11 @@ from gymnasium.utils.env_checker import check_env
 
 import policies.environments.registry as _registered
 from policies.environments.pictures import Camera
+from policies.training.recipe import find_recipe, load_recipe
 from robots.errors import ConfigError
 from support.arm6 import SPEC
 from support.paths import ROOT
+from support.planar import PLANAR3
 
 ID = "firstshift/arm6-reach-position{}-v0"
 KINDS = ["", "-goal"]
@@ -113,6 +115,29 @@ def test_joint_out_of_range_terminates():
         assert (terminated, truncated) == (True, False)
         assert info["joint_limit"] == -1.0
         assert reward < -1.0
+
+
+def test_a_simulation_that_diverged_terminates_even_with_the_last_step():
+    with gymnasium.make(ID.format("")) as env:
+        env.reset(seed=1)
+        session = env.unwrapped.session
+        session.max_steps = 1
+        session.episodes.robot.plant.valid[:] = False
+        _, _, terminated, truncated, _ = env.step(np.zeros(N, np.float32))
+        assert (terminated, truncated) == (True, False)
+
+
+def test_episodes_begin_anywhere_in_the_start_range_of_the_recipe():
+    share = load_recipe(find_recipe("planar3_velocity")).environment.start_range
+    end, poses = share * PLANAR3.joint_array("q_max"), []
+    with gymnasium.make("firstshift/planar3-planar_reach-velocity-v0") as env:
+        env.reset(seed=1)
+        for _ in range(20):
+            env.reset()
+            poses.append(env.unwrapped.session.episodes.robot.truth().q[0].copy())
+    poses = np.array(poses)
+    assert (np.abs(poses) <= end + 0.01).all()
+    assert (np.abs(poses).max(axis=0) > 0.6 * end).all()
 
 
 def test_step_before_reset_is_refused():

@@ -77,6 +77,15 @@ def test_episode_ends_with_its_goals_and_restarts_elsewhere():
     assert (env.runtime.supervisor.mode == Mode.RUNNING).all()
 
 
+def test_a_simulation_that_diverged_with_its_last_step_is_no_time_out():
+    env = env_of(2)
+    env.episode_length_buf[:] = env.max_episode_length - 1
+    env.runtime.robot.plant.valid[1] = False
+    _, _, done, extras = env.step(torch.zeros(2, N))
+    assert done.tolist() == [1, 1]
+    assert extras["time_outs"].tolist() == [1, 0]
+
+
 def test_actor_observes_no_ground_truth():
     env = env_of(2)
     observation = env.get_observations()
