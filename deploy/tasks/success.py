@@ -11,7 +11,7 @@ import numpy as np
 
 from deploy.masks import any_true
 from deploy.stage import Stage
-from robots.arrays import Bools, Floats
+from robots.arrays import Bools, Floats, Ints
 
 
 def euclidean(achieved: Floats, goal: Floats) -> Floats:
@@ -74,6 +74,12 @@ class SuccessEvaluation(Stage):
     def reset(self, ids: Bools) -> None:
         """Begin anew for robots where `ids` (B,) holds."""
         self.total[ids] = 0.0
+
+    def near(self, achieved: Floats, goal: Floats, ticks: Ints) -> Bools:
+        """Return (B,) goals that would count as reached if their periods had been these `ticks` (B,), now over."""
+        if self.criterion.mean:
+            achieved = self.total / np.maximum(ticks, 1)[:, None]
+        return np.asarray(self.criterion.distance(achieved, goal) <= self.criterion.tolerance)
 
     def step(self, achieved: Floats, goal: Floats, ended: Bools, running: Bools) -> Bools | None:
         """Count one tick, with (B, G) achieved; return (B,) goals that `ended` and were reached, None if none ended.

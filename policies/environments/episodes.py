@@ -11,7 +11,7 @@ import numpy as np
 from deploy.policy.contract import Contract
 from deploy.simulation import simulate
 from deploy.state import Mode
-from deploy.tasks.success import SuccessCriterion
+from deploy.tasks.success import SuccessCriterion, SuccessEvaluation
 from policies.environments.rewards import Limits, Step, reward_terms, shaping
 from policies.training.recipe import Recipe
 from robots.arrays import Bools, Float32s, Floats
@@ -77,6 +77,8 @@ class Episodes:
         self.limits = Limits(spec, recipe.reward.near_share)
         self.goal_steps = goal_steps(self._criterion, contract.policy_hz)
         self._last_action, self.peak_qd = np.zeros((2, len(seeds), spec.n))
+        self._success = SuccessEvaluation(self._criterion, len(seeds), spec.dt)
+        self._number, self._everyone = self.task.number.copy(), np.ones(len(seeds), dtype=bool)
 
     def start_poses(self, rng: np.random.Generator) -> Floats:
         """Draw (B, n) rad by the recipe: in a share of the joint ranges, or by the task."""
@@ -103,22 +105,37 @@ class Episodes:
 
     def run(self, action: Floats) -> Step:
         """Act until the policy is due again; the caller does the last `sense`, after restarts."""
-        runtime, task, qdd = self.runtime, self.task, self.runtime.setpoint.qdd.copy()
-        stopped, reached = np.zeros((2, len(qdd)), dtype=bool)
-        goal = task.goal.copy()
+        runtime, qdd, goal = self.runtime, self.runtime.setpoint.qdd.copy(), self.task.goal.copy()
+        stopped, ended, reached = np.zeros((3, len(qdd)), dtype=bool)
+        # Restarts and, in some tasks, arming give a new goal before its time.
+        self._success.reset(self.task.number != self._number)
         for tick in range(runtime.decimation):
             if tick:
                 runtime.sense()
             running = runtime.supervisor.mode == Mode.RUNNING
             runtime.act(None if tick else action)
             stopped |= running & (runtime.supervisor.mode == Mode.STOPPING)
-            reached |= task.ended & (self._distance(task.ended_goal) <= self._criterion.tolerance)
+            ended |= self.task.ended
+            reached |= self._count_success()
             np.fmax(
                 self.peak_qd, np.abs(self.robot.plant.qd), out=self.peak_qd
             )  # fmax: NaN of a diverged one
+        self._number[:] = self.task.number
         running = runtime.supervisor.mode == Mode.RUNNING
-        decisions = {"reached": reached & running, "running": running, "stopped": stopped}
+        near = np.where(ended, reached, self._near(goal))
+        decisions = {"reached": reached & running, "near": near & running}
+        decisions |= {"running": running, "stopped": stopped}
         return self._measure(action, goal, qdd, decisions)
+
+    def _count_success(self) -> Bools:
+        """Return (B,) goals that ended in this tick and were truly reached, were their robots running or not."""
+        achieved = self.task.true_achieved(self.robot.truth())
+        reached = self._success.step(achieved, self.task.ended_goal, self.task.ended, self._everyone)
+        return ~self._everyone if reached is None else reached
+
+    def _near(self, goal: Floats) -> Bools:
+        achieved = self.task.true_achieved(self.robot.truth())
+        return self._success.near(achieved, goal, self.task.elapsed)
 
     def reward(self, step: Step) -> Floats:
         """(B,) reward and shaping of a step by the recipe."""

@@ -7,7 +7,7 @@ import numpy as np
 from deploy.tasks.success import SuccessCriterion
 from policies.environments.rewards import RewardTerms
 from policies.training.recipe import Reward
-from robots.arrays import Bools, Floats
+from robots.arrays import Floats
 from robots.errors import ConfigError
 
 TERMS = RewardTerms._fields[1:]
@@ -27,10 +27,6 @@ class GoalReward:
     def __init__(self, criterion: SuccessCriterion, weights: Reward) -> None:
         self._criterion, self._weights = criterion, weights
 
-    def near(self, achieved: Floats, desired: Floats) -> Bools:
-        """(...,) goals within tolerance of what was truly achieved, both (..., G)."""
-        return np.asarray(self._criterion.distance(achieved, desired) <= self._criterion.tolerance)
-
     def __call__(self, achieved: Floats, desired: Floats, info: Info | Sequence[Info]) -> Floats:
         """Return the rewards (...,) of transitions to `achieved` (..., G) for goals `desired` (..., G).
 
@@ -42,7 +38,10 @@ class GoalReward:
             ConfigError: a field is missing.
         """
         carried = _fields(info)
-        near = self.near(achieved + carried["achieved_error"], desired)
+        near = (
+            self._criterion.distance(achieved + carried["achieved_error"], desired)
+            <= self._criterion.tolerance
+        )
         success = np.asarray(self._weights.success * (near & (carried["running"] > 0)), dtype=np.float64)
         return RewardTerms(success, *(carried[name] for name in TERMS)).total
 

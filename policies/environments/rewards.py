@@ -18,6 +18,7 @@ class Step:
         q, qd: (B, n) rad, rad/s, true. tau: (B, n) N·m, true.
         qdd_change: (B, n) rad/s², of the sent setpoint over the step. dt: s, the step.
         distance: (B,) true distance to the goal, in the task's unit. reached: (B,) a goal ended, and was reached.
+        near: (B,) the goal counts as reached, or would if its period had ended with the step.
         q_target: (B, n) rad, as requested. action_change: (B, n). action_excess: (B, n) beyond the action's clip.
         manipulability: (B,) at the true angles, as `Kinematics.manipulability`.
         running, stopped: (B,) may move; was stopped in this step.
@@ -30,6 +31,7 @@ class Step:
     dt: float
     distance: Floats
     reached: Bools
+    near: Bools
     q_target: Floats
     action_change: Floats
     action_excess: Floats

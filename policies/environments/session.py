@@ -113,7 +113,7 @@ class Session:
         observation = self.observe()
         if isinstance(observation, dict):
             observation["desired_goal"][end.done] = goal[end.done]
-        info = self._info(step, goal)
+        info = self._info(step)
         reward = self.episodes.reward(step)
         if isinstance(observation, dict):
             reward = self.reward(observation["achieved_goal"], observation["desired_goal"], info)
@@ -121,14 +121,14 @@ class Session:
             runtime.restore(saved)
         return Transition(observation, reward, end, info)
 
-    def _info(self, step: Step, goal: Floats) -> Info:
+    def _info(self, step: Step) -> Info:
         """Return success and what the reward for other goals needs; a diverged simulation costs what a limit costs."""
         episodes, weights = self.episodes, self.settings.recipe.reward
         valid, task = episodes.robot.plant.valid, episodes.task
         achieved = task.true_achieved(episodes.robot.truth())
         running = step.running & valid
         info: Info = {
-            "is_success": self.reward.near(achieved, goal) & running,
+            "is_success": step.near & valid,
             "running": running,
             "achieved_error": np.where(valid[:, None], achieved - task.achieved, 0.0),
         }

@@ -72,6 +72,7 @@ def read_settings(options: Mapping[str, object], *, goal: bool) -> Settings:
     recipe = _recipe(spec, chosen)
     contract = contract_of(recipe, spec, {})
     if goal:
+        _check_hindsight(recipe.task, spec)
         recipe, contract = _one_goal(recipe), _without_goal(contract)
     return Settings(
         spec=spec,
@@ -80,6 +81,19 @@ def read_settings(options: Mapping[str, object], *, goal: bool) -> Settings:
         threads=chosen.threads,
         render_mode=chosen.render_mode,
     )
+
+
+def hindsight(task: str, spec: RobotSpec) -> bool:
+    """Return whether one step tells if a goal is reached, so that other goals can take its place afterwards."""
+    return not find_task(task, "option task").success_criterion(spec).mean
+
+
+def _check_hindsight(task: str, spec: RobotSpec) -> None:
+    if not hindsight(task, spec):
+        raise ConfigError(
+            f"option task: found {task!r}, whose goals count by the mean of their period, expected for -goal ids a task"
+            " whose goals count by where a step ends"
+        )
 
 
 def modes_of(spec: RobotSpec) -> tuple[str, ...]:

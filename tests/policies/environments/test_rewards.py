@@ -21,6 +21,7 @@ def step_of(**changes):
         "dt": 0.02,
         "distance": np.array([0.5]),
         "reached": np.array([False]),
+        "near": np.array([False]),
         "q_target": SPEC.joint_array("q_home")[None],
         "action_change": rest,
         "action_excess": rest,
