@@ -103,6 +103,15 @@ class SimRobot(Stage):
     def reset(self, ids: Bools, q: Floats) -> None:
         """Rest robots where `ids` holds at `q` (B, n) rad, motors as at the start."""
         self.plant.reset(ids, q)
+        self._settle(ids)
+
+    def settle_goal(self, ids: Bools) -> None:
+        """Reset sensors where `ids` holds, as if the goals of now had been visible for a while."""
+        if self.goal_source is not None:
+            self.goal[ids] = self.goal_source()[ids]
+        self._settle(ids)
+
+    def _settle(self, ids: Bools) -> None:
         if self.distance:
             self.distance.reset(ids, self.goal)
         self.settle_sensors(ids)

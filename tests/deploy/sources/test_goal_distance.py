@@ -88,6 +88,15 @@ def test_a_body_in_between_leaves_no_reading(runtime, where):
     np.testing.assert_allclose(seen["goal_position"][0], goal, atol=0.002)  # the camera sees it
 
 
+def test_a_settled_goal_is_read_at_once(runtime):
+    goal = runtime.robot.truth().tool_position[0] + [0.1, 0.2, 0.1]
+    runtime.robot.goal_source = lambda: goal[None]
+    runtime.robot.settle_goal(np.ones(1, dtype=bool))
+    seen = observe(runtime, 1)
+    assert seen["goal_distance"] == pytest.approx(np.linalg.norm([0.1, 0.2, 0.1]), abs=0.003)
+    np.testing.assert_allclose(seen["goal_position"][0], goal, atol=0.002)
+
+
 def test_a_goal_beyond_the_range_reads_as_the_range(runtime):
     assert reading(runtime, [2.0, 0.0, 2.0])["goal_distance"] == pytest.approx(RANGE)
 

@@ -140,6 +140,18 @@ def test_episodes_begin_anywhere_in_the_start_range_of_the_recipe():
     assert (np.abs(poses).max(axis=0) > 0.6 * end).all()
 
 
+@pytest.mark.parametrize("name", ["arm6-reach-position", "planar3-planar_reach-velocity"])
+def test_an_episode_begins_with_its_own_goal_in_view(name):
+    with gymnasium.make(f"firstshift/{name}-v0") as env:
+        for seed in (1, None, None, 2):
+            env.reset(seed=seed)
+            task = env.unwrapped.session.episodes.task
+            for action in np.zeros((8, *env.action_space.shape), np.float32):
+                # noise, bias and resolution of the camera
+                np.testing.assert_allclose(task.camera_goal, task.goal, rtol=0, atol=0.01)
+                env.step(action)
+
+
 def test_step_before_reset_is_refused():
     env = gymnasium.make(ID.format("")).unwrapped
     with pytest.raises(ResetNeeded):
