@@ -105,6 +105,7 @@ class Judge(Stage):
         reason: Ints,
         achieved: Floats,
         goal: Floats,
+        goal_number: Ints,
         attempted: Ints,
     ) -> None:
         """Append one tick; it is judged with its block, or before `counts` and `save` return.
@@ -116,6 +117,7 @@ class Judge(Stage):
             command: sent in this tick.
             mode: (B,) of `Mode`. reason: (B,) bit sets of `Reason`.
             achieved: (B, G) what goals are compared with, by ground truth. goal: (B, G) the present goals.
+            goal_number: (B,) goals given so far. Where it rises, what was achieved before counts for none of the later.
             attempted: (B,) goals over so far. Where it rises, the goal of the tick before is over.
         """
         ticks, row = self.buffer.ticks, self.buffer.row
@@ -126,6 +128,7 @@ class Judge(Stage):
         ticks.reason[row] = reason
         ticks.achieved[row] = achieved
         ticks.goal[row] = goal
+        ticks.goal_number[row] = goal_number
         ticks.attempted[row] = attempted
         ticks.observation[row] = observation[:, : self._size]
         self.buffer.append(truth, state, target, command)
@@ -207,10 +210,15 @@ class Judge(Stage):
             )
 
     def _count_goals(self, window: TickWindow) -> None:
-        """Count goals that are over. Where `attempted` rises, the goal of the tick before is over."""
+        """Count goals that are over. Where `attempted` rises, the goal of the tick before is over.
+
+        Where more goals were given than are over, one was replaced before its end: its score goes.
+        """
         before, now = window.before, window.now
         over, running = now.attempted > before.attempted, window.running & now.valid
+        replaced = now.goal_number - before.goal_number > over
         for tick in range(len(over)) if self.score.criterion.mean else np.flatnonzero(over.any(axis=1)):
+            self.score.reset(replaced[tick])
             reached = self.score.step(now.achieved[tick], before.goal[tick], over[tick], running[tick])
             if reached is not None:
                 self.reached += reached

@@ -62,6 +62,7 @@ class Ticks(NamedTuple):
     valid: Flag
     mode: Integer
     reason: Integer
+    goal_number: Integer
     attempted: Integer
     observation: Observation
 

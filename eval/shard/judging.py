@@ -54,6 +54,7 @@ def judge_tick(judge: Judge, truth: Truth, runtime: Runtime, action: Action) -> 
         reason=runtime.supervisor.reason,
         achieved=runtime.task.true_achieved(truth),
         goal=runtime.task.goal,
+        goal_number=runtime.task.number,
         attempted=runtime.task.attempted,
     )
 

@@ -11,7 +11,9 @@ pytest.importorskip("mujoco")
 
 from deploy.state import Mode
 from deploy.tasks.reach import Reach
+from deploy.tasks.velocity import Velocity
 from eval.judge.counts import REASON_NAMES, Counts, merge
+from eval.judge.judge import Judge
 from eval.judge.monitors import MONITORS
 from robots.errors import ConfigError
 from support.arm6 import SPEC, arm_judge
@@ -30,6 +32,7 @@ from support.eval.judges import (
     feed,
     random_series,
 )
+from support.quadruped import QUADRUPED
 
 PER_JOINT = [monitor for monitor in MONITORS if monitor.per_joint]
 
@@ -246,3 +249,27 @@ def test_skipped_goal_counts_as_missed():
     bench.step()
     counts = bench.judge.counts()
     assert (counts.goals_due, counts.reached.tolist()) == (5, [1])
+
+
+def walk(task, bench, share, factor=1.0):
+    """Walk for a share of the command's period, at the commanded velocity times a factor."""
+    for _ in range(round(share * task.criterion.period_s / DT)):
+        bench.truth.tool_position[:] = task.achieved[:] = factor * task.goal
+        task.step(bench.mode == Mode.RUNNING)
+        bench.goal, bench.goal_number, bench.attempted = task.goal, task.number, task.attempted
+        bench.step()
+
+
+@pytest.mark.parametrize(("factor", "reached"), [(1.0, 1), (0.0, 0)])
+def test_a_mean_counts_only_what_was_achieved_for_the_goal_that_is_over(factor, reached):
+    """Arming replaces a command before its end: what was achieved for it counts for no other."""
+    task, bench = Velocity(QUADRUPED, [np.random.SeedSequence(1)]), Bench()
+    bench.judge = Judge(SPEC, TORQUE_MAX, 1, criterion=task.criterion, observed=OBSERVED)
+    walk(task, bench, 0.9)
+    task.arm(np.ones(1, dtype=bool))
+    walk(task, bench, 1.0, factor)
+    counts = bench.judge.counts()
+    assert task.reached.tolist() == counts.reached.tolist() == [reached]
+    assert counts.attempted.tolist() == [1]
+    walk(task, bench, 1.0)
+    assert bench.judge.counts().reached.tolist() == [reached + 1]

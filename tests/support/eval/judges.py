@@ -80,7 +80,7 @@ class Bench:
         self.mode = np.full(robots, Mode.RUNNING, dtype=np.int8)
         self.reason = np.zeros(robots, dtype=np.int64)
         self.goal = np.tile([0.4, 0.0, 0.4], (robots, 1))
-        self.attempted = np.zeros(robots, dtype=np.int64)
+        self.goal_number, self.attempted = np.zeros((2, robots), dtype=np.int64)
 
     def step(self, ticks=1):
         sent = self.drive, self.sent, self.speed_sent, self.tau_sent
@@ -98,6 +98,7 @@ class Bench:
                 reason=self.reason,
                 achieved=self.truth.tool_position,
                 goal=self.goal,
+                goal_number=self.goal_number,
                 attempted=self.attempted,
             )
         self.was = self.truth.q.copy()
@@ -178,5 +179,6 @@ def feed(judge, series, ticks, rows=slice(None)):
             reason=at["reason"],
             achieved=at["tool_position"],
             goal=at["goal"],
+            goal_number=at["attempted"],
             attempted=at["attempted"],
         )
