@@ -3,13 +3,14 @@
 import numpy as np
 from mujoco.batch import Batch
 
+from deploy.backends.sim.model.allowed_contacts import GOAL_RADIUS_M
 from deploy.backends.sim.model.attachments import Beam
 from deploy.masks import all_true
 from deploy.stage import Stage
 from robots.arrays import Bools, Floats
 
-NEAR_M = 0.03
-"""m before the goal at which a surface counts as that of the goal."""
+NEAR_M = GOAL_RADIUS_M + 0.005
+"""m before the goal at which a surface counts as that of the goal: its sphere where it can be touched, and rounding."""
 
 
 class GoalDistance(Stage):

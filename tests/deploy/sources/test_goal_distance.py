@@ -57,6 +57,17 @@ def test_the_distance_is_that_of_the_goal(runtime):
         np.testing.assert_allclose(seen["goal_distance"], np.linalg.norm(away), atol=0.003)
 
 
+def test_a_goal_that_can_be_touched_does_not_hide_itself(tmp_path):
+    """The beam ends on the goal's own sphere, from every side and at every distance."""
+    touch = '[[may_touch]]\nbodies = ["wrist_3_link", "goal"]\n\n' + DISTANCE
+    spec = load_robot(copy_of_arm(tmp_path, toml=[(r"\[sensors\.goal\]", touch)]))
+    runtime, rng = exact_runtime(spec, arm_contract, SOURCES), np.random.default_rng(0)
+    tool = runtime.robot.truth().tool_position[0]
+    for away in rng.uniform([0.1, -0.3, -0.1], [0.4, 0.3, 0.05], (60, 3)):
+        reading(runtime, tool + away, 3)
+        assert runtime.robot.distance.value[0, 0] == pytest.approx(np.linalg.norm(away), abs=1e-3)
+
+
 def test_a_moving_arm_measures_all_the_way(spec):
     """The beam is turned with the link."""
     runtime = exact_runtime(spec, arm_contract, SOURCES)
