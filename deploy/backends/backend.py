@@ -74,7 +74,7 @@ class Abilities:
 
     Attributes:
         control_hz: lowest and highest control rate.
-        gains: the gains of its drives can be set.
+        gains: the gains of its drives can be set, which torque mode needs: its stops bring them back.
         modes: in which its drives can follow a policy.
         simulated: a drawn robot can be asked for, and be viewed.
     """
@@ -104,6 +104,11 @@ class Backend(ABC, Generic[R]):
             known = ", ".join(mode.name.lower() for mode in self.abilities.modes)
             raise ConfigError(
                 f"--backend: action.mode of the policy's contract: found {request.mode.name.lower()}, expected {known}"
+            )
+        if request.mode is ControlMode.TORQUE and not self.abilities.gains:
+            raise ConfigError(
+                "--backend: action.mode of the policy's contract: found torque, expected position or velocity: in"
+                " torque mode kp and kd are 0 until a stop, and its drives cannot set them"
             )
 
     @abstractmethod

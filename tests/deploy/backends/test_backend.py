@@ -4,7 +4,7 @@ import sys
 import numpy as np
 import pytest
 
-from deploy.backends.backend import Request
+from deploy.backends.backend import Abilities, Request
 from deploy.backends.sim.backend import SimBackend
 from deploy.operation.cli import cli
 from deploy.simulation import simulate
@@ -112,6 +112,18 @@ def test_the_simulation_sets_gains_and_every_mode():
     gains = Gains(np.full(SPEC.n, 400.0), np.full(SPEC.n, 40.0))
     for mode in ControlMode:
         SimBackend().check(Request(spec=SPEC, seeds=[robot_seed(3, 0)], gains=gains, mode=mode))
+
+
+def test_torque_mode_without_gains_that_can_be_set_is_refused():
+    class Fixed(SimBackend):
+        abilities = Abilities(control_hz=(1, 1000), gains=False, modes=tuple(ControlMode))
+
+    seeds = [robot_seed(3, 0)]
+    with pytest.raises(
+        ConfigError, match=r"action\.mode of the policy's contract: found torque, expected pos"
+    ):
+        Fixed().check(Request(spec=SPEC, seeds=seeds, mode=ControlMode.TORQUE))
+    Fixed().check(Request(spec=SPEC, seeds=seeds, mode=ControlMode.VELOCITY))
 
 
 def test_a_mode_that_a_backend_lacks_is_refused(outside, call, tmp_path):
