@@ -5,6 +5,7 @@ import pytest
 
 from robots.errors import RobotError
 from robots.models.nominal_model import load_pinocchio, torque_max
+from robots.motors.drive_gains import drive_gains
 from robots.motors.windings import nominal_windings
 from robots.spec import load_robot
 from support.arm6 import SPEC, complaint, copy_of_arm
@@ -97,6 +98,17 @@ def test_drives_in_both_files_are_refused(tmp_path):
         model_mujoco.load_mujoco(spec)
 
 
+@pytest.mark.parametrize("controller", ["", 'controller="0 0 0.012 0 0 48"', 'controller="-0.4"'])
+def test_a_drive_of_the_model_without_stiffness_is_refused(tmp_path, controller):
+    """Stops would not hold its joint."""
+    soft = load_robot(copy_of_arm(tmp_path, xml=[('controller="0.4 0 0.012 0 0 48"', controller)]))
+    words = (
+        r"dcmotor of joint 'wrist_1': controller: found kp -?0(\.4)?, expected above 0: stops hold the joint"
+    )
+    with pytest.raises(RobotError, match=words):
+        drive_gains(soft)
+
+
 def test_a_drive_for_some_motors_only_is_refused(tmp_path):
     folder = declared(tmp_path, {"size3": DRIVES["size3"]})
     assert "motors.size1.drive: missing, but other motors have one" in complaint(folder)
@@ -106,6 +118,7 @@ def test_a_drive_for_some_motors_only_is_refused(tmp_path):
     ("old", "new", "words"),
     [
         ("gear = 101.0", "gear = 0.0", "motors.size3.drive.gear"),
+        ("kp = 40804.0", "kp = 0.0", "motors.size3.drive.kp"),
         ("kd = 1224.12", "kd = -1.0", "motors.size3.drive.kd"),
         ("supply_v = 48.0", "", "motors.size3.drive.supply_v"),
         ("supply_v = 48.0", "supply_v = 48.0\nrotor = 1.0", "motors.size3.drive.rotor"),

@@ -317,9 +317,9 @@ def re40_arm(tmp_path, hz):
                 'motorconst="0.0603 0.0603" resistance="1.16" saturation="9"',
             ),
             (r'thermal="2.0 12 0 0.0039 25 25"', f'thermal="1.93 {RE40.winding_capacity} 0 0.0039 25 25"'),
-            # The joint is too heavy to turn, and the drive does nothing but what it is told.
+            # The joint is too heavy to turn, and the drive does next to nothing but what it is told.
             (r'armature="0.20402"', 'armature="1e9"'),
-            (r'controller="0.4 0 0.012 0 0 48"', 'controller="0 0 0 0 0 480"'),
+            (r'controller="0.4 0 0.012 0 0 48"', 'controller="1e-9 0 0 0 0 480"'),
             (r'actuatorfrcrange="-28 28"', 'actuatorfrcrange="-900 900"'),
         ],
     )
