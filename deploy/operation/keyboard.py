@@ -5,6 +5,7 @@ so that a text of keys plays at the pace of the robot.
 """
 
 import os
+import re
 import select
 import sys
 import termios
@@ -17,9 +18,11 @@ from robots.errors import ConfigError
 END = "end"
 """Key that stands for the end of the input: a terminal that was closed, a pipe that ended."""
 ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
-ESCAPES = (b"\x1b[", b"\x1bO")
-"""Beginnings of an arrow key, in the two modes of a terminal."""
-ARROW_BYTES, RECEIVED_BYTES = 3, 1024
+SEQUENCE = re.compile(rb"\x1b[\[O]([0-?]{0,16})([@-~]?)")
+"""Control sequence of a key, in the two modes of a terminal: its parameters, such as a modifier, and its final byte.
+Source: ECMA-48, section 5.4."""
+INCOMPLETE = re.compile(rb"\x1b([\[O][0-?]{0,15})?")
+SEQUENCE_BYTES, RECEIVED_BYTES = 19, 1024
 
 
 class Keyboard:
@@ -58,22 +61,32 @@ class Keyboard:
             termios.tcsetattr(self._input, termios.TCSANOW, self._settings)
 
     def read(self) -> list[str]:
-        """Return new keys: characters, names of arrows, or `END`; empty if there are none yet."""
+        """Return new keys: characters, names of arrows, "unknown", or `END`; empty if there are none yet.
+
+        A sequence of which the end has not arrived waits for it.
+        """
         self._receive()
         keys = [END] if self._ended and not self._pending else []
         while self._pending and (self.terminal or not keys):
+            if INCOMPLETE.fullmatch(self._pending) and not self._ended:
+                break
             keys.append(self._next())
         return keys
 
     def _next(self) -> str:
-        if self._pending.startswith(ESCAPES) and len(self._pending) > 2:
-            letter, self._pending = self._pending[2:3], self._pending[3:]
-            return ARROWS.get(letter.decode(errors="replace"), "unknown")
+        if sequence := SEQUENCE.match(self._pending):
+            self._pending = self._pending[sequence.end() :]
+            parameters, final = sequence.groups()
+            return "unknown" if parameters else ARROWS.get(final.decode(), "unknown")
         key, self._pending = self._pending[:1], self._pending[1:]
         return key.decode(errors="replace")
 
     def _receive(self) -> None:
-        if self._ended or len(self._pending) > ARROW_BYTES or not select.select([self._input], [], [], 0)[0]:
+        if (
+            self._ended
+            or len(self._pending) >= SEQUENCE_BYTES
+            or not select.select([self._input], [], [], 0)[0]
+        ):
             return
         try:
             found = os.read(self._input, RECEIVED_BYTES)

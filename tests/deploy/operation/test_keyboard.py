@@ -52,6 +52,43 @@ def test_terminal_gives_all_keys_that_came(terminal):
         assert keyboard.read() == []
 
 
+OTHER_KEYS = {
+    "Ctrl+Right": b"\x1b[1;5C",
+    "Shift+Right": b"\x1b[1;2C",
+    "F5": b"\x1b[15~",
+    "F1": b"\x1bOP",
+    "Alt+Left of a keypad": b"\x1bO3D",
+}
+
+
+@pytest.mark.parametrize("sent", OTHER_KEYS.values(), ids=OTHER_KEYS)
+def test_other_keys_are_unknown_as_a_whole(terminal, pipe, sent):
+    """Their digits would choose a joint."""
+    (stream, ours), (piped, writing) = terminal, pipe
+    with Keyboard(stream) as keyboard:
+        os.write(ours, sent + b"2")
+        assert keyboard.read() == ["unknown", "2"]
+        for byte in sent:
+            assert keyboard.read() == []
+            os.write(ours, bytes([byte]))
+        assert keyboard.read() == ["unknown"]
+    keyboard = Keyboard(piped)
+    os.write(writing, sent + b"2" + sent[:-1])
+    assert [keyboard.read() for _ in range(3)] == [["unknown"], ["2"], []]
+    os.close(writing)
+    assert [keyboard.read() for _ in range(2)] == [["unknown"], [END]]
+
+
+@pytest.mark.parametrize("begun", [b"\x1b", b"\x1b[", b"\x1b[1;", b"\x1b[" + 16 * b"1"])
+def test_a_sequence_that_is_begun_does_not_take_the_key_that_stops(terminal, begun):
+    stream, ours = terminal
+    with Keyboard(stream) as keyboard:
+        os.write(ours, begun)
+        keyboard.read()
+        os.write(ours, b" ")
+        assert keyboard.read()[-1] == " "
+
+
 def test_terminal_is_restored_after_an_error(terminal):
     stream, _ = terminal
     before = termios.tcgetattr(stream)
