@@ -70,11 +70,13 @@ def check(
     run = session.run(Drive(name="check", actor=actor, spec=slow, watchers=[moves]))
     refused = run.reason if run.ending is Ending.REFUSED else ""
     findings = Evaluation(spec, moves, bounds, refused).findings
+    if run.ending is not Ending.DONE:
+        findings.stopped = findings.stopped or run.reason or Ending(run.ending).value
     about = {"robot": spec.name, "robot_digest": spec.digest, "angle_deg": angle_deg}
     write_report(findings, out / "check.json", {**about, "seed": session.seed_text})
     if run.ending is Ending.INTERRUPTED:
         return INTERRUPTED
-    return PASSED if findings.passed and run.ending is Ending.DONE else BUDGET_EXCEEDED
+    return PASSED if findings.passed else BUDGET_EXCEEDED
 
 
 def _check_fixed(spec: RobotSpec) -> None:

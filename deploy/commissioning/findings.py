@@ -55,7 +55,8 @@ class Findings:
     """Findings of the whole check.
 
     Attributes:
-        stopped: reason for which the robot did not arm, or stopped before the first joint was to move.
+        stopped: reason for which the robot did not arm, stopped before the first joint was to move, or did not come to
+            the end of the check; empty if there is none.
         unverified: mistakes that the torques of gravity cannot exclude.
     """
 
@@ -65,5 +66,5 @@ class Findings:
 
     @property
     def passed(self) -> bool:
-        """True if every joint passed."""
-        return all(joint.passed for joint in self.joints)
+        """True if every joint passed, and the robot came to the end of the check."""
+        return not self.stopped and all(joint.passed for joint in self.joints)

@@ -9,6 +9,8 @@ import pytest
 import deploy.commissioning.cli
 import deploy.operation.session
 from deploy.backends.sim.robot import SimRobot
+from deploy.commissioning.moves import CheckMoves
+from deploy.reasons import Reason
 from robots.spec import load_robot
 from support.deploy.miswired import Wiring, exchanged, miswired
 from support.paths import TEST_ROBOTS
@@ -282,7 +284,35 @@ def test_interrupted_check_is_exit_130(check, monkeypatch):
 
     monkeypatch.setattr("deploy.operation.loop_timing.Unpaced.wait", wait)
     code, _, report = check("--robot", "planar3")
-    assert (code, report["passed"]) == (130, False)
+    assert (code, report["passed"], report["stopped"]) == (130, False, "stopped by the operator")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("stop", "code", "reason"),
+    [
+        (lambda _: signal.raise_signal(signal.SIGINT), 130, "stopped by the operator"),
+        (
+            lambda run: run.runtime.stop(Reason.OVERRUN),
+            1,
+            "too many ticks were late; stopped by the operator",
+        ),
+    ],
+    ids=["interrupt", "overrun"],
+)
+def test_a_stop_after_the_last_motion_is_no_pass(check, monkeypatch, stop, code, reason):
+    class Late(CheckMoves):
+        def __call__(self, run):
+            before = self._done
+            super().__call__(run)
+            if self._done and not before:
+                stop(run)
+
+    monkeypatch.setattr(deploy.commissioning.cli, "CheckMoves", Late)
+    found, said, report = check("--robot", "planar3", "--seed", 3)
+    assert (found, report["passed"], report["stopped"], mistakes(report)) == (code, False, reason, {})
+    assert f"stopped: {reason}" in said
+    assert "failed" in said
 
 
 def test_robot_that_is_too_hot_is_not_moved(check):
