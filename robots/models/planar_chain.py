@@ -26,6 +26,8 @@ PROBES = 64
 """Random poses in which the two are compared."""
 SWEEP = 1001
 """Third angles tried for a point: with links of 0.3 m the border of what can be reached is 0.5 mm coarse at most."""
+ROUNDING_RAD = 1e-9
+"""rad by which half of a whole turn may be rounded."""
 
 Points = NDArray[np.complex128]
 
@@ -103,9 +105,9 @@ class PlanarChain:
     def reaches(self, position: Floats, low: Floats, high: Floats) -> Bools:
         """Return (K,) positions (K, 3) m in the plane that the tool reaches with hinges from `low` to `high` (3,) rad.
 
-        Ranges lie within ±π. The third angle is swept; the first two follow from it, with the elbow on either side.
+        The third angle is swept; the first two follow from it, with the elbow on either side, up to whole turns.
         """
-        third = np.linspace(low[2], high[2], SWEEP)
+        third = np.linspace(low[2], min(high[2], low[2] + 2 * np.pi), SWEEP)
         outer = self.links[1] + self.links[2] * np.exp(1j * third)
         offset = position - self.origin
         point = (offset @ self.along + 1j * (offset @ self.across))[:, None]
@@ -116,9 +118,17 @@ class PlanarChain:
         for side in (1.0, -1.0):
             second = np.angle(np.exp(1j * side * bend) * first / outer)
             turn = np.angle(point / (first + outer * np.exp(1j * second)))
-            inside = (second >= low[1]) & (second <= high[1]) & (turn >= low[0]) & (turn <= high[0])
+            inside = _within(second, low[1], high[1]) & _within(turn, low[0], high[0])
             found |= inside & (abs(cosine) <= 1.0)
         return np.asarray(found.any(axis=1))
+
+
+def _within(angle: Floats, low: float, high: float) -> Bools:
+    """Return angles (...) rad that are in a range, up to whole turns; all are in a range of a whole turn."""
+    middle, half = (low + high) / 2, (high - low) / 2
+    offset = angle - middle
+    offset -= 2 * np.pi * np.round(offset / (2 * np.pi))
+    return np.asarray((np.abs(offset) <= half) | (half > np.pi - ROUNDING_RAD))
 
 
 def _not_planar(spec: RobotSpec, found: str) -> RobotError:

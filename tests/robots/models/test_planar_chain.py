@@ -71,6 +71,27 @@ def test_what_joints_in_their_range_reach_is_reached(share, seed):
     assert CHAIN.reaches(CHAIN.tool(q), share * LOW - 0.003, share * HIGH + 0.003).all()
 
 
+@settings(max_examples=30)
+@given(
+    middle=st.tuples(*[st.floats(-7.0, 7.0)] * 3),
+    half=st.tuples(*[st.floats(0.1, 4.0)] * 3),
+    seed=st.integers(0, 2**32),
+)
+def test_ranges_may_lie_anywhere(middle, half, seed):
+    low, high = (np.add(middle, side * np.array(half)) for side in (-1.0, 1.0))
+    q = np.random.default_rng(seed).uniform(low, high, (50, 3))
+    # Near a folded elbow the second angle changes by more than the steps of the sweep.
+    assert CHAIN.reaches(CHAIN.tool(q), low - 0.005, high + 0.005).mean() > 0.9
+
+
+def test_a_range_beyond_half_a_turn_excludes_what_is_outside_it():
+    q = np.array([[0.2, 2 * np.pi - 2, 0.1]])
+    low, high = np.array([-0.5, 4.0, -0.2]), np.array([0.5, 4.5, 0.2])
+    assert CHAIN.reaches(CHAIN.tool(q), low, high).all()
+    other = np.array([0.0, 0.7, 0.0])
+    assert not CHAIN.reaches(CHAIN.tool(q), low + other, high + other).any()
+
+
 @pytest.mark.parametrize("share", [0.5, 0.9, 1.0])
 def test_reached_points_equal_those_of_brute_force(share):
     """A grid of poses: one has its tool near a point that is reached, and none well inside one that is not."""
