@@ -11,6 +11,7 @@ from robots.errors import RobotError
 from robots.models.blocks import strided_view
 from robots.models.collision_pruning import Pairs
 from robots.spec import RobotSpec
+from robots.tables import WORLD
 
 SLACK = 1e-3
 """m, added to the height above which a capsule is not checked: far more than the rounding of an exact answer."""
@@ -131,10 +132,14 @@ def check_home(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, p
 def collision_pairs(
     model: pin.Model, geometry: pin.GeometryModel, neighbours: Sequence[tuple[str, str]] = ()
 ) -> Pairs:
-    """Return pairs of shapes on links that are neither the same nor parent and child, nor on neighbouring bodies."""
+    """Return pairs of shapes on links that are neither the same nor parent and child, nor on neighbouring bodies.
+
+    Shapes outside of bodies are those of the body `WORLD`.
+    """
     parents, near = list(model.parents), {frozenset(pair) for pair in neighbours}
     joints = [shape.parentJoint for shape in geometry.geometryObjects]
-    bodies = [model.frames[shape.parentFrame].name for shape in geometry.geometryObjects]
+    frames = [shape.parentFrame for shape in geometry.geometryObjects]
+    bodies = [model.frames[frame].name if frame else WORLD for frame in frames]
     return [
         (a, b)
         for a in range(len(joints))

@@ -9,7 +9,7 @@ import pinocchio as pin
 from robots.errors import RobotError
 from robots.models.files import is_urdf, read_xml, referenced_files, urdf_text
 from robots.spec import RobotSpec
-from robots.tables import GOAL, Capsule
+from robots.tables import GOAL, WORLD, Capsule
 
 Read = tuple[pin.Model, pin.GeometryModel]
 FLOATING = "JointModelFreeFlyer"
@@ -36,7 +36,7 @@ def read_pinocchio(spec: RobotSpec) -> Read:
         model, geometry = _lock(spec, model, geometry)
     for body in {body for pair in spec.neighbours for body in pair}:
         _frame(spec, model, body, "neighbours")
-    for body in {body for pair in spec.may_touch for body in pair.bodies} - {GOAL}:
+    for body in {body for pair in spec.may_touch for body in pair.bodies} - {GOAL, WORLD}:
         _frame(spec, model, body, "may_touch")
     if spec.capsules:
         geometry = _capsules(spec, model, geometry)

@@ -428,6 +428,22 @@ def test_allowed_foot_contact_is_no_collision(tmp_path):
         assert kinematics.colliding.tolist() == [hits]
 
 
+def test_feet_that_may_touch_the_world_hide_no_collision(tmp_path):
+    """Contacts with the floor never count as the robot's own."""
+    pairs = "".join(
+        f'[[may_touch]]\nbodies = [{shin}, "world"]\nforce_n = 2000.0\n\n' for shin in FORELEGS.split(", ")
+    )
+    spec = load_robot(changed(tmp_path, ("[sensors.encoder]", pairs + "[sensors.encoder]")))
+    runtime, robot = simulate(spec, walking_contract(spec), [robot_seed(3, 0)])
+    live(runtime, round(ARM_S / DT))
+    assert not runtime.arm(np.ones(1, dtype=bool)).any()
+    live(runtime, 20, np.zeros(12))
+    assert (robot.truth().allowed_contact_n > 5.0).all()
+    assert not robot.truth().self_collision.any()
+    robot.plant.sensed[:, robot.plant.base.self_contacts] = 1.0
+    assert robot.truth().self_collision.all()
+
+
 def test_allowed_contacts_must_exist(tmp_path):
     pair = FORELEGS.replace("left_shin", "paw")
     may = ("[sensors.encoder]", f"[[may_touch]]\nbodies = [{pair}]\n\n[sensors.encoder]")

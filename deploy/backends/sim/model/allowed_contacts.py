@@ -7,7 +7,7 @@ import numpy as np
 
 from robots.arrays import Ints
 from robots.spec import RobotSpec
-from robots.tables import GOAL, MayTouch
+from robots.tables import GOAL, WORLD
 
 CONTACT_FORCE, TOUCHED = "firstshift/strongest contact", "firstshift/goal contacts"
 SLOTS = 8
@@ -38,7 +38,8 @@ class ContactPlaces:
 
     Attributes:
         strongest: (K, 3) forces of the strongest contacts, strongest first; the first number of each is the normal one.
-        own: numbers of contacts of each allowed pair of the robot's own bodies. goal: of each pair with the goal.
+        own: numbers of contacts of each allowed pair without the goal; of a robot with a base, whose contacts with
+            the world do not count, without the world as well. goal: of each pair with the goal.
         limited: (P, SLOTS, 3) forces of the allowed pairs that have a limit.
         sphere: of a robot that may touch the goal, or None.
     """
@@ -64,7 +65,7 @@ def add_contacts(mjcf: mujoco.MjSpec, nominal: mujoco.MjModel, spec: RobotSpec) 
         add_contact_sensor(mjcf, TOUCHED, (GOAL,), _BODY, _FOUND)
     for number, pair in enumerate(spec.may_touch):
         for body in pair.bodies:
-            spec.check_known("may_touch", body, "a body", [GOAL, *bodies])
+            spec.check_known("may_touch", body, "a body", [GOAL, WORLD, *bodies])
         add_contact_sensor(mjcf, _name(number), pair.bodies, _BODY, _FOUND)
         if pair.force_n is not None:
             add_contact_sensor(mjcf, _force_name(number), pair.bodies, _BODY, _FORCE, _STRONGEST, SLOTS)
@@ -113,21 +114,22 @@ def find_contacts(model: mujoco.MjModel, spec: RobotSpec) -> ContactPlaces:
         mocap = int(model.body_mocapid[model.body(GOAL).id])
         sphere = GoalSphere(geom=model.geom(GOAL).id, mocap=mocap, found=int(model.sensor(TOUCHED).adr[0]))
 
-    def counts(*, goal: bool) -> Ints:
-        pairs = [k for k, pair in enumerate(spec.may_touch) if _with_goal(pair) == goal]
+    def counts(pairs: list[int]) -> Ints:
         return np.array([model.sensor(_name(k)).adr[0] for k in pairs], dtype=np.int64)
 
     return ContactPlaces(
         strongest=_forces(model, CONTACT_FORCE),
-        own=counts(goal=False),
-        goal=counts(goal=True),
+        own=counts(_own(spec)),
+        goal=counts([k for k, pair in enumerate(spec.may_touch) if GOAL in pair.bodies]),
         limited=np.array([_forces(model, _force_name(k)) for k in _limited(spec)], dtype=np.int64),
         sphere=sphere,
     )
 
 
-def _with_goal(pair: MayTouch) -> bool:
-    return GOAL in pair.bodies
+def _own(spec: RobotSpec) -> list[int]:
+    """Return the numbers of the pairs whose contacts count as the robot's own."""
+    others = {GOAL, WORLD} if spec.base else {GOAL}
+    return [number for number, pair in enumerate(spec.may_touch) if others.isdisjoint(pair.bodies)]
 
 
 def _forces(model: mujoco.MjModel, name: str) -> Ints:

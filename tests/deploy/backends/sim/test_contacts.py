@@ -9,6 +9,7 @@ from eval.shard.judging import judge_tick, make_judge
 from robots.distributions import load_distributions
 from robots.draws import median_draw
 from robots.errors import RobotError
+from robots.models.fleet import Fleet
 from robots.models.nominal_model import load_pinocchio
 from robots.randomness import robot_seed
 from robots.spec import load_robot
@@ -197,6 +198,46 @@ def test_force_below_its_limit_is_no_event_and_above_it_is_one(tmp_path):
     assert (below, above) == ({}, {"allowed_contact_force": 1})
 
 
+BLOCK = (
+    '<geom name="block" type="box" pos="-0.49 -0.13 0.2224" size="0.1 0.1 0.2224"/>\n    <geom name="table"'
+)
+"""Fixed to the table, 3 mm below the tool at home."""
+
+
+def on_block(folder, pair):
+    may = f"[[may_touch]]\nbodies = {pair}\n\n[sensors.encoder]"
+    files = {"toml": [(r"\[sensors\.encoder\]", may)], "xml": [('<geom name="table"', BLOCK)]}
+    return load_robot(copy_of_arm(folder, **files))
+
+
+def test_a_tool_may_press_on_the_world_up_to_its_limit(tmp_path):
+    limits, found = (1000.0, 0.5), []
+    for limit in limits:
+        pair = f'["wrist_3_link", "world"]\nforce_n = {limit}'
+        found.append(pressed(on_block(tmp_path / str(limit), pair)))
+    (events, force), (again, same) = found
+    assert events == {}
+    assert 5.0 < force == same
+    assert again == {"allowed_contact_force": 1}
+
+
+def test_another_link_on_the_world_is_a_collision(tmp_path):
+    """Both in the plant and in the checks of the runtime."""
+    spec, low = on_block(tmp_path, '["wrist_3_link", "world"]'), HOME.copy()
+    plant = exact(1, spec=spec)
+    _, _, push = tool_and_push(plant, 0.008)
+    truth = hold(plant, HOME + push, HOME[:3], 200)
+    assert set(forces_by_mujoco(plant)) == {frozenset(("block", "wrist_3"))}
+    assert not truth.self_collision.any()
+    low[1] += 0.9
+    plant.reset(np.ones(1, dtype=bool), low[None])
+    assert hold(plant, low, HOME[:3], 5).self_collision.all()
+    poses = np.stack((HOME + push, low))
+    assert Fleet(spec, 2, collisions=True).kinematics(poses).colliding.tolist() == [False, True]
+    with pytest.raises(RobotError, match="there 'block' and 'wrist_3' are"):
+        Fleet(on_block(tmp_path / "other", '["wrist_2_link", "world"]'), 1, collisions=True)
+
+
 def _around(force):
     return ("more", 1.001 * force), ("less", 0.999 * force)
 
@@ -206,6 +247,10 @@ BAD = {
     "no force": (
         '["wrist_3_link", "goal"]\nforce_n = 0.0',
         "force_n: Input should be greater than 0, found 0",
+    ),
+    "no body": (
+        '["world", "goal"]',
+        "may_touch: found ['world', 'goal'], expected at least one body of the robot",
     ),
     "one": ('["wrist_3_link"]', "may_touch.0.bodies.1: Field required"),
     "pair twice": (
