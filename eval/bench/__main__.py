@@ -40,6 +40,7 @@ from robots.errors import ConfigError
 from robots.spec import load_robot
 
 console = Console(width=120)
+HOURS_MAX = 100.0
 
 BENCHES: dict[str, Callable[..., None]] = {
     "stages": stages,
@@ -58,7 +59,7 @@ BENCHES: dict[str, Callable[..., None]] = {
 }
 NOT_IN_ALL = ("adversaries", "walk")
 """One takes hours, the other a robot that walks."""
-WITH_PICTURE = ("estimate", "ablation", "teleport")
+WITH_PICTURE, WITH_HOURS = ("estimate", "ablation", "teleport"), ("adversaries",)
 
 
 def bench(
@@ -70,13 +71,22 @@ def bench(
     picture: Annotated[
         Path | None, typer.Option(help=f"PNG to draw, of {' or '.join(WITH_PICTURE)}.")
     ] = None,
+    hours: Annotated[
+        float | None,
+        typer.Option(help=f"Simulated hours of each robot, of {' or '.join(WITH_HOURS)}.", show_default="1"),
+    ] = None,
 ) -> int:
     """Measure the figures in the README."""
     if name not in (*BENCHES, "all"):
         raise ConfigError(f"bench: found {name!r}, expected one of {', '.join(BENCHES)} or all")
-    if picture is not None and name not in WITH_PICTURE:
-        raise ConfigError(f"bench: --picture {picture}: found {name!r}, expected {' or '.join(WITH_PICTURE)}")
-    options = {} if picture is None else {"picture": picture}
+    options: dict[str, Path | float] = {}
+    for option, value, known in (("picture", picture, WITH_PICTURE), ("hours", hours, WITH_HOURS)):
+        if value is not None and name not in known:
+            raise ConfigError(f"bench: --{option} {value}: found {name!r}, expected {' or '.join(known)}")
+        if value is not None:
+            options[option] = value
+    if hours is not None and not 0.0 < hours <= HOURS_MAX:
+        raise ConfigError(f"bench: --hours {hours}: expected a number above 0 and at most {HOURS_MAX:g}")
     for line, measure in BENCHES.items():
         if name == line or (name == "all" and line not in NOT_IN_ALL):
             measure(load_robot(robot), policy, console, **options)

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
@@ -32,6 +31,7 @@ from robots.randomness import robot_seed
 from robots.spec import RobotSpec, load_robot
 
 HOURS, WORKERS, POLICY_HZ = 1.0, 2, 50
+COLUMNS = ("hard events", "stops", "in operation", "worst of limit")
 PHASE_S, PUSH_S = 10.0, 2.0
 """s of shaking, then of pushing, and s of a push in one direction."""
 
@@ -110,17 +110,15 @@ def run_case(case: Case) -> tuple[str, ...]:
 
 
 def adversaries(spec: RobotSpec, policy: Path, console: Console, hours: float = HOURS) -> None:
-    """Print hard events, availability and the worst limit ratios of every case."""
+    """Print hard events, availability and the worst limit ratios of every case, each when it is finished."""
     del policy
     modes = [mode for mode in spec.control_modes if mode is not ControlMode.POSITION]
     cases = [Case(spec.folder, mode, name, hours) for mode in modes for name in POLICIES]
-    table = Table(title=f"{spec.name}: {WIDTH} robots, {hours:g} h each", title_justify="left")
-    for column in ("mode", "policy", "hard events", "stops", "in operation", "worst of limit"):
-        table.add_column(column)
+    console.print(f"{spec.name}: {WIDTH} robots, {hours:g} h each: {len(cases)} cases, {WORKERS} at a time")
     with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
         for case, row in zip(cases, pool.map(run_case, cases), strict=True):
-            table.add_row(case.mode.name.lower(), case.policy, *row)
-    console.print(table)
+            found = ", ".join(f"{what} {number}" for what, number in zip(COLUMNS, row, strict=True))
+            console.print(f"{case.mode.name.lower()}, {case.policy}: {found}")
 
 
 def _row(counts: Counts) -> tuple[str, ...]:
