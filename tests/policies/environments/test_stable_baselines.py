@@ -9,43 +9,43 @@ sb3 = pytest.importorskip("stable_baselines3")
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-import policies.environments.registry as _registered
+from policies.environments.registry import environment_ids
 from policies.environments.stable_baselines import StableBaselinesEnv
+from support.environments import VARIOUS
 
 ID = "firstshift/arm6-reach-position{}-v0"
 SMALL = {"net_arch": [16]}
 
-assert _registered
-
 pytestmark = pytest.mark.slow
 
 
-def robots(kind, count=2, **options):
-    return StableBaselinesEnv(gymnasium.make_vec(ID.format(kind), num_envs=count, **options))
+def robots(name, count=2, **options):
+    return StableBaselinesEnv(gymnasium.make_vec(name, num_envs=count, **options))
 
 
-@pytest.mark.parametrize("kind", ["", "-goal"])
-def test_check_env_finds_nothing(kind):
-    check_env(gymnasium.make(ID.format(kind)).unwrapped)  # warnings are errors here
+@pytest.mark.parametrize("name", environment_ids())
+def test_check_env_finds_nothing(name):
+    check_env(gymnasium.make(name).unwrapped)  # warnings are errors here
 
 
-@pytest.mark.parametrize("kind", ["", "-goal"])
-def test_view_is_what_stable_baselines_makes_of_single_robots(kind):
+@pytest.mark.parametrize("name", VARIOUS)
+def test_view_is_what_stable_baselines_makes_of_single_robots(name):
     length, count = 6, 2
-    one = lambda: gymnasium.make(ID.format(kind), max_episode_steps=length)  # noqa: E731
-    alone, together = DummyVecEnv([one] * count), robots(kind, count, max_episode_steps=length)
+    one = lambda: gymnasium.make(name, max_episode_steps=length)  # noqa: E731
+    alone, together = DummyVecEnv([one] * count), robots(name, count, max_episode_steps=length)
     for envs in (alone, together):
         envs.seed(4)
 
     def same(found, expected):
         if isinstance(expected, dict):
-            for name in expected:
-                same(found[name], expected[name])
+            for part in expected:
+                same(found[part], expected[part])
         else:
             np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
 
     same(together.reset(), alone.reset())
-    for action in np.random.default_rng(0).uniform(-1, 1, (2 * length, count, 6)).astype(np.float32):
+    shape = (2 * length, count, *alone.action_space.shape)
+    for action in np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32):
         mine, theirs = together.step(action), alone.step(action)
         for found, expected in zip(mine[:3], theirs[:3], strict=True):
             same(found, expected)
@@ -57,7 +57,9 @@ def test_view_is_what_stable_baselines_makes_of_single_robots(kind):
 
 
 def test_ppo_runs():
-    model = sb3.PPO("MlpPolicy", robots(""), n_steps=64, batch_size=32, policy_kwargs=SMALL, seed=0)
+    model = sb3.PPO(
+        "MlpPolicy", robots(ID.format("")), n_steps=64, batch_size=32, policy_kwargs=SMALL, seed=0
+    )
     before = [p.detach().clone() for p in model.policy.parameters()]
     model.learn(256)
     assert model.num_timesteps == 256
@@ -66,7 +68,10 @@ def test_ppo_runs():
 
 
 def test_sac_with_hindsight_runs_and_relabels_by_the_reward_of_the_step():
-    envs, her = robots("-goal", max_episode_steps=50), {"n_sampled_goal": 4, "copy_info_dict": True}
+    envs, her = (
+        robots(ID.format("-goal"), max_episode_steps=50),
+        {"n_sampled_goal": 4, "copy_info_dict": True},
+    )
     model = sb3.SAC(
         *("MultiInputPolicy", envs),
         replay_buffer_class=sb3.HerReplayBuffer,
