@@ -34,6 +34,8 @@ class Promise(Strict):
             "position_increment" alone.
         share: of a full action in any other mode: share of half the working range around its middle, of the joint's
             speed limit, or of its torque limit.
+        change_share: share of a full action by which the target may change in one policy step; None: any. Not of
+            "position_increment", where an action is that change.
     """
 
     mode: Literal["position_increment", "position", "velocity", "torque"] = "position_increment"
@@ -41,6 +43,7 @@ class Promise(Strict):
     increment_rad: PositiveFloat | None = None
     leash_rad: PositiveFloat | None = None
     share: Share | None = None
+    change_share: Share | None = None
     reach_m: PositiveFloat
 
     @model_validator(mode="after")
@@ -52,6 +55,10 @@ class Promise(Strict):
                 raise ValueError(f"promise.{name}: found {found} in mode {self.mode!r}, expected none")
             if found is None and meant:
                 raise ValueError(f"promise.{name}: missing in mode {self.mode!r}")
+        if increments and self.change_share is not None:
+            raise ValueError(
+                f"promise.change_share: found {self.change_share} in mode {self.mode!r}, expected none"
+            )
         return self
 
 
@@ -235,12 +242,14 @@ def _action(promise: Promise, spec: RobotSpec) -> ActionSpec:
         "velocity": spec.joint_array("qd_max") * (promise.share or 0.0),
         "torque": torque_max(spec) * (promise.share or 0.0),
     }
+    scale, change = full[promise.mode], promise.change_share
     return ActionSpec(
         mode=promise.mode,
         size=spec.n,
         offset=tuple(((high + low) / 2).tolist()) if promise.mode == "position" else None,
-        scale=tuple(full[promise.mode].tolist()),
+        scale=tuple(scale.tolist()),
         clip=(-1.0, 1.0),
+        change_max=None if change is None else tuple((change * scale).tolist()),
         leash_rad=promise.leash_rad,
     )
 

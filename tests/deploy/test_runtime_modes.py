@@ -63,13 +63,20 @@ def test_a_target_speed_becomes_the_speed_of_the_links():
     np.testing.assert_array_equal(runtime.command.drive.kp, np.tile(drive_gains(SPEC).kp, (3, 1)))
 
 
-def test_change_of_a_target_is_capped_in_each_policy_step():
-    runtime, sent = armed("velocity", 2, rest, change_max=(0.1,) * N), []
+CHANGES = {"position": 0.01, "velocity": 0.1, "torque": 0.5}
+"""rad, rad/s and N·m of each policy step."""
+
+
+@pytest.mark.parametrize("mode", CHANGES)
+def test_change_of_a_target_is_capped_in_each_policy_step(mode):
+    change = CHANGES[mode]
+    runtime, sent = armed(mode, 2, rest, change_max=(change,) * N), []
     for _ in range(40):
         live(runtime, lambda r: np.ones((2, N)), 1)
+        assert not runtime.supervisor.stopping.any()
         sent.append(runtime.target.value.copy())
     steps = np.diff(np.array(sent), axis=0)
-    assert steps.max() == pytest.approx(0.1)
+    assert steps.max() == pytest.approx(change)
     assert (steps >= -1e-12).all()
 
 

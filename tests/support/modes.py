@@ -1,4 +1,4 @@
-"""Contracts of the arm in velocity and torque mode, and adversaries: policies that do what harms."""
+"""Contracts of the arm in position, velocity and torque mode, and adversaries: policies that do what harms."""
 
 import numpy as np
 
@@ -6,19 +6,18 @@ from deploy.policy.contract_action import ActionSpec
 from support.arm6 import SPEC
 from support.contracts import arm_contract
 
-_ENDS = SPEC.joint_array("q_min"), SPEC.joint_array("q_max")
 SCALES = {
-    "position": (_ENDS[1] - _ENDS[0]) / 2,
+    "position": np.ones(SPEC.n),
     "velocity": SPEC.joint_array("qd_max"),
     "torque": np.array([60.0, 60.0, 60.0, 5.0, 5.0, 5.0]),
 }
 
 
 def mode_contract(mode, **changes):
-    if mode == "position":
-        changes = {"offset": tuple(SPEC.joint_array("q_home")), **changes}
-    scale = tuple(SCALES[mode].tolist())
-    action = ActionSpec(**{"mode": mode, "size": SPEC.n, "scale": scale, "clip": (-1.0, 1.0), **changes})
+    """A contract of one mode; full actions in position mode: 1 rad from the home pose."""
+    offset = tuple(SPEC.joint_array("q_home").tolist()) if mode == "position" else None
+    fields = {"mode": mode, "size": SPEC.n, "scale": tuple(SCALES[mode].tolist()), "offset": offset}
+    action = ActionSpec(**{**fields, "clip": (-1.0, 1.0), **changes})
     return arm_contract(action=action)
 
 

@@ -36,6 +36,13 @@ def test_full_action_is_a_share_of_the_limit(mode):
     assert action.offset == (None if offset is None else tuple(offset))
 
 
+@pytest.mark.parametrize("mode", FULL)
+def test_change_of_a_target_is_a_share_of_a_full_action(mode):
+    action = contract_of(recipe(mode=mode, share=0.5, change_share=0.2), SPEC, {}).action
+    np.testing.assert_allclose(action.change_max, 0.2 * FULL[mode], rtol=1e-12)
+    assert contract_of(recipe(mode=mode, share=0.5), SPEC, {}).action.change_max is None
+
+
 WRONG = {
     "share of increments": (
         {"share": 0.5, "increment_rad": 0.1, "leash_rad": 0.3},
@@ -45,6 +52,10 @@ WRONG = {
     "leash of a speed": (
         {"mode": "velocity", "share": 1.0, "leash_rad": 0.3},
         "leash_rad: found 0.3 in mode 'vel",
+    ),
+    "change of increments": (
+        {"change_share": 0.5, "increment_rad": 0.1, "leash_rad": 0.3},
+        "change_share: found 0.5 in mode 'position_increment', expected none",
     ),
     "no share": ({"mode": "torque"}, "share: missing in mode 'torque'"),
 }
