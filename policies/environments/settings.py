@@ -8,8 +8,17 @@ from pydantic import PositiveInt
 
 from deploy.policy.contract import Contract
 from deploy.policy.contract_action import MODES
-from deploy.tasks.task import find_task, tasks_of
-from policies.training.recipe import RECIPES, Promise, Recipe, contract_of, find_recipe, load_recipe
+from deploy.sources.templates import observation_sources
+from deploy.tasks.task import find_task, sources_of, tasks_of
+from policies.training.recipe import (
+    RECIPES,
+    ObservationChoice,
+    Promise,
+    Recipe,
+    contract_of,
+    find_recipe,
+    load_recipe,
+)
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 from robots.strict import Strict, parse
@@ -28,6 +37,7 @@ class Options(Strict):
         robot: a name in robots/ or the path of a folder. task: an installed one.
         mode: control mode of the drives.
         recipe: a name in policies/ or a path; None: the shipped one of this robot, task and mode, or else the template.
+        observation: name of a template, or sources in order; None: those of the recipe.
         threads: for physics; results do not depend on it.
         render_mode: as in Gymnasium.
     """
@@ -36,6 +46,7 @@ class Options(Strict):
     task: str
     mode: str
     recipe: str | None = None
+    observation: ObservationChoice | None = None
     threads: PositiveInt = 1
     render_mode: RenderMode | None = None
 
@@ -70,6 +81,8 @@ def read_settings(options: Mapping[str, object], *, goal: bool) -> Settings:
     chosen = parse(dict(options), Options, source="option")
     spec = load_robot(chosen.robot)
     recipe = _recipe(spec, chosen)
+    if chosen.observation is not None:
+        recipe = _observing(recipe, chosen.observation, spec)
     contract = contract_of(recipe, spec, {})
     if goal:
         _check_hindsight(recipe.task, spec)
@@ -146,6 +159,13 @@ def _from_template(spec: RobotSpec, task: str, mode: str) -> Recipe:
     return template.model_copy(update={**subject, **changes})
 
 
+def _observing(recipe: Recipe, observation: ObservationChoice, spec: RobotSpec) -> Recipe:
+    """Return the recipe with another observation; its gait is left out where it is not observed."""
+    names = observation_sources(observation, sources_of(recipe.task), spec, "option observation")
+    gait = recipe.gait if "gait_phase" in names else None
+    return recipe.model_copy(update={"observation": observation, "gait": gait})
+
+
 def _one_goal(recipe: Recipe) -> Recipe:
     one = recipe.environment.model_copy(update={"goals_per_episode": 1})
     return recipe.model_copy(update={"environment": one})
@@ -155,4 +175,9 @@ def _without_goal(contract: Contract) -> Contract:
     """Leave out the task's own sources: they depend on its goal, which hindsight replaces."""
     own = find_task(contract.task, "contract: task").sources
     terms = tuple(term for term in contract.observation if term.source not in own)
+    if not terms:
+        found = ", ".join(term.source for term in contract.observation)
+        raise ConfigError(
+            f"option observation: found only {found}, which depend on the goal, expected others for -goal ids"
+        )
     return contract.model_copy(update={"observation": terms})

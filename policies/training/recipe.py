@@ -22,6 +22,8 @@ RECIPES = Path(__file__).parents[1]
 
 Penalty = Annotated[float, Field(le=0)]
 Share = Annotated[float, Field(gt=0, le=1)]
+ObservationChoice = str | Annotated[tuple[str, ...], Field(min_length=1)]
+"""Name of a template, or sources in order."""
 
 
 class Promise(Strict):
@@ -169,7 +171,7 @@ class Recipe(Strict):
     robot: str
     task: str
     seed: Annotated[int, Field(ge=0)]
-    observation: str | Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    observation: ObservationChoice | None = None
     gait: Gait | None = None
     promise: Promise
     environment: Environment

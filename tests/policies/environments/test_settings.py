@@ -90,6 +90,58 @@ def test_wrong_option_is_named_with_what_was_expected(options, message):
         gymnasium.make_vec(f"{FIRST}-goal-v0", num_envs=2, **options)
 
 
+OBSERVED = {
+    "template": ("planar_9", ("joint_position", "tool_position", "goal_position"), 9),
+    "sources": (["goal_torque", "joint_position"], ("goal_torque", "joint_position"), 6),
+}
+
+
+@pytest.mark.parametrize(("observation", "sources", "size"), OBSERVED.values(), ids=OBSERVED)
+@pytest.mark.parametrize("mode", ["position", "velocity"])
+def test_an_observation_takes_the_place_of_the_recipes(observation, sources, size, mode):
+    name = f"firstshift/planar3-planar_reach-{mode}"
+    own = gymnasium.make(f"{name}-v0").unwrapped.session.settings.recipe
+    with gymnasium.make(f"{name}-v0", observation=observation) as env:
+        settings = env.unwrapped.session.settings
+        assert tuple(term.source for term in settings.contract.observation) == sources
+        assert env.reset(seed=1)[0].shape == (size,)
+        assert settings.recipe.model_copy(update={"observation": own.observation}) == own
+    envs = gymnasium.make_vec(f"{name}-goal-v0", num_envs=2, observation=observation)
+    seen, _ = envs.reset(seed=1)
+    assert seen["observation"].shape == (2, size - 3)
+
+
+def test_the_gait_of_a_recipe_is_left_out_where_it_is_not_observed(tmp_path):
+    text = find_recipe("arm").read_text().replace('"arm6"', '"quadruped"').replace('"reach"', '"velocity"')
+    text = text.replace("seed = 1\n", 'seed = 1\nobservation = ["joint_position", "gait_phase"]\n', 1)
+    (tmp_path / "trot.toml").write_text(text + "\n[gait]\nperiod_s = 0.5\nphase_offsets = [0.0, 0.5]\n")
+    walk = {
+        "robot": "quadruped",
+        "task": "velocity",
+        "mode": "position",
+        "recipe": str(tmp_path / "trot.toml"),
+    }
+    assert read_settings(walk, goal=False).contract.period_s == 0.5
+    settings = read_settings({**walk, "observation": "egocentric"}, goal=False)
+    assert (settings.recipe.gait, settings.contract.observation_size) == (None, 39)
+
+
+WRONG = {
+    "template": ("unit", "option observation: found 'unit', expected a list of sources, or one of unit_24"),
+    "other robot": ("planar_9", "option observation: 'planar_9' has 12 numbers on arm6, expected 9"),
+    "source": (["knee"], "option observation: found 'knee', expected sources among"),
+    "none": ([], "option: observation"),
+    "type": (3, "option: observation"),
+    "goal alone": (["goal_torque"], "option observation: found only goal_torque, which depend on the goal"),
+}
+
+
+@pytest.mark.parametrize(("observation", "message"), WRONG.values(), ids=WRONG)
+def test_a_wrong_observation_is_refused(observation, message):
+    with pytest.raises(ConfigError, match=message):
+        gymnasium.make(f"{FIRST}-goal-v0", observation=observation)
+
+
 def test_unknown_render_mode_is_refused():
     message = r"option: render_mode: .*'human' or 'rgb_array', found 'ansi'"
     with pytest.warns(UserWarning, match="render_mode='ansi'"), pytest.raises(ConfigError, match=message):
