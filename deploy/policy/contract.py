@@ -10,7 +10,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from deploy.policy.contract_action import ActionSpec
-from deploy.policy.contract_term import ONE_LEG, SIZE_MAX, Name, Numbers, Scales, Term
+from deploy.policy.contract_term import ONE_LEG, SINES_FIRST, SIZE_MAX, Name, Numbers, Scales, Term
+from deploy.sources.source import GaitLayout
 from deploy.tasks.task import sources_of
 from robots.errors import ConfigError, ContractError
 from robots.strict import Strict, parse, read_json
@@ -70,6 +71,8 @@ class Contract(Strict):
             raise ValueError(f"observation: period_s: found {sorted(periods)}, expected the same for all")
         if len(legs := {term.phase_offsets for term in gaits}) > 1:
             raise ValueError(f"observation: phase_offsets: found {sorted(legs)}, expected the same for all")
+        if len(layouts := {term.layout for term in gaits}) > 1:
+            raise ValueError(f"observation: layout: found {sorted(layouts)}, expected the same for all")
         sizes = {len(self.observed.mean), len(self.observed.deviation)} if self.observed else set()
         if wrong := sizes - {self.observation_size}:
             raise ValueError(f"observed: found {wrong.pop()} numbers, expected {self.observation_size}")
@@ -108,6 +111,11 @@ class Contract(Strict):
     def phase_offsets(self) -> tuple[float, ...]:
         """Turns by which each leg of the gait is ahead; of one leg without a gait term."""
         return next((term.phase_offsets for term in self.observation if term.period_s), ONE_LEG)
+
+    @property
+    def gait_layout(self) -> GaitLayout:
+        """Order of the sines and cosines of the gait's phases."""
+        return next((term.layout for term in self.observation if term.period_s), SINES_FIRST)
 
     @property
     def action_size(self) -> int:

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from deploy.sources.source import Frame
+from deploy.sources.source import Frame, GaitLayout
 from robots.strict import Strict
 
 SIZE_MAX = 4096  # numbers in one observation: a bound on memory, far above any policy here
@@ -30,6 +30,7 @@ Clip = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
 
 ONE_LEG = (0.0,)
 """Offsets of a gait whose phase is that of one leg."""
+SINES_FIRST: GaitLayout = "sin_cos"
 
 
 class Term(Strict):
@@ -48,6 +49,7 @@ class Term(Strict):
         fill: readings before the first one: "first" repeats that one, "zeros".
         period_s: s, of gait_phase alone.
         phase_offsets: turns by which each leg is ahead of the gait's phase, of gait_phase alone; by default one leg.
+        layout: order of its sines and cosines, of gait_phase alone.
     """
 
     name: Name
@@ -62,6 +64,7 @@ class Term(Strict):
     fill: Literal["first", "zeros"] = "first"
     period_s: Positive | None = None
     phase_offsets: Annotated[Numbers, Field(exclude_if=lambda turns: turns == ONE_LEG)] = ONE_LEG
+    layout: Annotated[GaitLayout, Field(exclude_if=lambda layout: layout == SINES_FIRST)] = SINES_FIRST
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -79,5 +82,9 @@ class Term(Strict):
             raise ValueError(
                 f"term {self.name!r}: phase_offsets: found {list(self.phase_offsets)}, expected them of gait_phase"
                 " alone"
+            )
+        if self.layout != SINES_FIRST and self.source != "gait_phase":
+            raise ValueError(
+                f"term {self.name!r}: layout: found {self.layout!r}, expected it of gait_phase alone"
             )
         return self

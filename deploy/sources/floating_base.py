@@ -9,7 +9,7 @@ from deploy.estimation.floating_base.floating_base import CONTACT_N, FloatingBas
 from deploy.sources import maximum
 from deploy.sources.maximum import Maximum, Scale
 from deploy.sources.readings import sensor_reading
-from deploy.sources.source import ObservationSource
+from deploy.sources.source import GaitLayout, ObservationSource
 from robots.arrays import Floats
 from robots.capabilities import Capability
 from robots.models.fleet import Fleet
@@ -60,12 +60,20 @@ def _height_at_home(scale: Scale) -> float:
     return float(-feet[..., 2].min())
 
 
+def phase_numbers(phase: Floats, layout: GaitLayout) -> Floats:
+    """Return (B, 2 L) sines and cosines of the phases (B, L) rad of L legs, in the order of a layout."""
+    sines, cosines = np.sin(phase), np.cos(phase)
+    if layout == "by_leg":
+        return np.stack((sines, cosines), axis=2).reshape(len(phase), -1)
+    return np.concatenate((sines, cosines) if layout == "sin_cos" else (cosines, sines), axis=1)
+
+
 def _gait_phase(runtime: "Runtime") -> Floats:
-    """(B, 2 L) sine and cosine of 2π (t / period_s + offset) for each of L offsets, t since arming."""
+    """(B, 2 L) numbers of the phases 2π (t / period_s + offset) for each of L offsets, t since arming."""
     contract = runtime.contract
     phase = 2.0 * np.pi / contract.period_s * runtime.spec.dt * runtime.ticks_since_arming
     phase = phase[:, None] + 2.0 * np.pi * np.array(contract.phase_offsets)
-    return np.concatenate((np.sin(phase), np.cos(phase)), axis=1)
+    return phase_numbers(phase, contract.gait_layout)
 
 
 _IMU: tuple[Kind, ...] = ("gyro", "accelerometer")
@@ -196,8 +204,8 @@ BASE_SOURCES: Mapping[str, ObservationSource] = {
         sensing="none",
         maximum=maximum.UNITY,
         read=_gait_phase,
-        meaning="sines, then cosines, of the phase of every leg since arming: clock; `period_s` and, in turns, the"
-        " `phase_offsets` of the legs are fields of the contract's term",
+        meaning="sines and cosines of the phase of every leg since arming: clock; `period_s`, in turns the"
+        " `phase_offsets` of the legs, and the `layout` of the numbers are fields of the contract's term",
         needs=BASE,
     ),
 }

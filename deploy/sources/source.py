@@ -22,6 +22,8 @@ Frame = Literal["joint", "world", "base", "sensor", "clock"]
 Sensing = Literal["proprioceptive", "exteroceptive", "none"]
 """proprioceptive: of the robot's own body. exteroceptive: of the world around it. none: task, clock or memory."""
 Each = Literal["robot", "joint", "foot"]
+GaitLayout = Literal["sin_cos", "cos_sin", "by_leg"]
+"""sin_cos: sines of all legs, then their cosines. cos_sin: cosines, then sines. by_leg: sine and cosine of each leg."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -190,7 +190,7 @@ class _Builder:
         multiply = _expand(term.multiply, size, order, f"{where}: multiply")
         factor = term.multiply[0] if term.clip_first else 1.0
         return {
-            **term.model_dump(include={"name", "source", "history", "period_s", "phase_offsets"}),
+            **term.model_dump(include={"name", "source", "history", "period_s", "phase_offsets", "layout"}),
             "frame": block.source.frame,
             "unit": block.source.unit,
             "size": block.size,

@@ -7,7 +7,18 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from deploy.policy.contract import Hertz
-from deploy.policy.contract_term import ONE_LEG, SIZE_MAX, Clip, Count, Name, Number, Numbers, Positive
+from deploy.policy.contract_term import (
+    ONE_LEG,
+    SINES_FIRST,
+    SIZE_MAX,
+    Clip,
+    Count,
+    Name,
+    Number,
+    Numbers,
+    Positive,
+)
+from deploy.sources.source import GaitLayout
 from policies.importers.torch_files.network_settings import NetworkSettings
 from robots.errors import ContractError
 from robots.strict import Strict, read_toml
@@ -35,8 +46,8 @@ OptionalClip = Annotated[Clip | None, BeforeValidator(lambda value: None if valu
 class TermDraft(Strict):
     """One term of the observation: (reading - offset) · multiply, clipped; offset in units of the source.
 
-    `clip_first` is required where it makes a difference, `period_s` (s) and `phase_offsets`
-    (turns, one for each leg) for gait_phase only.
+    `clip_first` is required where it makes a difference, `period_s` (s), `phase_offsets` (turns, one for each leg) and
+    `layout` for gait_phase only.
     """
 
     name: Name = Field(description="unique name; one such table per term, in the policy's order")
@@ -47,10 +58,11 @@ class TermDraft(Strict):
     clip_first: bool | None = Field(default=None, description="true: clip before multiply; false: after")
     history: Count = Field(
         description="number of readings, 1 for the newest only; gait_phase also needs period_s, s, gait period,"
-        " and phase_offsets, turns, if it has several legs"
+        " phase_offsets, turns, if it has several legs, and layout, cos_sin or by_leg, if its sines do not come first"
     )
     period_s: Positive | None = None
     phase_offsets: Numbers = ONE_LEG
+    layout: GaitLayout = SINES_FIRST
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

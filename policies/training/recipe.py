@@ -9,8 +9,9 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 from deploy.policy.compatibility import check_contract, mode_misfit, task_misfit
 from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
-from deploy.policy.contract_term import ONE_LEG, Numbers, Term
+from deploy.policy.contract_term import ONE_LEG, SINES_FIRST, Numbers, Term
 from deploy.sources.maximum import Scale
+from deploy.sources.source import GaitLayout
 from deploy.sources.templates import observation_sources, physical_maxima
 from deploy.tasks.task import find_task, sources_of
 from robots.errors import ConfigError
@@ -68,11 +69,12 @@ class Gait(Strict):
     """Phase of a gait that the policy observes.
 
     Attributes:
-        period_s: s. phase_offsets: turns by which each leg is ahead.
+        period_s: s. phase_offsets: turns by which each leg is ahead. layout: order of sines and cosines.
     """
 
     period_s: PositiveFloat
     phase_offsets: Numbers = ONE_LEG
+    layout: GaitLayout = SINES_FIRST
 
 
 class Environment(Strict):

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from deploy.policy.policy import Policy
+from deploy.sources.floating_base import phase_numbers
 from robots.arrays import Floats
 from robots.capabilities import required
 from robots.models.nominal_model import torque_max
@@ -64,7 +65,7 @@ class VendorLoop:
             "joint_position": data.qpos[7:],
             "joint_velocity": data.qvel[6:],
             "last_action": self._last_action,
-            "gait_phase": np.concatenate((np.sin(phase), np.cos(phase))),
+            "gait_phase": phase_numbers(phase[None], self._policy.contract.gait_layout)[0],
         }
 
     def forward_speed(self) -> float:

@@ -7,6 +7,7 @@ import numpy as np
 from deploy.policy.contract_term import Term
 from deploy.policy.observation import Observation
 from deploy.sources.catalogue import SOURCES
+from deploy.sources.floating_base import phase_numbers
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Message, failed, passed, warned
 from robots import rotations
@@ -112,7 +113,9 @@ def _standing_readings(context: CheckContext) -> dict[str, Callable[[], Floats]]
     """Return readings (5, size) of a robot standing still in the default pose of its policy."""
     quat = rotations.exp(ROTATIONS)
     down = rotations.matvec(rotations.matrix(quat).transpose(0, 2, 1), _repeat(DOWN))
-    known = {"base_orientation": quat, "projected_gravity": down, "gait_phase": _repeat(np.array([0.0, 1.0]))}
+    legs = 2.0 * np.pi * np.array([context.contract.phase_offsets])
+    phase = _repeat(phase_numbers(legs, context.contract.gait_layout)[0])
+    known = {"base_orientation": quat, "projected_gravity": down, "gait_phase": phase}
     readings: dict[str, Floats] = {}
     for term in context.contract.observation:
         rest = np.array(term.offset) if term.offset else np.zeros(term.size)

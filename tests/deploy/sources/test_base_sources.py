@@ -114,6 +114,39 @@ def test_gait_phase_of_four_legs(standing):
     np.testing.assert_allclose(seen[0], np.concatenate((np.sin(phase), np.cos(phase))), atol=1e-5)
 
 
+LAYOUTS = {
+    "sin_cos": lambda s, c: np.concatenate((s, c)),
+    "cos_sin": lambda s, c: np.concatenate((c, s)),
+    "by_leg": lambda s, c: np.array([number for leg in zip(s, c, strict=True) for number in leg]),
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_gait_is_read_in_its_layout(layout):
+    gait = {"gait_phase": {"period_s": 0.4, "phase_offsets": LEGS, "layout": layout}}
+    runtime = exact_runtime(
+        QUADRUPED, lambda **f: walking_contract(QUADRUPED, **f), ("gait_phase",), NOISE, **gait
+    )
+    observe(runtime, 25)
+    assert not runtime.arm(np.ones(1, dtype=bool)).any()
+    seen = observe(runtime, 7)["gait_phase"]
+    t = (runtime.ticks_since_arming[0] - runtime.decimation) * runtime.spec.dt
+    phase = 2 * np.pi * (t / 0.4 + np.array(LEGS))
+    np.testing.assert_allclose(seen[0], LAYOUTS[layout](np.sin(phase), np.cos(phase)), atol=1e-5)
+
+
+def test_a_layout_belongs_to_the_gait():
+    with pytest.raises(ValueError, match=r"layout: found 'by_leg', expected it of gait_phase alone"):
+        term("joint_position", 12, layout="by_leg")
+    one, other = term("gait_phase", 2), term("gait_phase", 2, layout="cos_sin", name="other")
+    with pytest.raises(
+        ValueError, match=r"layout: found \['cos_sin', 'sin_cos'\], expected the same for all"
+    ):
+        walking_contract(observation=(one, other))
+    assert walking_contract(observation=(other,)).gait_layout == "cos_sin"
+    assert "layout" not in one.model_dump_json()
+
+
 def test_heading_error_turns_with_the_commanded_rate(standing):
     """A robot that stands while it is told to turn falls behind by rate times time."""
     runtime, _ = standing

@@ -178,9 +178,10 @@ def test_a_gait_of_a_recipe_has_period_and_legs(tmp_path):
         ConfigError, match=r"observation: found no table gait, expected one: joint_position, gait"
     ):
         contract_of(load_recipe(path), QUADRUPED, {})
-    path.write_text(text + "\n[gait]\nperiod_s = 0.5\nphase_offsets = [0.0, 0.5]\n")
+    path.write_text(text + "\n[gait]\nperiod_s = 0.5\nphase_offsets = [0.0, 0.5]\nlayout = 'cos_sin'\n")
     contract = contract_of(load_recipe(path), QUADRUPED, {})
     assert (contract.period_s, contract.phase_offsets) == (0.5, (0.0, 0.5))
+    assert contract.gait_layout == "cos_sin"
     assert contract.observation[1].size == 4
 
 

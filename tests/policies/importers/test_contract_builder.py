@@ -272,6 +272,7 @@ def test_a_gait_of_several_legs_is_imported():
         "clip": "none",
         "history": 1,
     }
-    legs = gait | {"period_s": 0.5, "phase_offsets": (0.0, 0.5)}
+    legs = gait | {"period_s": 0.5, "phase_offsets": (0.0, 0.5), "layout": "by_leg"}
     built = settled(drafted(observation=(legs,), task="velocity"), observations=4)
     assert (built.contract.observation[0].size, built.contract.phase_offsets) == (4, (0.0, 0.5))
+    assert built.contract.gait_layout == "by_leg"
