@@ -16,10 +16,12 @@ class Template(NamedTuple):
 
     Attributes:
         size: numbers on the robots that it is made for; None: it fits robots of any number of joints.
+        commanded: the command terms of the task follow.
     """
 
     sources: tuple[str, ...]
     size: int | None = None
+    commanded: bool = False
 
 
 TEMPLATES: Mapping[str, Template] = {
@@ -29,12 +31,13 @@ TEMPLATES: Mapping[str, Template] = {
     "egocentric": Template(
         (
             *("base_linear_velocity", "base_pitch_roll", "base_pitch_roll_rate"),
-            *("joint_position", "joint_velocity", "foot_contact", "base_height", "velocity_command"),
-        )
+            *("joint_position", "joint_velocity", "foot_contact", "base_height"),
+        ),
+        commanded=True,
     ),
 }
 """unit_24, unit_42: an arm with six joints, without and with speeds. planar_9: a planar arm with three joints.
-egocentric: a robot that walks, without its place and heading in the world."""
+egocentric: a robot that walks, without its place and heading in the world; terms are grouped by quantity."""
 
 
 def observation_sources(
@@ -42,6 +45,7 @@ def observation_sources(
     known: Mapping[str, ObservationSource],
     spec: RobotSpec,
     origin: str,
+    command: tuple[str, ...] = (),
 ) -> tuple[str, ...]:
     """Return the names of the sources of a template, or of a list of sources.
 
@@ -50,10 +54,11 @@ def observation_sources(
         known: sources of robot and task, by name.
         spec: the robot.
         origin: file and field, for errors.
+        command: command terms of the task.
 
     Raises:
-        ConfigError: no such template or source, a source twice or without what it needs, or a template for robots
-            with more or fewer joints.
+        ConfigError: no such template or source, a source twice or without what it needs, a template for robots
+            with more or fewer joints, or one for commands and a task without any.
     """
     template = (
         Template(tuple(observation)) if not isinstance(observation, str) else TEMPLATES.get(observation)
@@ -62,7 +67,7 @@ def observation_sources(
         raise ConfigError(
             f"{origin}: found {observation!r}, expected a list of sources, or one of {', '.join(TEMPLATES)}"
         )
-    names = template.sources
+    names = (*template.sources, *(command if template.commanded else ()))
     for name in names:
         if name not in known:
             raise ConfigError(f"{origin}: found {name!r}, expected sources among {', '.join(known)}")
@@ -70,6 +75,8 @@ def observation_sources(
             raise ConfigError(f"{origin}: found {name!r} {names.count(name)} times, expected once")
         if missing := known[name].missing(spec):
             raise ConfigError(f"{origin}: {name} needs {missing}")
+    if template.commanded and not command:
+        raise ConfigError(f"{origin}: found {observation!r}, expected it with a task that has command terms")
     count = sum(known[name].count(spec) for name in names)
     if template.size not in (None, count):
         raise ConfigError(

@@ -48,6 +48,8 @@ class Task(Stage, ABC):
     """Capabilities without which a robot cannot do the task."""
     sources: ClassVar[Mapping[str, ObservationSource]] = {}
     """Observation sources that only this task has, by name."""
+    command: ClassVar[tuple[str, ...]] = ()
+    """Sources that tell its command, in order, of a task with which templates for commanded robots can be used."""
     observation: ClassVar[tuple[str, ...]] = (
         "joint_position",
         "joint_velocity",

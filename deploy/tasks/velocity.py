@@ -74,6 +74,7 @@ class Velocity(WalkingTask):
             needs=BASE,
         ),
     }
+    command: ClassVar[tuple[str, ...]] = ("velocity_command", "heading_error")
     observation: ClassVar[tuple[str, ...]] = (
         *("base_angular_velocity", "projected_gravity", "velocity_command"),
         *("joint_position", "joint_velocity", "last_action"),

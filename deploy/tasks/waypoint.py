@@ -104,8 +104,9 @@ class Waypoint(WalkingTask):
             doubt=_DRIFT,
         ),
     }
+    command: ClassVar[tuple[str, ...]] = ("waypoint_direction", "waypoint_distance")
     observation: ClassVar[tuple[str, ...]] = (
-        *("base_angular_velocity", "projected_gravity", "waypoint_direction", "waypoint_distance"),
+        *("base_angular_velocity", "projected_gravity", *command),
         *("joint_position", "joint_velocity", "last_action"),
     )
     carried: ClassVar[tuple[str, ...]] = (

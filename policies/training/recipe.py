@@ -262,7 +262,7 @@ def _terms(recipe: Recipe, spec: RobotSpec) -> tuple[Term, ...]:
     """Return terms without clip or history, each divided by its physical maximum."""
     where = f"recipe {recipe.name}: observation"
     task, known = find_task(recipe.task, f"recipe {recipe.name}: task"), sources_of(recipe.task)
-    names = observation_sources(recipe.observation or task.observation, known, spec, where)
+    names = observation_sources(recipe.observation or task.observation, known, spec, where, task.command)
     if ("gait_phase" in names) != (recipe.gait is not None):
         found, expected = ("no", "one") if recipe.gait is None else ("a", "none")
         raise ConfigError(f"{where}: found {found} table gait, expected {expected}: {', '.join(names)}")

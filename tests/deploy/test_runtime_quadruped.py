@@ -91,7 +91,7 @@ def test_the_estimate_of_its_base_is_close(stood):
 def test_it_observes_the_units_layout(stood):
     """Velocities, pitch and roll and their rates, legs, feet, height; nothing of its place and heading in the world."""
     contract = stood.runtime.contract
-    assert contract.observation_size == EGOCENTRIC + 3
+    assert contract.observation_size == EGOCENTRIC + 3 + 2
     row, start = stood.observation[0], 0
     found = {}
     for term in contract.observation:

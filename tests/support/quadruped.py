@@ -7,7 +7,7 @@ from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.sources.maximum import Scale
 from deploy.sources.templates import observation_sources, physical_maxima
-from deploy.tasks.task import sources_of
+from deploy.tasks.task import find_task, sources_of
 from robots.spec import load_robot
 from support.contracts import term
 from support.faulty_policies import written
@@ -21,7 +21,7 @@ EGOCENTRIC = 3 + 2 + 2 + 12 + 12 + 4 + 1
 def quadruped_contract(spec=QUADRUPED, task="velocity", observation="egocentric", **changes):
     """Angles around the home pose, ±0.5 rad for full actions, on the robot's own drives."""
     known, scale = sources_of(task), Scale(spec, 1.0, 1.0)
-    names = observation_sources(observation, known, spec, "here")
+    names = observation_sources(observation, known, spec, "here", find_task(task, "here").command)
     maxima = {name: physical_maxima(name, known[name], scale, "here") for name in names}
     fields = {
         "robot": spec.name,

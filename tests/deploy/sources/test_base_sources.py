@@ -14,7 +14,14 @@ from support.walking import CONTACT_SENSORS, QUADRUPED, changed, walking_contrac
 
 SOURCES = (
     *TEMPLATES["egocentric"].sources,
-    *("base_linear_acceleration", "foot_force", "gait_phase", "heading_error", "base_angular_velocity"),
+    *(
+        "velocity_command",
+        "base_linear_acceleration",
+        "foot_force",
+        "gait_phase",
+        "heading_error",
+        "base_angular_velocity",
+    ),
 )
 LEGS = (0.0, 0.5, 0.5, 0.25)
 FOOT_M = 0.02

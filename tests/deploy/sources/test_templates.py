@@ -9,14 +9,14 @@ from deploy.sources.catalogue import SOURCES
 from deploy.sources.maximum import Maximum, Scale
 from deploy.sources.source import ObservationSource
 from deploy.sources.templates import TEMPLATES, observation_sources, physical_maxima
-from deploy.tasks.task import find_task, installed_sources, sources_of
+from deploy.tasks.task import Task, find_task, installed_sources, sources_of
 from robots.errors import ConfigError
 from robots.models.nominal_model import torque_max
 from robots.spec import load_robot
 from support.arm6 import SPEC
 from support.paths import ROOT
 from support.planar import arm_with_wheel
-from support.walking import CONTACT_SENSORS, QUADRUPED, changed
+from support.walking import QUADRUPED
 
 REACH, WALK = sources_of("reach"), sources_of("velocity")
 ARM = Scale(SPEC, reach_m=0.85, leash_rad=0.3)
@@ -37,10 +37,25 @@ def test_the_layout_of_a_planar_arm_is_what_its_task_observes():
     assert sum(known[name].count(planar) for name in names) == 9
 
 
-def test_the_egocentric_layout_of_a_quadruped(tmp_path):
-    spec = load_robot(changed(tmp_path, CONTACT_SENSORS))
-    names = observation_sources("egocentric", WALK, spec, "here")
-    assert sum(WALK[name].count(spec) for name in names) == 3 + 2 + 2 + 12 + 12 + 4 + 1 + 3
+COMMANDS = {
+    "velocity": (("velocity_command", "heading_error"), 3 + 2),
+    "waypoint": (("waypoint_direction", "waypoint_distance"), 2 + 1),
+}
+
+
+@pytest.mark.parametrize("task", COMMANDS)
+def test_the_egocentric_layout_ends_with_the_command_of_the_task(task):
+    (command, numbers), known, spec = COMMANDS[task], sources_of(task), load_robot("quadruped")
+    names = observation_sources("egocentric", known, spec, "here", find_task(task, "here").command)
+    assert names == (*TEMPLATES["egocentric"].sources, *command)
+    assert sum(known[name].count(spec) for name in names) == 3 + 2 + 2 + 12 + 12 + 4 + 1 + numbers
+
+
+def test_the_egocentric_layout_needs_a_command():
+    with pytest.raises(
+        ConfigError, match=r"here: found 'egocentric', expected it with a task that has command"
+    ):
+        observation_sources("egocentric", SOURCES, load_robot("quadruped"), "here", Task.command)
 
 
 @pytest.mark.parametrize(
@@ -195,6 +210,7 @@ def cells(*columns):
 def template_rows():
     for name, template in TEMPLATES.items():
         sources = ", ".join(f"`{source}`" for source in template.sources)
+        sources += ", and the command terms of the task" if template.commanded else ""
         yield cells(f"`{name}`", sources, template.size or "as joints and feet")
 
 
