@@ -89,7 +89,12 @@ def _by_hand(spec: RobotSpec, stack: ExitStack) -> Drive:
     actor = Jog(slow)
     keys = JogKeys(actor, keyboard, slow)
     return Drive(
-        name=JOG, actor=actor, spec=slow, watchers=[keys], title=lambda: f"{spec.name}  {keys.title}"
+        name=JOG,
+        actor=actor,
+        spec=slow,
+        watchers=[keys],
+        title=lambda: f"{spec.name}  {keys.title}",
+        joint=lambda: keys.joint,
     )
 
 

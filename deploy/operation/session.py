@@ -70,7 +70,7 @@ class Drive:
         name: for the summary: the policy's file. actor: in the place of the policy.
         spec: the robot within whose limits it is moved.
         watchers: called after each tick.
-        title: line for the console.
+        title: line for the console. joint: number of the joint that the operator moves; None where a policy moves all.
     """
 
     name: str
@@ -78,6 +78,7 @@ class Drive:
     spec: RobotSpec
     watchers: Sequence[Watcher] = ()
     title: Callable[[], str] | None = None
+    joint: Callable[[], int] | None = None
 
 
 class Session:
@@ -144,7 +145,8 @@ class Session:
 
         def show(run: RobotRun) -> None:
             notes = [lost for lost in (recorder.lost, heat_file.error) if lost]
-            console.offer(snapshot(run, title=title(), notes=notes))
+            joint = drive.joint() if drive.joint else None
+            console.offer(snapshot(run, title=title(), notes=notes, joint=joint))
 
         shown: list[Watcher] = [RateLimited(CONSOLE_S, show), RateLimited(HEAT_S, heat_file.save), *viewers]
         watchers = [*drive.watchers, *shown]

@@ -65,8 +65,8 @@ class ConsoleProcess(SnapshotPipe):
             self._process.wait()
 
 
-def snapshot(run: "RobotRun", *, title: str, notes: Sequence[str]) -> dict[str, Any]:
-    """Return the present state of robot 0 as plain data, with a title and notes for the operator."""
+def snapshot(run: "RobotRun", *, title: str, notes: Sequence[str], joint: int | None) -> dict[str, Any]:
+    """Return the present state of robot 0 as plain data, with a title, notes and the operator's joint, if any."""
     runtime, timing = run.runtime, run.timing
     late = timing.lateness
     return {
@@ -84,6 +84,7 @@ def snapshot(run: "RobotRun", *, title: str, notes: Sequence[str]) -> dict[str, 
         "attempted": int(runtime.task.attempted[0]),
         "stops": list(run.statistics.last_stops),
         "notes": list(notes),
+        "joint": joint,
         "joints": _joints(runtime),
     }
 

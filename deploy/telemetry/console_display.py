@@ -5,6 +5,7 @@ stopped or slow terminal must not stop a robot. Imports nothing from this projec
 """
 
 import json
+import math
 import sys
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
@@ -59,6 +60,9 @@ def line(s: Snapshot) -> str:
     hottest = max(joint[5] for joint in s["joints"])
     parts = [f"{s['t']:.1f} s", s["mode"], f"{s['rate']:.0f} Hz", f"{s['skipped']} skipped"]
     parts += [f"goals {s['reached']}/{s['attempted']}", f"{hottest:.0f} °C"]
+    if s["joint"] is not None:
+        name, q, *_ = s["joints"][s["joint"]]
+        parts.append(f"{name} {math.degrees(q):+.1f}°")
     return "  ".join([*parts, s["reason"]]).strip()
 
 
@@ -75,14 +79,14 @@ def follow(lines: Iterable[str], console: Console) -> None:
 
 
 class _LinePrinter:
-    """One line per second of wall time, and one for each change of mode or notes."""
+    """One line per second of wall time, and one for each change of mode, notes or the operator's joint."""
 
     def __init__(self, console: Console) -> None:
         self._console, self._second = console, -1
         self._printed: tuple[object, ...] = ()
 
     def __call__(self, s: Snapshot) -> None:
-        news = (s["mode"], s["notes"])
+        news = (s["mode"], s["notes"], s["joint"])
         if int(s["elapsed"]) != self._second or news != self._printed:
             self._console.print(line(s), soft_wrap=True, highlight=False, markup=False)
             for note in s["notes"] if news != self._printed else ():

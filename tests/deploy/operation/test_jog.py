@@ -1,5 +1,6 @@
 import json
 import os
+import re
 import sys
 import termios
 from functools import partial
@@ -12,6 +13,7 @@ import deploy.operation.session
 from deploy.backends.sim.robot import SimRobot
 from deploy.operation.jog import SPEED_SHARE, TOOL_SPEED, Jog, reduced_speed
 from deploy.operation.jog_keys import STEP_RAD
+from deploy.telemetry.console_display import line
 from robots.spec import load_robot
 from support.arm6 import SPEC
 from support.paths import TEST_ROBOTS
@@ -78,6 +80,21 @@ def test_keys_move_one_joint_after_another(jog, robots, tmp_path):
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert (summary["ended"], summary["policy"], summary["robot_digest"]) == ("done", "jog", SPEC.digest)
     assert (tmp_path / "out" / "run.mcap").stat().st_size > 10_000
+
+
+def test_lines_of_the_console_tell_the_chosen_joint(jog, robots, monkeypatch):
+    lines = []
+
+    class Lines(NoScreen):
+        def offer(self, snapshot):
+            lines.append(line(snapshot))
+
+    monkeypatch.setattr(deploy.operation.session, "ConsoleProcess", Lines)
+    jog("3" + "+" * 20 + "." * 30 + "q")
+    assert "shoulder_pan +0.0°" in lines[0]
+    last = np.rad2deg(robots[0].course[-1][2])
+    name, angle = re.search(r"(\w+) ([-+][\d.]+)°", lines[-1]).groups()
+    assert (name, float(angle)) == ("elbow", pytest.approx(last, abs=0.2))
 
 
 def test_space_stops_and_the_end_of_the_input_ends(jog, robots):

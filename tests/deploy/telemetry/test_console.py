@@ -111,6 +111,7 @@ SNAPSHOT = {
     "attempted": 3,
     "stops": ["11.20 s: samples are missing"],
     "notes": ["run.mcap: cannot be written: No space left on device"],
+    "joint": None,
     "joints": [
         ["elbow", 1.5, -0.25, 0.0012, 33.3, 61.0, 60.0, 80.0, 111.0, 80.0, 110.0],
         ["wrist_1", 0.1, 0, 0, 0, 24.0, 60.0, 80.0, 25.0, 80.0, 110.0],
@@ -144,6 +145,16 @@ def test_lines_appear_once_a_second_and_on_changes():
     assert lines[3:] == [
         "12.3 s  HOLDING  200 Hz  3 skipped  goals 2/3  61 °C  samples are missing",
         "note: run.mcap: cannot be written: No space left on device",
+    ]
+
+
+def test_lines_name_the_joint_that_the_operator_moves():
+    """One for each change of the joint."""
+    quiet = {**SNAPSHOT, "notes": [], "mode": "RUNNING", "reason": ""}
+    text = drawn([{**quiet, "joint": joint} for joint in (0, 0, 1)], terminal=False)
+    assert text.splitlines() == [
+        "12.3 s  RUNNING  200 Hz  3 skipped  goals 2/3  61 °C  elbow +85.9°",
+        "12.3 s  RUNNING  200 Hz  3 skipped  goals 2/3  61 °C  wrist_1 +5.7°",
     ]
 
 
