@@ -180,3 +180,40 @@ def test_drives_that_take_over_a_moving_joint_begin_where_its_speed_brought_it(s
     bench.sent[:] = bench.truth.q + off
     bench.step()
     assert bench.fired() == ({"command_jump"} if fires else set())
+
+
+@pytest.mark.parametrize(
+    ("share", "off", "fires"),
+    [(0.5, 0.045, True), (0.5, 0.035, False), (1.0, 0.03, True), (0.01, 0.3, False)],
+)
+def test_the_angle_of_a_takeover_counts_by_the_stiffness_that_drives_have_reached(share, off, fires):
+    bench = Bench()
+    own = bench.drive
+    free(bench)
+    bench.step(3)
+    for part in (0.001, share):
+        bench.drive = own._replace(kp=own.kp * part)
+        bench.sent[:] = HOME + off
+        bench.step()
+    assert ("command_jump" in bench.fired()) == fires
+
+
+def test_a_takeover_at_a_wrong_angle_is_seen_although_it_begins_soft():
+    bench = Bench()
+    own = bench.drive
+    free(bench)
+    bench.step(3)
+    bench.sent[:] = HOME + 0.3
+    for tick in range(20):
+        bench.drive = own._replace(kp=own.kp * 0.01 ** (1 - tick / 20))
+        bench.step()
+    assert "command_jump" in bench.fired()
+
+
+def test_drives_that_are_always_softer_than_their_own_gains_take_nothing_over():
+    bench = Bench()
+    bench.drive = bench.drive._replace(kp=0.5 * bench.drive.kp)
+    bench.step(3)
+    bench.sent[:] = HOME + 0.08
+    bench.step(3)
+    assert "command_jump" not in bench.fired()
