@@ -76,7 +76,7 @@ COMMAND_MONITORS = (
         unit="rad",
         hard=True,
         meaning="first angle sent with power, off the true angle by more than arming allows; angle sent to drives that"
-        " stiffen, off by more than that in proportion to their stiffness; second angle sent, off the first by more than"
+        " stiffen, by its share, off by more than a multiple of that; second angle sent, off the first by more than"
         " full acceleration from rest",
         limit=lambda robot: robot.spec.joint_array("qdd_max") * robot.spec.dt**2,
         value=_jump,
