@@ -10,10 +10,13 @@ import numpy as np
 from deploy.estimation.estimator import Estimator
 from deploy.motion.prepared_stop import select
 from deploy.motion.smoother import Smoother
+from deploy.motion.smoothers import make_smoother
 from deploy.reasons import Reason
 from deploy.runtime import Runtime
 from deploy.state import Setpoint, State, Verdict
 from robots.arrays import Bools, Floats
+from robots.motors.control_mode import ControlMode
+from robots.spec import RobotSpec
 
 GuardRemoval = Callable[[Runtime], None]
 P = ParamSpec("P")
@@ -226,3 +229,39 @@ def remove_foldback(runtime: Runtime) -> None:
 def freeze_lost_currents(runtime: Runtime) -> None:
     """Keep the last current after its sensor is lost."""
     wrap_method(runtime.estimator.windings, "check_sensors", lambda *_: None)
+
+
+def _replace_smoother(change: Callable[[RobotSpec], RobotSpec]) -> GuardRemoval:
+    def remove_guard(runtime: Runtime) -> None:
+        runtime.smoother = make_smoother(change(runtime.spec), runtime.drives)
+
+    return remove_guard
+
+
+def use_full_speed(mode: ControlMode, share: float = 1.0) -> GuardRemoval:
+    """Give the smoother a share of each joint's speed limit in place of the margin of a mode."""
+    margin = {f"speed_in_{mode.name.lower()}_mode": share}
+    return _replace_smoother(
+        lambda spec: spec.model_copy(update={"margins": spec.margins.model_copy(update=margin)})
+    )
+
+
+def brake_too_late(rad: float) -> GuardRemoval:
+    """Brake for ends of the joints' ranges that are farther away than the true ones."""
+
+    def change(spec: RobotSpec) -> RobotSpec:
+        ends = [{"q_min": joint.q_min - rad, "q_max": joint.q_max + rad} for joint in spec.joints]
+        joints = (joint.model_copy(update=wide) for joint, wide in zip(spec.joints, ends, strict=True))
+        return spec.model_copy(update={"joints": tuple(joints)})
+
+    return _replace_smoother(change)
+
+
+def remove_torque_bound(runtime: Runtime) -> None:
+    """Follow target torques whatever motion they would cause."""
+    wrap_method(runtime.smoother, "_bounded", lambda _, target, state: target)
+
+
+remove_torque_rate = override("smoother.ramp", _rate_max=np.inf)
+remove_second_torque_rate = override("smoother.ramp", _rate_step=1e9)
+take_over_stiffly = override("smoother.takeover", _ticks=0)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from eval.shard.judging import judge_tick, make_judge
 from robots.arrays import Floats
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
+from robots.models.nominal_model import torque_max
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
@@ -33,6 +35,7 @@ TRAINING_DEVIATION = 0.5
 LATCHES, INVALID = "latches", "invalid"
 """Counts of the judge besides its monitors."""
 
+ActionMode = Literal["position_increment", "velocity", "torque"]
 HostilePolicy = Callable[[Runtime], Floats]
 Disturbance = Callable[[Runtime, SimRobot, float], None]
 SensorFaults = Callable[[RobotSpec], tuple[Fault, ...]]
@@ -53,7 +56,8 @@ class Situation:
         prepare: removes guards that would act before the tested one.
         draws: fixed numbers of the draw. spread: factor on the distance of all others from the middle of their span,
             within physical limits. faults: of sensors, as a function of the spec.
-        scale, leash: rad, of the contract's action.
+        scale, leash: rad, of the contract's action where it moves angles.
+        mode: of the contract's action; a full action is all speed or all torque of a joint, or `scale`.
         arm_at_once: arm after one tick instead of `ARM_S`.
     """
 
@@ -67,6 +71,7 @@ class Situation:
     faults: SensorFaults = lambda spec: ()
     scale: float = SCALE
     leash: float = LEASH
+    mode: ActionMode = "position_increment"
     arm_at_once: bool = False
 
 
@@ -140,16 +145,19 @@ def contract(spec: RobotSpec, situation: Situation) -> Contract:
         control_hz=spec.rates.control_hz,
         task="reach",
         observation=(_term(spec, "joint_position"), _term(spec, "joint_velocity")),
-        action=ActionSpec(
-            mode="position_increment",
-            size=spec.n,
-            scale=(situation.scale,) * spec.n,
-            clip=(-1.0, 1.0),
-            leash_rad=situation.leash,
-        ),
+        action=_action(spec, situation),
         trained={"recipe": "by hand, to do harm"},
         observed=Observed(mean=home + (0.0,) * spec.n, deviation=(TRAINING_DEVIATION,) * 2 * spec.n),
     )
+
+
+def _action(spec: RobotSpec, situation: Situation) -> ActionSpec:
+    mode = situation.mode
+    if mode == "position_increment":
+        scale, leash = np.full(spec.n, situation.scale), situation.leash
+    else:
+        scale, leash = spec.joint_array("qd_max") if mode == "velocity" else torque_max(spec), None
+    return ActionSpec(mode=mode, size=spec.n, scale=tuple(scale.tolist()), clip=(-1.0, 1.0), leash_rad=leash)
 
 
 def _term(spec: RobotSpec, source: str) -> Term:

@@ -20,11 +20,12 @@ from eval.mutants.guard_removal import (
     widen_target_range,
 )
 from eval.mutants.heat_guards import HEAT_GUARDS
+from eval.mutants.mode_guards import TORQUE_MODE, VELOCITY_MODE
 from eval.mutants.situation import INVALID, LATCHES, Mutant, Situation, run_situation
 from eval.statistics.budget import check, load_budget
 from robots.spec import RobotSpec
 
-MUTANTS = SAFETY + SENT + ESTIMATION + HEAT_GUARDS
+MUTANTS = SAFETY + SENT + ESTIMATION + HEAT_GUARDS + VELOCITY_MODE + TORQUE_MODE
 
 UNGUARDED = in_sequence(
     scale_planner_limits(qd_max=1.3, qdd_max=2.0, qddd_max=2.0),

@@ -26,6 +26,10 @@ QUICK = (
     "action: no leash",
     "estimator: accepted",
     "runtime: a moving robot",
+    "velocity mode: braking",
+    "torque mode: no limit of the torque's rate",
+    "torque mode: torques are not bounded",
+    "torque mode: drives of a stop",
 )
 
 

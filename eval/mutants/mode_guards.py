@@ -1,0 +1,115 @@
+"""Mutants of guards in velocity and torque mode: limits of speeds and torques, and the drives of stops."""
+
+import numpy as np
+
+from deploy.reasons import Reason
+from deploy.runtime import Runtime
+from eval.mutants.attacks import push_joints, shake
+from eval.mutants.guard_removal import (
+    brake_too_late,
+    ignore_reasons,
+    remove_second_torque_rate,
+    remove_torque_bound,
+    remove_torque_rate,
+    take_over_stiffly,
+    use_full_speed,
+)
+from eval.mutants.situation import Mutant, Situation
+from robots.arrays import Floats
+from robots.motors.control_mode import ControlMode
+
+FULL_SPEED = 1.25
+"""Share of the speed limit by which a torque smoother, which itself uses 0.8 of what it gets, uses all of it."""
+SPEED_REASONS = Reason.VELOCITY | Reason.TOOL_SPEED
+PUSHES = Situation(
+    description="torque mode: full torques of random signs, 10 a second",
+    policy=push_joints(0.1),
+    mode="torque",
+    seconds=4.0,
+)
+
+
+def _turn_last_joint(runtime: Runtime) -> Floats:
+    """Full speed of the last joint, towards the end of its range."""
+    action = np.zeros_like(runtime.action.last)
+    action[:, -1] = 1.0
+    return action
+
+
+VELOCITY_MODE = (
+    Mutant(
+        guard="velocity mode: no margin of speed",
+        remove_guard=use_full_speed(ControlMode.VELOCITY),
+        situation=Situation(
+            description="velocity mode: joints shake; speed checks off",
+            policy=shake,
+            prepare=ignore_reasons(SPEED_REASONS),
+            mode="velocity",
+            seconds=4.0,
+        ),
+        monitor="velocity",
+    ),
+    Mutant(
+        guard="velocity mode: braking for an end of the range that is 1 rad beyond it",
+        remove_guard=brake_too_late(1.0),
+        situation=Situation(
+            description="velocity mode: full speed towards the end of a range; position check off",
+            policy=_turn_last_joint,
+            prepare=ignore_reasons(Reason.POSITION),
+            mode="velocity",
+            seconds=4.0,
+        ),
+        monitor="position_hard",
+    ),
+)
+
+TORQUE_MODE = (
+    Mutant(
+        guard="torque mode: no limit of the torque's rate",
+        remove_guard=remove_torque_rate,
+        situation=PUSHES,
+        monitor="torque_rate",
+    ),
+    Mutant(
+        guard="torque mode: no limit of the torque's second rate",
+        remove_guard=remove_second_torque_rate,
+        situation=Situation(
+            description="torque mode: joints shake; limit of the first rate off",
+            policy=shake,
+            prepare=remove_torque_rate,
+            mode="torque",
+            seconds=4.0,
+        ),
+        monitor="torque_rate",
+    ),
+    Mutant(
+        guard="torque mode: torques are not bounded by the motion that they cause",
+        remove_guard=remove_torque_bound,
+        situation=Situation(
+            description="torque mode: full torques of random signs, 2 a second; checks of speed and acceleration off",
+            policy=push_joints(0.5),
+            prepare=ignore_reasons(SPEED_REASONS | Reason.ACCELERATION),
+            mode="torque",
+            seconds=4.0,
+        ),
+        monitor="velocity",
+    ),
+    Mutant(
+        guard="torque mode: no margin of speed",
+        remove_guard=use_full_speed(ControlMode.TORQUE, FULL_SPEED),
+        situation=Situation(
+            description="torque mode: full torques of random signs, each for 1 s; speed checks off",
+            policy=push_joints(1.0),
+            prepare=ignore_reasons(SPEED_REASONS),
+            mode="torque",
+            seconds=4.0,
+        ),
+        monitor="velocity",
+    ),
+    Mutant(
+        guard="torque mode: drives of a stop are stiff at once",
+        remove_guard=take_over_stiffly,
+        situation=PUSHES,
+        monitor="command_jump",
+    ),
+)
