@@ -16,15 +16,14 @@ from rich.console import Console
 from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import Term
-from deploy.runtime import Runtime
 from deploy.simulation import simulate
 from deploy.tasks.task import tasks_of
 from eval.bench.soak_setup import SEED
+from eval.faults.hostile_policy import HostilePolicy, random_actions, shake_and_push
 from eval.judge.counts import Counts
 from eval.shard.job import ARM_S, POLL_S, WIDTH
 from eval.shard.judging import judge_tick, make_judge
 from eval.shard.shard import rearm
-from robots.arrays import Floats
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
 from robots.randomness import robot_seed
@@ -45,30 +44,10 @@ class Case(NamedTuple):
     hours: float
 
 
-class RandomPolicy:
-    """Independent actions in [-1, 1] at every step."""
-
-    def __init__(self) -> None:
-        self._rng = np.random.default_rng(SEED)
-
-    def __call__(self, runtime: Runtime) -> Floats:
-        """(B, A) actions."""
-        return self._rng.uniform(-1.0, 1.0, runtime.target.value.shape)
-
-
-class AdversarialPolicy(RandomPolicy):
-    """Shaking that follows each joint's own speed, and pushes towards the ends of all joints, in turns."""
-
-    def __call__(self, runtime: Runtime) -> Floats:
-        """(B, A) actions."""
-        t, state = runtime.t, runtime.state
-        if t % (2.0 * PHASE_S) < PHASE_S:
-            return np.sign(state.qd + 0.02 * np.sin(977.0 * state.q))
-        push = np.random.default_rng([SEED, int(t / PUSH_S)])
-        return push.choice([-1.0, 1.0], state.q.shape)
-
-
-POLICIES: dict[str, Callable[[], RandomPolicy]] = {"random": RandomPolicy, "adversarial": AdversarialPolicy}
+POLICIES: dict[str, Callable[[], HostilePolicy]] = {
+    "random": lambda: random_actions(SEED),
+    "adversarial": lambda: shake_and_push(PHASE_S, PUSH_S, SEED),
+}
 
 
 def adversary_contract(spec: RobotSpec, mode: ControlMode) -> Contract:

@@ -9,7 +9,8 @@ import numpy as np
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.sensor_faults import Failure, Fault
 from deploy.runtime import Runtime
-from eval.mutants.situation import ROBOTS, SEED, Disturbance, HostilePolicy, SensorFaults
+from eval.faults.hostile_policy import HostilePolicy
+from eval.mutants.situation import ROBOTS, Disturbance, SensorFaults
 from robots.arrays import Floats
 from robots.sensors import Kind
 from robots.spec import RobotSpec
@@ -151,19 +152,3 @@ def _last(runtime: Runtime, value: float) -> Floats:
     action = np.zeros_like(runtime.action.last)
     action[:, -1] = value
     return action
-
-
-def shake(runtime: Runtime) -> Floats:
-    """Full actions that follow each joint's own speed, in velocity and torque mode."""
-    state = runtime.state
-    return np.sign(state.qd + 0.02 * np.sin(977.0 * state.q))
-
-
-def push_joints(every_s: float) -> HostilePolicy:
-    """Full actions of random signs, which change every `every_s` s, the same in each run."""
-
-    def policy(runtime: Runtime) -> Floats:
-        rng = np.random.default_rng([SEED, int(runtime.t / every_s)])
-        return rng.choice([-1.0, 1.0], runtime.action.last.shape)
-
-    return policy

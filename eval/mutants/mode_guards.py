@@ -4,7 +4,7 @@ import numpy as np
 
 from deploy.reasons import Reason
 from deploy.runtime import Runtime
-from eval.mutants.attacks import push_joints, shake
+from eval.faults.hostile_policy import push_joints, shake
 from eval.mutants.guard_removal import (
     brake_too_late,
     ignore_reasons,
@@ -14,7 +14,7 @@ from eval.mutants.guard_removal import (
     take_over_stiffly,
     use_full_speed,
 )
-from eval.mutants.situation import Mutant, Situation
+from eval.mutants.situation import SEED, Mutant, Situation
 from robots.arrays import Floats
 from robots.motors.control_mode import ControlMode
 
@@ -23,7 +23,7 @@ FULL_SPEED = 1.25
 SPEED_REASONS = Reason.VELOCITY | Reason.TOOL_SPEED
 PUSHES = Situation(
     description="torque mode: full torques of random signs, 10 a second",
-    policy=push_joints(0.1),
+    policy=push_joints(0.1, SEED),
     mode="torque",
     seconds=4.0,
 )
@@ -87,7 +87,7 @@ TORQUE_MODE = (
         remove_guard=remove_torque_bound,
         situation=Situation(
             description="torque mode: full torques of random signs, 2 a second; checks of speed and acceleration off",
-            policy=push_joints(0.5),
+            policy=push_joints(0.5, SEED),
             prepare=ignore_reasons(SPEED_REASONS | Reason.ACCELERATION),
             mode="torque",
             seconds=4.0,
@@ -99,7 +99,7 @@ TORQUE_MODE = (
         remove_guard=use_full_speed(ControlMode.TORQUE, FULL_SPEED),
         situation=Situation(
             description="torque mode: full torques of random signs, each for 1 s; speed checks off",
-            policy=push_joints(1.0),
+            policy=push_joints(1.0, SEED),
             prepare=ignore_reasons(SPEED_REASONS),
             mode="torque",
             seconds=4.0,

@@ -15,6 +15,7 @@ from deploy.reasons import Reason
 from deploy.runtime import Runtime
 from deploy.simulation import simulate
 from deploy.sources.catalogue import SOURCES
+from eval.faults.hostile_policy import HostilePolicy
 from eval.judge.counts import Counts
 from eval.mutants.guard_removal import GuardRemoval, ignore_reasons, in_sequence
 from eval.shard.job import ARM_S
@@ -36,7 +37,6 @@ LATCHES, INVALID = "latches", "invalid"
 """Counts of the judge besides its monitors."""
 
 ActionMode = Literal["position_increment", "velocity", "torque"]
-HostilePolicy = Callable[[Runtime], Floats]
 Disturbance = Callable[[Runtime, SimRobot, float], None]
 SensorFaults = Callable[[RobotSpec], tuple[Fault, ...]]
 

@@ -11,13 +11,14 @@ from robots.models.fleet import Fleet
 from robots.motors.control_mode import ControlMode
 from robots.motors.drive_gains import drive_gains
 from support.arm6 import SPEC, copy_of_arm
-from support.modes import SCALES, Adversary, mode_contract
+from support.modes import SCALES, mode_contract
 from support.runtimes import DT, N, assert_same, built, every, heard
 
 make_judge = pytest.importorskip("eval.shard.judging").make_judge
 judge_tick = pytest.importorskip("eval.shard.judging").judge_tick
 load_robot = pytest.importorskip("robots.spec").load_robot
 OPERATOR = Reason.OPERATOR
+hostile = pytest.importorskip("eval.faults.hostile_policy")
 TAKEOVER_S = pytest.importorskip("deploy.motion.takeover").TAKEOVER_S
 
 
@@ -128,8 +129,8 @@ def test_a_stop_takes_over_with_position_drives_that_stiffen():
 @pytest.mark.parametrize("mode", ["velocity", "torque"])
 def test_restored_goes_on_bit_for_bit(mode):
     one, other = armed(mode, 2, rest), built(2, contract=mode_contract(mode))
-    policies = [Adversary("push", (2, N)) for _ in range(2)]
-    live(one, Adversary("random", (2, N)), 50)
+    policies = [hostile.push_joints(2.0, 0)] * 2
+    live(one, hostile.random_actions(0), 50)
     one_robot = one.robot.save()
     other.restore(one.save())
     other.robot.restore(one_robot)
@@ -142,7 +143,7 @@ def test_restored_goes_on_bit_for_bit(mode):
 @pytest.mark.parametrize("mode", ["velocity", "torque"])
 def test_a_stop_right_after_a_restore_is_the_one_that_was_prepared(mode):
     one, other = armed(mode, 2, rest), built(2, contract=mode_contract(mode))
-    live(one, Adversary("random", (2, N)), 50)
+    live(one, hostile.random_actions(0), 50)
     other.restore(one.save())
     other.robot.restore(one.robot.save())
     for runtime in (one, other):
@@ -178,12 +179,16 @@ def test_target_setpoint_and_command_carry_mode_and_gains(mode):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["random", "push", "shake"])
+@pytest.mark.parametrize(
+    "make_policy",
+    [lambda: hostile.random_actions(0), lambda: hostile.push_joints(2.0, 0), lambda: hostile.shake],
+    ids=["random", "push", "shake"],
+)
 @pytest.mark.parametrize("mode", ["velocity", "torque"])
-def test_no_adversary_causes_a_hard_event(mode, kind):
+def test_no_adversary_causes_a_hard_event(mode, make_policy):
     robots = 8
     runtime = built(robots, contract=mode_contract(mode))
-    judge, policy = make_judge(SPEC, runtime.contract, robots), Adversary(kind, (robots, N))
+    judge, policy = make_judge(SPEC, runtime.contract, robots), make_policy()
     live(runtime, policy, 40, judge)
     assert not runtime.arm(every(runtime)).any()
     modes = live(runtime, policy, 1200, judge)
