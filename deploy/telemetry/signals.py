@@ -55,6 +55,8 @@ SIGNALS = (
     Signal(name="qd_sent", read=lambda runtime: runtime.setpoint.qd),
     Signal(name="qdd_sent", read=lambda runtime: runtime.setpoint.qdd),
     Signal(name="tau_sent", read=lambda runtime: runtime.command.tau),
+    Signal(name="stiffness", read=lambda runtime: runtime.command.drive.kp, in_state=True),
+    Signal(name="damping", read=lambda runtime: runtime.command.drive.kd, in_state=True),
     Signal(name="achieved", size="goal", read=lambda runtime: runtime.task.achieved, in_state=True),
     Signal(name="goal", size="goal", read=lambda runtime: runtime.task.goal, in_state=True),
     Signal(name="goal_position", size=3, read=lambda runtime: runtime.task.goal_position),
@@ -73,7 +75,8 @@ SIGNALS = (
         in_state=True,
     ),
 )
-"""SI units, temperatures in °C. `goal`, and `achieved` by the robot's estimate, are in the units of the task."""
+"""SI units, temperatures in °C. `goal`, and `achieved` by the robot's estimate, are in the units of the task. The
+stiffness sent to a drive that follows no angle is 0."""
 
 
 def recorded_signals(spec: RobotSpec) -> tuple[Signal, ...]:

@@ -14,8 +14,10 @@ from deploy.telemetry import signals
 from deploy.telemetry.recorder import AFTER_S, EVENTS_MAX, Recorder, check_folder
 from deploy.telemetry.signals import RING_S, Ring, row_type
 from robots.errors import OutputError
+from robots.motors.drive_gains import drive_gains
 from robots.spec import load_robot
-from support.runtimes import built
+from support.modes import mode_contract
+from support.runtimes import built, every, heard
 
 SPEC = load_robot("arm6")
 START_NS = 1_700_000_000_000_000_000
@@ -39,12 +41,13 @@ class Scripted:
         return tick + 1000.0 * robot + joint / 8 + part / 128
 
     def tick(self):
-        joints = [self.numbers(self.ticks, part) for part in (*range(8), 10)]
+        joints = [self.numbers(self.ticks, part) for part in (*range(8), 10, 11, 12)]
         q, qd, housing_c, winding_c = (*joints[:3], joints[8])
         self.state = SimpleNamespace(q=q, qd=qd, housing_c=housing_c, winding_c=winding_c, base=None)
         self.action = SimpleNamespace(value=joints[3])
         self.setpoint = SimpleNamespace(q=joints[4], qd=joints[5], qdd=joints[6])
-        self.command = SimpleNamespace(tau=joints[7])
+        drive = SimpleNamespace(kp=joints[9], kd=joints[10])
+        self.command = SimpleNamespace(tau=joints[7], drive=drive)
         self.task.achieved, self.task.goal = (self.numbers(self.ticks, part, 3) for part in (8, 9))
         self.task.goal_position, self.tool = self.task.goal, SimpleNamespace(position=self.task.achieved)
         self.task.reached = np.full(self.robot.robots, self.ticks // 800)
@@ -124,7 +127,32 @@ def test_logged_numbers_match_their_tick(tmp_path):
         assert spheres["goal"].size.x == 0.04
         assert found["/state"][k][2]["housing_c"] == script.numbers(tick, 2)[0].tolist()
         assert found["/state"][k][2]["winding_c"] == script.numbers(tick, 10)[0].tolist()
+        assert found["/state"][k][2]["stiffness"] == script.numbers(tick, 11)[0].tolist()
+        assert found["/state"][k][2]["damping"] == script.numbers(tick, 12)[0].tolist()
         assert found["/state"][k][2]["target"] == script.numbers(tick, 3)[0].tolist()
+
+
+def test_the_file_of_an_event_shows_how_drives_take_over(tmp_path):
+    runtime = built(1, contract=mode_contract("torque"))
+    heard(runtime)
+    assert not runtime.arm(every(runtime)).any()
+    writer = recorder(tmp_path, runtime)
+    for tick in range(90):
+        if tick == 50:
+            runtime.stop(Reason.OVERRUN)
+        runtime.act(None if runtime.sense() is None else np.zeros((1, SPEC.n)))
+        writer.step(runtime, "")
+    writer.close()
+    states = [state for _, _, state in messages(writer.events[0])["/state"]]
+    begin = next(k for k, state in enumerate(states) if state["mode"] == "STOPPING")
+    stiffness, damping = (np.array([state[name] for state in states]) for name in ("stiffness", "damping"))
+    own = drive_gains(SPEC)
+    assert not stiffness[begin - 1].any()
+    assert not damping[begin - 1].any()
+    np.testing.assert_allclose(stiffness[begin], 0.01 * own.kp)
+    np.testing.assert_allclose(damping[begin], 0.1 * own.kd)
+    assert (np.diff(stiffness[begin : begin + 20], axis=0) > 0).all()
+    np.testing.assert_allclose(stiffness[begin + 20], own.kp)
 
 
 def test_mode_changes_are_logged_with_their_reasons(tmp_path):
