@@ -62,7 +62,7 @@ REASONS = {
     Reason.TRACKING: StopReason(1, "a joint does not follow its setpoint"),
     Reason.NOT_FINITE: StopReason(1, "a number is not finite"),
     Reason.OVERRUN: StopReason(1, "too many ticks were late"),
-    Reason.OPERATOR: StopReason(1, "stopped by the operator, or finished"),
+    Reason.OPERATOR: StopReason(1, "stopped by the operator"),
     Reason.OUTSIDE: StopReason(1, "a joint is outside its working range"),
     Reason.STUCK: StopReason(1, "a sensor repeats the same reading"),
     Reason.MOVING: StopReason(2, "a joint moves while the drives are off"),

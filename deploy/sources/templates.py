@@ -45,7 +45,7 @@ def observation_sources(
     known: Mapping[str, ObservationSource],
     spec: RobotSpec,
     origin: str,
-    command: tuple[str, ...] = (),
+    command: tuple[str, ...],
 ) -> tuple[str, ...]:
     """Return the names of the sources of a template, or of a list of sources.
 
@@ -54,7 +54,7 @@ def observation_sources(
         known: sources of robot and task, by name.
         spec: the robot.
         origin: file and field, for errors.
-        command: command terms of the task.
+        command: command terms of the task; empty if it has none.
 
     Raises:
         ConfigError: no such template or source, a source twice or without what it needs, a template for robots

@@ -161,7 +161,8 @@ def _from_template(spec: RobotSpec, task: str, mode: str) -> Recipe:
 
 def _observing(recipe: Recipe, observation: ObservationChoice, spec: RobotSpec) -> Recipe:
     """Return the recipe with another observation; its gait is left out where it is not observed."""
-    names = observation_sources(observation, sources_of(recipe.task), spec, "option observation")
+    command, known = find_task(recipe.task, "option task").command, sources_of(recipe.task)
+    names = observation_sources(observation, known, spec, "option observation", command)
     gait = recipe.gait if "gait_phase" in names else None
     return recipe.model_copy(update={"observation": observation, "gait": gait})
 

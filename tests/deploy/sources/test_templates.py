@@ -26,13 +26,13 @@ ARM = Scale(SPEC, reach_m=0.85, leash_rad=0.3)
     ("template", "numbers"), [("unit_24", 24), ("unit_42", 42), (("joint_position", "joint_sin_cos"), 18)]
 )
 def test_an_observation_has_the_numbers_of_its_sources(template, numbers):
-    names = observation_sources(template, REACH, SPEC, "here")
+    names = observation_sources(template, REACH, SPEC, "here", ())
     assert sum(REACH[name].count(SPEC) for name in names) == numbers
 
 
 def test_the_layout_of_a_planar_arm_is_what_its_task_observes():
     planar, known = load_robot("planar3"), sources_of("planar_reach")
-    names = observation_sources("planar_9", known, planar, "here")
+    names = observation_sources("planar_9", known, planar, "here", ())
     assert names == find_task("planar_reach", "here").observation
     assert sum(known[name].count(planar) for name in names) == 9
 
@@ -74,7 +74,7 @@ def test_the_egocentric_layout_needs_a_command():
 )
 def test_an_observation_that_does_not_fit_is_refused(observation, message):
     with pytest.raises(ConfigError) as caught:
-        observation_sources(observation, REACH, SPEC, "here")
+        observation_sources(observation, REACH, SPEC, "here", ())
     assert str(caught.value).startswith(message)
 
 

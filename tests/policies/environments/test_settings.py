@@ -123,7 +123,7 @@ def test_the_gait_of_a_recipe_is_left_out_where_it_is_not_observed(tmp_path):
     }
     assert read_settings(walk, goal=False).contract.period_s == 0.5
     settings = read_settings({**walk, "observation": "egocentric"}, goal=False)
-    assert (settings.recipe.gait, settings.contract.observation_size) == (None, 39)
+    assert (settings.recipe.gait, settings.contract.observation_size) == (None, 41)
 
 
 WRONG = {
