@@ -71,7 +71,7 @@ def check(
     refused = run.reason if run.ending is Ending.REFUSED else ""
     findings = Evaluation(spec, moves, bounds, refused).findings
     if run.ending is not Ending.DONE:
-        findings.stopped = findings.stopped or run.reason or Ending(run.ending).value
+        findings.stopped = findings.stopped or run.reason or (run.ending or Ending.FAILED).value
     about = {"robot": spec.name, "robot_digest": spec.digest, "angle_deg": angle_deg}
     write_report(findings, out / "check.json", {**about, "seed": session.seed_text})
     if run.ending is Ending.INTERRUPTED:
