@@ -1,7 +1,6 @@
 """Specification of a robot: `robot.toml` beside `model.xml`, read strictly.
 
-Geometry, inertia, mechanical joint range and torque range live in model.xml, and motor constants if it has drives of
-its own; the rest is here.
+model.xml holds geometry, inertia, mechanical joint range, torque range, and constants of drives that it has itself.
 """
 
 import hashlib
@@ -15,12 +14,13 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from robots.capabilities import Capability
+from robots.contacts import GOAL, MayTouch
 from robots.errors import RobotError
 from robots.models.files import read_xml, referenced_files
 from robots.motors.control_mode import ControlMode
 from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
 from robots.strict import Strict, read_toml
-from robots.tables import GOAL, Base, Capsule, Drive, Joint, Margins, MayTouch, Motor, Rates, Workspace
+from robots.tables import Base, Capsule, Drive, Joint, Margins, Motor, Rates, Workspace
 
 ROBOTS = Path(__file__).parent
 

@@ -7,11 +7,11 @@ import numpy as np
 import pinocchio as pin
 
 from robots.arrays import Bools, Floats
+from robots.contacts import WORLD
 from robots.errors import RobotError
 from robots.models.blocks import strided_view
 from robots.models.collision_pruning import Pairs
 from robots.spec import RobotSpec
-from robots.tables import WORLD
 
 SLACK = 1e-3
 """m, added to the height above which a capsule is not checked: far more than the rounding of an exact answer."""

@@ -6,10 +6,11 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from robots.contacts import GOAL, WORLD
 from robots.errors import RobotError
 from robots.models.files import is_urdf, read_xml, referenced_files, urdf_text
 from robots.spec import RobotSpec
-from robots.tables import GOAL, WORLD, Capsule
+from robots.tables import Capsule
 
 Read = tuple[pin.Model, pin.GeometryModel]
 FLOATING = "JointModelFreeFlyer"

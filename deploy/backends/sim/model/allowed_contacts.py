@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 
 from robots.arrays import Ints
+from robots.contacts import GOAL, WORLD
 from robots.spec import RobotSpec
-from robots.tables import GOAL, WORLD
 
 CONTACT_FORCE, TOUCHED = "firstshift/strongest contact", "firstshift/goal contacts"
 SLOTS = 8
