@@ -28,26 +28,25 @@ ROLLOUT = 2048
 """Observations kept in a checkpoint, to compare torch and ONNX Runtime at export."""
 
 
-def train(
-    recipe: Recipe, text: str, out: Path, *, threads: int, view: bool = False, video: Path | None = None
-) -> Path:
+def train(file: Path, out: Path, *, threads: int, view: bool = False, video: Path | None = None) -> Path:
     """Train by a recipe, write a checkpoint and return its path.
 
     A recipe that does not fit its robot is refused before anything is written.
 
     Args:
-        text: of the recipe, kept in the checkpoint. out: folder for TensorBoard's events, curves and checkpoint.
+        file: the recipe; a checkpoint keeps its text. out: folder for TensorBoard's events, curves and checkpoint.
         threads: for physics; results do not depend on it.
         view: show robot 0 while it learns. video: of the trained policy on robot 0.
     """
     if any(out.glob("events.*")):
         found = f"--out {out}: contains another training"
         raise ConfigError(f"{found}, expected an empty folder: the curves would mix")
-    spec = load_robot(recipe.robot, f"recipe {recipe.name}: robot")
-    contract_of(recipe, spec, {})
+    recipe, text = load_recipe(file), file.read_text(encoding="utf-8")
+    spec = load_robot(recipe.robot, f"{file}: robot")
+    contract_of(recipe, spec, {}, file)
     _check_writable(out)
     film = None if video is None else Film(video, spec, recipe.promise.policy_hz)
-    env, policy = _learn(recipe, spec, out, threads, view)
+    env, policy = learn(recipe, spec, out, threads, view)
     rollout, success = roll_out(env, policy, film)
     print(f"goals reached without exploration: {100 * success:.2f} %")
     trained = {"recipe": recipe.name, "seed": str(recipe.seed), "goals_reached": f"{success:.4f}"}
@@ -67,7 +66,7 @@ def _check_writable(out: Path) -> None:
     (out / ".probe").unlink()
 
 
-def _learn(
+def learn(
     recipe: Recipe, spec: RobotSpec, out: Path, threads: int, view: bool
 ) -> tuple[RuntimeEnv, MLPModel]:
     """Run the recipe's learner; return the environment and the trained policy."""
@@ -81,6 +80,7 @@ def _learn(
     runner = OnPolicyRunner(env, learner_settings(recipe.learner), log_dir=str(out), device="cpu")
     for number, stage in enumerate(recipe.learner.stages):
         _set_learning_rate(runner, stage.learning_rate)
+        env.episodes.shaping = recipe.shaping_in(stage)
         runner.learn(stage.iterations, init_at_random_ep_len=number == 0)
         runner.current_learning_iteration += 1
     return env, runner.get_inference_policy()
@@ -141,10 +141,7 @@ def policy_train(
     video: Annotated[Path | None, VIDEO] = None,
 ) -> int:
     """Train a policy by a recipe; the checkpoint is <out>/<recipe>.pt."""
-    path = find_recipe(recipe)
-    settings = load_recipe(path)
-    text = path.read_text(encoding="utf-8")
-    print(f"checkpoint: {train(settings, text, out, threads=threads, view=view, video=video)}")
+    print(f"checkpoint: {train(find_recipe(recipe), out, threads=threads, view=view, video=video)}")
     return PASSED
 
 

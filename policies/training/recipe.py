@@ -137,10 +137,15 @@ class Shaping(Strict):
 
 
 class LearnerStage(Strict):
-    """Iterations at one learning rate."""
+    """Iterations at one learning rate.
+
+    Attributes:
+        action_change: of the shaping during this stage; None: the recipe's. A policy that explores cannot be smooth.
+    """
 
     iterations: PositiveInt
     learning_rate: PositiveFloat
+    action_change: Penalty | None = None
 
 
 class Learner(Strict):
@@ -181,6 +186,12 @@ class Recipe(Strict):
     shaping: Shaping
     learner: Learner
 
+    def shaping_in(self, stage: LearnerStage) -> Shaping:
+        """Return the shaping during a stage of the learner."""
+        if stage.action_change is None:
+            return self.shaping
+        return self.shaping.model_copy(update={"action_change": stage.action_change})
+
 
 def find_recipe(recipe: str) -> Path:
     """Return the recipe file of a path, or of a name among the shipped recipes.
@@ -204,13 +215,18 @@ def load_recipe(path: Path) -> Recipe:
     return read_toml(path, Recipe, ConfigError)
 
 
-def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Contract:
-    """Return the contract of a policy trained by a recipe for its robot; `trained` is its provenance.
+def contract_of(
+    recipe: Recipe, spec: RobotSpec, trained: dict[str, str], file: Path | None = None
+) -> Contract:
+    """Return the contract of a policy trained by a recipe for its robot.
+
+    Args:
+        trained: provenance. file: of the recipe, for errors; None: they name the recipe.
 
     Raises:
-        FirstshiftError: naming recipe and field: task, mode, rate or observation do not fit the robot.
+        FirstshiftError: naming file or recipe, and field: task, mode, rate or observation do not fit the robot.
     """
-    origin = f"recipe {recipe.name}"
+    origin = str(file or f"recipe {recipe.name}")
     _check_fit(recipe, spec, origin)
     fields = {
         "robot": spec.name,
@@ -219,7 +235,7 @@ def contract_of(recipe: Recipe, spec: RobotSpec, trained: dict[str, str]) -> Con
         "policy_hz": recipe.promise.policy_hz,
         "control_hz": spec.rates.control_hz,
         "task": recipe.task,
-        "observation": _terms(recipe, spec),
+        "observation": _terms(recipe, spec, origin),
         "action": _action(recipe.promise, spec),
         "trained": trained,
     }
@@ -258,10 +274,10 @@ def _action(promise: Promise, spec: RobotSpec) -> ActionSpec:
     )
 
 
-def _terms(recipe: Recipe, spec: RobotSpec) -> tuple[Term, ...]:
+def _terms(recipe: Recipe, spec: RobotSpec, origin: str) -> tuple[Term, ...]:
     """Return terms without clip or history, each divided by its physical maximum."""
-    where = f"recipe {recipe.name}: observation"
-    task, known = find_task(recipe.task, f"recipe {recipe.name}: task"), sources_of(recipe.task)
+    where = f"{origin}: observation"
+    task, known = find_task(recipe.task, f"{origin}: task"), sources_of(recipe.task)
     names = observation_sources(recipe.observation or task.observation, known, spec, where, task.command)
     if ("gait_phase" in names) != (recipe.gait is not None):
         found, expected = ("no", "one") if recipe.gait is None else ("a", "none")

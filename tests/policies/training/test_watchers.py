@@ -78,4 +78,4 @@ def test_a_recipe_for_an_unknown_robot_is_refused(call, tiny, tmp_path):
     tiny.write_text(tiny.read_text().replace('robot = "arm6"', 'robot = "arm7"'))
     code, _, complaint = call(policy_train, "--recipe", tiny, "--out", tmp_path / "out")
     assert code == 2
-    assert "recipe arm: robot arm7: no such folder with a robot.toml; known: arm6, " in complaint
+    assert f"{tiny}: robot arm7: no such folder with a robot.toml; known: arm6, " in complaint
