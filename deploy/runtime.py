@@ -23,7 +23,7 @@ from deploy.reasons import Reason
 from deploy.safety.safety import Safety
 from deploy.safety.supervisor import Supervisor
 from deploy.stage import Arrays, Stage
-from deploy.state import BaseState, Command, Sample, Setpoint, State, Target, Verdict
+from deploy.state import BaseState, Command, Sample, Setpoint, State, Stop, Target, Verdict
 from deploy.tasks.task import Task, find_task, sources_of
 from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.capabilities import required
@@ -173,8 +173,8 @@ class Runtime(Stage):
         self.action.hold(stopping, self.smoother.target_at_rest)
         self.smoother.speed_share = self.estimator.windings.foldback.speed_share
         planned = self.smoother.plan(self.action.value, stopping, self.state)
-        ahead, q_mid_stop, q_rest = self.smoother.brake(planned)
-        self.verdict = self.safety.step(self.state, self.smoother.sent, planned, ahead, q_mid_stop, q_rest)
+        stop = self.smoother.brake(planned)
+        self.verdict = self.safety.step(self.state, self.smoother.sent, planned, stop)
         reason = self.stop_reasons()
         at_rest = self.smoother.at_rest if any_true(stopping) else stopping  # all False while none stops
         send_planned = self.supervisor.step(reason, at_rest)
@@ -185,7 +185,7 @@ class Runtime(Stage):
             setpoint, tau = self.select_setpoint(send_planned & finite, planned)
         running = self.supervisor.running
         self._send(setpoint, tau, running)
-        self.prepared_stop.prepare(send_planned, ahead, self.verdict.tau_ahead)
+        self.prepared_stop.prepare(send_planned, stop.ahead, self.verdict.tau_ahead)
         self.task.step(running)
         self.ticks_since_arming += 1
         self.ticks += 1
@@ -242,7 +242,8 @@ class Runtime(Stage):
         ids = ids & ~self.supervisor.powered
         here = Setpoint(q=self.state.q, qd=np.zeros_like(self.state.q), qdd=np.zeros_like(self.state.q))
         # At rest a stop is the pose itself.
-        self.verdict = self.safety.step(self.state, here, here, here, here.q, here.q)
+        stop = Stop(here, q=np.stack((here.q, here.q)), qd=np.stack((here.qd, here.qd)), q_rest=here.q)
+        self.verdict = self.safety.step(self.state, here, here, stop)
         reason = np.where(ids, self.verdict.reason | self.state.fault, 0)
         reason[ids & self.estimator.moving.any(axis=1)] |= _MOVING
         self.requested_stop[ids], self.ticks_since_arming[ids] = 0, 0

@@ -132,6 +132,21 @@ class Setpoint(NamedTuple):
     drive: DriveMode | None = None
 
 
+class Stop(NamedTuple):
+    """Stop that would begin at a setpoint.
+
+    Attributes:
+        ahead: its first step.
+        q, qd: (2, B, n) rad, rad/s, at two moments while it brakes.
+        q_rest: (B, n) rad, its end.
+    """
+
+    ahead: Setpoint
+    q: Floats
+    qd: Floats
+    q_rest: Floats
+
+
 class Verdict(NamedTuple):
     """Result of the safety checks of one setpoint.
 
@@ -139,15 +154,16 @@ class Verdict(NamedTuple):
         reason: (B,) int64 bit sets of `Reason`, 0 if the setpoint may be sent.
         tau: (B, n) N·m, inverse-dynamics torque of the setpoint (nominal model).
         tau_ahead: (B, n) N·m, the same one step into a stop that would begin there.
-        poses: (B, n) rad each, checked for collisions: at the setpoint, in the middle of that stop, and at its end.
-        values: (2B, P) of setpoint and stop, and (B, S) of the estimate, compared with bounds: for `Safety.failed`.
+        poses: (4, B, n) rad, checked for collisions: at the setpoint, twice while that stop brakes, and at its end.
+        values: (2B, P) of setpoint and end, (2B, W) of the stop between them, and (B, S) of the estimate, compared with
+            bounds: for `Safety.failed`.
     """
 
     reason: Ints
     tau: Floats
     tau_ahead: Floats
-    poses: tuple[Floats, Floats, Floats]
-    values: tuple[Floats, Floats]
+    poses: Floats
+    values: tuple[Floats, Floats, Floats]
 
 
 class Mode(IntEnum):

@@ -14,13 +14,16 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from deploy.state import State
+from deploy.state import State, Stop
 from robots.arrays import Floats
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
 from robots.motors.gains import Gains
 from robots.spec import RobotSpec
+
+DISTANCE_BRAKED = np.array([0.0, 7 / 16, 3 / 4, 1.0])[:, None, None]
+"""Share of its stopping distance behind an evenly braking joint: at its whole speed, at 3/4, at half and at rest."""
 
 
 class DriveLaw(ABC):
@@ -37,10 +40,8 @@ class DriveLaw(ABC):
         """Return (R, n) N·m that R setpoints q, qd, qdd (R, n) need, R a whole number of times the B robots."""
 
     @abstractmethod
-    def expected_poses(
-        self, state: State, q: Floats, q_mid_stop: Floats, q_rest: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return (B, n) rad each: joints expected at a setpoint `q`, in the middle of its stop and at its end."""
+    def expected_poses(self, state: State, q: Floats, stop: Stop) -> Floats:
+        """Return (4, B, n) rad: joints expected at a setpoint `q`, twice while its stop brakes, and at its end."""
 
 
 class StiffDrives(DriveLaw):
@@ -54,11 +55,9 @@ class StiffDrives(DriveLaw):
         """Return inverse dynamics, as `Fleet.torque`."""
         return self._fleet.torque(q, qd, qdd)
 
-    def expected_poses(
-        self, state: State, q: Floats, q_mid_stop: Floats, q_rest: Floats
-    ) -> tuple[Floats, Floats, Floats]:
+    def expected_poses(self, state: State, q: Floats, stop: Stop) -> Floats:
         """Return the poses where joints are sent."""
-        return q, q_mid_stop, q_rest
+        return np.concatenate((q[None], stop.q, stop.q_rest[None]))
 
 
 class TorqueDrives(StiffDrives):
@@ -87,15 +86,13 @@ class SpringDrives(DriveLaw):
         tau = self._gains.kp * error - self._gains.kd * speed
         return np.minimum(np.maximum(tau, -self._torque_max), self._torque_max)
 
-    def expected_poses(
-        self, state: State, q: Floats, q_mid_stop: Floats, q_rest: Floats
-    ) -> tuple[Floats, Floats, Floats]:
+    def expected_poses(self, state: State, q: Floats, stop: Stop) -> Floats:
         """Return where joints are, and where they come to if they brake at `qdd_max`: not where they are sent.
 
-        At half of its speed a joint that brakes evenly has three quarters of its distance behind it.
+        At 3/4 and at half of its speed a joint that brakes evenly has 7/16 and 3/4 of its distance behind it.
         """
         distance = state.qd * np.abs(state.qd) / self._twice_qdd
-        return state.q, state.q + 0.75 * distance, state.q + distance
+        return state.q + DISTANCE_BRAKED * distance
 
 
 def drive_law(spec: RobotSpec, action: ControlMode, gains: Gains | None, fleet: Fleet) -> DriveLaw:

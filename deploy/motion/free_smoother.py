@@ -9,7 +9,7 @@ from deploy.motion.prepared_stop import select
 from deploy.motion.smoother import Smoother, VelocitySmoother
 from deploy.motion.takeover import Takeover
 from deploy.motion.torque_ramp import TorqueRamp
-from deploy.state import DriveMode, Setpoint, State
+from deploy.state import DriveMode, Setpoint, State, Stop
 from robots.arrays import Bools, Floats
 from robots.capabilities import required
 from robots.models.fleet import Fleet
@@ -40,10 +40,10 @@ class RollingSmoother(VelocitySmoother):
         planned = self.next(target, stopping)
         return select(~stopping, planned, planned._replace(drive=self.takeover.drive))
 
-    def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
+    def brake(self, start: Setpoint) -> Stop:
         """Return the stop that would begin at `start`, as `Smoother.brake`, with position drives."""
-        stop, q_mid_stop, q_rest = super().brake(start)
-        return stop._replace(drive=self.takeover.first_drive), q_mid_stop, q_rest
+        stop = super().brake(start)
+        return stop._replace(ahead=stop.ahead._replace(drive=self.takeover.first_drive))
 
     def commit(self, sent: Setpoint) -> None:
         """Remember what was sent, and how."""
@@ -111,10 +111,10 @@ class TorqueSmoother(Smoother):
         qdd = np.minimum(np.maximum(wanted, low), high)
         return self._fleet.torque(q, qd, qdd) + self._fleet.friction(qd)
 
-    def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
+    def brake(self, start: Setpoint) -> Stop:
         """Return the stop that would begin at `start`, as `Smoother.brake`, with position drives."""
-        stop, q_mid_stop, q_rest = super().brake(start)
-        return _as_stop(stop, self.takeover.first_drive), q_mid_stop, q_rest
+        stop = super().brake(start)
+        return stop._replace(ahead=_as_stop(stop.ahead, self.takeover.first_drive))
 
     def commit(self, sent: Setpoint) -> None:
         """Remember what was sent, torques included."""

@@ -15,7 +15,7 @@ from deploy.motion.drive_modes import position_drives
 from deploy.motion.ruckig_planner import RuckigPlanner, VelocityPlanner, horizon_s
 from deploy.motion.trajectories import StopTrajectories, TrackingTrajectories
 from deploy.stage import Stage
-from deploy.state import DriveMode, Setpoint, State
+from deploy.state import DriveMode, Setpoint, State, Stop
 from robots.arrays import Bools, Floats
 from robots.spec import RobotSpec
 
@@ -100,12 +100,14 @@ class Smoother(Stage):
         self.expected[:] = now
         self._tracking.plan(self.origin, changed)
 
-    def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
-        """Return the stop that would begin at `start`: its first step, and (B, n) rad in its middle and at its end."""
-        stop = self._stops.points(
+    def brake(self, start: Setpoint) -> Stop:
+        """Return the stop that would begin at `start`."""
+        x = self._stops.points(
             np.concatenate((start.q, start.qd, start.qdd, start.q, self._full, self._full), axis=1)
+        ).swapaxes(0, 1)
+        return Stop(
+            Setpoint(q=x[0], qd=x[1], qdd=x[2], drive=self.drive), q=x[3:6:2], qd=x[4:7:2], q_rest=x[7]
         )
-        return self._setpoint(stop), stop[:, 3], stop[:, 4]
 
     def _setpoint(self, x: Floats) -> Setpoint:
         return Setpoint(q=x[:, 0], qd=x[:, 1], qdd=x[:, 2], drive=self.drive)

@@ -47,9 +47,29 @@ class Motion(NamedTuple):
         """(2B, 1) m²/s², at the pose of the setpoint, for its speed and then for its peak speed."""
         robots = len(self.qd) // 2
         qd = np.concatenate((self.qd[:robots], self.qd_peak[:robots]))
-        velocity = self.kinematics.tool_velocity(qd, robots=slice(0, robots))
-        squared: Floats = np.vecdot(velocity, velocity)
-        return squared[:, None]
+        return _tool_speed_squared(self.kinematics, qd, slice(0, robots))
+
+
+class Braking(NamedTuple):
+    """2B points of stops: B at the earlier of two moments while they brake, then B at the later.
+
+    Attributes:
+        qd: (2B, n) rad/s. kinematics: where joints are expected.
+    """
+
+    qd: Floats
+    kinematics: Kinematics
+
+    @property
+    def tool_speed_squared(self) -> Floats:
+        """(2B, 1) m²/s²."""
+        return _tool_speed_squared(self.kinematics, self.qd, slice(None))
+
+
+def _tool_speed_squared(kinematics: Kinematics, qd: Floats, robots: slice) -> Floats:
+    velocity = kinematics.tool_velocity(qd, robots=robots)
+    squared: Floats = np.vecdot(velocity, velocity)
+    return squared[:, None]
 
 
 class Pose(NamedTuple):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.reasons import Reason
-from deploy.safety.check import UNBOUNDED, Check, Estimate, Limits, Motion, Pose
+from deploy.safety.check import UNBOUNDED, Braking, Check, Estimate, Limits, Motion, Pose
 from robots.arrays import Floats
 from robots.capabilities import required
 
@@ -49,6 +49,10 @@ def _acceleration_max(limits: Limits) -> Floats:
 
 def _torque_max(limits: Limits) -> Floats:
     return np.minimum(limits.torque, UNBOUNDED)
+
+
+def _tool_speed_max_squared(limits: Limits) -> float:
+    return (limits.speed_share * required(limits.robot.workspace).tool_speed_max) ** 2
 
 
 ESTIMATE: tuple[Check[Estimate], ...] = (
@@ -159,12 +163,23 @@ MOTION: tuple[Check[Motion], ...] = (
     Check(
         name="tool_speed",
         value=lambda motion: motion.tool_speed_squared,
-        high=lambda limits: (limits.speed_share * required(limits.robot.workspace).tool_speed_max) ** 2,
+        high=_tool_speed_max_squared,
         reason=Reason.TOOL_SPEED,
         needs=frozenset({"workspace"}),
     ),
 )
 """Checks of a setpoint, and of the first step of the stop that would begin there."""
+
+BRAKING: tuple[Check[Braking], ...] = (
+    Check(
+        name="tool_speed_of_stop",
+        value=lambda braking: braking.tool_speed_squared,
+        high=_tool_speed_max_squared,
+        reason=Reason.TOOL_SPEED,
+        needs=frozenset({"workspace"}),
+    ),
+)
+"""Checks of the motion at two moments while the stop brakes."""
 
 END_POSES: tuple[Check[Pose], ...] = (
     Check(
@@ -213,7 +228,7 @@ ALL_POSES: tuple[Check[Pose], ...] = (
         needs=frozenset({"workspace"}),
     ),
 )
-"""Checks of the poses at a setpoint, in the middle of its stop and at its end, without velocities."""
+"""Checks of the poses at a setpoint, twice while its stop brakes and at its end, without velocities."""
 
 
 class Checks(NamedTuple):
@@ -221,6 +236,7 @@ class Checks(NamedTuple):
 
     estimate: tuple[Check[Estimate], ...] = ESTIMATE
     motion: tuple[Check[Motion], ...] = MOTION
+    braking: tuple[Check[Braking], ...] = BRAKING
     end_poses: tuple[Check[Pose], ...] = END_POSES
     all_poses: tuple[Check[Pose], ...] = ALL_POSES
 

@@ -1,8 +1,8 @@
 """Check of a setpoint before it is sent: the last stage before the supervisor.
 
 Pure: (state, setpoint) → verdict, by the nominal model in Pinocchio. It never edits a number and knows neither
-policy nor smoother. With the setpoint it checks the stop that would begin there: its first step, a pose in its middle
-and the pose where it ends. What lies between is left to the margins.
+policy nor smoother. With the setpoint it checks the stop that would begin there: its first step, two moments while it
+brakes and the pose where it ends. What lies between is left to the margins.
 """
 
 import numpy as np
@@ -10,10 +10,10 @@ import numpy as np
 from deploy.masks import all_true
 from deploy.motion.drive_law import DriveLaw, StiffDrives
 from deploy.reasons import Reason
-from deploy.safety.check import Estimate, Limits, Motion, Pose
+from deploy.safety.check import Braking, Estimate, Limits, Motion, Pose
 from deploy.safety.check_table import CheckTable
 from deploy.safety.checks import CHECKS, Checks
-from deploy.state import Setpoint, State, Verdict
+from deploy.state import Setpoint, State, Stop, Verdict
 from robots.arrays import Bools, Floats, Ints
 from robots.models.fleet import Fleet
 from robots.models.kinematics import Kinematics
@@ -51,36 +51,29 @@ class Safety:
         Raises:
             ValueError: two checks of one name in a table, or a bound of the wrong shape.
         """
-        self._fleet, self._fleet_mid_stop = fleet, fleet.resized(-(-fleet.robots // 2))
+        self._fleet = fleet
         self._drives = drives or StiffDrives(spec, fleet, mode)
         self._jacobians = "tool" in spec.capabilities  # what reads them reads the tool
         self._gap_max = (spec.margins.collision_m or 0.0) + GAP_TOLERANCE_M
         self.twice_jerk = 2 * spec.joint_array("qddd_max")
         limits, rows = Limits(spec, self._drives.torque_limit, mode), fleet.robots
         self._plan = CheckTable(rows, limits, checks.motion, checks.end_poses, checks.all_poses)
-        self._estimate = CheckTable(self._fleet_mid_stop.robots, limits, checks.estimate, checks.all_poses)
+        self._braking = CheckTable(rows, limits, checks.braking, checks.all_poses)
+        self._estimate = CheckTable(-(-rows // 2), limits, checks.estimate)
         self._poses = CheckTable(rows, limits, checks.end_poses, checks.all_poses)
         self._centre = np.array(spec.workspace.centre) if spec.workspace else np.zeros(3)
 
     # A setpoint that is not finite is refused by its own check: numpy's warnings would add nothing.
     @np.errstate(invalid="ignore", over="ignore")
-    def step(
-        self,
-        state: State,
-        sent: Setpoint,
-        setpoint: Setpoint,
-        ahead: Setpoint,
-        q_mid_stop: Floats,
-        q_rest: Floats,
-    ) -> Verdict:
+    def step(self, state: State, sent: Setpoint, setpoint: Setpoint, stop: Stop) -> Verdict:
         """Check one setpoint for each robot.
 
         Args:
             state: the estimate. sent: the last setpoint sent, which the drives follow now.
-            setpoint: to be sent next. ahead: first step of the stop that would begin there.
-            q_mid_stop: (B, n) rad, a pose in the middle of that stop. q_rest: (B, n) rad, its end.
+            setpoint: to be sent next. stop: that would begin there.
         """
-        robots = len(q_rest)  # below: one call to concatenate takes half of the time that three take
+        ahead, robots = stop.ahead, len(stop.q_rest)
+        # Below: one call to concatenate takes half of the time that three take.
         pairs = np.concatenate((setpoint.q, ahead.q, setpoint.qd, ahead.qd, setpoint.qdd, ahead.qdd))
         q, qd, qdd = pairs.reshape(3, 2 * robots, -1)
         tau = self._drives.torque(state, q, qd, qdd)
@@ -90,20 +83,24 @@ class Safety:
         needed = tau
         if not all_true(state.current_share == 1.0):  # a drive with limited current gives less than its range
             needed = np.concatenate((tau[:robots] / state.current_share, tau[robots:]))
-        poses = begin, mid_stop, rest = self._drives.expected_poses(state, setpoint.q, q_mid_stop, q_rest)
-        expected, targets = np.concatenate((begin, rest, setpoint.q, q_rest)).reshape(2, 2 * robots, -1)
-        kinematics = self._kinematics(expected)
+        poses = self._drives.expected_poses(state, setpoint.q, stop)
+        expected, targets = np.concatenate((poses[0], poses[3], setpoint.q, stop.q_rest)).reshape(
+            2, 2 * robots, -1
+        )
+        kinematics, between = self._kinematics(expected), self._kinematics(poses[1:3].reshape(expected.shape))
         # A stop first brings the acceleration to zero, and the speed that it gains until then counts.
         qd_peak = qd + qdd * np.abs(qdd) / self.twice_jerk
         motion = Motion(q, qd, qdd, qd_peak, needed, kinematics)
         ends = Pose(targets, kinematics, self._centre)
-        middle = self._fleet_mid_stop.kinematics(mid_stop, jacobians=False)
         plan = self._plan.values(motion, ends, ends)
-        estimate = self._estimate.values(Estimate(state, sent), Pose(q_mid_stop, middle, self._centre))
+        q, qd = stop.q.reshape(expected.shape), stop.qd.reshape(expected.shape)
+        braking = self._braking.values(Braking(qd, between), Pose(q, between, self._centre))
+        estimate = self._estimate.values(Estimate(state, sent))
         reason = _or_zeros(self._estimate.reasons(estimate), robots)
-        if (by_point := self._plan.reasons(plan)) is not None:
-            reason |= by_point[:robots] | by_point[robots:]
-        values = plan, estimate
+        for found in (self._plan.reasons(plan), self._braking.reasons(braking)):
+            if found is not None:
+                reason |= found[:robots] | found[robots:]
+        values = plan, braking, estimate
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:], poses=poses, values=values)
 
     def check_poses(self, q: Floats) -> Ints:
@@ -119,16 +116,17 @@ class Safety:
 
         No joint is meant by a check of the robot as a whole.
         """
-        plan, estimate = verdict.values
+        *by_point, estimate = verdict.values
         found = self._estimate.failed(estimate[robot], reason)
-        for row in (robot, robot + len(estimate)):
-            for name, joints in self._plan.failed(plan[row], reason).items():
-                found[name] = joints | found[name] if name in found else joints
+        for table, values in zip((self._plan, self._braking), by_point, strict=True):
+            for row in (robot, robot + len(estimate)):
+                for name, joints in table.failed(values[row], reason).items():
+                    found[name] = joints | found[name] if name in found else joints
         return found
 
     def names(self, reason: Reason) -> set[str]:
         """Return the names of the checks of the robot as a whole that give a reason."""
-        checks = (*self._plan.checks, *self._estimate.checks)
+        checks = (*self._plan.checks, *self._braking.checks, *self._estimate.checks)
         return {check.name for check in checks if check.reason is reason and not check.per_joint}
 
     def colliding_shapes(self, verdict: Verdict, robot: int) -> tuple[str, ...]:
@@ -136,7 +134,7 @@ class Safety:
 
         A pose that is not finite is refused as a collision, too, and has no such shapes.
         """
-        gap, *names = self._fleet.nearest_shapes(np.stack([pose[robot] for pose in verdict.poses]))
+        gap, *names = self._fleet.nearest_shapes(verdict.poses[:, robot])
         return tuple(names) if gap < self._gap_max else ()
 
 

@@ -1,5 +1,7 @@
 """What goes wrong in flight, and that the robot then stops as it should, and no other robot does."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -280,23 +282,23 @@ def test_nan_is_refused_even_by_disabled_checks(monkeypatch):
 
 
 def test_checked_stop_begins_at_the_setpoint(monkeypatch):
-    """Its first step, a pose in its midst, and where it ends."""
+    """Its first step, two moments while it brakes, and where it ends."""
     runtime, asked = running(2), []
     judged = runtime.safety.step
 
     def listen(*what):
-        asked.append([np.copy(pose) for pose in (what[2].q, what[3].q, what[4], what[5])])
-        planned, stop = what[2], Smoother(SPEC, 2).brake(what[2])
-        np.testing.assert_array_equal(what[3].q, stop[0].q)
-        np.testing.assert_array_equal(what[4], stop[1])
-        np.testing.assert_array_equal(what[5], stop[2])
-        assert planned is not what[1]
+        _, sent, planned, checked = what
+        asked.append([np.copy(pose) for pose in (planned.q, checked.ahead.q, *checked.q, checked.q_rest)])
+        stop = Smoother(SPEC, 2).brake(planned)
+        np.testing.assert_array_equal(checked.ahead.q, stop.ahead.q)
+        for name in ("q", "qd", "q_rest"):
+            np.testing.assert_array_equal(getattr(checked, name), getattr(stop, name))
+        assert planned is not sent
         return judged(*what)
 
     monkeypatch.setattr(runtime.safety, "step", listen)
     play(runtime, 60)
-    setpoint, ahead, midst, rest = np.array(asked).swapaxes(0, 1)
-    for one, other in ((setpoint, ahead), (ahead, midst), (midst, rest)):
+    for one, other in pairwise(np.array(asked).swapaxes(0, 1)):
         assert (np.abs(one - other).max(axis=(1, 2)) > 1e-6).sum() > 20
 
 

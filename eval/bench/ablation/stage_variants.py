@@ -9,7 +9,7 @@ from deploy.estimation.estimator import Estimator
 from deploy.estimation.winding_observer import WindingObserver
 from deploy.motion.smoother import Smoother
 from deploy.runtime import Runtime
-from deploy.state import Sample, Setpoint, State
+from deploy.state import Sample, Setpoint, State, Stop
 from robots.arrays import Bools, Floats
 from robots.spec import RobotSpec
 
@@ -68,10 +68,11 @@ class UnlimitedSmoother(Smoother):
         qd = (q - self.q) / self._dt
         return Setpoint(q=q, qd=qd, qdd=(qd - self.qd) / self._dt, drive=self.drive)
 
-    def brake(self, start: Setpoint) -> tuple[Setpoint, Floats, Floats]:
+    def brake(self, start: Setpoint) -> Stop:
         """Return rest at the starting angle, reached within one tick."""
-        rest = start._replace(qd=np.zeros_like(start.qd), qdd=-start.qd / self._dt)
-        return rest, start.q, start.q
+        still = np.zeros_like(start.qd)
+        rest = start._replace(qd=still, qdd=-start.qd / self._dt)
+        return Stop(rest, q=np.stack((start.q, start.q)), qd=np.stack((still, still)), q_rest=start.q)
 
 
 class HousingTemperatureObserver(WindingObserver):

@@ -115,7 +115,8 @@ def test_a_stop_ends_where_it_was_predicted(seed, before):
     )
     target, stopping = attack("random", rng, 1, robots)[0], np.array([True, False, True])
     planned = smoother.next(target, np.zeros(robots, dtype=bool))
-    first, _, end = smoother.brake(planned)
+    stop = smoother.brake(planned)
+    first, end = stop.ahead, stop.q_rest
     smoother.commit(planned)
     step = smoother.next(target, stopping)
     np.testing.assert_allclose(step.q[stopping], first.q[stopping], rtol=0, atol=1e-9)
@@ -147,18 +148,19 @@ def test_robots_are_independent_to_the_bit():
     crowd, singles = at_home(robots), [at_home(1) for _ in range(robots)]
     for target, stopping in zip(targets, stops, strict=True):
         planned = crowd.next(target, stopping)
-        ahead, *poses = crowd.brake(planned)
+        stop = crowd.brake(planned)
         crowd.commit(planned)
         for i, single in enumerate(singles):
             one = slice(i, i + 1)
             alone = single.next(target[one], stopping[one])
-            ahead_alone, *poses_alone = single.brake(alone)
+            stop_alone = single.brake(alone)
             single.commit(alone)
-            for mine, theirs in ((alone, planned), (ahead_alone, ahead)):
+            for mine, theirs in ((alone, planned), (stop_alone.ahead, stop.ahead)):
                 for name in ("q", "qd", "qdd"):
                     np.testing.assert_array_equal(getattr(mine, name)[0], getattr(theirs, name)[i])
-            for mine, theirs in zip(poses_alone, poses, strict=True):
-                np.testing.assert_array_equal(mine[0], theirs[i])
+            for name in ("q", "qd", "q_rest"):
+                mine, theirs = getattr(stop_alone, name), getattr(stop, name)
+                np.testing.assert_array_equal(mine[..., 0, :], theirs[..., i, :])
 
 
 def test_robots_are_independent_when_trajectories_end_at_different_times():
@@ -244,8 +246,8 @@ def test_state_halfway_through_a_stop():
     smoother = at_home(1)
     slowest = int(np.argmax(V / SPEC.joint_array("qdd_max")))
     smoother.qd[0, slowest] = V[slowest] / 2
-    _, midst, end = smoother.brake(smoother.sent)
-    way, whole = midst[0] - HOME, end[0] - HOME
+    stop = smoother.brake(smoother.sent)
+    way, whole = stop.q[1, 0] - HOME, stop.q_rest[0] - HOME
     assert 0.75 < way[slowest] / whole[slowest] < 0.85
     np.testing.assert_array_equal(np.delete(way, slowest), 0.0)
 
@@ -255,7 +257,7 @@ def test_predicted_end_of_a_stop_is_exact_at_reduced_pace():
     slow = tuple(joint.model_copy(update={"qdd_max": 1.5, "qddd_max": 15.0}) for joint in SPEC.joints)
     smoother = Smoother(SPEC.model_copy(update={"joints": slow}), 1)
     smoother.commit(Setpoint(q=HOME[None], qd=V[None] * 0.9, qdd=np.full((1, N), 1.4)))
-    _, _, end = smoother.brake(smoother.sent)
+    end = smoother.brake(smoother.sent).q_rest
     ticks = 0
     while not smoother.at_rest[0]:
         smoother.commit(smoother.next(smoother.q, np.ones(1, dtype=bool)))
@@ -297,12 +299,11 @@ def test_predicted_rest_is_right_beside_a_failed_plan():
     clean, broken = moving(4), moving(4)
     broken.brake(Setpoint(q=clean.q, qd=clean.qd * 0, qdd=clean.qdd * 0))
     broken.qd[2, 1] = np.nan
-    first, _, end = broken.brake(broken.sent)
-    expected_first, _, expected_end = clean.brake(clean.sent)
+    stop, expected = broken.brake(broken.sent), clean.brake(clean.sent)
     others = np.arange(4) != 2
-    np.testing.assert_array_equal(first.q[others], expected_first.q[others])
-    np.testing.assert_array_equal(end[others], expected_end[others])
-    assert np.isnan(end[2]).all()
+    np.testing.assert_array_equal(stop.ahead.q[others], expected.ahead.q[others])
+    np.testing.assert_array_equal(stop.q_rest[others], expected.q_rest[others])
+    assert np.isnan(stop.q_rest[2]).all()
 
 
 def test_plan_exists_where_two_profile_shapes_meet():

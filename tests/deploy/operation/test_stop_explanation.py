@@ -5,6 +5,7 @@ import pytest
 
 from deploy.reasons import REASONS, Reason
 from support.arm6 import SPEC
+from support.deploy.safety import stop_at
 
 pytest.importorskip("mujoco")
 
@@ -81,8 +82,7 @@ def test_a_reason_names_its_joint(runtime, befall, reason, robot):
 def test_refused_setpoint_names_its_joint_for_its_robot_only(runtime, part, value, reason):
     planned = runtime.setpoint
     getattr(planned, part)[1, WRIST] += value
-    here = runtime.state, runtime.setpoint, planned, planned, planned.q, planned.q
-    runtime.verdict = runtime.safety.step(*here)
+    runtime.verdict = runtime.safety.step(runtime.state, runtime.setpoint, planned, stop_at(planned))
     assert runtime.verdict.reason[1] & reason
     assert "wrist_2" in explain_reasons(runtime, int(reason), robot=1)
     assert explain_reasons(runtime, int(reason)) == REASONS[reason].text
@@ -94,7 +94,9 @@ def test_refused_stop_names_its_joint(runtime, late):
     here = runtime.setpoint
     points = [here._replace(qd=here.qd.copy()) for _ in range(2)]
     points[late].qd[1, WRIST] = 50.0
-    runtime.verdict = runtime.safety.step(runtime.state, here, *points, here.q, here.q)
+    runtime.verdict = runtime.safety.step(
+        runtime.state, here, points[0], stop_at(here)._replace(ahead=points[1])
+    )
     assert (
         explain_reasons(runtime, int(Reason.VELOCITY), robot=1)
         == f"{REASONS[Reason.VELOCITY].text} (wrist_2)"
@@ -164,7 +166,7 @@ def test_planned_joint_with_nan_is_named_despite_nan_torques(runtime):
     here = runtime.setpoint
     planned = here._replace(q=here.q.copy())
     planned.q[1, WRIST] = np.nan
-    runtime.verdict = runtime.safety.step(runtime.state, here, planned, here, here.q, here.q)
+    runtime.verdict = runtime.safety.step(runtime.state, here, planned, stop_at(here))
     assert np.isnan(runtime.verdict.tau[1]).all()
     assert (
         explain_reasons(runtime, int(Reason.NOT_FINITE), robot=1)
@@ -172,7 +174,7 @@ def test_planned_joint_with_nan_is_named_despite_nan_torques(runtime):
     )
 
 
-@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize("place", range(4))
 @pytest.mark.parametrize(
     ("q", "shapes"),
     [
@@ -181,21 +183,21 @@ def test_planned_joint_with_nan_is_named_despite_nan_torques(runtime):
     ],
 )
 def test_colliding_shapes_are_named(runtime, place, q, shapes):
-    """Be it at the setpoint, in the midst of the stop or at its end."""
+    """Be it at the setpoint, while the stop brakes or at its end."""
     here = runtime.setpoint
-    poses = [here.q.copy() for _ in range(3)]
-    poses[place][0] = q
-    planned = here._replace(q=poses[0])
-    runtime.verdict = runtime.safety.step(runtime.state, here, planned, here, *poses[1:])
+    poses = np.array([here.q] * 4)
+    poses[place, 0] = q
+    stop = stop_at(here)._replace(q=poses[1:3], q_rest=poses[3])
+    runtime.verdict = runtime.safety.step(runtime.state, here, here._replace(q=poses[0]), stop)
     assert explain_reasons(runtime, int(Reason.COLLISION)) == f"{REASONS[Reason.COLLISION].text} ({shapes})"
     assert explain_reasons(runtime, int(Reason.COLLISION), robot=1) == REASONS[Reason.COLLISION].text
 
 
 def test_pose_of_nan_names_no_collision(runtime):
-    here, midst = runtime.setpoint, runtime.setpoint.q.copy()
-    midst[0] = np.nan
-    rest = np.tile((0.3, -1.59, 2.64, 0.24, -1.16, 0.87), (2, 1))
-    runtime.verdict = runtime.safety.step(runtime.state, here, here, here, midst, rest)
+    here = runtime.setpoint
+    stop = stop_at(here)._replace(q_rest=np.tile((0.3, -1.59, 2.64, 0.24, -1.16, 0.87), (2, 1)))
+    stop.q[1, 0] = np.nan
+    runtime.verdict = runtime.safety.step(runtime.state, here, here, stop)
     assert explain_reasons(runtime, int(Reason.COLLISION)).endswith("(upper_arm and wrist_3)")
 
 
@@ -204,9 +206,8 @@ def test_separate_shapes_are_not_named_for_a_pose_of_nan(runtime):
     one = here.q.copy()
     one[0, WRIST] = np.nan
     for planned, midst in ((nowhere, nowhere), (one, here.q)):
-        runtime.verdict = runtime.safety.step(
-            runtime.state, here, here._replace(q=planned), here, midst, planned
-        )
+        stop = stop_at(here)._replace(q=np.stack((here.q, midst)), q_rest=planned)
+        runtime.verdict = runtime.safety.step(runtime.state, here, here._replace(q=planned), stop)
         assert runtime.verdict.reason[0] & Reason.COLLISION
         assert explain_reasons(runtime, int(Reason.COLLISION)) == REASONS[Reason.COLLISION].text
 

@@ -30,7 +30,7 @@ def arm(spec=SPEC, **more):
     return Safety(spec, Fleet(spec, 2, collisions=True), checks=checks)
 
 
-@pytest.mark.parametrize("moment", ["setpoint", "q_mid_stop", "q_rest"])
+@pytest.mark.parametrize("moment", ["setpoint", "q_early", "q_mid_stop", "q_rest"])
 def test_a_check_from_outside_is_made_like_any_other(moment):
     safety, right = arm(all_poses=FENCE), HOME + np.eye(SPEC.n)[0]
     assert judge(safety=safety).reason[0] == 0
@@ -46,7 +46,7 @@ def test_robots_have_the_checks_whose_needs_they_meet(tmp_path):
     for spec, missing in (
         (SPEC, {"base_tilt"}),
         (bare, {"base_tilt", "manipulability", "self_collision"}),
-        (walker, {"manipulability", "tool_height", "tool_radius", "tool_speed"}),
+        (walker, {"manipulability", "tool_height", "tool_radius", "tool_speed", "tool_speed_of_stop"}),
     ):
         table = CheckTable(2, Limits(spec, np.zeros(spec.n), ControlMode.POSITION), *CHECKS)
         every = {check.name for checks in CHECKS for check in checks}

@@ -8,7 +8,20 @@ from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
-from support.deploy.safety import HIGH, HOME, LOW, MARGINS, SPACE, ZERO, N, judge, one, point, reasons
+from support.deploy.safety import (
+    HIGH,
+    HOME,
+    LOW,
+    MARGINS,
+    SPACE,
+    ZERO,
+    N,
+    judge,
+    one,
+    point,
+    reasons,
+    stop_at,
+)
 
 TAU_MAX = MARGINS.tau * torque_max(SPEC)
 HAIR = 1e-6
@@ -274,7 +287,7 @@ def test_robots_are_checked_independently():
     ahead = Setpoint(q=q_hat, qd=qd * 0, qdd=qdd * 0)
     ahead.qd[8, 3] = 4.0
     verdict = Safety(SPEC, Fleet(SPEC, 2 * robots, collisions=True)).step(
-        state, Setpoint(q=sent, qd=qd, qdd=qdd), setpoint, ahead, q_hat, rest
+        state, Setpoint(q=sent, qd=qd, qdd=qdd), setpoint, stop_at(ahead)._replace(q_rest=rest)
     )
     assert verdict.reason.tolist() == [int(faults.get(i, 0)) for i in range(robots)]
 

@@ -10,8 +10,9 @@ from support.arm6 import SPEC
 from support.deploy.safety import HIGH, HOME, LOW, MARGINS, SPACE, N, one, point, reasons
 
 
+@pytest.mark.parametrize("moment", ["q_early", "q_mid_stop"])
 @pytest.mark.parametrize("limit", ["z_min", "radius_max"])
-def test_tool_stays_in_the_workspace_during_a_stop(limit):
+def test_tool_stays_in_the_workspace_during_a_stop(limit, moment):
     """Though where the stop begins and ends is well inside: the arm is let down, or stretched, until it is refused."""
     fleet, reach = Fleet(SPEC, 1), MARGINS.workspace_m
     far = (
@@ -25,12 +26,43 @@ def test_tool_stays_in_the_workspace_during_a_stop(limit):
         kinematics = fleet.kinematics(q[None])
         (tool,) = kinematics.tool_position
         height, radius = tool[2] - SPACE.z_min, SPACE.radius_max - np.linalg.norm(tool - SPACE.centre)
-        found = reasons(q_mid_stop=q)
+        found = reasons(**{moment: q})
         verdicts.append(Reason.WORKSPACE in found)
         assert verdicts[-1] == (min(height, radius) < reach)
         assert found & ~(Reason.WORKSPACE | Reason.COLLISION) == 0
     assert 0 < sum(verdicts) < 200
-    assert Reason.NOT_FINITE in reasons(q_mid_stop=np.full(N, np.nan))
+    assert Reason.NOT_FINITE in reasons(**{moment: np.full(N, np.nan)})
+
+
+@pytest.mark.parametrize("moment", ["qd_early", "qd_mid_stop"])
+def test_tool_speed_is_limited_while_a_stop_brakes(moment):
+    """One joint turns faster and faster, the others rest: refused exactly where the tool is too fast."""
+    kinematics, limit = Fleet(SPEC, 1).kinematics(HOME[None]), MARGINS.speed * SPACE.tool_speed_max
+    verdicts = []
+    for speed in np.linspace(0.0, 10.0, 50):
+        qd = one(0, speed)
+        found = reasons(**{moment: qd})
+        verdicts.append(found == Reason.TOOL_SPEED)
+        assert verdicts[-1] == (np.linalg.norm(kinematics.tool_velocity(qd[None])) > limit)
+        assert found & ~Reason.TOOL_SPEED == 0
+    assert 0 < sum(verdicts) < 50
+    assert Reason.NOT_FINITE in reasons(**{moment: np.full(N, np.nan)})
+
+
+FASTER_IN_ITS_STOP = (
+    np.array([-0.29, -1.07, 2.08, -2.1, -1.18, 2.44]),
+    np.array([2.76, -2.88, -2.03, -2.57, -2.53, 2.09]),
+)
+"""rad, rad/s: the tool's speed is 2.26 m/s here, and 2.43 m/s at the earlier moment of the stop."""
+
+
+def test_a_stop_in_which_the_tool_gains_speed_is_refused():
+    """The last joints brake first, and no longer hold back what the others do."""
+    start, smoother = point(*FASTER_IN_ITS_STOP), Smoother(SPEC, 1)
+    stop = smoother.brake(start)
+    ends = {"setpoint": start, "qd_hat": start.qd, "ahead": stop.ahead, "q_rest": stop.q_rest}
+    assert reasons(**ends) == 0
+    assert reasons(**ends, q_early=stop.q[0], qd_early=stop.qd[0]) == Reason.TOOL_SPEED
 
 
 def touching(fleet, q):
@@ -71,7 +103,7 @@ def test_allowed_stops_stay_within_all_limits(share):
             current_share=np.ones(q.shape),
             fault=np.zeros(robots, dtype=np.int64),
         )
-        fine = safety.step(here, start, start, *smoother.brake(start)).reason == 0
+        fine = safety.step(here, start, start, smoother.brake(start)).reason == 0
         starts.extend(zip(q[fine], qd[fine], strict=True))
         blocked += (~fine).sum()
     assert blocked > len(starts)
@@ -116,9 +148,7 @@ WRIST_INTO_TABLE = (
 @pytest.mark.parametrize(("q", "qd"), WRIST_INTO_TABLE)
 def test_stop_into_the_table_is_refused(q, qd):
     start, smoother = point(np.array(q), np.array(qd)), Smoother(SPEC, 1)
-    ahead, q_mid_stop, q_rest = smoother.brake(start)
-    assert reasons(setpoint=start, qd_hat=start.qd, ahead=ahead, q_mid_stop=start.q, q_rest=q_rest) == 0
-    assert (
-        reasons(setpoint=start, qd_hat=start.qd, ahead=ahead, q_mid_stop=q_mid_stop, q_rest=q_rest)
-        == Reason.COLLISION
-    )
+    stop = smoother.brake(start)
+    ends = {"setpoint": start, "qd_hat": start.qd, "ahead": stop.ahead, "q_rest": stop.q_rest}
+    assert reasons(**ends) == 0
+    assert reasons(**ends, q_mid_stop=stop.q[1]) == Reason.COLLISION

@@ -2,7 +2,7 @@ import numpy as np
 
 from deploy.reasons import Reason
 from deploy.safety.safety import Safety
-from deploy.state import Setpoint, State
+from deploy.state import Setpoint, State, Stop
 from robots.models.fleet import Fleet
 from support.arm6 import SPEC
 
@@ -18,6 +18,11 @@ def point(q=HOME, qd=ZERO, qdd=ZERO):
     return Setpoint(q=np.atleast_2d(q).copy(), qd=np.atleast_2d(qd).copy(), qdd=np.atleast_2d(qdd).copy())
 
 
+def stop_at(here):
+    """A stop of robots that rest: everywhere the same setpoint."""
+    return Stop(here, q=np.stack((here.q, here.q)), qd=np.stack((here.qd, here.qd)), q_rest=here.q)
+
+
 def judge(
     *,
     q_hat=None,
@@ -28,7 +33,10 @@ def judge(
     hottest_c=40.0,
     setpoint=None,
     ahead=None,
+    q_early=None,
     q_mid_stop=None,
+    qd_early=ZERO,
+    qd_mid_stop=ZERO,
     q_rest=None,
     safety=SAFETY,
 ):
@@ -50,10 +58,10 @@ def judge(
     )
     ahead = setpoint if ahead is None else ahead
     rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
-    mid_stop = HOME[None] if q_mid_stop is None else np.atleast_2d(q_mid_stop)
-    return safety.step(
-        state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, ahead, mid_stop, rest
-    )
+    poses = [HOME[None] if q is None else np.atleast_2d(q) for q in (q_early, q_mid_stop)]
+    speeds = [np.atleast_2d(qd) for qd in (qd_early, qd_mid_stop)]
+    stop = Stop(ahead, q=np.stack(poses), qd=np.stack(speeds), q_rest=rest)
+    return safety.step(state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, stop)
 
 
 def reasons(**situation):

@@ -97,10 +97,10 @@ def test_without_a_smoother_the_target_is_sent_and_derivatives_are_its_differenc
         stage.commit(point)
     np.testing.assert_allclose(point.qd, np.diff(sent, axis=0)[-1] / DT)
     np.testing.assert_allclose(point.qdd, np.diff(sent, 2, axis=0)[-1] / DT**2)
-    rest, midst, end = stage.brake(point)
-    for q in (rest.q, midst, end, stage.next(target + 1.0, ~stopping).q):
+    stop = stage.brake(point)
+    for q in (stop.ahead.q, *stop.q, stop.q_rest, stage.next(target + 1.0, ~stopping).q):
         np.testing.assert_array_equal(q, point.q)
-    np.testing.assert_array_equal(rest.qd, 0.0)
+    np.testing.assert_array_equal(stop.ahead.qd, 0.0)
 
 
 @pytest.mark.parametrize(("kind", "folds"), [(WindingObserver, True), (HousingTemperatureObserver, False)])
