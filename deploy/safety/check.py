@@ -31,7 +31,7 @@ class Motion(NamedTuple):
     Attributes:
         q: (2B, n) rad. qd: (2B, n) rad/s. qdd: (2B, n) rad/s².
         qd_peak: (2B, n) rad/s, the speed when a stop has brought the acceleration to zero.
-        tau: (2B, n) N·m, divided by the share of current that each drive has left.
+        tau: (2B, n) N·m. needed: the same, divided by the share of current that each drive has left.
         kinematics: of B poses at the setpoint, then B at rest.
     """
 
@@ -40,7 +40,16 @@ class Motion(NamedTuple):
     qdd: Floats
     qd_peak: Floats
     tau: Floats
+    needed: Floats
     kinematics: Kinematics
+
+    @property
+    def tau_change(self) -> Floats:
+        """(2B, n) N·m, 0 at the setpoint, and from there to the first step of its stop."""
+        robots = len(self.tau) // 2
+        change = np.zeros_like(self.tau)
+        np.subtract(self.tau[robots:], self.tau[:robots], out=change[robots:])
+        return change
 
     @property
     def tool_speed_squared(self) -> Floats:

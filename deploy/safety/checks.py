@@ -22,6 +22,9 @@ SPEED_TOLERANCE = 1e-6
 ACCELERATION_TOLERANCE = 1e-4
 """Relative tolerance on acceleration: that of a state that Ruckig had to move to find a plan."""
 
+TAKEOVER_RATE = 2.5
+"""Multiple of the policy's torque rate at which a stop may take over. On arm6 one of 2000 setpoints asks for more."""
+
 
 def _joint(field: str) -> Callable[[Limits], Floats]:
     return lambda limits: limits.robot.joint_array(field)
@@ -49,6 +52,11 @@ def _acceleration_max(limits: Limits) -> Floats:
 
 def _torque_max(limits: Limits) -> Floats:
     return np.minimum(limits.torque, UNBOUNDED)
+
+
+def _torque_change_max(limits: Limits) -> Floats:
+    rates = [required(joint.torque_mode).rate_max for joint in limits.robot.joints]
+    return np.array(rates) * (TAKEOVER_RATE * limits.robot.dt)
 
 
 def _tool_speed_max_squared(limits: Limits) -> float:
@@ -154,7 +162,7 @@ MOTION: tuple[Check[Motion], ...] = (
     ),
     Check(
         name="joint_torque",
-        value=lambda motion: motion.tau,
+        value=lambda motion: motion.needed,
         low=lambda limits: -_torque_max(limits),
         high=_torque_max,
         reason=Reason.TORQUE,
@@ -169,6 +177,18 @@ MOTION: tuple[Check[Motion], ...] = (
     ),
 )
 """Checks of a setpoint, and of the first step of the stop that would begin there."""
+
+TAKEOVER: tuple[Check[Motion], ...] = (
+    Check(
+        name="torque_change_of_stop",
+        value=lambda motion: motion.tau_change,
+        low=lambda limits: -_torque_change_max(limits),
+        high=_torque_change_max,
+        reason=Reason.TORQUE,
+        per_joint=True,
+    ),
+)
+"""More checks of the same where the drives of a stop take over from torques."""
 
 BRAKING: tuple[Check[Braking], ...] = (
     Check(
@@ -236,6 +256,7 @@ class Checks(NamedTuple):
 
     estimate: tuple[Check[Estimate], ...] = ESTIMATE
     motion: tuple[Check[Motion], ...] = MOTION
+    takeover: tuple[Check[Motion], ...] = TAKEOVER
     braking: tuple[Check[Braking], ...] = BRAKING
     end_poses: tuple[Check[Pose], ...] = END_POSES
     all_poses: tuple[Check[Pose], ...] = ALL_POSES

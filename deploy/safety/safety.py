@@ -57,7 +57,8 @@ class Safety:
         self._gap_max = (spec.margins.collision_m or 0.0) + GAP_TOLERANCE_M
         self.twice_jerk = 2 * spec.joint_array("qddd_max")
         limits, rows = Limits(spec, self._drives.torque_limit, mode), fleet.robots
-        self._plan = CheckTable(rows, limits, checks.motion, checks.end_poses, checks.all_poses)
+        motion = checks.motion + (checks.takeover if mode is ControlMode.TORQUE else ())
+        self._plan = CheckTable(rows, limits, motion, checks.end_poses, checks.all_poses)
         self._braking = CheckTable(rows, limits, checks.braking, checks.all_poses)
         self._estimate = CheckTable(-(-rows // 2), limits, checks.estimate)
         self._poses = CheckTable(rows, limits, checks.end_poses, checks.all_poses)
@@ -90,7 +91,7 @@ class Safety:
         kinematics, between = self._kinematics(expected), self._kinematics(poses[1:3].reshape(expected.shape))
         # A stop first brings the acceleration to zero, and the speed that it gains until then counts.
         qd_peak = qd + qdd * np.abs(qdd) / self.twice_jerk
-        motion = Motion(q, qd, qdd, qd_peak, needed, kinematics)
+        motion = Motion(q, qd, qdd, qd_peak, tau, needed, kinematics)
         ends = Pose(targets, kinematics, self._centre)
         plan = self._plan.values(motion, ends, ends)
         q, qd = stop.q.reshape(expected.shape), stop.qd.reshape(expected.shape)

@@ -48,8 +48,9 @@ def test_robots_have_the_checks_whose_needs_they_meet(tmp_path):
         (bare, {"base_tilt", "manipulability", "self_collision"}),
         (walker, {"manipulability", "tool_height", "tool_radius", "tool_speed", "tool_speed_of_stop"}),
     ):
-        table = CheckTable(2, Limits(spec, np.zeros(spec.n), ControlMode.POSITION), *CHECKS)
-        every = {check.name for checks in CHECKS for check in checks}
+        checks = CHECKS._replace(takeover=())  # of robots in torque mode
+        table = CheckTable(2, Limits(spec, np.zeros(spec.n), ControlMode.POSITION), *checks)
+        every = {check.name for group in checks for check in group}
         assert every - {check.name for check in table.checks} == missing
     assert judge(safety=arm(bare)).reason[0] == 0
 

@@ -1,11 +1,15 @@
 import numpy as np
 import pytest
 
+from deploy.motion.drive_law import TorqueDrives
+from deploy.motion.drive_modes import position_drives
 from deploy.motion.smoother import Smoother
 from deploy.reasons import Reason
+from deploy.safety.checks import TAKEOVER_RATE
 from deploy.safety.safety import Safety
 from deploy.state import Setpoint, State
 from robots.models.fleet import Fleet
+from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
 from support.deploy.safety import HIGH, HOME, LOW, MARGINS, SPACE, N, one, point, reasons
 
@@ -47,6 +51,21 @@ def test_tool_speed_is_limited_while_a_stop_brakes(moment):
         assert found & ~Reason.TOOL_SPEED == 0
     assert 0 < sum(verdicts) < 50
     assert Reason.NOT_FINITE in reasons(**{moment: np.full(N, np.nan)})
+
+
+@pytest.mark.parametrize("mode", [ControlMode.POSITION, ControlMode.TORQUE])
+def test_a_stop_takes_over_from_torques_at_a_bounded_rate(mode):
+    """A wrist's torque is changed up and down until it is refused: not where drives follow angles anyway."""
+    fleet, joint = Fleet(SPEC, 2, collisions=True), 4
+    safety = Safety(SPEC, fleet, TorqueDrives(SPEC, fleet, mode), mode=mode)
+    most = TAKEOVER_RATE * SPEC.joints[joint].torque_mode.rate_max * SPEC.dt
+    rest, drive = point(), position_drives(SPEC, 1)._replace(mode=np.array([ControlMode.TORQUE]))
+    holding = Fleet(SPEC, 1).torque(rest.q, rest.qd, rest.qdd)
+    for change in (-1.01, -0.99, 0.99, 1.01):
+        sent_as_torque = rest._replace(tau=holding + one(joint, change * most), drive=drive)
+        found = reasons(setpoint=sent_as_torque, ahead=rest, safety=safety)
+        refused = mode is ControlMode.TORQUE and abs(change) > 1
+        assert found == (Reason.TORQUE if refused else 0)
 
 
 FASTER_IN_ITS_STOP = (
