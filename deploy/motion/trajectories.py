@@ -125,9 +125,9 @@ def stop_moments_s(spec: RobotSpec) -> tuple[float, float]:
     full speed the tool's lowest point was up to 35 mm below both ends, and up to 14 mm below the lowest of the ends and
     the later point; from up to 0.6, 12 mm and 6 mm.
 
-    The tool gains speed where one joint brakes that had held another's motion back. A search over stops of arm6 that
+    The tool gains speed where a joint brakes that had held back another's motion. A search over stops of arm6 that
     begin below 0.95 of the tool's limit found 1.26 of it where only the beginning is checked, 1.01 with the earlier
-    moment, and 0.99 with both (make bench: stops).
+    moment, and 0.99 with both (python -m eval.bench stops).
     """
     qdd_max = spec.joint_array("qdd_max")
     whole = spec.margins.speed * spec.joint_array("qd_max") / 2 / qdd_max

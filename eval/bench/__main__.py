@@ -12,6 +12,7 @@ python -m eval.bench memory            growth of a soak's memory
 python -m eval.bench budget            half an hour of 32 robots by the shipped budget; an idle policy that fails it
 python -m eval.bench teleport          a policy that asks for far angles: drives without limits, real ones, a cap
 python -m eval.bench adversaries       policies that ask for anything, in velocity and torque mode: an hour, 16 robots
+python -m eval.bench stops             the worst stop that safety accepts, for each limit of the tool
 python -m eval.bench walk              a walking robot beside a bare loop: --robot FOLDER --policy FILE
 python -m eval.bench                   all of them but the last two
 """
@@ -33,6 +34,7 @@ from eval.bench.estimation.floating import floating
 from eval.bench.process import memory, startup
 from eval.bench.reproducibility import reproducibility
 from eval.bench.stages import stages
+from eval.bench.stop_search import stop_search
 from eval.bench.teleport import teleport
 from eval.bench.throughput import throughput
 from eval.bench.walk import walk
@@ -55,6 +57,7 @@ BENCHES: dict[str, Callable[..., None]] = {
     "budget": budget_check,
     "teleport": teleport,
     "adversaries": adversaries,
+    "stops": stop_search,
     "walk": walk,
 }
 NOT_IN_ALL = ("adversaries", "walk")

@@ -11,7 +11,7 @@ from deploy.state import Setpoint, State
 from robots.models.fleet import Fleet
 from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
-from support.deploy.safety import HIGH, HOME, LOW, MARGINS, SPACE, N, one, point, reasons
+from support.deploy.safety import FASTER_IN_ITS_STOP, HIGH, HOME, LOW, MARGINS, SPACE, N, one, point, reasons
 
 
 @pytest.mark.parametrize("moment", ["q_early", "q_mid_stop"])
@@ -66,13 +66,6 @@ def test_a_stop_takes_over_from_torques_at_a_bounded_rate(mode):
         found = reasons(setpoint=sent_as_torque, ahead=rest, safety=safety)
         refused = mode is ControlMode.TORQUE and abs(change) > 1
         assert found == (Reason.TORQUE if refused else 0)
-
-
-FASTER_IN_ITS_STOP = (
-    np.array([-0.29, -1.07, 2.08, -2.1, -1.18, 2.44]),
-    np.array([2.76, -2.88, -2.03, -2.57, -2.53, 2.09]),
-)
-"""rad, rad/s: the tool's speed is 2.26 m/s here, and 2.43 m/s at the earlier moment of the stop."""
 
 
 def test_a_stop_in_which_the_tool_gains_speed_is_refused():

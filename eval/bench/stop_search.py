@@ -1,0 +1,132 @@
+"""Search for stops that safety accepts and in which the tool leaves its limits between the checked moments.
+
+Safety looks at the beginning of a stop, at two moments while it brakes and at its end. What lies between is left to the
+margins of robot.toml: this is what they must cover, for any setpoint inside the limits, reachable or not.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.optimize import differential_evolution
+
+from deploy.motion.smoother import Smoother
+from deploy.safety.safety import Safety
+from deploy.state import Setpoint, State
+from robots.arrays import Bools, Floats
+from robots.capabilities import required
+from robots.models.fleet import Fleet
+from robots.spec import RobotSpec
+
+POPULATION, GENERATIONS, SEED = 256, 300, 1
+TICKS, STEEPNESS = 2, 10.0
+"""Ticks between two looks at a stop; slope of the objective where safety refuses, so that the search comes back."""
+
+
+class StopSearch:
+    """Stops of P robots from any joint angle, speed and acceleration within their limits.
+
+    Attributes:
+        quantities: what is searched for, each a share of its limit. bounds: of safety, for each.
+    """
+
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        """Build the shipped smoother and safety for a robot with a workspace."""
+        self._spec, self._space, self._fleet = spec, required(spec.workspace), Fleet(spec, robots)
+        self._smoother, self._all = Smoother(spec, robots), np.ones(robots, dtype=bool)
+        self._safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True))
+        self._low, self._high = spec.joint_array("q_min"), spec.joint_array("q_max")
+        wall = 1.0 - required(spec.margins.workspace_m) / self._space.radius_max
+        self.bounds = {"tool speed": spec.margins.speed, "tool depth": wall, "tool radius": wall}
+        self.quantities = tuple(self.bounds)
+
+    def start(self, x: Floats) -> Setpoint:
+        """Return setpoints for numbers x (P, 3n) from 0 to 1: angle, peak speed, acceleration."""
+        place, speed, acceleration = np.split(x, 3, axis=1)
+        qdd = (2 * acceleration - 1) * self._spec.joint_array("qdd_max")
+        peak = (2 * speed - 1) * self._spec.margins.speed * self._spec.joint_array("qd_max")
+        qd = peak - qdd * np.abs(qdd) / self._safety.twice_jerk
+        return Setpoint(q=self._low + place * (self._high - self._low), qd=qd, qdd=qdd)
+
+    def shares(self, q: Floats, qd: Floats) -> Floats:
+        """(3, P) the quantities at angles and speeds (P, n)."""
+        kinematics, space = self._fleet.kinematics(q), self._space
+        tool, speed = kinematics.tool_position, np.linalg.norm(kinematics.tool_velocity(qd), axis=1)
+        depth = 1.0 + (space.z_min - tool[:, 2]) / space.radius_max
+        radius = np.linalg.norm(tool - np.array(space.centre), axis=1) / space.radius_max
+        return np.array([speed / space.tool_speed_max, depth, radius])
+
+    def run(self, start: Setpoint) -> tuple[Floats, Floats, Bools]:
+        """Return (3, P) largest shares at the checked moments and in the whole stop, and (P,) stops refused."""
+        stop, spec = self._smoother.brake(start), self._spec
+        refused = self._safety.step(_at(start), start, start, stop).reason != 0
+        checked = [self.shares(start.q, start.qd), self.shares(stop.q_rest, np.zeros_like(start.qd))]
+        checked += [self.shares(q, qd) for q, qd in zip(stop.q, stop.qd, strict=True)]
+        whole, smoother = list(checked), self._smoother
+        smoother.commit(start)
+        for tick in range(round(spec.stop_s / spec.dt)):
+            smoother.commit(smoother.next(start.q, self._all))
+            if tick % TICKS == 0:
+                whole.append(self.shares(smoother.q, smoother.qd))
+        return np.max(checked, axis=0), np.max(whole, axis=0), refused
+
+    def worst(self, quantity: str, generations: int, seed: int) -> float:
+        """Return the largest share of a quantity in a stop that safety accepts; NaN where none was found.
+
+        Source: Storn and Price, Differential Evolution (1997), by scipy.
+        """
+        row, bound, found = self.quantities.index(quantity), self.bounds[quantity], [np.nan]
+
+        def loss(x: Floats) -> Floats:
+            checked, whole, refused = self.run(self.start(x.T))
+            found.extend(whole[row][~refused])
+            excess = np.maximum(checked[row] - bound, 0.0)
+            return np.asarray(refused * (1.0 + STEEPNESS * excess) - whole[row])
+
+        first = np.random.default_rng(seed).random((len(self._all), 3 * self._spec.n))
+        differential_evolution(
+            loss,
+            [(0.0, 1.0)] * first.shape[1],
+            init=first,
+            maxiter=generations,
+            tol=0.0,
+            polish=False,
+            updating="deferred",
+            vectorized=True,
+            rng=seed,
+        )
+        return float(np.nanmax(found))
+
+
+def stop_search(spec: RobotSpec, policy: Path, console: Console) -> None:
+    """Print the worst accepted stop for each limit of the tool."""
+    del policy
+    if spec.workspace is None:
+        console.print(f"stops of {spec.name}: it has no workspace, so no limits of the tool")
+        return
+    search = StopSearch(spec, POPULATION)
+    table = Table("", "bound at the checked moments", "worst in between", title=f"stops of {spec.name}")
+    for quantity, bound in search.bounds.items():
+        worst = search.worst(quantity, GENERATIONS, SEED)
+        table.add_row(quantity, f"{bound:.4f}", f"{worst:.4f}")
+    console.print(table)
+
+
+def _at(setpoint: Setpoint) -> State:
+    """Return the estimate of robots that are where their setpoint is, with cool motors."""
+    q, cool = setpoint.q, np.full_like(setpoint.q, 25.0)
+    robots, still = len(q), np.zeros_like(q)
+    return State(
+        t=0.0,
+        q=q,
+        qd=setpoint.qd,
+        q_var=still,
+        age=np.zeros(robots),
+        nis=np.ones_like(q),
+        housing_c=cool,
+        winding_c=cool,
+        hottest_c=cool,
+        current_share=np.ones_like(q),
+        fault=np.zeros(robots, dtype=np.int64),
+    )
