@@ -30,12 +30,21 @@ from torch import nn
 from deploy.command_line import PASSED, main
 from deploy.policy.policy import Policy
 from policies.first_episodes import first_episodes
+from robots.child_process import Lifeline
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 
 SOURCES = ("joint_position", "joint_velocity", "goal_position", "last_action")
 LAYERS = (512, 256, 128)
 LOADS = 9
+SCRIPT = """
+import sys
+from robots.child_process import end_with
+end_with(sys.stdin.fileno())
+from policies.importers.cli import cli
+cli()
+"""
+"""policy-import that ends with the bench."""
 RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}
 
 console = Console(width=120)
@@ -103,14 +112,15 @@ def contract(spec: RobotSpec, network: dict[str, str]) -> str:
 
 def imports(spec: RobotSpec, policy: Path) -> None:
     """Print the wall time of the import command for each kind; `policy` is not used."""
-    command = [sys.executable, "-c", "from policies.importers.cli import cli; cli()"]
-    with tempfile.TemporaryDirectory() as place:
+    command = [sys.executable, "-c", SCRIPT]
+    with tempfile.TemporaryDirectory() as place, Lifeline() as lifeline:
         for kind, (path, network) in write_files(Path(place), spec).items():
             draft, out = path.with_suffix(".toml"), path.with_suffix(".ours.onnx")
             draft.write_text(contract(spec, network), encoding="utf-8")
             start = time.perf_counter()
             options = ["--contract", str(draft), "--robot", str(spec.folder), "--out", str(out)]
-            subprocess.run([*command, str(path), *options], check=True, stdout=subprocess.DEVNULL)
+            arguments = [*command, str(path), *options]
+            subprocess.run(arguments, check=True, stdin=lifeline.end.fileno(), stdout=subprocess.DEVNULL)
             spent = time.perf_counter() - start
             console.print(
                 f"policy-import, {kind}: {spent:.1f} s (at most 60), {os.stat(out).st_size >> 10} KiB"

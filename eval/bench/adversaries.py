@@ -24,6 +24,7 @@ from eval.judge.counts import Counts
 from eval.shard.job import ARM_S, POLL_S, WIDTH
 from eval.shard.judging import judge_tick, make_judge
 from eval.shard.shard import rearm
+from robots.child_process import Lifeline, end_with
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
 from robots.randomness import robot_seed
@@ -94,7 +95,10 @@ def adversaries(spec: RobotSpec, policy: Path, console: Console, hours: float = 
     modes = [mode for mode in spec.control_modes if mode is not ControlMode.POSITION]
     cases = [Case(spec.folder, mode, name, hours) for mode in modes for name in POLICIES]
     console.print(f"{spec.name}: {WIDTH} robots, {hours:g} h each: {len(cases)} cases, {WORKERS} at a time")
-    with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
+    with (
+        Lifeline() as lifeline,
+        ProcessPoolExecutor(WORKERS, get_context("spawn"), end_with, (lifeline.end,)) as pool,
+    ):
         for case, row in zip(cases, pool.map(run_case, cases), strict=True):
             found = ", ".join(f"{what} {number}" for what, number in zip(COLUMNS, row, strict=True))
             console.print(f"{case.mode.name.lower()}, {case.policy}: {found}")

@@ -13,6 +13,7 @@ from rich.console import Console
 from eval.bench.soak_setup import shard_job
 from eval.shard.job import WIDTH
 from eval.shard.shard import Shard
+from robots.child_process import Lifeline
 from robots.spec import RobotSpec
 
 MINUTES = 10
@@ -20,6 +21,8 @@ MINUTES = 10
 STARTS = 5
 SCRIPT = """
 import sys, deploy.runtime as r
+from robots.child_process import end_with
+end_with(sys.stdin.fileno())
 def act(self, action, act=r.Runtime.act):
     act(self, action)
     print(TAG, 'torch' in sys.modules, flush=True)
@@ -27,7 +30,7 @@ r.Runtime.act, TAG = act, 'first tick, torch:'
 from deploy.operation.cli import cli
 cli()
 """
-"""deploy-run that prints after every tick whether torch is imported."""
+"""deploy-run that prints after every tick whether torch is imported, and ends with the bench."""
 
 
 def startup(spec: RobotSpec, policy: Path, console: Console) -> None:
@@ -45,7 +48,10 @@ def startup(spec: RobotSpec, policy: Path, console: Console) -> None:
 def _first_tick(command: list[str]) -> tuple[float, bool]:
     """Return s from the start of a process to the end of its first tick, and whether torch was imported."""
     began = time.perf_counter()
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with (
+        Lifeline() as lifeline,
+        subprocess.Popen(command, stdin=lifeline.end.fileno(), stdout=subprocess.PIPE, text=True) as process,
+    ):
         for line in process.stdout or ():
             if line.startswith("first tick, torch:"):
                 spent = time.perf_counter() - began

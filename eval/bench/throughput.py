@@ -5,6 +5,7 @@ import multiprocessing as mp
 import tempfile
 import time
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from eval.replay.event_capture import EventCapture
 from eval.shard.job import WIDTH
 from eval.shard.shard import Shard
 from robots.arrays import Floats
+from robots.child_process import Lifeline, end_with
 from robots.spec import RobotSpec, load_robot
 
 WORKERS = 2
@@ -46,16 +48,22 @@ def _measure(workers: int, target: Callable[..., None], *args: Any) -> Floats:
     """Return the times that each worker measured, all of them in step: (workers, ROUNDS, ...) s."""
     context = mp.get_context("spawn")
     barrier, pipes = context.Barrier(workers), [context.Pipe(duplex=False) for _ in range(workers)]
-    processes = [
-        context.Process(target=target, args=(*args, number, barrier, sender))
-        for number, (_, sender) in enumerate(pipes)
-    ]
-    for process in processes:
-        process.start()
-    times = np.array([receiver.recv() for receiver, _ in pipes])
-    for process in processes:
-        process.join()
+    with Lifeline() as lifeline:
+        processes = [
+            context.Process(target=_work, args=(lifeline.end, target, *args, number, barrier, sender))
+            for number, (_, sender) in enumerate(pipes)
+        ]
+        for process in processes:
+            process.start()
+        times = np.array([receiver.recv() for receiver, _ in pipes])
+        for process in processes:
+            process.join()
     return times
+
+
+def _work(lifeline: Connection, target: Callable[..., None], *args: Any) -> None:
+    end_with(lifeline)
+    target(*args)
 
 
 def _shard_worker(folder: Path, policy: Path, number: int, barrier: Any, sender: Any) -> None:

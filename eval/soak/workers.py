@@ -1,4 +1,4 @@
-"""Worker processes that run all shards to their end, also if a worker dies."""
+"""Worker processes that run all shards to their end, also if a worker dies, and end with their parent."""
 
 import multiprocessing as mp
 import os
@@ -6,6 +6,7 @@ import signal
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from eval.shard.judging import ShardResult, shard_result
 from eval.shard.shard import Shard
 from eval.soak.checkpoint import Checkpoint, prepare_folder
 from eval.soak.configuration import SoakConfig
+from robots.child_process import Lifeline, end_with
 from robots.errors import OutputError
 
 DEATHS = 3
@@ -37,8 +39,9 @@ _progress: Any
 _stop: Any
 
 
-def _initialize_worker(progress: Any, stop: Any) -> None:
+def _initialize_worker(lifeline: Connection, progress: Any, stop: Any) -> None:
     global _progress, _stop
+    end_with(lifeline)
     _progress, _stop = progress, stop
 
 
@@ -133,26 +136,35 @@ class WorkerPool:
         self.pending = set(range(len(self._jobs)))
 
     def run(self) -> None:
-        """Run the pending shards until all are finished, the user interrupts, or a worker dies."""
-        workers, shared = min(self._config.workers, len(self.pending)), (self.progress, self.stop)
-        with ProcessPoolExecutor(
-            workers, self._context, initializer=_initialize_worker, initargs=shared
-        ) as pool:
-            futures = self._submit(pool)
-            try:
-                with handled(_interrupt):
-                    self.show_progress(futures)
-            except KeyboardInterrupt:
-                self.stop.value = 1
-                self._console.print("interrupted: the report will cover what has run so far")
-                with handled(signal.SIG_IGN):
-                    for future in futures:
-                        future.result()
-            except BrokenProcessPool:
-                raise
-            except BaseException:
-                self.stop.value = 1
-                raise
+        """Run the pending shards until all are finished, the user interrupts, or a worker dies.
+
+        The others then end with it: they may wait for a lock that it held, and ignore the pool's SIGTERM.
+        """
+        workers = min(self._config.workers, len(self.pending))
+        with Lifeline() as lifeline:
+            shared = lifeline.end, self.progress, self.stop
+            with ProcessPoolExecutor(workers, self._context, _initialize_worker, shared) as pool:
+                try:
+                    self._run_until_interrupted(pool)
+                except BrokenProcessPool:
+                    lifeline.cut()
+                    raise
+                except BaseException:
+                    self.stop.value = 1
+                    raise
+
+    def _run_until_interrupted(self, pool: ProcessPoolExecutor) -> None:
+        """Run the pending shards; after Ctrl-C, wait until those that run have stored their checkpoints."""
+        futures = self._submit(pool)
+        try:
+            with handled(_interrupt):
+                self.show_progress(futures)
+        except KeyboardInterrupt:
+            self.stop.value = 1
+            self._console.print("interrupted: the report will cover what has run so far")
+            with handled(signal.SIG_IGN):
+                for future in futures:
+                    future.result()
 
     def _submit(self, pool: ProcessPoolExecutor) -> "dict[Future[None], int]":
         futures = {}

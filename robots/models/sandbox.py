@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from robots.child_process import Lifeline, end_with
 from robots.errors import RobotError
 from robots.models.files import referenced_files
 from robots.models.mujoco_model import compile_model, open_model
@@ -32,7 +33,10 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
     # -P: imports nothing from the current folder.
     child = [sys.executable, "-P", "-m", "robots.models.sandbox", *arguments]
     try:
-        done = subprocess.run(child, capture_output=True, text=True, check=False)
+        with Lifeline() as lifeline:
+            done = subprocess.run(
+                child, stdin=lifeline.end.fileno(), capture_output=True, text=True, check=False
+            )
     except OSError as e:
         raise RobotError(f"{model}: no process to compile it in: {e.strerror}") from e
     if done.returncode == REFUSED:
@@ -50,7 +54,8 @@ def limit_resource(kind: int, most: int) -> None:
 
 
 def _main(model: str, folder: str, cpu_s: str) -> int:
-    signal.alarm(WALL_FACTOR * int(cpu_s))  # even if the parent is gone
+    end_with(sys.stdin.fileno())
+    signal.alarm(WALL_FACTOR * int(cpu_s))
     limit_resource(resource.RLIMIT_CPU, int(cpu_s))
     limit_resource(resource.RLIMIT_DATA, MEMORY_GIB << 30)
     limit_resource(resource.RLIMIT_CORE, 0)
