@@ -22,6 +22,7 @@ from deploy.plugins import BACKENDS, installed, load
 from deploy.policy.actor import Actor
 from deploy.runtime import Runtime
 from deploy.telemetry.console import ConsoleProcess, snapshot
+from deploy.telemetry.folder_lock import locked
 from deploy.telemetry.recorder import Recorder, check_folder
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
@@ -113,7 +114,7 @@ class Session:
         )
         self._backend.check(request)
         check_folder(options.out)
-        with closing(self._backend.open(request)) as robot:
+        with locked(options.out), closing(self._backend.open(request)) as robot:
             viewers = [RateLimited(VIEW_S, self._backend.viewer(robot))] if options.view else []
             runtime = Runtime(drive.spec, drive.actor.contract, robot, [self._source], drive.actor)
             heat_file = self._heat_file(runtime)

@@ -1,8 +1,7 @@
-"""Files of a report, junit.xml included: check the folder, lock it, write all files or none, delete them."""
+"""Files of a report, junit.xml included: check the folder, write all files or none, delete them."""
 
-import fcntl
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Collection, Mapping
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
@@ -43,7 +42,6 @@ def _describe(line: BudgetLine) -> str:
 
 PAGE = "report.html"
 FILES = {"report.json": lambda report: report.model_dump_json(indent=1), PAGE: render, "junit.xml": junit}
-LOCK = ".lock"
 
 
 def check_report_folder(out: Path, extra: Collection[str] = ()) -> None:
@@ -59,25 +57,6 @@ def check_report_folder(out: Path, extra: Collection[str] = ()) -> None:
         if (out / name).parent.is_file():
             place = (out / name).parent.name
             raise OutputError(f"--out {out}: {place} is a file, expected a folder or nothing of that name")
-
-
-@contextmanager
-def lock_folder(out: Path) -> Iterator[None]:
-    """Lock the folder `out`, since two soaks would overwrite each other's checkpoints.
-
-    Raises:
-        OutputError: another process has locked it.
-    """
-    path = out / LOCK
-    with path.open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as e:
-            raise OutputError(f"--out {out}: another soak is writing there, expected an unused folder") from e
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
 
 
 def write_report(report: Report, out: Path, extra: Mapping[str, bytes] | None = None) -> None:

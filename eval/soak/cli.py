@@ -7,13 +7,14 @@ from pathlib import Path
 from rich.console import Console
 
 from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.telemetry.folder_lock import locked
 from eval.history.history import add_record, check_same_task, check_writable, read_history
 from eval.history.soak_record import Run, SoakRecord
 from eval.replay.bundle import DRAWS
 from eval.replay.bundle_files import delete_bundles, list_bundles, replace_bundles
 from eval.replay.event_capture import EVENTS
 from eval.report.build import build
-from eval.report.report_files import PAGE, check_report_folder, delete_report, lock_folder, write_report
+from eval.report.report_files import PAGE, check_report_folder, delete_report, write_report
 from eval.report.schema.report_data import Report
 from eval.report.sections.trend import THIS_RUN, trend
 from eval.shard.judging import ShardResult
@@ -54,7 +55,7 @@ def soak_test(
     config = options.configure(policy, robot, profile, hours, robots, seed, workers, budget)
     limits = load_budget(config.budget)
     check_report_folder(out, EXTRA_FILES)
-    with lock_folder(out):
+    with locked(out):
         return _run(config, limits, out, history)
 
 

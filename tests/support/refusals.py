@@ -1,3 +1,5 @@
+import os
+
 import pytest
 
 from robots.errors import ContractError
@@ -11,3 +13,9 @@ def refusal(read, path, *arguments, error=ContractError, lines=1):
     assert message.startswith(f"{path}: ")
     assert message.count("\n") < lines
     return message.removeprefix(f"{path}: ")
+
+
+def in_use(folder, owner=None):
+    """The error about a folder that a process, by default this one, has locked."""
+    found = f"found in use by process {owner or os.getpid()}"
+    return f"--out {folder}: {found}, expected a folder that no other run uses"

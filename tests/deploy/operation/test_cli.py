@@ -16,12 +16,14 @@ from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.robot import SimRobot
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
+from deploy.telemetry.folder_lock import LOCK, locked
 from robots.distributions import load_distributions
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.contracts import SWAPPED, arm_contract
 from support.paths import ROOT
 from support.policies import policy_model, saved
+from support.refusals import in_use
 from support.screen import NoScreen
 
 SPEC = load_robot("arm6")
@@ -213,6 +215,15 @@ def test_unwritable_output_is_exit_2_and_left_unchanged(command, arm_policy, tmp
         complaint == f"error: --out {tmp_path / 'out'}: cannot be written: File exists, expected a folder\n"
     )
     assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_folder_of_another_run_is_exit_2_and_left_unchanged(command, arm_policy, tmp_path):
+    (tmp_path / "run.mcap").write_text("of the other run")
+    with locked(tmp_path):
+        code, _, complaint = command("--policy", arm_policy, "--duration", 1, "--out", tmp_path)
+        assert (code, complaint) == (2, f"error: {in_use(tmp_path)}\n")
+        assert {path.name for path in tmp_path.iterdir()} == {"run.mcap", LOCK}
+    assert (tmp_path / "run.mcap").read_text() == "of the other run"
 
 
 def test_a_view_without_a_display_is_exit_2(command, arm_policy, tmp_path, monkeypatch):

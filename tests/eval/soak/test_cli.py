@@ -14,8 +14,9 @@ from support.eval.shards import job
 
 pytest.importorskip("mujoco")
 
+from deploy.telemetry.folder_lock import LOCK, locked
 from eval.history.soak_record import Run
-from eval.report.report_files import LOCK, check_report_folder, lock_folder
+from eval.report.report_files import check_report_folder
 from eval.shard import shard as shard_module
 from eval.shard.job import WIDTH, code_digest
 from eval.shard.judging import COUNTED
@@ -28,6 +29,7 @@ from eval.soak.tensorboard import TENSORBOARD
 from eval.soak.workers import run_soak
 from robots.errors import ConfigError
 from support.eval.soaks import soak_config
+from support.refusals import in_use
 
 CONSOLE = Console(quiet=True)
 ROBOTS = WIDTH + 2
@@ -303,10 +305,7 @@ def test_bad_input_names_the_expected_value(soak_test, tmp_path, options, messag
 def test_folder_of_a_running_soak_is_refused(soak_test, tmp_path):
     out = tmp_path / "out"
     check_report_folder(out)
-    with lock_folder(out):
-        expected = f"error: --out {out}: another soak is writing there, expected an unused folder\n"
+    with locked(out):
+        expected = f"error: {in_use(out)}\n"
         assert soak_test("--hours", 0.001, "--robots", 1, "--workers", 1) == (2, "", expected)
         assert {path.name for path in out.iterdir()} == {LOCK}
-    assert not any(out.iterdir())
-    with lock_folder(out):
-        pass

@@ -1,0 +1,58 @@
+"""Lock of an output folder: of two runs into one folder, one would replace the files of the other."""
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import IO
+
+from robots.errors import OutputError
+
+LOCK = ".lock"
+"""File in a folder that is in use, with the number of the process that uses it."""
+CHARACTERS = 20
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Lock a folder, which must exist, until the block ends.
+
+    The kernel releases the lock of a process that was killed; the file that is left means nothing then.
+
+    Raises:
+        OutputError: naming the folder and the process that has locked it.
+    """
+    with _acquired(folder):
+        try:
+            yield
+        finally:
+            (folder / LOCK).unlink(missing_ok=True)
+
+
+def _acquired(folder: Path) -> IO[str]:
+    """Return the locked file, which holds this process's number."""
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context((folder / LOCK).open("a+", encoding="utf-8", errors="replace"))
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not _is_current(file, folder / LOCK):
+                return _acquired(folder)
+            file.truncate(0)
+            file.write(str(os.getpid()))
+            file.flush()
+        except BlockingIOError as e:
+            file.seek(0)
+            owner = file.read(CHARACTERS) or "unknown"
+            raise OutputError(
+                f"--out {folder}: found in use by process {owner}, expected a folder that no other run uses"
+            ) from e
+        except OSError as e:
+            raise OutputError(f"--out {folder}: {LOCK} cannot be locked: {e.strerror}") from e
+        stack.pop_all()
+        return file
+
+
+def _is_current(file: IO[str], path: Path) -> bool:
+    """Return True unless the owner before deleted the file after it was opened here: a third process has a new one."""
+    return path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat())

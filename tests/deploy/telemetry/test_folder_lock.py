@@ -1,0 +1,72 @@
+import fcntl
+import os
+import subprocess
+import sys
+from contextlib import ExitStack
+
+import pytest
+
+from deploy.telemetry.folder_lock import LOCK, locked
+from robots.errors import OutputError
+from support.refusals import in_use
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from deploy.telemetry.folder_lock import locked
+with locked(Path(sys.argv[1])):
+    print("locked", flush=True)
+    time.sleep(3600)
+"""
+
+
+def refused(folder, owner):
+    with pytest.raises(OutputError) as caught, locked(folder):
+        pass
+    assert str(caught.value) == in_use(folder, owner)
+
+
+def test_folder_is_locked_until_the_block_ends(tmp_path):
+    with locked(tmp_path):
+        refused(tmp_path, os.getpid())
+        refused(tmp_path, os.getpid())
+    assert os.listdir(tmp_path) == []
+    with locked(tmp_path):
+        pass
+
+
+def test_another_process_is_named_and_its_lock_ends_with_it(tmp_path):
+    command = [sys.executable, "-c", HOLDER, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout.readline() == "locked\n"
+        refused(tmp_path, holder.pid)
+        holder.kill()
+    assert os.listdir(tmp_path) == [LOCK]
+    with locked(tmp_path):
+        refused(tmp_path, os.getpid())
+    assert os.listdir(tmp_path) == []
+
+
+def test_file_deleted_while_it_was_opened_locks_nothing(tmp_path, monkeypatch):
+    """Its owner ends, and another run begins, between the two steps of a third one."""
+    flock = fcntl.flock
+    with ExitStack() as first, ExitStack() as second:
+        first.enter_context(locked(tmp_path))
+
+        def late(*arguments):
+            monkeypatch.undo()
+            first.close()
+            second.enter_context(locked(tmp_path))
+            flock(*arguments)
+
+        monkeypatch.setattr(fcntl, "flock", late)
+        refused(tmp_path, os.getpid())
+
+
+def test_folder_that_cannot_be_locked_is_an_error(tmp_path):
+    (tmp_path / LOCK).mkdir()
+    with (
+        pytest.raises(OutputError, match=rf"--out {tmp_path}: .lock cannot be locked: Is a directory"),
+        locked(tmp_path),
+    ):
+        pass
