@@ -3,6 +3,7 @@
 python -m eval.bench stages            cost of a tick without physics, at several B, stage by stage
 python -m eval.bench throughput        soak time ÷ bare physics time; a second worker; wider shards
 python -m eval.bench reproducibility   equal results for any number of workers, and after an interruption
+python -m eval.bench kills             the same after `kill -9` at 30 random moments; nothing left running
 python -m eval.bench estimate          errors with and without the estimator, consistency, an outage
 python -m eval.bench floating          errors of a floating base with and without its feet, consistency, cost
 python -m eval.bench ablation          the same trial with one stage of the stack replaced
@@ -14,7 +15,7 @@ python -m eval.bench teleport          a policy that asks for far angles: drives
 python -m eval.bench adversaries       policies that ask for anything, in velocity and torque mode: an hour, 16 robots
 python -m eval.bench stops             the worst stop that safety accepts, for each limit of the tool
 python -m eval.bench walk              a walking robot beside a bare loop: --robot FOLDER --policy FILE
-python -m eval.bench                   all of them but the last two
+python -m eval.bench                   all of them but kills and the last two
 """
 
 from collections.abc import Callable
@@ -31,6 +32,7 @@ from eval.bench.adversaries import adversaries
 from eval.bench.budget_check import budget_check
 from eval.bench.estimation.estimate import estimate
 from eval.bench.estimation.floating import floating
+from eval.bench.kills import kills
 from eval.bench.process import memory, startup
 from eval.bench.reproducibility import reproducibility
 from eval.bench.stages import stages
@@ -48,6 +50,7 @@ BENCHES: dict[str, Callable[..., None]] = {
     "stages": stages,
     "throughput": throughput,
     "reproducibility": reproducibility,
+    "kills": kills,
     "estimate": estimate,
     "floating": lambda spec, policy, console: floating(console),
     "ablation": ablation,
@@ -60,9 +63,9 @@ BENCHES: dict[str, Callable[..., None]] = {
     "stops": stop_search,
     "walk": walk,
 }
-NOT_IN_ALL = ("adversaries", "walk")
-"""One takes hours, the other a robot that walks."""
-WITH_PICTURE, WITH_HOURS = ("estimate", "ablation", "teleport"), ("adversaries",)
+NOT_IN_ALL = ("kills", "adversaries", "walk")
+"""The first takes most of an hour, the second hours, the third a robot that walks."""
+WITH_PICTURE, WITH_HOURS = ("estimate", "ablation", "teleport"), ("kills", "adversaries")
 
 
 def bench(
@@ -76,7 +79,9 @@ def bench(
     ] = None,
     hours: Annotated[
         float | None,
-        typer.Option(help=f"Simulated hours of each robot, of {' or '.join(WITH_HOURS)}.", show_default="1"),
+        typer.Option(
+            help=f"Simulated hours of each robot, of {' or '.join(WITH_HOURS)}.", show_default="0.09 or 1"
+        ),
     ] = None,
 ) -> int:
     """Measure the figures in the README."""
