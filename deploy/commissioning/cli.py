@@ -11,6 +11,7 @@ from deploy.commissioning.bounds import Bounds
 from deploy.commissioning.evaluation import Evaluation
 from deploy.commissioning.moves import CheckMoves
 from deploy.commissioning.report import write_report
+from deploy.operation.interrupts import Interrupts, handled
 from deploy.operation.jog import Jog, reduced_speed
 from deploy.operation.robot_run import Ending
 from deploy.operation.session import (
@@ -64,16 +65,18 @@ def check(
     options = Options(
         spec=spec, backend=backend, duration=RUN_S, speed=speed, seed=seed, draw=draw, out=out, view=view
     )
-    session, bounds, slow = Session(options), Bounds(spec), reduced_speed(spec)
+    interrupts = Interrupts()
+    session, bounds, slow = Session(options, interrupts), Bounds(spec), reduced_speed(spec)
     actor = Jog(slow)
     moves = CheckMoves(actor, slow, float(np.deg2rad(angle_deg)))
-    run = session.run(Drive(name="check", actor=actor, spec=slow, watchers=[moves]))
-    refused = run.reason if run.ending is Ending.REFUSED else ""
-    findings = Evaluation(spec, moves, bounds, refused).findings
-    if run.ending is not Ending.DONE:
-        findings.stopped = findings.stopped or run.reason or (run.ending or Ending.FAILED).value
-    about = {"robot": spec.name, "robot_digest": spec.digest, "angle_deg": angle_deg}
-    write_report(findings, out / "check.json", {**about, "seed": session.seed_text})
+    with handled(interrupts):
+        run = session.run(Drive(name="check", actor=actor, spec=slow, watchers=[moves]))
+        refused = run.reason if run.ending is Ending.REFUSED else ""
+        findings = Evaluation(spec, moves, bounds, refused).findings
+        if run.ending is not Ending.DONE:
+            findings.stopped = findings.stopped or run.reason or (run.ending or Ending.FAILED).value
+        about = {"robot": spec.name, "robot_digest": spec.digest, "angle_deg": angle_deg}
+        write_report(findings, out / "check.json", {**about, "seed": session.seed_text})
     if run.ending is Ending.INTERRUPTED:
         return INTERRUPTED
     return PASSED if findings.passed else BUDGET_EXCEEDED

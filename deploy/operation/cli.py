@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.operation.interrupts import Interrupts, handled
 from deploy.operation.jog import Jog, reduced_speed
 from deploy.operation.jog_keys import JogKeys
 from deploy.operation.keyboard import Keyboard
@@ -52,8 +53,9 @@ def run(
 ) -> int:
     """Drive one robot by a policy, or by hand: arm, work, and come to rest.
 
-    Ctrl-C asks for a controlled stop, a second one cuts power. Exit codes: 0 done, 1 the robot stopped and could
-    not go on, 2 bad input and nothing moved, 70 internal error, 130 interrupted.
+    Ctrl-C, or any other signal that would end a process, asks for a controlled stop; a second Ctrl-C cuts power. Exit
+    codes: 0 done, 1 the robot stopped and could not go on, 2 bad input and nothing moved, 70 internal error, 130
+    interrupted.
     """
     spec = load_robot(robot)
     options = Options(
@@ -66,8 +68,9 @@ def run(
         out=out,
         view=view,
     )
-    session = Session(options)
-    with ExitStack() as stack:
+    interrupts = Interrupts()
+    session = Session(options, interrupts)
+    with handled(interrupts), ExitStack() as stack:
         drive = _by_hand(spec, stack) if policy == JOG else _by_policy(policy, spec)
         ending = session.run(drive).ending
     return EXIT.get(ending, BUDGET_EXCEEDED) if ending else BUDGET_EXCEEDED

@@ -1,23 +1,40 @@
-"""Operating-system signals that end a command: Ctrl-C, termination, a lost terminal."""
+"""Operating-system signals that end a command: from the keyboard, a terminal that closes, other processes, timers."""
 
 import signal
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-import numpy as np
+UNSTOPPABLE = ("SIGKILL", "SIGSTOP")
+"""Signals that no process can handle."""
+FAULTS = ("SIGABRT", "SIGBUS", "SIGEMT", "SIGFPE", "SIGILL", "SIGSEGV", "SIGSYS", "SIGTRAP")
+"""Faults of this process itself. A handler of Python's would not run before the same instruction has failed again, and
+no state can be trusted from which a stop would be planned: the process ends, and drives without commands stop."""
+WRITE_ERRORS = ("SIGPIPE", "SIGXFSZ")
+"""Ignored by Python, which raises them as errors of the write that failed: no reader and no disk stops a robot."""
+HARMLESS = ("SIGCHLD", "SIGCONT", "SIGINFO", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGURG", "SIGWINCH")
+"""Signals that by default are ignored, or suspend a process."""
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-ECHO_S = 0.5
-"""Wall time after the first signal in which another one is taken for its echo, unless it is a Ctrl-C."""
+
+def _ending_signals() -> tuple[int, ...]:
+    others = (*UNSTOPPABLE, *FAULTS, *WRITE_ERRORS, *HARMLESS)
+    numbers = {getattr(signal, name) for name in others if hasattr(signal, name)}
+    return tuple(sorted(signal.valid_signals() - numbers))
+
+
+SIGNALS = _ending_signals()
+"""All others: by default they end a process."""
 
 
 @contextmanager
 def handled(handler: Any) -> Iterator[None]:
-    """Send all `SIGNALS` to `handler`, as `signal.signal` takes it, until the block ends."""
-    before = [(number, signal.signal(number, handler)) for number in SIGNALS]
+    """Send all `SIGNALS` to `handler`, as `signal.signal` takes it, until the block ends.
+
+    Those that a library handles, not in Python, are left to it.
+    """
+    ours = [number for number in SIGNALS if signal.getsignal(number) is not None]
+    before = [(number, signal.signal(number, handler)) for number in ours]
     try:
         yield
     finally:
@@ -26,19 +43,17 @@ def handled(handler: Any) -> Iterator[None]:
 
 
 class Interrupts:
-    """Signal handler: the first signal is counted and left to the tick, a later one raises KeyboardInterrupt.
+    """Signal handler: signals are counted and left to the tick; a second Ctrl-C raises KeyboardInterrupt, once.
 
-    A terminal that closes may send two signals in the same millisecond: these count as one.
+    Nothing else cuts a stop short: a service manager, a closing terminal or a timer may send several signals.
     """
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        self.count, self.now, self._first, self._raised = 0, now, np.inf, False
+    def __init__(self) -> None:
+        self.count, self._ctrl_c = 0, 0
 
     def __call__(self, number: int, _frame: FrameType | None) -> None:
         """Handle a signal."""
         self.count += 1
-        self._first = min(self._first, self.now())
-        repeated = self.count > 1 and (number == signal.SIGINT or self.now() > self._first + ECHO_S)
-        if repeated and not self._raised:
-            self._raised = True
+        self._ctrl_c += number == signal.SIGINT
+        if number == signal.SIGINT and self._ctrl_c == 2:
             raise KeyboardInterrupt

@@ -5,7 +5,7 @@ from enum import Enum
 
 import numpy as np
 
-from deploy.operation.interrupts import Interrupts, handled
+from deploy.operation.interrupts import Interrupts
 from deploy.operation.loop_timing import LoopTiming
 from deploy.operation.stop_explanation import StopExplanation, explain_reasons
 from deploy.operation.summary import RunStatistics
@@ -34,7 +34,7 @@ class RobotRun:
 
     Attributes:
         ending: None until the run has ended.
-        interrupts: signals received. statistics: for the summary.
+        statistics: for the summary.
     """
 
     def __init__(
@@ -43,12 +43,16 @@ class RobotRun:
         timing: LoopTiming,
         recorder: Recorder,
         *,
+        interrupts: Interrupts,
         duration: float,
         watchers: "Sequence[Watcher]" = (),
     ) -> None:
-        """Take a disarmed runtime and the s of robot time from arming to the stop; watchers see each finished tick."""
+        """Take a disarmed runtime and the s of robot time from arming to the stop; watchers see each finished tick.
+
+        A signal that `interrupts` has counted asks for the stop.
+        """
         self.runtime, self.timing, self.recorder = runtime, timing, recorder
-        self.statistics, self.interrupts = RunStatistics(), Interrupts()
+        self.statistics, self._interrupts = RunStatistics(), interrupts
         self.ending: Ending | None = None
         self._stop_reasons, self._refused = StopExplanation(), 0
         self._all = np.ones(runtime.robot.robots, dtype=bool)
@@ -71,15 +75,14 @@ class RobotRun:
 
     def run(self) -> Ending:
         """Arm, work, and come to rest, whatever happens."""
-        with handled(self.interrupts):
-            try:
-                if self._armed():
-                    self._work()
-            except BaseException:
-                self.runtime.robot.stop(self._all)
-                self.ending = Ending.FAILED
-                self.recorder.event()
-                raise
+        try:
+            if self._armed():
+                self._work()
+        except BaseException:
+            self.runtime.robot.stop(self._all)
+            self.ending = Ending.FAILED
+            self.recorder.event()
+            raise
         self.ending = self._final_ending()
         return self.ending
 
@@ -93,7 +96,7 @@ class RobotRun:
     def _armed(self) -> bool:
         """Tick with brakes on until every check passes, or give up."""
         t_last = self.runtime.t + ARM_WITHIN_S
-        while not self.interrupts.count:
+        while not self._interrupts.count:
             self._tick()
             refused = self.runtime.arm(self._all)
             if not refused.any():
@@ -115,7 +118,7 @@ class RobotRun:
 
     def _stop_if_due(self) -> None:
         """Ask for a controlled stop after an interrupt, at the end of the duration, or after an overrun."""
-        if self.interrupts.count and self.ending is not Ending.INTERRUPTED:
+        if self._interrupts.count and self.ending is not Ending.INTERRUPTED:
             self._stop(Ending.INTERRUPTED, Reason.OPERATOR)
         elif self.ending is None and self.runtime.t >= self._t_end:
             self._stop(Ending.DONE, Reason.OPERATOR)

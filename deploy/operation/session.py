@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from deploy.backends.backend import Backend, Request
+from deploy.operation.interrupts import Interrupts
 from deploy.operation.loop_timing import Clock, LoopTiming, RateLimited, Unpaced, WallClock
 from deploy.operation.options import SEED, random_source, speed_factor
 from deploy.operation.robot_run import RobotRun, Watcher
@@ -89,13 +90,13 @@ class Session:
         seed_text: seed or draw, in words.
     """
 
-    def __init__(self, options: Options) -> None:
-        """Check the options; nothing is opened or written.
+    def __init__(self, options: Options, interrupts: Interrupts) -> None:
+        """Check the options; nothing is opened or written. `interrupts` must handle signals during `run`.
 
         Raises:
             ConfigError: an option out of bounds.
         """
-        self._options, self._factor = options, speed_factor(options.speed)
+        self._options, self._interrupts, self._factor = options, interrupts, speed_factor(options.speed)
         if not options.duration > 0:
             raise ConfigError(f"--duration {options.duration}: expected s above 0, or inf")
         given = {"--draw": options.draw is not None, "--view": options.view}
@@ -152,7 +153,14 @@ class Session:
         shown: list[Watcher] = [RateLimited(CONSOLE_S, show), RateLimited(HEAT_S, heat_file.save), *viewers]
         watchers = [*drive.watchers, *shown]
         timing = _timing(runtime.spec.rates.control_hz, self._factor)
-        run = RobotRun(runtime, timing, recorder, duration=self._options.duration, watchers=watchers)
+        run = RobotRun(
+            runtime,
+            timing,
+            recorder,
+            interrupts=self._interrupts,
+            duration=self._options.duration,
+            watchers=watchers,
+        )
         # Objects made so far stay: the garbage collector shall not visit them in the middle of a tick.
         gc.collect()
         gc.freeze()

@@ -291,7 +291,7 @@ def test_interrupted_check_is_exit_130(check, monkeypatch):
 @pytest.mark.parametrize(
     ("stop", "code", "reason"),
     [
-        (lambda _: signal.raise_signal(signal.SIGINT), 130, "stopped by the operator"),
+        (lambda _: signal.raise_signal(signal.SIGQUIT), 130, "stopped by the operator"),
         (
             lambda run: run.runtime.stop(Reason.OVERRUN),
             1,

@@ -17,6 +17,7 @@ from deploy.backends.sim.robot import SimRobot
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
 from deploy.telemetry.folder_lock import LOCK, locked
+from deploy.telemetry.recorder import Recorder
 from robots.distributions import load_distributions
 from robots.randomness import robot_seed
 from robots.spec import load_robot
@@ -93,12 +94,15 @@ def test_a_robot_that_is_not_armed_is_exit_1(command, arm_policy, tmp_path, monk
     assert json.loads((tmp_path / "summary.json").read_text())["ended"] == "not armed"
 
 
-def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(command, arm_policy, tmp_path, monkeypatch):
+@pytest.mark.parametrize("which", [signal.SIGINT, signal.SIGQUIT])
+def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(
+    command, arm_policy, tmp_path, monkeypatch, which
+):
     waits = iter(range(10_000))
 
     def wait(_):
         if next(waits) == 300:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(which)
         return 0.0
 
     monkeypatch.setattr("deploy.operation.loop_timing.Unpaced.wait", wait)
@@ -106,6 +110,17 @@ def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(command, arm_polic
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert (summary["ended"], summary["reason"]) == ("interrupted", "stopped by the operator")
     assert [Path(event).name for event in summary["events"]] == ["event-300.mcap"]
+
+
+def test_a_signal_while_files_are_completed_loses_none(command, arm_policy, tmp_path, monkeypatch):
+    def close(recorder, close=Recorder.close):
+        signal.raise_signal(signal.SIGTERM)
+        close(recorder)
+
+    monkeypatch.setattr(Recorder, "close", close)
+    options = ("--policy", arm_policy, "--duration", 0.5, "--speed", "max", "--out", tmp_path)
+    assert command(*options)[0] == 0
+    assert json.loads((tmp_path / "summary.json").read_text())["ended"] == "done"
 
 
 @pytest.mark.slow

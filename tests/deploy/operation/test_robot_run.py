@@ -1,10 +1,12 @@
 import signal
+from functools import partial
 
 import numpy as np
 import pytest
 
 from deploy.backends.sim.backend import SimBackend
 from deploy.backends.sim.robot import SimRobot
+from deploy.operation.interrupts import FAULTS, SIGNALS, WRITE_ERRORS, Interrupts, handled
 from deploy.operation.loop_timing import LoopTiming, WallClock
 from deploy.operation.robot_run import Ending, RobotRun
 from deploy.policy.policy import Policy
@@ -48,7 +50,10 @@ class Bench:
         clock = WallClock(SPEC.dt, now=self.time.now, sleep=self.sleep)
         self.timing = LoopTiming(clock, SPEC.rates.control_hz, now=self.time.now)
         self.recorder = Recorder(folder, self.runtime, start_ns=0, about={})
-        self.run = RobotRun(self.runtime, self.timing, self.recorder, duration=duration)
+        self.interrupts = Interrupts()
+        self.run = RobotRun(
+            self.runtime, self.timing, self.recorder, interrupts=self.interrupts, duration=duration
+        )
 
     def sleep(self, seconds):
         self.time.sleep(seconds)
@@ -57,7 +62,8 @@ class Bench:
 
     def live(self):
         try:
-            return self.run.run()
+            with handled(self.interrupts):
+                return self.run.run()
         finally:
             self.recorder.close()
 
@@ -128,8 +134,13 @@ def test_non_finite_numbers_stop_the_robot_and_are_never_sent(bench, monkeypatch
     assert b.robot.cut == 0
 
 
-@pytest.mark.parametrize("which", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_the_first_interrupt_is_a_controlled_stop(bench, monkeypatch, which):
+ENDING = ("HUP", "INT", "QUIT", "USR1", "USR2", "ALRM", "TERM", "XCPU", "VTALRM", "PROF")
+"""Signals of every system that end a process by default, and that it can handle."""
+
+
+@pytest.mark.parametrize("name", ENDING)
+def test_the_first_interrupt_is_a_controlled_stop(bench, monkeypatch, name):
+    which = signal.Signals[f"SIG{name}"]
     b = bench(duration=60.0)
     moves(b, monkeypatch)
     b.at[100] = lambda: signal.raise_signal(which)
@@ -141,14 +152,35 @@ def test_the_first_interrupt_is_a_controlled_stop(bench, monkeypatch, which):
     assert (b.robot.cut, len(b.recorder.events)) == (0, 1)
 
 
-@pytest.mark.parametrize("second", [signal.SIGHUP, signal.SIGTERM])
-def test_signal_after_sighup_is_still_a_controlled_stop(bench, monkeypatch, second):
+@pytest.mark.parametrize("first", [signal.SIGHUP, signal.SIGINT])
+def test_no_other_signal_cuts_a_stop_short(bench, monkeypatch, first):
+    """A service manager, a terminal that closes or a timer may send many: here all, at once and one by one."""
     b = bench(duration=60.0)
     moves(b, monkeypatch)
-    b.at[100] = lambda: [signal.raise_signal(which) for which in (signal.SIGHUP, second)]
+    others = [number for number in SIGNALS if number != signal.SIGINT]
+    b.at[100] = lambda: [signal.raise_signal(number) for number in (first, *others)]
+    for k, number in enumerate(others):
+        b.at[101 + k] = partial(signal.raise_signal, number)
     assert b.live() is Ending.INTERRUPTED
     assert comes_to_rest(b)
     assert b.robot.cut == 0
+
+
+def test_signals_of_failed_writes_stop_no_robot(bench, monkeypatch):
+    """Python ignores them: the write that failed raises an error where it was made."""
+    b = bench(duration=1.0)
+    moves(b, monkeypatch)
+    for k, name in enumerate(WRITE_ERRORS):
+        b.at[100 + k] = partial(signal.raise_signal, signal.Signals[name])
+    assert b.live() is Ending.DONE
+    assert comes_to_rest(b)
+
+
+def test_every_signal_is_of_a_known_kind():
+    """What Linux and POSIX name, and no fault of this process."""
+    assert {signal.Signals[f"SIG{name}"] for name in ENDING} <= set(SIGNALS)
+    faults = {number for name in FAULTS if (number := getattr(signal, name, None))}
+    assert not {*SIGNALS} & {signal.SIGKILL, signal.SIGSTOP, signal.SIGCHLD, signal.SIGWINCH, *faults}
 
 
 def test_an_interrupt_while_arming_moves_nothing(bench):
@@ -159,24 +191,10 @@ def test_an_interrupt_while_arming_moves_nothing(bench):
     assert b.runtime.ticks < 30
 
 
-def test_later_second_interrupt_is_honoured(bench, monkeypatch):
-    """A service manager knows no Ctrl-C."""
+def test_a_second_ctrl_c_cuts_power(bench, monkeypatch):
     b = bench(duration=60.0)
     moves(b, monkeypatch)
-    monkeypatch.setattr(b.run.interrupts, "now", b.time.now)
-    b.at[100] = lambda: signal.raise_signal(signal.SIGTERM)
-    b.at[103] = lambda: (b.time.sleep(0.6), signal.raise_signal(signal.SIGTERM))
-    with pytest.raises(KeyboardInterrupt):
-        b.live()
-    assert (b.robot.cut, b.run.ending) == (1, Ending.FAILED)
-
-
-@pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
-def test_a_second_interrupt_cuts_power(bench, monkeypatch, first):
-    b = bench(duration=60.0)
-    moves(b, monkeypatch)
-    b.at[100] = lambda: signal.raise_signal(first)
-    b.at[103] = lambda: signal.raise_signal(signal.SIGINT)
+    b.at[100] = b.at[103] = lambda: signal.raise_signal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         b.live()
     assert (b.robot.cut, b.run.ending) == (1, Ending.FAILED)
