@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import typer
 
-from robots.errors import FirstshiftError, printable
+from robots.errors import FirstshiftError, ResultLostError, printable
 
 PASSED, BUDGET_EXCEEDED, BAD_INPUT, BROKEN, INTERRUPTED = 0, 1, 2, 70, 130
 
@@ -15,7 +15,8 @@ PASSED, BUDGET_EXCEEDED, BAD_INPUT, BROKEN, INTERRUPTED = 0, 1, 2, 70, 130
 def main(*commands: Callable[..., int]) -> None:
     """Run one command line; the function's result, or its error, becomes the exit code.
 
-    An option that typer refuses and a `FirstshiftError` are printed on standard error and exit with 2. Ctrl-C that a
+    An option that typer refuses and a `FirstshiftError` are printed on standard error and exit with 2, a result that
+    was lost with 1. Ctrl-C that a
     command did not handle itself exits with 130. Any other exception, of firstshift or of a robot's bus, is printed
     with its traceback and exits with 70, which is no verdict about the robot.
 
@@ -43,7 +44,7 @@ def exit_code_of(call: Callable[[], int]) -> int:
         return call()
     except FirstshiftError as e:
         print("\n".join(map(printable, f"error: {e}".split("\n"))), file=sys.stderr)
-        return BAD_INPUT
+        return BUDGET_EXCEEDED if isinstance(e, ResultLostError) else BAD_INPUT
     except KeyboardInterrupt:
         return INTERRUPTED
     except Exception as e:

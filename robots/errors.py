@@ -24,6 +24,10 @@ class OutputError(FirstshiftError):
     """A place that cannot be written."""
 
 
+class ResultLostError(OutputError):
+    """A result of work that was done, or of a motion, that cannot be written. Exit code 1."""
+
+
 def printable(text: str) -> str:
     """Return text with "?" for every control character: names from files must not control a terminal."""
     return "".join(c if c.isprintable() else "?" for c in text)

@@ -53,8 +53,8 @@ def check(
     """Commission a robot: order, sign, scale, delay, friction, gravity and tracking of each joint.
 
     The robot moves from where it stands, slowly, within all checks of a run. A robot with a floating base hangs
-    from its gantry and is jogged instead. Exit codes: 0 passed, 1 a joint failed, 2 bad input and nothing moved,
-    70 internal error, 130 interrupted.
+    from its gantry and is jogged instead. Exit codes: 0 passed, 1 a joint failed or a file could not be
+    kept, 2 bad input and nothing moved, 70 internal error, 130 interrupted.
     """
     spec = load_robot(robot)
     if not ANGLE_DEG[0] <= angle_deg <= ANGLE_DEG[1]:
@@ -77,9 +77,9 @@ def check(
             findings.stopped = findings.stopped or run.reason or (run.ending or Ending.FAILED).value
         about = {"robot": spec.name, "robot_digest": spec.digest, "angle_deg": angle_deg}
         write_report(findings, out / "check.json", {**about, "seed": session.seed_text})
-    if run.ending is Ending.INTERRUPTED:
+    if run.ending is Ending.INTERRUPTED and not run.lost:
         return INTERRUPTED
-    return PASSED if findings.passed else BUDGET_EXCEEDED
+    return PASSED if findings.passed and not run.lost else BUDGET_EXCEEDED
 
 
 def _check_fixed(spec: RobotSpec) -> None:

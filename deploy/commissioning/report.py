@@ -12,20 +12,24 @@ from rich.text import Text
 from deploy.commissioning.bounds import Measured
 from deploy.commissioning.findings import QUANTITIES, Findings, JointFindings
 from deploy.telemetry.output_files import replacing
+from robots.errors import OutputError, ResultLostError
 
 
 def write_report(findings: Findings, path: Path, about: dict[str, Any]) -> None:
-    """Write JSON to `path`, and print the table.
+    """Print the table, and write JSON to `path`.
 
     Raises:
-        OutputError: the file cannot be written.
+        ResultLostError: the file cannot be written.
     """
+    _print(findings)
     data = {"passed": findings.passed, **about, "stopped": findings.stopped}
     data["joints"] = {joint.name: _joint_data(joint) for joint in findings.joints}
     data["unverified"] = findings.unverified
-    with replacing(path) as partial:
-        partial.write_text(json.dumps(data, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    _print(findings)
+    try:
+        with replacing(path) as partial:
+            partial.write_text(json.dumps(data, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    except OutputError as e:
+        raise ResultLostError(f"not kept: report {e}") from e
 
 
 def _joint_data(joint: JointFindings) -> dict[str, Any]:

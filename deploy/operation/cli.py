@@ -29,7 +29,7 @@ from deploy.policy.policy import Policy
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 
-EXIT = {Ending.DONE: PASSED, Ending.INTERRUPTED: INTERRUPTED}
+EXIT: dict[Ending | None, int] = {Ending.DONE: PASSED, Ending.INTERRUPTED: INTERRUPTED}
 JOG = "jog"
 """Word in the place of a policy: the operator moves joints by keys."""
 
@@ -54,8 +54,8 @@ def run(
     """Drive one robot by a policy, or by hand: arm, work, and come to rest.
 
     Ctrl-C, or any other signal that would end a process, asks for a controlled stop; a second Ctrl-C cuts power. Exit
-    codes: 0 done, 1 the robot stopped and could not go on, 2 bad input and nothing moved, 70 internal error, 130
-    interrupted.
+    codes: 0 done, 1 the robot stopped and could not go on, or a file of the run could not be kept, 2 bad input and
+    nothing moved, 70 internal error, 130 interrupted.
     """
     spec = load_robot(robot)
     options = Options(
@@ -72,8 +72,8 @@ def run(
     session = Session(options, interrupts)
     with handled(interrupts), ExitStack() as stack:
         drive = _by_hand(spec, stack) if policy == JOG else _by_policy(policy, spec)
-        ending = session.run(drive).ending
-    return EXIT.get(ending, BUDGET_EXCEEDED) if ending else BUDGET_EXCEEDED
+        finished = session.run(drive)
+    return BUDGET_EXCEEDED if finished.lost else EXIT.get(finished.ending, BUDGET_EXCEEDED)
 
 
 def _by_policy(policy: str, spec: RobotSpec) -> Drive:

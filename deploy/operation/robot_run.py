@@ -34,7 +34,7 @@ class RobotRun:
 
     Attributes:
         ending: None until the run has ended.
-        statistics: for the summary.
+        statistics: for the summary. lost: what of the run could not be kept, in words.
     """
 
     def __init__(
@@ -54,6 +54,7 @@ class RobotRun:
         self.runtime, self.timing, self.recorder = runtime, timing, recorder
         self.statistics, self._interrupts = RunStatistics(), interrupts
         self.ending: Ending | None = None
+        self.lost: list[str] = []
         self._stop_reasons, self._refused = StopExplanation(), 0
         self._all = np.ones(runtime.robot.robots, dtype=bool)
         self._duration, self._t_end, self._t_rest = duration, np.inf, np.inf

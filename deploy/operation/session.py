@@ -145,10 +145,12 @@ class Session:
         (recorder, heat_file), console = files, ConsoleProcess()
         title = drive.title or (lambda: f"{about['robot']}  {about['policy']}  {about['backend']}")
 
+        def lost() -> list[str]:
+            return [*recorder.lost, *filter(None, [heat_file.error])]
+
         def show(run: RobotRun) -> None:
-            notes = [lost for lost in (recorder.lost, heat_file.error) if lost]
             joint = drive.joint() if drive.joint else None
-            console.offer(snapshot(run, title=title(), notes=notes, joint=joint))
+            console.offer(snapshot(run, title=title(), notes=lost(), joint=joint))
 
         shown: list[Watcher] = [RateLimited(CONSOLE_S, show), RateLimited(HEAT_S, heat_file.save), *viewers]
         watchers = [*drive.watchers, *shown]
@@ -173,7 +175,7 @@ class Session:
             recorder.close()
             heat_file.close()
             console.close()
-            report(run, about, recorder.path.parent / "summary.json", lost=heat_file.error)
+            run.lost = report(run, about, recorder.path.parent / "summary.json", lost())
         return run
 
 

@@ -1,9 +1,10 @@
 """Summary of a run: its statistics, a table for the operator, and the same and more as JSON."""
 
 import json
+import os
 import sys
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,21 +59,32 @@ def _maximum(so_far: float | None, celsius: Floats) -> float | None:
     return hottest if so_far is None else max(so_far, hottest)
 
 
-def report(run: "RobotRun", about: Mapping[str, str], path: Path, *, lost: str | None = None) -> None:
-    """Write the summary of a finished run to `path` and print it.
+def report(run: "RobotRun", about: Mapping[str, str], path: Path, lost: Sequence[str]) -> list[str]:
+    """Write the summary of a finished run to `path` and print it; return what of the run could not be kept.
 
-    A disk error is printed and not raised: the exit code is about the robot. `lost` is that of another file.
+    Args:
+        run, about: for the summary. path: of the summary.
+        lost: failures of other files, in words, which are printed, too.
     """
-    summary = _summary(run, about)
-    warnings = [text for text in (run.recorder.lost, lost) if text]
+    summary, lost = _summary(run, about), [*lost]
     try:
         with replacing(path) as partial:
             partial.write_text(json.dumps(summary, indent=2) + "\n")
     except OutputError as e:
-        warnings.append(str(e))
-    Console().print(_table(summary))
-    for text in warnings:
-        print(f"warning: {text}", file=sys.stderr)
+        lost.append(f"summary {e}")
+    _print(_table(summary))
+    for text in lost:
+        print(f"error: not kept: {text}", file=sys.stderr)
+    return lost
+
+
+def _print(table: Table) -> None:
+    """Print a table; an output that was closed, or is full, costs nothing that the summary does not hold."""
+    try:
+        Console().print(table)
+    except OSError as e:
+        print(f"warning: standard output cannot be written: {e.strerror}", file=sys.stderr)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python would try again at its end
 
 
 def _summary(run: "RobotRun", about: Mapping[str, str]) -> dict[str, Any]:
@@ -93,7 +105,7 @@ def _summary(run: "RobotRun", about: Mapping[str, str]) -> dict[str, Any]:
         "housing_max_c": statistics.housing_max_c,
         "winding_max_c": statistics.winding_max_c,
         "recording": str(recorder.path),
-        "recording_lost": recorder.lost,
+        "lost": recorder.lost,
         "events": [str(event) for event in recorder.events],
     }
 

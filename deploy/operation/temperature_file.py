@@ -49,7 +49,7 @@ class TemperatureFile:
     """Winding temperatures of robot 0, written every few seconds by a separate thread: no disk delays a tick.
 
     Attributes:
-        error: message of the last failed write, or None; the robot goes on.
+        error: message of the last write if it failed, or None; the robot goes on.
     """
 
     def __init__(
@@ -119,5 +119,4 @@ class TemperatureFile:
 
     def _check_write(self) -> None:
         error = self._writing.exception() if self._writing else None
-        if error:
-            self.error = str(error)
+        self.error = None if error is None else f"motor temperatures {error}"

@@ -6,6 +6,7 @@ stopped or slow terminal must not stop a robot. Imports nothing from this projec
 
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
@@ -79,20 +80,29 @@ def follow(lines: Iterable[str], console: Console) -> None:
 
 
 class _LinePrinter:
-    """One line per second of wall time, and one for each change of mode, notes or the operator's joint."""
+    """One line per second of wall time, and one for each change of mode, notes or the operator's joint.
+
+    Each note is printed once.
+    """
 
     def __init__(self, console: Console) -> None:
         self._console, self._second = console, -1
         self._printed: tuple[object, ...] = ()
+        self._notes: set[str] = set()
 
     def __call__(self, s: Snapshot) -> None:
         news = (s["mode"], s["notes"], s["joint"])
         if int(s["elapsed"]) != self._second or news != self._printed:
             self._console.print(line(s), soft_wrap=True, highlight=False, markup=False)
-            for note in s["notes"] if news != self._printed else ():
-                self._console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
+            for note in s["notes"]:
+                if note not in self._notes:
+                    self._console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
+            self._notes.update(s["notes"])
         self._second, self._printed = int(s["elapsed"]), news
 
 
 if __name__ == "__main__":
-    follow(sys.stdin, Console())
+    try:
+        follow(sys.stdin, Console())
+    except OSError:  # nobody can see it any more: the output was closed, or is full
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -33,10 +33,10 @@ def check_folder(folder: Path) -> None:
 class Recorder:
     """Records robot 0 into `folder`: run.mcap, and event-<tick>.mcap for each of the first events.
 
-    A disk that fails before anything moves is an error; one that fails later sets `lost`, and the robot goes on.
+    A disk that fails before anything moves is an error; one that fails later is noted in `lost`, and the robot goes on.
 
     Attributes:
-        lost: the failure of the disk, in words.
+        lost: failures of the disk in words, one for each file.
     """
 
     def __init__(self, folder: Path, runtime: Runtime, *, start_ns: int, about: Mapping[str, str]) -> None:
@@ -46,7 +46,8 @@ class Recorder:
             OutputError: it cannot be written.
         """
         self._events: list[Recording] = []
-        self.lost: str | None = None
+        self.lost: list[str] = []
+        self._failed: set[Path] = set()
         self._folder, self._spec, self._start_ns, self._about = folder, runtime.spec, start_ns, dict(about)
         self._goal_m = runtime.task.criterion.tolerance
         self._ring = Ring(runtime.spec, runtime.robot.robots, row_type(runtime.spec, runtime.task.size))
@@ -85,11 +86,9 @@ class Recorder:
     def step(self, runtime: Runtime, reason: str) -> None:
         """Record the tick that has just ended; `reason` says in words why the robot does not run."""
         row, self._tick = self._ring.step(runtime)[0], runtime.ticks - 1
-        if self.lost is not None:
-            return
         if row["mode"] != self._mode:
             self._log_mode(Mode(int(row["mode"])), int(row["reason"]), reason)
-        if self._tick % self._every == 0:
+        if self._tick % self._every == 0 and self._stream.error is None:
             self._stream.write(row)
         if self._tick == self._due:
             self._begin_event()
@@ -133,17 +132,20 @@ class Recorder:
         if not len(self._unwritten):
             self._events[-1].finish()
 
-    def _check_disk(self) -> None:
-        for recording in (self._stream, *self._events[-1:]):
-            if recording.error is not None:
-                self.lost = f"{recording.path}: cannot be written: {recording.error.strerror}"
+    def _check_disk(self, *older: Recording) -> None:
+        """Note a failure of the stream, of the newest event, and of `older` ones."""
+        for recording in (self._stream, *older, *self._events[-1:]):
+            if recording.error is not None and recording.path not in self._failed:
+                self._failed.add(recording.path)
+                what = "recording" if recording is self._stream else "event"
+                self.lost.append(f"{what} {recording.path}: cannot be written: {recording.error.strerror}")
 
     def close(self) -> None:
         """End every file; an event whose end has not come yet is written as it is."""
-        if self._due >= 0 and self.lost is None:
+        if self._due >= 0:
             self._begin_event()
         self._write_event(len(self._unwritten))
         self._stream.finish()
         for recording in (self._stream, *self._events):
             recording.wait()
-        self._check_disk()
+        self._check_disk(*self._events)

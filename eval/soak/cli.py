@@ -1,6 +1,8 @@
 """soak-test: run the shipped runtime on simulated robots, each with its own draw, for contiguous hours."""
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 
@@ -27,6 +29,7 @@ from eval.soak.series import SERIES, series
 from eval.soak.tensorboard import TENSORBOARD, event_file
 from eval.soak.workers import resumed_ticks, run_soak
 from eval.statistics.budget import Budget, load_budget
+from robots.errors import OutputError, ResultLostError
 
 UNFINISHED = "unfinished"
 """Folder in --out of a soak that has not finished: checkpoints, events, and the report if it was interrupted."""
@@ -47,7 +50,7 @@ def soak_test(
     out: options.Out = Path("out/soak"),
     history: options.History = None,
 ) -> int:
-    """Run the shipped runtime in simulation and write a report; exit code 1 if a budget was exceeded.
+    """Run the shipped runtime in simulation and write a report; exit code 1 if a budget was exceeded or a file lost.
 
     An interrupted soak resumes when the same command is given again. The report of an earlier soak in --out is
     replaced only when this one has finished.
@@ -60,11 +63,16 @@ def soak_test(
 
 
 def _run(config: SoakConfig, limits: Budget, out: Path, history: Path | None) -> int:
-    """Run the soak, or what is left of it, write the report and return the exit code."""
+    """Run the soak, or what is left of it, write the report and return the exit code.
+
+    Raises:
+        ResultLostError: a checkpoint, an event or the report cannot be written.
+    """
     console, earlier = Console(), None if history is None else _earlier_records(history, config)
     started, clock = datetime.now().astimezone(), time.monotonic()
     resumed_hours = _prepare(config, out, console)
-    shards = run_soak(config, out / UNFINISHED, console)
+    with _work_at_stake():
+        shards = run_soak(config, out / UNFINISHED, console)
     if not shards:
         return INTERRUPTED
     ticks = sum(int(shard.counts.ticks.sum()) for shard in shards) / config.robots
@@ -78,10 +86,21 @@ def _run(config: SoakConfig, limits: Budget, out: Path, history: Path | None) ->
     report = build(assemble(config, shards, run, list_bundles(out / UNFINISHED / EVENTS)), limits)
     if earlier is not None and not run.interrupted:
         report = report.model_copy(update={"trend": trend({**earlier, THIS_RUN: report})})
-    page = _write(report, _extra_files(config, shards, run), out, history)
+    extra = _extra_files(config, shards, run)
+    with _work_at_stake():
+        page = _write(report, extra, out, history)
     pooled = f"\npooled with earlier soaks: {report.trend.last.statement}" if report.trend else ""
     console.print(f"{report.verdict}: {report.statement}{pooled}\nreport: {page}", soft_wrap=True)
     return EXIT_CODES[report.verdict]
+
+
+@contextmanager
+def _work_at_stake() -> Iterator[None]:
+    """Hours were spent on what cannot be written: that is no bad input."""
+    try:
+        yield
+    except OutputError as e:
+        raise ResultLostError(f"not kept: {e}\nthe same command goes on from the last checkpoints") from e
 
 
 def _write(report: Report, extra: dict[str, bytes], out: Path, history: Path | None) -> Path:

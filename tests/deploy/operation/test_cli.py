@@ -28,6 +28,7 @@ from support.refusals import in_use
 from support.screen import NoScreen
 
 SPEC = load_robot("arm6")
+linux_only = pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full")
 
 
 @pytest.fixture
@@ -120,6 +121,74 @@ def test_a_signal_while_files_are_completed_loses_none(command, arm_policy, tmp_
     monkeypatch.setattr(Recorder, "close", close)
     options = ("--policy", arm_policy, "--duration", 0.5, "--speed", "max", "--out", tmp_path)
     assert command(*options)[0] == 0
+    assert json.loads((tmp_path / "summary.json").read_text())["ended"] == "done"
+
+
+FULL_DISK = """
+import resource, sys
+from deploy.operation.loop_timing import Unpaced
+from {module} import cli
+ticks = 0
+def wait(clock):
+    global ticks
+    ticks += 1
+    if ticks == 300:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
+    return 0.0
+Unpaced.wait = wait
+cli()
+"""
+"""A command, and a disk that is full from tick 300 on."""
+
+
+def on_full_disk(module, out, *options):
+    """Run a command by `python -c`: exit code, output and errors."""
+    command = [
+        sys.executable,
+        "-c",
+        FULL_DISK.format(module=module),
+        "--speed",
+        "max",
+        "--out",
+        out,
+        *options,
+    ]
+    return subprocess.run(list(map(str, command)), cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.slow
+def test_full_disk_stops_no_robot_and_is_exit_1_with_what_was_lost(arm_policy, tmp_path):
+    done = on_full_disk("deploy.operation.cli", tmp_path, "--policy", arm_policy, "--duration", 6)
+    assert done.returncode == 1
+    lost = {"recording": "run.mcap", "motor temperatures --out": "heat.json", "summary --out": "summary.json"}
+    assert done.stderr.splitlines() == [
+        f"error: not kept: {what} {tmp_path / name}: cannot be written: File too large"
+        for what, name in lost.items()
+    ]
+    assert done.stdout.count("note: recording") == 1
+    assert re.search(r"^ended +done", done.stdout, re.MULTILINE)
+    assert re.search(r"^last stops +6\.\d\d s: stopped by the operator", done.stdout, re.MULTILINE)
+
+
+@pytest.mark.slow
+def test_full_disk_is_no_verdict_of_a_check_but_exit_1(tmp_path):
+    done = on_full_disk("deploy.commissioning.cli", tmp_path, "--robot", "planar3", "--seed", 3)
+    assert done.returncode == 1
+    assert "passed" in done.stdout.splitlines()
+    found = tmp_path / "check.json"
+    assert f"error: not kept: report --out {found}: cannot be written: File too large\n" in done.stderr
+
+
+@linux_only
+@pytest.mark.slow
+def test_standard_output_that_is_full_costs_no_run(arm_policy, tmp_path):
+    script = "from deploy.operation.cli import cli; cli()"
+    options = ("--policy", arm_policy, "--speed", "max", "--duration", "1", "--out", tmp_path)
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-c", script, *map(str, options)]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=ROOT)
+    expected = "warning: standard output cannot be written: No space left on device\n"
+    assert (done.returncode, done.stderr) == (0, expected)
     assert json.loads((tmp_path / "summary.json").read_text())["ended"] == "done"
 
 

@@ -124,4 +124,18 @@ def test_later_disk_failure_is_reported_and_stops_nothing(tmp_path):
     folder.write_text("")
     file.save()
     file.close()
-    assert "cannot be written" in file.error
+    assert file.error.startswith(f"motor temperatures --out {folder / 'heat.json'}: cannot be written")
+
+
+def test_a_failure_that_was_made_good_is_none(tmp_path):
+    folder = tmp_path / "disk"
+    file, heat = opened(folder / "heat.json")
+    live(heat, sample(0.0, 40.0))
+    folder.rename(tmp_path / "away")
+    folder.write_text("")
+    file.save()
+    assert file._writing.exception()
+    folder.unlink()
+    file.close()
+    assert file.error is None
+    assert (folder / "heat.json").exists()

@@ -148,6 +148,13 @@ def test_lines_appear_once_a_second_and_on_changes():
     ]
 
 
+def test_a_note_is_printed_once():
+    notes = [*SNAPSHOT["notes"], "another"]
+    later = [{**SNAPSHOT, "notes": notes}, {**SNAPSHOT, "notes": notes, "mode": "LATCHED"}]
+    lines = drawn([SNAPSHOT, *later], terminal=False).splitlines()
+    assert [line for line in lines if line.startswith("note: ")] == [f"note: {note}" for note in notes]
+
+
 def test_lines_name_the_joint_that_the_operator_moves():
     """One for each change of the joint."""
     quiet = {**SNAPSHOT, "notes": [], "mode": "RUNNING", "reason": ""}

@@ -301,11 +301,30 @@ def small_disk():
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+def test_events_are_kept_after_the_stream_is_lost(tmp_path):
+    """Each file that fails is named once; here the first two."""
+    runtime, stops = Scripted(), (100, 300)
+    writer = recorder(tmp_path, runtime)
+    (tmp_path / "event-100.mcap").mkdir()
+    writer._stream._disk.error = OSError(28, "No space left on device")
+    for tick in range(600):
+        runtime.supervisor.mode[0] = Mode.STOPPING if tick in stops else Mode.RUNNING
+        runtime.supervisor.reason[0] = Reason.STALE if tick in stops else 0
+        runtime.tick()
+        writer.step(runtime, "")
+    writer.close()
+    assert writer.lost == [
+        f"recording {tmp_path / 'run.mcap'}: cannot be written: No space left on device",
+        f"event {tmp_path / 'event-100.mcap'}: cannot be written: Is a directory",
+    ]
+    assert ticks(tmp_path / "event-300.mcap")[-1] == 300 + AFTER
+
+
 @pytest.mark.usefixtures("small_disk")
 @pytest.mark.slow
 def test_disk_that_fills_up_during_a_run_is_reported_once_and_stops_no_tick(tmp_path, caplog, capfd):
     writer = record(tmp_path, 8000)
-    assert writer.lost == f"{tmp_path / 'run.mcap'}: cannot be written: File too large"
+    assert writer.lost == [f"recording {tmp_path / 'run.mcap'}: cannot be written: File too large"]
     assert (caplog.text, *capfd.readouterr()) == ("", "", "")
 
 

@@ -1,4 +1,5 @@
 import json
+import resource
 import subprocess
 import sys
 from concurrent.futures import wait
@@ -300,6 +301,47 @@ def test_bad_input_names_the_expected_value(soak_test, tmp_path, options, messag
     assert code == 2
     assert message in said
     assert not list(tmp_path.glob("out/*"))
+
+
+@pytest.fixture
+def small_disk():
+    """No file may grow beyond 1 MB, here and in workers."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_disk")
+def test_full_disk_is_exit_1_and_names_what_is_lost(soak_test, tmp_path):
+    code, _, said = soak_test("--hours", 0.001, "--robots", 1, "--workers", 1)
+    place = tmp_path / "out" / "unfinished" / "shard-0000.npz"
+    assert code == 1
+    assert said.splitlines() == [
+        f"error: not kept: --out {place}: cannot be written: File too large",
+        "the same command goes on from the last checkpoints",
+    ]
+
+
+@pytest.mark.slow
+def test_report_that_cannot_be_written_is_exit_1(soak_test, tmp_path, monkeypatch):
+    """The disk fills up after the last checkpoint."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def fill(*arguments, run=run_soak):
+        shards = run(*arguments)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, before[1]))
+        return shards
+
+    monkeypatch.setattr(command, "run_soak", fill)
+    try:
+        code, _, said = soak_test("--hours", 0.0003, "--robots", 1, "--workers", 1)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert code == 1
+    assert f"error: not kept: --out {tmp_path / 'out'}/" in said
+    assert (tmp_path / "out" / "unfinished" / "shard-0000.npz").exists()
 
 
 def test_folder_of_a_running_soak_is_refused(soak_test, tmp_path):
