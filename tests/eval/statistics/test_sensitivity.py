@@ -62,6 +62,18 @@ def test_p_value_of_one_pair_equals_a_permutation_test():
     assert correlate({"x": x}, {"y": y}, 9999).correlations[0].p == pytest.approx(10 / 120, abs=0.01)
 
 
+def test_outcomes_of_a_draw_are_permuted_together():
+    """Copies of an outcome are no further chances, as they would be if each were permuted by itself."""
+    rng = np.random.default_rng(8)
+    given, y = columns(rng.uniform(size=(24, 3)), "x"), rng.normal(size=24)
+    one, many = (correlate(given, columns(np.tile(y[:, None], k), "y"), RESAMPLES) for k in (1, 12))
+    p = {pair.parameter: pair.p for pair in one.correlations}
+    assert min(p.values()) < 0.9
+    assert len(many.correlations) == 12 * len(p)
+    assert all(pair.p == p[pair.parameter] for pair in many.correlations)
+    assert many.noticeable == pytest.approx(one.noticeable, abs=1e-9)
+
+
 def test_noticeable_means_small_p_value():
     given, outcomes = night(np.random.default_rng(6), 16)
     found = correlate(given, outcomes, RESAMPLES)
