@@ -226,6 +226,15 @@ def remove_foldback(runtime: Runtime) -> None:
     wrap_method(foldback, "step", step)
 
 
+def check_with_all_current(runtime: Runtime) -> None:
+    """Check torques as if drives had all their current, however little the foldback leaves them."""
+
+    def step(check: Callable[..., Verdict], state: State, *arguments: Any) -> Verdict:
+        return check(state._replace(current_share=np.ones_like(state.current_share)), *arguments)
+
+    wrap_method(runtime.safety, "step", step)
+
+
 def freeze_lost_currents(runtime: Runtime) -> None:
     """Keep the last current after its sensor is lost."""
     wrap_method(runtime.estimator.windings, "check_sensors", lambda *_: None)

@@ -5,14 +5,17 @@ from dataclasses import replace
 from deploy.backends.sim.sensor_faults import Failure
 from deploy.reasons import Reason
 from eval.mutants.attacks import cycle_poses, hot_motors_at_start, move_to, sensor_faults
-from eval.mutants.command_guards import FAR
+from eval.mutants.command_guards import FAR, LIGHT
 from eval.mutants.guard_removal import (
     accept_stuck_currents,
+    check_with_all_current,
     downgrade_to_category_2,
     freeze_lost_currents,
     ignore_reasons,
+    in_sequence,
     remove_foldback,
     remove_heat_margin,
+    scale_limits_while_following,
 )
 from eval.mutants.situation import Mutant, Situation, check_off
 
@@ -33,6 +36,7 @@ HELD = Situation(
     disturbance=hot_motors_at_start(86.0, 13.0),
     seconds=11.0,
 )
+SWING = cycle_poses(0.6, {"shoulder_lift": -1.9, "elbow": 0.9}, {"shoulder_lift": -1.2, "elbow": 0.9})
 
 HEAT_GUARDS = (
     check_off("safety: heat", Reason.HEAT, "heat_hard", HELD),
@@ -53,15 +57,28 @@ HEAT_GUARDS = (
         remove_guard=remove_foldback,
         situation=Situation(
             description="a hot arm swings 4 kg to and fro as fast as allowed; heat check off",
-            policy=cycle_poses(
-                0.6, {"shoulder_lift": -1.9, "elbow": 0.9}, {"shoulder_lift": -1.2, "elbow": 0.9}
-            ),
+            policy=SWING,
             prepare=ignore_reasons(Reason.HEAT),
             draws=BURDEN,
             disturbance=hot_motors_at_start(86.0, 21.0),
             seconds=8.0,
         ),
         monitor="heat_hard",
+    ),
+    Mutant(
+        guard="safety: the torque check ignores the foldback of currents",
+        remove_guard=check_with_all_current,
+        situation=Situation(
+            description="planner with four times the acceleration swings a hot arm; heat check off",
+            policy=SWING,
+            prepare=in_sequence(
+                ignore_reasons(Reason.HEAT | Reason.ACCELERATION), scale_limits_while_following(qdd_max=4.0)
+            ),
+            draws=LIGHT | {"links.mass": 1.0, "joints.friction": 1.0},
+            disturbance=hot_motors_at_start(86.0, 21.0),
+            seconds=2.0,
+        ),
+        monitor="torque",
     ),
     Mutant(
         guard="heat: lost current readings keep their last value",

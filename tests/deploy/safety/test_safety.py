@@ -86,6 +86,21 @@ def test_torque(joint, sign):
         assert (Reason.TORQUE in reasons(ahead=hard)) == beyond
 
 
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_hot_drive_may_give_its_share_of_the_torque_and_its_stop_all_of_it(joint, sign):
+    fleet, share = Fleet(SPEC, 1), one(joint, MARGINS.fold_min, np.ones(N))
+    bias = fleet.torque(HOME[None], ZERO[None], ZERO[None])[0, joint].copy()
+    slope = fleet.torque(HOME[None], ZERO[None], one(joint, 1.0)[None])[0, joint] - bias
+    for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
+        tau = sign * factor * MARGINS.fold_min * TAU_MAX[joint]
+        hard = point(qdd=one(joint, (tau - bias) / slope))
+        found = judge(setpoint=hard, ahead=point(), current_share=share)
+        assert found.tau[0, joint] == pytest.approx(tau, rel=1e-9)
+        assert (Reason.TORQUE in Reason(int(found.reason[0]))) == beyond
+        assert Reason.TORQUE not in reasons(setpoint=point(), ahead=hard, current_share=share)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_tool_speed(seed):
     fleet, direction = Fleet(SPEC, 1), np.random.default_rng(seed).normal(size=N)

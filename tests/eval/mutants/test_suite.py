@@ -22,6 +22,7 @@ ASKED = Reason.OVERRUN | Reason.OPERATOR
 """Reasons that only the shift around a runtime has: its clock's, and the operator's own."""
 QUICK = (
     "safety: collision",
+    "safety: the torque check ignores",
     "planner: jerk",
     "action: no leash",
     "estimator: accepted",

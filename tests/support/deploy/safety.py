@@ -38,6 +38,7 @@ def judge(
     age=0.0,
     housing_c=30.0,
     hottest_c=40.0,
+    current_share=1.0,
     setpoint=None,
     ahead=None,
     q_early=None,
@@ -60,7 +61,7 @@ def judge(
         housing_c=np.broadcast_to(np.asarray(housing_c, dtype=float), (1, N)),
         winding_c=np.full((1, N), 40.0),
         hottest_c=np.broadcast_to(np.asarray(hottest_c, dtype=float), (1, N)),
-        current_share=np.ones((1, N)),
+        current_share=np.broadcast_to(np.asarray(current_share, dtype=float), (1, N)),
         fault=np.zeros(1, dtype=np.int64),
     )
     ahead = setpoint if ahead is None else ahead
