@@ -1,6 +1,7 @@
 """Mutants of guards of commands: safety checks, planner limits, action clip and leash, and the runtime."""
 
 from deploy.reasons import Reason
+from eval.faults.hostile_policy import push_joints
 from eval.mutants.attacks import (
     action_spike,
     cycle_poses,
@@ -25,9 +26,10 @@ from eval.mutants.guard_removal import (
     send_non_finite,
     skip_stop_checks,
     stop_instantly,
+    widen_check,
     widen_target_range,
 )
-from eval.mutants.situation import INVALID, Mutant, Situation, check_off
+from eval.mutants.situation import INVALID, SEED, Mutant, Situation, check_off
 
 FAR = {"shoulder_lift": -0.5, "elbow": 0.6, "wrist_1": -1.94}
 """The arm stretched almost level, 0.93 m from its axis."""
@@ -170,7 +172,17 @@ SAFETY = (
         ),
     ),
     Mutant(
-        guard="safety: the stop's first step, middle and end are not checked",
+        guard="safety: the tool's speed while a stop brakes is not checked",
+        remove_guard=widen_check("tool_speed_of_stop"),
+        situation=Situation(
+            description="targets far to either side of all joints, by chance, three a second",
+            policy=push_joints(0.3, SEED),
+            seconds=20.0,
+        ),
+        monitor="tool_speed",
+    ),
+    Mutant(
+        guard="safety: the stop's first step, the moments while it brakes and its end are not checked",
         remove_guard=skip_stop_checks(),
         situation=TABLE,
         monitor="workspace",

@@ -13,7 +13,8 @@ from deploy.motion.smoother import Smoother
 from deploy.motion.smoothers import make_smoother
 from deploy.reasons import Reason
 from deploy.runtime import Runtime
-from deploy.state import Setpoint, State, Verdict
+from deploy.safety.check import UNBOUNDED
+from deploy.state import Setpoint, State, Stop, Verdict
 from robots.arrays import Bools, Floats
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -76,11 +77,24 @@ def skip_stop_checks(*, rest_only: bool = False) -> GuardRemoval:
     """Give safety the setpoint in place of the prepared stop, or in place of the stop's end alone."""
 
     def step(
-        check: Callable[..., Verdict], state: State, sent: Setpoint, now: Setpoint, *stop: Any
+        check: Callable[..., Verdict], state: State, sent: Setpoint, now: Setpoint, stop: Stop
     ) -> Verdict:
-        return check(state, sent, now, *(stop[:2] if rest_only else (now, now.q)), now.q)
+        twice = {"q": np.stack((now.q, now.q)), "qd": np.stack((now.qd, now.qd))}
+        kept = stop if rest_only else stop._replace(ahead=now, **twice)
+        return check(state, sent, now, kept._replace(q_rest=now.q))
 
     return lambda runtime: wrap_method(runtime.safety, "step", step)
+
+
+def widen_check(name: str) -> GuardRemoval:
+    """Let one of safety's checks accept any finite number."""
+
+    def remove_guard(runtime: Runtime) -> None:
+        for table in (runtime.safety._plan, runtime.safety._braking, runtime.safety._estimate):
+            columns = np.repeat([check.name == name for check in table.checks], table._widths)
+            table._low[:, columns], table._high[:, columns] = -UNBOUNDED, UNBOUNDED
+
+    return remove_guard
 
 
 def ignore_speed_overshoot(runtime: Runtime) -> None:
@@ -269,6 +283,16 @@ def brake_too_late(rad: float) -> GuardRemoval:
 def remove_torque_bound(runtime: Runtime) -> None:
     """Follow target torques whatever motion they would cause."""
     wrap_method(runtime.smoother, "_bounded", lambda _, target, state: target)
+
+
+def scale_torque_rates(factor: float) -> GuardRemoval:
+    """Scale the rates at which torques follow their targets."""
+
+    def remove_guard(runtime: Runtime) -> None:
+        ramp: Any = attrgetter("smoother.ramp")(runtime)
+        ramp._rate_max, ramp._rate_step = factor * ramp._rate_max, factor * ramp._rate_step
+
+    return remove_guard
 
 
 remove_torque_rate = override("smoother.ramp", _rate_max=np.inf)

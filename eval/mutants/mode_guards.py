@@ -11,8 +11,10 @@ from eval.mutants.guard_removal import (
     remove_second_torque_rate,
     remove_torque_bound,
     remove_torque_rate,
+    scale_torque_rates,
     take_over_stiffly,
     use_full_speed,
+    widen_check,
 )
 from eval.mutants.situation import SEED, Mutant, Situation
 from robots.arrays import Floats
@@ -105,6 +107,18 @@ TORQUE_MODE = (
             seconds=4.0,
         ),
         monitor="velocity",
+    ),
+    Mutant(
+        guard="torque mode: the change of torque to the first step of a stop is not checked",
+        remove_guard=widen_check("torque_change_of_stop"),
+        situation=Situation(
+            description="torque mode: joints shake; torques follow 2.5 times as fast",
+            policy=shake,
+            prepare=scale_torque_rates(2.5),
+            mode="torque",
+            seconds=8.0,
+        ),
+        monitor="torque_rate",
     ),
     Mutant(
         guard="torque mode: drives of a stop are stiff at once",
