@@ -60,7 +60,7 @@ class SoakProcess:
 
     def others(self, program: str = "") -> list[int]:
         """Return the processes that it has started, of those whose command contains `program`."""
-        command = ["ps", "-A", "-o", "pid=,pgid=,stat=,args="]
+        command = ["ps", "-A", "-ww", "-o", "pid=,pgid=,stat=,args="]
         table = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         rows = (line.split(maxsplit=3) for line in table.splitlines())
         group = [row for row in rows if row[1] == str(self.process.pid) and not row[2].startswith("Z")]
