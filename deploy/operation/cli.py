@@ -25,7 +25,10 @@ from deploy.operation.session import (
     Speed,
     ViewFlag,
 )
+from deploy.policy.compatibility import check_contract
 from deploy.policy.policy import Policy
+from deploy.policy.policy_file import read_policy_file
+from deploy.policy.step_trial import check_step
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 
@@ -77,7 +80,15 @@ def run(
 
 
 def _by_policy(policy: str, spec: RobotSpec) -> Drive:
-    return Drive(name=policy, actor=Policy.load(policy, spec), spec=spec)
+    """Return what moves a robot by a policy whose step was tried first.
+
+    Raises:
+        ContractError: the file is no policy, does not fit the robot, or needs too much time or memory.
+    """
+    file = read_policy_file(Path(policy))
+    check_contract(file.contract, spec, f"{policy}: contract")
+    check_step(file.data, 1 / file.contract.policy_hz, policy)
+    return Drive(name=policy, actor=Policy.verified(file, policy, spec), spec=spec)
 
 
 def _by_hand(spec: RobotSpec, stack: ExitStack) -> Drive:

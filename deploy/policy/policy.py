@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-import onnxruntime as ort
 
 from deploy.policy.actor import Actor
 from deploy.policy.compatibility import check_contract
+from deploy.policy.inference import BATCHES, load_session
 from deploy.policy.onnx_graph import shortened
 from deploy.policy.policy_file import INPUT, MEMORY, NEXT, OUTPUT, PolicyFile, read_policy_file
 from robots.arrays import Bools, Float32s
@@ -15,7 +15,6 @@ from robots.errors import ContractError
 from robots.spec import RobotSpec
 
 AGREEMENT = 1e-5  # absolute, in the unit of a raw action
-BATCHES = (1, 64)  # one robot, and many
 
 
 class Policy(Actor):
@@ -43,9 +42,17 @@ class Policy(Actor):
         Raises:
             ContractError: the file, its contract or its results do not fit this robot.
         """
-        file = read_policy_file(Path(path))
-        check_contract(file.contract, spec, f"{path}: contract")
-        policy = cls(file, str(path))
+        return cls.verified(read_policy_file(Path(path)), str(path), spec)
+
+    @classmethod
+    def verified(cls, file: PolicyFile, source: str, spec: RobotSpec) -> Self:
+        """Build the policy of a file for a robot and verify its golden pairs; `source` names the file.
+
+        Raises:
+            ContractError: its contract or its results do not fit this robot.
+        """
+        check_contract(file.contract, spec, f"{source}: contract")
+        policy = cls(file, source)
         for batch in BATCHES:
             policy.verify(file, batch)
         policy.resize(1)
@@ -115,18 +122,3 @@ class Policy(Actor):
                 f"{self._source}: golden pairs: found a deviation of {worst:.3g} at batch {batch}, "
                 f"expected at most {AGREEMENT:g}"
             )
-
-
-def load_session(data: bytes, source: str) -> ort.InferenceSession:
-    """Load a model into ONNX Runtime, on one thread; `source` names it in error messages.
-
-    Raises:
-        ContractError: ONNX Runtime refuses the model.
-    """
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # what goes wrong is raised, not logged
-    try:
-        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    except Exception as e:  # ONNX Runtime's errors share no base
-        raise ContractError(f"{source}: ONNX Runtime refuses it: {shortened(e)}") from e

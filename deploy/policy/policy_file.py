@@ -14,6 +14,7 @@ from deploy.policy.contract_term import Number
 from deploy.policy.onnx_graph import read_model
 from robots.arrays import Float32s
 from robots.errors import ContractError
+from robots.files import read_file
 from robots.strict import Strict, parse, read_json
 
 GOLDEN_KEY = "firstshift.golden"
@@ -22,8 +23,10 @@ MEMORY, NEXT = "memory", "next_memory"
 """Input and output of the recurrent state, of policies with memory."""
 FILE_BYTES_MAX = 256 << 20
 GOLDEN_CHARACTERS_MAX = 16 << 20
+PAIRS_MAX = 64
+"""Golden pairs: four times as many as exports write; all are run at each load."""
 
-Rows = Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1, max_length=1024)]
+Rows = Annotated[tuple[tuple[Number, ...], ...], Field(min_length=1, max_length=PAIRS_MAX)]
 
 
 class Golden(Strict):
@@ -68,22 +71,13 @@ def read_policy_file(path: Path) -> PolicyFile:
     Raises:
         ContractError: names the file, the part, the found and the expected value.
     """
-    data = _read(path)
+    data = read_file(path, FILE_BYTES_MAX, ContractError, "expected an ONNX policy")
     model = read_model(data, str(path))
     contract = Contract.from_json(_metadata(model, CONTRACT_KEY, path), f"{path}: {CONTRACT_KEY}")
     _check_inputs_and_outputs(model.graph, contract, path)
     observation, action = _golden(model, contract, path)
     digest = hashlib.sha256(data).hexdigest()
     return PolicyFile(data=data, digest=digest, contract=contract, observation=observation, action=action)
-
-
-def _read(path: Path) -> bytes:
-    try:
-        if path.stat().st_size > FILE_BYTES_MAX:
-            raise ContractError(f"{path}: {path.stat().st_size} bytes, at most {FILE_BYTES_MAX}")
-        return path.read_bytes()
-    except OSError as e:
-        raise ContractError(f"{path}: cannot be read: {e.strerror}, expected an ONNX policy") from e
 
 
 def _metadata(model: ModelProto, key: str, path: Path) -> str:

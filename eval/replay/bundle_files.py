@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.stage import Arrays
-from eval.replay.bundle import INFO, ROBOT
+from eval.replay.bundle import FILE_BYTES_MAX, INFO, ROBOT
 from robots.errors import ConfigError, OutputError
+from robots.files import read_file
 
 READ_ERRORS = OSError, ValueError, EOFError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error
 
@@ -47,7 +48,7 @@ def read_arrays(path: Path, expected: Mapping[str, NDArray[np.generic]]) -> Arra
         ConfigError: naming the file and the array; no array larger than expected is allocated.
     """
     try:
-        with zipfile.ZipFile(path) as file:
+        with zipfile.ZipFile(io.BytesIO(read_file(path, FILE_BYTES_MAX))) as file:
             found = {name.removesuffix(".npy") for name in file.namelist()}
             for name in sorted(found ^ expected.keys()):
                 raise ConfigError(f"{path}: {name:.80}: {'unknown' if name in found else 'missing'}")

@@ -14,8 +14,11 @@ from deploy.stage import Arrays
 from deploy.telemetry.output_files import replacing
 from eval.history.history import check_writable
 from robots.errors import ConfigError, OutputError
+from robots.files import read_file
 
 IDENTITY, SUFFIX = "identity", ".npz"
+BYTES_MAX = 1 << 32
+"""Upper bound of the size of a file: far more than a shard of eight hours."""
 DAMAGED = ".damaged"
 DAMAGE = TypeError, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, zipfile.BadZipFile
 """Errors that numpy, zipfile and json raise for a damaged file."""
@@ -50,12 +53,9 @@ class Checkpoint:
             ConfigError: the file is of another soak, or cannot be read.
             OutputError: a damaged file cannot be renamed.
         """
-        try:
-            data = self.path.read_bytes()
-        except FileNotFoundError:
+        if not self.path.exists():
             return None
-        except OSError as e:
-            raise ConfigError(f"{self.path}: cannot be read: {e.strerror}") from e
+        data = read_file(self.path, BYTES_MAX)
         try:
             identity, arrays = _unpack(data)
         except DAMAGE:

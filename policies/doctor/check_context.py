@@ -8,8 +8,9 @@ import numpy as np
 
 from deploy.policy.compatibility import mismatches
 from deploy.policy.contract_term import Term
+from deploy.policy.inference import BATCHES
 from deploy.policy.onnx_graph import shortened
-from deploy.policy.policy import BATCHES, Policy
+from deploy.policy.policy import Policy
 from deploy.policy.policy_file import read_policy_file
 from policies.doctor.checks.normalizer import Statistics, normalizer_of
 from policies.doctor.simulation.simulated_run import ON_TIME, Delay, SimulatedRun, run_simulation

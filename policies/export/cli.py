@@ -13,7 +13,8 @@ from rich.console import Console
 from deploy.command_line import PASSED, main
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract import Contract
-from deploy.policy.policy import AGREEMENT, BATCHES, Policy
+from deploy.policy.inference import BATCHES
+from deploy.policy.policy import AGREEMENT, Policy
 from deploy.policy.policy_file import INPUT, OUTPUT, Golden
 from policies.export.onnx_file import write_policy
 from policies.export.tracing import to_onnx

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.policy.policy import AGREEMENT, BATCHES, Policy
+from deploy.policy.inference import BATCHES
+from deploy.policy.policy import AGREEMENT, Policy
 from policies.importers.reference_policy import ReferencePolicy
 from robots.arrays import Bools, Float32s
 from robots.errors import ContractError

@@ -9,6 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from robots.errors import RobotError
+from robots.files import read_file
 
 TEXT_BYTES_MAX = 16 << 20
 DEPTH_MAX = 200
@@ -26,11 +27,8 @@ def is_urdf(model: Path) -> bool:
 def read_xml(path: Path) -> ElementTree.Element:
     """Return the root of an XML file of bounded size and depth, or raise RobotError."""
     try:
-        size = path.stat().st_size
-        if size > TEXT_BYTES_MAX:
-            raise RobotError(f"{path}: {size} bytes, expected at most {TEXT_BYTES_MAX}")
-        return _check_depth(ElementTree.parse(path).getroot(), path)
-    except (OSError, ElementTree.ParseError, ValueError) as e:
+        return _check_depth(ElementTree.fromstring(read_file(path, TEXT_BYTES_MAX, RobotError)), path)
+    except (ElementTree.ParseError, ValueError, LookupError) as e:  # LookupError: an unknown encoding
         raise RobotError(f"{path}: not readable as XML: {e}") from e
 
 

@@ -3,7 +3,6 @@
 python -P -m robots.models.sandbox MODEL FOLDER CPU_S
 """
 
-import resource
 import signal
 import subprocess
 import sys
@@ -13,6 +12,7 @@ from robots.child_process import Lifeline, end_with
 from robots.errors import RobotError
 from robots.models.files import referenced_files
 from robots.models.mujoco_model import compile_model, open_model
+from robots.resource_limits import limit_process
 
 CPU_S, MEMORY_GIB = 30, 8
 WALL_FACTOR = 6
@@ -46,19 +46,10 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
         raise RobotError(f"{bounds}: exit code {done.returncode}{last and f': {last:.200}'}")
 
 
-def limit_resource(kind: int, most: int) -> None:
-    """Limit a resource (`RLIMIT_DATA` or the like) of this process to `most`, or to its lower present limit."""
-    soft, hard = resource.getrlimit(kind)
-    lowest = min(limit for limit in (most, soft, hard) if limit != resource.RLIM_INFINITY)
-    resource.setrlimit(kind, (lowest, hard))
-
-
 def _main(model: str, folder: str, cpu_s: str) -> int:
     end_with(sys.stdin.fileno())
     signal.alarm(WALL_FACTOR * int(cpu_s))
-    limit_resource(resource.RLIMIT_CPU, int(cpu_s))
-    limit_resource(resource.RLIMIT_DATA, MEMORY_GIB << 30)
-    limit_resource(resource.RLIMIT_CORE, 0)
+    limit_process(int(cpu_s), MEMORY_GIB)
     try:
         compile_model(open_model(Path(model), Path(folder)), Path(model))
     except RobotError as e:

@@ -5,7 +5,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from deploy.policy.policy import BATCHES
+from deploy.policy.inference import BATCHES
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import NAMED_MAX, Message, failed, format_values, passed, warned
 from robots.errors import ContractError

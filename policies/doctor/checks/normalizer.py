@@ -12,8 +12,8 @@ import numpy as np
 from onnx import GraphProto, ModelProto, helper
 
 from deploy.policy.contract import Observed
+from deploy.policy.inference import load_session
 from deploy.policy.onnx_graph import decode
-from deploy.policy.policy import load_session
 from deploy.policy.policy_file import INPUT, PolicyFile
 from robots.arrays import Float32s, Floats
 

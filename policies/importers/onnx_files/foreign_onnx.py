@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from onnx import ModelProto, NodeProto, TensorProto, ValueInfoProto
 
 from deploy.policy.contract_term import SIZE_MAX
+from deploy.policy.inference import load_session
 from deploy.policy.onnx_graph import check_model, decode, graphs, shortened, tensors
-from deploy.policy.policy import AGREEMENT, load_session
+from deploy.policy.policy import AGREEMENT
 from policies.importers.onnx_files.metadata import known_from
 from policies.importers.reference_policy import Memory, PolicyFacts, ReferencePolicy
 from policies.importers.untrusted.zip_archive import BYTES_MAX, read_bytes
@@ -188,7 +189,7 @@ class _OnnxRunner:
     def __init__(
         self, model: ModelProto, observation: str, action: str, memory: tuple[Memory, ...], source: str
     ) -> None:
-        self._session = load_session(model.SerializeToString(), source)
+        self._session = load_session(model.SerializeToString(), source, batches=(1,))
         self._observation, self._memory, self._source = observation, memory, source
         self._outputs = [action, *(piece.output_name for piece in memory)]
 
@@ -211,7 +212,7 @@ def _accepts_batch(batched_model: ModelProto, reference: ReferencePolicy, source
     observations = np.random.default_rng(0).normal(size=(3, reference.facts.observations)).astype(np.float32)
     single = reference.run(observations, np.ones(3, dtype=bool))
     try:
-        session = load_session(batched_model.SerializeToString(), source)
+        session = load_session(batched_model.SerializeToString(), source, batches=(len(observations),))
         batch = session.run([reference.action], {reference.observation: observations})[0]
     except Exception:  # noqa: BLE001 - a batch size of 1 is built in; ONNX Runtime's errors share no base
         return False

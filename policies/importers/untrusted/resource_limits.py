@@ -10,7 +10,7 @@ from pathlib import Path
 
 from deploy.command_line import BAD_INPUT
 from robots.errors import ContractError
-from robots.models.sandbox import limit_resource
+from robots.resource_limits import limit_resource
 
 IMPORT_S, MEMORY_GIB = 600.0, 8
 

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from robots.errors import ContractError
+from robots.files import read_file
 
 BYTES_MAX = 256 << 20
 """Limit of a file, and of the total size of an archive's members unpacked."""
@@ -24,15 +25,7 @@ UNPACKERS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 def read_bytes(path: Path, expected: str, bytes_max: int | None = None) -> bytes:
     """Return the bytes of a file, at most `bytes_max` (default `BYTES_MAX`); `expected` ends error messages."""
-    limit = BYTES_MAX if bytes_max is None else bytes_max
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(limit + 1)
-    except OSError as e:
-        raise ContractError(f"{path}: cannot be read: {e.strerror}, {expected}") from e
-    if len(data) > limit:
-        raise ContractError(f"{path}: found more than {limit} bytes, {expected}")
-    return data
+    return read_file(path, BYTES_MAX if bytes_max is None else bytes_max, ContractError, expected)
 
 
 def read_names(data: bytes, source: str, expected: str) -> set[str]:

@@ -133,7 +133,7 @@ def test_a_mesh_outside_of_the_folder_is_refused(tmp_path, name, why):
 @pytest.mark.parametrize(
     ("bound", "words"),
     [
-        ("TEXT_BYTES_MAX", r"two\.urdf: \d+ bytes, expected at most 1"),
+        ("TEXT_BYTES_MAX", r"two\.urdf: found \d+ bytes, at most 1"),
         ("FILES_MAX", r"two\.urdf: names 2 files, expected at most 1"),
         ("FILES_BYTES_MAX", r"two\.urdf: names files of 568 bytes, expected at most 1"),
     ],

@@ -1,0 +1,81 @@
+"""Work of one node of an ONNX graph, from the shapes of its inputs and outputs."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+from onnx import NodeProto, helper
+
+NODE_WORK = 1 << 10
+"""Multiply-adds in the time that ONNX Runtime takes to start a node."""
+_ONCE = (
+    "Abs Acos Acosh Add And ArgMax ArgMin Asin Asinh Atan Atanh BatchNormalization BitShift BitwiseAnd BitwiseNot"
+    " BitwiseOr BitwiseXor Cast CastLike Ceil Celu Clip Concat Constant ConstantOfShape Cos Cosh DepthToSpace"
+    " DequantizeLinear Div Dropout DynamicQuantizeLinear Elu Equal Erf Exp Expand EyeLike Flatten Floor Gather"
+    " GatherElements GatherND Gelu Greater GreaterOrEqual HardSigmoid HardSwish Hardmax Identity"
+    " InstanceNormalization IsInf IsNaN LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax Max Mean Min"
+    " Mish Mod Mul Neg Not OneHot Or PRelu Pad Pow QuantizeLinear RMSNormalization Range Reciprocal ReduceL1 ReduceL2"
+    " ReduceLogSum ReduceLogSumExp ReduceMax ReduceMean ReduceMin ReduceProd ReduceSum ReduceSumSquare Relu Reshape"
+    " Round Scan Selu Shape Shrink Sigmoid Sign Sin Sinh Size Slice Softmax Softplus Softsign SpaceToDepth Split Sqrt"
+    " Squeeze Sub Sum Swish Tan Tanh ThresholdedRelu Tile Transpose Trilu Unsqueeze Where Xor"
+)
+ONCE = frozenset(_ONCE.split())
+"""Operators that look at each element a few times."""
+RECURRENT = frozenset({"GRU", "LSTM", "RNN"})
+
+
+@dataclass(frozen=True, slots=True)
+class Tensor:
+    """Shape of a tensor; by default of one that is left out.
+
+    Attributes:
+        itemsize: bytes of an element.
+    """
+
+    dims: tuple[int, ...] = (0,)
+    itemsize: int = 0
+
+    @classmethod
+    def of(cls, kind: int, dims: Iterable[int]) -> Self:
+        """Return the tensor of an element type of ONNX."""
+        return cls(tuple(dims), helper.tensor_dtype_to_np_dtype(kind).itemsize)
+
+    @property
+    def elements(self) -> int:
+        """Number of elements."""
+        return math.prod(self.dims)
+
+    @property
+    def bytes(self) -> int:
+        """Size of all elements."""
+        return self.elements * self.itemsize
+
+
+def node_work(node: NodeProto, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> int:
+    """Return an upper bound of a node's multiply-adds; of a Scan without its body.
+
+    It also bounds the elements of what the node needs for itself: of an unknown operator, every element of the largest
+    output may depend on every one of the largest input.
+    """
+    most_in, most_out = (max((each.elements for each in group), default=0) for group in (inputs, outputs))
+    if node.op_type in ONCE:
+        work = sum(each.elements for each in (*inputs, *outputs))
+    elif node.op_type in ("MatMul", "Gemm", "Conv"):
+        work = most_out * _summands(node.op_type, inputs, outputs[0])
+    elif node.op_type in RECURRENT:
+        steps = math.prod(inputs[0].dims[:2])
+        work = steps * (inputs[1].elements + inputs[2].elements)
+    else:
+        work = most_out * most_in
+    return NODE_WORK + work
+
+
+def _summands(kind: str, inputs: Sequence[Tensor], output: Tensor) -> int:
+    """Return the number of products in each element of the output."""
+    first, second = inputs[0], inputs[1]
+    if kind == "MatMul":
+        return first.dims[-1] if first.dims else 1
+    if kind == "Gemm":
+        return first.elements // max(1, output.dims[0])
+    return second.elements // max(1, second.dims[0])

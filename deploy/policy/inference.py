@@ -1,0 +1,31 @@
+"""The one place where ONNX Runtime loads a model, after its memory and work were bounded."""
+
+from collections.abc import Sequence
+
+import onnxruntime as ort
+
+from deploy.policy.graph_bounds import check_bounds
+from deploy.policy.onnx_graph import decode, shortened
+from robots.errors import ContractError
+
+BATCHES = (1, 64)
+"""Robots in a step for which a policy is checked: one, and many."""
+
+
+def load_session(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> ort.InferenceSession:
+    """Load a model into ONNX Runtime, on one thread; `source` names it in error messages.
+
+    Args:
+        batches: numbers of robots for a step of which the model's memory and work are bounded.
+
+    Raises:
+        ContractError: the model may need too much, or ONNX Runtime refuses it.
+    """
+    check_bounds(decode(data, source), batches, source)
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # what goes wrong is raised, not logged
+    try:
+        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    except Exception as e:  # ONNX Runtime's errors share no base
+        raise ContractError(f"{source}: ONNX Runtime refuses it: {shortened(e)}") from e

@@ -1,0 +1,85 @@
+"""Trial of a policy's step in a separate process, with bounds of time and memory, before a robot is armed.
+
+python -P -m deploy.policy.step_trial SOURCE < policy.onnx
+"""
+
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+from deploy.policy.inference import load_session
+from deploy.policy.onnx_graph import shortened
+from robots.errors import ContractError
+from robots.resource_limits import limit_process
+
+STEP_SHARE = 0.5
+"""Largest part of the policy's period that its step may take: estimation, smoother and checks need the rest."""
+STEPS = 50
+"""Steps of a trial; their median counts, since other processes may interrupt some."""
+CPU_S, MEMORY_GIB = 20, 4
+"""Bounds of a trial: starting ONNX Runtime takes about one second, a network of 256 MiB a few more."""
+WALL_S = 3 * CPU_S
+"""The machine may have other work."""
+REFUSED = 2
+"""Exit code for bad input."""
+
+
+def check_step(data: bytes, period_s: float, source: str) -> None:
+    """Check that one step of a policy, for one robot, takes at most `STEP_SHARE` of its period.
+
+    Raises:
+        ContractError: it takes longer, needs too much memory, crashes, or ONNX Runtime refuses it.
+    """
+    child = [sys.executable, "-P", "-m", "deploy.policy.step_trial", source]
+    bounds = f"{source}: cannot be tried within {CPU_S} s of a core and {MEMORY_GIB} GiB"
+    try:
+        done = subprocess.run(child, input=data, capture_output=True, check=False)
+    except OSError as e:
+        raise ContractError(f"{source}: no process to try it in: {e.strerror}") from e
+    said, complaint = done.stdout.decode(), done.stderr.decode(errors="replace").strip()
+    if done.returncode == REFUSED:
+        raise ContractError(complaint)
+    if done.returncode:
+        last = complaint.rpartition("\n")[2]
+        raise ContractError(f"{bounds}: exit code {done.returncode}{last and f': {last:.200}'}")
+    if (found := float(said)) > (bound := STEP_SHARE * period_s):
+        expected = f"expected at most {1e3 * bound:.3g} ms, {STEP_SHARE:g} of the policy's period"
+        raise ContractError(f"{source}: a step takes {1e3 * found:.3g} ms on this machine, {expected}")
+
+
+def median_step_s(data: bytes, source: str) -> float:
+    """Return s, the median time of a step for one robot, of steps that take at most a second together.
+
+    Raises:
+        ContractError: ONNX Runtime refuses the model, or cannot run it.
+    """
+    session, rng = load_session(data, source), np.random.default_rng(0)
+    shapes = {each.name: (1, each.shape[1]) for each in session.get_inputs()}
+    inputs = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+    times: list[float] = []
+    while len(times) < STEPS and sum(times) < 1.0:
+        begin = time.perf_counter()
+        try:
+            session.run(None, inputs)
+        except Exception as e:  # ONNX Runtime's errors share no base
+            raise ContractError(f"{source}: cannot be run: {shortened(e)}") from e
+        times.append(time.perf_counter() - begin)
+    return float(np.median(times))
+
+
+def _main(source: str) -> int:
+    signal.alarm(WALL_S)  # even if the parent is gone
+    limit_process(CPU_S, MEMORY_GIB)
+    try:
+        print(median_step_s(sys.stdin.buffer.read(), source))
+    except ContractError as e:
+        print(e, file=sys.stderr)
+        return REFUSED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main(*sys.argv[1:]))

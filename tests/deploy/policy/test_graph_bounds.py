@@ -1,0 +1,188 @@
+"""Bounds on memory and work of graphs, from their shapes alone: nothing of a graph that is refused was run."""
+
+import numpy as np
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from deploy.policy import graph_bounds
+from deploy.policy.graph_bounds import check_bounds
+from deploy.policy.inference import BATCHES, load_session
+from deploy.policy.onnx_graph import check_model
+from robots.errors import ContractError
+
+FLOAT = TensorProto.FLOAT
+
+
+def node(kind, inputs, outputs, **attributes):
+    return helper.make_node(kind, inputs.split(), outputs.split(), name=outputs.split()[-1], **attributes)
+
+
+def graph(*nodes, inputs="x", outputs="y", held=None, shape=("batch", 3), rank=2):
+    """A model from inputs of one shape to outputs of any shape of `rank`."""
+    ends = [
+        [helper.make_tensor_value_info(name, FLOAT, size) for name in names.split()]
+        for names, size in ((inputs, shape), (outputs, "abc"[:rank]))
+    ]
+    weights = [numpy_helper.from_array(np.asarray(array), name) for name, array in (held or {}).items()]
+    made = helper.make_graph(list(nodes), "g", *ends, weights)
+    return helper.make_model(made, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+
+
+def body(kind="Add", held=None, **more):
+    ends = [
+        [helper.make_tensor_value_info(name, FLOAT, []) for name in names] for names in (("s", "r"), ("t",))
+    ]
+    weights = [numpy_helper.from_array(array, name) for name, array in (held or {}).items()]
+    return helper.make_graph([node(kind, "s r", "t", **more)], "body", *ends, weights)
+
+
+def filled(*shape):
+    return node("ConstantOfShape", "n", "big"), {"n": np.array(shape)}
+
+
+def elements():
+    fill, held = filled(4_000_000_000)
+    return graph(fill, node("ReduceMin", "big", "y", keepdims=0), held=held)
+
+
+def product():
+    fill, held = filled(3000, 3000)
+    return graph(fill, node("MatMul", "big big", "y"), held=held)
+
+
+def many_tensors():
+    fill, held = filled(1 << 26)
+    return graph(fill, *(node("Neg", "big", f"y{k}") for k in range(4)), outputs="y3", held=held)
+
+
+def trips():
+    fill, held = filled(100_000)
+    return graph(fill, node("Scan", "zero big", "y", body=body(), num_scan_inputs=1), held=held | ZERO)
+
+
+def long_trips():
+    """A hundred trips, each with much work."""
+    held = {"zero": np.zeros((1000, 1000), np.float32), "rows": np.zeros((100, 1), np.float32)}
+    scan = node("Scan", "zero rows", "y", body=body("MatMul"), num_scan_inputs=1)
+    scan.attribute[0].g.node[0].input[1] = "s"
+    return graph(scan, held=held)
+
+
+def depends_on_data():
+    return graph(node("NonZero", "x", "where"), node("Cast", "where", "y", to=FLOAT))
+
+
+def declared():
+    """A shape that the file declares is no evidence."""
+    model = depends_on_data()
+    model.graph.value_info.append(helper.make_tensor_value_info("where", TensorProto.INT64, [2, 1]))
+    return model
+
+
+def by_batch():
+    """Nothing at batch 1, much at batch 64."""
+    return graph(
+        node("Transpose", "x", "t"),
+        *(node("MatMul", "x t", f"w{k}") for k in range(1000)),
+        outputs="w999",
+        shape=("batch", 4000),
+    )
+
+
+def words():
+    return graph(node("Identity", "text", "said"), node("Neg", "x", "y"), held={"text": np.array(["a"])})
+
+
+def hidden_by_a_name():
+    """A weight of the body with the name, and the size, of a smaller one outside."""
+    inside = body(held={"n": np.array([1 << 30])})
+    inside.node.insert(0, node("ConstantOfShape", "n", "big"))
+    scan = node("Scan", "zero x", "y", body=inside, num_scan_inputs=1)
+    return graph(scan, held=ZERO | {"n": np.array([1])}, shape=("batch",))
+
+
+def sparse():
+    values = numpy_helper.from_array(np.ones(1, np.float32), "v")
+    made = helper.make_sparse_tensor(values, numpy_helper.from_array(np.zeros(1, np.int64), "i"), [1 << 30])
+    constant = helper.make_node("Constant", [], ["big"], name="big", sparse_value=made)
+    return graph(constant, node("ReduceMin", "big", "y", keepdims=0))
+
+
+ZERO = {"zero": np.zeros((), np.float32)}
+KNOWN = "expected one that follows from the shapes of the inputs"
+REFUSED = {
+    "elements": (elements, "of 1: node 'big' (ConstantOfShape): found 4000000000 elements of an output"),
+    "product": (product, "of 1: found 27009002050 multiply-adds in a step, expected at most 67108864"),
+    "many tensors": (many_tensors, "of 1: found 1342177280 bytes of intermediate tensors, expected at most"),
+    "trips": (trips, "of 1: node 'y' (Scan): found 100000 trips, expected at most 4096"),
+    "long trips": (long_trips, "of 1: found 1000"),
+    "data": (
+        depends_on_data,
+        f"of 1: node 'where' (NonZero): found an output 'where' of unknown shape, {KNOWN}",
+    ),
+    "declared": (
+        declared,
+        f"of 1: node 'where' (NonZero): found an output 'where' of unknown shape, {KNOWN}",
+    ),
+    "batch": (by_batch, "of 64: found"),
+    "words": (words, "of 1: 'said': found no numbers, expected a tensor of numbers"),
+    "name": (
+        hidden_by_a_name,
+        "of 1: node 'y' (Scan): node 'big' (ConstantOfShape): found 1073741824 elements",
+    ),
+    "sparse": (sparse, "of 1: node 'big' (Constant): found 1073741824 elements of an output"),
+}
+
+
+@pytest.mark.parametrize(("make", "message"), REFUSED.values(), ids=REFUSED)
+def test_a_graph_that_needs_too_much_never_reaches_onnx_runtime(make, message, monkeypatch):
+    model = make()
+    check_model(model, "x.onnx")
+    monkeypatch.setattr("onnxruntime.InferenceSession", lambda *_, **__: pytest.fail("it was loaded"))
+    with pytest.raises(ContractError) as caught:
+        load_session(model.SerializeToString(), "x.onnx")
+    assert str(caught.value).startswith(f"x.onnx: for a batch {message}")
+    assert "\n" not in str(caught.value)
+
+
+def mlp(width):
+    layers = [node("MatMul", "x w0", "h0")]
+    layers += [node("MatMul", f"h{k} w", f"h{k + 1}") for k in range(3)]
+    held = {"w0": np.zeros((3, width), np.float32), "w": np.zeros((width, width), np.float32)}
+    return graph(*layers, node("Neg", "h3", "y"), held=held)
+
+
+def lstm(hidden, steps=50):
+    held = {
+        "w": np.zeros((1, 4 * hidden, 3), np.float32),
+        "r": np.zeros((1, 4 * hidden, hidden), np.float32),
+    }
+    recurrent = node("LSTM", "x w r", "all last", hidden_size=hidden)
+    return graph(recurrent, node("Neg", "last", "y"), held=held, shape=(steps, "batch", 3))
+
+
+def computed_shape():
+    """Shapes computed from the batch, as exporters of torch write them."""
+    held = {"first": np.zeros((), np.int64), "axes": np.array([0]), "rest": np.array([1, 3])}
+    nodes = (
+        node("Shape", "x", "sizes"),
+        node("Gather", "sizes first", "rows", axis=0),
+        node("Unsqueeze", "rows axes", "row"),
+        node("Concat", "row rest", "shape", axis=0),
+        node("Reshape", "x shape", "y"),
+    )
+    return graph(*nodes, held=held, rank=3)
+
+
+def test_networks_ten_times_as_large_as_those_of_robots_are_loaded():
+    for model in (mlp(2048), lstm(512)):
+        check_bounds(model, BATCHES, "x")
+
+
+def test_shapes_computed_from_the_batch_are_known(monkeypatch):
+    model = computed_shape()
+    session = load_session(model.SerializeToString(), "x")
+    assert session.run(None, {"x": np.ones((5, 3), np.float32)})[0].shape == (5, 1, 3)
+    monkeypatch.setattr(graph_bounds, "ELEMENTS_MAX", 63 * 3)
+    with pytest.raises(ContractError, match=r"for a batch of 64: node 'y' .*found 192 elements"):
+        check_bounds(model, BATCHES, "x")

@@ -1,0 +1,75 @@
+"""The step of a policy, tried in a process of its own."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from onnx import helper, numpy_helper
+
+import deploy.operation.cli
+from deploy.policy.step_trial import check_step, median_step_s
+from robots.errors import ContractError
+from support.policies import policy_model, saved
+
+
+def slow(elements=1 << 23):
+    """The small policy, which takes the sines of millions of numbers on the way: less than the static bound."""
+    model = policy_model()
+    model.graph.node[-1].output[0] = "raw"
+    for kind, inputs, output, more in (
+        ("ReduceMax", ["observation"], "one", {"keepdims": 0}),
+        ("Expand", ["one", "wide"], "many", {}),
+        ("Sin", ["many"], "waves", {}),
+        ("ReduceMin", ["waves"], "least", {"keepdims": 0}),
+        ("Mul", ["least", "zero"], "nothing", {}),
+        ("Add", ["raw", "nothing"], "action", {}),
+    ):
+        model.graph.node.append(helper.make_node(kind, inputs, [output], **more))
+    for name, array in (("wide", np.array([elements])), ("zero", np.zeros((), np.float32))):
+        model.graph.initializer.append(numpy_helper.from_array(array, name))
+    return model
+
+
+def test_a_small_policy_takes_a_small_part_of_its_period():
+    data = policy_model().SerializeToString()
+    check_step(data, 0.02, "x.onnx")
+    assert 0.0 < median_step_s(data, "x.onnx") < 0.01
+
+
+def test_a_policy_that_is_too_slow_is_refused_before_anything_moves(call, tmp_path):
+    out = tmp_path / "out"
+    path = saved(slow(), tmp_path)
+    code, said, complaint = call(deploy.operation.cli.cli, "--policy", path, "--out", out)
+    assert (code, said) == (2, "")
+    assert complaint.startswith(f"error: {path}: a step takes ")
+    assert complaint.endswith("ms on this machine, expected at most 10 ms, 0.5 of the policy's period\n")
+    assert not out.exists()
+
+
+USED = "int(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmData'))) << 10"
+LEFT = f"({USED}) + (16 << 20)"
+LOWER = {
+    "memory": f"resource.setrlimit(resource.RLIMIT_DATA, ({LEFT}, {LEFT}))",
+    "time": "step_trial.CPU_S = 0",
+}
+"""Lower bounds: a model that passes the static bounds does not reach those of a trial."""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux bounds the memory of a process")
+@pytest.mark.parametrize(
+    ("bound", "ending"),
+    [("memory", "cannot be run: .*memory"), ("time", "cannot be tried within .*exit code -")],
+)
+def test_a_policy_beyond_the_bounds_of_the_trial_is_refused(monkeypatch, tmp_path, bound, ending):
+    starter, run = tmp_path / "starter.py", subprocess.run
+    lines = "import resource, sys", "from deploy.policy import step_trial", LOWER[bound]
+    starter.write_text("\n".join((*lines, "sys.exit(step_trial._main('x.onnx'))")))
+    monkeypatch.setattr(subprocess, "run", lambda child, **more: run([child[0], str(starter)], **more))
+    with pytest.raises(ContractError, match=rf"^x\.onnx: {ending}"):
+        check_step(slow().SerializeToString(), 0.02, "x.onnx")
+
+
+def test_what_the_trial_refuses_is_said_in_its_words():
+    with pytest.raises(ContractError, match=r"^x\.onnx: not an ONNX file: its 4 bytes cannot be decoded$"):
+        check_step(b"text", 0.02, "x.onnx")
