@@ -17,7 +17,7 @@ from robots.distributions import Distributions, check_transport
 from robots.errors import ConfigError
 from robots.spans import Quantity
 from robots.spec import RobotSpec
-from robots.strict import Strict, parse, read_json
+from robots.strict import Strict, parse, read_json_file
 
 FILE_MAX = 1 << 29
 """Characters of a stored draw: more than any soak needs."""
@@ -66,7 +66,7 @@ def draw(distributions: Distributions, spec: RobotSpec, seeds: Sequence[np.rando
 
 def load_draw(path: Path, distributions: Distributions, spec: RobotSpec) -> tuple[int, Draw]:
     """Return the seed and robots that `Draw.to_json` stored; refuse (ConfigError) another robot's, or beyond bounds."""
-    stored = _read(path)
+    stored = parse(read_json_file(path, FILE_MAX), _Stored, source=str(path))
     _check_identity(stored, path, distributions, spec)
     quantities = {name: quantity for name, quantity, _ in distributions.spans()}
     for name in sorted(stored.draw.keys() ^ quantities.keys()):
@@ -89,14 +89,6 @@ class _Stored(Strict):
     robot: str
     fixed: dict[str, float | str]
     draw: dict[str, Any]
-
-
-def _read(path: Path) -> _Stored:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as e:
-        raise ConfigError(f"{path}: cannot be read: {e}") from e
-    return parse(read_json(text, str(path), FILE_MAX), _Stored, source=str(path))
 
 
 def _check_identity(stored: _Stored, path: Path, distributions: Distributions, spec: RobotSpec) -> None:

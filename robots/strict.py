@@ -8,6 +8,7 @@ from typing import Annotated, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from robots.bounded_text import check_text, read_text
 from robots.errors import ConfigError, FirstshiftError
 
 
@@ -22,6 +23,7 @@ Source = Annotated[str, Field(min_length=1)]
 
 PLACEHOLDER = "?"
 """Value of a draft that is still to be filled in."""
+TOML_CHARACTERS_MAX = 1 << 20
 
 M = TypeVar("M", bound=Strict)
 
@@ -32,11 +34,11 @@ def read_toml(path: Path, schema: type[M], error: type[FirstshiftError] = Config
     Raises:
         FirstshiftError: of class `error`, naming file, key, value and expectation.
     """
+    text = read_text(path, TOML_CHARACTERS_MAX, error)
+    check_text(text, "TOML", str(path), TOML_CHARACTERS_MAX, error)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as e:
-        raise error(f"{path}: cannot be read: {e.strerror}") from e
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+        data = tomllib.loads(text)
+    except ValueError as e:
         raise error(f"{path}: not valid TOML: {e}") from e
     reject_placeholders(data, str(path), error)
     return parse(data, schema, source=str(path), error=error)
@@ -71,14 +73,22 @@ def read_json(
     """Return plain data from JSON of at most `characters_max`; `source` names its origin in an `error`.
 
     Raises:
-        FirstshiftError: of class `error`: too long, nested too deeply, or not JSON.
+        FirstshiftError: of class `error`: too long, nested too deeply, with too long numbers, or not JSON.
     """
-    if len(text) > characters_max:
-        raise error(f"{source}: {len(text)} characters of JSON, at most {characters_max}")
+    check_text(text, "JSON", source, characters_max, error)
     try:
         return json.loads(text)
-    except (ValueError, RecursionError) as e:
+    except ValueError as e:
         raise error(f"{source}: not valid JSON: {e!s:.100}, found {text!r:.40}") from e
+
+
+def read_json_file(path: Path, characters_max: int, source: str | None = None) -> object:
+    """Return plain data from a JSON file of at most `characters_max`; errors name `source`, by default the path.
+
+    Raises:
+        ConfigError: it cannot be read, or as `read_json`.
+    """
+    return read_json(read_text(path, characters_max), source or str(path), characters_max)
 
 
 def parse(data: object, schema: type[M], *, source: str, error: type[FirstshiftError] = ConfigError) -> M:

@@ -14,7 +14,7 @@ from deploy.telemetry.output_files import replacing
 from robots.arrays import Floats
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
-from robots.strict import Strict, parse, read_json
+from robots.strict import Strict, parse, read_json_file
 
 PERIOD_S = 5.0
 """s between two writes: windings have time constants of tens of seconds."""
@@ -80,13 +80,9 @@ class TemperatureFile:
 
     def _read(self) -> Temperatures | None:
         source = f"--out {self._path}"
-        try:
-            text = self._path.read_text(encoding="utf-8")
-        except FileNotFoundError:
+        if not self._path.exists():
             return None
-        except (OSError, UnicodeDecodeError) as e:
-            raise ConfigError(f"{source}: cannot be read: {e}") from e
-        previous = parse(read_json(text, source, CHARACTERS_MAX), Temperatures, source=source)
+        previous = parse(read_json_file(self._path, CHARACTERS_MAX, source), Temperatures, source=source)
         for name, expected in (("robot", self._robot), ("joints", self._joints)):
             found = getattr(previous, name)
             if found != expected:

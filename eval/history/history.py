@@ -9,7 +9,7 @@ from deploy.telemetry.output_files import replacing
 from eval.history.soak_record import Settings, SoakRecord
 from eval.statistics.per_draw_counts import PerDrawCounts, concatenate
 from robots.errors import ConfigError
-from robots.strict import parse, read_json
+from robots.strict import parse, read_json_file
 
 SUFFIX = ".soak.json"
 CHARACTERS_MAX = 1 << 28
@@ -81,7 +81,7 @@ def read_record(path: Path, report: type[SoakRecord] = SoakRecord) -> SoakRecord
         ConfigError: it cannot be read, was edited, or is of an interrupted soak.
     """
     path = path / "report.json" if path.is_dir() else path
-    data = read_json(_text(path), str(path), CHARACTERS_MAX)
+    data = read_json_file(path, CHARACTERS_MAX)
     is_report = isinstance(data, dict) and "monitors" in data
     record = parse(data, report if is_report else SoakRecord, source=str(path))
     _check_record(path, record)
@@ -96,15 +96,6 @@ def _check_record(path: Path, record: SoakRecord) -> None:
         )
     if record.run.interrupted:
         raise ConfigError(f"{path}: run.interrupted: found true, expected a finished soak")
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as e:
-        raise ConfigError(f"{path}: cannot be read: {e.strerror}") from e
-    except UnicodeDecodeError as e:
-        raise ConfigError(f"{path}: not valid JSON: {e}") from e
 
 
 def pool(records: Mapping[str, SoakRecord]) -> PerDrawCounts:

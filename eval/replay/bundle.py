@@ -16,9 +16,10 @@ from eval.judge.counts import Event
 from eval.judge.monitors import NAMES
 from eval.shard.job import code_digest, processor, versions
 from robots.errors import ConfigError
+from robots.files import read_file
 from robots.models.files import referenced_files
 from robots.spec import RobotSpec
-from robots.strict import Strict, parse, read_json
+from robots.strict import Strict, parse, read_json_file
 
 INFO, STATE, WINDOW, MCAP = "bundle.json", "state.npz", "window.npz", "window.mcap"
 POLICY, DRAWS, ROBOT = "policy.onnx", "draws.json", "robot"
@@ -146,12 +147,11 @@ def open_bundle(folder: Path) -> BundleInfo:
         ConfigError: naming the file, the field, the value found and the value expected.
     """
     path = folder / INFO
-    text = _read(path, INFO_CHARACTERS_MAX).decode("utf-8", errors="replace")
-    info = parse(read_json(text, str(path), INFO_CHARACTERS_MAX), BundleInfo, source=str(path))
+    info = parse(read_json_file(path, INFO_CHARACTERS_MAX), BundleInfo, source=str(path))
     _check_digest(path, "digest", info.digest, info.sealed())
     _check_names(path, info)
     for name, digest in info.files.items():
-        _check_digest(folder / name, "SHA-256", _digest(_read(folder / name, FILE_BYTES_MAX)), digest)
+        _check_digest(folder / name, "SHA-256", _digest(read_file(folder / name, FILE_BYTES_MAX)), digest)
     if not info.begin <= info.event.start < info.end <= info.job.ticks:
         raise ConfigError(
             f"{path}: found begin {info.begin}, event.start {info.event.start}, end {info.end}, job.ticks"
@@ -177,14 +177,3 @@ def _check_digest(path: Path, field: str, found: str, expected: str) -> None:
 
 def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
-
-
-def _read(path: Path, bytes_max: int) -> bytes:
-    try:
-        with path.open("rb") as file:
-            data = file.read(bytes_max + 1)
-    except OSError as e:
-        raise ConfigError(f"{path}: cannot be read: {e.strerror}, expected a file of a bundle") from e
-    if len(data) > bytes_max:
-        raise ConfigError(f"{path}: found more than {bytes_max} bytes, expected at most that")
-    return data

@@ -60,7 +60,7 @@ def test_valid_file_is_read(tmp_path):
         ("legs = [3]\neyes = 2", ["legs.0", "3"]),
         ("eyes = = 2", ["not valid TOML"]),
         ("eyes = 2\neyes = 3", ["not valid TOML"]),
-        (b"\xff\xfe", ["not valid TOML"]),
+        (b"\xff\xfe", ["not valid UTF-8"]),
     ],
 )
 def test_errors_name_the_field_and_value(tmp_path, text, words):

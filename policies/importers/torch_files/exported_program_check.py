@@ -8,6 +8,7 @@ from typing import Any
 
 from policies.importers.torch_files.torchscript_check import REFUSED
 from robots.errors import ContractError
+from robots.strict import read_json
 
 TEXT_MAX = 64 << 20
 PLAIN_WORD = re.compile(r"\w{0,200}", re.ASCII)
@@ -73,12 +74,7 @@ def _sanitize(program: Any) -> Iterator[str]:
 
 
 def _read(text: bytes, source: str) -> Any:
-    try:
-        if len(text) > TEXT_MAX:
-            raise ValueError
-        return json.loads(text)
-    except (ValueError, RecursionError) as e:
-        raise ContractError(f"{source}: found no JSON of at most {TEXT_MAX} characters") from e
+    return read_json(text.decode(errors="replace"), source, TEXT_MAX, ContractError)
 
 
 def _unexpected(part: object, key: str, names: re.Pattern[str] = PLAIN_WORD) -> Iterator[str]:

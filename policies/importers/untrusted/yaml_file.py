@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+from robots.bounded_text import read_text
 from robots.errors import ContractError
 
 CHARACTERS_MAX = 1 << 18
@@ -13,14 +14,11 @@ def read_yaml(path: Path) -> object:
     """Return the contents of a YAML file; refuse one that is too long, too deeply nested, or has an alias."""
     import yaml
 
+    text = read_text(path, CHARACTERS_MAX, ContractError)
     try:
-        with path.open(encoding="utf-8") as stream:
-            text = stream.read(CHARACTERS_MAX + 1)
         for complaint in _unexpected(text):
             raise ContractError(f"{path}: {complaint}")
         return yaml.safe_load(text)
-    except OSError as e:
-        raise ContractError(f"{path}: cannot be read: {e.strerror}") from e
     except (yaml.YAMLError, ValueError, RecursionError) as e:
         problem = " ".join(str(getattr(e, "problem", None) or type(e).__name__).split())
         raise ContractError(f"{path}: not valid YAML: {problem:.200}") from e
@@ -29,8 +27,6 @@ def read_yaml(path: Path) -> object:
 def _unexpected(text: str) -> Iterator[str]:
     import yaml
 
-    if len(text) > CHARACTERS_MAX:
-        yield f"found more than {CHARACTERS_MAX} characters, expected a descriptor"
     depth = 0
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)

@@ -94,7 +94,7 @@ def hide(data):
 SPOILT = {
     "cut": (lambda path: path.write_text(path.read_text()[:500]), "not valid JSON"),
     "empty": (lambda path: path.write_text(""), "not valid JSON"),
-    "no text": (lambda path: path.write_bytes(b"\xff\xfe\x00"), "not valid JSON"),
+    "no text": (lambda path: path.write_bytes(b"\xff\xfe\x00"), "not valid UTF-8"),
     "a list": (lambda path: path.write_text("[7]"), "whole file"),
     "a count": (lambda path: edited(path, hide), "results_digest: found .*, expected .*: edited"),
     "a verdict": (lambda path: edited(path, lambda d: d.update(verdict="failed")), "results_digest: found"),
