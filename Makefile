@@ -14,6 +14,7 @@ HOURS ?= 1
 ROBOTS ?= 32
 SEED ?= 7
 WORKERS ?= 2
+SECONDS ?= 3600
 ARGS ?=
 # Tests of one file share fixtures: they stay in one process, of which there are as many as cores. Files start in
 # alphabetical order: the many small ones of tests/robots come last, so that all processes end at about the same time.
@@ -57,7 +58,7 @@ $(eval $(call environment,$(VENV_ROBOT),requirements-robot.lock,1.1 GB: a minute
 
 # ---- the main job ---------------------------------------------------------------------------------------------
 
-.PHONY: demo export run soak smoke shift nightly faults weekend train bench mutants
+.PHONY: demo export run soak smoke shift nightly faults weekend train bench mutants fuzz
 demo: setup ## export the arm's policy, run it for 10 s, soak 32 robots for 90 simulated seconds
 	@mkdir -p out
 	$(BIN)/policy-export --policy arm.pt --out $(ARM)
@@ -94,6 +95,9 @@ bench: $(ARM) ## measure the figures that the README quotes
 
 mutants: setup ## weaken each guard in turn: the judge must notice every time
 	$(BIN)/python -m eval.mutants $(ARGS)
+
+fuzz: setup ## read mutated files of every kind: SECONDS=3600 (ARGS=...)
+	$(BIN)/python -m eval.fuzz --table policies.fuzz.targets:TARGETS --seconds $(SECONDS) --seed $(SEED) $(ARGS)
 
 $(ARM): policies/arm.pt robots/arm6/model.xml robots/arm6/robot.toml | setup
 	@mkdir -p out

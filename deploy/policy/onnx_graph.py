@@ -55,6 +55,12 @@ def shortened(error: Exception) -> str:
     return printable(" ".join(str(error).split()))[:300]
 
 
+def type_name(kind: int) -> str:
+    """Return the name of an element type; a file may hold any number."""
+    known = dict(zip(TensorProto.DataType.values(), TensorProto.DataType.keys(), strict=True))
+    return str(known.get(kind, f"kind {kind}"))
+
+
 def graphs(model: ModelProto) -> Iterator[GraphProto]:
     """Yield the graph and the bodies of its Scan nodes."""
     yield model.graph
@@ -77,17 +83,17 @@ def _parts(graph: GraphProto, *, inner: bool) -> Iterator[str]:
         yield "found sparse weights, expected dense weights"
     for tensor in tensors(graph):
         if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
-            yield f"tensor {tensor.name!r}: found external data, expected all weights in the one file"
+            yield f"tensor {tensor.name!r:.100}: found external data, expected all weights in the one file"
     for node in graph.node:
         yield from _domain(node.domain)
         holds = any(a.type in (AttributeProto.GRAPH, AttributeProto.GRAPHS) for a in node.attribute)
         if holds and (inner or node.op_type != "Scan"):
-            yield f"node {node.name!r}: found {node.op_type} with a graph of its own, expected none"
+            yield f"node {node.name!r:.100}: found {node.op_type:.100} with a graph of its own, expected none"
 
 
 def _domain(domain: str) -> Iterator[str]:
     if domain not in ("", "ai.onnx"):
-        yield f"operator domain: found {domain!r}, expected only ai.onnx"
+        yield f"operator domain: found {domain!r:.100}, expected only ai.onnx"
 
 
 def tensors(graph: GraphProto) -> Iterator[TensorProto]:
@@ -103,8 +109,8 @@ def _check_finite(tensor: TensorProto, source: str) -> None:
     try:
         values = numpy_helper.to_array(tensor)
     except (ValueError, TypeError, KeyError) as e:
-        raise ContractError(f"{source}: tensor {tensor.name!r}: cannot be read: {shortened(e)}") from e
+        raise ContractError(f"{source}: tensor {tensor.name!r:.100}: cannot be read: {shortened(e)}") from e
     floating = np.issubdtype(values.dtype, np.floating)
     if floating and (bad := int(values.size - np.isfinite(values).sum())):
         what = f"found {bad} of {values.size} weights NaN or infinite, expected all finite"
-        raise ContractError(f"{source}: tensor {tensor.name!r}: {what}")
+        raise ContractError(f"{source}: tensor {tensor.name!r:.100}: {what}")

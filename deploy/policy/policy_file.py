@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from deploy.policy.contract import CONTRACT_KEY, Contract
 from deploy.policy.contract_term import Number
-from deploy.policy.onnx_graph import read_model
+from deploy.policy.onnx_graph import read_model, type_name
 from robots.arrays import Float32s
 from robots.errors import ContractError
 from robots.files import read_file
@@ -118,9 +118,7 @@ def _check_tensor(value: ValueInfoProto, size: int, source: str, expected: str) 
     dims = [dim.dim_value if dim.HasField("dim_value") else dim.dim_param or "?" for dim in tensor.shape.dim]
     fits = len(dims) == 2 and isinstance(dims[0], str) and dims[1] == size
     if tensor.elem_type != TensorProto.FLOAT or not fits:
-        kinds = dict(zip(TensorProto.DataType.values(), TensorProto.DataType.keys(), strict=True))
-        kind_found = kinds.get(tensor.elem_type, f"kind {tensor.elem_type}")
-        raise ContractError(f"{source}: found {kind_found} {dims!r:.100}, {expected}")
+        raise ContractError(f"{source}: found {type_name(tensor.elem_type)} {dims!r:.100}, {expected}")
 
 
 def _golden(model: ModelProto, contract: Contract, path: Path) -> tuple[Float32s, Float32s]:

@@ -6,7 +6,6 @@ import os
 import secrets
 import shutil
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -18,8 +17,6 @@ from deploy.stage import Arrays
 from eval.replay.bundle import FILE_BYTES_MAX, INFO, ROBOT
 from robots.errors import ConfigError, OutputError
 from robots.files import read_file
-
-READ_ERRORS = OSError, ValueError, EOFError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error
 
 
 def state_digest(arrays: Mapping[str, NDArray[np.generic]]) -> str:
@@ -53,7 +50,9 @@ def read_arrays(path: Path, expected: Mapping[str, NDArray[np.generic]]) -> Arra
             for name in sorted(found ^ expected.keys()):
                 raise ConfigError(f"{path}: {name:.80}: {'unknown' if name in found else 'missing'}")
             return {name: _array(file, f"{path}: {name}", name, like) for name, like in expected.items()}
-    except READ_ERRORS as e:
+    except ConfigError:
+        raise
+    except Exception as e:  # bytes of unknown origin can fail in any way
         raise ConfigError(f"{path}: cannot be read: {' '.join(str(e).split()):.200}") from e
 
 

@@ -141,6 +141,7 @@ def test_a_stored_draw_is_the_same_robots(tmp_path):
         ({"sensors.noise": [[-1.0] * 5] * 2}, ["sensors.noise", "found -1", "[0, 20]"]),
         ({"links.mass": [["heavy"] * 6] * 2}, ["links.mass", "not an array of numbers"]),
         ({"links.mass": [[1.0] * 6, [1.0]]}, ["links.mass", "not an array of numbers"]),
+        ({"links.mass": [[10**400] * 6] * 2}, ["found the number 10000000000000000000… of 401 digits"]),
         ({"climate.ambient_c": []}, ["climate.ambient_c", "found shape (0,)"]),
     ],
 )

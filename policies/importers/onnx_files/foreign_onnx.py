@@ -11,7 +11,7 @@ from onnx import ModelProto, NodeProto, TensorProto, ValueInfoProto
 
 from deploy.policy.contract_term import SIZE_MAX
 from deploy.policy.inference import load_session
-from deploy.policy.onnx_graph import check_model, decode, graphs, shortened, tensors
+from deploy.policy.onnx_graph import check_model, decode, graphs, shortened, tensors, type_name
 from deploy.policy.policy import AGREEMENT
 from policies.importers.onnx_files.metadata import known_from
 from policies.importers.reference_policy import Memory, PolicyFacts, ReferencePolicy
@@ -171,7 +171,7 @@ def _shape(value: ValueInfoProto, source: str) -> tuple[int, ...]:
     shape = tuple(d.dim_value if d.HasField("dim_value") else 1 for d in tensor.shape.dim)
     fits = all(0 < d <= SIZE_MAX for d in shape) and np.prod(shape) <= SIZE_MAX
     if tensor.elem_type != TensorProto.FLOAT or not fits:
-        found = f"{value.name!r}: found {TensorProto.DataType.Name(tensor.elem_type)} {shape}"
+        found = f"{value.name!r}: found {type_name(tensor.elem_type)} {shape}"
         raise ContractError(f"{source}: {found}, expected FLOAT with 1 to {SIZE_MAX} numbers per robot")
     return shape
 

@@ -52,6 +52,10 @@ def foreign_node(body):
     body.node[1].domain = "evil"
 
 
+def long_names(body):
+    body.node[1].domain = "evil" * 10_000
+
+
 def nan_weight(body):
     array = numpy_helper.to_array(body.initializer[0]).copy()
     array[0, 0] = np.nan
@@ -76,6 +80,7 @@ def sparse(body):
         (nested, "node 'again': found Scan with a graph of its own, expected none"),
         (loop, "node 'spin': found Loop with a graph of its own, expected none"),
         (foreign_node, "operator domain: found 'evil', expected only ai.onnx"),
+        (long_names, "levilevi, expected only ai.onnx"),
         (nan_weight, "found 1 of 960 weights NaN or infinite, expected all finite"),
         (external, "found external data, expected all weights in the one file"),
         (sparse, "found sparse weights, expected dense weights"),
@@ -88,6 +93,7 @@ def test_subgraphs_are_checked_like_the_graph(tmp_path, spoil, message):
         loaded(tmp_path, model)
     assert str(caught.value).endswith(message)
     assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 500
 
 
 def test_only_scan_may_hold_a_subgraph(tmp_path):

@@ -106,6 +106,7 @@ def crafted(path, header, data=b"\0" * 96):
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (3, 4)}", b"\0" * 95),
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (3, 4)}", b"\0" * 97),
         ("__import__('os').abort()", b""),
+        ("{'descr': ('<f8',", b""),
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (3, 4)}" + 20_000 * " ", b"\0" * 96),
     ],
 )

@@ -320,6 +320,12 @@ def elsewhere(where, **more):
     return make
 
 
+def unknown_numbers():
+    model = graph(node("Identity", "obs", "actions"))
+    model.graph.input[0].type.tensor_type.elem_type = 64
+    return model
+
+
 def claiming():
     model = graph(node("Add", "obs w", "actions"), held=[("w", np.ones((1, 3), np.float32))])
     model.graph.initializer[0].dims[:] = [1 << 40, 1 << 20]
@@ -348,6 +354,7 @@ ONNX = {
     "past its end": (elsewhere("beside", length=1 << 40), "tensor 'w': found 0 bytes in 'beside', expected"),
     "no words": (elsewhere("beside\x00"), "tensor 'w': found its weights in 'beside\\x00'"),
     "huge": (claiming, ""),
+    "unknown numbers": (unknown_numbers, "'obs': found kind 64 (1, 3), expected FLOAT with 1 to 4096"),
     "huge observations": (
         lambda: graph(node("Identity", "obs", "actions"), observations=(1, 1 << 40), actions=(1, 1 << 40)),
         "'obs': found FLOAT (1, 1099511627776), expected FLOAT with 1 to 4096 numbers",
