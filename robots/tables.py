@@ -163,7 +163,6 @@ class Margins(Strict):
         speed_in_torque_mode: the same in torque mode, of a robot whose drives have it: the rest is for errors of
             prediction and estimate.
         tau: setpoint torque by the nominal model, as a fraction of the torque range.
-        tau_in_velocity_mode: the same in velocity mode, where a policy may accelerate in any pose; None: as `tau`.
         collision_m: clearance between capsules; without it, self-collision is not checked.
         workspace_m: how far inside the workspace setpoints stay; of robots with a workspace, and of all of those.
         singularity: least manipulability (`Kinematics.manipulability`), m³ for a six-joint arm, of robots with a tool;
@@ -184,7 +183,6 @@ class Margins(Strict):
     speed_in_velocity_mode: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
     speed_in_torque_mode: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
     tau: Fraction
-    tau_in_velocity_mode: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
     collision_m: PositiveFloat | None = None
     workspace_m: PositiveFloat | None = None
     singularity: PositiveFloat | None = None
@@ -203,10 +201,6 @@ class Margins(Strict):
             ControlMode.TORQUE: self.speed_in_torque_mode,
         }
         return own.get(mode) or self.speed
-
-    def tau_in(self, mode: ControlMode) -> float:
-        """Return the share of torque ranges that setpoints may need in a control mode."""
-        return (self.tau_in_velocity_mode if mode is ControlMode.VELOCITY else None) or self.tau
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

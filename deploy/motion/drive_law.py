@@ -47,9 +47,9 @@ class DriveLaw(ABC):
 class StiffDrives(DriveLaw):
     """Stiff drives: the torque of the motion itself, by the nominal model."""
 
-    def __init__(self, spec: RobotSpec, fleet: Fleet, mode: ControlMode = ControlMode.POSITION) -> None:
-        """Take the model, R robots wide; a setpoint may need the share of the torque range that the mode has."""
-        self._fleet, self.torque_limit = fleet, spec.margins.tau_in(mode) * torque_max(spec)
+    def __init__(self, spec: RobotSpec, fleet: Fleet) -> None:
+        """Take the model, R robots wide."""
+        self._fleet, self.torque_limit = fleet, spec.margins.tau * torque_max(spec)
 
     def torque(self, state: State, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """Return inverse dynamics, as `Fleet.torque`."""
@@ -98,6 +98,6 @@ class SpringDrives(DriveLaw):
 def drive_law(spec: RobotSpec, action: ControlMode, gains: Gains | None, fleet: Fleet) -> DriveLaw:
     """Return the law of drives in the mode of an action: springs on a floating base with the gains of training."""
     if action is ControlMode.TORQUE:
-        return TorqueDrives(spec, fleet, action)
+        return TorqueDrives(spec, fleet)
     springs = gains and gains.stiff and "floating_base" in spec.capabilities
-    return SpringDrives(spec, gains) if gains and springs else StiffDrives(spec, fleet, action)
+    return SpringDrives(spec, gains) if gains and springs else StiffDrives(spec, fleet)

@@ -52,7 +52,7 @@ class Safety:
             ValueError: two checks of one name in a table, or a bound of the wrong shape.
         """
         self._fleet = fleet
-        self._drives = drives or StiffDrives(spec, fleet, mode)
+        self._drives = drives or StiffDrives(spec, fleet)
         self._jacobians = "tool" in spec.capabilities  # what reads them reads the tool
         self._gap_max = (spec.margins.collision_m or 0.0) + GAP_TOLERANCE_M
         self.twice_jerk = 2 * spec.joint_array("qddd_max")

@@ -57,7 +57,7 @@ def test_tool_speed_is_limited_while_a_stop_brakes(moment):
 def test_a_stop_takes_over_from_torques_at_a_bounded_rate(mode):
     """A wrist's torque is changed up and down until it is refused: not where drives follow angles anyway."""
     fleet, joint = Fleet(SPEC, 2, collisions=True), 4
-    safety = Safety(SPEC, fleet, TorqueDrives(SPEC, fleet, mode), mode=mode)
+    safety = Safety(SPEC, fleet, TorqueDrives(SPEC, fleet), mode=mode)
     most = TAKEOVER_RATE * SPEC.joints[joint].torque_mode.rate_max * SPEC.dt
     rest, drive = point(), position_drives(SPEC, 1)._replace(mode=np.array([ControlMode.TORQUE]))
     holding = Fleet(SPEC, 1).torque(rest.q, rest.qd, rest.qdd)
