@@ -158,7 +158,8 @@ class Margins(Strict):
     Attributes:
         q_target_rad: targets are clamped this far inside the working range.
         q_soft_rad: setpoints are refused, and the judge calls it soft, this far inside.
-        speed: setpoint speed, as a fraction of qd_max and of tool_speed_max: the rest is for the drive's own ringing.
+        speed: setpoint speed, as a fraction of qd_max: the rest is for the drive's own ringing, and for the play of its
+            gear, through which a light link falls.
         speed_in_velocity_mode: the same in velocity mode, where a policy may shake; None: as `speed`.
         speed_in_torque_mode: the same in torque mode, of a robot whose drives have it: the rest is for errors of
             prediction and estimate.
@@ -218,13 +219,24 @@ class Workspace(Strict):
         z_min: m, above the table.
         radius_max: m, from `centre`.
         centre: m, (x, y, z).
+        tool_speed_soft: m/s, at which setpoints and their stops are refused; None: the share of tool_speed_max that
+            `Margins.speed_in` a control mode is.
         tool_speed_max: m/s.
     """
 
     z_min: float
     radius_max: PositiveFloat
     centre: tuple[float, float, float]
+    tool_speed_soft: Annotated[PositiveFloat | None, Field(exclude_if=_is_none)] = None
     tool_speed_max: PositiveFloat
+
+    @model_validator(mode="after")
+    def _soft_below(self) -> Self:
+        if self.tool_speed_soft is not None and self.tool_speed_soft >= self.tool_speed_max:
+            raise ValueError(
+                f"tool_speed_soft {self.tool_speed_soft} is not below tool_speed_max {self.tool_speed_max}"
+            )
+        return self
 
 
 class Capsule(Strict):

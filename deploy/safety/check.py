@@ -9,7 +9,7 @@ import numpy as np
 from deploy.reasons import Reason
 from deploy.state import Setpoint, State
 from robots.arrays import Bools, Floats
-from robots.capabilities import Capability
+from robots.capabilities import Capability, required
 from robots.models.kinematics import Kinematics
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -117,8 +117,14 @@ class Limits(NamedTuple):
 
     @property
     def speed_share(self) -> float:
-        """Share of joint and tool speed limits that a setpoint may have."""
+        """Share of the joints' speed limits that a setpoint may have."""
         return self.robot.margins.speed_in(self.mode)
+
+    @property
+    def tool_speed(self) -> float:
+        """m/s that the tool may have at a setpoint and while it stops."""
+        space = required(self.robot.workspace)
+        return space.tool_speed_soft or self.speed_share * space.tool_speed_max
 
 
 Record = TypeVar("Record")

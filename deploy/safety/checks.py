@@ -60,7 +60,7 @@ def _torque_change_max(limits: Limits) -> Floats:
 
 
 def _tool_speed_max_squared(limits: Limits) -> float:
-    return (limits.speed_share * required(limits.robot.workspace).tool_speed_max) ** 2
+    return limits.tool_speed**2
 
 
 ESTIMATE: tuple[Check[Estimate], ...] = (

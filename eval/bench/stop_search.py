@@ -12,11 +12,13 @@ from rich.table import Table
 from scipy.optimize import differential_evolution
 
 from deploy.motion.smoother import Smoother
+from deploy.safety.check import Limits
 from deploy.safety.safety import Safety
 from deploy.state import Setpoint, State
 from robots.arrays import Bools, Floats
 from robots.capabilities import required
 from robots.models.fleet import Fleet
+from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 POPULATION, GENERATIONS, SEED = 256, 300, 1
@@ -38,7 +40,9 @@ class StopSearch:
         self._safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True))
         self._low, self._high = spec.joint_array("q_min"), spec.joint_array("q_max")
         wall = 1.0 - required(spec.margins.workspace_m) / self._space.radius_max
-        self.bounds = {"tool speed": spec.margins.speed, "tool depth": wall, "tool radius": wall}
+        limits = Limits(spec, np.zeros(spec.n), ControlMode.POSITION)
+        speed = limits.tool_speed / self._space.tool_speed_max
+        self.bounds = {"tool speed": speed, "tool depth": wall, "tool radius": wall}
         self.quantities = tuple(self.bounds)
 
     def start(self, x: Floats) -> Setpoint:

@@ -63,7 +63,7 @@ def test_a_capability_that_lacks_its_other_half_is_an_error(tmp_path, edits, mes
 
 def test_the_digest_of_the_arm_stays():
     """Shipped contracts carry it."""
-    assert SPEC.digest == "490dc98afe70825670958fc0a3ebabe462f934eeda8b492ed8b0779cc1a8c342"
+    assert SPEC.digest == "e2e44d3562ce3487ce2f262cd264f61c8020a2ca285a8588b24b180bfb950f40"
 
 
 def test_arrays_follow_joint_order():
@@ -94,7 +94,12 @@ def test_unknown_robot_names_the_known_ones(tmp_path):
         ("control_hz = 200", "control_hz = 0", ["rates.control_hz", "greater than 0"]),
         ("physics_hz = 1000", "physics_hz = 900", ["rates", "900", "not a multiple", "200"]),
         ("physics_hz = 1000", "physics_hz = 100", ["rates", "100", "not a multiple", "200"]),
-        ("tau = 0.9", "tau = 1.1", ["margins.tau", "less than or equal to 1", "1.1"]),
+        (
+            "tool_speed_soft = 2.375",
+            "tool_speed_soft = 2.5",
+            ["workspace", "tool_speed_soft 2.5 is not below tool_speed_max 2.5"],
+        ),
+        ("tau = 0.7 ", "tau = 1.1 ", ["margins.tau", "less than or equal to 1", "1.1"]),
         ("q_soft_rad = 0.03", "q_soft_rad = 0.06", ["margins", "q_soft_rad 0.06", "q_target_rad 0.05"]),
         ("stale_s = 0.035", "stale_s = 0.2", ["margins", "stale_s 0.2", "lost_s 0.11"]),
         ("q_home = 0.0", "q_home = 1.9", ["joints.0", "q_home of shoulder_pan is 1.9", "1.3"]),

@@ -6,7 +6,6 @@ from deploy.safety.safety import Safety
 from deploy.state import Setpoint, State
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
-from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
 from support.deploy.safety import (
     HIGH,
@@ -107,7 +106,7 @@ def test_tool_speed(seed):
     kinematics = fleet.kinematics(HOME[None])
     direction /= np.linalg.norm(kinematics.tool_velocity(direction[None]))
     for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
-        limit = direction * factor * MARGINS.speed * SPACE.tool_speed_max
+        limit = direction * factor * SPACE.tool_speed_soft
         assert (Reason.TOOL_SPEED in reasons(setpoint=point(qd=limit))) == beyond
 
 
@@ -118,7 +117,7 @@ def test_tool_speed_gained_during_a_stop(joint, sign):
     fleet, jerk = Fleet(SPEC, 1), SPEC.joint_array("qddd_max")[joint]
     kinematics = fleet.kinematics(HOME[None])
     per_speed = np.linalg.norm(kinematics.tool_velocity(one(joint, 1.0)[None]))
-    limit, qdd = MARGINS.speed * SPACE.tool_speed_max / per_speed, 8.0
+    limit, qdd = SPACE.tool_speed_soft / per_speed, 8.0
     for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
         qd = factor * limit - qdd**2 / (2 * jerk)
         rushing = point(qd=one(joint, sign * qd), qdd=one(joint, sign * qdd))
@@ -313,13 +312,3 @@ def test_inputs_are_not_modified():
     judge(setpoint=setpoint, q_rest=rest)
     for array, old in zip((setpoint.q, setpoint.qd, rest), before, strict=True):
         np.testing.assert_array_equal(array, old)
-
-
-@pytest.mark.parametrize("mode", [ControlMode.POSITION, ControlMode.VELOCITY])
-def test_a_setpoint_may_need_the_share_of_torque_of_its_mode(mode):
-    """0.8 of the shoulder's range: more than velocity mode allows, less than position mode does."""
-    fleet, q, push = Fleet(SPEC, 2, collisions=True), np.array([HOME, HOME]), np.tile(one(1, 1.0), (2, 1))
-    weight, pushed = (fleet.torque(q, 0 * q, qdd)[0, 1] for qdd in (0 * q, push))
-    qdd = (0.8 * torque_max(SPEC)[1] - weight) / (pushed - weight)
-    found = reasons(setpoint=point(HOME, qdd=one(1, qdd)), safety=Safety(SPEC, fleet, mode=mode))
-    assert (Reason.TORQUE in found) == (mode is ControlMode.VELOCITY)

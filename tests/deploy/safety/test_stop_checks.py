@@ -41,7 +41,7 @@ def test_tool_stays_in_the_workspace_during_a_stop(limit, moment):
 @pytest.mark.parametrize("moment", ["qd_early", "qd_mid_stop"])
 def test_tool_speed_is_limited_while_a_stop_brakes(moment):
     """One joint turns faster and faster, the others rest: refused exactly where the tool is too fast."""
-    kinematics, limit = Fleet(SPEC, 1).kinematics(HOME[None]), MARGINS.speed * SPACE.tool_speed_max
+    kinematics, limit = Fleet(SPEC, 1).kinematics(HOME[None]), SPACE.tool_speed_soft
     verdicts = []
     for speed in np.linspace(0.0, 10.0, 50):
         qd = one(0, speed)
@@ -68,11 +68,20 @@ def test_a_stop_takes_over_from_torques_at_a_bounded_rate(mode):
         assert found == (Reason.TORQUE if refused else 0)
 
 
+FAST = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"speed": 0.95})})
+"""The arm with a small margin of speed."""
+
+
+def stop_of(start):
+    """What the fast arm's safety is given of a stop but its middle, and the stop."""
+    stop, safety = Smoother(FAST, 1).brake(start), Safety(FAST, Fleet(FAST, 2, collisions=True))
+    ends = {"setpoint": start, "qd_hat": start.qd, "ahead": stop.ahead, "q_rest": stop.q_rest}
+    return ends | {"safety": safety}, stop
+
+
 def test_a_stop_in_which_the_tool_gains_speed_is_refused():
     """The last joints brake first, and no longer hold back what the others do."""
-    start, smoother = point(*FASTER_IN_ITS_STOP), Smoother(SPEC, 1)
-    stop = smoother.brake(start)
-    ends = {"setpoint": start, "qd_hat": start.qd, "ahead": stop.ahead, "q_rest": stop.q_rest}
+    ends, stop = stop_of(point(*FASTER_IN_ITS_STOP))
     assert reasons(**ends) == 0
     assert reasons(**ends, q_early=stop.q[0], qd_early=stop.qd[0]) == Reason.TOOL_SPEED
 
@@ -159,8 +168,6 @@ WRIST_INTO_TABLE = (
 
 @pytest.mark.parametrize(("q", "qd"), WRIST_INTO_TABLE)
 def test_stop_into_the_table_is_refused(q, qd):
-    start, smoother = point(np.array(q), np.array(qd)), Smoother(SPEC, 1)
-    stop = smoother.brake(start)
-    ends = {"setpoint": start, "qd_hat": start.qd, "ahead": stop.ahead, "q_rest": stop.q_rest}
+    ends, stop = stop_of(point(np.array(q), np.array(qd)))
     assert reasons(**ends) == 0
     assert reasons(**ends, q_mid_stop=stop.q[1]) == Reason.COLLISION
