@@ -50,7 +50,16 @@ def check_text(
     bare = STRINGS[kind].sub('"', text)
     if (depth := _depth(found[0] for found in LEVELS[kind].finditer(bare))) > DEPTH_MAX:
         raise error(f"{source}: found {kind} nested {depth} deep, expected at most {DEPTH_MAX}")
-    if number := LONG_NUMBER.search(bare):
+    check_numbers(bare, source, error)
+
+
+def check_numbers(text: str, source: str, error: type[FirstshiftError]) -> None:
+    """Refuse text with a number of too many digits.
+
+    Raises:
+        FirstshiftError: of class `error`, naming `source`, the number, and the bound.
+    """
+    if number := LONG_NUMBER.search(text):
         found = f"{number[0]:.20}… of {len(number[0])} digits"
         raise error(f"{source}: found the number {found}, expected at most {DIGITS_MAX}")
 

@@ -1,11 +1,11 @@
 """Work of one node of an ONNX graph, from the shapes of its inputs and outputs."""
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Self
+from collections.abc import Sequence
 
-from onnx import NodeProto, helper
+from onnx import NodeProto
+
+from deploy.policy.shape_inference import Tensor
 
 NODE_WORK = 1 << 10
 """Multiply-adds in the time that ONNX Runtime takes to start a node."""
@@ -23,33 +23,6 @@ _ONCE = (
 ONCE = frozenset(_ONCE.split())
 """Operators that look at each element a few times."""
 RECURRENT = frozenset({"GRU", "LSTM", "RNN"})
-
-
-@dataclass(frozen=True, slots=True)
-class Tensor:
-    """Shape of a tensor; by default of one that is left out.
-
-    Attributes:
-        itemsize: bytes of an element.
-    """
-
-    dims: tuple[int, ...] = (0,)
-    itemsize: int = 0
-
-    @classmethod
-    def of(cls, kind: int, dims: Iterable[int]) -> Self:
-        """Return the tensor of an element type of ONNX."""
-        return cls(tuple(dims), helper.tensor_dtype_to_np_dtype(kind).itemsize)
-
-    @property
-    def elements(self) -> int:
-        """Number of elements."""
-        return math.prod(self.dims)
-
-    @property
-    def bytes(self) -> int:
-        """Size of all elements."""
-        return self.elements * self.itemsize
 
 
 def node_work(node: NodeProto, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> int:

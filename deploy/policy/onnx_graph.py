@@ -9,6 +9,9 @@ from onnx import AttributeProto, GraphProto, ModelProto, TensorProto, numpy_help
 
 from robots.errors import ContractError, printable
 
+PARTS_MAX = 1 << 14
+"""Nodes, attributes and tensors of a graph: a hundred times as many as networks of robots have."""
+
 
 def read_model(data: bytes, source: str) -> ModelProto:
     """Decode and check a model of unknown origin; `source` names the file in error messages.
@@ -39,6 +42,9 @@ def check_model(model: ModelProto, source: str) -> None:
     Raises:
         ContractError: names the part.
     """
+    parts = sum(_parts_of(graph) for graph in graphs(model))
+    if parts > PARTS_MAX:
+        raise ContractError(f"{source}: found {parts} nodes, tensors and attributes, at most {PARTS_MAX}")
     for complaint in _foreign(model):  # before the checker, which would follow external data
         raise ContractError(f"{source}: {complaint}")
     try:
@@ -66,6 +72,12 @@ def graphs(model: ModelProto) -> Iterator[GraphProto]:
     yield model.graph
     for node in model.graph.node:
         yield from (attribute.g for attribute in node.attribute if attribute.type == AttributeProto.GRAPH)
+
+
+def _parts_of(graph: GraphProto) -> int:
+    """Return the number of a graph's parts, each of which is looked at several times."""
+    named = (graph.input, graph.output, graph.value_info, graph.initializer, graph.sparse_initializer)
+    return sum(map(len, named)) + sum(1 + len(node.attribute) for node in graph.node)
 
 
 def _foreign(model: ModelProto) -> Iterator[str]:

@@ -10,12 +10,14 @@ import onnx
 from onnx import numpy_helper
 from rich.console import Console
 
-from deploy.policy.policy_file import GOLDEN_KEY, OUTPUT
+from deploy.policy.onnx_graph import read_model
+from deploy.policy.policy_file import FILE_BYTES_MAX, GOLDEN_KEY, OUTPUT
 from eval.bench.soak_setup import soak_config
 from eval.judge.counts import merge
 from eval.judge.monitors import MONITORS
 from eval.soak.workers import run_soak
 from eval.statistics.budget import check, load_budget
+from robots.files import read_file
 from robots.spec import RobotSpec
 
 ROBOTS, HOURS, IDLE_HOURS = 32, 0.5, 0.05
@@ -40,7 +42,7 @@ def budget_check(spec: RobotSpec, policy: Path, console: Console) -> None:
 
 def make_idle(policy: Path, out: Path) -> Path:
     """Copy a policy with its last layer and its golden actions set to zero; return `out`."""
-    model = onnx.load(policy)
+    model = read_model(read_file(policy, FILE_BYTES_MAX), str(policy))
     last = next(node for node in model.graph.node if OUTPUT in node.output)
     for tensor in model.graph.initializer:
         if tensor.name in last.input:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from robots.bounded_text import read_text
+from robots.bounded_text import check_numbers, read_text
 from robots.errors import ContractError
 
 CHARACTERS_MAX = 1 << 18
@@ -15,6 +15,7 @@ def read_yaml(path: Path) -> object:
     import yaml
 
     text = read_text(path, CHARACTERS_MAX, ContractError)
+    check_numbers(text, str(path), ContractError)
     try:
         for complaint in _unexpected(text):
             raise ContractError(f"{path}: {complaint}")

@@ -101,6 +101,31 @@ def hidden_by_a_name():
     return graph(scan, held=ZERO | {"n": np.array([1])}, shape=("batch",))
 
 
+def joined_with_itself():
+    """Values that double with every node: inference of the whole graph would list them all."""
+    nodes = [node("Concat", f"c{k} c{k}", f"c{k + 1}", axis=0) for k in range(40)]
+    return graph(node("Shape", "x", "c0"), *nodes, node("Cast", "c40", "y", to=FLOAT))
+
+
+def indexed_by_itself():
+    """Dimensions that double with every node."""
+    nodes = [node("Gather", f"g{k} g{k}", f"g{k + 1}", axis=0) for k in range(40)]
+    return graph(*nodes, node("Cast", "g40", "y", to=FLOAT), held={"g0": np.zeros((1, 1), np.int64)})
+
+
+def split():
+    return graph(node("Split", "x", "y", num_outputs=1 << 40))
+
+
+def growing_state():
+    scan = node("Scan", "start x", "y", body=body("Concat", axis=0), num_scan_inputs=1)
+    return graph(scan, held={"start": np.zeros(1, np.float32)})
+
+
+def another_body():
+    return graph(node("Scan", "x", "y", body=body(), num_scan_inputs=1))
+
+
 def sparse():
     values = numpy_helper.from_array(np.ones(1, np.float32), "v")
     made = helper.make_sparse_tensor(values, numpy_helper.from_array(np.zeros(1, np.int64), "i"), [1 << 30])
@@ -125,11 +150,16 @@ REFUSED = {
         f"of 1: node 'where' (NonZero): found an output 'where' of unknown shape, {KNOWN}",
     ),
     "batch": (by_batch, "of 64: found"),
-    "words": (words, "of 1: 'said': found no numbers, expected a tensor of numbers"),
+    "words": (words, "of 1: 'text': found no numbers, expected a tensor of numbers"),
     "name": (
         hidden_by_a_name,
         "of 1: node 'y' (Scan): node 'big' (ConstantOfShape): found 1073741824 elements",
     ),
+    "joined": (joined_with_itself, "of 1: node 'c26' (Concat): found 134217728 elements of an output"),
+    "indexed": (indexed_by_itself, "of 1: node 'g6' (Gather): found 65 dimensions, expected at most 64"),
+    "split": (split, "of 1: node 'y' (Split): num_outputs: found 1099511627776, expected 1"),
+    "state": (growing_state, "of 1: node 'y' (Scan): found a state that changes its shape"),
+    "body": (another_body, "of 1: node 'y' (Scan): found other inputs or outputs than its graph has"),
     "sparse": (sparse, "of 1: node 'big' (Constant): found 1073741824 elements of an output"),
 }
 

@@ -5,6 +5,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
+from deploy.policy.onnx_graph import PARTS_MAX
 from robots.errors import ContractError
 from support.policies import A, N, by_numpy, loaded, policy_model, weights
 
@@ -94,6 +95,13 @@ def test_subgraphs_are_checked_like_the_graph(tmp_path, spoil, message):
     assert str(caught.value).endswith(message)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 500
+
+
+def test_parts_of_a_graph_are_counted_before_they_are_looked_at(tmp_path):
+    model = one_by_one()
+    body_of(model).node.extend([body_of(model).node[1]] * PARTS_MAX)
+    with pytest.raises(ContractError, match=r"found \d+ nodes, tensors and attributes, at most 16384$"):
+        loaded(tmp_path, model)
 
 
 def test_only_scan_may_hold_a_subgraph(tmp_path):

@@ -37,7 +37,6 @@ def test_a_reader_that_refuses_passes(tmp_path, capsys, monkeypatch):
     assert fuzz(seconds=1, seed=7, only="refusal", out=tmp_path / "out", table=TABLE) == 0
     said = capsys.readouterr().out
     assert "refusal: " in said
-    assert "0 accepted" in said
     assert "0 failures" in said
     assert fuzz(seconds=1, seed=7, only="traceback", out=tmp_path / "out", table=TABLE) == 1
     assert "ZeroDivisionError" in capsys.readouterr().out

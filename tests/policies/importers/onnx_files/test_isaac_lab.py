@@ -273,14 +273,33 @@ BOMB = "0: &0 [x, x]\n" + "".join(f"{k}: &{k} [*{k - 1}, *{k - 1}]\n" for k in r
         ),
         ("[" * 100_000, "found more than 20 nested levels"),
         ("{" * 5_000, "found more than 20 nested levels"),
-        ("a: " + "9" * 10_000, "not valid YAML: "),
+        (
+            "a: " + "9" * 10_000,
+            "found the number 99999999999999999999… of 10000 digits, expected at most 100",
+        ),
         ("a: [1", "not valid YAML: expected ',' or ']'"),
         ("\x00", "not valid YAML: "),
-        ("x" * (CHARACTERS_MAX + 1), f"found more than {CHARACTERS_MAX} characters, expected a descriptor"),
+        ("x" * (CHARACTERS_MAX + 1), f"found {CHARACTERS_MAX + 1} bytes, at most {CHARACTERS_MAX}"),
+        (
+            f"scene: 0x{'f' * 5000}",
+            "found the number 0xffffffffffffffffff… of 5002 digits, expected at most 100",
+        ),
         ("2001-01-01: 2", "actions: Field required"),
         ("", "(whole file): Input should be a valid dictionary"),
     ],
-    ids=["bomb", "code", "deep lists", "deep maps", "long number", "cut", "nul", "long", "dates", "empty"],
+    ids=[
+        "bomb",
+        "code",
+        "deep lists",
+        "deep maps",
+        "long number",
+        "cut",
+        "nul",
+        "long",
+        "hexadecimal",
+        "dates",
+        "empty",
+    ],
 )
 def test_yaml_beyond_data_is_refused_quickly(tmp_path, monkeypatch, text, message):
     monkeypatch.chdir(tmp_path)
