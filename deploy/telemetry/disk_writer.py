@@ -51,9 +51,9 @@ class DiskWriter:
         """Close the file after the chunks so far, without waiting."""
         self._queue.put(None)
 
-    def wait(self) -> None:
-        """Wait until the file is closed, at most `WAIT_S`."""
-        self._thread.join(WAIT_S)
+    def wait(self, seconds: float = WAIT_S) -> None:
+        """Wait so long until the file is closed."""
+        self._thread.join(seconds)
         if self._thread.is_alive():
             self.error = self.error or OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
 

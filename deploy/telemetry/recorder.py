@@ -1,12 +1,14 @@
 """Recorder of one robot: a decimated stream of the whole run, and every tick of the seconds around an event."""
 
 import secrets
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
 from deploy.reasons import Reason
 from deploy.runtime import Runtime
 from deploy.state import Mode
+from deploy.telemetry.disk_writer import WAIT_S
 from deploy.telemetry.recording import Recording
 from deploy.telemetry.signals import Ring, row_type
 from robots.errors import OutputError
@@ -146,6 +148,7 @@ class Recorder:
             self._begin_event()
         self._write_event(len(self._unwritten))
         self._stream.finish()
+        last = time.monotonic() + WAIT_S  # one for all: a disk that hangs has hung them all
         for recording in (self._stream, *self._events):
-            recording.wait()
+            recording.wait(max(0.0, last - time.monotonic()))
         self._check_disk(*self._events)

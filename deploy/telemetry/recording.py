@@ -13,7 +13,7 @@ from foxglove.mcap import MCAPCompression, MCAPWriteOptions
 
 from deploy.reasons import describe
 from deploy.state import Mode
-from deploy.telemetry.disk_writer import DiskWriter
+from deploy.telemetry.disk_writer import WAIT_S, DiskWriter
 from deploy.telemetry.signals import recorded_signals, state_schema
 from robots.spec import RobotSpec
 
@@ -85,9 +85,9 @@ class Recording:
         self._writer.close()
         self._disk.end()
 
-    def wait(self) -> None:
-        """Wait a bounded time until a finished file is complete."""
-        self._disk.wait()
+    def wait(self, seconds: float = WAIT_S) -> None:
+        """Wait so long until a finished file is complete."""
+        self._disk.wait(seconds)
 
     def time(self, tick: int) -> tuple[int, fg.Timestamp]:
         """Return the time of a tick, ns since the epoch and as a timestamp."""
