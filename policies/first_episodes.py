@@ -25,20 +25,23 @@ ROBOTS, EPISODES, LAST = 4, 100, 20
 SEEDS = range(1, 6)
 STEPS, LEARNING_RATE = 50, 1e-3
 """Policy steps of each robot between two updates, and their rate: many small updates, of few data."""
+ACTION_CHANGE = -0.005
+"""Largest cost of changing an action: smoothness polishes a policy that reaches, and so few data show no more."""
 SHARE_MAX = 0.6
 """Largest final distance that counts as intentional, as a share of a random policy's."""
 RECIPES = ("planar3_velocity", "planar3_position")
 
 
 def small_recipe(recipe: Recipe, seed: int) -> Recipe:
-    """Return the recipe of the first stage, for four robots and one goal an episode."""
+    """Return the recipe for four robots, one goal an episode."""
     spec, task = load_robot(recipe.robot), find_task(recipe.task, f"recipe {recipe.name}: task")
     steps = goal_steps(task.success_criterion(spec), recipe.promise.policy_hz)
     updates = -(-EPISODES * steps // STEPS)
     stage = LearnerStage(iterations=updates, learning_rate=LEARNING_RATE)
-    shaping = recipe.shaping_in(recipe.learner.stages[0])
     learner = recipe.learner.model_copy(update={"num_steps_per_env": STEPS, "stages": (stage,)})
     environment = recipe.environment.model_copy(update={"robots": ROBOTS, "goals_per_episode": 1})
+    cost = max(recipe.shaping.action_change, ACTION_CHANGE)
+    shaping = recipe.shaping.model_copy(update={"action_change": cost})
     changes = {"learner": learner, "environment": environment, "shaping": shaping}
     return recipe.model_copy(update={"seed": seed, **changes})
 

@@ -38,9 +38,13 @@ class CheckTable:
         self._low = np.tile(self._bounds("low", limits), (rows, 1))
         self._high = np.tile(self._bounds("high", limits), (rows, 1))
         self._reason, self._reason_not_finite = (
-            np.repeat([int(getattr(check, field)) for check in self.checks], self._widths)
+            np.concatenate([np.empty(0, np.int64), *self._columns(field)])
             for field in ("reason", "reason_not_finite")
         )
+
+    def _columns(self, field: str) -> list[Ints]:
+        numbers = [int(getattr(check, field)) for check in self.checks]
+        return [np.full(width, number) for width, number in zip(self._widths, numbers, strict=True)]
 
     def _bounds(self, field: str, limits: Limits) -> Floats:
         bounds = []
@@ -52,7 +56,7 @@ class CheckTable:
                     f"safety check {check.name}: {field}: found shape {value.shape}, expected a number or ({width},)"
                 )
             bounds.append(np.broadcast_to(value, width))
-        return np.concatenate(bounds)
+        return np.concatenate([np.empty(0), *bounds])
 
     def values(self, *records: Any) -> Floats:
         """Return (R, C) values, one record for each group.
@@ -95,7 +99,7 @@ class CheckTable:
         if reason is Reason.NOT_FINITE:
             inside |= self._reason == Reason.TORQUE
         found = self._reasons_outside(values, inside) & int(reason) != 0
-        columns = np.split(found, np.cumsum(self._widths)[:-1])
+        columns = np.split(found, np.cumsum(self._widths, dtype=np.int64))[:-1]
         return {
             check.name: column if check.per_joint else np.zeros(self._n, dtype=bool)
             for check, column in zip(self.checks, columns, strict=True)

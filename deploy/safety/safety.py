@@ -88,14 +88,13 @@ class Safety:
         expected, targets = np.concatenate((poses[0], poses[3], setpoint.q, stop.q_rest)).reshape(
             2, 2 * robots, -1
         )
-        kinematics, between = self._kinematics(expected), self._kinematics(poses[1:3].reshape(expected.shape))
+        kinematics = self._kinematics(expected)
         # A stop first brings the acceleration to zero, and the speed that it gains until then counts.
         qd_peak = qd + qdd * np.abs(qdd) / self.twice_jerk
         motion = Motion(q, qd, qdd, qd_peak, tau, needed, kinematics)
         ends = Pose(targets, kinematics, self._centre)
         plan = self._plan.values(motion, ends, ends)
-        q, qd = stop.q.reshape(expected.shape), stop.qd.reshape(expected.shape)
-        braking = self._braking.values(Braking(qd, between), Pose(q, between, self._centre))
+        braking = self._while_braking(stop, poses[1:3])
         estimate = self._estimate.values(Estimate(state, sent))
         reason = _or_zeros(self._estimate.reasons(estimate), robots)
         for found in (self._plan.reasons(plan), self._braking.reasons(braking)):
@@ -103,6 +102,14 @@ class Safety:
                 reason |= found[:robots] | found[robots:]
         values = plan, braking, estimate
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:], poses=poses, values=values)
+
+    def _while_braking(self, stop: Stop, expected: Floats) -> Floats:
+        """Return (2B, W) values of a stop between its ends; `expected` (2, B, n) rad, poses of the joints."""
+        if not self._braking.checks:
+            return np.empty((self._fleet.robots, 0))
+        q, qd, expected = (each.reshape(-1, stop.q.shape[2]) for each in (stop.q, stop.qd, expected))
+        kinematics = self._kinematics(expected)
+        return self._braking.values(Braking(qd, kinematics), Pose(q, kinematics, self._centre))
 
     def check_poses(self, q: Floats) -> Ints:
         """Return (R,) bit sets of `Reason` against poses (R, n) rad; R is the width of the fleet."""

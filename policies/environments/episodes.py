@@ -49,7 +49,7 @@ class Episodes:
 
     Attributes:
         runtime: the shipped one. robot: the simulation. task: of the runtime.
-        limits: working range of the joints. shaping: the recipe's, until a learner's stage sets its own.
+        limits: working range of the joints.
         goal_steps: policy steps for each goal.
         peak_qd: (B, n) rad/s, the largest true joint speeds, until the caller clears them.
     """
@@ -74,7 +74,6 @@ class Episodes:
         self.task, self._criterion = self.runtime.task, self.runtime.task.criterion
         self._angles = contract.action.control_mode is ControlMode.POSITION
         self._spec, self._recipe, self._fleet = spec, recipe, Fleet(spec, len(seeds))
-        self.shaping = recipe.shaping
         self.limits = Limits(spec, recipe.reward.near_share)
         self.goal_steps = goal_steps(self._criterion, contract.policy_hz)
         self._last_action, self.peak_qd = np.zeros((2, len(seeds), spec.n))
@@ -141,7 +140,7 @@ class Episodes:
     def reward(self, step: Step) -> Floats:
         """(B,) reward and shaping of a step by the recipe."""
         total = reward_terms(step, self.limits, self._recipe.reward).total
-        total += shaping(step, self.limits, self.shaping)
+        total += shaping(step, self.limits, self._recipe.shaping)
         return np.where(self.robot.plant.valid, total, self._recipe.reward.joint_limit)
 
     def end(self, step: Step, time_over: Bools) -> End:

@@ -46,7 +46,7 @@ def train(file: Path, out: Path, *, threads: int, view: bool = False, video: Pat
     contract_of(recipe, spec, {}, file)
     _check_writable(out)
     film = None if video is None else Film(video, spec, recipe.promise.policy_hz)
-    env, policy = learn(recipe, spec, out, threads, view)
+    env, policy = _learn(recipe, spec, out, threads, view)
     rollout, success = roll_out(env, policy, film)
     print(f"goals reached without exploration: {100 * success:.2f} %")
     trained = {"recipe": recipe.name, "seed": str(recipe.seed), "goals_reached": f"{success:.4f}"}
@@ -66,7 +66,7 @@ def _check_writable(out: Path) -> None:
     (out / ".probe").unlink()
 
 
-def learn(
+def _learn(
     recipe: Recipe, spec: RobotSpec, out: Path, threads: int, view: bool
 ) -> tuple[RuntimeEnv, MLPModel]:
     """Run the recipe's learner; return the environment and the trained policy."""
@@ -80,7 +80,6 @@ def learn(
     runner = OnPolicyRunner(env, learner_settings(recipe.learner), log_dir=str(out), device="cpu")
     for number, stage in enumerate(recipe.learner.stages):
         _set_learning_rate(runner, stage.learning_rate)
-        env.episodes.shaping = recipe.shaping_in(stage)
         runner.learn(stage.iterations, init_at_random_ep_len=number == 0)
         runner.current_learning_iteration += 1
     return env, runner.get_inference_policy()

@@ -137,15 +137,10 @@ class Shaping(Strict):
 
 
 class LearnerStage(Strict):
-    """Iterations at one learning rate.
-
-    Attributes:
-        action_change: of the shaping during this stage; None: the recipe's. A policy that explores cannot be smooth.
-    """
+    """Iterations at one learning rate."""
 
     iterations: PositiveInt
     learning_rate: PositiveFloat
-    action_change: Penalty | None = None
 
 
 class Learner(Strict):
@@ -185,12 +180,6 @@ class Recipe(Strict):
     reward: Reward
     shaping: Shaping
     learner: Learner
-
-    def shaping_in(self, stage: LearnerStage) -> Shaping:
-        """Return the shaping during a stage of the learner."""
-        if stage.action_change is None:
-            return self.shaping
-        return self.shaping.model_copy(update={"action_change": stage.action_change})
 
 
 def find_recipe(recipe: str) -> Path:

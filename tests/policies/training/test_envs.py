@@ -11,9 +11,8 @@ import torch
 
 from deploy.simulation import simulate
 from deploy.state import Mode
-from policies.training import cli as training
 from policies.training.envs import RuntimeEnv
-from policies.training.recipe import LearnerStage, Promise, contract_of, find_recipe, load_recipe
+from policies.training.recipe import Promise, contract_of, find_recipe, load_recipe
 from robots.randomness import training_seed
 
 pytestmark = pytest.mark.slow
@@ -171,32 +170,3 @@ def test_episodes_begin_anywhere_in_the_start_range():
     assert (np.abs(q) <= end + 0.01).all()
     assert (np.abs(q).max(axis=0) > 0.8 * end).all()
     assert (np.abs(q.mean(axis=0)) < 0.25 * end).all()  # over three standard deviations of the mean
-
-
-def test_each_stage_of_the_learner_has_its_own_cost_of_changing_an_action(tmp_path):
-    costs = []
-
-    class Recorded(RuntimeEnv):
-        def step(self, actions):
-            costs.append(self.episodes.shaping.action_change)
-            return super().step(actions)
-
-    stages = tuple(
-        LearnerStage(iterations=2, learning_rate=1e-3, action_change=cost) for cost in (-0.001, None)
-    )
-    learner = RECIPE.learner.model_copy(update={"stages": stages, "num_steps_per_env": 4})
-    small = RECIPE.environment.model_copy(update={"robots": 4})
-    recipe = RECIPE.model_copy(update={"learner": learner, "environment": small})
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "RuntimeEnv", Recorded)
-        training.learn(recipe, SPEC, tmp_path, 1, view=False)
-    assert costs == [-0.001] * 8 + [RECIPE.shaping.action_change] * 8
-
-
-def test_the_reward_follows_the_cost_of_changing_an_action():
-    env = env_of(2)
-    shaping = env.episodes.shaping
-    step = env.episodes.run(np.full((2, N), 0.5))
-    plain = env.episodes.reward(step)
-    env.episodes.shaping = shaping.model_copy(update={"action_change": shaping.action_change - 1.0})
-    np.testing.assert_allclose(plain - env.episodes.reward(step), (step.action_change**2).sum(axis=1))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from policies.training.recipe import LearnerStage, Promise, contract_of, find_recipe, load_recipe
+from policies.training.recipe import Promise, contract_of, find_recipe, load_recipe
 from robots.errors import ConfigError, ContractError
 from robots.models.nominal_model import torque_max
 from robots.strict import parse
@@ -110,14 +110,6 @@ def test_the_finished_contract_is_compared_with_the_robot(monkeypatch):
     monkeypatch.setattr("deploy.policy.compatibility.mismatches", one_line)
     with pytest.raises(ContractError, match="recipe arm: contract: robot: found 'arm6', expected 'another'"):
         contract_of(RECIPE, SPEC, {})
-
-
-def test_a_stage_may_have_a_cost_of_changing_an_action_of_its_own():
-    stages = [LearnerStage(iterations=9, learning_rate=1e-3, action_change=cost) for cost in (None, -0.01)]
-    recipe_s, stage_s = (RECIPE.shaping_in(stage) for stage in stages)
-    assert recipe_s == RECIPE.shaping
-    assert stage_s == RECIPE.shaping.model_copy(update={"action_change": -0.01})
-    assert stage_s != recipe_s
 
 
 def test_a_training_that_cannot_be_done_writes_nothing(call, tmp_path):
