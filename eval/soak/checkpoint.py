@@ -53,8 +53,11 @@ class Checkpoint:
             ConfigError: the file is of another soak, or cannot be read.
             OutputError: a damaged file cannot be renamed.
         """
-        if not self.path.exists():
-            return None
+        try:
+            if not self.path.exists():
+                return None
+        except OSError as e:
+            raise ConfigError(f"{self.path}: cannot be read: {e.strerror}") from e
         data = read_file(self.path, BYTES_MAX)
         try:
             identity, arrays = _unpack(data)
