@@ -52,7 +52,7 @@ def test_no_worker_survives_the_soak(arm_policy, tmp_path):
 @pytest.mark.slow
 def test_other_workers_end_with_one_that_was_killed(arm_policy, tmp_path, monkeypatch):
     """They ignore SIGTERM, by which a pool ends them, and would go on to the end of their shards."""
-    soak = soak_config(arm_policy, hours=0.05, robots=2 * WIDTH, workers=2)
+    soak = soak_config(arm_policy, hours=0.5, robots=2 * WIDTH, workers=2)
 
     def kill(pool, futures):
         while not all(pool.progress):
