@@ -1,23 +1,16 @@
 """Workers of a soak end with their parent, and with each other."""
 
-import multiprocessing as mp
 import os
 import signal
 import subprocess
 import sys
-from concurrent.futures import wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 
 import pytest
-from rich.console import Console
 
 pytest.importorskip("mujoco")
 
 from eval.shard.job import WIDTH
-from eval.soak.checkpoint import prepare_folder
-from eval.soak.workers import WorkerPool
-from support.eval.soaks import soak_config
 
 WAIT_S = 60.0
 SCRIPT = """
@@ -47,23 +40,3 @@ def test_no_worker_survives_the_soak(arm_policy, tmp_path):
         finally:
             with suppress(ProcessLookupError):
                 os.killpg(soak.pid, signal.SIGKILL)
-
-
-@pytest.mark.slow
-def test_other_workers_end_with_one_that_was_killed(arm_policy, tmp_path, monkeypatch):
-    """They ignore SIGTERM, by which a pool ends them, and would go on to the end of their shards."""
-    soak = soak_config(arm_policy, hours=0.5, robots=2 * WIDTH, workers=2)
-
-    def kill(pool, futures):
-        while not all(pool.progress):
-            wait(futures, timeout=0.01)
-        os.kill(mp.active_children()[0].pid, signal.SIGKILL)
-        for future in futures:
-            future.result()
-
-    monkeypatch.setattr(WorkerPool, "show_progress", kill)
-    prepare_folder(tmp_path)
-    with pytest.raises(BrokenProcessPool):
-        WorkerPool(soak, tmp_path, Console(quiet=True)).run()
-    assert not mp.active_children()
-    assert not list(tmp_path.glob("*.npz"))
