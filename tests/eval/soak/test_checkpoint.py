@@ -2,7 +2,6 @@ import json
 import multiprocessing as mp
 import os
 import signal
-from concurrent.futures import wait
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from eval.shard.job import WIDTH, code_digest
 from eval.shard.shard import Shard
 from eval.soak import workers
 from eval.soak.checkpoint import DAMAGED, Checkpoint, delete_checkpoints, prepare_folder
+from eval.soak.worker_pool import WorkerPool
 from robots.errors import ConfigError, OutputError
 from support.eval.soaks import soak_config
 
@@ -139,24 +139,23 @@ def test_code_digest_is_part_of_the_identity(restless, tmp_path):
 @pytest.mark.slow
 def test_killed_worker_changes_no_result(finished, tmp_path, monkeypatch, capsys):
     """It is killed in the midst of the first shard, as the system does it; the second has a checkpoint already."""
-    soak, show_progress = finished.soak, workers.WorkerPool.show_progress
+    soak = finished.soak
 
-    def kill(pool, futures):
-        while not sum(pool.progress):
-            wait(futures, timeout=0.01)
-        for child in mp.active_children():
-            os.kill(child.pid, signal.SIGKILL)
-        patch.undo()
-        show_progress(pool, futures)
+    def kill(pool, step=WorkerPool.step):
+        step(pool)
+        if sum(pool.progress):
+            for child in mp.active_children():
+                os.kill(child.pid, signal.SIGKILL)
+            patch.undo()
 
     prepare_folder(tmp_path)
     shard = Shard(soak.jobs()[1])
     shard.run(lambda _: None, lambda: shard.runtime.ticks >= 200)
     soak.checkpoint(1, tmp_path).store(shard.save())
     with monkeypatch.context() as patch:
-        patch.setattr(workers.WorkerPool, "show_progress", kill)
+        patch.setattr(WorkerPool, "step", kill)
         disturbed = workers.run_soak(soak, tmp_path, Console())
-    assert "a worker died: its shards resume from their checkpoints" in capsys.readouterr().out
+    assert "a worker died: its shard resumes from its checkpoint" in capsys.readouterr().out
     assert len(finished.shards) == len(disturbed) == 2
     for number in (0, 1):
         assert_same(*(soak.checkpoint(number, folder).load() for folder in (finished.kept, tmp_path)))

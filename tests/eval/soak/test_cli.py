@@ -2,7 +2,6 @@ import json
 import resource
 import subprocess
 import sys
-from concurrent.futures import wait
 from dataclasses import fields, replace
 from functools import partial
 
@@ -23,10 +22,10 @@ from eval.shard.job import WIDTH, code_digest
 from eval.shard.judging import COUNTED
 from eval.shard.shard import Shard
 from eval.soak import cli as command
-from eval.soak import workers
 from eval.soak.assembly import assemble
 from eval.soak.checkpoint import prepare_folder
 from eval.soak.tensorboard import TENSORBOARD
+from eval.soak.worker_pool import WorkerPool
 from eval.soak.workers import run_soak
 from robots.errors import ConfigError
 from support.eval.soaks import soak_config
@@ -206,16 +205,16 @@ def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 
 
-def impatient(crew, futures):
+def impatient(pool, step=WorkerPool.step):
     """Somebody who presses Ctrl-C as soon as anything is done."""
-    while not sum(crew.progress):
-        wait(futures, timeout=0.1)
-    raise KeyboardInterrupt
+    step(pool)
+    if sum(pool.progress):
+        raise KeyboardInterrupt
 
 
 @pytest.mark.slow
 def test_ctrl_c_keeps_a_partial_report(soak_test, tmp_path, monkeypatch):
-    monkeypatch.setattr(workers.WorkerPool, "show_progress", impatient)
+    monkeypatch.setattr(WorkerPool, "step", impatient)
     assert soak_test("--hours", 100, "--robots", 24, "--workers", 1)[0] == 130
     report = json.loads((tmp_path / "out" / "unfinished" / "report.json").read_text())
     assert report["verdict"] == "interrupted"
@@ -223,7 +222,8 @@ def test_ctrl_c_keeps_a_partial_report(soak_test, tmp_path, monkeypatch):
     assert 0 < report["run"]["hours"] < 100
 
 
-def interrupted(_pool, _futures):
+def interrupted(pool, step=WorkerPool.step):
+    step(pool)
     raise KeyboardInterrupt
 
 
@@ -250,7 +250,7 @@ def test_finished_soak_is_replaced_by_a_finished_soak_only(soak_test, tmp_path, 
         return code, {path.relative_to(out).as_posix(): path for path in out.rglob("*") if path.is_file()}
 
     with monkeypatch.context() as patch:
-        patch.setattr(workers.WorkerPool, "show_progress", interrupted)
+        patch.setattr(WorkerPool, "step", interrupted)
         patch.setattr(command, "run_soak", begun)
         code, files = ended()
     assert code == 130
