@@ -7,6 +7,7 @@ from deploy.estimation.estimator import Estimator
 from deploy.policy.contract import Contract
 from deploy.policy.contract_action import MODES, ActionSpec
 from deploy.policy.contract_term import Term
+from deploy.policy.gain_bounds import gain_misfits
 from deploy.sources.source import ObservationSource
 from deploy.tasks.task import find_task, sources_of
 from robots.errors import ContractError
@@ -40,6 +41,7 @@ def mismatches(contract: Contract, spec: RobotSpec) -> Iterator[str]:
         yield f"control_hz: found {contract.control_hz} Hz, expected {spec.rates.control_hz} Hz"
     yield from _abilities(contract, spec)
     yield from _free_joints(contract.action, spec)
+    yield from gain_misfits(contract.action, spec)
     sources = sources_of(contract.task)
     for term in contract.observation:
         yield from _term(term, sources[term.source], contract.action_size, spec)

@@ -218,13 +218,13 @@ POSITION = {"mode": "position", "size": 6, "scale": (0.5,) * 6, "offset": (0.1,)
 
 
 def test_gains_come_with_the_policy():
-    action = ActionSpec(**POSITION, kp=(50.0,) * 6, kd=(1.0,) * 6)
+    action = ActionSpec(**POSITION, kp=(500.0,) * 6, kd=(50.0,) * 6)
     check_contract(arm_contract(action=action), SPEC, "x.onnx")
-    np.testing.assert_array_equal(action.gains.kp, np.full(6, 50.0))
+    np.testing.assert_array_equal(action.gains.kp, np.full(6, 500.0))
     assert ActionSpec(**POSITION).gains is None
 
 
-WHEEL = {"kp": (0.0, *(50.0,) * 5), "kd": (1.0,) * 6}
+WHEEL = {"kp": (0.0, *(500.0,) * 5), "kd": (50.0,) * 6}
 
 
 def test_a_wheel_needs_the_limits_of_torque_mode(tmp_path):
@@ -244,7 +244,7 @@ def test_a_wheel_needs_the_limits_of_torque_mode(tmp_path):
 def test_a_robot_with_a_base_has_no_joint_without_stiffness():
     n = QUADRUPED.n
     action = ActionSpec(
-        mode="velocity", size=n, scale=(1.0,) * n, clip=None, kp=(0.0, *(50.0,) * (n - 1)), kd=(1.0,) * n
+        mode="velocity", size=n, scale=(1.0,) * n, clip=None, kp=(0.0, *(80.0,) * (n - 1)), kd=(2.0,) * n
     )
     with pytest.raises(ContractError, match=r"action\.kp: found 0, expected above 0 on a robot with a base"):
         check_contract(quadruped_contract(action=action), QUADRUPED, "x.onnx")
