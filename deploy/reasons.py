@@ -34,6 +34,8 @@ class Reason(IntFlag):
     LOAD = 1 << 18
     FALLEN = 1 << 19
     ACCELERATION = 1 << 20
+    REPEATED = 1 << 21
+    OSCILLATION = 1 << 22
 
 
 class StopReason(NamedTuple):
@@ -68,6 +70,8 @@ REASONS = {
     Reason.MOVING: StopReason(2, "a joint moves while the drives are off"),
     Reason.DIVERGED: StopReason(1, "an estimate does not fit the measurements"),
     Reason.LOAD: StopReason(1, "a motor's current does not fit its motion"),
+    Reason.OSCILLATION: StopReason(2, "a joint oscillates"),
+    Reason.REPEATED: StopReason(1, "too many stops in a short time, without a goal reached"),
     Reason.FALLEN: StopReason(1, "the base tilts beyond its limit: the robot is falling or has fallen"),
 }
 CATEGORY_1 = reduce(or_, (bit for bit, row in REASONS.items() if row.category == 1))

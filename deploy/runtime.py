@@ -20,6 +20,7 @@ from deploy.policy.actor import Actor
 from deploy.policy.contract import Contract
 from deploy.policy.observation import Observation
 from deploy.reasons import Reason
+from deploy.safety.escalation import StopEscalation
 from deploy.safety.safety import Safety
 from deploy.safety.supervisor import Supervisor
 from deploy.stage import Arrays, Stage
@@ -31,7 +32,9 @@ from robots.models.fleet import Fleet
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
-_NOT_FINITE, _MOVING = np.int64(Reason.NOT_FINITE), np.int64(Reason.MOVING)
+_NOT_FINITE, _MOVING, _REPEATED = (
+    np.int64(reason) for reason in (Reason.NOT_FINITE, Reason.MOVING, Reason.REPEATED)
+)
 """Bits as np.int64, which are five times as fast in array expressions as members of an enumeration."""
 
 
@@ -50,7 +53,7 @@ class Runtime(Stage):
     carried = ("requested_stop", "ticks_since_arming")
     parts = (
         *("estimator", "action", "smoother", "supervisor", "task", "observation"),
-        *("capabilities", "prepared_stop"),
+        *("capabilities", "prepared_stop", "escalation"),
     )
 
     sample: Sample
@@ -79,7 +82,8 @@ class Runtime(Stage):
         self.spec, self.contract, self.robot, self.policy = spec, contract, robot, policy
         robots, mode, gains = robot.robots, contract.action.control_mode, contract.action.gains
         self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
-        fleet, self.drives = Fleet(spec, 2 * robots, collisions=True), drive_modes(spec, mode, gains, robots)
+        fleet = Fleet(spec.in_mode(mode), 2 * robots, collisions=True)
+        self.drives = drive_modes(spec, mode, gains, robots)
         law = drive_law(spec, mode, gains, fleet)
         self.springs = law if isinstance(law, SpringDrives) else None
         self.estimator = Estimator(
@@ -90,7 +94,7 @@ class Runtime(Stage):
         self.action = Action(contract.action, self.drives.policy)
         self.smoother = make_smoother(spec, self.drives)
         self.prepared_stop = PreparedStop(self.drives)
-        self.supervisor = Supervisor(robots, spec.dt)
+        self.supervisor, self.escalation = Supervisor(robots, spec.dt), StopEscalation(spec, robots)
         self.task: Task = find_task(contract.task, f"contract: task {contract.task!r}")(spec, seeds)
         sources = sources_of(contract.task)
         readers = {term.source: sources[term.source].reader(self) for term in contract.observation}
@@ -195,6 +199,9 @@ class Runtime(Stage):
         reason = self.verdict.reason | self.state.fault | self.requested_stop
         if not all_true(self.action.finite):
             reason[~self.action.finite] |= _NOT_FINITE
+        begins = self.supervisor.running & (reason != 0)
+        if any_true(begins):
+            reason[self.escalation.step(self.ticks, begins, self.task.reached)] |= _REPEATED
         return reason
 
     def select_setpoint(self, send_planned: Bools, planned: Setpoint) -> tuple[Setpoint, Floats]:
@@ -249,6 +256,7 @@ class Runtime(Stage):
         self.requested_stop[ids], self.ticks_since_arming[ids] = 0, 0
         granted = ids & (reason == 0)
         self.supervisor.arm(granted)
+        self.escalation.reset(granted)
         self.estimator.follow(granted, self.smoother.sent, here)
         self.smoother.hold(granted, self.state.q)
         self.prepared_stop.rest(granted, here)

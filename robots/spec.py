@@ -96,6 +96,17 @@ class RobotSpec(Strict):
             )
         if self.workspace is not None and margins.workspace_m is None:
             raise ValueError("margins.workspace_m: missing, expected one of a robot with a workspace")
+        for name in ("workspace_m", "collision_m"):
+            self._check_margin_of_modes(name)
+
+    def _check_margin_of_modes(self, name: str) -> None:
+        """Refuse a margin of one mode that the robot does not have in the others."""
+        for mode in ("velocity_mode", "torque_mode"):
+            found = getattr(getattr(self.margins, mode), name, None)
+            if found is not None and getattr(self.margins, name) is None:
+                raise ValueError(
+                    f"margins.{mode}.{name}: found {found}, expected none without margins.{name}"
+                )
 
     def _check_sensors(self) -> None:
         check_sensors(self.sensors, self.rates.control_hz)
@@ -135,8 +146,8 @@ class RobotSpec(Strict):
                 raise ValueError(
                     f"joints.{joint.name}.torque_mode: missing, and its motor has the mode 'torque'"
                 )
-        if self.margins.speed_in_torque_mode is None:
-            raise ValueError("margins.speed_in_torque_mode: missing, and all motors have the mode 'torque'")
+        if self.margins.torque_mode is None:
+            raise ValueError("margins.torque_mode: missing, and all motors have the mode 'torque'")
 
     def _check_locked(self) -> None:
         for name in self.locked:
@@ -195,6 +206,10 @@ class RobotSpec(Strict):
         """Control modes that the drives of all joints have."""
         motors = [self.motors[joint.motor] for joint in self.joints]
         return tuple(mode for mode in ControlMode if all(mode.name.lower() in each.modes for each in motors))
+
+    def in_mode(self, mode: ControlMode) -> Self:
+        """Return the robot with the margins of a control mode."""
+        return self.model_copy(update={"margins": self.margins.of(mode)})
 
     @property
     def touches_goal(self) -> bool:

@@ -152,6 +152,14 @@ class Rates(Strict):
         return self
 
 
+class ModeMargins(Strict):
+    """Margins that differ in one control mode: see `Margins`; None: the same as in the others."""
+
+    speed: Fraction | None = None
+    collision_m: PositiveFloat | None = None
+    workspace_m: PositiveFloat | None = None
+
+
 class Margins(Strict):
     """Distances that the parts of the stack keep from limits, and limits of the stack itself.
 
@@ -160,9 +168,6 @@ class Margins(Strict):
         q_soft_rad: setpoints are refused, and the judge calls it soft, this far inside.
         speed: setpoint speed, as a fraction of qd_max: the rest is for the drive's own ringing, and for the play of its
             gear, through which a light link falls.
-        speed_in_velocity_mode: the same in velocity mode, where a policy may shake; None: as `speed`.
-        speed_in_torque_mode: the same in torque mode, of a robot whose drives have it: the rest is for errors of
-            prediction and estimate.
         tau: setpoint torque by the nominal model, as a fraction of the torque range.
         collision_m: clearance between capsules; without it, self-collision is not checked.
         workspace_m: how far inside the workspace setpoints stay; of robots with a workspace, and of all of those.
@@ -171,18 +176,22 @@ class Margins(Strict):
         tracking_rad: tracking error, setpoint minus estimate, that stops the robot.
         stale_s: age of the newest sample at which the robot stops and holds.
         lost_s: age of the newest sample at which it stops and cuts power.
+        stops_max, stops_s: as many stops within as many s, without a goal reached in between, cut power.
+        oscillation_hz: frequency at which a joint may swing for seconds, with a tenth of its speed limit between peaks;
+            without it, oscillation is not looked for.
         winding_k, winding_share: K, and share of its rise over the housing, by which a winding may be hotter than
             estimated: the robot latches when it may have come to winding_max_c.
         fold_min: share of its current that a motor keeps there. From winding_soft_c on it falls to this share.
         pace_min: share of speed and acceleration that setpoints keep there: low enough for the motion
             to need no more current than is left, gravity included.
+        velocity_mode: what differs in velocity mode, where a policy may shake.
+        torque_mode: what differs in torque mode, where motion is predicted and estimated with larger errors; needed if
+            the drives have that mode.
     """
 
     q_target_rad: PositiveFloat
     q_soft_rad: PositiveFloat
     speed: Fraction
-    speed_in_velocity_mode: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
-    speed_in_torque_mode: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
     tau: Fraction
     collision_m: PositiveFloat | None = None
     workspace_m: PositiveFloat | None = None
@@ -190,18 +199,20 @@ class Margins(Strict):
     tracking_rad: PositiveFloat
     stale_s: PositiveFloat
     lost_s: PositiveFloat
+    stops_max: PositiveInt
+    stops_s: PositiveFloat
+    oscillation_hz: Annotated[PositiveFloat | None, Field(exclude_if=_is_none)] = None
     winding_k: PositiveFloat
     winding_share: Annotated[float, Field(ge=0)]
     fold_min: Fraction
     pace_min: Fraction
+    velocity_mode: Annotated[ModeMargins | None, Field(exclude_if=_is_none)] = None
+    torque_mode: Annotated[ModeMargins | None, Field(exclude_if=_is_none)] = None
 
-    def speed_in(self, mode: ControlMode) -> float:
-        """Return the share of speed limits that setpoints may have in a control mode."""
-        own = {
-            ControlMode.VELOCITY: self.speed_in_velocity_mode,
-            ControlMode.TORQUE: self.speed_in_torque_mode,
-        }
-        return own.get(mode) or self.speed
+    def of(self, mode: ControlMode) -> Self:
+        """Return the margins in a control mode."""
+        own = {ControlMode.VELOCITY: self.velocity_mode, ControlMode.TORQUE: self.torque_mode}.get(mode)
+        return self.model_copy(update=own.model_dump(exclude_none=True)) if own else self
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -220,7 +231,7 @@ class Workspace(Strict):
         radius_max: m, from `centre`.
         centre: m, (x, y, z).
         tool_speed_soft: m/s, at which setpoints and their stops are refused; None: the share of tool_speed_max that
-            `Margins.speed_in` a control mode is.
+            `Margins.speed` is.
         tool_speed_max: m/s.
     """
 

@@ -11,6 +11,7 @@ import numpy as np
 from deploy.estimation.external_torque import ExternalTorque
 from deploy.estimation.fault_detection import Divergence, StuckDetection
 from deploy.estimation.joint_filter import JointFilter
+from deploy.estimation.oscillation import OscillationDetection
 from deploy.estimation.sample_count import sample_count
 from deploy.estimation.setpoint_history import SetpointHistory
 from deploy.estimation.winding_observer import WindingObserver
@@ -40,7 +41,10 @@ class Estimator(Stage):
     sensors: ClassVar[tuple[Kind, ...]] = ("encoder", "velocity", "current", "temperature")
     """Sensors that it reads, of those that the robot has."""
     carried: ClassVar[tuple[str, ...]] = ("fault",)
-    parts = ("joints", "setpoints", "stuck_detection", "divergence", "windings", "external_torque")
+    parts = (
+        *("joints", "setpoints", "stuck_detection", "divergence", "oscillation"),
+        *("windings", "external_torque"),
+    )
 
     def __init__(
         self, spec: RobotSpec, robots: int, *, springs: Gains | None = None, free: Bools | None = None
@@ -58,6 +62,7 @@ class Estimator(Stage):
         stuck_look_s = look_s if self._stuck_look > 1 else 1.0 / encoder.rate_hz
         self.stuck_detection = StuckDetection(spec, robots, stuck_look_s, springs)
         self.divergence = Divergence(spec, robots)
+        self.oscillation = OscillationDetection(spec, robots, look_s)
         self.windings = WindingObserver(spec, robots)
         self.external_torque = ExternalTorque(spec, robots, look_s)
         self.fault = np.zeros(robots, dtype=np.int64)
@@ -69,6 +74,7 @@ class Estimator(Stage):
         """Forget robots `ids` (B,), whose setpoint has long been `sent`; their next sample initializes them."""
         self.joints.initialized[ids], self.divergence.accepted[ids] = False, 0
         self.follow(ids, sent, sent)
+        self.oscillation.reset(ids)
         self.windings.reset(ids)
         self.external_torque.reset(ids)
 
@@ -118,7 +124,7 @@ class Estimator(Stage):
         if tick % self._stuck_look == 0:
             self.stuck_detection.look(packet.value, setpoint, fused)
         if tick % self._look == 0:
-            self._detect_faults(sample["current"])
+            self._detect_faults(sample["current"], sent)
         self.windings.step(t, sample)
         return self._state(t, sample, sent)
 
@@ -152,12 +158,14 @@ class Estimator(Stage):
         _, speed = self.setpoints.at(packet.t, new, tick)
         self.joints.correct_by_speed(packet.t, packet.value - self._origin(speed), new)
 
-    def _detect_faults(self, current: Packet) -> None:
+    def _detect_faults(self, current: Packet, sent: Setpoint) -> None:
         self.fault[:] = 0
         if any_true(self.stuck_detection.repeated):
             self.fault[self.stuck.any(axis=1)] |= np.int64(Reason.STUCK)
         if any_true(diverged := self.diverged):
             self.fault[diverged.any(axis=1) & self.joints.initialized] |= np.int64(Reason.DIVERGED)
+        if any_true(oscillating := self.oscillation.step(self._speed(sent))):
+            self.fault[oscillating.any(axis=1)] |= np.int64(Reason.OSCILLATION)
         self.fault[self.external_torque.look(current)] |= np.int64(Reason.LOAD)
 
     @property
@@ -175,6 +183,10 @@ class Estimator(Stage):
         """(B, n) joints whose filter has diverged."""
         return self.divergence.diverged(self.joints)
 
+    def _speed(self, sent: Setpoint) -> Floats:
+        """(B, n) rad/s, estimated now."""
+        return np.asarray(self._origin(sent.qd) + self.joints.ed)
+
     def _state(self, t: float, sample: Sample, sent: Setpoint) -> State:
         joints, confirmed = self.joints, self.divergence.confirmed
         dt = t - joints.t_sample
@@ -184,7 +196,7 @@ class Estimator(Stage):
         return State(
             t=t,
             q=self._origin(sent.q) + (joints.e + joints.ed * dt),
-            qd=self._origin(sent.qd) + joints.ed,
+            qd=self._speed(sent),
             q_var=joints.angle_variance(dt) + self._hidden_var,
             age=age,
             nis=self.divergence.nis,

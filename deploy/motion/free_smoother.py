@@ -79,7 +79,7 @@ class TorqueSmoother(Smoother):
         self.takeover = Takeover(drive, stop, spec.dt)
         self._qdd_max = ACCELERATION_SHARE * spec.joint_array("qdd_max")
         self._qd_max = (
-            ACCELERATION_SHARE * spec.margins.speed_in(ControlMode.TORQUE) * spec.joint_array("qd_max")
+            ACCELERATION_SHARE * spec.margins.of(ControlMode.TORQUE).speed * spec.joint_array("qd_max")
         )
 
     @property

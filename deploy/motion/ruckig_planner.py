@@ -40,7 +40,7 @@ class RuckigPlanner:
         """Set the limits of robot.toml, speed less its margin."""
         self._n, self._size = spec.n, robots * spec.n + 1
         self._otg, self._in = Ruckig(self._size, spec.dt), InputParameter(self._size)
-        self._qd_max = np.tile(spec.margins.speed_in(self.mode) * spec.joint_array("qd_max"), (robots, 1))
+        self._qd_max = np.tile(spec.margins.of(self.mode).speed * spec.joint_array("qd_max"), (robots, 1))
         self._twice_jerk = np.tile(2 * spec.joint_array("qddd_max"), (robots, 1))
         self._qdd_max = np.tile(spec.joint_array("qdd_max"), (robots, 1))
         self._in.max_jerk = [*self._twice_jerk.ravel() / 2, 1.0]

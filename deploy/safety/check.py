@@ -11,7 +11,6 @@ from deploy.state import Setpoint, State
 from robots.arrays import Bools, Floats
 from robots.capabilities import Capability, required
 from robots.models.kinematics import Kinematics
-from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 UNBOUNDED = float(np.finfo(np.float64).max)
@@ -106,25 +105,18 @@ class Limits(NamedTuple):
     """Data from which bounds are computed.
 
     Attributes:
-        robot: its limits and margins.
+        robot: its limits, and its margins in the mode of the policy.
         torque: (n,) N·m that a setpoint may need; infinite where drives saturate instead.
-        mode: of the drives when they follow the policy.
     """
 
     robot: RobotSpec
     torque: Floats
-    mode: ControlMode
-
-    @property
-    def speed_share(self) -> float:
-        """Share of the joints' speed limits that a setpoint may have."""
-        return self.robot.margins.speed_in(self.mode)
 
     @property
     def tool_speed(self) -> float:
         """m/s that the tool may have at a setpoint and while it stops."""
         space = required(self.robot.workspace)
-        return space.tool_speed_soft or self.speed_share * space.tool_speed_max
+        return space.tool_speed_soft or self.robot.margins.speed * space.tool_speed_max
 
 
 Record = TypeVar("Record")

@@ -43,7 +43,7 @@ def _soft_max(limits: Limits) -> Floats:
 
 
 def _speed_max(limits: Limits) -> Floats:
-    return limits.speed_share * limits.robot.joint_array("qd_max") * (1 + SPEED_TOLERANCE)
+    return limits.robot.margins.speed * limits.robot.joint_array("qd_max") * (1 + SPEED_TOLERANCE)
 
 
 def _acceleration_max(limits: Limits) -> Floats:

@@ -43,7 +43,7 @@ class Safety:
 
         Args:
             spec: the robot.
-            fleet: its nominal model, 2B robots wide, with collisions.
+            fleet: its nominal model, 2B robots wide, with collisions and the margins of `mode`.
             drives: the law of its drives; stiff drives by default.
             checks: those that a robot has if it meets their needs.
             mode: of the drives when they follow the policy.
@@ -51,12 +51,12 @@ class Safety:
         Raises:
             ValueError: two checks of one name in a table, or a bound of the wrong shape.
         """
-        self._fleet = fleet
+        spec, self._fleet = spec.in_mode(mode), fleet
         self._drives = drives or StiffDrives(spec, fleet)
         self._jacobians = "tool" in spec.capabilities  # what reads them reads the tool
         self._gap_max = (spec.margins.collision_m or 0.0) + GAP_TOLERANCE_M
         self.twice_jerk = 2 * spec.joint_array("qddd_max")
-        limits, rows = Limits(spec, self._drives.torque_limit, mode), fleet.robots
+        limits, rows = Limits(spec, self._drives.torque_limit), fleet.robots
         motion = checks.motion + (checks.takeover if mode is ControlMode.TORQUE else ())
         self._plan = CheckTable(rows, limits, motion, checks.end_poses, checks.all_poses)
         self._braking = CheckTable(rows, limits, checks.braking, checks.all_poses)

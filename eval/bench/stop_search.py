@@ -18,7 +18,6 @@ from deploy.state import Setpoint, State
 from robots.arrays import Bools, Floats
 from robots.capabilities import required
 from robots.models.fleet import Fleet
-from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 POPULATION, GENERATIONS, SEED = 256, 300, 1
@@ -40,7 +39,7 @@ class StopSearch:
         self._safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True))
         self._low, self._high = spec.joint_array("q_min"), spec.joint_array("q_max")
         wall = 1.0 - required(spec.margins.workspace_m) / self._space.radius_max
-        limits = Limits(spec, np.zeros(spec.n), ControlMode.POSITION)
+        limits = Limits(spec, np.zeros(spec.n))
         speed = limits.tool_speed / self._space.tool_speed_max
         self.bounds = {"tool speed": speed, "tool depth": wall, "tool radius": wall}
         self.quantities = tuple(self.bounds)

@@ -18,6 +18,7 @@ from deploy.state import Setpoint, State, Stop, Verdict
 from robots.arrays import Bools, Floats
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
+from robots.tables import ModeMargins
 
 GuardRemoval = Callable[[Runtime], None]
 P = ParamSpec("P")
@@ -263,7 +264,7 @@ def _replace_smoother(change: Callable[[RobotSpec], RobotSpec]) -> GuardRemoval:
 
 def use_full_speed(mode: ControlMode, share: float = 1.0) -> GuardRemoval:
     """Give the smoother a share of each joint's speed limit in place of the margin of a mode."""
-    margin = {f"speed_in_{mode.name.lower()}_mode": share}
+    margin = {f"{mode.name.lower()}_mode": ModeMargins(speed=share)}
     return _replace_smoother(
         lambda spec: spec.model_copy(update={"margins": spec.margins.model_copy(update=margin)})
     )

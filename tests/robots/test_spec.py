@@ -258,7 +258,7 @@ def test_drives_reach_the_published_torque_at_the_published_speed():
             ((r"torque_mode = \{ rate_max = 600.*\}", ""),),
             r"joints\.shoulder_pan\.torque_mode: missing, and its motor has the mode 'torque'",
         ),
-        (((r"speed_in_torque_mode = 0\.8 ", ""),), r"margins\.speed_in_torque_mode: missing"),
+        (((r"(?s)\[margins\.torque_mode\].*?(?=\[workspace\])", ""),), r"margins\.torque_mode: missing"),
         (
             ((r'modes = \["position", "velocity", "torque"\]', 'modes = ["current"]'),),
             r"modes\.0: .* found 'current'",

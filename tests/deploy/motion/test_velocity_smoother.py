@@ -33,7 +33,7 @@ def ride(smoother, speeds, stops=None):
 
 def assert_inside_limits(q):
     derivative = np.concatenate((np.repeat(np.tile(HOME, (1, q.shape[1], 1)), 3, axis=0), q))
-    for limit in (SPEC.margins.speed_in_velocity_mode * V, A, J):
+    for limit in (SPEC.margins.velocity_mode.speed * V, A, J):
         derivative = np.diff(derivative, axis=0) / DT
         assert (np.abs(derivative) <= limit * (1 + 1e-5)).all()
     assert (q >= LOW - 1e-9).all()
@@ -56,7 +56,7 @@ def test_a_speed_above_the_limit_ends_at_rest_at_the_end_of_the_range(sign):
     assert_inside_limits(q)
     np.testing.assert_allclose(q[-1, 0], HIGH if sign > 0 else LOW, atol=1e-9)
     np.testing.assert_allclose(qd[-1, 0], 0.0, atol=1e-9)
-    assert np.abs(qd[:, 0]).max(axis=0) == pytest.approx(SPEC.margins.speed_in_velocity_mode * V, rel=0.35)
+    assert np.abs(qd[:, 0]).max(axis=0) == pytest.approx(SPEC.margins.velocity_mode.speed * V, rel=0.35)
 
 
 def test_almost_no_speed_is_none():

@@ -9,7 +9,6 @@ from deploy.safety.check_table import CheckTable
 from deploy.safety.checks import CHECKS
 from deploy.safety.safety import Safety
 from robots.models.fleet import Fleet
-from robots.motors.control_mode import ControlMode
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.deploy.safety import HOME, judge, point
@@ -49,7 +48,7 @@ def test_robots_have_the_checks_whose_needs_they_meet(tmp_path):
         (walker, {"manipulability", "tool_height", "tool_radius", "tool_speed", "tool_speed_of_stop"}),
     ):
         checks = CHECKS._replace(takeover=())  # of robots in torque mode
-        table = CheckTable(2, Limits(spec, np.zeros(spec.n), ControlMode.POSITION), *checks)
+        table = CheckTable(2, Limits(spec, np.zeros(spec.n)), *checks)
         every = {check.name for group in checks for check in group}
         assert every - {check.name for check in table.checks} == missing
     assert judge(safety=arm(bare)).reason[0] == 0
