@@ -86,9 +86,7 @@ class Runtime(Stage):
         self.drives = drive_modes(spec, mode, gains, robots)
         law = drive_law(spec, mode, gains, fleet)
         self.springs = law if isinstance(law, SpringDrives) else None
-        self.estimator = Estimator(
-            spec, robots, springs=gains if self.springs else None, free=self.drives.policy.kp[0] == 0.0
-        )
+        self.estimator = Estimator(spec, robots, springs=gains if self.springs else None)
         self.capabilities = CapabilityEstimators(spec, robots)
         self.safety = Safety(spec, fleet, law, mode=mode)
         self.action = Action(contract.action, self.drives.policy)
@@ -238,6 +236,7 @@ class Runtime(Stage):
         self.robot.write(self.command)
         if self.drives.free:
             torque_mode = self.contract.action.control_mode is ControlMode.TORQUE
+            self.estimator.joints.follow_drives((drive.kp < self.drives.stop.kp) & powered[:, None])
             self.estimator.follow_joints(drive.kp == 0.0, self.t, speeds=torque_mode)
 
     def arm(self, ids: Bools) -> Ints:

@@ -46,16 +46,11 @@ class Estimator(Stage):
         *("windings", "external_torque"),
     )
 
-    def __init__(
-        self, spec: RobotSpec, robots: int, *, springs: Gains | None = None, free: Bools | None = None
-    ) -> None:
-        """Allocate; `springs` are the gains of soft drives, None if drives hold joints at their setpoints.
-
-        Drives of joints `free` (n,) hold no angle: setpoints follow these joints, which deviate by errors of the model.
-        """
+    def __init__(self, spec: RobotSpec, robots: int, *, springs: Gains | None = None) -> None:
+        """Allocate; `springs` are the gains of soft drives, None if drives hold joints at their setpoints."""
         self._look = sample_count(LOOK_S, spec.dt)
         look_s, encoder = self._look * spec.dt, spec.sensors["encoder"]
-        self.joints = JointFilter(spec, robots, free)
+        self.joints = JointFilter(spec, robots)
         self.setpoints = SetpointHistory(spec, robots)
         # Packets of an encoder slower than the control rate could always arrive between two looks.
         self._stuck_look = self._look if encoder.rate_hz == spec.rates.control_hz else 1

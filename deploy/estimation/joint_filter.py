@@ -26,7 +26,6 @@ from filterpy.common import Q_continuous_white_noise
 from deploy.masks import all_true
 from deploy.stage import Stage
 from robots.arrays import Bools, Floats
-from robots.capabilities import required
 from robots.spec import RobotSpec
 
 GATE = 8.0
@@ -60,13 +59,14 @@ class JointFilter(Stage):
         t_sample: (B, n) s, time of the state: when the last fused angle was taken.
         t_speed: (B,) s, when the last fused speed packet was taken.
         initialized: (B,) robots whose filters were started.
+        density: (B, n) rad²/s³, spectral density of the process noise.
         gate: innovation gate, in standard deviations.
     """
 
-    carried = ("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "initialized")
+    carried = ("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "initialized", "density")
 
-    def __init__(self, spec: RobotSpec, robots: int, free: Bools | None = None) -> None:
-        """Allocate for drives that hold their angles, but those of joints `free` (n,)."""
+    def __init__(self, spec: RobotSpec, robots: int) -> None:
+        """Allocate for drives that hold their angles."""
         shape, sensors = (robots, spec.n), spec.sensors
         self.e, self.ed, self.p00, self.p01, self.p11, self.t_sample = np.zeros((6, *shape))
         self.t_speed, self.initialized = np.full(robots, -np.inf), np.zeros(robots, dtype=bool)
@@ -74,9 +74,17 @@ class JointFilter(Stage):
         # numpy is fastest where all shapes are equal.
         self._joint_buffer, self._r = np.zeros(shape), np.full(shape, sensors["encoder"].variance)
         self._r_speed = sensors["velocity"].variance if "velocity" in sensors else np.inf
-        density = np.tile(_density(spec, np.zeros(spec.n, dtype=bool) if free is None else free), (robots, 1))
+        self._density_held = spec.joint_array("acceleration_density")
+        modes = [joint.torque_mode for joint in spec.joints]  # joints without one are never free
+        self._density_free = np.array([mode.acceleration_density if mode else np.inf for mode in modes])
+        self.density = np.tile(self._density_held, (robots, 1))
         unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=1.0)  # [[1/3, 1/2], [1/2, 1]]
-        self._q_dt3, self._q_dt2, self._q = (density * unit[place] for place in ((0, 0), (0, 1), (1, 1)))
+        self._dt3, self._dt2 = unit[0, 0], unit[0, 1]
+
+    def follow_drives(self, free: Bools) -> None:
+        """Take the process noise of drives that do not hold their angles at joints `free` (B, n), held elsewhere."""
+        np.copyto(self.density, self._density_held)
+        np.copyto(self.density, self._density_free, where=free)
 
     def initialize(self, joints: Bools, t: Floats, z: Floats) -> None:
         """Start the filters of `joints` (B, n) from samples z (B, n) rad taken at t (B,) s, with a rate of 0.
@@ -92,7 +100,7 @@ class JointFilter(Stage):
 
         p00 + 2 dt p01 + dt² p11 + q dt³/3
         """
-        variance: Floats = self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self._q_dt3 * dt))
+        variance: Floats = self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self.density * self._dt3 * dt))
         return variance
 
     def predict(self, t: Floats, z: Floats, new: Bools) -> Prediction:
@@ -123,7 +131,7 @@ class JointFilter(Stage):
             e[missing], p00[missing] = self.e[missing], self.p00[missing]
             dt[missing], y[missing], s[missing] = 0.0, 0.0, np.inf
         np.copyto(self.t_sample, t[:, None], where=fused)
-        p01, p11 = self.p01 + dt * (self.p11 + self._q_dt2 * dt), self.p11 + self._q * dt
+        p01, p11 = self.p01 + dt * (self.p11 + self.density * self._dt2 * dt), self.p11 + self.density * dt
         k0, k1 = p00 / s, p01 / s
         np.add(e, k0 * y, out=self.e)
         self.ed += k1 * y
@@ -135,7 +143,7 @@ class JointFilter(Stage):
         """Correct robots `new` (B,) by rates z (B, n) rad/s measured at t (B,) s, where they are inside the gate."""
         # y = z − H x, S = H P Hᵀ + r_speed + q |t − t_sample|: process noise for the time between the two samples
         y, dt = z - self.ed, np.abs(self._per_joint(t) - self.t_sample)
-        s = self.p11 + self._r_speed + self._q * dt
+        s = self.p11 + self._r_speed + self.density * dt
         fused = new[:, None] & (y * y <= self.gate**2 * s)
         np.copyto(self.t_speed, t, where=new)
         np.copyto(y, 0.0, where=~fused)
@@ -151,12 +159,3 @@ class JointFilter(Stage):
         """Return (B,) values as (B, n) in a buffer that the next call overwrites."""
         np.copyto(self._joint_buffer, robots[:, None])
         return self._joint_buffer
-
-
-def _density(spec: RobotSpec, free: Bools) -> Floats:
-    """Return (n,) rad²/s³, the process noise of each joint."""
-    sources = [
-        required(joint.torque_mode) if holds_no_angle else joint
-        for joint, holds_no_angle in zip(spec.joints, free, strict=True)
-    ]
-    return np.array([source.acceleration_density for source in sources])

@@ -34,6 +34,8 @@ HOURS, WORKERS, POLICY_HZ = 1.0, 2, 50
 COLUMNS = ("hard events", "stops", "in operation", "worst of limit")
 PHASE_S, PUSH_S = 10.0, 2.0
 """s of shaking, then of pushing, and s of a push in one direction."""
+REARM_S = 1.0
+"""s after which a latched robot is armed again: each robot is latched within seconds, and would rest for most of it."""
 
 
 class Case(NamedTuple):
@@ -82,7 +84,7 @@ def run_case(case: Case) -> tuple[str, ...]:
         if tick == round(ARM_S / spec.dt):
             runtime.arm(np.ones(WIDTH, dtype=bool))
         if tick % round(POLL_S / spec.dt) == 0:
-            rearm(runtime)
+            rearm(runtime, REARM_S)
         action = None if runtime.sense() is None else policy(runtime)
         runtime.act(action)
         judge_tick(judge, robot.truth(), runtime, action)
