@@ -26,9 +26,13 @@ ROUNDING_RAD = 1e-9
 
 
 def reduced_speed(spec: RobotSpec) -> RobotSpec:
-    """Return the robot with the speed limits of manual mode, which its smoother and its checks then keep."""
+    """Return the robot with the speed limits of manual mode, which its smoother and its checks then keep.
+
+    Without a bound on oscillation: noise of the estimate turns a speed that small around.
+    """
     joints = tuple(joint.model_copy(update={"qd_max": SPEED_SHARE * joint.qd_max}) for joint in spec.joints)
-    changes: dict[str, object] = {"joints": joints}
+    margins = spec.margins.model_copy(update={"oscillation_hz": None})
+    changes: dict[str, object] = {"joints": joints, "margins": margins}
     if spec.workspace:
         speed = min(TOOL_SPEED, spec.workspace.tool_speed_max)
         changes["workspace"] = spec.workspace.model_copy(update={"tool_speed_max": speed})

@@ -13,9 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from rich.console import Console
 
+from deploy.backends.sim.robot import SimRobot
 from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import Term
+from deploy.runtime import Runtime
 from deploy.simulation import simulate
 from deploy.tasks.task import tasks_of
 from eval.bench.soak_setup import SEED
@@ -34,8 +36,9 @@ HOURS, WORKERS, POLICY_HZ = 1.0, 2, 50
 COLUMNS = ("hard events", "stops", "in operation", "worst of limit")
 PHASE_S, PUSH_S = 10.0, 2.0
 """s of shaking, then of pushing, and s of a push in one direction."""
-REARM_S = 1.0
-"""s after which a latched robot is armed again: each robot is latched within seconds, and would rest for most of it."""
+REARM_S, HOME_S = 1.0, 10.0
+"""s after which a robot without power is armed again, and after which it is put back to its home pose, where it may be
+armed: each robot is stopped within seconds, and would rest for most of the time."""
 
 
 class Case(NamedTuple):
@@ -73,6 +76,16 @@ def adversary_contract(spec: RobotSpec, mode: ControlMode) -> Contract:
     )
 
 
+def restart(runtime: Runtime, robot: SimRobot) -> None:
+    """Arm robots again, from their home pose if they cannot be armed where they are."""
+    supervisor, home = runtime.supervisor, runtime.spec.joint_array("q_home")
+    refused = ~supervisor.powered & (supervisor.since >= round(HOME_S / runtime.spec.dt))
+    if refused.any():
+        robot.reset(refused, np.tile(home, (robot.robots, 1)))
+        runtime.reset(refused)
+    rearm(runtime, REARM_S)
+
+
 def run_case(case: Case) -> tuple[str, ...]:
     """Simulate one case and return its row of the table."""
     spec = load_robot(case.robot)
@@ -84,7 +97,7 @@ def run_case(case: Case) -> tuple[str, ...]:
         if tick == round(ARM_S / spec.dt):
             runtime.arm(np.ones(WIDTH, dtype=bool))
         if tick % round(POLL_S / spec.dt) == 0:
-            rearm(runtime, REARM_S)
+            restart(runtime, robot)
         action = None if runtime.sense() is None else policy(runtime)
         runtime.act(action)
         judge_tick(judge, robot.truth(), runtime, action)

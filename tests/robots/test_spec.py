@@ -7,7 +7,7 @@ from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
 from robots.spec import RobotSpec, load_robot
-from support.arm6 import ARM, SPEC, complaint, copy_of_arm
+from support.arm6 import ARM, NO_CLEARANCE, NO_TOOL, NO_WORKSPACE, SPEC, complaint, copy_of_arm
 from support.paths import TEST_ROBOTS
 
 
@@ -19,17 +19,11 @@ def test_by_name_and_by_path_are_the_same_robot():
     assert len(set(SPEC.joint_names)) == SPEC.n
 
 
-WORKSPACE = r"(?s)\[workspace\].*?tool_speed_max = 2.5"
 WITHOUT = {
-    "workspace": ((WORKSPACE, ""), ("workspace_m = 0.010", "")),
+    "workspace": NO_WORKSPACE,
     "manipulability": (("singularity = 0.0005", ""),),
-    "self_collision": (("collision_m = 0.01", ""),),
-    "tool": (
-        ('tool = "tool" ', ""),
-        (WORKSPACE, ""),
-        ("workspace_m = 0.010", ""),
-        ("singularity = 0.0005", ""),
-    ),
+    "self_collision": NO_CLEARANCE,
+    "tool": NO_TOOL,
 }
 
 
@@ -51,7 +45,7 @@ def test_each_capability_is_optional_on_its_own(tmp_path, capability):
             r"margins\.singularity: found 0\.0005, expected none of a robot without tool",
         ),
         (
-            ((WORKSPACE, ""),),
+            (NO_WORKSPACE[0],),
             r"margins\.workspace_m: found 0\.01, expected none of a robot without workspace",
         ),
         ((("workspace_m = 0.010", ""),), r"margins\.workspace_m: missing, expected one of a robot with a"),
@@ -63,7 +57,7 @@ def test_a_capability_that_lacks_its_other_half_is_an_error(tmp_path, edits, mes
 
 def test_the_digest_of_the_arm_stays():
     """Shipped contracts carry it."""
-    assert SPEC.digest == "e2e44d3562ce3487ce2f262cd264f61c8020a2ca285a8588b24b180bfb950f40"
+    assert SPEC.digest == "643fa2902193cf80297515dfa9a46d41f4c8a2cba2cafa3e3ae9cca3222782f1"
 
 
 def test_arrays_follow_joint_order():
@@ -206,7 +200,7 @@ def test_digest_sees_every_number(tmp_path, name):
     spans = _numbers(text)
     assert len(spans) > 60
     for start, stop in spans:
-        number, is_rate = text[start:stop], "hz" in text[start - 13 : start]
+        number, is_rate = text[start:stop], re.search(r"(control|physics|rate)_hz = $", text[:start])
         nudged = str(int(number) * 2) if is_rate else repr(float(number) * (1 + 1e-12) + 1e-12)
         path.write_text(text[:start] + nudged + text[stop:])
         try:

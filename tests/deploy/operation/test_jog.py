@@ -15,7 +15,7 @@ from deploy.operation.jog import SPEED_SHARE, TOOL_SPEED, Jog, reduced_speed
 from deploy.operation.jog_keys import STEP_RAD
 from deploy.telemetry.console_display import line
 from robots.spec import load_robot
-from support.arm6 import SPEC
+from support.arm6 import NO_TOOL, SPEC, copy_of_arm
 from support.paths import TEST_ROBOTS
 from support.policies import policy_model, saved
 from support.screen import NoScreen
@@ -107,18 +107,8 @@ def test_space_stops_and_the_end_of_the_input_ends(jog, robots):
 
 def test_other_robots_are_jogged_too(jog, robots, tmp_path):
     """A robot without tool and workspace, and one with a floating base."""
-    bare = tmp_path / "bare"
-    bare.mkdir()
-    for name in ("robot.toml", "draws.toml", "model.xml"):
-        text = (SPEC.folder / name).read_text()
-        if name == "robot.toml":
-            text = text.replace('tool = "tool"', "").replace("workspace_m = 0.010", "")
-            text = text.replace("singularity = 0.0005", "")
-            begin, end = text.index("[workspace]"), text.index("# What no vendor")
-            text = text[:begin] + text[end:]
-            begin, end = text.index("[sensors.force]"), text.index("[sensors.goal]")
-            text = text[:begin] + text[end:]
-        (bare / name).write_text(text)
+    no_force = (r"(?s)\[sensors.force\].*?(?=\[sensors.goal\])", "")
+    bare = copy_of_arm(tmp_path, toml=(*NO_TOOL, no_force))
     assert load_robot(bare).capabilities == {"self_collision"}
     for folder in (bare, TEST_ROBOTS / "quadruped"):
         code, said, complaint = jog(

@@ -10,7 +10,7 @@ from deploy.safety.checks import CHECKS
 from deploy.safety.safety import Safety
 from robots.models.fleet import Fleet
 from robots.spec import load_robot
-from support.arm6 import SPEC, copy_of_arm
+from support.arm6 import NO_CLEARANCE, SPEC, copy_of_arm
 from support.deploy.safety import HOME, judge, point
 from support.paths import TEST_ROBOTS
 
@@ -40,7 +40,7 @@ def test_a_check_from_outside_is_made_like_any_other(moment):
 
 
 def test_robots_have_the_checks_whose_needs_they_meet(tmp_path):
-    bare = load_robot(copy_of_arm(tmp_path, toml=[("singularity = 0.0005", ""), ("collision_m = 0.01", "")]))
+    bare = load_robot(copy_of_arm(tmp_path, toml=[("singularity = 0.0005", ""), *NO_CLEARANCE]))
     walker = load_robot(TEST_ROBOTS / "quadruped")
     for spec, missing in (
         (SPEC, {"base_tilt"}),

@@ -11,7 +11,7 @@ from eval.judge.monitor import JointMonitor, Monitor
 from eval.judge.monitors import MONITORS
 from robots.errors import ConfigError
 from robots.spec import load_robot
-from support.arm6 import SPEC, arm_judge, copy_of_arm
+from support.arm6 import NO_CLEARANCE, NO_TOOL, NO_WORKSPACE, SPEC, arm_judge, copy_of_arm
 from support.eval.judges import DT, OBSERVED, TORQUE_MAX, Bench, N, feed, random_series
 
 BRAKING = JointMonitor(
@@ -97,18 +97,16 @@ def test_two_monitors_of_one_name_are_refused():
         arm_judge(TORQUE_MAX, 1, monitors=(*MONITORS, BRAKING, BRAKING))
 
 
-WITHOUT_WORKSPACE = ((r"(?s)\[workspace\].*?tool_speed_max = 2.5", ""), ("workspace_m = 0.010", ""))
 WITHOUT_MANIPULABILITY = (("singularity = 0.0005", ""),)
-WITHOUT_TOOL = (*WITHOUT_WORKSPACE, *WITHOUT_MANIPULABILITY, ('tool = "tool" ', ""))
 
 
 @pytest.mark.parametrize(
     ("edits", "missing"),
     [
-        (WITHOUT_WORKSPACE, {"workspace", "tool_speed"}),
+        (NO_WORKSPACE, {"workspace", "tool_speed"}),
         (WITHOUT_MANIPULABILITY, {"singularity"}),
-        (WITHOUT_TOOL, {"workspace", "tool_speed", "singularity"}),
-        ((("collision_m = 0.01", ""),), {"self_collision"}),
+        (NO_TOOL, {"workspace", "tool_speed", "singularity"}),
+        (NO_CLEARANCE, {"self_collision"}),
     ],
 )
 def test_an_arm_without_a_capability_is_judged_without_its_monitors(tmp_path, edits, missing):

@@ -5,7 +5,7 @@ import pytest
 
 from robots.models.fleet import Fleet
 from robots.spec import load_robot
-from support.arm6 import SPEC, copy_of_arm
+from support.arm6 import NO_TOOL, SPEC, copy_of_arm
 
 HOME = SPEC.joint_array("q_home")[None]
 
@@ -29,9 +29,7 @@ def test_kinematics_without_jacobians_have_no_velocities():
 
 
 def test_a_robot_without_tool_has_no_tool_position(tmp_path):
-    edits = [('tool = "tool" ', ""), (r"(?s)\[workspace\].*?tool_speed_max = 2.5", "")]
-    edits += [("workspace_m = 0.010", ""), ("singularity = 0.0005", "")]
-    kinematics = Fleet(load_robot(copy_of_arm(tmp_path, toml=edits)), 1).kinematics(HOME)
+    kinematics = Fleet(load_robot(copy_of_arm(tmp_path, toml=NO_TOOL)), 1).kinematics(HOME)
     with pytest.raises(RuntimeError, match="the robot has no tool"):
         _ = kinematics.tool_position
 

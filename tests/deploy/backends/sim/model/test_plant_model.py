@@ -16,7 +16,7 @@ from robots.models.mujoco_model import load_mujoco
 from robots.motors.windings import nominal_windings
 from robots.randomness import robot_seed
 from robots.spec import load_robot
-from support.arm6 import ARM, SPEC, copy_of_arm
+from support.arm6 import ARM, NO_TOOL, SPEC, copy_of_arm
 from support.deploy.plants import BUSY, HOME, PLAIN, PLANT_MODEL, N, command, drawn, exact
 
 mujoco = pytest.importorskip("mujoco")
@@ -310,9 +310,7 @@ def test_frames_in_model_xml_apply_to_added_elements(tmp_path):
 
 def test_an_arm_without_a_tool_carries_its_payload_on_its_last_link(tmp_path):
     """It comes to rest where it is sent, with a payload and without."""
-    edits = [(r"(?s)\[workspace\].*?tool_speed_max = 2.5", ""), ("workspace_m = 0.010", "")]
-    edits += [("singularity = 0.0005", ""), ('tool = "tool" ', "")]
-    spec = load_robot(copy_of_arm(tmp_path, toml=edits))
+    spec = load_robot(copy_of_arm(tmp_path, toml=NO_TOOL))
     plant_model = build(spec, DISTRIBUTIONS.cable)
     model = plant_model.model
     assert model.body_parentid[plant_model.payload] == plant_model.bodies[-1]
