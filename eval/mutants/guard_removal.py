@@ -264,7 +264,9 @@ def _replace_smoother(change: Callable[[RobotSpec], RobotSpec]) -> GuardRemoval:
 
 def use_full_speed(mode: ControlMode, share: float = 1.0) -> GuardRemoval:
     """Give the smoother a share of each joint's speed limit in place of the margin of a mode."""
-    margin = {f"{mode.name.lower()}_mode": ModeMargins(speed=share)}
+    margin = {
+        f"{mode.name.lower()}_mode": ModeMargins.model_construct(speed=share)
+    }  # unchecked: it may be above 1
     return _replace_smoother(
         lambda spec: spec.model_copy(update={"margins": spec.margins.model_copy(update=margin)})
     )
