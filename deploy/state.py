@@ -155,8 +155,8 @@ class Verdict(NamedTuple):
         tau: (B, n) N·m, inverse-dynamics torque of the setpoint (nominal model).
         tau_ahead: (B, n) N·m, the same one step into a stop that would begin there.
         poses: (4, B, n) rad, checked for collisions: at the setpoint, twice while that stop brakes, and at its end.
-        values: (2B, P) of setpoint and end, (2B, W) of the stop between them, and (B, S) of the estimate, compared with
-            bounds: for `Safety.failed`.
+        values: (2B, M) of the motion at the setpoint and one step into the stop, (4B, P) of `poses`, (B, S) of the
+            estimate, compared with bounds: for `Safety.failed`.
     """
 
     reason: Ints

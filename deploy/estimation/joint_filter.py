@@ -33,6 +33,9 @@ GATE = 8.0
 INITIAL_SPEED_STD = 1.0
 """rad/s, standard deviation of the speed of a filter that was started from one sample."""
 
+Q_OF_UNITS = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=1.0)
+"""[[1/3, 1/2], [1/2, 1]]"""
+
 
 class Prediction(NamedTuple):
     """Prediction to a packet's time, compared with the packet; every array (B, n).
@@ -59,11 +62,14 @@ class JointFilter(Stage):
         t_sample: (B, n) s, time of the state: when the last fused angle was taken.
         t_speed: (B,) s, when the last fused speed packet was taken.
         initialized: (B,) robots whose filters were started.
-        density: (B, n) rad²/s³, spectral density of the process noise.
+        noise_dt3, noise_dt2, noise_dt: (B, n) rad²/s³, elements 00, 01 and 11 of Q over the power of dt in their names.
         gate: innovation gate, in standard deviations.
     """
 
-    carried = ("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "initialized", "density")
+    carried = (
+        *("e", "ed", "p00", "p01", "p11", "t_sample", "t_speed", "initialized"),
+        *("noise_dt3", "noise_dt2", "noise_dt"),
+    )
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Allocate for drives that hold their angles."""
@@ -77,14 +83,16 @@ class JointFilter(Stage):
         self._density_held = spec.joint_array("acceleration_density")
         modes = [joint.torque_mode for joint in spec.joints]  # joints without one are never free
         self._density_free = np.array([mode.acceleration_density if mode else np.inf for mode in modes])
-        self.density = np.tile(self._density_held, (robots, 1))
-        unit = Q_continuous_white_noise(dim=2, dt=1.0, spectral_density=1.0)  # [[1/3, 1/2], [1/2, 1]]
-        self._dt3, self._dt2 = unit[0, 0], unit[0, 1]
+        self.noise_dt3, self.noise_dt2, self.noise_dt = np.empty((3, *shape))
+        self.follow_drives(np.zeros(shape, dtype=bool))
 
     def follow_drives(self, free: Bools) -> None:
         """Take the process noise of drives that do not hold their angles at joints `free` (B, n), held elsewhere."""
-        np.copyto(self.density, self._density_held)
-        np.copyto(self.density, self._density_free, where=free)
+        density = np.where(free, self._density_free, self._density_held)
+        (q00, q01), (_, q11) = Q_OF_UNITS
+        np.multiply(density, q00, out=self.noise_dt3)
+        np.multiply(density, q01, out=self.noise_dt2)
+        np.multiply(density, q11, out=self.noise_dt)
 
     def initialize(self, joints: Bools, t: Floats, z: Floats) -> None:
         """Start the filters of `joints` (B, n) from samples z (B, n) rad taken at t (B,) s, with a rate of 0.
@@ -100,7 +108,7 @@ class JointFilter(Stage):
 
         p00 + 2 dt p01 + dt² p11 + q dt³/3
         """
-        variance: Floats = self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self.density * self._dt3 * dt))
+        variance: Floats = self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self.noise_dt3 * dt))
         return variance
 
     def predict(self, t: Floats, z: Floats, new: Bools) -> Prediction:
@@ -131,7 +139,7 @@ class JointFilter(Stage):
             e[missing], p00[missing] = self.e[missing], self.p00[missing]
             dt[missing], y[missing], s[missing] = 0.0, 0.0, np.inf
         np.copyto(self.t_sample, t[:, None], where=fused)
-        p01, p11 = self.p01 + dt * (self.p11 + self.density * self._dt2 * dt), self.p11 + self.density * dt
+        p01, p11 = self.p01 + dt * (self.p11 + self.noise_dt2 * dt), self.p11 + self.noise_dt * dt
         k0, k1 = p00 / s, p01 / s
         np.add(e, k0 * y, out=self.e)
         self.ed += k1 * y
@@ -143,7 +151,7 @@ class JointFilter(Stage):
         """Correct robots `new` (B,) by rates z (B, n) rad/s measured at t (B,) s, where they are inside the gate."""
         # y = z − H x, S = H P Hᵀ + r_speed + q |t − t_sample|: process noise for the time between the two samples
         y, dt = z - self.ed, np.abs(self._per_joint(t) - self.t_sample)
-        s = self.p11 + self._r_speed + self.density * dt
+        s = self.p11 + self._r_speed + self.noise_dt * dt
         fused = new[:, None] & (y * y <= self.gate**2 * s)
         np.copyto(self.t_speed, t, where=new)
         np.copyto(y, 0.0, where=~fused)

@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from deploy.state import State, Stop
+from deploy.state import State
 from robots.arrays import Floats
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
@@ -40,8 +40,12 @@ class DriveLaw(ABC):
         """Return (R, n) N·m that R setpoints q, qd, qdd (R, n) need, R a whole number of times the B robots."""
 
     @abstractmethod
-    def expected_poses(self, state: State, q: Floats, stop: Stop) -> Floats:
-        """Return (4, B, n) rad: joints expected at a setpoint `q`, twice while its stop brakes, and at its end."""
+    def expected_poses(self, state: State, sent: Floats) -> Floats:
+        """Return (4B, n) rad: joints expected at B setpoints, at two moments while their stops brake, at their ends.
+
+        Args:
+            state: the estimate. sent: (4B, n) rad, where joints are sent at these moments.
+        """
 
 
 class StiffDrives(DriveLaw):
@@ -55,9 +59,9 @@ class StiffDrives(DriveLaw):
         """Return inverse dynamics, as `Fleet.torque`."""
         return self._fleet.torque(q, qd, qdd)
 
-    def expected_poses(self, state: State, q: Floats, stop: Stop) -> Floats:
+    def expected_poses(self, state: State, sent: Floats) -> Floats:
         """Return the poses where joints are sent."""
-        return np.concatenate((q[None], stop.q, stop.q_rest[None]))
+        return sent
 
 
 class TorqueDrives(StiffDrives):
@@ -86,13 +90,13 @@ class SpringDrives(DriveLaw):
         tau = self._gains.kp * error - self._gains.kd * speed
         return np.minimum(np.maximum(tau, -self._torque_max), self._torque_max)
 
-    def expected_poses(self, state: State, q: Floats, stop: Stop) -> Floats:
+    def expected_poses(self, state: State, sent: Floats) -> Floats:
         """Return where joints are, and where they come to if they brake at `qdd_max`: not where they are sent.
 
         At 3/4 and at half of its speed a joint that brakes evenly has 7/16 and 3/4 of its distance behind it.
         """
         distance = state.qd * np.abs(state.qd) / self._twice_qdd
-        return state.q + DISTANCE_BRAKED * distance
+        return (state.q + DISTANCE_BRAKED * distance).reshape(sent.shape)
 
 
 def drive_law(spec: RobotSpec, action: ControlMode, gains: Gains | None, fleet: Fleet) -> DriveLaw:

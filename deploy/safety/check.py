@@ -8,7 +8,7 @@ import numpy as np
 
 from deploy.reasons import Reason
 from deploy.state import Setpoint, State
-from robots.arrays import Bools, Floats
+from robots.arrays import Bools, Floats, Ints
 from robots.capabilities import Capability, required
 from robots.models.kinematics import Kinematics
 from robots.spec import RobotSpec
@@ -31,7 +31,6 @@ class Motion(NamedTuple):
         q: (2B, n) rad. qd: (2B, n) rad/s. qdd: (2B, n) rad/s².
         qd_peak: (2B, n) rad/s, the speed when a stop has brought the acceleration to zero.
         tau: (2B, n) N·m. needed: the same, divided by the share of current that each drive has left.
-        kinematics: of B poses at the setpoint, then B at rest.
     """
 
     q: Floats
@@ -40,7 +39,6 @@ class Motion(NamedTuple):
     qd_peak: Floats
     tau: Floats
     needed: Floats
-    kinematics: Kinematics
 
     @property
     def tau_change(self) -> Floats:
@@ -50,34 +48,24 @@ class Motion(NamedTuple):
         np.subtract(self.tau[robots:], self.tau[:robots], out=change[robots:])
         return change
 
-    @property
-    def tool_speed_squared(self) -> Floats:
-        """(2B, 1) m²/s², at the pose of the setpoint, for its speed and then for its peak speed."""
-        robots = len(self.qd) // 2
-        qd = np.concatenate((self.qd[:robots], self.qd_peak[:robots]))
-        return _tool_speed_squared(self.kinematics, qd, slice(0, robots))
 
-
-class Braking(NamedTuple):
-    """2B points of stops: B at the earlier of two moments while they brake, then B at the later.
+class ToolMotion(NamedTuple):
+    """4B points of trajectories: B setpoints, the same at their peak speed, and 2B points where stops brake.
 
     Attributes:
-        qd: (2B, n) rad/s. kinematics: where joints are expected.
+        qd: (4B, n) rad/s. rows: (4B,) rows of the poses in `kinematics`.
     """
 
     qd: Floats
+    rows: Ints
     kinematics: Kinematics
 
     @property
-    def tool_speed_squared(self) -> Floats:
-        """(2B, 1) m²/s²."""
-        return _tool_speed_squared(self.kinematics, self.qd, slice(None))
-
-
-def _tool_speed_squared(kinematics: Kinematics, qd: Floats, robots: slice) -> Floats:
-    velocity = kinematics.tool_velocity(qd, robots=robots)
-    squared: Floats = np.vecdot(velocity, velocity)
-    return squared[:, None]
+    def speed_squared(self) -> Floats:
+        """(4B, 1) m²/s², of the tool."""
+        velocity = self.kinematics.tool_velocity(self.qd, self.rows)
+        squared: Floats = np.vecdot(velocity, velocity)
+        return squared[:, None]
 
 
 class Pose(NamedTuple):

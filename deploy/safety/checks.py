@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.reasons import Reason
-from deploy.safety.check import UNBOUNDED, Braking, Check, Estimate, Limits, Motion, Pose
+from deploy.safety.check import UNBOUNDED, Check, Estimate, Limits, Motion, Pose, ToolMotion
 from robots.arrays import Floats
 from robots.capabilities import required
 
@@ -168,13 +168,6 @@ MOTION: tuple[Check[Motion], ...] = (
         reason=Reason.TORQUE,
         per_joint=True,
     ),
-    Check(
-        name="tool_speed",
-        value=lambda motion: motion.tool_speed_squared,
-        high=_tool_speed_max_squared,
-        reason=Reason.TOOL_SPEED,
-        needs=frozenset({"workspace"}),
-    ),
 )
 """Checks of a setpoint, and of the first step of the stop that would begin there."""
 
@@ -190,18 +183,18 @@ TAKEOVER: tuple[Check[Motion], ...] = (
 )
 """More checks of the same where the drives of a stop take over from torques."""
 
-BRAKING: tuple[Check[Braking], ...] = (
+TOOL: tuple[Check[ToolMotion], ...] = (
     Check(
-        name="tool_speed_of_stop",
-        value=lambda braking: braking.tool_speed_squared,
+        name="tool_speed",
+        value=lambda motion: motion.speed_squared,
         high=_tool_speed_max_squared,
         reason=Reason.TOOL_SPEED,
         needs=frozenset({"workspace"}),
     ),
 )
-"""Checks of the motion at two moments while the stop brakes."""
+"""Checks of the tool's motion at a setpoint and while its stop brakes."""
 
-END_POSES: tuple[Check[Pose], ...] = (
+POSES: tuple[Check[Pose], ...] = (
     Check(
         name="joint_angle_of_pose",
         value=lambda pose: pose.q,
@@ -217,10 +210,6 @@ END_POSES: tuple[Check[Pose], ...] = (
         reason=Reason.SINGULARITY,
         needs=frozenset({"manipulability"}),
     ),
-)
-"""Checks of the poses at a setpoint and at the end of its stop."""
-
-ALL_POSES: tuple[Check[Pose], ...] = (
     Check(
         name="self_collision",
         value=lambda pose: pose.kinematics.colliding[:, None],
@@ -257,9 +246,8 @@ class Checks(NamedTuple):
     estimate: tuple[Check[Estimate], ...] = ESTIMATE
     motion: tuple[Check[Motion], ...] = MOTION
     takeover: tuple[Check[Motion], ...] = TAKEOVER
-    braking: tuple[Check[Braking], ...] = BRAKING
-    end_poses: tuple[Check[Pose], ...] = END_POSES
-    all_poses: tuple[Check[Pose], ...] = ALL_POSES
+    tool: tuple[Check[ToolMotion], ...] = TOOL
+    poses: tuple[Check[Pose], ...] = POSES
 
 
 CHECKS = Checks()

@@ -10,7 +10,7 @@ import numpy as np
 from deploy.masks import all_true
 from deploy.motion.drive_law import DriveLaw, StiffDrives
 from deploy.reasons import Reason
-from deploy.safety.check import Braking, Estimate, Limits, Motion, Pose
+from deploy.safety.check import Estimate, Limits, Motion, Pose, ToolMotion
 from deploy.safety.check_table import CheckTable
 from deploy.safety.checks import CHECKS, Checks
 from deploy.state import Setpoint, State, Stop, Verdict
@@ -51,17 +51,20 @@ class Safety:
         Raises:
             ValueError: two checks of one name in a table, or a bound of the wrong shape.
         """
-        spec, self._fleet = spec.in_mode(mode), fleet
+        spec, self._fleet, rows = spec.in_mode(mode), fleet, fleet.robots
+        robots = -(-rows // 2)
+        self._fleet_of_plan = fleet.resized(4 * robots)
+        self._tool_rows = np.concatenate((np.arange(robots), np.arange(3 * robots)))
         self._drives = drives or StiffDrives(spec, fleet)
         self._jacobians = "tool" in spec.capabilities  # what reads them reads the tool
         self._gap_max = (spec.margins.collision_m or 0.0) + GAP_TOLERANCE_M
         self.twice_jerk = 2 * spec.joint_array("qddd_max")
-        limits, rows = Limits(spec, self._drives.torque_limit), fleet.robots
+        limits = Limits(spec, self._drives.torque_limit)
         motion = checks.motion + (checks.takeover if mode is ControlMode.TORQUE else ())
-        self._plan = CheckTable(rows, limits, motion, checks.end_poses, checks.all_poses)
-        self._braking = CheckTable(rows, limits, checks.braking, checks.all_poses)
-        self._estimate = CheckTable(-(-rows // 2), limits, checks.estimate)
-        self._poses = CheckTable(rows, limits, checks.end_poses, checks.all_poses)
+        self._motion = CheckTable(rows, limits, motion)
+        self._plan = CheckTable(4 * robots, limits, checks.tool, checks.poses)
+        self._estimate = CheckTable(robots, limits, checks.estimate)
+        self._poses = CheckTable(rows, limits, checks.poses)
         self._centre = np.array(spec.workspace.centre) if spec.workspace else np.zeros(3)
 
     # A setpoint that is not finite is refused by its own check: numpy's warnings would add nothing.
@@ -84,40 +87,30 @@ class Safety:
         needed = tau
         if not all_true(state.current_share == 1.0):  # a drive with limited current gives less than its range
             needed = np.concatenate((tau[:robots] / state.current_share, tau[robots:]))
-        poses = self._drives.expected_poses(state, setpoint.q, stop)
-        expected, targets = np.concatenate((poses[0], poses[3], setpoint.q, stop.q_rest)).reshape(
-            2, 2 * robots, -1
-        )
-        kinematics = self._kinematics(expected)
         # A stop first brings the acceleration to zero, and the speed that it gains until then counts.
         qd_peak = qd + qdd * np.abs(qdd) / self.twice_jerk
-        motion = Motion(q, qd, qdd, qd_peak, tau, needed, kinematics)
-        ends = Pose(targets, kinematics, self._centre)
-        plan = self._plan.values(motion, ends, ends)
-        braking = self._while_braking(stop, poses[1:3])
+        motion = self._motion.values(Motion(q, qd, qdd, qd_peak, tau, needed))
+        sent_poses = np.concatenate((setpoint.q, *stop.q, stop.q_rest))
+        poses = self._drives.expected_poses(state, sent_poses)
+        kinematics = self._kinematics(self._fleet_of_plan, poses)
+        qd_of_tool = np.concatenate((setpoint.qd, qd_peak[:robots], *stop.qd))
+        tool = ToolMotion(qd_of_tool, self._tool_rows, kinematics)
+        plan = self._plan.values(tool, Pose(sent_poses, kinematics, self._centre))
         estimate = self._estimate.values(Estimate(state, sent))
         reason = _or_zeros(self._estimate.reasons(estimate), robots)
-        for found in (self._plan.reasons(plan), self._braking.reasons(braking)):
+        for found in (self._motion.reasons(motion), self._plan.reasons(plan)):
             if found is not None:
-                reason |= found[:robots] | found[robots:]
-        values = plan, braking, estimate
+                reason |= np.bitwise_or.reduce(found.reshape(-1, robots))
+        values, poses = (motion, plan, estimate), poses.reshape(4, robots, -1)
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:], poses=poses, values=values)
-
-    def _while_braking(self, stop: Stop, expected: Floats) -> Floats:
-        """Return (2B, W) values of a stop between its ends; `expected` (2, B, n) rad, poses of the joints."""
-        if not self._braking.checks:
-            return np.empty((self._fleet.robots, 0))
-        q, qd, expected = (each.reshape(-1, stop.q.shape[2]) for each in (stop.q, stop.qd, expected))
-        kinematics = self._kinematics(expected)
-        return self._braking.values(Braking(qd, kinematics), Pose(q, kinematics, self._centre))
 
     def check_poses(self, q: Floats) -> Ints:
         """Return (R,) bit sets of `Reason` against poses (R, n) rad; R is the width of the fleet."""
-        pose = Pose(q, self._kinematics(q), self._centre)
-        return _or_zeros(self._poses.reasons(self._poses.values(pose, pose)), len(q))
+        pose = Pose(q, self._kinematics(self._fleet, q), self._centre)
+        return _or_zeros(self._poses.reasons(self._poses.values(pose)), len(q))
 
-    def _kinematics(self, q: Floats) -> Kinematics:
-        return self._fleet.kinematics(q, jacobians=self._jacobians)
+    def _kinematics(self, fleet: Fleet, q: Floats) -> Kinematics:
+        return fleet.kinematics(q, jacobians=self._jacobians)
 
     def failed(self, verdict: Verdict, robot: int, reason: Reason) -> dict[str, Bools]:
         """Return the checks by which a verdict gave a reason to a robot: by name, (n,) joints that it is about.
@@ -126,15 +119,15 @@ class Safety:
         """
         *by_point, estimate = verdict.values
         found = self._estimate.failed(estimate[robot], reason)
-        for table, values in zip((self._plan, self._braking), by_point, strict=True):
-            for row in (robot, robot + len(estimate)):
-                for name, joints in table.failed(values[row], reason).items():
+        for table, values in zip((self._motion, self._plan), by_point, strict=True):
+            for of_point in values[robot :: len(estimate)]:
+                for name, joints in table.failed(of_point, reason).items():
                     found[name] = joints | found[name] if name in found else joints
         return found
 
     def names(self, reason: Reason) -> set[str]:
         """Return the names of the checks of the robot as a whole that give a reason."""
-        checks = (*self._plan.checks, *self._braking.checks, *self._estimate.checks)
+        checks = (*self._motion.checks, *self._plan.checks, *self._estimate.checks)
         return {check.name for check in checks if check.reason is reason and not check.per_joint}
 
     def colliding_shapes(self, verdict: Verdict, robot: int) -> tuple[str, ...]:

@@ -26,7 +26,6 @@ from eval.mutants.guard_removal import (
     send_non_finite,
     skip_stop_checks,
     stop_instantly,
-    widen_check,
     widen_target_range,
 )
 from eval.mutants.situation import INVALID, SEED, Mutant, Situation, check_off
@@ -174,8 +173,8 @@ SAFETY = (
         ),
     ),
     Mutant(
-        guard="safety: the tool's speed while a stop brakes is not checked",
-        remove_guard=widen_check("tool_speed_of_stop"),
+        guard="safety: the moments while a stop brakes are not checked",
+        remove_guard=skip_stop_checks("braking"),
         situation=Situation(
             description="targets far to either side of all joints, by chance, three a second",
             policy=push_joints(0.3, SEED),
@@ -191,7 +190,7 @@ SAFETY = (
     ),
     Mutant(
         guard="safety: the end of the stop is not checked",
-        remove_guard=skip_stop_checks(rest_only=True),
+        remove_guard=skip_stop_checks("rest"),
         situation=WRIST,
         monitor="self_collision",
     ),

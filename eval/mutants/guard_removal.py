@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 from operator import attrgetter
-from typing import Any, ParamSpec
+from typing import Any, Literal, ParamSpec, get_args
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from robots.spec import RobotSpec
 from robots.tables import ModeMargins
 
 GuardRemoval = Callable[[Runtime], None]
+StopMoment = Literal["first step", "braking", "rest"]
 P = ParamSpec("P")
 
 
@@ -74,15 +75,21 @@ def ignore_reasons(reasons: Reason) -> GuardRemoval:
     return remove_guard
 
 
-def skip_stop_checks(*, rest_only: bool = False) -> GuardRemoval:
-    """Give safety the setpoint in place of the prepared stop, or in place of the stop's end alone."""
+def skip_stop_checks(*moments: StopMoment) -> GuardRemoval:
+    """Give safety the setpoint in place of some moments of the prepared stop, or of all."""
+    skipped = moments or get_args(StopMoment)
 
     def step(
         check: Callable[..., Verdict], state: State, sent: Setpoint, now: Setpoint, stop: Stop
     ) -> Verdict:
-        twice = {"q": np.stack((now.q, now.q)), "qd": np.stack((now.qd, now.qd))}
-        kept = stop if rest_only else stop._replace(ahead=now, **twice)
-        return check(state, sent, now, kept._replace(q_rest=now.q))
+        at_setpoint: dict[str, dict[str, Any]] = {
+            "first step": {"ahead": now},
+            "braking": {"q": np.stack((now.q, now.q)), "qd": np.stack((now.qd, now.qd))},
+            "rest": {"q_rest": now.q},
+        }
+        for moment in skipped:
+            stop = stop._replace(**at_setpoint[moment])
+        return check(state, sent, now, stop)
 
     return lambda runtime: wrap_method(runtime.safety, "step", step)
 
@@ -91,7 +98,7 @@ def widen_check(name: str) -> GuardRemoval:
     """Let one of safety's checks accept any finite number."""
 
     def remove_guard(runtime: Runtime) -> None:
-        for table in (runtime.safety._plan, runtime.safety._braking, runtime.safety._estimate):
+        for table in (runtime.safety._motion, runtime.safety._plan, runtime.safety._estimate):
             columns = np.repeat([check.name == name for check in table.checks], table._widths)
             table._low[:, columns], table._high[:, columns] = -UNBOUNDED, UNBOUNDED
 

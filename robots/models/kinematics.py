@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robots.arrays import Bools, Floats
+from robots.arrays import Bools, Floats, Ints
 
 _CROSS = np.array(
     [[0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]],
@@ -74,16 +74,15 @@ class Kinematics:
             raise RuntimeError("velocity or manipulability: kinematics were computed without Jacobians")
         return self._jacobians
 
-    def _tool_jacobian(self, robots: slice) -> Floats:
+    def _tool_jacobian(self, robots: slice | Ints) -> Floats:
         jacobian, joints = self._jacobian[robots], self._frames.tool_joints
         return jacobian if joints is None else jacobian * joints
 
-    def tool_velocity(self, qd: Floats, robots: slice = slice(None)) -> Floats:
-        """Return (R, 3) m/s, the tool's velocity for joint speeds (R, n) rad/s, R a whole number of times `robots`."""
+    def tool_velocity(self, qd: Floats, robots: slice | Ints = slice(None)) -> Floats:
+        """Return (R, 3) m/s, the tool's velocity of R `robots` at joint speeds (R, n) rad/s."""
         jacobian, crossing = self._tool_jacobian(robots), _crossing(self.tool_position[robots])
-        twist: Floats = np.matvec(jacobian, qd.reshape(-1, len(jacobian), qd.shape[1]))
-        velocity: Floats = twist[..., :3] + np.matvec(crossing, twist[..., 3:])
-        return velocity.reshape(-1, 3)
+        twist: Floats = np.matvec(jacobian, qd)
+        return np.asarray(twist[:, :3] + np.matvec(crossing, twist[:, 3:]))
 
     def torque_of_tool_force(self, force: Floats) -> Floats:
         """Return (B, n) N·m, the joint torques Jᵀf that equal a force f (B, 3) N on the tool."""

@@ -86,7 +86,7 @@ class Contacts(Stage):
         """(B,) N, normal force of the strongest contact, those with a limit of their own left out."""
         strongest, limited = self.places.strongest, self.places.limited
         if not limited.size:
-            return self._sensed[:, strongest[0, 0]]
+            return self._sensed[:, int(strongest[0, 0])]
         forces = self._sensed[:, strongest]
         # Strongest first, both: where they begin to differ is a contact that is not in the other list. The frame of a
         # contact may have its axes the other way round there.

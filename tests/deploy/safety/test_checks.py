@@ -31,7 +31,7 @@ def arm(spec=SPEC, **more):
 
 @pytest.mark.parametrize("moment", ["setpoint", "q_early", "q_mid_stop", "q_rest"])
 def test_a_check_from_outside_is_made_like_any_other(moment):
-    safety, right = arm(all_poses=FENCE), HOME + np.eye(SPEC.n)[0]
+    safety, right = arm(poses=FENCE), HOME + np.eye(SPEC.n)[0]
     assert judge(safety=safety).reason[0] == 0
     verdict = judge(safety=safety, q_hat=HOME, **{moment: point(right) if moment == "setpoint" else right})
     assert Reason(int(verdict.reason[0])) & Reason.WORKSPACE
@@ -45,7 +45,7 @@ def test_robots_have_the_checks_whose_needs_they_meet(tmp_path):
     for spec, missing in (
         (SPEC, {"base_tilt"}),
         (bare, {"base_tilt", "manipulability", "self_collision"}),
-        (walker, {"manipulability", "tool_height", "tool_radius", "tool_speed", "tool_speed_of_stop"}),
+        (walker, {"manipulability", "tool_height", "tool_radius", "tool_speed"}),
     ):
         checks = CHECKS._replace(takeover=())  # of robots in torque mode
         table = CheckTable(2, Limits(spec, np.zeros(spec.n)), *checks)
@@ -82,7 +82,7 @@ def test_a_bound_of_the_wrong_width_fails_at_construction():
 
 def test_a_name_is_given_once():
     with pytest.raises(ValueError, match="tool_height, tool_radius, tool_height, expected each once"):
-        arm(all_poses=next(check for check in CHECKS.all_poses if check.name == "tool_height"))
+        arm(poses=next(check for check in CHECKS.poses if check.name == "tool_height"))
 
 
 def test_rows_may_stand_in_any_order():

@@ -33,9 +33,15 @@ def test_tool_stays_in_the_workspace_during_a_stop(limit, moment):
         found = reasons(**{moment: q})
         verdicts.append(Reason.WORKSPACE in found)
         assert verdicts[-1] == (min(height, radius) < reach)
-        assert found & ~(Reason.WORKSPACE | Reason.COLLISION) == 0
+        assert found & ~(Reason.WORKSPACE | Reason.COLLISION | Reason.SINGULARITY) == 0
     assert 0 < sum(verdicts) < 200
     assert Reason.NOT_FINITE in reasons(**{moment: np.full(N, np.nan)})
+
+
+@pytest.mark.parametrize("moment", ["q_early", "q_mid_stop"])
+def test_a_stop_through_a_singularity_is_refused(moment):
+    """Its ends are on the same side, far from it."""
+    assert Reason.SINGULARITY in reasons(**{moment: one(4, 0.0, HOME)})
 
 
 @pytest.mark.parametrize("moment", ["qd_early", "qd_mid_stop"])
