@@ -156,6 +156,7 @@ class ModeMargins(Strict):
     """Margins that differ in one control mode: see `Margins`; None: the same as in the others."""
 
     speed: Fraction | None = None
+    tau: Fraction | None = None
     collision_m: PositiveFloat | None = None
     workspace_m: PositiveFloat | None = None
 

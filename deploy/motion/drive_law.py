@@ -101,6 +101,7 @@ class SpringDrives(DriveLaw):
 
 def drive_law(spec: RobotSpec, action: ControlMode, gains: Gains | None, fleet: Fleet) -> DriveLaw:
     """Return the law of drives in the mode of an action: springs on a floating base with the gains of training."""
+    spec = spec.in_mode(action)
     if action is ControlMode.TORQUE:
         return TorqueDrives(spec, fleet)
     springs = gains and gains.stiff and "floating_base" in spec.capabilities

@@ -6,6 +6,7 @@ from deploy.stage import Stage
 from robots.arrays import Bools, Floats
 from robots.capabilities import required
 from robots.models.nominal_model import torque_max
+from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 
@@ -27,7 +28,7 @@ class TorqueRamp(Stage):
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Begin without torque; targets are clamped to `margins.tau` of the torque range."""
         self.tau, self.rate = np.zeros((2, robots, spec.n))
-        self._limit, self._dt = spec.margins.tau * torque_max(spec), spec.dt
+        self._limit, self._dt = spec.margins.of(ControlMode.TORQUE).tau * torque_max(spec), spec.dt
         modes = [required(joint.torque_mode) for joint in spec.joints]
         self._rate_max = np.array([mode.rate_max for mode in modes])
         self._rate_step = np.array([mode.rate2_max for mode in modes]) * spec.dt

@@ -33,8 +33,9 @@ def gain_misfits(action: ActionSpec, spec: RobotSpec) -> Iterator[str]:
     if gains is None or len(gains.kp) != spec.n:
         return
     inertia, period = joint_inertia(spec), 1.0 / spec.rates.physics_hz
-    load, held = (1.0 - spec.margins.tau) * torque_max(spec), gains.kp > 0.0
-    kp_low = np.where(held, load / spec.margins.tracking_rad, 0.0)
+    margins = spec.margins.of(action.control_mode)
+    load, held = (1.0 - margins.tau) * torque_max(spec), gains.kp > 0.0
+    kp_low = np.where(held, load / margins.tracking_rad, 0.0)
     kp_high = inertia.least * (2.0 * np.pi / (SETPOINTS_PER_SWING * spec.dt)) ** 2
     yield from _outside("kp", gains.kp, kp_low, kp_high, spec)
     kp = np.clip(gains.kp, kp_low, kp_high)

@@ -224,7 +224,7 @@ def test_gains_come_with_the_policy():
     assert ActionSpec(**POSITION).gains is None
 
 
-WHEEL = {"kp": (0.0, *(500.0,) * 5), "kd": (50.0,) * 6}
+WHEEL = {"kp": (0.0, *(600.0,) * 5), "kd": (50.0,) * 6}
 
 
 def test_a_wheel_needs_the_limits_of_torque_mode(tmp_path):
