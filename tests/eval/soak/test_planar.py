@@ -9,7 +9,9 @@ pytest.importorskip("mujoco")
 
 from deploy.operation.cli import cli as deploy_run
 from deploy.policy.policy import Policy
+from deploy.reasons import Reason
 from deploy.simulation import simulate
+from deploy.state import Mode
 from deploy.tasks.planar_reach import PlanarReach
 from eval.shard.job import ARM_S
 from eval.shard.judging import judge_tick, make_judge
@@ -72,7 +74,7 @@ def test_a_soak_reports_all_goals_and_core_goals(call, tmp_path):
 @pytest.mark.parametrize("mode", ["position", "velocity", "torque"])
 @pytest.mark.parametrize("attack", [hostile, trembling], ids=lambda attack: attack.__name__)
 def test_hostile_policies_leave_no_hard_event(tmp_path, mode, attack):
-    """Ten seconds of sixteen drawn robots, judged by ground truth."""
+    """Ten seconds of sixteen drawn robots, judged by ground truth; power goes only for stops that repeat."""
     policy = Policy.load(attack(tmp_path / "policy.onnx", PLANAR3, mode), PLANAR3)
     seeds = [robot_seed(2, robot) for robot in range(16)]
     runtime, robot = simulate(PLANAR3, policy.contract, seeds, policy)
@@ -83,5 +85,8 @@ def test_hostile_policies_leave_no_hard_event(tmp_path, mode, attack):
         runtime.tick()
         judge_tick(judge, robot.truth(), runtime, None)
     counts = judge.counts()
-    assert counts.hard_events().tolist() == counts.latches.tolist() == [0] * 16
+    assert counts.hard_events().tolist() == [0] * 16
+    latched = runtime.supervisor.mode == Mode.LATCHED
+    assert (runtime.supervisor.reason[latched] == Reason.REPEATED | Reason.ACCELERATION).all()
+    assert not latched.any() or mode == "torque"
     assert (counts.worst[:, counts.columns("velocity")].max(axis=0) > 0.4).all()  # it did move
