@@ -268,9 +268,9 @@ class Runtime(Stage):
         if self.policy is not None:
             self.policy.reset(ids)
 
-    def stop(self, reason: Reason) -> None:
-        """Request a controlled stop of every robot; arming clears it."""
-        self.requested_stop |= np.int64(reason)
+    def stop(self, reason: Reason, ids: Bools | None = None) -> None:
+        """Request a controlled stop of robots where `ids` (B,) holds, by default of all; arming clears it."""
+        self.requested_stop[slice(None) if ids is None else ids] |= np.int64(reason)
 
     def reset(self, ids: Bools) -> None:
         """Reset and disarm robots where `ids` (B,) holds, which their backend has moved."""

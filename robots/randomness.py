@@ -20,6 +20,7 @@ class Stream(IntEnum):
     SENSOR_GARBAGE = 5
     FAULTS = 6
     START_POSES = 7
+    WAIT_NOISE = 8
 
 
 DEPLOYED = 2**31

@@ -7,8 +7,8 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-OVERRUN_SHARE = 0.1
-"""Share of the slots of the last second that may be skipped before the robot is stopped."""
+from deploy.operation.overrun import Overrun
+
 BINS = 20_000
 """Bins of the histogram of lateness, 1 µs each; the last one counts everything later."""
 WINDOW_S = 1.0
@@ -101,17 +101,15 @@ class LoopTiming:
     def __init__(self, clock: Clock, hz: int, *, now: Callable[[], float] = time.monotonic) -> None:
         """Count from the first `wait` on; `hz` slots of the clock are one second of robot time."""
         self.ticks, self.late_max = 0, 0.0
-        self.clock, self._hz, self._now = clock, hz, now
-        self._skipped_max = round(OVERRUN_SHARE * hz)
+        self.clock, self._now, self._skipped = clock, now, Overrun(1, hz)
         self._histogram = np.zeros(BINS, dtype=np.int64)
-        self._missed: deque[tuple[int, int]] = deque()
         self._marks: deque[tuple[float, int]] = deque()
         self._begin = 0.0
 
     @property
     def overrun(self) -> bool:
-        """True when more than `OVERRUN_SHARE` of the slots of the last second were skipped."""
-        return sum(missed for _, missed in self._missed) > self._skipped_max
+        """True when too many slots of the last second were skipped."""
+        return bool(self._skipped.overrun[0])
 
     def wait(self) -> None:
         """Block until the next slot."""
@@ -122,11 +120,7 @@ class LoopTiming:
         self.ticks += 1
         self.late_max = max(self.late_max, late)
         self._histogram[min(max(int(late * 1e6), 0), BINS - 1)] += 1
-        slot = self.ticks + self.clock.skipped
-        if missed := self.clock.skipped - before:
-            self._missed.append((slot, missed))
-        while self._missed and self._missed[0][0] <= slot - self._hz:
-            self._missed.popleft()
+        self._skipped.step(np.array([self.clock.skipped - before]))
 
     @property
     def lateness(self) -> Lateness:

@@ -1,6 +1,7 @@
 """Catalogue of the fault classes that are injected into simulated robots: one declaration for each fault.
 
-Faults of sensors are seven failures of each kind, and bursts of lost encoder packets.
+Faults of sensors are seven failures of each kind, and bursts of lost encoder packets. Those of the bus, of controllers
+and of the computer are in communication_faults.py.
 """
 
 from collections.abc import Collection
@@ -10,6 +11,8 @@ import numpy as np
 
 from deploy.backends.sim.sensor_faults import OF_PACKETS, Failure
 from eval.faults import plant_effects
+from eval.faults.combined import pairs
+from eval.faults.communication_faults import COMMUNICATION_FAULTS, reboots
 from eval.faults.fault_class import (
     JOINT,
     ROBOT,
@@ -25,13 +28,14 @@ from robots.sensors import NEEDED, Kind
 from robots.spec import IMU_SENSORS, RobotSpec
 
 NOT_INJECTED = (
-    "Tick overrun: simulated time waits for the computer; tests produce late ticks with a simulated clock.",
+    "Ticks late by less than a control period: late ticks are late by whole slots.",
     "A start pose far away: robots start where they stand; tests check that arming is refused.",
+    "An encoder that slipped while brakes were closed: it agrees with itself, and nothing measures where the joint is.",
     "A policy of wrong shape or digest: refused before any motion; tested with the policy file.",
     "Loss of log or disk: a soak records nothing; tests fill the recorder's disk.",
     "A diverged covariance: it has no cause of its own but follows from sensor failures, which are injected.",
     "Limits of joints, workspace and collisions: checked in every tick; runaway policies drive towards them.",
-    "Two faults at once, and a fault while the robot answers another one.",
+    "Three faults at once.",
 )
 """Faults that are in no table of injections, and the reasons."""
 ENCODER: Kind = "encoder"
@@ -151,11 +155,28 @@ PLANT_FAULTS = (
     ),
 )
 
+BODY_FAULTS = (
+    PlantFault(
+        component=ENCODER,
+        failure_mode="slips",
+        per_joint=True,
+        meaning="turns on its shaft by 0.1 to 0.3 rad, which its drive follows; comes back after 3 s",
+        effect=plant_effects.slip_encoder,
+    ),
+    PlantFault(
+        component=ROBOT,
+        failure_mode="tool changed",
+        meaning="for one that is heavier by a tenth of the robot's links",
+        effect=plant_effects.change_tool,
+    ),
+)
+
 
 def catalogue(spec: RobotSpec, read: Collection[Kind]) -> tuple[FaultClass, ...]:
     """Return all fault classes of a robot, in the order of the report; of its sensors, those of the kinds in `read`."""
-    others = (fault.of_robot(spec) for fault in (*POLICY_FAULTS, *PLANT_FAULTS))
-    return (*_sensor_faults(spec, read), *others)
+    others = (*POLICY_FAULTS, *PLANT_FAULTS, *BODY_FAULTS, *COMMUNICATION_FAULTS, *reboots(spec, read))
+    single = (*_sensor_faults(spec, read), *(fault.of_robot(spec) for fault in others))
+    return (*single, *pairs(single))
 
 
 def not_injected(spec: RobotSpec, read: Collection[Kind]) -> tuple[str, ...]:

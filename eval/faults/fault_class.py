@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple, Self
 
+import numpy as np
+
 from deploy.backends.sim.sensor_faults import Failure
 from robots.arrays import Float32s
 from robots.spec import RobotSpec
@@ -70,6 +72,18 @@ class FaultClass:
             else self
         )
 
+    def parts(self, channel: int | None, rng: np.random.Generator) -> "tuple[Part, ...]":
+        """Return the faults that one injection consists of; `rng` draws them where they are random."""
+        return (Part(self, channel, 0.0),)
+
+
+class Part(NamedTuple):
+    """One fault of an injection, `after_s` s after its begin; `channel` as in `Injection`."""
+
+    fault: FaultClass
+    channel: int | None
+    after_s: float
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorFault(FaultClass):
@@ -83,7 +97,10 @@ class SensorFault(FaultClass):
 
 
 class Injection(NamedTuple):
-    """One fault of one robot, in ticks from `begins` to just before `ends`; `slot_end` is the last tick of its slot."""
+    """One fault of one robot, in ticks from `begins` to just before `ends`; `slot_end` is the last tick of its slot.
+
+    `parts` are the faults that it consists of, if it is not one fault alone.
+    """
 
     robot: int
     slot: int
@@ -92,6 +109,7 @@ class Injection(NamedTuple):
     begins: int
     ends: int
     slot_end: int
+    parts: "tuple[Injection, ...]" = ()
 
 
 class ActionFault(NamedTuple):

@@ -109,11 +109,11 @@ class FaultResponseTracker(Stage):
 
     def begin(self, tick: int, mode: Modes, judge: Judge) -> None:
         """Start to follow injections that begin at a tick, before that tick; `mode` (B,) is of the tick before."""
-        beginning = self._schedule.beginning(tick)
-        if not beginning:
+        injected = self._schedule.injected(tick)
+        if not injected:
             return
         bad = _bad_ticks(judge, len(self.slot))
-        for injection in beginning:
+        for injection in injected:
             self._follow(injection, tick, mode)
             self.bad_before[injection.robot] = bad[injection.robot]
 

@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
+from deploy.backends.sim.disturbances import Payload
 from deploy.backends.sim.model.attachments import CABLE
 from deploy.backends.sim.plant import Plant
 from eval.faults.fault_class import FaultClass, Injection
+from robots.capabilities import required
 from robots.models.nominal_model import torque_max
 from robots.spec import RobotSpec
 
@@ -23,6 +26,10 @@ CAUGHT_N_PER_M = 200.0
 """Stiffness of a caught cable without slack."""
 SAG = 0.3
 """Share of its voltage that a sagging supply keeps."""
+SLIPS_RAD = (0.1, -0.2, 0.3, -0.1, 0.2, -0.3)
+"""Angles by which encoders slip, in turn."""
+TOOL_SHARE = 0.1
+"""Weight of a tool that was changed for a heavier one, as a share of the links'."""
 
 
 class PlantAccess:
@@ -34,6 +41,7 @@ class PlantAccess:
         winding_rise: (B, n) K, of the winding over its housing.
         torque_max: (n,) N·m, each actuator's range at the joint.
         cable_stiffness, cable_slack: (B,) N/m and m.
+        tool_kg: (B,) by which a changed tool is heavier.
     """
 
     def __init__(self, spec: RobotSpec, plant: Plant) -> None:
@@ -44,6 +52,7 @@ class PlantAccess:
         self._voltage, cable = plant.supply.limit.copy(), model.tendon(CABLE).id
         self.cable_stiffness = batch.expand("tendon_stiffness")[:, cable]
         self.cable_slack = batch.expand("tendon_lengthspring")[:, cable, 1]
+        self.tool_kg = TOOL_SHARE * batch.expand("body_mass")[:, plant.bodies].sum(axis=1)
         self._cable = self.cable_stiffness.copy(), self.cable_slack.copy()
 
     def repair_cables(self, robots: int | slice = slice(None)) -> None:
@@ -121,3 +130,16 @@ def catch_cable(access: PlantAccess, injection: Injection, active: bool) -> None
 def supply(access: PlantAccess, injection: Injection, active: bool, *, share: float) -> None:
     """Leave a share of its voltage to a joint's drive, or to all drives of the robot."""
     access.set_voltage(injection.robot, share if active else 1.0, injection.channel)
+
+
+def slip_encoder(access: PlantAccess, injection: Injection, active: bool) -> None:
+    """Slip an encoder on its shaft. The drive closes its loop over this encoder, and so turns the joint as far back."""
+    rad = SLIPS_RAD[injection.slot % len(SLIPS_RAD)] if active else 0.0
+    access.plant.drives.slip_encoder(injection.robot, required(injection.channel), rad)
+
+
+def change_tool(access: PlantAccess, injection: Injection, active: bool) -> None:
+    """Change the tool for a heavier one, as a ball at its place."""
+    robot = injection.robot
+    payload = cast(Payload, access.plant.disturbances["payload"])
+    payload.change_tool(robot, access.tool_kg[robot] if active else 0.0)

@@ -1,7 +1,7 @@
 """Fault schedule: its settings, and the fault of each robot in each slot as a function of seed, robot and tick."""
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -9,7 +9,7 @@ from pydantic import Field
 
 from deploy.backends.sim.sensor_faults import Fault
 from eval.faults.catalogue import catalogue
-from eval.faults.fault_class import FaultClass, Injection, SensorFault
+from eval.faults.fault_class import FaultClass, Injection, Part, SensorFault
 from robots.randomness import Keys, Stream, generator_at, stream_keys
 from robots.sensors import Kind
 from robots.spec import RobotSpec
@@ -21,6 +21,8 @@ SLOTS_MAX = 10_000
 """Most faults of a robot, since all are planned at the start."""
 HOURS_MAX = 10_000.0
 """Upper bound of the simulated hours of a robot."""
+_PARTS_FROM = 2**32
+"""Counter of the random numbers of the first slot's parts; below it are those of the rounds."""
 LEAST_CYCLE_S = 18.0
 """s that the longest fault, the operator's delay and a restart take at least."""
 
@@ -43,7 +45,7 @@ class Schedule:
     """Injections of B robots, one in each of S slots.
 
     Attributes:
-        injections: all of them.
+        injections: all of them. faults: those that they consist of.
         class_index: (B, S) place in the catalogue. channel: (B, S), -1 for all.
     """
 
@@ -52,25 +54,30 @@ class Schedule:
         self.injections = injections
         shape = robots, 1 + max((injection.slot for injection in injections), default=-1)
         self.class_index, self.channel = np.zeros((2, *shape), dtype=np.int64)
-        self._begin, self._end = (defaultdict[int, list[Injection]](list) for _ in range(2))
+        self.faults = [fault for each in injections for fault in each.parts or (each,)]
         for injection in injections:
             place = injection.robot, injection.slot
             self.class_index[place] = classes.index(injection.fault)
             self.channel[place] = -1 if injection.channel is None else injection.channel
-            self._begin[injection.begins].append(injection)
-            self._end[injection.ends].append(injection)
+        self._injected = _by_tick((each.begins, each) for each in injections)
+        self._begin = _by_tick((fault.begins, fault) for fault in self.faults)
+        self._end = _by_tick((fault.ends, fault) for fault in self.faults)
+
+    def injected(self, tick: int) -> Sequence[Injection]:
+        """Return the injections whose first tick it is."""
+        return self._injected.get(tick, ())
 
     def beginning(self, tick: int) -> Sequence[Injection]:
-        """Return the injections whose first tick it is."""
+        """Return the faults whose first tick it is."""
         return self._begin.get(tick, ())
 
     def ending(self, tick: int) -> Sequence[Injection]:
-        """Return the injections whose first tick without fault it is."""
+        """Return the faults whose first tick without them it is."""
         return self._end.get(tick, ())
 
     def active(self, tick: int) -> list[Injection]:
-        """Return the injections that are active at a tick."""
-        return [injection for injection in self.injections if injection.begins <= tick < injection.ends]
+        """Return the faults that are active at a tick."""
+        return [fault for fault in self.faults if fault.begins <= tick < fault.ends]
 
     def sensor_faults(self) -> tuple[Fault, ...]:
         """Return the faults that simulated sensors must know in advance."""
@@ -83,9 +90,16 @@ class Schedule:
                 begins=begins,
                 ends=ends,
             )
-            for robot, _, fault, channel, begins, ends, _ in self.injections
+            for robot, _, fault, channel, begins, ends, *_ in self.faults
             if isinstance(fault, SensorFault)
         )
+
+
+def _by_tick(items: Iterable[tuple[int, Injection]]) -> dict[int, list[Injection]]:
+    found = defaultdict[int, list[Injection]](list)
+    for tick, injection in items:
+        found[tick].append(injection)
+    return found
 
 
 def hours_max(faults: FaultSettings | None) -> float:
@@ -131,7 +145,7 @@ def _robot_injections(
             order, delay = rng.permutation(count), rng.integers(0, spread, count)
         fault = classes[order[place]]
         begins = begin + int(delay[place])
-        yield Injection(
+        injection = Injection(
             robot=robot,
             slot=slot,
             fault=fault,
@@ -140,3 +154,19 @@ def _robot_injections(
             ends=begins + round(fault.lasts_s / dt),
             slot_end=begin + slots.step - 1,
         )
+        yield with_parts(injection, generator_at(key, _PARTS_FROM + slot), dt)
+
+
+def with_parts(injection: Injection, rng: np.random.Generator, dt: float) -> Injection:
+    """Return an injection with the faults that it consists of; `rng` draws those that are random."""
+    parts = injection.fault.parts(injection.channel, rng)
+    if len(parts) == 1:
+        return injection
+    faults = tuple(_part(injection, part, dt) for part in parts)
+    return injection._replace(ends=max(fault.ends for fault in faults), parts=faults)
+
+
+def _part(injection: Injection, part: Part, dt: float) -> Injection:
+    begins = injection.begins + round(part.after_s / dt)
+    ends = begins + round(part.fault.lasts_s / dt)
+    return injection._replace(fault=part.fault, channel=part.channel, begins=begins, ends=ends)

@@ -8,8 +8,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.masks import any_true
+from deploy.operation.overrun import Overrun
 from deploy.policy.compatibility import sensors_read
 from deploy.policy.policy import Policy
+from deploy.reasons import Reason
 from deploy.runtime import Runtime
 from deploy.simulation import simulate
 from deploy.stage import Arrays, Stage
@@ -60,7 +63,7 @@ class Shard(Stage):
         checkpoint_ticks: between two checkpoints.
     """
 
-    parts = ("runtime", "robot", "judge", "injector", "responses")
+    parts = ("runtime", "robot", "judge", "injector", "responses", "overrun")
 
     action: Action
     truth: Truth
@@ -85,6 +88,7 @@ class Shard(Stage):
         self.judge = make_judge(spec, policy.contract, WIDTH, counted=job.robots)
         self.injector = Injector(spec, schedule, self.robot.plant, policy.contract.action_size)
         self.responses = FaultResponseTracker(spec, schedule)
+        self.overrun = Overrun(WIDTH, spec.rates.control_hz)
         self._operator_s = job.faults.operator_s if job.faults else OPERATOR_S
         self._poll, self._arm = (round(s / spec.dt) for s in (POLL_S, ARM_S))
         self.checkpoint_ticks = round(CHECKPOINT_S / spec.dt)
@@ -137,6 +141,7 @@ class Shard(Stage):
         runtime, mode = self.runtime, self.runtime.supervisor.mode
         self.responses.begin(tick, mode, self.judge)
         self.injector.step(tick)
+        self._count_late_ticks()
         observation = runtime.sense()
         action = None if observation is None else self._policy.step(observation)
         self.action = action if action is None else self.injector.action(action, tick // runtime.decimation)
@@ -145,6 +150,13 @@ class Shard(Stage):
         judge_tick(self.judge, self.truth, runtime, self.action)
         if self.responses.following:
             self.responses.step(tick, self.truth, runtime.command, mode, self.judge)
+
+    def _count_late_ticks(self) -> None:
+        """Stop robots whose computer overran, as `deploy.operation` does; then count the slots skipped before now."""
+        overrun = self.overrun.overrun
+        if any_true(overrun):
+            self.runtime.stop(Reason.OVERRUN, overrun)
+        self.overrun.step(self.robot.plant.late)
 
     def snapshot(self) -> Arrays:
         """Copies of the state that decides all further ticks, without the samples taken so far."""

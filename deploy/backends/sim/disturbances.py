@@ -15,7 +15,7 @@ from mujoco.batch import Batch
 
 from deploy.backends.sim.model.plant_model import PlantModel
 from deploy.stage import Stage
-from robots.arrays import Bools, Ints
+from robots.arrays import Bools, Floats, Ints
 from robots.draws import Draw
 from robots.randomness import Stream, generator_at, stream_keys
 
@@ -84,15 +84,19 @@ class Intermittent(Stage, ABC):
 
 
 class Payload(Intermittent):
-    """Ball at the tool: off for `payload.free_s`, on for `payload.carried_s`; starts anywhere in that cycle."""
+    """Ball at the tool: off for `payload.free_s`, on for `payload.carried_s`; starts anywhere in that cycle.
+
+    Attributes:
+        tool_kg: (B,) by which the tool is heavier than the one that it should be, as such a ball.
+    """
 
     name, stream = "payload", Stream.PAYLOAD
+    carried = ("phase", "until", "tool_kg")
 
     def __init__(self, batch: Batch, plant: PlantModel, draw: Draw, seeds: Seeds, dt: float) -> None:
         self._batch, self._body = batch, plant.payload
         mass = draw["payload.mass_kg"]
-        radius = (mass * 3.0 / (4.0 * np.pi * DENSITY)) ** (1.0 / 3.0)
-        self._mass, self._inertia = mass, 0.4 * mass * radius**2
+        self._mass, self._inertia, self.tool_kg = mass, _ball_inertia(mass), np.zeros(len(mass))
         self._durations = np.stack((draw["payload.free_s"], draw["payload.carried_s"]))
         batch.expand("body_ipos")[:, self._body] = draw["payload.com_m"]
         super().__init__(batch, plant, draw, seeds, dt)
@@ -108,10 +112,23 @@ class Payload(Intermittent):
 
     def apply(self, rows: Ints) -> None:
         """Write mass and inertia, and derive MuJoCo's constants from them."""
-        on, expand = self.on[rows], self._batch.expand
-        expand("body_mass")[rows, self._body] = on * self._mass[rows]
-        expand("body_inertia")[rows, self._body] = (on * self._inertia[rows])[:, None]
+        on, expand, tool_kg = self.on[rows], self._batch.expand, self.tool_kg[rows]
+        inertia = on * self._inertia[rows] + _ball_inertia(tool_kg)
+        expand("body_mass")[rows, self._body] = on * self._mass[rows] + tool_kg
+        expand("body_inertia")[rows, self._body] = inertia[:, None]
         self._batch.set_const(rows)
+
+    def change_tool(self, robot: int, heavier_kg: float) -> None:
+        """Change the tool of a robot for one that is heavier than it should be; 0 brings the right one back."""
+        if self.tool_kg[robot] != heavier_kg:
+            self.tool_kg[robot] = heavier_kg
+            self.apply(np.array([robot]))
+
+
+def _ball_inertia(mass: Floats) -> Floats:
+    """Return the inertia (B,) kg·m² of balls of `DENSITY` and mass (B,) kg."""
+    radius = (mass * 3.0 / (4.0 * np.pi * DENSITY)) ** (1.0 / 3.0)
+    return np.asarray(0.4 * mass * radius**2)
 
 
 class Pushes(Intermittent):

@@ -30,13 +30,14 @@ class Drives(Stage):
             follow them `drives.delay_s` late.
         command: (B, controls) the newest command, on the motor's side.
         held: (B, n) rad, pose held by the brakes. braked: (B,) brakes closed.
+        slip: (B, n) rad by which encoders slipped on their shafts: drives and packets read that much more.
         gear: (B, n) ratio.
         gains: kp and kd in force, (B, n) each, on the motor's side. commanded: those of the newest command, at the
             joint.
         torque_limit: (B, n, 2) N·m on the motor's side, in force. torque_limit_nominal: (n, 2) at full current.
     """
 
-    carried = ("history", "held", "braked")
+    carried = ("history", "held", "braked", "slip")
 
     def __init__(self, spec: RobotSpec, batch: Batch, draw: Draw) -> None:
         """Begin with every brake closed at 0 rad."""
@@ -45,6 +46,7 @@ class Drives(Stage):
         self.command = np.zeros((robots, n * INPUTS))
         self._q, self._qd, self._tau = self.command.reshape(robots, n, INPUTS).transpose(2, 0, 1)
         self.held, self.braked = np.zeros((robots, n)), np.ones(robots, dtype=bool)
+        self.slip = np.zeros((robots, n))
         self.torque_limit = batch.expand("actuator_forcerange")
         self.torque_limit_nominal = batch.model.actuator_forcerange
         self._current = np.ones((robots, n))
@@ -76,7 +78,8 @@ class Drives(Stage):
 
         Where the command's drives are off, brakes close on the motors' angles q (B, n) rad.
         """
-        np.multiply(command.q, self.gear, out=self._q)
+        np.subtract(command.q, self.slip, out=self._q)
+        self._q *= self.gear
         np.multiply(command.qd, self.gear, out=self._qd)
         np.divide(command.tau, self.gear, out=self._tau)
         difference = self.command - self._last
@@ -98,6 +101,21 @@ class Drives(Stage):
         if any_true(off):
             self.brake(off, q)
         return self._rows.take(self._places, axis=0, out=self._control, mode="clip")
+
+    def wait(self, robot: int) -> Floats:
+        """Return the controls (1, substeps, controls) of one robot for a period in which no command arrives."""
+        course, substeps = self.history[robot], self._control.shape[1]
+        course[:-substeps] = course[substeps:]
+        course[-substeps:] = self.command[robot]
+        return self._rows.take(self._places[robot : robot + 1], axis=0)
+
+    def slip_encoder(self, robot: int, joint: int, rad: float) -> None:
+        """Turn a joint's encoder on its shaft, to `rad` from where it was mounted; brakes hold the shaft itself."""
+        moved = rad - self.slip[robot, joint]
+        self.slip[robot, joint] = rad
+        if moved and not self.braked[robot]:
+            self._q[robot, joint] -= moved * self.gear[robot, joint]
+            self.history[robot, :, joint * INPUTS] -= moved * self.gear[robot, joint]
 
     def brake(self, ids: Bools, q: Floats) -> None:
         """Close the brakes of robots where `ids` (B,) holds on the motors' angles `q` (B, n) rad, at once."""

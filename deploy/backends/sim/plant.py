@@ -7,6 +7,7 @@ from mujoco import MjLogConfig
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
+from deploy.backends.sim.command_bus import CommandBus
 from deploy.backends.sim.contacts import Contacts
 from deploy.backends.sim.disturbances import DISTURBANCES
 from deploy.backends.sim.drives import Drives, Supply
@@ -19,7 +20,7 @@ from deploy.masks import all_true, any_true
 from deploy.stage import Stage
 from deploy.state import Command
 from deploy.truth import Truth
-from robots.arrays import Bools, Floats
+from robots.arrays import Bools, Floats, Ints
 from robots.distributions import Distributions
 from robots.draws import Draw
 from robots.sensors import Kind
@@ -43,7 +44,8 @@ class Plant(Stage):
     Attributes:
         q, qd: (B, n) rad and rad/s of the links. braked: (B,) brakes closed. housing: (B, n) °C. All are live views.
         readings: true values (B, channels) by kind of sensor; encoders are on the motor's side and wear.
-        disturbances: by name.
+        disturbances: by name. bus: carries the commands to the drives.
+        late: (B,) control periods by which the computer's coming tick is late.
         beam: of the distance sensor, or None.
         base: places of the floating base, or None. on_gantry: (B, equalities) base held, of a robot that has one.
         dofs: (n,) places of the joints in `qvel`. bodies: (n,) ids of the links.
@@ -53,7 +55,7 @@ class Plant(Stage):
     """
 
     carried = ("rows", "tick", "valid", "current", "sensed", "tool", "tool_velocity", "travel", "turned")
-    parts = ("drives", "supply", "housings", "windings", "wear", "contacts")
+    parts = ("bus", "drives", "supply", "housings", "windings", "wear", "contacts")
 
     def __init__(
         self,
@@ -77,7 +79,7 @@ class Plant(Stage):
         self.batch = Batch(model.model, draw.robots, nthread=threads)
         write_draw(self.batch, model, draw)
         self.kinematics = Kinematics(self.batch, model)
-        self.drives = Drives(spec, self.batch, draw)
+        self.bus, self.drives = CommandBus(spec, draw.robots), Drives(spec, self.batch, draw)
         self.supply = Supply(self.batch, draw, self.drives.gear)
         self.windings, self.housings = Windings(self.batch, draw), Housings(spec, self.batch, draw)
         self.wear = Wear(distributions.wear, self.batch, model, draw)
@@ -108,6 +110,7 @@ class Plant(Stage):
 
     def _allocate(self, robots: int, n: int) -> None:
         self.tick, self.valid = np.zeros(1, dtype=np.int64), np.ones(robots, dtype=bool)
+        self.late = np.zeros(robots, dtype=np.int64)
         self.current, self.sensed = np.zeros((robots, n)), np.zeros(self._sensordata.shape)
         self.tool, self.tool_velocity = np.zeros((robots, 3)), np.zeros((robots, 3))
         self.travel, self.turned = np.zeros((robots, n)), np.zeros((robots, n))
@@ -172,11 +175,14 @@ class Plant(Stage):
     def step(self, command: Command) -> None:
         """Advance one control period under a command."""
         tick = int(self.tick[0])
+        command = self.bus.deliver(command, tick)
         for disturbance in self.disturbances.values():
             disturbance.step(tick)
         if self.base:
             self.on_gantry[command.powered, self.base.gantry] = 0
-        self._roll(self.drives.step(command, self.kinematics.motor_q))
+        valid = None if all_true(self.valid) else np.flatnonzero(self.valid)
+        control = self.drives.step(command, self.kinematics.motor_q)
+        self._roll(control if valid is None else control[valid], valid)
         self.tick[0] = tick = tick + 1
         self._read_physics()
         if tick % self._supply_ticks == 0:
@@ -186,35 +192,48 @@ class Plant(Stage):
         if tick % self._slow_ticks == 0:
             self._step_slowly()
 
+    @np.errstate(over="ignore", invalid="ignore")
+    def wait(self, robot: int) -> None:
+        """Advance one robot a control period under the command that its drives have, because nobody sends one.
+
+        Disturbances, supply, heat of the housings and wear keep to the ticks: they change slowly, and a wait is short.
+        """
+        if not self.valid[robot]:
+            return
+        self.bus.wait(robot)
+        if not self.bus.enabled[robot]:
+            self.drives.brake(np.arange(len(self.valid)) == robot, self.kinematics.motor_q)
+        self._roll(self.drives.wait(robot), np.array([robot]))
+        self._read_physics(slice(robot, robot + 1))
+
     def warm(self, rise: Floats) -> None:
         """Set the windings (B, n) K above their housings."""
         self._rise[:] = rise
 
-    def _roll(self, control: Floats) -> None:
-        ids = None if all_true(self.valid) else np.flatnonzero(self.valid)
+    def _roll(self, control: Floats, ids: Ints | None) -> None:
+        """Advance robots `ids`, by default all, under controls (ids, substeps, controls)."""
         try:
-            self.batch.rollout(
-                control.shape[1], control=control if ids is None else control[ids], record=(), ids=ids
-            )
+            self.batch.rollout(control.shape[1], control=control, record=(), ids=ids)
         except SimulationError as e:
             self.valid[e.ids] = False
         if any_true(self._warnings):
             self.valid &= ~self._warnings.any(axis=1)
 
-    def _read_physics(self) -> None:
+    def _read_physics(self, rows: slice = slice(None)) -> None:
         self._update_kinematics()
-        np.divide(self._force, self.wear.constant, out=self.current)
+        current, speed, velocity = self.current[rows], self._speed[rows], self.tool_velocity[rows]
+        np.divide(self._force[rows], self.wear.constant[rows], out=current)
         if any_true(self.braked):
             self.current[self.braked] = 0.0
-        self.windings.square += self.current * self.current
-        self.sensed[:] = self._sensordata
-        np.subtract(self._site, self.tool, out=self.tool_velocity)
-        self.tool_velocity /= self._dt
-        self.tool[:] = self._site
-        np.abs(self.kinematics.motor_qd, out=self._speed)
-        self.travel += self._speed
-        self._speed *= self._speed
-        self.turned += self._speed
+        self.windings.square[rows] += current * current
+        self.sensed[rows] = self._sensordata[rows]
+        np.subtract(self._site[rows], self.tool[rows], out=velocity)
+        velocity /= self._dt
+        self.tool[rows] = self._site[rows]
+        np.abs(self.kinematics.motor_qd[rows], out=speed)
+        self.travel[rows] += speed
+        speed *= speed
+        self.turned[rows] += speed
 
     def _step_slowly(self) -> None:
         """Advance heat and wear by the ticks since the last time; numbers of a diverged simulation do not count."""
@@ -231,6 +250,7 @@ class Plant(Stage):
     def _update_kinematics(self) -> None:
         self.kinematics.update()
         np.add(self.kinematics.motor_q, self.wear.encoder_rad, out=self._encoder)
+        self._encoder += self.drives.slip
 
     def truth(self, t: float) -> Truth:
         """Return the ground truth at time `t`, s."""

@@ -8,6 +8,7 @@ from deploy.backends.sim.goal_distance import GoalDistance
 from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.sensor_faults import Fault
 from deploy.backends.sim.sensors import Sensors
+from deploy.masks import any_true
 from deploy.stage import Stage
 from deploy.state import Command, Sample
 from deploy.truth import Truth
@@ -71,7 +72,14 @@ class SimRobot(Stage):
         return super().stages() | ({"distance": self.distance} if self.distance else {})
 
     def read(self) -> Sample:
-        """Return the newest packets; goals that are visible from now on arrive in later ones."""
+        """Return the newest packets; goals that are visible from now on arrive in later ones.
+
+        Where the computer is late, the robot has gone on by itself before.
+        """
+        if any_true(self.plant.late):
+            for robot in np.flatnonzero(self.plant.late):
+                self._wait(int(robot), int(self.plant.late[robot]))
+            self.plant.late[:] = 0
         if self.goal_source is not None:
             self.goal[:] = self.goal_source()
         return self.sensors.read()
@@ -85,6 +93,13 @@ class SimRobot(Stage):
         if self.distance:
             self.distance.measure(self.goal)
         self.sensors.sample(self._channels())
+
+    def _wait(self, robot: int, periods: int) -> None:
+        for noise in self.sensors.noise_of_wait(robot, periods):
+            self.plant.wait(robot)
+            if self.distance:
+                self.distance.measure(self.goal)
+            self.sensors.wait(robot, self._channels(), noise)
 
     def _channels(self) -> Floats:
         return np.concatenate(self._true_values, axis=1)

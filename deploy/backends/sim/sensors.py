@@ -22,7 +22,7 @@ class Sensors(Stage):
 
     Attributes:
         columns: channels of each kind of sensor.
-        noise_keys: B streams of noise.
+        noise_keys: B streams of noise; the readings of a wait have their own.
         ring: (B, depth, C) readings in transit. value: (B, C) those that arrived last. sampled: (B, G) their ticks.
         seen: (B, G) False until the packet of a reset has been read.
         bias_walk: (B, C) random walk of the biases. cold: (B, C) °C at a reset.
@@ -47,6 +47,7 @@ class Sensors(Stage):
         robots, sheet, sizes = len(seeds), list(spec.sensors.values()), list(spec.channels.values())
         self._dt, self._faults = spec.dt, faults
         self.noise_keys = stream_keys(seeds, Stream.SENSOR_NOISE)
+        self._wait_keys = stream_keys(seeds, Stream.WAIT_NOISE)
         self._garbage_keys = stream_keys(seeds, Stream.SENSOR_GARBAGE)
         self._packets = Packets(spec, draw, stream_keys(seeds, Stream.PACKETS), faults)
         self._length = self._packets.length
@@ -121,6 +122,26 @@ class Sensors(Stage):
         for fault in self._faults_of_chunk:
             self._fail(fault, tick, reading)
         self.ring[:, tick % self._packets.depth] = reading
+
+    def noise_of_wait(self, robot: int, periods: int) -> Floats:
+        """Return noise (periods, C) of the readings that one robot takes before the computer's late tick."""
+        rng = generator_at(self._wait_keys[robot], int(self.tick[0]))
+        return np.asarray(rng.standard_normal((periods, self.ring.shape[2])) * self._sigma[robot])
+
+    def wait(self, robot: int, truth: Floats, noise: Floats) -> None:
+        """Put a reading of `truth` (B, C), with noise (C,), on the bus of one robot, whose computer is late.
+
+        The runtime's clock stands still meanwhile: all readings of before become a period older.
+        """
+        tick, ring = int(self.tick[0]), self.ring[robot]
+        self._prepare(tick // self._length)
+        reading = self._quantized(truth + noise + self.offset)
+        for fault in self._faults_of_chunk:
+            if fault.robot == robot:
+                self._fail(fault, tick, reading)
+        newest_first = (tick - np.arange(len(ring))) % len(ring)
+        ring[newest_first[1:]] = ring[newest_first[:-1]]
+        ring[newest_first[0]] = reading[robot]
 
     def read(self) -> Sample:
         """Return the newest packet of every sensor; valid until the next call."""
