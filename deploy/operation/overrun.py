@@ -26,7 +26,7 @@ class Overrun(Stage):
         """Allocate; `hz` slots are one second of robot time."""
         self._hz, self._skipped_max = hz, round(OVERRUN_SHARE * hz)
         self.slot, self.place = np.zeros(robots, dtype=np.int64), np.zeros(1, dtype=np.int64)
-        self.missed, self.at = np.zeros((2, robots, hz), dtype=np.int64)
+        self.missed, self.at = np.zeros((2, robots, hz), dtype=np.int32)
 
     def step(self, missed: Ints) -> None:
         """Count a tick of each loop, and the slots (B,) that were skipped before it."""

@@ -31,7 +31,7 @@ class FaultPair(FaultClass):
 
     Attributes:
         component: as in `FaultClass`.
-        classes: those others, each of which lasts at most `lasts_s` less the largest delay.
+        classes: those others.
         delay_s: s, least and largest delay of the second fault.
     """
 
@@ -43,12 +43,11 @@ class FaultPair(FaultClass):
         """Draw two classes, a channel of each, and the delay of the second."""
         first, second = (self.classes[k] for k in rng.choice(len(self.classes), 2, replace=False))
         delay_s = float(rng.uniform(*self.delay_s))
-        return (*_drawn(first, 0.0, rng), *_drawn(second, delay_s, rng))
+        return Part(first, _channel(first, rng), 0.0), Part(second, _channel(second, rng), delay_s)
 
 
-def _drawn(fault: FaultClass, after_s: float, rng: np.random.Generator) -> tuple[Part, ...]:
-    channel = fault.channels[int(rng.integers(len(fault.channels)))]
-    return tuple(part._replace(after_s=after_s) for part in fault.parts(channel, rng))
+def _channel(fault: FaultClass, rng: np.random.Generator) -> int | None:
+    return fault.channels[int(rng.integers(len(fault.channels)))]
 
 
 def pairs(classes: tuple[FaultClass, ...]) -> tuple[FaultPair, FaultPair]:

@@ -17,13 +17,13 @@ OLD_S, LATE_S = 0.025, 0.05
 
 def lose_commands(access: PlantAccess, injection: Injection, active: bool, *, of: int = 1) -> None:
     """Lose one command of `of`; drives keep the one before."""
-    place = access.plant.tick[0] - injection.begins
+    place = access.tick - injection.begins
     access.plant.bus.lost[injection.robot] = active and place % of == 0
 
 
 def repeat_commands(access: PlantAccess, injection: Injection, active: bool) -> None:
     """Deliver an old command in the place of one of `EVERY`."""
-    old = active and (access.plant.tick[0] - injection.begins) % EVERY == 0
+    old = active and (access.tick - injection.begins) % EVERY == 0
     access.plant.bus.late[injection.robot] = round(OLD_S / access.dt) if old else 0
 
 
@@ -39,7 +39,7 @@ def stop_controller(access: PlantAccess, injection: Injection, active: bool) -> 
 
 def hang(access: PlantAccess, injection: Injection, active: bool, *, late_s: float) -> None:
     """Delay the first tick of the fault."""
-    if active and access.plant.tick[0] == injection.begins:
+    if active and access.tick == injection.begins:
         access.plant.late[injection.robot] = round(late_s / access.dt)
 
 
@@ -47,5 +47,5 @@ def run_late(access: PlantAccess, injection: Injection, active: bool) -> None:
     """Delay ticks as a real computer did, from a place of its trace that differs between injections."""
     if active:
         begin = injection.robot * 7919 + injection.slot * 104729  # primes: places that hardly repeat
-        place = begin + access.plant.tick[0] - injection.begins
+        place = begin + access.tick - injection.begins
         access.plant.late[injection.robot] = int(SKIPPED[place % len(SKIPPED)])

@@ -44,7 +44,6 @@ COMMUNICATION_FAULTS = (
     PlantFault(
         component=BUS,
         failure_mode="loses every second",
-        answer=StopCategory.NO_STOP,
         meaning="every second command is lost",
         effect=partial(effects.lose_commands, of=2),
     ),
@@ -82,46 +81,48 @@ COMMUNICATION_FAULTS = (
 )
 
 
+_LIMP = PlantFault(
+    component=JOINT,
+    failure_mode="drive off",
+    lasts_s=REBOOT_S,
+    meaning="its amplifier gives no voltage",
+    effect=partial(plant_effects.supply, share=plant_effects.NO_VOLTAGE),
+)
+_DOWN = PlantFault(
+    component=CONTROLLER,
+    failure_mode="down",
+    lasts_s=REBOOT_S,
+    meaning="brakes close and commands are ignored",
+    effect=effects.stop_controller,
+)
+
+
 def reboots(spec: RobotSpec, read: Collection[Kind]) -> tuple[FaultClass, ...]:
     """Return the reboots of one drive and of the controller of all; sensors that are `read` are silent meanwhile."""
-    silent = tuple(
-        SensorFault(
-            component=kind,
-            failure_mode=Failure.OFF,
-            failure=Failure.OFF,
-            lasts_s=REBOOT_S,
-            meaning="sends nothing",
-        )
-        for kind in spec.sensors
-        if kind in AT_JOINTS and kind in read
-    )
-    limp = PlantFault(
-        component=JOINT,
-        failure_mode="drive off",
-        lasts_s=REBOOT_S,
-        meaning="its amplifier gives no voltage",
-        effect=partial(plant_effects.supply, share=plant_effects.NO_VOLTAGE),
-    )
-    down = PlantFault(
-        component=CONTROLLER,
-        failure_mode="down",
-        lasts_s=REBOOT_S,
-        meaning="brakes close and commands are ignored",
-        effect=effects.stop_controller,
-    )
+    silent = tuple(_silent(kind) for kind in spec.sensors if kind in AT_JOINTS and kind in read)
     return (
         CombinedFault(
             component=JOINT,
             failure_mode="drive reboots",
             lasts_s=REBOOT_S,
             meaning="no torque and no packets of the joint for 0.5 s; then it goes on",
-            effects=(limp, *silent),
+            effects=(_LIMP, *silent),
         ),
         CombinedFault(
             component=CONTROLLER,
             failure_mode="reboots",
             lasts_s=REBOOT_S,
             meaning="brakes close, no packets for 0.5 s; then it waits until power is given anew",
-            effects=(down, *silent),
+            effects=(_DOWN, *silent),
         ),
+    )
+
+
+def _silent(kind: Kind) -> SensorFault:
+    return SensorFault(
+        component=kind,
+        failure_mode=Failure.OFF,
+        failure=Failure.OFF,
+        lasts_s=REBOOT_S,
+        meaning="sends nothing",
     )

@@ -43,6 +43,7 @@ class FaultResponses:
 
     Attributes:
         class_index: (R, S) place in the catalogue. channel: (R, S), -1 for all.
+        pair: (R, S, 2) places of both faults of a pair, -1 for others.
         began: (R, S) tick of the soak, or `NOT_BEGUN` or `NOT_RUNNING`. complete: (R, S) end of the response.
         stopped: (R, S) first tick out of operation. rest: (R, S) first tick at rest by ground truth after that.
         resumed: (R, S) ticks from the end of the fault until the robot was in operation.
@@ -54,6 +55,7 @@ class FaultResponses:
 
     class_index: Ints
     channel: Ints
+    pair: Ints
     began: Ints
     complete: Ints
     stopped: Ints
@@ -96,6 +98,7 @@ class FaultResponseTracker(Stage):
     def __init__(self, spec: RobotSpec, schedule: Schedule) -> None:
         self._schedule, shape = schedule, schedule.class_index.shape
         self.class_index, self.channel = schedule.class_index.copy(), schedule.channel.copy()
+        self.pair = schedule.pair.copy()
         self.began, self.complete, self.stopped, self.rest, self.resumed = np.full((5, *shape), NOT_BEGUN)
         self.answer, self.violated = np.zeros((2, *shape), dtype=np.int64)
         self.tracking_error, self.limit_ratio = np.zeros((2, *shape))

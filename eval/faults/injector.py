@@ -45,7 +45,7 @@ class Injector(Stage):
         ending = schedule.ending(tick)
         if tick != self._next_tick or ending or schedule.beginning(tick):
             self._active = schedule.active(tick)
-        self._next_tick = tick + 1
+        self._access.tick, self._next_tick = tick, tick + 1
         for injections, active in ((ending, False), (self._active, True)):
             for injection in injections:
                 if isinstance(injection.fault, PlantFault):

@@ -36,7 +36,7 @@ class PlantAccess:
     """Write access to the bodies, drives and supplies of B simulated robots.
 
     Attributes:
-        plant: of the simulated robots. dt: s, control period.
+        plant: of the simulated robots. dt: s, control period. tick: the coming one.
         friction_loss: (B, nv) N·m, of MuJoCo. dofs: (n,) columns of the joints in it.
         winding_rise: (B, n) K, of the winding over its housing.
         torque_max: (n,) N·m, each actuator's range at the joint.
@@ -45,7 +45,7 @@ class PlantAccess:
     """
 
     def __init__(self, spec: RobotSpec, plant: Plant) -> None:
-        self.plant, self.dt, self.torque_max = plant, spec.dt, torque_max(spec)
+        self.plant, self.dt, self.tick, self.torque_max = plant, spec.dt, 0, torque_max(spec)
         batch, model = plant.batch, plant.batch.model
         self.friction_loss, self.winding_rise = batch.expand("dof_frictionloss"), batch.bind("act")
         self.dofs = np.array([model.jnt_dofadr[model.joint(name).id] for name in spec.joint_names])

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from deploy.backends.sim.sensor_faults import Fault
 from eval.faults.catalogue import catalogue
+from eval.faults.combined import FaultPair
 from eval.faults.fault_class import FaultClass, Injection, Part, SensorFault
 from robots.randomness import Keys, Stream, generator_at, stream_keys
 from robots.sensors import Kind
@@ -47,6 +48,7 @@ class Schedule:
     Attributes:
         injections: all of them. faults: those that they consist of.
         class_index: (B, S) place in the catalogue. channel: (B, S), -1 for all.
+        pair: (B, S, 2) places of both faults of a pair, -1 for others.
     """
 
     def __init__(self, classes: Sequence[FaultClass], robots: int, injections: Sequence[Injection]) -> None:
@@ -54,11 +56,14 @@ class Schedule:
         self.injections = injections
         shape = robots, 1 + max((injection.slot for injection in injections), default=-1)
         self.class_index, self.channel = np.zeros((2, *shape), dtype=np.int64)
-        self.faults = [fault for each in injections for fault in each.parts or (each,)]
+        self.pair = np.full((*shape, 2), -1)
+        self.faults = [fault for injection in injections for fault in _single(injection)]
         for injection in injections:
             place = injection.robot, injection.slot
             self.class_index[place] = classes.index(injection.fault)
             self.channel[place] = -1 if injection.channel is None else injection.channel
+            if isinstance(injection.fault, FaultPair):
+                self.pair[place] = [classes.index(part.fault) for part in injection.parts]
         self._injected = _by_tick((each.begins, each) for each in injections)
         self._begin = _by_tick((fault.begins, fault) for fault in self.faults)
         self._end = _by_tick((fault.ends, fault) for fault in self.faults)
@@ -93,6 +98,14 @@ class Schedule:
             for robot, _, fault, channel, begins, ends, *_ in self.faults
             if isinstance(fault, SensorFault)
         )
+
+
+def _single(injection: Injection) -> Iterator[Injection]:
+    """Yield the faults that an injection consists of, down to those that consist of no others."""
+    if not injection.parts:
+        yield injection
+    for part in injection.parts:
+        yield from _single(part)
 
 
 def _by_tick(items: Iterable[tuple[int, Injection]]) -> dict[int, list[Injection]]:
@@ -162,7 +175,7 @@ def with_parts(injection: Injection, rng: np.random.Generator, dt: float) -> Inj
     parts = injection.fault.parts(injection.channel, rng)
     if len(parts) == 1:
         return injection
-    faults = tuple(_part(injection, part, dt) for part in parts)
+    faults = tuple(with_parts(_part(injection, part, dt), rng, dt) for part in parts)
     return injection._replace(ends=max(fault.ends for fault in faults), parts=faults)
 
 

@@ -23,7 +23,7 @@ from robots.spec import RobotSpec
 
 WATCHDOG_S = 0.1
 """s without a command after which a drive closes its brakes."""
-LATE_MAX_S = 0.1
+LATE_MAX_S = 0.05
 """s, the largest delay of a command."""
 _JOINT_FIELDS = 6
 """q, qd, tau, kp, kd and current share of each joint, side by side."""

@@ -35,7 +35,7 @@ class Intermittent(Stage, ABC):
 
     name: ClassVar[str]
     stream: ClassVar[Stream]
-    carried = ("phase", "until")
+    carried: ClassVar[tuple[str, ...]] = ("phase", "until")
 
     def __init__(self, batch: Batch, plant: PlantModel, draw: Draw, seeds: Seeds, dt: float) -> None:
         """Begin the first phase of every robot at tick 0. A subclass reads the draw first, for `seconds`."""

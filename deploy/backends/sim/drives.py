@@ -1,9 +1,11 @@
 """Drives of B robots: interpolated setpoints and their delay, brakes, current limits, and the supply they share."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from mujoco.batch import Batch
+from numpy.typing import NDArray
 
 from deploy.backends.sim.model.motor_parameters import KD, KP, VOLTAGE_MAX
 from deploy.masks import all_true, any_true
@@ -32,12 +34,13 @@ class Drives(Stage):
         held: (B, n) rad, pose held by the brakes. braked: (B,) brakes closed.
         slip: (B, n) rad by which encoders slipped on their shafts: drives and packets read that much more.
         gear: (B, n) ratio.
-        gains: kp and kd in force, (B, n) each, on the motor's side. commanded: those of the newest command, at the
-            joint.
+        gains: kp and kd in force, (B, n) each, on the motor's side. commanded_kp, commanded_kd: those of the newest
+            command, at the joint.
+        current_share: (B, n) share of its current that a drive may use.
         torque_limit: (B, n, 2) N·m on the motor's side, in force. torque_limit_nominal: (n, 2) at full current.
     """
 
-    carried = ("history", "held", "braked", "slip")
+    carried = ("history", "held", "braked", "slip", "commanded_kp", "commanded_kd", "current_share")
 
     def __init__(self, spec: RobotSpec, batch: Batch, draw: Draw) -> None:
         """Begin with every brake closed at 0 rad."""
@@ -49,12 +52,12 @@ class Drives(Stage):
         self.slip = np.zeros((robots, n))
         self.torque_limit = batch.expand("actuator_forcerange")
         self.torque_limit_nominal = batch.model.actuator_forcerange
-        self._current = np.ones((robots, n))
+        self.current_share = np.ones((robots, n))
         gain = batch.expand("actuator_gainprm")
         self.gains = gain[:, :, KP], gain[:, :, KD]
         self._own = self.gains[0].copy(), self.gains[1].copy()
         self._nominal, self._factors = drive_gains(spec), (draw["drives.kp"], draw["drives.kd"])
-        self.commanded = Gains(*(np.tile(gain, (robots, 1)) for gain in self._nominal))
+        self.commanded_kp, self.commanded_kd = (np.tile(gain, (robots, 1)) for gain in self._nominal)
         self._allocate(spec.rates, draw["drives.delay_s"])
 
     def _allocate(self, rates: Rates, delay_s: Floats) -> None:
@@ -86,17 +89,17 @@ class Drives(Stage):
         self._old[:] = self._later
         np.multiply(self._to_go, difference, out=self._new)
         self._new += self.command
-        if not all_true(command.current_share == self._current):
-            self._current[:] = command.current_share
-            self.torque_limit[:] = self.torque_limit_nominal * self._current[:, :, None]
+        if not all_true(command.current_share == self.current_share):
+            self.current_share[:] = command.current_share
+            self._limit_torque()
         off, drive = ~command.powered, command.drive
         opening = any_true(self.braked & command.powered)
         if opening:
             self.braked &= off
         if opening or not (
-            all_true(drive.kp == self.commanded.kp) and all_true(drive.kd == self.commanded.kd)
+            all_true(drive.kp == self.commanded_kp) and all_true(drive.kd == self.commanded_kd)
         ):
-            self.commanded.kp[:], self.commanded.kd[:] = drive.kp, drive.kd
+            self.commanded_kp[:], self.commanded_kd[:] = drive.kp, drive.kd
             self.apply()
         if any_true(off):
             self.brake(off, q)
@@ -106,15 +109,14 @@ class Drives(Stage):
         """Return the controls (1, substeps, controls) of one robot for a period in which no command arrives."""
         course, substeps = self.history[robot], self._control.shape[1]
         course[:-substeps] = course[substeps:]
-        course[-substeps:] = self.command[robot]
+        course[-substeps:] = course[-1]
         return self._rows.take(self._places[robot : robot + 1], axis=0)
 
     def slip_encoder(self, robot: int, joint: int, rad: float) -> None:
         """Turn a joint's encoder on its shaft, to `rad` from where it was mounted; brakes hold the shaft itself."""
         moved = rad - self.slip[robot, joint]
         self.slip[robot, joint] = rad
-        if moved and not self.braked[robot]:
-            self._q[robot, joint] -= moved * self.gear[robot, joint]
+        if not self.braked[robot]:
             self.history[robot, :, joint * INPUTS] -= moved * self.gear[robot, joint]
 
     def brake(self, ids: Bools, q: Floats) -> None:
@@ -137,12 +139,21 @@ class Drives(Stage):
 
         On the motor's side of the gear an angle is that much larger, and a torque smaller.
         """
-        square = self.gear**2
+        square, commands = self.gear**2, (self.commanded_kp, self.commanded_kd)
         for gain, own, nominal, commanded, factor in zip(
-            self.gains, self._own, self._nominal, self.commanded, self._factors, strict=True
+            self.gains, self._own, self._nominal, commands, self._factors, strict=True
         ):
             powered = np.where(commanded == nominal, own, commanded / square * factor)
             gain[:] = np.where(self.braked[:, None], own, powered)
+
+    def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Restore saved arrays, bit for bit."""
+        super().restore(arrays)
+        self.apply()
+        self._limit_torque()
+
+    def _limit_torque(self) -> None:
+        self.torque_limit[:] = self.torque_limit_nominal * self.current_share[:, :, None]
 
     def _hold(self, rows: np.ndarray) -> None:
         self._q[rows] = (self.held * self.gear)[rows]

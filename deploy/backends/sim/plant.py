@@ -163,7 +163,6 @@ class Plant(Stage):
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         """Restore saved arrays, bit for bit; torque and contacts read zero until the next step."""
         super().restore(arrays)
-        self.drives.apply()
         self.housings.apply()
         self.wear.apply()
         for disturbance in self.disturbances.values():

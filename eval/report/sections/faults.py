@@ -106,7 +106,7 @@ def _unhandled(
     at_joint = fault.component in (*AT_JOINTS, POLICY, JOINT)
     return UnhandledFault(
         robot=place[0],
-        fault=fault.name,
+        fault=": ".join((fault.name, *_pair_names(classes, found.pair[place]))),
         channel=None if channel < 0 else spec.joint_names[channel] if at_joint else str(channel),
         start_h=round(float(found.began[place]) * spec.dt / 3600, 5),
         answer=CATEGORY_NAMES[StopCategory(found.answer[place])],
@@ -115,6 +115,11 @@ def _unhandled(
         at_rest_s=_seconds(int(found.rest[place]), spec.dt),
         deviation_rad=number(float(found.tracking_error[place]), 4),
     )
+
+
+def _pair_names(classes: tuple[FaultClass, ...], pair: Ints) -> tuple[str, ...]:
+    """Return both faults of a pair as one text; nothing for another fault."""
+    return (" + ".join(classes[k].name for k in pair),) if pair[0] >= 0 else ()
 
 
 def _seconds(ticks: int, dt: float) -> float | None:

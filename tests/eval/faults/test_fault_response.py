@@ -8,7 +8,7 @@ import pytest
 
 from deploy.policy.policy import Policy
 from deploy.state import Mode
-from eval.faults.fault_class import JOINT, POLICY, StopCategory
+from eval.faults.fault_class import StopCategory
 from eval.faults.fault_response import (
     NOT_RUNNING,
     SETTLE_S,
@@ -169,8 +169,15 @@ def restless(tmp_path, monkeypatch):
         "joint housing hot",
         "joint winding short",
     )
-    names += ("joint blocked", "robot cable caught", "robot supply sags")
-    faults = [(named(name), 1 if named(name).component in (JOINT, POLICY) else None) for name in names]
+    names += ("joint blocked", "robot cable caught", "robot supply sags", "bus silent", "bus delays")
+    names += (
+        "controller reboots",
+        "computer late",
+        "encoder slips",
+        "robot tool changed",
+        "robot two faults",
+    )
+    faults = [(named(name), None if None in named(name).channels else 1) for name in names]
     faults += [None] * (WIDTH - len(faults))
     monkeypatch.setattr(shards, "plan", lambda *_: one_each(faults, 70, lasts=500))
     digests = {"robot_digest": SPEC.digest, "policy_digest": Policy.load(path, SPEC).digest}

@@ -9,8 +9,11 @@ import pytest
 from deploy.backends.sim.robot import SimRobot
 from deploy.state import Command, Mode
 from eval.faults.catalogue import JUMP, catalogue
-from eval.faults.fault_class import JOINT, POLICY, ROBOT, SensorFault, StopCategory
+from eval.faults.combined import ANSWER_S, FaultPair
+from eval.faults.communication_faults import REBOOT_S
+from eval.faults.fault_class import POLICY, SensorFault, StopCategory
 from eval.faults.injector import Injector
+from eval.faults.plant_effects import PlantFault
 from eval.faults.schedule import FaultSettings, plan
 from robots.randomness import robot_seed
 from support.arm6 import SPEC, position_drives
@@ -47,6 +50,36 @@ def test_slots_leave_time_to_recover_and_do_not_overlap():
     assert len({each.begins % 4000 for each in injections}) > 300  # not all at the same time of their slots
 
 
+def renumbered(injection, first):
+    """The same injection where robot `first` is the first one."""
+    parts = tuple(renumbered(part, first) for part in injection.parts)
+    return injection._replace(robot=injection.robot - first, parts=parts)
+
+
+def test_pairs_are_two_different_faults_that_fit_into_the_slot():
+    schedule = planned(FAULTS, SEEDS, 0, TICKS)
+    pairs = [each for each in schedule.injections if isinstance(each.fault, FaultPair)]
+    assert len(pairs) == 2 * 2 * len(SEEDS)
+    for each in pairs:
+        first, second = each.parts
+        assert first.fault != second.fault
+        assert (second.begins == each.begins) == (each.fault.failure_mode == "two faults")
+        assert second.begins - each.begins <= round(ANSWER_S[1] / DT)
+        assert each.ends == max(first.ends, second.ends) < each.slot_end
+        names = [CLASSES[k] for k in schedule.pair[each.robot, each.slot]]
+        assert names == [first.fault, second.fault]
+        assert all(part.channel in part.fault.channels for part in each.parts)
+    assert len({tuple(schedule.pair[each.robot, each.slot]) for each in pairs}) > 20
+
+
+def test_a_reboot_silences_the_sensors_of_its_joint_for_as_long_as_it_has_no_torque():
+    schedule = one_each([(named("joint drive reboots"), 2), (named("controller reboots"), None)], 10)
+    silent = schedule.sensor_faults()
+    assert {fault.sensor for fault in silent} == {"encoder", "current", "temperature"}
+    assert all((fault.begins, fault.ends) == (10, 10 + round(REBOOT_S / DT)) for fault in silent)
+    assert [fault.channel for fault in silent] == [2, 2, 2, None, None, None]
+
+
 def test_schedule_depends_on_seed_and_robot_only():
     whole = planned(FAULTS, SEEDS, 0, TICKS)
     part, short = (
@@ -55,7 +88,7 @@ def test_schedule_depends_on_seed_and_robot_only():
     )
     np.testing.assert_array_equal(part.class_index, whole.class_index[3:5])
     np.testing.assert_array_equal(part.channel, whole.channel[3:5])
-    mine = [each._replace(robot=each.robot - 3) for each in whole.injections if 3 <= each.robot < 5]
+    mine = [renumbered(each, 3) for each in whole.injections if 3 <= each.robot < 5]
     assert mine == part.injections
     np.testing.assert_array_equal(short.class_index, whole.class_index[:, : short.class_index.shape[1]])
     assert not planned(None, SEEDS, 0, TICKS).injections
@@ -133,9 +166,9 @@ def test_every_policy_fault_reaches_the_runtime():
 
 
 def test_every_plant_fault_changes_its_robot_only_and_is_undone():
-    faults = [each for each in CLASSES if each.component in {JOINT, ROBOT}]
+    faults = [each for each in CLASSES if isinstance(each, PlantFault)]
     joint, begins, lasts, robots = 1, 40, 60, len(faults) + 1
-    each_its_own = [(each, None if each.component == ROBOT else joint) for each in faults]
+    each_its_own = [(each, joint if len(each.channels) > 1 else None) for each in faults]
     schedule, rows = (
         one_each([*each_its_own, None], begins, lasts=lasts),
         [each.failure_mode for each in faults],
@@ -145,7 +178,9 @@ def test_every_plant_fault_changes_its_robot_only_and_is_undone():
         world.policy.action[:, :2] = 0.4, -0.4
     plant = worlds[0].robot.plant
     injector, batch = Injector(SPEC, schedule, plant, N), plant.batch
-    as_built = {name: batch.expand(name).copy() for name in ("tendon_stiffness", "tendon_lengthspring")}
+    as_built = {
+        name: batch.expand(name).copy() for name in ("tendon_stiffness", "tendon_lengthspring", "body_mass")
+    }
     for tick in range(begins + lasts + 10):
         injector.step(tick)
         limit = plant.supply.limit.copy()

@@ -1,6 +1,8 @@
+import numpy as np
+
 from eval.faults.catalogue import catalogue
 from eval.faults.fault_class import Injection
-from eval.faults.schedule import Schedule
+from eval.faults.schedule import Schedule, with_parts
 from support.arm6 import SPEC
 
 CLASSES, N, DT = catalogue(SPEC, SPEC.sensors), SPEC.n, SPEC.dt
@@ -25,4 +27,6 @@ def one_each(faults, begins, *, lasts=None, classes=CLASSES):
         for robot, fault in enumerate(faults)
         if fault is not None
     ]
-    return Schedule(classes, len(faults), injections)
+    rng = np.random.default_rng(0)
+    whole = [with_parts(each, rng, DT) for each in injections]
+    return Schedule(classes, len(faults), whole)

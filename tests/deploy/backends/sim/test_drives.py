@@ -55,6 +55,38 @@ def test_brakes_are_not_delayed_by_the_bus():
     assert not control[0, :, 1::3].any()
 
 
+def test_a_drive_follows_its_slipped_encoder():
+    """It reads 0.2 rad more from one moment on, and turns the joint back by that: the reading is as it was."""
+    plant = exact(2)
+    for _ in range(20):
+        plant.step(command(np.tile(HOME, (2, 1))))
+    plant.drives.slip_encoder(0, 2, 0.2)
+    course = [plant.readings["encoder"][:, 2].copy()]
+    for _ in range(200):
+        plant.step(command(np.tile(HOME, (2, 1))))
+        course.append(plant.readings["encoder"][:, 2].copy())
+    assert plant.q[0, 2] == pytest.approx(HOME[2] - 0.2, abs=0.01)
+    assert course[1][0] - HOME[2] > 0.15
+    assert course[-1][0] == pytest.approx(HOME[2], abs=0.01)
+    np.testing.assert_allclose(plant.q[1], HOME, atol=0.01)
+    plant.drives.slip_encoder(0, 2, 0.0)
+    for _ in range(200):
+        plant.step(command(np.tile(HOME, (2, 1))))
+    np.testing.assert_allclose(plant.q, np.tile(HOME, (2, 1)), atol=0.01)
+
+
+def test_brakes_hold_the_shaft_and_not_the_encoder():
+    plant = exact(1)
+    for _ in range(20):
+        plant.step(command(HOME))
+    for slip in (0.2, 0.0):
+        plant.drives.slip_encoder(0, 2, slip)
+        for _ in range(40):
+            plant.step(command(HOME, powered=False))
+        assert plant.q[0, 2] == pytest.approx(HOME[2], abs=0.005)
+        assert plant.readings["encoder"][0, 2] == pytest.approx(HOME[2] + slip, abs=0.005)
+
+
 def sink(plant, current, qd):
     """Cold windings draw."""
     plant.supply.update(current, qd, plant.wear.constant, plant.windings.ohm(25.0))

@@ -38,7 +38,8 @@ def every_class_handled():
     error, ratio = np.full(shape, 0.01), np.full(shape, 0.8)
     filled = {name: np.full(shape, value) for name, value in whole.items()}
     filled |= {"class_index": kind, "answer": answer, "tracking_error": error, "limit_ratio": ratio}
-    return FaultResponses(stopped=left, rest=rest, **filled)
+    pair = np.full((*shape, 2), -1)
+    return FaultResponses(stopped=left, rest=rest, pair=pair, **filled)
 
 
 def report(found):
