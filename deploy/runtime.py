@@ -149,6 +149,10 @@ class Runtime(Stage):
         observation = self.sense()
         self.act(None if observation is None or self.policy is None else self.policy.step(observation))
 
+    def skip(self, slots: Ints) -> None:
+        """Expect robots whose coming tick is `slots` (B,) late to have gone on by themselves for so long."""
+        self.estimator.late_ticks.skip(slots, self.smoother.sent.qd, self.estimator.joints)
+
     def sense(self) -> Float32s | None:
         """Read and estimate; return the observation (B, N) when the policy is due, else None."""
         t, due = self.t, self.ticks % self.decimation == 0

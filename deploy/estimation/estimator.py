@@ -11,6 +11,7 @@ import numpy as np
 from deploy.estimation.external_torque import ExternalTorque
 from deploy.estimation.fault_detection import Divergence, StuckDetection
 from deploy.estimation.joint_filter import JointFilter
+from deploy.estimation.late_ticks import LateTicks
 from deploy.estimation.oscillation import OscillationDetection
 from deploy.estimation.sample_count import sample_count
 from deploy.estimation.setpoint_history import SetpointHistory
@@ -43,7 +44,7 @@ class Estimator(Stage):
     carried: ClassVar[tuple[str, ...]] = ("fault",)
     parts = (
         *("joints", "setpoints", "stuck_detection", "divergence", "oscillation"),
-        *("windings", "external_torque"),
+        *("windings", "external_torque", "late_ticks"),
     )
 
     def __init__(self, spec: RobotSpec, robots: int, *, springs: Gains | None = None) -> None:
@@ -60,6 +61,7 @@ class Estimator(Stage):
         self.oscillation = OscillationDetection(spec, robots, look_s)
         self.windings = WindingObserver(spec, robots)
         self.external_torque = ExternalTorque(spec, robots, look_s)
+        self.late_ticks = LateTicks(spec, robots)
         self.fault = np.zeros(robots, dtype=np.int64)
         self._stiff, self.dt, self._zero = springs is None, spec.dt, np.zeros((robots, spec.n))
         # Errors that no sample shows: a constant one, uniform in ± bias, and the link's place in its play.
@@ -107,6 +109,7 @@ class Estimator(Stage):
         """
         tick, packet, joints = round(t / self.dt), sample["encoder"], self.joints
         self.setpoints.append(tick, sent)
+        self.late_ticks.step(joints)
         valid = packet.fresh & self.setpoints.covers(packet.t, t)
         setpoint, _ = self.setpoints.at(packet.t, valid, tick)
         z, finite = packet.value - self._origin(setpoint), np.isfinite(packet.value)

@@ -111,6 +111,11 @@ class JointFilter(Stage):
         variance: Floats = self.p00 + dt * (2.0 * self.p01 + dt * (self.p11 + self.noise_dt3 * dt))
         return variance
 
+    def widen(self, p00: Floats, p11: Floats) -> None:
+        """Add p00 (B, n) rad² and p11 (B, n) rad²/s² to the variances: motion that the process noise does not cover."""
+        self.p00 += p00
+        self.p11 += p11
+
     def predict(self, t: Floats, z: Floats, new: Bools) -> Prediction:
         """Predict to the packets' times and compare.
 

@@ -111,8 +111,8 @@ class LoopTiming:
         """True when too many slots of the last second were skipped."""
         return bool(self._skipped.overrun[0])
 
-    def wait(self) -> None:
-        """Block until the next slot."""
+    def wait(self) -> int:
+        """Block until the next slot; return the number of slots that were skipped before it."""
         before = self.clock.skipped
         late = self.clock.wait()
         if self.ticks == 0:
@@ -120,7 +120,9 @@ class LoopTiming:
         self.ticks += 1
         self.late_max = max(self.late_max, late)
         self._histogram[min(max(int(late * 1e6), 0), BINS - 1)] += 1
-        self._skipped.step(np.array([self.clock.skipped - before]))
+        skipped = self.clock.skipped - before
+        self._skipped.step(np.array([skipped]))
+        return skipped
 
     @property
     def lateness(self) -> Lateness:

@@ -134,7 +134,8 @@ class RobotRun:
             self.recorder.event()
 
     def _tick(self) -> None:
-        self.timing.wait()
+        if skipped := self.timing.wait():
+            self.runtime.skip(np.full(self.runtime.robot.robots, skipped))
         self.runtime.tick()
         self._stop_reasons.step(self.runtime)
         reason = str(self._stop_reasons)

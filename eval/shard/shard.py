@@ -141,7 +141,7 @@ class Shard(Stage):
         runtime, mode = self.runtime, self.runtime.supervisor.mode
         self.responses.begin(tick, mode, self.judge)
         self.injector.step(tick)
-        self._count_late_ticks()
+        self._tell_late_ticks()
         observation = runtime.sense()
         action = None if observation is None else self._policy.step(observation)
         self.action = action if action is None else self.injector.action(action, tick // runtime.decimation)
@@ -151,12 +151,14 @@ class Shard(Stage):
         if self.responses.following:
             self.responses.step(tick, self.truth, runtime.command, mode, self.judge)
 
-    def _count_late_ticks(self) -> None:
-        """Stop robots whose computer overran, as `deploy.operation` does; then count the slots skipped before now."""
-        overrun = self.overrun.overrun
+    def _tell_late_ticks(self) -> None:
+        """Do what `deploy.operation` does before a tick: stop after an overrun, count and tell of skipped slots."""
+        overrun, late = self.overrun.overrun, self.robot.plant.late
         if any_true(overrun):
             self.runtime.stop(Reason.OVERRUN, overrun)
-        self.overrun.step(self.robot.plant.late)
+        self.overrun.step(late)
+        if any_true(late):
+            self.runtime.skip(late)
 
     def snapshot(self) -> Arrays:
         """Copies of the state that decides all further ticks, without the samples taken so far."""

@@ -16,7 +16,6 @@ from robots.distributions import COMMAND_DELAY_S
 from robots.draws import Draw
 from robots.models.mujoco_model import INPUTS
 from robots.motors.drive_gains import drive_gains
-from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 from robots.tables import Rates
 
