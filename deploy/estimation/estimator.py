@@ -74,6 +74,7 @@ class Estimator(Stage):
         self.oscillation.reset(ids)
         self.windings.reset(ids)
         self.external_torque.reset(ids)
+        self.late_ticks.ticks[ids] = 0
 
     def follow(self, ids: Bools, old: Setpoint, new: Setpoint) -> None:
         """Replace the setpoint of robots `ids` (B,) by another one; the joints have not moved."""

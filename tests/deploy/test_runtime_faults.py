@@ -311,3 +311,20 @@ def test_a_diverged_simulation_stops_its_robot_only():
             broken.tick()
     assert broken.robot.truth().valid.tolist() == [True, False, True]
     np.testing.assert_array_equal(broken.robot.plant.rows[[0, 2]], clean.robot.plant.rows[[0, 2]])
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_late_tick_at_speed_does_not_stop_a_robot_whose_runtime_is_told(told):
+    """The drive has come to rest meanwhile, and catches up; without being told the estimator refuses its samples."""
+    policy = Saying(4)
+    runtime = running(4, policy=policy)
+    policy.action[:, 0] = 1.0
+    play(runtime, 60)
+    assert (runtime.command.qd[:, 0] > 1.5).all()
+    late = np.array([10, 10, 10, 0])
+    runtime.robot.plant.late[:] = late
+    if told:
+        runtime.skip(late)
+    _, modes = play(runtime, 20)
+    assert (modes[-1, :3] == Mode.RUNNING).all() == told
+    assert modes[-1, 3] == Mode.RUNNING

@@ -105,6 +105,11 @@ def test_overrun_of_a_tenth_of_a_second_is_too_much(missed, overrun):
     assert paced([(0.0, 0), (0.1, missed)]).overrun is overrun
 
 
+def test_the_slots_skipped_before_a_tick_are_told():
+    timing = LoopTiming(Scripted([(0.0, 0), (0.017, 3), (0.0, 0)]), 200, now=lambda: 0.0)
+    assert [timing.wait() for _ in range(3)] == [0, 3, 0]
+
+
 def test_single_misses_add_up_within_a_second():
     often, seldom = [(0.0, 0)] * 7 + [(0.005, 1)], [(0.0, 0)] * 9 + [(0.005, 1)]
     assert paced(often * 100).overrun  # 22 in a second

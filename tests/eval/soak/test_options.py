@@ -25,7 +25,7 @@ FAULTS = "[faults]\ncoverage = 0.9\ncycle_s = 20.0\noperator_s = 5.0\n"
         ("smoke", 32, 0.1),
         ("shift", 32, 8.0),
         ("nightly", 64, 8.0),
-        ("faults", 48, 0.69),
+        ("faults", 48, 0.9),
         ("weekend", 256, 8.0),
     ],
 )

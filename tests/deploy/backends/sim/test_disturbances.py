@@ -56,6 +56,27 @@ def test_a_payload_is_a_ball_of_aluminium_where_the_draw_says():
             assert own.body_subtreemass[1] == pytest.approx(bodies.sum(), rel=1e-12)
 
 
+def test_a_changed_tool_is_a_second_ball_whether_or_not_a_payload_is_carried():
+    plant = drawn(2, BUSY | {"payload.mass_kg": 0.8})
+    payload = plant.disturbances["payload"]
+    for tick in range(300):
+        payload.step(tick)
+        if tick in {50, 250}:
+            payload.change_tool(0, 1.5 if tick == 50 else 0.0)
+        mass = plant.batch.expand("body_mass")[:, PLANT_MODEL.payload]
+        heavier = np.array([1.5 if 50 <= tick < 250 else 0.0, 0.0])
+        np.testing.assert_allclose(mass, 0.8 * payload.on + heavier)
+    assert plant.batch.expand("body_inertia")[0, PLANT_MODEL.payload].max() < 0.002
+
+
+def test_a_changed_tool_is_saved():
+    one, other = drawn(1), drawn(1)
+    one.disturbances["payload"].change_tool(0, 1.5)
+    other.restore(one.save())
+    mass = [plant.batch.expand("body_mass")[0, PLANT_MODEL.payload] for plant in (one, other)]
+    assert mass[0] == mass[1] >= 1.5
+
+
 def test_payload_loads_every_joint():
     """Statics: the moments of its weight."""
     loaded, free = (
