@@ -4,7 +4,7 @@ Faults of sensors are seven failures of each kind, and bursts of lost encoder pa
 and of the computer are in communication_faults.py.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from functools import partial
 
 import numpy as np
@@ -24,6 +24,7 @@ from eval.faults.fault_class import (
     StopCategory,
 )
 from eval.faults.plant_effects import PlantFault
+from robots.errors import ConfigError
 from robots.sensors import NEEDED, Kind
 from robots.spec import IMU_SENSORS, RobotSpec
 
@@ -177,6 +178,18 @@ def catalogue(spec: RobotSpec, read: Collection[Kind]) -> tuple[FaultClass, ...]
     others = (*POLICY_FAULTS, *PLANT_FAULTS, *BODY_FAULTS, *COMMUNICATION_FAULTS, *reboots(spec, read))
     single = (*_sensor_faults(spec, read), *(fault.of_robot(spec) for fault in others))
     return (*single, *pairs(single))
+
+
+def check_names(names: Iterable[str], spec: RobotSpec, read: Collection[Kind], field: str) -> None:
+    """Check that classes of these names are in the catalogue; `read` as in `catalogue`.
+
+    Raises:
+        ConfigError: one is not; it names the `field` that the names are from.
+    """
+    known = [each.name for each in catalogue(spec, read)]
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"{field}: found {name!r:.80}, expected some of: {', '.join(known)}")
 
 
 def not_injected(spec: RobotSpec, read: Collection[Kind]) -> tuple[str, ...]:

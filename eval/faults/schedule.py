@@ -35,11 +35,17 @@ class FaultSettings(Strict):
         coverage: required share of handled injections in each class, to be shown with 95 % confidence.
         cycle_s: s from one fault of a robot to its next.
         operator_s: s until a robot without power is armed again; shorter than without faults.
+        classes: names of the classes that are injected, as `FaultClass.name`; None for the whole catalogue.
     """
 
     coverage: Annotated[float, Field(gt=0, lt=1)]
     cycle_s: Annotated[float, Field(ge=LEAST_CYCLE_S)]
     operator_s: Annotated[float, Field(ge=0, le=LEAST_CYCLE_S)]
+    classes: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+
+    def injects(self, fault: FaultClass) -> bool:
+        """Return whether a class is injected."""
+        return self.classes is None or fault.name in self.classes
 
 
 class Schedule:
@@ -136,11 +142,12 @@ def plan(
     classes = catalogue(spec, read)
     if faults is None:
         return Schedule(classes, len(seeds), ())
+    injected = [each for each in classes if faults.injects(each)]
     slots = range(round(FIRST_S / spec.dt), ticks, round(faults.cycle_s / spec.dt))
     injections = [
         injection
         for robot, key in enumerate(stream_keys(seeds, Stream.FAULTS))
-        for injection in _robot_injections(classes, robot, first + robot, key, slots, spec.dt)
+        for injection in _robot_injections(injected, robot, first + robot, key, slots, spec.dt)
         if slots[injection.slot] + slots.step <= ticks
     ]
     return Schedule(classes, len(seeds), injections)

@@ -6,7 +6,9 @@ from typing import Annotated
 import typer
 from pydantic import Field
 
+from deploy.policy.compatibility import sensors_read
 from deploy.policy.policy import Policy
+from eval.faults.catalogue import check_names
 from eval.faults.schedule import FIRST_S, HOURS_MAX, FaultSettings, hours_max
 from eval.soak.configuration import SoakConfig
 from eval.statistics.budget import BUDGET
@@ -40,12 +42,16 @@ def load_profile(name: str) -> tuple[Profile, Path]:
     Raises:
         ConfigError: there is no such profile, or the file is unreadable, misspelt or out of bounds.
     """
-    path = Path(name) if name.endswith(".toml") else PROFILES / f"{name}.toml"
+    path = _profile_path(name)
     if path.parent == PROFILES and not path.is_file():
         known = ", ".join(sorted(file.stem for file in PROFILES.glob("*.toml")))
         raise ConfigError(f"--profile {name}: found no such profile, expected a file.toml or one of: {known}")
     profile = read_toml(path, Profile)
     return profile, (path.parent / profile.budget).resolve()
+
+
+def _profile_path(name: str) -> Path:
+    return Path(name) if name.endswith(".toml") else PROFILES / f"{name}.toml"
 
 
 DEFAULTS = Profile(meaning="options without a profile", hours=8.0, robots=32, budget=BUDGET.name)
@@ -100,13 +106,19 @@ def configure(
         ConfigError: an option, the profile, the robot or the policy is invalid.
     """
     defaults, default_budget = load_profile(profile) if profile else (DEFAULTS, BUDGET)
+    hours_field = f"{_profile_path(profile)}: hours" if profile and hours is None else "--hours"
     hours = defaults.hours if hours is None else hours
     robots = defaults.robots if robots is None else robots
-    _check_options(hours, robots, seed, workers, defaults.faults)
+    _check_hours(hours_field, hours, defaults.faults)
+    _check_options(robots, seed, workers)
     spec = load_robot(robot)
+    loaded = Policy.load(policy, spec)
+    if profile and defaults.faults and defaults.faults.classes:
+        field = f"{_profile_path(profile)}: faults.classes"
+        check_names(defaults.faults.classes, spec, sensors_read(loaded.contract, spec), field)
     return SoakConfig(
         spec=spec,
-        policy=Policy.load(policy, spec),
+        policy=loaded,
         policy_path=policy,
         budget=default_budget if budget is None else budget,
         hours=hours,
@@ -117,15 +129,23 @@ def configure(
     )
 
 
-def _check_options(hours: float, robots: int, seed: int, workers: int, faults: FaultSettings | None) -> None:
+def _check_hours(field: str, hours: float, faults: FaultSettings | None) -> None:
     cycle, longest = (FIRST_S + faults.cycle_s) / 3600 if faults else 0.0, hours_max(faults)
-    bounds = (
-        ("--hours", hours, 0 < hours <= longest, f"above 0 and at most {longest:.5g}"),
+    _check(
+        (field, hours, 0 < hours <= longest, f"above 0 and at most {longest:.5g}"),
+        (field, hours, hours >= cycle, f"at least {cycle:.3g}: time for one fault"),
+    )
+
+
+def _check_options(robots: int, seed: int, workers: int) -> None:
+    _check(
         ("--robots", robots, 1 <= robots <= 100_000, "from 1 to 100000"),
         ("--seed", seed, seed >= 0, "at least 0"),
         ("--workers", workers, 1 <= workers <= 1024, "from 1 to 1024"),
-        ("--hours", hours, hours >= cycle, f"at least {cycle:.3g}: time for one fault"),
     )
+
+
+def _check(*bounds: tuple[str, float, bool, str]) -> None:
     for name, value, valid, expected in bounds:
         if not valid:
             raise ConfigError(f"{name}: found {value}, expected {expected}")

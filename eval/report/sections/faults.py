@@ -24,7 +24,7 @@ _HARD_BITS = {k: monitor.name for k, monitor in enumerate(MONITORS) if monitor.h
 def fault_table(
     spec: RobotSpec, read: Collection[Kind], settings: FaultSettings, found: FaultResponses
 ) -> FaultTable:
-    """Return every fault class of the catalogue, injected or not, and the first unhandled faults.
+    """Return every fault class that the settings inject, whether or not it came up, and the first unhandled faults.
 
     `read` are the sensors that the runtime reads with this policy.
     """
@@ -37,11 +37,18 @@ def fault_table(
         coverage=settings.coverage,
         injections=int(finished.sum()),
         rows=tuple(
-            _row(spec, found, each, found.class_index == k, handled) for k, each in enumerate(classes)
+            _row(spec, found, each, found.class_index == k, handled)
+            for k, each in enumerate(classes)
+            if settings.injects(each)
         ),
         unhandled=tuple(_unhandled(spec, classes, found, (robot, slot)) for robot, slot in unhandled),
-        not_injected=not_injected(spec, read),
+        not_injected=(*_left_out(classes, settings), *not_injected(spec, read)),
     )
+
+
+def _left_out(classes: tuple[FaultClass, ...], settings: FaultSettings) -> tuple[str, ...]:
+    count = sum(not settings.injects(each) for each in classes)
+    return (f"{count} of {len(classes)} classes, which the profile leaves out.",) if count else ()
 
 
 def fault_line(table: FaultTable) -> BudgetLine:

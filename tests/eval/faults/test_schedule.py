@@ -39,6 +39,17 @@ def test_classes_and_channels_are_equally_frequent():
         assert set(given.tolist()) == {-1 if c is None else c for c in fault.channels}, fault.name
 
 
+def test_only_the_chosen_classes_are_injected_equally_often():
+    names = ("bus silent", "encoder slips", "robot two faults")
+    chosen = FAULTS.model_copy(update={"classes": names})
+    schedule = planned(chosen, SEEDS, 0, TICKS)
+    kinds, counts = np.unique(schedule.class_index, return_counts=True)
+    assert {CLASSES[k].name for k in kinds} == set(names)
+    assert counts.max() - counts.min() <= len(SEEDS)
+    parts = {part.fault.name for each in schedule.injections for part in each.parts}
+    assert len(parts - set(names)) > 20  # pairs are of the whole catalogue
+
+
 def test_slots_leave_time_to_recover_and_do_not_overlap():
     injections = planned(FAULTS, SEEDS, 0, TICKS).injections
     assert max(each.slot_end for each in injections) < TICKS

@@ -65,7 +65,10 @@ def test_user_profile_finds_its_budget_beside_it(tmp_path):
         (GOOD.replace("1.5", "0.0"), r"own\.toml: hours: .* greater than 0, found 0\.0"),
         (GOOD + FAULTS.replace("0.9", "1.0"), r"own\.toml: faults\.coverage: .* less than 1, found 1\.0"),
         (GOOD + FAULTS.replace("20.0", "2.0"), r"own\.toml: faults\.cycle_s: .* equal to 18, found 2\.0"),
-        (GOOD + FAULTS + "classes = 3\n", r"own\.toml: faults\.classes: Extra inputs"),
+        (GOOD + FAULTS + "draws = 3\n", r"own\.toml: faults\.draws: Extra inputs"),
+        (GOOD + FAULTS.replace("5.0", "nan"), r"own\.toml: faults\.operator_s: .* finite number, found nan"),
+        (GOOD + FAULTS + "classes = 3\n", r"own\.toml: faults\.classes: .* valid tuple, found 3"),
+        (GOOD + FAULTS + "classes = []\n", r"own\.toml: faults\.classes: .* at least 1 item .*, found \(\)"),
     ],
 )
 def test_a_wrong_profile_is_named_with_its_field(tmp_path, text, message):
@@ -73,6 +76,30 @@ def test_a_wrong_profile_is_named_with_its_field(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(ConfigError, match=message):
         load_profile(str(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            GOOD + FAULTS + 'classes = ["bus silent", "bus silence"]\n',
+            "faults.classes: found 'bus silence', expected some of: encoder off, ",
+        ),
+        (
+            GOOD + FAULTS + 'classes = ["force off"]\n',  # no one reads the arm's force sensor
+            "faults.classes: found 'force off', expected some of: encoder off, ",
+        ),
+        (GOOD.replace("1.5", "0.001") + FAULTS, "hours: found 0.001, expected at least 0.00639: time for"),
+        (GOOD.replace("1.5", "60.0") + FAULTS, "hours: found 60.0, expected above 0 and at most 55.556"),
+    ],
+)
+def test_a_profile_that_does_not_fit_is_bad_input_in_one_line(call, arm_policy, tmp_path, text, message):
+    path = tmp_path / "own.toml"
+    path.write_text(text)
+    code, _, said = call(command.cli, "--policy", arm_policy, "--profile", path)
+    assert code == 2
+    assert f"error: {path}: {message}" in said
+    assert said.count("\n") == 1
 
 
 def asked(call, monkeypatch, *options):

@@ -94,6 +94,15 @@ def test_a_class_that_was_not_injected_is_no_failure_of_the_robot():
     assert 'class="hit' not in faults
 
 
+def test_a_class_that_the_profile_leaves_out_has_no_row():
+    names = tuple(each.name for each in CLASSES[:3])
+    settings = FaultSettings(coverage=0.95, cycle_s=20.0, operator_s=5.0, classes=names)
+    table = fault_table(SPEC, READ, settings, every_class_handled())
+    assert tuple(f"{row.where} {row.what}" for row in table.rows) == names
+    left_out = len(CLASSES) - 3
+    assert table.not_injected[0] == f"{left_out} of {len(CLASSES)} classes, which the profile leaves out."
+
+
 @pytest.mark.slow
 def test_the_page_shows_every_class_and_what_was_not_injected():
     told = every_class_handled()
