@@ -46,6 +46,7 @@ class EventRecord(Strict):
         robot: its number in the soak. joint: None for a monitor of the whole robot.
         start, ticks: first bad control tick, and number of ticks from it to the last bad one.
         worst: the highest load, as a fraction of the limit; None if not finite.
+        peak: no event, but the tick with the highest load of an attack, bad or not.
     """
 
     robot: Count
@@ -54,10 +55,11 @@ class EventRecord(Strict):
     start: Count
     ticks: Count
     worst: float | None
+    peak: Annotated[bool, Field(exclude_if=lambda peak: not peak)] = False
 
     @classmethod
-    def from_event(cls, event: Event, first: int) -> "EventRecord":
-        """Return the record of an event in the shard whose first robot is `first`."""
+    def from_event(cls, event: Event, first: int, *, peak: bool = False) -> "EventRecord":
+        """Return the record of an event, or of a peak, in the shard whose first robot is `first`."""
         return cls(
             robot=first + event.robot,
             monitor=event.monitor.name,
@@ -65,6 +67,7 @@ class EventRecord(Strict):
             start=event.start,
             ticks=event.ticks,
             worst=event.worst if np.isfinite(event.worst) else None,
+            peak=peak,
         )
 
     def as_text(self) -> dict[str, str]:

@@ -60,15 +60,21 @@ class EventCapture:
         self._states.clear()
         self._states.append((shard.runtime.ticks, shard.snapshot()))
 
+    def write_peak(self, shard: Shard, peak: Event) -> None:
+        """Write a bundle of the tick with the highest load, from the oldest state there is to the present tick."""
+        begin, state = self._states[0]
+        window, end_digest = self._record_window(shard, begin, state)
+        record = bundle.EventRecord.from_event(peak, self._job.first, peak=True)
+        self._write(record, window, end_digest, shard)
+
     def _capture(self, shard: Shard, before: int) -> None:
         """Write bundles of new events that began before tick `before`."""
         counts = shard.judge.counts()
         new = self._new_events(counts, before)
         if new:
-            end, goal_m = shard.runtime.ticks, shard.runtime.task.criterion.tolerance
             window, end_digest = self._record_window(shard, *self._state_before(min(e.start for e in new)))
             for event in new:
-                self._write(event, window, end, end_digest, goal_m)
+                self._write(bundle.EventRecord.from_event(event, self._job.first), window, end_digest, shard)
         self._since = max(self._since, before)
 
     def _record_window(self, shard: Shard, begin: int, state: Arrays) -> tuple[Window, str]:
@@ -91,15 +97,15 @@ class EventCapture:
             return []
         return [e for e in select_events(counts, self._job.robots) if self._since <= e.start < before]
 
-    def _write(self, event: Event, window: Window, end: int, end_digest: str, goal_m: float) -> None:
-        begin, state = self._state_before(event.start)
-        rows = window.between(begin, end, event.robot)
-        record = bundle.EventRecord.from_event(event, self._job.first)
+    def _write(self, record: bundle.EventRecord, window: Window, end_digest: str, shard: Shard) -> None:
+        begin, state = self._state_before(record.start)
+        end, goal_m = shard.runtime.ticks, shard.runtime.task.criterion.tolerance
+        rows = window.between(begin, end, record.robot - self._job.first)
         job = bundle.JobRecord(**{name: getattr(self._job, name) for name in bundle.JobRecord.model_fields})
         extent: dict[str, Any] = {"begin": begin, "end": end, "end_digest": end_digest}
         info = bundle.BundleInfo(identity=self._identity, job=job, event=record, files={}, **extent)
         with new_bundle(
-            self._folder / bundle.bundle_name(record.robot, event.start, record.monitor)
+            self._folder / bundle.bundle_name(record.robot, record.start, record.monitor)
         ) as folder:
             self._write_inputs(folder)
             write_arrays(folder / bundle.STATE, state)

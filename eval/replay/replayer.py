@@ -118,7 +118,7 @@ class Replay:
         return ReplayResult(
             rows=window.between(info.begin, info.end, self.row),
             load=load,
-            event=self._find_event(shard.judge.counts()),
+            event=self._find_peak(load) if info.event.peak else self._find_event(shard.judge.counts()),
             stops=stops,
             end_digest=state_digest(shard.snapshot()),
         )
@@ -130,6 +130,11 @@ class Replay:
             if all(getattr(record, key) == getattr(info.event, key) for key in keys):
                 return record
         return None
+
+    def _find_peak(self, load: Floats) -> EventRecord:
+        place, worst = int(np.argmax(load)), float(load.max())
+        found = {"start": self.info.begin + place, "worst": worst if np.isfinite(worst) else None}
+        return self.info.event.model_copy(update=found)
 
 
 def _channel(counts: Counts, event: EventRecord) -> int:

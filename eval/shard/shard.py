@@ -151,6 +151,11 @@ class Shard(Stage):
         if self.responses.following:
             self.responses.step(tick, self.truth, runtime.command, mode, self.judge)
 
+    def set_policy(self, policy: Policy) -> None:
+        """Replace the policy by another of the same contract, with an empty memory."""
+        self._policy = self.runtime.policy = policy
+        policy.resize(WIDTH)
+
     def _tell_late_ticks(self) -> None:
         """Do what `deploy.operation` does before a tick: stop after an overrun, count and tell of skipped slots."""
         overrun, late = self.overrun.overrun, self.robot.plant.late

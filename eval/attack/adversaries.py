@@ -1,0 +1,80 @@
+"""Library of adversaries: where searches start, and which weights each of them searches."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from eval.attack.weights import WEIGHTS, Weights
+from robots.arrays import Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Adversary:
+    """A kind of policy that does harm.
+
+    Attributes:
+        meaning: for reports.
+        start: weights, the same for all joints. Others that are searched start in the middle of their bounds.
+        searched: names of the weights that a search changes.
+    """
+
+    meaning: str
+    start: Mapping[str, float]
+    searched: tuple[str, ...]
+
+    def first(self, joints: int) -> Weights:
+        """Return the weights at which searches start, for a robot of n joints."""
+        middle = {name: float(WEIGHTS[name].decoded(np.array([0.5]))[0]) for name in self.searched}
+        return {name: (x,) * WEIGHTS[name].size(joints) for name, x in (middle | dict(self.start)).items()}
+
+    def shares(self, weights: Weights) -> Floats:
+        """(D,) the searched weights as shares of their bounds, from 0 to 1."""
+        return np.concatenate([WEIGHTS[name].encoded(np.array(weights[name])) for name in self.searched])
+
+    def weights(self, shares: Floats, joints: int) -> Weights:
+        """Return the weights at shares (D,)."""
+        ends = np.cumsum([WEIGHTS[name].size(joints) for name in self.searched])[:-1]
+        parts = zip(self.searched, np.split(shares, ends), strict=True)
+        found = {name: tuple(WEIGHTS[name].decoded(part).tolist()) for name, part in parts}
+        return {**self.first(joints), **found}
+
+
+ADVERSARIES: Mapping[str, Adversary] = {
+    "anti_damping": Adversary(
+        meaning="each joint is driven along with its own speed",
+        start={
+            **{"reach": 2.9, "sharpness": 100.0, "follow": 1.0, "damping": 1.0},
+            **{"dither": 0.02, "dither_rate": 977.0, "push": 0.0},
+        },
+        searched=("reach", "sharpness", "follow", "damping", "dither", "dither_rate", "push"),
+    ),
+    "chirp": Adversary(
+        meaning="each joint is shaken at a frequency of its own, which rises or falls",
+        start={"reach": 0.3, "sharpness": 1.0, "follow": 0.0, "wave": 1.0, "wave_hz": 5.0, "chirp": 1.0},
+        searched=("reach", "sharpness", "follow", "wave", "wave_hz", "wave_turns", "chirp"),
+    ),
+    "bang_bang": Adversary(
+        meaning="each joint is thrown between two places, at a rate of its own",
+        start={"reach": 1.5, "sharpness": 100.0, "follow": 0.0, "wave": 1.0, "wave_hz": 0.7},
+        searched=("reach", "follow", "wave", "wave_hz", "wave_turns", "push"),
+    ),
+    "push": Adversary(
+        meaning="all joints are driven towards some ends of their ranges, then back",
+        start={"reach": 2.5, "sharpness": 10.0, "follow": 0.0, "push": 0.5, "swing": 1.0, "swing_hz": 0.4},
+        searched=("reach", "follow", "push", "swing", "swing_hz", "swing_turns"),
+    ),
+    "replay": Adversary(
+        meaning="commands of the past are repeated while joints are driven along with their speed",
+        start={"reach": 1.0, "sharpness": 10.0, "follow": 1.0, "damping": 1.0, "replay": -1.0, "delay": 8.0},
+        searched=("reach", "sharpness", "follow", "damping", "replay", "delay", "swing", "swing_hz"),
+    ),
+    "network": Adversary(
+        meaning="a small network that sees angles, speeds and its own delayed commands",
+        start={"reach": 1.5, "sharpness": 3.0, "follow": 0.5, "swing": 0.5, "delay": 4.0},
+        searched=(
+            *("reach", "sharpness", "follow", "delay", "swing", "swing_hz", "swing_turns"),
+            *("inward", "bias", "outward"),
+        ),
+    ),
+}

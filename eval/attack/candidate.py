@@ -1,0 +1,91 @@
+"""Candidates of a search, and cases: candidates in files, which are tried again after every change."""
+
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field
+
+from deploy.telemetry.output_files import replacing
+from eval.attack.adversaries import ADVERSARIES
+from eval.attack.weights import WEIGHTS, Weights
+from robots.errors import ConfigError
+from robots.motors.control_mode import ControlModeName
+from robots.spec import RobotSpec
+from robots.strict import Strict, parse, read_json_file
+
+CHARACTERS_MAX = 1 << 16
+Numbers = Annotated[tuple[float, ...], Field(min_length=1)]
+
+
+class Candidate(NamedTuple):
+    """A policy and the robots that it moves.
+
+    Attributes:
+        adversary: name in the library. seed: of the draws, noise and faults.
+    """
+
+    adversary: str
+    weights: Weights
+    seed: int
+
+
+class Case(Strict):
+    """One file of a regression suite: what an attack found.
+
+    Attributes:
+        robot: name of a shipped robot. mode: in which drives follow the policy. faults: some were injected.
+        monitor: whose margin was the least. worst: its highest ratio when the case was found.
+        adversary, seed, weights: of the candidate.
+    """
+
+    format: Literal[1] = 1
+    robot: str
+    mode: ControlModeName
+    faults: bool
+    monitor: str
+    worst: float | None
+    adversary: str
+    seed: Annotated[int, Field(ge=0)]
+    weights: dict[str, Numbers]
+
+    @property
+    def candidate(self) -> Candidate:
+        """Return the candidate."""
+        return Candidate(self.adversary, self.weights, self.seed)
+
+    def write(self, path: Path) -> None:
+        """Write the file of the case."""
+        with replacing(path) as file:
+            file.write_text(self.model_dump_json() + "\n", encoding="utf-8")
+
+
+def read_case(path: Path) -> Case:
+    """Read the file of a case.
+
+    Raises:
+        ConfigError: naming the file and the field.
+    """
+    case = parse(read_json_file(path, CHARACTERS_MAX), Case, source=str(path))
+    if case.adversary not in ADVERSARIES:
+        raise ConfigError(
+            f"{path}: adversary: found {case.adversary!r:.80}, expected one of {', '.join(ADVERSARIES)}"
+        )
+    return case
+
+
+def check_weights(weights: Weights, spec: RobotSpec, source: str) -> None:
+    """Refuse weights that are none of a robot's adversaries, or out of the bounds of a search.
+
+    Raises:
+        ConfigError: naming the source, the weight, what was found and what was expected.
+    """
+    for name, values in weights.items():
+        if (kind := WEIGHTS.get(name)) is None:
+            raise ConfigError(f"{source}: weights: found {name!r:.80}, expected some of {', '.join(WEIGHTS)}")
+        if len(values) != (size := kind.size(spec.n)):
+            raise ConfigError(f"{source}: weights.{name}: found {len(values)} numbers, expected {size}")
+        if not all(kind.low <= x <= kind.high for x in values):
+            raise ConfigError(
+                f"{source}: weights.{name}: found {min(values):g} to {max(values):g}, expected {kind.low:g} to"
+                f" {kind.high:g}"
+            )

@@ -1,0 +1,172 @@
+"""soak-attack: search for the policy that brings each monitor closest to its limit."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.telemetry.folder_lock import locked
+from eval.attack.archive import Archive
+from eval.attack.arena import Setting
+from eval.attack.guards import find_guard
+from eval.attack.pool import Workers, workers
+from eval.attack.report import REPORT, case_of, make_report, table
+from eval.attack.search import Search
+from eval.judge.monitors import NAMES
+from eval.replay.bundle_files import delete_bundles
+from eval.report.report_files import check_report_folder
+from robots.errors import ConfigError
+from robots.motors.control_mode import ControlMode
+from robots.spec import RobotSpec, load_robot
+
+WORST, CASES = "worst", "cases"
+"""Folders in --out: of bundles, and of cases."""
+COLUMNS = (
+    TextColumn("attacking: {task.description}"),
+    BarColumn(),
+    TimeElapsedColumn(),
+    TextColumn("left"),
+    TimeRemainingColumn(),
+)
+
+Robot = Annotated[str, typer.Option(help="Robot: a name or a folder.")]
+Mode = Annotated[str, typer.Option(help="What the drives follow: position, velocity or torque.")]
+Seed = Annotated[int, typer.Option(help="Seed of the search and of all draws.")]
+Processes = Annotated[
+    int, typer.Option("--workers", help="Number of processes; results do not depend on it.")
+]
+Minutes = Annotated[float, typer.Option(help="Time of the search, min; it ends after a whole generation.")]
+Generations = Annotated[
+    int | None,
+    typer.Option(
+        help="Length of the search in place of --minutes: the same on any computer.", show_default="none"
+    ),
+]
+Faults = Annotated[bool, typer.Option("--faults", help="Inject a fault into each robot as well.")]
+Without = Annotated[
+    str,
+    typer.Option(
+        help="Part of the name of a guard (make mutants lists them) to remove: a test of the attack."
+    ),
+]
+Out = Annotated[Path, typer.Option(help=f"Folder for {REPORT}, bundles ({WORST}/) and cases ({CASES}/).")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Budget:
+    """Length of a search: s, or generations if they are given."""
+
+    seconds: float
+    generations: int | None
+
+    def progress(self, generations: int, seconds: float) -> float:
+        """Return the share that is used up."""
+        used = seconds / self.seconds if self.generations is None else generations / self.generations
+        return min(used, 1.0)
+
+
+def soak_attack(
+    robot: Robot = "arm6",
+    mode: Mode = "position",
+    seed: Seed = 7,
+    processes: Processes = 2,
+    minutes: Minutes = 10.0,
+    generations: Generations = None,
+    faults: Faults = False,
+    without: Without = "",
+    out: Out = Path("out/attack"),
+) -> int:
+    """Search over policies and draws for the smallest margin of every monitor; its results enter no rate.
+
+    Exit codes: 0 every hard monitor kept its limit, 1 one did not, 2 bad input.
+    """
+    _check_options(seed, processes, minutes, generations)
+    spec = load_robot(robot)
+    setting = Setting(robot=spec.folder, mode=_mode(mode, spec), faults=faults, without=without)
+    guarded = find_guard(without).monitor if without else ""
+    target = guarded if guarded in NAMES else ""
+    budget = Budget(seconds=60.0 * minutes, generations=generations)
+    check_report_folder(out, (REPORT,))
+    with locked(out), workers(setting, processes) as pool:
+        delete_bundles(out / WORST, finished=True)
+        search = Search(spec, setting.mode, pool.evaluate, seed=seed, target=target)
+        interrupted = not _run(search, budget, Console())
+        _write(spec, setting, seed, search.archive, pool, out)
+    return INTERRUPTED if interrupted else BUDGET_EXCEEDED if _failed(search.archive) else PASSED
+
+
+def _run(search: Search, budget: Budget, console: Console) -> bool:
+    """Search until the budget is used up, or a target of one monitor is hit; return False if it was interrupted."""
+    began, number = time.monotonic(), 0
+    try:
+        with Progress(*COLUMNS, console=console) as bar:
+            shown = bar.add_task("the library", total=1.0)
+            for number, _ in enumerate(search.run(), start=1):
+                used = budget.progress(number, time.monotonic() - began)
+                bar.update(shown, completed=used, description=_state(search.archive))
+                if used >= 1.0 or (len(search.targets) == 1 and search.targets[0] in search.archive.hits):
+                    return True
+    except KeyboardInterrupt:
+        console.print("interrupted: the report covers what was tried so far")
+    return False
+
+
+def _state(archive: Archive) -> str:
+    """Return the hard monitor nearest to its limit, in words."""
+    ratio, name = max((archive.worst[name].ratio, name) for name in archive.hard)
+    return f"{archive.trials} trials, worst {name} {ratio:.4f}"
+
+
+def _write(spec: RobotSpec, setting: Setting, seed: int, archive: Archive, pool: Workers, out: Path) -> None:
+    """Write report, bundles and cases, and print the table; nothing but the report where a guard is missing."""
+    found = {name: archive.worst[name] for name in archive.hard if name in archive.worst}
+    kept = {} if setting.without else {name: each for name, each in found.items() if each.ratio > 0.0}
+    bundles = pool.write_bundles(kept, out / WORST)
+    report = make_report(spec, setting, seed, archive, bundles)
+    report.write(out)
+    for old in (out / CASES).glob("*.json"):
+        old.unlink()
+    for name, each in kept.items():
+        case_of(spec, setting, name, each).write(out / CASES / f"{spec.name}-{report.mode}-{name}.json")
+    console = Console(width=160)
+    console.print(table(report))
+    console.print(f"{_verdict(archive)}\nreport: {out / REPORT}", soft_wrap=True, highlight=False)
+
+
+def _verdict(archive: Archive) -> str:
+    diverged = f"; {archive.diverged} trials with a diverged simulation" if archive.diverged else ""
+    hits = ", ".join(archive.hits)
+    return (f"hard events of: {hits}" if hits else "no hard event") + diverged
+
+
+def _failed(archive: Archive) -> bool:
+    return bool(archive.hits or archive.diverged)
+
+
+def _mode(name: str, spec: RobotSpec) -> ControlMode:
+    modes = {mode.name.lower(): mode for mode in spec.control_modes}
+    if name not in modes:
+        raise ConfigError(f"--mode: found {name!r}, expected one of those of {spec.name}: {', '.join(modes)}")
+    return modes[name]
+
+
+def _check_options(seed: int, processes: int, minutes: float, generations: int | None) -> None:
+    bounds = (
+        ("--seed", seed, seed >= 0, "at least 0"),
+        ("--workers", processes, 1 <= processes <= 1024, "from 1 to 1024"),
+        ("--minutes", minutes, 0.0 < minutes < float("inf"), "above 0"),
+        ("--generations", generations, generations is None or generations >= 1, "at least 1"),
+    )
+    for name, value, valid, expected in bounds:
+        if not valid:
+            raise ConfigError(f"{name}: found {value}, expected {expected}")
+
+
+def cli() -> None:
+    """Entry point of `soak-attack`."""
+    main(soak_attack)

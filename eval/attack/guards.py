@@ -1,0 +1,27 @@
+"""Guards that an attack is tried without: those of `make mutants`."""
+
+from deploy.runtime import Runtime
+from eval.mutants.situation import Mutant
+from eval.mutants.suite import MUTANTS
+from robots.errors import ConfigError
+
+
+def find_guard(part: str) -> Mutant:
+    """Return the one removal whose description contains a text.
+
+    Raises:
+        ConfigError: none or several do.
+    """
+    found = [mutant for mutant in MUTANTS if part in mutant.guard]
+    if len(found) != 1:
+        names = "; ".join(mutant.guard for mutant in found or MUTANTS)
+        raise ConfigError(f"--without {part!r}: found {len(found)} such guards, expected one of: {names}")
+    return found[0]
+
+
+def remove_guard(part: str, runtime: Runtime) -> None:
+    """Remove a guard, and those that would act before it; an empty text removes nothing."""
+    if part:
+        mutant = find_guard(part)
+        mutant.situation.prepare(runtime)
+        mutant.remove_guard(runtime)

@@ -1,0 +1,64 @@
+"""Bundle of a candidate: the seconds around the tick in which a monitor's ratio was highest, for soak-replay."""
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from eval.attack.arena import Setting, write_job
+from eval.attack.candidate import Candidate
+from eval.judge.counts import Event
+from eval.replay.bundle import POLICY, bundle_name
+from eval.replay.event_capture import EventCapture
+from eval.shard.job import POLL_S, WIDTH
+from eval.shard.judging import judge_tick, make_judge
+from eval.shard.shard import Shard
+from robots.spec import load_robot
+
+
+def write_peak(setting: Setting, monitor: str, candidate: Candidate, folder: Path) -> str:
+    """Run a candidate's policy from its file, write the bundle of a monitor's peak, and return the bundle's name.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    spec = load_robot(setting.robot)
+    poll, ticks = round(POLL_S / spec.dt), round(setting.seconds / spec.dt)
+    with TemporaryDirectory() as place:
+        job = write_job(setting, spec, candidate, Path(place) / POLICY)
+        shard = Shard(job)
+        start = shard.snapshot()
+        peak = find_peak(shard, monitor, ticks)
+        shard.restore(start)
+        _run(shard, max(0, peak.start - poll))
+        capture = EventCapture(job, shard, folder)
+        _run(shard, min(peak.start + poll, ticks))
+        capture.write_peak(shard, peak)
+    return bundle_name(peak.robot, peak.start, monitor)
+
+
+def find_peak(shard: Shard, monitor: str, ticks: int) -> Event:
+    """Run a shard for some ticks; return the first one in which the ratio of a monitor is highest, as an event."""
+    judge = make_judge(shard.runtime.spec, shard.runtime.contract, WIDTH)
+    counts = judge.counts()
+    columns = counts.columns(monitor)
+    (catalogued,) = [each for each in counts.monitors if each.name == monitor]
+    first = Event(robot=0, monitor=catalogued, joint=None, start=0, ticks=1, worst=-1.0, limit=1.0)
+    for tick in range(ticks):
+        shard.tick()
+        judge.worst[:] = 0.0
+        judge_tick(judge, shard.truth, shard.runtime, shard.action)
+        ratios = judge.counts().worst[:, columns]
+        robot, column = np.unravel_index(np.argmax(ratios), ratios.shape)
+        if ratios[robot, column] > first.worst:
+            channel = columns.start + int(column)
+            joint, limit = counts.channels.joint(channel), float(counts.limits[channel])
+            found = {"joint": joint, "start": tick, "worst": float(ratios[robot, column]), "limit": limit}
+            first = replace(first, robot=int(robot), **found)
+    return first
+
+
+def _run(shard: Shard, end: int) -> None:
+    while shard.runtime.ticks < end:
+        shard.tick()

@@ -1,0 +1,171 @@
+"""ONNX policies of adversaries: the graph of `weights.py`, with memory for the time and for delayed commands."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from onnx import GraphProto, NodeProto, TensorProto, helper, numpy_helper
+
+from deploy.policy.contract import CONTRACT_KEY, Contract
+from deploy.policy.contract_action import ActionSpec
+from deploy.policy.contract_term import Term
+from deploy.policy.inference import load_session
+from deploy.policy.policy_file import GOLDEN_KEY, INPUT, MEMORY, NEXT, OUTPUT, PolicyFile
+from deploy.sources.catalogue import SOURCES
+from deploy.tasks.task import tasks_of
+from eval.attack.weights import DELAY_MAX, Weights, arrays
+from robots.arrays import Float32s, Floats
+from robots.models.nominal_model import torque_max
+from robots.motors.control_mode import ControlMode
+from robots.spec import RobotSpec
+
+OPSET, IR = 18, 10
+GRAPH = """
+q = Slice observation zero n one
+v = Slice observation n 2n one
+step = Slice memory zero one one
+line = Slice memory one size one
+t = Mul step dt
+delayed = Slice line begin end one
+damped = Mul v damping
+angle = Mul q dither_rate
+noise = Sin angle
+dithered = Mul noise dither
+turned = Mul t wave_hz
+squared = Mul t t
+swept = Mul squared half_chirp
+wave_phase = Sum turned swept wave_turns
+wave_angle = Mul wave_phase turn
+wave_sine = Sin wave_angle
+waved = Mul wave_sine wave
+swing_time = Mul t swing_hz
+swing_phase = Add swing_time swing_turns
+swing_angle = Mul swing_phase turn
+swing_sine = Sin swing_angle
+swung = Mul swing_sine swing
+repeated = Mul delayed replay
+from_home = Sub q home
+seen = Concat from_home v delayed
+inputs = MatMul seen inward
+biased = Add inputs bias
+hidden = Tanh biased
+said = MatMul hidden outward
+drive = Sum damped dithered waved swung push repeated said
+sharp = Mul drive sharpness
+command = Tanh sharp
+reached = Mul command reach
+followed = Mul q follow
+action = Sum followed centre reached
+next_step = Add step one_step
+older = Slice line zero kept one
+next_memory = Concat next_step command older
+"""
+
+
+def attack_contract(spec: RobotSpec, mode: ControlMode) -> Contract:
+    """Return the contract of all adversaries: they act in every tick, and nothing bounds their actions."""
+    scale = {
+        ControlMode.POSITION: np.ones(spec.n),
+        ControlMode.VELOCITY: spec.joint_array("qd_max"),
+        ControlMode.TORQUE: torque_max(spec),
+    }[mode]
+    offset = {"offset": (0.0,) * spec.n} if mode is ControlMode.POSITION else {}
+    fields = {
+        "mode": mode.name.lower(),
+        "size": spec.n,
+        "scale": tuple(scale.tolist()),
+        "clip": None,
+        **offset,
+    }
+    return Contract(
+        robot=spec.name,
+        robot_digest=spec.digest,
+        joint_names=spec.joint_names,
+        policy_hz=spec.rates.control_hz,
+        control_hz=spec.rates.control_hz,
+        task=tasks_of(spec)[0],
+        observation=(
+            _term("joint_position", np.ones(spec.n)),
+            _term("joint_velocity", spec.joint_array("qd_max")),
+        ),
+        action=ActionSpec.model_validate(fields),
+        memory=1 + DELAY_MAX * spec.n,
+        trained={"recipe": "soak-attack"},
+    )
+
+
+def _term(source: str, scale: Floats) -> Term:
+    known = SOURCES[source]
+    return Term(
+        name=source,
+        source=source,
+        frame=known.frame,
+        unit=known.unit,
+        size=len(scale),
+        scale=tuple(scale.tolist()),
+    )
+
+
+def policy_file(spec: RobotSpec, mode: ControlMode, weights: Weights) -> PolicyFile:
+    """Return the policy of some weights."""
+    contract = attack_contract(spec, mode)
+    graph = _graph(contract, _tensors(spec, mode, arrays(weights, spec.n)))
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR)
+    observation = np.zeros((1, contract.observation_size), dtype=np.float32)
+    action = _action(model.SerializeToString(), observation, contract.memory)
+    golden = {"observation": observation.tolist(), "action": action.tolist()}
+    helper.set_model_props(model, {CONTRACT_KEY: contract.to_json(), GOLDEN_KEY: json.dumps(golden)})
+    data = model.SerializeToString()
+    digest = hashlib.sha256(data).hexdigest()
+    return PolicyFile(data=data, digest=digest, contract=contract, observation=observation, action=action)
+
+
+def _action(data: bytes, observation: Float32s, memory: int) -> Float32s:
+    """Return the first action of a graph, for a golden pair."""
+    feeds = {INPUT: observation, MEMORY: np.zeros((1, memory), dtype=np.float32)}
+    return np.asarray(load_session(data, "adversary").run([OUTPUT], feeds)[0])
+
+
+def _graph(contract: Contract, tensors: dict[str, NDArray[Any]]) -> GraphProto:
+    observations, actions, memory = contract.observation_size, contract.action_size, contract.memory
+    ends = [
+        [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
+            for name, size in each.items()
+        ]
+        for each in ({INPUT: observations, MEMORY: memory}, {OUTPUT: actions, NEXT: memory})
+    ]
+    constants = [numpy_helper.from_array(array, name) for name, array in tensors.items()]
+    return helper.make_graph(list(_nodes()), "adversary", *ends, constants)
+
+
+def _nodes() -> Iterator[NodeProto]:
+    for line in GRAPH.strip().splitlines():
+        name, _, operator, *inputs = line.split()
+        axis = {"axis": 1} if operator == "Concat" else {}
+        yield helper.make_node(operator, inputs, [name], **axis)
+
+
+def _tensors(spec: RobotSpec, mode: ControlMode, weights: dict[str, Floats]) -> dict[str, NDArray[Any]]:
+    """Return the constants of the graph."""
+    n, home, delay = spec.n, spec.joint_array("q_home"), int(weights["delay"])
+    follow = weights["follow"] if mode is ControlMode.POSITION else np.zeros(())
+    centre = (1.0 - follow) * home if mode is ControlMode.POSITION else np.zeros(n)
+    places = {
+        "zero": 0,
+        "one": 1,
+        "n": n,
+        "2n": 2 * n,
+        "size": 1 + DELAY_MAX * n,
+        "kept": (DELAY_MAX - 1) * n,
+    }
+    places |= {"begin": (delay - 1) * n, "end": delay * n}
+    numbers = {name: value for name, value in weights.items() if name not in ("delay", "chirp")}
+    numbers |= {"home": home, "follow": follow, "centre": centre, "half_chirp": weights["chirp"] / 2}
+    numbers |= {"dt": np.array(spec.dt), "one_step": np.ones(()), "turn": np.array(2.0 * np.pi)}
+    return {name: np.array([place], dtype=np.int64) for name, place in places.items()} | {
+        name: np.asarray(number, dtype=np.float32) for name, number in numbers.items()
+    }

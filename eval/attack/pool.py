@@ -1,0 +1,61 @@
+"""Worker processes of an attack: they try candidates, and end with their parent."""
+
+import signal
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import partial
+from itertools import repeat
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from eval.attack.archive import Found
+from eval.attack.arena import Outcome, Setting, try_candidate
+from eval.attack.candidate import Candidate
+from eval.attack.peak import write_peak
+from robots.child_process import Lifeline, end_with
+
+
+class Workers:
+    """Processes that try candidates and write bundles."""
+
+    def __init__(self, pool: ProcessPoolExecutor, setting: Setting) -> None:
+        """Take a pool of them, and what all candidates have in common."""
+        self._pool, self._setting = pool, setting
+
+    def evaluate(self, candidates: Sequence[Candidate]) -> list[Outcome]:
+        """Return the outcomes of candidates, in order."""
+        return list(self._pool.map(partial(try_candidate, self._setting), candidates))
+
+    def write_bundles(self, found: dict[str, Found], folder: Path) -> dict[str, str]:
+        """Write the bundle of each monitor's worst candidate; return their names by monitor."""
+        candidates = [each.candidate for each in found.values()]
+        write = partial(write_peak, self._setting)
+        return dict(zip(found, self._pool.map(write, found, candidates, repeat(folder)), strict=True))
+
+
+@contextmanager
+def workers(setting: Setting, processes: int) -> Iterator[Workers]:
+    """Yield worker processes for a setting.
+
+    Raises:
+        RuntimeError: one of them died.
+    """
+    with (
+        Lifeline() as lifeline,
+        ProcessPoolExecutor(processes, get_context("spawn"), _begin, (lifeline.end,)) as pool,
+    ):
+        try:
+            yield Workers(pool, setting)
+        except BrokenProcessPool as e:
+            raise RuntimeError("a worker of the attack died") from e
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _begin(lifeline: Connection) -> None:
+    """Hang on the parent's life; only the parent handles Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with(lifeline)

@@ -1,0 +1,54 @@
+"""Regression suite: cases that attacks have found, tried again."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from eval.attack.archive import EXEMPT
+from eval.attack.arena import Outcome, Setting, try_candidate
+from eval.attack.candidate import Case, check_weights, read_case
+from eval.judge.monitors import MONITORS
+from robots.errors import ConfigError
+from robots.motors.control_mode import ControlMode
+from robots.spec import load_robot
+
+SUITE = Path(__file__).parent / "cases"
+HARD = frozenset(monitor.name for monitor in MONITORS if monitor.hard) - {*EXEMPT}
+
+
+class Result(NamedTuple):
+    """Outcome of a case.
+
+    Attributes:
+        path: of its file.
+    """
+
+    path: Path
+    case: Case
+    outcome: Outcome
+
+    @property
+    def events(self) -> tuple[str, ...]:
+        """Hard monitors that reported, and "diverged" if a simulation did."""
+        found = (name for name, ratio in self.outcome.worst.items() if name in HARD and ratio > 1.0)
+        return (*found, *(["diverged"] if self.outcome.invalid else []))
+
+
+def run_suite(folder: Path = SUITE) -> Iterator[Result]:
+    """Try every case of a folder, in an order that shares robots.
+
+    Raises:
+        ConfigError: there is none, or one of them is no case.
+    """
+    cases = {path: read_case(path) for path in sorted(folder.glob("*.json"))}
+    if not cases:
+        raise ConfigError(f"{folder}: found no case, expected files *.json of soak-attack")
+    for path, case in sorted(cases.items(), key=lambda each: _arena_of(each[1])):
+        spec = load_robot(case.robot)
+        check_weights(case.weights, spec, str(path))
+        setting = Setting(robot=spec.folder, mode=ControlMode[case.mode.upper()], faults=case.faults)
+        yield Result(path, case, try_candidate(setting, case.candidate))
+
+
+def _arena_of(case: Case) -> tuple[str, str, bool, int]:
+    return case.robot, case.mode, case.faults, case.seed
