@@ -26,7 +26,7 @@ def attack(cases: Annotated[Path, typer.Option(help="Folder of cases.")] = SUITE
 
 
 def _line(result: Result) -> str:
-    case, now = result.case, result.outcome.worst[result.case.monitor]
+    case, now = result.case, result.worst(result.case.monitor)
     then = "no number" if case.worst is None else f"{case.worst:.4f}"
     margin = f"{case.monitor} {now:.4f} of its limit, {then} when it was found"
     return f"{result.path.stem} ({case.adversary}): {margin}; hard events: {', '.join(result.events) or '0'}"

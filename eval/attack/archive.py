@@ -1,10 +1,9 @@
 """Archive of an attack: the worst candidate found for every monitor."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from eval.attack.arena import Outcome
-from eval.attack.candidate import Candidate
+from eval.attack.candidate import Block, Candidate
 from eval.judge.channels import Channels
 from eval.judge.monitor import Monitor
 from robots.motors.control_mode import ControlMode
@@ -12,6 +11,8 @@ from robots.spec import RobotSpec
 
 EXEMPT = ("action_finite",)
 """Hard monitors of what the policy says itself: every policy can say what is no number."""
+MOVED = 1e-3
+"""Difference of a monitor's ratios that a search can follow. What every policy brings to its limit has less."""
 
 
 class Found(NamedTuple):
@@ -25,29 +26,33 @@ class Archive:
     """Worst candidates by monitor; of equal ones the first is kept.
 
     Attributes:
-        monitors: of the robot in a mode. worst: by the name of a monitor. trials: number so far.
-        diverged: number of trials in which the simulation of a robot diverged.
+        monitors: of the robot in a mode. hard: names of those that no policy may make report.
+        worst: by the names of the monitors. least: lowest ratio of any trial, likewise.
+        trials: number of policies tried. diverged: number of them whose simulation diverged.
     """
 
     def __init__(self, spec: RobotSpec, mode: ControlMode) -> None:
         """Start empty."""
         self.monitors: tuple[Monitor, ...] = Channels.of_robot(spec, mode=mode).monitors
+        self.hard = tuple(m.name for m in self.monitors if m.hard and m.name not in EXEMPT)
         self.worst: dict[str, Found] = {}
+        self.least: dict[str, float] = {}
         self.trials = self.diverged = 0
 
-    def add(self, candidates: Sequence[Candidate], outcomes: Sequence[Outcome]) -> None:
+    def add(self, block: Block, outcome: Outcome) -> None:
         """Keep what is worse than before."""
-        for candidate, outcome in zip(candidates, outcomes, strict=True):
-            self.trials += 1
-            self.diverged += outcome.invalid > 0
-            for name, ratio in outcome.worst.items():
-                if name not in self.worst or ratio > self.worst[name].ratio:
-                    self.worst[name] = Found(ratio, candidate)
+        self.trials += len(block.rows)
+        self.diverged += int(outcome.diverged.sum())
+        for name, ratios in outcome.worst.items():
+            robot = int(ratios.argmax())
+            found = Found(float(ratios[robot]), block.candidate(robot))
+            if name not in self.worst or found.ratio > self.worst[name].ratio:
+                self.worst[name] = found
+            self.least[name] = min(float(ratios.min()), self.least.get(name, found.ratio))
 
-    @property
-    def hard(self) -> tuple[str, ...]:
-        """Names of the monitors that no policy may make report."""
-        return tuple(m.name for m in self.monitors if m.hard and m.name not in EXEMPT)
+    def moved(self, name: str) -> bool:
+        """Return True if some policies brought a monitor closer to its limit than others."""
+        return self.worst[name].ratio - self.least[name] > MOVED
 
     @property
     def hits(self) -> tuple[str, ...]:

@@ -6,14 +6,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
+from deploy.policy.actor import Actor
 from deploy.policy.policy import Policy
-from eval.attack.candidate import Candidate
+from eval.attack.candidate import Block, Candidate
+from eval.attack.crowd import Crowd
 from eval.attack.guards import remove_guard
 from eval.attack.policy_graph import policy_file
 from eval.faults.schedule import FIRST_S, LEAST_CYCLE_S, FaultSettings
 from eval.replay.bundle import POLICY
 from eval.shard.job import WIDTH, ShardJob
 from eval.shard.shard import Shard
+from robots.arrays import Bools, Floats
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec, load_robot
 
@@ -42,56 +45,57 @@ class Setting:
         """Length of a trial, s."""
         return FAULTY_EPISODE_S if self.faults else EPISODE_S
 
+    def ticks(self, spec: RobotSpec) -> int:
+        """Return the control ticks of a trial."""
+        return round(self.seconds / spec.dt)
+
 
 class Outcome(NamedTuple):
     """Outcome of a trial.
 
     Attributes:
-        worst: highest ratio of each of the robot's monitors, over all robots and joints. invalid: ticks of robots whose
-            simulation diverged.
+        worst: (B,) highest ratio of every joint, by the names of the robot's monitors. diverged: (B,) simulations.
     """
 
-    worst: dict[str, float]
-    invalid: int
+    worst: dict[str, Floats]
+    diverged: Bools
 
 
 class Arena:
-    """Shard of `WIDTH` robots of one seed.
-
-    Attributes:
-        job: of the shard, for whose policy another is tried. ticks: of a trial.
-    """
+    """Shard of `WIDTH` robots of one seed. What is tried there changes nothing for what is tried later."""
 
     def __init__(self, setting: Setting, seed: int) -> None:
         """Build the shard, with its guard removed."""
-        self.spec, self._setting = load_robot(setting.robot), setting
-        self.ticks = round(setting.seconds / self.spec.dt)
+        self._spec, self._setting = load_robot(setting.robot), setting
         with TemporaryDirectory() as folder:
             path = Path(folder) / POLICY
-            self.shard = Shard(write_job(setting, self.spec, Candidate("", {}, seed), path))
-        remove_guard(setting.without, self.shard.runtime)
-        self._start = self.shard.snapshot()
+            self._shard = Shard(write_job(setting, self._spec, Candidate("", {}, seed), path))
+        remove_guard(setting.without, self._shard.runtime)
+        self._start = self._shard.snapshot()
 
-    def enter(self, candidate: Candidate) -> Shard:
-        """Return the shard at its beginning, with the candidate's policy."""
-        file = policy_file(self.spec, self._setting.mode, candidate.weights)
-        self.shard.set_policy(Policy(file, candidate.adversary))
-        self.shard.restore(self._start)
-        return self.shard
+    def try_block(self, block: Block) -> Outcome:
+        """Let every robot try its own policy."""
+        return self._run(Crowd(policy_file(self._spec, self._setting.mode, block.rows)))
 
-    def trial(self, candidate: Candidate) -> Outcome:
-        """Try a candidate; results depend on nothing that was tried before."""
-        shard = self.enter(candidate)
-        for _ in range(self.ticks):
+    def try_candidate(self, candidate: Candidate) -> Outcome:
+        """Let all robots try one policy, as its file would be run."""
+        file = policy_file(self._spec, self._setting.mode, (candidate.weights,))
+        return self._run(Policy(file, candidate.adversary))
+
+    def _run(self, policy: Actor) -> Outcome:
+        shard = self._shard
+        shard.set_policy(policy)
+        shard.restore(self._start)
+        for _ in range(self._setting.ticks(self._spec)):
             shard.tick()
         counts = shard.judge.counts()
-        worst = {m.name: float(counts.worst[:, counts.columns(m.name)].max()) for m in counts.monitors}
-        return Outcome(worst, int(counts.invalid.sum()))
+        worst = {m.name: counts.worst[:, counts.columns(m.name)].max(axis=1) for m in counts.monitors}
+        return Outcome(worst, counts.invalid > 0)
 
 
 def write_job(setting: Setting, spec: RobotSpec, candidate: Candidate, policy: Path) -> ShardJob:
     """Write the policy of a candidate to a file, and return the job of a shard that it moves."""
-    file = policy_file(spec, setting.mode, candidate.weights)
+    file = policy_file(spec, setting.mode, (candidate.weights,))
     policy.write_bytes(file.data)
     seconds = FIRST_S + LEAST_CYCLE_S if setting.faults else setting.seconds  # a fault needs its whole slot
     ticks = round(seconds / spec.dt)
@@ -110,11 +114,15 @@ def write_job(setting: Setting, spec: RobotSpec, candidate: Candidate, policy: P
 
 
 @lru_cache(maxsize=1)
-def arena(setting: Setting, seed: int) -> Arena:
-    """Return the arena of a seed; the last one is kept."""
+def _arena(setting: Setting, seed: int) -> Arena:
     return Arena(setting, seed)
 
 
+def try_block(setting: Setting, block: Block) -> Outcome:
+    """Try a block in this process, which keeps its last arena."""
+    return _arena(setting, block.seed).try_block(block)
+
+
 def try_candidate(setting: Setting, candidate: Candidate) -> Outcome:
-    """Try a candidate in this process."""
-    return arena(setting, candidate.seed).trial(candidate)
+    """Try a candidate in this process, which keeps its last arena."""
+    return _arena(setting, candidate.seed).try_candidate(candidate)

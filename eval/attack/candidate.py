@@ -29,6 +29,22 @@ class Candidate(NamedTuple):
     seed: int
 
 
+class Block(NamedTuple):
+    """Policies of one adversary, one for each robot of a shard.
+
+    Attributes:
+        rows: weights of each robot's policy. seed: of the robots.
+    """
+
+    adversary: str
+    rows: tuple[Weights, ...]
+    seed: int
+
+    def candidate(self, robot: int) -> Candidate:
+        """Return the candidate that a robot tries."""
+        return Candidate(self.adversary, self.rows[robot], self.seed)
+
+
 class Case(Strict):
     """One file of a regression suite: what an attack found.
 

@@ -15,7 +15,7 @@ from eval.attack.archive import Archive
 from eval.attack.arena import Setting
 from eval.attack.guards import find_guard
 from eval.attack.pool import Workers, workers
-from eval.attack.report import REPORT, case_of, make_report, table
+from eval.attack.report import REPORT, AttackReport, case_of, make_report, table
 from eval.attack.search import Search
 from eval.judge.monitors import NAMES
 from eval.replay.bundle_files import delete_bundles
@@ -96,8 +96,8 @@ def soak_attack(
         delete_bundles(out / WORST, finished=True)
         search = Search(spec, setting.mode, pool.evaluate, seed=seed, target=target)
         interrupted = not _run(search, budget, Console())
-        _write(spec, setting, seed, search.archive, pool, out)
-    return INTERRUPTED if interrupted else BUDGET_EXCEEDED if _failed(search.archive) else PASSED
+        report = _write(spec, setting, seed, search.archive, pool, out)
+    return INTERRUPTED if interrupted else BUDGET_EXCEEDED if report.hits or report.diverged else PASSED
 
 
 def _run(search: Search, budget: Budget, console: Console) -> bool:
@@ -122,12 +122,13 @@ def _state(archive: Archive) -> str:
     return f"{archive.trials} trials, worst {name} {ratio:.4f}"
 
 
-def _write(spec: RobotSpec, setting: Setting, seed: int, archive: Archive, pool: Workers, out: Path) -> None:
+def _write(
+    spec: RobotSpec, setting: Setting, seed: int, archive: Archive, pool: Workers, out: Path
+) -> AttackReport:
     """Write report, bundles and cases, and print the table; nothing but the report where a guard is missing."""
-    found = {name: archive.worst[name] for name in archive.hard if name in archive.worst}
-    kept = {} if setting.without else {name: each for name, each in found.items() if each.ratio > 0.0}
-    bundles = pool.write_bundles(kept, out / WORST)
-    report = make_report(spec, setting, seed, archive, bundles)
+    found = {} if setting.without else archive.worst
+    kept = {name: found[name] for name in archive.hard if name in found and found[name].ratio > 0.0}
+    report = make_report(spec, setting, seed, archive, pool.write_bundles(kept, out / WORST))
     report.write(out)
     for old in (out / CASES).glob("*.json"):
         old.unlink()
@@ -135,17 +136,13 @@ def _write(spec: RobotSpec, setting: Setting, seed: int, archive: Archive, pool:
         case_of(spec, setting, name, each).write(out / CASES / f"{spec.name}-{report.mode}-{name}.json")
     console = Console(width=160)
     console.print(table(report))
-    console.print(f"{_verdict(archive)}\nreport: {out / REPORT}", soft_wrap=True, highlight=False)
+    console.print(f"{_verdict(report)}\nreport: {out / REPORT}", soft_wrap=True, highlight=False)
+    return report
 
 
-def _verdict(archive: Archive) -> str:
-    diverged = f"; {archive.diverged} trials with a diverged simulation" if archive.diverged else ""
-    hits = ", ".join(archive.hits)
-    return (f"hard events of: {hits}" if hits else "no hard event") + diverged
-
-
-def _failed(archive: Archive) -> bool:
-    return bool(archive.hits or archive.diverged)
+def _verdict(report: AttackReport) -> str:
+    diverged = f"; {report.diverged} simulations diverged" if report.diverged else ""
+    return (f"hard events: {', '.join(report.hits)}" if report.hits else "no hard event") + diverged
 
 
 def _mode(name: str, spec: RobotSpec) -> ControlMode:

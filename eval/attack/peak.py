@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,14 +18,21 @@ from eval.shard.shard import Shard
 from robots.spec import load_robot
 
 
-def write_peak(setting: Setting, monitor: str, candidate: Candidate, folder: Path) -> str:
-    """Run a candidate's policy from its file, write the bundle of a monitor's peak, and return the bundle's name.
+class Bundle(NamedTuple):
+    """Name of a bundle, and the ratio of its monitor at the peak."""
+
+    name: str
+    ratio: float
+
+
+def write_peak(setting: Setting, monitor: str, candidate: Candidate, folder: Path) -> Bundle:
+    """Let all robots run a candidate's policy from its file, and write the bundle of a monitor's peak.
 
     Raises:
         OutputError: the folder cannot be written.
     """
     spec = load_robot(setting.robot)
-    poll, ticks = round(POLL_S / spec.dt), round(setting.seconds / spec.dt)
+    poll, ticks = round(POLL_S / spec.dt), setting.ticks(spec)
     with TemporaryDirectory() as place:
         job = write_job(setting, spec, candidate, Path(place) / POLICY)
         shard = Shard(job)
@@ -35,7 +43,7 @@ def write_peak(setting: Setting, monitor: str, candidate: Candidate, folder: Pat
         capture = EventCapture(job, shard, folder)
         _run(shard, min(peak.start + poll, ticks))
         capture.write_peak(shard, peak)
-    return bundle_name(peak.robot, peak.start, monitor)
+    return Bundle(bundle_name(peak.robot, peak.start, monitor), peak.worst)
 
 
 def find_peak(shard: Shard, monitor: str, ticks: int) -> Event:

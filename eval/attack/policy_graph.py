@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,9 @@ v = Slice observation n 2n one
 step = Slice memory zero one one
 line = Slice memory one size one
 t = Mul step dt
-delayed = Slice line begin end one
+delays = Reshape line lines
+picked = Mul delays chosen
+delayed = ReduceSum picked one
 damped = Mul v damping
 angle = Mul q dither_rate
 noise = Sin angle
@@ -49,10 +51,14 @@ swung = Mul swing_sine swing
 repeated = Mul delayed replay
 from_home = Sub q home
 seen = Concat from_home v delayed
-inputs = MatMul seen inward
+column = Unsqueeze seen two
+products = Mul column inward
+inputs = ReduceSum products one
 biased = Add inputs bias
 hidden = Tanh biased
-said = MatMul hidden outward
+hidden_column = Unsqueeze hidden two
+shares = Mul hidden_column outward
+said = ReduceSum shares one
 drive = Sum damped dithered waved swung push repeated said
 sharp = Mul drive sharpness
 command = Tanh sharp
@@ -63,6 +69,7 @@ next_step = Add step one_step
 older = Slice line zero kept one
 next_memory = Concat next_step command older
 """
+"""Nodes, each: name = operator inputs. Sums of products stand for matrices: a row depends on that row alone."""
 
 
 def attack_contract(spec: RobotSpec, mode: ControlMode) -> Contract:
@@ -109,12 +116,12 @@ def _term(source: str, scale: Floats) -> Term:
     )
 
 
-def policy_file(spec: RobotSpec, mode: ControlMode, weights: Weights) -> PolicyFile:
-    """Return the policy of some weights."""
+def policy_file(spec: RobotSpec, mode: ControlMode, rows: Sequence[Weights]) -> PolicyFile:
+    """Return the policy of some weights; of several, one that gives every robot its own, for as many robots."""
     contract = attack_contract(spec, mode)
-    graph = _graph(contract, _tensors(spec, mode, arrays(weights, spec.n)))
+    graph = _graph(contract, _tensors(spec, mode, arrays(rows, spec.n)))
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR)
-    observation = np.zeros((1, contract.observation_size), dtype=np.float32)
+    observation = np.zeros((len(rows), contract.observation_size), dtype=np.float32)
     action = _action(model.SerializeToString(), observation, contract.memory)
     golden = {"observation": observation.tolist(), "action": action.tolist()}
     helper.set_model_props(model, {CONTRACT_KEY: contract.to_json(), GOLDEN_KEY: json.dumps(golden)})
@@ -124,9 +131,10 @@ def policy_file(spec: RobotSpec, mode: ControlMode, weights: Weights) -> PolicyF
 
 
 def _action(data: bytes, observation: Float32s, memory: int) -> Float32s:
-    """Return the first action of a graph, for a golden pair."""
-    feeds = {INPUT: observation, MEMORY: np.zeros((1, memory), dtype=np.float32)}
-    return np.asarray(load_session(data, "adversary").run([OUTPUT], feeds)[0])
+    """Return the first action of a graph, for golden pairs."""
+    robots = len(observation)
+    feeds = {INPUT: observation, MEMORY: np.zeros((robots, memory), dtype=np.float32)}
+    return np.asarray(load_session(data, "adversary", (robots,)).run([OUTPUT], feeds)[0])
 
 
 def _graph(contract: Contract, tensors: dict[str, NDArray[Any]]) -> GraphProto:
@@ -143,29 +151,23 @@ def _graph(contract: Contract, tensors: dict[str, NDArray[Any]]) -> GraphProto:
 
 
 def _nodes() -> Iterator[NodeProto]:
+    attributes = {"Concat": {"axis": 1}, "ReduceSum": {"keepdims": 0}}
     for line in GRAPH.strip().splitlines():
         name, _, operator, *inputs = line.split()
-        axis = {"axis": 1} if operator == "Concat" else {}
-        yield helper.make_node(operator, inputs, [name], **axis)
+        yield helper.make_node(operator, inputs, [name], **attributes.get(operator, {}))
 
 
 def _tensors(spec: RobotSpec, mode: ControlMode, weights: dict[str, Floats]) -> dict[str, NDArray[Any]]:
-    """Return the constants of the graph."""
-    n, home, delay = spec.n, spec.joint_array("q_home"), int(weights["delay"])
-    follow = weights["follow"] if mode is ControlMode.POSITION else np.zeros(())
-    centre = (1.0 - follow) * home if mode is ControlMode.POSITION else np.zeros(n)
-    places = {
-        "zero": 0,
-        "one": 1,
-        "n": n,
-        "2n": 2 * n,
-        "size": 1 + DELAY_MAX * n,
-        "kept": (DELAY_MAX - 1) * n,
-    }
-    places |= {"begin": (delay - 1) * n, "end": delay * n}
-    numbers = {name: value for name, value in weights.items() if name not in ("delay", "chirp")}
-    numbers |= {"home": home, "follow": follow, "centre": centre, "half_chirp": weights["chirp"] / 2}
-    numbers |= {"dt": np.array(spec.dt), "one_step": np.ones(()), "turn": np.array(2.0 * np.pi)}
-    return {name: np.array([place], dtype=np.int64) for name, place in places.items()} | {
+    """Return the constants of the graph for R policies; numbers of all joints are (R, 1)."""
+    n, home, angles = spec.n, spec.joint_array("q_home"), mode is ControlMode.POSITION
+    numbers = {name: each[:, None] if each.ndim == 1 else each for name, each in weights.items()}
+    follow = numbers["follow"] * angles
+    chosen = np.arange(1, DELAY_MAX + 1) == numbers.pop("delay")
+    numbers |= {"follow": follow, "centre": (1.0 - follow) * home * angles, "chosen": chosen[:, :, None]}
+    numbers |= {"half_chirp": numbers.pop("chirp") / 2, "home": home, "dt": np.array([spec.dt])}
+    numbers |= {"one_step": np.ones(1), "turn": np.array([2.0 * np.pi])}
+    places = {"zero": [0], "one": [1], "two": [2], "n": [n], "2n": [2 * n], "lines": [-1, DELAY_MAX, n]}
+    places |= {"size": [1 + DELAY_MAX * n], "kept": [(DELAY_MAX - 1) * n]}
+    return {name: np.array(place, dtype=np.int64) for name, place in places.items()} | {
         name: np.asarray(number, dtype=np.float32) for name, number in numbers.items()
     }

@@ -12,9 +12,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from eval.attack.archive import Found
-from eval.attack.arena import Outcome, Setting, try_candidate
-from eval.attack.candidate import Candidate
-from eval.attack.peak import write_peak
+from eval.attack.arena import Outcome, Setting, try_block
+from eval.attack.candidate import Block
+from eval.attack.peak import Bundle, write_peak
 from robots.child_process import Lifeline, end_with
 
 
@@ -25,12 +25,12 @@ class Workers:
         """Take a pool of them, and what all candidates have in common."""
         self._pool, self._setting = pool, setting
 
-    def evaluate(self, candidates: Sequence[Candidate]) -> list[Outcome]:
-        """Return the outcomes of candidates, in order."""
-        return list(self._pool.map(partial(try_candidate, self._setting), candidates))
+    def evaluate(self, blocks: Sequence[Block]) -> list[Outcome]:
+        """Return the outcomes of blocks, in order."""
+        return list(self._pool.map(partial(try_block, self._setting), blocks))
 
-    def write_bundles(self, found: dict[str, Found], folder: Path) -> dict[str, str]:
-        """Write the bundle of each monitor's worst candidate; return their names by monitor."""
+    def write_bundles(self, found: dict[str, Found], folder: Path) -> dict[str, Bundle]:
+        """Write the bundle of each monitor's worst candidate; return them by monitor."""
         candidates = [each.candidate for each in found.values()]
         write = partial(write_peak, self._setting)
         return dict(zip(found, self._pool.map(write, found, candidates, repeat(folder)), strict=True))

@@ -10,7 +10,9 @@ from eval.attack.adversaries import ADVERSARIES
 from eval.attack.archive import EXEMPT, Archive, Found
 from eval.attack.arena import Setting
 from eval.attack.candidate import Case
-from eval.shard.job import WIDTH, code_digest, versions
+from eval.attack.peak import Bundle
+from eval.judge.monitor import Monitor
+from eval.shard.job import code_digest, versions
 from robots.spec import RobotSpec
 from robots.strict import Strict
 
@@ -41,8 +43,8 @@ class AttackReport(Strict):
     """Contents of attack.json.
 
     Attributes:
-        without: guard that was removed; empty for none. trials: of candidates, each with `robots` robots for `seconds`.
-        diverged: trials in which a simulation diverged.
+        without: guard that was removed; empty for none.
+        trials: policies tried, each for `seconds` on one robot. diverged: those whose simulation diverged.
         rows: by monitor.
     """
 
@@ -55,10 +57,15 @@ class AttackReport(Strict):
     without: str
     seed: int
     trials: int
-    robots: int
     seconds: float
     diverged: int
     rows: tuple[Row, ...]
+
+    @property
+    def hits(self) -> tuple[str, ...]:
+        """Names of hard monitors with an event."""
+        hard = (row for row in self.rows if row.hard and not row.exempt)
+        return tuple(row.monitor for row in hard if row.worst is None or row.worst > 1.0)
 
     def write(self, folder: Path) -> None:
         """Write attack.json."""
@@ -67,11 +74,11 @@ class AttackReport(Strict):
 
 
 def make_report(
-    spec: RobotSpec, setting: Setting, seed: int, archive: Archive, bundles: Mapping[str, str]
+    spec: RobotSpec, setting: Setting, seed: int, archive: Archive, bundles: Mapping[str, Bundle]
 ) -> AttackReport:
-    """Return the report of an archive; `bundles` are names of folders by monitor."""
+    """Return the report of an archive; `bundles` by monitor, of those that have one."""
     rows = (
-        _row(m.name, m.hard, archive.worst[m.name], bundles.get(m.name, ""))
+        _row(m, archive.worst[m.name], bundles.get(m.name))
         for m in archive.monitors
         if m.name in archive.worst
     )
@@ -85,24 +92,24 @@ def make_report(
         without=setting.without,
         seed=seed,
         trials=archive.trials,
-        robots=WIDTH,
         seconds=setting.seconds,
         diverged=archive.diverged,
         rows=tuple(rows),
     )
 
 
-def _row(name: str, hard: bool, found: Found, bundle: str) -> Row:
-    worst = _finite(found.ratio)
+def _row(monitor: Monitor, found: Found, bundle: Bundle | None) -> Row:
+    """Return the row of a monitor; in a bundle all robots have the candidate's policy, in the search one."""
+    worst = _finite(bundle.ratio if bundle else found.ratio)
     return Row(
-        monitor=name,
-        hard=hard,
-        exempt=name in EXEMPT,
+        monitor=monitor.name,
+        hard=monitor.hard,
+        exempt=monitor.name in EXEMPT,
         worst=worst,
         margin=None if worst is None else 1.0 - worst,
         adversary=found.candidate.adversary,
         seed=found.candidate.seed,
-        bundle=bundle,
+        bundle=bundle.name if bundle else "",
     )
 
 
@@ -127,8 +134,8 @@ def case_of(spec: RobotSpec, setting: Setting, monitor: str, found: Found) -> Ca
 def table(report: AttackReport) -> Table:
     """Return the table of margins, the smallest of the hard monitors first."""
     title = (
-        f"{report.robot}, {report.mode} mode: smallest margins in {report.trials} trials of {report.robots} robots"
-        f" for {report.seconds:g} s"
+        f"{report.robot}, {report.mode} mode: smallest margins of {report.trials} policies, each tried for"
+        f" {report.seconds:g} s"
     )
     shown = Table("monitor", "", "worst of limit", "margin", "adversary", "seed", "bundle", title=title)
     for row in sorted(report.rows, key=_order):

@@ -1,35 +1,31 @@
-"""Search for the smallest margins: rounds of CMA-ES, each for one monitor, from a library of adversaries.
+"""Search for the smallest margins: CMA-ES for each monitor, from a library of adversaries.
 
-The library is tried first. Then monitors take turns: in one cycle of rounds each is searched from the worst candidate
-that any round has found for it, on the same robots; in the next from an adversary of the library, on other robots.
-Whatever a round tries counts for every monitor.
+The library is tried first. Then come cycles, each on other robots: every monitor has a search of its own, in the even
+cycles from the worst candidate that anything so far has found for it, in the odd ones from an adversary of the library.
+Robots of a shard try different policies at once. As their draws differ, each is compared with what the first policy of
+the search does on it. Whatever is tried counts for every monitor.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 
-import cma
 import numpy as np
 
 from eval.attack.adversaries import ADVERSARIES
 from eval.attack.archive import Archive
 from eval.attack.arena import Outcome
-from eval.attack.candidate import Candidate
+from eval.attack.candidate import Block
+from eval.attack.island import FAR, NEAR, Island
+from eval.shard.job import WIDTH
 from robots.arrays import Floats
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
-VARIANTS = 4
-"""Trials of each adversary of the library at the start: as it is, and varied at random."""
-POPULATION, GENERATIONS = 12, 8
-"""Candidates of a generation, generations of a round."""
-FAR, NEAR = 0.2, 0.08
-"""Standard deviations of a round's first generation, as shares of the bounds, from the library and from the worst."""
-LARGEST = 1e6
-"""Bound of ratios that are minimized: an infinite one has no order."""
+GENERATIONS = 8
+"""Generations of a cycle, besides its first and last, in which all robots have one policy."""
 
-Evaluate = Callable[[Sequence[Candidate]], Sequence[Outcome]]
-"""Outcomes of candidates, in order; they may be tried in any order and any process."""
+Evaluate = Callable[[Sequence[Block]], Sequence[Outcome]]
+"""Outcomes of blocks, in order; they may be tried in any order and any process."""
 
 
 class Search:
@@ -50,59 +46,52 @@ class Search:
     def run(self) -> Iterator[None]:
         """Try one generation after another, without end."""
         rng = np.random.default_rng(self._seed)
-        for name in ADVERSARIES:
-            first = self._first_shares(name)
-            varied = [self._varied(first, rng) for _ in range(VARIANTS - 1)]
-            self._try(name, [first, *varied], self._seed)
-            yield
-        for number in count():
-            yield from self._round(number)
+        self._try([self._library_block(name, rng) for name in ADVERSARIES])
+        yield
+        for cycle in count():
+            yield from self._cycle(cycle)
 
-    def _round(self, number: int) -> Iterator[None]:
-        rng = np.random.default_rng([self._seed, number])
-        name, start, seed, deviation, monitor = self._plan(number, rng)
-        strategy = cma.CMAEvolutionStrategy(
-            start,
-            deviation,
-            {
-                **{"bounds": [0.0, 1.0], "popsize": POPULATION, "seed": np.nan},
-                **{"randn": lambda *shape: rng.standard_normal(shape), "verbose": -10, "verb_log": 0},
-            },
-        )
+    def _library_block(self, name: str, rng: np.random.Generator) -> Block:
+        """Return an adversary as it is, for half of the robots, and varied at random."""
+        adversary = ADVERSARIES[name]
+        first = adversary.shares(adversary.first(self._joints))
+        varied = np.clip(rng.normal(first, FAR, (WIDTH // 2, len(first))), 0.0, 1.0)
+        shares = (*(first for _ in range(WIDTH - len(varied))), *varied)
+        return Block(name, tuple(adversary.weights(each, self._joints) for each in shares), self._seed)
+
+    def _cycle(self, cycle: int) -> Iterator[None]:
+        """Run the searches of a cycle side by side."""
+        moved = tuple(name for name in self.targets if self.archive.moved(name)) or self.targets
+        places = range(max(len(moved), len(ADVERSARIES)))
+        islands = [self._island(cycle, place, moved[place % len(moved)]) for place in places]
+        for island, outcome in zip(islands, self._try([i.first() for i in islands]), strict=True):
+            island.compare_with(outcome)
+        yield
         for _ in range(GENERATIONS):
-            shares = strategy.ask()
-            outcomes = self._try(name, shares, seed)
-            strategy.tell(shares, [-min(outcome.worst[monitor], LARGEST) for outcome in outcomes])
+            for island, outcome in zip(islands, self._try([i.ask() for i in islands]), strict=True):
+                island.tell(outcome)
             yield
+        self._try([island.best() for island in islands])
+        yield
 
-    def _plan(self, number: int, rng: np.random.Generator) -> tuple[str, Floats, int, float, str]:
-        """Return a round's adversary, first shares, seed of draws, deviation and monitor."""
-        targets = self._moved_targets()
-        cycle, place = divmod(number, len(targets))
-        worst = self.archive.worst[targets[place]].candidate
+    def _island(self, cycle: int, place: int, target: str) -> Island:
+        rng = np.random.default_rng([self._seed, cycle, place])
+        name, start, deviation = self._start(cycle, place, target)
+        return Island(
+            name, start, deviation, target, seed=self._seed + 1 + cycle, joints=self._joints, rng=rng
+        )
+
+    def _start(self, cycle: int, place: int, target: str) -> tuple[str, Floats, float]:
+        """Return the adversary, its first shares and their deviation."""
         if cycle % 2 == 0:
-            return worst.adversary, self._shares(worst), worst.seed, NEAR, targets[place]
-        names = tuple(ADVERSARIES)
-        name = names[(cycle // 2 + place) % len(names)]
-        start = self._varied(self._first_shares(name), rng)
-        return name, start, self._seed + 1 + number, FAR, targets[place]
+            worst = self.archive.worst[target].candidate
+            return worst.adversary, ADVERSARIES[worst.adversary].shares(worst.weights), NEAR
+        name = tuple(ADVERSARIES)[(cycle // 2 + place) % len(ADVERSARIES)]
+        adversary = ADVERSARIES[name]
+        return name, adversary.shares(adversary.first(self._joints)), FAR
 
-    def _moved_targets(self) -> tuple[str, ...]:
-        """Return the targets whose ratio was ever above 0, which a search can follow; all if there are none."""
-        moved = tuple(name for name in self.targets if self.archive.worst[name].ratio > 0.0)
-        return moved or self.targets
-
-    def _try(self, name: str, shares: Sequence[Floats], seed: int) -> Sequence[Outcome]:
-        candidates = [Candidate(name, ADVERSARIES[name].weights(each, self._joints), seed) for each in shares]
-        outcomes = self._evaluate(candidates)
-        self.archive.add(candidates, outcomes)
+    def _try(self, blocks: Sequence[Block]) -> Sequence[Outcome]:
+        outcomes = self._evaluate(blocks)
+        for block, outcome in zip(blocks, outcomes, strict=True):
+            self.archive.add(block, outcome)
         return outcomes
-
-    def _first_shares(self, name: str) -> Floats:
-        return ADVERSARIES[name].shares(ADVERSARIES[name].first(self._joints))
-
-    def _shares(self, candidate: Candidate) -> Floats:
-        return np.clip(ADVERSARIES[candidate.adversary].shares(candidate.weights), 0.0, 1.0)
-
-    def _varied(self, shares: Floats, rng: np.random.Generator) -> Floats:
-        return np.clip(rng.normal(shares, FAR), 0.0, 1.0)

@@ -30,8 +30,12 @@ class Result(NamedTuple):
     @property
     def events(self) -> tuple[str, ...]:
         """Hard monitors that reported, and "diverged" if a simulation did."""
-        found = (name for name, ratio in self.outcome.worst.items() if name in HARD and ratio > 1.0)
-        return (*found, *(["diverged"] if self.outcome.invalid else []))
+        found = (name for name in self.outcome.worst if name in HARD and self.worst(name) > 1.0)
+        return (*found, *(["diverged"] if self.outcome.diverged.any() else []))
+
+    def worst(self, monitor: str) -> float:
+        """Return the highest ratio of a monitor."""
+        return float(self.outcome.worst[monitor].max())
 
 
 def run_suite(folder: Path = SUITE) -> Iterator[Result]:

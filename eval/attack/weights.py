@@ -12,7 +12,7 @@ times the joint's angle and 1 - `follow` times its home in position mode, else 0
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,10 +93,12 @@ WEIGHTS: Mapping[str, Weight] = {
 """Every kind. Lengths are in rad of position mode, else in shares of the limit of the quantity that drives follow."""
 
 
-def arrays(weights: Weights, joints: int) -> dict[str, Floats]:
-    """Return all weights of a robot of n joints, each in its shape."""
+def arrays(rows: Sequence[Weights], joints: int) -> dict[str, Floats]:
+    """Return all weights of R policies for a robot of n joints, each (R, *its shape)."""
     return {
-        name: np.array(weights.get(name, [kind.rest] * kind.size(joints))).reshape(kind.shape_of(joints))
+        name: np.array(
+            [row.get(name, [kind.rest] * kind.size(joints)) for row in rows], dtype=np.float64
+        ).reshape(len(rows), *kind.shape_of(joints))
         for name, kind in WEIGHTS.items()
     }
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from deploy.masks import any_true
 from deploy.operation.overrun import Overrun
+from deploy.policy.actor import Actor
 from deploy.policy.compatibility import sensors_read
 from deploy.policy.policy import Policy
 from deploy.reasons import Reason
@@ -80,7 +81,8 @@ class Shard(Stage):
         spec = load_robot(job.robot)
         _check_digest(job.robot_digest, spec.digest, job.robot)
         seeds = [robot_seed(job.seed, job.first + row) for row in range(WIDTH)]
-        self._policy = policy = Policy.load(job.policy, spec)
+        policy = Policy.load(job.policy, spec)
+        self._policy: Actor = policy
         _check_digest(job.policy_digest, policy.digest, job.policy)
         schedule = plan(spec, sensors_read(policy.contract, spec), job.faults, seeds, job.first, job.ticks)
         self._job, self.action, faults = job, None, schedule.sensor_faults()
@@ -151,8 +153,8 @@ class Shard(Stage):
         if self.responses.following:
             self.responses.step(tick, self.truth, runtime.command, mode, self.judge)
 
-    def set_policy(self, policy: Policy) -> None:
-        """Replace the policy by another of the same contract, with an empty memory."""
+    def set_policy(self, policy: Actor) -> None:
+        """Replace the policy by another actor of the same contract, with an empty memory."""
         self._policy = self.runtime.policy = policy
         policy.resize(WIDTH)
 

@@ -1,0 +1,72 @@
+"""Island: one search by CMA-ES, of one adversary's weights for one monitor, on the robots of a shard."""
+
+import cma
+import numpy as np
+
+from eval.attack.adversaries import ADVERSARIES
+from eval.attack.arena import Outcome
+from eval.attack.candidate import Block
+from eval.shard.job import WIDTH
+from robots.arrays import Floats
+
+FAR, NEAR = 0.2, 0.08
+"""Standard deviations of a first generation, as shares of the bounds: from the library, and from the worst so far."""
+LARGEST = 1e6
+"""Bound of the ratios that are compared: infinite ones have no order."""
+
+
+class Island:
+    """Search in which each robot of a shard tries a policy of its own in every generation.
+
+    Source: Hansen, The CMA Evolution Strategy: A Tutorial (2016), by the library cma.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        start: Floats,
+        deviation: float,
+        monitor: str,
+        *,
+        seed: int,
+        joints: int,
+        rng: np.random.Generator,
+    ) -> None:
+        """Start from shares (D,) of the bounds of an adversary's weights; the seed is that of the robots."""
+        self._name, self._monitor, self._seed, self._joints = name, monitor, seed, joints
+        self._start, self._base, self._best = start, np.zeros(WIDTH), (-np.inf, start)
+        options = {"bounds": [0.0, 1.0], "popsize": WIDTH, "verbose": -10, "verb_log": 0}
+        random = {"seed": np.nan, "randn": lambda *shape: rng.standard_normal(shape)}
+        self._strategy = cma.CMAEvolutionStrategy(np.clip(start, 0.0, 1.0), deviation, options | random)
+
+    def first(self) -> Block:
+        """Return the start, for all robots."""
+        return self._block([self._start] * WIDTH)
+
+    def compare_with(self, outcome: Outcome) -> None:
+        """Take what the start did on each robot for the base of all comparisons."""
+        self._base = self._ratios(outcome)
+
+    def ask(self) -> Block:
+        """Return the next generation."""
+        self._shares = self._strategy.ask()
+        return self._block(self._shares)
+
+    def tell(self, outcome: Outcome) -> None:
+        """Learn from the outcome of the generation."""
+        gain = self._ratios(outcome) - self._base
+        self._strategy.tell(self._shares, (-gain).tolist())
+        self._best = max(
+            self._best, (float(gain.max()), self._shares[gain.argmax()]), key=lambda each: each[0]
+        )
+
+    def best(self) -> Block:
+        """Return the policy that gained most, for all robots."""
+        return self._block([self._best[1]] * WIDTH)
+
+    def _ratios(self, outcome: Outcome) -> Floats:
+        return np.minimum(outcome.worst[self._monitor], LARGEST)
+
+    def _block(self, shares: list[Floats]) -> Block:
+        adversary = ADVERSARIES[self._name]
+        return Block(self._name, tuple(adversary.weights(each, self._joints) for each in shares), self._seed)
