@@ -8,6 +8,7 @@ from pydantic import Field
 from deploy.telemetry.output_files import replacing
 from eval.attack.adversaries import ADVERSARIES
 from eval.attack.weights import WEIGHTS, Weights
+from eval.judge.monitors import NAMES
 from robots.errors import ConfigError
 from robots.motors.control_mode import ControlModeName
 from robots.spec import RobotSpec
@@ -82,10 +83,10 @@ def read_case(path: Path) -> Case:
         ConfigError: naming the file and the field.
     """
     case = parse(read_json_file(path, CHARACTERS_MAX), Case, source=str(path))
-    if case.adversary not in ADVERSARIES:
-        raise ConfigError(
-            f"{path}: adversary: found {case.adversary!r:.80}, expected one of {', '.join(ADVERSARIES)}"
-        )
+    known = {"adversary": (case.adversary, tuple(ADVERSARIES)), "monitor": (case.monitor, NAMES)}
+    for field, (found, names) in known.items():
+        if found not in names:
+            raise ConfigError(f"{path}: {field}: found {found!r:.80}, expected one of {', '.join(names)}")
     return case
 
 
