@@ -82,10 +82,8 @@ def test_every_adversary_is_a_small_file_that_any_user_could_write(robot, mode, 
 
 
 def test_crowd_forgets_robots_that_are_reset():
-    crowd, observed = (
-        Crowd(policy_file(SPEC, ControlMode.POSITION, [random_weights("replay", 4)] * WIDTH)),
-        (observations(5)),
-    )
+    rows, observed = [random_weights("replay", 4) | {"sharpness": (1.0,)}] * WIDTH, observations(5)
+    crowd = Crowd(policy_file(SPEC, ControlMode.POSITION, rows))
     first = crowd.step(observed[0]).copy()
     crowd.step(observed[1])
     crowd.reset(np.arange(WIDTH) < 2)
