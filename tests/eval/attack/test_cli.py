@@ -1,0 +1,121 @@
+"""soak-attack and make attack as commands."""
+
+import json
+
+import pytest
+
+pytest.importorskip("mujoco")
+
+import eval.attack.__main__ as suite_command
+import eval.attack.cli as command
+from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED
+from eval.attack.candidate import read_case
+from eval.attack.cli import cli
+from eval.attack.suite import SUITE, run_suite
+from support.eval.attacks import planted_workers
+
+OPTIONS = {"--robot": "planar3", "--generations": 2, "--workers": 1}
+
+
+def attack(call, out, **options):
+    given = OPTIONS | {"--out": out} | {f"--{name}": value for name, value in options.items()}
+    return call(cli, *(word for pair in given.items() for word in pair))
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ({"robot": "nobody"}, "nobody"),
+        ({"mode": "thought"}, "--mode: found 'thought', expected one of those of planar3: position"),
+        ({"seed": -1}, "--seed: found -1, expected at least 0"),
+        ({"workers": 0}, "--workers: found 0, expected from 1 to 1024"),
+        ({"minutes": 0}, "--minutes: found 0.0, expected above 0"),
+        ({"generations": 0}, "--generations: found 0, expected at least 1"),
+        ({"without": "no such"}, "--without 'no such': found 0 such guards"),
+    ],
+)
+def test_wrong_option_is_named(options, complaint, call, tmp_path):
+    code, _, error = attack(call, tmp_path, **options)
+    assert code == 2
+    assert complaint in error
+
+
+@pytest.mark.parametrize(("ratio", "code"), [(0.9, PASSED), (1.1, BUDGET_EXCEEDED)])
+def test_a_hard_event_fails_the_command_and_all_monitors_are_reported(
+    ratio, code, call, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", velocity=ratio))
+    found, said, _ = attack(call, tmp_path)
+    assert found == code
+    assert ("hard events: velocity" in said) == (code == BUDGET_EXCEEDED)
+    report = json.loads((tmp_path / "attack.json").read_text())
+    rows = {row["monitor"]: row for row in report["rows"]}
+    assert rows["velocity"]["worst"] == ratio
+    assert rows["velocity"]["margin"] == pytest.approx(1 - ratio)
+    assert rows["velocity"]["bundle"] == "bundle-of-velocity"
+    assert (rows["position_requested"]["hard"], rows["position_requested"]["bundle"]) == (False, "")
+    assert rows["action_finite"]["exempt"]
+    case = read_case(tmp_path / "cases" / "planar3-position-velocity.json")
+    assert (case.monitor, case.robot, case.worst) == ("velocity", "planar3", ratio)
+
+
+def test_what_the_policy_says_itself_fails_nothing(call, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", action_finite=2.0))
+    assert attack(call, tmp_path)[0] == PASSED
+
+
+def test_without_a_guard_the_search_ends_at_the_first_event_of_its_monitor(call, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", tool_speed=1.2))
+    code, *_ = attack(call, tmp_path, without="safety: tool speed, off", generations=100)
+    report = json.loads((tmp_path / "attack.json").read_text())
+    assert code == BUDGET_EXCEEDED
+    assert report["without"] == "safety: tool speed, off"
+    assert report["trials"] == 6 * 16
+    assert not (tmp_path / "cases").exists()
+
+
+def test_interrupted_attack_reports_what_it_tried(call, tmp_path, monkeypatch):
+    generations = iter(range(3))
+
+    def interrupt(blocks):
+        if next(generations) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", before=interrupt))
+    code, said, _ = attack(call, tmp_path, generations=100)
+    assert code == INTERRUPTED
+    assert "interrupted: the report covers" in said
+    assert json.loads((tmp_path / "attack.json").read_text())["trials"] > 6 * 16
+
+
+@pytest.mark.slow
+def test_results_do_not_depend_on_the_number_of_workers(call, tmp_path):
+    for workers in (1, 2):
+        out = tmp_path / str(workers)
+        assert attack(call, out, workers=workers, generations=1)[0] in (PASSED, BUDGET_EXCEEDED)
+    first, second = (json.loads((tmp_path / name / "attack.json").read_text()) for name in "12")
+    assert first == second
+    bundles = {row["bundle"] for row in first["rows"]} - {""}
+    assert {path.name for path in (tmp_path / "1" / "worst").iterdir()} == bundles
+
+
+@pytest.mark.slow
+def test_guards_hold_against_all_that_attacks_have_found():
+    results = list(run_suite())
+    assert results
+    assert {result.path.stem: result.events for result in results if result.events} == {}
+
+
+@pytest.mark.parametrize(("events", "code"), [((), PASSED), (("torque",), BUDGET_EXCEEDED)])
+def test_make_attack_fails_where_a_case_fails(events, code, call, monkeypatch):
+    (path, *_) = sorted(SUITE.glob("*.json"))
+
+    class Tried:
+        case = read_case(path)
+
+        def worst(self, monitor):
+            return 0.5
+
+    Tried.path, Tried.events = path, events
+    monkeypatch.setattr(suite_command, "run_suite", lambda folder: [Tried()])
+    assert suite_command.attack() == code
