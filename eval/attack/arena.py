@@ -23,7 +23,9 @@ from robots.spec import RobotSpec, load_robot
 EPISODE_S, FAULTY_EPISODE_S = 5.0, 10.0
 """s that a candidate is tried: long enough to throw an arm from one end of its range to the other, and for a stop with
 its end. With faults, one begins in each robot after 3 to 5 s."""
-FAULTS = FaultSettings(coverage=0.95, cycle_s=LEAST_CYCLE_S, operator_s=6.0)
+REARM_S = 0.5
+"""s after which a robot that latched is armed again: it must not rest for the rest of its trial."""
+FAULTS = FaultSettings(coverage=0.95, cycle_s=LEAST_CYCLE_S, operator_s=REARM_S)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,6 +112,7 @@ def write_job(setting: Setting, spec: RobotSpec, candidate: Candidate, policy: P
         ticks=ticks,
         sample_ticks=ticks,
         faults=FAULTS if setting.faults else None,
+        operator_s=REARM_S,
     )
 
 

@@ -13,11 +13,10 @@ from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
 from deploy.telemetry.folder_lock import locked
 from eval.attack.archive import Archive
 from eval.attack.arena import Setting
-from eval.attack.guards import find_guard
+from eval.attack.guards import guarded_monitor
 from eval.attack.pool import Workers, workers
 from eval.attack.report import REPORT, AttackReport, case_of, make_report, table
 from eval.attack.search import Search
-from eval.judge.monitors import NAMES
 from eval.replay.bundle_files import delete_bundles
 from eval.report.report_files import check_report_folder
 from robots.errors import ConfigError
@@ -83,13 +82,16 @@ def soak_attack(
 ) -> int:
     """Search over policies and draws for the smallest margin of every monitor; its results enter no rate.
 
-    Exit codes: 0 every hard monitor kept its limit, 1 one did not, 2 bad input.
+    Exit codes: 0 every hard monitor kept its limit, 1 one did not, 2 bad input, 130 interrupted.
     """
     _check_options(seed, processes, minutes, generations)
     spec = load_robot(robot)
+    if spec.base:
+        raise ConfigError(
+            f"--robot: found {spec.name}, which any policy can let fall: expected one on a fixed base"
+        )
     setting = Setting(robot=spec.folder, mode=_mode(mode, spec), faults=faults, without=without)
-    guarded = find_guard(without).monitor if without else ""
-    target = guarded if guarded in NAMES else ""
+    target = guarded_monitor(without, setting.mode, Archive(spec, setting.mode).hard) if without else ""
     budget = Budget(seconds=60.0 * minutes, generations=generations)
     check_report_folder(out, (REPORT,))
     with locked(out), workers(setting, processes) as pool:

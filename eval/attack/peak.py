@@ -62,8 +62,8 @@ def find_peak(shard: Shard, monitor: str, ticks: int) -> Event:
         if ratios[robot, column] > first.worst:
             channel = columns.start + int(column)
             joint, limit = counts.channels.joint(channel), float(counts.limits[channel])
-            found = {"joint": joint, "start": tick, "worst": float(ratios[robot, column]), "limit": limit}
-            first = replace(first, robot=int(robot), **found)
+            worst = float(ratios[robot, column])
+            first = replace(first, robot=int(robot), joint=joint, start=tick, worst=worst, limit=limit)
     return first
 
 

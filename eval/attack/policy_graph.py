@@ -139,19 +139,19 @@ def _action(data: bytes, observation: Float32s, memory: int) -> Float32s:
 
 def _graph(contract: Contract, tensors: dict[str, NDArray[Any]]) -> GraphProto:
     observations, actions, memory = contract.observation_size, contract.action_size, contract.memory
-    ends = [
+    inputs, outputs = (
         [
             helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
             for name, size in each.items()
         ]
         for each in ({INPUT: observations, MEMORY: memory}, {OUTPUT: actions, NEXT: memory})
-    ]
+    )
     constants = [numpy_helper.from_array(array, name) for name, array in tensors.items()]
-    return helper.make_graph(list(_nodes()), "adversary", *ends, constants)
+    return helper.make_graph(list(_nodes()), "adversary", inputs, outputs, constants)
 
 
 def _nodes() -> Iterator[NodeProto]:
-    attributes = {"Concat": {"axis": 1}, "ReduceSum": {"keepdims": 0}}
+    attributes: dict[str, dict[str, Any]] = {"Concat": {"axis": 1}, "ReduceSum": {"keepdims": 0}}
     for line in GRAPH.strip().splitlines():
         name, _, operator, *inputs = line.split()
         yield helper.make_node(operator, inputs, [name], **attributes.get(operator, {}))

@@ -119,16 +119,17 @@ def _finite(ratio: float) -> float | None:
 
 def case_of(spec: RobotSpec, setting: Setting, monitor: str, found: Found) -> Case:
     """Return the case of a monitor's worst candidate, for a regression suite."""
-    return Case(
-        robot=spec.name,
-        mode=setting.mode.name.lower(),
-        faults=setting.faults,
-        monitor=monitor,
-        worst=_finite(found.ratio),
-        adversary=found.candidate.adversary,
-        seed=found.candidate.seed,
-        weights=dict(found.candidate.weights),
-    )
+    case = {
+        "robot": spec.name,
+        "mode": setting.mode.name.lower(),
+        "faults": setting.faults,
+        "monitor": monitor,
+        "worst": _finite(found.ratio),
+        "adversary": found.candidate.adversary,
+        "seed": found.candidate.seed,
+        "weights": dict(found.candidate.weights),
+    }
+    return Case.model_validate(case)
 
 
 def table(report: AttackReport) -> Table:

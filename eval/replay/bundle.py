@@ -84,6 +84,7 @@ class JobRecord(Strict):
     ticks: Count
     sample_ticks: Annotated[Count, Field(ge=1)]
     faults: FaultSettings | None
+    operator_s: Annotated[float | None, Field(ge=0, exclude_if=lambda s: s is None)] = None
 
 
 class BundleInfo(Strict):

@@ -81,6 +81,7 @@ class ShardJob:
         first: index of the shard's first robot. robots: number of its robots that count.
         ticks: control ticks to simulate. sample_ticks: ticks between two samples.
         faults: settings of fault injection; None for no faults.
+        operator_s: until a robot without power is armed again; None for that of the faults, else `OPERATOR_S`.
         code_digest: SHA-256 of the code when the job was made.
     """
 
@@ -94,4 +95,5 @@ class ShardJob:
     ticks: int
     sample_ticks: int
     faults: FaultSettings | None = None
+    operator_s: float | None = None
     code_digest: str = field(default_factory=code_digest)

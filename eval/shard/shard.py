@@ -91,7 +91,8 @@ class Shard(Stage):
         self.injector = Injector(spec, schedule, self.robot.plant, policy.contract.action_size)
         self.responses = FaultResponseTracker(spec, schedule)
         self.overrun = Overrun(WIDTH, spec.rates.control_hz)
-        self._operator_s = job.faults.operator_s if job.faults else OPERATOR_S
+        usual_s = job.faults.operator_s if job.faults else OPERATOR_S
+        self._operator_s = usual_s if job.operator_s is None else job.operator_s
         self._poll, self._arm = (round(s / spec.dt) for s in (POLL_S, ARM_S))
         self.checkpoint_ticks = round(CHECKPOINT_S / spec.dt)
         self._samples: list[tuple[NDArray[np.generic], ...]] = []
