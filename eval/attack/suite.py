@@ -8,7 +8,7 @@ from eval.attack.archive import EXEMPT
 from eval.attack.arena import Outcome, Setting, try_candidate
 from eval.attack.candidate import Case, check_weights, read_case
 from eval.judge.monitors import MONITORS
-from robots.errors import ConfigError
+from robots.errors import ConfigError, FirstshiftError
 from robots.motors.control_mode import ControlMode
 from robots.spec import load_robot
 
@@ -48,10 +48,20 @@ def run_suite(folder: Path = SUITE) -> Iterator[Result]:
     if not cases:
         raise ConfigError(f"{folder}: found no case, expected files *.json of soak-attack")
     for path, case in sorted(cases.items(), key=lambda each: _arena_of(each[1])):
-        spec = load_robot(case.robot)
-        check_weights(case.weights, spec, str(path))
-        setting = Setting(robot=spec.folder, mode=ControlMode[case.mode.upper()], faults=case.faults)
+        setting = _setting(path, case)
         yield Result(path, case, try_candidate(setting, case.candidate))
+
+
+def _setting(path: Path, case: Case) -> Setting:
+    try:
+        spec = load_robot(case.robot)
+    except FirstshiftError as e:
+        raise ConfigError(f"{path}: robot: {e}") from e
+    check_weights(case.weights, spec, str(path))
+    mode = ControlMode[case.mode.upper()]
+    if mode not in spec.control_modes:
+        raise ConfigError(f"{path}: mode: found {case.mode}, in which {spec.name} has no drives")
+    return Setting(robot=spec.folder, mode=mode, faults=case.faults)
 
 
 def _arena_of(case: Case) -> tuple[str, str, bool, int]:

@@ -1,6 +1,9 @@
 """soak-attack and make attack as commands."""
 
 import json
+import re
+import shutil
+from types import SimpleNamespace
 
 import pytest
 
@@ -8,10 +11,11 @@ pytest.importorskip("mujoco")
 
 import eval.attack.__main__ as suite_command
 import eval.attack.cli as command
-from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED
+from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from eval.attack import arena
 from eval.attack.candidate import read_case
 from eval.attack.cli import cli
-from eval.attack.suite import SUITE, run_suite
+from eval.attack.suite import SUITE
 from support.eval.attacks import planted_workers
 
 OPTIONS = {"--robot": "planar3", "--generations": 2, "--workers": 1}
@@ -31,7 +35,13 @@ def attack(call, out, **options):
         ({"workers": 0}, "--workers: found 0, expected from 1 to 1024"),
         ({"minutes": 0}, "--minutes: found 0.0, expected above 0"),
         ({"generations": 0}, "--generations: found 0, expected at least 1"),
+        ({"robot": "quadruped"}, "--robot: found quadruped, which any policy can let fall"),
+        ({"seed": "x"}, "'--seed'"),
+        ({"minutes": "nan"}, "--minutes: found nan, expected above 0"),
         ({"without": "no such"}, "--without 'no such': found 0 such guards"),
+        ({"without": "take_over"}, "--without 'take_over': found 0 such guards"),
+        ({"without": "safety: tool speed, off"}, "found a guard of the monitor tool_speed, expected one of"),
+        ({"without": "drives of a stop"}, "found a guard of torque mode, expected one of position mode"),
     ],
 )
 def test_wrong_option_is_named(options, complaint, call, tmp_path):
@@ -65,11 +75,11 @@ def test_what_the_policy_says_itself_fails_nothing(call, tmp_path, monkeypatch):
 
 
 def test_without_a_guard_the_search_ends_at_the_first_event_of_its_monitor(call, tmp_path, monkeypatch):
-    monkeypatch.setattr(command, "workers", planted_workers("planar3", tool_speed=1.2))
-    code, *_ = attack(call, tmp_path, without="safety: tool speed, off", generations=100)
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", velocity=1.2))
+    code, *_ = attack(call, tmp_path, without="safety: velocity, off", generations=100)
     report = json.loads((tmp_path / "attack.json").read_text())
     assert code == BUDGET_EXCEEDED
-    assert report["without"] == "safety: tool speed, off"
+    assert report["without"] == "safety: velocity, off"
     assert report["trials"] == 6 * 16
     assert not (tmp_path / "cases").exists()
 
@@ -99,23 +109,60 @@ def test_results_do_not_depend_on_the_number_of_workers(call, tmp_path):
     assert {path.name for path in (tmp_path / "1" / "worst").iterdir()} == bundles
 
 
+def make_attack(call, cases):
+    return call(lambda: main(suite_command.attack), "--cases", cases)
+
+
 @pytest.mark.slow
-def test_guards_hold_against_all_that_attacks_have_found():
-    results = list(run_suite())
-    assert results
-    assert {result.path.stem: result.events for result in results if result.events} == {}
+def test_guards_hold_against_all_that_attacks_have_found(call):
+    code, said, _ = make_attack(call, SUITE)
+    assert (code, said.count("hard events: 0\n")) == (PASSED, len(list(SUITE.glob("*.json"))))
+
+
+def test_make_attack_in_short_tries_cases_of_each_mode(call, tmp_path, monkeypatch):
+    """Half a second of operation of one case in each mode."""
+    monkeypatch.setattr(arena, "EPISODE_S", 0.75)
+    for mode in ("position", "velocity", "torque"):
+        shutil.copy(sorted(SUITE.glob(f"arm6-{mode}-*.json"))[0], tmp_path)
+    code, said, _ = make_attack(call, tmp_path)
+    assert (code, said.count("hard events: 0\n")) == (PASSED, 3)
+    assert "0 of 3 cases failed" in said
+
+
+def test_suite_is_small():
+    assert sum(path.stat().st_size for path in SUITE.iterdir()) < 200_000
 
 
 @pytest.mark.parametrize(("events", "code"), [((), PASSED), (("torque",), BUDGET_EXCEEDED)])
 def test_make_attack_fails_where_a_case_fails(events, code, call, monkeypatch):
     (path, *_) = sorted(SUITE.glob("*.json"))
+    tried = SimpleNamespace(case=read_case(path), path=path, events=events, worst=lambda monitor: 0.5)
+    monkeypatch.setattr(suite_command, "run_suite", lambda folder: [tried])
+    found, said, _ = make_attack(call, SUITE)
+    assert found == code
+    assert f"{len(events)} of 1 cases failed" in said
 
-    class Tried:
-        case = read_case(path)
 
-        def worst(self, monitor):
-            return 0.5
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (None, "found no case"),
+        ({"robot": "nobody"}, r"a\.json: robot: .*nobody"),
+        ({"robot": "quadruped", "mode": "torque", "weights": {}}, r"a\.json: mode: found torque"),
+        ({"seed": "seven"}, r"a\.json: seed: "),
+    ],
+)
+def test_make_attack_names_what_is_wrong_with_a_case(change, complaint, call, tmp_path):
+    if change:
+        (path, *_) = sorted(SUITE.glob("*.json"))
+        (tmp_path / "a.json").write_text(json.dumps(read_case(path).model_dump() | change))
+    code, _, error = make_attack(call, tmp_path)
+    assert code == 2
+    assert re.search(complaint, error)
+    assert error.count("\n") == 1
 
-    Tried.path, Tried.events = path, events
-    monkeypatch.setattr(suite_command, "run_suite", lambda folder: [Tried()])
-    assert suite_command.attack() == code
+
+def test_make_attack_refuses_a_folder_that_is_not_there(call, tmp_path):
+    code, _, error = make_attack(call, tmp_path / "nowhere")
+    assert code == 2
+    assert "nowhere: found no case" in error

@@ -1,0 +1,75 @@
+"""The attacker itself: without a guard its search finds the event that the guard prevents, and with it none."""
+
+from itertools import islice
+
+import pytest
+
+pytest.importorskip("mujoco")
+
+import eval.attack.arena as module
+from eval.attack.adversaries import ADVERSARIES
+from eval.attack.arena import EPISODE_S, Arena, Setting
+from eval.attack.guards import find_guard
+from eval.attack.search import Search
+from eval.mutants.situation import keep_guards
+from eval.shard.job import WIDTH
+from robots.motors.control_mode import ControlMode
+from support.arm6 import SPEC
+
+MODE, SEED = ControlMode.POSITION, 7
+SHORT_S = 1.1
+"""s of a trial: 0.8 of operation."""
+TRIALS = WIDTH * len(ADVERSARIES)
+"""The library: what every search tries first."""
+JERK = ("planner: jerk × 1.2", "runtime: zero velocity after a refused setpoint")
+GUARDS = (
+    "safety: tool speed, off",
+    "safety: workspace, off",
+    "safety: collision, off",
+    "safety: the tool's speed while a stop brakes",
+    "safety: the stop's first step",
+)
+
+
+def attacked(without="", seconds=EPISODE_S):
+    """Return what a search of `TRIALS` policies found, each tried for some seconds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "EPISODE_S", seconds)
+        arena = Arena(Setting(robot=SPEC.folder, mode=MODE, without=without), SEED)
+        search = Search(SPEC, MODE, lambda blocks: [arena.try_block(block) for block in blocks], seed=SEED)
+        next(islice(search.run(), 1))
+    assert search.archive.trials == TRIALS
+    return search.archive
+
+
+@pytest.fixture(scope="module")
+def guarded_shortly():
+    return attacked(seconds=SHORT_S)
+
+
+@pytest.fixture(scope="module")
+def guarded():
+    return attacked()
+
+
+def check(part, guarded, seconds=EPISODE_S):
+    mutant = find_guard(part)
+    assert mutant.situation.prepare is keep_guards, "other guards would be removed as well"
+    assert mutant.monitor in attacked(part, seconds).hits
+    assert guarded.worst[mutant.monitor].ratio <= 1.0
+
+
+@pytest.mark.parametrize("part", JERK)
+def test_jerk_is_found_at_once_without_its_guard_and_not_with_it(part, guarded_shortly):
+    check(part, guarded_shortly, SHORT_S)
+
+
+@pytest.mark.slow
+def test_nothing_is_found_while_all_guards_are_there(guarded):
+    assert (guarded.hits, guarded.diverged) == ((), 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", GUARDS)
+def test_event_is_found_without_its_guard_and_not_with_it(part, guarded):
+    check(part, guarded)
