@@ -15,7 +15,7 @@ from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
 from eval.attack import arena
 from eval.attack.candidate import read_case
 from eval.attack.cli import cli
-from eval.attack.suite import SUITE
+from eval.attack.suite import OPEN, SUITE, run_suite
 from support.eval.attacks import planted_workers
 
 OPTIONS = {"--robot": "planar3", "--generations": 2, "--workers": 1}
@@ -119,6 +119,14 @@ def test_guards_hold_against_all_that_attacks_have_found(call):
     assert (code, said.count("hard events: 0\n")) == (PASSED, len(list(SUITE.glob("*.json"))))
 
 
+@pytest.mark.slow
+def test_open_cases_still_lead_to_their_events(call):
+    """One that no longer does is mended, and belongs to the suite."""
+    for result in run_suite(OPEN):
+        assert result.case.monitor in result.events
+    assert make_attack(call, OPEN)[0] == BUDGET_EXCEEDED
+
+
 def test_make_attack_in_short_tries_cases_of_each_mode(call, tmp_path, monkeypatch):
     """Half a second of operation of one case in each mode."""
     monkeypatch.setattr(arena, "EPISODE_S", 0.75)
@@ -130,7 +138,7 @@ def test_make_attack_in_short_tries_cases_of_each_mode(call, tmp_path, monkeypat
 
 
 def test_suite_is_small():
-    assert sum(path.stat().st_size for path in SUITE.iterdir()) < 200_000
+    assert sum(path.stat().st_size for path in SUITE.rglob("*.json")) < 200_000
 
 
 @pytest.mark.parametrize(("events", "code"), [((), PASSED), (("torque",), BUDGET_EXCEEDED)])
