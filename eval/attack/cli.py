@@ -134,8 +134,9 @@ def _write(
     report.write(out)
     for old in (out / CASES).glob("*.json"):
         old.unlink()
+    kind = f"{spec.name}-{report.mode}{'-faults' if setting.faults else ''}"
     for name, each in kept.items():
-        case_of(spec, setting, name, each).write(out / CASES / f"{spec.name}-{report.mode}-{name}.json")
+        case_of(spec, setting, name, each).write(out / CASES / f"{kind}-{name}.json")
     console = Console(width=160)
     console.print(table(report))
     console.print(f"{_verdict(report)}\nreport: {out / REPORT}", soft_wrap=True, highlight=False)
