@@ -25,7 +25,6 @@ EPISODE_S, FAULTY_EPISODE_S = 5.0, 10.0
 its end. With faults, one begins in each robot after 3 to 5 s."""
 REARM_S = 0.5
 """s after which a robot that latched is armed again: it must not rest for the rest of its trial."""
-FAULTS = FaultSettings(coverage=0.95, cycle_s=LEAST_CYCLE_S, operator_s=REARM_S)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,13 +32,14 @@ class Setting:
     """What all candidates of an attack have in common.
 
     Attributes:
-        robot: folder. mode: in which drives follow the policy. faults: one is injected into each robot.
+        robot: folder. mode: in which drives follow the policy.
+        faults: names of fault classes, of which one is injected into each robot; empty for none.
         without: part of the description of a guard's removal (`make mutants` lists them); empty: no guard is removed.
     """
 
     robot: Path
     mode: ControlMode
-    faults: bool = False
+    faults: tuple[str, ...] = ()
     without: str = ""
 
     @property
@@ -50,6 +50,13 @@ class Setting:
     def ticks(self, spec: RobotSpec) -> int:
         """Return the control ticks of a trial."""
         return round(self.seconds / spec.dt)
+
+    @property
+    def fault_settings(self) -> FaultSettings | None:
+        """Settings of the fault injection, if there is any."""
+        if not self.faults:
+            return None
+        return FaultSettings(coverage=0.95, cycle_s=LEAST_CYCLE_S, operator_s=REARM_S, classes=self.faults)
 
 
 class Outcome(NamedTuple):
@@ -111,7 +118,7 @@ def write_job(setting: Setting, spec: RobotSpec, candidate: Candidate, policy: P
         robots=WIDTH,
         ticks=ticks,
         sample_ticks=ticks,
-        faults=FAULTS if setting.faults else None,
+        faults=setting.fault_settings,
         operator_s=REARM_S,
     )
 

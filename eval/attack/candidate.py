@@ -50,7 +50,8 @@ class Case(Strict):
     """One file of a regression suite: what an attack found.
 
     Attributes:
-        robot: name of a shipped robot. mode: in which drives follow the policy. faults: some were injected.
+        robot: name of a shipped robot. mode: in which drives follow the policy.
+        faults: names of fault classes, of which one is injected into each robot.
         monitor: whose margin was the least. worst: its highest ratio when the case was found.
         adversary, seed, weights: of the candidate.
     """
@@ -58,7 +59,7 @@ class Case(Strict):
     format: Literal[1] = 1
     robot: str
     mode: ControlModeName
-    faults: bool
+    faults: tuple[str, ...]
     monitor: str
     worst: float | None
     adversary: str

@@ -13,6 +13,7 @@ from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
 from deploy.telemetry.folder_lock import locked
 from eval.attack.archive import Archive
 from eval.attack.arena import Setting
+from eval.attack.fault_classes import find_faults
 from eval.attack.guards import guarded_monitor
 from eval.attack.pool import Workers, workers
 from eval.attack.report import REPORT, AttackReport, case_of, make_report, table
@@ -46,7 +47,14 @@ Generations = Annotated[
         help="Length of the search in place of --minutes: the same on any computer.", show_default="none"
     ),
 ]
-Faults = Annotated[bool, typer.Option("--faults", help="Inject a fault into each robot as well.")]
+Faults = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault",
+        help="Fault class; one of those given is injected into each robot. Can be repeated; all: every class.",
+        show_default="none",
+    ),
+]
 Without = Annotated[
     str,
     typer.Option(
@@ -76,7 +84,7 @@ def soak_attack(
     processes: Processes = 2,
     minutes: Minutes = 10.0,
     generations: Generations = None,
-    faults: Faults = False,
+    faults: Faults = None,
     without: Without = "",
     out: Out = Path("out/attack"),
 ) -> int:
@@ -90,7 +98,9 @@ def soak_attack(
         raise ConfigError(
             f"--robot: found {spec.name}, which any policy can let fall: expected one on a fixed base"
         )
-    setting = Setting(robot=spec.folder, mode=_mode(mode, spec), faults=faults, without=without)
+    drives = _mode(mode, spec)
+    classes = find_faults(faults or (), spec, drives, "--fault")
+    setting = Setting(robot=spec.folder, mode=drives, faults=classes, without=without)
     target = guarded_monitor(without, setting.mode, Archive(spec, setting.mode).hard) if without else ""
     budget = Budget(seconds=60.0 * minutes, generations=generations)
     check_report_folder(out, (REPORT,))

@@ -53,7 +53,7 @@ class AttackReport(Strict):
     code_digest: str
     versions: dict[str, str]
     mode: str
-    faults: bool
+    faults: tuple[str, ...]
     without: str
     seed: int
     trials: int

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from eval.attack.archive import EXEMPT
 from eval.attack.arena import Outcome, Setting, try_candidate
 from eval.attack.candidate import Case, check_weights, read_case
+from eval.attack.fault_classes import check_faults
 from eval.judge.monitors import MONITORS
 from robots.errors import ConfigError, FirstshiftError
 from robots.motors.control_mode import ControlMode
@@ -63,8 +64,9 @@ def _setting(path: Path, case: Case) -> Setting:
     mode = ControlMode[case.mode.upper()]
     if mode not in spec.control_modes:
         raise ConfigError(f"{path}: mode: found {case.mode}, in which {spec.name} has no drives")
+    check_faults(case.faults, spec, mode, f"{path}: faults")
     return Setting(robot=spec.folder, mode=mode, faults=case.faults)
 
 
-def _arena_of(case: Case) -> tuple[str, str, bool, int]:
+def _arena_of(case: Case) -> tuple[str, str, tuple[str, ...], int]:
     return case.robot, case.mode, case.faults, case.seed

@@ -14,7 +14,7 @@ PUSH = ADVERSARIES["push"].first(SPEC.n)
 CASE = Case(
     robot="arm6",
     mode="position",
-    faults=False,
+    faults=("bus silent",),
     monitor="torque",
     worst=0.93,
     adversary="push",
@@ -57,6 +57,14 @@ def test_wrong_field_of_a_case_is_named(change, complaint, tmp_path):
 def test_weights_of_no_adversary_are_refused(weights, complaint):
     with pytest.raises(ConfigError, match=f"here: {complaint}"):
         check_weights(weights, SPEC, "here")
+
+
+def test_fault_of_no_class_is_refused(tmp_path):
+    Case.model_validate(CASE.model_dump() | {"faults": ("bad luck",)}).write(tmp_path / "a.json")
+    with pytest.raises(
+        ConfigError, match=r"a\.json: faults: found 'bad luck', expected some of: encoder off"
+    ):
+        next(run_suite(tmp_path))
 
 
 def test_folder_without_cases_is_refused(tmp_path):

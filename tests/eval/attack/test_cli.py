@@ -38,6 +38,7 @@ def attack(call, out, **options):
         ({"robot": "quadruped"}, "--robot: found quadruped, which any policy can let fall"),
         ({"seed": "x"}, "'--seed'"),
         ({"minutes": "nan"}, "--minutes: found nan, expected above 0"),
+        ({"fault": "bad luck"}, "--fault: found 'bad luck', expected some of: encoder off"),
         ({"without": "no such"}, "--without 'no such': found 0 such guards"),
         ({"without": "take_over"}, "--without 'take_over': found 0 such guards"),
         ({"without": "safety: tool speed, off"}, "found a guard of the monitor tool_speed, expected one of"),
