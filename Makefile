@@ -108,7 +108,10 @@ $(ARM): policies/arm.pt robots/arm6/model.xml robots/arm6/robot.toml | setup
 
 # ---- tests and checks -----------------------------------------------------------------------------------------
 
-.PHONY: test test-fast test-notorch cover check check-addresses
+SAFETY := deploy.safety,deploy.motion
+SAFETY_TESTS := tests/deploy/safety tests/deploy/motion tests/deploy/operation/test_stop_explanation.py $(wildcard tests/deploy/test_runtime*.py)
+
+.PHONY: test test-fast test-notorch cover cover-safety check check-addresses
 test: setup ## run all tests (ARGS=...)
 	$(BIN)/python $(TESTS) $(ARGS)
 
@@ -122,6 +125,10 @@ test-notorch: setup-robot ## run the tests that need no torch, where there is no
 cover: setup ## run all tests and list the lines that none of them reached
 	$(BIN)/python -m coverage run -m pytest -q
 	$(BIN)/python -m coverage report
+
+cover-safety: setup ## run tests of the code that stops a robot; fails if they leave out a line or a branch of it
+	$(BIN)/python -m coverage run --source $(SAFETY) -m pytest -q -m "not slow" $(SAFETY_TESTS)
+	$(BIN)/python -m coverage report --fail-under 100
 
 check: setup check-addresses ## lint, format, types, import layers, addresses
 	$(BIN)/ruff check .
