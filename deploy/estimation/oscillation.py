@@ -50,4 +50,9 @@ class OscillationDetection(Stage):
         np.copyto(self.extreme, qd, where=turned | (ahead > 0.0))
         if any_true(turned):
             self.rising[turned] *= -1.0
+        return self.oscillating
+
+    @property
+    def oscillating(self) -> Bools:
+        """(B, n) joints that have too many turning points."""
         return np.asarray(self.count > self._count_max)

@@ -76,6 +76,7 @@ def _joints(runtime: Runtime, bit: Reason, robot: int) -> Bools:
         Reason.STUCK: estimator.stuck,
         Reason.LOAD: estimator.external_torque.detected,
         Reason.MOVING: estimator.moving,
+        Reason.OSCILLATION: estimator.oscillation.oscillating,
     }
     if bit in estimated:
         return np.asarray(estimated[bit][robot])

@@ -50,6 +50,10 @@ def leaning(runtime, robot=0):
     detection.packets[robot, WRIST] = detection.packets_min
 
 
+def shaking(runtime, robot=0):
+    runtime.estimator.oscillation.count[robot, WRIST] = 1e3
+
+
 def moving(runtime, robot=0):
     runtime.estimator.joints.ed[robot, WRIST] = 10.0
 
@@ -63,6 +67,7 @@ def moving(runtime, robot=0):
         (lost, Reason.DIVERGED),
         (hanging, Reason.STUCK),
         (leaning, Reason.LOAD),
+        (shaking, Reason.OSCILLATION),
         (moving, Reason.MOVING),
     ],
 )
