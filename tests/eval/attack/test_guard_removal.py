@@ -26,7 +26,7 @@ GUARDS = (
     "safety: tool speed, off",
     "safety: workspace, off",
     "safety: collision, off",
-    "safety: the tool's speed while a stop brakes",
+    "safety: the moments while a stop brakes",
     "safety: the stop's first step",
 )
 
