@@ -1,5 +1,6 @@
 """Compatibility of a policy's contract with a robot, and the sensors that both read together."""
 
+import math
 from collections.abc import Iterator
 
 from deploy.estimation.capabilities import ESTIMATORS
@@ -98,6 +99,8 @@ def _free_joints(action: ActionSpec, spec: RobotSpec) -> Iterator[str]:
     for joint in free:
         if joint.torque_mode is None:
             yield f"action.kp: found 0, expected above 0: joints.{joint.name} of {spec.name} has no torque_mode"
+        if math.isfinite(joint.q_max):
+            yield f"action.kp: found 0, expected above 0: joints.{joint.name} of {spec.name} has ends, unlike a wheel"
 
 
 def _joints(found: tuple[str, ...], spec: RobotSpec) -> Iterator[str]:

@@ -6,10 +6,12 @@ of period T with gains kp and kd on an inertia J is stable while
     kd T / J + kp T² / (2 J) < 2
 
 (symplectic Euler's rule; by Jury's criterion for z² − (2 − kd T / J − kp T² / J) z + 1 − kd T / J). Between two
-setpoints the joint must not swing: its natural frequency stays below a quarter of the control rate.
+setpoints the joint must not swing: its natural frequency stays below a sixth of the control rate. On a fixed base it
+must not swing after them either: safety looks at where joints are sent, and less damping took them beyond it.
 """
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,40 +19,65 @@ from deploy.policy.contract_action import ActionSpec
 from robots.arrays import Floats
 from robots.models.joint_inertia import joint_inertia
 from robots.models.nominal_model import torque_max
+from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
 GAIN_MARGIN = 1.5
 """Factor on both gains under which the loop must still be stable: drawn drives have up to 1.2 of theirs."""
-SETPOINTS_PER_SWING = 4
+SETPOINTS_PER_SWING = 6
 """Control periods in one period of the joint on its drive."""
-DAMPING_MIN = 0.05
-"""Least damping ratio, on the largest inertia. The least of a known policy is 0.07, at the hip of Unitree's H1."""
+DAMPING_MIN, DAMPING_MIN_OF_SPRINGS = 0.5, 0.05
+"""Least damping ratio, on the largest inertia; the second on a floating base, where drives act as springs. The least of
+a known policy is 0.07, at the hip of Unitree's H1."""
+
+
+class Bounds(NamedTuple):
+    """Bounds of a gain, (n,) each."""
+
+    low: Floats
+    high: Floats
+
+
+def stiffness_bounds(spec: RobotSpec, mode: ControlMode) -> Bounds:
+    """Return the bounds of kp, N·m/rad, of joints that are held, under an action in a mode."""
+    low = _load(spec, mode) / spec.margins.tracking_rad
+    return Bounds(low, joint_inertia(spec).least * (2.0 * np.pi / (SETPOINTS_PER_SWING * spec.dt)) ** 2)
+
+
+def damping_bounds(spec: RobotSpec, mode: ControlMode, kp: Floats) -> Bounds:
+    """Return the bounds of kd, N·m·s/rad, of joints with stiffness kp (n,); those with 0 hold speeds alone."""
+    inertia, period = joint_inertia(spec), 1.0 / spec.rates.physics_hz
+    ratio = DAMPING_MIN if spec.base is None else DAMPING_MIN_OF_SPRINGS
+    of_speed = _load(spec, mode) / spec.joint_array("qd_max")
+    low = np.where(kp > 0.0, 2.0 * ratio * np.sqrt(kp * inertia.most), of_speed)
+    return Bounds(low, 2.0 * inertia.least / (GAIN_MARGIN * period) - kp * period / 2.0)
+
+
+def _load(spec: RobotSpec, mode: ControlMode) -> Floats:
+    """Return N·m (n,) that motions may need beyond the model's torque."""
+    return (1.0 - spec.margins.of(mode).tau) * torque_max(spec)
 
 
 def gain_misfits(action: ActionSpec, spec: RobotSpec) -> Iterator[str]:
     """Yield a line for each gain that a joint of the robot cannot bear: field, joint, found, expected."""
-    gains = action.gains
+    gains, mode = action.gains, action.control_mode
     if gains is None or len(gains.kp) != spec.n:
         return
-    inertia, period = joint_inertia(spec), 1.0 / spec.rates.physics_hz
-    margins = spec.margins.of(action.control_mode)
-    load, held = (1.0 - margins.tau) * torque_max(spec), gains.kp > 0.0
-    kp_low = np.where(held, load / margins.tracking_rad, 0.0)
-    kp_high = inertia.least * (2.0 * np.pi / (SETPOINTS_PER_SWING * spec.dt)) ** 2
-    yield from _outside("kp", gains.kp, kp_low, kp_high, spec)
-    kp = np.clip(gains.kp, kp_low, kp_high)
-    kd_low = np.where(held, 2.0 * DAMPING_MIN * np.sqrt(kp * inertia.most), load / spec.joint_array("qd_max"))
-    kd_high = 2.0 * inertia.least / (GAIN_MARGIN * period) - kp * period / 2.0
-    yield from _outside("kd", gains.kd, kd_low, kd_high, spec)
+    stiffness, held = stiffness_bounds(spec, mode), gains.kp > 0.0
+    yield from _outside("kp", gains.kp, np.where(held, stiffness.low, 0.0), stiffness.high, spec)
+    kp = np.where(held, np.clip(gains.kp, *stiffness), 0.0)
+    yield from _outside("kd", gains.kd, *damping_bounds(spec, mode, kp), spec)
 
 
 def _outside(gain: str, found: Floats, low: Floats, high: Floats, spec: RobotSpec) -> Iterator[str]:
     for joint, value, least, most in zip(spec.joint_names, found, low, high, strict=True):
         if not least <= value <= most:
-            yield f"action.{gain}: {joint}: found {value:g}, expected {least:.3g} to {most:.3g}: {_MEANING[gain]}"
+            why = _TOO_LARGE[gain] if value > most else _TOO_SMALL[gain]
+            yield f"action.{gain}: {joint}: found {value:g}, expected {least:.3g} to {most:.3g}: {why}"
 
 
-_MEANING = {
-    "kp": "stiff enough for its load, and no faster than setpoints",
-    "kd": "damped, and stable at the rate of its drive",
+_TOO_SMALL = {"kp": "too soft for its load", "kd": "it would swing"}
+_TOO_LARGE = {
+    "kp": "it would swing between two setpoints",
+    "kd": "unstable at the rate of its drive",
 }

@@ -91,7 +91,7 @@ def test_options_of_the_simulation_are_refused_for_other_backends(call, arm_poli
 
 
 def test_gains_that_a_backend_cannot_set_are_refused(outside, call, tmp_path):
-    soft = arm_contract().action.model_copy(update={"kp": (500.0,) * SPEC.n, "kd": (40.0,) * SPEC.n})
+    soft = arm_contract().action.model_copy(update={"kp": (500.0,) * SPEC.n, "kd": (100.0,) * SPEC.n})
     policy, out = saved(policy_model(arm_contract(action=soft)), tmp_path), tmp_path / "out"
     code, _, said = call(cli, "--policy", policy, "--backend", "echo", "--out", out)
     assert code == 2

@@ -1,5 +1,6 @@
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.contracts import NAMES, SWAPPED, arm_contract, contracts, term
 from support.modes import mode_contract
+from support.planar import PLANAR4, arm_with_wheel, wheel_contract
 from support.quadruped import QUADRUPED, quadruped_contract
 
 
@@ -218,26 +220,31 @@ POSITION = {"mode": "position", "size": 6, "scale": (0.5,) * 6, "offset": (0.1,)
 
 
 def test_gains_come_with_the_policy():
-    action = ActionSpec(**POSITION, kp=(500.0,) * 6, kd=(50.0,) * 6)
+    action = ActionSpec(**POSITION, kp=(500.0,) * 6, kd=(200.0,) * 6)
     check_contract(arm_contract(action=action), SPEC, "x.onnx")
     np.testing.assert_array_equal(action.gains.kp, np.full(6, 500.0))
     assert ActionSpec(**POSITION).gains is None
 
 
-WHEEL = {"kp": (0.0, *(600.0,) * 5), "kd": (50.0,) * 6}
-
-
 def test_a_wheel_needs_the_limits_of_torque_mode(tmp_path):
     """Without stiffness a joint moves as the nominal model says, less well than by a stiff drive."""
-    action = ActionSpec(mode="velocity", size=6, scale=(1.0,) * 6, clip=None, **WHEEL)
-    check_contract(arm_contract(action=action), SPEC, "x.onnx")
-    modes = (r'modes = \["position", "velocity", "torque"\]', 'modes = ["position", "velocity"]')
-    spec = load_robot(
-        copy_of_arm(tmp_path, toml=(modes, modes, (r"torque_mode = \{ rate_max = 600.*\}", "")))
-    )
+    folder = arm_with_wheel(tmp_path)
+    spec = load_robot(folder)
+    check_contract(wheel_contract(spec), spec, "x.onnx")
+    text = (folder / "robot.toml").read_text().replace('"velocity", "torque"]', '"velocity"]')
+    (folder / "robot.toml").write_text(re.sub("torque_mode = .*\n", "", text))
+    spec = load_robot(folder)
     with pytest.raises(ContractError) as caught:
-        check_contract(arm_contract(action=action, robot_digest=spec.digest), spec, "x.onnx")
-    expected = "expected above 0: joints.shoulder_pan of arm6 has no torque_mode"
+        check_contract(wheel_contract(spec), spec, "x.onnx")
+    expected = "expected above 0: joints.wrist_roll of planar4 has no torque_mode"
+    assert str(caught.value) == f"x.onnx: action.kp: found 0, {expected}"
+
+
+def test_a_joint_with_ends_has_stiffness():
+    """An adversary threw such joints beyond their speed limits."""
+    with pytest.raises(ContractError) as caught:
+        check_contract(wheel_contract(PLANAR4), PLANAR4, "x.onnx")
+    expected = "expected above 0: joints.wrist_roll of planar4 has ends, unlike a wheel"
     assert str(caught.value) == f"x.onnx: action.kp: found 0, {expected}"
 
 

@@ -8,6 +8,8 @@ import pytest
 pytest.importorskip("mujoco")
 
 from deploy.operation.cli import cli as deploy_run
+from deploy.policy.compatibility import check_contract
+from deploy.policy.gain_bounds import damping_bounds, stiffness_bounds
 from deploy.policy.policy import Policy
 from deploy.reasons import Reason
 from deploy.simulation import simulate
@@ -17,6 +19,7 @@ from eval.shard.job import ARM_S
 from eval.shard.judging import judge_tick, make_judge
 from eval.soak.cli import cli as soak_test
 from robots.models.planar_chain import PlanarChain
+from robots.motors.control_mode import ControlMode
 from robots.randomness import robot_seed
 from support.planar import PLANAR3, PLANAR4, REACH_M, hostile, joint_angles, reaching, trembling
 
@@ -70,23 +73,49 @@ def test_a_soak_reports_all_goals_and_core_goals(call, tmp_path):
     assert report["evidence"]["hard_events"] == 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("mode", ["position", "velocity", "torque"])
-@pytest.mark.parametrize("attack", [hostile, trembling], ids=lambda attack: attack.__name__)
-def test_hostile_policies_leave_no_hard_event(tmp_path, mode, attack):
-    """Ten seconds of sixteen drawn robots, judged by ground truth; power goes only for stops that repeat."""
-    policy = Policy.load(attack(tmp_path / "policy.onnx", PLANAR3, mode), PLANAR3)
+def count_events(policy, contract):
+    """Return the counts of ten seconds of sixteen drawn robots, judged by ground truth, and their runtime."""
     seeds = [robot_seed(2, robot) for robot in range(16)]
-    runtime, robot = simulate(PLANAR3, policy.contract, seeds, policy)
-    judge = make_judge(PLANAR3, policy.contract, 16)
+    runtime, robot = simulate(PLANAR3, contract, seeds, policy)
+    judge = make_judge(PLANAR3, contract, 16)
     for tick in range(2000):
         if tick == round(ARM_S / PLANAR3.dt):
             assert not runtime.arm(np.ones(16, dtype=bool)).any()
         runtime.tick()
         judge_tick(judge, robot.truth(), runtime, None)
     counts = judge.counts()
+    assert (counts.worst[:, counts.columns("velocity")].max(axis=0) > 0.4).all()  # it did move
+    return counts, runtime
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["position", "velocity", "torque"])
+@pytest.mark.parametrize("attack", [hostile, trembling], ids=lambda attack: attack.__name__)
+def test_hostile_policies_leave_no_hard_event(tmp_path, mode, attack):
+    """Power goes only for stops that repeat."""
+    policy = Policy.load(attack(tmp_path / "policy.onnx", PLANAR3, mode), PLANAR3)
+    counts, runtime = count_events(policy, policy.contract)
     assert counts.hard_events().tolist() == [0] * 16
     latched = runtime.supervisor.mode == Mode.LATCHED
     assert (runtime.supervisor.reason[latched] == Reason.REPEATED | Reason.ACCELERATION).all()
     assert not latched.any() or mode == "torque"
-    assert (counts.worst[:, counts.columns("velocity")].max(axis=0) > 0.4).all()  # it did move
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damping", [0.001, 0.999])
+@pytest.mark.parametrize("stiffness", [0.001, 0.999])
+def test_hostile_policy_with_gains_just_inside_their_bounds_leaves_no_hard_event(
+    tmp_path, stiffness, damping
+):
+    policy = Policy.load(hostile(tmp_path / "policy.onnx"), PLANAR3)
+    kp = between(stiffness_bounds(PLANAR3, ControlMode.POSITION), stiffness)
+    kd = between(damping_bounds(PLANAR3, ControlMode.POSITION, kp), damping)
+    action = policy.contract.action.model_copy(update={"kp": tuple(kp.tolist()), "kd": tuple(kd.tolist())})
+    contract = policy.contract.model_copy(update={"action": action})
+    check_contract(contract, PLANAR3, "policy.onnx")
+    counts, _ = count_events(policy, contract)
+    assert counts.hard_events().tolist() == [0] * 16
+
+
+def between(bounds, share):
+    return bounds.low + share * (bounds.high - bounds.low)
