@@ -87,8 +87,10 @@ def _joints(runtime: Runtime, bit: Reason, robot: int) -> Bools:
 
 
 def _parts(runtime: Runtime, bit: Reason, robot: int) -> Iterator[str]:
-    """Shapes, checks where several have the reason, and sensors of a floating base."""
+    """Shapes, checks where several have the reason, a failure of the policy, and sensors of a floating base."""
     safety, base = runtime.safety, runtime.state.base
+    if bit is Reason.NOT_FINITE and runtime.policy and runtime.policy.failure:
+        yield f"the policy failed: {runtime.policy.failure}"
     if bit is Reason.COLLISION and (shapes := safety.colliding_shapes(runtime.verdict, robot)):
         yield " and ".join(shapes)
     if len(names := safety.names(bit)) > 1:

@@ -13,10 +13,12 @@ class Actor(Stage, ABC):
     Attributes:
         contract: meaning of the numbers.
         digest: SHA-256 of what the actor was made from.
+        failure: what a library said when a step failed; empty if none did.
     """
 
     contract: Contract
     digest: str
+    failure: str = ""
 
     @abstractmethod
     def step(self, observation: Float32s) -> Float32s:

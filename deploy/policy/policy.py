@@ -61,13 +61,22 @@ class Policy(Actor):
     def step(self, observation: Float32s) -> Float32s:
         """Return raw actions (B, A) for observations (B, N): a view that is valid until the next step.
 
-        Another B than before resets the memory of every robot.
+        Another B than before resets the memory of every robot. Where the graph fails, an index out of range for
+        example, all actions are NaN, so that robots stop, and memory stays.
 
         Raises:
             ContractError: the observation has another width than the contract.
         """
         if observation.shape != self._observation.shape:
             self._refit(observation.shape)
+        try:
+            return self._run(observation)
+        except Exception as e:  # ONNX Runtime's errors share no base
+            self.failure = shortened(e)
+            self._action[:] = np.nan
+            return self._action
+
+    def _run(self, observation: Float32s) -> Float32s:
         np.copyto(self._observation, observation)
         self._session.run_with_iobinding(self._binding)
         np.copyto(self.memory, self._next)
@@ -80,13 +89,14 @@ class Policy(Actor):
     def replay(self, observation: Float32s, batch: int) -> Float32s:
         """Return actions (K, A) for observations (K, N) of a policy without memory, `batch` at a time."""
         rows = np.arange(-(-len(observation) // batch) * batch) % len(observation)
-        actions = [self.step(observation[chunk]).copy() for chunk in rows.reshape(-1, batch)]
+        self.resize(batch)
+        actions = [self._run(observation[chunk]).copy() for chunk in rows.reshape(-1, batch)]
         return np.concatenate(actions)[: len(observation)]
 
     def rehearse(self, observation: Float32s, batch: int) -> Float32s:
         """Return actions (T, B, A) of B identical robots for a sequence of observations (T, N), from reset."""
         self.resize(batch)
-        return np.stack([self.step(np.repeat(row[None], batch, axis=0)).copy() for row in observation])
+        return np.stack([self._run(np.repeat(row[None], batch, axis=0)).copy() for row in observation])
 
     def _refit(self, shape: tuple[int, ...]) -> None:
         size = self.contract.observation_size

@@ -134,6 +134,19 @@ def trembling(path, spec=PLANAR3, mode="position_increment", seed=0, contract=No
     return saved_policy(path, nodes, {"weights": weights, "three": 3.0}, contract)
 
 
+def failing(path, steps, spec=PLANAR3):
+    """A policy that stays where it is for some steps, and then reads beyond the end of a tensor."""
+    contract = planar_contract(spec, "position_increment", memory=1)
+    nodes = [
+        *graph_of("next_memory = Add memory one\nnone = MatMul observation zeros"),
+        helper.make_node("Cast", ["memory"], ["step"], to=TensorProto.INT64),
+        *graph_of("rows = Gather table step\nflat = Flatten rows\naction = Add none flat"),
+    ]
+    zeros = np.zeros((contract.observation_size, spec.n))
+    arrays = {"one": [[1.0]], "zeros": zeros, "table": np.zeros((steps, spec.n))}
+    return saved_policy(path, nodes, arrays, contract)
+
+
 HOSTILE = """
 next_memory = Add memory one
 rates = MatMul observation rate

@@ -23,6 +23,7 @@ from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.contracts import SWAPPED, arm_contract
 from support.paths import ROOT
+from support.planar import failing
 from support.policies import policy_model, saved
 from support.refusals import in_use
 from support.screen import NoScreen
@@ -55,6 +56,15 @@ def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):
     assert -2 <= summary["winding_max_c"] - summary["housing_max_c"] < 10  # the sensor's noise and steps
     assert "0 of 1 reached" in said
     assert {path.name for path in out.iterdir()} == {"run.mcap", "summary.json", "heat.json"}
+
+
+def test_a_policy_that_fails_is_stopped_and_its_failure_told(command, tmp_path):
+    policy = failing(tmp_path / "policy.onnx", 50)
+    options = ("--robot", "planar3", "--policy", policy, "--duration", 5, "--speed", "max")
+    code, _, complaint = command(*options, "--out", tmp_path / "run")
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (code, complaint, summary["stops"]) == (1, "", {"not_finite": 1})
+    assert "a number is not finite (the policy failed: " in summary["last_stops"][0]
 
 
 @pytest.mark.parametrize("stored", [False, True])

@@ -12,6 +12,7 @@ from deploy.policy.policy_file import GOLDEN_KEY
 from robots.errors import ContractError
 from support.arm6 import SPEC
 from support.contracts import arm_contract
+from support.planar import PLANAR3, failing
 from support.policies import A, N, loaded, saved
 from support.runtimes import ARM_S, built, every
 
@@ -147,3 +148,21 @@ def test_memory_resets_at_arming_and_survives_restoring(tmp_path):
     assert first.command.q.tobytes() == second.command.q.tobytes()
     first.reset(np.array([True, False]))
     assert first.policy.memory.any(axis=1).tolist() == [False, True]
+
+
+def test_step_whose_graph_fails_gives_nan_and_keeps_the_memory(tmp_path):
+    policy = Policy.load(failing(tmp_path / "policy.onnx", 3), PLANAR3)
+    observation = np.zeros((2, policy.contract.observation_size), np.float32)
+    finite = [bool(np.isfinite(policy.step(observation)).all()) for _ in range(5)]
+    assert finite == [True] * 3 + [False] * 2
+    assert policy.memory.tolist() == [[3.0]] * 2
+    assert "indices element out of data bounds" in policy.failure
+    policy.reset(np.array([True, False]))
+    assert np.isnan(policy.step(observation)).all()
+    policy.reset(np.array([True, True]))
+    assert (policy.step(observation) == 0.0).all()
+
+
+def test_policy_that_fails_at_once_is_refused(tmp_path):
+    with pytest.raises(ContractError, match="cannot be run at batch 1: .*out of data bounds"):
+        Policy.load(failing(tmp_path / "policy.onnx", 0), PLANAR3)
