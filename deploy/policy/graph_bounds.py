@@ -88,14 +88,18 @@ def _scan(
     fields: dict[str, Any] = {each.name: helper.get_attribute_value(each) for each in node.attribute}
     body, count = fields["body"], fields["num_scan_inputs"]
     states = len(node.input) - count
-    fits = count > 0 <= states and len(body.input) == len(node.input) and len(body.output) == len(node.output)
+    ends_of_scans = len(node.output) - states
+    fits = count > 0 <= min(states, ends_of_scans)
+    fits &= len(body.input) == len(node.input) and len(body.output) == len(node.output)
+    axes_in = fields.get("scan_input_axes") or [0] * count
+    axes_out = fields.get("scan_output_axes") or [0] * max(ends_of_scans, 0)
+    fits &= len(axes_in) == count and len(axes_out) == ends_of_scans
     if opset < SCAN_OPSET_MIN or not fits:
         raise ContractError(
-            f"{where}: found other inputs or outputs than its graph has, or no operator set 9"
+            f"{where}: found other inputs, outputs or axes than its graph has, or no operator set 9"
         )
     given = [known[name] for name in node.input]
-    axes = fields.get("scan_input_axes") or [0] * count
-    parts = [_without(tensor, axis, where) for tensor, axis in zip(given[states:], axes, strict=True)]
+    parts = [_without(tensor, axis, where) for tensor, axis in zip(given[states:], axes_in, strict=True)]
     trips = max(size for size, _ in parts)
     _check_at_most(trips, TRIPS_MAX, "trips", where)
     starts = [*given[:states], *(part for _, part in parts)]
@@ -106,8 +110,7 @@ def _scan(
     ends = [inner[value.name] for value in body.output]
     if any(end.dims != state.dims for end, state in zip(ends, given[:states], strict=False)):
         raise ContractError(f"{where}: found a state that changes its shape, expected the same in every trip")
-    axes = fields.get("scan_output_axes") or [0] * (len(ends) - states)
-    joined = [_joined(end, axis, trips) for end, axis in zip(ends[states:], axes, strict=True)]
+    joined = [_joined(end, axis, trips) for end, axis in zip(ends[states:], axes_out, strict=True)]
     return [*given[:states], *joined], _Usage(usage.bytes, trips * (usage.work + NODE_WORK))
 
 

@@ -71,7 +71,7 @@ class Policy(Actor):
             self._refit(observation.shape)
         try:
             return self._run(observation)
-        except Exception as e:  # ONNX Runtime's errors share no base
+        except (RuntimeError, MemoryError) as e:  # as a run with bound tensors fails
             self.failure = shortened(e)
             self._action[:] = np.nan
             return self._action

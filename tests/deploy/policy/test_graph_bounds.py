@@ -126,6 +126,10 @@ def another_body():
     return graph(node("Scan", "x", "y", body=body(), num_scan_inputs=1))
 
 
+def scanning(inputs="zero x", count=1, **axes):
+    return graph(node("Scan", inputs, "y", body=body(), num_scan_inputs=count, **axes), held=ZERO)
+
+
 def sparse():
     values = numpy_helper.from_array(np.ones(1, np.float32), "v")
     made = helper.make_sparse_tensor(values, numpy_helper.from_array(np.zeros(1, np.int64), "i"), [1 << 30])
@@ -135,6 +139,7 @@ def sparse():
 
 ZERO = {"zero": np.zeros((), np.float32)}
 KNOWN = "expected one that follows from the shapes of the inputs"
+SCAN = "of 1: node 'y' (Scan): found other inputs, outputs or axes than its graph has"
 REFUSED = {
     "elements": (elements, "of 1: node 'big' (ConstantOfShape): found 4000000000 elements of an output"),
     "product": (product, "of 1: found 27009002050 multiply-adds in a step, expected at most 67108864"),
@@ -159,7 +164,10 @@ REFUSED = {
     "indexed": (indexed_by_itself, "of 1: node 'g6' (Gather): found 65 dimensions, expected at most 64"),
     "split": (split, "of 1: node 'y' (Split): num_outputs: found 1099511627776, expected 1"),
     "state": (growing_state, "of 1: node 'y' (Scan): found a state that changes its shape"),
-    "body": (another_body, "of 1: node 'y' (Scan): found other inputs or outputs than its graph has"),
+    "body": (another_body, SCAN),
+    "input axes": (lambda: scanning(scan_input_axes=[0, 0]), SCAN),
+    "output axes": (lambda: scanning(scan_output_axes=[0]), SCAN),
+    "states": (lambda: scanning("zero zero x"), SCAN),
     "sparse": (sparse, "of 1: node 'big' (Constant): found 1073741824 elements of an output"),
 }
 

@@ -164,5 +164,5 @@ def test_step_whose_graph_fails_gives_nan_and_keeps_the_memory(tmp_path):
 
 
 def test_policy_that_fails_at_once_is_refused(tmp_path):
-    with pytest.raises(ContractError, match="cannot be run at batch 1: .*out of data bounds"):
+    with pytest.raises(ContractError, match=r"cannot be run at batch 1: .*out of data bounds"):
         Policy.load(failing(tmp_path / "policy.onnx", 0), PLANAR3)
