@@ -88,12 +88,14 @@ def _scan(
     fields: dict[str, Any] = {each.name: helper.get_attribute_value(each) for each in node.attribute}
     body, count = fields["body"], fields["num_scan_inputs"]
     states = len(node.input) - count
-    ends_of_scans = len(node.output) - states
-    fits = count > 0 <= min(states, ends_of_scans)
+    joined_count = len(node.output) - states
+    fits = count > 0 <= min(states, joined_count)
     fits &= len(body.input) == len(node.input) and len(body.output) == len(node.output)
-    axes_in = fields.get("scan_input_axes") or [0] * count
-    axes_out = fields.get("scan_output_axes") or [0] * max(ends_of_scans, 0)
-    fits &= len(axes_in) == count and len(axes_out) == ends_of_scans
+    axes_in, axes_out = (
+        fields.get(name) or [0] * (number if fits else 0)
+        for name, number in (("scan_input_axes", count), ("scan_output_axes", joined_count))
+    )
+    fits &= len(axes_in) == count and len(axes_out) == joined_count
     if opset < SCAN_OPSET_MIN or not fits:
         raise ContractError(
             f"{where}: found other inputs, outputs or axes than its graph has, or no operator set 9"

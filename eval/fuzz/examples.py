@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from onnx import TensorProto, helper, numpy_helper
+from onnx import NodeProto, TensorProto, helper, numpy_helper
 
 from deploy.operation.temperature_file import Temperatures
 from deploy.policy.contract import CONTRACT_KEY, Contract
@@ -52,14 +52,32 @@ def make_policy(folder: Path, spec: RobotSpec | None = None) -> Path:
         trained={"recipe": "none"},
     )
     ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", n]) for name in (INPUT, OUTPUT)]
-    nodes = [helper.make_node("MatMul", [INPUT, "w"], ["h"]), helper.make_node("Tanh", ["h"], [OUTPUT])]
-    weights = [numpy_helper.from_array(np.zeros((n, n), np.float32), "w")]
+    nodes = [helper.make_node("MatMul", [INPUT, "w"], ["h"]), _scan(n)]
+    weights = [
+        numpy_helper.from_array(np.zeros(shape, np.float32), name)
+        for name, shape in (("w", (n, n)), ("begin", (n,)))
+    ]
     graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], weights)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
     golden = json.dumps({"observation": [[0.5] * n], "action": [[0.0] * n]})
     helper.set_model_props(model, {CONTRACT_KEY: contract.to_json(), GOLDEN_KEY: golden})
     (path := folder / "policy.onnx").write_bytes(model.SerializeToString())
     return path
+
+
+def _scan(n: int) -> NodeProto:
+    """Return a node that computes the action of each robot in a trip of its own: its graph is within the graph."""
+    inputs, outputs = (
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, [n]) for name in names]
+        for names in (("state", "row"), ("next", "squashed"))
+    )
+    inner = [
+        helper.make_node("Identity", ["state"], ["next"]),
+        helper.make_node("Tanh", ["row"], ["squashed"]),
+    ]
+    body = helper.make_graph(inner, "body", inputs, outputs)
+    axes: dict[str, Any] = {"scan_input_axes": [0], "scan_output_axes": [0]}
+    return helper.make_node("Scan", ["begin", "h"], ["end", OUTPUT], body=body, num_scan_inputs=1, **axes)
 
 
 def make_robot(folder: Path) -> None:
