@@ -50,7 +50,7 @@ class Case(Strict):
     """One file of a regression suite: what an attack found.
 
     Attributes:
-        robot: name of a shipped robot. mode: in which drives follow the policy.
+        robot: name of a shipped robot, or a folder. mode: in which drives follow the policy.
         faults: names of fault classes, of which one is injected into each robot.
         monitor: whose margin was the least. worst: its highest ratio when the case was found.
         adversary, seed, weights: of the candidate.
@@ -91,15 +91,18 @@ def read_case(path: Path) -> Case:
     return case
 
 
-def check_weights(weights: Weights, spec: RobotSpec, source: str) -> None:
-    """Refuse weights that are none of a robot's adversaries, or out of the bounds of a search.
+def check_weights(candidate: Candidate, spec: RobotSpec, source: str) -> None:
+    """Refuse weights that are not those of the candidate's adversary, or out of the bounds of a search.
 
     Raises:
         ConfigError: naming the source, the weight, what was found and what was expected.
     """
-    for name, values in weights.items():
-        if (kind := WEIGHTS.get(name)) is None:
-            raise ConfigError(f"{source}: weights: found {name!r:.80}, expected some of {', '.join(WEIGHTS)}")
+    expected = ADVERSARIES[candidate.adversary].first(spec.n)
+    if candidate.weights.keys() != expected.keys():
+        found = ", ".join(candidate.weights)
+        raise ConfigError(f"{source}: weights: found {found!r:.200}, expected {', '.join(expected)}")
+    for name, values in candidate.weights.items():
+        kind = WEIGHTS[name]
         if len(values) != (size := kind.size(spec.n)):
             raise ConfigError(f"{source}: weights.{name}: found {len(values)} numbers, expected {size}")
         if not all(kind.low <= x <= kind.high for x in values):
@@ -107,3 +110,5 @@ def check_weights(weights: Weights, spec: RobotSpec, source: str) -> None:
                 f"{source}: weights.{name}: found {min(values):g} to {max(values):g}, expected {kind.low:g} to"
                 f" {kind.high:g}"
             )
+        if kind.whole and not all(x.is_integer() for x in values):
+            raise ConfigError(f"{source}: weights.{name}: found {values[0]:g}, expected a whole number")

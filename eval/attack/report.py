@@ -13,7 +13,7 @@ from eval.attack.candidate import Case
 from eval.attack.peak import Bundle
 from eval.judge.monitor import Monitor
 from eval.shard.job import code_digest, versions
-from robots.spec import RobotSpec
+from robots.spec import ROBOTS, RobotSpec
 from robots.strict import Strict
 
 REPORT = "attack.json"
@@ -120,7 +120,7 @@ def _finite(ratio: float) -> float | None:
 def case_of(spec: RobotSpec, setting: Setting, monitor: str, found: Found) -> Case:
     """Return the case of a monitor's worst candidate, for a regression suite."""
     case = {
-        "robot": spec.name,
+        "robot": spec.name if spec.folder == ROBOTS / spec.name else str(spec.folder),
         "mode": setting.mode.name.lower(),
         "faults": setting.faults,
         "monitor": monitor,

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from eval.attack.archive import EXEMPT
+from eval.attack.archive import EXEMPT, Archive
 from eval.attack.arena import Outcome, Setting, try_candidate
 from eval.attack.candidate import Case, check_weights, read_case
 from eval.attack.fault_classes import check_faults
@@ -60,10 +60,12 @@ def _setting(path: Path, case: Case) -> Setting:
         spec = load_robot(case.robot)
     except FirstshiftError as e:
         raise ConfigError(f"{path}: robot: {e}") from e
-    check_weights(case.weights, spec, str(path))
     mode = ControlMode[case.mode.upper()]
     if mode not in spec.control_modes:
         raise ConfigError(f"{path}: mode: found {case.mode}, in which {spec.name} has no drives")
+    check_weights(case.candidate, spec, str(path))
+    if case.monitor not in (monitors := [monitor.name for monitor in Archive(spec, mode).monitors]):
+        raise ConfigError(f"{path}: monitor: found {case.monitor}, expected one of {', '.join(monitors)}")
     check_faults(case.faults, spec, mode, f"{path}: faults")
     return Setting(robot=spec.folder, mode=mode, faults=case.faults)
 

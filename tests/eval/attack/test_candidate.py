@@ -47,16 +47,24 @@ def test_wrong_field_of_a_case_is_named(change, complaint, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("weights", "complaint"),
+    ("change", "complaint"),
     [
-        ({"weather": (1.0,)}, "weights: found 'weather', expected some of reach"),
+        ({"weather": (1.0,)}, "weights: found '.*weather', expected reach, "),
         ({"push": (1.0,)}, r"weights\.push: found 1 numbers, expected 6"),
         ({"push": (9.0,) * 6}, r"weights\.push: found 9 to 9, expected -2 to 2"),
+        ({"delay": (2.5,)}, r"weights\.delay: found 2.5, expected a whole number"),
     ],
 )
-def test_weights_of_no_adversary_are_refused(weights, complaint):
+def test_wrong_weights_are_refused(change, complaint):
+    adversary = "replay" if "delay" in change else "push"
+    weights = {**ADVERSARIES[adversary].first(SPEC.n), **change}
     with pytest.raises(ConfigError, match=f"here: {complaint}"):
-        check_weights(weights, SPEC, "here")
+        check_weights(Candidate(adversary, weights, 9), SPEC, "here")
+
+
+def test_weights_that_are_left_out_are_missed():
+    with pytest.raises(ConfigError, match=r"here: weights: found '', expected reach, "):
+        check_weights(Candidate("push", {}, 9), SPEC, "here")
 
 
 def test_fault_of_no_class_is_refused(tmp_path):

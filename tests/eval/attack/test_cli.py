@@ -157,7 +157,9 @@ def test_make_attack_fails_where_a_case_fails(events, code, call, monkeypatch):
     [
         (None, "found no case"),
         ({"robot": "nobody"}, r"a\.json: robot: .*nobody"),
-        ({"robot": "quadruped", "mode": "torque", "weights": {}}, r"a\.json: mode: found torque"),
+        ({"monitor": "fallen"}, r"a\.json: monitor: found fallen, expected one of position_requested"),
+        ({"robot": "quadruped", "mode": "torque"}, r"a\.json: mode: found torque"),
+        ({"weights": {}}, r"a\.json: weights: found '', expected "),
         ({"seed": "seven"}, r"a\.json: seed: "),
     ],
 )
