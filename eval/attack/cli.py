@@ -18,13 +18,13 @@ from eval.attack.guards import guarded_monitor
 from eval.attack.pool import Workers, workers
 from eval.attack.report import REPORT, AttackReport, case_of, make_report, table
 from eval.attack.search import Search
-from eval.replay.bundle_files import delete_bundles
+from eval.replay.bundle_files import delete_bundles, replace_bundles
 from eval.report.report_files import check_report_folder
 from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec, load_robot
 
-WORST, CASES = "worst", "cases"
+WORST, CASES, UNFINISHED = "worst", "cases", "unfinished"
 """Folders in --out: of bundles, and of cases."""
 COLUMNS = (
     TextColumn("attacking: {task.description}"),
@@ -105,7 +105,7 @@ def soak_attack(
     budget = Budget(seconds=60.0 * minutes, generations=generations)
     check_report_folder(out, (REPORT,))
     with locked(out), workers(setting, processes) as pool:
-        delete_bundles(out / WORST, finished=True)
+        delete_bundles(out / UNFINISHED, finished=True)
         search = Search(spec, setting.mode, pool.evaluate, seed=seed, target=target)
         interrupted = not _run(search, budget, Console())
         report = _write(spec, setting, seed, search.archive, pool, out)
@@ -140,7 +140,8 @@ def _write(
     """Write report, bundles and cases, and print the table; nothing but the report where a guard is missing."""
     found = {} if setting.without else archive.worst
     kept = {name: found[name] for name in archive.hard if name in found and found[name].ratio > 0.0}
-    report = make_report(spec, setting, seed, archive, pool.write_bundles(kept, out / WORST))
+    report = make_report(spec, setting, seed, archive, pool.write_bundles(kept, out / UNFINISHED))
+    replace_bundles(out / UNFINISHED, out / WORST)
     report.write(out)
     for old in (out / CASES).glob("*.json"):
         old.unlink()

@@ -11,11 +11,12 @@ pytest.importorskip("mujoco")
 
 import eval.attack.__main__ as suite_command
 import eval.attack.cli as command
-from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.command_line import BROKEN, BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
 from eval.attack import arena
 from eval.attack.candidate import read_case
 from eval.attack.cli import cli
 from eval.attack.suite import OPEN, SUITE, run_suite
+from eval.replay.bundle_files import INFO
 from support.eval.attacks import planted_workers
 
 OPTIONS = {"--robot": "planar3", "--generations": 2, "--workers": 1}
@@ -97,6 +98,23 @@ def test_interrupted_attack_reports_what_it_tried(call, tmp_path, monkeypatch):
     assert code == INTERRUPTED
     assert "interrupted: the report covers" in said
     assert json.loads((tmp_path / "attack.json").read_text())["trials"] > 6 * 16
+
+
+def test_bundles_of_an_earlier_attack_stay_until_there_are_others(call, tmp_path, monkeypatch):
+    old = tmp_path / "worst" / "old"
+    old.mkdir(parents=True)
+    (old / INFO).touch()
+
+    def fail(blocks):
+        assert old.exists()
+        raise RuntimeError("no power")
+
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", before=fail))
+    assert attack(call, tmp_path)[0] == BROKEN
+    assert old.exists()
+    monkeypatch.setattr(command, "workers", planted_workers("planar3"))
+    assert attack(call, tmp_path)[0] == PASSED
+    assert not old.exists()
 
 
 @pytest.mark.slow
