@@ -3,6 +3,8 @@
 A late tick is simulated as one: before the computer reads, the robot goes on for the slots that were skipped, under the
 command that its drives have. The runtime's clock does not count these slots, as on a real robot, and its loop timing
 does. The judge sees the robot once for each tick of the runtime: of the skipped slots it sees the end.
+
+The injector repairs the bus before each tick: effects of one robot add up.
 """
 
 from eval.faults.fault_class import Injection
@@ -18,29 +20,35 @@ OLD_S, LATE_S = 0.025, 0.05
 def lose_commands(access: PlantAccess, injection: Injection, active: bool, *, of: int = 1) -> None:
     """Lose one command of `of`; drives keep the one before."""
     place = access.tick - injection.begins
-    access.plant.bus.lost[injection.robot] = active and place % of == 0
+    access.plant.bus.lost[injection.robot] |= active and place % of == 0
 
 
 def repeat_commands(access: PlantAccess, injection: Injection, active: bool) -> None:
     """Deliver an old command in the place of one of `EVERY`."""
-    old = active and (access.tick - injection.begins) % EVERY == 0
-    access.plant.bus.late[injection.robot] = round(OLD_S / access.dt) if old else 0
+    if active and (access.tick - injection.begins) % EVERY == 0:
+        _delay(access, injection.robot, OLD_S)
 
 
 def delay_commands(access: PlantAccess, injection: Injection, active: bool) -> None:
     """Deliver every command late."""
-    access.plant.bus.late[injection.robot] = round(LATE_S / access.dt) if active else 0
+    if active:
+        _delay(access, injection.robot, LATE_S)
+
+
+def _delay(access: PlantAccess, robot: int, late_s: float) -> None:
+    late = access.plant.bus.late
+    late[robot] = max(late[robot], round(late_s / access.dt))
 
 
 def stop_controller(access: PlantAccess, injection: Injection, active: bool) -> None:
     """Take the controller down: brakes close, and commands are ignored."""
-    access.plant.bus.down[injection.robot] = active
+    access.plant.bus.down[injection.robot] |= active
 
 
 def hang(access: PlantAccess, injection: Injection, active: bool, *, late_s: float) -> None:
     """Delay the first tick of the fault."""
     if active and access.tick == injection.begins:
-        access.plant.late[injection.robot] = round(late_s / access.dt)
+        access.plant.late[injection.robot] += round(late_s / access.dt)
 
 
 def run_late(access: PlantAccess, injection: Injection, active: bool) -> None:
@@ -48,4 +56,4 @@ def run_late(access: PlantAccess, injection: Injection, active: bool) -> None:
     if active:
         begin = injection.robot * 7919 + injection.slot * 104729  # primes: places that hardly repeat
         place = begin + access.tick - injection.begins
-        access.plant.late[injection.robot] = int(SKIPPED[place % len(SKIPPED)])
+        access.plant.late[injection.robot] += int(SKIPPED[place % len(SKIPPED)])

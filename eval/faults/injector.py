@@ -46,6 +46,8 @@ class Injector(Stage):
         if tick != self._next_tick or ending or schedule.beginning(tick):
             self._active = schedule.active(tick)
         self._access.tick, self._next_tick = tick, tick + 1
+        for injection in (*ending, *self._active):
+            self._access.plant.bus.repair(injection.robot)
         for injections, active in ((ending, False), (self._active, True)):
             for injection in injections:
                 if isinstance(injection.fault, PlantFault):
