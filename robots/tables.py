@@ -140,8 +140,8 @@ class Motor(Strict):
 class Rates(Strict):
     """Rates of control and physics, Hz; physics is a multiple of control."""
 
-    control_hz: PositiveInt
-    physics_hz: PositiveInt
+    control_hz: Annotated[PositiveInt, Field(le=100_000)]
+    physics_hz: Annotated[PositiveInt, Field(le=100_000)]
 
     @model_validator(mode="after")
     def _divides(self) -> Self:
@@ -179,7 +179,7 @@ class Margins(Strict):
         lost_s: age of the newest sample at which it stops and cuts power.
         stops_max, stops_s: as many stops within as many s, without a goal reached in between, cut power.
         oscillation_hz: frequency at which a joint may swing for seconds, with a tenth of its speed limit between peaks;
-            without it, oscillation is not looked for.
+            without it, oscillation is not looked for. Its speed is looked at 50 times a second.
         winding_k, winding_share: K, and share of its rise over the housing, by which a winding may be hotter than
             estimated: the robot latches when it may have come to winding_max_c.
         fold_min: share of its current that a motor keeps there. From winding_soft_c on it falls to this share.
@@ -197,12 +197,12 @@ class Margins(Strict):
     collision_m: PositiveFloat | None = None
     workspace_m: PositiveFloat | None = None
     singularity: PositiveFloat | None = None
-    tracking_rad: PositiveFloat
-    stale_s: PositiveFloat
-    lost_s: PositiveFloat
-    stops_max: PositiveInt
-    stops_s: PositiveFloat
-    oscillation_hz: Annotated[PositiveFloat | None, Field(exclude_if=_is_none)] = None
+    tracking_rad: Annotated[PositiveFloat, Field(le=math.pi)]
+    stale_s: Annotated[PositiveFloat, Field(le=1.0)]
+    lost_s: Annotated[PositiveFloat, Field(le=1.0)]
+    stops_max: Annotated[PositiveInt, Field(le=1000)]
+    stops_s: Annotated[PositiveFloat, Field(le=86_400.0)]
+    oscillation_hz: Annotated[PositiveFloat | None, Field(le=20.0, exclude_if=_is_none)] = None
     winding_k: PositiveFloat
     winding_share: Annotated[float, Field(ge=0)]
     fold_min: Fraction

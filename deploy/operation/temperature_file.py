@@ -19,8 +19,8 @@ from robots.strict import Strict, parse, read_json_file
 PERIOD_S = 5.0
 """s between two writes: windings have time constants of tens of seconds."""
 
-RISE_K = (-200.0, 500.0)
-"""K, credible range of a rise; a value outside it comes from a faulty sensor."""
+RISE_K = (-10.0, 500.0)
+"""K, credible range of a rise: a winding is at most as much colder than its housing as the sensor of that may err."""
 
 CHARACTERS_MAX = 1 << 16
 

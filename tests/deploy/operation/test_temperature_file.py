@@ -85,6 +85,7 @@ def test_a_first_run_begins_with_nothing_and_leaves_a_file(tmp_path):
         ({"joints": ["a"], "rise_k": [1.0]}, r"joints: found \('a',\), expected \('shoulder_pan'"),
         ({"rise_k": [1.0]}, r"rise_k holds 1 numbers for 6 joints"),
         ({"rise_k": [1e9] * N}, r"rise_k\.0: .*less than or equal to 500"),
+        ({"rise_k": [-200.0] * N}, r"rise_k\.0: .*greater than or equal to -10"),
         ({"rise_k": ["hot"] * N}, r"rise_k\.0"),
         ({"unix_s": -5.0}, r"unix_s: .*greater than or equal to 0"),
         ({"more": 1}, r"more"),
