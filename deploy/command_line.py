@@ -16,9 +16,8 @@ def main(*commands: Callable[..., int]) -> None:
     """Run one command line; the function's result, or its error, becomes the exit code.
 
     An option that typer refuses and a `FirstshiftError` are printed on standard error and exit with 2, a result that
-    was lost with 1. Ctrl-C that a
-    command did not handle itself exits with 130. Any other exception, of firstshift or of a robot's bus, is printed
-    with its traceback and exits with 70, which is no verdict about the robot.
+    was lost with 1. Ctrl-C that a command did not handle itself exits with 130. Any other exception, of firstshift or
+    of a robot's bus, is printed with its traceback and exits with 70, which is no verdict about the robot.
 
     Args:
         commands: functions with typer's annotations that return an exit code. If there are several, the first word of

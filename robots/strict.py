@@ -112,10 +112,16 @@ def _tuples(data: object) -> object:
 
 def _messages(invalid: ValidationError) -> Iterator[str]:
     """Yield each error as `field: expectation, found value`."""
-    for item in invalid.errors():
+    for item in (errors := invalid.errors()):
+        if item["type"] == "too_short" and any(_is_inside(other["loc"], item["loc"]) for other in errors):
+            continue  # pydantic counts only the items that are right
         field = ".".join(f"{part!s:.80}" for part in item["loc"]) or "(whole file)"
         found, message = item["input"], item["msg"].removeprefix("Value error, ")
         shown = "" if isinstance(found, dict) else f", found {found!r:.80}"
         # The error of a validator of the whole record names its own field.
         own = not item["loc"] and item["type"] == "value_error"
         yield str(item["ctx"]["error"]) if own else f"{field}: {message}{shown}"
+
+
+def _is_inside(place: tuple[int | str, ...], outer: tuple[int | str, ...]) -> bool:
+    return len(place) > len(outer) and place[: len(outer)] == outer

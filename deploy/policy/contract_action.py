@@ -51,7 +51,7 @@ class ActionSpec(Strict):
     def _consistent(self) -> Self:
         for name in ("offset", "scale", "change_max", "kp", "kd"):
             if (numbers := getattr(self, name)) is not None and len(numbers) != self.size:
-                raise ValueError(f"action {name} has {len(numbers)} numbers, size is {self.size}")
+                raise ValueError(f"{name} has {len(numbers)} numbers, size is {self.size}")
         self._check_fields_of_mode()
         self._check_gains()
         return self
@@ -61,21 +61,17 @@ class ActionSpec(Strict):
         needed = {"leash_rad": self.mode == "position_increment", "offset": self.mode == "position"}
         for name, meant in needed.items():
             if (getattr(self, name) is not None) != meant:
-                raise ValueError(f"action {name}: found {'none' if meant else 'one'} in mode {self.mode!r}")
+                raise ValueError(f"{name}: found {'none' if meant else 'one'} in mode {self.mode!r}")
         if self.change_max is not None and self.mode == "position_increment":
-            raise ValueError(
-                "action change_max: found one in mode 'position_increment', where scale bounds it"
-            )
+            raise ValueError("change_max: found one in mode 'position_increment', where scale bounds it")
 
     def _check_gains(self) -> None:
         if (self.kp is None) != (self.kd is None):
-            raise ValueError("action: found one of kp and kd, expected both or none")
+            raise ValueError("found one of kp and kd, expected both or none")
         if self.kp is not None and self.mode == "torque":
-            raise ValueError("action kp: found some in mode 'torque', expected none: they are 0")
+            raise ValueError("kp: found some in mode 'torque', expected none: they are 0")
         if 0.0 in (self.kp or ()) and self.mode != "velocity":
-            raise ValueError(
-                f"action kp: found 0 in mode {self.mode!r}, expected above 0: drives follow angles"
-            )
+            raise ValueError(f"kp: found 0 in mode {self.mode!r}, expected above 0: drives follow angles")
 
     @property
     def control_mode(self) -> ControlMode:

@@ -1,3 +1,5 @@
+from typing import Annotated
+
 import pytest
 from pydantic import Field, PositiveFloat, PositiveInt, ValidationError
 
@@ -16,6 +18,7 @@ class Animal(Strict):
     eyes: PositiveInt
     tame: bool = False
     places: tuple[float, float] = (0.0, 1.0)
+    teeth: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (1.0,)
     parts: dict[str, Leg] = Field(default_factory=dict)
 
 
@@ -78,6 +81,14 @@ def test_every_wrong_field_has_its_own_line(tmp_path):
     lines = str(caught.value).splitlines()
     assert len(lines) == 4
     assert all(line.startswith(str(tmp_path)) for line in lines)
+
+
+def test_wrong_items_of_a_list_are_not_called_missing(tmp_path):
+    with pytest.raises(ConfigError) as caught:
+        read(tmp_path, GOOD + "teeth = [0.0, -1.0]")
+    assert [line.split(": ")[1] for line in str(caught.value).splitlines()] == ["teeth.0", "teeth.1"]
+    with pytest.raises(ConfigError, match=r"teeth: Tuple should have at least 1 item"):
+        read(tmp_path, GOOD + "teeth = []")
 
 
 def test_a_huge_value_does_not_flood_the_message(tmp_path):

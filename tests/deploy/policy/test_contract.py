@@ -90,7 +90,7 @@ BAD_FIELDS = {
         math.inf,
         "action.scale.2: Input should be a finite number, found inf",
     ),
-    "action scale short": (["action", "scale"], [1.0], "action scale has 1 numbers, size is 6"),
+    "action scale short": (["action", "scale"], [1.0], "scale has 1 numbers, size is 6"),
     "clip reversed": (["action", "clip"], [1.0, -1.0], "low 1.0 is not below high -1.0"),
     "unknown mode": (
         ["action", "mode"],
@@ -267,30 +267,30 @@ def test_gait_phases_share_one_period():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"offset": None}, "action offset: found none in mode 'position'"),
-        ({"leash_rad": 0.3}, "action leash_rad: found one in mode 'position'"),
-        ({"offset": (0.1,) * 5}, "action offset has 5 numbers, size is 6"),
-        ({"kp": (1.0,) * 6}, "action: found one of kp and kd, expected both or none"),
-        ({"kp": (1.0,) * 6, "kd": (1.0,) * 4}, "action kd has 4 numbers, size is 6"),
-        ({"mode": "position_increment", "leash_rad": 0.3}, "action offset: found one in mode"),
-        ({"mode": "velocity"}, "action offset: found one in mode 'velocity'"),
+        ({"offset": None}, "offset: found none in mode 'position'"),
+        ({"leash_rad": 0.3}, "leash_rad: found one in mode 'position'"),
+        ({"offset": (0.1,) * 5}, "offset has 5 numbers, size is 6"),
+        ({"kp": (1.0,) * 6}, "found one of kp and kd, expected both or none"),
+        ({"kp": (1.0,) * 6, "kd": (1.0,) * 4}, "kd has 4 numbers, size is 6"),
+        ({"mode": "position_increment", "leash_rad": 0.3}, "offset: found one in mode"),
+        ({"mode": "velocity"}, "offset: found one in mode 'velocity'"),
         (
             {"mode": "torque", "offset": None, "leash_rad": 0.3},
-            "action leash_rad: found one in mode 'torque'",
+            "leash_rad: found one in mode 'torque'",
         ),
-        ({"change_max": (0.1,) * 5}, "action change_max has 5 numbers, size is 6"),
+        ({"change_max": (0.1,) * 5}, "change_max has 5 numbers, size is 6"),
         (
             {"mode": "position_increment", "offset": None, "leash_rad": 0.3, "change_max": (0.1,) * 6},
-            "action change_max: found one in mode 'position_increment', where scale bounds it",
+            "change_max: found one in mode 'position_increment', where scale bounds it",
         ),
         ({"mode": "velocity", "offset": None, "kp": (0.0,) * 6, "kd": (0.0,) * 6}, "kd.0\n.*greater than 0"),
         (
             {"kp": (1.0, 0.0, 1.0, 1.0, 1.0, 1.0), "kd": (1.0,) * 6},
-            "action kp: found 0 in mode 'position', expected above 0: drives follow angles",
+            "kp: found 0 in mode 'position', expected above 0: drives follow angles",
         ),
         (
             {"mode": "torque", "offset": None, "kp": (1.0,) * 6, "kd": (1.0,) * 6},
-            "action kp: found some in mode 'torque', expected none: they are 0",
+            "kp: found some in mode 'torque', expected none: they are 0",
         ),
     ],
 )
