@@ -19,6 +19,8 @@ N, DT = SPEC.n, SPEC.dt
 class Thinking(Stage):
     """What may stand in for a policy: it remembers nothing."""
 
+    failure = ""
+
     def resize(self, robots):
         pass
 
