@@ -12,6 +12,7 @@ from support.deploy.safety import (
     HOME,
     LOW,
     MARGINS,
+    SAFETY,
     SPACE,
     ZERO,
     N,
@@ -312,3 +313,18 @@ def test_inputs_are_not_modified():
     judge(setpoint=setpoint, q_rest=rest)
     for array, old in zip((setpoint.q, setpoint.qd, rest), before, strict=True):
         np.testing.assert_array_equal(array, old)
+
+
+def test_joints_that_fail_at_several_points_are_all_named():
+    """One at the setpoint, another at the first step of its stop."""
+    fast = [one(joint, 10.0) for joint in (1, 4)]
+    verdict = judge(setpoint=point(qd=fast[0]), ahead=point(qd=fast[1]))
+    failed = SAFETY.failed(verdict, 0, Reason.VELOCITY)
+    assert failed["joint_speed"].tolist() == [False, True, False, False, True, False]
+    assert SAFETY.failed(judge(), 0, Reason.VELOCITY) == {}
+
+
+def test_a_value_at_its_bound_has_not_failed():
+    at = one(2, LOW[2] + MARGINS.q_soft_rad, HOME)
+    verdict = judge(setpoint=point(at), ahead=point(one(3, 1e3, HOME)), q_hat=HOME, q_rest=HOME)
+    assert SAFETY.failed(verdict, 0, Reason.POSITION)["joint_angle"].tolist() == [j == 3 for j in range(N)]

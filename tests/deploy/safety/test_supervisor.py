@@ -101,6 +101,34 @@ def test_category_of_every_reason(bit):
     assert mode == (Mode.LATCHED if bit in CATEGORY_1 else Mode.RUNNING)
 
 
+def test_reasons_are_recorded_for_the_robots_that_they_stop_alone():
+    """Where one robot is refused, one that runs and one without power are not blamed."""
+    supervisor = Supervisor(3, DT)
+    supervisor.mode[:] = Mode.RUNNING, Mode.RUNNING, Mode.DISARMED
+    supervisor.step(np.array([0, SOFT, HARD]), np.ones(3, dtype=bool))
+    assert supervisor.mode.tolist() == [Mode.RUNNING, Mode.STOPPING, Mode.DISARMED]
+    assert supervisor.reason.tolist() == [0, SOFT, 0]
+
+
+def test_latch_cuts_power_at_once_and_keeps_every_reason():
+    supervisor = Supervisor(2, DT)
+    supervisor.mode[:], supervisor.since[:], supervisor.reason[:] = Mode.STOPPING, 7, SOFT
+    supervisor.latch(np.array([True, False]), Reason.NOT_FINITE)
+    assert supervisor.mode.tolist() == [Mode.LATCHED, Mode.STOPPING]
+    assert supervisor.reason.tolist() == [SOFT | int(Reason.NOT_FINITE), SOFT]
+    assert supervisor.since.tolist() == [0, 7]
+
+
+def test_times_by_default():
+    """0.1 s of arming and 0.25 s of rest."""
+    supervisor = Supervisor(1, DT)
+    supervisor.arm(YES)
+    assert [after(supervisor)[0] for _ in range(10)] == [Mode.ARMING] * 9 + [Mode.RUNNING]
+    after(supervisor, SOFT)
+    after(supervisor)
+    assert [after(supervisor)[0] for _ in range(25)] == [Mode.HOLDING] * 24 + [Mode.RUNNING]
+
+
 def test_category_1_while_holding_latches():
     supervisor = one(Mode.HOLDING, SOFT)
     after(supervisor, HARD)
