@@ -111,7 +111,7 @@ $(ARM): policies/arm.pt robots/arm6/model.xml robots/arm6/robot.toml | setup
 SAFETY := deploy.safety,deploy.motion
 SAFETY_TESTS := tests/deploy/safety tests/deploy/motion tests/deploy/operation/test_stop_explanation.py $(wildcard tests/deploy/test_runtime*.py)
 
-.PHONY: test test-fast test-notorch cover cover-safety check check-addresses
+.PHONY: test test-fast test-notorch cover cover-safety mutate check check-addresses
 test: setup ## run all tests (ARGS=...)
 	$(BIN)/python $(TESTS) $(ARGS)
 
@@ -129,6 +129,10 @@ cover: setup ## run all tests and list the lines that none of them reached
 cover-safety: setup ## run tests of the code that stops a robot; fails if they leave out a line or a branch of it
 	$(BIN)/python -m coverage run --source $(SAFETY) -m pytest -q -m "not slow" $(SAFETY_TESTS)
 	$(BIN)/python -m coverage report --fail-under 100
+
+mutate: setup ## change the code that stops a robot in every mechanical way, and list the changes that no test notices
+	$(BIN)/python -m mutmut run --max-children $(WORKERS)
+	$(BIN)/python -m mutmut results
 
 check: setup check-addresses ## lint, format, types, import layers, addresses
 	$(BIN)/ruff check .
@@ -156,5 +160,5 @@ lock: setup ## renew requirements.lock and requirements-robot.lock (ARGS=--upgra
 	@$(MAKE) --no-print-directory check-addresses
 
 clean: ## remove both environments, caches and out/
-	rm -rf $(VENV) $(VENV_ROBOT) out build dist *.egg-info .coverage .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(VENV_ROBOT) out build dist *.egg-info .coverage .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis mutants
 	find robots deploy eval policies tests -name __pycache__ -type d -prune -exec rm -rf {} +

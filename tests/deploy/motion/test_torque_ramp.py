@@ -1,6 +1,7 @@
 """Torques that change no faster than allowed, and no faster in their rate."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -39,6 +40,36 @@ def test_a_step_is_reached_and_not_passed():
     straight = np.abs(goal) / RATE / DT
     reached = (np.abs(sent[:, 0] - goal) < 1e-3 * LIMIT).argmax(axis=0)
     assert (reached <= straight + 2 * RATE / (RATE2 * DT) + 3).all()  # but for the ticks that the rate needs
+
+
+def without_limit_of_rate():
+    joints = [
+        joint.model_copy(update={"torque_mode": joint.torque_mode.model_copy(update={"rate_max": 1e9})})
+        for joint in SPEC.joints
+    ]
+    return SPEC.model_copy(update={"joints": tuple(joints)})
+
+
+@pytest.mark.parametrize("periods", [1, 2, 3, 8])
+@pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
+def test_the_rate_is_the_highest_that_ends_at_the_target(periods, share):
+    """Closed form: rates r, r − S dt, … of which the last is a share of S dt cover the distance exactly."""
+    step = RATE2 * DT
+    rates = step * (share + np.arange(periods)[::-1, None])
+    ramp, target = TorqueRamp(without_limit_of_rate(), 1), 0.4 * LIMIT
+    ramp.tau[:], ramp.rate[:] = target - rates.sum(axis=0) * DT, rates[0]
+    for expected in rates:
+        tau, rate = ramp.next(target[None])
+        np.testing.assert_allclose(rate[0], expected, rtol=1e-9)
+        ramp.commit(tau, rate, followed=np.array([True]))
+    np.testing.assert_allclose(ramp.tau[0], target, rtol=1e-9)
+
+
+def test_a_robot_that_did_not_follow_begins_at_rest():
+    ramp, tau = TorqueRamp(SPEC, 2), np.full((2, N), 3.0)
+    ramp.commit(tau, np.ones((2, N)), followed=np.array([True, False]))
+    assert (ramp.tau == 3.0).all()
+    assert (ramp.rate == [[1.0], [0.0]]).all()
 
 
 def test_a_target_beyond_the_range_ends_at_its_margin():

@@ -324,7 +324,13 @@ def test_joints_that_fail_at_several_points_are_all_named():
     assert SAFETY.failed(judge(), 0, Reason.VELOCITY) == {}
 
 
-def test_a_value_at_its_bound_has_not_failed():
-    at = one(2, LOW[2] + MARGINS.q_soft_rad, HOME)
-    verdict = judge(setpoint=point(at), ahead=point(one(3, 1e3, HOME)), q_hat=HOME, q_rest=HOME)
+@pytest.mark.parametrize("end", [LOW[2] + MARGINS.q_soft_rad, HIGH[2] - MARGINS.q_soft_rad])
+def test_a_value_at_its_bound_has_not_failed(end):
+    verdict = judge(
+        setpoint=point(one(2, end, HOME)), ahead=point(one(3, 1e3, HOME)), q_hat=HOME, q_rest=HOME
+    )
     assert SAFETY.failed(verdict, 0, Reason.POSITION)["joint_angle"].tolist() == [j == 3 for j in range(N)]
+
+
+def test_poses_without_a_reason():
+    assert SAFETY.check_poses(np.tile(HOME, (2, 1))).tolist() == [0, 0]
