@@ -1,5 +1,7 @@
 """A safety check is one named row: added from outside, chosen by capability, refused where it does not fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from robots.spec import load_robot
 from support.arm6 import NO_CLEARANCE, SPEC, copy_of_arm
 from support.deploy.safety import HOME, judge, point
 from support.paths import TEST_ROBOTS
+from support.planar import PLANAR3
 
 FENCE = Check(
     name="fence",
@@ -37,6 +40,16 @@ def test_a_check_from_outside_is_made_like_any_other(moment):
     assert Reason(int(verdict.reason[0])) & Reason.WORKSPACE
     assert set(safety.failed(verdict, 0, Reason.WORKSPACE)) == {"fence"}
     assert safety.names(Reason.WORKSPACE) == {"tool_height", "tool_radius", "fence"}
+
+
+def test_a_robot_without_a_workspace_has_its_poses_checked():
+    safety = Safety(PLANAR3, Fleet(PLANAR3, 2, collisions=True))
+    assert safety.check_poses(np.array([[0.0, 0.5, 0.0], [0.0, 1.6, 0.0]])).tolist() == [0, Reason.POSITION]
+
+
+def test_a_check_may_need_all_that_a_robot_has():
+    safety = arm(poses=replace(FENCE, needs=SPEC.capabilities))
+    assert "fence" in safety.names(Reason.WORKSPACE)
 
 
 def test_robots_have_the_checks_whose_needs_they_meet(tmp_path):

@@ -6,6 +6,7 @@ from deploy.safety.safety import Safety
 from deploy.state import Setpoint, State
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
+from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
 from support.deploy.safety import (
     HIGH,
@@ -334,3 +335,23 @@ def test_a_value_at_its_bound_has_not_failed(end):
 
 def test_poses_without_a_reason():
     assert SAFETY.check_poses(np.tile(HOME, (2, 1))).tolist() == [0, 0]
+
+
+@pytest.mark.parametrize(("mode", "share"), [(ControlMode.POSITION, 0.85), (ControlMode.VELOCITY, 0.8)])
+def test_margins_are_those_of_the_mode(mode, share):
+    safety = Safety(SPEC, Fleet(SPEC.in_mode(mode), 2, collisions=True), mode=mode)
+    for factor, beyond in ((0.99, False), (1.01, True)):
+        fast = point(qd=one(5, factor * share * SPEC.joints[5].qd_max))
+        assert bool(judge(safety=safety, setpoint=fast).reason[0] & Reason.VELOCITY) == beyond
+
+
+def test_shapes_are_named_as_soon_as_they_are_refused():
+    """By bisection from the home pose to one that collides."""
+    free, colliding = HOME, np.array((0.3, -1.59, 2.64, 0.24, -1.16, 0.87))
+    for _ in range(40):
+        middle = (free + colliding) / 2
+        refused = Reason.COLLISION in reasons(setpoint=point(middle), q_hat=HOME)
+        free, colliding = (free, middle) if refused else (middle, colliding)
+    assert SAFETY.colliding_shapes(judge(setpoint=point(colliding)), 0) == ("upper_arm", "wrist_3")
+    apart = judge(setpoint=point(HOME))
+    assert SAFETY.colliding_shapes(apart, 0) == ()

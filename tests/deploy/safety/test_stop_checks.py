@@ -4,6 +4,7 @@ import pytest
 from deploy.motion.drive_law import TorqueDrives
 from deploy.motion.drive_modes import position_drives
 from deploy.motion.smoother import Smoother
+from deploy.motion.trajectories import stop_moments_s
 from deploy.reasons import Reason
 from deploy.safety.checks import TAKEOVER_RATE
 from deploy.safety.safety import Safety
@@ -177,3 +178,10 @@ def test_stop_into_the_table_is_refused(q, qd):
     ends, stop = stop_of(point(np.array(q), np.array(qd)))
     assert reasons(**ends) == 0
     assert reasons(**ends, q_mid_stop=stop.q[1]) == Reason.COLLISION
+
+
+def test_moments_at_which_a_stop_is_checked():
+    """A quarter and half of the time v / a + a / j of the slowest joint, from half of its speed."""
+    qd, qdd, jerk = (SPEC.joint_array(name) for name in ("qd_max", "qdd_max", "qddd_max"))
+    longest = (0.5 * SPEC.margins.speed * qd / qdd + qdd / jerk).max()
+    np.testing.assert_allclose(stop_moments_s(SPEC), (longest / 4, longest / 2))
