@@ -50,8 +50,8 @@ def without_limit_of_rate():
     return SPEC.model_copy(update={"joints": tuple(joints)})
 
 
-@pytest.mark.parametrize("periods", [1, 2, 3, 8])
-@pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("periods", [1, 2, 3, 8, 20])
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.999, 1.0])
 def test_the_rate_is_the_highest_that_ends_at_the_target(periods, share):
     """Closed form: rates r, r − S dt, … of which the last is a share of S dt cover the distance exactly."""
     step = RATE2 * DT
@@ -74,6 +74,13 @@ def test_a_robot_that_did_not_follow_begins_at_rest():
 
 def test_a_target_beyond_the_range_ends_at_its_margin():
     np.testing.assert_allclose(ride([np.full((1, N), 1e308)] * 400)[-1, 0], LIMIT, rtol=1e-9)
+
+
+def test_the_margin_is_that_of_torque_mode():
+    own = SPEC.margins.torque_mode.model_copy(update={"tau": 0.5})
+    spec = SPEC.model_copy(update={"margins": SPEC.margins.model_copy(update={"torque_mode": own})})
+    most = TorqueRamp(spec, 1).clamped(np.full((1, N), 1e308))[0]
+    np.testing.assert_allclose(most, 0.5 * torque_max(SPEC))
 
 
 @given(st.integers(0, 2**32 - 1))
