@@ -7,7 +7,8 @@ of period T with gains kp and kd on an inertia J is stable while
 
 (symplectic Euler's rule; by Jury's criterion for z² − (2 − kd T / J − kp T² / J) z + 1 − kd T / J). Between two
 setpoints the joint must not swing: its natural frequency stays below a sixth of the control rate. On a fixed base it
-must not swing after them either: safety looks at where joints are sent, and less damping took them beyond it.
+must not swing after them either: safety looks at where joints are sent. Half of critical damping, with a load that
+takes half of the tracking error, let adversaries pass limits of the workspace.
 """
 
 from collections.abc import Iterator
@@ -26,7 +27,9 @@ GAIN_MARGIN = 1.5
 """Factor on both gains under which the loop must still be stable: drawn drives have up to 1.2 of theirs."""
 SETPOINTS_PER_SWING = 6
 """Control periods in one period of the joint on its drive."""
-DAMPING_MIN, DAMPING_MIN_OF_SPRINGS = 0.5, 0.05
+TRACKING_SHARE = 0.25
+"""Share of the tracking error that stops a robot, at which a joint holds its load."""
+DAMPING_MIN, DAMPING_MIN_OF_SPRINGS = 0.7, 0.05
 """Least damping ratio, on the largest inertia; the second on a floating base, where drives act as springs. The least of
 a known policy is 0.07, at the hip of Unitree's H1."""
 
@@ -40,7 +43,7 @@ class Bounds(NamedTuple):
 
 def stiffness_bounds(spec: RobotSpec, mode: ControlMode) -> Bounds:
     """Return the bounds of kp, N·m/rad, of joints that are held, under an action in a mode."""
-    low = _load(spec, mode) / spec.margins.tracking_rad
+    low = _load(spec, mode) / (TRACKING_SHARE * spec.margins.tracking_rad)
     return Bounds(low, joint_inertia(spec).least * (2.0 * np.pi / (SETPOINTS_PER_SWING * spec.dt)) ** 2)
 
 

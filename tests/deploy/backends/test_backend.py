@@ -10,6 +10,7 @@ from deploy.operation.cli import cli
 from deploy.simulation import simulate
 from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
+from robots.motors.drive_gains import drive_gains
 from robots.motors.gains import Gains
 from robots.randomness import robot_seed
 from robots.spec import load_robot
@@ -91,7 +92,10 @@ def test_options_of_the_simulation_are_refused_for_other_backends(call, arm_poli
 
 
 def test_gains_that_a_backend_cannot_set_are_refused(outside, call, tmp_path):
-    soft = arm_contract().action.model_copy(update={"kp": (500.0,) * SPEC.n, "kd": (100.0,) * SPEC.n})
+    own = drive_gains(SPEC)
+    soft = arm_contract().action.model_copy(
+        update={"kp": tuple((0.9 * own.kp).tolist()), "kd": tuple(own.kd.tolist())}
+    )
     policy, out = saved(policy_model(arm_contract(action=soft)), tmp_path), tmp_path / "out"
     code, _, said = call(cli, "--policy", policy, "--backend", "echo", "--out", out)
     assert code == 2

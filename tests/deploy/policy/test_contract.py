@@ -11,6 +11,7 @@ from deploy.policy.contract import TEXT_MAX, Contract, Observed
 from deploy.policy.contract_action import ActionSpec
 from deploy.sources.catalogue import SOURCES
 from robots.errors import ContractError
+from robots.motors.drive_gains import drive_gains
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
 from support.contracts import NAMES, SWAPPED, arm_contract, contracts, term
@@ -220,9 +221,10 @@ POSITION = {"mode": "position", "size": 6, "scale": (0.5,) * 6, "offset": (0.1,)
 
 
 def test_gains_come_with_the_policy():
-    action = ActionSpec(**POSITION, kp=(500.0,) * 6, kd=(200.0,) * 6)
+    kp = tuple((0.9 * drive_gains(SPEC).kp).tolist())
+    action = ActionSpec(**POSITION, kp=kp, kd=tuple(drive_gains(SPEC).kd.tolist()))
     check_contract(arm_contract(action=action), SPEC, "x.onnx")
-    np.testing.assert_array_equal(action.gains.kp, np.full(6, 500.0))
+    np.testing.assert_array_equal(action.gains.kp, kp)
     assert ActionSpec(**POSITION).gains is None
 
 

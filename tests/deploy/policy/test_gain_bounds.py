@@ -36,14 +36,14 @@ def test_a_robot_bears_its_own_gains(spec):
 def test_stiffness_out_of_bounds_names_joint_value_and_bounds(kp):
     lines = misfits(SPEC, kp, OWN.kd)
     assert [line.split(":")[1].strip() for line in lines] == list(SPEC.joint_names)
-    assert lines[0].startswith(f"action.kp: shoulder_pan: found {kp:g}, expected 450 to 5.13e+04: ")
+    assert lines[0].startswith(f"action.kp: shoulder_pan: found {kp:g}, expected 1.8e+03 to 5.13e+04: ")
 
 
 @pytest.mark.parametrize("kd", [1e6, 1e308, 1e-6])
 def test_damping_out_of_bounds_names_joint_value_and_bounds(kd):
     lines = misfits(SPEC, OWN.kp, kd)
     assert len(lines) == N
-    assert lines[0].startswith(f"action.kd: shoulder_pan: found {kd:g}, expected 451 to 1.54e+03: ")
+    assert lines[0].startswith(f"action.kd: shoulder_pan: found {kd:g}, expected 632 to 1.54e+03: ")
 
 
 def test_one_joint_is_named_alone():
