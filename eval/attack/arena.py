@@ -29,7 +29,7 @@ REARM_S = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """What all candidates of an attack have in common.
+    """Settings of an attack, the same for all candidates.
 
     Attributes:
         robot: folder. mode: in which drives follow the policy.

@@ -102,7 +102,7 @@ def test_category_of_every_reason(bit):
 
 
 def test_reasons_are_recorded_for_the_robots_that_they_stop_alone():
-    """Where one robot is refused, one that runs and one without power are not blamed."""
+    """One robot of three: the others run and have no power."""
     supervisor = Supervisor(3, DT)
     supervisor.mode[:] = Mode.RUNNING, Mode.RUNNING, Mode.DISARMED
     supervisor.step(np.array([0, SOFT, HARD]), np.ones(3, dtype=bool))

@@ -11,7 +11,7 @@ CommandBus, WATCHDOG = bus_module.CommandBus, round(bus_module.WATCHDOG_S / DT)
 
 
 def told(bus, tick, robots=2, **how):
-    """What drives hear in a tick in which every joint is sent to that many rad."""
+    """The command that drives receive in a tick in which every joint is sent to `tick` rad."""
     return bus.deliver(command(np.full((robots, N), float(tick)), **how), tick)
 
 
