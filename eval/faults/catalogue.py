@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from deploy.backends.sim.sensor_faults import OF_PACKETS, Failure
-from eval.faults import plant_effects
+from eval.faults import communication_effects, plant_effects
 from eval.faults.combined import pairs
 from eval.faults.communication_faults import COMMUNICATION_FAULTS, reboots
 from eval.faults.fault_class import (
@@ -144,15 +144,15 @@ PLANT_FAULTS = (
     PlantFault(
         component=ROBOT,
         failure_mode="supply sags",
-        meaning="to 30 % of its voltage",
+        meaning="to 60 % of its voltage",
         effect=partial(plant_effects.supply, share=plant_effects.SAG),
     ),
     PlantFault(
         component=ROBOT,
         failure_mode="supply drops",
         lasts_s=0.3,
-        meaning="to no voltage",
-        effect=partial(plant_effects.supply, share=plant_effects.NO_VOLTAGE),
+        meaning="to no voltage: drives trip and brakes close; then it waits until power is given anew",
+        effect=communication_effects.disable_drives,
     ),
 )
 

@@ -1,4 +1,4 @@
-"""Effects of faults on what passes between computer and drives: commands, the controller, and the computer's ticks.
+"""Effects of faults on what passes between computer and drives: commands, power, and the computer's ticks.
 
 A late tick is simulated as one: before the computer reads, the robot goes on for the slots that were skipped, under the
 command that its drives have. The runtime's clock does not count these slots, as on a real robot, and its loop timing
@@ -40,8 +40,8 @@ def _delay(access: PlantAccess, robot: int, late_s: float) -> None:
     late[robot] = max(late[robot], round(late_s / access.dt))
 
 
-def stop_controller(access: PlantAccess, injection: Injection, active: bool) -> None:
-    """Take the controller down: brakes close, and commands are ignored."""
+def disable_drives(access: PlantAccess, injection: Injection, active: bool) -> None:
+    """Take the controller or the supply of all drives down: brakes close, and commands are ignored."""
     access.plant.bus.down[injection.robot] |= active
 
 

@@ -93,7 +93,7 @@ _DOWN = PlantFault(
     failure_mode="down",
     lasts_s=REBOOT_S,
     meaning="brakes close and commands are ignored",
-    effect=effects.stop_controller,
+    effect=effects.disable_drives,
 )
 
 

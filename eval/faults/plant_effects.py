@@ -24,8 +24,8 @@ BRAKE_SHARE = 1.5
 """Torque of closed brakes, as a share of the joints' torque."""
 CAUGHT_N_PER_M = 200.0
 """Stiffness of a caught cable without slack."""
-SAG = 0.3
-"""Share of its voltage that a sagging supply keeps."""
+SAG = 0.6
+"""Share of its voltage that a sagging supply keeps: above the threshold at which drives trip."""
 SLIPS_RAD = (0.1, -0.2, 0.3, -0.1, 0.2, -0.3)
 """Angles by which encoders slip, in turn."""
 TOOL_SHARE = 0.1
