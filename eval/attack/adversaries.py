@@ -28,6 +28,14 @@ class Adversary:
         middle = {name: float(WEIGHTS[name].decoded(np.array([0.5]))[0]) for name in self.searched}
         return {name: (x,) * WEIGHTS[name].size(joints) for name, x in (middle | dict(self.start)).items()}
 
+    def varied(
+        self, joints: int, rng: np.random.Generator, deviation: float, number: int
+    ) -> tuple[Weights, ...]:
+        """Return the first weights varied at random, by a standard deviation in shares of the bounds."""
+        first = self.shares(self.first(joints))
+        shares = np.clip(rng.normal(first, deviation, (number, len(first))), 0.0, 1.0)
+        return tuple(self.weights(each, joints) for each in shares)
+
     def shares(self, weights: Weights) -> Floats:
         """(D,) the searched weights as shares of their bounds, from 0 to 1."""
         return np.concatenate([WEIGHTS[name].encoded(np.array(weights[name])) for name in self.searched])

@@ -6,13 +6,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
+import numpy as np
+
+from deploy.masks import any_true
 from deploy.policy.actor import Actor
 from deploy.policy.policy import Policy
 from eval.attack.candidate import Block, Candidate
 from eval.attack.crowd import Crowd
+from eval.attack.falls import OF_FALLS, Falls
 from eval.attack.guards import remove_guard
 from eval.attack.policy_graph import policy_file
 from eval.faults.schedule import FIRST_S, LEAST_CYCLE_S, FaultSettings
+from eval.judge.counts import Counts
 from eval.replay.bundle import POLICY
 from eval.shard.job import WIDTH, ShardJob
 from eval.shard.shard import Shard
@@ -63,7 +68,8 @@ class Outcome(NamedTuple):
     """Outcome of a trial.
 
     Attributes:
-        worst: (B,) highest ratio of every joint, by the names of the robot's monitors. diverged: (B,) simulations.
+        worst: (B,) highest ratio of every joint, by the names of the robot's monitors; of a robot that fell, until it
+            fell. diverged: (B,) simulations.
     """
 
     worst: dict[str, Floats]
@@ -95,11 +101,25 @@ class Arena:
         shard = self._shard
         shard.set_policy(policy)
         shard.restore(self._start)
+        falls, at_fall = Falls(self._spec, WIDTH), dict[str, Floats]()
         for _ in range(self._setting.ticks(self._spec)):
             shard.tick()
+            fell = falls.step(shard.truth)
+            if any_true(fell):
+                now = _worst(shard.judge.counts())
+                at_fall = {
+                    name: np.where(fell, now[name], before) for name, before in (at_fall or now).items()
+                }
         counts = shard.judge.counts()
-        worst = {m.name: counts.worst[:, counts.columns(m.name)].max(axis=1) for m in counts.monitors}
+        worst = _worst(counts)
+        for name in at_fall.keys() - {*OF_FALLS}:
+            np.copyto(worst[name], at_fall[name], where=falls.fallen)
         return Outcome(worst, counts.invalid > 0)
+
+
+def _worst(counts: Counts) -> dict[str, Floats]:
+    """Return (B,) the highest ratio of every monitor's joints, by its name."""
+    return {m.name: counts.worst[:, counts.columns(m.name)].max(axis=1) for m in counts.monitors}
 
 
 def write_job(setting: Setting, spec: RobotSpec, candidate: Candidate, policy: Path) -> ShardJob:

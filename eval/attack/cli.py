@@ -94,10 +94,6 @@ def soak_attack(
     """
     _check_options(seed, processes, minutes, generations)
     spec = load_robot(robot)
-    if spec.base:
-        raise ConfigError(
-            f"--robot: found {spec.name}, which any policy can let fall: expected one on a fixed base"
-        )
     drives = _mode(mode, spec)
     classes = find_faults(faults or (), spec, drives, "--fault")
     setting = Setting(robot=spec.folder, mode=drives, faults=classes, without=without)

@@ -9,6 +9,7 @@ import numpy as np
 
 from eval.attack.arena import Setting, write_job
 from eval.attack.candidate import Candidate
+from eval.attack.falls import OF_FALLS, Falls
 from eval.judge.counts import Event
 from eval.replay.bundle import POLICY, bundle_name
 from eval.replay.event_capture import EventCapture
@@ -53,11 +54,15 @@ def find_peak(shard: Shard, monitor: str, ticks: int) -> Event:
     columns = counts.columns(monitor)
     (catalogued,) = [each for each in counts.monitors if each.name == monitor]
     first = Event(robot=0, monitor=catalogued, joint=None, start=0, ticks=1, worst=-1.0, limit=1.0)
+    falls = Falls(shard.runtime.spec, WIDTH)
     for tick in range(ticks):
         shard.tick()
         judge.worst[:] = 0.0
         judge_tick(judge, shard.truth, shard.runtime, shard.action)
         ratios = judge.counts().worst[:, columns]
+        if monitor not in OF_FALLS:
+            ratios[falls.fallen] = 0.0
+        falls.step(shard.truth)
         robot, column = np.unravel_index(np.argmax(ratios), ratios.shape)
         if ratios[robot, column] > first.worst:
             channel = columns.start + int(column)

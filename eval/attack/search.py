@@ -54,10 +54,9 @@ class Search:
     def _library_block(self, name: str, rng: np.random.Generator) -> Block:
         """Return an adversary as it is, for half of the robots, and varied at random."""
         adversary = ADVERSARIES[name]
-        first = adversary.shares(adversary.first(self._joints))
-        varied = np.clip(rng.normal(first, FAR, (WIDTH // 2, len(first))), 0.0, 1.0)
-        shares = (*(first for _ in range(WIDTH - len(varied))), *varied)
-        return Block(name, tuple(adversary.weights(each, self._joints) for each in shares), self._seed)
+        varied = adversary.varied(self._joints, rng, FAR, WIDTH // 2)
+        first = adversary.weights(adversary.shares(adversary.first(self._joints)), self._joints)
+        return Block(name, (*(first for _ in range(WIDTH - len(varied))), *varied), self._seed)
 
     def _cycle(self, cycle: int) -> Iterator[None]:
         """Run the searches of a cycle side by side."""

@@ -44,10 +44,11 @@ class Judge(Stage):
 
     Attributes:
         worst: (R, C) highest ratio. bins: (C, BINS) histogram of the ratios of all robots.
+        fallen_s: (B,) s with power since the base tilted beyond its limit.
         ratios: evaluation of the monitors.
     """
 
-    carried: ClassVar[tuple[str, ...]] = _COUNTED
+    carried: ClassVar[tuple[str, ...]] = ("fallen_s", *_COUNTED)
     parts = ("buffer", "events", "score")
 
     def __init__(
@@ -77,6 +78,7 @@ class Judge(Stage):
         """
         self._dt = spec.dt
         self._robots, self._size = counted or robots, len(observed.mean) if observed else 0
+        self._tilt_max, self.fallen_s = spec.base.tilt_max_rad if spec.base else np.inf, np.zeros(robots)
         self._force_max = np.array([pair.force_n for pair in spec.may_touch if pair.force_n is not None])
         self._channels = Channels.of_robot(spec, monitors, mode)
         judged = JudgedRobot(spec=spec, torque_max=torque_max, limits=load_limits(spec), observed=observed)
@@ -121,7 +123,7 @@ class Judge(Stage):
             attempted: (B,) goals over so far. Where it rises, the goal of the tick before is over.
         """
         ticks, row = self.buffer.ticks, self.buffer.row
-        ticks.tilt[row] = 0.0 if truth.base is None else true_tilt(truth.base)
+        ticks.tilt[row], ticks.fallen_s[row] = self._fall(truth, command)
         ticks.allowed_contact[row] = self._share_of_limit(truth)
         ticks.action_finite[row] = True if action is None else np.isfinite(action).all(axis=1)
         ticks.mode[row] = mode
@@ -134,6 +136,18 @@ class Judge(Stage):
         self.buffer.append(truth, state, target, command)
         if self.buffer.pending == BLOCK_TICKS:
             self._judge_pending()
+
+    def _fall(self, truth: Truth, command: Command) -> tuple[Floats | float, Floats | float]:
+        """Return (B,) rad of tilt, and s with power since it passed its limit; 0 of a robot without floating base.
+
+        The time of a robot that gets up by itself goes on.
+        """
+        if truth.base is None:
+            return 0.0, 0.0
+        tilt = true_tilt(truth.base)
+        fallen = command.powered & ((self.fallen_s > 0.0) | (tilt > self._tilt_max))
+        self.fallen_s[:] = np.where(fallen, self.fallen_s + self._dt, 0.0)
+        return tilt, self.fallen_s
 
     def _share_of_limit(self, truth: Truth) -> Floats | float:
         """(B,) largest force of an allowed contact as a share of its limit; 0 of a robot without such limits."""

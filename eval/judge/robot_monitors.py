@@ -12,6 +12,8 @@ SINGULAR = 1e-3
 """Share of the manipulability limit below which a robot counts as in a singularity, or beyond it."""
 FALLING_RAD = 0.2
 """Angle by which a base falling at 3 rad/s turns while its IMU's packets are 50 ms late, and some estimation error."""
+FALL_NOTICED_S = 0.3
+"""s until a fall is noticed, even a slow one."""
 
 
 def _norms(vectors: Floats) -> Floats:
@@ -113,6 +115,15 @@ ROBOT_MONITORS = (
         needs=frozenset({"floating_base"}),
         limit=lambda robot: available(robot.spec.base).tilt_max_rad + FALLING_RAD,
         value=lambda window: zero_unless(window.running, window.now.tilt),
+    ),
+    Monitor(
+        name="powered_fallen",
+        unit="s",
+        hard=True,
+        meaning="time with power since the true tilt of the base passed its limit: a fall is noticed, then a stop ends",
+        needs=frozenset({"floating_base"}),
+        limit=lambda robot: FALL_NOTICED_S + robot.spec.stop_s,
+        value=lambda window: window.now.fallen_s,
     ),
     Monitor(
         name="robot_power",

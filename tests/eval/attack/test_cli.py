@@ -36,7 +36,6 @@ def attack(call, out, **options):
         ({"workers": 0}, "--workers: found 0, expected from 1 to 1024"),
         ({"minutes": 0}, "--minutes: found 0.0, expected above 0"),
         ({"generations": 0}, "--generations: found 0, expected at least 1"),
-        ({"robot": "quadruped"}, "--robot: found quadruped, which any policy can let fall"),
         ({"seed": "x"}, "'--seed'"),
         ({"minutes": "nan"}, "--minutes: found nan, expected above 0"),
         ({"fault": "bad luck"}, "--fault: found 'bad luck', expected some of: encoder off"),
