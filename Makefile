@@ -58,7 +58,7 @@ $(eval $(call environment,$(VENV_ROBOT),requirements-robot.lock,1.1 GB: a minute
 
 # ---- the main job ---------------------------------------------------------------------------------------------
 
-.PHONY: demo export run soak smoke shift nightly faults weekend train bench mutants attack fuzz
+.PHONY: demo export run soak smoke shift nightly faults weekend train bench mutants attack margins fuzz
 demo: setup ## export the arm's policy, run it for 10 s, soak 32 robots for 90 simulated seconds
 	@mkdir -p out
 	$(BIN)/policy-export --policy arm.pt --out $(ARM)
@@ -98,6 +98,9 @@ mutants: setup ## weaken each guard in turn: the judge must notice every time
 
 attack: setup ## try again what soak-attack has found: no hard event may be left (ARGS=...)
 	$(BIN)/python -m eval.attack $(ARGS)
+
+margins: setup ## do the margins of robot.toml cover what draws.toml allows? An hour (ARGS=...)
+	$(BIN)/python -m eval.margins --workers $(WORKERS) $(ARGS)
 
 fuzz: setup ## read mutated files of every kind: SECONDS=3600 (ARGS=...)
 	$(BIN)/python -m eval.fuzz --table policies.fuzz.targets:TARGETS --seconds $(SECONDS) --seed $(SEED) $(ARGS)

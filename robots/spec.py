@@ -90,13 +90,13 @@ class RobotSpec(Strict):
         for name, found in of_tool.items():
             if found is not None and self.tool is None:
                 raise ValueError(f"{name}: found {found}, expected none of a robot without tool")
-        if self.workspace is None and margins.workspace_m is not None:
-            raise ValueError(
-                f"margins.workspace_m: found {margins.workspace_m}, expected none of a robot without workspace"
-            )
+        for name in ("workspace_m", "tool_speed"):
+            found = getattr(margins, name)
+            if self.workspace is None and found is not None:
+                raise ValueError(f"margins.{name}: found {found}, expected none of a robot without workspace")
         if self.workspace is not None and margins.workspace_m is None:
             raise ValueError("margins.workspace_m: missing, expected one of a robot with a workspace")
-        for name in ("workspace_m", "collision_m"):
+        for name in ("workspace_m", "tool_speed", "collision_m"):
             self._check_margin_of_modes(name)
 
     def _check_margin_of_modes(self, name: str) -> None:

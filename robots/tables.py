@@ -155,8 +155,10 @@ class Rates(Strict):
 class ModeMargins(Strict):
     """Margins that differ in one control mode: see `Margins`; None: the same as in the others."""
 
+    q_soft_rad: Annotated[PositiveFloat | None, Field(exclude_if=_is_none)] = None
     speed: Fraction | None = None
     tau: Fraction | None = None
+    tool_speed: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
     collision_m: PositiveFloat | None = None
     workspace_m: PositiveFloat | None = None
 
@@ -170,6 +172,8 @@ class Margins(Strict):
         speed: setpoint speed, as a fraction of qd_max: the rest is for the drive's own ringing, and for the play of its
             gear, through which a light link falls.
         tau: setpoint torque by the nominal model, as a fraction of the torque range.
+        tool_speed: the tool's speed at a setpoint and in its stop, as a fraction of tool_speed_max, of robots with a
+            workspace; None: as `speed`.
         collision_m: clearance between capsules; without it, self-collision is not checked.
         workspace_m: how far inside the workspace setpoints stay; of robots with a workspace, and of all of those.
         singularity: least manipulability (`Kinematics.manipulability`), m³ for a six-joint arm, of robots with a tool;
@@ -194,6 +198,7 @@ class Margins(Strict):
     q_soft_rad: PositiveFloat
     speed: Fraction
     tau: Fraction
+    tool_speed: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
     collision_m: PositiveFloat | None = None
     workspace_m: PositiveFloat | None = None
     singularity: PositiveFloat | None = None
@@ -217,8 +222,10 @@ class Margins(Strict):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        if not self.q_soft_rad < self.q_target_rad:
-            raise ValueError(f"q_soft_rad {self.q_soft_rad} is not below q_target_rad {self.q_target_rad}")
+        for own in (self, self.velocity_mode, self.torque_mode):
+            soft = own.q_soft_rad if own else None
+            if soft is not None and not soft < self.q_target_rad:
+                raise ValueError(f"q_soft_rad {soft} is not below q_target_rad {self.q_target_rad}")
         if not self.stale_s < self.lost_s:
             raise ValueError(f"stale_s {self.stale_s} is not below lost_s {self.lost_s}")
         return self
@@ -231,24 +238,13 @@ class Workspace(Strict):
         z_min: m, above the table.
         radius_max: m, from `centre`.
         centre: m, (x, y, z).
-        tool_speed_soft: m/s, at which setpoints and their stops are refused; None: the share of tool_speed_max that
-            `Margins.speed` is.
         tool_speed_max: m/s.
     """
 
     z_min: float
     radius_max: PositiveFloat
     centre: tuple[float, float, float]
-    tool_speed_soft: Annotated[PositiveFloat | None, Field(exclude_if=_is_none)] = None
     tool_speed_max: PositiveFloat
-
-    @model_validator(mode="after")
-    def _soft_below(self) -> Self:
-        if self.tool_speed_soft is not None and self.tool_speed_soft >= self.tool_speed_max:
-            raise ValueError(
-                f"tool_speed_soft {self.tool_speed_soft} is not below tool_speed_max {self.tool_speed_max}"
-            )
-        return self
 
 
 class Capsule(Strict):

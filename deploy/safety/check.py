@@ -103,8 +103,8 @@ class Limits(NamedTuple):
     @property
     def tool_speed(self) -> float:
         """m/s that the tool may have at a setpoint and while it stops."""
-        space = required(self.robot.workspace)
-        return space.tool_speed_soft or self.robot.margins.speed * space.tool_speed_max
+        margins = self.robot.margins
+        return (margins.tool_speed or margins.speed) * required(self.robot.workspace).tool_speed_max
 
 
 Record = TypeVar("Record")

@@ -46,7 +46,7 @@ ACCELERATION_DENSITY = 1000.0
 """rad²/s³, process noise of joints with compliant drives, which are moved by the ground. Innovations are consistent at
 100 to 300 for a humanoid and at 300 to 1,000 for a small quadruped; too large a value has no visible cost, too small a
 value makes the filter lose the joint."""
-ARM_MARGINS = ("workspace_m", "singularity", "oscillation_hz", "velocity_mode", "torque_mode")
+ARM_MARGINS = ("workspace_m", "tool_speed", "singularity", "oscillation_hz", "velocity_mode", "torque_mode")
 SENSOR_FIELDS = ("unit", "resolution", "range", "noise", "bias", "drift")
 SENSORS = {
     "velocity": ("rad/s", 0.001, 60.0, 0.05, 0.0, 0.0),

@@ -108,7 +108,7 @@ def test_tool_speed(seed):
     kinematics = fleet.kinematics(HOME[None])
     direction /= np.linalg.norm(kinematics.tool_velocity(direction[None]))
     for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
-        limit = direction * factor * SPACE.tool_speed_soft
+        limit = direction * factor * SPEC.margins.tool_speed * SPACE.tool_speed_max
         assert (Reason.TOOL_SPEED in reasons(setpoint=point(qd=limit))) == beyond
 
 
@@ -119,7 +119,7 @@ def test_tool_speed_gained_during_a_stop(joint, sign):
     fleet, jerk = Fleet(SPEC, 1), SPEC.joint_array("qddd_max")[joint]
     kinematics = fleet.kinematics(HOME[None])
     per_speed = np.linalg.norm(kinematics.tool_velocity(one(joint, 1.0)[None]))
-    limit, qdd = SPACE.tool_speed_soft / per_speed, 8.0
+    limit, qdd = SPEC.margins.tool_speed * SPACE.tool_speed_max / per_speed, 8.0
     for factor, beyond in ((1 - HAIR, False), (1 + HAIR, True)):
         qd = factor * limit - qdd**2 / (2 * jerk)
         rushing = point(qd=one(joint, sign * qd), qdd=one(joint, sign * qdd))
@@ -337,7 +337,7 @@ def test_poses_without_a_reason():
     assert SAFETY.check_poses(np.tile(HOME, (2, 1))).tolist() == [0, 0]
 
 
-@pytest.mark.parametrize(("mode", "share"), [(ControlMode.POSITION, 0.85), (ControlMode.VELOCITY, 0.8)])
+@pytest.mark.parametrize(("mode", "share"), [(ControlMode.POSITION, 0.83), (ControlMode.VELOCITY, 0.8), (ControlMode.TORQUE, 0.74)])
 def test_margins_are_those_of_the_mode(mode, share):
     safety = Safety(SPEC, Fleet(SPEC.in_mode(mode), 2, collisions=True), mode=mode)
     for factor, beyond in ((0.99, False), (1.01, True)):

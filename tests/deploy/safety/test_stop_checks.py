@@ -48,7 +48,7 @@ def test_a_stop_through_a_singularity_is_refused(moment):
 @pytest.mark.parametrize("moment", ["qd_early", "qd_mid_stop"])
 def test_tool_speed_is_limited_while_a_stop_brakes(moment):
     """One joint turns faster and faster, the others rest: refused exactly where the tool is too fast."""
-    kinematics, limit = Fleet(SPEC, 1).kinematics(HOME[None]), SPACE.tool_speed_soft
+    kinematics, limit = Fleet(SPEC, 1).kinematics(HOME[None]), SPEC.margins.tool_speed * SPACE.tool_speed_max
     verdicts = []
     for speed in np.linspace(0.0, 10.0, 50):
         qd = one(0, speed)

@@ -1,0 +1,66 @@
+"""make margins as a command."""
+
+import shutil
+from concurrent.futures import Executor, Future
+
+import pytest
+
+pytest.importorskip("mujoco")
+
+import eval.margins.__main__ as command
+from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
+from eval.margins import trial
+from robots.spec import load_robot
+from support.planar import PLANAR3
+
+QUICK = ("--seeds", 1, "--trials", 1, "--generations", 1)
+
+
+class InProcess(Executor):
+    """A pool that does its work at once."""
+
+    def __init__(self, *_):
+        pass
+
+    def submit(self, fn, /, *args, **kwargs):
+        future = Future()
+        future.set_result(fn(*args, **kwargs))
+        return future
+
+
+def margins(call, *words):
+    return call(lambda: main(command.margins), *words)
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (("--robot", "nobody"), "nobody"),
+        (("--robot", "quadruped"), "--robot: found quadruped, whose drives may saturate"),
+        (("--seeds", 0), "--seeds: found 0, expected at least 1"),
+        (("--trials", -1), "--trials: found -1, expected at least 1"),
+        (("--workers", 0), "--workers: found 0, expected at least 1"),
+    ],
+)
+def test_wrong_option_is_named(words, complaint, call):
+    code, _, error = margins(call, *words)
+    assert code == 2
+    assert complaint in error
+
+
+@pytest.mark.slow
+def test_margins_that_do_not_suffice_are_written(call, tmp_path, monkeypatch):
+    monkeypatch.setattr(trial, "TRIAL_S", 1.0)
+    monkeypatch.setattr(command, "ProcessPoolExecutor", InProcess)
+    monkeypatch.setattr(command, "REPEATS", 1)
+    folder = tmp_path / "robot"
+    shutil.copytree(PLANAR3.folder, folder)
+    text = (folder / "robot.toml").read_text()
+    (folder / "robot.toml").write_text(text.replace("q_soft_rad = 0.03", "q_soft_rad = 1e-6"))
+    code, said, _ = margins(call, "--robot", folder, *QUICK, "--write")
+    assert code == BUDGET_EXCEEDED
+    assert "q_soft_rad" in said
+    assert f"written: {folder / 'robot.toml'}" in said
+    written = load_robot(folder).margins
+    assert written.q_soft_rad > 1e-3
+    assert margins(call, "--robot", folder, *QUICK)[0] == PASSED

@@ -1,0 +1,40 @@
+"""Margins written into robot.toml."""
+
+from eval.margins.derive import Need
+from eval.margins.robot_file import write_margins
+from robots.motors.control_mode import ControlMode
+from robots.spec import load_robot
+from support.arm6 import SPEC, copy_of_arm
+
+
+def lacking(quantity, key, needed):
+    return Need(
+        quantity=quantity, planned=0.0, worst=0.0, noise=0.0, stop=0.0, key=key, present=0.0, needed=needed
+    )
+
+
+def test_margins_are_written_to_their_mode_and_all_else_is_kept(tmp_path):
+    folder = copy_of_arm(tmp_path)
+    before = (folder / "robot.toml").read_text()
+    needs = {
+        ControlMode.POSITION: [lacking("speed", "speed", 0.7), lacking("angle", "q_soft_rad", 0.04)],
+        ControlMode.VELOCITY: [
+            lacking("workspace", "workspace_m", 0.02),
+            lacking("tool_speed", "tool_speed", 0.9),
+            lacking("angle", "q_soft_rad", 0.035),
+        ],
+        ControlMode.TORQUE: [lacking("speed", "speed", 0.6), lacking("tool_speed", "tool_speed", 0.88)],
+    }
+    assert write_margins(load_robot(folder), needs) == folder / "robot.toml"
+    spec = load_robot(folder)
+    assert (spec.margins.speed, spec.margins.q_soft_rad, spec.margins.q_target_rad) == (0.7, 0.04, 0.06)
+    assert spec.margins.of(ControlMode.VELOCITY).workspace_m == 0.02
+    assert spec.margins.of(ControlMode.TORQUE).speed == 0.6
+    assert spec.margins.of(ControlMode.VELOCITY).tool_speed == 0.9
+    assert spec.margins.of(ControlMode.VELOCITY).q_soft_rad == 0.035
+    assert spec.margins.of(ControlMode.TORQUE).tool_speed == 0.88
+    assert spec.margins.tool_speed == SPEC.margins.tool_speed
+    after = (folder / "robot.toml").read_text().splitlines()
+    changed = [line for line in before.splitlines() if line not in after]
+    assert len(changed) == 5
+    assert sum("#" in line for line in after) == before.count("#")

@@ -1,0 +1,73 @@
+"""Trials on simulated robots: reproducible, of robots as draws.toml has them, and repeated with other noise."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+import eval.margins.trial as module
+from eval.attack.adversaries import ADVERSARIES
+from eval.attack.arena import Setting
+from eval.margins.tape import Tape
+from eval.margins.trial import Trials, Worst, draw_robots, make_shard, replay, run
+from eval.shard.job import WIDTH
+from robots.distributions import load_distributions
+from robots.draws import Draw
+from robots.motors.control_mode import ControlMode
+from robots.spec import load_robot
+
+PLANAR = load_robot("planar3")
+POSITION = Setting(robot=PLANAR.folder, mode=ControlMode.POSITION)
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    """Trials of 0.8 s in operation."""
+    monkeypatch.setattr(module, "TRIAL_S", 1.0)
+
+
+def test_trials_are_reproducible_and_policies_differ():
+    trials = Trials(POSITION, "bang_bang", 3, 1, False)
+    first, second = run(trials), run(trials)
+    assert first.policies == second.policies
+    assert len({str(policy) for policy in first.policies}) == WIDTH
+    for name, excess in first.excess.items():
+        np.testing.assert_array_equal(excess, second.excess[name])
+    assert (first.excess["angle"] > 0.0).all()
+    assert len(np.unique(first.excess["angle"])) == WIDTH
+
+
+def test_corners_have_the_least_or_the_most_and_other_robots_what_they_drew():
+    drawn, corners = (draw_robots(PLANAR, 5, corners=which) for which in (False, True))
+    for name, _, span in load_distributions(PLANAR).spans():
+        if name.startswith(("sensors.", "climate.", "wear.")):
+            np.testing.assert_array_equal(corners[name], drawn[name])
+        elif not name.startswith(("push.every", "payload.carried", "payload.free")):
+            assert np.isin(corners[name], (span.low, span.high)).all(), name
+            assert ((drawn[name] >= span.low) & (drawn[name] <= span.high)).all()
+    assert set(np.unique(drawn["payload.carried_s"] > 1.0)) == {True, False}
+
+
+@pytest.mark.parametrize(("mode", "same"), [(ControlMode.POSITION, True), (ControlMode.TORQUE, False)])
+def test_noise_decides_what_is_sent_in_torque_mode_only(mode, same):
+    """But for the pose at arming, where a robot is by its own estimate."""
+    setting, robots = Setting(robot=PLANAR.folder, mode=mode), draw_robots(PLANAR, 5, corners=False)
+    one = Draw({name: np.repeat(x[:1], WIDTH, axis=0) for name, x in robots.items()})
+    shard = make_shard(setting, one.replaced({"push.every_s": 1e4, "payload.carried_s": 1e4}), 9, lives_of=0)
+    steps = np.sin(np.arange(200)[:, None] / 20.0) * [0.4, -0.4, 0.4]
+    shard.set_policy(Tape(shard.runtime.contract, (steps + PLANAR.joint_array("q_home")).astype(np.float32)))
+    apart = 0.0
+    for _ in range(200):
+        shard.tick()
+        apart = max(apart, np.ptp(shard.runtime.setpoint.qd, axis=0).max())
+    assert (apart < 0.05) == same
+    assert shard.runtime.supervisor.running.all() == same
+
+
+def test_repeats_of_a_trial_differ_by_their_noise():
+    policy = ADVERSARIES["chirp"].first(PLANAR.n)
+    torque = Setting(robot=PLANAR.folder, mode=ControlMode.TORQUE)
+    found = replay(Worst(torque, 3, False, policy, 2), seeds=range(1))["angle"]
+    assert found.shape == (WIDTH, 1)
+    assert 0.0 < np.std(found) < 0.05
+    np.testing.assert_array_equal(found, replay(Worst(torque, 3, False, policy, 2), seeds=range(1))["angle"])
