@@ -5,10 +5,10 @@ See docs/margins.md.
 
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from multiprocessing import get_context
 from typing import Annotated, NamedTuple
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import track
@@ -18,16 +18,15 @@ from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from eval.attack.adversaries import ADVERSARIES
 from eval.attack.arena import Setting
 from eval.bench.stop_search import GENERATIONS
-from eval.margins.derive import PREDICTED, Need, find_worst, need, noise_of, stop_excess
+from eval.margins.derive import Need, need, noise_of, stop_excess
+from eval.margins.excess import SHARES
 from eval.margins.robot_file import write_margins
-from eval.margins.trial import Trials, Tried, replay, run
+from eval.margins.trial import Trials, Tried, run
 from robots.child_process import Lifeline, end_with
 from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec, load_robot
 
-REPEATS = 4
-"""Seeds of 16 robots under which the worst trial of each quantity is repeated."""
 COLUMNS = ("quantity", "at", "worst excess", "noise", "in a stop", "margin", "present", "needed", "")
 
 
@@ -95,13 +94,13 @@ def _needs(
         for adversary in ADVERSARIES
     ]
     tried: list[Tried] = list(track(pool.map(run, jobs), f"{name}: trials", len(jobs), console=console))
-    worst = {quantity: find_worst(tried, quantity) for quantity in tried[0].excess}
-    noisy = [quantity for quantity in worst if quantity in PREDICTED and mode is ControlMode.TORQUE]
-    again = pool.map(partial(replay, seeds=range(REPEATS)), [worst[quantity][0] for quantity in noisy])
-    repeats = dict(zip(noisy, track(again, f"{name}: noise", len(noisy), console=console), strict=True))
-    for quantity, (_, place, excess) in worst.items():
-        noise = noise_of(repeats[quantity], quantity, place) if quantity in repeats else 0.0
-        yield need(spec.in_mode(mode), quantity, excess, place, noise, stop.result().get(quantity, 0.0))
+    predicted = mode is ControlMode.TORQUE  # in other modes what is sent does not depend on samples
+    error = np.max([each.estimate_error for each in tried], axis=0)
+    noise = noise_of(spec, error) if predicted else {}
+    for quantity in tried[0].excess:
+        worst = np.max([each.excess[quantity].max(axis=0) for each in tried], axis=0)
+        added = noise.get(quantity, 0.0), stop.result().get(quantity, 0.0)
+        yield need(spec.in_mode(mode), quantity, worst, *added)
 
 
 def _table(spec: RobotSpec, mode: ControlMode, needs: list[Need]) -> Table:
@@ -114,7 +113,7 @@ def _table(spec: RobotSpec, mode: ControlMode, needs: list[Need]) -> Table:
             *(f"{x:.4f}" for x in numbers),
             each.key,
             f"{each.present:.3f}",
-            f"{each.needed:.3f}",
+            "any" if each.needed == 1.0 and each.quantity in SHARES else f"{each.needed:.3f}",
             "" if each.holds else "does not suffice",
         )
     return table

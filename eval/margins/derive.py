@@ -1,26 +1,22 @@
 """Margins that limits need: the worst excess found, and what noise may add to it."""
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import norm
 
 from eval.bench.stop_search import POPULATION, SEED, StopSearch
-from eval.margins.excess import BINS, SHARES, Values
-from eval.margins.tail import level
-from eval.margins.trial import TRIAL_S, Tried, Worst
-from eval.shard.job import WIDTH
+from eval.margins.excess import BINS, SHARES
 from robots.arrays import Floats
 from robots.capabilities import required
+from robots.models.fleet import Fleet
 from robots.spec import RobotSpec
 
-PREDICTED = ("speed", "angle", "tool_speed", "workspace", "gap")
-"""Quantities whose setpoints are predicted from the estimate in torque mode. In other modes, and of torques in all of
-them, what is sent does not depend on samples, but for the stops that they lead to, which a policy can have as well."""
 PER_HOUR = 1e-6
 """Passes of a margin per hour of operation, where noise decides."""
-PROBABILITY = PER_HOUR * TRIAL_S / 3600.0
+POSES = 512
+"""Random poses, of which that counts at which errors of joints move the tool most."""
 SHARE_STEP, LENGTH_STEP = 0.01, 0.001
 """Margins are rounded to these, in the safe direction; rad and m."""
 ROUNDING = 1e-9
@@ -52,27 +48,31 @@ class Need(NamedTuple):
 
 
 def worst_bin(excess: Floats) -> int:
-    """Return the bin of planned shares in which planned value and excess (trials, bins) come closest to the limit."""
-    tops = (1.0 + np.arange(excess.shape[1])) / excess.shape[1]
-    return int(np.argmax(tops + excess.max(axis=0)))
+    """Return the bin of planned shares in which planned value and excess (bins,) come closest to the limit."""
+    return int(np.argmax((1.0 + np.arange(len(excess))) / len(excess) + excess))
 
 
-def find_worst(tried: Sequence[Tried], quantity: str) -> tuple[Worst, int, Floats]:
-    """Return the worst trial of a quantity, its bin, and the largest excess (bins,) of all trials."""
-    excess = np.concatenate([each.excess[quantity] for each in tried])
-    place = worst_bin(excess)
-    number = int(excess[:, place].argmax())
-    trials, policy = [(each.trials, policy) for each in tried for policy in each.policies][number]
-    robot = number % WIDTH  # a whole number of shards comes before it
-    worst = Worst(trials.setting, trials.seed, trials.corners, policy, robot)
-    return worst, place, excess.max(axis=0)
+def noise_of(spec: RobotSpec, error: Floats) -> dict[str, float]:
+    """Return what errors of the estimate add to each excess, at most `PER_HOUR`, where setpoints are predicted from it.
 
+    Errors are taken as normal and as independent in each tick. Those of joints add up in the tool.
 
-def noise_of(repeats: Values, quantity: str, place: int) -> float:
-    """Return what noise adds to an excess at most `PER_HOUR`, from repeats of one trial."""
-    found = repeats[quantity][:, place]
-    found = found[np.isfinite(found)]
-    return level(found, PROBABILITY) - float(np.median(found)) if len(found) else 0.0
+    Args:
+        error: (2, n) rad and rad/s, their standard deviations.
+    """
+    ticks_per_hour = 3600.0 / spec.dt
+    far = float(norm.isf(PER_HOUR / (ticks_per_hour * spec.n) / 2.0))
+    q, qd = far * error
+    found = {"angle": float(q.max()), "speed": float((qd / spec.joint_array("qd_max")).max())}
+    if spec.workspace:
+        poses = np.random.default_rng(0).uniform(*spec.pose_range, (POSES, spec.n))
+        kinematics = Fleet(spec, POSES).kinematics(poses)
+        squares = [np.square(kinematics.tool_velocity(np.tile(unit, (POSES, 1)))) for unit in np.eye(spec.n)]
+        levers = np.sum(squares, axis=2)
+        position, velocity = (float(np.sqrt((each**2 @ levers).max())) for each in (q, qd))
+        found |= {"workspace": position, "gap": position}
+        found["tool_speed"] = velocity / spec.workspace.tool_speed_max
+    return found
 
 
 def share_needed(excess: Floats, noise: float) -> float:
@@ -98,12 +98,13 @@ def stop_excess(spec: RobotSpec, generations: int) -> dict[str, float]:
     return {"tool_speed": max(found["tool speed"], 0.0), "workspace": max(walls, 0.0)}
 
 
-def need(spec: RobotSpec, quantity: str, worst: Floats, place: int, noise: float, stop: float) -> Need:
+def need(spec: RobotSpec, quantity: str, worst: Floats, noise: float, stop: float) -> Need:
     """Return the margin that a quantity needs, of a robot in one mode.
 
     Args:
-        worst: (bins,) largest excess. place: the bin that decides.
+        worst: (bins,) largest excess of all trials. noise, stop: as in `Need`.
     """
+    place = worst_bin(worst)
     planned, excess = (place + 1) / BINS if quantity in SHARES else 0.0, float(worst[place])
     if quantity in SHARES:
         needed = math.floor((share_needed(worst, noise) - stop) / SHARE_STEP + ROUNDING) * SHARE_STEP

@@ -42,6 +42,8 @@ class Excess:
             further out) and "gap" (nearer) in m.
     """
 
+    largest: Values
+
     def __init__(self, runtime: Runtime, plant: Plant) -> None:
         """Look at a simulated robot's runtime and plant, as far as it has tool, workspace and shapes that may meet."""
         self._runtime, self._spec, spec = runtime, runtime.spec, runtime.spec
@@ -53,14 +55,16 @@ class Excess:
         self._window, self._gap_ticks = round(WINDOW_S / spec.dt), round(GAP_S / spec.dt)
         self._planned_gap = self._true_gap = np.zeros((robots, 0))
         self._history: dict[str, Floats] = {}
-        self._tick, self._powered = 0, np.zeros(self._runtime.robot.robots, dtype=np.int64)
-        self.largest: dict[str, Floats] = {}
+        self._tick, self._powered, self._counted = 0, *np.zeros((2, robots), dtype=np.int64)
+        self._before, self._squares = np.zeros((2, 2, robots, spec.n))
+        self.largest = {}
 
     def step(self, truth: Truth) -> None:
         """Look at the robots after a tick."""
         planned, true = self.planned(), self.true(truth)
         self._powered = np.where(self._runtime.command.powered & truth.valid, self._powered + 1, 0)
         counts = self._powered > self._window
+        self._look_at_estimate(truth, counts)
         for name, values in planned.items():
             if name not in self._history:
                 self._history[name] = np.tile(values, (self._window, 1, 1))
@@ -69,6 +73,20 @@ class Excess:
             history[self._tick % self._window] = values
             self._keep(self.largest[name], history.max(axis=0), true[name], counts)
         self._tick += 1
+
+    def _look_at_estimate(self, truth: Truth, counts: Bools) -> None:
+        """Add up squared errors of the estimate, which is for the end of the tick before."""
+        state = self._runtime.state
+        error = self._before - np.stack((state.q, state.qd))
+        self._squares += np.where(counts[:, None], error * error, 0.0)
+        self._counted += counts
+        self._before[:] = truth.q, truth.qd
+
+    @property
+    def estimate_error(self) -> Floats:
+        """(2, n) rad and rad/s, root mean square of the estimate's error, of the robot that has the largest."""
+        mean: Floats = self._squares / np.maximum(self._counted, 1)[:, None]
+        return np.sqrt(mean.max(axis=1))
 
     def _keep(self, largest: Floats, planned: Floats, true: Floats, counts: Bools) -> None:
         """Keep what is larger than before, in the bin of the planned value."""

@@ -1,6 +1,5 @@
 """Trials: adversaries move robots of draws.toml, and the largest excess of each is kept."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -13,13 +12,11 @@ from eval.attack.candidate import Candidate
 from eval.attack.crowd import Crowd
 from eval.attack.island import FAR
 from eval.attack.policy_graph import policy_file
-from eval.attack.weights import Weights
 from eval.margins.excess import Excess, Values
-from eval.margins.tape import Tape
 from eval.replay.bundle import POLICY
 from eval.shard.job import WIDTH
 from eval.shard.shard import Shard
-from robots.arrays import Float32s, Floats
+from robots.arrays import Floats
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw, shape
 from robots.randomness import robot_seed
@@ -56,22 +53,11 @@ class Tried(NamedTuple):
 
     Attributes:
         excess: (number × `WIDTH`, bins) largest of each robot in each trial, by quantity.
-        policies: weights, in this order.
+        estimate_error: (2, n) rad and rad/s, root mean square in the worst trial of the worst robot.
     """
 
-    trials: Trials
     excess: Values
-    policies: tuple[Weights, ...]
-
-
-class Worst(NamedTuple):
-    """One robot of one trial."""
-
-    setting: Setting
-    seed: int
-    corners: bool
-    policy: Weights
-    robot: int
+    estimate_error: Floats
 
 
 def run(trials: Trials) -> Tried:
@@ -80,62 +66,31 @@ def run(trials: Trials) -> Tried:
     adversary = ADVERSARIES[trials.adversary]
     rng = np.random.default_rng([trials.seed, *trials.adversary.encode()])
     shard = make_shard(setting, draw_robots(spec, trials.seed, corners=trials.corners), trials.seed)
-    policies = [adversary.varied(spec.n, rng, FAR, WIDTH) for _ in range(trials.number)]
-    found = []
-    start = shard.snapshot()
-    for rows in policies:
+    start, found = shard.snapshot(), list[Excess]()
+    for _ in range(trials.number):
         shard.restore(start)
-        shard.set_policy(Crowd(policy_file(spec, setting.mode, rows)))
-        found.append(largest_excess(shard))
-    excess = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
-    return Tried(trials, excess, tuple(row for rows in policies for row in rows))
+        shard.set_policy(Crowd(policy_file(spec, setting.mode, adversary.varied(spec.n, rng, FAR, WIDTH))))
+        found.append(_excess(shard))
+    excess = {name: np.concatenate([each.largest[name] for each in found]) for name in found[0].largest}
+    return Tried(excess, np.max([each.estimate_error for each in found], axis=0))
 
 
-def replay(worst: Worst, seeds: Sequence[int]) -> Values:
-    """Return the largest excess (seeds × `WIDTH`, bins) of one robot under the actions of its trial, by quantity.
-
-    Noise, losses and delays of samples differ each time, and nothing pushes.
-    """
-    setting, spec = worst.setting, load_robot(worst.setting.robot)
-    robots = draw_robots(spec, worst.seed, corners=worst.corners)
-    actions = _record(make_shard(setting, robots, worst.seed), worst, spec)
-    one = robots.robot(worst.robot)
-    same = Draw({name: np.repeat(values, WIDTH, axis=0) for name, values in one.items()})
-    found = []
-    for seed in seeds:
-        shard = make_shard(setting, same.replaced({"push.every_s": EVER_S}), seed, lives_of=worst.robot)
-        shard.set_policy(Tape(shard.runtime.contract, actions))
-        found.append(largest_excess(shard))
-    return {name: np.concatenate([each[name] for each in found]) for name in found[0]}
-
-
-def _record(shard: Shard, worst: Worst, spec: RobotSpec) -> Float32s:
-    """Run a trial again; return the actions (steps, A) of one robot."""
-    shard.set_policy(Crowd(policy_file(spec, worst.setting.mode, [worst.policy] * WIDTH)))
-    actions = []
-    for _ in range(round(TRIAL_S / spec.dt)):
-        shard.tick()
-        if shard.action is not None:
-            actions.append(shard.action[worst.robot].copy())
-    return np.array(actions, dtype=np.float32)
-
-
-def largest_excess(shard: Shard) -> Values:
-    """Run a trial; return the largest excess (`WIDTH`, bins) of each robot, by quantity."""
+def _excess(shard: Shard) -> Excess:
+    """Run a trial."""
     excess = Excess(shard.runtime, shard.robot.plant)
     for _ in range(round(TRIAL_S / shard.runtime.spec.dt)):
         shard.tick()
         excess.step(shard.truth)
-    return excess.largest
+    return excess
 
 
-def make_shard(setting: Setting, robots: Draw, seed: int, *, lives_of: int | None = None) -> Shard:
-    """Return a shard of robots from new to worn, or all as worn as one of them."""
+def make_shard(setting: Setting, robots: Draw, seed: int) -> Shard:
+    """Return a shard of robots from new to worn."""
     spec = load_robot(setting.robot)
     with TemporaryDirectory() as folder:
         shard = Shard(write_job(setting, spec, Candidate("", {}, seed), Path(folder) / POLICY), draw=robots)
-    wear, lives = shard.robot.plant.wear, np.linspace(0.0, LIVES, WIDTH)
-    wear.life[:] = lives[:, None] if lives_of is None else lives[lives_of]
+    wear = shard.robot.plant.wear
+    wear.life[:] = np.linspace(0.0, LIVES, WIDTH)[:, None]
     wear.apply()
     return shard
 

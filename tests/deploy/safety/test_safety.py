@@ -337,8 +337,9 @@ def test_poses_without_a_reason():
     assert SAFETY.check_poses(np.tile(HOME, (2, 1))).tolist() == [0, 0]
 
 
-@pytest.mark.parametrize(("mode", "share"), [(ControlMode.POSITION, 0.83), (ControlMode.VELOCITY, 0.8), (ControlMode.TORQUE, 0.74)])
-def test_margins_are_those_of_the_mode(mode, share):
+@pytest.mark.parametrize("mode", ControlMode)
+def test_margins_are_those_of_the_mode(mode):
+    share = SPEC.margins.of(mode).speed
     safety = Safety(SPEC, Fleet(SPEC.in_mode(mode), 2, collisions=True), mode=mode)
     for factor, beyond in ((0.99, False), (1.01, True)):
         fast = point(qd=one(5, factor * share * SPEC.joints[5].qd_max))

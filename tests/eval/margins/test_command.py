@@ -52,7 +52,6 @@ def test_wrong_option_is_named(words, complaint, call):
 def test_margins_that_do_not_suffice_are_written(call, tmp_path, monkeypatch):
     monkeypatch.setattr(trial, "TRIAL_S", 1.0)
     monkeypatch.setattr(command, "ProcessPoolExecutor", InProcess)
-    monkeypatch.setattr(command, "REPEATS", 1)
     folder = tmp_path / "robot"
     shutil.copytree(PLANAR3.folder, folder)
     text = (folder / "robot.toml").read_text()

@@ -2,20 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 pytest.importorskip("mujoco")
 
-from eval.attack.arena import Setting
-from eval.margins.derive import PROBABILITY, find_worst, need, noise_of, share_needed, worst_bin
+from eval.margins.derive import PER_HOUR, need, noise_of, share_needed, worst_bin
 from eval.margins.excess import BINS
-from eval.margins.tail import level
-from eval.margins.trial import Trials, Tried
-from eval.shard.job import WIDTH
-from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
+from support.planar import PLANAR3
 
 NEVER = -np.inf
-SETTING = Setting(robot=SPEC.folder, mode=ControlMode.POSITION)
 
 
 @pytest.mark.parametrize(
@@ -35,47 +31,51 @@ def test_share_up_to_which_the_limit_is_kept(excess, noise, share):
     assert share_needed(np.array(excess), noise) == pytest.approx(share)
 
 
-def bins(place, value):
-    excess = np.full(BINS, NEVER)
-    excess[place] = value
-    return excess
+def bins(**excess):
+    return np.array([excess.get(f"at_{place}", NEVER) for place in range(BINS)])
 
 
 def test_needed_margins_are_rounded_to_the_safe_side():
-    found = need(SPEC, "speed", np.full(BINS, 0.1234), 8, noise=0.0, stop=0.0)
-    assert (found.key, found.needed, found.planned) == ("speed", 0.87, 0.9)
+    found = need(SPEC, "speed", np.full(BINS, 0.1234), noise=0.0, stop=0.0)
+    assert (found.key, found.needed, found.planned) == ("speed", 0.87, 1.0)
     assert found.holds == (SPEC.margins.speed <= 0.87)
-    found = need(SPEC, "workspace", np.array([0.0021]), 0, noise=0.0, stop=0.0013)
+    found = need(SPEC, "workspace", np.array([0.0021]), noise=0.0, stop=0.0013)
     assert (found.key, found.needed, found.planned, found.holds) == ("workspace_m", 0.004, 0.0, True)
-    assert not need(SPEC, "gap", np.array([0.0101]), 0, noise=0.0, stop=0.0).holds
-    assert need(SPEC, "gap", np.array([0.0099]), 0, noise=0.0, stop=0.0).holds
+    assert not need(SPEC, "gap", np.array([0.0101]), noise=0.0, stop=0.0).holds
+    assert need(SPEC, "gap", np.array([0.0099]), noise=0.0, stop=0.0).holds
     present = SPEC.margins.tool_speed
-    assert need(SPEC, "tool_speed", np.full(BINS, 0.0), 9, noise=0.0, stop=1.0 - present).holds
-    assert not need(SPEC, "tool_speed", np.full(BINS, 0.0), 9, noise=0.0, stop=1.01 - present).holds
+    assert need(SPEC, "tool_speed", np.full(BINS, 0.0), noise=0.0, stop=1.0 - present).holds
+    assert not need(SPEC, "tool_speed", np.full(BINS, 0.0), noise=0.0, stop=1.01 - present).holds
 
 
 def test_deciding_bin_is_where_planned_value_and_excess_come_closest_to_the_limit():
-    assert worst_bin(np.stack([bins(2, 0.6), bins(7, 0.15)])) == 7
-    assert worst_bin(np.stack([bins(2, 0.6), bins(7, 0.05)])) == 2
+    assert worst_bin(bins(at_2=0.6, at_7=0.15)) == 7
+    assert worst_bin(bins(at_2=0.6, at_7=0.05)) == 2
 
 
-def test_worst_trial_is_found_among_all():
-    def tried(seed, excess):
-        policies = tuple({"reach": (float(seed), float(k))} for k in range(2 * WIDTH))
-        return Tried(Trials(SETTING, "push", seed, 2, False), {"angle": excess}, policies)
-
-    blocks = [np.zeros((2 * WIDTH, 1)) for _ in range(2)]
-    blocks[1][WIDTH + 3] = 0.5
-    worst, place, largest = find_worst([tried(seed, x) for seed, x in enumerate(blocks)], "angle")
-    assert (worst.seed, worst.robot, place) == (1, 3, 0)
-    assert worst.policy == {"reach": (1.0, float(WIDTH + 3))}
-    assert largest.tolist() == [0.5]
+ERROR = np.array([[1e-3] * SPEC.n, [0.05] * SPEC.n])
 
 
-def test_noise_is_the_level_of_repeats_over_their_median():
-    repeats = np.column_stack([np.full(64, NEVER), np.random.default_rng(0).normal(0.2, 0.01, 64)])
-    repeats[5, 1] = NEVER
-    known = np.delete(repeats[:, 1], 5)
-    expected = level(known, PROBABILITY) - np.median(known)
-    assert noise_of({"angle": repeats}, "angle", 1) == pytest.approx(expected)
-    assert noise_of({"angle": repeats}, "angle", 0) == 0.0
+def test_noise_is_passed_once_in_a_million_hours():
+    found = noise_of(SPEC, ERROR)
+    deviations = found["angle"] / 1e-3
+    per_hour = 2 * norm.sf(deviations) * SPEC.n * 3600 / SPEC.dt
+    assert per_hour == pytest.approx(PER_HOUR, rel=1e-6)
+    assert found["speed"] == pytest.approx(deviations * 0.05 / 3.14, rel=1e-6)
+    assert "tau" not in found
+
+
+def test_noise_of_the_tool_is_that_of_the_longest_lever():
+    """Of one joint that turns the stretched arm about its base axis."""
+    only = np.zeros_like(ERROR)
+    only[:, 0] = ERROR[:, 0]
+    found = noise_of(SPEC, only)
+    lever = found["workspace"] / found["angle"]
+    assert 0.7 < lever < 1.0
+    assert found["gap"] == found["workspace"]
+    speed = found["speed"] * SPEC.joints[0].qd_max
+    assert found["tool_speed"] == pytest.approx(lever * speed / SPEC.workspace.tool_speed_max, rel=1e-6)
+
+
+def test_a_robot_without_workspace_has_noise_of_joints_only():
+    assert set(noise_of(PLANAR3, ERROR[:, :3])) == {"angle", "speed"}

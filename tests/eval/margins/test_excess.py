@@ -40,8 +40,13 @@ class Bench:
         self.sent = SimpleNamespace(q=row + HOME, qd=row.copy())
         self.command = SimpleNamespace(tau=row.copy(), powered=np.ones(1, dtype=bool))
         runtime = SimpleNamespace(
-            spec=SPEC, setpoint=self.sent, command=self.command, robot=SimpleNamespace(robots=1)
+            spec=SPEC,
+            setpoint=self.sent,
+            command=self.command,
+            robot=SimpleNamespace(robots=1),
+            state=SimpleNamespace(q=row + HOME, qd=row.copy()),
         )
+        self.state = runtime.state
         self.excess = Excess(runtime, SimpleNamespace(valid=np.ones(1, dtype=bool)))
         self.truth = SimpleNamespace(
             q=row + HOME,
@@ -133,3 +138,16 @@ def test_a_simulation_that_diverged_does_not_count(bench):
     bench.truth.valid[0] = False
     bench.step(3 * WINDOW)
     assert bench.largest("angle").max() == 0.0
+
+
+def test_error_of_the_estimate_is_over_the_tick_before(bench):
+    assert bench.excess.estimate_error.max() == 0.0
+    bench.truth.q[0, 0] += 0.02
+    bench.step()
+    assert bench.excess.estimate_error.max() == 0.0
+    for _ in range(2):
+        bench.state.q[0, 1] = HOME[1] + 0.01
+        bench.step()
+    expected = np.zeros((2, N))
+    expected[0, :2] = np.sqrt(np.array([2 * 0.02**2, 2 * 0.01**2]) / bench.excess._counted[0])
+    np.testing.assert_allclose(bench.excess.estimate_error, expected, rtol=1e-9)
