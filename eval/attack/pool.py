@@ -45,7 +45,7 @@ def workers(setting: Setting, processes: int) -> Iterator[Workers]:
     """
     with (
         Lifeline() as lifeline,
-        ProcessPoolExecutor(processes, get_context("spawn"), _begin, (lifeline.end,)) as pool,
+        ProcessPoolExecutor(processes, get_context("spawn"), begin_worker, (lifeline.end,)) as pool,
     ):
         try:
             yield Workers(pool, setting)
@@ -55,7 +55,7 @@ def workers(setting: Setting, processes: int) -> Iterator[Workers]:
             pool.shutdown(cancel_futures=True)
 
 
-def _begin(lifeline: Connection) -> None:
+def begin_worker(lifeline: Connection) -> None:
     """Hang on the parent's life; only the parent handles Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(lifeline)

@@ -13,9 +13,10 @@ python -m eval.bench memory            growth of a soak's memory
 python -m eval.bench budget            half an hour of 32 robots by the shipped budget; an idle policy that fails it
 python -m eval.bench teleport          a policy that asks for far angles: drives without limits, real ones, a cap
 python -m eval.bench adversaries       policies that ask for anything, in velocity and torque mode: an hour, 16 robots
+python -m eval.bench faults            every fault class under the library of adversaries: half an hour
 python -m eval.bench stops             the worst stop that safety accepts, for each limit of the tool
 python -m eval.bench walk              a walking robot beside a bare loop: --robot FOLDER --policy FILE
-python -m eval.bench                   all of them but kills and the last two
+python -m eval.bench                   all of them but kills, adversaries, faults and walk
 """
 
 from collections.abc import Callable
@@ -29,6 +30,7 @@ from deploy.command_line import PASSED, main
 from eval.bench.ablation.ablation import ablation
 from eval.bench.ablation.heat_guard import heat_guard
 from eval.bench.adversaries import adversaries
+from eval.bench.attacked_faults import attacked_faults
 from eval.bench.budget_check import budget_check
 from eval.bench.estimation.estimate import estimate
 from eval.bench.estimation.floating import floating
@@ -60,11 +62,12 @@ BENCHES: dict[str, Callable[..., None]] = {
     "budget": budget_check,
     "teleport": teleport,
     "adversaries": adversaries,
+    "faults": attacked_faults,
     "stops": stop_search,
     "walk": walk,
 }
-NOT_IN_ALL = ("kills", "adversaries", "walk")
-"""The first takes most of an hour, the second hours, the third a robot that walks."""
+NOT_IN_ALL = ("kills", "adversaries", "faults", "walk")
+"""The first takes most of an hour, the second hours, the third half an hour, the last a robot that walks."""
 WITH_PICTURE, WITH_HOURS = ("estimate", "ablation", "teleport"), ("kills", "adversaries")
 
 

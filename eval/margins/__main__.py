@@ -17,12 +17,13 @@ from rich.table import Table
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from eval.attack.adversaries import ADVERSARIES
 from eval.attack.arena import Setting
+from eval.attack.pool import begin_worker
 from eval.bench.stop_search import GENERATIONS
 from eval.margins.derive import Need, need, noise_of, stop_excess
 from eval.margins.excess import SHARES
 from eval.margins.robot_file import write_margins
 from eval.margins.trial import Trials, Tried, run
-from robots.child_process import Lifeline, end_with
+from robots.child_process import Lifeline
 from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec, load_robot
@@ -68,7 +69,7 @@ def margins(
     console, found = Console(width=140), dict[ControlMode, list[Need]]()
     with (
         Lifeline() as lifeline,
-        ProcessPoolExecutor(processes, get_context("spawn"), end_with, (lifeline.end,)) as pool,
+        ProcessPoolExecutor(processes, get_context("spawn"), begin_worker, (lifeline.end,)) as pool,
     ):
         for mode in spec.control_modes:
             found[mode] = list(_needs(pool, spec, mode, Effort(seeds, trials, generations, corners), console))
