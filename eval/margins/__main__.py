@@ -28,6 +28,8 @@ from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec, load_robot
 
+TASKS = 8
+"""Shards that a process builds before another takes its place: what they leave behind is freed late."""
 COLUMNS = ("quantity", "at", "worst excess", "noise", "in a stop", "margin", "present", "needed", "")
 
 
@@ -69,7 +71,9 @@ def margins(
     console, found = Console(width=140), dict[ControlMode, list[Need]]()
     with (
         Lifeline() as lifeline,
-        ProcessPoolExecutor(processes, get_context("spawn"), begin_worker, (lifeline.end,)) as pool,
+        ProcessPoolExecutor(
+            processes, get_context("spawn"), begin_worker, (lifeline.end,), max_tasks_per_child=TASKS
+        ) as pool,
     ):
         for mode in spec.control_modes:
             found[mode] = list(_needs(pool, spec, mode, Effort(seeds, trials, generations, corners), console))

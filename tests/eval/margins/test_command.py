@@ -19,7 +19,7 @@ QUICK = ("--seeds", 1, "--trials", 1, "--generations", 1)
 class InProcess(Executor):
     """A pool that does its work at once."""
 
-    def __init__(self, *_):
+    def __init__(self, *_, **__):
         pass
 
     def submit(self, fn, /, *args, **kwargs):
