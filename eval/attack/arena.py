@@ -22,6 +22,7 @@ from eval.replay.bundle import POLICY
 from eval.shard.job import WIDTH, ShardJob
 from eval.shard.shard import Shard
 from robots.arrays import Bools, Floats
+from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec, load_robot
 
@@ -115,6 +116,18 @@ class Arena:
         for name in at_fall.keys() - {*OF_FALLS}:
             np.copyto(worst[name], at_fall[name], where=falls.fallen)
         return Outcome(worst, counts.invalid > 0)
+
+
+def find_mode(name: str, spec: RobotSpec) -> ControlMode:
+    """Return a control mode of a robot by its name.
+
+    Raises:
+        ConfigError: its drives do not have it.
+    """
+    modes = {mode.name.lower(): mode for mode in spec.control_modes}
+    if name not in modes:
+        raise ConfigError(f"--mode: found {name!r}, expected one of those of {spec.name}: {', '.join(modes)}")
+    return modes[name]
 
 
 def _worst(counts: Counts) -> dict[str, Floats]:

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
 from deploy.telemetry.folder_lock import locked
 from eval.attack.archive import Archive
-from eval.attack.arena import Setting
+from eval.attack.arena import Setting, find_mode
 from eval.attack.fault_classes import find_faults
 from eval.attack.guards import guarded_monitor
 from eval.attack.pool import Workers, workers
@@ -21,7 +21,6 @@ from eval.attack.search import Search
 from eval.replay.bundle_files import delete_bundles, replace_bundles
 from eval.report.report_files import check_report_folder
 from robots.errors import ConfigError
-from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec, load_robot
 
 WORST, CASES, UNFINISHED = "worst", "cases", "unfinished"
@@ -94,7 +93,7 @@ def soak_attack(
     """
     _check_options(seed, processes, minutes, generations)
     spec = load_robot(robot)
-    drives = _mode(mode, spec)
+    drives = find_mode(mode, spec)
     classes = find_faults(faults or (), spec, drives, "--fault")
     setting = Setting(robot=spec.folder, mode=drives, faults=classes, without=without)
     target = guarded_monitor(without, setting.mode, Archive(spec, setting.mode).hard) if without else ""
@@ -153,13 +152,6 @@ def _write(
 def _verdict(report: AttackReport) -> str:
     diverged = f"; {report.diverged} simulations diverged" if report.diverged else ""
     return (f"hard events: {', '.join(report.hits)}" if report.hits else "no hard event") + diverged
-
-
-def _mode(name: str, spec: RobotSpec) -> ControlMode:
-    modes = {mode.name.lower(): mode for mode in spec.control_modes}
-    if name not in modes:
-        raise ConfigError(f"--mode: found {name!r}, expected one of those of {spec.name}: {', '.join(modes)}")
-    return modes[name]
 
 
 def _check_options(seed: int, processes: int, minutes: float, generations: int | None) -> None:

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from eval.attack.adversaries import ADVERSARIES
-from eval.attack.arena import Setting
+from eval.attack.arena import Setting, find_mode
 from eval.attack.pool import begin_worker
 from eval.bench.stop_search import GENERATIONS
 from eval.margins.derive import Need, need, noise_of, stop_excess
@@ -44,6 +44,9 @@ class Effort(NamedTuple):
 
 def margins(
     robot: Annotated[str, typer.Option(help="Robot: a name or a folder.")] = "arm6",
+    mode: Annotated[
+        str, typer.Option(help="What the drives follow: position, velocity or torque.", show_default="all")
+    ] = "",
     seeds: Annotated[int, typer.Option(help="Number of shards of 16 robots for each adversary.")] = 4,
     trials: Annotated[int, typer.Option(help="Trials of 10 s of each robot and adversary.")] = 6,
     generations: Annotated[int, typer.Option(help="Length of the search for stops.")] = GENERATIONS,
@@ -51,7 +54,7 @@ def margins(
     corners: Annotated[bool, typer.Option(help="Robots at the corners of draws.toml.")] = False,
     write: Annotated[bool, typer.Option(help="Write margins that do not suffice into robot.toml.")] = False,
 ) -> int:
-    """Compare the margins of a robot with what its draws.toml needs, in every control mode.
+    """Compare the margins of a robot with what its draws.toml needs, in one control mode or in all.
 
     Exit codes: 0 all suffice, 1 one does not, 2 bad input.
     """
@@ -68,6 +71,7 @@ def margins(
     ):
         if value < 1:
             raise ConfigError(f"--{name}: found {value}, expected at least 1")
+    modes = (find_mode(mode, spec),) if mode else spec.control_modes
     console, found = Console(width=140), dict[ControlMode, list[Need]]()
     with (
         Lifeline() as lifeline,
@@ -75,9 +79,9 @@ def margins(
             processes, get_context("spawn"), begin_worker, (lifeline.end,), max_tasks_per_child=TASKS
         ) as pool,
     ):
-        for mode in spec.control_modes:
-            found[mode] = list(_needs(pool, spec, mode, Effort(seeds, trials, generations, corners), console))
-            console.print(_table(spec, mode, found[mode]))
+        for each in modes:
+            found[each] = list(_needs(pool, spec, each, Effort(seeds, trials, generations, corners), console))
+            console.print(_table(spec, each, found[each]))
     lacking = {mode: [each for each in needs if not each.holds] for mode, needs in found.items()}
     if write and any(lacking.values()):
         console.print(f"written: {write_margins(spec, lacking)}", soft_wrap=True, highlight=False)

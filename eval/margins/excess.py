@@ -25,8 +25,8 @@ WINDOW_S = 0.1
 GAP_S = 0.02
 """s between two looks at the distances of shapes."""
 SHARES = ("speed", "tau", "tool_speed")
-"""Quantities that are shares of a limit. Their excess is kept by the planned share, in `BINS` of equal width: a loaded
-gear has no play, and a joint at full speed has no torque left to overshoot."""
+"""Quantities that are shares of a limit. Their excess is kept by the planned share, in `BINS` of equal width, over the
+upper end of the bin: a loaded gear has no play, and what happens at half of a limit may be a larger excess."""
 BINS = 10
 
 Values = dict[str, Floats]
@@ -89,10 +89,12 @@ class Excess:
         return np.sqrt(mean.max(axis=1))
 
     def _keep(self, largest: Floats, planned: Floats, true: Floats, counts: Bools) -> None:
-        """Keep what is larger than before, in the bin of the planned value."""
+        """Keep what is larger than before: over the planned value, or over the upper end of a share's bin."""
         rows, columns = np.nonzero(np.broadcast_to(counts[:, None], planned.shape))
         planned, true = planned[rows, columns], true[rows, columns]
         bins = np.clip(planned * BINS, 0, largest.shape[1] - 1).astype(np.int64)
+        if largest.shape[1] == BINS:
+            planned = (1.0 + bins) / BINS
         np.maximum.at(largest, (rows, bins), true - planned)
 
     def planned(self) -> Values:

@@ -37,6 +37,10 @@ def margins(call, *words):
     [
         (("--robot", "nobody"), "nobody"),
         (("--robot", "quadruped"), "--robot: found quadruped, whose drives may saturate"),
+        (
+            ("--robot", "planar3", "--mode", "thought"),
+            "--mode: found 'thought', expected one of those of planar3",
+        ),
         (("--seeds", 0), "--seeds: found 0, expected at least 1"),
         (("--trials", -1), "--trials: found -1, expected at least 1"),
         (("--workers", 0), "--workers: found 0, expected at least 1"),
