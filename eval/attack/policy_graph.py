@@ -18,6 +18,7 @@ from deploy.sources.catalogue import SOURCES
 from deploy.tasks.task import tasks_of
 from eval.attack.weights import DELAY_MAX, Weights, arrays
 from robots.arrays import Float32s, Floats
+from robots.errors import ConfigError
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -73,13 +74,22 @@ next_memory = Concat next_step command older
 
 
 def attack_contract(spec: RobotSpec, mode: ControlMode) -> Contract:
-    """Return the contract of all adversaries: they act in every tick, and nothing bounds their actions."""
+    """Return the contract of all adversaries: they act in every tick, and nothing bounds their actions.
+
+    Raises:
+        ConfigError: no task suits the robot.
+    """
     scale = {
         ControlMode.POSITION: np.ones(spec.n),
         ControlMode.VELOCITY: spec.joint_array("qd_max"),
         ControlMode.TORQUE: torque_max(spec),
     }[mode]
     offset = {"offset": (0.0,) * spec.n} if mode is ControlMode.POSITION else {}
+    tasks = tasks_of(spec)
+    if not tasks:
+        raise ConfigError(
+            f"{spec.folder}: no task for this robot: found no workspace, feet or goal that one needs"
+        )
     fields = {
         "mode": mode.name.lower(),
         "size": spec.n,
@@ -93,7 +103,7 @@ def attack_contract(spec: RobotSpec, mode: ControlMode) -> Contract:
         joint_names=spec.joint_names,
         policy_hz=spec.rates.control_hz,
         control_hz=spec.rates.control_hz,
-        task=tasks_of(spec)[0],
+        task=tasks[0],
         observation=(
             _term("joint_position", np.ones(spec.n)),
             _term("joint_velocity", spec.joint_array("qd_max")),

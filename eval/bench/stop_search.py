@@ -1,9 +1,10 @@
-"""Search for stops that safety accepts and in which the tool leaves its limits between the checked moments.
+"""Search for stops that safety accepts and that come closer to limits of tool or torque between the checked moments.
 
 Safety looks at the beginning of a stop, at two moments while it brakes and at its end. What lies between is left to the
 margins of robot.toml: this is what they must cover, for any setpoint inside the limits, reachable or not.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,11 @@ from scipy.optimize import differential_evolution
 from deploy.motion.smoother import Smoother
 from deploy.safety.check import Limits
 from deploy.safety.safety import Safety
-from deploy.state import Setpoint, State
+from deploy.state import Setpoint, State, Stop
 from robots.arrays import Bools, Floats
 from robots.capabilities import required
 from robots.models.fleet import Fleet
+from robots.models.nominal_model import torque_max
 from robots.spec import RobotSpec
 
 POPULATION, GENERATIONS, SEED = 256, 300, 1
@@ -33,15 +35,16 @@ class StopSearch:
     """
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        """Build the shipped smoother and safety for a robot with a workspace."""
-        self._spec, self._space, self._fleet = spec, required(spec.workspace), Fleet(spec, robots)
+        """Build the shipped smoother and safety."""
+        self._spec, self._space, self._fleet = spec, spec.workspace, Fleet(spec, robots)
         self._smoother, self._all = Smoother(spec, robots), np.ones(robots, dtype=bool)
         self._safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True))
         self._low, self._high = spec.joint_array("q_min"), spec.joint_array("q_max")
-        wall = 1.0 - required(spec.margins.workspace_m) / self._space.radius_max
-        limits = Limits(spec, np.zeros(spec.n))
-        speed = limits.tool_speed / self._space.tool_speed_max
-        self.bounds = {"tool speed": speed, "tool depth": wall, "tool radius": wall}
+        self._torque_max, self.bounds = torque_max(spec), {"torque": spec.margins.tau}
+        if self._space:
+            wall = 1.0 - required(spec.margins.workspace_m) / self._space.radius_max
+            speed = Limits(spec, self._torque_max).tool_speed / self._space.tool_speed_max
+            self.bounds |= {"tool speed": speed, "tool depth": wall, "tool radius": wall}
         self.quantities = tuple(self.bounds)
 
     def start(self, x: Floats) -> Setpoint:
@@ -52,27 +55,41 @@ class StopSearch:
         qd = peak - qdd * np.abs(qdd) / self._safety.twice_jerk
         return Setpoint(q=self._low + place * (self._high - self._low), qd=qd, qdd=qdd)
 
-    def shares(self, q: Floats, qd: Floats) -> Floats:
-        """(3, P) the quantities at angles and speeds (P, n)."""
+    def shares(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
+        """(quantities, P) at angles, speeds and accelerations (P, n)."""
+        torque = np.abs(self._fleet.torque(q, qd, qdd) / self._torque_max).max(axis=1)
+        if self._space is None:
+            return torque[None]
         kinematics, space = self._fleet.kinematics(q), self._space
         tool, speed = kinematics.tool_position, np.linalg.norm(kinematics.tool_velocity(qd), axis=1)
         depth = 1.0 + (space.z_min - tool[:, 2]) / space.radius_max
         radius = np.linalg.norm(tool - np.array(space.centre), axis=1) / space.radius_max
-        return np.array([speed / space.tool_speed_max, depth, radius])
+        return np.array([torque, speed / space.tool_speed_max, depth, radius])
 
     def run(self, start: Setpoint) -> tuple[Floats, Floats, Bools]:
-        """Return (3, P) largest shares at the checked moments and in the whole stop, and (P,) stops refused."""
+        """Return (quantities, P) largest shares at the checked moments and in the whole stop, and (P,) stops refused.
+
+        Torque is checked at the setpoint and one step into its stop only.
+        """
         stop, spec = self._smoother.brake(start), self._spec
         refused = self._safety.step(_at(start), start, start, stop).reason != 0
-        checked = [self.shares(start.q, start.qd), self.shares(stop.q_rest, np.zeros_like(start.qd))]
-        checked += [self.shares(q, qd) for q, qd in zip(stop.q, stop.qd, strict=True)]
+        still, ahead = np.zeros_like(start.qd), stop.ahead
+        checked = [self.shares(each.q, each.qd, each.qdd) for each in (start, ahead)]
+        at_moments = [self.shares(*each) for each in ((stop.q_rest, still, still), *self._moments(stop))]
+        checked += [np.concatenate((np.zeros_like(each[:1]), each[1:])) for each in at_moments]
         whole, smoother = list(checked), self._smoother
         smoother.commit(start)
         for tick in range(round(spec.stop_s / spec.dt)):
             smoother.commit(smoother.next(start.q, self._all))
             if tick % TICKS == 0:
-                whole.append(self.shares(smoother.q, smoother.qd))
+                whole.append(self.shares(smoother.q, smoother.qd, smoother.qdd))
         return np.max(checked, axis=0), np.max(whole, axis=0), refused
+
+    @staticmethod
+    def _moments(stop: Stop) -> Iterator[tuple[Floats, Floats, Floats]]:
+        """Yield angles and speeds while a stop brakes, without acceleration: torque is not checked there."""
+        for q, qd in zip(stop.q, stop.qd, strict=True):
+            yield q, qd, np.zeros_like(q)
 
     def worst(self, quantity: str, generations: int, seed: int) -> float:
         """Return the largest share of a quantity in a stop that safety accepts; NaN where none was found.
@@ -103,11 +120,8 @@ class StopSearch:
 
 
 def stop_search(spec: RobotSpec, policy: Path, console: Console) -> None:
-    """Print the worst accepted stop for each limit of the tool."""
+    """Print the worst accepted stop for each limit of the tool, and for torque."""
     del policy
-    if spec.workspace is None:
-        console.print(f"stops of {spec.name}: it has no workspace, so no limits of the tool")
-        return
     search = StopSearch(spec, POPULATION)
     table = Table("", "bound at the checked moments", "worst in between", title=f"stops of {spec.name}")
     for quantity, bound in search.bounds.items():

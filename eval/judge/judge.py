@@ -140,12 +140,12 @@ class Judge(Stage):
     def _fall(self, truth: Truth, command: Command) -> tuple[Floats | float, Floats | float]:
         """Return (B,) rad of tilt, and s with power since it passed its limit; 0 of a robot without floating base.
 
-        The time of a robot that gets up by itself goes on.
+        The time begins anew where a robot gets up by itself.
         """
         if truth.base is None:
             return 0.0, 0.0
         tilt = true_tilt(truth.base)
-        fallen = command.powered & ((self.fallen_s > 0.0) | (tilt > self._tilt_max))
+        fallen = command.powered & (tilt > self._tilt_max)
         self.fallen_s[:] = np.where(fallen, self.fallen_s + self._dt, 0.0)
         return tilt, self.fallen_s
 

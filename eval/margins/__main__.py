@@ -3,8 +3,11 @@
 See docs/margins.md.
 """
 
+import math
+import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import Annotated, NamedTuple
 
@@ -19,27 +22,41 @@ from eval.attack.adversaries import ADVERSARIES
 from eval.attack.arena import Setting, find_mode
 from eval.attack.pool import begin_worker
 from eval.bench.stop_search import GENERATIONS
-from eval.margins.derive import Need, need, noise_of, stop_excess
+from eval.margins.derive import ROUNDING, Need, need, noise_of, stop_excess
 from eval.margins.excess import SHARES
 from eval.margins.robot_file import write_margins
-from eval.margins.trial import Trials, Tried, run
+from eval.margins.trial import Trial, run
 from robots.child_process import Lifeline
 from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec, load_robot
 
 TASKS = 8
-"""Shards that a process builds before another takes its place: what they leave behind is freed late."""
-COLUMNS = ("quantity", "at", "worst excess", "noise", "in a stop", "margin", "present", "needed", "")
+"""Trials that a process runs before another takes its place: what they leave behind is freed late."""
+COLUMNS = (
+    *("quantity", "planned up to", "worst excess", "noise", "in a stop", "margin", "present", "needed"),
+    "suffices",
+)
 
 
 class Effort(NamedTuple):
-    """Number of shards and trials of each adversary, length of the search for stops, and the kind of robots."""
+    """Number of trials of each adversary, length of the search for stops, and the kind of robots."""
 
-    seeds: int
     trials: int
     generations: int
     corners: bool
+
+
+class Found(NamedTuple):
+    """Needed margins of one mode, and the number of robots whose simulation diverged."""
+
+    needs: tuple[Need, ...]
+    diverged: int
+
+    @property
+    def lacking(self) -> tuple[Need, ...]:
+        """Margins that do not suffice."""
+        return tuple(each for each in self.needs if not each.holds)
 
 
 def margins(
@@ -47,8 +64,7 @@ def margins(
     mode: Annotated[
         str, typer.Option(help="What the drives follow: position, velocity or torque.", show_default="all")
     ] = "",
-    seeds: Annotated[int, typer.Option(help="Number of shards of 16 robots for each adversary.")] = 4,
-    trials: Annotated[int, typer.Option(help="Trials of 10 s of each robot and adversary.")] = 6,
+    trials: Annotated[int, typer.Option(help="Trials of 16 robots for 10 s, for each adversary.")] = 24,
     generations: Annotated[int, typer.Option(help="Length of the search for stops.")] = GENERATIONS,
     processes: Annotated[int, typer.Option("--workers", help="Number of processes.")] = 2,
     corners: Annotated[bool, typer.Option(help="Robots at the corners of draws.toml.")] = False,
@@ -56,76 +72,85 @@ def margins(
 ) -> int:
     """Compare the margins of a robot with what its draws.toml needs, in one control mode or in all.
 
-    Exit codes: 0 all suffice, 1 one does not, 2 bad input.
+    Exit codes: 0 all suffice, 1 one does not, 2 bad input, 130 interrupted.
     """
     spec = load_robot(robot)
     if spec.base:
         raise ConfigError(
             f"--robot: found {spec.name}, whose drives may saturate: expected one on a fixed base"
         )
-    for name, value in (
-        ("seeds", seeds),
-        ("trials", trials),
-        ("generations", generations),
-        ("workers", processes),
-    ):
+    for name, value in (("trials", trials), ("generations", generations), ("workers", processes)):
         if value < 1:
             raise ConfigError(f"--{name}: found {value}, expected at least 1")
+    if write and not os.access(spec.folder, os.W_OK):
+        raise ConfigError(f"--write {spec.folder}: cannot be written")
     modes = (find_mode(mode, spec),) if mode else spec.control_modes
-    console, found = Console(width=140), dict[ControlMode, list[Need]]()
-    with (
-        Lifeline() as lifeline,
-        ProcessPoolExecutor(
-            processes, get_context("spawn"), begin_worker, (lifeline.end,), max_tasks_per_child=TASKS
-        ) as pool,
-    ):
+    console, found = Console(width=150), dict[ControlMode, Found]()
+    with _processes(processes) as pool:
         for each in modes:
-            found[each] = list(_needs(pool, spec, each, Effort(seeds, trials, generations, corners), console))
+            found[each] = _find(pool, spec, each, Effort(trials, generations, corners), console)
             console.print(_table(spec, each, found[each]))
-    lacking = {mode: [each for each in needs if not each.holds] for mode, needs in found.items()}
-    if write and any(lacking.values()):
-        console.print(f"written: {write_margins(spec, lacking)}", soft_wrap=True, highlight=False)
-    return BUDGET_EXCEEDED if any(lacking.values()) else PASSED
+    if write and any(each.lacking for each in found.values()):
+        path = write_margins(spec, {key: each.lacking for key, each in found.items()})
+        console.print(f"written: {path}", soft_wrap=True, highlight=False)
+    return BUDGET_EXCEEDED if any(each.lacking or each.diverged for each in found.values()) else PASSED
 
 
-def _needs(
-    pool: ProcessPoolExecutor,
-    spec: RobotSpec,
-    mode: ControlMode,
-    effort: Effort,
-    console: Console,
-) -> Iterator[Need]:
-    setting, name = Setting(robot=spec.folder, mode=mode), mode.name.lower()
+@contextmanager
+def _processes(number: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool whose processes end at once when this one is interrupted."""
+    with Lifeline() as lifeline:
+        arguments = get_context("spawn"), begin_worker, (lifeline.end,)
+        pool = ProcessPoolExecutor(number, *arguments, max_tasks_per_child=TASKS)
+        try:
+            yield pool
+        except BaseException:
+            lifeline.cut()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        pool.shutdown()
+
+
+def _find(pool: Executor, spec: RobotSpec, mode: ControlMode, effort: Effort, console: Console) -> Found:
+    setting = Setting(robot=spec.folder, mode=mode)
     stop = pool.submit(stop_excess, spec.in_mode(mode), effort.generations)
-    jobs = [
-        Trials(setting, adversary, seed, effort.trials, effort.corners)
-        for seed in range(effort.seeds)
-        for adversary in ADVERSARIES
-    ]
-    tried: list[Tried] = list(track(pool.map(run, jobs), f"{name}: trials", len(jobs), console=console))
+    library = tuple(ADVERSARIES) * effort.trials
+    jobs = [Trial(setting, adversary, seed, effort.corners) for seed, adversary in enumerate(library)]
+    bar = track(pool.map(run, jobs), f"{spec.name}, {mode.name.lower()} mode", len(jobs), console=console)
+    outcomes = list(bar)
     predicted = mode is ControlMode.TORQUE  # in other modes what is sent does not depend on samples
-    error = np.max([each.estimate_error for each in tried], axis=0)
+    error = np.max([each.estimate_error for each in outcomes], axis=0)
     noise = noise_of(spec, error) if predicted else {}
-    for quantity in tried[0].excess:
-        worst = np.max([each.excess[quantity].max(axis=0) for each in tried], axis=0)
+    needs = []
+    for quantity in outcomes[0].excess:
+        worst = np.max([each.excess[quantity].max(axis=0) for each in outcomes], axis=0)
         added = noise.get(quantity, 0.0), stop.result().get(quantity, 0.0)
-        yield need(spec.in_mode(mode), quantity, worst, *added)
+        needs.append(need(spec.in_mode(mode), quantity, worst, *added))
+    return Found(tuple(needs), sum(each.diverged for each in outcomes))
 
 
-def _table(spec: RobotSpec, mode: ControlMode, needs: list[Need]) -> Table:
+def _table(spec: RobotSpec, mode: ControlMode, found: Found) -> Table:
     table = Table(*COLUMNS, title=f"{spec.name}, {mode.name.lower()} mode")
-    for each in needs:
-        numbers = (each.worst, each.noise, each.stop)
+    for each in found.needs:
         table.add_row(
             each.quantity,
-            f"{each.planned:.1f}" if each.planned else "",
-            *(f"{x:.4f}" for x in numbers),
+            f"{each.planned:.1f}" if each.quantity in SHARES else "",
+            *(f"{x:.4f}" for x in (each.worst, each.noise, each.stop)),
             each.key,
             f"{each.present:.3f}",
-            "any" if each.needed == 1.0 and each.quantity in SHARES else f"{each.needed:.3f}",
-            "" if each.holds else "does not suffice",
+            f"{each.needed:.3f}" if math.isfinite(each.needed) else "",
+            _verdict(each),
         )
+    if found.diverged:
+        table.caption = f"{found.diverged} simulations diverged"
     return table
+
+
+def _verdict(each: Need) -> str:
+    if not each.holds:
+        return "no"
+    unknown = each.quantity in SHARES and each.present > each.planned + ROUNDING
+    return "as far as it was planned" if unknown else "yes"
 
 
 if __name__ == "__main__":

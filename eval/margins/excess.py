@@ -52,7 +52,7 @@ class Excess:
         self._fleet = Fleet(spec, robots) if self._space else None
         self._gaps = Gaps(spec, plant) if "self_collision" in spec.capabilities else None
         self._qd_max, self._tau_max = spec.joint_array("qd_max"), torque_max(spec)
-        self._window, self._gap_ticks = round(WINDOW_S / spec.dt), round(GAP_S / spec.dt)
+        self._window, self._gap_ticks = (max(1, round(s / spec.dt)) for s in (WINDOW_S, GAP_S))
         self._planned_gap = self._true_gap = np.zeros((robots, 0))
         self._history: dict[str, Floats] = {}
         self._tick, self._powered, self._counted = 0, *np.zeros((2, robots), dtype=np.int64)
@@ -89,7 +89,7 @@ class Excess:
         return np.sqrt(mean.max(axis=1))
 
     def _keep(self, largest: Floats, planned: Floats, true: Floats, counts: Bools) -> None:
-        """Keep what is larger than before: over the planned value, or over the upper end of a share's bin."""
+        """Update the largest excess over the planned value, or of a share over the upper end of its bin."""
         rows, columns = np.nonzero(np.broadcast_to(counts[:, None], planned.shape))
         planned, true = planned[rows, columns], true[rows, columns]
         bins = np.clip(planned * BINS, 0, largest.shape[1] - 1).astype(np.int64)

@@ -2,37 +2,62 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import tomlkit
 
 from deploy.telemetry.output_files import replacing
 from eval.margins.derive import Need
+from robots.errors import ConfigError, FirstshiftError
 from robots.motors.control_mode import ControlMode
-from robots.spec import RobotSpec
+from robots.spec import RobotSpec, load_robot
+
+TOOL_SPEED, SOFT, TARGET = "tool_speed", "q_soft_rad", "q_target_rad"
 
 
 def write_margins(spec: RobotSpec, needs: Mapping[ControlMode, Sequence[Need]]) -> Path:
     """Write the needed margins, those of position mode to [margins], those of others to tables of their own.
 
-    Where soft limits of position mode move inward, targets move with them.
+    Targets stay as far inside soft limits as they were.
 
     Raises:
+        ConfigError: the robot cannot have such margins; its file stays as it was.
         OutputError: the file cannot be written.
     """
     path = spec.folder / "robot.toml"
-    document = tomlkit.parse(path.read_text(encoding="utf-8"))
-    margins = document["margins"]
+    before = path.read_text(encoding="utf-8")
+    document = tomlkit.parse(before)
+    margins: Any = document["margins"]
+    further = spec.margins.q_target_rad - spec.margins.q_soft_rad
     for mode, lacking in needs.items():
-        own = margins if mode is ControlMode.POSITION else _own_table(margins, mode)
         for each in lacking:
-            if each.key == "q_soft_rad" and own is margins:
-                further = each.needed - float(margins["q_soft_rad"])
-                margins["q_target_rad"] = round(float(margins["q_target_rad"]) + further, 6)
-            own[each.key] = each.needed
-    with replacing(path) as file:
-        file.write_text(tomlkit.dumps(document), encoding="utf-8")
+            if each.key == TOOL_SPEED and TOOL_SPEED not in margins:
+                _keep_tool_speeds(spec, margins)
+            table = margins if mode is ControlMode.POSITION else _own_table(margins, mode)
+            table[each.key] = each.needed
+            if each.key == SOFT:
+                margins[TARGET] = max(float(margins[TARGET]), round(each.needed + further, 6))
+    _write(path, tomlkit.dumps(document))
+    try:
+        load_robot(spec.folder)
+    except FirstshiftError as e:
+        _write(path, before)
+        raise ConfigError(f"{path}: the robot cannot have the margins that it needs: {e}") from e
     return path
 
 
-def _own_table(margins: tomlkit.items.Table, mode: ControlMode) -> tomlkit.items.Table:
+def _keep_tool_speeds(spec: RobotSpec, margins: Any) -> None:
+    """Write the tool speeds of all modes, which followed the joints' so far."""
+    margins[TOOL_SPEED] = spec.margins.speed
+    for mode in spec.control_modes:
+        if mode is not ControlMode.POSITION:
+            _own_table(margins, mode)[TOOL_SPEED] = spec.margins.of(mode).speed
+
+
+def _own_table(margins: Any, mode: ControlMode) -> Any:
     return margins.setdefault(f"{mode.name.lower()}_mode", tomlkit.table())
+
+
+def _write(path: Path, text: str) -> None:
+    with replacing(path, "--write") as file:
+        file.write_text(text, encoding="utf-8")

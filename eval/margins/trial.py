@@ -29,59 +29,51 @@ PAUSE_S = 2.0
 MOMENT_S, EVER_S = 0.01, 1e4
 """s with and without payload: a robot carries it all the time, or never."""
 LIVES = 2.0
-"""Lives that the joints of the last robot of a shard have used up, those of the first none: about two shifts."""
+"""Lives that the joints of the last robot of a trial have used up, those of the first none: about two shifts."""
 DRAWN = ("sensors", "climate", "wear")
 """Groups of draws.toml that are drawn as in a soak at the corners, too."""
 
 
-class Trials(NamedTuple):
-    """Trials of one adversary on the robots of one seed.
+class Trial(NamedTuple):
+    """One trial of 16 robots that no other trial has, each with a policy of its own.
 
     Attributes:
-        number: of trials, in each of which every robot has a policy of its own. corners: as in `draw_robots`.
+        adversary: whose weights are varied at random. seed: of robots, disturbances, noise and weights.
+        corners: as in `draw_robots`.
     """
 
     setting: Setting
     adversary: str
     seed: int
-    number: int
     corners: bool
 
 
-class Tried(NamedTuple):
-    """Outcome of trials.
+class Outcome(NamedTuple):
+    """Outcome of a trial.
 
     Attributes:
-        excess: (number × `WIDTH`, bins) largest of each robot in each trial, by quantity.
-        estimate_error: (2, n) rad and rad/s, root mean square in the worst trial of the worst robot.
+        excess: (`WIDTH`, bins) largest of each robot, by quantity.
+        estimate_error: (2, n) rad and rad/s, root mean square, of the worst robot.
+        diverged: number of robots whose simulation diverged.
     """
 
     excess: Values
     estimate_error: Floats
+    diverged: int
 
 
-def run(trials: Trials) -> Tried:
-    """Try policies."""
-    setting, spec = trials.setting, load_robot(trials.setting.robot)
-    adversary = ADVERSARIES[trials.adversary]
-    rng = np.random.default_rng([trials.seed, *trials.adversary.encode()])
-    shard = make_shard(setting, draw_robots(spec, trials.seed, corners=trials.corners), trials.seed)
-    start, found = shard.snapshot(), list[Excess]()
-    for _ in range(trials.number):
-        shard.restore(start)
-        shard.set_policy(Crowd(policy_file(spec, setting.mode, adversary.varied(spec.n, rng, FAR, WIDTH))))
-        found.append(_excess(shard))
-    excess = {name: np.concatenate([each.largest[name] for each in found]) for name in found[0].largest}
-    return Tried(excess, np.max([each.estimate_error for each in found], axis=0))
-
-
-def _excess(shard: Shard) -> Excess:
-    """Run a trial."""
+def run(trial: Trial) -> Outcome:
+    """Simulate a trial and keep the largest excess of each robot."""
+    setting, spec = trial.setting, load_robot(trial.setting.robot)
+    shard = make_shard(setting, draw_robots(spec, trial.seed, corners=trial.corners), trial.seed)
+    rng = np.random.default_rng(trial.seed)
+    policies = ADVERSARIES[trial.adversary].varied(spec.n, rng, FAR, WIDTH)
+    shard.set_policy(Crowd(policy_file(spec, setting.mode, policies)))
     excess = Excess(shard.runtime, shard.robot.plant)
-    for _ in range(round(TRIAL_S / shard.runtime.spec.dt)):
+    for _ in range(round(TRIAL_S / spec.dt)):
         shard.tick()
         excess.step(shard.truth)
-    return excess
+    return Outcome(excess.largest, excess.estimate_error, int((~shard.truth.valid).sum()))
 
 
 def make_shard(setting: Setting, robots: Draw, seed: int) -> Shard:

@@ -23,7 +23,8 @@ def test_a_tool_that_gains_speed_in_its_stop_is_seen():
     search = StopSearch(SPEC, 1)
     checked, whole, refused = search.run(point(*FASTER_IN_ITS_STOP))
     assert refused.all()
-    assert whole[0, 0] >= checked[0, 0] > search.bounds["tool speed"]
+    row = search.quantities.index("tool speed")
+    assert whole[row, 0] >= checked[row, 0] > search.bounds["tool speed"]
 
 
 def test_the_search_finds_more_than_its_first_guesses():

@@ -13,7 +13,7 @@ from eval.margins import trial
 from robots.spec import load_robot
 from support.planar import PLANAR3
 
-QUICK = ("--seeds", 1, "--trials", 1, "--generations", 1)
+QUICK = ("--trials", 1, "--generations", 1)
 
 
 class InProcess(Executor):
@@ -41,7 +41,7 @@ def margins(call, *words):
             ("--robot", "planar3", "--mode", "thought"),
             "--mode: found 'thought', expected one of those of planar3",
         ),
-        (("--seeds", 0), "--seeds: found 0, expected at least 1"),
+        (("--generations", 0), "--generations: found 0, expected at least 1"),
         (("--trials", -1), "--trials: found -1, expected at least 1"),
         (("--workers", 0), "--workers: found 0, expected at least 1"),
     ],

@@ -1,7 +1,10 @@
 """Margins written into robot.toml."""
 
+import pytest
+
 from eval.margins.derive import Need
 from eval.margins.robot_file import write_margins
+from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
@@ -38,3 +41,30 @@ def test_margins_are_written_to_their_mode_and_all_else_is_kept(tmp_path):
     changed = [line for line in before.splitlines() if line not in after]
     assert len(changed) == 5
     assert sum("#" in line for line in after) == before.count("#")
+
+
+def test_tool_speeds_of_other_modes_stay_when_one_gets_its_own(tmp_path):
+    folder = copy_of_arm(tmp_path, toml=(("tool_speed = 0.92 .*\n", ""), ("tool_speed = 0.76\n", "")))
+    before = load_robot(folder).margins
+    write_margins(load_robot(folder), {ControlMode.POSITION: [lacking("tool_speed", "tool_speed", 0.81)]})
+    after = load_robot(folder).margins
+    assert after.tool_speed == 0.81
+    for mode in (ControlMode.VELOCITY, ControlMode.TORQUE):
+        assert after.of(mode).tool_speed == before.of(mode).speed
+
+
+def test_targets_move_with_soft_limits_of_any_mode(tmp_path):
+    folder = copy_of_arm(tmp_path)
+    write_margins(load_robot(folder), {ControlMode.TORQUE: [lacking("angle", "q_soft_rad", 0.06)]})
+    after = load_robot(folder).margins
+    assert (after.q_target_rad, after.q_soft_rad) == (0.08, 0.03)
+
+
+def test_a_margin_that_a_robot_cannot_have_changes_nothing(tmp_path):
+    folder = copy_of_arm(tmp_path)
+    before = (folder / "robot.toml").read_text()
+    with pytest.raises(
+        ConfigError, match=r"robot\.toml: the robot cannot have the margins .* margins\.speed"
+    ):
+        write_margins(load_robot(folder), {ControlMode.POSITION: [lacking("speed", "speed", 0.0)]})
+    assert (folder / "robot.toml").read_text() == before

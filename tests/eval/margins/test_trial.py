@@ -1,4 +1,4 @@
-"""Trials on simulated robots: reproducible, of robots as draws.toml has them, and repeated with other noise."""
+"""Trials on simulated robots: reproducible, and of robots as draws.toml has them."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ pytest.importorskip("mujoco")
 import eval.margins.trial as module
 from deploy.policy.actor import Actor
 from eval.attack.arena import Setting
-from eval.margins.trial import Trials, draw_robots, make_shard, run
+from eval.margins.trial import Trial, draw_robots, make_shard, run
 from eval.shard.job import WIDTH
 from robots.distributions import load_distributions
 from robots.draws import Draw
@@ -26,8 +26,9 @@ def short(monkeypatch):
 
 
 def test_trials_are_reproducible_and_policies_differ():
-    trials = Trials(POSITION, "bang_bang", 3, 1, False)
-    first, second = run(trials), run(trials)
+    trial = Trial(POSITION, "bang_bang", 3, False)
+    first, second = run(trial), run(trial)
+    assert first.diverged == 0
     for name, excess in first.excess.items():
         np.testing.assert_array_equal(excess, second.excess[name])
     assert (first.excess["angle"] > 0.0).all()
@@ -83,7 +84,7 @@ def test_noise_decides_what_is_sent_in_torque_mode_only(mode, same):
 def test_error_of_the_estimated_speed_is_larger_in_torque_mode():
     """Drives hold an angle that is known; torques do not."""
     errors = {
-        mode: run(Trials(Setting(robot=PLANAR.folder, mode=mode), "push", 3, 1, False)).estimate_error
+        mode: run(Trial(Setting(robot=PLANAR.folder, mode=mode), "push", 3, False)).estimate_error
         for mode in (ControlMode.POSITION, ControlMode.TORQUE)
     }
     assert (errors[ControlMode.TORQUE][1] > errors[ControlMode.POSITION][1]).all()
