@@ -3,15 +3,14 @@
 Three things are assumed of a real bus and its drives:
 
 - A drive without a new command keeps the last one.
-- A drive without any command for `WATCHDOG_S` closes the brakes by itself. So it does for as long as its controller is
-  down, or its supply has less than half of its voltage: springs close the brakes, and current opens them. Then it
-  ignores commands until power has been off and is given again.
+- A drive without any command for `WATCHDOG_S` closes the brakes by itself. So it does for as long as its controller or
+  its supply is down: springs close the brakes, and current opens them. Then it ignores commands until power has been
+  off and is given again. What is down is for the caller to say: no voltage is compared here.
 - Power has a wire of its own, as an STO input (IEC 61800-5-2): no fault of the bus keeps it on.
 
 Source: Beckhoff, EL6761 documentation: the sync manager watchdog of an EtherCAT terminal trips after 100 ms by default.
 Robotis, e-Manual, Bus Watchdog: a tripped servo refuses goals until the error is cleared; a reboot switches torque off.
 Beckhoff, AX2000 documentation, VBUSMIN, UVLTMODE and ACTFAULT: undervoltage is a fault that inhibits the output stage.
-The share of a half is an estimate, below what any load draws the voltage down to.
 """
 
 from typing import ClassVar
