@@ -25,7 +25,7 @@ BRAKE_SHARE = 1.5
 CAUGHT_N_PER_M = 200.0
 """Stiffness of a caught cable without slack."""
 SAG = 0.6
-"""Share of its voltage that a sagging supply keeps: enough for drives that trip at a third, as those of AX2000 do."""
+"""Share of its voltage that a sagging supply keeps: enough for its drives not to trip; estimate."""
 SLIPS_RAD = (0.1, -0.2, 0.3, -0.1, 0.2, -0.3)
 """Angles by which encoders slip, in turn."""
 TOOL_SHARE = 0.1
