@@ -31,8 +31,6 @@ from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec, load_robot
 
-TASKS = 8
-"""Trials that a process runs before another takes its place: what they leave behind is freed late."""
 COLUMNS = (
     *("quantity", "planned up to", "worst excess", "noise", "in a stop", "margin", "present", "needed"),
     "suffices",
@@ -100,8 +98,7 @@ def margins(
 def _processes(number: int) -> Iterator[ProcessPoolExecutor]:
     """Yield a pool whose processes end at once when this one is interrupted."""
     with Lifeline() as lifeline:
-        arguments = get_context("spawn"), begin_worker, (lifeline.end,)
-        pool = ProcessPoolExecutor(number, *arguments, max_tasks_per_child=TASKS)
+        pool = ProcessPoolExecutor(number, get_context("spawn"), begin_worker, (lifeline.end,))
         try:
             yield pool
         except BaseException:

@@ -19,7 +19,7 @@ QUICK = ("--trials", 1, "--generations", 1)
 class InProcess(Executor):
     """A pool that does its work at once."""
 
-    def __init__(self, *_, **__):
+    def __init__(self, *_):
         pass
 
     def submit(self, fn, /, *args, **kwargs):
