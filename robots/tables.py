@@ -222,7 +222,7 @@ class Margins(Strict):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        for own in (self, self.velocity_mode, self.torque_mode):
+        for own in (self, self.velocity_mode):  # targets of torque mode are no angles
             soft = own.q_soft_rad if own else None
             if soft is not None and not soft < self.q_target_rad:
                 raise ValueError(f"q_soft_rad {soft} is not below q_target_rad {self.q_target_rad}")

@@ -18,7 +18,7 @@ TOOL_SPEED, SOFT, TARGET = "tool_speed", "q_soft_rad", "q_target_rad"
 def write_margins(spec: RobotSpec, needs: Mapping[ControlMode, Sequence[Need]]) -> Path:
     """Write the needed margins, those of position mode to [margins], those of others to tables of their own.
 
-    Targets stay as far inside soft limits as they were.
+    Targets of angles stay as far inside soft limits as they were.
 
     Raises:
         ConfigError: the robot cannot have such margins; its file stays as it was.
@@ -35,7 +35,7 @@ def write_margins(spec: RobotSpec, needs: Mapping[ControlMode, Sequence[Need]]) 
                 _keep_tool_speeds(spec, margins)
             table = margins if mode is ControlMode.POSITION else _own_table(margins, mode)
             table[each.key] = each.needed
-            if each.key == SOFT:
+            if each.key == SOFT and mode is not ControlMode.TORQUE:
                 margins[TARGET] = max(float(margins[TARGET]), round(each.needed + further, 6))
     _write(path, tomlkit.dumps(document))
     try:

@@ -18,9 +18,9 @@ SPEC = load_robot("arm6")
 NO_WORKSPACE = (
     (r"(?s)\[workspace\].*?tool_speed_max = 2.5", ""),
     ("workspace_m = 0.010", ""),
-    ("workspace_m = 0.045", ""),
+    ("workspace_m = 0.046", ""),
     ("tool_speed = 0.92", ""),
-    ("tool_speed = 0.76", ""),
+    ("tool_speed = 0.68", ""),
 )
 NO_TOOL = (*NO_WORKSPACE, ('tool = "tool" ', ""), ("singularity = 0.0005", ""))
 NO_CLEARANCE = (("collision_m = 0.01\n", ""), ("collision_m = 0.041", ""))

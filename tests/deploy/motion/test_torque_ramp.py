@@ -13,7 +13,7 @@ N, DT = SPEC.n, SPEC.dt
 RATE, RATE2 = (
     np.array([getattr(j.torque_mode, f"{name}_max") for j in SPEC.joints]) for name in ("rate", "rate2")
 )
-LIMIT = SPEC.margins.tau * torque_max(SPEC)
+LIMIT = SPEC.margins.torque_mode.tau * torque_max(SPEC)
 
 
 def ride(targets, robots=1):

@@ -44,7 +44,7 @@ def test_margins_are_written_to_their_mode_and_all_else_is_kept(tmp_path):
 
 
 def test_tool_speeds_of_other_modes_stay_when_one_gets_its_own(tmp_path):
-    folder = copy_of_arm(tmp_path, toml=(("tool_speed = 0.92 .*\n", ""), ("tool_speed = 0.76\n", "")))
+    folder = copy_of_arm(tmp_path, toml=(("tool_speed = 0.92 .*\n", ""), ("tool_speed = 0.68\n", "")))
     before = load_robot(folder).margins
     write_margins(load_robot(folder), {ControlMode.POSITION: [lacking("tool_speed", "tool_speed", 0.81)]})
     after = load_robot(folder).margins
@@ -53,11 +53,12 @@ def test_tool_speeds_of_other_modes_stay_when_one_gets_its_own(tmp_path):
         assert after.of(mode).tool_speed == before.of(mode).speed
 
 
-def test_targets_move_with_soft_limits_of_any_mode(tmp_path):
+@pytest.mark.parametrize(("mode", "target"), [(ControlMode.VELOCITY, 0.08), (ControlMode.TORQUE, 0.05)])
+def test_targets_of_angles_move_with_soft_limits(mode, target, tmp_path):
     folder = copy_of_arm(tmp_path)
-    write_margins(load_robot(folder), {ControlMode.TORQUE: [lacking("angle", "q_soft_rad", 0.06)]})
+    write_margins(load_robot(folder), {mode: [lacking("angle", "q_soft_rad", 0.06)]})
     after = load_robot(folder).margins
-    assert (after.q_target_rad, after.q_soft_rad) == (0.08, 0.03)
+    assert (after.q_target_rad, after.q_soft_rad, after.of(mode).q_soft_rad) == (target, 0.03, 0.06)
 
 
 def test_a_margin_that_a_robot_cannot_have_changes_nothing(tmp_path):
