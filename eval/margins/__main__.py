@@ -146,7 +146,7 @@ def _table(spec: RobotSpec, mode: ControlMode, found: Found) -> Table:
 def _verdict(each: Need) -> str:
     if not each.holds:
         return "no"
-    unknown = each.quantity in SHARES and each.present > each.planned + ROUNDING
+    unknown = each.quantity in SHARES and each.present + each.stop > each.planned + ROUNDING
     return "as far as it was planned" if unknown else "yes"
 
 

@@ -128,9 +128,9 @@ def need(spec: RobotSpec, quantity: str, worst: Floats, noise: float, stop: floa
         excess = float(worst[0])
         needed = math.ceil((excess + noise + stop) / LENGTH_STEP - ROUNDING) * LENGTH_STEP
         return Need(quantity, 0.0, excess, noise, stop, key, present, round(needed, 3))
-    share, place = share_needed(worst, noise + stop)
+    share, place = share_needed(worst, noise)
     if math.isfinite(share):
-        share = round(math.floor(share / SHARE_STEP + ROUNDING) * SHARE_STEP, 3)
+        share = round(math.floor((share - stop) / SHARE_STEP + ROUNDING) * SHARE_STEP, 3)
     top = (float(planned[-1]) + 1.0) / BINS
     return Need(quantity, top, float(worst[place]), noise, stop, key, present, share)
 

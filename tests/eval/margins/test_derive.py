@@ -52,8 +52,15 @@ def test_needed_margins_are_rounded_to_the_safe_side():
     assert not need(SPEC, "gap", np.array([0.0101]), noise=0.0, stop=0.0).holds
     assert need(SPEC, "gap", np.array([0.0099]), noise=0.0, stop=0.0).holds
     present = SPEC.margins.tool_speed
-    assert need(SPEC, "tool_speed", bins(usual=0.0), noise=0.0, stop=1.0 - present).holds
-    assert not need(SPEC, "tool_speed", bins(usual=0.0), noise=0.0, stop=1.01 - present).holds
+    assert need(SPEC, "tool_speed", bins(usual=0.0), noise=0.001, stop=0.989 - present).holds
+    assert not need(SPEC, "tool_speed", bins(usual=0.0), noise=0.001, stop=1.0 - present).holds
+
+
+def test_a_stop_plans_more_than_its_setpoint_but_no_more_excess():
+    found = need(SPEC, "tau", bins(at_5=0.35, at_7=0.1, at_8=0.05), noise=0.0, stop=0.1)
+    assert (found.needed, found.holds) == (INF, True)
+    found = need(SPEC, "tau", bins(at_5=0.35, at_7=0.1, at_8=0.15), noise=0.0, stop=0.1)
+    assert (found.needed, found.holds) == (0.75, True)
 
 
 def test_what_nobody_planned_says_nothing():
