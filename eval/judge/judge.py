@@ -44,7 +44,7 @@ class Judge(Stage):
 
     Attributes:
         worst: (R, C) highest ratio. bins: (C, BINS) histogram of the ratios of all robots.
-        fallen_s: (B,) s with power since the base tilted beyond its limit.
+        fallen_s: (B,) s with power while the base tilted beyond its limit.
         ratios: evaluation of the monitors.
     """
 
@@ -138,15 +138,15 @@ class Judge(Stage):
             self._judge_pending()
 
     def _fall(self, truth: Truth, command: Command) -> tuple[Floats | float, Floats | float]:
-        """Return (B,) rad of tilt, and s with power since it passed its limit; 0 of a robot without floating base.
+        """Return (B,) rad of tilt, and s with power beyond its limit; 0 of a robot without floating base.
 
-        The time begins anew where a robot gets up by itself.
+        Time within the limit counts backwards, so that a robot that rolls has fallen, and one that gets up has not.
         """
         if truth.base is None:
             return 0.0, 0.0
         tilt = true_tilt(truth.base)
-        fallen = command.powered & (tilt > self._tilt_max)
-        self.fallen_s[:] = np.where(fallen, self.fallen_s + self._dt, 0.0)
+        more = np.where(tilt > self._tilt_max, self._dt, -self._dt)
+        self.fallen_s[:] = np.where(command.powered, np.maximum(self.fallen_s + more, 0.0), 0.0)
         return tilt, self.fallen_s
 
     def _share_of_limit(self, truth: Truth) -> Floats | float:

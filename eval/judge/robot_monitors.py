@@ -120,7 +120,8 @@ ROBOT_MONITORS = (
         name="powered_fallen",
         unit="s",
         hard=True,
-        meaning="time with power since the true tilt of the base passed its limit: a fall is noticed, then a stop ends",
+        meaning="time with power while the true tilt of the base was beyond its limit; a fall is noticed, then a stop"
+        " ends",
         needs=frozenset({"floating_base"}),
         limit=lambda robot: FALL_NOTICED_S + robot.spec.stop_s,
         value=lambda window: window.now.fallen_s,

@@ -331,7 +331,7 @@ def test_judge_detects_a_missing_fall_guard(ignored, events):
     kick = runtime.robot.plant.batch.bind("xfrc_applied")
 
     def rolls_over(tick):
-        kick[1, 1, 3:] = 60.0, 0.0, 0.0
+        kick[1, 1, 3:] = 60.0 * (tick < 30), 0.0, 0.0
         return np.zeros((2, 12))
 
     counts = judged(runtime, round(2.0 / DT), rolls_over)

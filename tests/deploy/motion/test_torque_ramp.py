@@ -7,13 +7,14 @@ from hypothesis import strategies as st
 
 from deploy.motion.torque_ramp import TorqueRamp
 from robots.models.nominal_model import torque_max
+from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
 
 N, DT = SPEC.n, SPEC.dt
 RATE, RATE2 = (
     np.array([getattr(j.torque_mode, f"{name}_max") for j in SPEC.joints]) for name in ("rate", "rate2")
 )
-LIMIT = SPEC.margins.torque_mode.tau * torque_max(SPEC)
+LIMIT = SPEC.margins.of(ControlMode.TORQUE).tau * torque_max(SPEC)
 
 
 def ride(targets, robots=1):

@@ -16,7 +16,7 @@ from eval.shard.job import WIDTH
 from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
 
-MODE, SEED = ControlMode.POSITION, 7
+MODE, SEED = ControlMode.POSITION, 8
 SHORT_S = 1.1
 """s of a trial: 0.8 of operation."""
 TRIALS = WIDTH * len(ADVERSARIES)

@@ -138,7 +138,7 @@ def test_an_unknown_bench_is_refused(call):
     code, _, said = call(lambda: main(command.bench), "nothing")
     assert code == 2
     assert "found 'nothing', expected one of stages, throughput, " in said
-    assert said.rstrip().endswith(", teleport, adversaries, stops, walk or all")
+    assert said.rstrip().endswith(", teleport, adversaries, faults, stops, walk or all")
 
 
 def test_figure_omits_what_cannot_be_drawn(call, monkeypatch):
