@@ -37,25 +37,34 @@ class Workers:
 
 
 @contextmanager
-def workers(setting: Setting, processes: int) -> Iterator[Workers]:
+def workers(setting: Setting, number: int) -> Iterator[Workers]:
     """Yield worker processes for a setting.
 
     Raises:
         RuntimeError: one of them died.
     """
-    with (
-        Lifeline() as lifeline,
-        ProcessPoolExecutor(processes, get_context("spawn"), begin_worker, (lifeline.end,)) as pool,
-    ):
+    with processes(number) as pool:
         try:
             yield Workers(pool, setting)
         except BrokenProcessPool as e:
             raise RuntimeError("a worker of the attack died") from e
-        finally:
-            pool.shutdown(cancel_futures=True)
 
 
-def begin_worker(lifeline: Connection) -> None:
+@contextmanager
+def processes(number: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool of processes, which end at once when this one fails or is interrupted."""
+    with Lifeline() as lifeline:
+        pool = ProcessPoolExecutor(number, get_context("spawn"), _begin, (lifeline.end,))
+        try:
+            yield pool
+        except BaseException:
+            lifeline.cut()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        pool.shutdown(cancel_futures=True)
+
+
+def _begin(lifeline: Connection) -> None:
     """Hang on the parent's life; only the parent handles Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(lifeline)

@@ -3,19 +3,16 @@
 Each of 16 drawn robots gets the fault once while an adversary moves it. It is `soak-attack --fault` that searches.
 """
 
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 from rich.console import Console
 
 from eval.attack.arena import Setting, try_block
 from eval.attack.fault_classes import ALL, find_faults
-from eval.attack.pool import begin_worker
+from eval.attack.pool import processes
 from eval.attack.search import Search
 from eval.bench.soak_setup import SEED
-from robots.child_process import Lifeline
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
@@ -38,10 +35,7 @@ def attacked_faults(spec: RobotSpec, policy: Path, console: Console) -> None:
     """Print a row of a table for each fault class, as soon as it was tried."""
     del policy
     classes = find_faults((ALL,), spec, ControlMode.POSITION, "bench")
-    with (
-        Lifeline() as lifeline,
-        ProcessPoolExecutor(WORKERS, get_context("spawn"), begin_worker, (lifeline.end,)) as pool,
-    ):
+    with processes(WORKERS) as pool:
         for name, worst in zip(classes, pool.map(partial(worst_of, spec), classes), strict=True):
             console.print(row(name, worst), soft_wrap=True, highlight=False)
 

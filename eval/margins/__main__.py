@@ -5,10 +5,7 @@ See docs/margins.md.
 
 import math
 import os
-from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
-from multiprocessing import get_context
+from concurrent.futures import Executor
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -20,13 +17,12 @@ from rich.table import Table
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from eval.attack.adversaries import ADVERSARIES
 from eval.attack.arena import Setting, find_mode
-from eval.attack.pool import begin_worker
+from eval.attack.pool import processes
 from eval.bench.stop_search import GENERATIONS
 from eval.margins.derive import ROUNDING, Need, need, noise_of, stop_excess
 from eval.margins.excess import SHARES
 from eval.margins.robot_file import write_margins
 from eval.margins.trial import Trial, run
-from robots.child_process import Lifeline
 from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec, load_robot
@@ -64,7 +60,7 @@ def margins(
     ] = "",
     trials: Annotated[int, typer.Option(help="Trials of 16 robots for 10 s, for each adversary.")] = 24,
     generations: Annotated[int, typer.Option(help="Length of the search for stops.")] = GENERATIONS,
-    processes: Annotated[int, typer.Option("--workers", help="Number of processes.")] = 2,
+    number: Annotated[int, typer.Option("--workers", help="Number of processes.")] = 2,
     corners: Annotated[bool, typer.Option(help="Robots at the corners of draws.toml.")] = False,
     write: Annotated[bool, typer.Option(help="Write margins that do not suffice into robot.toml.")] = False,
 ) -> int:
@@ -77,14 +73,14 @@ def margins(
         raise ConfigError(
             f"--robot: found {spec.name}, whose drives may saturate: expected one on a fixed base"
         )
-    for name, value in (("trials", trials), ("generations", generations), ("workers", processes)):
+    for name, value in (("trials", trials), ("generations", generations), ("workers", number)):
         if value < 1:
             raise ConfigError(f"--{name}: found {value}, expected at least 1")
     if write and not os.access(spec.folder, os.W_OK):
         raise ConfigError(f"--write {spec.folder}: cannot be written")
     modes = (find_mode(mode, spec),) if mode else spec.control_modes
     console, found = Console(width=150), dict[ControlMode, Found]()
-    with _processes(processes) as pool:
+    with processes(number) as pool:
         for each in modes:
             found[each] = _find(pool, spec, each, Effort(trials, generations, corners), console)
             console.print(_table(spec, each, found[each]))
@@ -92,20 +88,6 @@ def margins(
         path = write_margins(spec, {key: each.lacking for key, each in found.items()})
         console.print(f"written: {path}", soft_wrap=True, highlight=False)
     return BUDGET_EXCEEDED if any(each.lacking or each.diverged for each in found.values()) else PASSED
-
-
-@contextmanager
-def _processes(number: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool whose processes end at once when this one is interrupted."""
-    with Lifeline() as lifeline:
-        pool = ProcessPoolExecutor(number, get_context("spawn"), begin_worker, (lifeline.end,))
-        try:
-            yield pool
-        except BaseException:
-            lifeline.cut()
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-        pool.shutdown()
 
 
 def _find(pool: Executor, spec: RobotSpec, mode: ControlMode, effort: Effort, console: Console) -> Found:

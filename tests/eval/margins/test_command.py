@@ -19,9 +19,6 @@ QUICK = ("--trials", 1, "--generations", 1)
 class InProcess(Executor):
     """A pool that does its work at once."""
 
-    def __init__(self, *_):
-        pass
-
     def submit(self, fn, /, *args, **kwargs):
         future = Future()
         future.set_result(fn(*args, **kwargs))
@@ -55,7 +52,7 @@ def test_wrong_option_is_named(words, complaint, call):
 @pytest.mark.slow
 def test_margins_that_do_not_suffice_are_written(call, tmp_path, monkeypatch):
     monkeypatch.setattr(trial, "TRIAL_S", 1.0)
-    monkeypatch.setattr(command, "ProcessPoolExecutor", InProcess)
+    monkeypatch.setattr(command, "processes", lambda _: InProcess())
     folder = tmp_path / "robot"
     shutil.copytree(PLANAR3.folder, folder)
     text = (folder / "robot.toml").read_text()
