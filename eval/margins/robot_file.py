@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import tomlkit
@@ -25,8 +26,7 @@ def write_margins(spec: RobotSpec, needs: Mapping[ControlMode, Sequence[Need]]) 
         OutputError: the file cannot be written.
     """
     path = spec.folder / "robot.toml"
-    before = path.read_text(encoding="utf-8")
-    document = tomlkit.parse(before)
+    document = tomlkit.parse(path.read_text(encoding="utf-8"))
     margins: Any = document["margins"]
     further = spec.margins.q_target_rad - spec.margins.q_soft_rad
     for mode, lacking in needs.items():
@@ -37,13 +37,22 @@ def write_margins(spec: RobotSpec, needs: Mapping[ControlMode, Sequence[Need]]) 
             table[each.key] = each.needed
             if each.key == SOFT and mode is not ControlMode.TORQUE:
                 margins[TARGET] = max(float(margins[TARGET]), round(each.needed + further, 6))
-    _write(path, tomlkit.dumps(document))
-    try:
-        load_robot(spec.folder)
-    except FirstshiftError as e:
-        _write(path, before)
-        raise ConfigError(f"{path}: the robot cannot have the margins that it needs: {e}") from e
+    text = tomlkit.dumps(document)
+    _check(text, path)
+    with replacing(path, "--write") as file:
+        file.write_text(text, encoding="utf-8")
     return path
+
+
+def _check(text: str, path: Path) -> None:
+    """Refuse (ConfigError) a robot.toml that could not be loaded, before it takes the place of `path`."""
+    with TemporaryDirectory() as folder:
+        (Path(folder) / path.name).write_text(text, encoding="utf-8")
+        try:
+            load_robot(folder)
+        except FirstshiftError as e:
+            found = str(e).replace(folder, str(path.parent))
+            raise ConfigError(f"the robot cannot have the margins that it needs: {found}") from e
 
 
 def _keep_tool_speeds(spec: RobotSpec, margins: Any) -> None:
@@ -56,8 +65,3 @@ def _keep_tool_speeds(spec: RobotSpec, margins: Any) -> None:
 
 def _own_table(margins: Any, mode: ControlMode) -> Any:
     return margins.setdefault(f"{mode.name.lower()}_mode", tomlkit.table())
-
-
-def _write(path: Path, text: str) -> None:
-    with replacing(path, "--write") as file:
-        file.write_text(text, encoding="utf-8")
