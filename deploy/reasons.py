@@ -72,7 +72,7 @@ REASONS = {
     Reason.LOAD: StopReason(1, "a motor's current does not fit its motion"),
     Reason.OSCILLATION: StopReason(2, "a joint oscillates"),
     Reason.REPEATED: StopReason(1, "too many stops in a short time, without a goal reached"),
-    Reason.FALLEN: StopReason(1, "the base tilts beyond its limit: the robot is falling or has fallen"),
+    Reason.FALLEN: StopReason(1, "the base tilts too far or is too low: the robot is falling or has fallen"),
 }
 CATEGORY_1 = reduce(or_, (bit for bit, row in REASONS.items() if row.category == 1))
 """Bits of all reasons of category 1."""

@@ -64,6 +64,15 @@ class StiffDrives(DriveLaw):
         return sent
 
 
+class CompliantDrives(StiffDrives):
+    """Drives of a robot with a floating base and their own gains: its weight moves joints away from what is sent."""
+
+    def expected_poses(self, state: State, sent: Floats) -> Floats:
+        """Return poses that move as setpoints do, from where joints are now."""
+        deviation = state.q - sent[: len(state.q)]
+        return (sent.reshape(4, *state.q.shape) + deviation).reshape(sent.shape)
+
+
 class TorqueDrives(StiffDrives):
     """Stiff drives of a robot in torque mode: its stops need the torque of friction too, which the policy's had."""
 
@@ -104,5 +113,6 @@ def drive_law(spec: RobotSpec, action: ControlMode, gains: Gains | None, fleet: 
     spec = spec.in_mode(action)
     if action is ControlMode.TORQUE:
         return TorqueDrives(spec, fleet)
-    springs = gains and gains.stiff and "floating_base" in spec.capabilities
-    return SpringDrives(spec, gains) if gains and springs else StiffDrives(spec, fleet)
+    if "floating_base" not in spec.capabilities:
+        return StiffDrives(spec, fleet)
+    return SpringDrives(spec, gains) if gains and gains.stiff else CompliantDrives(spec, fleet)

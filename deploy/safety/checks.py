@@ -124,6 +124,13 @@ ESTIMATE: tuple[Check[Estimate], ...] = (
         reason=Reason.FALLEN,
         needs=frozenset({"floating_base"}),
     ),
+    Check(
+        name="base_height",
+        value=lambda estimate: required(estimate.state.base).height[:, None],
+        low=lambda limits: required(limits.robot.base).height_min_m,
+        reason=Reason.FALLEN,
+        needs=frozenset({"floating_base"}),
+    ),
 )
 """Checks of the estimate."""
 

@@ -105,7 +105,7 @@ class Arena:
         falls, at_fall = Falls(self._spec, WIDTH), dict[str, Floats]()
         for _ in range(self._setting.ticks(self._spec)):
             shard.tick()
-            fell = falls.step(shard.truth)
+            fell = falls.step(shard.truth, shard.runtime.supervisor.powered)
             if any_true(fell):
                 now = _worst(shard.judge.counts())
                 at_fall = {

@@ -1,12 +1,13 @@
 """Falls of robots with a floating base: any policy can let one fall.
 
-An attack counts what a robot does until it falls, and then only how the fall is noticed.
+An attack counts what a robot does until it falls or its drives end, and then only how the fall is noticed: a robot
+that stands in no other way than by its drives is in nobody's hands without them.
 """
 
 import numpy as np
 
 from deploy.truth import Truth
-from eval.judge.tick_window import true_tilt
+from eval.judge.tick_window import has_fallen
 from robots.arrays import Bools
 from robots.spec import RobotSpec
 
@@ -18,18 +19,19 @@ class Falls:
     """Robots that have fallen since the beginning of a trial.
 
     Attributes:
-        fallen: (B,) the true tilt of the base has passed its limit.
+        fallen: (B,) the base tilted too far or was too low, by ground truth, or the drives lost their power.
     """
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Begin with all robots on their feet, or on their mount."""
-        self._tilt_max = spec.base.tilt_max_rad if spec.base else np.inf
-        self.fallen = np.zeros(robots, dtype=bool)
+        self._base = spec.base
+        self.fallen, self._before = np.zeros((2, robots), dtype=bool)
 
-    def step(self, truth: Truth) -> Bools:
-        """Return (B,) the robots that fell in the tick that has ended."""
-        if truth.base is None:
+    def step(self, truth: Truth, powered: Bools) -> Bools:
+        """Return (B,) the robots that fell in the tick that has ended, in which drives were `powered` (B,) or not."""
+        if truth.base is None or self._base is None:
             return np.zeros_like(self.fallen)
-        new = (true_tilt(truth.base) > self._tilt_max) & ~self.fallen
+        new = (has_fallen(truth.base, self._base) | (self._before & ~powered)) & ~self.fallen
         self.fallen |= new
+        self._before = powered
         return new

@@ -62,7 +62,7 @@ def find_peak(shard: Shard, monitor: str, ticks: int) -> Event:
         ratios = judge.counts().worst[:, columns]
         if monitor not in OF_FALLS:
             ratios[falls.fallen] = 0.0
-        falls.step(shard.truth)
+        falls.step(shard.truth, shard.runtime.supervisor.powered)
         robot, column = np.unravel_index(np.argmax(ratios), ratios.shape)
         if ratios[robot, column] > first.worst:
             channel = columns.start + int(column)

@@ -23,7 +23,7 @@ from eval.judge.limits import load_limits
 from eval.judge.monitor import Monitor
 from eval.judge.monitors import MONITORS
 from eval.judge.tick_buffer import BLOCK_TICKS, TickBuffer
-from eval.judge.tick_window import JudgedRobot, TickWindow, true_tilt
+from eval.judge.tick_window import JudgedRobot, TickWindow, has_fallen, true_tilt
 from robots.arrays import Bools, Floats, Ints
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -44,7 +44,7 @@ class Judge(Stage):
 
     Attributes:
         worst: (R, C) highest ratio. bins: (C, BINS) histogram of the ratios of all robots.
-        fallen_s: (B,) s with power while the base tilted beyond its limit.
+        fallen_s: (B,) s with power after a fall.
         ratios: evaluation of the monitors.
     """
 
@@ -78,7 +78,7 @@ class Judge(Stage):
         """
         self._dt = spec.dt
         self._robots, self._size = counted or robots, len(observed.mean) if observed else 0
-        self._tilt_max, self.fallen_s = spec.base.tilt_max_rad if spec.base else np.inf, np.zeros(robots)
+        self._base, self.fallen_s = spec.base, np.zeros(robots)
         self._force_max = np.array([pair.force_n for pair in spec.may_touch if pair.force_n is not None])
         self._channels = Channels.of_robot(spec, monitors, mode)
         judged = JudgedRobot(spec=spec, torque_max=torque_max, limits=load_limits(spec), observed=observed)
@@ -123,7 +123,7 @@ class Judge(Stage):
             attempted: (B,) goals over so far. Where it rises, the goal of the tick before is over.
         """
         ticks, row = self.buffer.ticks, self.buffer.row
-        ticks.tilt[row], ticks.fallen_s[row] = self._fall(truth, command)
+        ticks.tilt[row], ticks.base_height[row], ticks.fallen_s[row] = self._fall(truth, command)
         ticks.allowed_contact[row] = self._share_of_limit(truth)
         ticks.action_finite[row] = True if action is None else np.isfinite(action).all(axis=1)
         ticks.mode[row] = mode
@@ -137,17 +137,18 @@ class Judge(Stage):
         if self.buffer.pending == BLOCK_TICKS:
             self._judge_pending()
 
-    def _fall(self, truth: Truth, command: Command) -> tuple[Floats | float, Floats | float]:
-        """Return (B,) rad of tilt, and s with power beyond its limit; 0 of a robot without floating base.
+    def _fall(
+        self, truth: Truth, command: Command
+    ) -> tuple[Floats | float, Floats | float, Floats | float]:
+        """Return (B,) rad of tilt, m of height, and s with power after a fall; 0 of a robot without floating base.
 
-        Time within the limit counts backwards, so that a robot that rolls has fallen, and one that gets up has not.
+        Time in which it has not fallen counts backwards, so that a robot that rolls has, and one that gets up has not.
         """
-        if truth.base is None:
-            return 0.0, 0.0
-        tilt = true_tilt(truth.base)
-        more = np.where(tilt > self._tilt_max, self._dt, -self._dt)
+        if truth.base is None or self._base is None:
+            return 0.0, 0.0, 0.0
+        more = np.where(has_fallen(truth.base, self._base), self._dt, -self._dt)
         self.fallen_s[:] = np.where(command.powered, np.maximum(self.fallen_s + more, 0.0), 0.0)
-        return tilt, self.fallen_s
+        return true_tilt(truth.base), truth.base.position[:, 2], self.fallen_s
 
     def _share_of_limit(self, truth: Truth) -> Floats | float:
         """(B,) largest force of an allowed contact as a share of its limit; 0 of a robot without such limits."""

@@ -12,8 +12,15 @@ SINGULAR = 1e-3
 """Share of the manipulability limit below which a robot counts as in a singularity, or beyond it."""
 FALLING_RAD = 0.2
 """Angle by which a base falling at 3 rad/s turns while its IMU's packets are 50 ms late, and some estimation error."""
+LOWEST = 10.0
+"""Ratio at which a base counts as on the floor, or below it."""
 FALL_NOTICED_S = 0.3
 """s until a fall is noticed, even a slow one."""
+
+
+def _lowness(window: TickWindow) -> Floats:
+    least = available(window.robot.spec.base).height_min_m
+    return least / np.maximum(window.now.base_height, least / LOWEST)
 
 
 def _norms(vectors: Floats) -> Floats:
@@ -108,6 +115,15 @@ ROBOT_MONITORS = (
         value=lambda window: window.now.tilt,
     ),
     Monitor(
+        name="base_height",
+        unit="1",
+        hard=True,
+        meaning="least height of the base as a share of its true height: the robot falls, or has fallen",
+        needs=frozenset({"floating_base"}),
+        limit=lambda robot: 1.0,
+        value=_lowness,
+    ),
+    Monitor(
         name="fallen",
         unit="rad",
         hard=True,
@@ -120,8 +136,7 @@ ROBOT_MONITORS = (
         name="powered_fallen",
         unit="s",
         hard=True,
-        meaning="time with power while the true tilt of the base was beyond its limit; a fall is noticed, then a stop"
-        " ends",
+        meaning="time with power after a fall, by the true tilt or height of the base; it is noticed, then a stop ends",
         needs=frozenset({"floating_base"}),
         limit=lambda robot: FALL_NOTICED_S + robot.spec.stop_s,
         value=lambda window: window.now.fallen_s,

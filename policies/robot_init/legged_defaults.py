@@ -18,6 +18,7 @@ BASE = {
     "angular_acceleration": "rad/s²/√Hz; estimate",
     "jerk": "m/s³/√Hz; estimate",
     "tilt_max_rad": "rad, tilt that counts as a fall; estimate",
+    "height_min_m": "m, height of the IMU above the lowest foot; less counts as a fall",
     "command_min": "m/s forwards, m/s to the left, rad/s to the left: smallest command",
     "command_max": "the same, largest command",
     "command_s": "s, duration of each command; estimate",

@@ -56,11 +56,12 @@ class BaseFilter(Stage):
         reading: (B, 6) last fused gyro and accelerometer. t_sample: (B,) s, when the gyro's was taken.
         t_accelerometer: (B,) s, when the newest of the accelerometer was taken.
         initialized: (B,). innovation: (B, F, 3) of the feet, whitened.
+        height: (B,) m, of the IMU above the lowest foot when feet were evaluated last; 0 before.
     """
 
     carried = (
         *("quat_wxyz", "velocity", "bias", "P", "reading", "t_sample", "t_accelerometer"),
-        *("initialized", "innovation"),
+        *("initialized", "innovation", "height"),
     )
     parts = ("imu_check", "divergence")
 
@@ -79,7 +80,7 @@ class BaseFilter(Stage):
         self.bias, self.reading = np.zeros((2, robots, 6))
         self.P, self.innovation = np.zeros((robots, 12, 12)), np.zeros((robots, feet, 3))
         self.t_sample, self.t_accelerometer = np.zeros((2, robots))
-        self.initialized = np.zeros(robots, dtype=bool)
+        self.initialized, self.height = np.zeros(robots, dtype=bool), np.zeros(robots)
         self.imu_check = ImuCheck(dt, robots)
         self.divergence = BaseDivergence(robots, look_s or dt, tilt_s or look_s or dt)
         self._noise, self._dt = noise, dt
@@ -90,7 +91,7 @@ class BaseFilter(Stage):
 
     def reset(self, ids: Bools) -> None:
         """Forget robots `ids` (B,); their next sample at rest initializes them."""
-        self.initialized[ids] = False
+        self.initialized[ids], self.height[ids] = False, 0.0
 
     @np.errstate(all="ignore")  # numbers that overflow are found by `divergence`
     def step(self, t: float, imu: Imu, feet: Feet | None, upright: Upright | None = None) -> BaseState:
@@ -118,6 +119,8 @@ class BaseFilter(Stage):
         self._predict(fused, imu.t, reading)
         if feet is not None:
             self._correct_by_feet(fused, feet)
+            up = matrix(self.quat_wxyz)[:, 2]
+            self.height[:] = -np.matvec(feet.position, up).min(axis=1)
         if upright is not None:
             self._correct_by_up(upright.fresh & self.initialized, upright)
         return self._state(t)
@@ -234,6 +237,7 @@ class BaseFilter(Stage):
             velocity_in_world=velocity,
             velocity_in_base=motion.velocity,
             gravity=-motion.R[:, 2],
+            height=self.height,
             age=age,
             innovation=self.innovation,
             stuck=self.imu_check.stuck,

@@ -39,5 +39,5 @@ def test_a_robot_on_a_mount_does_not_fall():
     arena = Arena(Setting(robot=SPEC.folder, mode=ControlMode.POSITION), SEED)
     arena._shard.tick()
     falls = Falls(SPEC, WIDTH)
-    assert not falls.step(arena._shard.truth).any()
+    assert not falls.step(arena._shard.truth, arena._shard.runtime.supervisor.powered).any()
     assert not falls.fallen.any()
