@@ -11,6 +11,7 @@ is sent, not where it is.
 """
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 import numpy as np
 
@@ -31,9 +32,11 @@ class DriveLaw(ABC):
 
     Attributes:
         torque_limit: (n,) N·m that a setpoint may need.
+        expectations: K, number of poses where joints may be expected at any moment.
     """
 
     torque_limit: Floats
+    expectations: ClassVar[int] = 1
 
     @abstractmethod
     def torque(self, state: State, q: Floats, qd: Floats, qdd: Floats) -> Floats:
@@ -41,7 +44,7 @@ class DriveLaw(ABC):
 
     @abstractmethod
     def expected_poses(self, state: State, sent: Floats) -> Floats:
-        """Return (4B, n) rad: joints expected at B setpoints, at two moments while their stops brake, at their ends.
+        """Return (4KB, n) rad: joints expected at B setpoints, at two moments while their stops brake, at their ends.
 
         Args:
             state: the estimate. sent: (4B, n) rad, where joints are sent at these moments.
@@ -67,10 +70,12 @@ class StiffDrives(DriveLaw):
 class CompliantDrives(StiffDrives):
     """Drives of a robot with a floating base and their own gains: its weight moves joints away from what is sent."""
 
+    expectations: ClassVar[int] = 2
+
     def expected_poses(self, state: State, sent: Floats) -> Floats:
-        """Return poses that move as setpoints do, from where joints are now."""
+        """Return where joints are sent, and then poses as far from there as joints are now: they may catch up or not."""
         deviation = state.q - sent[: len(state.q)]
-        return (sent.reshape(4, *state.q.shape) + deviation).reshape(sent.shape)
+        return np.concatenate((sent, sent + np.tile(deviation, (4, 1))))
 
 
 class TorqueDrives(StiffDrives):

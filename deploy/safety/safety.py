@@ -53,16 +53,17 @@ class Safety:
         """
         spec, self._fleet, rows = spec.in_mode(mode), fleet, fleet.robots
         robots = -(-rows // 2)
-        self._fleet_of_plan = fleet.resized(4 * robots)
         self._tool_rows = np.concatenate((np.arange(robots), np.arange(3 * robots)))
         self._drives = drives or StiffDrives(spec, fleet)
+        poses = 4 * robots * self._drives.expectations
+        self._fleet_of_plan = fleet.resized(poses)
         self._jacobians = "tool" in spec.capabilities  # what reads them reads the tool
         self._gap_max = (spec.margins.collision_m or 0.0) + GAP_TOLERANCE_M
         self.twice_jerk = 2 * spec.joint_array("qddd_max")
         limits = Limits(spec, self._drives.torque_limit)
         motion = checks.motion + (checks.takeover if mode is ControlMode.TORQUE else ())
         self._motion = CheckTable(rows, limits, motion)
-        self._plan = CheckTable(4 * robots, limits, checks.tool, checks.poses)
+        self._plan = CheckTable(poses, limits, checks.tool, checks.poses)
         self._estimate = CheckTable(robots, limits, checks.estimate)
         self._poses = CheckTable(rows, limits, checks.poses)
         self._centre = np.array(spec.workspace.centre) if spec.workspace else np.zeros(3)
@@ -92,6 +93,7 @@ class Safety:
         motion = self._motion.values(Motion(q, qd, qdd, qd_peak, tau, needed))
         sent_poses = np.concatenate((setpoint.q, *stop.q, stop.q_rest))
         poses = self._drives.expected_poses(state, sent_poses)
+        sent_poses = np.tile(sent_poses, (self._drives.expectations, 1))
         kinematics = self._kinematics(self._fleet_of_plan, poses)
         qd_of_tool = np.concatenate((setpoint.qd, qd_peak[:robots], *stop.qd))
         tool = ToolMotion(qd_of_tool, self._tool_rows, kinematics)
@@ -101,7 +103,7 @@ class Safety:
         for found in (self._motion.reasons(motion), self._plan.reasons(plan)):
             if found is not None:
                 reason |= np.bitwise_or.reduce(found.reshape(-1, robots))
-        values, poses = (motion, plan, estimate), poses.reshape(4, robots, -1)
+        values, poses = (motion, plan, estimate), poses.reshape(-1, robots, poses.shape[1])
         return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:], poses=poses, values=values)
 
     def check_poses(self, q: Floats) -> Ints:
