@@ -156,8 +156,9 @@ class Verdict(NamedTuple):
         reason: (B,) int64 bit sets of `Reason`, 0 if the setpoint may be sent.
         tau: (B, n) N·m, inverse-dynamics torque of the setpoint (nominal model).
         tau_ahead: (B, n) N·m, the same one step into a stop that would begin there.
-        poses: (4, B, n) rad, checked for collisions: at the setpoint, twice while that stop brakes, and at its end.
-        values: (2B, M) of the motion at the setpoint and one step into the stop, (4B, P) of `poses`, (B, S) of the
+        poses: (4K, B, n) rad, checked for collisions: at the setpoint, twice while that stop brakes, and at its end, K
+            times where drives have K expectations.
+        values: (2B, M) of the motion at the setpoint and one step into the stop, (4KB, P) of `poses`, (B, S) of the
             estimate, compared with bounds: for `Safety.failed`.
     """
 

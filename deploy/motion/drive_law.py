@@ -73,7 +73,7 @@ class CompliantDrives(StiffDrives):
     expectations: ClassVar[int] = 2
 
     def expected_poses(self, state: State, sent: Floats) -> Floats:
-        """Return where joints are sent, and then poses as far from there as joints are now: they may catch up or not."""
+        """Return where joints are sent, then poses as far from there as joints are now: they may catch up or not."""
         deviation = state.q - sent[: len(state.q)]
         return np.concatenate((sent, sent + np.tile(deviation, (4, 1))))
 

@@ -93,7 +93,8 @@ class Safety:
         motion = self._motion.values(Motion(q, qd, qdd, qd_peak, tau, needed))
         sent_poses = np.concatenate((setpoint.q, *stop.q, stop.q_rest))
         poses = self._drives.expected_poses(state, sent_poses)
-        sent_poses = np.tile(sent_poses, (self._drives.expectations, 1))
+        if len(poses) > len(sent_poses):
+            sent_poses = np.tile(sent_poses, (self._drives.expectations, 1))
         kinematics = self._kinematics(self._fleet_of_plan, poses)
         qd_of_tool = np.concatenate((setpoint.qd, qd_peak[:robots], *stop.qd))
         tool = ToolMotion(qd_of_tool, self._tool_rows, kinematics)

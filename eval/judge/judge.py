@@ -137,9 +137,7 @@ class Judge(Stage):
         if self.buffer.pending == BLOCK_TICKS:
             self._judge_pending()
 
-    def _fall(
-        self, truth: Truth, command: Command
-    ) -> tuple[Floats | float, Floats | float, Floats | float]:
+    def _fall(self, truth: Truth, command: Command) -> tuple[Floats | float, Floats | float, Floats | float]:
         """Return (B,) rad of tilt, m of height, and s with power after a fall; 0 of a robot without floating base.
 
         Time in which it has not fallen counts backwards, so that a robot that rolls has, and one that gets up has not.

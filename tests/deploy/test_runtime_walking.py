@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from deploy.motion.drive_law import SpringDrives
+from deploy.operation.stop_explanation import explain_reasons
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.reasons import Reason
@@ -43,6 +44,7 @@ ignore_reasons = pytest.importorskip("eval.mutants.guard_removal").ignore_reason
 
 DT, TORQUE_MAX = QUADRUPED.dt, torque_max(QUADRUPED)
 FRONT_HIPS, REAR_KNEES = [1, 4], [8, 11]
+HIPS, KNEES = slice(1, None, 3), slice(2, None, 3)
 
 
 def reading(observation, name):
@@ -207,6 +209,23 @@ def test_fall_latches_the_supervisor():
     assert runtime.supervisor.powered.tolist() == [True, False]
     tilt = np.arccos(matrix(runtime.robot.truth().base.quat_wxyz)[:, 2, 2])
     assert tilt[0] < 0.1 < QUADRUPED.base.tilt_max_rad < tilt[1]
+
+
+@pytest.mark.slow
+def test_folded_legs_latch_the_supervisor():
+    """It sinks without tilting."""
+    runtime = standing(2)
+    legs = np.zeros((2, 12))
+    for share in np.linspace(0.0, 1.0, 200):
+        legs[1, HIPS], legs[1, KNEES] = 0.6 * share, -1.1 * share
+        live(runtime, 1, legs)
+        if runtime.supervisor.mode[1] == Mode.LATCHED:
+            break
+    assert Reason(int(runtime.supervisor.reason[1])) & Reason.FALLEN
+    assert "base_height" in explain_reasons(runtime, Reason.FALLEN, 1)
+    base = runtime.robot.truth().base
+    assert base.position[1, 2] < 1.3 * QUADRUPED.base.height_min_m < base.position[0, 2]
+    assert matrix(base.quat_wxyz)[1, 2, 2] > 0.95
 
 
 @pytest.mark.parametrize(

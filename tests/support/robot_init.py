@@ -14,6 +14,7 @@ from support.contracts import arm_contract, term
 from support.runtimes import Saying, every, heard
 
 ANSWERS = {
+    "height_min_m": 0.1,
     "command_min": [0.0, 0.0, 0.0],
     "command_max": [0.5, 0.0, 0.0],
     "tool": "panda_link8",

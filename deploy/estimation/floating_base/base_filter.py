@@ -119,8 +119,7 @@ class BaseFilter(Stage):
         self._predict(fused, imu.t, reading)
         if feet is not None:
             self._correct_by_feet(fused, feet)
-            up = matrix(self.quat_wxyz)[:, 2]
-            self.height[:] = -np.matvec(feet.position, up).min(axis=1)
+            np.copyto(self.height, self._above(feet), where=fused)
         if upright is not None:
             self._correct_by_up(upright.fresh & self.initialized, upright)
         return self._state(t)
@@ -162,6 +161,11 @@ class BaseFilter(Stage):
         np.copyto(self.quat_wxyz, motion.quat_wxyz, where=rows)
         self.velocity[:], self.reading[:] = motion.velocity, reading
         self.t_sample += dt
+
+    def _above(self, feet: Feet) -> Floats:
+        """Return (B,) m that the IMU is above the lowest foot; feet at no known place count as being level with it."""
+        below = -np.matvec(feet.position, matrix(self.quat_wxyz)[:, 2])
+        return np.asarray(np.where(in_range(feet.position), below, 0.0).max(axis=1))
 
     def _correct_by_feet(self, fused: Bools, feet: Feet) -> None:
         """Correct by all feet at once; a foot that does not stand or is outside the gate has no weight.

@@ -1,10 +1,14 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from deploy.motion.drive_law import drive_law
+from deploy.motion.drive_law import CompliantDrives, SpringDrives, StiffDrives, drive_law
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
+from robots.motors.gains import Gains
+from robots.spec import load_robot
 from support.arm6 import SPEC
 
 MARGINS = SPEC.margins
@@ -19,3 +23,21 @@ def test_setpoints_may_need_the_share_of_torque_of_their_mode(mode):
 def test_velocity_mode_leaves_more_torque_than_position_mode():
     """Or the test above would prove nothing."""
     assert MARGINS.of(ControlMode.VELOCITY).tau < MARGINS.tau
+
+
+def test_drives_of_a_floating_base_give_way():
+    walker = load_robot("quadruped")
+    fleet, gains = Fleet(walker, 2), Gains(np.full(walker.n, 30.0), np.full(walker.n, 1.0))
+    assert type(drive_law(walker, ControlMode.POSITION, None, fleet)) is CompliantDrives
+    assert type(drive_law(walker, ControlMode.POSITION, gains, fleet)) is SpringDrives
+    assert type(drive_law(SPEC, ControlMode.POSITION, None, Fleet(SPEC, 2))) is StiffDrives
+
+
+def test_compliant_drives_are_expected_where_they_are_sent_and_as_far_from_there_as_now():
+    walker, rng = load_robot("quadruped"), np.random.default_rng(3)
+    law = drive_law(walker, ControlMode.POSITION, None, Fleet(walker, 2))
+    sent, q = rng.normal(size=(4, 3, walker.n)), rng.normal(size=(3, walker.n))
+    poses = law.expected_poses(SimpleNamespace(q=q), sent.reshape(12, -1)).reshape(2, 4, 3, -1)
+    np.testing.assert_array_equal(poses[0], sent)
+    np.testing.assert_allclose(poses[1] - sent, np.broadcast_to(q - sent[0], sent.shape), atol=1e-15)
+    assert law.expectations == len(poses)

@@ -56,8 +56,8 @@ def test_robots_have_the_checks_whose_needs_they_meet(tmp_path):
     bare = load_robot(copy_of_arm(tmp_path, toml=[("singularity = 0.0005", ""), *NO_CLEARANCE]))
     walker = load_robot(TEST_ROBOTS / "quadruped")
     for spec, missing in (
-        (SPEC, {"base_tilt"}),
-        (bare, {"base_tilt", "manipulability", "self_collision"}),
+        (SPEC, {"base_tilt", "base_height"}),
+        (bare, {"base_tilt", "base_height", "manipulability", "self_collision"}),
         (walker, {"manipulability", "tool_height", "tool_radius", "tool_speed"}),
     ):
         checks = CHECKS._replace(takeover=())  # of robots in torque mode

@@ -121,7 +121,7 @@ def test_missing_budget_file_is_reported(tmp_path):
 SENT = {"velocity_sent", "acceleration", "jerk", "torque_rate", "command_jump"}
 STATE = {
     *("position_hard", "velocity", "torque", "self_collision", "contact_force", "workspace", "tool_speed"),
-    *("tilt", "fallen", "powered_fallen", "heat_hard", "action_finite"),
+    *("tilt", "base_height", "fallen", "powered_fallen", "heat_hard", "action_finite"),
 }
 SOFT = {
     *("position_requested", "position_soft", "heat_soft", "power", "robot_power", "estimate", "observation"),
