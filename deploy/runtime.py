@@ -235,7 +235,7 @@ class Runtime(Stage):
         qd, feed_forward = (self._zeros, self._zeros) if self.springs else (setpoint.qd, tau)
         if self.joint_brake:
             brake = self.joint_brake.torque(self.state.q, self.state.qd)
-            tau, feed_forward = tau + brake, feed_forward + brake
+            tau, feed_forward = self.joint_brake.clipped(tau + brake), feed_forward + brake
         powered, share = self.supervisor.powered, self.estimator.windings.foldback.current_share
         if not all_true(running):  # current is limited while running only: stops were checked at full current
             share = np.where(running[:, None], share, 1.0)

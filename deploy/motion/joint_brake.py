@@ -13,6 +13,7 @@ import numpy as np
 
 from robots.arrays import Floats
 from robots.models.joint_inertia import joint_inertia
+from robots.models.nominal_model import torque_max
 from robots.spec import RobotSpec
 
 REACTION_TICKS = 4
@@ -30,11 +31,17 @@ class JointBrake:
         self._qd_max = SPEED_SHARE * spec.joint_array("qd_max")
         inertia = joint_inertia(spec)
         self._damping = np.sqrt(inertia.least * inertia.most) / (REACTION_TICKS * spec.dt)
+        self._torque_max = torque_max(spec)
 
     def torque(self, q: Floats, qd: Floats) -> Floats:
-        """Return N·m (B, n) for joints at q (B, n) rad with speeds qd (B, n) rad/s."""
+        """Return N·m (B, n) for joints at q (B, n) rad with speeds qd (B, n) rad/s; 0 where these are not numbers."""
         up, down = self._fastest(self._q_max - q), self._fastest(q - self._q_min)
-        return self._damping * (np.maximum(-down - qd, 0.0) - np.maximum(qd - up, 0.0))
+        tau = self._damping * (np.maximum(-down - qd, 0.0) - np.maximum(qd - up, 0.0))
+        return self.clipped(np.where(np.isnan(tau), 0.0, tau))
+
+    def clipped(self, tau: Floats) -> Floats:
+        """Return torques (B, n) N·m inside the range of the drives."""
+        return np.minimum(np.maximum(tau, -self._torque_max), self._torque_max)
 
     def _fastest(self, room: Floats) -> Floats:
         """Return rad/s (B, n) from which joints can stop within room (B, n) rad, negative beyond the end."""
