@@ -7,9 +7,10 @@ from collections.abc import Callable
 
 import typer
 
+from deploy.start import INTERRUPTED
 from robots.errors import FirstshiftError, ResultLostError, printable
 
-PASSED, BUDGET_EXCEEDED, BAD_INPUT, BROKEN, INTERRUPTED = 0, 1, 2, 70, 130
+PASSED, BUDGET_EXCEEDED, BAD_INPUT, BROKEN = 0, 1, 2, 70
 
 
 def main(*commands: Callable[..., int]) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.commissioning.bounds import Bounds
 from deploy.commissioning.evaluation import Evaluation
 from deploy.commissioning.moves import CheckMoves
@@ -26,6 +26,7 @@ from deploy.operation.session import (
     Speed,
     ViewFlag,
 )
+from deploy.start import INTERRUPTED
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.interrupts import Interrupts, handled
 from deploy.operation.jog import Jog, reduced_speed
 from deploy.operation.jog_keys import JogKeys
@@ -29,6 +29,7 @@ from deploy.policy.compatibility import check_contract
 from deploy.policy.policy import Policy
 from deploy.policy.policy_file import read_policy_file
 from deploy.policy.step_trial import check_step
+from deploy.start import INTERRUPTED
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 

@@ -9,7 +9,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
+from deploy.start import INTERRUPTED
 from deploy.telemetry.folder_lock import locked
 from eval.attack.archive import Archive
 from eval.attack.arena import Setting, find_mode

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from deploy.command_line import BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
+from deploy.start import INTERRUPTED
 from deploy.telemetry.folder_lock import locked
 from eval.history.history import add_record, check_same_task, check_writable, read_history
 from eval.history.soak_record import Run, SoakRecord

@@ -11,7 +11,8 @@ pytest.importorskip("mujoco")
 
 import eval.attack.__main__ as suite_command
 import eval.attack.cli as command
-from deploy.command_line import BROKEN, BUDGET_EXCEEDED, INTERRUPTED, PASSED, main
+from deploy.command_line import BROKEN, BUDGET_EXCEEDED, PASSED, main
+from deploy.start import INTERRUPTED
 from eval.attack import arena
 from eval.attack.candidate import read_case
 from eval.attack.cli import cli
