@@ -13,7 +13,6 @@ from deploy.estimation.tool_kinematics import ToolKinematics
 from deploy.masks import all_true, any_true
 from deploy.motion.drive_law import SpringDrives, drive_law
 from deploy.motion.drive_modes import drive_modes
-from deploy.motion.joint_brake import JointBrake
 from deploy.motion.prepared_stop import PreparedStop, select
 from deploy.motion.smoothers import make_smoother
 from deploy.policy.action import Action
@@ -87,7 +86,6 @@ class Runtime(Stage):
         self.drives = drive_modes(spec, mode, gains, robots)
         law = drive_law(spec, mode, gains, fleet)
         self.springs = law if isinstance(law, SpringDrives) else None
-        self.joint_brake = JointBrake(spec) if spec.base else None
         self.estimator = Estimator(spec, robots, springs=gains if self.springs else None)
         self.capabilities = CapabilityEstimators(spec, robots)
         self.safety = Safety(spec, fleet, law, mode=mode)
@@ -233,9 +231,6 @@ class Runtime(Stage):
             setpoint = setpoint._replace(tau=tau)
         self.smoother.commit(setpoint)
         qd, feed_forward = (self._zeros, self._zeros) if self.springs else (setpoint.qd, tau)
-        if self.joint_brake:
-            brake = self.joint_brake.torque(self.state.q, self.state.qd)
-            tau, feed_forward = self.joint_brake.clipped(tau + brake), feed_forward + brake
         powered, share = self.supervisor.powered, self.estimator.windings.foldback.current_share
         if not all_true(running):  # current is limited while running only: stops were checked at full current
             share = np.where(running[:, None], share, 1.0)

@@ -25,9 +25,8 @@ ACCELERATION_TOLERANCE = 1e-4
 TAKEOVER_RATE = 2.5
 """Multiple of the policy's torque rate at which a stop may take over. On arm6 one of 2000 setpoints asks for more."""
 
-
-def _joint(field: str) -> Callable[[Limits], Floats]:
-    return lambda limits: limits.robot.joint_array(field)
+OUTSIDE_SHARE = 0.5
+"""Share of the soft margin of a robot with a floating base that its joints may give way."""
 
 
 def _motor(field: str) -> Callable[[Limits], Floats]:
@@ -40,6 +39,11 @@ def _soft_min(limits: Limits) -> Floats:
 
 def _soft_max(limits: Limits) -> Floats:
     return limits.robot.joint_array("q_max") - limits.robot.margins.q_soft_rad
+
+
+def _outside_margin(limits: Limits) -> float:
+    """rad inside the range where a joint counts as outside: soft drives give way before a stop has ended."""
+    return OUTSIDE_SHARE * limits.robot.margins.q_soft_rad if limits.robot.base else 0.0
 
 
 def _speed_max(limits: Limits) -> Floats:
@@ -67,8 +71,8 @@ ESTIMATE: tuple[Check[Estimate], ...] = (
     Check(
         name="estimated_joint_angle",
         value=lambda estimate: estimate.state.q,
-        low=_joint("q_min"),
-        high=_joint("q_max"),
+        low=lambda limits: limits.robot.joint_array("q_min") + _outside_margin(limits),
+        high=lambda limits: limits.robot.joint_array("q_max") - _outside_margin(limits),
         reason=Reason.OUTSIDE,
         per_joint=True,
     ),
