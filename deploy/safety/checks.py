@@ -42,7 +42,7 @@ def _soft_max(limits: Limits) -> Floats:
 
 
 def _outside_margin(limits: Limits) -> float:
-    """rad inside the range where a joint counts as outside: soft drives give way before a stop has ended."""
+    """Return rad inside the range where a joint counts as outside: soft drives give way before a stop has ended."""
     return OUTSIDE_SHARE * limits.robot.margins.q_soft_rad if limits.robot.base else 0.0
 
 

@@ -8,7 +8,7 @@ import pytest
 from deploy.reasons import Reason
 from deploy.safety.check import Check, Limits
 from deploy.safety.check_table import CheckTable
-from deploy.safety.checks import CHECKS
+from deploy.safety.checks import CHECKS, OUTSIDE_SHARE
 from deploy.safety.safety import Safety
 from robots.models.fleet import Fleet
 from robots.spec import load_robot
@@ -16,6 +16,7 @@ from support.arm6 import NO_CLEARANCE, SPEC, copy_of_arm
 from support.deploy.safety import HOME, judge, point
 from support.paths import TEST_ROBOTS
 from support.planar import PLANAR3
+from support.quadruped import QUADRUPED
 
 FENCE = Check(
     name="fence",
@@ -45,6 +46,15 @@ def test_a_check_from_outside_is_made_like_any_other(moment):
 def test_a_robot_without_a_workspace_has_its_poses_checked():
     safety = Safety(PLANAR3, Fleet(PLANAR3, 2, collisions=True))
     assert safety.check_poses(np.array([[0.0, 0.5, 0.0], [0.0, 1.6, 0.0]])).tolist() == [0, Reason.POSITION]
+
+
+def test_joints_on_soft_drives_are_outside_before_the_end_of_their_range():
+    (outside,) = (check for check in CHECKS.estimate if check.reason is Reason.OUTSIDE)
+    for spec, margin in ((SPEC, 0.0), (QUADRUPED, OUTSIDE_SHARE * QUADRUPED.margins.q_soft_rad)):
+        limits = Limits(spec, np.zeros(spec.n))
+        np.testing.assert_array_equal(outside.low(limits), spec.joint_array("q_min") + margin)
+        np.testing.assert_array_equal(outside.high(limits), spec.joint_array("q_max") - margin)
+    assert 0.0 < OUTSIDE_SHARE < 1.0
 
 
 def test_a_check_may_need_all_that_a_robot_has():
