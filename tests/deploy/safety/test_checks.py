@@ -16,7 +16,6 @@ from support.arm6 import NO_CLEARANCE, SPEC, copy_of_arm
 from support.deploy.safety import HOME, judge, point
 from support.paths import TEST_ROBOTS
 from support.planar import PLANAR3
-from support.quadruped import QUADRUPED
 
 FENCE = Check(
     name="fence",
@@ -26,6 +25,9 @@ FENCE = Check(
     needs=frozenset({"tool"}),
 )
 """A plane that the tool must not pass, to the right of the arm."""
+
+
+QUADRUPED = load_robot("quadruped")
 
 
 def arm(spec=SPEC, **more):
