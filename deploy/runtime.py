@@ -84,7 +84,7 @@ class Runtime(Stage):
         self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
         fleet = Fleet(spec.in_mode(mode), 2 * robots, collisions=True)
         self.drives = drive_modes(spec, mode, gains, robots)
-        law = drive_law(spec, mode, gains, fleet)
+        self.law = law = drive_law(spec, mode, gains, fleet)
         self.springs = law if isinstance(law, SpringDrives) else None
         self.estimator = Estimator(spec, robots, springs=gains if self.springs else None)
         self.capabilities = CapabilityEstimators(spec, robots)
@@ -227,6 +227,7 @@ class Runtime(Stage):
         return self.state.q if angles else self._zeros
 
     def _send(self, setpoint: Setpoint, tau: Floats, running: Bools) -> None:
+        tau = self.law.limited(tau)
         if self.drives.free:
             setpoint = setpoint._replace(tau=tau)
         self.smoother.commit(setpoint)

@@ -42,6 +42,10 @@ class DriveLaw(ABC):
     def torque(self, state: State, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """Return (R, n) N·m that R setpoints q, qd, qdd (R, n) need, R a whole number of times the B robots."""
 
+    def limited(self, tau: Floats) -> Floats:
+        """Return the torques (B, n) N·m that are sent for those of setpoints; a stop may need more than was checked."""
+        return tau
+
     @abstractmethod
     def expected_poses(self, state: State, sent: Floats) -> Floats:
         """Return (4KB, n) rad: joints expected at B setpoints, at two moments while their stops brake, at their ends.
@@ -71,6 +75,10 @@ class CompliantDrives(StiffDrives):
     """Drives of a robot with a floating base and their own gains: its weight moves joints away from what is sent."""
 
     expectations: ClassVar[int] = 2
+
+    def limited(self, tau: Floats) -> Floats:
+        """Return torques inside the limit: those of the model, which does not know the ground, are no more than help."""
+        return np.minimum(np.maximum(tau, -self.torque_limit), self.torque_limit)
 
     def expected_poses(self, state: State, sent: Floats) -> Floats:
         """Return where joints are sent, then poses as far from there as joints are now: they may catch up or not."""

@@ -41,3 +41,12 @@ def test_compliant_drives_are_expected_where_they_are_sent_and_as_far_from_there
     np.testing.assert_array_equal(poses[0], sent)
     np.testing.assert_allclose(poses[1] - sent, np.broadcast_to(q - sent[0], sent.shape), atol=1e-15)
     assert law.expectations == len(poses)
+
+
+def test_only_compliant_drives_limit_the_torques_that_are_sent():
+    walker = load_robot("quadruped")
+    for spec, most in ((walker, walker.margins.tau * torque_max(walker)), (SPEC, 2.0 * torque_max(SPEC))):
+        law, asked = drive_law(spec, ControlMode.POSITION, None, Fleet(spec, 2)), 2.0 * torque_max(spec)[None]
+        np.testing.assert_array_equal(law.limited(asked), most[None])
+        np.testing.assert_array_equal(law.limited(-asked), -most[None])
+        np.testing.assert_array_equal(law.limited(0.1 * asked), 0.1 * asked)
