@@ -77,7 +77,7 @@ class CompliantDrives(StiffDrives):
     expectations: ClassVar[int] = 2
 
     def limited(self, tau: Floats) -> Floats:
-        """Return torques inside the limit: those of the model, which does not know the ground, are no more than help."""
+        """Return torques inside the limit: the model that they come from does not know the ground."""
         return np.minimum(np.maximum(tau, -self.torque_limit), self.torque_limit)
 
     def expected_poses(self, state: State, sent: Floats) -> Floats:
