@@ -139,11 +139,10 @@ def test_guards_hold_against_all_that_attacks_have_found(call):
 
 
 @pytest.mark.slow
-def test_open_cases_still_lead_to_their_events(call):
+def test_open_cases_still_lead_to_their_events():
     """One that no longer does is mended, and belongs to the suite."""
     for result in run_suite(OPEN):
         assert result.case.monitor in result.events
-    assert make_attack(call, OPEN)[0] == BUDGET_EXCEEDED
 
 
 def test_make_attack_in_short_tries_cases_of_each_mode(call, tmp_path, monkeypatch):
