@@ -52,8 +52,10 @@ class Motion(NamedTuple):
 class ToolMotion(NamedTuple):
     """4B points of trajectories: B setpoints, the same at their peak speed, and 2B points where stops brake.
 
+    K times as many for drives with K expectations of where joints are.
+
     Attributes:
-        qd: (4B, n) rad/s. rows: (4B,) rows of the poses in `kinematics`.
+        qd: (4KB, n) rad/s. rows: (4KB,) rows of the poses in `kinematics`.
     """
 
     qd: Floats
@@ -62,7 +64,7 @@ class ToolMotion(NamedTuple):
 
     @property
     def speed_squared(self) -> Floats:
-        """(4B, 1) m²/s², of the tool."""
+        """(4KB, 1) m²/s², of the tool."""
         velocity = self.kinematics.tool_velocity(self.qd, self.rows)
         squared: Floats = np.vecdot(velocity, velocity)
         return squared[:, None]
@@ -73,7 +75,7 @@ class Pose(NamedTuple):
 
     Attributes:
         q: (R, n) rad, where joints are sent.
-        kinematics: where they are expected, which differs for drives that act as springs.
+        kinematics: where they are expected, which differs for soft drives.
         workspace_centre: (3,) m; 0 without workspace.
     """
 

@@ -53,9 +53,10 @@ class Safety:
         """
         spec, self._fleet, rows = spec.in_mode(mode), fleet, fleet.robots
         robots = -(-rows // 2)
-        self._tool_rows = np.concatenate((np.arange(robots), np.arange(3 * robots)))
         self._drives = drives or StiffDrives(spec, fleet)
         poses = 4 * robots * self._drives.expectations
+        tool_rows = np.concatenate((np.arange(robots), np.arange(3 * robots)))
+        self._tool_rows = (np.arange(0, poses, 4 * robots)[:, None] + tool_rows).ravel()
         self._fleet_of_plan = fleet.resized(poses)
         self._jacobians = "tool" in spec.capabilities  # what reads them reads the tool
         self._gap_max = (spec.margins.collision_m or 0.0) + GAP_TOLERANCE_M
@@ -92,11 +93,13 @@ class Safety:
         qd_peak = qd + qdd * np.abs(qdd) / self.twice_jerk
         motion = self._motion.values(Motion(q, qd, qdd, qd_peak, tau, needed))
         sent_poses = np.concatenate((setpoint.q, *stop.q, stop.q_rest))
+        qd_of_tool = np.concatenate((setpoint.qd, qd_peak[:robots], *stop.qd))
         poses = self._drives.expected_poses(state, sent_poses)
         if len(poses) > len(sent_poses):
-            sent_poses = np.tile(sent_poses, (self._drives.expectations, 1))
+            sent_poses, qd_of_tool = (
+                np.tile(each, (self._drives.expectations, 1)) for each in (sent_poses, qd_of_tool)
+            )
         kinematics = self._kinematics(self._fleet_of_plan, poses)
-        qd_of_tool = np.concatenate((setpoint.qd, qd_peak[:robots], *stop.qd))
         tool = ToolMotion(qd_of_tool, self._tool_rows, kinematics)
         plan = self._plan.values(tool, Pose(sent_poses, kinematics, self._centre))
         estimate = self._estimate.values(Estimate(state, sent))
