@@ -272,7 +272,7 @@ class Base(Strict):
         slip: m/s/√Hz, velocity of a standing foot, with the errors of its kinematics.
         angular_acceleration: rad/s²/√Hz, jerk: m/s³/√Hz, of motion between two samples of the IMU.
         tilt_max_rad: a tilt above it counts as a fall.
-        height_min_m: m, so does an IMU less high above the lowest foot, or above the floor.
+        height_min_m: m; an IMU lower than this above the lowest foot counts as a fall; the judge's is above the floor.
         command_min, command_max: m/s forwards, m/s to the left, rad/s to the left: range of commands.
         command_s: s for each command.
         source: where the numbers come from.

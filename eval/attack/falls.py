@@ -7,7 +7,7 @@ that stands in no other way than by its drives is in nobody's hands without them
 import numpy as np
 
 from deploy.truth import Truth
-from eval.judge.tick_window import has_fallen
+from eval.judge.falls import FallCriterion
 from robots.arrays import Bools
 from robots.spec import RobotSpec
 
@@ -24,14 +24,14 @@ class Falls:
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Begin with all robots on their feet, or on their mount."""
-        self._base = spec.base
+        self._criterion = FallCriterion(spec) if spec.base else None
         self.fallen, self._before = np.zeros((2, robots), dtype=bool)
 
     def step(self, truth: Truth, powered: Bools) -> Bools:
         """Return (B,) the robots that fell in the tick that has ended, in which drives were `powered` (B,) or not."""
-        if truth.base is None or self._base is None:
+        if truth.base is None or self._criterion is None:
             return np.zeros_like(self.fallen)
-        new = (has_fallen(truth.base, self._base) | (self._before & ~powered)) & ~self.fallen
+        new = (self._criterion.fallen(truth.base) | (self._before & ~powered)) & ~self.fallen
         self.fallen |= new
         self._before = powered
         return new

@@ -18,12 +18,13 @@ from deploy.truth import Truth
 from eval.judge.channels import Channels
 from eval.judge.counts import BINS, REASON_NAMES, Counts
 from eval.judge.events import BadTicks, EventLog
+from eval.judge.falls import FallCriterion
 from eval.judge.limit_ratios import LimitRatios, RatioBlock
 from eval.judge.limits import load_limits
 from eval.judge.monitor import Monitor
 from eval.judge.monitors import MONITORS
 from eval.judge.tick_buffer import BLOCK_TICKS, TickBuffer
-from eval.judge.tick_window import JudgedRobot, TickWindow, has_fallen, true_tilt
+from eval.judge.tick_window import JudgedRobot, TickWindow, true_tilt
 from robots.arrays import Bools, Floats, Ints
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -78,7 +79,8 @@ class Judge(Stage):
         """
         self._dt = spec.dt
         self._robots, self._size = counted or robots, len(observed.mean) if observed else 0
-        self._base, self.fallen_s = spec.base, np.zeros(robots)
+        self._falls = FallCriterion(spec) if spec.base else None
+        self.fallen_s = np.zeros(robots)
         self._force_max = np.array([pair.force_n for pair in spec.may_touch if pair.force_n is not None])
         self._channels = Channels.of_robot(spec, monitors, mode)
         judged = JudgedRobot(spec=spec, torque_max=torque_max, limits=load_limits(spec), observed=observed)
@@ -138,15 +140,15 @@ class Judge(Stage):
             self._judge_pending()
 
     def _fall(self, truth: Truth, command: Command) -> tuple[Floats | float, Floats | float, Floats | float]:
-        """Return (B,) rad of tilt, m of height, and s with power after a fall; 0 of a robot without floating base.
+        """Return (B,) rad of tilt, m of the IMU's height, and s with power after a fall; 0 without floating base.
 
         Time in which it has not fallen counts backwards, so that a robot that rolls has, and one that gets up has not.
         """
-        if truth.base is None or self._base is None:
+        if truth.base is None or self._falls is None:
             return 0.0, 0.0, 0.0
-        more = np.where(has_fallen(truth.base, self._base), self._dt, -self._dt)
+        more = np.where(self._falls.fallen(truth.base), self._dt, -self._dt)
         self.fallen_s[:] = np.where(command.powered, np.maximum(self.fallen_s + more, 0.0), 0.0)
-        return true_tilt(truth.base), truth.base.position[:, 2], self.fallen_s
+        return true_tilt(truth.base), self._falls.height(truth.base), self.fallen_s
 
     def _share_of_limit(self, truth: Truth) -> Floats | float:
         """(B,) largest force of an allowed contact as a share of its limit; 0 of a robot without such limits."""

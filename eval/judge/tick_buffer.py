@@ -32,8 +32,8 @@ class Ticks(NamedTuple):
     `target` is in the unit of the control mode. Of the command, `sent` are angles, `speed_sent` speeds, `tau_sent`
     feed-forward torques, `stiffness` N·m/rad and `damping` N·m·s/rad. `q_hat`, `q_var` and `age` are the estimate
     before the physics of that tick. `action_finite` is True where the policy was not called. `achieved` is what `goal`
-    is compared with, by ground truth. `tilt`: rad, `base_height`: m above the floor, of a floating base. `fallen_s`: s
-    with power after a fall. `allowed_contact` is the largest force of an allowed contact, as a share of its limit.
+    is compared with, by ground truth. `tilt`: rad, `base_height`: m, of the IMU above the floor. `fallen_s`: s with
+    power after a fall. `allowed_contact` is the largest force of an allowed contact, as a share of its limit.
     """
 
     target: PerJoint

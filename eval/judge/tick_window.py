@@ -15,7 +15,6 @@ from eval.judge.tick_buffer import PAST, Ticks
 from robots.arrays import Bools, Floats
 from robots.motors.drive_gains import drive_gains
 from robots.spec import RobotSpec
-from robots.tables import Base
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,12 +110,6 @@ class TickWindow:
             found.append(SentDifference(judged[PAST - order :], values[PAST - order :]))
             values, judged = np.diff(values, axis=0), judged[1:] & judged[:-1]
         return tuple(found)
-
-
-def has_fallen(base: BaseTruth, limits: Base) -> Bools:
-    """Return (B,) robots whose base tilts too far or is too low: they fall, or have fallen."""
-    tilted, low = true_tilt(base) > limits.tilt_max_rad, base.position[:, 2] < limits.height_min_m
-    return np.asarray(tilted | low)
 
 
 def true_tilt(base: BaseTruth) -> Floats:

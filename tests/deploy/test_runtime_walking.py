@@ -358,6 +358,23 @@ def test_judge_detects_a_missing_fall_guard(ignored, events):
     assert tuple(counts.total(monitor) for monitor in ("fallen", "powered_fallen")) == events
 
 
+@pytest.mark.slow
+def test_judge_detects_a_missing_height_guard():
+    """It sinks without tilting, and no reason stops it."""
+    runtime = standing(2)
+    ignore_reasons(~Reason.NONE)(runtime)
+
+    def fold(tick):
+        legs, share = np.zeros((2, 12)), min(tick / 200, 1.0)
+        legs[1, HIPS], legs[1, KNEES] = 0.9 * share, -1.1 * share
+        return legs
+
+    counts = judged(runtime, round(3.0 / DT), fold)
+    for monitor in ("base_height", "powered_fallen"):
+        assert counts.events[:, counts.columns(monitor)].ravel().tolist() == [0, 1]
+    assert counts.total("tilt") == counts.total("fallen") == 0
+
+
 @pytest.mark.parametrize("asked", [[0.0, 0.6, 0.0], [0.0, 0.0, 0.6]])
 @pytest.mark.slow
 def test_motion_other_than_commanded_is_not_counted(monkeypatch, asked):

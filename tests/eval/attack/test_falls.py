@@ -13,6 +13,7 @@ from eval.attack.arena import Arena, Setting
 from eval.attack.candidate import Block
 from eval.attack.falls import OF_FALLS, Falls
 from eval.shard.job import WIDTH
+from robots.models.nominal_model import imu_in_base, load_pinocchio
 from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
 from support.quadruped import QUADRUPED
@@ -38,10 +39,12 @@ def test_only_how_a_fall_is_noticed_counts_after_it():
 
 
 def truth(*, height=0.28, roll=0.0):
-    """What `Falls` reads of two robots; the second stands."""
+    """What `Falls` reads of two robots, the first with its IMU at a height; the second stands."""
     quat_wxyz = np.array([[np.cos(roll / 2), np.sin(roll / 2), 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
+    imu = imu_in_base(QUADRUPED, load_pinocchio(QUADRUPED)[0])
+    lower = np.sin(roll) * imu[1] + np.cos(roll) * imu[2]
     base = BaseTruth(
-        position=np.array([[0.0, 0.0, height], [0.0, 0.0, 0.28]]),
+        position=np.array([[0.0, 0.0, height - lower], [0.0, 0.0, 0.28]]),
         quat_wxyz=quat_wxyz,
         velocity=np.zeros((2, 3)),
         angular_velocity=np.zeros((2, 3)),
@@ -56,7 +59,7 @@ def truth(*, height=0.28, roll=0.0):
         ({}, False),
         ({"roll": QUADRUPED.base.tilt_max_rad - 1e-6}, False),
         ({"roll": QUADRUPED.base.tilt_max_rad + 1e-6}, True),
-        ({"height": QUADRUPED.base.height_min_m}, False),
+        ({"height": QUADRUPED.base.height_min_m + 1e-6}, False),
         ({"height": QUADRUPED.base.height_min_m - 1e-6}, True),
     ],
 )
