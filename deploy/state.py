@@ -40,7 +40,7 @@ class BaseState(NamedTuple):
         angular_velocity: (B, 3) rad/s in the base frame, without bias.
         velocity_in_world: (B, 3) m/s. velocity_in_base: (B, 3) m/s.
         gravity: (B, 3) direction of gravity in the base frame: (0, 0, −1) when upright.
-        height: (B,) m, of the IMU above the lowest foot.
+        height: (B,) m, of the IMU above the lowest foot; infinite until it is known.
         age: (B,) s since the newest samples of gyro and accelerometer were measured, the older of the two.
         innovation: (B, F, 3) of the newest sample, whitened by its covariance; 0 for feet that do not stand.
         stuck: (B,) the IMU repeats its samples; they are not used.

@@ -6,8 +6,8 @@ training: they receive an angle and nothing else, as in training, and give
 
     τ = kp (q* − q) − kd q̇
 
-so that the distance of a joint from its angle makes its torque. `CompliantDrives` are those of such a robot that follow
-a policy with their own gains. A fixed robot has neither: its checks look where it is sent, not where it is.
+so that the distance of a joint from its angle makes its torque. `CompliantDrives` are all others of such a robot: they
+have their own gains. A fixed robot has neither: its checks look where it is sent, not where it is.
 """
 
 from abc import ABC, abstractmethod
@@ -81,7 +81,7 @@ class CompliantDrives(StiffDrives):
         return np.minimum(np.maximum(tau, -self.torque_limit), self.torque_limit)
 
     def expected_poses(self, state: State, sent: Floats) -> Floats:
-        """Return where joints are sent, then poses as far from there as joints are now: they may catch up or not."""
+        """Return where joints are sent, then poses as far from there as joints are now: they may not catch up."""
         deviation = state.q - sent[: len(state.q)]
         return np.concatenate((sent, sent + np.tile(deviation, (4, 1))))
 

@@ -26,7 +26,7 @@ TAKEOVER_RATE = 2.5
 """Multiple of the policy's torque rate at which a stop may take over. On arm6 one of 2000 setpoints asks for more."""
 
 OUTSIDE_SHARE = 0.5
-"""Share of the soft margin of a robot with a floating base that its joints may give way."""
+"""Share of the soft margin by which joints of a robot with a floating base may stray beyond their setpoints' range."""
 
 
 def _motor(field: str) -> Callable[[Limits], Floats]:
@@ -42,8 +42,9 @@ def _soft_max(limits: Limits) -> Floats:
 
 
 def _outside_margin(limits: Limits) -> float:
-    """Return rad inside the range where a joint counts as outside: soft drives give way before a stop has ended."""
-    return OUTSIDE_SHARE * limits.robot.margins.q_soft_rad if limits.robot.base else 0.0
+    """Return rad inside the range where a joint counts as outside: on soft drives it moves on while a stop brakes."""
+    soft = "floating_base" in limits.robot.capabilities
+    return OUTSIDE_SHARE * limits.robot.margins.q_soft_rad if soft else 0.0
 
 
 def _speed_max(limits: Limits) -> Floats:
@@ -132,6 +133,7 @@ ESTIMATE: tuple[Check[Estimate], ...] = (
         name="base_height",
         value=lambda estimate: required(estimate.state.base).height[:, None],
         low=lambda limits: required(limits.robot.base).height_min_m,
+        high=np.inf,  # without packets it is not known, which other checks refuse
         reason=Reason.FALLEN,
         needs=frozenset({"floating_base"}),
     ),

@@ -95,7 +95,7 @@ class Safety:
         sent_poses = np.concatenate((setpoint.q, *stop.q, stop.q_rest))
         qd_of_tool = np.concatenate((setpoint.qd, qd_peak[:robots], *stop.qd))
         poses = self._drives.expected_poses(state, sent_poses)
-        if len(poses) > len(sent_poses):
+        if self._drives.expectations > 1:
             sent_poses, qd_of_tool = (
                 np.tile(each, (self._drives.expectations, 1)) for each in (sent_poses, qd_of_tool)
             )

@@ -12,7 +12,7 @@ from deploy.sources.readings import sensor_reading
 from deploy.sources.source import GaitLayout, ObservationSource
 from robots.arrays import Floats
 from robots.capabilities import Capability
-from robots.models.fleet import Fleet
+from robots.models.nominal_model import height_at_home, load_pinocchio
 from robots.sensors import Kind
 
 if TYPE_CHECKING:
@@ -56,8 +56,7 @@ def _height(runtime: "Runtime") -> Floats:
 
 
 def _height_at_home(scale: Scale) -> float:
-    feet = Fleet(scale.spec, 1).kinematics(scale.spec.joint_array("q_home")[None]).feet_position
-    return float(-feet[..., 2].min())
+    return height_at_home(scale.spec, load_pinocchio(scale.spec)[0])
 
 
 def phase_numbers(phase: Floats, layout: GaitLayout) -> Floats:

@@ -1,7 +1,7 @@
 """Falls of robots with a floating base: any policy can let one fall.
 
-An attack counts what a robot does until it falls or its drives end, and then only how the fall is noticed: a robot
-that stands in no other way than by its drives is in nobody's hands without them.
+An attack counts what a robot does until it falls or its drives end, and then only how the fall is noticed: without the
+torque of its drives such a robot falls, whatever the runtime does.
 """
 
 import numpy as np
@@ -31,7 +31,7 @@ class Falls:
         """Return (B,) the robots that fell in the tick that has ended, in which drives were `powered` (B,) or not."""
         if truth.base is None or self._criterion is None:
             return np.zeros_like(self.fallen)
-        new = (self._criterion.fallen(truth.base) | (self._before & ~powered)) & ~self.fallen
+        new = (self._criterion.measure(truth.base).fallen | (self._before & ~powered)) & ~self.fallen
         self.fallen |= new
         self._before = powered
         return new

@@ -1,9 +1,10 @@
 """Falls of a robot with a floating base, by ground truth."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from deploy.truth import BaseTruth
-from eval.judge.tick_window import true_tilt
 from robots.arrays import Bools, Floats
 from robots.capabilities import required
 from robots.models.nominal_model import imu_in_base, load_pinocchio
@@ -11,8 +12,22 @@ from robots.rotations import matrix
 from robots.spec import RobotSpec
 
 
+class Stand(NamedTuple):
+    """Stand of B robots on their feet.
+
+    Attributes:
+        tilt: (B,) rad, angle between the base's z axis and the direction against gravity.
+        height: (B,) m, of the IMU above the floor.
+        fallen: (B,) the base tilts too far or is too low: the robot falls, or has fallen.
+    """
+
+    tilt: Floats
+    height: Floats
+    fallen: Bools
+
+
 class FallCriterion:
-    """Criterion of a fall: the base tilts too far, or its IMU is too low above the floor."""
+    """Criterion of a fall of one kind of robot."""
 
     def __init__(self, spec: RobotSpec) -> None:
         """Take the limits of robot.toml, and where the IMU is.
@@ -22,11 +37,10 @@ class FallCriterion:
         """
         self._limits, self._imu = required(spec.base), imu_in_base(spec, load_pinocchio(spec)[0])
 
-    def height(self, base: BaseTruth) -> Floats:
-        """Return (B,) m, of the IMU above the floor."""
-        return np.asarray(base.position[:, 2] + matrix(base.quat_wxyz)[:, 2] @ self._imu)
-
-    def fallen(self, base: BaseTruth) -> Bools:
-        """Return (B,) robots that fall, or have fallen."""
-        tilted = true_tilt(base) > self._limits.tilt_max_rad
-        return np.asarray(tilted | (self.height(base) < self._limits.height_min_m))
+    def measure(self, base: BaseTruth) -> Stand:
+        """Return how robots stand."""
+        rotation = matrix(base.quat_wxyz)
+        tilt = np.arccos(np.clip(np.vecdot(rotation[:, :, 2], base.up), -1.0, 1.0))
+        height = base.position[:, 2] + rotation[:, 2] @ self._imu
+        fallen = (tilt > self._limits.tilt_max_rad) | (height < self._limits.height_min_m)
+        return Stand(tilt, height, np.asarray(fallen))

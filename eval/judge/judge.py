@@ -24,7 +24,7 @@ from eval.judge.limits import load_limits
 from eval.judge.monitor import Monitor
 from eval.judge.monitors import MONITORS
 from eval.judge.tick_buffer import BLOCK_TICKS, TickBuffer
-from eval.judge.tick_window import JudgedRobot, TickWindow, true_tilt
+from eval.judge.tick_window import JudgedRobot, TickWindow
 from robots.arrays import Bools, Floats, Ints
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -142,13 +142,14 @@ class Judge(Stage):
     def _fall(self, truth: Truth, command: Command) -> tuple[Floats | float, Floats | float, Floats | float]:
         """Return (B,) rad of tilt, m of the IMU's height, and s with power after a fall; 0 without floating base.
 
-        Time in which it has not fallen counts backwards, so that a robot that rolls has, and one that gets up has not.
+        The time falls again, as fast as it rose, while a robot stands, and is 0 without power.
         """
         if truth.base is None or self._falls is None:
             return 0.0, 0.0, 0.0
-        more = np.where(self._falls.fallen(truth.base), self._dt, -self._dt)
+        stand = self._falls.measure(truth.base)
+        more = np.where(stand.fallen, self._dt, -self._dt)
         self.fallen_s[:] = np.where(command.powered, np.maximum(self.fallen_s + more, 0.0), 0.0)
-        return true_tilt(truth.base), self._falls.height(truth.base), self.fallen_s
+        return stand.tilt, stand.height, self.fallen_s
 
     def _share_of_limit(self, truth: Truth) -> Floats | float:
         """(B,) largest force of an allowed contact as a share of its limit; 0 of a robot without such limits."""

@@ -8,7 +8,6 @@ import numpy as np
 
 from deploy.policy.contract import Observed
 from deploy.state import Mode
-from deploy.truth import BaseTruth
 from eval.judge.limits import Limits
 from eval.judge.singularity import SingularityMetric
 from eval.judge.tick_buffer import PAST, Ticks
@@ -110,11 +109,3 @@ class TickWindow:
             found.append(SentDifference(judged[PAST - order :], values[PAST - order :]))
             values, judged = np.diff(values, axis=0), judged[1:] & judged[:-1]
         return tuple(found)
-
-
-def true_tilt(base: BaseTruth) -> Floats:
-    """(B,) rad, angle between the base's z axis and the direction against gravity."""
-    w, x, y, z = base.quat_wxyz.T
-    # Last column of the rotation matrix: direction of the base's z axis in the world.
-    axis = np.stack((2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)), axis=1)
-    return np.asarray(np.arccos(np.minimum(np.maximum((axis * base.up).sum(axis=1), -1.0), 1.0)))

@@ -48,7 +48,7 @@ def _check_parts(spec: RobotSpec, model: pin.Model) -> None:
     tool_frame(spec, model)
     foot_frames(spec, model)
     if spec.base:
-        imu_in_base(spec, model)
+        _check_height(spec, spec.base, model)
         _check_contacts(spec, spec.base, model)
 
 
@@ -88,6 +88,28 @@ def imu_in_base(spec: RobotSpec, model: pin.Model) -> Floats:
         expected = "the axes of the root body: let the driver turn its readings"
         _refuse(spec, f"gyro.sites: {site!r} is turned by {turned:.3g} rad, expected {expected}")
     return np.array(frame.placement.translation)
+
+
+def height_at_home(spec: RobotSpec, model: pin.Model) -> float:
+    """Return m, of the IMU above the lowest foot in the home pose of an upright robot.
+
+    Raises:
+        RobotError: as `imu_in_base`.
+    """
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, spec.joint_array("q_home"))
+    lowest = min(data.oMf[foot].translation[2] for foot in foot_frames(spec, model))
+    return float(imu_in_base(spec, model)[2] - lowest)
+
+
+def _check_height(spec: RobotSpec, base: Base, model: pin.Model) -> None:
+    """Refuse (RobotError) a robot that would count as fallen where it stands."""
+    height = height_at_home(spec, model)
+    if base.height_min_m >= height:
+        raise RobotError(
+            f"{spec.folder / 'robot.toml'}: base.height_min_m: found {base.height_min_m:g}, expected less than"
+            f" {height:.3g} m, the height of the IMU above the lowest foot in the home pose"
+        )
 
 
 def _check_contacts(spec: RobotSpec, base: Base, model: pin.Model) -> None:

@@ -37,13 +37,15 @@ sensor_faults = pytest.importorskip("deploy.backends.sim.sensor_faults")
 Failure, Fault = sensor_faults.Failure, sensor_faults.Fault
 
 Judge = pytest.importorskip("eval.judge.judge").Judge
-true_tilt = pytest.importorskip("eval.judge.tick_window").true_tilt
+FallCriterion = pytest.importorskip("eval.judge.falls").FallCriterion
 BaseTruth = pytest.importorskip("deploy.truth").BaseTruth
 judge_tick = pytest.importorskip("eval.shard.judging").judge_tick
 ignore_reasons = pytest.importorskip("eval.mutants.guard_removal").ignore_reasons
 
 DT, TORQUE_MAX = QUADRUPED.dt, torque_max(QUADRUPED)
 FRONT_HIPS, REAR_KNEES = [1, 4], [8, 11]
+FOOT_RADIUS = 0.02
+"""m, by which the middle of a foot is above the floor; the IMU is in the middle of the base."""
 HIPS, KNEES = slice(1, None, 3), slice(2, None, 3)
 
 
@@ -223,7 +225,8 @@ def test_folded_legs_latch_the_supervisor():
             break
     assert Reason(int(runtime.supervisor.reason[1])) & Reason.FALLEN
     assert "base_height" in explain_reasons(runtime, Reason.FALLEN, 1)
-    base = runtime.robot.truth().base
+    base, low = runtime.robot.truth().base, runtime.state.base.height
+    np.testing.assert_allclose(low, base.position[:, 2] - FOOT_RADIUS, atol=0.01)
     assert base.position[1, 2] < 1.3 * QUADRUPED.base.height_min_m < base.position[0, 2]
     assert matrix(base.quat_wxyz)[1, 2, 2] > 0.95
 
@@ -404,7 +407,7 @@ def test_judge_measures_the_base_tilt():
     quat, up = exp(rng.normal(0.0, 0.8, (50, 3))), rng.normal(size=(50, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     zero = np.zeros((50, 3))
-    leans = true_tilt(BaseTruth(zero, quat, zero, zero, up))
+    leans = FallCriterion(QUADRUPED).measure(BaseTruth(zero, quat, zero, zero, up)).tilt
     upright = matvec(matrix(quat).swapaxes(1, 2), up)  # seen from the base
     np.testing.assert_allclose(leans, np.arctan2(np.hypot(*upright.T[:2]), upright[:, 2]), atol=1e-7)
 

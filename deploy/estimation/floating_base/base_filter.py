@@ -56,7 +56,7 @@ class BaseFilter(Stage):
         reading: (B, 6) last fused gyro and accelerometer. t_sample: (B,) s, when the gyro's was taken.
         t_accelerometer: (B,) s, when the newest of the accelerometer was taken.
         initialized: (B,). innovation: (B, F, 3) of the feet, whitened.
-        height: (B,) m, of the IMU above the lowest foot when feet were evaluated last; 0 before.
+        height: (B,) m, of the IMU above the lowest foot when feet were evaluated last; infinite before.
     """
 
     carried = (
@@ -80,7 +80,7 @@ class BaseFilter(Stage):
         self.bias, self.reading = np.zeros((2, robots, 6))
         self.P, self.innovation = np.zeros((robots, 12, 12)), np.zeros((robots, feet, 3))
         self.t_sample, self.t_accelerometer = np.zeros((2, robots))
-        self.initialized, self.height = np.zeros(robots, dtype=bool), np.zeros(robots)
+        self.initialized, self.height = np.zeros(robots, dtype=bool), np.full(robots, np.inf)
         self.imu_check = ImuCheck(dt, robots)
         self.divergence = BaseDivergence(robots, look_s or dt, tilt_s or look_s or dt)
         self._noise, self._dt = noise, dt
@@ -91,7 +91,7 @@ class BaseFilter(Stage):
 
     def reset(self, ids: Bools) -> None:
         """Forget robots `ids` (B,); their next sample at rest initializes them."""
-        self.initialized[ids], self.height[ids] = False, 0.0
+        self.initialized[ids], self.height[ids] = False, np.inf
 
     @np.errstate(all="ignore")  # numbers that overflow are found by `divergence`
     def step(self, t: float, imu: Imu, feet: Feet | None, upright: Upright | None = None) -> BaseState:
@@ -110,8 +110,9 @@ class BaseFilter(Stage):
         valid &= np.maximum(imu.t, imu.t_accelerometer) <= t + self._dt
         valid &= imu.fresh & in_range(reading)
         newer = valid & self.initialized & (imu.t > self.t_sample)
-        if any_true(valid & ~self.initialized):
-            self._initialize(valid & ~self.initialized, imu, reading)
+        begins = valid & ~self.initialized
+        if any_true(begins):
+            self._initialize(begins, imu, reading)
         new_force = newer & (imu.t_accelerometer > self.t_accelerometer)
         self.imu_check.step(np.stack([newer, new_force], axis=1), reading, self.reading)
         np.copyto(self.t_accelerometer, imu.t_accelerometer, where=new_force)
@@ -119,7 +120,7 @@ class BaseFilter(Stage):
         self._predict(fused, imu.t, reading)
         if feet is not None:
             self._correct_by_feet(fused, feet)
-            np.copyto(self.height, self._above(feet), where=fused)
+            np.copyto(self.height, self._above(feet), where=fused | (begins & self.initialized))
         if upright is not None:
             self._correct_by_up(upright.fresh & self.initialized, upright)
         return self._state(t)
@@ -163,7 +164,7 @@ class BaseFilter(Stage):
         self.t_sample += dt
 
     def _above(self, feet: Feet) -> Floats:
-        """Return (B,) m that the IMU is above the lowest foot; feet at no known place count as being level with it."""
+        """Return (B,) m that the IMU is above the lowest foot; a foot at no known place counts as level with it."""
         below = -np.matvec(feet.position, matrix(self.quat_wxyz)[:, 2])
         return np.asarray(np.where(in_range(feet.position), below, 0.0).max(axis=1))
 

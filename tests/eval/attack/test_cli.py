@@ -145,6 +145,12 @@ def test_open_cases_still_lead_to_their_events():
         assert result.case.monitor in result.events
 
 
+@pytest.mark.slow
+def test_make_attack_fails_for_an_open_case(call, tmp_path):
+    shutil.copy(OPEN / "quadruped-position-self_collision.json", tmp_path)
+    assert make_attack(call, tmp_path)[0] == BUDGET_EXCEEDED
+
+
 def test_make_attack_in_short_tries_cases_of_each_mode(call, tmp_path, monkeypatch):
     """Half a second of operation of one case in each mode."""
     monkeypatch.setattr(arena, "EPISODE_S", 0.75)

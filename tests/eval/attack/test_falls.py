@@ -24,14 +24,18 @@ SEED = 7
 @pytest.mark.slow
 def test_only_how_a_fall_is_noticed_counts_after_it():
     arena = Arena(Setting(robot=QUADRUPED.folder, mode=ControlMode.POSITION), SEED)
-    first = ADVERSARIES["push"].first(QUADRUPED.n)
-    outcome = arena.try_block(Block("push", (first,) * WIDTH, SEED))
+    push = ADVERSARIES["push"].first(QUADRUPED.n)
+    still = {**push, "reach": (0.02,) * QUADRUPED.n, "follow": (0.0,)}
+    half = WIDTH // 2
+    outcome = arena.try_block(Block("push", (push,) * half + (still,) * half, SEED))
     judged = arena._shard.judge.counts()
     whole = {m.name: judged.worst[:, judged.columns(m.name)].max(axis=1) for m in judged.monitors}
-    fell = np.maximum(whole["tilt"], whole["base_height"]) > 1.0
+    fell, stood = np.maximum(whole["tilt"], whole["base_height"]) > 1.0, judged.latches == 0
     assert fell.any()
+    assert stood[half:].any()
     for name, ratios in outcome.worst.items():
         assert (ratios <= whole[name]).all()
+        np.testing.assert_array_equal(ratios[stood], whole[name][stood])
         if name in OF_FALLS:
             np.testing.assert_array_equal(ratios, whole[name])
     assert (outcome.worst["base_height"][fell] < whole["base_height"][fell]).all()
@@ -39,7 +43,7 @@ def test_only_how_a_fall_is_noticed_counts_after_it():
 
 
 def truth(*, height=0.28, roll=0.0):
-    """What `Falls` reads of two robots, the first with its IMU at a height; the second stands."""
+    """Truth of two robots, the first with its IMU at a height; the second stands."""
     quat_wxyz = np.array([[np.cos(roll / 2), np.sin(roll / 2), 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]])
     imu = imu_in_base(QUADRUPED, load_pinocchio(QUADRUPED)[0])
     lower = np.sin(roll) * imu[1] + np.cos(roll) * imu[2]

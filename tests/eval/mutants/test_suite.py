@@ -42,7 +42,10 @@ def named(start):
 
 
 def test_every_reason_to_stop_has_a_mutant():
-    """A reason that is new has none: this fails until it gets one. An arm cannot fall: see test_walker.py."""
+    """A reason that is new has none: this fails until it gets one.
+
+    An arm cannot fall: tests/deploy/test_runtime_walking.py has that of a walker.
+    """
     without_guard = Reason.FALLEN | WITHOUT_LIMIT
     for mutant in MUTANTS:
         without_guard |= mutant.reasons

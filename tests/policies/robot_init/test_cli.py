@@ -162,7 +162,7 @@ def test_urdf_gets_a_free_joint_by_option(tmp_path):
     init_robot(Path(model), tmp_path / "mine", walks=True)
     said = tomllib.loads((tmp_path / "mine" / "robot.toml").read_text())
     assert said["sensors"]["gyro"]["sites"] == ["base"]
-    spec = fill_in(tmp_path / "mine", ANSWERS | {"feet": ["tip"], "q_home": 0.5})
+    spec = fill_in(tmp_path / "mine", ANSWERS | {"feet": ["tip"], "q_home": 1.8})
     model, (arm, _) = load_mujoco(spec), load_pinocchio(spec)
     assert (model.nq, model.nv, model.nactuator, arm.nq) == (9, 8, 2, 2)
     assert model.body_mass.sum() == pytest.approx(4.4)

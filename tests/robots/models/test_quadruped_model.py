@@ -1,11 +1,15 @@
 """The shipped quadruped in both libraries with its floating base, how it stands in them, and its mirror images."""
 
+import shutil
+
 import numpy as np
 import pinocchio as pin
 import pytest
 
+from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import load_pinocchio
+from robots.spec import load_robot
 from support.quadruped import HOME, QUADRUPED
 
 mujoco = pytest.importorskip("mujoco")
@@ -98,3 +102,14 @@ def test_crossed_feet_are_a_collision():
     q = HOME.copy()
     q[[0, 3]] = 0.45, -0.45
     assert Fleet(QUADRUPED, 1, collisions=True).kinematics(q[None]).colliding.all()
+
+
+@pytest.mark.parametrize("height", [0.3, 0.5])
+def test_a_robot_that_would_count_as_fallen_where_it_stands_is_refused(tmp_path, height):
+    folder = tmp_path / "quadruped"
+    shutil.copytree(QUADRUPED.folder, folder)
+    text = (folder / "robot.toml").read_text()
+    assert "height_min_m = 0.16" in text
+    (folder / "robot.toml").write_text(text.replace("height_min_m = 0.16", f"height_min_m = {height}"))
+    with pytest.raises(RobotError, match=rf"base\.height_min_m: found {height}, expected less than 0\.259 m"):
+        load_pinocchio(load_robot(folder))

@@ -430,25 +430,3 @@ def test_one_consistent_gravity_direction_clears_the_count():
         for _ in range(CONTRADICTED - 1):
             assert not base.step(t, silent, legs, Upright(told, -up, 1e-4, 1e-2)).diverged.any()
         assert not base.step(t, silent, legs, Upright(told, up, 1e-4, 1e-2)).diverged.any()
-
-
-def test_height_is_that_above_the_lowest_foot_by_the_estimated_tilt():
-    base, stream = settled()
-    for t, imu, feet in stream:
-        state = base.step(t, imu, feet)
-        new = imu.fresh
-        expected = np.max(np.einsum("bfi,bi->bf", feet.position, -matrix(base.quat_wxyz)[:, 2]), axis=1)
-        np.testing.assert_allclose(state.height[new], expected[new], atol=1e-12)
-    assert (np.abs(state.height) > 0.05).all()
-    before = state.height.copy()
-    nothing = imu._replace(fresh=np.zeros(2, dtype=bool))
-    np.testing.assert_array_equal(base.step(t + DT, nothing, feet).height, before)
-    base.reset(np.array([True, False]))
-    np.testing.assert_array_equal(base.height, [0.0, before[1]])
-
-
-def test_feet_at_no_known_place_do_not_make_a_robot_high():
-    base, stream = settled()
-    t, imu, feet = stream[0]
-    nowhere = feet._replace(position=np.full_like(feet.position, np.nan))
-    assert base.step(t, imu, nowhere).height[imu.fresh].tolist() == [0.0] * int(imu.fresh.sum())
