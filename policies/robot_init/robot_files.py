@@ -147,7 +147,7 @@ def _margins(vendor: VendorModel, example: Mapping[str, Any]) -> Table:
     margins = {key: value for key, value in {**example, **legged}.items() if key not in left_out}
     table = tomlkit.table()
     table.update(margins)
-    table.comment("estimates, most of them as arm6")
+    table.comment(legged_defaults.MARGINS_COMMENT if legged else "estimates, most of them as arm6")
     return table
 
 

@@ -11,6 +11,8 @@ import numpy as np
 
 from deploy.policy.policy import Policy
 from deploy.sources.floating_base import phase_numbers
+from deploy.truth import BaseTruth
+from eval.judge.falls import FallCriterion
 from robots.arrays import Floats
 from robots.capabilities import required
 from robots.models.nominal_model import torque_max
@@ -74,10 +76,11 @@ class VendorLoop:
         heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         return float(self._data.qvel[0] * np.cos(heading) + self._data.qvel[1] * np.sin(heading))
 
-    def tilt(self) -> float:
-        """Return the angle between the base's z axis and the vertical, rad."""
-        _, x, y, _ = self._data.qpos[3:7]
-        return float(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
+    def base(self) -> BaseTruth:
+        """Return the state of the base."""
+        data = self._data
+        numbers = data.qpos[:3], data.qpos[3:7], data.qvel[:3], data.qvel[3:6], np.array([0.0, 0.0, 1.0])
+        return BaseTruth(*(number[None] for number in numbers))
 
 
 def _compile_model(spec: RobotSpec) -> mujoco.MjModel:
@@ -102,4 +105,4 @@ def run_vendor_loop(
         loop.tick(tick, np.array(base.command_max))
         forward += loop.forward_speed()
     rate = seconds / (time.perf_counter() - began)
-    return forward / ticks, loop.tilt() > base.tilt_max_rad, rate
+    return forward / ticks, bool(FallCriterion(spec).measure(loop.base()).fallen[0]), rate
