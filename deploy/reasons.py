@@ -42,10 +42,11 @@ class StopReason(NamedTuple):
     """Stop category (IEC 60204-1) of a reason, and its text for operators.
 
     Category 2: a controlled stop, power kept; the robot goes on by itself when the cause is gone. Category 1: a
-    controlled stop, then power is cut; only an operator's arming clears it. If both apply, it is category 1.
+    controlled stop, then power is cut; only an operator's arming clears it. Category 0: power is cut at once. If
+    several apply, it is the lowest.
     """
 
-    category: Literal[1, 2]
+    category: Literal[0, 1, 2]
     text: str
 
 
@@ -72,10 +73,21 @@ REASONS = {
     Reason.LOAD: StopReason(1, "a motor's current does not fit its motion"),
     Reason.OSCILLATION: StopReason(2, "a joint oscillates"),
     Reason.REPEATED: StopReason(1, "too many stops in a short time, without a goal reached"),
-    Reason.FALLEN: StopReason(1, "the base tilts too far or is too low: the robot is falling or has fallen"),
+    Reason.FALLEN: StopReason(
+        0,
+        "the robot falls or has fallen: its base tilts too far or is too low, or a joint gives way to its weight",
+    ),
 }
-CATEGORY_1 = reduce(or_, (bit for bit, row in REASONS.items() if row.category == 1))
-"""Bits of all reasons of category 1."""
+
+
+def _of_category(category: int) -> Reason:
+    return reduce(or_, (bit for bit, row in REASONS.items() if row.category == category))
+
+
+AT_ONCE = _of_category(0)
+"""Bits of all reasons of category 0."""
+LATCHING = AT_ONCE | _of_category(1)
+"""Bits of all reasons that an operator has to clear, of category 0 and 1."""
 
 
 def describe(reason: int) -> str:

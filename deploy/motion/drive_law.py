@@ -32,10 +32,12 @@ class DriveLaw(ABC):
 
     Attributes:
         torque_limit: (n,) N·m that a setpoint may need.
+        current_share: largest share of their range that drives may give.
         expectations: K, number of poses where joints may be expected at any moment.
     """
 
     torque_limit: Floats
+    current_share: float = 1.0
     expectations: ClassVar[int] = 1
 
     @abstractmethod
@@ -95,13 +97,14 @@ class TorqueDrives(StiffDrives):
 
 
 class SpringDrives(DriveLaw):
-    """Drives that act as springs: the torque of the angle between setpoint and joint, up to the drive's range.
+    """Drives that act as springs: the torque of the angle between setpoint and joint, up to `margins.tau` of the range.
 
     An angle that would need more is not refused: policies are trained on drives that saturate.
     """
 
     def __init__(self, spec: RobotSpec, gains: Gains) -> None:
-        self._gains, self._torque_max = gains, torque_max(spec)
+        self._gains, self.current_share = gains, spec.margins.tau
+        self._torque_max = spec.margins.tau * torque_max(spec)
         self._twice_qdd = 2.0 * spec.joint_array("qdd_max")
         self.torque_limit = np.full(spec.n, np.inf)
 

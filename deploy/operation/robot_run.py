@@ -9,7 +9,7 @@ from deploy.operation.interrupts import Interrupts
 from deploy.operation.loop_timing import LoopTiming
 from deploy.operation.stop_explanation import StopExplanation, explain_reasons
 from deploy.operation.summary import RunStatistics
-from deploy.reasons import CATEGORY_1, Reason
+from deploy.reasons import LATCHING, Reason
 from deploy.runtime import Runtime
 from deploy.telemetry.recorder import Recorder
 
@@ -89,7 +89,7 @@ class RobotRun:
 
     def _final_ending(self) -> Ending:
         """Return the ending that was asked for, unless the robot latched for a reason of its own."""
-        own = int(self.runtime.supervisor.reason[0]) & CATEGORY_1 & ~Reason.OPERATOR
+        own = int(self.runtime.supervisor.reason[0]) & LATCHING & ~Reason.OPERATOR
         if self.ending is None or (own and self.ending is Ending.DONE):
             return Ending.STOPPED
         return self.ending

@@ -25,8 +25,11 @@ ACCELERATION_TOLERANCE = 1e-4
 TAKEOVER_RATE = 2.5
 """Multiple of the policy's torque rate at which a stop may take over. On arm6 one of 2000 setpoints asks for more."""
 
-OUTSIDE_SHARE = 0.5
-"""Share of the soft margin by which joints of a robot with a floating base may stray beyond their setpoints' range."""
+GIVES_WAY = 0.5
+"""Share of the soft margin by which a joint of a robot with a floating base may come beyond the range of setpoints in
+`GIVES_WAY_S`: more of it, and the robot's weight moves the joint on to its end, whatever is sent."""
+GIVES_WAY_S = 0.02
+"""s that pass until the drives end: the age of samples, the filter's lag and a control period."""
 
 
 def _motor(field: str) -> Callable[[Limits], Floats]:
@@ -41,10 +44,9 @@ def _soft_max(limits: Limits) -> Floats:
     return limits.robot.joint_array("q_max") - limits.robot.margins.q_soft_rad
 
 
-def _outside_margin(limits: Limits) -> float:
-    """Return rad inside the range where a joint counts as outside: on soft drives it moves on while a stop brakes."""
-    soft = "floating_base" in limits.robot.capabilities
-    return OUTSIDE_SHARE * limits.robot.margins.q_soft_rad if soft else 0.0
+def _speed_max_of_joint(limits: Limits) -> Floats:
+    """Return rad/s (n,) halfway between the limit of setpoints and that of joints."""
+    return (1.0 + limits.robot.margins.speed) / 2.0 * limits.robot.joint_array("qd_max")
 
 
 def _speed_max(limits: Limits) -> Floats:
@@ -72,9 +74,27 @@ ESTIMATE: tuple[Check[Estimate], ...] = (
     Check(
         name="estimated_joint_angle",
         value=lambda estimate: estimate.state.q,
-        low=lambda limits: limits.robot.joint_array("q_min") + _outside_margin(limits),
-        high=lambda limits: limits.robot.joint_array("q_max") - _outside_margin(limits),
+        low=lambda limits: limits.robot.joint_array("q_min"),
+        high=lambda limits: limits.robot.joint_array("q_max"),
         reason=Reason.OUTSIDE,
+        per_joint=True,
+    ),
+    Check(
+        name="joint_gives_way",
+        value=lambda estimate: estimate.state.q + GIVES_WAY_S * estimate.state.qd,
+        low=lambda limits: _soft_min(limits) - GIVES_WAY * limits.robot.margins.q_soft_rad,
+        high=lambda limits: _soft_max(limits) + GIVES_WAY * limits.robot.margins.q_soft_rad,
+        reason=Reason.FALLEN,
+        needs=frozenset({"floating_base"}),
+        per_joint=True,
+    ),
+    Check(
+        name="joint_runs_away",
+        value=lambda estimate: estimate.state.qd,
+        low=lambda limits: -_speed_max_of_joint(limits),
+        high=_speed_max_of_joint,
+        reason=Reason.FALLEN,
+        needs=frozenset({"floating_base"}),
         per_joint=True,
     ),
     Check(

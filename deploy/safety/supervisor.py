@@ -5,20 +5,20 @@
         └────────disarm─────── LATCHED ◀──category 1
 
 Category 2 (IEC 60204-1): a controlled stop, power kept; the robot goes on by itself when the cause is gone.
-Category 1: a controlled stop, then power is cut; only an operator's `arm` clears it. If both apply, it is category 1.
-Nothing here depends on the policy.
+Category 1: a controlled stop, then power is cut; only an operator's `arm` clears it. Category 0: power is cut at once,
+from any of these modes. If several apply, it is the lowest. Nothing here depends on the policy.
 """
 
 import numpy as np
 
 from deploy.masks import all_true, any_true
-from deploy.reasons import CATEGORY_1, Reason
+from deploy.reasons import AT_ONCE, LATCHING, Reason
 from deploy.stage import Stage
 from deploy.state import Mode
 from robots.arrays import Bools, Ints
 
 _DISARMED, _ARMING, _RUNNING, _STOPPING, _HOLDING, _LATCHED = (np.int8(mode) for mode in Mode)
-_LATCHING = np.int64(CATEGORY_1)
+_AT_ONCE, _LATCHING = np.int64(AT_ONCE), np.int64(LATCHING)
 """Numbers of numpy, which are five times as fast as an enumeration's."""
 _POWERED = np.array([mode not in (Mode.DISARMED, Mode.LATCHED) for mode in Mode])
 """True for modes with drives on."""
@@ -105,6 +105,7 @@ class Supervisor(Stage):
         self._enter(stopping & at_rest & ~latches, _HOLDING)
         self._enter(holding & latches, _LATCHED)
         self._enter(holding & ~latches & ~refused & (self.since >= self._hold), _RUNNING)
+        self._enter(self.powered & ((reason & _AT_ONCE) != 0), _LATCHED)
 
     def _enter(self, ids: Bools, mode: np.int8) -> None:
         if not any_true(ids):

@@ -16,6 +16,7 @@ from eval.attack.crowd import Crowd
 from eval.attack.falls import OF_FALLS, Falls
 from eval.attack.guards import remove_guard
 from eval.attack.policy_graph import policy_file
+from eval.attack.trained_gains import TrainedGains
 from eval.faults.schedule import FIRST_S, LEAST_CYCLE_S, FaultSettings
 from eval.judge.counts import Counts
 from eval.replay.bundle import POLICY
@@ -41,12 +42,14 @@ class Setting:
         robot: folder. mode: in which drives follow the policy.
         faults: names of fault classes, of which one is injected into each robot; empty for none.
         without: part of the description of a guard's removal (`make mutants` lists them); empty: no guard is removed.
+        gains: of the drives; None for their own.
     """
 
     robot: Path
     mode: ControlMode
     faults: tuple[str, ...] = ()
     without: str = ""
+    gains: TrainedGains | None = None
 
     @property
     def seconds(self) -> float:
@@ -91,11 +94,11 @@ class Arena:
 
     def try_block(self, block: Block) -> Outcome:
         """Let every robot try its own policy."""
-        return self._run(Crowd(policy_file(self._spec, self._setting.mode, block.rows)))
+        return self._run(Crowd(policy_file(self._spec, self._setting.mode, block.rows, self._setting.gains)))
 
     def try_candidate(self, candidate: Candidate) -> Outcome:
         """Let all robots try one policy, as its file would be run."""
-        file = policy_file(self._spec, self._setting.mode, (candidate.weights,))
+        file = policy_file(self._spec, self._setting.mode, (candidate.weights,), self._setting.gains)
         return self._run(Policy(file, candidate.adversary))
 
     def _run(self, policy: Actor) -> Outcome:
@@ -137,7 +140,7 @@ def _worst(counts: Counts) -> dict[str, Floats]:
 
 def write_job(setting: Setting, spec: RobotSpec, candidate: Candidate, policy: Path) -> ShardJob:
     """Write the policy of a candidate to a file, and return the job of a shard that it moves."""
-    file = policy_file(spec, setting.mode, (candidate.weights,))
+    file = policy_file(spec, setting.mode, (candidate.weights,), setting.gains)
     policy.write_bytes(file.data)
     seconds = FIRST_S + LEAST_CYCLE_S if setting.faults else setting.seconds  # a fault needs its whole slot
     ticks = round(seconds / spec.dt)

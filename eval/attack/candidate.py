@@ -7,6 +7,7 @@ from pydantic import Field
 
 from deploy.telemetry.output_files import replacing
 from eval.attack.adversaries import ADVERSARIES
+from eval.attack.trained_gains import TrainedGains
 from eval.attack.weights import WEIGHTS, Weights
 from eval.judge.monitors import NAMES
 from robots.errors import ConfigError
@@ -52,6 +53,7 @@ class Case(Strict):
     Attributes:
         robot: name of a shipped robot, or a folder. mode: in which drives follow the policy.
         faults: names of fault classes, of which one is injected into each robot.
+        gains: kp and kd of the drives; None for their own.
         monitor: whose margin was the least. worst: its highest ratio when the case was found.
         adversary, seed, weights: of the candidate.
     """
@@ -60,6 +62,7 @@ class Case(Strict):
     robot: str
     mode: ControlModeName
     faults: tuple[str, ...]
+    gains: Annotated[TrainedGains | None, Field(exclude_if=lambda gains: gains is None)] = None
     monitor: str
     worst: float | None
     adversary: str

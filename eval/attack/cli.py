@@ -10,15 +10,18 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
+from deploy.policy.compatibility import check_contract
 from deploy.start import INTERRUPTED
 from deploy.telemetry.folder_lock import locked
 from eval.attack.archive import Archive
 from eval.attack.arena import Setting, find_mode
 from eval.attack.fault_classes import find_faults
 from eval.attack.guards import guarded_monitor
+from eval.attack.policy_graph import attack_contract
 from eval.attack.pool import Workers, workers
 from eval.attack.report import REPORT, AttackReport, case_of, make_report, table
 from eval.attack.search import Search
+from eval.attack.trained_gains import gains_of
 from eval.replay.bundle_files import delete_bundles, replace_bundles
 from eval.report.report_files import check_report_folder
 from robots.errors import ConfigError
@@ -61,6 +64,14 @@ Without = Annotated[
         help="Part of the name of a guard (make mutants lists them) to remove: a test of the attack."
     ),
 ]
+GainsOf = Annotated[
+    Path | None,
+    typer.Option(
+        "--gains",
+        help="Policy (ONNX) whose drive gains the adversaries have, as that of a robot that walks.",
+        show_default="the drives' own",
+    ),
+]
 Out = Annotated[Path, typer.Option(help=f"Folder for {REPORT}, bundles ({WORST}/) and cases ({CASES}/).")]
 
 
@@ -86,6 +97,7 @@ def soak_attack(
     generations: Generations = None,
     faults: Faults = None,
     without: Without = "",
+    gains_path: GainsOf = None,
     out: Out = Path("out/attack"),
 ) -> int:
     """Search over policies and draws for the smallest margin of every monitor; its results enter no rate.
@@ -96,7 +108,9 @@ def soak_attack(
     spec = load_robot(robot)
     drives = find_mode(mode, spec)
     classes = find_faults(faults or (), spec, drives, "--fault")
-    setting = Setting(robot=spec.folder, mode=drives, faults=classes, without=without)
+    gains = gains_of(gains_path, spec) if gains_path else None
+    check_contract(attack_contract(spec, drives, gains), spec, "--gains")
+    setting = Setting(robot=spec.folder, mode=drives, faults=classes, without=without, gains=gains)
     target = guarded_monitor(without, setting.mode, Archive(spec, setting.mode).hard) if without else ""
     budget = Budget(seconds=60.0 * minutes, generations=generations)
     check_report_folder(out, (REPORT,))
@@ -141,9 +155,11 @@ def _write(
     report.write(out)
     for old in (out / CASES).glob("*.json"):
         old.unlink()
-    kind = f"{spec.name}-{report.mode}{'-faults' if setting.faults else ''}"
+    options = f"{'-faults' if setting.faults else ''}{'-gains' if setting.gains else ''}"
     for name, each in kept.items():
-        case_of(spec, setting, name, each).write(out / CASES / f"{kind}-{name}.json")
+        case_of(spec, setting, name, each).write(
+            out / CASES / f"{spec.name}-{report.mode}{options}-{name}.json"
+        )
     console = Console(width=160)
     console.print(table(report))
     console.print(f"{_verdict(report)}\nreport: {out / REPORT}", soft_wrap=True, highlight=False)

@@ -16,12 +16,14 @@ from deploy.policy.inference import load_session
 from deploy.policy.policy_file import GOLDEN_KEY, INPUT, MEMORY, NEXT, OUTPUT, PolicyFile
 from deploy.sources.catalogue import SOURCES
 from deploy.tasks.task import tasks_of
+from eval.attack.trained_gains import TrainedGains
 from eval.attack.weights import DELAY_MAX, Weights, arrays
 from robots.arrays import Float32s, Floats
 from robots.errors import ConfigError
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
+from robots.strict import parse
 
 OPSET, IR = 18, 10
 GRAPH = """
@@ -73,11 +75,11 @@ next_memory = Concat next_step command older
 """Nodes, each: name = operator inputs. Sums of products stand for matrices: a row depends on that row alone."""
 
 
-def attack_contract(spec: RobotSpec, mode: ControlMode) -> Contract:
+def attack_contract(spec: RobotSpec, mode: ControlMode, gains: TrainedGains | None = None) -> Contract:
     """Return the contract of all adversaries: they act in every tick, and nothing bounds their actions.
 
     Raises:
-        ConfigError: no task suits the robot.
+        ConfigError: no task suits the robot, or the gains do not suit the mode.
     """
     scale = {
         ControlMode.POSITION: np.ones(spec.n),
@@ -96,6 +98,7 @@ def attack_contract(spec: RobotSpec, mode: ControlMode) -> Contract:
         "scale": tuple(scale.tolist()),
         "clip": None,
         **offset,
+        **(gains._asdict() if gains else {}),
     }
     return Contract(
         robot=spec.name,
@@ -108,7 +111,7 @@ def attack_contract(spec: RobotSpec, mode: ControlMode) -> Contract:
             _term("joint_position", np.ones(spec.n)),
             _term("joint_velocity", spec.joint_array("qd_max")),
         ),
-        action=ActionSpec.model_validate(fields),
+        action=parse(fields, ActionSpec, source="gains"),
         memory=1 + DELAY_MAX * spec.n,
         trained={"recipe": "soak-attack"},
     )
@@ -126,9 +129,11 @@ def _term(source: str, scale: Floats) -> Term:
     )
 
 
-def policy_file(spec: RobotSpec, mode: ControlMode, rows: Sequence[Weights]) -> PolicyFile:
+def policy_file(
+    spec: RobotSpec, mode: ControlMode, rows: Sequence[Weights], gains: TrainedGains | None = None
+) -> PolicyFile:
     """Return the policy of some weights; of several, one that gives every robot its own, for as many robots."""
-    contract = attack_contract(spec, mode)
+    contract = attack_contract(spec, mode, gains)
     graph = _graph(contract, _tensors(spec, mode, arrays(rows, spec.n)))
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR)
     observation = np.zeros((len(rows), contract.observation_size), dtype=np.float32)

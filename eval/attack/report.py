@@ -11,6 +11,7 @@ from eval.attack.archive import EXEMPT, Archive, Found
 from eval.attack.arena import Setting
 from eval.attack.candidate import Case
 from eval.attack.peak import Bundle
+from eval.attack.trained_gains import TrainedGains
 from eval.judge.monitor import Monitor
 from eval.shard.job import code_digest, versions
 from robots.spec import ROBOTS, RobotSpec
@@ -43,7 +44,7 @@ class AttackReport(Strict):
     """Contents of attack.json.
 
     Attributes:
-        without: guard that was removed; empty for none.
+        without: guard that was removed; empty for none. gains: kp and kd of the drives; None for their own.
         trials: policies tried, each for `seconds` on one robot. diverged: those whose simulation diverged.
         rows: by monitor.
     """
@@ -55,6 +56,7 @@ class AttackReport(Strict):
     mode: str
     faults: tuple[str, ...]
     without: str
+    gains: TrainedGains | None
     seed: int
     trials: int
     seconds: float
@@ -90,6 +92,7 @@ def make_report(
         mode=setting.mode.name.lower(),
         faults=setting.faults,
         without=setting.without,
+        gains=setting.gains,
         seed=seed,
         trials=archive.trials,
         seconds=setting.seconds,
@@ -123,6 +126,7 @@ def case_of(spec: RobotSpec, setting: Setting, monitor: str, found: Found) -> Ca
         "robot": spec.name if spec.folder == ROBOTS / spec.name else str(spec.folder),
         "mode": setting.mode.name.lower(),
         "faults": setting.faults,
+        "gains": setting.gains,
         "monitor": monitor,
         "worst": _finite(found.ratio),
         "adversary": found.candidate.adversary,

@@ -4,10 +4,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from deploy.policy.compatibility import check_contract
 from eval.attack.archive import EXEMPT, Archive
 from eval.attack.arena import Outcome, Setting, try_candidate
 from eval.attack.candidate import Case, check_weights, read_case
 from eval.attack.fault_classes import check_faults
+from eval.attack.policy_graph import attack_contract
 from eval.judge.monitors import MONITORS
 from robots.errors import ConfigError, FirstshiftError
 from robots.motors.control_mode import ControlMode
@@ -67,8 +69,9 @@ def _setting(path: Path, case: Case) -> Setting:
     if case.monitor not in (monitors := [monitor.name for monitor in Archive(spec, mode).monitors]):
         raise ConfigError(f"{path}: monitor: found {case.monitor}, expected one of {', '.join(monitors)}")
     check_faults(case.faults, spec, mode, f"{path}: faults")
-    return Setting(robot=spec.folder, mode=mode, faults=case.faults)
+    check_contract(attack_contract(spec, mode, case.gains), spec, str(path))
+    return Setting(robot=spec.folder, mode=mode, faults=case.faults, gains=case.gains)
 
 
-def _arena_of(case: Case) -> tuple[str, str, tuple[str, ...], int]:
-    return case.robot, case.mode, case.faults, case.seed
+def _arena_of(case: Case) -> tuple[object, ...]:
+    return case.robot, case.mode, case.faults, case.gains or (), case.seed

@@ -136,9 +136,9 @@ ROBOT_MONITORS = (
         name="powered_fallen",
         unit="s",
         hard=True,
-        meaning="time with power after a fall, by the true tilt or height of the base; it is noticed, then a stop ends",
+        meaning="time with power after a fall, by the true tilt or height of the base",
         needs=frozenset({"floating_base"}),
-        limit=lambda robot: FALL_NOTICED_S + robot.spec.stop_s,
+        limit=lambda robot: FALL_NOTICED_S,
         value=lambda window: window.now.fallen_s,
     ),
     Monitor(

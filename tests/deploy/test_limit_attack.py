@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from deploy.reasons import CATEGORY_1, Reason
+from deploy.reasons import LATCHING, Reason
 from deploy.state import Mode
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
@@ -56,7 +56,7 @@ def test_hostile_policy_stays_within_all_limits():
         assert (kinematics.manipulability() > 0).all()  # no singularity was passed
     assert not (modes == Mode.LATCHED).any()
     assert Reason.WORKSPACE | Reason.COLLISION in reasons
-    assert reasons & CATEGORY_1 == 0
+    assert reasons & LATCHING == 0
     assert 0.3 < (modes == Mode.RUNNING).mean() < 0.95
 
 

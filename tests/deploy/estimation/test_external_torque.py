@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.estimation.external_torque import DETECTION_S, TORQUE_SHARE, ExternalTorque
-from deploy.reasons import CATEGORY_1, Reason
+from deploy.reasons import LATCHING, Reason
 from deploy.state import Mode, Packet
 from robots.models.nominal_model import torque_max
 from robots.motors.windings import nominal_windings
@@ -128,4 +128,4 @@ def test_weakly_pushed_blocked_joint_stops_its_robot(joint):
         modes.append(runtime.supervisor.mode.copy())
     assert reasons == Reason.LOAD
     assert np.array(modes)[-1].tolist() == [Mode.RUNNING, Mode.LATCHED]
-    assert Reason.LOAD & CATEGORY_1
+    assert Reason.LOAD & LATCHING

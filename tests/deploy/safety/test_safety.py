@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from deploy.reasons import CATEGORY_1, Reason
+from deploy.reasons import LATCHING, Reason
 from deploy.safety.safety import Safety
 from deploy.state import Setpoint, State
 from robots.models.fleet import Fleet
@@ -144,7 +144,7 @@ def test_a_joint_found_outside_its_range_is_category_1(joint):
         for factor, beyond in ((-HAIR, False), (HAIR, True)):
             q_hat = one(joint, end + outwards * factor, HOME)
             assert (Reason.OUTSIDE in reasons(q_hat=q_hat)) == beyond
-    assert Reason.OUTSIDE & CATEGORY_1
+    assert Reason.OUTSIDE & LATCHING
 
 
 @pytest.mark.parametrize("joint", range(N))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.reasons import CATEGORY_1, REASONS, Reason, describe
+from deploy.reasons import AT_ONCE, LATCHING, REASONS, Reason, describe
 from deploy.safety.supervisor import Supervisor
 from deploy.state import Mode
 
@@ -79,7 +79,7 @@ def test_intermittent_reason_keeps_holding():
         assert modes == {Mode.HOLDING}
 
 
-@pytest.mark.parametrize("hard", [bit for bit in Reason if bit & CATEGORY_1])
+@pytest.mark.parametrize("hard", [bit for bit in Reason if bit & LATCHING & ~AT_ONCE])
 def test_the_higher_category_wins_whenever_it_comes(hard):
     """Before, with or after a category 2 cause, and even when it has gone again: latched, and only once at rest."""
     for order in itertools.permutations([(SOFT, False), (int(hard), False), (0, False)]):
@@ -91,6 +91,23 @@ def test_the_higher_category_wins_whenever_it_comes(hard):
         assert supervisor.reason[0] & int(hard)
 
 
+@pytest.mark.parametrize("mode", [Mode.ARMING, Mode.RUNNING, Mode.STOPPING, Mode.HOLDING])
+@pytest.mark.parametrize("at_rest", [True, False])
+def test_category_0_cuts_power_at_once(mode, at_rest):
+    supervisor = one(mode, SOFT)
+    supervisor.since[:] = 1000
+    after(supervisor, int(Reason.FALLEN) | HARD, at_rest)
+    assert (supervisor.mode[0], supervisor.since[0]) == (Mode.LATCHED, 0)
+    assert supervisor.reason[0] == int(Reason.FALLEN) | HARD | SOFT
+
+
+@pytest.mark.parametrize("mode", [Mode.DISARMED, Mode.LATCHED])
+def test_a_robot_without_power_keeps_its_mode_when_it_falls(mode):
+    supervisor = one(mode)
+    assert after(supervisor, int(Reason.FALLEN))[0] == mode
+    assert supervisor.reason[0] == 0
+
+
 @pytest.mark.parametrize("bit", list(Reason))
 def test_category_of_every_reason(bit):
     supervisor = one(Mode.RUNNING)
@@ -98,7 +115,7 @@ def test_category_of_every_reason(bit):
     after(supervisor, 0)
     for _ in range(HOLD + 1):
         mode = after(supervisor)[0]
-    assert mode == (Mode.LATCHED if bit in CATEGORY_1 else Mode.RUNNING)
+    assert mode == (Mode.LATCHED if bit in LATCHING else Mode.RUNNING)
 
 
 def test_reasons_are_recorded_for_the_robots_that_they_stop_alone():
@@ -184,7 +201,7 @@ def check_invariants(before, reason_before, after_mode, reason, at_rest, obey):
     if after_mode == Mode.LATCHED:
         assert before in (Mode.STOPPING, Mode.HOLDING, Mode.LATCHED)
         assert before != Mode.STOPPING or at_rest
-        assert reason_before & int(CATEGORY_1) or before == Mode.LATCHED
+        assert reason_before & int(LATCHING) or before == Mode.LATCHED
     if before in (Mode.DISARMED, Mode.LATCHED):
         assert after_mode == before
     if before == Mode.STOPPING:
