@@ -1,6 +1,7 @@
 """A safety check is one named row: added from outside, chosen by capability, refused where it does not fit."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from deploy.reasons import Reason
 from deploy.safety.check import Check, Limits
 from deploy.safety.check_table import CheckTable
-from deploy.safety.checks import CHECKS, OUTSIDE_SHARE
+from deploy.safety.checks import CHECKS, GIVES_WAY, GIVES_WAY_S
 from deploy.safety.safety import Safety
 from robots.models.fleet import Fleet
 from robots.spec import load_robot
@@ -28,6 +29,16 @@ FENCE = Check(
 
 
 QUADRUPED = load_robot("quadruped")
+OF_WALKERS = {"base_tilt", "base_height", "joint_gives_way", "joint_runs_away"}
+OF_JOINTS = {"estimated_joint_angle", "estimated_joint_speed", "joint_gives_way", "joint_runs_away"}
+
+
+def walker_reasons(q, qd):
+    """Reasons of the checks of the quadruped's joints."""
+    checks = [check for check in CHECKS.estimate if check.name in OF_JOINTS]
+    table = CheckTable(1, Limits(QUADRUPED, np.zeros(QUADRUPED.n)), checks)
+    found = table.reasons(table.values(SimpleNamespace(state=SimpleNamespace(q=q[None], qd=qd[None]))))
+    return Reason(0 if found is None else int(found[0]))
 
 
 def arm(spec=SPEC, **more):
@@ -50,13 +61,23 @@ def test_a_robot_without_a_workspace_has_its_poses_checked():
     assert safety.check_poses(np.array([[0.0, 0.5, 0.0], [0.0, 1.6, 0.0]])).tolist() == [0, Reason.POSITION]
 
 
-def test_joints_on_soft_drives_are_outside_before_the_end_of_their_range():
-    (outside,) = (check for check in CHECKS.estimate if check.reason is Reason.OUTSIDE)
-    for spec, margin in ((SPEC, 0.0), (QUADRUPED, OUTSIDE_SHARE * QUADRUPED.margins.q_soft_rad)):
-        limits = Limits(spec, np.zeros(spec.n))
-        np.testing.assert_array_equal(outside.low(limits), spec.joint_array("q_min") + margin)
-        np.testing.assert_array_equal(outside.high(limits), spec.joint_array("q_max") - margin)
-    assert 0.0 < OUTSIDE_SHARE < 1.0
+@pytest.mark.parametrize(("angle", "falls"), [(0.99, False), (1.01, True)])
+@pytest.mark.parametrize("toward", [-1.0, 1.0])
+def test_a_joint_of_a_walker_that_will_be_beyond_its_soft_range_means_a_fall(angle, falls, toward):
+    """By half of the soft margin in 20 ms; one that returns does not."""
+    low, high = QUADRUPED.pose_range
+    bound, qd = (high - low) / 2 - (1 - GIVES_WAY) * QUADRUPED.margins.q_soft_rad, np.full(12, toward * 2.0)
+    places = [(low + high) / 2 + toward * share * bound for share in (angle, 0.99)]
+    assert walker_reasons(places[0] - GIVES_WAY_S * qd, qd) == (Reason.FALLEN if falls else Reason.NONE)
+    assert walker_reasons(places[1], -qd) == Reason.NONE
+
+
+@pytest.mark.parametrize(("share", "falls"), [(0.99, False), (1.01, True)])
+def test_a_joint_of_a_walker_that_is_faster_than_setpoints_may_be_means_a_fall(share, falls):
+    bound = (1 + QUADRUPED.margins.speed) / 2 * QUADRUPED.joint_array("qd_max")
+    for qd in (share * bound, -share * bound):
+        q = np.mean(QUADRUPED.pose_range, axis=0) - GIVES_WAY_S * qd
+        assert walker_reasons(q, qd) == (Reason.FALLEN if falls else Reason.NONE)
 
 
 def test_a_check_may_need_all_that_a_robot_has():
@@ -68,8 +89,8 @@ def test_robots_have_the_checks_whose_needs_they_meet(tmp_path):
     bare = load_robot(copy_of_arm(tmp_path, toml=[("singularity = 0.0005", ""), *NO_CLEARANCE]))
     walker = load_robot(TEST_ROBOTS / "quadruped")
     for spec, missing in (
-        (SPEC, {"base_tilt", "base_height"}),
-        (bare, {"base_tilt", "base_height", "manipulability", "self_collision"}),
+        (SPEC, OF_WALKERS),
+        (bare, OF_WALKERS | {"manipulability", "self_collision"}),
         (walker, {"manipulability", "tool_height", "tool_radius", "tool_speed"}),
     ):
         checks = CHECKS._replace(takeover=())  # of robots in torque mode

@@ -10,7 +10,7 @@ from deploy.safety.supervisor import Supervisor
 from deploy.state import Mode
 
 DT, ARMING, HOLD = 0.01, 3, 4
-SOFT, HARD = int(Reason.STALE), int(Reason.LOST)
+SOFT, HARD, FALL = int(Reason.STALE), int(Reason.LOST), int(Reason.FALLEN)
 YES, NO = np.array([True]), np.array([False])
 
 
@@ -96,15 +96,15 @@ def test_the_higher_category_wins_whenever_it_comes(hard):
 def test_category_0_cuts_power_at_once(mode, at_rest):
     supervisor = one(mode, SOFT)
     supervisor.since[:] = 1000
-    after(supervisor, int(Reason.FALLEN) | HARD, at_rest)
+    after(supervisor, FALL | HARD, at_rest)
     assert (supervisor.mode[0], supervisor.since[0]) == (Mode.LATCHED, 0)
-    assert supervisor.reason[0] == int(Reason.FALLEN) | HARD | SOFT
+    assert supervisor.reason[0] == FALL | HARD | SOFT
 
 
 @pytest.mark.parametrize("mode", [Mode.DISARMED, Mode.LATCHED])
 def test_a_robot_without_power_keeps_its_mode_when_it_falls(mode):
     supervisor = one(mode)
-    assert after(supervisor, int(Reason.FALLEN))[0] == mode
+    assert after(supervisor, FALL)[0] == mode
     assert supervisor.reason[0] == 0
 
 
@@ -193,6 +193,9 @@ def test_disarm_cuts_power_in_every_mode():
 def check_invariants(before, reason_before, after_mode, reason, at_rest, obey):
     running, refused = before == Mode.RUNNING, reason != 0
     assert obey == (not (running and refused))
+    if reason & FALL and before not in (Mode.DISARMED, Mode.LATCHED):
+        assert after_mode == Mode.LATCHED
+        return
     if running:
         assert after_mode == (Mode.STOPPING if refused else Mode.RUNNING)
     if after_mode == Mode.RUNNING:
@@ -233,7 +236,9 @@ def test_all_short_input_sequences():
 @settings(max_examples=100)
 @given(
     history=st.lists(
-        st.tuples(st.sampled_from([0, 0, SOFT, HARD, SOFT | HARD]), st.booleans(), st.sampled_from("   ad")),
+        st.tuples(
+            st.sampled_from([0, 0, SOFT, HARD, SOFT | HARD, FALL]), st.booleans(), st.sampled_from("   ad")
+        ),
         max_size=60,
     )
 )
