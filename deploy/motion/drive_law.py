@@ -74,9 +74,17 @@ class StiffDrives(DriveLaw):
 
 
 class CompliantDrives(StiffDrives):
-    """Drives of a robot with a floating base and their own gains: its weight moves joints away from what is sent."""
+    """Drives of a robot with a floating base and their own gains: its weight moves joints away from what is sent.
+
+    What the ground adds to the torque of the motion is limited by the drives themselves, to `margins.tau` of the range.
+    """
 
     expectations: ClassVar[int] = 2
+
+    def __init__(self, spec: RobotSpec, fleet: Fleet) -> None:
+        """Take the model, R robots wide."""
+        super().__init__(spec, fleet)
+        self.current_share = spec.margins.tau
 
     def limited(self, tau: Floats) -> Floats:
         """Return torques inside the limit: the model that they come from does not know the ground."""
