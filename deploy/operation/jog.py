@@ -30,9 +30,13 @@ def reduced_speed(spec: RobotSpec) -> RobotSpec:
 
     Without a bound on oscillation: noise of the estimate turns a speed that small around.
     """
-    joints = tuple(joint.model_copy(update={"qd_max": SPEED_SHARE * joint.qd_max}) for joint in spec.joints)
-    margins = spec.margins.model_copy(update={"oscillation_hz": None})
-    changes: dict[str, object] = {"joints": joints, "margins": margins}
+    margins = spec.margins
+    slow = {
+        "speed": SPEED_SHARE * margins.speed,
+        "tool_speed": margins.tool_speed or margins.speed,
+        "oscillation_hz": None,
+    }
+    changes: dict[str, object] = {"margins": margins.model_copy(update=slow)}
     if spec.workspace:
         speed = min(TOOL_SPEED, spec.workspace.tool_speed_max)
         changes["workspace"] = spec.workspace.model_copy(update={"tool_speed_max": speed})
