@@ -168,8 +168,8 @@ class Margins(Strict):
 
     Attributes:
         q_target_rad: targets are clamped this far inside the working range.
-        q_soft_rad: setpoints are refused, and the judge calls it soft, this far inside. With a floating base, joints
-            half as far inside count as outside their range.
+        q_soft_rad: setpoints are refused, and the judge calls it soft, this far inside. With a floating base, a joint
+            that comes half as near to its end counts as a fall.
         speed: setpoint speed, as a fraction of qd_max: the rest is for the drive's own ringing, and for the play of its
             gear, through which a light link falls.
         tau: setpoint torque by the nominal model, as a fraction of the torque range.

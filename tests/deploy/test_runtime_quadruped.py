@@ -79,6 +79,7 @@ def test_it_stands(stood):
     assert (truth.contact_n > 20.0).all()
     assert np.abs(truth.q - HOME).max() < 0.15
     assert (np.abs(truth.base.position[:, 2] - 0.268) < 0.01).all()
+    np.testing.assert_array_equal(stood.runtime.command.current_share, QUADRUPED.margins.tau)
 
 
 def test_the_estimate_of_its_base_is_close(stood):

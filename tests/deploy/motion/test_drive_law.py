@@ -50,3 +50,16 @@ def test_only_compliant_drives_limit_the_torques_that_are_sent():
         np.testing.assert_array_equal(law.limited(asked), most[None])
         np.testing.assert_array_equal(law.limited(-asked), -most[None])
         np.testing.assert_array_equal(law.limited(0.1 * asked), 0.1 * asked)
+
+
+def test_drives_of_a_floating_base_saturate_inside_their_range():
+    walker = load_robot("quadruped")
+    fleet, gains = Fleet(walker, 2), Gains(np.full(walker.n, 30.0), np.full(walker.n, 1.0))
+    laws = [drive_law(walker, ControlMode.POSITION, each, fleet) for each in (None, gains)]
+    assert [law.current_share for law in laws] == [walker.margins.tau] * 2
+    assert drive_law(SPEC, ControlMode.POSITION, None, Fleet(SPEC, 2)).current_share == 1.0
+    state, zero = SimpleNamespace(q=np.zeros((1, walker.n)), qd=np.zeros((1, walker.n))), np.zeros((1, walker.n))
+    most = walker.margins.tau * torque_max(walker)[None]
+    assert most.max() < 30.0
+    for toward in (-1.0, 1.0):
+        np.testing.assert_array_equal(laws[1].torque(state, zero + toward, zero, zero), toward * most)

@@ -1,0 +1,83 @@
+"""Attacks with the drive gains of a policy."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from eval.attack.adversaries import ADVERSARIES
+from eval.attack.archive import Archive, Found
+from eval.attack.arena import Arena, Setting
+from eval.attack.candidate import Candidate, Case, read_case
+from eval.attack.policy_graph import attack_contract, policy_file
+from eval.attack.report import case_of, make_report
+from eval.attack.suite import run_suite
+from eval.attack.trained_gains import TrainedGains, gains_of
+from robots.errors import ConfigError, ContractError
+from robots.motors.control_mode import ControlMode
+from robots.motors.drive_gains import drive_gains
+from support.quadruped import QUADRUPED
+
+POSITION = ControlMode.POSITION
+GAINS = TrainedGains(*(tuple((0.8 * each).tolist()) for each in drive_gains(QUADRUPED)))
+PUSH = ADVERSARIES["push"].first(QUADRUPED.n)
+CASE = {"robot": "quadruped", "mode": "position", "faults": [], "monitor": "torque", "worst": 0.5}
+CASE |= {"adversary": "push", "seed": 3, "weights": {name: list(numbers) for name, numbers in PUSH.items()}}
+
+
+def test_adversaries_have_the_gains_of_a_policy(tmp_path):
+    path = tmp_path / "walk.onnx"
+    path.write_bytes(policy_file(QUADRUPED, POSITION, [PUSH], GAINS).data)
+    found = gains_of(path, QUADRUPED)
+    assert found == GAINS
+    runtime = Arena(Setting(robot=QUADRUPED.folder, mode=POSITION, gains=found), 3)._shard.runtime
+    assert runtime.springs is not None
+    np.testing.assert_array_equal(runtime.drives.policy.kp[0], GAINS.kp)
+    np.testing.assert_array_equal(runtime.drives.policy.kd[0], GAINS.kd)
+
+
+def test_a_policy_without_gains_has_none_to_take(tmp_path):
+    path = tmp_path / "own.onnx"
+    path.write_bytes(policy_file(QUADRUPED, POSITION, [PUSH]).data)
+    with pytest.raises(ConfigError, match=r"--gains: .*own\.onnx: found no kp and kd in its contract"):
+        gains_of(path, QUADRUPED)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"kp": GAINS.kp[1:]}, "kp has 11 numbers, size is 12"),
+        ({"kp": (0.0, *GAINS.kp[1:])}, "kp: found 0 in mode 'position'"),
+    ],
+)
+def test_gains_that_suit_no_action_are_named(change, complaint):
+    with pytest.raises(ConfigError, match=complaint):
+        attack_contract(QUADRUPED, POSITION, GAINS._replace(**change))
+
+
+def test_report_and_case_have_the_gains(tmp_path):
+    setting, archive = (
+        Setting(robot=QUADRUPED.folder, mode=POSITION, gains=GAINS),
+        Archive(QUADRUPED, POSITION),
+    )
+    assert make_report(QUADRUPED, setting, 3, archive, {}).gains == GAINS
+    case = case_of(QUADRUPED, setting, "torque", Found(0.5, Candidate("push", PUSH, 3)))
+    case.write(tmp_path / "a.json")
+    assert read_case(tmp_path / "a.json") == case == Case.model_validate(case.model_dump())
+    assert case.gains == GAINS
+
+
+def test_a_case_without_gains_has_no_such_field(tmp_path):
+    (tmp_path / "a.json").write_text(json.dumps(CASE))
+    case = read_case(tmp_path / "a.json")
+    assert case.gains is None
+    assert "gains" not in case.model_dump()
+
+
+def test_gains_of_a_case_that_drives_cannot_bear_are_refused(tmp_path):
+    gains = [[1e6] * QUADRUPED.n, list(GAINS.kd)]
+    (tmp_path / "a.json").write_text(json.dumps(CASE | {"gains": gains}))
+    with pytest.raises(ContractError, match=r"a\.json: action\.kp: FR_hip_joint: found 1e\+06, expected"):
+        list(run_suite(tmp_path))
