@@ -58,7 +58,10 @@ def test_drives_of_a_floating_base_saturate_inside_their_range():
     laws = [drive_law(walker, ControlMode.POSITION, each, fleet) for each in (None, gains)]
     assert [law.current_share for law in laws] == [walker.margins.tau] * 2
     assert drive_law(SPEC, ControlMode.POSITION, None, Fleet(SPEC, 2)).current_share == 1.0
-    state, zero = SimpleNamespace(q=np.zeros((1, walker.n)), qd=np.zeros((1, walker.n))), np.zeros((1, walker.n))
+    state, zero = (
+        SimpleNamespace(q=np.zeros((1, walker.n)), qd=np.zeros((1, walker.n))),
+        np.zeros((1, walker.n)),
+    )
     most = walker.margins.tau * torque_max(walker)[None]
     assert most.max() < 30.0
     for toward in (-1.0, 1.0):
