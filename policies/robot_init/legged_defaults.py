@@ -17,7 +17,7 @@ BASE = {
     "slip": "m/s/√Hz; estimate",
     "angular_acceleration": "rad/s²/√Hz; estimate",
     "jerk": "m/s³/√Hz; estimate",
-    "tilt_max_rad": "rad, tilt that counts as a fall; estimate",
+    "tilt_max_rad": "rad, tilt that counts as a fall; estimate, three times the largest of its walk is enough",
     "height_min_m": "m, height of the IMU above the lowest foot; less counts as a fall: 0.6 to 0.8 of that at home",
     "command_min": "m/s forwards, m/s to the left, rad/s to the left: smallest command",
     "command_max": "the same, largest command",
