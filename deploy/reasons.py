@@ -42,8 +42,8 @@ class StopReason(NamedTuple):
     """Stop category (IEC 60204-1) of a reason, and its text for operators.
 
     Category 2: a controlled stop, power kept; the robot goes on by itself when the cause is gone. Category 1: a
-    controlled stop, then power is cut; only an operator's arming clears it. Category 0: power is cut at once. If
-    several apply, it is the lowest.
+    controlled stop, then power is cut; only an operator's arming clears it. Category 0: power is cut at once, which
+    only arming clears, too. If several apply, the lowest number wins.
     """
 
     category: Literal[0, 1, 2]
@@ -75,7 +75,7 @@ REASONS = {
     Reason.REPEATED: StopReason(1, "too many stops in a short time, without a goal reached"),
     Reason.FALLEN: StopReason(
         0,
-        "the robot falls or has fallen: its base tilts too far or is too low, or a joint gives way to its weight",
+        "the robot falls or has fallen: its base tilts too far or is too low, or a joint gives way or is too fast",
     ),
 }
 

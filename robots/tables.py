@@ -169,10 +169,12 @@ class Margins(Strict):
     Attributes:
         q_target_rad: targets are clamped this far inside the working range.
         q_soft_rad: setpoints are refused, and the judge calls it soft, this far inside. With a floating base, a joint
-            that comes half as near to its end counts as a fall.
+            that is, or will be in 20 ms, nearer to its end than half of this counts as a fall.
         speed: setpoint speed, as a fraction of qd_max: the rest is for the drive's own ringing, and for the play of its
-            gear, through which a light link falls.
-        tau: setpoint torque by the nominal model, as a fraction of the torque range.
+            gear, through which a light link falls. With a floating base, a joint faster than halfway between this and
+            qd_max counts as a fall.
+        tau: setpoint torque by the nominal model, as a fraction of the torque range. With a floating base, drives that
+            follow angles or speeds are limited to it.
         tool_speed: the tool's speed at a setpoint and in its stop, as a fraction of tool_speed_max, of robots with a
             workspace; None: as `speed`.
         collision_m: clearance between capsules; without it, self-collision is not checked.

@@ -6,8 +6,8 @@ training: they receive an angle and nothing else, as in training, and give
 
     τ = kp (q* − q) − kd q̇
 
-so that the distance of a joint from its angle makes its torque. `CompliantDrives` are all others of such a robot: they
-have their own gains. A fixed robot has neither: its checks look where it is sent, not where it is.
+so that the distance of a joint from its angle makes its torque. `CompliantDrives` are those of such
+a robot with gains of their own. A fixed robot has neither: its checks look where it is sent, not where it is.
 """
 
 from abc import ABC, abstractmethod

@@ -17,7 +17,7 @@ from robots.arrays import Bools, Float32s, Floats
 from robots.spec import RobotSpec
 
 SPEED_SHARE = 0.05
-"""Share of each joint's largest speed at which it is moved by hand."""
+"""Share of the speed limit of setpoints at which a joint is moved by hand."""
 TOOL_SPEED = 0.25
 """m/s, largest speed of the tool. Source: ISO 10218-1, reduced speed in manual mode."""
 LEASH_RAD = 0.03

@@ -22,10 +22,10 @@ class StopDetector:
         self._mode: NDArray[np.int8] | Mode = Mode.DISARMED
 
     def step(self, runtime: Runtime) -> list[int]:
-        """Return robots that began to stop, or lost power while running, in the tick that has just ended."""
+        """Return robots that began to stop, or lost power without a stop, in the tick that has just ended."""
         mode, before = runtime.supervisor.mode, self._mode
         stopping = (mode == Mode.STOPPING) & (before != Mode.STOPPING)
-        cut = (mode == Mode.LATCHED) & (before == Mode.RUNNING)
+        cut = (mode == Mode.LATCHED) & ((before == Mode.RUNNING) | (before == Mode.ARMING))
         self._mode = mode.copy()
         return np.flatnonzero(stopping | cut).tolist()
 

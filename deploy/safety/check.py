@@ -13,15 +13,22 @@ from robots.capabilities import Capability, required
 from robots.models.kinematics import Kinematics
 from robots.spec import RobotSpec
 
+SOON_S = 0.02
+"""s until power that is cut is off: the age of samples, the filter's lag and a control period."""
 UNBOUNDED = float(np.finfo(np.float64).max)
 """The largest finite number: as a bound it refuses only what is not finite."""
 
 
 class Estimate(NamedTuple):
-    """Estimate and last setpoint of B robots."""
+    """Estimate and last setpoint of B robots.
+
+    Attributes:
+        q_soon: (B, n) rad, joints `SOON_S` from now at their speeds, or at rest before, if they brake at `qdd_max`.
+    """
 
     state: State
     sent: Setpoint
+    q_soon: Floats
 
 
 class Motion(NamedTuple):

@@ -26,10 +26,7 @@ TAKEOVER_RATE = 2.5
 """Multiple of the policy's torque rate at which a stop may take over. On arm6 one of 2000 setpoints asks for more."""
 
 GIVES_WAY = 0.5
-"""Share of the soft margin by which a joint of a robot with a floating base may come beyond the range of setpoints in
-`GIVES_WAY_S`: more of it, and the robot's weight moves the joint on to its end, whatever is sent."""
-GIVES_WAY_S = 0.02
-"""s that pass until the drives end: the age of samples, the filter's lag and a control period."""
+"""Share of `q_soft_rad` beyond the setpoints' range at which a joint of a robot with a floating base gives way."""
 
 
 def _motor(field: str) -> Callable[[Limits], Floats]:
@@ -44,7 +41,7 @@ def _soft_max(limits: Limits) -> Floats:
     return limits.robot.joint_array("q_max") - limits.robot.margins.q_soft_rad
 
 
-def _speed_max_of_joint(limits: Limits) -> Floats:
+def _runaway_speed(limits: Limits) -> Floats:
     """Return rad/s (n,) halfway between the limit of setpoints and that of joints."""
     return (1.0 + limits.robot.margins.speed) / 2.0 * limits.robot.joint_array("qd_max")
 
@@ -81,7 +78,7 @@ ESTIMATE: tuple[Check[Estimate], ...] = (
     ),
     Check(
         name="joint_gives_way",
-        value=lambda estimate: estimate.state.q + GIVES_WAY_S * estimate.state.qd,
+        value=lambda estimate: estimate.q_soon,
         low=lambda limits: _soft_min(limits) - GIVES_WAY * limits.robot.margins.q_soft_rad,
         high=lambda limits: _soft_max(limits) + GIVES_WAY * limits.robot.margins.q_soft_rad,
         reason=Reason.FALLEN,
@@ -91,8 +88,8 @@ ESTIMATE: tuple[Check[Estimate], ...] = (
     Check(
         name="joint_runs_away",
         value=lambda estimate: estimate.state.qd,
-        low=lambda limits: -_speed_max_of_joint(limits),
-        high=_speed_max_of_joint,
+        low=lambda limits: -_runaway_speed(limits),
+        high=_runaway_speed,
         reason=Reason.FALLEN,
         needs=frozenset({"floating_base"}),
         per_joint=True,

@@ -6,7 +6,7 @@
 
 Category 2 (IEC 60204-1): a controlled stop, power kept; the robot goes on by itself when the cause is gone.
 Category 1: a controlled stop, then power is cut; only an operator's `arm` clears it. Category 0: power is cut at once,
-from any of these modes. If several apply, it is the lowest. Nothing here depends on the policy.
+every mode with power leads to LATCHED. If several apply, the lowest number wins. Nothing here depends on the policy.
 """
 
 import numpy as np
@@ -93,7 +93,7 @@ class Supervisor(Stage):
         return ~(running & refused)
 
     def _change_modes(self, reason: Ints, refused: Bools, running: Bools, at_rest: Bools) -> None:
-        """Take every transition but staying in RUNNING; each robot takes at most one a tick."""
+        """Take every transition but staying in RUNNING, one a tick; a cut of power replaces any other."""
         latches = (self.reason & _LATCHING) != 0
         stopping, holding, arming = (self.mode == m for m in (_STOPPING, _HOLDING, _ARMING))
         self.reason |= np.where(self.powered & ~(running & ~refused), reason, 0)

@@ -10,14 +10,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
-from deploy.policy.compatibility import check_contract
 from deploy.start import INTERRUPTED
 from deploy.telemetry.folder_lock import locked
 from eval.attack.archive import Archive
 from eval.attack.arena import Setting, find_mode
 from eval.attack.fault_classes import find_faults
 from eval.attack.guards import guarded_monitor
-from eval.attack.policy_graph import attack_contract
 from eval.attack.pool import Workers, workers
 from eval.attack.report import REPORT, AttackReport, case_of, make_report, table
 from eval.attack.search import Search
@@ -108,8 +106,7 @@ def soak_attack(
     spec = load_robot(robot)
     drives = find_mode(mode, spec)
     classes = find_faults(faults or (), spec, drives, "--fault")
-    gains = gains_of(gains_path, spec) if gains_path else None
-    check_contract(attack_contract(spec, drives, gains), spec, "--gains")
+    gains = gains_of(gains_path, spec, drives) if gains_path else None
     setting = Setting(robot=spec.folder, mode=drives, faults=classes, without=without, gains=gains)
     target = guarded_monitor(without, setting.mode, Archive(spec, setting.mode).hard) if without else ""
     budget = Budget(seconds=60.0 * minutes, generations=generations)

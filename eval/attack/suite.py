@@ -17,7 +17,7 @@ from robots.spec import load_robot
 
 SUITE = Path(__file__).parent / "cases"
 OPEN = SUITE / "open"
-"""Cases that do lead to a hard event, until its cause is mended: no part of the suite."""
+"""Cases that do lead to a hard event, until its cause is fixed: no part of the suite."""
 HARD = frozenset(monitor.name for monitor in MONITORS if monitor.hard) - {*EXEMPT}
 
 

@@ -12,8 +12,8 @@ from robots.rotations import matrix
 from robots.spec import RobotSpec
 
 
-class Stand(NamedTuple):
-    """Stand of B robots on their feet.
+class Posture(NamedTuple):
+    """Posture of B robots with a floating base.
 
     Attributes:
         tilt: (B,) rad, angle between the base's z axis and the direction against gravity.
@@ -27,7 +27,7 @@ class Stand(NamedTuple):
 
 
 class FallCriterion:
-    """Criterion of a fall of one kind of robot."""
+    """Fall criterion of a robot: largest tilt of its base and least height of its IMU."""
 
     def __init__(self, spec: RobotSpec) -> None:
         """Take the limits of robot.toml, and where the IMU is.
@@ -37,10 +37,10 @@ class FallCriterion:
         """
         self._limits, self._imu = required(spec.base), imu_in_base(spec, load_pinocchio(spec)[0])
 
-    def measure(self, base: BaseTruth) -> Stand:
+    def measure(self, base: BaseTruth) -> Posture:
         """Return how robots stand."""
         rotation = matrix(base.quat_wxyz)
         tilt = np.arccos(np.clip(np.vecdot(rotation[:, :, 2], base.up), -1.0, 1.0))
         height = base.position[:, 2] + rotation[:, 2] @ self._imu
         fallen = (tilt > self._limits.tilt_max_rad) | (height < self._limits.height_min_m)
-        return Stand(tilt, height, np.asarray(fallen))
+        return Posture(tilt, height, np.asarray(fallen))

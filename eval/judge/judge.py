@@ -210,13 +210,15 @@ class Judge(Stage):
         self.moving += (running & (sent.max(axis=2) > MOVING)).sum(axis=0)
 
     def _count_stops(self, window: TickWindow) -> None:
-        """A stop begins where STOPPING is entered, or where RUNNING is left for any other mode."""
+        """A stop begins where STOPPING is entered, RUNNING is left for any other mode, or power is cut while arming."""
         before, now = window.before.mode, window.now.mode
         changed = now != before
         if not changed.any():
             return
+        latched = changed & (now == int(Mode.LATCHED))
         stop = changed & ((now == int(Mode.STOPPING)) | (before == int(Mode.RUNNING)))
-        self.latches += (changed & (now == int(Mode.LATCHED))).sum(axis=0)
+        stop |= latched & (before == int(Mode.ARMING))
+        self.latches += latched.sum(axis=0)
         for tick in np.flatnonzero(stop.any(axis=1)):
             reason = window.now.reason[tick]
             self.stops += stop[tick]

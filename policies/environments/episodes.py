@@ -114,7 +114,7 @@ class Episodes:
                 runtime.sense()
             running = runtime.supervisor.mode == Mode.RUNNING
             runtime.act(None if tick else action)
-            stopped |= running & (runtime.supervisor.mode == Mode.STOPPING)
+            stopped |= running & (runtime.supervisor.mode != Mode.RUNNING)
             ended |= self.task.ended
             reached |= self._count_success()
             np.fmax(

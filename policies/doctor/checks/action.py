@@ -11,6 +11,7 @@ from robots.arrays import Bools, Floats
 from robots.models.nominal_model import load_pinocchio, torque_max
 from robots.motors.control_mode import UNITS, ControlMode
 from robots.motors.gains import Gains
+from robots.spec import RobotSpec
 
 SHARE_MIN = 0.02
 """Share of a joint's range or speed; an action of 1 that requests less has almost no effect."""
@@ -122,7 +123,7 @@ def gains(context: CheckContext) -> Iterator[Message]:
 
 def _torque_and_damping(context: CheckContext, gains: Gains) -> Iterator[Message]:
     """Check the torque of an action of 1, if that is an angle, and the damping ratio of the gains."""
-    names, limit = context.spec.joint_names, torque_max(context.spec)
+    names, limit = context.spec.joint_names, _torque_limit(context.spec)
     tau = gains.kp * np.array(context.contract.action.scale)
     is_angle = context.contract.action.control_mode is ControlMode.POSITION
     excessive, before = (tau > FACTOR_MAX * limit) & is_angle, "kp × scale, the torque of an action of 1, is "
@@ -176,9 +177,15 @@ def _leaves_range(context: CheckContext) -> Bools:
     return np.asarray(((q < q_min) | (q > q_max)).any(axis=0))
 
 
+def _torque_limit(spec: RobotSpec) -> Floats:
+    """Return the torque at which drives saturate, N·m (n,)."""
+    share = spec.margins.tau if "floating_base" in spec.capabilities else 1.0
+    return share * torque_max(spec)
+
+
 def _first_torque(context: CheckContext, gains: Gains) -> Iterator[Message]:
     """Check the torque of the first step, for compliant drives, which do not follow targets closely."""
-    names, limit = context.spec.joint_names, torque_max(context.spec)
+    names, limit = context.spec.joint_names, _torque_limit(context.spec)
     tau, before = gains.kp * np.abs(context.run.first_step).max(axis=0), "the first step asks for "
     yield from flag(failed, tau > limit, before, names, tau, limit, unit=" N·m", after=f": {WRONG_POSE}")
     yield passed(f"{before}{format_values(names, tau, limit, unit=' N·m')}.")

@@ -9,7 +9,7 @@ import pytest
 from deploy.reasons import Reason
 from deploy.safety.check import Check, Limits
 from deploy.safety.check_table import CheckTable
-from deploy.safety.checks import CHECKS, GIVES_WAY, GIVES_WAY_S
+from deploy.safety.checks import CHECKS, GIVES_WAY
 from deploy.safety.safety import Safety
 from robots.models.fleet import Fleet
 from robots.spec import load_robot
@@ -37,7 +37,8 @@ def walker_reasons(q, qd):
     """Reasons of the checks of the quadruped's joints."""
     checks = [check for check in CHECKS.estimate if check.name in OF_JOINTS]
     table = CheckTable(1, Limits(QUADRUPED, np.zeros(QUADRUPED.n)), checks)
-    found = table.reasons(table.values(SimpleNamespace(state=SimpleNamespace(q=q[None], qd=qd[None]))))
+    state = SimpleNamespace(q=q[None], qd=qd[None])
+    found = table.reasons(table.values(SimpleNamespace(state=state, q_soon=state.q)))
     return Reason(0 if found is None else int(found[0]))
 
 
@@ -64,20 +65,32 @@ def test_a_robot_without_a_workspace_has_its_poses_checked():
 @pytest.mark.parametrize(("angle", "falls"), [(0.99, False), (1.01, True)])
 @pytest.mark.parametrize("toward", [-1.0, 1.0])
 def test_a_joint_of_a_walker_that_will_be_beyond_its_soft_range_means_a_fall(angle, falls, toward):
-    """By half of the soft margin in 20 ms; one that returns does not."""
+    """By half of the soft margin."""
     low, high = QUADRUPED.pose_range
-    bound, qd = (high - low) / 2 - (1 - GIVES_WAY) * QUADRUPED.margins.q_soft_rad, np.full(12, toward * 2.0)
-    places = [(low + high) / 2 + toward * share * bound for share in (angle, 0.99)]
-    assert walker_reasons(places[0] - GIVES_WAY_S * qd, qd) == (Reason.FALLEN if falls else Reason.NONE)
-    assert walker_reasons(places[1], -qd) == Reason.NONE
+    bound = (high - low) / 2 - (1 - GIVES_WAY) * QUADRUPED.margins.q_soft_rad
+    found = walker_reasons((low + high) / 2 + toward * angle * bound, np.zeros(12))
+    assert found == (Reason.FALLEN if falls else Reason.NONE)
+
+
+@pytest.mark.parametrize(("qd", "way"), [(0.3, None), (-0.3, None), (3.0, 0.06), (-3.0, -0.06)])
+def test_where_a_joint_is_soon_is_bounded_by_its_braking_distance(qd, way):
+    """A setpoint that brakes in time at the end of its range is no fall."""
+    way = np.sign(qd) * qd**2 / (2.0 * SPEC.joints[0].qdd_max) if way is None else way
+    end = HOME[0] + way
+    for hair, falls in ((1e-9, False), (-1e-9, True)):
+        wall = {"high": end + hair} if qd > 0 else {"low": end - hair}
+        soon = Check(name="soon", value=lambda estimate: estimate.q_soon[:, :1], reason=Reason.FALLEN, **wall)
+        found = judge(safety=arm(estimate=soon), qd_hat=np.eye(SPEC.n)[0] * qd)
+        assert (Reason.FALLEN in Reason(int(found.reason[0]))) == falls
 
 
 @pytest.mark.parametrize(("share", "falls"), [(0.99, False), (1.01, True)])
 def test_a_joint_of_a_walker_that_is_faster_than_setpoints_may_be_means_a_fall(share, falls):
     bound = (1 + QUADRUPED.margins.speed) / 2 * QUADRUPED.joint_array("qd_max")
     for qd in (share * bound, -share * bound):
-        q = np.mean(QUADRUPED.pose_range, axis=0) - GIVES_WAY_S * qd
-        assert walker_reasons(q, qd) == (Reason.FALLEN if falls else Reason.NONE)
+        assert walker_reasons(np.mean(QUADRUPED.pose_range, axis=0), qd) == (
+            Reason.FALLEN if falls else Reason.NONE
+        )
 
 
 def test_a_check_may_need_all_that_a_robot_has():

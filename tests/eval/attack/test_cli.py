@@ -140,7 +140,7 @@ def test_guards_hold_against_all_that_attacks_have_found(call):
 
 @pytest.mark.slow
 def test_open_cases_still_lead_to_their_events():
-    """One that no longer does is mended, and belongs to the suite."""
+    """One that no longer does is fixed, and belongs to the suite."""
     for result in run_suite(OPEN):
         assert result.case.monitor in result.events
 

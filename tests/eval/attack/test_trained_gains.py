@@ -30,7 +30,7 @@ CASE |= {"adversary": "push", "seed": 3, "weights": {name: list(numbers) for nam
 def test_adversaries_have_the_gains_of_a_policy(tmp_path):
     path = tmp_path / "walk.onnx"
     path.write_bytes(policy_file(QUADRUPED, POSITION, [PUSH], GAINS).data)
-    found = gains_of(path, QUADRUPED)
+    found = gains_of(path, QUADRUPED, POSITION)
     assert found == GAINS
     runtime = Arena(Setting(robot=QUADRUPED.folder, mode=POSITION, gains=found), 3)._shard.runtime
     assert runtime.springs is not None
@@ -42,7 +42,7 @@ def test_a_policy_without_gains_has_none_to_take(tmp_path):
     path = tmp_path / "own.onnx"
     path.write_bytes(policy_file(QUADRUPED, POSITION, [PUSH]).data)
     with pytest.raises(ConfigError, match=r"--gains: .*own\.onnx: found no kp and kd in its contract"):
-        gains_of(path, QUADRUPED)
+        gains_of(path, QUADRUPED, POSITION)
 
 
 @pytest.mark.parametrize(
