@@ -184,7 +184,8 @@ def test_stops_and_goals_equal_a_slow_reference():
     before = [Mode.DISARMED] * robots
     for t, r in np.ndindex(ticks, robots):
         mode, reason = series["mode"][t, r], Reason(int(series["reason"][t, r]))
-        if mode != before[r] and (mode == Mode.STOPPING or before[r] == Mode.RUNNING):
+        cut = (before[r], mode) == (Mode.ARMING, Mode.LATCHED)
+        if mode != before[r] and (mode == Mode.STOPPING or before[r] == Mode.RUNNING or cut):
             stops[r] += 1
             for k, name in enumerate(REASON_NAMES):
                 reasons[r, k] += reason == Reason.NONE if k == 0 else Reason[name] in reason
