@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.reasons import REASONS, Reason
+from deploy.state import Mode
 from support.arm6 import SPEC
 from support.deploy.safety import stop_at
 
@@ -158,6 +159,14 @@ def test_power_loss_while_running_counts_as_a_stop(runtime):
     assert stops.step(runtime) == []
     runtime.stop(Reason.OPERATOR)
     runtime.tick()
+    assert stops.step(runtime) == [0]
+
+
+def test_power_loss_while_arming_counts_as_a_stop(runtime):
+    stops = StopDetector()
+    runtime.supervisor.mode[:] = Mode.ARMING
+    assert stops.step(runtime) == []
+    runtime.supervisor.latch(np.array([True, False]), Reason.FALLEN)
     assert stops.step(runtime) == [0]
 
 

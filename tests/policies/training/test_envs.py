@@ -9,6 +9,7 @@ pytest.importorskip("torch")
 
 import torch
 
+from deploy.reasons import Reason
 from deploy.simulation import simulate
 from deploy.state import Mode
 from policies.training.envs import RuntimeEnv
@@ -170,3 +171,14 @@ def test_episodes_begin_anywhere_in_the_start_range():
     assert (np.abs(q) <= end + 0.01).all()
     assert (np.abs(q).max(axis=0) > 0.8 * end).all()
     assert (np.abs(q.mean(axis=0)) < 0.25 * end).all()  # over three standard deviations of the mean
+
+
+@pytest.mark.parametrize("reason", [Reason.OPERATOR, Reason.FALLEN])
+def test_a_step_in_which_a_robot_stops_or_falls_is_one_that_stopped(reason):
+    env = env_of(2)
+    hold = np.zeros((2, N))
+    while not env.runtime.supervisor.running.all():
+        env.step(torch.from_numpy(hold))
+    env.runtime.requested_stop[1] = int(reason)
+    env.get_observations()
+    assert env.episodes.run(hold).stopped.tolist() == [False, True]
