@@ -235,7 +235,8 @@ class Runtime(Stage):
         powered, share = self.supervisor.powered, self.estimator.windings.foldback.current_share
         if not all_true(running):  # current is limited while running only: stops were checked at full current
             share = np.where(running[:, None], share, 1.0)
-        share = np.minimum(share, self.law.current_share)
+        if self.law.current_share < 1.0:
+            share = np.minimum(share, self.law.current_share)
         drive = required(setpoint.drive)
         self.command = Command(drive, setpoint.q, qd, feed_forward, powered, share)
         self.estimator.external_torque.command(tau, powered)

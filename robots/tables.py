@@ -173,8 +173,7 @@ class Margins(Strict):
         speed: setpoint speed, as a fraction of qd_max: the rest is for the drive's own ringing, and for the play of its
             gear, through which a light link falls. With a floating base, a joint faster than halfway between this and
             qd_max counts as a fall.
-        tau: setpoint torque by the nominal model, as a fraction of the torque range. With a floating base, drives that
-            follow angles or speeds are limited to it.
+        tau: setpoint torque by the nominal model, as a fraction of the torque range; the limit of soft drives.
         tool_speed: the tool's speed at a setpoint and in its stop, as a fraction of tool_speed_max, of robots with a
             workspace; None: as `speed`.
         collision_m: clearance between capsules; without it, self-collision is not checked.

@@ -6,8 +6,8 @@ training: they receive an angle and nothing else, as in training, and give
 
     τ = kp (q* − q) − kd q̇
 
-so that the distance of a joint from its angle makes its torque. `CompliantDrives` are those of such
-a robot with gains of their own. A fixed robot has neither: its checks look where it is sent, not where it is.
+so that the distance of a joint from its angle makes its torque. `CompliantDrives` are those of such a robot with gains
+of their own. A fixed robot has neither: its checks look where it is sent, not where it is.
 """
 
 from abc import ABC, abstractmethod
@@ -112,7 +112,7 @@ class SpringDrives(DriveLaw):
 
     def __init__(self, spec: RobotSpec, gains: Gains) -> None:
         self._gains, self.current_share = gains, spec.margins.tau
-        self._torque_max = spec.margins.tau * torque_max(spec)
+        self._tau_max = self.current_share * torque_max(spec)
         self._twice_qdd = 2.0 * spec.joint_array("qdd_max")
         self.torque_limit = np.full(spec.n, np.inf)
 
@@ -121,7 +121,7 @@ class SpringDrives(DriveLaw):
         copies = len(q) // len(state.q)
         error, speed = q - np.tile(state.q, (copies, 1)), np.tile(state.qd, (copies, 1))
         tau = self._gains.kp * error - self._gains.kd * speed
-        return np.minimum(np.maximum(tau, -self._torque_max), self._torque_max)
+        return np.minimum(np.maximum(tau, -self._tau_max), self._tau_max)
 
     def expected_poses(self, state: State, sent: Floats) -> Floats:
         """Return where joints are, and where they come to if they brake at `qdd_max`: not where they are sent.

@@ -23,12 +23,19 @@ class Estimate(NamedTuple):
     """Estimate and last setpoint of B robots.
 
     Attributes:
-        q_soon: (B, n) rad, joints `SOON_S` from now at their speeds, or at rest before, if they brake at `qdd_max`.
+        twice_qdd: (n,) rad/s², twice the largest acceleration.
     """
 
     state: State
     sent: Setpoint
-    q_soon: Floats
+    twice_qdd: Floats
+
+    @property
+    def q_soon(self) -> Floats:
+        """(B, n) rad, joints in `SOON_S` at their speeds, or where they brake to at `qdd_max`, if that is nearer."""
+        qd = self.state.qd
+        soon: Floats = self.state.q + np.minimum(SOON_S, np.abs(qd) / self.twice_qdd) * qd
+        return soon
 
 
 class Motion(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 from deploy.masks import all_true
 from deploy.motion.drive_law import DriveLaw, StiffDrives
 from deploy.reasons import Reason
-from deploy.safety.check import SOON_S, Estimate, Limits, Motion, Pose, ToolMotion
+from deploy.safety.check import Estimate, Limits, Motion, Pose, ToolMotion
 from deploy.safety.check_table import CheckTable
 from deploy.safety.checks import CHECKS, Checks
 from deploy.state import Setpoint, State, Stop, Verdict
@@ -103,8 +103,7 @@ class Safety:
         kinematics = self._kinematics(self._fleet_of_plan, poses)
         tool = ToolMotion(qd_of_tool, self._tool_rows, kinematics)
         plan = self._plan.values(tool, Pose(sent_poses, kinematics, self._centre))
-        way = np.minimum(SOON_S, np.abs(state.qd) / self._twice_qdd) * state.qd
-        estimate = self._estimate.values(Estimate(state, sent, state.q + way))
+        estimate = self._estimate.values(Estimate(state, sent, self._twice_qdd))
         reason = _or_zeros(self._estimate.reasons(estimate), robots)
         for found in (self._motion.reasons(motion), self._plan.reasons(plan)):
             if found is not None:

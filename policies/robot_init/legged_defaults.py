@@ -36,10 +36,9 @@ MARGINS = {
     "stale_s": 0.06,
     "lost_s": 0.12,
 }
-"""Joints on compliant drives deviate from their targets, which produces their torque, so tracking_rad is large; they
-overshoot, so the share of speed is small, and they pass their setpoints, so q_soft_rad is large: less of both led a
-humanoid beyond its limits under soak-attack, and with a q_soft_rad of 0.25 its own policy fell. A stopped robot falls,
-so stale_s and lost_s are long."""
+"""Joints on soft drives deviate from their setpoints, which produces their torque: tracking_rad is large. They
+overshoot in speed and angle: speed is small and q_soft_rad large. A stopped robot falls: stale_s and lost_s are long.
+Source: docs/attack.md, of a humanoid."""
 MARGINS_COMMENT = (
     "estimates: try them with soak-attack, and whether it still walks with python -m eval.bench walk"
 )

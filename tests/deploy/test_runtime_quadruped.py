@@ -82,6 +82,17 @@ def test_it_stands(stood):
     np.testing.assert_array_equal(stood.runtime.command.current_share, QUADRUPED.margins.tau)
 
 
+@pytest.mark.parametrize(("cool", "share"), [(1.0, QUADRUPED.margins.tau), (0.5, 0.5)])
+@pytest.mark.parametrize("running", [True, False])
+def test_its_drives_give_the_least_of_what_heat_and_margin_leave(stood, cool, share, running, monkeypatch):
+    runtime = stood.runtime
+    left = SimpleNamespace(current_share=np.full((2, 12), cool))
+    monkeypatch.setattr(runtime.estimator.windings, "foldback", left)
+    runtime._send(runtime.setpoint, runtime.verdict.tau, np.full(2, running))
+    expected = share if running else QUADRUPED.margins.tau
+    np.testing.assert_array_equal(runtime.command.current_share, expected)
+
+
 def test_the_estimate_of_its_base_is_close(stood):
     assert (rms(stood.errors["velocity"]) < 0.02).all()
     assert (rms(stood.errors["angular"]) < 0.02).all()

@@ -5,13 +5,14 @@ from collections.abc import Iterator
 import numpy as np
 import pinocchio as pin
 
+from deploy.motion.drive_law import drive_law
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import NAMED_MAX, Message, failed, flag, format_values, passed, warned
 from robots.arrays import Bools, Floats
+from robots.models.fleet import Fleet
 from robots.models.nominal_model import load_pinocchio, torque_max
 from robots.motors.control_mode import UNITS, ControlMode
 from robots.motors.gains import Gains
-from robots.spec import RobotSpec
 
 SHARE_MIN = 0.02
 """Share of a joint's range or speed; an action of 1 that requests less has almost no effect."""
@@ -123,7 +124,7 @@ def gains(context: CheckContext) -> Iterator[Message]:
 
 def _torque_and_damping(context: CheckContext, gains: Gains) -> Iterator[Message]:
     """Check the torque of an action of 1, if that is an angle, and the damping ratio of the gains."""
-    names, limit = context.spec.joint_names, _torque_limit(context.spec)
+    names, limit = context.spec.joint_names, _torque_limit(context, gains)
     tau = gains.kp * np.array(context.contract.action.scale)
     is_angle = context.contract.action.control_mode is ControlMode.POSITION
     excessive, before = (tau > FACTOR_MAX * limit) & is_angle, "kp × scale, the torque of an action of 1, is "
@@ -177,15 +178,15 @@ def _leaves_range(context: CheckContext) -> Bools:
     return np.asarray(((q < q_min) | (q > q_max)).any(axis=0))
 
 
-def _torque_limit(spec: RobotSpec) -> Floats:
+def _torque_limit(context: CheckContext, gains: Gains) -> Floats:
     """Return the torque at which drives saturate, N·m (n,)."""
-    share = spec.margins.tau if "floating_base" in spec.capabilities else 1.0
-    return share * torque_max(spec)
+    spec, mode = context.spec, context.contract.action.control_mode
+    return drive_law(spec, mode, gains, Fleet(spec, 1)).current_share * torque_max(spec)
 
 
 def _first_torque(context: CheckContext, gains: Gains) -> Iterator[Message]:
     """Check the torque of the first step, for compliant drives, which do not follow targets closely."""
-    names, limit = context.spec.joint_names, _torque_limit(context.spec)
+    names, limit = context.spec.joint_names, _torque_limit(context, gains)
     tau, before = gains.kp * np.abs(context.run.first_step).max(axis=0), "the first step asks for "
     yield from flag(failed, tau > limit, before, names, tau, limit, unit=" N·m", after=f": {WRONG_POSE}")
     yield passed(f"{before}{format_values(names, tau, limit, unit=' N·m')}.")

@@ -45,6 +45,13 @@ def test_a_policy_without_gains_has_none_to_take(tmp_path):
         gains_of(path, QUADRUPED, POSITION)
 
 
+def test_gains_of_another_mode_are_refused(tmp_path):
+    path = tmp_path / "walk.onnx"
+    path.write_bytes(policy_file(QUADRUPED, POSITION, [PUSH], GAINS).data)
+    with pytest.raises(ConfigError, match="found mode 'position', expected that of --mode"):
+        gains_of(path, QUADRUPED, ControlMode.VELOCITY)
+
+
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
