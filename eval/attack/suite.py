@@ -48,6 +48,7 @@ def run_suite(folder: Path = SUITE) -> Iterator[Result]:
 
     Raises:
         ConfigError: there is none, or one of them is no case.
+        ContractError: the drives cannot bear the gains of a case.
     """
     cases = {path: read_case(path) for path in sorted(folder.glob("*.json"))}
     if not cases:
