@@ -1,5 +1,6 @@
 """Pinocchio model of a robot, read from MJCF or URDF: locked joints removed, declared capsules added."""
 
+from pathlib import Path
 from xml.etree import ElementTree
 
 import coal
@@ -9,6 +10,7 @@ import pinocchio as pin
 from robots.contacts import GOAL, WORLD
 from robots.errors import RobotError
 from robots.models.files import is_urdf, read_xml, referenced_files, urdf_text
+from robots.models.mjcf_places import beside_its_files, inherit_places
 from robots.spec import RobotSpec
 from robots.tables import Capsule
 
@@ -31,7 +33,7 @@ def read_pinocchio(spec: RobotSpec) -> Read:
     referenced_files(path, spec.folder)
     try:
         model, geometry = _read_urdf(spec) if is_urdf(path) else _read_mjcf(spec)
-    except (ValueError, RuntimeError) as e:
+    except (ValueError, RuntimeError, LookupError) as e:  # LookupError: a class that it does not know
         raise RobotError(f"{path}: Pinocchio cannot read it: {e!s:.300}") from e
     if spec.locked:
         model, geometry = _lock(spec, model, geometry)
@@ -46,17 +48,26 @@ def read_pinocchio(spec: RobotSpec) -> Read:
 
 
 def _read_mjcf(spec: RobotSpec) -> Read:
-    path, root = str(spec.model_path), read_xml(spec.model_path)
+    path, root = spec.model_path, read_xml(spec.model_path)
     links = len(root.findall("./worldbody/body"))
     if links != 1:
         raise RobotError(
             f"{path}: worldbody holds {links} bodies, expected 1: Pinocchio would leave the others out"
         )
-    model = pin.buildModelFromMJCF(path)
     carried, shapes = (len(root.findall(f"./worldbody{parts}//geom")) for parts in ("/body", ""))
-    if spec.capsules and carried == shapes:  # they replace all shapes: meshes take seconds to load
+    # Declared capsules replace all shapes: meshes take seconds to load.
+    geometry = not (spec.capsules and carried == shapes)
+    if not inherit_places(root):
+        return _build_from_mjcf(path, geometry)
+    with beside_its_files(root, path, spec.folder) as changed:
+        return _build_from_mjcf(changed, geometry)
+
+
+def _build_from_mjcf(path: Path, geometry: bool) -> Read:
+    model = pin.buildModelFromMJCF(str(path))
+    if not geometry:
         return model, pin.GeometryModel()
-    return model, pin.buildGeomFromMJCF(model, path, pin.GeometryType.COLLISION)
+    return model, pin.buildGeomFromMJCF(model, str(path), pin.GeometryType.COLLISION)
 
 
 def _read_urdf(spec: RobotSpec) -> Read:

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from deploy.backends.sim.model import attachments
+from deploy.backends.sim.model.agreement import check_agreement
 from deploy.backends.sim.model.allowed_contacts import ContactPlaces, add_contacts, find_contacts
 from deploy.backends.sim.model.floating_base import FloatingBase, add_ground, find_floating_base
 from robots.arrays import Ints
@@ -69,10 +70,11 @@ def build(spec: RobotSpec, cable: Cable) -> PlantModel:
     """Extend model.xml and compile it.
 
     Raises:
-        RobotError: model.xml or a sensor's site makes no sense.
+        RobotError: model.xml or a sensor's site makes no sense, or Pinocchio reads another robot from it.
         ConfigError: the cable's link is not in model.xml.
     """
     nominal, mjcf = load_mujoco(spec), read_mjcf(spec)
+    check_agreement(spec, nominal)
     _prepare(mjcf)
     for name in spec.joint_names:
         attachments.add_backlash(mjcf.joint(name), nominal)

@@ -284,30 +284,6 @@ def test_vendor_settings_in_model_xml_do_not_break_the_plant(tmp_path):
     assert PLAIN["joints.backlash_rad"] == 0.0
 
 
-def test_frames_in_model_xml_apply_to_added_elements(tmp_path):
-    """The same robot, its last joint and its tool written inside a turned frame."""
-    inside = r'(<joint name="wrist_3" class="size1"/>)'
-    folder = copy_of_arm(
-        tmp_path,
-        xml=[
-            (inside, r'<frame pos="0 0 0.01" euler="0 0.5 0"><joint name="wrist_3" class="size1"/></frame>'),
-            (r'(<site name="tool".*?/>)', r'<frame pos="0 0 0.01" euler="0.3 0 0">\1</frame>'),
-        ],
-    )
-    plant_model = build(load_robot(folder), DISTRIBUTIONS.cable)
-    model, last = plant_model.model, N - 1
-    joint, play = plant_model.joints[last], plant_model.backlash[last]
-    assert abs(model.jnt_axis[joint][0]) > 0.4
-    np.testing.assert_array_equal(model.jnt_axis[play], model.jnt_axis[joint])
-    np.testing.assert_array_equal(model.jnt_pos[play], model.jnt_pos[joint])
-    np.testing.assert_allclose(
-        model.body_pos[plant_model.payload], model.site_pos[plant_model.tool], atol=1e-12
-    )
-    np.testing.assert_allclose(
-        model.body_quat[plant_model.payload], model.site_quat[plant_model.tool], atol=1e-12
-    )
-
-
 def test_an_arm_without_a_tool_carries_its_payload_on_its_last_link(tmp_path):
     """It comes to rest where it is sent, with a payload and without."""
     spec = load_robot(copy_of_arm(tmp_path, toml=NO_TOOL))

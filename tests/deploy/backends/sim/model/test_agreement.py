@@ -1,0 +1,62 @@
+"""Agreement of both libraries: robots that Pinocchio reads in another way than MuJoCo are refused."""
+
+import re
+
+import pytest
+
+from deploy.backends.sim.model.agreement import check_agreement
+from deploy.backends.sim.model.plant_model import build
+from robots.distributions import load_distributions
+from robots.errors import RobotError
+from robots.models import pinocchio_model
+from robots.models.mujoco_model import load_mujoco
+from robots.spec import ROBOTS, load_robot
+from support.arm6 import copy_of_arm
+from support.quadruped import QUADRUPED
+from support.robots.model_files import two_links
+
+NAMES = sorted(path.parent.name for path in ROBOTS.glob("*/robot.toml"))
+
+
+def refusal(spec):
+    with pytest.raises(RobotError) as caught:
+        check_agreement(spec, load_mujoco(spec))
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_robots_agree(name):
+    spec = load_robot(name)
+    check_agreement(spec, load_mujoco(spec))
+
+
+def test_urdf_with_a_mesh_agrees(tmp_path):
+    spec = load_robot(two_links(tmp_path))
+    check_agreement(spec, load_mujoco(spec))
+
+
+def test_a_foot_at_the_knee_is_refused(monkeypatch):
+    """Pinocchio does not read places of default classes by itself."""
+    monkeypatch.setattr(pinocchio_model, "inherit_places", lambda root: False)
+    text = refusal(QUADRUPED)
+    assert text.startswith(f"{QUADRUPED.model_path}: geom 'FR_foot': found [")
+    assert "in MuJoCo and no shape there in Pinocchio" in text
+
+
+def test_mass_that_pinocchio_leaves_out_is_refused_when_the_plant_is_built(tmp_path):
+    """A link without inertial has the mass of its shapes, of which Pinocchio leaves out those that touch nothing."""
+    folder = copy_of_arm(tmp_path)
+    path = folder / "model.xml"
+    text = path.read_text()
+    link = re.search(r'<body name="forearm_link".*?(<inertial[^>]*/>)', text, re.DOTALL)
+    text = text.replace(link[1], '<geom type="sphere" size="0.05" mass="2" contype="0" conaffinity="0"/>')
+    path.write_text(text)
+    spec = load_robot(folder)
+    with pytest.raises(RobotError, match=r"model.xml: mass matrix: joint 'shoulder_lift': found .* in MuJoCo and "):
+        build(spec, load_distributions(spec).cable)
+
+
+def test_a_shape_in_a_frame_is_refused(tmp_path):
+    """Pinocchio reads nothing that is in a frame."""
+    spec = load_robot(copy_of_arm(tmp_path, xml=[(r'(<geom name="forearm".*?/>)', r"<frame>\1</frame>")]))
+    assert ": geom 'forearm': found [" in refusal(spec)
