@@ -133,9 +133,10 @@ class Safety:
         return found
 
     def names(self, reason: Reason) -> set[str]:
-        """Return the names of the checks of the robot as a whole that give a reason."""
+        """Return the names of the checks that give a reason; none where all of them are about joints."""
         checks = (*self._motion.checks, *self._plan.checks, *self._estimate.checks)
-        return {check.name for check in checks if check.reason is reason and not check.per_joint}
+        found = [check for check in checks if check.reason is reason]
+        return set() if all(check.per_joint for check in found) else {check.name for check in found}
 
     def colliding_shapes(self, verdict: Verdict, robot: int) -> tuple[str, ...]:
         """Return the names of two shapes of a robot that are too near to each other in a pose of a verdict, or none.

@@ -88,7 +88,8 @@ class FaultResponseTracker(Stage):
         slot: (B,) slot of the injection that is followed, -1 for none.
         bad_before: (B, monitors + 1) bad ticks of each hard monitor when the injection began.
         fault_end, slot_end: (B,) ticks.
-        speed: (B,) rad/s, sent in the last tick. powered: (B,) in the last tick.
+        speed: (B,) rad/s in the last tick, sent, or of the joints of a robot in operation: springs are sent no speed.
+        powered: (B,) in the last tick.
     """
 
     carried: ClassVar[tuple[str, ...]] = (
@@ -139,7 +140,7 @@ class FaultResponseTracker(Stage):
         since = tick - self.began[place]
         qd = truth.qd[rows]
         self._measure(place, truth.q[rows], qd, command.q[rows])
-        self._note_answer(place, now, command)
+        self._note_answer(place, now, command, qd)
         running, still = now == Mode.RUNNING, (np.abs(qd) < REST_RAD_S).all(axis=1)
         resting = ~running & (now != Mode.STOPPING) & (now != Mode.ARMING) & still
         _note_first(self.stopped, place, since, ~running)
@@ -158,7 +159,7 @@ class FaultResponseTracker(Stage):
         self.tracking_error[place] = np.maximum(self.tracking_error[place], error)
         self.limit_ratio[place] = np.maximum(self.limit_ratio[place], ratio.max(axis=1))
 
-    def _note_answer(self, place: Place, now: Modes, command: Command) -> None:
+    def _note_answer(self, place: Place, now: Modes, command: Command, qd: Floats) -> None:
         """Update the most severe answer. Power loss during motion counts as a category 0 stop."""
         rows = place[0]
         powered = command.powered[rows]
@@ -169,7 +170,9 @@ class FaultResponseTracker(Stage):
             StopCategory.NO_STOP,
         )
         self.answer[place] = np.maximum(self.answer[place], answer)
-        self.powered[rows], self.speed[rows] = powered, np.abs(command.qd[rows]).max(axis=1)
+        moves = np.where((now == Mode.RUNNING)[:, None], np.abs(qd), 0.0)
+        self.speed[rows] = np.maximum(moves, np.abs(command.qd[rows])).max(axis=1)
+        self.powered[rows] = powered
 
     def _close(self, rows: Ints, tick: int, judge: Judge) -> None:
         if not len(rows):

@@ -55,7 +55,7 @@ def _placed(body: Element, inherited: str) -> Iterator[tuple[Element, str]]:
 def _inherit(element: Element, chain: list[Element]) -> bool:
     if any("fromto" in each.attrib for each in (element, *chain)):  # it says where the element is
         return False
-    places = {}
+    places: dict[str, str] = {}
     for names in (("pos",), TURNS):
         if not any(name in element.attrib for name in names):
             places |= next((own for each in chain if (own := _some_of(each, names))), {})

@@ -151,6 +151,17 @@ def test_diverged_base_estimate_is_named(robot):
     assert explain_reasons(runtime, int(Reason.DIVERGED), 1 - robot) == REASONS[Reason.DIVERGED].text
 
 
+def test_a_fall_names_its_check_and_joint():
+    """Several checks have that reason, of the base and of joints."""
+    runtime = standing(2)
+    runtime.state.qd[1, 2] = 1e3
+    runtime.act(None)
+    joint = runtime.spec.joint_names[2]
+    text = explain_reasons(runtime, int(Reason.FALLEN), 1)
+    assert text == f"{REASONS[Reason.FALLEN].text} ({joint}, joint_gives_way, joint_runs_away)"
+    assert explain_reasons(runtime, int(Reason.FALLEN), 0) == REASONS[Reason.FALLEN].text
+
+
 def test_power_loss_while_running_counts_as_a_stop(runtime):
     stops = StopDetector()
     assert stops.step(runtime) == []

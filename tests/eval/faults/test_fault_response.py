@@ -114,11 +114,18 @@ def test_too_severe_response_is_not_handled():
 
 
 @pytest.mark.parametrize(
-    ("speed", "answer"), [(0.5, StopCategory.CATEGORY_0), (0.0, StopCategory.CATEGORY_1)]
+    ("before", "speed", "true", "answer"),
+    [
+        (RUN, 0.5, 0.0, StopCategory.CATEGORY_0),
+        (RUN, 0.0, 0.5, StopCategory.CATEGORY_0),  # springs are sent no speed
+        (RUN, 0.0, 0.0, StopCategory.CATEGORY_1),
+        (STOP, 0.5, 0.0, StopCategory.CATEGORY_0),
+        (STOP, 0.0, 0.5, StopCategory.CATEGORY_1),  # a joint that oscillates when its stop is over
+    ],
 )
-def test_power_loss_in_motion_is_category_0(speed, answer):
+def test_power_loss_in_motion_is_category_0(before, speed, true, answer):
     one, found = told(
-        named("encoder off"), [(5, RUN, 0.5), (300, LATCHED, 0.0), (200, RUN, 0.1)], speed=speed
+        named("encoder off"), [(5, before, true), (300, LATCHED, 0.0), (200, RUN, 0.1)], speed=speed
     )
     assert one.answer == answer
     assert row(found, named("encoder off")).handled == (answer == StopCategory.CATEGORY_1)

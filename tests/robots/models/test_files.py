@@ -108,7 +108,9 @@ def test_a_model_in_more_than_one_file_is_refused(tmp_path):
 
 def test_a_class_that_pinocchio_does_not_find_is_refused(tmp_path):
     """MuJoCo calls the class of all others main, even if the file gives it no name."""
-    folder = copy_of_arm(tmp_path, xml=[('name="shoulder_pan" class="size3"', 'name="shoulder_pan" class="main"')])
+    folder = copy_of_arm(
+        tmp_path, xml=[('name="shoulder_pan" class="size3"', 'name="shoulder_pan" class="main"')]
+    )
     with pytest.raises(RobotError, match=r"model.xml: Pinocchio cannot read it: "):
         load_pinocchio(load_robot(folder))
 

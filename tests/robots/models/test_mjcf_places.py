@@ -105,7 +105,9 @@ def test_files_lie_beside_a_changed_model_and_nothing_stays(tmp_path):
     (folder / "meshes").mkdir(parents=True)
     (folder / "meshes" / "a.stl").write_bytes(b"mesh")
     (folder / "model.xml").write_text("<mujoco/>")
-    with beside_its_files(ElementTree.fromstring("<mujoco><a/></mujoco>"), folder / "model.xml", folder) as path:
+    with beside_its_files(
+        ElementTree.fromstring("<mujoco><a/></mujoco>"), folder / "model.xml", folder
+    ) as path:
         assert (path.parent / "meshes" / "a.stl").read_bytes() == b"mesh"
         assert ElementTree.parse(path).getroot().find("a") is not None
     assert not path.exists()

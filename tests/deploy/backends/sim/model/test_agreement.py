@@ -52,7 +52,9 @@ def test_mass_that_pinocchio_leaves_out_is_refused_when_the_plant_is_built(tmp_p
     text = text.replace(link[1], '<geom type="sphere" size="0.05" mass="2" contype="0" conaffinity="0"/>')
     path.write_text(text)
     spec = load_robot(folder)
-    with pytest.raises(RobotError, match=r"model.xml: mass matrix: joint 'shoulder_lift': found .* in MuJoCo and "):
+    with pytest.raises(
+        RobotError, match=r"model.xml: mass matrix: joint 'shoulder_lift': found .* in MuJoCo and "
+    ):
         build(spec, load_distributions(spec).cable)
 
 
