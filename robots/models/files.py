@@ -72,7 +72,8 @@ def referenced_files(model: Path, folder: Path) -> tuple[Path, ...]:
         meshes = read_xml(model).findall("link/collision/geometry/mesh")
         found = {find_file(mesh.get("filename", ""), model, folder)[0] for mesh in meshes}
     else:
-        found = _named_by_mjcf(model, folder)
+        named = _named_by_mjcf(read_xml(model), model, folder)
+        found = {path for _, _, paths in named for path in paths}
     if len(found) > FILES_MAX:
         raise RobotError(f"{model}: names {len(found)} files, expected at most {FILES_MAX}")
     size = sum(path.stat().st_size for path in found)
@@ -81,8 +82,22 @@ def referenced_files(model: Path, folder: Path) -> tuple[Path, ...]:
     return tuple(sorted(found))
 
 
-def _named_by_mjcf(model: Path, folder: Path) -> set[Path]:
-    root = read_xml(model)
+def name_files_absolutely(root: ElementTree.Element, model: Path, folder: Path) -> None:
+    """Write the paths of files into the root of MJCF that was read from `model`: it can be moved then.
+
+    Raises:
+        RobotError: as `referenced_files`.
+    """
+    for element, key, paths in _named_by_mjcf(root, model, folder):
+        element.set(key, str(paths[0]))
+    for compiler in root.iter("compiler"):
+        compiler.attrib.pop("strippath", None)
+
+
+def _named_by_mjcf(
+    root: ElementTree.Element, model: Path, folder: Path
+) -> list[tuple[ElementTree.Element, str, list[Path]]]:
+    """Return elements that name files, the attribute that does, and the files on disk."""
     for include in root.iter("include"):
         raise RobotError(
             f"{model}: include: found {include.get('file', '')!r}, expected a model in one file:"
@@ -90,17 +105,20 @@ def _named_by_mjcf(model: Path, folder: Path) -> set[Path]:
         )
     compilers = [compiler.attrib for compiler in root.iter("compiler")]
     stripped = {one["strippath"] for one in compilers if "strippath" in one} == {"true"}
-    found = set()
-    for element, name in _names(root):
+    found = []
+    for element, key, name in _names(root):
         keys = "assetdir", "texturedir" if element.tag == "texture" else "meshdir"
-        places = [one[key] for one in compilers for key in keys if one.get(key)]
-        found.update(find_file(Path(name).name if stripped else name, model, folder, places or [""]))
+        places = [one[each] for one in compilers for each in keys if one.get(each)]
+        paths = find_file(Path(name).name if stripped else name, model, folder, places or [""])
+        found.append((element, key, paths))
     return found
 
 
-def _names(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, str]]:
+def _names(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, str, str]]:
     for element in root.iter():
-        yield from ((element, value) for key, value in element.items() if key.startswith("file") and value)
+        yield from (
+            (element, key, value) for key, value in element.items() if key.startswith("file") and value
+        )
 
 
 def find_file(name: str, model: Path, folder: Path, places: Sequence[str] = ("",)) -> list[Path]:

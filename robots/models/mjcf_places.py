@@ -4,12 +4,13 @@ Pinocchio takes size, type and `fromto` of a geom from its default class, but it
 whose class says `pos="0 0 -0.2"` would be at the knee.
 """
 
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import NamedTemporaryFile
 from xml.etree.ElementTree import Element, tostring
+
+from robots.models.files import name_files_absolutely
 
 PLACED = ("geom", "site", "joint")
 TURNS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
@@ -68,16 +69,14 @@ def _some_of(element: Element, names: tuple[str, ...]) -> dict[str, str]:
 
 
 @contextmanager
-def beside_its_files(root: Element, model: Path, folder: Path) -> Iterator[Path]:
-    """A file of a changed model, beside links to all files of its robot, for as long as the context is open."""
-    with TemporaryDirectory() as place:
-        copy = Path(place) / folder.name
-        shutil.copytree(folder.resolve(), copy, copy_function=_link)
-        changed = copy / model.relative_to(folder)
-        changed.unlink()
-        changed.write_bytes(tostring(root))
-        yield changed
+def moved(root: Element, model: Path, folder: Path) -> Iterator[Path]:
+    """Temporary file of the changed root of a model, which finds the robot's meshes from there.
 
-
-def _link(source: str, target: str) -> None:
-    Path(target).symlink_to(source)
+    Raises:
+        RobotError: as `referenced_files`.
+    """
+    name_files_absolutely(root, model, folder)
+    with NamedTemporaryFile(suffix=model.suffix) as file:
+        file.write(tostring(root))
+        file.flush()
+        yield Path(file.name)

@@ -6,9 +6,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from robots.models.mjcf_places import beside_its_files, inherit_places
+from robots.models.mjcf_places import inherit_places, moved
 from robots.models.pinocchio_model import read_pinocchio
 from robots.spec import ROBOTS, load_robot
+from support.robots.model_files import write_stl
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -67,7 +68,7 @@ def in_both(folder, text):
     (folder / "model.xml").write_text(text)
     root = ElementTree.fromstring(text)
     assert inherit_places(root)
-    with beside_its_files(root, folder / "model.xml", folder) as path:
+    with moved(root, folder / "model.xml", folder) as path:
         nominal = pin.buildModelFromMJCF(str(path))
         geometry = pin.buildGeomFromMJCF(nominal, str(path), pin.GeometryType.COLLISION)
     nominal_data, placements = nominal.createData(), geometry.createData()
@@ -100,19 +101,27 @@ def test_a_model_without_inherited_places_is_left_alone():
     assert ElementTree.tostring(root) == before
 
 
-def test_files_lie_beside_a_changed_model_and_nothing_stays(tmp_path):
-    folder = tmp_path / "robot"
-    (folder / "meshes").mkdir(parents=True)
-    (folder / "meshes" / "a.stl").write_bytes(b"mesh")
-    (folder / "model.xml").write_text("<mujoco/>")
-    with beside_its_files(
-        ElementTree.fromstring("<mujoco><a/></mujoco>"), folder / "model.xml", folder
-    ) as path:
-        assert (path.parent / "meshes" / "a.stl").read_bytes() == b"mesh"
-        assert ElementTree.parse(path).getroot().find("a") is not None
+@pytest.mark.parametrize(
+    ("compiler", "mesh"),
+    [
+        ("", "meshes/fore.stl"),
+        ('<compiler meshdir="meshes"/>', "fore.stl"),
+        ('<compiler strippath="true" assetdir="meshes"/>', "elsewhere/fore.stl"),
+    ],
+)
+def test_a_changed_model_finds_its_meshes(tmp_path, compiler, mesh):
+    write_stl(tmp_path / "meshes" / "fore.stl")
+    text = MODEL.replace('<geom name="main"/>', '<geom name="main" type="mesh" mesh="fore"/>')
+    text = text.replace("<worldbody>", f'<asset><mesh name="fore" file="{mesh}"/></asset><worldbody>')
+    (tmp_path / "model.xml").write_text(text.replace('<compiler angle="radian"/>', compiler))
+    root = ElementTree.parse(tmp_path / "model.xml").getroot()
+    with moved(root, tmp_path / "model.xml", tmp_path) as path:
+        assert path.parent != tmp_path
+        model = pin.buildModelFromMJCF(str(path))
+        shapes = pin.buildGeomFromMJCF(model, str(path), pin.GeometryType.COLLISION).geometryObjects
+        found = {shape.name: shape.meshPath for shape in shapes}
+    assert found["main"] == str(tmp_path / "meshes" / "fore.stl")
     assert not path.exists()
-    assert (folder / "model.xml").read_text() == "<mujoco/>"
-    assert (folder / "meshes" / "a.stl").exists()
 
 
 def test_feet_of_the_quadruped_are_below_its_knees():
