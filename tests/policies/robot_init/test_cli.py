@@ -41,7 +41,8 @@ ACTING = "".join(
 AT_HOME = " ".join(map(str, HOME))
 KEY = f'<keyframe><key qpos="{"0 " * 8}"/><key name="home" qpos="{AT_HOME} 0 0"/></keyframe>'
 FINGER = '<body name="{0}" pos="0 {1} 0.06"><joint name="{0}" type="slide" range="0 0.02"/>{2}</body>'
-FINGERS = FINGER.format("left", 0.02, '<geom type="mesh" mesh="pad"/>') + FINGER.format(
+INERTIAL = '<inertial pos="0 0 0" mass="0.02" diaginertia="1e-5 1e-5 1e-5"/>'
+FINGERS = FINGER.format("left", 0.02, f'{INERTIAL}<geom type="mesh" mesh="pad"/>') + FINGER.format(
     "right", -0.02, '<geom type="box" size="0.01 0.01 0.02" mass="0.05"/>'
 )
 """A hand of two fingers, one of them a mesh."""

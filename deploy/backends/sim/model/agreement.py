@@ -22,6 +22,7 @@ PRIMITIVES = [
 ]
 COAL_PRIMITIVES = (coal.Sphere, coal.Capsule, coal.Ellipsoid, coal.Cylinder, coal.Box)
 """Shapes with a middle; of a mesh, MuJoCo's is its centre of mass."""
+WRITE_OUT = "write its place into the element itself, outside of any frame"
 
 
 def check_agreement(spec: RobotSpec, model: mujoco.MjModel) -> None:
@@ -70,13 +71,14 @@ class _BothModels:
         if off.any():
             worst = np.unravel_index(np.abs(simulated - nominal).argmax(), off.shape)
             joint = self._spec.joint_names[int(worst[0])]
-            self._refuse(f"{what}: joint {joint!r}", f"{simulated[worst]:.6g}", f"{nominal[worst]:.6g}")
+            found = f"{simulated[worst]:.6g}", f"{nominal[worst]:.6g}"
+            self._refuse(f"{what}: joint {joint!r}", *found, "give each body its inertial")
 
     def _compare_frame(self, name: str, nominal: Floats) -> None:
         site = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_SITE, name)
         found = self._data.site(name).xpos if site >= 0 else self._data.body(name).xpos
         if np.abs(found - nominal).max() > PLACE_M:
-            self._refuse(f"frame {name!r}", f"{found.round(5)} m", f"{nominal.round(5)} m")
+            self._refuse(f"frame {name!r}", f"{found.round(5)} m", f"{nominal.round(5)} m", WRITE_OUT)
 
     def _compare_shapes(self) -> None:
         """Compare which shapes have a middle at one place; sizes are left out."""
@@ -93,13 +95,13 @@ class _BothModels:
         apart = np.abs(data.geom_xpos[geoms][:, None] - nominal).max(axis=2) > PLACE_M
         for geom in geoms[apart.all(axis=1)]:
             name = model.geom(geom).name or f"of body {model.body(model.geom_bodyid[geom]).name}"
-            self._refuse(f"geom {name!r}", f"{data.geom_xpos[geom].round(5)} m", "no shape there")
+            self._refuse(f"geom {name!r}", f"{data.geom_xpos[geom].round(5)} m", "no shape there", WRITE_OUT)
         for shape in np.flatnonzero(apart.all(axis=0)):
             name, place = shapes[shape]
-            self._refuse(f"shape {name!r}", "none there", f"{place.round(5)} m")
+            self._refuse(f"shape {name!r}", "none there", f"{place.round(5)} m", WRITE_OUT)
 
-    def _refuse(self, what: str, simulated: str, nominal: str) -> None:
+    def _refuse(self, what: str, simulated: str, nominal: str, mend: str) -> None:
         raise RobotError(
             f"{self._spec.model_path}: {what}: found {simulated} in MuJoCo and {nominal} in Pinocchio, expected the"
-            " same: one of them does not read an attribute of this file"
+            f" same: {mend}"
         )
