@@ -57,7 +57,7 @@ def test_a_capability_that_lacks_its_other_half_is_an_error(tmp_path, edits, mes
 
 def test_the_digest_of_the_arm_stays():
     """Shipped contracts carry it."""
-    assert SPEC.digest == "2d0a421d15d3afe50fc9dd71a7e6dc758818c03b85cc29455be2b1f5939707df"
+    assert SPEC.digest == "78063077b0f0dc04cd9e41ac38dd78b27793fcb482741b5d0363942ed52d09c0"
 
 
 def test_arrays_follow_joint_order():
@@ -89,14 +89,14 @@ def test_unknown_robot_names_the_known_ones(tmp_path):
         ("physics_hz = 1000", "physics_hz = 900", ["rates", "900", "not a multiple", "200"]),
         ("physics_hz = 1000", "physics_hz = 100", ["rates", "100", "not a multiple", "200"]),
         ("tool_speed = 0.92", "tool_speed = 1.1", ["margins.tool_speed", "less than or equal to 1", "1.1"]),
-        ("tau = 0.65 ", "q_soft_rad = 0.05 #", ["margins", "q_soft_rad 0.05", "q_target_rad 0.05"]),
-        ("tau = 0.7 ", "tau = 1.1 ", ["margins.tau", "less than or equal to 1", "1.1"]),
+        ("speed = 0.8 ", "q_soft_rad = 0.05 #", ["margins", "q_soft_rad 0.05", "q_target_rad 0.05"]),
+        ("tau = 0.65 ", "tau = 1.1 ", ["margins.tau", "less than or equal to 1", "1.1"]),
         ("q_soft_rad = 0.03", "q_soft_rad = 0.06", ["margins", "q_soft_rad 0.06", "q_target_rad 0.05"]),
         ("physics_hz = 1000", "physics_hz = 2000000000", ["rates.physics_hz", "100000", "2000000000"]),
         ("tracking_rad = 0.10", "tracking_rad = 1e9", ["margins.tracking_rad", "3.14", "1000000000"]),
         ("lost_s = 0.110", "lost_s = 10.0", ["margins.lost_s", "less than or equal to 1", "10"]),
-        ("stops_max = 20", "stops_max = 1000000000", ["margins.stops_max", "1000"]),
-        ("stops_s = 60.0", "stops_s = 1e300", ["margins.stops_s", "86400"]),
+        ("stops_max = 100", "stops_max = 1000000000", ["margins.stops_max", "1000"]),
+        ("stops_s = 120.0", "stops_s = 1e300", ["margins.stops_s", "86400"]),
         ("oscillation_hz = 5.0", "oscillation_hz = 30.0", ["margins.oscillation_hz", "20", "30"]),
         ("stale_s = 0.035", "stale_s = 0.2", ["margins", "stale_s 0.2", "lost_s 0.11"]),
         ("q_home = 0.0", "q_home = 1.9", ["joints.0", "q_home of shoulder_pan is 1.9", "1.3"]),
