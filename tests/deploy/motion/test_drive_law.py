@@ -20,9 +20,9 @@ def test_setpoints_may_need_the_share_of_torque_of_their_mode(mode):
     np.testing.assert_array_equal(law.torque_limit, MARGINS.of(mode).tau * torque_max(SPEC))
 
 
-def test_velocity_mode_leaves_more_torque_than_position_mode():
+def test_torque_mode_has_a_share_of_its_own():
     """Or the test above would prove nothing."""
-    assert MARGINS.of(ControlMode.VELOCITY).tau < MARGINS.tau
+    assert MARGINS.of(ControlMode.TORQUE).tau > MARGINS.tau
 
 
 def test_drives_of_a_floating_base_give_way():
