@@ -1,5 +1,8 @@
 """Start of a command line: Ctrl-C while its modules are imported, which takes a second or more, ends it quietly."""
 
+import io
+import os
+import signal
 import sys
 from functools import partial
 from importlib import import_module
@@ -10,10 +13,15 @@ INTERRUPTED = 130
 
 def start(module: str) -> None:
     """Import the module of a command line, and run its `cli`."""
-    try:
-        cli = import_module(module).cli
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal may lack a letter, which is no reason to fail
+            stream.reconfigure(errors="replace")
+    by_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if by_default:  # an exception could be raised inside a C extension, which makes another one of it
+        signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
+    cli = import_module(module).cli
+    if by_default:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     cli()
 
 

@@ -13,7 +13,8 @@ from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
 SEED = 7
-SPEED_MAX = 1000.0
+SPEED_MIN, SPEED_MAX = 0.1, 1000.0
+"""Slower, Ctrl-C would have to wait long for a stop, which takes half a second of robot time."""
 
 
 def speed_factor(speed: str) -> float:
@@ -28,8 +29,8 @@ def speed_factor(speed: str) -> float:
         factor = float(speed)
     except ValueError:
         factor = math.nan
-    if not 0 < factor <= SPEED_MAX:
-        raise ConfigError(f"--speed {speed}: expected a factor above 0 and at most {SPEED_MAX:g}, or max")
+    if not SPEED_MIN <= factor <= SPEED_MAX:
+        raise ConfigError(f"--speed {speed}: expected a factor from {SPEED_MIN:g} to {SPEED_MAX:g}, or max")
     return factor
 
 

@@ -42,6 +42,7 @@ class Action(Stage):
         """Hold the targets of robots where `ids` (B,) holds at `value` (B, n), so that increments do not wind up."""
         np.copyto(self.value, value, where=ids[:, None])
 
+    @np.errstate(invalid="ignore", over="ignore")  # targets that are not finite are refused later
     def step(self, action: Floats | NDArray[np.float32], q_setpoint: Floats) -> Target:
         """Return the new target.
 

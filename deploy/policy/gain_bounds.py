@@ -5,10 +5,12 @@ of period T with gains kp and kd on an inertia J is stable while
 
     kd T / J + kp T² / (2 J) < 2
 
-(symplectic Euler's rule; by Jury's criterion for z² − (2 − kd T / J − kp T² / J) z + 1 − kd T / J). Between two
-setpoints the joint must not swing: its natural frequency stays below a sixth of the control rate. On a fixed base it
+(symplectic Euler's rule; by Jury's criterion for z² − (2 − kd T / J − kp T² / J) z + 1 − kd T / J). In the play of a
+gear, J is the rotor's alone: with more damping than that bears, blows of the play took motors to the end of their range.
+Between two setpoints the joint must not swing: its natural frequency stays below a sixth of the control rate. On a fixed base it
 must not swing after them either: safety looks at where joints are sent. Half of critical damping, with a load that
-takes half of the tracking error, let adversaries pass limits of the workspace.
+takes half of the tracking error, let adversaries pass limits of the workspace. What a load takes from the clearances of
+tool and links is bounded as well: an arm that was as soft as its tracking error allowed sagged through its workspace.
 """
 
 from collections.abc import Iterator
@@ -19,6 +21,7 @@ import numpy as np
 from deploy.policy.contract_action import ActionSpec
 from robots.arrays import Floats
 from robots.models.joint_inertia import joint_inertia
+from robots.models.levers import joint_levers
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -29,6 +32,8 @@ SETPOINTS_PER_SWING = 6
 """Control periods in one period of the joint on its drive."""
 TRACKING_SHARE = 0.25
 """Share of the tracking error that stops a robot, at which a joint holds its load."""
+CLEARANCE_SHARE = 0.5
+"""Share of the margins of workspace and collision that the load of a joint may take, at the end of its lever."""
 DAMPING_MIN, DAMPING_MIN_OF_SPRINGS = 0.7, 0.05
 """Least damping ratio, on the largest inertia; the second on a floating base, where drives act as springs. The least of
 a known policy is 0.07, at the hip of Unitree's H1."""
@@ -43,7 +48,7 @@ class Bounds(NamedTuple):
 
 def stiffness_bounds(spec: RobotSpec, mode: ControlMode) -> Bounds:
     """Return the bounds of kp, N·m/rad, of joints that are held, under an action in a mode."""
-    low = _load(spec, mode) / (TRACKING_SHARE * spec.margins.tracking_rad)
+    low = _load(spec, mode) / _deflection(spec, mode)
     return Bounds(low, joint_inertia(spec).least * (2.0 * np.pi / (SETPOINTS_PER_SWING * spec.dt)) ** 2)
 
 
@@ -53,7 +58,21 @@ def damping_bounds(spec: RobotSpec, mode: ControlMode, kp: Floats) -> Bounds:
     ratio = DAMPING_MIN if spec.base is None else DAMPING_MIN_OF_SPRINGS
     of_speed = _load(spec, mode) / spec.joint_array("qd_max")
     low = np.where(kp > 0.0, 2.0 * ratio * np.sqrt(kp * inertia.most), of_speed)
-    return Bounds(low, 2.0 * inertia.least / (GAIN_MARGIN * period) - kp * period / 2.0)
+    return Bounds(low, 2.0 * inertia.rotor / (GAIN_MARGIN * period) - kp * period / 2.0)
+
+
+def _deflection(spec: RobotSpec, mode: ControlMode) -> Floats:
+    """Return rad (n,) by which its load may move a joint away from its setpoint.
+
+    On a floating base, clearances are checked where joints are.
+    """
+    margins = spec.margins.of(mode)
+    of_tracking = np.full(spec.n, TRACKING_SHARE * spec.margins.tracking_rad)
+    clearances = [each for each in (margins.workspace_m, margins.collision_m) if each is not None]
+    if spec.base is not None or not clearances:
+        return of_tracking
+    of_clearance = CLEARANCE_SHARE * min(clearances) / np.maximum(joint_levers(spec), 1e-9)
+    return np.minimum(of_tracking, of_clearance)
 
 
 def _load(spec: RobotSpec, mode: ControlMode) -> Floats:

@@ -47,6 +47,7 @@ class Observation(Stage):
         """Forget the history of robots where `ids` (B,) holds."""
         self.started[ids] = False
 
+    @np.errstate(invalid="ignore", over="ignore")  # the scale of a contract may be as small as it likes
     def step(self) -> Float32s:
         """Assemble one observation for each robot."""
         newest = np.concatenate([read() for read in self._readers], axis=1)

@@ -10,11 +10,13 @@ from rich.console import Console
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.loop_timing import RateLimited, WallClock
 from deploy.telemetry.output_files import replacing
+from eval.replay.bundle import FILES, INFO
 from eval.replay.capture_window import write_mcap
 from eval.replay.event_video import EventVideo
 from eval.replay.replay_text import mismatch, table
 from eval.replay.replayer import Replay
 from eval.video.film import check_film
+from robots.errors import ConfigError
 
 VIEW_S = 1 / 30
 """s between two frames of the viewer."""
@@ -39,6 +41,7 @@ def soak_replay(
     Exit codes: 0 reproduced, 1 not reproduced, 2 bad input.
     """
     console = Console()
+    _keep_bundle(bundle, {"--video": video, "--mcap": mcap})
     if video is not None:
         check_film(video)
     replay = Replay(bundle)
@@ -57,6 +60,14 @@ def soak_replay(
     difference = mismatch(replay, result)
     _print(console, f"not reproduced: {difference}" if difference else _reproduced(len(result.rows)))
     return BUDGET_EXCEEDED if difference else PASSED
+
+
+def _keep_bundle(folder: Path, written: dict[str, Path | None]) -> None:
+    """Refuse (ConfigError) to write over a file of the bundle itself."""
+    own = [(folder / name).resolve() for name in (INFO, *FILES)]
+    for option, path in written.items():
+        if path is not None and path.resolve() in own:
+            raise ConfigError(f"{option} {path}: a file of the bundle itself, expected another place")
 
 
 def _reproduced(ticks: int) -> str:

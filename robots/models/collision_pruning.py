@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from robots.arrays import Floats
+from robots.models.levers import levers_of_point, shape_length
 from robots.spec import RobotSpec
 
 Pairs = list[tuple[int, int]]
@@ -85,19 +86,12 @@ class _Proof:
 def _reach(model: pin.Model, shape: pin.GeometryObject, other: int) -> Floats:
     """Return (n,) m/rad, the speed bound of the shape's points for each hinge that carries it and not joint `other`.
 
-    The axis passes through the hinge's origin, and no point of the shape is farther from there than all the links
-    after it and the shape itself, end to end.
+    The axis passes through the hinge's origin. A shape of the world is carried by none: a plane has no end.
     """
-    reach = np.zeros(model.njoints - 1)
-    joints = [j for j in model.supports[shape.parentJoint] if j not in model.supports[other]]
-    if not joints:  # fixed to the world, where a plane has no end
-        return reach
-    shape.geometry.computeLocalAABB()
-    centre, radius = shape.placement.act(shape.geometry.aabb_center), shape.geometry.aabb_radius
-    length = float(np.linalg.norm(centre)) + radius
-    for joint in reversed(joints):
-        reach[joint - 1] = length
-        length += float(np.linalg.norm(model.jointPlacements[joint].translation))
+    if shape.parentJoint == 0:
+        return np.zeros(model.njoints - 1)
+    reach = levers_of_point(model, shape.parentJoint, shape_length(shape))
+    reach[[joint - 1 for joint in model.supports[other] if joint]] = 0.0
     return reach
 
 

@@ -14,14 +14,15 @@ POSES = 256
 
 
 class JointInertia(NamedTuple):
-    """Smallest and largest inertia about each joint, rotor included, (n,) kg·m² each.
+    """Inertia about each joint, (n,) kg·m² each: smallest and largest with its rotor, and that of the rotor alone.
 
-    The smallest is that with all other joints free, the largest that with all others held. A floating base is held in
+    In the play of its gear a drive turns the rotor alone; of a model without rotors it is the smallest. The smallest is that with all other joints free, the largest that with all others held. A floating base is held in
     both; a free one takes up to a sixth from the smallest (go1 and H1: 0.82 to 1.0 of it).
     """
 
     least: Floats
     most: Floats
+    rotor: Floats
 
 
 def joint_inertia(spec: RobotSpec) -> JointInertia:
@@ -40,4 +41,6 @@ def joint_inertia(spec: RobotSpec) -> JointInertia:
     upper = np.triu(matrices)
     full = upper + np.triu(matrices, 1).swapaxes(1, 2)
     free = 1.0 / np.diagonal(np.linalg.inv(full), axis1=1, axis2=2)
-    return JointInertia(free.min(axis=0), np.diagonal(full, axis1=1, axis2=2).max(axis=0))
+    least, rotor = free.min(axis=0), np.array(model.armature)
+    most = np.diagonal(full, axis1=1, axis2=2).max(axis=0)
+    return JointInertia(least, most, np.where(rotor > 0.0, rotor, least))

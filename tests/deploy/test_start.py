@@ -1,6 +1,9 @@
 """Starts of command lines: every script of pyproject.toml has one, and Ctrl-C while modules are imported is quiet."""
 
 import ast
+import os
+import subprocess
+import sys
 import tomllib
 from importlib import import_module
 from importlib.util import find_spec
@@ -29,12 +32,40 @@ def written(tmp_path, monkeypatch):
     return lambda name, text: (tmp_path / f"{name}.py").write_text(text)
 
 
-def test_ctrl_c_during_imports_is_quiet(written, capsys):
-    written("interrupted_command", "raise KeyboardInterrupt")
-    with pytest.raises(SystemExit) as ended:
-        start("interrupted_command")
-    assert ended.value.code == INTERRUPTED
-    assert capsys.readouterr() == ("", "")
+def run(module, folder, **environment):
+    """Start a module of a folder in a process of its own."""
+    code = (
+        f"import sys; sys.path.insert(0, {str(folder)!r}); from deploy.start import start; start({module!r})"
+    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT)} | environment
+    return subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, timeout=60, check=False
+    )
+
+
+def test_ctrl_c_during_imports_is_quiet(written, tmp_path):
+    """Be it in a module that makes another exception of it, as C extensions do."""
+    written(
+        "interrupted_command",
+        "import os, signal\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\nexcept BaseException:\n    raise ImportError",
+    )
+    ended = run("interrupted_command", tmp_path)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, b"", b"")
+
+
+def test_ctrl_c_is_an_exception_again_when_the_command_runs(written, tmp_path):
+    written(
+        "patient_command",
+        "import os, signal\ndef cli():\n    try:\n        os.kill(os.getpid(), signal.SIGINT)\n"
+        "    except KeyboardInterrupt:\n        print('stopped')\n",
+    )
+    assert run("patient_command", tmp_path).stdout == b"stopped\n"
+
+
+def test_letters_that_a_terminal_lacks_are_replaced(written, tmp_path):
+    written("greek_command", "def cli():\n    print('5 \u00b5s \u2264 6')\n")
+    ended = run("greek_command", tmp_path, PYTHONIOENCODING="ascii")
+    assert (ended.returncode, ended.stdout) == (0, b"5 ?s ? 6\n")
 
 
 def test_command_line_runs_once(written, capsys):
