@@ -6,11 +6,13 @@ of period T with gains kp and kd on an inertia J is stable while
     kd T / J + kp T² / (2 J) < 2
 
 (symplectic Euler's rule; by Jury's criterion for z² − (2 − kd T / J − kp T² / J) z + 1 − kd T / J). In the play of a
-gear, J is the rotor's alone: with more damping than that bears, blows of the play took motors to the end of their range.
-Between two setpoints the joint must not swing: its natural frequency stays below a sixth of the control rate. On a fixed base it
-must not swing after them either: safety looks at where joints are sent. Half of critical damping, with a load that
-takes half of the tracking error, let adversaries pass limits of the workspace. What a load takes from the clearances of
-tool and links is bounded as well: an arm that was as soft as its tracking error allowed sagged through its workspace.
+gear, J is the rotor's alone: with more damping than that bears, its blows took motors to the end of their range.
+
+Between two setpoints the joint must not swing: its natural frequency stays below a sixth of the control rate. On a
+fixed base it must not swing after them either: safety looks at where joints are sent. Half of critical damping, with a
+load that takes half of the tracking error, let adversaries pass limits of the workspace. What a load takes from the
+clearances of tool and links is bounded as well: an arm as soft as its tracking error allowed sagged through its
+workspace.
 """
 
 from collections.abc import Iterator
@@ -72,7 +74,7 @@ def _deflection(spec: RobotSpec, mode: ControlMode) -> Floats:
     if spec.base is not None or not clearances:
         return of_tracking
     of_clearance = CLEARANCE_SHARE * min(clearances) / np.maximum(joint_levers(spec), 1e-9)
-    return np.minimum(of_tracking, of_clearance)
+    return np.asarray(np.minimum(of_tracking, of_clearance))
 
 
 def _load(spec: RobotSpec, mode: ControlMode) -> Floats:

@@ -14,10 +14,11 @@ POSES = 256
 
 
 class JointInertia(NamedTuple):
-    """Inertia about each joint, (n,) kg·m² each: smallest and largest with its rotor, and that of the rotor alone.
+    """Inertia about each joint, (n,) kg·m² each: smallest and largest with its rotor, and of the rotor alone.
 
-    In the play of its gear a drive turns the rotor alone; of a model without rotors it is the smallest. The smallest is that with all other joints free, the largest that with all others held. A floating base is held in
-    both; a free one takes up to a sixth from the smallest (go1 and H1: 0.82 to 1.0 of it).
+    The smallest is that with all other joints free, the largest that with all others held. A floating base is held in
+    both; a free one takes up to a sixth from the smallest (go1 and H1: 0.82 to 1.0 of it). In the play of its gear a
+    drive turns the rotor alone; without rotors in the model it is taken to be the smallest.
     """
 
     least: Floats

@@ -19,9 +19,12 @@ def joint_levers(spec: RobotSpec) -> Floats:
     ends = [
         (shape.parentJoint, shape_length(shape)) for shape in geometry.geometryObjects if shape.parentJoint
     ]
-    for frame in (model.frames[frame] for frame in tool_frame(spec, model)):
-        ends.append((frame.parentJoint, float(np.linalg.norm(frame.placement.translation))))
-    return np.max([np.zeros(spec.n), *(levers_of_point(model, *end) for end in ends)], axis=0)
+    tools = [model.frames[frame] for frame in tool_frame(spec, model)]
+    ends += [(tool.parentJoint, float(np.linalg.norm(tool.placement.translation))) for tool in tools]
+    levers = np.zeros(spec.n)
+    for joint, length in ends:
+        np.maximum(levers, levers_of_point(model, joint, length), out=levers)
+    return levers
 
 
 def shape_length(shape: pin.GeometryObject) -> float:

@@ -47,7 +47,8 @@ def test_ctrl_c_during_imports_is_quiet(written, tmp_path):
     """Be it in a module that makes another exception of it, as C extensions do."""
     written(
         "interrupted_command",
-        "import os, signal\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\nexcept BaseException:\n    raise ImportError",
+        "import os, signal\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\n"
+        "except BaseException:\n    raise ImportError\n",
     )
     ended = run("interrupted_command", tmp_path)
     assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, b"", b"")
