@@ -1,4 +1,7 @@
-"""Start of a command line: Ctrl-C while its modules are imported, which takes a second or more, ends it quietly."""
+"""Start of a command line: Ctrl-C while its modules are imported, which takes a second or more, ends it quietly.
+
+It then ends at once, without cleaning up: nothing is open yet. What a terminal cannot show is written as an escape.
+"""
 
 import io
 import os
@@ -13,9 +16,8 @@ INTERRUPTED = 130
 
 def start(module: str) -> None:
     """Import the module of a command line, and run its `cli`."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal may lack a letter, which is no reason to fail
-            stream.reconfigure(errors="replace")
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")  # as standard error has it
     by_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if by_default:  # an exception could be raised inside a C extension, which makes another one of it
         signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))

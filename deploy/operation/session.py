@@ -32,7 +32,9 @@ CONSOLE_S, VIEW_S = 0.2, 1 / 30
 
 RobotName = Annotated[str, typer.Option(help="name in robots/, or a folder")]
 BackendName = Annotated[str, typer.Option(help=f"connection to the robot: {', '.join(installed(BACKENDS))}")]
-Speed = Annotated[str, typer.Option(help="robot time divided by wall time: a factor, or max")]
+Speed = Annotated[
+    str, typer.Option(help="robot time divided by wall time: a factor from 0.1 to 1000, or max")
+]
 Seed = Annotated[int | None, typer.Option(help=f"of the goals and of a simulated robot  [{SEED}]")]
 DrawName = Annotated[
     str | None,

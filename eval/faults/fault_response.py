@@ -88,8 +88,8 @@ class FaultResponseTracker(Stage):
         slot: (B,) slot of the injection that is followed, -1 for none.
         bad_before: (B, monitors + 1) bad ticks of each hard monitor when the injection began.
         fault_end, slot_end: (B,) ticks.
-        speed: (B,) rad/s in the last tick, sent, or of the joints of a robot in operation: springs are sent no speed.
-        powered: (B,) in the last tick.
+        speed: (B,) rad/s in the last tick, sent; of soft legs, which run from what is sent, that of the joints until
+            they hold. powered: (B,) in the last tick.
     """
 
     carried: ClassVar[tuple[str, ...]] = (
@@ -109,6 +109,7 @@ class FaultResponseTracker(Stage):
         self.speed, self.powered = np.zeros(robots), np.zeros(robots, dtype=bool)
         low, high = spec.joint_array("q_min"), spec.joint_array("q_max")
         self._q_middle, self._q_half_range = np.mean(spec.pose_range, axis=0), (high - low) / 2
+        self._soft = spec.base is not None
         self._qd_max, self._settle_ticks = spec.joint_array("qd_max"), round(SETTLE_S / spec.dt)
 
     def begin(self, tick: int, mode: Modes, judge: Judge) -> None:
@@ -170,9 +171,10 @@ class FaultResponseTracker(Stage):
             StopCategory.NO_STOP,
         )
         self.answer[place] = np.maximum(self.answer[place], answer)
-        moves = np.where((now == Mode.RUNNING)[:, None], np.abs(qd), 0.0)
-        self.speed[rows] = np.maximum(moves, np.abs(command.qd[rows])).max(axis=1)
-        self.powered[rows] = powered
+        speed = command.qd[rows]
+        if self._soft:
+            speed = np.where(((now == Mode.RUNNING) | (now == Mode.STOPPING))[:, None], qd, 0.0)
+        self.powered[rows], self.speed[rows] = powered, np.abs(speed).max(axis=1)
 
     def _close(self, rows: Ints, tick: int, judge: Judge) -> None:
         if not len(rows):

@@ -54,6 +54,10 @@ def _read_mjcf(spec: RobotSpec) -> Read:
         raise RobotError(
             f"{path}: worldbody holds {links} bodies, expected 1: Pinocchio would leave the others out"
         )
+    if (sections := len(root.findall("default"))) > 1:
+        raise RobotError(
+            f"{path}: default: found {sections} sections, expected at most 1: Pinocchio reads one only"
+        )
     carried, shapes = (len(root.findall(f"./worldbody{parts}//geom")) for parts in ("/body", ""))
     # Declared capsules replace all shapes: meshes take seconds to load.
     geometry = not (spec.capsules and carried == shapes)

@@ -63,10 +63,10 @@ def test_ctrl_c_is_an_exception_again_when_the_command_runs(written, tmp_path):
     assert run("patient_command", tmp_path).stdout == b"stopped\n"
 
 
-def test_letters_that_a_terminal_lacks_are_replaced(written, tmp_path):
+def test_letters_that_a_terminal_lacks_are_escaped(written, tmp_path):
     written("greek_command", "def cli():\n    print('5 \u00b5s \u2264 6')\n")
     ended = run("greek_command", tmp_path, PYTHONIOENCODING="ascii")
-    assert (ended.returncode, ended.stdout) == (0, b"5 ?s ? 6\n")
+    assert (ended.returncode, ended.stdout) == (0, b"5 \\xb5s \\u2264 6\n")
 
 
 def test_command_line_runs_once(written, capsys):

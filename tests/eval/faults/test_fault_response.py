@@ -29,19 +29,21 @@ from robots.models.nominal_model import torque_max
 from support.arm6 import SPEC, arm_judge
 from support.eval.fault_schedules import CLASSES, DT, N, named, one_each
 from support.policies import policy_model, saved
+from support.quadruped import QUADRUPED
 
 FAULTS = FaultSettings(coverage=0.95, cycle_s=20.0, operator_s=5.0)
 RUN, STOP, HOLD, LATCHED = Mode.RUNNING, Mode.STOPPING, Mode.HOLDING, Mode.LATCHED
+SOFT = SPEC.model_copy(update={"base": QUADRUPED.base})
 BEGINS, SETTLE = 10, round(SETTLE_S / DT)
 
 
-def told(fault, story, *, lasts=50, speed=0.0, hurt=None, before=RUN):
+def told(fault, story, *, lasts=50, speed=0.0, hurt=None, before=RUN, spec=SPEC):
     """What is found of one injection.
 
     The story is a list of (ticks, mode, true speed); `speed` is the one sent. `hurt` is a tick at which it collides.
     """
     schedule = one_each([(fault, None)], BEGINS, lasts=lasts)
-    tracker, judge = FaultResponseTracker(SPEC, schedule), arm_judge(torque_max(SPEC), 1)
+    tracker, judge = FaultResponseTracker(spec, schedule), arm_judge(torque_max(SPEC), 1)
     still, tick = np.zeros((1, N)), BEGINS
     tracker.begin(tick, np.array([before]), judge)
     for ticks, mode, moves in story:
@@ -114,19 +116,20 @@ def test_too_severe_response_is_not_handled():
 
 
 @pytest.mark.parametrize(
-    ("before", "speed", "true", "answer"),
+    ("spec", "before", "speed", "true", "answer"),
     [
-        (RUN, 0.5, 0.0, StopCategory.CATEGORY_0),
-        (RUN, 0.0, 0.5, StopCategory.CATEGORY_0),  # springs are sent no speed
-        (RUN, 0.0, 0.0, StopCategory.CATEGORY_1),
-        (STOP, 0.5, 0.0, StopCategory.CATEGORY_0),
-        (STOP, 0.0, 0.5, StopCategory.CATEGORY_1),  # a joint that oscillates when its stop is over
+        (SPEC, RUN, 0.5, 0.0, StopCategory.CATEGORY_0),
+        (SPEC, STOP, 0.5, 0.0, StopCategory.CATEGORY_0),
+        (SPEC, RUN, 0.0, 0.5, StopCategory.CATEGORY_1),  # it vibrates
+        (SOFT, RUN, 0.0, 0.5, StopCategory.CATEGORY_0),
+        (SOFT, STOP, 0.0, 0.5, StopCategory.CATEGORY_0),
+        (SOFT, STOP, 0.0, 0.0, StopCategory.CATEGORY_1),
     ],
 )
-def test_power_loss_in_motion_is_category_0(before, speed, true, answer):
-    one, found = told(
-        named("encoder off"), [(5, before, true), (300, LATCHED, 0.0), (200, RUN, 0.1)], speed=speed
-    )
+def test_power_loss_in_motion_is_category_0(spec, before, speed, true, answer):
+    """Of drives that follow what they are sent, and of soft ones."""
+    story = [(5, before, true), (300, LATCHED, 0.0), (200, RUN, 0.1)]
+    one, found = told(named("encoder off"), story, speed=speed, spec=spec)
     assert one.answer == answer
     assert row(found, named("encoder off")).handled == (answer == StopCategory.CATEGORY_1)
 

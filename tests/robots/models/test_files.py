@@ -106,6 +106,13 @@ def test_a_model_in_more_than_one_file_is_refused(tmp_path):
             reader(spec)
 
 
+def test_a_second_section_of_defaults_is_refused(tmp_path):
+    """MuJoCo merges them."""
+    folder = copy_of_arm(tmp_path, xml=[("<worldbody>", "<default><geom margin='0'/></default><worldbody>")])
+    with pytest.raises(RobotError, match=r"model.xml: default: found 2 sections, expected at most 1"):
+        load_pinocchio(load_robot(folder))
+
+
 def test_a_class_that_pinocchio_does_not_find_is_refused(tmp_path):
     """MuJoCo calls the class of all others main, even if the file gives it no name."""
     folder = copy_of_arm(
