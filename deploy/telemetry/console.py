@@ -51,7 +51,10 @@ class ConsoleProcess(SnapshotPipe):
         """Start the process in its own group, so that Ctrl-C does not reach it."""
         reading, writing = os.pipe()
         command = [sys.executable, "-P", str(Path(__file__).with_name("console_display.py"))]
-        self._process = subprocess.Popen(command, stdin=reading, process_group=0)
+        encoding = os.environ.get("PYTHONIOENCODING", "").partition(":")[0]
+        # What a terminal cannot show is written as an escape, as `deploy.start` has it for this process.
+        environment = os.environ | {"PYTHONIOENCODING": f"{encoding}:backslashreplace"}
+        self._process = subprocess.Popen(command, stdin=reading, process_group=0, env=environment)
         os.close(reading)
         super().__init__(writing)
 

@@ -63,9 +63,17 @@ def test_ctrl_c_is_an_exception_again_when_the_command_runs(written, tmp_path):
     assert run("patient_command", tmp_path).stdout == b"stopped\n"
 
 
-def test_letters_that_a_terminal_lacks_are_escaped(written, tmp_path):
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"PYTHONIOENCODING": "ascii"},
+        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    ],
+    ids=["encoding", "locale"],
+)
+def test_letters_that_a_terminal_lacks_are_escaped(written, tmp_path, environment):
     written("greek_command", "def cli():\n    print('5 \u00b5s \u2264 6')\n")
-    ended = run("greek_command", tmp_path, PYTHONIOENCODING="ascii")
+    ended = run("greek_command", tmp_path, **environment)
     assert (ended.returncode, ended.stdout) == (0, b"5 \\xb5s \\u2264 6\n")
 
 

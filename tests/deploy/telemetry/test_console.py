@@ -11,7 +11,7 @@ from rich.console import Console
 from deploy.backends.sim.robot import SimRobot
 from deploy.backends.sim.scene import Scene
 from deploy.telemetry import console_display
-from deploy.telemetry.console import SnapshotPipe
+from deploy.telemetry.console import ConsoleProcess, SnapshotPipe
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.walking import QUADRUPED, live, walker
@@ -134,6 +134,15 @@ def test_the_table_shows_everything():
         *("elbow", "+1.500", "-0.250", "+1.2", "+33.3", "61 of 80", "111 of 110", "No space left on device"),
     ):
         assert part in text
+
+
+def test_letters_that_the_output_lacks_are_escaped(monkeypatch, capfd):
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    console = ConsoleProcess()
+    console.offer(SNAPSHOT)
+    console.close()
+    out, err = capfd.readouterr()
+    assert ("\\xb0C" in out, err) == (True, "")
 
 
 def test_lines_appear_once_a_second_and_on_changes():
