@@ -337,7 +337,7 @@ def test_robot_that_is_too_hot_is_not_moved(check):
         (("--angle-deg", "16"), "error: --angle-deg 16: expected degrees from 2 to 15"),
         (("--angle-deg", "nan"), "error: --angle-deg nan: expected degrees from 2 to 15"),
         (("--angle-deg", "wide"), "Invalid value for '--angle-deg'"),
-        (("--speed", "fast"), "error: --speed fast: expected a factor above 0"),
+        (("--speed", "fast"), "error: --speed fast: expected a factor from 0.1"),
         (("--draw", "7"), "error: --draw 7: expected SEED:ROBOT"),
         (("--policy", "x.onnx"), "No such option: --policy"),
         (
