@@ -35,7 +35,8 @@ def written(tmp_path, monkeypatch):
 def run(module, folder, **environment):
     """Start a module of a folder in a process of its own."""
     code = (
-        f"import sys; sys.path.insert(0, {str(folder)!r}); from deploy.start import start; start({module!r})"
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"  # a shell may ignore it
+        f"sys.path.insert(0, {str(folder)!r}); from deploy.start import start; start({module!r})"
     )
     environment = os.environ | {"PYTHONPATH": str(ROOT)} | environment
     return subprocess.run(
