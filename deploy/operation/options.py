@@ -14,7 +14,7 @@ from robots.spec import RobotSpec
 
 SEED = 7
 SPEED_MIN, SPEED_MAX = 0.1, 1000.0
-"""Slower, Ctrl-C would have to wait long for a stop, which takes half a second of robot time."""
+"""Bounds of --speed: below, a stop, which takes half a second of robot time, would keep Ctrl-C waiting."""
 
 
 def speed_factor(speed: str) -> float:

@@ -69,7 +69,7 @@ def _some_of(element: Element, names: tuple[str, ...]) -> dict[str, str]:
 
 
 @contextmanager
-def moved(root: Element, model: Path, folder: Path) -> Iterator[Path]:
+def temporary_model(root: Element, model: Path, folder: Path) -> Iterator[Path]:
     """Temporary file of the changed root of a model, which finds the robot's meshes from there.
 
     Raises:

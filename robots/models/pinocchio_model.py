@@ -10,7 +10,7 @@ import pinocchio as pin
 from robots.contacts import GOAL, WORLD
 from robots.errors import RobotError
 from robots.models.files import is_urdf, read_xml, referenced_files, urdf_text
-from robots.models.mjcf_places import inherit_places, moved
+from robots.models.mjcf_places import inherit_places, temporary_model
 from robots.spec import RobotSpec
 from robots.tables import Capsule
 
@@ -63,7 +63,7 @@ def _read_mjcf(spec: RobotSpec) -> Read:
     geometry = not (spec.capsules and carried == shapes)
     if not inherit_places(root):
         return _build_from_mjcf(path, geometry)
-    with moved(root, path, spec.folder) as changed:
+    with temporary_model(root, path, spec.folder) as changed:
         return _build_from_mjcf(changed, geometry)
 
 

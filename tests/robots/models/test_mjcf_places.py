@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from robots.models.mjcf_places import inherit_places, moved
+from robots.models.mjcf_places import inherit_places, temporary_model
 from robots.models.pinocchio_model import read_pinocchio
 from robots.spec import ROBOTS, load_robot
 from support.robots.model_files import write_stl
@@ -68,7 +68,7 @@ def in_both(folder, text):
     (folder / "model.xml").write_text(text)
     root = ElementTree.fromstring(text)
     assert inherit_places(root)
-    with moved(root, folder / "model.xml", folder) as path:
+    with temporary_model(root, folder / "model.xml", folder) as path:
         nominal = pin.buildModelFromMJCF(str(path))
         geometry = pin.buildGeomFromMJCF(nominal, str(path), pin.GeometryType.COLLISION)
     nominal_data, placements = nominal.createData(), geometry.createData()
@@ -115,7 +115,7 @@ def test_a_changed_model_finds_its_meshes(tmp_path, compiler, mesh):
     text = text.replace("<worldbody>", f'<asset><mesh name="fore" file="{mesh}"/></asset><worldbody>')
     (tmp_path / "model.xml").write_text(text.replace('<compiler angle="radian"/>', compiler))
     root = ElementTree.parse(tmp_path / "model.xml").getroot()
-    with moved(root, tmp_path / "model.xml", tmp_path) as path:
+    with temporary_model(root, tmp_path / "model.xml", tmp_path) as path:
         assert path.parent != tmp_path
         model = pin.buildModelFromMJCF(str(path))
         shapes = pin.buildGeomFromMJCF(model, str(path), pin.GeometryType.COLLISION).geometryObjects

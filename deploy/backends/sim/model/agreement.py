@@ -95,7 +95,10 @@ class _BothModels:
         found = self._data.site(name) if site >= 0 else self._data.body(name)
         if not _alike(found.xpos, found.xmat.reshape(3, 3), nominal, 3):
             self._refuse(
-                f"frame {name!r}", _place(found.xpos, found.xmat), _place(*_parts(nominal)), WRITE_OUT
+                f"frame {name!r}",
+                _place(found.xpos, found.xmat),
+                _place(nominal.translation, nominal.rotation),
+                WRITE_OUT,
             )
 
     def _compare_shapes(self) -> None:
@@ -129,10 +132,6 @@ def _alike(place: Floats, turn: Floats, nominal: pin.SE3, axes: int) -> bool:
     if axes == 1:
         return near and abs(float(turn[:, 2] @ nominal.rotation[:, 2])) >= 1.0 - TURN
     return near and (axes == 0 or bool(np.abs(turn - nominal.rotation).max() <= TURN))
-
-
-def _parts(place: pin.SE3) -> tuple[Floats, Floats]:
-    return place.translation, place.rotation
 
 
 def _place(place: Floats, turn: Floats) -> str:

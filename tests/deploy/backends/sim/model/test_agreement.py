@@ -49,7 +49,7 @@ def test_a_foot_at_the_knee_is_refused(monkeypatch):
 
 @pytest.mark.parametrize("axes", ["euler='0.3 0 0'", "quat='0.8 0 0.6 0'"])
 def test_a_turn_that_pinocchio_leaves_out_is_refused(tmp_path, monkeypatch, axes):
-    """Of a box about its middle, and of a capsule about another axis than its own."""
+    """Of a box about its middle, which stays where it is."""
     box = f'<default class="turned"><geom type="box" size="0.04 0.05 0.06" {axes}/></default>'
     folder = copy_of_arm(
         tmp_path,
