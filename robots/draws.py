@@ -12,7 +12,7 @@ from zlib import crc32
 import numpy as np
 from pydantic import Field
 
-from robots.arrays import Floats
+from robots.arrays import Floats, Ints
 from robots.distributions import Distributions, check_transport
 from robots.errors import ConfigError
 from robots.spans import Quantity
@@ -43,7 +43,11 @@ class Draw(dict[str, Floats]):
 
     def robot(self, row: int) -> "Draw":
         """Return one robot of the draw."""
-        return Draw({name: values[row : row + 1] for name, values in self.items()})
+        return self.rows(np.array([row]))
+
+    def rows(self, rows: Ints) -> "Draw":
+        """Return some robots of the draw, in the order of their rows."""
+        return Draw({name: values[rows] for name, values in self.items()})
 
     def to_json(self, seed: int, distributions: Distributions, spec: RobotSpec) -> str:
         """Return all of it as exact JSON, with the seed of everything else that is random and the undrawn values."""

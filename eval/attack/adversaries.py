@@ -67,6 +67,11 @@ ADVERSARIES: Mapping[str, Adversary] = {
         start={"reach": 1.5, "sharpness": 100.0, "follow": 0.0, "wave": 1.0, "wave_hz": 0.7},
         searched=("reach", "follow", "wave", "wave_hz", "wave_turns", "push"),
     ),
+    "swing": Adversary(
+        meaning="each joint swings about a pose away from home, at a rate of its own",
+        start={"reach": 1.0, "sharpness": 1.0, "follow": 0.0, "wave": 0.3, "wave_hz": 1.1, "push": 0.5},
+        searched=("reach", "sharpness", "wave", "wave_hz", "wave_turns", "push"),
+    ),
     "push": Adversary(
         meaning="all joints are driven towards some ends of their ranges, then back",
         start={"reach": 2.5, "sharpness": 10.0, "follow": 0.0, "push": 0.5, "swing": 1.0, "swing_hz": 0.4},

@@ -31,12 +31,23 @@ GUARDS = (
 )
 
 
-def attacked(without="", seconds=EPISODE_S):
-    """Return what a search of `TRIALS` policies found, each tried for some seconds."""
+class HardEventError(Exception):
+    """End of a search whose aim is one event."""
+
+
+def attacked(without="", seconds=EPISODE_S, target=None):
+    """Return what a search of `TRIALS` policies found, each tried for some seconds; raise at an event of the target."""
+
+    def try_block(block):
+        outcome = arena.try_block(block)
+        if target and outcome.worst[target].max() > 1.0:
+            raise HardEventError
+        return outcome
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "EPISODE_S", seconds)
         arena = Arena(Setting(robot=SPEC.folder, mode=MODE, without=without), SEED)
-        search = Search(SPEC, MODE, lambda blocks: [arena.try_block(block) for block in blocks], seed=SEED)
+        search = Search(SPEC, MODE, lambda blocks: [try_block(block) for block in blocks], seed=SEED)
         next(islice(search.run(), 1))
     assert search.archive.trials == TRIALS
     return search.archive
@@ -55,7 +66,8 @@ def guarded():
 def check(part, guarded, seconds=EPISODE_S):
     mutant = find_guard(part)
     assert mutant.situation.prepare is keep_guards, "other guards would be removed as well"
-    assert mutant.monitor in attacked(part, seconds).hits
+    with pytest.raises(HardEventError):
+        attacked(part, seconds, mutant.monitor)
     assert guarded.worst[mutant.monitor].ratio <= 1.0
 
 

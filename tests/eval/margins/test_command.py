@@ -13,7 +13,7 @@ from eval.margins import trial
 from robots.spec import load_robot
 from support.planar import PLANAR3
 
-QUICK = ("--trials", 1, "--generations", 1)
+QUICK = ("--mode", "position", "--trials", 1, "--generations", 1)
 
 
 class InProcess(Executor):
