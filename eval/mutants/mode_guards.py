@@ -1,5 +1,7 @@
 """Mutants of guards in velocity and torque mode: limits of speeds and torques, and the drives of stops."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from deploy.reasons import Reason
@@ -8,6 +10,8 @@ from eval.faults.hostile_policy import push_joints, shake
 from eval.mutants.guard_removal import (
     brake_too_late,
     ignore_reasons,
+    in_sequence,
+    override,
     remove_second_torque_rate,
     remove_torque_bound,
     remove_torque_rate,
@@ -69,7 +73,11 @@ TORQUE_MODE = (
     Mutant(
         guard="torque mode: no limit of the torque's rate",
         remove_guard=remove_torque_rate,
-        situation=PUSHES,
+        situation=replace(
+            PUSHES,
+            description="torque mode: full torques of random signs, 10 a second, with accelerations of 8 rad/s²",
+            prepare=in_sequence(ignore_reasons(Reason.ACCELERATION), override("smoother", _qdd_max=8.0)),
+        ),
         monitor="torque_rate",
     ),
     Mutant(
