@@ -11,6 +11,12 @@ from robots.errors import ContractError, printable
 
 PARTS_MAX = 1 << 14
 """Nodes, attributes and tensors of a graph: a hundred times as many as networks of robots have."""
+RANDOM = frozenset(
+    {"Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform", "RandomUniformLike"}
+)
+"""Operators that draw random numbers: a policy with them could not be replayed."""
+TRAINING_MODE = 2
+"""Place of the input of Dropout that makes it draw random numbers."""
 
 
 def read_model(data: bytes, source: str) -> ModelProto:
@@ -81,7 +87,7 @@ def _parts_of(graph: GraphProto) -> int:
 
 
 def _foreign(model: ModelProto) -> Iterator[str]:
-    """Yield complaints: external files, custom operators, control flow. Only a Scan, over robots, may hold a graph."""
+    """Yield complaints: external files, custom operators, random numbers, control flow but a Scan over robots."""
     for opset in model.opset_import:
         yield from _domain(opset.domain)
     if model.functions:
@@ -101,6 +107,11 @@ def _parts(graph: GraphProto, *, inner: bool) -> Iterator[str]:
         holds = any(a.type in (AttributeProto.GRAPH, AttributeProto.GRAPHS) for a in node.attribute)
         if holds and (inner or node.op_type != "Scan"):
             yield f"node {node.name!r:.100}: found {node.op_type:.100} with a graph of its own, expected none"
+        if node.op_type in RANDOM or (node.op_type == "Dropout" and len(node.input) > TRAINING_MODE):
+            yield (
+                f"node {node.name!r:.100}: found {node.op_type:.100}, which may draw random numbers, expected the same"
+                " outputs for the same inputs"
+            )
 
 
 def _domain(domain: str) -> Iterator[str]:

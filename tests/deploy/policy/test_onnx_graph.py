@@ -75,9 +75,28 @@ def sparse(body):
     )
 
 
+def random(body):
+    body.node.append(helper.make_node("RandomUniformLike", [body.input[0].name], ["chance"], name="dice"))
+
+
+def training_dropout(body):
+    name = body.input[0].name
+    body.node.append(helper.make_node("Dropout", [name, "ratio", "training"], ["chance"], name="dice"))
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
+        (
+            random,
+            "node 'dice': found RandomUniformLike, which may draw random numbers, expected the same outputs for"
+            " the same inputs",
+        ),
+        (
+            training_dropout,
+            "node 'dice': found Dropout, which may draw random numbers, expected the same outputs for"
+            " the same inputs",
+        ),
         (nested, "node 'again': found Scan with a graph of its own, expected none"),
         (loop, "node 'spin': found Loop with a graph of its own, expected none"),
         (foreign_node, "operator domain: found 'evil', expected only ai.onnx"),

@@ -48,7 +48,12 @@ def test_search_climbs_a_hill_whatever_adversary_is_on_it():
     library = searched(1, target="velocity").archive.worst["velocity"].ratio
     search = searched(1 + 4 * CYCLE, target="velocity")
     assert search.archive.worst["velocity"].ratio > max(0.97, library)
-    assert search.archive.worst["velocity"].candidate.adversary in ("anti_damping", "bang_bang", "swing", "push")
+    assert search.archive.worst["velocity"].candidate.adversary in (
+        "anti_damping",
+        "bang_bang",
+        "swing",
+        "push",
+    )
 
 
 def test_robots_that_differ_do_not_mislead_the_search():
