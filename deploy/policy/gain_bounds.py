@@ -10,9 +10,10 @@ gear, J is the rotor's alone: with more damping than that bears, its blows took 
 
 Between two setpoints the joint must not swing: its natural frequency stays below a sixth of the control rate. On a
 fixed base it must not swing after them either: safety looks at where joints are sent. Half of critical damping, with a
-load that takes half of the tracking error, let adversaries pass limits of the workspace. What its load takes from the
-clearances of tool and links is bounded for each joint, too: an arm as soft as its tracking error allowed sagged through
-its workspace. All loads at their largest at once would take more; tried with drawn arms, they took 0.992 of the limit.
+load that takes half of the tracking error, let adversaries pass limits of the workspace. What its load takes from its
+margin to the end of its range, and from the clearances of tool and links, is bounded for each joint: an arm as soft
+as its tracking error allowed sagged through its workspace, and a planar one was pushed past the end of its range. All
+loads at their largest at once would take more; tried with drawn arms, they took 0.992 of the limit.
 """
 
 from collections.abc import Iterator
@@ -35,7 +36,7 @@ SETPOINTS_PER_SWING = 6
 TRACKING_SHARE = 0.25
 """Share of the tracking error that stops a robot, at which a joint holds its load."""
 CLEARANCE_SHARE = 0.5
-"""Share of the margins of workspace and collision that the load of a joint may take, at the end of its lever."""
+"""Share of the margins of range, workspace and collision that the load of a joint may take; at the end of its lever."""
 DAMPING_MIN, DAMPING_MIN_OF_SPRINGS = 0.7, 0.05
 """Least damping ratio, on the largest inertia; the second on a floating base, where drives act as springs. The least of
 a known policy is 0.07, at the hip of Unitree's H1."""
@@ -70,11 +71,14 @@ def _deflection(spec: RobotSpec, mode: ControlMode) -> Floats:
     """
     margins = spec.margins.of(mode)
     of_tracking = np.full(spec.n, TRACKING_SHARE * spec.margins.tracking_rad)
-    clearances = [each for each in (margins.workspace_m, margins.collision_m) if each is not None]
-    if spec.base is not None or not clearances:
+    if spec.base is not None:
         return of_tracking
+    of_range = np.minimum(of_tracking, CLEARANCE_SHARE * margins.q_soft_rad)
+    clearances = [each for each in (margins.workspace_m, margins.collision_m) if each is not None]
+    if not clearances:
+        return of_range
     of_clearance = CLEARANCE_SHARE * min(clearances) / np.maximum(joint_levers(spec), 1e-9)
-    return np.asarray(np.minimum(of_tracking, of_clearance))
+    return np.asarray(np.minimum(of_range, of_clearance))
 
 
 def _load(spec: RobotSpec, mode: ControlMode) -> Floats:
