@@ -26,7 +26,6 @@ GUARDS = (
     "safety: tool speed, off",
     "safety: workspace, off",
     "safety: collision, off",
-    "safety: the moments while a stop brakes",
     "safety: the stop's first step",
 )
 

@@ -118,7 +118,7 @@ def test_a_soak_that_does_not_fit_is_refused_with_both_numbers(restless, tmp_pat
 def test_lost_report_folder_is_an_error_and_not_recreated(restless, tmp_path, monkeypatch):
     """It is moved away once the soak has begun; when it is put back, the soak goes on from there."""
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
-    restless, run = replace(restless, hours=0.0004), workers.WorkerPool.run
+    restless, run = replace(restless, hours=0.0002), workers.WorkerPool.run
     first = restless.checkpoint(0, out / "unfinished")
     written.check_report_folder(out)
     prepare_folder(out / "unfinished")
