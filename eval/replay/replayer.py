@@ -63,6 +63,7 @@ class Replay:
         Raises:
             FirstshiftError: naming the file and the field.
         """
+        self._state_path = folder / bundle.STATE
         self.info = info = bundle.open_bundle(folder)
         self.spec = load_robot(folder / bundle.ROBOT)
         check_compiles(self.spec.model_path, self.spec.folder)
@@ -95,7 +96,11 @@ class Replay:
         return self.shard.runtime.task.criterion.tolerance
 
     def run(self, observe: Callable[[], None] = lambda: None) -> ReplayResult:
-        """Simulate the window, once; `observe` is called after every tick."""
+        """Simulate the window, once; `observe` is called after every tick.
+
+        Raises:
+            ConfigError: the saved state is none of a simulated shard.
+        """
         shard, info = self.shard, self.info
         window = Window(self.spec, WIDTH, shard.runtime.task.size, len(self.recorded) * self.spec.dt)
         # A second judge, whose highest load is reset in each tick.
@@ -106,7 +111,7 @@ class Replay:
         detector, stops = StopDetector(), dict[int, str]()
         detector.step(shard.runtime)  # before the window
         for place in range(len(load)):
-            shard.tick()
+            self._tick()
             if self.row in detector.step(shard.runtime):
                 reason = int(shard.runtime.supervisor.reason[self.row])
                 stops[place] = explain_reasons(shard.runtime, reason, self.row)
@@ -122,6 +127,12 @@ class Replay:
             stops=stops,
             end_digest=state_digest(shard.snapshot()),
         )
+
+    def _tick(self) -> None:
+        try:
+            self.shard.tick()
+        except IndexError as e:
+            raise ConfigError(f"{self._state_path}: holds an integer that no state has: {e}") from e
 
     def _find_event(self, counts: Counts) -> EventRecord | None:
         info, keys = self.info, ("robot", "monitor", "start")

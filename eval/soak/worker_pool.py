@@ -2,6 +2,7 @@
 
 import multiprocessing as mp
 import signal
+import time
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -20,6 +21,8 @@ from robots.errors import FirstshiftError
 DEATHS = 4
 """Deaths of a shard's workers in a row, without any progress between them, that end the soak."""
 POLL_S = 0.5
+END_S = 60.0
+"""s in which workers store their checkpoints and end; then they are killed, as one that somebody has stopped."""
 COLUMNS = (
     TextColumn("soaking"),
     BarColumn(),
@@ -79,7 +82,10 @@ class WorkerPool:
                 self._run_until_interrupted()
             except BaseException:
                 self.stop.value = 1
+                ended = time.monotonic() + END_S
                 for worker in self._running.values():
+                    worker.process.join(max(0.0, ended - time.monotonic()))
+                    worker.process.kill()
                     worker.process.join()
                 raise
 
@@ -95,8 +101,18 @@ class WorkerPool:
             self.stop.value = 1
             self._console.print("interrupted: the report will cover what has run so far")
             with handled(signal.SIG_IGN):
-                while self._running:
-                    self._collect(None)
+                self._wait_for_all()
+
+    def _wait_for_all(self) -> None:
+        """Wait until all workers have ended, and kill those that do not."""
+        ended = time.monotonic() + END_S
+        while self._running and (left := ended - time.monotonic()) > 0.0:
+            self._collect(left)
+        for worker in self._running.values():
+            self._console.print(f"the worker of shard {worker.number} did not end in {END_S:g} s: killed")
+            worker.process.kill()
+        while self._running:
+            self._collect(None)
 
     def step(self) -> None:
         """Start workers while there is room, and wait a moment for some to end."""

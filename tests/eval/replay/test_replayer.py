@@ -138,6 +138,13 @@ def test_another_state_is_not_reproduced(one, run):
     assert re.search(r"not reproduced: at tick [+-]\d+ of the event, \w+: found .*, recorded", said)
 
 
+def test_integer_that_no_state_has_is_refused(one, run):
+    changed(one, "state.npz", lambda arrays: arrays["runtime.supervisor.mode"].fill(77))
+    code, _, said = run(one)
+    assert code == 2
+    assert re.fullmatch(r"error: .*/one/state\.npz: holds an integer that no state has: .*\n", said)
+
+
 def test_different_final_state_is_reported(one, lived):
     resealed(one, end_digest="0" * 64)
     assert mismatch(Replay(one), lived("velocity")[1]) == "all signals agree, but not the state at the end"

@@ -98,6 +98,23 @@ def test_workers_that_die_again_and_again_end_the_soak(pool, monkeypatch):
     assert not children()
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+def test_worker_that_somebody_has_stopped_is_killed_at_the_end(pool, monkeypatch, error):
+    """SIGSTOP: it hears of nothing any more."""
+
+    def step(pool, step=WorkerPool.step):
+        step(pool)
+        for pid in children():
+            os.kill(pid, signal.SIGSTOP)
+        raise error
+
+    monkeypatch.setattr("eval.soak.worker_pool.END_S", 0.0)
+    monkeypatch.setattr(WorkerPool, "step", step)
+    with suppress(ZeroDivisionError):
+        pool.run()
+    assert not children()
+
+
 @pytest.mark.slow
 def test_error_of_a_worker_is_the_soaks(arm_policy, tmp_path):
     """The policy changes after its digest was taken."""
