@@ -11,18 +11,14 @@ from robots.motors.gains import Gains
 from robots.spec import load_robot
 from support.arm6 import SPEC
 
-MARGINS = SPEC.margins
-
 
 @pytest.mark.parametrize("mode", ControlMode)
 def test_setpoints_may_need_the_share_of_torque_of_their_mode(mode):
-    law = drive_law(SPEC, mode, None, Fleet(SPEC, 2))
-    np.testing.assert_array_equal(law.torque_limit, MARGINS.of(mode).tau * torque_max(SPEC))
-
-
-def test_torque_mode_has_a_share_of_its_own():
-    """Or the test above would prove nothing."""
-    assert MARGINS.of(ControlMode.TORQUE).tau > MARGINS.tau
+    own = SPEC.margins.torque_mode.model_copy(update={"tau": 0.7})
+    spec = SPEC.model_copy(update={"margins": SPEC.margins.model_copy(update={"torque_mode": own})})
+    law = drive_law(spec, mode, None, Fleet(spec, 2))
+    share = 0.7 if mode is ControlMode.TORQUE else SPEC.margins.tau
+    np.testing.assert_array_equal(law.torque_limit, share * torque_max(SPEC))
 
 
 def test_drives_of_a_floating_base_give_way():
