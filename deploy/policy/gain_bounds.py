@@ -73,7 +73,7 @@ def _deflection(spec: RobotSpec, mode: ControlMode) -> Floats:
     of_tracking = np.full(spec.n, TRACKING_SHARE * spec.margins.tracking_rad)
     if spec.base is not None:
         return of_tracking
-    of_range = np.minimum(of_tracking, CLEARANCE_SHARE * margins.q_soft_rad)
+    of_range: Floats = np.minimum(of_tracking, CLEARANCE_SHARE * margins.q_soft_rad)
     clearances = [each for each in (margins.workspace_m, margins.collision_m) if each is not None]
     if not clearances:
         return of_range
