@@ -13,7 +13,8 @@ fixed base it must not swing after them either: safety looks at where joints are
 load that takes half of the tracking error, let adversaries pass limits of the workspace. What its load takes from its
 margin to the end of its range, and from the clearances of tool and links, is bounded for each joint: an arm as soft
 as its tracking error allowed sagged through its workspace, and a planar one was pushed past the end of its range. All
-loads at their largest at once would take more; tried with drawn arms, they took 0.992 of the limit.
+loads at their largest at once would take more; tried with arm6 as drawn, they took 0.992 of the limit of its
+workspace.
 """
 
 from collections.abc import Iterator
@@ -105,7 +106,7 @@ def _outside(gain: str, found: Floats, low: Floats, high: Floats, spec: RobotSpe
 
 
 _TOO_SMALL = {
-    "kp": "too soft for its load, which it would follow out of its clearances",
+    "kp": "too soft for its load, which it would follow out of its range or clearances",
     "kd": "it would swing",
 }
 _TOO_LARGE = {

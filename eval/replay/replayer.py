@@ -129,6 +129,7 @@ class Replay:
         )
 
     def _tick(self) -> None:
+        """Advance one tick. Integers of a state are not checked when it is read: an IndexError is taken for theirs."""
         try:
             self.shard.tick()
         except IndexError as e:

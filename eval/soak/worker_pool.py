@@ -22,7 +22,7 @@ DEATHS = 4
 """Deaths of a shard's workers in a row, without any progress between them, that end the soak."""
 POLL_S = 0.5
 END_S = 60.0
-"""s in which workers store their checkpoints and end; then they are killed, as one that somebody has stopped."""
+"""s that workers get to store their checkpoints and end; those that do not, as one that SIGSTOP stopped, are killed."""
 COLUMNS = (
     TextColumn("soaking"),
     BarColumn(),
@@ -85,7 +85,8 @@ class WorkerPool:
                 ended = time.monotonic() + END_S
                 for worker in self._running.values():
                     worker.process.join(max(0.0, ended - time.monotonic()))
-                    worker.process.kill()
+                    if worker.process.is_alive():
+                        self._kill(worker)
                     worker.process.join()
                 raise
 
@@ -109,10 +110,13 @@ class WorkerPool:
         while self._running and (left := ended - time.monotonic()) > 0.0:
             self._collect(left)
         for worker in self._running.values():
-            self._console.print(f"the worker of shard {worker.number} did not end in {END_S:g} s: killed")
-            worker.process.kill()
+            self._kill(worker)
         while self._running:
             self._collect(None)
+
+    def _kill(self, worker: Worker) -> None:
+        self._console.print(f"the worker of shard {worker.number} did not end in {END_S:g} s: killed")
+        worker.process.kill()
 
     def step(self) -> None:
         """Start workers while there is room, and wait a moment for some to end."""
