@@ -19,9 +19,7 @@ FAIL = ("strict", "surrogateescape")
 def start(module: str) -> None:
     """Import the module of a command line, and run its `cli`."""
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors in FAIL:
-        sys.stdout.reconfigure(
-            errors="backslashreplace"
-        )  # what a terminal cannot show, as standard error does
+        sys.stdout.reconfigure(errors="backslashreplace")  # as standard error
     by_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if by_default:  # an exception could be raised inside a C extension, which makes another one of it
         signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))

@@ -4,9 +4,8 @@ import numpy as np
 
 from robots.arrays import Floats
 from robots.draws import Draw
-from robots.models.levers import levers_of_point
+from robots.models.levers import levers_of_point, tool_levers
 from robots.models.nominal_model import load_pinocchio, torque_max
-from robots.models.pinocchio_model import tool_frame
 from robots.spec import RobotSpec
 
 G = 9.81
@@ -27,8 +26,5 @@ def extra_load(spec: RobotSpec, robots: Draw) -> Floats:
         ]
     )
     tau = G * (masses * (robots["links.mass"] - 1.0)) @ arms
-    for frame in tool_frame(spec, model):
-        tool = model.frames[frame]
-        lever = levers_of_point(model, tool.parentJoint, float(np.linalg.norm(tool.placement.translation)))
-        tau += np.outer(G * robots["payload.mass_kg"] + robots["push.force_n"], lever)
+    tau += np.outer(G * robots["payload.mass_kg"] + robots["push.force_n"], tool_levers(spec, model))
     return np.asarray((tau / torque_max(spec)).max(axis=1))

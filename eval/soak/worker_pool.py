@@ -82,12 +82,7 @@ class WorkerPool:
                 self._run_until_interrupted()
             except BaseException:
                 self.stop.value = 1
-                ended = time.monotonic() + END_S
-                for worker in self._running.values():
-                    worker.process.join(max(0.0, ended - time.monotonic()))
-                    if worker.process.is_alive():
-                        self._kill(worker)
-                    worker.process.join()
+                self._join_all()
                 raise
 
     def _run_until_interrupted(self) -> None:
@@ -102,21 +97,19 @@ class WorkerPool:
             self.stop.value = 1
             self._console.print("interrupted: the report will cover what has run so far")
             with handled(signal.SIG_IGN):
-                self._wait_for_all()
+                self._join_all()
+                while self._running:
+                    self._collect(None)
 
-    def _wait_for_all(self) -> None:
+    def _join_all(self) -> None:
         """Wait until all workers have ended, and kill those that do not."""
         ended = time.monotonic() + END_S
-        while self._running and (left := ended - time.monotonic()) > 0.0:
-            self._collect(left)
         for worker in self._running.values():
-            self._kill(worker)
-        while self._running:
-            self._collect(None)
-
-    def _kill(self, worker: Worker) -> None:
-        self._console.print(f"the worker of shard {worker.number} did not end in {END_S:g} s: killed")
-        worker.process.kill()
+            worker.process.join(max(0.0, ended - time.monotonic()))
+            if worker.process.is_alive():
+                self._console.print(f"the worker of shard {worker.number} did not end in {END_S:g} s: killed")
+                worker.process.kill()
+                worker.process.join()
 
     def step(self) -> None:
         """Start workers while there is room, and wait a moment for some to end."""

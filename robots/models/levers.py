@@ -19,11 +19,18 @@ def joint_levers(spec: RobotSpec) -> Floats:
     ends = [
         (shape.parentJoint, shape_length(shape)) for shape in geometry.geometryObjects if shape.parentJoint
     ]
-    tools = [model.frames[frame] for frame in tool_frame(spec, model)]
-    ends += [(tool.parentJoint, float(np.linalg.norm(tool.placement.translation))) for tool in tools]
-    levers = np.zeros(spec.n)
+    levers = tool_levers(spec, model)
     for joint, length in ends:
         np.maximum(levers, levers_of_point(model, joint, length), out=levers)
+    return levers
+
+
+def tool_levers(spec: RobotSpec, model: pin.Model) -> Floats:
+    """Return (n,) m, as `joint_levers`, of the tool alone; 0 without one."""
+    levers = np.zeros(spec.n)
+    for frame in tool_frame(spec, model):
+        tool = model.frames[frame]
+        levers += levers_of_point(model, tool.parentJoint, float(np.linalg.norm(tool.placement.translation)))
     return levers
 
 
