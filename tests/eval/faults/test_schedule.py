@@ -208,9 +208,8 @@ def test_every_plant_fault_changes_its_robot_only_and_is_undone():
             alike = [what for what, one in zip(rows, same, strict=False) if one]
             assert set(alike) <= {"supply sags"}  # which slows only who is fast
             blocked = rows.index("blocked"), joint
-            yielding = 1.2e-3 * np.abs(
-                broken.tau[blocked]
-            )  # rad/s: MuJoCo's friction gives way in proportion
+            # MuJoCo's friction gives way in proportion: rad/s
+            yielding = 1.2e-3 * np.abs(broken.tau[blocked])
             assert np.abs(broken.qd[blocked]) < yielding + 0.01
             housing = (broken.housing_c - clean.housing_c)[rows.index("housing hot")]
             assert housing[joint] == pytest.approx(6.0 * lasts * DT)
