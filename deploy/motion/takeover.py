@@ -9,11 +9,14 @@ from deploy.stage import Stage
 from deploy.state import DriveMode
 from robots.arrays import Bools, Ints
 
-TAKEOVER_S = 0.1
-"""s in which the drives of a stop reach their stiffness: the estimate that a stop begins at has noise, and at full
-stiffness some milliradians are all the torque that a motor has."""
+TAKEOVER_S = 0.3
+"""s in which the drives of a stop reach their stiffness: the estimate that a stop begins at has noise, and lags behind an
+arm that is pushed. At full stiffness some milliradians are all the torque that a motor has."""
 TAKEOVER_SHARE = 0.01
 """Share of its stiffness that a drive begins with."""
+DAMPING_POWER = 0.25
+"""Power of that share by which damping is reduced: with 0.5 the damping ratio would stay. With less, a drive removes the
+difference in speed first, then pulls the joint to its angle."""
 
 
 class Takeover(Stage):
@@ -44,8 +47,7 @@ class Takeover(Stage):
         if not any_true(held < self._ticks):
             return self._stop
         share = np.where(self._free, TAKEOVER_SHARE ** (1.0 - held / self._ticks)[:, None], 1.0)
-        # With the square root of its factor the damping ratio stays.
-        return self._stop._replace(kp=self._stop.kp * share, kd=self._stop.kd * np.sqrt(share))
+        return self._stop._replace(kp=self._stop.kp * share, kd=self._stop.kd * share**DAMPING_POWER)
 
     def end(self, ids: Bools) -> None:
         """Drives of robots in `ids` (B,) have their whole stiffness."""
