@@ -10,12 +10,12 @@ from deploy.state import DriveMode
 from robots.arrays import Bools, Ints
 
 TAKEOVER_S = 0.3
-"""s in which the drives of a stop reach their stiffness: the estimate that a stop begins at has noise, and lags behind an
-arm that is pushed. At full stiffness some milliradians are all the torque that a motor has."""
+"""s in which the drives of a stop reach their stiffness: the estimate that a stop begins at has noise, and lags behind
+an arm that is pushed. At full stiffness some milliradians are all the torque that a motor has."""
 TAKEOVER_SHARE = 0.01
 """Share of its stiffness that a drive begins with."""
 DAMPING_POWER = 0.25
-"""Power of that share by which damping is reduced: with 0.5 the damping ratio would stay. With less, a drive removes the
+"""Power of that share, the share of its damping: with 0.5 the damping ratio would stay. With less, a drive removes the
 difference in speed first, then pulls the joint to its angle."""
 
 

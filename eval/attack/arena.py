@@ -15,6 +15,7 @@ from eval.attack.candidate import Block, Candidate
 from eval.attack.crowd import Crowd
 from eval.attack.falls import OF_FALLS, Falls
 from eval.attack.guards import remove_guard
+from eval.attack.loaded_robots import loaded_robots
 from eval.attack.policy_graph import policy_file
 from eval.attack.trained_gains import TrainedGains
 from eval.faults.schedule import FIRST_S, LEAST_CYCLE_S, FaultSettings
@@ -23,6 +24,7 @@ from eval.replay.bundle import POLICY
 from eval.shard.job import WIDTH, ShardJob
 from eval.shard.shard import Shard
 from robots.arrays import Bools, Floats
+from robots.distributions import load_distributions
 from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec, load_robot
@@ -43,6 +45,7 @@ class Setting:
         faults: names of fault classes, of which one is injected into each robot; empty for none.
         without: part of the description of a guard's removal (`make mutants` lists them); empty: no guard is removed.
         gains: of the drives; None for their own.
+        loaded: robots are those of `loaded_robots`, else those that a soak of the seed draws.
     """
 
     robot: Path
@@ -50,6 +53,7 @@ class Setting:
     faults: tuple[str, ...] = ()
     without: str = ""
     gains: TrainedGains | None = None
+    loaded: bool = True
 
     @property
     def seconds(self) -> float:
@@ -87,8 +91,8 @@ class Arena:
         """Build the shard, with its guard removed."""
         self._spec, self._setting = load_robot(setting.robot), setting
         with TemporaryDirectory() as folder:
-            path = Path(folder) / POLICY
-            self._shard = Shard(write_job(setting, self._spec, Candidate("", {}, seed), path))
+            job = write_job(setting, self._spec, Candidate("", {}, seed), Path(folder) / POLICY)
+            self._shard = make_shard(setting, job)
         remove_guard(setting.without, self._shard.runtime)
         self._start = self._shard.snapshot()
 
@@ -157,6 +161,14 @@ def write_job(setting: Setting, spec: RobotSpec, candidate: Candidate, policy: P
         faults=setting.fault_settings,
         operator_s=REARM_S,
     )
+
+
+def make_shard(setting: Setting, job: ShardJob) -> Shard:
+    """Return the shard of a job, with the robots of the setting."""
+    if not setting.loaded:
+        return Shard(job)
+    spec = load_robot(setting.robot)
+    return Shard(job, draw=loaded_robots(load_distributions(spec), spec, job.seed))
 
 
 @lru_cache(maxsize=1)

@@ -54,6 +54,7 @@ class Case(Strict):
         robot: name of a shipped robot, or a folder. mode: in which drives follow the policy.
         faults: names of fault classes, of which one is injected into each robot.
         gains: kp and kd of the drives; None for their own.
+        loaded: robots are those of `loaded_robots`, else those that a soak of the seed draws.
         monitor: whose margin was the least. worst: its highest ratio when the case was found.
         adversary, seed, weights: of the candidate.
     """
@@ -63,6 +64,7 @@ class Case(Strict):
     mode: ControlModeName
     faults: tuple[str, ...]
     gains: Annotated[TrainedGains | None, Field(exclude_if=lambda gains: gains is None)] = None
+    loaded: Annotated[bool, Field(exclude_if=lambda loaded: not loaded)] = False
     monitor: str
     worst: float | None
     adversary: str

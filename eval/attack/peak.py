@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eval.attack.arena import Setting, write_job
+from eval.attack.arena import Setting, make_shard, write_job
 from eval.attack.candidate import Candidate
 from eval.attack.falls import OF_FALLS, Falls
 from eval.judge.counts import Event
@@ -36,7 +36,7 @@ def write_peak(setting: Setting, monitor: str, candidate: Candidate, folder: Pat
     poll, ticks = round(POLL_S / spec.dt), setting.ticks(spec)
     with TemporaryDirectory() as place:
         job = write_job(setting, spec, candidate, Path(place) / POLICY)
-        shard = Shard(job)
+        shard = make_shard(setting, job)
         start = shard.snapshot()
         peak = find_peak(shard, monitor, ticks)
         shard.restore(start)

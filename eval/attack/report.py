@@ -127,6 +127,7 @@ def case_of(spec: RobotSpec, setting: Setting, monitor: str, found: Found) -> Ca
         "mode": setting.mode.name.lower(),
         "faults": setting.faults,
         "gains": setting.gains,
+        "loaded": setting.loaded,
         "monitor": monitor,
         "worst": _finite(found.ratio),
         "adversary": found.candidate.adversary,

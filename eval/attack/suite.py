@@ -71,8 +71,8 @@ def _setting(path: Path, case: Case) -> Setting:
         raise ConfigError(f"{path}: monitor: found {case.monitor}, expected one of {', '.join(monitors)}")
     check_faults(case.faults, spec, mode, f"{path}: faults")
     check_contract(attack_contract(spec, mode, case.gains), spec, str(path))
-    return Setting(robot=spec.folder, mode=mode, faults=case.faults, gains=case.gains)
+    return Setting(robot=spec.folder, mode=mode, faults=case.faults, gains=case.gains, loaded=case.loaded)
 
 
 def _arena_of(case: Case) -> tuple[object, ...]:
-    return case.robot, case.mode, case.faults, case.gains or (), case.seed
+    return case.robot, case.mode, case.faults, case.gains or (), case.loaded, case.seed

@@ -12,28 +12,21 @@ from eval.attack.arena import Setting, write_job
 from eval.attack.candidate import Candidate
 from eval.attack.crowd import Crowd
 from eval.attack.island import FAR
+from eval.attack.loaded_robots import loaded_robots
 from eval.attack.policy_graph import policy_file
 from eval.margins.excess import Excess, Values
-from eval.margins.loads import extra_load
 from eval.replay.bundle import POLICY
 from eval.shard.job import WIDTH
 from eval.shard.shard import Shard
-from robots.arrays import Floats, Ints
+from robots.arrays import Floats
 from robots.distributions import load_distributions
-from robots.draws import Draw, draw, shape
-from robots.randomness import robot_seed
+from robots.draws import Draw, shape
 from robots.spec import RobotSpec, load_robot
 
 TRIAL_S = 10.0
 """s of a trial; robots that latched are armed again after half a second."""
-PAUSE_S = 2.0
-"""s between pushes, mean: a trial has some of them. By draws.toml they come 30 to 300 times less often."""
-MOMENT_S, EVER_S = 0.01, 1e4
-"""s with and without payload: a robot carries it all the time, or never."""
 LIVES = 2.0
 """Lives that the joints of the last robot of a trial have used up, those of the first none: about two shifts."""
-CHOICE = 8
-"""Draws for each robot; half of a trial's robots are those with the most load, as in a soak of many."""
 DRAWN = ("sensors", "climate", "wear")
 """Groups of draws.toml that are drawn as in a soak at the corners, too."""
 
@@ -93,30 +86,11 @@ def make_shard(setting: Setting, robots: Draw, seed: int) -> Shard:
 
 
 def draw_robots(spec: RobotSpec, seed: int, *, corners: bool) -> Draw:
-    """Return robots of draws.toml that are pushed often, half of them as drawn and half with the most load of many.
-
-    With `corners`, each mechanical quantity has the least or the most that draws.toml allows.
-    """
-    distributions, rng = load_distributions(spec), np.random.default_rng(seed)
-    robots = draw(distributions, spec, [robot_seed(seed, robot) for robot in range(CHOICE * WIDTH)])
-    robots = robots.rows(_first_and_heaviest(extra_load(spec, robots)))
+    """Return robots of `loaded_robots`; with `corners`, each mechanical quantity has its least or its most."""
+    distributions, rng = load_distributions(spec), np.random.default_rng([seed, 1])
     extreme = {
         name: np.where(rng.random((WIDTH, *shape(quantity, spec))) < 0.5, span.low, span.high)
         for name, quantity, span in distributions.spans()
         if corners and not name.startswith(DRAWN)
     }
-    carried = np.where(rng.random(WIDTH) < 0.5, EVER_S, MOMENT_S)
-    disturbed: dict[str, Floats | float] = {
-        "push.every_s": PAUSE_S,
-        "payload.carried_s": carried,
-        "payload.free_s": MOMENT_S * EVER_S / carried,
-    }
-    return robots.replaced(extreme | disturbed)
-
-
-def _first_and_heaviest(load: Floats) -> Ints:
-    """Return (WIDTH,) rows, by turns one of the first and one of those of the rest with the most load."""
-    half = WIDTH // 2
-    heaviest = half + np.argsort(-load[half:], kind="stable")
-    rows: Ints = np.stack((np.arange(half), heaviest[:half]), axis=1).ravel()
-    return rows
+    return loaded_robots(distributions, spec, seed).replaced(extreme)

@@ -30,7 +30,9 @@ def test_stiffness_and_damping_grow_by_the_same_factors_in_each_tick():
         share = TAKEOVER_SHARE ** max(0.0, 1.0 - tick / TICKS)
         assert takeover.held.tolist() == [min(tick, TICKS)] * ROBOTS
         np.testing.assert_allclose(takeover.drive.kp, np.tile(share * OWN.kp, (ROBOTS, 1)), rtol=1e-12)
-        np.testing.assert_allclose(takeover.drive.kd, np.tile(share**DAMPING_POWER * OWN.kd, (ROBOTS, 1)), rtol=1e-12)
+        np.testing.assert_allclose(
+            takeover.drive.kd, np.tile(share**DAMPING_POWER * OWN.kd, (ROBOTS, 1)), rtol=1e-12
+        )
         assert (takeover.drive.mode == ControlMode.POSITION).all()
         np.testing.assert_allclose(takeover.first_drive.kp, np.tile(0.01 * OWN.kp, (ROBOTS, 1)), rtol=1e-12)
         takeover.commit(none)
@@ -51,4 +53,6 @@ def test_joints_that_held_their_angle_stay_stiff():
     takeover.commit(np.ones(ROBOTS, dtype=bool))
     share = np.where(np.arange(N) == 5, TAKEOVER_SHARE, 1.0)
     np.testing.assert_allclose(takeover.drive.kp, np.tile(share * OWN.kp, (ROBOTS, 1)), rtol=1e-12)
-    np.testing.assert_allclose(takeover.drive.kd, np.tile(share**DAMPING_POWER * OWN.kd, (ROBOTS, 1)), rtol=1e-12)
+    np.testing.assert_allclose(
+        takeover.drive.kd, np.tile(share**DAMPING_POWER * OWN.kd, (ROBOTS, 1)), rtol=1e-12
+    )

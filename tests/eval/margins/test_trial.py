@@ -8,7 +8,7 @@ pytest.importorskip("mujoco")
 import eval.margins.trial as module
 from deploy.policy.actor import Actor
 from eval.attack.arena import Setting
-from eval.margins.loads import extra_load
+from eval.attack.loaded_robots import extra_load
 from eval.margins.trial import Trial, draw_robots, make_shard, run
 from eval.shard.job import WIDTH
 from robots.distributions import load_distributions

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from eval.margins.loads import extra_load
+from eval.attack.loaded_robots import extra_load
 from robots.distributions import load_distributions
 from robots.draws import median_draw
 from robots.spec import load_robot

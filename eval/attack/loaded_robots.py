@@ -1,0 +1,60 @@
+"""Loaded robots: a shard of robots that are pushed often, half of them those of draws.toml with the most load."""
+
+import numpy as np
+
+from eval.shard.job import WIDTH
+from robots.arrays import Floats, Ints
+from robots.distributions import Distributions
+from robots.draws import Draw, draw
+from robots.models.levers import levers_of_point, tool_levers
+from robots.models.nominal_model import load_pinocchio, torque_max
+from robots.randomness import robot_seed
+from robots.spec import RobotSpec
+
+G = 9.81
+"""m/s²."""
+CHOICE = 8
+"""Draws for each robot."""
+PAUSE_S = 2.0
+"""s between pushes, mean: a trial has some of them. By draws.toml they come 30 to 300 times less often."""
+MOMENT_S, EVER_S = 0.1, 1e5
+"""s with and without payload: a robot carries it all the time, or never."""
+
+
+def loaded_robots(distributions: Distributions, spec: RobotSpec, seed: int) -> Draw:
+    """Return `WIDTH` robots, by turns one as drawn and one of those with the most load of many."""
+    robots = draw(distributions, spec, [robot_seed(seed, robot) for robot in range(CHOICE * WIDTH)])
+    robots = robots.rows(_first_and_heaviest(extra_load(spec, robots)))
+    carried = np.where(np.random.default_rng(seed).random(WIDTH) < 0.5, EVER_S, MOMENT_S)
+    disturbed: dict[str, Floats | float] = {
+        "push.every_s": PAUSE_S,
+        "payload.carried_s": carried,
+        "payload.free_s": MOMENT_S * EVER_S / carried,
+    }
+    return robots.replaced(disturbed)
+
+
+def _first_and_heaviest(load: Floats) -> Ints:
+    """Return (WIDTH,) rows, by turns one of the first and one of those of the rest with the most load."""
+    half = WIDTH // 2
+    heaviest = half + np.argsort(-load[half:], kind="stable")
+    rows: Ints = np.stack((np.arange(half), heaviest[:half]), axis=1).ravel()
+    return rows
+
+
+def extra_load(spec: RobotSpec, robots: Draw) -> Floats:
+    """Return (B,) the largest share of a joint's range that extra mass, payload and a push take together.
+
+    Forces act at their longest levers, in no pose at once: for comparing robots with each other.
+    """
+    model, _ = load_pinocchio(spec)
+    masses = np.array([each.mass for each in model.inertias[1:]])
+    arms = np.array(
+        [
+            levers_of_point(model, 1 + k, float(np.linalg.norm(model.inertias[1 + k].lever)))
+            for k in range(spec.n)
+        ]
+    )
+    tau = G * (masses * (robots["links.mass"] - 1.0)) @ arms
+    tau += np.outer(G * robots["payload.mass_kg"] + robots["push.force_n"], tool_levers(spec, model))
+    return np.asarray((tau / torque_max(spec)).max(axis=1))
