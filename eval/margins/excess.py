@@ -11,6 +11,7 @@ As long as no planned value is above its bound, no true one is above the bound p
 
 import numpy as np
 
+from deploy.backends.sim.disturbances import Pushes
 from deploy.backends.sim.plant import Plant
 from deploy.runtime import Runtime
 from deploy.truth import Truth
@@ -48,7 +49,7 @@ class Excess:
         """Look at a simulated robot's runtime and plant, as far as it has tool, workspace and shapes that may meet."""
         self._runtime, self._spec, spec = runtime, runtime.spec, runtime.spec
         robots = len(plant.valid)
-        self._space = spec.workspace
+        self._space, self._pushes = spec.workspace, plant.disturbances[Pushes.name]
         self._fleet = Fleet(spec, robots) if self._space else None
         self._gaps = Gaps(spec, plant) if "self_collision" in spec.capabilities else None
         self._qd_max, self._tau_max = spec.joint_array("qd_max"), torque_max(spec)
@@ -64,7 +65,7 @@ class Excess:
         planned, true = self.planned(), self.true(truth)
         self._powered = np.where(self._runtime.command.powered & truth.valid, self._powered + 1, 0)
         counts = self._powered > self._window
-        self._look_at_estimate(truth, counts)
+        self._look_at_estimate(truth, counts & ~self._pushes.on)
         for name, values in planned.items():
             if name not in self._history:
                 self._history[name] = np.tile(values, (self._window, 1, 1))
@@ -75,7 +76,10 @@ class Excess:
         self._tick += 1
 
     def _look_at_estimate(self, truth: Truth, counts: Bools) -> None:
-        """Add up squared errors of the estimate, which is for the end of the tick before."""
+        """Add up squared errors of the estimate, which is for the end of the tick before.
+
+        Those in a push are no noise: what they do is part of the excess.
+        """
         state = self._runtime.state
         error = self._before - np.stack((state.q, state.qd))
         self._squares += np.where(counts[:, None], error * error, 0.0)
@@ -84,7 +88,7 @@ class Excess:
 
     @property
     def estimate_error(self) -> Floats:
-        """(2, n) rad and rad/s, root mean square of the estimate's error, of the robot that has the largest."""
+        """(2, n) rad and rad/s, root mean square of the estimate's error without pushes, of the worst robot."""
         mean: Floats = self._squares / np.maximum(self._counted, 1)[:, None]
         return np.sqrt(mean.max(axis=1))
 

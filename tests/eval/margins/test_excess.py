@@ -47,7 +47,9 @@ class Bench:
             state=SimpleNamespace(q=row + HOME, qd=row.copy()),
         )
         self.state = runtime.state
-        self.excess = Excess(runtime, SimpleNamespace(valid=np.ones(1, dtype=bool)))
+        self.pushes = SimpleNamespace(on=np.zeros(1, dtype=bool))
+        plant = SimpleNamespace(valid=np.ones(1, dtype=bool), disturbances={"pushes": self.pushes})
+        self.excess = Excess(runtime, plant)
         self.truth = SimpleNamespace(
             q=row + HOME,
             qd=row.copy(),
@@ -153,3 +155,14 @@ def test_error_of_the_estimate_is_over_the_tick_before(bench):
     expected = np.zeros((2, N))
     expected[0, :2] = np.sqrt(np.array([2 * 0.02**2, 2 * 0.01**2]) / bench.excess._counted[0])
     np.testing.assert_allclose(bench.excess.estimate_error, expected, rtol=1e-9)
+
+
+def test_error_of_the_estimate_of_an_arm_that_is_pushed_is_no_noise(bench):
+    bench.truth.q[0, 0] += 0.02
+    bench.step()
+    bench.pushes.on[0] = True
+    bench.step(20)
+    assert bench.excess.estimate_error.max() == 0.0
+    bench.pushes.on[0] = False
+    bench.step()
+    assert bench.excess.estimate_error.max() > 0.0
