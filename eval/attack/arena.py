@@ -15,7 +15,7 @@ from eval.attack.candidate import Block, Candidate
 from eval.attack.crowd import Crowd
 from eval.attack.falls import OF_FALLS, Falls
 from eval.attack.guards import remove_guard
-from eval.attack.loaded_robots import loaded_robots
+from eval.attack.loaded_robots import loaded_robots, loaded_shard
 from eval.attack.policy_graph import policy_file
 from eval.attack.trained_gains import TrainedGains
 from eval.faults.schedule import FIRST_S, LEAST_CYCLE_S, FaultSettings
@@ -45,7 +45,7 @@ class Setting:
         faults: names of fault classes, of which one is injected into each robot; empty for none.
         without: part of the description of a guard's removal (`make mutants` lists them); empty: no guard is removed.
         gains: of the drives; None for their own.
-        loaded: robots are those of `loaded_robots`, else those that a soak of the seed draws.
+        loaded: robots are those of `loaded_robots` and worn, else those that a soak of the seed draws.
     """
 
     robot: Path
@@ -168,7 +168,7 @@ def make_shard(setting: Setting, job: ShardJob) -> Shard:
     if not setting.loaded:
         return Shard(job)
     spec = load_robot(setting.robot)
-    return Shard(job, draw=loaded_robots(load_distributions(spec), spec, job.seed))
+    return loaded_shard(job, loaded_robots(load_distributions(spec), spec, job.seed))
 
 
 @lru_cache(maxsize=1)

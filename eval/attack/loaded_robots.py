@@ -1,8 +1,9 @@
-"""Loaded robots: a shard of robots that are pushed often, half of them those of draws.toml with the most load."""
+"""Loaded robots: from new to worn, pushed often, half of them those of draws.toml with the most load."""
 
 import numpy as np
 
-from eval.shard.job import WIDTH
+from eval.shard.job import WIDTH, ShardJob
+from eval.shard.shard import Shard
 from robots.arrays import Floats, Ints
 from robots.distributions import Distributions
 from robots.draws import Draw, draw
@@ -19,6 +20,18 @@ PAUSE_S = 2.0
 """s between pushes, mean: a trial has some of them. By draws.toml they come 30 to 300 times less often."""
 MOMENT_S, EVER_S = 0.1, 1e5
 """s with and without payload: a robot carries it all the time, or never."""
+
+LIVES = 2.0
+"""Lives that the joints of a shard's last robot have used up, those of its first none: about two shifts."""
+
+
+def loaded_shard(job: ShardJob, robots: Draw) -> Shard:
+    """Return the shard of a job whose robots, from new to worn, replace those that its seed would draw."""
+    shard = Shard(job, draw=robots)
+    wear = shard.robot.plant.wear
+    wear.life[:] = np.linspace(0.0, LIVES, WIDTH)[:, None]
+    wear.apply()
+    return shard
 
 
 def loaded_robots(distributions: Distributions, spec: RobotSpec, seed: int) -> Draw:

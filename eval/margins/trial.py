@@ -12,7 +12,7 @@ from eval.attack.arena import Setting, write_job
 from eval.attack.candidate import Candidate
 from eval.attack.crowd import Crowd
 from eval.attack.island import FAR
-from eval.attack.loaded_robots import loaded_robots
+from eval.attack.loaded_robots import loaded_robots, loaded_shard
 from eval.attack.policy_graph import policy_file
 from eval.margins.excess import Excess, Values
 from eval.replay.bundle import POLICY
@@ -25,8 +25,6 @@ from robots.spec import RobotSpec, load_robot
 
 TRIAL_S = 10.0
 """s of a trial; robots that latched are armed again after half a second."""
-LIVES = 2.0
-"""Lives that the joints of the last robot of a trial have used up, those of the first none: about two shifts."""
 DRAWN = ("sensors", "climate", "wear")
 """Groups of draws.toml that are drawn as in a soak at the corners, too."""
 
@@ -78,11 +76,7 @@ def make_shard(setting: Setting, robots: Draw, seed: int) -> Shard:
     """Return a shard of robots from new to worn."""
     spec = load_robot(setting.robot)
     with TemporaryDirectory() as folder:
-        shard = Shard(write_job(setting, spec, Candidate("", {}, seed), Path(folder) / POLICY), draw=robots)
-    wear = shard.robot.plant.wear
-    wear.life[:] = np.linspace(0.0, LIVES, WIDTH)[:, None]
-    wear.apply()
-    return shard
+        return loaded_shard(write_job(setting, spec, Candidate("", {}, seed), Path(folder) / POLICY), robots)
 
 
 def draw_robots(spec: RobotSpec, seed: int, *, corners: bool) -> Draw:

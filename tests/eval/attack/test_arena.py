@@ -1,5 +1,7 @@
 """Trials on simulated robots: the same whatever was tried before, and replayed from a bundle."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,16 +9,20 @@ pytest.importorskip("mujoco")
 
 import eval.attack.arena as module
 from eval.attack.adversaries import ADVERSARIES
-from eval.attack.arena import Arena, Setting
+from eval.attack.arena import Arena, Setting, make_shard, write_job
 from eval.attack.candidate import Block, Candidate
 from eval.attack.guards import find_guard
+from eval.attack.loaded_robots import LIVES, extra_load
 from eval.attack.peak import write_peak
 from eval.replay import bundle
 from eval.replay.replay_text import mismatch
 from eval.replay.replayer import Replay
 from eval.shard.job import WIDTH
+from robots.distributions import load_distributions
+from robots.draws import draw
 from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
+from robots.randomness import robot_seed
 from support.arm6 import SPEC
 
 SETTING = Setting(robot=SPEC.folder, mode=ControlMode.POSITION)
@@ -56,6 +62,18 @@ def test_trial_is_the_same_whatever_was_tried_before_and_for_whichever_robots_be
         for name, ratios in mixed.worst.items():
             np.testing.assert_array_equal(ratios[k::2], outcome.worst[name][k::2])
     assert not same(*outcomes)
+
+
+def test_robots_of_a_setting_are_loaded_and_worn_or_those_that_its_seed_draws(tmp_path):
+    job = write_job(SETTING, SPEC, Candidate("push", first("push"), SEED), tmp_path / bundle.POLICY)
+    drawn = draw(load_distributions(SPEC), SPEC, [robot_seed(SEED, robot) for robot in range(WIDTH)])
+    plain = make_shard(replace(SETTING, loaded=False), job).robot
+    loaded = make_shard(SETTING, job).robot
+    assert extra_load(SPEC, loaded.draw).mean() > 1.3 * extra_load(SPEC, drawn).mean()
+    assert (loaded.draw["push.every_s"] < drawn["push.every_s"].min()).all()
+    assert all((plain.draw[name] == values).all() for name, values in drawn.items())
+    assert not plain.plant.wear.life.any()
+    np.testing.assert_array_equal(loaded.plant.wear.life[[0, -1]], [[0.0] * SPEC.n, [LIVES] * SPEC.n])
 
 
 @pytest.mark.slow
