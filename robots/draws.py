@@ -109,11 +109,13 @@ def _check_identity(stored: _Stored, path: Path, distributions: Distributions, s
 
 def _numbers(data: object, quantity: Quantity, spec: RobotSpec, where: str) -> Floats:
     try:
-        values = np.array(data, dtype=np.float64)
-    except (TypeError, ValueError) as e:
+        read = np.array(data)
+    except ValueError as e:  # rows of different lengths
         raise ConfigError(f"{where}: not an array of numbers: {data!r:.40}") from e
-    expected = shape(quantity, spec)
-    if values.shape[1:] != expected or not len(values):
+    if read.dtype.kind not in "iuf":
+        raise ConfigError(f"{where}: not an array of numbers: {data!r:.40}")
+    values, expected = read.astype(np.float64), shape(quantity, spec)
+    if not values.size or values.shape[1:] != expected or not values.ndim:
         raise ConfigError(
             f"{where}: found shape {values.shape}, expected (B, {', '.join(map(str, expected))})"
         )

@@ -9,6 +9,10 @@ from numpy.typing import NDArray
 Keys = NDArray[np.uint64]
 
 
+SEED_MAX = (1 << 63) - 1
+"""Largest seed that a user may give: every library that gets one can hold it."""
+
+
 class Stream(IntEnum):
     """Independent streams of random numbers of one robot; a number is never reused for another purpose."""
 

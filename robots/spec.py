@@ -4,6 +4,7 @@ model.xml holds geometry, inertia, mechanical joint range, torque range, and con
 """
 
 import hashlib
+import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from pathlib import Path
@@ -301,9 +302,9 @@ def load_robot(robot: str | Path, option: str = "--robot") -> RobotSpec:
         RobotError: names what is wrong in the folder, or the `option` or field that said `robot`.
     """
     folder = Path(robot)
-    if not folder.is_dir():
+    if not os.path.isdir(folder):  # False, and no error, for a name that is too long
         folder = ROBOTS / str(robot)
-    if not (folder / "robot.toml").is_file():
+    if not os.path.isfile(folder / "robot.toml"):
         raise RobotError(f"{option} {robot}: no such folder with a robot.toml; known: {_known()}")
     file = read_toml(folder / "robot.toml", _RobotFile, RobotError)
     if "folder" in file.model_fields_set:

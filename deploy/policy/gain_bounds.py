@@ -12,9 +12,9 @@ Between two setpoints the joint must not swing: its natural frequency stays belo
 fixed base it must not swing after them either: safety looks at where joints are sent. Half of critical damping, with a
 load that takes half of the tracking error, let adversaries pass limits of the workspace. What its load takes from its
 margin to the end of its range, and from the clearances of tool and links, is bounded for each joint: an arm as soft
-as its tracking error allowed sagged through its workspace, and a planar one was pushed past the end of its range. All
-loads at their largest at once would take more; tried with arm6 as drawn, they took 0.992 of the limit of its
-workspace.
+as its tracking error allowed sagged through its workspace, and a planar one was pushed past the end of its range. Of
+clearances each joint has a quarter: a payload and a push bend three joints of an arm6 in the same direction, and with
+half for each of them a stop low over the table ended below its workspace.
 """
 
 from collections.abc import Iterator
@@ -36,8 +36,9 @@ SETPOINTS_PER_SWING = 6
 """Control periods in one period of the joint on its drive."""
 TRACKING_SHARE = 0.25
 """Share of the tracking error that stops a robot, at which a joint holds its load."""
-CLEARANCE_SHARE = 0.5
-"""Share of the margins of range, workspace and collision that the load of a joint may take; at the end of its lever."""
+RANGE_SHARE, CLEARANCE_SHARE = 0.5, 0.25
+"""Shares that the load of a joint may take of the margin of its range, and of those of workspace and collision, at the
+end of its lever; there, loads of several joints add up."""
 DAMPING_MIN, DAMPING_MIN_OF_SPRINGS = 0.7, 0.05
 """Least damping ratio, on the largest inertia; the second on a floating base, where drives act as springs. The least of
 a known policy is 0.07, at the hip of Unitree's H1."""
@@ -74,7 +75,7 @@ def _deflection(spec: RobotSpec, mode: ControlMode) -> Floats:
     of_tracking = np.full(spec.n, TRACKING_SHARE * spec.margins.tracking_rad)
     if spec.base is not None:
         return of_tracking
-    of_range: Floats = np.minimum(of_tracking, CLEARANCE_SHARE * margins.q_soft_rad)
+    of_range: Floats = np.minimum(of_tracking, RANGE_SHARE * margins.q_soft_rad)
     clearances = [each for each in (margins.workspace_m, margins.collision_m) if each is not None]
     if not clearances:
         return of_range

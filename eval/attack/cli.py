@@ -23,6 +23,7 @@ from eval.attack.trained_gains import gains_of
 from eval.replay.bundle_files import delete_bundles, replace_bundles
 from eval.report.report_files import check_report_folder
 from robots.errors import ConfigError
+from robots.randomness import SEED_MAX
 from robots.spec import RobotSpec, load_robot
 
 WORST, CASES, UNFINISHED = "worst", "cases", "unfinished"
@@ -170,7 +171,7 @@ def _verdict(report: AttackReport) -> str:
 
 def _check_options(seed: int, processes: int, minutes: float, generations: int | None) -> None:
     bounds = (
-        ("--seed", seed, seed >= 0, "at least 0"),
+        ("--seed", seed, 0 <= seed <= SEED_MAX, f"from 0 to {SEED_MAX}"),
         ("--workers", processes, 1 <= processes <= 1024, "from 1 to 1024"),
         ("--minutes", minutes, 0.0 < minutes < float("inf"), "above 0"),
         ("--generations", generations, generations is None or generations >= 1, "at least 1"),

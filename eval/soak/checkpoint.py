@@ -1,8 +1,12 @@
 """Checkpoint of a shard on disk, from which an interrupted soak resumes with identical results."""
 
 import json
+import lzma
 import os
+import struct
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Iterable, Mapping
 from io import BytesIO
 from pathlib import Path
@@ -13,14 +17,18 @@ import numpy as np
 from deploy.stage import Arrays
 from deploy.telemetry.output_files import replacing
 from eval.history.history import check_writable
+from eval.replay.bundle_files import state_digest
 from robots.errors import ConfigError, OutputError
 from robots.files import read_file
 
-IDENTITY, SUFFIX = "identity", ".npz"
+IDENTITY, DIGEST, SUFFIX = "identity", "digest", ".npz"
 BYTES_MAX = 1 << 32
 """Upper bound of the size of a file: far more than a shard of eight hours."""
 DAMAGED = ".damaged"
-DAMAGE = TypeError, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, zipfile.BadZipFile
+DAMAGE = (
+    *(TypeError, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, OSError),
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError),
+)
 """Errors that numpy, zipfile and json raise for a damaged file."""
 
 
@@ -41,7 +49,11 @@ class Checkpoint:
         if not os.path.isdir(self.path.parent):
             raise OutputError(f"{self.path}: cannot be written: {self.path.parent} was deleted")
         with replacing(self.path) as file, file.open("wb") as stream:
-            named: dict[str, Any] = {IDENTITY: np.array(json.dumps(self.identity)), **arrays}
+            named: dict[str, Any] = {
+                IDENTITY: np.array(json.dumps(self.identity)),
+                DIGEST: np.array(state_digest(arrays)),
+                **arrays,
+            }
             np.savez(stream, **named)
             stream.flush()
             os.fsync(stream.fileno())
@@ -60,11 +72,14 @@ class Checkpoint:
             raise ConfigError(f"{self.path}: cannot be read: {e.strerror}") from e
         data = read_file(self.path, BYTES_MAX)
         try:
-            identity, arrays = _unpack(data)
+            identity, digest, arrays = _unpack(data)
         except DAMAGE:
             self._rename_damaged()
             return None
         self._check_identity(identity)
+        if digest != state_digest(arrays):
+            self._rename_damaged()
+            return None
         return arrays
 
     def _check_identity(self, found: Mapping[str, str | int]) -> None:
@@ -85,10 +100,12 @@ class Checkpoint:
             ) from e
 
 
-def _unpack(data: bytes) -> tuple[dict[str, str | int], Arrays]:
+def _unpack(data: bytes) -> tuple[dict[str, str | int], str, Arrays]:
+    """Return identity, digest of the arrays, and the arrays."""
     with np.load(BytesIO(data), allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
-    return dict(json.loads(str(arrays.pop(IDENTITY)))), arrays
+    identity = dict(json.loads(str(arrays.pop(IDENTITY))))
+    return identity, str(arrays.pop(DIGEST)), arrays
 
 
 def prepare_folder(folder: Path) -> None:

@@ -12,6 +12,7 @@ from eval.shard.job import WIDTH, ShardJob, code_digest, processor, versions
 from eval.soak.checkpoint import SUFFIX, Checkpoint
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
+from robots.errors import ConfigError, printable
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
@@ -74,14 +75,21 @@ class SoakConfig:
         ]
 
     def settings(self) -> Settings:
-        """Return the settings for record and report; paths inside the working directory are relative to it."""
-        here = Path.cwd()
+        """Return the settings for record and report; paths inside the working directory are relative to it.
+
+        Raises:
+            ConfigError: the working directory was deleted.
+        """
+        try:
+            here = Path.cwd()
+        except FileNotFoundError as e:
+            raise ConfigError("the working directory was deleted") from e
         policy, budget = (
-            str(path.resolve().relative_to(here) if path.resolve().is_relative_to(here) else path)
+            printable(str(path.resolve().relative_to(here) if path.resolve().is_relative_to(here) else path))
             for path in (self.policy_path, self.budget)
         )
         return Settings(
-            command=" ".join(["soak-test", *sys.argv[1:]]),
+            command=printable(" ".join(["soak-test", *sys.argv[1:]])),
             robot=self.spec.name,
             robot_digest=self.spec.digest,
             draws_digest=load_distributions(self.spec).digest,

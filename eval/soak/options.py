@@ -13,6 +13,7 @@ from eval.faults.schedule import FIRST_S, HOURS_MAX, FaultSettings, hours_max
 from eval.soak.configuration import SoakConfig
 from eval.statistics.budget import BUDGET
 from robots.errors import ConfigError
+from robots.randomness import SEED_MAX
 from robots.spec import load_robot
 from robots.strict import Strict, read_toml
 
@@ -140,7 +141,7 @@ def _check_hours(field: str, hours: float, faults: FaultSettings | None) -> None
 def _check_options(robots: int, seed: int, workers: int) -> None:
     _check(
         ("--robots", robots, 1 <= robots <= 100_000, "from 1 to 100000"),
-        ("--seed", seed, seed >= 0, "at least 0"),
+        ("--seed", seed, 0 <= seed <= SEED_MAX, f"from 0 to {SEED_MAX}"),
         ("--workers", workers, 1 <= workers <= 1024, "from 1 to 1024"),
     )
 

@@ -16,12 +16,15 @@ from deploy.sources.templates import observation_sources, physical_maxima
 from deploy.tasks.task import find_task, sources_of
 from robots.errors import ConfigError
 from robots.models.nominal_model import torque_max
+from robots.randomness import SEED_MAX
 from robots.spec import RobotSpec
 from robots.strict import Strict, parse, read_toml
 
 RECIPES = Path(__file__).parents[1]
 
 Penalty = Annotated[float, Field(le=0)]
+Count = Annotated[int, Field(ge=1, le=1 << 16)]
+"""Number of robots, goals, steps or units: far more than a training can use."""
 Share = Annotated[float, Field(gt=0, le=1)]
 ObservationChoice = str | Annotated[tuple[str, ...], Field(min_length=1)]
 """Name of a template, or sources in order."""
@@ -87,8 +90,8 @@ class Environment(Strict):
             shown both.
     """
 
-    robots: PositiveInt
-    goals_per_episode: PositiveInt
+    robots: Count
+    goals_per_episode: Count
     start_range: Share | None = None
 
 
@@ -140,21 +143,21 @@ class LearnerStage(Strict):
     """Iterations at one learning rate."""
 
     iterations: PositiveInt
-    learning_rate: PositiveFloat
+    learning_rate: Share
 
 
 class Learner(Strict):
     """PPO of rsl-rl-lib. Source: Schulman et al. (2017); names as in rsl_rl."""
 
     stages: Annotated[tuple[LearnerStage, ...], Field(min_length=1)]
-    num_steps_per_env: PositiveInt
-    hidden: tuple[PositiveInt, ...]
+    num_steps_per_env: Count
+    hidden: Annotated[tuple[Count, ...], Field(min_length=1, max_length=16)]
     init_std: PositiveFloat
     gamma: Share
     lam: Share
     entropy_coef: Annotated[float, Field(ge=0)]
-    num_learning_epochs: PositiveInt
-    num_mini_batches: PositiveInt
+    num_learning_epochs: Count
+    num_mini_batches: Count
     clip_param: Share
     value_loss_coef: PositiveFloat
     use_clipped_value_loss: bool
@@ -172,7 +175,7 @@ class Recipe(Strict):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
     robot: str
     task: str
-    seed: Annotated[int, Field(ge=0)]
+    seed: Annotated[int, Field(ge=0, le=SEED_MAX)]
     observation: ObservationChoice | None = None
     gait: Gait | None = None
     promise: Promise

@@ -8,6 +8,7 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
+from deploy.motion.takeover import DAMPING_POWER, TAKEOVER_S, TAKEOVER_SHARE
 from deploy.reasons import Reason, describe
 from deploy.state import Mode
 from deploy.telemetry import signals
@@ -137,7 +138,8 @@ def test_the_file_of_an_event_shows_how_drives_take_over(tmp_path):
     heard(runtime)
     assert not runtime.arm(every(runtime)).any()
     writer = recorder(tmp_path, runtime)
-    for tick in range(90):
+    ticks = round(TAKEOVER_S / SPEC.dt)
+    for tick in range(70 + ticks):
         if tick == 50:
             runtime.stop(Reason.OVERRUN)
         runtime.act(None if runtime.sense() is None else np.zeros((1, SPEC.n)))
@@ -150,9 +152,9 @@ def test_the_file_of_an_event_shows_how_drives_take_over(tmp_path):
     assert not stiffness[begin - 1].any()
     assert not damping[begin - 1].any()
     np.testing.assert_allclose(stiffness[begin], 0.01 * own.kp)
-    np.testing.assert_allclose(damping[begin], 0.1 * own.kd)
-    assert (np.diff(stiffness[begin : begin + 20], axis=0) > 0).all()
-    np.testing.assert_allclose(stiffness[begin + 20], own.kp)
+    np.testing.assert_allclose(damping[begin], TAKEOVER_SHARE**DAMPING_POWER * own.kd)
+    assert (np.diff(stiffness[begin : begin + ticks], axis=0) > 0).all()
+    np.testing.assert_allclose(stiffness[begin + ticks], own.kp)
 
 
 def test_mode_changes_are_logged_with_their_reasons(tmp_path):

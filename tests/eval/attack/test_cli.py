@@ -35,7 +35,7 @@ def attack(call, out, **options):
     [
         ({"robot": "nobody"}, "nobody"),
         ({"mode": "thought"}, "--mode: found 'thought', expected one of those of planar3: position"),
-        ({"seed": -1}, "--seed: found -1, expected at least 0"),
+        ({"seed": -1}, "--seed: found -1, expected from 0 to 9223372036854775807"),
         ({"workers": 0}, "--workers: found 0, expected from 1 to 1024"),
         ({"minutes": 0}, "--minutes: found 0.0, expected above 0"),
         ({"generations": 0}, "--generations: found 0, expected at least 1"),

@@ -71,13 +71,22 @@ def spoil(path, how):
         path.write_bytes(b"")
     elif how == "nameless":
         np.savez(path, **ARRAYS)
+    elif how == "edited":
+        with np.load(path) as file:
+            arrays = dict(file)
+        np.savez(path, **arrays | {"judge.ticks": arrays["judge.ticks"] + 1})
+    elif how == "another method":  # of compression, in the directory at the end
+        data[data.index(b"PK\x01\x02") + 10] = 12
+        path.write_bytes(data)
     elif how == "no table":
         np.savez(path, identity=np.array("[7]"))
     else:
         np.savez(path, identity=np.array([{}], dtype=object))
 
 
-@pytest.mark.parametrize("how", ["cut", "flipped", "empty", "nameless", "no table", "pickled"])
+@pytest.mark.parametrize(
+    "how", ["cut", "flipped", "empty", "nameless", "edited", "another method", "no table", "pickled"]
+)
 def test_damaged_checkpoint_is_set_aside(tmp_path, how):
     checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
     checkpoint.store(ARRAYS)

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import fields, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -279,6 +280,20 @@ def test_change_during_the_soak_is_refused(arm_policy, what, named):
         Shard(job(arm_policy, **{f"{what}_digest": "0" * 64}))
 
 
+def test_settings_are_text_whatever_bytes_an_argument_has(asked, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["soak-test", "--out", "o_\udcff"])
+    soak = replace(asked(), budget=Path("b_\udcff.toml"))
+    assert '"soak-test --out o_?"' in soak.settings().model_dump_json()
+
+
+def test_deleted_working_directory_is_named(asked, tmp_path, monkeypatch):
+    soak = asked()
+    monkeypatch.chdir(tmp_path)
+    tmp_path.rmdir()
+    with pytest.raises(ConfigError, match="the working directory was deleted"):
+        soak.settings()
+
+
 def test_job_carries_the_code_digest(asked):
     assert {each.code_digest for each in asked().jobs()} == {code_digest()}
 
@@ -286,9 +301,14 @@ def test_job_carries_the_code_digest(asked):
 BAD = {
     "hours": (("--hours", 0), "--hours: found 0.0, expected above 0"),
     "robots": (("--robots", 0), "--robots: found 0, expected from 1"),
-    "seed": (("--seed", -1), "--seed: found -1, expected at least 0"),
+    "seed": (("--seed", -1), "--seed: found -1, expected from 0 to "),
+    "large seed": (
+        ("--seed", 2**63),
+        "--seed: found 9223372036854775808, expected from 0 to 9223372036854775807",
+    ),
     "workers": (("--workers", 0), "--workers: found 0, expected from 1"),
     "robot": (("--robot", "hexapod"), "--robot hexapod: no such folder with a robot.toml; known: arm6"),
+    "long name": (("--robot", "x" * 5000), "no such folder with a robot.toml"),
     "policy": (("--policy", "nothing.onnx"), "nothing.onnx: cannot be read"),
     "budget": (("--budget", "nothing.toml"), "nothing.toml: cannot be read"),
     "out": (("--out", "/dev/null/soak"), "--out /dev/null/soak"),

@@ -1,9 +1,11 @@
 """Actions that follow from a recipe's promise, and recipes that do not fit their robot."""
 
+import tomllib
+
 import numpy as np
 import pytest
 
-from policies.training.recipe import Promise, contract_of, find_recipe, load_recipe
+from policies.training.recipe import RECIPES, Promise, Recipe, contract_of, find_recipe, load_recipe
 from robots.errors import ConfigError, ContractError
 from robots.models.nominal_model import torque_max
 from robots.strict import parse
@@ -65,6 +67,27 @@ WRONG = {
 def test_fields_of_another_mode_are_refused(promise, message):
     with pytest.raises(ConfigError, match=f"x.toml: promise.{message}"):
         parse({"policy_hz": 50, "reach_m": 0.85, **promise}, Promise, source="x.toml")
+
+
+ARM = tomllib.loads((RECIPES / "arm.toml").read_text())
+
+
+@pytest.mark.parametrize(
+    ("table", "field", "value"),
+    [
+        ("environment", "robots", 10**9),
+        ("environment", "goals_per_episode", 10**18),
+        ("learner", "num_steps_per_env", 10**15),
+        ("learner", "num_mini_batches", 10**6),
+        ("learner", "hidden", []),
+        ("learner", "hidden", [10**9]),
+        ("seed", "", 2**63),
+    ],
+)
+def test_numbers_that_no_training_can_use_are_refused(table, field, value):
+    wrong = ARM | {table: ARM[table] | {field: value} if field else value}
+    with pytest.raises(ConfigError, match=rf"x\.toml: {table}\.?{field}"):
+        parse(wrong, Recipe, source="x.toml")
 
 
 def test_offset_of_a_target_that_is_no_angle_is_refused():
