@@ -20,7 +20,8 @@ PAUSE_S = 2.0
 """s between pushes, mean: a trial has some of them. By draws.toml they come 30 to 300 times less often."""
 MOMENT_S, EVER_S = 0.1, 1e5
 """s with and without payload: a robot carries it all the time, or never."""
-
+DISTURBED = ("push.every_s", "payload.carried_s", "payload.free_s")
+"""Quantities of `loaded_robots` that are not drawn."""
 LIVES = 2.0
 """Lives that the joints of a shard's last robot have used up, those of its first none: about two shifts."""
 
@@ -39,12 +40,8 @@ def loaded_robots(distributions: Distributions, spec: RobotSpec, seed: int) -> D
     robots = draw(distributions, spec, [robot_seed(seed, robot) for robot in range(CHOICE * WIDTH)])
     robots = robots.rows(_first_and_heaviest(extra_load(spec, robots)))
     carried = np.where(np.random.default_rng(seed).random(WIDTH) < 0.5, EVER_S, MOMENT_S)
-    disturbed: dict[str, Floats | float] = {
-        "push.every_s": PAUSE_S,
-        "payload.carried_s": carried,
-        "payload.free_s": MOMENT_S * EVER_S / carried,
-    }
-    return robots.replaced(disturbed)
+    values: tuple[Floats | float, ...] = PAUSE_S, carried, MOMENT_S * EVER_S / carried
+    return robots.replaced(dict(zip(DISTURBED, values, strict=True)))
 
 
 def _first_and_heaviest(load: Floats) -> Ints:

@@ -12,7 +12,7 @@ from eval.attack.arena import Setting, write_job
 from eval.attack.candidate import Candidate
 from eval.attack.crowd import Crowd
 from eval.attack.island import FAR
-from eval.attack.loaded_robots import loaded_robots, loaded_shard
+from eval.attack.loaded_robots import DISTURBED, loaded_robots, loaded_shard
 from eval.attack.policy_graph import policy_file
 from eval.margins.excess import Excess, Values
 from eval.replay.bundle import POLICY
@@ -85,6 +85,6 @@ def draw_robots(spec: RobotSpec, seed: int, *, corners: bool) -> Draw:
     extreme = {
         name: np.where(rng.random((WIDTH, *shape(quantity, spec))) < 0.5, span.low, span.high)
         for name, quantity, span in distributions.spans()
-        if corners and not name.startswith(DRAWN)
+        if corners and not name.startswith((*DRAWN, *DISTURBED))
     }
     return loaded_robots(distributions, spec, seed).replaced(extreme)

@@ -8,7 +8,7 @@ pytest.importorskip("mujoco")
 import eval.margins.trial as module
 from deploy.policy.actor import Actor
 from eval.attack.arena import Setting
-from eval.attack.loaded_robots import extra_load
+from eval.attack.loaded_robots import DISTURBED, extra_load
 from eval.margins.trial import Trial, draw_robots, make_shard, run
 from eval.shard.job import WIDTH
 from robots.distributions import load_distributions
@@ -45,6 +45,8 @@ def test_corners_have_the_least_or_the_most_and_other_robots_what_they_drew():
             assert np.isin(corners[name], (span.low, span.high)).all(), name
             assert ((drawn[name] >= span.low) & (drawn[name] <= span.high)).all()
     assert set(np.unique(drawn["payload.carried_s"] > 1.0)) == {True, False}
+    for name in DISTURBED:
+        np.testing.assert_array_equal(corners[name], drawn[name])
 
 
 def test_every_second_robot_is_one_of_those_with_the_most_load():
