@@ -72,14 +72,11 @@ class Checkpoint:
             raise ConfigError(f"{self.path}: cannot be read: {e.strerror}") from e
         data = read_file(self.path, BYTES_MAX)
         try:
-            identity, digest, arrays = _unpack(data)
+            identity, arrays = _unpack(data)
         except DAMAGE:
             self._rename_damaged()
             return None
         self._check_identity(identity)
-        if digest != state_digest(arrays):
-            self._rename_damaged()
-            return None
         return arrays
 
     def _check_identity(self, found: Mapping[str, str | int]) -> None:
@@ -100,12 +97,14 @@ class Checkpoint:
             ) from e
 
 
-def _unpack(data: bytes) -> tuple[dict[str, str | int], str, Arrays]:
-    """Return identity, digest of the arrays, and the arrays."""
+def _unpack(data: bytes) -> tuple[dict[str, str | int], Arrays]:
+    """Return identity and arrays; raise one of `DAMAGE` if they are not what was stored."""
     with np.load(BytesIO(data), allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     identity = dict(json.loads(str(arrays.pop(IDENTITY))))
-    return identity, str(arrays.pop(DIGEST)), arrays
+    if str(arrays.pop(DIGEST)) != state_digest(arrays):
+        raise ValueError("the arrays are not those that were stored")
+    return identity, arrays
 
 
 def prepare_folder(folder: Path) -> None:
