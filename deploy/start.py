@@ -1,6 +1,6 @@
-"""Start of a command line: Ctrl-C while its modules are imported, which takes a second or more, ends it quietly.
+"""Start of a command line: outputs that may fail, and Ctrl-C during imports, which take a second or more.
 
-It then ends at once, without cleaning up: nothing is open yet.
+Ctrl-C then ends it at once and quietly, without cleaning up: nothing is open yet.
 """
 
 import io
@@ -9,6 +9,7 @@ import signal
 import sys
 from functools import partial
 from importlib import import_module
+from typing import Any, BinaryIO, cast
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -16,10 +17,26 @@ FAIL = ("strict", "surrogateescape")
 """Handlers by which standard output fails at a letter that it cannot show: the default ones."""
 
 
+class _StandardOutput(io.FileIO):
+    """Standard output or error that costs nothing but its text when its reader is gone or its disk is full."""
+
+    def write(self, data: Any, /) -> int:
+        """Write bytes; after a failure, which standard error names once, nowhere."""
+        try:
+            return super().write(data)
+        except OSError as e:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+            if sys.stderr is not None and self.fileno() != sys.stderr.fileno():
+                print(f"warning: standard output cannot be written: {e.strerror}", file=sys.stderr)
+            return memoryview(data).nbytes
+
+
 def start(module: str) -> None:
     """Import the module of a command line, and run its `cli`."""
-    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors in FAIL:
-        sys.stdout.reconfigure(errors="backslashreplace")  # as standard error
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper) and stream is getattr(sys, f"__{name}__"):
+            setattr(sys, name, _kept_going(stream))
     by_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if by_default:  # an exception could be raised inside a C extension, which makes another one of it
         signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
@@ -27,6 +44,18 @@ def start(module: str) -> None:
     if by_default:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     cli()
+
+
+def _kept_going(stream: io.TextIOWrapper) -> io.TextIOWrapper:
+    """Return a standard stream whose failures end nothing: those of its file, and letters that it cannot show."""
+    file = _StandardOutput(stream.fileno(), "w", closefd=False)
+    return io.TextIOWrapper(
+        cast("BinaryIO", file) if stream.write_through else io.BufferedWriter(file),
+        encoding=stream.encoding,
+        errors="backslashreplace" if stream.errors in FAIL else stream.errors,
+        line_buffering=stream.line_buffering,
+        write_through=stream.write_through,
+    )
 
 
 deploy_check = partial(start, "deploy.commissioning.cli")

@@ -42,6 +42,15 @@ def handled(handler: Any) -> Iterator[None]:
             signal.signal(number, former)
 
 
+def interrupt(_number: int, _frame: FrameType | None) -> None:
+    """Handle any signal as Ctrl-C.
+
+    Raises:
+        KeyboardInterrupt: always.
+    """
+    raise KeyboardInterrupt
+
+
 class Interrupts:
     """Signal handler: signals are counted and left to the tick; a second Ctrl-C raises KeyboardInterrupt, once.
 

@@ -1,13 +1,10 @@
 """Summary of a run: its statistics, a table for the operator, and the same and more as JSON."""
 
 import json
-import os
 import sys
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
-from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,27 +71,10 @@ def report(run: "RobotRun", about: Mapping[str, str], path: Path, lost: Sequence
             partial.write_text(json.dumps(summary, indent=2) + "\n")
     except OutputError as e:
         lost.append(f"summary {e}")
-    _print(_table(summary))
+    Console().print(_table(summary))
     for text in lost:
-        _complain(f"error: not kept: {text}")
+        print(f"error: not kept: {text}", file=sys.stderr)
     return lost
-
-
-def _print(table: Table) -> None:
-    """Print a table; an output that was closed, or is full, costs nothing that the summary does not hold."""
-    text = StringIO()
-    Console(file=text).print(table)
-    try:
-        print(text.getvalue(), end="", flush=True)
-    except OSError as e:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python would try again at its end
-        _complain(f"warning: standard output cannot be written: {e.strerror}")
-
-
-def _complain(text: str) -> None:
-    """Print on standard error, if that can be written: the exit code says the same."""
-    with suppress(OSError):
-        print(text, file=sys.stderr)
 
 
 def _summary(run: "RobotRun", about: Mapping[str, str]) -> dict[str, Any]:

@@ -1,6 +1,8 @@
 """soak-attack: search for the policy that brings each monitor closest to its limit."""
 
+import signal
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,12 +12,14 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
-from deploy.start import INTERRUPTED
+from deploy.operation.interrupts import handled, interrupt
 from deploy.telemetry.folder_lock import locked
-from eval.attack.archive import Archive
+from eval.attack.archive import Archive, Found
 from eval.attack.arena import Setting, find_mode
+from eval.attack.candidate import Case
 from eval.attack.fault_classes import find_faults
 from eval.attack.guards import guarded_monitor
+from eval.attack.peak import Bundle
 from eval.attack.pool import Workers, workers
 from eval.attack.report import REPORT, AttackReport, case_of, make_report, table
 from eval.attack.search import Search
@@ -24,7 +28,7 @@ from eval.replay.bundle_files import delete_bundles, replace_bundles
 from eval.report.report_files import check_report_folder
 from robots.errors import ConfigError
 from robots.randomness import SEED_MAX
-from robots.spec import RobotSpec, load_robot
+from robots.spec import load_robot
 
 WORST, CASES, UNFINISHED = "worst", "cases", "unfinished"
 """Folders in --out: of bundles, and of cases."""
@@ -114,17 +118,23 @@ def soak_attack(
     check_report_folder(out, (REPORT,))
     with locked(out), workers(setting, processes) as pool:
         delete_bundles(out / UNFINISHED, finished=True)
-        search = Search(spec, setting.mode, pool.evaluate, seed=seed, target=target)
-        interrupted = not _run(search, budget, Console())
-        report = _write(spec, setting, seed, search.archive, pool, out)
-    return INTERRUPTED if interrupted else BUDGET_EXCEEDED if report.hits or report.diverged else PASSED
+        search, console = Search(spec, setting.mode, pool.evaluate, seed=seed, target=target), Console()
+        with handled(signal.SIG_IGN):  # but where an interruption leaves something to report
+            finished = _run(search, budget, console)
+            found = {} if setting.without else _worst(search.archive)
+            bundles = _write_bundles(found, pool, out, console)
+            report = make_report(spec, setting, seed, search.archive, bundles)
+            _write(report, [case_of(spec, setting, *each) for each in found.items()], out)
+        if not finished or len(bundles) < len(found):
+            raise KeyboardInterrupt  # workers need not finish what they do
+    return BUDGET_EXCEEDED if report.hits or report.diverged else PASSED
 
 
 def _run(search: Search, budget: Budget, console: Console) -> bool:
     """Search until the budget is used up, or a target of one monitor is hit; return False if it was interrupted."""
     began, number = time.monotonic(), 0
     try:
-        with Progress(*COLUMNS, console=console) as bar:
+        with handled(interrupt), Progress(*COLUMNS, console=console) as bar:
             shown = bar.add_task("the library", total=1.0)
             for number, _ in enumerate(search.run(), start=1):
                 used = budget.progress(number, time.monotonic() - began)
@@ -142,26 +152,36 @@ def _state(archive: Archive) -> str:
     return f"{archive.trials} trials, worst {name} {ratio:.4f}"
 
 
-def _write(
-    spec: RobotSpec, setting: Setting, seed: int, archive: Archive, pool: Workers, out: Path
-) -> AttackReport:
-    """Write report, bundles and cases, and print the table; nothing but the report where a guard is missing."""
-    found = {} if setting.without else archive.worst
-    kept = {name: found[name] for name in archive.hard if name in found and found[name].ratio > 0.0}
-    report = make_report(spec, setting, seed, archive, pool.write_bundles(kept, out / UNFINISHED))
+def _worst(archive: Archive) -> dict[str, Found]:
+    """Return what came closest to each hard monitor, but to those that nothing came near."""
+    worst = archive.worst
+    return {name: worst[name] for name in archive.hard if name in worst and worst[name].ratio > 0.0}
+
+
+def _write_bundles(found: dict[str, Found], pool: Workers, out: Path, console: Console) -> dict[str, Bundle]:
+    """Replace the bundles in `out`, which takes minutes; return them by monitor: fewer if it was interrupted."""
+    bundles = dict[str, Bundle]()
+    try:
+        with handled(interrupt):
+            for name, bundle in pool.write_bundles(found, out / UNFINISHED):
+                bundles[name] = bundle
+    except KeyboardInterrupt:
+        console.print("interrupted: the report covers the bundles written so far")
     replace_bundles(out / UNFINISHED, out / WORST)
+    return bundles
+
+
+def _write(report: AttackReport, cases: Sequence[Case], out: Path) -> None:
+    """Write report and cases, and print the table."""
     report.write(out)
     for old in (out / CASES).glob("*.json"):
         old.unlink()
-    options = f"{'-faults' if setting.faults else ''}{'-gains' if setting.gains else ''}"
-    for name, each in kept.items():
-        case_of(spec, setting, name, each).write(
-            out / CASES / f"{spec.name}-{report.mode}{options}-{name}.json"
-        )
+    options = f"{'-faults' if report.faults else ''}{'-gains' if report.gains else ''}"
+    for case in cases:
+        case.write(out / CASES / f"{report.robot}-{report.mode}{options}-{case.monitor}.json")
     console = Console(width=160)
     console.print(table(report))
     console.print(f"{_verdict(report)}\nreport: {out / REPORT}", soft_wrap=True, highlight=False)
-    return report
 
 
 def _verdict(report: AttackReport) -> str:

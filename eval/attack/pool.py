@@ -11,6 +11,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from deploy.operation.interrupts import SIGNALS
 from eval.attack.archive import Found
 from eval.attack.arena import Outcome, Setting, try_block
 from eval.attack.candidate import Block
@@ -29,11 +30,11 @@ class Workers:
         """Return the outcomes of blocks, in order."""
         return list(self._pool.map(partial(try_block, self._setting), blocks))
 
-    def write_bundles(self, found: dict[str, Found], folder: Path) -> dict[str, Bundle]:
-        """Write the bundle of each monitor's worst candidate; return them by monitor."""
+    def write_bundles(self, found: dict[str, Found], folder: Path) -> Iterator[tuple[str, Bundle]]:
+        """Write the bundle of each monitor's worst candidate; yield them with their monitors."""
         candidates = [each.candidate for each in found.values()]
         write = partial(write_peak, self._setting)
-        return dict(zip(found, self._pool.map(write, found, candidates, repeat(folder)), strict=True))
+        return zip(found, self._pool.map(write, found, candidates, repeat(folder)), strict=True)
 
 
 @contextmanager
@@ -65,6 +66,7 @@ def processes(number: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin(lifeline: Connection) -> None:
-    """Hang on the parent's life; only the parent handles Ctrl-C."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Hang on the parent's life; only the parent handles signals."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
     end_with(lifeline)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from deploy.operation.interrupts import handled
+from deploy.operation.interrupts import handled, interrupt
 from eval.replay.event_capture import EVENTS
 from eval.soak.configuration import SoakConfig
 from eval.soak.worker import Task, work
@@ -88,7 +88,7 @@ class WorkerPool:
     def _run_until_interrupted(self) -> None:
         """Run the pending shards; after Ctrl-C, wait until those that run have stored their checkpoints."""
         try:
-            with handled(_interrupt), Progress(*COLUMNS, console=self._console) as bar:
+            with handled(interrupt), Progress(*COLUMNS, console=self._console) as bar:
                 shown = bar.add_task("", total=self._config.ticks * len(self._tasks))
                 while self.pending:
                     self.step()
@@ -164,7 +164,3 @@ def _received(errors: Connection) -> FirstshiftError | None:
         except (EOFError, OSError):  # nothing was sent, or not all of it
             return None
     return error
-
-
-def _interrupt(_signal: int, _frame: object) -> None:
-    raise KeyboardInterrupt

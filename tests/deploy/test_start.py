@@ -1,4 +1,4 @@
-"""Starts of command lines: every script of pyproject.toml has one, and Ctrl-C while modules are imported is quiet."""
+"""Starts of command lines: every script of pyproject.toml has one, which no failing output ends, nor Ctrl-C loudly."""
 
 import ast
 import os
@@ -32,16 +32,15 @@ def written(tmp_path, monkeypatch):
     return lambda name, text: (tmp_path / f"{name}.py").write_text(text)
 
 
-def run(module, folder, **environment):
+def run(module, folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, pass_fds=(), **environment):
     """Start a module of a folder in a process of its own."""
     code = (
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"  # a shell may ignore it
         f"sys.path.insert(0, {str(folder)!r}); from deploy.start import start; start({module!r})"
     )
     environment = os.environ | {"PYTHONPATH": str(ROOT)} | environment
-    return subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, timeout=60, check=False
-    )
+    command, streams = [sys.executable, "-c", code], {"stdout": stdout, "stderr": stderr}
+    return subprocess.run(command, env=environment, **streams, pass_fds=pass_fds, timeout=60, check=False)
 
 
 def test_ctrl_c_during_imports_is_quiet(written, tmp_path):
@@ -82,3 +81,36 @@ def test_command_line_runs_once(written, capsys):
     written("other_command", "def cli():\n    print('ran')\n")
     start("other_command")
     assert capsys.readouterr().out == "ran\n"
+
+
+LONG = """
+import os, sys
+def cli():
+    for line in range(20_000):
+        print("line", line)
+    os.write({}, b"done")
+    print("the last error", file=sys.stderr)
+    raise SystemExit(3)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_disk_under_standard_output_ends_no_command(written, tmp_path, unbuffered):
+    with (tmp_path / "done").open("wb") as done, open("/dev/full", "wb") as full:
+        written("long_command", LONG.format(done.fileno()))
+        ended = run(
+            "long_command", tmp_path, PYTHONUNBUFFERED=unbuffered, stdout=full, pass_fds=[done.fileno()]
+        )
+    assert (ended.returncode, (tmp_path / "done").read_bytes()) == (3, b"done")
+    warning = b"warning: standard output cannot be written: No space left on device\n"
+    assert ended.stderr == warning + b"the last error\n"
+
+
+def test_a_reader_that_is_gone_ends_no_command(written, tmp_path):
+    reader, writer = os.pipe()
+    os.close(reader)
+    with (tmp_path / "done").open("wb") as done, open(writer, "wb") as pipe:
+        written("long_command", LONG.format(done.fileno()))
+        ended = run("long_command", tmp_path, stdout=pipe, stderr=pipe, pass_fds=[done.fileno()])
+    assert (ended.returncode, (tmp_path / "done").read_bytes()) == (3, b"done")

@@ -193,7 +193,7 @@ def test_full_disk_is_no_verdict_of_a_check_but_exit_1(tmp_path):
 @pytest.mark.parametrize("errors_too", [False, True])
 @pytest.mark.slow
 def test_standard_output_that_is_full_costs_no_run(arm_policy, tmp_path, errors_too):
-    script = "from deploy.operation.cli import cli; cli()"
+    script = "from deploy.start import deploy_run; deploy_run()"
     options = ("--policy", arm_policy, "--speed", "max", "--duration", "1", "--out", tmp_path)
     command = [sys.executable, "-c", script, *map(str, options)]
     with open("/dev/full", "w") as full:

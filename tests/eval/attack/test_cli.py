@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import signal
 from types import SimpleNamespace
 
 import pytest
@@ -89,18 +90,42 @@ def test_without_a_guard_the_search_ends_at_the_first_event_of_its_monitor(call,
     assert not (tmp_path / "cases").exists()
 
 
-def test_interrupted_attack_reports_what_it_tried(call, tmp_path, monkeypatch):
+SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+
+
+@SIGNALS
+def test_interrupted_attack_reports_what_it_tried(number, call, tmp_path, monkeypatch):
     generations = iter(range(3))
 
     def interrupt(blocks):
         if next(generations) == 2:
-            raise KeyboardInterrupt
+            signal.raise_signal(number)
 
     monkeypatch.setattr(command, "workers", planted_workers("planar3", before=interrupt))
     code, said, _ = attack(call, tmp_path, generations=100)
     assert code == INTERRUPTED
     assert "interrupted: the report covers" in said
     assert json.loads((tmp_path / "attack.json").read_text())["trials"] > len(ADVERSARIES) * 16
+
+
+@SIGNALS
+def test_attack_interrupted_while_bundles_are_written_reports_those_that_are(
+    number, call, tmp_path, monkeypatch
+):
+    written = []
+
+    def interrupt(name):
+        written.append(name)
+        if len(written) == 2:
+            signal.raise_signal(number)
+
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", after=interrupt))
+    code, said, _ = attack(call, tmp_path)
+    assert code == INTERRUPTED
+    assert "interrupted: the report covers the bundles written so far" in said
+    rows = json.loads((tmp_path / "attack.json").read_text())["rows"]
+    assert {row["monitor"] for row in rows if row["bundle"]} == set(written)
+    assert {folder.name for folder in (tmp_path / "worst").iterdir()} == set(written)
 
 
 def test_bundles_of_an_earlier_attack_stay_until_there_are_others(call, tmp_path, monkeypatch):

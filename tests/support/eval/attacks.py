@@ -5,13 +5,17 @@ import numpy as np
 from eval.attack.archive import Archive
 from eval.attack.arena import Outcome
 from eval.attack.peak import Bundle
+from eval.replay.bundle import INFO
 from eval.shard.job import WIDTH
 from robots.motors.control_mode import ControlMode
 from robots.spec import load_robot
 
 
-def planted_workers(robot, before=lambda blocks: None, **ratios):
-    """Workers whose trials all end with the same ratios: 0.5 where none is given."""
+def planted_workers(robot, before=lambda blocks: None, after=lambda name: None, **ratios):
+    """Workers whose trials all end with the same ratios: 0.5 where none is given.
+
+    `before` is called with the blocks of each generation, `after` with the name of each bundle that was written.
+    """
     names = [monitor.name for monitor in Archive(load_robot(robot), ControlMode.POSITION).monitors]
     worst = {name: np.full(WIDTH, ratios.get(name, 0.5)) for name in names}
 
@@ -21,7 +25,11 @@ def planted_workers(robot, before=lambda blocks: None, **ratios):
             return [Outcome(worst, np.zeros(WIDTH, dtype=bool)) for _ in blocks]
 
         def write_bundles(self, found, folder):
-            return {name: Bundle(f"bundle-of-{name}", each.ratio) for name, each in found.items()}
+            for name, each in found.items():
+                (folder / name).mkdir(parents=True)
+                (folder / name / INFO).touch()
+                yield name, Bundle(f"bundle-of-{name}", each.ratio)
+                after(name)
 
     @contextmanager
     def workers(setting, processes):
