@@ -119,17 +119,12 @@ class StopTrajectories(_BlockPlans):
 
 
 def stop_moments_s(spec: RobotSpec) -> tuple[float, float]:
-    """Return s after which a stop is checked: a quarter and half of what the slowest joint needs from half its speed.
+    """Return s after which a stop is checked: a quarter and half of what all joints but one need from half their speed.
 
-    The arm's path bends where joints come to rest one after another. Of 16,000 random stops of arm6 from up to 0.9 of
-    full speed the tool's lowest point was up to 35 mm below both ends, and up to 14 mm below the lowest of the ends and
-    the later point; from up to 0.6, 12 mm and 6 mm.
-
-    The tool gains speed where a joint brakes that had held back another's motion. A search over stops of arm6 that
-    begin below 0.95 of the tool's limit found 1.26 of it where only the beginning is checked, 1.01 with the earlier
-    moment, and 0.99 with both (python -m eval.bench stops).
+    The arm's path bends while joints come to rest one after another, until only the slowest moves.
     """
     qdd_max = spec.joint_array("qdd_max")
-    whole = spec.margins.speed * spec.joint_array("qd_max") / 2 / qdd_max
-    late = float((whole + qdd_max / spec.joint_array("qddd_max")).max() / 2)
-    return late / 2, late
+    braking = spec.margins.speed * spec.joint_array("qd_max") / 2 / qdd_max
+    whole = np.sort(braking + qdd_max / spec.joint_array("qddd_max"))
+    all_but_one = float(whole[-2:][0])
+    return all_but_one / 4, all_but_one / 2

@@ -23,6 +23,8 @@ from robots.models.nominal_model import torque_max
 
 WINDOW_S = 0.1
 """s by which a robot may be behind its setpoints: delays of bus and drives, and a period of the drive's ringing."""
+MEAN_S = 0.5
+"""s, time constant of the mean error of the estimate. What friction of worn joints adds to it lasts: no noise."""
 GAP_S = 0.02
 """s between two looks at the distances of shapes."""
 SHARES = ("speed", "tau", "tool_speed")
@@ -57,7 +59,7 @@ class Excess:
         self._planned_gap = self._true_gap = np.zeros((robots, 0))
         self._history: dict[str, Floats] = {}
         self._tick, self._powered, self._counted = 0, *np.zeros((2, robots), dtype=np.int64)
-        self._before, self._squares = np.zeros((2, 2, robots, spec.n))
+        self._before, self._mean_error, self._squares = np.zeros((3, 2, robots, spec.n))
         self.largest = {}
 
     def step(self, truth: Truth) -> None:
@@ -76,21 +78,23 @@ class Excess:
         self._tick += 1
 
     def _look_at_estimate(self, truth: Truth, counts: Bools) -> None:
-        """Add up squared errors of the estimate, which is for the end of the tick before.
+        """Add up squared errors of the estimate, which is for the end of the tick before, around their mean.
 
-        Those in a push are no noise: what they do is part of the excess.
+        Those in a push are no noise: what they do is part of the excess, as is their mean.
         """
         state = self._runtime.state
-        error = self._before - np.stack((state.q, state.qd))
-        self._squares += np.where(counts[:, None], error * error, 0.0)
+        error = self._before - np.stack((state.q, state.qd)) - self._mean_error
+        error = np.where(counts[:, None], error, 0.0)
+        self._mean_error += error * (self._spec.dt / MEAN_S)
+        self._squares += error * error
         self._counted += counts
         self._before[:] = truth.q, truth.qd
 
     @property
     def estimate_error(self) -> Floats:
-        """(2, n) rad and rad/s, root mean square of the estimate's error without pushes, of the worst robot."""
-        mean: Floats = self._squares / np.maximum(self._counted, 1)[:, None]
-        return np.sqrt(mean.max(axis=1))
+        """(2, n) rad and rad/s, standard deviation of the estimate's error without pushes, of the worst robot."""
+        variance: Floats = self._squares / np.maximum(self._counted, 1)[:, None]
+        return np.sqrt(variance.max(axis=1))
 
     def _keep(self, largest: Floats, planned: Floats, true: Floats, counts: Bools) -> None:
         """Update the largest excess over the planned value, or of a share over the upper end of its bin."""

@@ -48,7 +48,7 @@ class Outcome(NamedTuple):
 
     Attributes:
         excess: (`WIDTH`, bins) largest of each robot, by quantity.
-        estimate_error: (2, n) rad and rad/s, root mean square, of the worst robot.
+        estimate_error: (2, n) rad and rad/s, standard deviation, of the worst robot.
         diverged: number of robots whose simulation diverged.
     """
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveInt, model_validator
 
 from deploy.policy.compatibility import check_contract, mode_misfit, task_misfit
 from deploy.policy.contract import Contract
@@ -22,7 +22,10 @@ from robots.strict import Strict, parse, read_toml
 
 RECIPES = Path(__file__).parents[1]
 
-Penalty = Annotated[float, Field(le=0)]
+WEIGHT_MAX = 1e6
+"""Largest weight, length or time: far more than a training can use."""
+Positive = Annotated[float, Field(gt=0, le=WEIGHT_MAX)]
+Penalty = Annotated[float, Field(ge=-WEIGHT_MAX, le=0)]
 Count = Annotated[int, Field(ge=1, le=1 << 16)]
 """Number of robots, goals, steps or units: far more than a training can use."""
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -46,11 +49,11 @@ class Promise(Strict):
 
     mode: Literal["position_increment", "position", "velocity", "torque"] = "position_increment"
     policy_hz: PositiveInt
-    increment_rad: PositiveFloat | None = None
-    leash_rad: PositiveFloat | None = None
+    increment_rad: Positive | None = None
+    leash_rad: Positive | None = None
     share: Share | None = None
     change_share: Share | None = None
-    reach_m: PositiveFloat
+    reach_m: Positive
 
     @model_validator(mode="after")
     def _fields_of_mode(self) -> Self:
@@ -75,7 +78,7 @@ class Gait(Strict):
         period_s: s. phase_offsets: turns by which each leg is ahead. layout: order of sines and cosines.
     """
 
-    period_s: PositiveFloat
+    period_s: Positive
     phase_offsets: Numbers = ONE_LEG
     layout: GaitLayout = SINES_FIRST
 
@@ -105,13 +108,13 @@ class Reward(Strict):
         power: for each W, jerk: for each rad/s³, survival: for each step.
     """
 
-    success: PositiveFloat
+    success: Positive
     joint_limit: Penalty
     near_limit: Penalty
     near_share: Share
     power: Penalty
     jerk: Penalty
-    survival: PositiveFloat
+    survival: Positive
 
 
 class Shaping(Strict):
@@ -127,14 +130,14 @@ class Shaping(Strict):
         stop: for a safety stop.
     """
 
-    far_m: PositiveFloat
-    near_m: PositiveFloat
-    here_m: PositiveFloat
-    here: PositiveFloat
+    far_m: Positive
+    near_m: Positive
+    here_m: Positive
+    here: Positive
     action_change: Penalty
     action_excess: Penalty
     request: Penalty
-    singular_below: PositiveFloat
+    singular_below: Positive
     singular: Penalty
     stop: Penalty
 
@@ -152,16 +155,16 @@ class Learner(Strict):
     stages: Annotated[tuple[LearnerStage, ...], Field(min_length=1)]
     num_steps_per_env: Count
     hidden: Annotated[tuple[Count, ...], Field(min_length=1, max_length=16)]
-    init_std: PositiveFloat
+    init_std: Positive
     gamma: Share
     lam: Share
-    entropy_coef: Annotated[float, Field(ge=0)]
+    entropy_coef: Annotated[float, Field(ge=0, le=WEIGHT_MAX)]
     num_learning_epochs: Count
     num_mini_batches: Count
     clip_param: Share
-    value_loss_coef: PositiveFloat
+    value_loss_coef: Positive
     use_clipped_value_loss: bool
-    max_grad_norm: PositiveFloat
+    max_grad_norm: Positive
 
 
 class Recipe(Strict):
@@ -183,6 +186,16 @@ class Recipe(Strict):
     reward: Reward
     shaping: Shaping
     learner: Learner
+
+    @model_validator(mode="after")
+    def _no_empty_batch(self) -> Self:
+        steps = self.environment.robots * self.learner.num_steps_per_env
+        if (batches := self.learner.num_mini_batches) > steps:
+            raise ValueError(
+                f"learner.num_mini_batches: found {batches}, expected at most {steps}: "
+                "environment.robots times num_steps_per_env"
+            )
+        return self
 
 
 def find_recipe(recipe: str) -> Path:

@@ -187,7 +187,17 @@ def test_stop_into_the_table_is_refused(q, qd):
 
 
 def test_moments_at_which_a_stop_is_checked():
-    """A quarter and half of the time v / a + a / j of the slowest joint, from half of its speed."""
+    """A quarter and half of the time v / a + a / j of all joints but the slowest, from half of its speed."""
     qd, qdd, jerk = (SPEC.joint_array(name) for name in ("qd_max", "qdd_max", "qddd_max"))
-    longest = (0.5 * SPEC.margins.speed * qd / qdd + qdd / jerk).max()
-    np.testing.assert_allclose(stop_moments_s(SPEC), (longest / 4, longest / 2))
+    times = 0.5 * SPEC.margins.speed * qd / qdd + qdd / jerk
+    slowest = times.argmax()
+    without = np.delete(times, slowest).max()
+    assert without < 0.7 * times[slowest]
+    np.testing.assert_allclose(stop_moments_s(SPEC), (without / 4, without / 2))
+
+
+def test_moments_at_which_the_stop_of_one_joint_is_checked():
+    alone = SPEC.model_copy(update={"joints": SPEC.joints[:1]})
+    qd, qdd, jerk = (alone.joint_array(name)[0] for name in ("qd_max", "qdd_max", "qddd_max"))
+    whole = 0.5 * alone.margins.speed * qd / qdd + qdd / jerk
+    np.testing.assert_allclose(stop_moments_s(alone), (whole / 4, whole / 2))

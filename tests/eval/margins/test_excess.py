@@ -154,7 +154,20 @@ def test_error_of_the_estimate_is_over_the_tick_before(bench):
         bench.step()
     expected = np.zeros((2, N))
     expected[0, :2] = np.sqrt(np.array([2 * 0.02**2, 2 * 0.01**2]) / bench.excess._counted[0])
-    np.testing.assert_allclose(bench.excess.estimate_error, expected, rtol=1e-9)
+    np.testing.assert_allclose(bench.excess.estimate_error, expected, rtol=0.02)
+
+
+def test_error_of_the_estimate_that_lasts_is_no_noise(bench):
+    """A second of it is forgotten, so that noise of 0.01 rad is found under a mean error of 0.05 rad."""
+    noise = np.random.default_rng(0).normal(0.0, 0.01, 4000)
+    for error in noise[:400]:
+        bench.state.q[0, 0] = HOME[0] + 0.05 + error
+        bench.step()
+    bench.excess._squares[:], bench.excess._counted[:] = 0.0, 0
+    for error in noise:
+        bench.state.q[0, 0] = HOME[0] + 0.05 + error
+        bench.step()
+    assert bench.excess.estimate_error[0, 0] == pytest.approx(0.01, rel=0.05)
 
 
 def test_error_of_the_estimate_of_an_arm_that_is_pushed_is_no_noise(bench):
