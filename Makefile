@@ -39,21 +39,22 @@ help: ## list these targets
 setup: $(VENV)/.installed ## make .venv with everything that is locked (PYTHON=python3)
 setup-robot: $(VENV_ROBOT)/.installed ## make .venv-robot: run, simulate, soak and test, without torch
 
-# One rule for both environments: `.locked` holds the libraries, `.installed` this project on top of them.
+# One rule for both environments: `.locked` holds the libraries, `.installed` this project on top of them. Of the larger
+# one only what is used is compiled, when it is first imported: pip would compile all of it for a minute.
 define environment
 $(1)/.locked: $(2)
 	@command -v $$(PYTHON) >/dev/null || { echo "error: PYTHON=$$(PYTHON): not found; Python 3.11 to 3.14 is needed" >&2; exit 2; }
 	@$$(PYTHON) -c 'import sys; v = sys.version_info[:2]; (3, 11) <= v < (3, 15) or sys.exit("error: PYTHON=$$(PYTHON) is Python %d.%d, but 3.11 to 3.14 is needed: make $$(MAKECMDGOALS) PYTHON=python3.12" % v)'
 	@echo "$(1): installing what $(2) locks ($(3))"
 	@$$(PYTHON) -m venv $(1) || { rm -rf $(1); exit 2; }
-	@$(1)/bin/python $$(PIP_INSTALL) --quiet $$(LOCKED) --requirement $(2)
+	@$(1)/bin/python $$(PIP_INSTALL) --quiet $(4) $$(LOCKED) --requirement $(2)
 	@touch $$@
 
 $(1)/.installed: $(1)/.locked pyproject.toml
 	@$(1)/bin/python $$(PIP_INSTALL) --quiet $$(EDITABLE)
 	@touch $$@
 endef
-$(eval $(call environment,$(VENV),requirements.lock,6.5 GB: a few minutes))
+$(eval $(call environment,$(VENV),requirements.lock,6.5 GB: a few minutes,--no-compile))
 $(eval $(call environment,$(VENV_ROBOT),requirements-robot.lock,1.1 GB: a minute))
 
 # ---- the main job ---------------------------------------------------------------------------------------------

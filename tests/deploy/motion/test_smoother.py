@@ -242,14 +242,14 @@ def test_no_drift_at_long_rest(braking):
 
 
 def test_state_halfway_through_a_stop():
-    """From half its speed the slowest joint to brake has four fifths of its way behind it."""
+    """From half its speed the slowest joint but one has four fifths of its way behind it."""
     smoother = at_home(1)
-    slowest = int(np.argmax(V / SPEC.joint_array("qdd_max")))
-    smoother.qd[0, slowest] = V[slowest] / 2
+    joint = int(np.argsort(V / SPEC.joint_array("qdd_max"))[-2])
+    smoother.qd[0, joint] = V[joint] / 2
     stop = smoother.brake(smoother.sent)
     way, whole = stop.q[1, 0] - HOME, stop.q_rest[0] - HOME
-    assert 0.75 < way[slowest] / whole[slowest] < 0.85
-    np.testing.assert_array_equal(np.delete(way, slowest), 0.0)
+    assert 0.75 < way[joint] / whole[joint] < 0.85
+    np.testing.assert_array_equal(np.delete(way, joint), 0.0)
 
 
 def test_predicted_end_of_a_stop_is_exact_at_reduced_pace():
