@@ -1,22 +1,31 @@
 """Worker processes of an attack: they try candidates, and end with their parent."""
 
 import signal
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
 from itertools import repeat
 from multiprocessing import get_context
-from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
-from deploy.operation.interrupts import SIGNALS
+from deploy.operation.interrupts import handled
 from eval.attack.archive import Found
 from eval.attack.arena import Outcome, Setting, try_block
 from eval.attack.candidate import Block
 from eval.attack.peak import Bundle, write_peak
 from robots.child_process import Lifeline, end_with
+
+
+class _Pool(ProcessPoolExecutor):
+    """Pool of processes that ignore signals from their start on: only the parent handles them."""
+
+    def submit(self, call: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Submit a call; a worker that starts for it inherits what is ignored."""
+        with handled(signal.SIG_IGN):
+            return super().submit(call, *args, **kwargs)
 
 
 class Workers:
@@ -55,7 +64,7 @@ def workers(setting: Setting, number: int) -> Iterator[Workers]:
 def processes(number: int) -> Iterator[ProcessPoolExecutor]:
     """Yield a pool of processes, which end at once when this one fails or is interrupted."""
     with Lifeline() as lifeline:
-        pool = ProcessPoolExecutor(number, get_context("spawn"), _begin, (lifeline.end,))
+        pool = _Pool(number, get_context("spawn"), end_with, (lifeline.end,))
         try:
             yield pool
         except BaseException:
@@ -63,10 +72,3 @@ def processes(number: int) -> Iterator[ProcessPoolExecutor]:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
         pool.shutdown(cancel_futures=True)
-
-
-def _begin(lifeline: Connection) -> None:
-    """Hang on the parent's life; only the parent handles signals."""
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
-    end_with(lifeline)
