@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import typer
 
-from deploy.start import INTERRUPTED
+from deploy.start import BROKEN, INTERRUPTED
 from robots.errors import FirstshiftError, ResultLostError, printable
 
-PASSED, BUDGET_EXCEEDED, BAD_INPUT, BROKEN = 0, 1, 2, 70
+PASSED, BUDGET_EXCEEDED, BAD_INPUT = 0, 1, 2
 
 
 def main(*commands: Callable[..., int]) -> None:

@@ -7,12 +7,16 @@ import io
 import os
 import signal
 import sys
+import traceback
 from functools import partial
 from importlib import import_module
 from typing import Any, BinaryIO, cast
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
+INTERRUPTED, BROKEN = 130, 70
+"""Exit codes after Ctrl-C, and after a defect."""
+ENVIRONMENT = {"PYTHONSAFEPATH": "1", "MPLBACKEND": "agg"}
+"""For this process and its children: no module is imported from the working directory, which may be a robot's folder
+that somebody else has written, and plots are files."""
 FAIL = ("strict", "surrogateescape")
 """Handlers by which standard output fails at a letter that it cannot show: the default ones."""
 
@@ -33,6 +37,7 @@ class _StandardOutput(io.FileIO):
 
 def start(module: str) -> None:
     """Import the module of a command line, and run its `cli`."""
+    os.environ.update(ENVIRONMENT)
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and stream is getattr(sys, f"__{name}__"):
@@ -40,7 +45,11 @@ def start(module: str) -> None:
     by_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if by_default:  # an exception could be raised inside a C extension, which makes another one of it
         signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
-    cli = import_module(module).cli
+    try:
+        cli = import_module(module).cli
+    except Exception as e:  # of a library, for something in this environment: no verdict about a robot
+        traceback.print_exc()
+        raise SystemExit(BROKEN) from e
     if by_default:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     cli()

@@ -31,3 +31,8 @@ class ResultLostError(OutputError):
 def printable(text: str) -> str:
     """Return text with "?" for every control character: names from files must not control a terminal."""
     return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def is_utf8(name: str) -> bool:
+    """Return whether a file name is UTF-8: C++ libraries, and JSON, cannot hold any other one."""
+    return name.isascii() or not any("\ud800" <= c <= "\udfff" for c in name)

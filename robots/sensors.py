@@ -63,7 +63,7 @@ Kind = Annotated[str, AfterValidator(_known)]
 BUFFER_S = 0.25
 """s, the largest delay of a packet in simulation."""
 
-NotNegative = Annotated[float, Field(ge=0)]
+NotNegative = Annotated[float, Field(ge=0, le=1e9)]
 Delay = Annotated[float, Field(ge=0, lt=BUFFER_S)]
 LOSS_MAX = 0.5
 """The largest share of packets that may be lost in simulation."""

@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 
 from robots.capabilities import Capability
 from robots.contacts import GOAL, MayTouch
-from robots.errors import RobotError
+from robots.errors import RobotError, is_utf8
 from robots.models.files import read_xml, referenced_files
 from robots.motors.control_mode import ControlMode
 from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
@@ -306,6 +306,8 @@ def load_robot(robot: str | Path, option: str = "--robot") -> RobotSpec:
         folder = ROBOTS / str(robot)
     if not os.path.isfile(folder / "robot.toml"):
         raise RobotError(f"{option} {robot}: no such folder with a robot.toml; known: {_known()}")
+    if not is_utf8(str(folder.resolve())):
+        raise RobotError(f"{option} {robot}: found a name that is not UTF-8")
     file = read_toml(folder / "robot.toml", _RobotFile, RobotError)
     if "folder" in file.model_fields_set:
         raise RobotError(f"{folder / 'robot.toml'}: folder: unknown key")

@@ -33,6 +33,11 @@ class TorqueMode(Strict):
     acceleration_density: PositiveFloat
 
 
+Motion = Annotated[float, Field(gt=0, le=1e9)]
+LONGEST_S = 100.0
+"""s in which a joint gets from one limit to the other: what takes longer, the planner has no profile for."""
+
+
 class Joint(Strict):
     """Working limits of one joint, as an integrator sets them: inside the mechanical ones of model.xml.
 
@@ -51,9 +56,9 @@ class Joint(Strict):
     q_min: Annotated[float, Field(exclude_if=math.isinf)] = -math.inf
     q_max: Annotated[float, Field(exclude_if=math.isinf)] = math.inf
     q_home: float
-    qd_max: PositiveFloat
-    qdd_max: PositiveFloat
-    qddd_max: PositiveFloat
+    qd_max: Motion
+    qdd_max: Motion
+    qddd_max: Motion
     acceleration_density: PositiveFloat
     play: Annotated[float, Field(ge=0)]
     motor: str
@@ -70,6 +75,21 @@ class Joint(Strict):
             raise ValueError(
                 f"q_home of {self.name} is {self.q_home} rad, outside [{self.q_min}, {self.q_max}]"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _reaches_its_limits(self) -> Self:
+        times = {
+            "qd_max / qdd_max": self.qd_max / self.qdd_max,
+            "qdd_max / qddd_max": self.qdd_max / self.qddd_max,
+        }
+        if not math.isinf(self.q_max):
+            times["(q_max - q_min) / qd_max"] = (self.q_max - self.q_min) / self.qd_max
+        for name, seconds in times.items():
+            if not seconds <= LONGEST_S:
+                raise ValueError(
+                    f"{name} of {self.name}: found {seconds:.3g} s, expected at most {LONGEST_S:g} s"
+                )
         return self
 
 
@@ -140,7 +160,7 @@ class Motor(Strict):
 class Rates(Strict):
     """Rates of control and physics, Hz; physics is a multiple of control."""
 
-    control_hz: Annotated[PositiveInt, Field(le=100_000)]
+    control_hz: Annotated[PositiveInt, Field(le=10_000)]
     physics_hz: Annotated[PositiveInt, Field(le=100_000)]
 
     @model_validator(mode="after")

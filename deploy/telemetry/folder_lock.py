@@ -34,7 +34,7 @@ def _acquired(folder: Path) -> IO[str]:
     """Return the locked file, which holds this process's number."""
     with ExitStack() as stack:
         try:
-            file = stack.enter_context((folder / LOCK).open("a+", encoding="utf-8", errors="replace"))
+            file = stack.enter_context(_open(folder / LOCK))
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if not _is_current(file, folder / LOCK):
                 return _acquired(folder)
@@ -48,9 +48,15 @@ def _acquired(folder: Path) -> IO[str]:
                 f"--out {folder}: found in use by process {owner}, expected a folder that no other run uses"
             ) from e
         except OSError as e:
-            raise OutputError(f"--out {folder}: {LOCK} cannot be locked: {e.strerror}") from e
+            raise OutputError(f"--out {folder}: {LOCK} cannot be locked: {e.strerror or e}") from e
         stack.pop_all()
         return file
+
+
+def _open(path: Path) -> IO[str]:
+    """Open a file for reading and appending; a link, which may lead to any file, is refused (OSError)."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+    return os.fdopen(descriptor, "a+", encoding="utf-8", errors="replace")
 
 
 def _is_current(file: IO[str], path: Path) -> bool:

@@ -2,7 +2,7 @@
 
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,6 +16,8 @@ def replacing(path: Path, option: str = "--out") -> Iterator[Path]:
     Raises:
         OutputError: naming the `option`, if the place cannot be written. An earlier file there is left as it was.
     """
+    if not path.name:
+        raise OutputError(f"{option} {path}: found a folder, expected a file or nothing")
     partial = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
     try:
         _check_replaceable(path, option)
@@ -29,6 +31,17 @@ def replacing(path: Path, option: str = "--out") -> Iterator[Path]:
             partial.unlink(missing_ok=True)
     except OSError as e:
         raise OutputError(f"{option} {path}: cannot be written: {e.strerror}") from e
+
+
+def check_no_input(path: Path, inputs: Iterable[Path], option: str = "--out") -> None:
+    """Check that an output is none of a command's own inputs.
+
+    Raises:
+        OutputError: naming the `option`.
+    """
+    for each in inputs:
+        if os.path.exists(path) and os.path.exists(each) and os.path.samefile(path, each):
+            raise OutputError(f"{option} {path}: found a file that is read, expected another place")
 
 
 def _check_replaceable(path: Path, option: str) -> None:

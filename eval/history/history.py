@@ -8,7 +8,7 @@ from pathlib import Path
 from deploy.telemetry.output_files import replacing
 from eval.history.soak_record import Settings, SoakRecord
 from eval.statistics.per_draw_counts import PerDrawCounts, concatenate
-from robots.errors import ConfigError
+from robots.errors import ConfigError, printable
 from robots.strict import parse, read_json_file
 
 SUFFIX = ".soak.json"
@@ -56,7 +56,7 @@ def read_history(folder: Path) -> dict[str, SoakRecord]:
         ConfigError: a file cannot be read, was edited, or has another task than the first.
     """
     files = sorted(path for path in folder.glob(f"*{SUFFIX}") if not path.name.startswith("."))
-    records = {str(path): read_record(path) for path in files}
+    records = {printable(str(path)): read_record(path) for path in files}
     by_time = dict(sorted(records.items(), key=lambda item: item[1].run.moment))
     if by_time:
         name, first = next(iter(by_time.items()))
@@ -102,12 +102,14 @@ def pool(records: Mapping[str, SoakRecord]) -> PerDrawCounts:
     """Return the draws of one or more soaks, by the name used in errors, such as their file.
 
     Raises:
-        ConfigError: two soaks have different identities, or the same seed and therefore the same draws.
+        ConfigError: two soaks have different identities or monitors, or the same seed and therefore the same draws.
     """
     (first, reference), *_ = records.items()
     name_of_seed: dict[int, str] = {}
     for name, record in records.items():
         check_same_identity(reference.settings.identity, record.settings.identity, names=(first, name))
+        monitors = [", ".join(sorted(each.per_draw_counts.hard)) for each in (reference, record)]
+        check_same_identity({"hard": monitors[0]}, {"hard": monitors[1]}, names=(first, name))
         seed = record.settings.seed
         if (other := name_of_seed.setdefault(seed, name)) != name:
             raise ConfigError(

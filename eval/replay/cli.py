@@ -1,5 +1,6 @@
 """soak-replay: simulate the seconds around an event again and compare them with the recording."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -9,14 +10,13 @@ from rich.console import Console
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.loop_timing import RateLimited, WallClock
-from deploy.telemetry.output_files import replacing
-from eval.replay.bundle import FILES, INFO
+from deploy.telemetry.output_files import check_no_input, replacing
 from eval.replay.capture_window import write_mcap
 from eval.replay.event_video import EventVideo
 from eval.replay.replay_text import mismatch, table
 from eval.replay.replayer import Replay
 from eval.video.film import check_film
-from robots.errors import ConfigError
+from robots.errors import OutputError
 
 VIEW_S = 1 / 30
 """s between two frames of the viewer."""
@@ -48,7 +48,9 @@ def soak_replay(
     _print_event(replay, console)
     renderer = None if video is None else EventVideo(replay.spec)
     result = replay.run(_viewer(replay) if view else lambda: None)
-    for line in table(replay, result):
+    with replay.reading_state():
+        lines = list(table(replay, result))
+    for line in lines:
         _print(console, line)
     if mcap is not None:
         with replacing(mcap) as file:
@@ -63,11 +65,12 @@ def soak_replay(
 
 
 def _keep_bundle(folder: Path, written: dict[str, Path | None]) -> None:
-    """Refuse (ConfigError) to write over a file of the bundle itself."""
-    own = [(folder / name).resolve() for name in (INFO, *FILES)]
-    for option, path in written.items():
-        if path is not None and path.resolve() in own:
-            raise ConfigError(f"{option} {path}: a file of the bundle itself, expected another place")
+    """Refuse (OutputError) to write over a file of the bundle itself, or two files into one place."""
+    places = {option: path for option, path in written.items() if path is not None}
+    for option, path in places.items():
+        check_no_input(path, (each for each in folder.rglob("*") if each.is_file()), option)
+    if len({os.path.realpath(path) for path in places.values()}) < len(places):
+        raise OutputError(f"{' and '.join(places)}: found the same file, expected two")
 
 
 def _reproduced(ticks: int) -> str:

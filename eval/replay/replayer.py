@@ -1,6 +1,7 @@
 """Replay of an event: simulate its window again from the state saved before it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -101,6 +102,10 @@ class Replay:
         Raises:
             ConfigError: the saved state is none of a simulated shard.
         """
+        with self.reading_state():
+            return self._run(observe)
+
+    def _run(self, observe: Callable[[], None]) -> ReplayResult:
         shard, info = self.shard, self.info
         window = Window(self.spec, WIDTH, shard.runtime.task.size, len(self.recorded) * self.spec.dt)
         # A second judge, whose highest load is reset in each tick.
@@ -111,7 +116,7 @@ class Replay:
         detector, stops = StopDetector(), dict[int, str]()
         detector.step(shard.runtime)  # before the window
         for place in range(len(load)):
-            self._tick()
+            shard.tick()
             if self.row in detector.step(shard.runtime):
                 reason = int(shard.runtime.supervisor.reason[self.row])
                 stops[place] = explain_reasons(shard.runtime, reason, self.row)
@@ -128,11 +133,16 @@ class Replay:
             end_digest=state_digest(shard.snapshot()),
         )
 
-    def _tick(self) -> None:
-        """Advance one tick. Integers of a state are not checked when it is read: an IndexError is taken for theirs."""
+    @contextmanager
+    def reading_state(self) -> Iterator[None]:
+        """Take errors of the block for those of integers in the saved state, which are not checked when it is read.
+
+        Raises:
+            ConfigError: in place of an IndexError, OverflowError or ValueError.
+        """
         try:
-            self.shard.tick()
-        except IndexError as e:
+            yield
+        except (IndexError, OverflowError, ValueError) as e:
             raise ConfigError(f"{self._state_path}: holds an integer that no state has: {e}") from e
 
     def _find_event(self, counts: Counts) -> EventRecord | None:

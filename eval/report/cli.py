@@ -8,8 +8,8 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from deploy.command_line import PASSED, main
-from deploy.telemetry.output_files import replacing
-from eval.history.history import check_same_draws, read_history, read_record
+from deploy.telemetry.output_files import check_no_input, replacing
+from eval.history.history import SUFFIX, check_same_draws, read_history, read_record
 from eval.history.soak_record import SoakRecord
 from eval.report.html import interval_text, percent, render_history
 from eval.report.schema.report_data import Report
@@ -18,7 +18,7 @@ from eval.report.sections.trend import trend as trend_of
 from eval.statistics.compare import Difference
 from eval.statistics.compare import compare as differences
 from eval.statistics.numbers import figure
-from robots.errors import ConfigError
+from robots.errors import ConfigError, printable
 
 SoakPath = Annotated[Path, typer.Argument(help="report.json, its folder, or a record from --history.")]
 
@@ -71,6 +71,7 @@ def trend(
         raise ConfigError(f"{folder}: found no records, expected some from soak-test --history")
     result, console = trend_of(records), Console()
     page = out or folder / "trend.html"
+    check_no_input(page, folder.glob(f"*{SUFFIX}"))
     with replacing(page) as file:
         task = next(iter(records.values())).settings.task
         file.write_text(render_history(result, task), encoding="utf-8")
@@ -78,7 +79,7 @@ def trend(
     for number, group in enumerate(result.groups, start=1):
         line = f"{number}: {group.policy} ({group.policy_digest:.12}): {group.statement} {group.dispersion}"
         console.print(line, soft_wrap=True, markup=False, highlight=False)
-    console.print(f"page: {page}", soft_wrap=True)
+    console.print(f"page: {printable(str(page))}", soft_wrap=True)
     return PASSED
 
 

@@ -77,6 +77,7 @@ class ShardJob:
 
     Attributes:
         robot: folder. policy: file. robot_digest, policy_digest: SHA-256 of both when the soak began.
+        draws_digest, limits_digest: likewise of draws.toml and limits.toml; None: not compared.
         seed: of the soak.
         first: index of the shard's first robot. robots: number of its robots that count.
         ticks: control ticks to simulate. sample_ticks: ticks between two samples.
@@ -96,4 +97,6 @@ class ShardJob:
     sample_ticks: int
     faults: FaultSettings | None = None
     operator_s: float | None = None
+    draws_digest: str | None = None
+    limits_digest: str | None = None
     code_digest: str = field(default_factory=code_digest)

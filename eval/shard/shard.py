@@ -21,6 +21,7 @@ from deploy.truth import Truth
 from eval.faults.fault_response import FaultResponseTracker
 from eval.faults.injector import Injector
 from eval.faults.schedule import plan
+from eval.judge.limits import load_limits
 from eval.shard.job import ARM_S, OPERATOR_S, POLL_S, WIDTH, ShardJob, code_digest
 from eval.shard.judging import (
     COUNTED,
@@ -32,6 +33,7 @@ from eval.shard.judging import (
     samples,
     shard_result,
 )
+from robots.distributions import load_distributions
 from robots.draws import Draw
 from robots.errors import ConfigError
 from robots.randomness import robot_seed
@@ -49,8 +51,8 @@ def rearm(runtime: Runtime, delay_s: float = OPERATOR_S) -> None:
         runtime.arm(waiting)
 
 
-def _check_digest(expected: str, found: str, what: object) -> None:
-    if found != expected:
+def _check_digest(expected: str | None, found: str, what: object) -> None:
+    if expected is not None and found != expected:
         raise ConfigError(
             f"{what}: changed during the soak: digest found {found:.12}, expected {expected:.12}"
         )
@@ -75,11 +77,13 @@ class Shard(Stage):
         `draw` replaces the parameters of the `WIDTH` robots that the seeds would draw.
 
         Raises:
-            ConfigError: code, robot or policy changed since the job was made.
+            ConfigError: code, robot, policy, draws or limits changed since the job was made.
         """
         _check_digest(job.code_digest, code_digest(), "firstshift's code")
         spec = load_robot(job.robot)
         _check_digest(job.robot_digest, spec.digest, job.robot)
+        _check_digest(job.draws_digest, load_distributions(spec).digest, job.robot / "draws.toml")
+        _check_digest(job.limits_digest, load_limits(spec).digest, job.robot / "limits.toml")
         seeds = [robot_seed(job.seed, job.first + row) for row in range(WIDTH)]
         policy = Policy.load(job.policy, spec)
         self._policy: Actor = policy

@@ -16,7 +16,6 @@ from eval.report.soak_result import SoakResult
 from eval.shard.judging import ShardResult
 from eval.soak.configuration import SoakConfig
 from eval.statistics.sensitivity import parameter_values
-from robots.distributions import load_distributions
 
 GOAL_BINS = 8
 SAMPLES, TOTALS = ("winding_c", "folded_back", "worn"), ("stops", "latches")
@@ -31,7 +30,7 @@ def assemble(
     shards began, `shards` are the first ones. `bundles` are relative to the report's folder.
     """
     counts = reduce(merge, (shard.counts for shard in shards))
-    drawn = parameter_values(config.draw_robots(), load_distributions(config.spec))
+    drawn = parameter_values(config.draw_robots(), config.distributions)
     samples = max(len(shard.attempted) for shard in shards) - 1
     read = sensors_read(config.policy.contract, config.spec)
     responses = merge_responses([shard.responses for shard in shards])

@@ -1,16 +1,16 @@
 """Configuration of a soak, and the shard jobs and checkpoints that follow from it."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from deploy.policy.policy import Policy
 from eval.faults.schedule import FaultSettings
 from eval.history.soak_record import Settings
-from eval.judge.limits import load_limits
+from eval.judge.limits import Limits, load_limits
 from eval.shard.job import WIDTH, ShardJob, code_digest, processor, versions
 from eval.soak.checkpoint import SUFFIX, Checkpoint
-from robots.distributions import load_distributions
+from robots.distributions import Distributions, load_distributions
 from robots.draws import Draw, draw
 from robots.errors import ConfigError, printable
 from robots.randomness import robot_seed
@@ -24,7 +24,14 @@ SAMPLES, SAMPLES_MAX = 64, 1440
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SoakConfig:
-    """Options of one soak, with robot and policy loaded."""
+    """Options of one soak, with robot and policy loaded.
+
+    Attributes:
+        distributions, limits: of the robot's draws.toml and limits.toml when the soak began.
+
+    Raises:
+        ConfigError: draws.toml or limits.toml.
+    """
 
     spec: RobotSpec
     policy: Policy
@@ -35,6 +42,13 @@ class SoakConfig:
     seed: int
     workers: int
     faults: FaultSettings | None = None
+    distributions: Distributions = field(init=False, repr=False)
+    limits: Limits = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Read both files once: results say which ones they are of."""
+        object.__setattr__(self, "distributions", load_distributions(self.spec))
+        object.__setattr__(self, "limits", load_limits(self.spec))
 
     @property
     def ticks(self) -> int:
@@ -50,11 +64,11 @@ class SoakConfig:
     def draw_robots(self) -> Draw:
         """Return the drawn parameters of every robot."""
         seeds = [robot_seed(self.seed, robot) for robot in range(self.robots)]
-        return draw(load_distributions(self.spec), self.spec, seeds)
+        return draw(self.distributions, self.spec, seeds)
 
     def draws_json(self, draw: Draw) -> str:
         """Return the text of draws.json, from which robots can be rebuilt after changes of draws.toml."""
-        return draw.to_json(self.seed, load_distributions(self.spec), self.spec)
+        return draw.to_json(self.seed, self.distributions, self.spec)
 
     def jobs(self) -> list[ShardJob]:
         """Return jobs of `WIDTH` robots each; the last may count fewer."""
@@ -64,6 +78,8 @@ class SoakConfig:
                 policy=self.policy_path,
                 robot_digest=self.spec.digest,
                 policy_digest=self.policy.digest,
+                draws_digest=self.distributions.digest,
+                limits_digest=self.limits.digest,
                 seed=self.seed,
                 first=start,
                 robots=min(WIDTH, self.robots - start),
@@ -92,8 +108,8 @@ class SoakConfig:
             command=printable(" ".join(["soak-test", *sys.argv[1:]])),
             robot=self.spec.name,
             robot_digest=self.spec.digest,
-            draws_digest=load_distributions(self.spec).digest,
-            limits_digest=load_limits(self.spec).digest,
+            draws_digest=self.distributions.digest,
+            limits_digest=self.limits.digest,
             policy=policy,
             policy_digest=self.policy.digest,
             code_digest=code_digest(),

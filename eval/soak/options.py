@@ -1,5 +1,6 @@
 """Options of soak-test, profiles of options from TOML files, and the configuration that they make."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,7 @@ from eval.faults.catalogue import check_names
 from eval.faults.schedule import FIRST_S, HOURS_MAX, FaultSettings, hours_max
 from eval.soak.configuration import SoakConfig
 from eval.statistics.budget import BUDGET
-from robots.errors import ConfigError
+from robots.errors import ConfigError, printable
 from robots.randomness import SEED_MAX
 from robots.spec import load_robot
 from robots.strict import Strict, read_toml
@@ -44,11 +45,11 @@ def load_profile(name: str) -> tuple[Profile, Path]:
         ConfigError: there is no such profile, or the file is unreadable, misspelt or out of bounds.
     """
     path = _profile_path(name)
-    if path.parent == PROFILES and not path.is_file():
+    if path.parent == PROFILES and not os.path.isfile(path):
         known = ", ".join(sorted(file.stem for file in PROFILES.glob("*.toml")))
         raise ConfigError(f"--profile {name}: found no such profile, expected a file.toml or one of: {known}")
     profile = read_toml(path, Profile)
-    return profile, (path.parent / profile.budget).resolve()
+    return profile, Path(os.path.realpath(path.parent / printable(profile.budget)))
 
 
 def _profile_path(name: str) -> Path:
@@ -106,15 +107,15 @@ def configure(
     Raises:
         ConfigError: an option, the profile, the robot or the policy is invalid.
     """
-    defaults, default_budget = load_profile(profile) if profile else (DEFAULTS, BUDGET)
-    hours_field = f"{_profile_path(profile)}: hours" if profile and hours is None else "--hours"
+    defaults, default_budget = (DEFAULTS, BUDGET) if profile is None else load_profile(profile)
+    hours_field = f"{_profile_path(profile)}: hours" if profile is not None and hours is None else "--hours"
     hours = defaults.hours if hours is None else hours
     robots = defaults.robots if robots is None else robots
     _check_hours(hours_field, hours, defaults.faults)
     _check_options(robots, seed, workers)
     spec = load_robot(robot)
     loaded = Policy.load(policy, spec)
-    if profile and defaults.faults and defaults.faults.classes:
+    if profile is not None and defaults.faults and defaults.faults.classes:
         field = f"{_profile_path(profile)}: faults.classes"
         check_names(defaults.faults.classes, spec, sensors_read(loaded.contract, spec), field)
     return SoakConfig(

@@ -14,7 +14,6 @@ from eval.judge.monitors import MONITORS
 from eval.shard.job import code_digest
 from eval.shard.judging import ShardResult
 from eval.soak.configuration import SoakConfig
-from robots.distributions import load_distributions
 
 SERIES = "series.parquet"
 FORMAT = 1
@@ -111,7 +110,7 @@ def _metadata(config: SoakConfig, names: Mapping[str, Column]) -> str:
         "hours": config.hours,
         "sample_s": config.sample_ticks * config.spec.dt,
         "robot_digest": config.spec.digest,
-        "draws_digest": load_distributions(config.spec).digest,
+        "draws_digest": config.distributions.digest,
         "policy_digest": config.policy.digest,
         "code_digest": code_digest(),
         "columns": {name: {"unit": column.unit, "meaning": column.meaning} for name, column in names.items()},

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 from itertools import chain
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import NonNegativeInt, PositiveFloat
+from pydantic import Field, NonNegativeInt, model_validator
 
 from eval.judge.counts import Counts
 from eval.judge.monitors import MONITORS
@@ -27,7 +27,7 @@ class PerDrawCounts(Strict):
         hottest_c: °C, the highest true winding temperature of any joint in any tick; None where none was judged.
     """
 
-    dt: PositiveFloat
+    dt: Annotated[float, Field(gt=0, le=1)]
     ticks: Column
     invalid: Column
     running: Column
@@ -36,6 +36,17 @@ class PerDrawCounts(Strict):
     reached: Column
     hard: dict[str, Column]
     hottest_c: tuple[float | None, ...]
+
+    @model_validator(mode="after")
+    def _one_number_of_each_draw(self) -> Self:
+        columns = {name: getattr(self, name) for name in (*_COLUMNS, "hottest_c")}
+        columns |= {f"hard.{name}": column for name, column in self.hard.items()}
+        for name, column in columns.items():
+            if not column or len(column) != self.draws:
+                raise ValueError(f"{name}: found {len(column)} numbers, expected {max(self.draws, 1)}")
+        if not self.hard:
+            raise ValueError("hard: found no monitor")
+        return self
 
     @classmethod
     def from_counts(cls, counts: Counts) -> Self:

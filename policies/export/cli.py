@@ -16,6 +16,7 @@ from deploy.policy.contract import Contract
 from deploy.policy.inference import BATCHES
 from deploy.policy.policy import AGREEMENT, Policy
 from deploy.policy.policy_file import INPUT, OUTPUT, Golden
+from deploy.telemetry.output_files import check_no_input
 from policies.export.onnx_file import write_policy
 from policies.export.tracing import to_onnx
 from policies.training.checkpoint import Checkpoint, load_checkpoint
@@ -60,6 +61,7 @@ def export(checkpoint_path: Path, out_path: Path, robot: str | Path | None = Non
         RobotError: the robot is unknown or unreadable.
         OutputError: `out_path` cannot be written.
     """
+    check_no_input(out_path, (checkpoint_path,))
     checkpoint = load_checkpoint(checkpoint_path)
     spec = load_robot(robot or checkpoint.contract.robot)
     check_contract(checkpoint.contract, spec, f"{checkpoint_path}: contract")

@@ -13,7 +13,7 @@ from rich.console import Console
 from deploy.command_line import PASSED, main
 from deploy.policy.policy_file import Golden
 from deploy.tasks.task import tasks_of
-from deploy.telemetry.output_files import replacing
+from deploy.telemetry.output_files import check_no_input, replacing
 from policies.export.onnx_file import write_policy
 from policies.importers.contract_builder import BuiltContract, build_contract
 from policies.importers.contract_draft import read_draft
@@ -69,6 +69,7 @@ def import_policy(
         RobotError: the robot is unknown or unreadable.
         OutputError: `out_path` cannot be written.
     """
+    check_no_input(out_path, (path, draft_path))
     draft = read_draft(draft_path)
     spec = load_robot(robot or draft.robot)
     # Errors in the robot's folder are reported now, not when the policy is run.

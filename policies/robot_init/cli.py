@@ -1,5 +1,6 @@
 """Command robot-init: create a robot folder from a vendor's model."""
 
+import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,7 +14,7 @@ from deploy.command_line import PASSED, main
 from policies.robot_init.permanent_contacts import permanent_contacts
 from policies.robot_init.robot_files import draws_toml, limits_toml, robot_toml
 from policies.robot_init.vendor_model import VendorModel, read_vendor_model
-from robots.errors import OutputError, RobotError
+from robots.errors import OutputError, RobotError, is_utf8
 from robots.models.files import is_urdf, referenced_files
 from robots.models.sandbox import check_compiles
 from robots.strict import placeholder_fields
@@ -48,7 +49,7 @@ def init_robot(model: Path, out: Path, *, walks: bool = False) -> tuple[VendorMo
         OutputError: the folder exists or cannot be written.
     """
     folder = package_of(model)
-    vendor, name = _read_robot(model, folder, walks=walks), out.resolve().name
+    vendor, name = _read_robot(model, folder, walks=walks), Path(os.path.realpath(out)).name
     files = [model.resolve(), *referenced_files(model, folder)]
     model_path = model.resolve().relative_to(folder).as_posix()
     pairs = dict.fromkeys((*vendor.neighbours, *permanent_contacts(model, folder, vendor)))
@@ -94,7 +95,9 @@ def package_of(model: Path) -> Path:
 
 
 def _write(out: Path, files: list[Path], folder: Path, texts: dict[str, str]) -> None:
-    if out.exists():
+    if not is_utf8(str(out)):
+        raise OutputError(f"--out {out}: found a name that is not UTF-8")
+    if os.path.lexists(out):
         raise OutputError(f"--out {out}: exists already, expected another path, or remove it first")
     try:
         for path in files:

@@ -4,6 +4,7 @@ All of them lie inside the robot's folder. Names are looked up as both formats d
 else beside the model, and as `package://NAME/path` inside the folder, which may itself be that package.
 """
 
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
@@ -134,9 +135,9 @@ def find_file(name: str, model: Path, folder: Path, places: Sequence[str] = ("",
         tried = [folder / rest, folder / rest.partition("/")[2]]
     else:
         tried = [model.parent / place / name for place in places]
-    tried = [path.resolve() for path in tried]
+    tried = [Path(os.path.realpath(path)) for path in tried]
     inside = all(path.is_relative_to(folder.resolve()) for path in tried)
-    if inside and (found := [path for path in tried if path.is_file()]):
+    if inside and (found := [path for path in tried if os.path.isfile(path)]):
         return found
     where = "there is none" if inside else "it is not inside"
     raise RobotError(f"{model}: file: found {name!r:.200}, expected a file inside {folder}: {where}")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.start import INTERRUPTED, start
+from deploy.start import BROKEN, INTERRUPTED, start
 from support.paths import ROOT
 
 SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
@@ -114,3 +114,45 @@ def test_a_reader_that_is_gone_ends_no_command(written, tmp_path):
         written("long_command", LONG.format(done.fileno()))
         ended = run("long_command", tmp_path, stdout=pipe, stderr=pipe, pass_fds=[done.fileno()])
     assert (ended.returncode, (tmp_path / "done").read_bytes()) == (3, b"done")
+
+
+SCRIPT = """
+import os
+from multiprocessing import get_context
+
+from deploy.start import start
+
+def cli():
+    child = get_context("spawn").Process(target=os.getpid)
+    child.start()
+    child.join()
+    raise SystemExit(child.exitcode)
+
+if __name__ == "__main__":
+    start("__main__")
+"""
+
+
+def test_no_child_imports_modules_of_the_working_directory(tmp_path):
+    """It may be the folder of somebody else's robot."""
+    folder, script = tmp_path / "robot", tmp_path / "bin" / "command"
+    for path, text in ((folder / "signal.py", "open('ran', 'w')"), (script, SCRIPT)):
+        path.parent.mkdir()
+        path.write_text(text)
+    ended = subprocess.run(
+        [sys.executable, script],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        timeout=60,
+        check=False,
+    )
+    assert (ended.returncode, ended.stderr) == (0, b"")
+    assert not (folder / "ran").exists()
+
+
+def test_a_library_that_cannot_be_imported_is_no_verdict(written, tmp_path):
+    written("broken_command", "raise ValueError('no such backend')")
+    ended = run("broken_command", tmp_path)
+    assert ended.returncode == BROKEN
+    assert ended.stderr.endswith(b"ValueError: no such backend\n")

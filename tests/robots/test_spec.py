@@ -57,7 +57,7 @@ def test_a_capability_that_lacks_its_other_half_is_an_error(tmp_path, edits, mes
 
 def test_the_digest_of_the_arm_stays():
     """Shipped contracts carry it."""
-    assert SPEC.digest == "78a920e1eba3f1f8f17607f0d10fb2a2aeecdae38ca90b71a89f1271849873c1"
+    assert SPEC.digest == "5ce40a161a8a00d1368d7085918311225c0a49e1d8e89ea4d7fcb3afc324ab4f"
 
 
 def test_arrays_follow_joint_order():
@@ -84,6 +84,15 @@ def test_unknown_robot_names_the_known_ones(tmp_path):
         ("qdd_max = 10.3", "qdd_max = 0", ["joints.0.qdd_max", "greater than 0", "found 0"]),
         ("qdd_max = 10.3", "qdd_max = nan", ["joints.0.qdd_max", "finite", "nan"]),
         ("qddd_max = 173.0", "qddd_max = -inf", ["joints.0.qddd_max", "-inf"]),
+        (
+            "qdd_max = 10.3",
+            "qdd_max = 1e-3",
+            ["joints.0", "qd_max / qdd_max of shoulder_pan", "at most 100 s"],
+        ),
+        ("qddd_max = 173.0", "qddd_max = 1e-3", ["qdd_max / qddd_max of shoulder_pan", "at most 100 s"]),
+        ("qd_max = 3.14", "qd_max = 1e-3", ["(q_max - q_min) / qd_max of shoulder_pan", "at most 100 s"]),
+        ("qd_max = 3.14", "qd_max = 1e308", ["joints.0.qd_max", "1000000000"]),
+        ("control_hz = 200", "control_hz = 20000", ["rates.control_hz", "10000"]),
         ("control_hz = 200", "control_hz = 200.0", ["rates.control_hz", "integer", "200.0"]),
         ("control_hz = 200", "control_hz = 0", ["rates.control_hz", "greater than 0"]),
         ("physics_hz = 1000", "physics_hz = 900", ["rates", "900", "not a multiple", "200"]),

@@ -20,7 +20,7 @@ NO_WORKSPACE = (
     ("workspace_m = 0.010", ""),
     ("workspace_m = 0.046", ""),
     ("tool_speed = 0.92", ""),
-    ("tool_speed = 0.68", ""),
+    ("tool_speed = 0.66", ""),
 )
 NO_TOOL = (*NO_WORKSPACE, ('tool = "tool" ', ""), ("singularity = 0.0005", ""))
 NO_CLEARANCE = (("collision_m = 0.01\n", ""), ("collision_m = 0.041", ""))

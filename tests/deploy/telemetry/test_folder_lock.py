@@ -70,3 +70,17 @@ def test_folder_that_cannot_be_locked_is_an_error(tmp_path):
         locked(tmp_path),
     ):
         pass
+
+
+def test_a_lock_that_is_a_link_is_refused_and_its_file_kept(tmp_path):
+    (tmp_path / "precious").write_text("as it was")
+    (tmp_path / LOCK).symlink_to("precious")
+    with pytest.raises(OutputError, match="cannot be locked"), locked(tmp_path):
+        pass
+    assert (tmp_path / "precious").read_text() == "as it was"
+
+
+def test_a_lock_that_is_a_pipe_is_refused(tmp_path):
+    os.mkfifo(tmp_path / LOCK)
+    with pytest.raises(OutputError, match=r"\.lock cannot be locked: \w"), locked(tmp_path):
+        pass

@@ -1,8 +1,9 @@
 import os
+from pathlib import Path
 
 import pytest
 
-from deploy.telemetry.output_files import replacing
+from deploy.telemetry.output_files import check_no_input, replacing
 from robots.errors import OutputError
 
 
@@ -52,3 +53,25 @@ def test_the_new_file_has_the_usual_permissions(tmp_path):
     with replacing(tmp_path / "x.bin"):
         pass
     assert (tmp_path / "x.bin").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+@pytest.mark.parametrize("name", [".", "/", ""])
+def test_a_place_without_a_name_is_refused(name):
+    with (
+        pytest.raises(OutputError, match="found a folder, expected a file or nothing"),
+        replacing(Path(name)),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("same", ["x.pt", "y/../x.pt", "link.pt"])
+def test_an_input_is_not_written_over(tmp_path, same):
+    (tmp_path / "y").mkdir()
+    (tmp_path / "x.pt").write_text("weights")
+    (tmp_path / "link.pt").symlink_to("x.pt")
+    other, path = tmp_path / "y" / "x.pt", tmp_path / same
+    check_no_input(other, [tmp_path / "x.pt"])
+    check_no_input(path, [tmp_path / "no.pt", tmp_path / "y"])
+    with pytest.raises(OutputError) as caught:
+        check_no_input(path, [tmp_path / "no.pt", tmp_path / "x.pt"], "--mcap")
+    assert str(caught.value) == f"--mcap {path}: found a file that is read, expected another place"

@@ -1,14 +1,16 @@
 """Nights are put together only if they are of the same thing, and each draw counts once."""
 
 import pytest
+from pydantic import ValidationError
 
 from eval.history.history import check_same_draws, check_same_identity, pool
 from eval.statistics.dispersion import draw_rate_upper
-from eval.statistics.per_draw_counts import concatenate, stop_ticks
+from eval.statistics.per_draw_counts import PerDrawCounts, concatenate, stop_ticks
 from robots.errors import ConfigError
 from support.eval.nights import HOUR, OTHER, SETTINGS, named, night, tallied
 
 IDENTITY = SETTINGS.identity
+COLUMNS = ("ticks", "invalid", "running", "stops", "due", "reached")
 
 
 def test_a_pool_holds_every_draw_of_every_night_once():
@@ -88,3 +90,30 @@ def test_different_policy_or_budget_has_the_same_draws():
 def test_any_other_difference_has_other_draws(key, changes):
     with pytest.raises(ConfigError, match=rf"^b: {key}: found .*, but a has "):
         check_same_draws(night(), night(**changes), names=("a", "b"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"due": (1,) * 15}, "due: found 15 numbers, expected 16"),
+        ({"hottest_c": ()}, "hottest_c: found 0 numbers, expected 16"),
+        ({"hard": {}}, "hard: found no monitor"),
+        ({"hard": {"torque": (0,)}}, "hard.torque: found 1 numbers, expected 16"),
+        ({"dt": 1e300}, "less than or equal to 1"),
+        (
+            dict.fromkeys((*COLUMNS, "hottest_c"), ()) | {"hard": {"torque": ()}},
+            "ticks: found 0 numbers, expected 1",
+        ),
+    ],
+)
+def test_counts_that_no_soak_has_are_refused(changes, said):
+    with pytest.raises(ValidationError, match=said):
+        PerDrawCounts(**{**tallied(1).model_dump(), **changes})
+
+
+def test_soaks_with_other_monitors_are_not_pooled():
+    first, second = night(1), night(2)
+    fewer = {"torque": second.per_draw_counts.hard["torque"]}
+    counts = second.per_draw_counts.model_copy(update={"hard": fewer})
+    with pytest.raises(ConfigError, match=r"b\.json: hard: found torque, but a\.json has "):
+        pool({"a.json": first, "b.json": second.model_copy(update={"per_draw_counts": counts})})

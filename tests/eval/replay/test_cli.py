@@ -20,5 +20,12 @@ def test_no_file_of_the_bundle_is_written_over(call, tmp_path, option, name):
     (folder / name).write_bytes(b"as it was")
     code, _, said = call(cli, folder, option, folder / name)
     assert code == BAD_INPUT
-    assert said == (f"error: {option} {folder / name}: a file of the bundle itself, expected another place\n")
+    assert said == f"error: {option} {folder / name}: found a file that is read, expected another place\n"
     assert (folder / name).read_bytes() == b"as it was"
+
+
+def test_two_outputs_in_one_place_are_refused(call, tmp_path):
+    code, _, said = call(
+        cli, tmp_path / "bundle", "--mcap", tmp_path / "a.gif", "--video", tmp_path / "a.gif"
+    )
+    assert (code, said) == (BAD_INPUT, "error: --video and --mcap: found the same file, expected two\n")

@@ -272,7 +272,13 @@ def test_finished_soak_is_replaced_by_a_finished_soak_only(soak_test, tmp_path, 
 
 @pytest.mark.parametrize(
     ("what", "named"),
-    [("policy", r"\w+\.onnx"), ("robot", "arm6"), ("code", "firstshift's code")],
+    [
+        ("policy", r"\w+\.onnx"),
+        ("robot", "arm6"),
+        ("draws", r"arm6/draws\.toml"),
+        ("limits", r"arm6/limits\.toml"),
+        ("code", "firstshift's code"),
+    ],
 )
 def test_change_during_the_soak_is_refused(arm_policy, what, named):
     said = rf"{named}: changed during the soak: digest found \w{{12}}, expected 0{{12}}$"
@@ -294,8 +300,12 @@ def test_deleted_working_directory_is_named(asked, tmp_path, monkeypatch):
         soak.settings()
 
 
-def test_job_carries_the_code_digest(asked):
-    assert {each.code_digest for each in asked().jobs()} == {code_digest()}
+def test_jobs_carry_the_digests_of_the_start(asked):
+    soak = asked()
+    settings = soak.settings()
+    for each in soak.jobs():
+        assert each.code_digest == code_digest()
+        assert (each.draws_digest, each.limits_digest) == (settings.draws_digest, settings.limits_digest)
 
 
 BAD = {
