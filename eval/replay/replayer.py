@@ -143,7 +143,8 @@ class Replay:
         try:
             yield
         except (IndexError, OverflowError, ValueError) as e:
-            raise ConfigError(f"{self._state_path}: holds an integer that no state has: {e}") from e
+            said = next(iter(str(e).splitlines()), "")
+            raise ConfigError(f"{self._state_path}: holds an integer that no state has: {said}") from e
 
     def _find_event(self, counts: Counts) -> EventRecord | None:
         info, keys = self.info, ("robot", "monitor", "start")

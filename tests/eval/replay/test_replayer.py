@@ -138,8 +138,12 @@ def test_another_state_is_not_reproduced(one, run):
     assert re.search(r"not reproduced: at tick [+-]\d+ of the event, \w+: found .*, recorded", said)
 
 
-def test_integer_that_no_state_has_is_refused(one, run):
-    changed(one, "state.npz", lambda arrays: arrays["runtime.supervisor.mode"].fill(77))
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("runtime.supervisor.mode", 77), ("robot.plant.tick", 2**63 - 1)],
+)
+def test_integer_that_no_state_has_is_refused(one, run, name, value):
+    changed(one, "state.npz", lambda arrays: arrays[name].fill(value))
     code, _, said = run(one)
     assert code == 2
     assert re.fullmatch(r"error: .*/one/state\.npz: holds an integer that no state has: .*\n", said)
