@@ -199,7 +199,7 @@ def test_noisy_policy_shakes(nervous):
             Verdict.WARN,
             "with actions 20 ms late",
         ),
-        ({"graph": louder(13.0)}, Verdict.FAIL, "with actions only 10 ms late"),
+        ({"graph": louder(12.0)}, Verdict.FAIL, "with actions only 10 ms late"),
     ],
     ids=["larger actions", "louder"],
 )
