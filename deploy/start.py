@@ -22,10 +22,10 @@ FAIL = ("strict", "surrogateescape")
 
 
 class _StandardOutput(io.FileIO):
-    """Standard output or error that costs nothing but its text when its reader is gone or its disk is full."""
+    """Standard output or error that raises nothing when its reader is gone or its disk is full."""
 
     def write(self, data: Any, /) -> int:
-        """Write bytes; after a failure, which standard error names once, nowhere."""
+        """Write bytes. After the first failure, warn once on standard error and discard the rest."""
         try:
             return super().write(data)
         except OSError as e:

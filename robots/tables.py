@@ -35,7 +35,7 @@ class TorqueMode(Strict):
 
 Motion = Annotated[float, Field(gt=0, le=1e9)]
 LONGEST_S = 100.0
-"""s in which a joint gets from one limit to the other: what takes longer, the planner has no profile for."""
+"""s, the longest of range / qd_max, qd_max / qdd_max and qdd_max / qddd_max: the planner fails beyond it."""
 
 
 class Joint(Strict):

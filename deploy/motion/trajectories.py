@@ -119,9 +119,10 @@ class StopTrajectories(_BlockPlans):
 
 
 def stop_moments_s(spec: RobotSpec) -> tuple[float, float]:
-    """Return s after which a stop is checked: a quarter and half of what all joints but one need from half their speed.
+    """Return s after which a stop is checked: a quarter and half of the time that the second slowest joint needs.
 
-    The arm's path bends while joints come to rest one after another, until only the slowest moves.
+    From half of its speed; of the only joint if there is one. The arm's path bends while joints come to rest one after
+    another, until only the slowest moves.
     """
     qdd_max = spec.joint_array("qdd_max")
     braking = spec.margins.speed * spec.joint_array("qd_max") / 2 / qdd_max

@@ -4,6 +4,7 @@ import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from errno import ELOOP
 from pathlib import Path
 from typing import IO
 
@@ -48,7 +49,7 @@ def _acquired(folder: Path) -> IO[str]:
                 f"--out {folder}: found in use by process {owner}, expected a folder that no other run uses"
             ) from e
         except OSError as e:
-            raise OutputError(f"--out {folder}: {LOCK} cannot be locked: {e.strerror or e}") from e
+            raise OutputError(f"--out {folder}: {LOCK} cannot be locked: {_reason(e)}") from e
         stack.pop_all()
         return file
 
@@ -57,6 +58,12 @@ def _open(path: Path) -> IO[str]:
     """Open a file for reading and appending; a link, which may lead to any file, is refused (OSError)."""
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
     return os.fdopen(descriptor, "a+", encoding="utf-8", errors="replace")
+
+
+def _reason(error: OSError) -> str:
+    return (
+        "found a link, expected a file or nothing" if error.errno == ELOOP else error.strerror or str(error)
+    )
 
 
 def _is_current(file: IO[str], path: Path) -> bool:

@@ -119,7 +119,7 @@ def soak_attack(
     with locked(out), workers(setting, processes) as pool:
         delete_bundles(out / UNFINISHED, finished=True)
         search, console = Search(spec, setting.mode, pool.evaluate, seed=seed, target=target), Console()
-        with handled(signal.SIG_IGN):  # but where an interruption leaves something to report
+        with handled(signal.SIG_IGN):  # `_run` and `_write_bundles` handle them
             finished = _run(search, budget, console)
             found = {} if setting.without else _worst(search.archive)
             bundles = _write_bundles(found, pool, out, console)
@@ -153,7 +153,7 @@ def _state(archive: Archive) -> str:
 
 
 def _worst(archive: Archive) -> dict[str, Found]:
-    """Return what came closest to each hard monitor, but to those that nothing came near."""
+    """Return the worst candidate of each hard monitor; those with a ratio of 0 are left out."""
     worst = archive.worst
     return {name: worst[name] for name in archive.hard if name in worst and worst[name].ratio > 0.0}
 
@@ -167,7 +167,7 @@ def _write_bundles(found: dict[str, Found], pool: Workers, out: Path, console: C
                 bundles[name] = bundle
     except KeyboardInterrupt:
         console.print("interrupted: the report covers the bundles written so far")
-    replace_bundles(out / UNFINISHED, out / WORST)
+    replace_bundles(out / UNFINISHED, out / WORST, {bundle.name for bundle in bundles.values()})
     return bundles
 
 

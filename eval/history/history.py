@@ -8,7 +8,7 @@ from pathlib import Path
 from deploy.telemetry.output_files import replacing
 from eval.history.soak_record import Settings, SoakRecord
 from eval.statistics.per_draw_counts import PerDrawCounts, concatenate
-from robots.errors import ConfigError, printable
+from robots.errors import ConfigError
 from robots.strict import parse, read_json_file
 
 SUFFIX = ".soak.json"
@@ -56,7 +56,7 @@ def read_history(folder: Path) -> dict[str, SoakRecord]:
         ConfigError: a file cannot be read, was edited, or has another task than the first.
     """
     files = sorted(path for path in folder.glob(f"*{SUFFIX}") if not path.name.startswith("."))
-    records = {printable(str(path)): read_record(path) for path in files}
+    records = {str(path): read_record(path) for path in files}
     by_time = dict(sorted(records.items(), key=lambda item: item[1].run.moment))
     if by_time:
         name, first = next(iter(by_time.items()))

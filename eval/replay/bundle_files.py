@@ -6,7 +6,7 @@ import os
 import secrets
 import shutil
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -114,8 +114,8 @@ def delete_bundles(folder: Path, *, finished: bool) -> None:
         raise OutputError(f"{path}: cannot be deleted: {e.strerror}") from e
 
 
-def replace_bundles(source: Path, place: Path) -> None:
-    """Replace the bundles in `place` by those in `source`; remove empty folders.
+def replace_bundles(source: Path, place: Path, names: Collection[str] | None = None) -> None:
+    """Replace the bundles in `place` by those in `source`, all or those of some names; remove empty folders.
 
     Raises:
         OutputError: they cannot be moved.
@@ -123,6 +123,8 @@ def replace_bundles(source: Path, place: Path) -> None:
     delete_bundles(place, finished=True)
     try:
         for info in source.glob(f"*/{INFO}"):
+            if names is not None and info.parent.name not in names:
+                continue
             place.mkdir(exist_ok=True)
             info.parent.rename(place / info.parent.name)
     except OSError as e:

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.loop_timing import RateLimited, WallClock
-from deploy.telemetry.output_files import check_no_input, replacing
+from deploy.telemetry.output_files import replacing
 from eval.replay.capture_window import write_mcap
 from eval.replay.event_video import EventVideo
 from eval.replay.replay_text import mismatch, table
@@ -65,11 +65,14 @@ def soak_replay(
 
 
 def _keep_bundle(folder: Path, written: dict[str, Path | None]) -> None:
-    """Refuse (OutputError) to write over a file of the bundle itself, or two files into one place."""
-    places = {option: path for option, path in written.items() if path is not None}
-    for option, path in places.items():
-        check_no_input(path, (each for each in folder.rglob("*") if each.is_file()), option)
-    if len({os.path.realpath(path) for path in places.values()}) < len(places):
+    """Refuse (OutputError) to write into the bundle itself, or two files into one place."""
+    places = {option: Path(os.path.realpath(path)) for option, path in written.items() if path is not None}
+    for option, place in places.items():
+        if place.is_relative_to(os.path.realpath(folder)):
+            raise OutputError(
+                f"{option} {written[option]}: found a place in the bundle, expected another one"
+            )
+    if len({*places.values()}) < len(places):
         raise OutputError(f"{' and '.join(places)}: found the same file, expected two")
 
 

@@ -135,7 +135,7 @@ class Replay:
 
     @contextmanager
     def reading_state(self) -> Iterator[None]:
-        """Take errors of the block for those of integers in the saved state, which are not checked when it is read.
+        """Context in which errors are taken for those of integers in the saved state, which are not checked before.
 
         Raises:
             ConfigError: in place of an IndexError, OverflowError or ValueError.

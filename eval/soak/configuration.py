@@ -30,7 +30,7 @@ class SoakConfig:
         distributions, limits: of the robot's draws.toml and limits.toml when the soak began.
 
     Raises:
-        ConfigError: draws.toml or limits.toml.
+        ConfigError: draws.toml or limits.toml is invalid.
     """
 
     spec: RobotSpec

@@ -13,7 +13,7 @@ from eval.faults.catalogue import check_names
 from eval.faults.schedule import FIRST_S, HOURS_MAX, FaultSettings, hours_max
 from eval.soak.configuration import SoakConfig
 from eval.statistics.budget import BUDGET
-from robots.errors import ConfigError, printable
+from robots.errors import ConfigError
 from robots.randomness import SEED_MAX
 from robots.spec import load_robot
 from robots.strict import Strict, read_toml
@@ -34,7 +34,7 @@ class Profile(Strict):
     meaning: Annotated[str, Field(min_length=1)]
     hours: Annotated[float, Field(gt=0, le=HOURS_MAX)]
     robots: Annotated[int, Field(ge=1, le=100_000)]
-    budget: Annotated[str, Field(min_length=1)]
+    budget: Annotated[str, Field(pattern=r"^[^\x00]+$")]
     faults: FaultSettings | None = None
 
 
@@ -49,7 +49,7 @@ def load_profile(name: str) -> tuple[Profile, Path]:
         known = ", ".join(sorted(file.stem for file in PROFILES.glob("*.toml")))
         raise ConfigError(f"--profile {name}: found no such profile, expected a file.toml or one of: {known}")
     profile = read_toml(path, Profile)
-    return profile, Path(os.path.realpath(path.parent / printable(profile.budget)))
+    return profile, Path(os.path.realpath(path.parent / profile.budget))
 
 
 def _profile_path(name: str) -> Path:

@@ -29,7 +29,7 @@ COLUMNS = (
     TextColumn("{task.percentage:5.1f} %"),
     TimeElapsedColumn(),
     TextColumn("left"),
-    TimeRemainingColumn(elapsed_when_finished=True),
+    TimeRemainingColumn(),
 )
 
 

@@ -12,6 +12,7 @@ from eval.statistics.dispersion import dispersion_p, draw_rate_interval, draw_ra
 from eval.statistics.evidence import rate_upper, share_upper
 from eval.statistics.numbers import number
 from eval.statistics.per_draw_counts import PerDrawCounts, Ratio, stop_ticks
+from robots.errors import printable
 
 THIS_RUN = "this soak"
 Identity = dict[str, str]
@@ -50,7 +51,7 @@ def _row(name: str, record: SoakRecord, group: int, *, repeated: bool) -> RunRow
     counts = record.per_draw_counts
     events, hours = counts.hard_events
     return RunRow(
-        name=name,
+        name=printable(name),
         started=record.run.started,
         passed=record.verdict == "passed",
         group=group,

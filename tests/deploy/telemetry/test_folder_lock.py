@@ -75,7 +75,7 @@ def test_folder_that_cannot_be_locked_is_an_error(tmp_path):
 def test_a_lock_that_is_a_link_is_refused_and_its_file_kept(tmp_path):
     (tmp_path / "precious").write_text("as it was")
     (tmp_path / LOCK).symlink_to("precious")
-    with pytest.raises(OutputError, match="cannot be locked"), locked(tmp_path):
+    with pytest.raises(OutputError, match="cannot be locked: found a link"), locked(tmp_path):
         pass
     assert (tmp_path / "precious").read_text() == "as it was"
 

@@ -158,7 +158,7 @@ def test_error_of_the_estimate_is_over_the_tick_before(bench):
 
 
 def test_error_of_the_estimate_that_lasts_is_no_noise(bench):
-    """A second of it is forgotten, so that noise of 0.01 rad is found under a mean error of 0.05 rad."""
+    """Noise of 0.01 rad is found under a mean error of 0.05 rad, after two seconds in which the mean is."""
     noise = np.random.default_rng(0).normal(0.0, 0.01, 4000)
     for error in noise[:400]:
         bench.state.q[0, 0] = HOME[0] + 0.05 + error

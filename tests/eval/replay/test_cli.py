@@ -20,7 +20,7 @@ def test_no_file_of_the_bundle_is_written_over(call, tmp_path, option, name):
     (folder / name).write_bytes(b"as it was")
     code, _, said = call(cli, folder, option, folder / name)
     assert code == BAD_INPUT
-    assert said == f"error: {option} {folder / name}: found a file that is read, expected another place\n"
+    assert said == f"error: {option} {folder / name}: found a place in the bundle, expected another one\n"
     assert (folder / name).read_bytes() == b"as it was"
 
 

@@ -252,7 +252,9 @@ def test_no_bundle_is_bad_input(tmp_path, run):
     code, said, complaint = run(tmp_path / "none")
     assert (code, said) == (2, "")
     assert re.search(r"none/bundle\.json: cannot be read: No such file", complaint)
-    assert run(tmp_path, "--video", tmp_path / "a.avi")[2].endswith("found .avi, expected .gif or .mp4\n")
+    assert run(tmp_path / "none", "--video", tmp_path / "a.avi")[2].endswith(
+        "found .avi, expected .gif or .mp4\n"
+    )
 
 
 def test_no_display_is_bad_input(one, run, monkeypatch):

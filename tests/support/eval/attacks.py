@@ -26,8 +26,9 @@ def planted_workers(robot, before=lambda blocks: None, after=lambda name: None, 
 
         def write_bundles(self, found, folder):
             for name, each in found.items():
-                (folder / name).mkdir(parents=True)
-                (folder / name / INFO).touch()
+                for written in (f"bundle-of-{name}", f"later-than-{name}"):
+                    (folder / written).mkdir(parents=True)
+                    (folder / written / INFO).touch()
                 yield name, Bundle(f"bundle-of-{name}", each.ratio)
                 after(name)
 
