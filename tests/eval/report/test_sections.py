@@ -10,7 +10,7 @@ import pytest
 
 from eval.judge.channels import Channels
 from eval.report.build import build
-from eval.report.html import EVENTS_SHOWN, duration, event_cells, load_text, margin_text, plots
+from eval.report.html import EVENTS_SHOWN, duration, event_cells, load_text, margin_text, plots, render
 from eval.report.plots.curves import heat_plot, wear_plot
 from eval.report.report_files import junit
 from eval.report.schema.json_schema import SCHEMA, schema
@@ -28,7 +28,7 @@ def words(found):
     """What the page says; figures take long and say nothing here."""
     none = {"timeline": "", "margins": "", "goals": "", "heat": [""] * SPEC.n, "wear": [""] * 4}
     with patch("eval.report.html.plots", lambda _: none):
-        return " ".join("".join(Page(rendered(found)).words).split())
+        return " ".join("".join(Page(render(found)).words).split())
 
 
 def with_events(result, robots, monitor="velocity"):
