@@ -35,4 +35,4 @@ def printable(text: str) -> str:
 
 def is_utf8(name: str) -> bool:
     """Return whether a file name is UTF-8: C++ libraries, and JSON, cannot hold any other one."""
-    return name.isascii() or not any("\ud800" <= c <= "\udfff" for c in name)
+    return not any("\ud800" <= c <= "\udfff" for c in name)

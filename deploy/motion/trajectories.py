@@ -122,7 +122,7 @@ def stop_moments_s(spec: RobotSpec) -> tuple[float, float]:
     """Return s after which a stop is checked: a quarter and half of the time that the second slowest joint needs.
 
     From half of its speed; of the only joint if there is one. The arm's path bends while joints come to rest one after
-    another, until only the slowest moves.
+    another, until only the slowest moves. What happens between the moments: python -m eval.bench stops.
     """
     qdd_max = spec.joint_array("qdd_max")
     braking = spec.margins.speed * spec.joint_array("qd_max") / 2 / qdd_max

@@ -102,10 +102,6 @@ class Replay:
         Raises:
             ConfigError: the saved state is none of a simulated shard.
         """
-        with self.reading_state():
-            return self._run(observe)
-
-    def _run(self, observe: Callable[[], None]) -> ReplayResult:
         shard, info = self.shard, self.info
         window = Window(self.spec, WIDTH, shard.runtime.task.size, len(self.recorded) * self.spec.dt)
         # A second judge, whose highest load is reset in each tick.
@@ -116,7 +112,8 @@ class Replay:
         detector, stops = StopDetector(), dict[int, str]()
         detector.step(shard.runtime)  # before the window
         for place in range(len(load)):
-            shard.tick()
+            with self.reading_state():
+                shard.tick()
             if self.row in detector.step(shard.runtime):
                 reason = int(shard.runtime.supervisor.reason[self.row])
                 stops[place] = explain_reasons(shard.runtime, reason, self.row)
@@ -125,10 +122,12 @@ class Replay:
             judge_tick(tick_judge, shard.truth, shard.runtime, shard.action)
             load[place] = tick_judge.counts().worst[self.row, channel]
             observe()
+        with self.reading_state():
+            event = self._find_peak(load) if info.event.peak else self._find_event(shard.judge.counts())
         return ReplayResult(
             rows=window.between(info.begin, info.end, self.row),
             load=load,
-            event=self._find_peak(load) if info.event.peak else self._find_event(shard.judge.counts()),
+            event=event,
             stops=stops,
             end_digest=state_digest(shard.snapshot()),
         )

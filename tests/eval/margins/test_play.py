@@ -48,8 +48,8 @@ def test_a_push_through_worn_play_keeps_the_limit_of_speed(robot, joint, link, t
     arm.plant.wear.life[:] = LIVES
     arm.plant.wear.apply()
     pushes = arm.plant.disturbances["pushes"]
-    first, last = (np.clip(pose, *SPEC.pose_range) for _ in range(2))
-    first[joint], last[joint] = SPEC.pose_range[1][joint], SPEC.pose_range[0][joint]
+    first, last = np.tile(pose, (2, 1))
+    last[joint], first[joint] = (end[joint] for end in SPEC.pose_range)
     fastest = np.zeros(SPEC.n)
     for k in range(tick + 20):
         if k == ARMED:
