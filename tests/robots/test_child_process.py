@@ -12,11 +12,11 @@ from robots.child_process import ENDED, Lifeline
 
 WAIT_S = 60.0
 CHILD = """
-import signal, sys, time
+import os, signal, sys, time
 from robots.child_process import end_with
 signal.signal(signal.SIGTERM, signal.SIG_IGN)
 end_with(sys.stdin.fileno())
-print("began", flush=True)
+os.write(1, b"began\\n")  # at once: two children share the pipe
 time.sleep(3600)
 """
 PARENT = """
@@ -27,12 +27,12 @@ with Lifeline() as lifeline:
     time.sleep(3600)
 """
 POOL = """
-import signal, sys, time
+import os, signal, sys, time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from robots.child_process import Lifeline, end_with
 def work(_):
-    print("began", flush=True)
+    os.write(1, b"began\\n")  # at once: two children share the pipe
     time.sleep(3600)
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
