@@ -11,7 +11,6 @@ As long as no planned value is above its bound, no true one is above the bound p
 
 import numpy as np
 
-from deploy.backends.sim.disturbances import Pushes
 from deploy.backends.sim.plant import Plant
 from deploy.runtime import Runtime
 from deploy.truth import Truth
@@ -51,7 +50,7 @@ class Excess:
         """Look at a simulated robot's runtime and plant, as far as it has tool, workspace and shapes that may meet."""
         self._runtime, self._spec, spec = runtime, runtime.spec, runtime.spec
         robots = len(plant.valid)
-        self._space, self._pushes = spec.workspace, plant.disturbances[Pushes.name]
+        self._space = spec.workspace
         self._fleet = Fleet(spec, robots) if self._space else None
         self._gaps = Gaps(spec, plant) if "self_collision" in spec.capabilities else None
         self._qd_max, self._tau_max = spec.joint_array("qd_max"), torque_max(spec)
@@ -62,12 +61,12 @@ class Excess:
         self._before, self._mean_error, self._squares = np.zeros((3, 2, robots, spec.n))
         self.largest = {}
 
-    def step(self, truth: Truth) -> None:
-        """Look at the robots after a tick."""
+    def step(self, truth: Truth, pushed: Bools) -> Values:
+        """Look at the robots after a tick, (B,) of them pushed, and return the values of the setpoints sent."""
         planned, true = self.planned(), self.true(truth)
         self._powered = np.where(self._runtime.command.powered & truth.valid, self._powered + 1, 0)
         counts = self._powered > self._window
-        self._look_at_estimate(truth, counts & ~self._pushes.on)
+        self._look_at_estimate(truth, counts & ~pushed)
         for name, values in planned.items():
             if name not in self._history:
                 self._history[name] = np.tile(values, (self._window, 1, 1))
@@ -76,6 +75,7 @@ class Excess:
             history[self._tick % self._window] = values
             self._keep(self.largest[name], history.max(axis=0), true[name], counts)
         self._tick += 1
+        return planned
 
     def _look_at_estimate(self, truth: Truth, counts: Bools) -> None:
         """Add up squared errors of the estimate, which is for the end of the tick before, around their mean.

@@ -7,26 +7,35 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deploy.backends.sim.disturbances import Pushes
 from eval.attack.adversaries import ADVERSARIES
 from eval.attack.arena import Setting, write_job
 from eval.attack.candidate import Candidate
 from eval.attack.crowd import Crowd
 from eval.attack.island import FAR
-from eval.attack.loaded_robots import DISTURBED, loaded_robots, loaded_shard
+from eval.attack.loaded_robots import CHOICE, DISTURBED, LIVES, loaded_robots, loaded_shard
 from eval.attack.policy_graph import policy_file
+from eval.margins.aimed_pushes import NOBODY, AimedPushes
 from eval.margins.excess import Excess, Values
 from eval.replay.bundle import POLICY
 from eval.shard.job import WIDTH
 from eval.shard.shard import Shard
-from robots.arrays import Floats
-from robots.distributions import load_distributions
-from robots.draws import Draw, shape
+from robots.arrays import Floats, Ints
+from robots.distributions import Distributions, load_distributions
+from robots.draws import Draw, draw, shape
+from robots.randomness import robot_seed
 from robots.spec import RobotSpec, load_robot
 
 TRIAL_S = 10.0
 """s of a trial; robots that latched are armed again after half a second."""
 DRAWN = ("sensors", "climate", "wear")
 """Groups of draws.toml that are drawn as in a soak at the corners, too."""
+AIMED = WIDTH // 2
+"""First of the robots of a trial that are pushed along their motion, the more worn half; the others, by chance."""
+TOOL_EVERY = 4
+"""One of so many of them is pushed along the motion of its tool, the others along that of a joint."""
+NEVER_S = 1e9
+"""s."""
 
 
 class Trial(NamedTuple):
@@ -61,14 +70,18 @@ def run(trial: Trial) -> Outcome:
     """Simulate a trial and keep the largest excess of each robot."""
     gc.collect()  # earlier shards are in cycles, and their memory is MuJoCo's, which the collector does not count
     setting, spec = trial.setting, load_robot(trial.setting.robot)
-    shard = make_shard(setting, draw_robots(spec, trial.seed, corners=trial.corners), trial.seed)
+    robots = draw_robots(spec, trial.seed, corners=trial.corners)
+    shard = make_shard(setting, robots, trial.seed)
     rng = np.random.default_rng(trial.seed)
     policies = ADVERSARIES[trial.adversary].varied(spec.n, rng, FAR, WIDTH)
     shard.set_policy(Crowd(policy_file(spec, setting.mode, policies)))
-    excess = Excess(shard.runtime, shard.robot.plant)
+    plant = shard.robot.plant
+    excess, by_chance = Excess(shard.runtime, plant), plant.disturbances[Pushes.name]
+    aimed = AimedPushes(spec, plant, robots, aims(spec, robots), trial.seed)
     for _ in range(round(TRIAL_S / spec.dt)):
         shard.tick()
-        excess.step(shard.truth)
+        planned = excess.step(shard.truth, by_chance.on | aimed.on)
+        aimed.step(planned, shard.truth.q, shard.truth.qd)
     return Outcome(excess.largest, excess.estimate_error, int((~shard.truth.valid).sum()))
 
 
@@ -80,11 +93,39 @@ def make_shard(setting: Setting, robots: Draw, seed: int) -> Shard:
 
 
 def draw_robots(spec: RobotSpec, seed: int, *, corners: bool) -> Draw:
-    """Return robots of `loaded_robots`; with `corners`, each mechanical quantity has its least or its most."""
+    """Return robots of `loaded_robots`, and from `AIMED` on those of many that a push throws most.
+
+    With `corners`, each mechanical quantity has its least or its most.
+    """
     distributions, rng = load_distributions(spec), np.random.default_rng([seed, 1])
+    loaded, thrown = loaded_robots(distributions, spec, seed), _thrown_robots(distributions, spec, seed)
     extreme = {
         name: np.where(rng.random((WIDTH, *shape(quantity, spec))) < 0.5, span.low, span.high)
         for name, quantity, span in distributions.spans()
         if corners and not name.startswith((*DRAWN, *DISTURBED))
     }
-    return loaded_robots(distributions, spec, seed).replaced(extreme)
+    both = {name: np.concatenate((values[:AIMED], thrown[name])) for name, values in loaded.items()}
+    for name in DISTURBED[1:]:
+        both[name] = loaded[name]
+    return Draw(both).replaced(extreme)
+
+
+def _thrown_robots(distributions: Distributions, spec: RobotSpec, seed: int) -> Draw:
+    robots = draw(distributions, spec, [robot_seed(seed, robot) for robot in range(CHOICE * WIDTH)])
+    most = np.argsort(-throw(robots).max(axis=1), kind="stable")[: WIDTH - AIMED]
+    return robots.rows(most).replaced({DISTURBED[0]: NEVER_S})
+
+
+def throw(robots: Draw) -> Floats:
+    """Return (B, n) for comparing robots: what the square of a link's speed grows with while it crosses its play."""
+    play = robots["joints.backlash_rad"] + LIVES * robots["wear.backlash_rad"]
+    return np.asarray(robots["push.force_n"][:, None] * play / robots["links.mass"])
+
+
+def aims(spec: RobotSpec, robots: Draw) -> Ints:
+    """Return (WIDTH,) aims of `AimedPushes`: the joint whose link a push throws most, or the tool."""
+    aims = throw(robots).argmax(axis=1)
+    if "tool" in spec.capabilities:
+        aims[AIMED::TOOL_EVERY] = spec.n
+    aims[:AIMED] = NOBODY
+    return aims

@@ -47,9 +47,8 @@ class Bench:
             state=SimpleNamespace(q=row + HOME, qd=row.copy()),
         )
         self.state = runtime.state
-        self.pushes = SimpleNamespace(on=np.zeros(1, dtype=bool))
-        plant = SimpleNamespace(valid=np.ones(1, dtype=bool), disturbances={"pushes": self.pushes})
-        self.excess = Excess(runtime, plant)
+        self.pushed = np.zeros(1, dtype=bool)
+        self.excess = Excess(runtime, SimpleNamespace(valid=np.ones(1, dtype=bool)))
         self.truth = SimpleNamespace(
             q=row + HOME,
             qd=row.copy(),
@@ -62,7 +61,7 @@ class Bench:
 
     def step(self, ticks=1):
         for _ in range(ticks):
-            self.excess.step(self.truth)
+            self.excess.step(self.truth, self.pushed)
 
     def largest(self, name):
         return self.excess.largest[name][0]
@@ -174,9 +173,9 @@ def test_error_of_the_estimate_that_lasts_is_no_noise(bench):
 def test_error_of_the_estimate_of_an_arm_that_is_pushed_is_no_noise(bench):
     bench.truth.q[0, 0] += 0.02
     bench.step()
-    bench.pushes.on[0] = True
+    bench.pushed[0] = True
     bench.step(20)
     assert bench.excess.estimate_error.max() == 0.0
-    bench.pushes.on[0] = False
+    bench.pushed[0] = False
     bench.step()
     assert bench.excess.estimate_error.max() > 0.0

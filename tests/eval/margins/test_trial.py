@@ -9,7 +9,8 @@ import eval.margins.trial as module
 from deploy.policy.actor import Actor
 from eval.attack.arena import Setting
 from eval.attack.loaded_robots import DISTURBED, extra_load
-from eval.margins.trial import Trial, draw_robots, make_shard, run
+from eval.margins.aimed_pushes import NOBODY
+from eval.margins.trial import AIMED, TOOL_EVERY, Trial, aims, draw_robots, make_shard, run, throw
 from eval.shard.job import WIDTH
 from robots.distributions import load_distributions
 from robots.draws import Draw
@@ -49,9 +50,46 @@ def test_corners_have_the_least_or_the_most_and_other_robots_what_they_drew():
         np.testing.assert_array_equal(corners[name], drawn[name])
 
 
-def test_every_second_robot_is_one_of_those_with_the_most_load():
-    load = extra_load(PLANAR, draw_robots(PLANAR, 5, corners=False))
+def test_of_the_first_half_every_second_robot_is_one_of_those_with_the_most_load():
+    load = extra_load(PLANAR, draw_robots(PLANAR, 5, corners=False))[:AIMED]
     assert load[1::2].min() > np.median(load[::2])
+
+
+def test_robots_of_the_other_half_are_those_that_a_push_throws_most_and_aims_are_their_joints():
+    robots = draw_robots(PLANAR, 5, corners=False)
+    thrown = throw(robots)
+    assert thrown[AIMED:].max(axis=1).min() > np.median(thrown[:AIMED].max(axis=1))
+    assert (robots["push.every_s"][AIMED:] > 1e6).all()
+    chosen = aims(PLANAR, robots)
+    assert (chosen[:AIMED] == NOBODY).all()
+    np.testing.assert_array_equal(chosen[AIMED:], thrown[AIMED:].argmax(axis=1))
+    arm = load_robot("arm6")
+    assert (aims(arm, draw_robots(arm, 5, corners=False)) == arm.n).sum() == (WIDTH - AIMED) // TOOL_EVERY
+
+
+def test_a_push_throws_a_light_link_with_much_play_fastest():
+    robots = {
+        "push.force_n": np.array([4.0, 8.0]),
+        "joints.backlash_rad": np.array([[1e-3, 2e-3], [1e-3, 2e-3]]),
+        "wear.backlash_rad": np.array([[0.0, 1e-3], [0.0, 1e-3]]),
+        "links.mass": np.array([[1.0, 1.0], [1.0, 0.5]]),
+    }
+    np.testing.assert_allclose(throw(robots), [[4e-3, 16e-3], [8e-3, 64e-3]])
+
+
+def test_robots_of_the_other_half_are_pushed(monkeypatch):
+    pushed, seen = [], module.AimedPushes.step
+
+    def step(self, *values):
+        seen(self, *values)
+        pushed.append(self.on.copy())
+
+    monkeypatch.setattr(module.AimedPushes, "step", step)
+    monkeypatch.setattr(module, "TRIAL_S", 2.0)
+    run(Trial(POSITION, "bang_bang", 3, False))
+    ever = np.any(pushed, axis=0)
+    assert ever[AIMED:].all()
+    assert not ever[:AIMED].any()
 
 
 class Script(Actor):
