@@ -121,7 +121,7 @@ def test_it_observes_the_units_layout(stood):
 @pytest.mark.parametrize("gains", [None, GAINS], ids=["own gains", "gains of training"])
 def test_drawn_robots_stand_for_long(gains):
     """Pushed and loaded; without heat, stop or fall."""
-    found = stand(8, 20.0, gains)
+    found = stand(8, 12.0, gains)
     assert_nothing_happened(found)
     assert (rms(found.errors["velocity"]) < 0.012).all()
     assert (rms(found.errors["pitch_roll"]) < 0.006).all()

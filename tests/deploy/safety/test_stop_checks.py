@@ -111,9 +111,9 @@ def test_allowed_stops_stay_within_all_limits(share):
     robots, rng, smoother = 64, np.random.default_rng(3), Smoother(SPEC, 64)
     bare = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"collision_m": 1e-9})})
     safety = Safety(SPEC, Fleet(SPEC, 2 * robots, collisions=True))
-    crowd, starts, blocked = Fleet(bare, 40 * robots, collisions=True), [], 0
+    crowd, starts, blocked = Fleet(bare, 8 * robots, collisions=True), [], 0
     while len(starts) < 150:
-        ahead = rng.uniform(LOW, HIGH, (40 * robots, N))
+        ahead = rng.uniform(LOW, HIGH, (8 * robots, N))
         ahead = ahead[touching(crowd, ahead)][:robots]
         qd = rng.uniform(-share, share, (robots, N)) * SPEC.joint_array("qd_max")
         q = np.clip(ahead - qd * rng.uniform(0.02, 0.2, (robots, 1)), LOW + 0.03, HIGH - 0.03)

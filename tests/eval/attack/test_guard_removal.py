@@ -8,7 +8,7 @@ pytest.importorskip("mujoco")
 
 import eval.attack.arena as module
 from eval.attack.adversaries import ADVERSARIES
-from eval.attack.arena import EPISODE_S, Arena, Setting
+from eval.attack.arena import Arena, Setting
 from eval.attack.guards import find_guard
 from eval.attack.search import Search
 from eval.mutants.situation import keep_guards
@@ -17,8 +17,8 @@ from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
 
 MODE, SEED = ControlMode.POSITION, 8
-SHORT_S = 1.1
-"""s of a trial: 0.8 of operation."""
+SHORT_S, LONG_S = 1.1, 3.0
+"""s of a trial: 0.8 of operation, and 2.7, in which each of the events below is found."""
 TRIALS = WIDTH * len(ADVERSARIES)
 """The library: what every search tries first."""
 JERK = ("planner: jerk × 1.2", "runtime: zero velocity after a refused setpoint")
@@ -34,7 +34,7 @@ class HardEventError(Exception):
     """End of a search whose aim is one event."""
 
 
-def attacked(without="", seconds=EPISODE_S, target=None):
+def attacked(without="", seconds=LONG_S, target=None):
     """Return what a search of `TRIALS` policies found, each tried for some seconds; raise at an event of the target."""
 
     def try_block(block):
@@ -62,7 +62,7 @@ def guarded():
     return attacked()
 
 
-def check(part, guarded, seconds=EPISODE_S):
+def check(part, guarded, seconds=LONG_S):
     mutant = find_guard(part)
     assert mutant.situation.prepare is keep_guards, "other guards would be removed as well"
     with pytest.raises(HardEventError):
