@@ -123,9 +123,9 @@ def throw(robots: Draw) -> Floats:
 
 
 def aims(spec: RobotSpec, robots: Draw) -> Ints:
-    """Return (WIDTH,) aims of `AimedPushes`: the joint whose link a push throws most, or the tool."""
+    """Return (WIDTH,) aims of `AimedPushes`: the joint whose link a push throws most, or a tool that has a limit."""
     aims = throw(robots).argmax(axis=1)
-    if "tool" in spec.capabilities:
+    if spec.workspace:
         aims[AIMED::TOOL_EVERY] = spec.n
     aims[:AIMED] = NOBODY
     return aims
