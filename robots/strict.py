@@ -73,11 +73,14 @@ def read_json(
     """Return plain data from JSON of at most `characters_max`; `source` names its origin in an `error`.
 
     Raises:
-        FirstshiftError: of class `error`: too long, nested too deeply, with too long numbers, or not JSON.
+        FirstshiftError: of class `error`: too long, nested too deeply, with too long numbers, or not JSON of Unicode.
     """
     check_text(text, "JSON", source, characters_max, error)
     try:
-        return json.loads(text)
+        data = json.loads(text)
+        if "\\u" in text:  # half of a character, which no file and no terminal can hold
+            json.dumps(data, ensure_ascii=False).encode()
+        return data
     except ValueError as e:
         raise error(f"{source}: not valid JSON: {e!s:.100}, found {text!r:.40}") from e
 

@@ -24,6 +24,7 @@ from eval.attack.pool import Workers, workers
 from eval.attack.report import REPORT, AttackReport, case_of, make_report, table
 from eval.attack.search import Search
 from eval.attack.trained_gains import gains_of
+from eval.judge.monitors import NAMES
 from eval.replay.bundle_files import delete_bundles, replace_bundles
 from eval.report.report_files import check_report_folder
 from robots.errors import ConfigError
@@ -115,7 +116,7 @@ def soak_attack(
     setting = Setting(robot=spec.folder, mode=drives, faults=classes, without=without, gains=gains)
     target = guarded_monitor(without, setting.mode, Archive(spec, setting.mode).hard) if without else ""
     budget = Budget(seconds=60.0 * minutes, generations=generations)
-    check_report_folder(out, (REPORT,))
+    _check_folder(out)
     with locked(out), workers(setting, processes) as pool:
         delete_bundles(out / UNFINISHED, finished=True)
         search, console = Search(spec, setting.mode, pool.evaluate, seed=seed, target=target), Console()
@@ -128,6 +129,15 @@ def soak_attack(
         if not finished or len(bundles) < len(found):
             raise KeyboardInterrupt  # workers need not finish what they do
     return BUDGET_EXCEEDED if report.hits or report.diverged else PASSED
+
+
+def _check_folder(out: Path) -> None:
+    """Refuse a folder in which something is in the way, or whose cases are of no earlier attack."""
+    check_report_folder(out, (REPORT,))
+    if (out / CASES).exists() and not (out / REPORT).exists():
+        raise ConfigError(
+            f"--out {out}: found {CASES}/ without {REPORT}, expected a folder of an attack, or a new one"
+        )
 
 
 def _run(search: Search, budget: Budget, console: Console) -> bool:
@@ -175,7 +185,8 @@ def _write(report: AttackReport, cases: Sequence[Case], out: Path) -> None:
     """Write report and cases, and print the table."""
     report.write(out)
     for old in (out / CASES).glob("*.json"):
-        old.unlink()
+        if old.is_file() and old.stem.endswith(tuple(f"-{name}" for name in NAMES)):
+            old.unlink()
     options = f"{'-faults' if report.faults else ''}{'-gains' if report.gains else ''}"
     for case in cases:
         case.write(out / CASES / f"{report.robot}-{report.mode}{options}-{case.monitor}.json")

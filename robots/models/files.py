@@ -18,6 +18,8 @@ DEPTH_MAX = 200
 FILES_MAX, FILES_BYTES_MAX = 1000, 1 << 30
 """Number and total size of the files that a model refers to."""
 PACKAGE = "package://"
+NOT_WRITTEN_OUT = ("include", "model", "attach", "replicate", "composite", "flexcomp")
+"""Elements of MJCF whose parts come from another file, or are made when MuJoCo reads it: Pinocchio knows none."""
 
 
 def is_urdf(model: Path) -> bool:
@@ -25,10 +27,17 @@ def is_urdf(model: Path) -> bool:
     return model.suffix == ".urdf"
 
 
+class _Builder(ElementTree.TreeBuilder):
+    def doctype(self, name: str, *_: object) -> None:
+        """Refuse declarations of entities: MuJoCo reads them in another way, and they may grow without bound."""
+        raise ValueError(f"found <!DOCTYPE {name:.80}>, expected none")
+
+
 def read_xml(path: Path) -> ElementTree.Element:
-    """Return the root of an XML file of bounded size and depth, or raise RobotError."""
+    """Return the root of an XML file of bounded size and depth, without a DOCTYPE, or raise RobotError."""
     try:
-        return _check_depth(ElementTree.fromstring(read_file(path, TEXT_BYTES_MAX, RobotError)), path)
+        parser = ElementTree.XMLParser(target=_Builder())
+        return _check_depth(ElementTree.fromstring(read_file(path, TEXT_BYTES_MAX, RobotError), parser), path)
     except (ElementTree.ParseError, ValueError, LookupError) as e:  # LookupError: an unknown encoding
         raise RobotError(f"{path}: not readable as XML: {e}") from e
 
@@ -99,11 +108,12 @@ def _named_by_mjcf(
     root: ElementTree.Element, model: Path, folder: Path
 ) -> list[tuple[ElementTree.Element, str, list[Path]]]:
     """Return elements that name files, the attribute that does, and the files on disk."""
-    for include in root.iter("include"):
-        raise RobotError(
-            f"{model}: include: found {include.get('file', '')!r}, expected a model in one file:"
-            " Pinocchio reads no other"
-        )
+    for element in root.iter():
+        if element.tag in NOT_WRITTEN_OUT:
+            raise RobotError(
+                f"{model}: {element.tag}: found {' '.join(element.attrib.values())!r:.80}, expected a model in one"
+                " file, all parts written out: Pinocchio reads no other"
+            )
     compilers = [compiler.attrib for compiler in root.iter("compiler")]
     stripped = {one["strippath"] for one in compilers if "strippath" in one} == {"true"}
     found = []

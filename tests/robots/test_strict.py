@@ -5,7 +5,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, ValidationError
 
 from deploy.command_line import BAD_INPUT, exit_code_of
 from robots.errors import ConfigError, FirstshiftError, RobotError
-from robots.strict import Strict, parse, read_toml
+from robots.strict import Strict, parse, read_json, read_toml
 
 
 class Leg(Strict):
@@ -137,3 +137,10 @@ def test_errors_contain_no_control_characters(tmp_path, capsys):
     assert said.count("\n") == 2
     assert "?[2J" in said
     assert said.replace("\n", "").isprintable()
+
+
+def test_half_a_character_is_no_json():
+    """A file or a terminal to which it is written later would fail."""
+    assert read_json('{"a": "\\ud83d\\ude00"}', "a.json", 100) == {"a": "\U0001f600"}
+    with pytest.raises(ConfigError, match=r"a\.json: not valid JSON: 'utf-8' codec can't encode"):
+        read_json('{"a": ["\\ud800"]}', "a.json", 100)

@@ -145,6 +145,21 @@ def test_bundles_of_an_earlier_attack_stay_until_there_are_others(call, tmp_path
     assert not old.exists()
 
 
+def test_files_of_others_stay(call, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "workers", planted_workers("planar3"))
+    cases = tmp_path / "cases"
+    cases.mkdir()
+    (cases / "planar3-position-velocity.json").write_text("{}")
+    code, _, error = attack(call, tmp_path)
+    assert (code, (cases / "planar3-position-velocity.json").read_text()) == (2, "{}")
+    assert "found cases/ without attack.json, expected a folder of an attack, or a new one" in error
+    (tmp_path / "attack.json").touch()
+    (cases / "mine.json").touch()
+    assert attack(call, tmp_path)[0] == PASSED
+    assert (cases / "planar3-position-velocity.json").read_text() != "{}"
+    assert (cases / "mine.json").exists()
+
+
 @pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_workers(call, tmp_path, monkeypatch):
     """With two adversaries, and bundles of two monitors."""

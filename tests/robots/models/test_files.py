@@ -94,15 +94,35 @@ def test_mjcf_meshes_follow_the_compiler_settings(tmp_path):
     assert model_mujoco.load_mujoco(spec).nmesh == 1
 
 
-def test_a_model_in_more_than_one_file_is_refused(tmp_path):
-    """Pinocchio would pass over what is included, and not say so."""
-    folder = copy_of_arm(tmp_path, xml=[("<worldbody>", '<include file="more.xml"/><worldbody>')])
+@pytest.mark.parametrize(
+    ("element", "said"),
+    [
+        ('<include file="more.xml"/>', "include: found 'more.xml'"),
+        ('<asset><model name="m" file="model.xml"/></asset>', "model: found 'm model.xml'"),  # MuJoCo crashes
+        ('<worldbody><replicate count="300000000"/></worldbody>', "replicate: found '300000000'"),  # for ever
+    ],
+)
+def test_a_model_in_more_than_one_file_or_with_parts_that_are_not_written_out_is_refused(
+    tmp_path, element, said
+):
+    """Pinocchio would pass over them, and not say so."""
+    folder = copy_of_arm(tmp_path, xml=[("<worldbody>", f"{element}<worldbody>")])
     (folder / "more.xml").write_text("<mujoco/>")
     spec = load_robot(folder)
     for reader in (load_pinocchio, model_mujoco.load_mujoco, lambda spec: spec.digest):
-        with pytest.raises(
-            RobotError, match=r"model\.xml: include: found 'more\.xml', expected a model in one file"
-        ):
+        with pytest.raises(RobotError, match=rf"model\.xml: {re.escape(said)}, expected a model in one file"):
+            reader(spec)
+
+
+def test_a_model_that_two_parsers_read_differently_is_refused(tmp_path):
+    """Other physics in what is a text for one of them, under the digest of the honest model."""
+    other = "<mujoco><option gravity='0 0 -4321'/></mujoco>"
+    folder = copy_of_arm(tmp_path)
+    path = folder / "model.xml"
+    path.write_text(f'<!DOCTYPE mujoco [<!ENTITY x ">{other}<!-- ">]><!-- -->{path.read_text()}')
+    spec = load_robot(folder)
+    for reader in (load_pinocchio, model_mujoco.load_mujoco, lambda spec: spec.digest):
+        with pytest.raises(RobotError, match=r"model\.xml: not readable as XML: found <!DOCTYPE mujoco>"):
             reader(spec)
 
 
