@@ -86,7 +86,7 @@ def new_bundle(path: Path) -> Iterator[Path]:
         try:
             yield partial
             if path.exists():
-                shutil.rmtree(path)
+                _remove(path)
             partial.rename(path)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
@@ -109,9 +109,17 @@ def delete_bundles(folder: Path, *, finished: bool) -> None:
     complete = {path.parent for path in folder.glob(f"*/{INFO}") if finished}
     try:
         for path in partial | complete:
-            shutil.rmtree(path)
+            _remove(path)
     except OSError as e:
         raise OutputError(f"{path}: cannot be deleted: {e.strerror}") from e
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder, or a link to one."""
+    if folder.is_symlink():
+        folder.unlink()
+    else:
+        shutil.rmtree(folder)
 
 
 def replace_bundles(source: Path, place: Path, names: Collection[str] | None = None) -> None:

@@ -243,6 +243,19 @@ def test_only_bundles_are_cleared(tmp_path, finished):
     delete_bundles(tmp_path / "nowhere", finished=True)
 
 
+def test_of_a_link_to_a_bundle_only_the_link_is_cleared(tmp_path):
+    elsewhere, events = tmp_path / "elsewhere", tmp_path / "events"
+    elsewhere.mkdir()
+    events.mkdir()
+    filled(elsewhere / "x")
+    for name in "xy":
+        (events / name).symlink_to(elsewhere / "x")
+    filled(events / "y")
+    delete_bundles(events, finished=True)
+    assert not any(events.iterdir())
+    assert bundle.open_bundle(elsewhere / "x").begin == 100
+
+
 def test_bundles_replace_bundles_only(tmp_path):
     old, new = tmp_path / "events", tmp_path / "unfinished" / "events"
     for place in (old / "x", old / "y", new / "x", new / "z"):
