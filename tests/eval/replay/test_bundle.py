@@ -253,7 +253,7 @@ def test_of_a_link_to_a_bundle_only_the_link_is_cleared(tmp_path):
     filled(events / "y")
     delete_bundles(events, finished=True)
     assert not any(events.iterdir())
-    assert bundle.open_bundle(elsewhere / "x").begin == 100
+    assert bundle.open_bundle(elsewhere / "x").begin == 200
 
 
 def test_bundles_replace_bundles_only(tmp_path):
