@@ -15,6 +15,7 @@ from deploy.motion.drive_law import SpringDrives, drive_law
 from deploy.motion.drive_modes import drive_modes
 from deploy.motion.prepared_stop import PreparedStop, select
 from deploy.motion.smoothers import make_smoother
+from deploy.motion.soft_start import soft_start
 from deploy.policy.action import Action
 from deploy.policy.actor import Actor
 from deploy.policy.contract import Contract
@@ -238,7 +239,8 @@ class Runtime(Stage):
         if self.law.current_share < 1.0:
             share = np.minimum(share, self.law.current_share)
         drive = required(setpoint.drive)
-        self.command = Command(drive, setpoint.q, qd, feed_forward, powered, share)
+        sent = drive if self.springs else soft_start(drive, self.ticks_since_arming, self.spec.dt)
+        self.command = Command(sent, setpoint.q, qd, feed_forward, powered, share)
         self.estimator.external_torque.command(tau, powered)
         self.robot.write(self.command)
         if self.drives.free:
