@@ -17,6 +17,7 @@ from deploy.policy.inference import BATCHES
 from deploy.policy.policy import AGREEMENT, Policy
 from deploy.policy.policy_file import INPUT, OUTPUT, Golden
 from deploy.telemetry.output_files import check_no_input
+from eval.replay.bundle import robot_files
 from policies.export.onnx_file import write_policy
 from policies.export.tracing import to_onnx
 from policies.training.checkpoint import Checkpoint, load_checkpoint
@@ -59,12 +60,12 @@ def export(checkpoint_path: Path, out_path: Path, robot: str | Path | None = Non
     Raises:
         ContractError: the checkpoint is invalid, or the ONNX file computes other actions.
         RobotError: the robot is unknown or unreadable.
-        OutputError: `out_path` cannot be written.
+        OutputError: `out_path` cannot be written, or is the checkpoint or a file of the robot.
     """
-    check_no_input(out_path, (checkpoint_path,))
     checkpoint = load_checkpoint(checkpoint_path)
     spec = load_robot(robot or checkpoint.contract.robot)
     check_contract(checkpoint.contract, spec, f"{checkpoint_path}: contract")
+    check_no_input(out_path, (checkpoint_path, *(spec.folder / name for name in robot_files(spec))))
     example = torch.zeros(2, len(checkpoint.actor.mean))  # batch 1 would be taken for a constant
     batch: dict[str, object] = {"observation": {0: torch.export.Dim("batch")}}
     model = to_onnx(checkpoint.actor, (example,), [INPUT], [OUTPUT], batch)

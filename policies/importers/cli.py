@@ -14,6 +14,7 @@ from deploy.command_line import PASSED, main
 from deploy.policy.policy_file import Golden
 from deploy.tasks.task import tasks_of
 from deploy.telemetry.output_files import check_no_input, replacing
+from eval.replay.bundle import robot_files
 from policies.export.onnx_file import write_policy
 from policies.importers.contract_builder import BuiltContract, build_contract
 from policies.importers.contract_draft import read_draft
@@ -67,13 +68,13 @@ def import_policy(
     Raises:
         ContractError: a file is invalid, or the ONNX file computes other actions than the reference.
         RobotError: the robot is unknown or unreadable.
-        OutputError: `out_path` cannot be written.
+        OutputError: `out_path` cannot be written, or is a file that is read: an argument, or one of the robot.
     """
-    check_no_input(out_path, (path, draft_path))
     draft = read_draft(draft_path)
     spec = load_robot(robot or draft.robot)
     # Errors in the robot's folder are reported now, not when the policy is run.
     Fleet(spec, 1, collisions=True)
+    check_no_input(out_path, (path, draft_path, *(spec.folder / name for name in robot_files(spec))))
     reference = read_policy(path, draft.network)
     built = build_contract(draft, reference, spec, str(draft_path))
     runs, golden = record_reference(reference, built.columns, built.joints), _golden(reference, built)

@@ -11,14 +11,15 @@ from rsl_rl.runners import OnPolicyRunner
 from torch import Tensor
 
 from deploy.command_line import PASSED, main
-from deploy.telemetry.output_files import replacing
+from deploy.telemetry.folder_lock import locked
+from deploy.telemetry.recorder import check_folder
 from policies.training.checkpoint import save_checkpoint
 from policies.training.curves import draw_curves
 from policies.training.envs import RuntimeEnv
 from policies.training.networks import Actor
 from policies.training.recipe import Learner, Recipe, contract_of, find_recipe, load_recipe
 from policies.training.watchers import Film, JointSpeeds, Window
-from robots.errors import ConfigError
+from robots.errors import OutputError
 from robots.spec import RobotSpec, load_robot
 
 SAVE_INTERVAL = 200
@@ -31,20 +32,34 @@ ROLLOUT = 2048
 def train(file: Path, out: Path, *, threads: int, view: bool = False, video: Path | None = None) -> Path:
     """Train by a recipe, write a checkpoint and return its path.
 
-    A recipe that does not fit its robot is refused before anything is written.
+    A recipe that does not fit its robot is refused before anything is written; a folder that another training uses, or
+    has used, before anything in it is replaced.
 
     Args:
         file: the recipe; a checkpoint keeps its text. out: folder for TensorBoard's events, curves and checkpoint.
         threads: for physics; results do not depend on it.
         view: show robot 0 while it learns. video: of the trained policy on robot 0.
     """
-    if any(out.glob("events.*")):
-        found = f"--out {out}: contains another training"
-        raise ConfigError(f"{found}, expected an empty folder: the curves would mix")
     recipe, text = load_recipe(file), file.read_text(encoding="utf-8")
     spec = load_robot(recipe.robot, f"{file}: robot")
     contract_of(recipe, spec, {}, file)
-    _check_writable(out)
+    check_folder(out)
+    with locked(out):
+        _check_unused(out, recipe.name)
+        return _train(recipe, text, spec, out, threads, view, video)
+
+
+def _check_unused(out: Path, name: str) -> None:
+    """Refuse (OutputError) a folder with a file that a training of that name would replace, or mix with its own."""
+    for pattern in ("events.*", "model_*.pt", f"{name}.pt", f"{name}.png"):
+        for path in out.glob(pattern):
+            raise OutputError(f"--out {out}: found {path.name} of another training, expected another folder")
+
+
+def _train(
+    recipe: Recipe, text: str, spec: RobotSpec, out: Path, threads: int, view: bool, video: Path | None
+) -> Path:
+    """Train in a folder that is locked; return the path of the checkpoint, which keeps the recipe's text."""
     film = None if video is None else Film(video, spec, recipe.promise.policy_hz)
     env, policy = _learn(recipe, spec, out, threads, view)
     rollout, success = roll_out(env, policy, film)
@@ -57,13 +72,6 @@ def train(file: Path, out: Path, *, threads: int, view: bool = False, video: Pat
     if film is not None:
         film.write()
     return path
-
-
-def _check_writable(out: Path) -> None:
-    """Refuse (OutputError) a folder that the checkpoint could not be written to after the training."""
-    with replacing(out / ".probe"):
-        pass
-    (out / ".probe").unlink()
 
 
 def _learn(

@@ -1,15 +1,17 @@
 """Training recipe, read strictly, and the contract that follows from it."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, PositiveInt, model_validator
+from pydantic import AfterValidator, Field, PositiveInt, model_validator
 
 from deploy.policy.compatibility import check_contract, mode_misfit, task_misfit
 from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import ONE_LEG, SINES_FIRST, Numbers, Term
+from deploy.policy.contract_term import Count as Size
 from deploy.sources.maximum import Scale
 from deploy.sources.source import GaitLayout
 from deploy.sources.templates import observation_sources, physical_maxima
@@ -27,8 +29,10 @@ WEIGHT_MAX = 1e6
 Positive = Annotated[float, Field(gt=0, le=WEIGHT_MAX)]
 Penalty = Annotated[float, Field(ge=-WEIGHT_MAX, le=0)]
 Count = Annotated[int, Field(ge=1, le=1 << 16)]
-"""Number of robots, goals, steps or units: far more than a training can use."""
+"""Number of robots, goals or steps: far more than a training can use."""
 Share = Annotated[float, Field(gt=0, le=1)]
+WEIGHTS_MAX = 1 << 24
+"""Weights between hidden layers: with as many for the largest observation, half of the largest policy file."""
 ObservationChoice = str | Annotated[tuple[str, ...], Field(min_length=1)]
 """Name of a template, or sources in order."""
 
@@ -149,12 +153,18 @@ class LearnerStage(Strict):
     learning_rate: Share
 
 
+def _bounded(hidden: tuple[int, ...]) -> tuple[int, ...]:
+    if (weights := sum(a * b for a, b in pairwise(hidden))) > WEIGHTS_MAX:
+        raise ValueError(f"{weights} weights between layers, expected at most {WEIGHTS_MAX}")
+    return hidden
+
+
 class Learner(Strict):
     """PPO of rsl-rl-lib. Source: Schulman et al. (2017); names as in rsl_rl."""
 
     stages: Annotated[tuple[LearnerStage, ...], Field(min_length=1)]
     num_steps_per_env: Count
-    hidden: Annotated[tuple[Count, ...], Field(min_length=1, max_length=16)]
+    hidden: Annotated[tuple[Size, ...], Field(min_length=1, max_length=16), AfterValidator(_bounded)]
     init_std: Positive
     gamma: Share
     lam: Share

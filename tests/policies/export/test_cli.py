@@ -18,7 +18,7 @@ from deploy.policy.policy_file import GOLDEN_KEY
 from policies.export.cli import POLICIES, cli, export, find_checkpoint, policy_export
 from policies.training.checkpoint import load_checkpoint
 from robots.errors import ContractError, OutputError, RobotError
-from support.arm6 import SPEC
+from support.arm6 import SPEC, copy_of_arm
 from support.checkpoints import made_actor, saved
 from support.contracts import SWAPPED, arm_contract
 
@@ -195,6 +195,15 @@ def test_an_unwritable_out_is_named(tmp_path):
             export(checkpoint, out)
         assert str(caught.value) == f"--out {out}: {why}"
     assert sorted(os.listdir(tmp_path)) == ["arm.pt", "file", "folder"]
+
+
+@pytest.mark.parametrize("name", ["robot.toml", "model.xml", "draws.toml", "limits.toml"])
+def test_no_file_of_the_robot_is_written_over(tmp_path, name):
+    robot, checkpoint = copy_of_arm(tmp_path), saved(tmp_path)
+    out, before = robot / name, (robot / name).read_bytes()
+    with pytest.raises(OutputError, match=f"--out {out}: found a file that is read, expected another place"):
+        export(checkpoint, out, robot)
+    assert out.read_bytes() == before
 
 
 # ---- the command ----

@@ -16,7 +16,7 @@ from deploy.policy.policy import Policy
 from policies.importers.cli import import_policy, policy_import
 from policies.importers.contract_draft import read_draft
 from robots.errors import ContractError, OutputError
-from support.arm6 import SPEC
+from support.arm6 import SPEC, copy_of_arm
 from support.contracts import NAMES
 from support.importers.imports import CONTRACT, THEIRS, A, N, exported
 
@@ -113,3 +113,13 @@ def test_refused_import_keeps_the_old_file(done, tmp_path):
     with pytest.raises(OutputError):
         import_policy(path, draft, out / "inside.onnx")
     assert out.read_bytes() == b"before"
+
+
+def test_no_file_that_is_read_is_written_over(done, tmp_path):
+    path, *_ = done
+    robot, draft = copy_of_arm(tmp_path), path.parent / "contract.toml"
+    for out in (path, draft, robot / "robot.toml", robot / "model.xml", robot / "draws.toml"):
+        before = out.read_bytes()
+        with pytest.raises(OutputError, match=f"--out {out}: found a file that is read"):
+            import_policy(path, draft, out, robot)
+        assert out.read_bytes() == before

@@ -1,16 +1,19 @@
 """Actions that follow from a recipe's promise, and recipes that do not fit their robot."""
 
 import tomllib
+from functools import partial
 
 import numpy as np
 import pytest
 
+from deploy.telemetry.folder_lock import LOCK, locked
 from policies.training.recipe import RECIPES, Promise, Recipe, contract_of, find_recipe, load_recipe
 from robots.errors import ConfigError, ContractError
 from robots.models.nominal_model import torque_max
 from robots.strict import parse
 from support.arm6 import SPEC, copy_of_arm
 from support.quadruped import QUADRUPED
+from support.refusals import in_use
 
 RECIPE = load_recipe(find_recipe("arm"))
 LOW, HIGH = SPEC.joint_array("q_min"), SPEC.joint_array("q_max")
@@ -87,6 +90,8 @@ ARM = tomllib.loads((RECIPES / "arm.toml").read_text())
         ("shaping", "stop", -1e308),
         ("learner", "hidden", []),
         ("learner", "hidden", [10**9]),
+        ("learner", "hidden", [65536, 65536]),
+        ("learner", "hidden", [4096] * 3),
         ("seed", "", 2**63),
     ],
 )
@@ -94,6 +99,18 @@ def test_numbers_that_no_training_can_use_are_refused(table, field, value):
     wrong = ARM | {table: ARM[table] | {field: value} if field else value}
     with pytest.raises(ConfigError, match=rf"x\.toml: {table}\.?{field}"):
         parse(wrong, Recipe, source="x.toml")
+
+
+def test_the_bound_of_a_network_is_named(tmp_path):
+    text = find_recipe("arm").read_text(encoding="utf-8")
+    path = tmp_path / "wide.toml"
+    path.write_text(text.replace("hidden = [128, 128]", "hidden = [4096, 4096, 1]"))
+    with pytest.raises(ConfigError) as caught:
+        load_recipe(path)
+    expected = "16781312 weights between layers, expected at most 16777216, found (4096, 4096, 1)"
+    assert str(caught.value) == f"{path}: learner.hidden: {expected}"
+    path.write_text(text.replace("hidden = [128, 128]", "hidden = [4096, 4096]"))
+    assert load_recipe(path).learner.hidden == (4096, 4096)
 
 
 def test_offset_of_a_target_that_is_no_angle_is_refused():
@@ -141,11 +158,17 @@ def test_the_finished_contract_is_compared_with_the_robot(monkeypatch):
         contract_of(RECIPE, SPEC, {})
 
 
-def test_a_training_that_cannot_be_done_writes_nothing(call, tmp_path):
+@pytest.fixture
+def train(call):
+    """The command policy-train, called with options."""
     pytest.importorskip("rsl_rl")
     pytest.importorskip("av")
-    from policies.training.cli import cli as policy_train
+    from policies.training.cli import cli
 
+    return partial(call, cli)
+
+
+def test_a_training_that_cannot_be_done_writes_nothing(train, tmp_path):
     spec = copy_of_arm(
         tmp_path, toml=[(r'modes = \["position", "velocity", "torque"\]', 'modes = ["position"]')]
     )
@@ -154,9 +177,24 @@ def test_a_training_that_cannot_be_done_writes_nothing(call, tmp_path):
         assert old in text
         text = text.replace(old, new)
     (tmp_path / "fast.toml").write_text(text)
-    code, _, complaint = call(policy_train, "--recipe", tmp_path / "fast.toml", "--out", tmp_path / "out")
+    code, _, complaint = train("--recipe", tmp_path / "fast.toml", "--out", tmp_path / "out")
     assert code == 2
     assert complaint.startswith(
         f"error: {tmp_path / 'fast.toml'}: promise.mode: found 'velocity'; the drives of arm6"
     )
     assert not (tmp_path / "out").exists()
+
+
+def test_the_folder_of_a_running_training_is_refused(train, tmp_path):
+    with locked(tmp_path):
+        assert train("--out", tmp_path) == (2, "", f"error: {in_use(tmp_path)}\n")
+        assert [path.name for path in tmp_path.iterdir()] == [LOCK]
+
+
+@pytest.mark.parametrize("name", ["events.out.tfevents.1", "model_200.pt", "arm.pt", "arm.png"])
+def test_files_of_another_training_are_kept(train, tmp_path, name):
+    (tmp_path / name).write_text("of the other training")
+    expected = f"error: --out {tmp_path}: found {name} of another training, expected another folder\n"
+    assert train("--out", tmp_path) == (2, "", expected)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "of the other training"
