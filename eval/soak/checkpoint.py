@@ -1,12 +1,8 @@
 """Checkpoint of a shard on disk, from which an interrupted soak resumes with identical results."""
 
 import json
-import lzma
 import os
-import struct
-import tokenize
 import zipfile
-import zlib
 from collections.abc import Iterable, Mapping
 from io import BytesIO
 from pathlib import Path
@@ -18,18 +14,15 @@ from deploy.stage import Arrays
 from deploy.telemetry.output_files import replacing
 from eval.history.history import check_writable
 from eval.replay.bundle_files import state_digest
-from robots.errors import ConfigError, OutputError
+from robots.errors import ConfigError, OutputError, printable
 from robots.files import read_file
 
 IDENTITY, DIGEST, SUFFIX = "identity", "digest", ".npz"
-BYTES_MAX = 1 << 32
-"""Upper bound of the size of a file: far more than a shard of eight hours."""
+BYTES_MAX, MEMBERS_MAX = 1 << 29, 10_000
+"""Upper bounds of the size of a file and the number of its arrays: many times those of the longest soak."""
 DAMAGED = ".damaged"
-DAMAGE = (
-    *(TypeError, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, OSError),
-    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError),
-)
-"""Errors that numpy, zipfile and json raise for a damaged file."""
+RECORD = b"PK\x01\x02"
+"""Signature of each entry of a zip's directory."""
 
 
 class Checkpoint:
@@ -73,21 +66,18 @@ class Checkpoint:
         data = read_file(self.path, BYTES_MAX)
         try:
             identity, arrays = _unpack(data)
-        except DAMAGE:
-            self._rename_damaged()
+        except Exception:  # noqa: BLE001 - bytes of unknown origin can fail in any way
+            self.set_aside()
             return None
         self._check_identity(identity)
         return arrays
 
-    def _check_identity(self, found: Mapping[str, str | int]) -> None:
-        for key in sorted({*found, *self.identity}):
-            if found.get(key) != self.identity.get(key):
-                raise ConfigError(
-                    f"{self.path}: {key}: found {found.get(key)}, expected {self.identity.get(key)}: it belongs"
-                    f" to another soak. Resume that one, give another --out, or delete {self.path.parent}"
-                )
+    def set_aside(self) -> None:
+        """Rename the file, which is damaged.
 
-    def _rename_damaged(self) -> None:
+        Raises:
+            OutputError: it cannot be renamed.
+        """
         place = self.path.with_name(self.path.name + DAMAGED)
         try:
             os.replace(self.path, place)
@@ -96,13 +86,29 @@ class Checkpoint:
                 f"{self.path}: damaged, and cannot be renamed to {place.name}: {e.strerror}"
             ) from e
 
+    def _check_identity(self, found: Mapping[str, str | int]) -> None:
+        for key in sorted({*found, *self.identity}):
+            if found.get(key) != self.identity.get(key):
+                differs = f"{key:.80}: found {found.get(key)!s:.200}, expected {self.identity.get(key)}"
+                raise ConfigError(
+                    f"{self.path}: {printable(differs)}: it belongs to another soak. Resume that one, give another"
+                    f" --out, or delete {self.path.parent}"
+                )
+
 
 def _unpack(data: bytes) -> tuple[dict[str, str | int], Arrays]:
-    """Return identity and arrays; raise one of `DAMAGE` if they are not what was stored."""
+    """Return identity and arrays, which take no more memory than `data`; raise an error if they are not as stored."""
+    if data.count(RECORD) > MEMBERS_MAX:  # counted before Python parses them
+        raise ValueError("too many arrays")
+    with zipfile.ZipFile(BytesIO(data)) as archive:
+        records = archive.infolist()
+    compressed = any(record.compress_type != zipfile.ZIP_STORED for record in records)
+    if compressed or sum(record.file_size for record in records) > len(data):
+        raise ValueError("the arrays are compressed, or overlap")
     with np.load(BytesIO(data), allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
-    identity = dict(json.loads(str(arrays.pop(IDENTITY))))
-    if str(arrays.pop(DIGEST)) != state_digest(arrays):
+    identity = json.loads(str(arrays.pop(IDENTITY)))
+    if not isinstance(identity, dict) or str(arrays.pop(DIGEST)) != state_digest(arrays):
         raise ValueError("the arrays are not those that were stored")
     return identity, arrays
 

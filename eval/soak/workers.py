@@ -4,9 +4,13 @@ import os
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
+from deploy.stage import Arrays
+from eval.shard.job import ShardJob
 from eval.shard.judging import ShardResult, shard_result
+from eval.shard.shard import Shard
 from eval.soak.checkpoint import prepare_folder
 from eval.soak.configuration import SoakConfig
 from eval.soak.worker_pool import WorkerPool
@@ -21,14 +25,32 @@ def resumed_ticks(config: SoakConfig, folder: Path, console: Console) -> int:
         OutputError: a damaged checkpoint cannot be renamed.
     """
     ticks = 0
-    for number in range(len(config.jobs())):
+    for number, job in enumerate(config.jobs()):
         checkpoint = config.checkpoint(number, folder)
         exists, saved = os.path.exists(checkpoint.path), checkpoint.load()
+        if saved is not None and not _fits(saved, job):
+            checkpoint.set_aside()
+            saved = None
         if saved is not None:
             ticks += int(saved["runtime.ticks"])
         elif exists:
             console.print(f"{checkpoint.path}: damaged and renamed: its robots start again", soft_wrap=True)
     return ticks
+
+
+def _fits(saved: Arrays, job: ShardJob) -> bool:
+    """Return whether arrays have names, shapes and dtypes of those that a shard of the job saves."""
+    ticks = saved.get("runtime.ticks", np.array(None))
+    if ticks.shape or ticks.dtype.kind != "i" or not 0 <= int(ticks) <= job.ticks:
+        return False
+    shard = Shard(job)
+    for _ in range(int(ticks) // job.sample_ticks + 1):
+        shard.sample()
+    return _kinds(saved) == _kinds(shard.save())
+
+
+def _kinds(arrays: Arrays) -> dict[str, tuple[object, ...]]:
+    return {name: (array.shape, array.dtype) for name, array in arrays.items()}
 
 
 def run_soak(config: SoakConfig, folder: Path, console: Console) -> list[ShardResult]:

@@ -2,7 +2,9 @@ import json
 import multiprocessing as mp
 import os
 import signal
+import zipfile
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from eval.soak import workers
 from eval.soak.checkpoint import DAMAGED, Checkpoint, delete_checkpoints, prepare_folder
 from eval.soak.worker_pool import WorkerPool
 from robots.errors import ConfigError, OutputError
-from support.eval.soaks import soak_config
+from support.eval.soaks import soak_config, store_ticks
 
 IDENTITY = {"seed": 7, "robot_digest": "abc"}
 ARRAYS = {"judge.ticks": np.arange(5), "robot.goal": np.array([[0.1, np.nan, -np.inf]])}
@@ -60,33 +62,62 @@ def test_checkpoint_of_another_soak_is_refused(tmp_path, change):
     assert (tmp_path / "a.npz").exists()
 
 
+def test_names_of_another_soak_cannot_control_a_terminal(tmp_path):
+    checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
+    Checkpoint(checkpoint.path, IDENTITY | {"a\nb": "\x1b" * 9999}).store(ARRAYS)
+    with pytest.raises(ConfigError, match=r"a\.npz: a\?b: found \?{200}, expected None: [^\n]*$"):
+        checkpoint.load()
+
+
+def flipped(data):
+    place = data.index(b"judge.ticks") + 200
+    return data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :]
+
+
+def another_method(data):
+    """Of compression, in the directory at the end."""
+    place = data.index(b"PK\x01\x02") + 10
+    return data[:place] + bytes([12]) + data[place + 1 :]
+
+
+def again(data, save=np.savez, **changes):
+    """Written again, with other arrays."""
+    with np.load(BytesIO(data)) as file:
+        arrays = dict(file) | changes
+    stream = BytesIO()
+    save(stream, **{name: array for name, array in arrays.items() if array is not None})
+    return stream.getvalue()
+
+
+def huge(_):
+    """By its header."""
+    stream = BytesIO()
+    with zipfile.ZipFile(stream, "w") as file, file.open("a.npy", "w") as array:
+        header = {"descr": "<f8", "fortran_order": False, "shape": (1 << 42,)}
+        np.lib.format.write_array_header_1_0(array, header)
+    return stream.getvalue()
+
+
+SPOILT = {
+    "cut": lambda data: data[: len(data) // 2],
+    "flipped": flipped,
+    "empty": lambda _: b"",
+    "nameless": lambda data: again(data, identity=None),
+    "edited": lambda data: again(data, **{"judge.ticks": ARRAYS["judge.ticks"] + 1}),
+    "another method": another_method,
+    "compressed": lambda data: again(data, np.savez_compressed),
+    "huge": huge,
+    "list": lambda data: again(data, identity=np.array("[7]")),
+    "pairs": lambda data: again(data, identity=np.array("[[1, 2]]")),
+    "pickled": lambda data: again(data, identity=np.array([{}], dtype=object)),
+}
+
+
 def spoil(path, how):
-    data = bytearray(path.read_bytes())
-    if how == "cut":
-        path.write_bytes(data[: len(data) // 2])
-    elif how == "flipped":
-        data[data.index(b"judge.ticks") + 200] ^= 1
-        path.write_bytes(data)
-    elif how == "empty":
-        path.write_bytes(b"")
-    elif how == "nameless":
-        np.savez(path, **ARRAYS)
-    elif how == "edited":
-        with np.load(path) as file:
-            arrays = dict(file)
-        np.savez(path, **arrays | {"judge.ticks": arrays["judge.ticks"] + 1})
-    elif how == "another method":  # of compression, in the directory at the end
-        data[data.index(b"PK\x01\x02") + 10] = 12
-        path.write_bytes(data)
-    elif how == "no table":
-        np.savez(path, identity=np.array("[7]"))
-    else:
-        np.savez(path, identity=np.array([{}], dtype=object))
+    path.write_bytes(SPOILT[how](path.read_bytes()))
 
 
-@pytest.mark.parametrize(
-    "how", ["cut", "flipped", "empty", "nameless", "edited", "another method", "no table", "pickled"]
-)
+@pytest.mark.parametrize("how", SPOILT)
 def test_damaged_checkpoint_is_set_aside(tmp_path, how):
     checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
     checkpoint.store(ARRAYS)
@@ -98,6 +129,15 @@ def test_damaged_checkpoint_is_set_aside(tmp_path, how):
     checkpoint.store(ARRAYS)
     delete_checkpoints(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["a.npz" + DAMAGED]
+
+
+def test_number_of_arrays_is_bounded(tmp_path, monkeypatch):
+    checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
+    checkpoint.store(ARRAYS)
+    monkeypatch.setattr("eval.soak.checkpoint.MEMBERS_MAX", len(ARRAYS) + 2)
+    assert_same(checkpoint.load(), ARRAYS)
+    monkeypatch.setattr("eval.soak.checkpoint.MEMBERS_MAX", len(ARRAYS) + 1)
+    assert checkpoint.load() is None
 
 
 def test_unreadable_checkpoint_is_left_in_place(tmp_path):
@@ -172,12 +212,40 @@ def test_killed_worker_changes_no_result(finished, tmp_path, monkeypatch, capsys
 
 
 def test_damage_is_reported_before_the_soak_runs(restless, tmp_path, capsys):
-    kept = restless.checkpoint(1, tmp_path / "unfinished")
-    prepare_folder(tmp_path / "unfinished")
-    kept.store({"runtime.ticks": np.array(400)})
+    kept = store_ticks(restless, 1, tmp_path / "unfinished", 400)
     assert workers.resumed_ticks(restless, tmp_path / "unfinished", Console()) == 400
     spoil(kept.path, "cut")
-    assert workers.resumed_ticks(restless, tmp_path / "unfinished", Console()) == 0
-    assert "shard-0001.npz: damaged and renamed: its robots start again" in capsys.readouterr().out.replace(
-        "\n", ""
-    )
+    assert_reported(restless, kept, capsys)
+
+
+def assert_reported(soak, kept, capsys):
+    assert workers.resumed_ticks(soak, kept.path.parent, Console()) == 0
+    said = capsys.readouterr().out.replace("\n", "")
+    assert f"{kept.path.name}: damaged and renamed: its robots start again" in said
+    assert [file.name for file in kept.path.parent.iterdir()] == [kept.path.name + DAMAGED]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"runtime.ticks": None},
+        {"runtime.ticks": np.array([400])},
+        {"runtime.ticks": np.array("400")},
+        {"runtime.ticks": np.array(400.0)},
+        {"runtime.ticks": np.array(400, np.int32)},
+        {"runtime.ticks": np.array(-1)},
+        {"runtime.ticks": np.array(10**18)},
+        {"judge.worst": None},
+        {"judge.worst": np.zeros(1)},
+        {"robot.plant.tick": np.array(["400"])},
+        {"sampled.stops": np.zeros((1, 1), np.int64)},
+        {"more": np.zeros(1)},
+    ],
+    ids=str,
+)
+def test_arrays_of_another_kind_are_damage(restless, tmp_path, capsys, change):
+    """Under the right identity and digest."""
+    kept = store_ticks(restless, 1, tmp_path / "unfinished", 400)
+    arrays = kept.load() | change
+    kept.store({name: array for name, array in arrays.items() if array is not None})
+    assert_reported(restless, kept, capsys)

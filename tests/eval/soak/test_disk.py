@@ -32,7 +32,7 @@ from eval.soak.tensorboard import TENSORBOARD, event_file
 from eval.soak.workers import resumed_ticks, run_soak
 from eval.statistics.budget import BUDGET, load_budget
 from robots.errors import ConfigError, OutputError
-from support.eval.soaks import soak_config
+from support.eval.soaks import soak_config, store_ticks
 
 QUIET = Console(quiet=True)
 RUN = Run(started="2026-01-01T00:00:00+00:00", wall_s=1.0, hours=0.001, resumed_hours=0.0, interrupted=False)
@@ -119,10 +119,8 @@ def test_lost_report_folder_is_an_error_and_not_recreated(restless, tmp_path, mo
     """It is moved away once the soak has begun; when it is put back, the soak goes on from there."""
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
     restless, run = replace(restless, hours=0.0002), workers.WorkerPool.run
-    first = restless.checkpoint(0, out / "unfinished")
     written.check_report_folder(out)
-    prepare_folder(out / "unfinished")
-    first.store({"runtime.ticks": np.array(restless.ticks)})
+    first = store_ticks(restless, 0, out / "unfinished", restless.ticks)
     monkeypatch.setattr(workers.WorkerPool, "run", lambda pool: (out.rename(elsewhere), run(pool)))
     lost = f"{first.path}: cannot be written: {out / 'unfinished'} was deleted"
     with pytest.raises(OutputError, match=lost):
@@ -160,9 +158,7 @@ def denied(*_, **__):
 
 
 def test_denied_file_access_is_reported(restless, tmp_path, monkeypatch):
-    prepare_folder(tmp_path / "unfinished")
-    checkpoint = restless.checkpoint(0, tmp_path / "unfinished")
-    checkpoint.store({"runtime.ticks": np.array(400)})
+    checkpoint = store_ticks(restless, 0, tmp_path / "unfinished", 400)
     with monkeypatch.context() as patch:
         patch.setattr(Path, "open", denied)
         with pytest.raises(OutputError, match=r"unfinished/\.probe: cannot be written: Permission denied"):
