@@ -239,7 +239,7 @@ class Runtime(Stage):
         if self.law.current_share < 1.0:
             share = np.minimum(share, self.law.current_share)
         drive = required(setpoint.drive)
-        sent = drive if self.springs else soft_start(drive, self.ticks_since_arming, self.spec.dt)
+        sent = drive if self.spec.base else soft_start(drive, self.ticks_since_arming, self.spec.dt)
         self.command = Command(sent, setpoint.q, qd, feed_forward, powered, share)
         self.estimator.external_torque.command(tau, powered)
         self.robot.write(self.command)

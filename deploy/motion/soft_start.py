@@ -1,7 +1,8 @@
 """Soft start of drives: stiffness that rises after a robot is armed.
 
 A robot is armed where its encoders say that it is. An error of theirs, 2.4 mrad of a worn encoder of arm6, would be a
-torque of a third of the drive's range in the first period, on top of the load that the brakes held.
+torque of half of the drive's range in the first period, on top of the load that the brakes held. Legs that a gantry
+lets go have to be stiff at once: this is for robots on a fixed base.
 """
 
 import numpy as np
@@ -10,7 +11,7 @@ from deploy.masks import all_true
 from deploy.state import DriveMode
 from robots.arrays import Ints
 
-FIRST_SHARE, RISE_S = 0.25, 0.2
+FIRST_SHARE, RISE_S = 0.25, 0.1
 """Share of the stiffness at first, and s until all of it is there. Damping is never less than it will be."""
 
 

@@ -164,7 +164,7 @@ def test_a_reset_ends_the_takeover_of_a_stop():
     live(runtime, rest, 14)  # fewer ticks than a takeover takes
     assert not runtime.arm(every(runtime)).any()
     live(runtime, rest, 1)
-    np.testing.assert_array_equal(runtime.command.drive.kp, np.tile(drive_gains(SPEC).kp, (2, 1)))
+    np.testing.assert_array_equal(runtime.command.drive.kd, np.tile(drive_gains(SPEC).kd, (2, 1)))
 
 
 @pytest.mark.parametrize("mode", ["position", "velocity", "torque"])
