@@ -44,10 +44,14 @@ def test_a_policy_that_is_stopped_again_and_again_is_latched():
         runtime.tick()
         stops += begins and not runtime.supervisor.running[0]
     assert stops == MARGINS.stops_max
-    assert Reason(int(runtime.supervisor.reason[0])) == Reason.WORKSPACE | Reason.REPEATED
+    assert Reason(int(runtime.supervisor.reason[0])) == Reason.COLLISION | Reason.REPEATED
     assert runtime.supervisor.mode[1] == Mode.RUNNING
     policy.action[:] = 0.0
-    assert not runtime.arm(np.array([True, False])).any()
+    ids = np.array([True, False])  # the operator moves it away from the table
+    runtime.robot.reset(ids, np.tile(SPEC.joint_array("q_home"), (2, 1)))
+    runtime.reset(ids)
+    heard(runtime)
+    assert not runtime.arm(ids).any()
     _, modes = play(runtime, 60)
     assert modes[-1, 0] == Mode.RUNNING
 

@@ -169,8 +169,8 @@ def test_only_too_fast_stops_are_refused():
 WRIST_INTO_TABLE = (
     # Well clear at the start and at the end of a stop; between them the second wrist's link goes through the table.
     (
-        (-0.8547, -0.6477, 1.643, 0.2494, -2.4639, -0.0108),
-        (-1.4176, 0.5167, -1.701, -2.8228, 0.8258, -1.1473),
+        (-0.8291, -0.6605, 1.6205, 0.2175, -2.4461, -0.0122),
+        (-1.4411, 0.525, -1.787, -2.8404, 0.8444, -1.1059),
     ),
     (
         (0.6031, -0.8238, 2.0728, -0.1957, -0.5678, -1.8177),

@@ -19,8 +19,8 @@ def point(q=HOME, qd=ZERO, qdd=ZERO):
 
 
 FASTER_IN_ITS_STOP = (
-    np.array([-0.29, -1.07, 2.08, -2.1, -1.18, 2.44]),
-    np.array([2.76, -2.88, -2.03, -2.57, -2.53, 2.09]),
+    np.array([-0.167, -1.02, 1.885, -1.964, -1.113, 2.359]),
+    np.array([2.832, -2.432, -2.057, -2.573, -2.592, 2.021]),
 )
 """rad, rad/s: the tool's speed is 2.26 m/s here, and 2.43 m/s at the earlier moment of the stop."""
 
