@@ -20,7 +20,7 @@ from policies.doctor import cli as checking
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Verdict
 from policies.doctor.checklist import CHECKS, run_check, run_checks
-from policies.doctor.simulation import joint_order, simulated_run
+from policies.doctor.simulation import joint_order, simulated_run, task_checks
 from policies.doctor.simulation.heat_extrapolation import HeatLoad, winding_temperature
 from robots.motors.motor import MotorHeat, temperatures
 from robots.spec import load_robot
@@ -193,20 +193,19 @@ def test_noisy_policy_shakes(nervous):
 
 
 @pytest.mark.parametrize(
-    ("change", "verdict", "said"),
+    ("least", "verdict", "said"),
     [
-        (
-            {"contract": lambda data: data["action"].update(scale=[0.08] * 6)},
-            Verdict.WARN,
-            "with actions 20 ms late",
-        ),
-        ({"graph": louder(12.0)}, Verdict.FAIL, "with actions only 10 ms late"),
+        (simulated_run.HALF_PERIOD_LATE, Verdict.WARN, "with actions 20 ms late"),
+        (simulated_run.PERIOD_LATE, Verdict.FAIL, "with actions only 10 ms late"),
     ],
-    ids=["larger actions", "louder"],
+    ids=["a period", "half a period"],
 )
 @pytest.mark.usefixtures("one_goal")
-def test_delay_absent_in_training_is_named(sick, change, verdict, said):
-    found = text_of(sick(**change), "delay", verdict)
+def test_delay_absent_in_training_is_named(sick, monkeypatch, least, verdict, said):
+    """Larger actions bear half a period and no whole one; the second time a whole one stands for the half."""
+    monkeypatch.setattr(task_checks, "HALF_PERIOD_LATE", least)
+    case = sick(contract=lambda data: data["action"].update(scale=[0.08] * 6))
+    found = text_of(case, "delay", verdict)
     assert re.match(rf"{said} it reaches \d+ goals instead of \d+", found)
     assert "measure the robot's delay from sensor to motion, and train with it" in found
 
