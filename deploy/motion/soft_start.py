@@ -12,7 +12,7 @@ from deploy.state import DriveMode
 from robots.arrays import Ints
 
 FIRST_SHARE, RISE_S = 0.25, 0.1
-"""Share of the stiffness at first, and s until all of it is there. Damping is never less than it will be."""
+"""Share of the stiffness at first, and s until all of it is there. Damping is not reduced."""
 
 
 def soft_start(drive: DriveMode, ticks: Ints, dt: float) -> DriveMode:

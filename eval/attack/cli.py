@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.interrupts import handled, interrupt
 from deploy.telemetry.folder_lock import locked
+from deploy.telemetry.recorder import check_folder
 from eval.attack.archive import Archive, Found
 from eval.attack.arena import Setting, find_mode
 from eval.attack.candidate import Case
@@ -134,7 +135,10 @@ def soak_attack(
 def _check_folder(out: Path) -> None:
     """Refuse a folder in which something is in the way, or whose cases are of no earlier attack."""
     check_report_folder(out, (REPORT,))
-    if (out / CASES).exists() and not (out / REPORT).exists():
+    if not (out / CASES).exists():
+        return
+    check_folder(out / CASES)
+    if not (out / REPORT).exists():
         raise ConfigError(
             f"--out {out}: found {CASES}/ without {REPORT}, expected a folder of an attack, or a new one"
         )
@@ -184,12 +188,12 @@ def _write_bundles(found: dict[str, Found], pool: Workers, out: Path, console: C
 def _write(report: AttackReport, cases: Sequence[Case], out: Path) -> None:
     """Write report and cases, and print the table."""
     report.write(out)
-    for old in (out / CASES).glob("*.json"):
-        if old.is_file() and old.stem.endswith(tuple(f"-{name}" for name in NAMES)):
-            old.unlink()
     options = f"{'-faults' if report.faults else ''}{'-gains' if report.gains else ''}"
+    paths = {name: out / CASES / f"{report.robot}-{report.mode}{options}-{name}.json" for name in NAMES}
+    for old in paths.values():
+        old.unlink(missing_ok=True)
     for case in cases:
-        case.write(out / CASES / f"{report.robot}-{report.mode}{options}-{case.monitor}.json")
+        case.write(paths[case.monitor])
     console = Console(width=160)
     console.print(table(report))
     console.print(f"{_verdict(report)}\nreport: {out / REPORT}", soft_wrap=True, highlight=False)

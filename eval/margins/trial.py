@@ -35,7 +35,7 @@ AIMED = WIDTH // 2
 TOOL_EVERY = 4
 """One of so many of them is pushed along the motion of its tool, the others along that of a joint."""
 NEVER_S = 1e9
-"""s."""
+"""s, a pause that no trial reaches."""
 
 
 class Trial(NamedTuple):

@@ -83,7 +83,7 @@ SAFETY = (
         Situation(
             description="planner 30 % too fast, with low acceleration",
             policy=TO_AND_FRO,
-            prepare=scale_planner_limits(qd_max=1.3, qdd_max=0.3),
+            prepare=scale_planner_limits(qd_max=1.5, qdd_max=0.3),
             seconds=4.5,
         ),
     ),
@@ -180,7 +180,7 @@ SAFETY = (
             policy=push_joints(0.3, SEED),
             prepare=in_sequence(
                 ignore_reasons(Reason.VELOCITY | Reason.ACCELERATION),
-                scale_limits_while_following(qd_max=1.25, qdd_max=2.5),
+                scale_limits_while_following(qd_max=1.3, qdd_max=2.5),
             ),
             seconds=20.0,
         ),
@@ -213,8 +213,8 @@ SENT = (
         monitor="position_hard",
     ),
     Mutant(
-        guard="planner: speed × 1.3",
-        remove_guard=scale_planner_limits(qd_max=1.3),
+        guard="planner: speed × 1.5",
+        remove_guard=scale_planner_limits(qd_max=1.5),
         situation=Situation(
             description="a joint moves as fast as allowed; velocity check off",
             policy=TO_AND_FRO,

@@ -11,7 +11,7 @@ from deploy.policy.compatibility import check_contract, mode_misfit, task_misfit
 from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import ONE_LEG, SINES_FIRST, Numbers, Term
-from deploy.policy.contract_term import Count as Size
+from deploy.policy.contract_term import Count as LayerWidth
 from deploy.sources.maximum import Scale
 from deploy.sources.source import GaitLayout
 from deploy.sources.templates import observation_sources, physical_maxima
@@ -31,7 +31,7 @@ Penalty = Annotated[float, Field(ge=-WEIGHT_MAX, le=0)]
 Count = Annotated[int, Field(ge=1, le=1 << 16)]
 """Number of robots, goals or steps: far more than a training can use."""
 Share = Annotated[float, Field(gt=0, le=1)]
-WEIGHTS_MAX = 1 << 24
+HIDDEN_WEIGHTS_MAX = 1 << 24
 """Weights between hidden layers: with as many for the largest observation, half of the largest policy file."""
 ObservationChoice = str | Annotated[tuple[str, ...], Field(min_length=1)]
 """Name of a template, or sources in order."""
@@ -154,8 +154,8 @@ class LearnerStage(Strict):
 
 
 def _bounded(hidden: tuple[int, ...]) -> tuple[int, ...]:
-    if (weights := sum(a * b for a, b in pairwise(hidden))) > WEIGHTS_MAX:
-        raise ValueError(f"{weights} weights between layers, expected at most {WEIGHTS_MAX}")
+    if (weights := sum(a * b for a, b in pairwise(hidden))) > HIDDEN_WEIGHTS_MAX:
+        raise ValueError(f"{weights} weights between layers, expected at most {HIDDEN_WEIGHTS_MAX}")
     return hidden
 
 
@@ -164,7 +164,7 @@ class Learner(Strict):
 
     stages: Annotated[tuple[LearnerStage, ...], Field(min_length=1)]
     num_steps_per_env: Count
-    hidden: Annotated[tuple[Size, ...], Field(min_length=1, max_length=16), AfterValidator(_bounded)]
+    hidden: Annotated[tuple[LayerWidth, ...], Field(min_length=1, max_length=16), AfterValidator(_bounded)]
     init_std: Positive
     gamma: Share
     lam: Share

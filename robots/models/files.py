@@ -18,7 +18,7 @@ DEPTH_MAX = 200
 FILES_MAX, FILES_BYTES_MAX = 1000, 1 << 30
 """Number and total size of the files that a model refers to."""
 PACKAGE = "package://"
-NOT_WRITTEN_OUT = ("include", "model", "attach", "replicate", "composite", "flexcomp")
+GENERATED_OR_EXTERNAL = ("include", "model", "attach", "replicate", "composite", "flexcomp")
 """Elements of MJCF whose parts come from another file, or are made when MuJoCo reads it: Pinocchio knows none."""
 
 
@@ -109,7 +109,7 @@ def _named_by_mjcf(
 ) -> list[tuple[ElementTree.Element, str, list[Path]]]:
     """Return elements that name files, the attribute that does, and the files on disk."""
     for element in root.iter():
-        if element.tag in NOT_WRITTEN_OUT:
+        if element.tag in GENERATED_OR_EXTERNAL:
             raise RobotError(
                 f"{model}: {element.tag}: found {' '.join(element.attrib.values())!r:.80}, expected a model in one"
                 " file, all parts written out: Pinocchio reads no other"

@@ -149,15 +149,25 @@ def test_files_of_others_stay(call, tmp_path, monkeypatch):
     monkeypatch.setattr(command, "workers", planted_workers("planar3"))
     cases = tmp_path / "cases"
     cases.mkdir()
-    (cases / "planar3-position-velocity.json").write_text("{}")
+    own, other = cases / "planar3-position-velocity.json", cases / "arm6-position-velocity.json"
+    own.write_text("{}")
     code, _, error = attack(call, tmp_path)
-    assert (code, (cases / "planar3-position-velocity.json").read_text()) == (2, "{}")
+    assert (code, own.read_text()) == (2, "{}")
     assert "found cases/ without attack.json, expected a folder of an attack, or a new one" in error
     (tmp_path / "attack.json").touch()
-    (cases / "mine.json").touch()
+    other.touch()
     assert attack(call, tmp_path)[0] == PASSED
-    assert (cases / "planar3-position-velocity.json").read_text() != "{}"
-    assert (cases / "mine.json").exists()
+    assert own.read_text() != "{}"
+    assert other.exists()
+
+
+def test_a_file_in_the_place_of_the_cases_is_named_before_the_search(call, tmp_path):
+    (tmp_path / "cases").touch()
+    code, _, error = attack(call, tmp_path)
+    assert (code, error) == (
+        2,
+        f"error: --out {tmp_path / 'cases'}: cannot be written: File exists, expected a folder\n",
+    )
 
 
 @pytest.mark.slow
