@@ -102,10 +102,10 @@ SAFETY = (
         guard="safety: the further increase of speed during a stop is not checked",
         remove_guard=ignore_speed_overshoot,
         situation=Situation(
-            description="NaN actions while a planner with four times the jerk and 1.8 of the acceleration, unchecked",
-            policy=nan_after(0.4, wrist_3=2.8),
+            description="NaN actions while a planner with four times the jerk and three times the acceleration, unchecked",
+            policy=nan_after(0.34, wrist_3=2.8),
             prepare=in_sequence(
-                ignore_reasons(Reason.ACCELERATION), scale_limits_while_following(qdd_max=1.8, qddd_max=4.0)
+                ignore_reasons(Reason.ACCELERATION), scale_limits_while_following(qdd_max=3.0, qddd_max=4.0)
             ),
             seconds=1.0,
         ),
