@@ -7,7 +7,7 @@ lets go have to be stiff at once: this is for robots on a fixed base.
 
 import numpy as np
 
-from deploy.masks import all_true
+from deploy.masks import any_true
 from deploy.state import DriveMode
 from robots.arrays import Ints
 
@@ -17,7 +17,7 @@ FIRST_SHARE, RISE_S = 0.25, 0.1
 
 def soft_start(drive: DriveMode, ticks: Ints, dt: float) -> DriveMode:
     """Return drives whose stiffness is still rising `ticks` (B,) of dt s after robots were armed."""
-    share = FIRST_SHARE + (1.0 - FIRST_SHARE) / RISE_S * dt * ticks
-    if all_true(share >= 1.0):
+    if not any_true(ticks < RISE_S / dt):
         return drive
+    share = FIRST_SHARE + (1.0 - FIRST_SHARE) / RISE_S * dt * ticks
     return drive._replace(kp=drive.kp * np.minimum(share, 1.0)[:, None])

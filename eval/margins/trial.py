@@ -105,18 +105,18 @@ def draw_robots(spec: RobotSpec, seed: int, *, corners: bool) -> Draw:
         if corners and not name.startswith((*DRAWN, *DISTURBED))
     }
     both = {name: np.concatenate((values[:AIMED], thrown[name])) for name, values in loaded.items()}
-    for name in DISTURBED[1:]:
+    for name in ("payload.carried_s", "payload.free_s"):
         both[name] = loaded[name]
     return Draw(both).replaced(extreme)
 
 
 def _thrown_robots(distributions: Distributions, spec: RobotSpec, seed: int) -> Draw:
     robots = draw(distributions, spec, [robot_seed(seed, robot) for robot in range(CHOICE * WIDTH)])
-    most = np.argsort(-throw(robots).max(axis=1), kind="stable")[: WIDTH - AIMED]
-    return robots.rows(most).replaced({DISTURBED[0]: NEVER_S})
+    most = np.argsort(-throw_index(robots).max(axis=1), kind="stable")[: WIDTH - AIMED]
+    return robots.rows(most).replaced({"push.every_s": NEVER_S})
 
 
-def throw(robots: Draw) -> Floats:
+def throw_index(robots: Draw) -> Floats:
     """Return (B, n) for comparing robots: what the square of a link's speed grows with while it crosses its play."""
     play = robots["joints.backlash_rad"] + LIVES * robots["wear.backlash_rad"]
     return np.asarray(robots["push.force_n"][:, None] * play / robots["links.mass"])
@@ -124,8 +124,8 @@ def throw(robots: Draw) -> Floats:
 
 def aims(spec: RobotSpec, robots: Draw) -> Ints:
     """Return (WIDTH,) aims of `AimedPushes`: the joint whose link a push throws most, or a tool that has a limit."""
-    aims = throw(robots).argmax(axis=1)
+    found = throw_index(robots).argmax(axis=1)
     if spec.workspace:
-        aims[AIMED::TOOL_EVERY] = spec.n
-    aims[:AIMED] = NOBODY
-    return aims
+        found[AIMED::TOOL_EVERY] = spec.n
+    found[:AIMED] = NOBODY
+    return found

@@ -10,7 +10,7 @@ from deploy.policy.actor import Actor
 from eval.attack.arena import Setting
 from eval.attack.loaded_robots import DISTURBED, extra_load
 from eval.margins.aimed_pushes import NOBODY
-from eval.margins.trial import AIMED, TOOL_EVERY, Trial, aims, draw_robots, make_shard, run, throw
+from eval.margins.trial import AIMED, TOOL_EVERY, Trial, aims, draw_robots, make_shard, run, throw_index
 from eval.shard.job import WIDTH
 from robots.distributions import load_distributions
 from robots.draws import Draw
@@ -57,7 +57,7 @@ def test_of_the_first_half_every_second_robot_is_one_of_those_with_the_most_load
 
 def test_robots_of_the_other_half_are_those_that_a_push_throws_most_and_aims_are_their_joints():
     robots = draw_robots(PLANAR, 5, corners=False)
-    thrown = throw(robots)
+    thrown = throw_index(robots)
     assert thrown[AIMED:].max(axis=1).min() > np.median(thrown[:AIMED].max(axis=1))
     assert (robots["push.every_s"][AIMED:] > 1e6).all()
     chosen = aims(PLANAR, robots)
@@ -74,7 +74,7 @@ def test_a_push_throws_a_light_link_with_much_play_fastest():
         "wear.backlash_rad": np.array([[0.0, 1e-3], [0.0, 1e-3]]),
         "links.mass": np.array([[1.0, 1.0], [1.0, 0.5]]),
     }
-    np.testing.assert_allclose(throw(robots), [[4e-3, 16e-3], [8e-3, 64e-3]])
+    np.testing.assert_allclose(throw_index(robots), [[4e-3, 16e-3], [8e-3, 64e-3]])
 
 
 def test_robots_of_the_other_half_are_pushed(monkeypatch):
