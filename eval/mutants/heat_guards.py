@@ -16,6 +16,7 @@ from eval.mutants.guard_removal import (
     remove_foldback,
     remove_heat_margin,
     scale_limits_while_following,
+    scale_planner_limits,
 )
 from eval.mutants.situation import Mutant, Situation, check_off
 
@@ -60,7 +61,7 @@ HEAT_GUARDS = (
             policy=SWING,
             prepare=in_sequence(
                 ignore_reasons(Reason.HEAT | Reason.ACCELERATION | Reason.TORQUE),
-                scale_limits_while_following(qdd_max=4.0),
+                scale_planner_limits(qdd_max=4.0),  # the planner reads how much speed the foldback leaves
             ),
             draws=BURDEN,
             disturbance=hot_motors_at_start(86.8, 21.0),
