@@ -102,7 +102,7 @@ SAFETY = (
         guard="safety: the further increase of speed during a stop is not checked",
         remove_guard=ignore_speed_overshoot,
         situation=Situation(
-            description="NaN actions while a planner with four times the jerk and three times the acceleration, unchecked",
+            description="NaN actions; planner with four times the jerk and three times the acceleration, unchecked",
             policy=nan_after(0.34, wrist_3=2.8),
             prepare=in_sequence(
                 ignore_reasons(Reason.ACCELERATION), scale_limits_while_following(qdd_max=3.0, qddd_max=4.0)
@@ -176,7 +176,7 @@ SAFETY = (
         guard="safety: the moments while a stop brakes are not checked",
         remove_guard=skip_stop_checks("braking"),
         situation=Situation(
-            description="targets far to either side of all joints, by chance, three a second; faster planner, unchecked",
+            description="targets far to either side of all joints, drawn, three a second; faster planner, unchecked",
             policy=push_joints(0.3, SEED),
             prepare=in_sequence(
                 ignore_reasons(Reason.VELOCITY | Reason.ACCELERATION),

@@ -57,7 +57,7 @@ HEAT_GUARDS = (
         guard="heat: no foldback",
         remove_guard=remove_foldback,
         situation=Situation(
-            description="planner with four times the acceleration, unchecked, swings a hot arm with 4 kg; heat check off",
+            description="planner four times as fast, unchecked, swings a hot arm with 4 kg; no heat check",
             policy=SWING,
             prepare=in_sequence(
                 ignore_reasons(Reason.HEAT | Reason.ACCELERATION | Reason.TORQUE),
