@@ -1,6 +1,6 @@
 """Trial of a policy's step in a separate process, with bounds of time and memory, before a robot is armed.
 
-python -P -m deploy.policy.step_trial SOURCE < policy.onnx
+python -P -m deploy.policy.step_trial SOURCE LIFELINE < policy.onnx
 """
 
 import signal
@@ -12,6 +12,7 @@ import numpy as np
 
 from deploy.policy.inference import load_session
 from deploy.policy.onnx_graph import shortened
+from robots.child_process import Lifeline, end_with
 from robots.errors import ContractError
 from robots.resource_limits import limit_process
 
@@ -33,10 +34,12 @@ def check_step(data: bytes, period_s: float, source: str) -> None:
     Raises:
         ContractError: it takes longer, needs too much memory, crashes, or ONNX Runtime refuses it.
     """
-    child = [sys.executable, "-P", "-m", "deploy.policy.step_trial", source]
     bounds = f"{source}: cannot be tried within {CPU_S} s of a core and {MEMORY_GIB} GiB"
     try:
-        done = subprocess.run(child, input=data, capture_output=True, check=False)
+        with Lifeline() as lifeline:
+            end = lifeline.end.fileno()
+            child = [sys.executable, "-P", "-m", "deploy.policy.step_trial", source, str(end)]
+            done = subprocess.run(child, input=data, capture_output=True, check=False, pass_fds=(end,))
     except OSError as e:
         raise ContractError(f"{source}: no process to try it in: {e.strerror}") from e
     said, complaint = done.stdout.decode(), done.stderr.decode(errors="replace").strip()
@@ -70,8 +73,9 @@ def median_step_s(data: bytes, source: str) -> float:
     return float(np.median(times))
 
 
-def _main(source: str) -> int:
-    signal.alarm(WALL_S)  # even if the parent is gone
+def _main(source: str, lifeline: str) -> int:
+    end_with(int(lifeline))
+    signal.alarm(WALL_S)
     limit_process(CPU_S, MEMORY_GIB)
     try:
         print(median_step_s(sys.stdin.buffer.read(), source))

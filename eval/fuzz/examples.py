@@ -21,6 +21,8 @@ from eval.judge.monitors import MONITORS
 from eval.replay.event_capture import EventCapture
 from eval.shard.job import ShardJob
 from eval.shard.shard import Shard
+from eval.soak.configuration import SoakConfig
+from eval.statistics.budget import BUDGET
 from eval.statistics.per_draw_counts import PerDrawCounts
 from robots.distributions import load_distributions
 from robots.draws import draw
@@ -31,7 +33,7 @@ ARM = ROBOTS / "arm6"
 SEED, DRAWS = 7, 2
 PUSHES = {"force_n": (2000.0, 3000.0), "lasts_s": (0.1, 0.2), "every_s": (1.0, 1.1)}
 """Pushes that no robot withstands: they make events in the first seconds."""
-PUSHED_TICKS = 400
+PUSHED_TICKS, CHECKPOINT_TICKS = 400, 100
 
 
 def make_policy(folder: Path, spec: RobotSpec | None = None) -> Path:
@@ -91,6 +93,23 @@ def make_draws(folder: Path) -> None:
     distributions, seeds = load_distributions(spec), [robot_seed(SEED, robot) for robot in range(DRAWS)]
     text = draw(distributions, spec, seeds).to_json(SEED, distributions, spec)
     (folder / "draws.json").write_text(text, encoding="utf-8")
+
+
+def soak_config(folder: Path) -> SoakConfig:
+    """Return the soak whose checkpoint `make_checkpoint` writes; the policy's file must be in `folder`."""
+    spec, path = load_robot(ARM), folder / "policy.onnx"
+    extent: dict[str, Any] = {"hours": 0.001, "robots": DRAWS, "seed": SEED, "workers": 1}
+    return SoakConfig(spec=spec, policy=Policy.load(path, spec), policy_path=path, budget=BUDGET, **extent)
+
+
+def make_checkpoint(folder: Path) -> None:
+    """Soak arms for some seconds, and write the checkpoint of their shard."""
+    make_policy(folder)
+    config = soak_config(folder)
+    (job,) = config.jobs()
+    shard = Shard(job)
+    shard.run(lambda _: None, lambda: shard.runtime.ticks >= CHECKPOINT_TICKS)
+    config.checkpoint(0, folder).store(shard.save())
 
 
 def make_heat(folder: Path) -> None:

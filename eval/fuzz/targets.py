@@ -1,9 +1,13 @@
 """Readers of files of unknown origin on a computer without torch."""
 
 import hashlib
+import io
 import json
 import shutil
 from pathlib import Path
+
+import numpy as np
+from rich.console import Console
 
 from deploy.operation.temperature_file import CHARACTERS_MAX, Temperatures
 from deploy.policy.policy import Policy
@@ -12,8 +16,11 @@ from eval.fuzz.target import Target
 from eval.history.history import pool, read_history
 from eval.judge.limits import load_limits
 from eval.replay import bundle
+from eval.replay.bundle_files import state_digest
 from eval.replay.replayer import Replay
+from eval.soak.checkpoint import DIGEST, IDENTITY, SUFFIX
 from eval.soak.options import PROFILES, load_profile
+from eval.soak.workers import resumed_ticks
 from eval.statistics.budget import load_budget
 from robots.distributions import load_distributions
 from robots.draws import load_draw
@@ -61,7 +68,24 @@ def _read_profile(folder: Path) -> None:
     load_budget(folder / "budget.toml")
 
 
-def _seal(folder: Path) -> None:
+def _read_checkpoint(folder: Path) -> None:
+    resumed_ticks(examples.soak_config(folder), folder, Console(quiet=True))
+
+
+def _seal_checkpoint(folder: Path) -> None:
+    """Renew the digest of a checkpoint whose arrays can still be read."""
+    (path,) = folder.glob(f"*{SUFFIX}")
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        stored = {name: array for name, array in arrays.items() if name not in (IDENTITY, DIGEST)}
+        arrays[DIGEST] = np.array(state_digest(stored))
+    except Exception:  # noqa: BLE001 - mutated bytes can fail in any way
+        return
+    np.savez(path, **arrays)
+
+
+def _seal_bundle(folder: Path) -> None:
     """Renew the digests of a bundle whose list of files can still be read."""
     path = folder / "bundle" / bundle.INFO
     try:
@@ -87,5 +111,10 @@ TARGETS = {
     "heat": Target(make=examples.make_heat, read=_read_heat),
     "history": Target(make=examples.make_history, read=_read_history),
     "profile": Target(make=_make_profile, read=_read_profile),
-    "bundle": Target(make=examples.make_bundle, read=lambda folder: Replay(folder / "bundle"), seal=_seal),
+    "soak checkpoint": Target(
+        make=examples.make_checkpoint, read=_read_checkpoint, files=f"*{SUFFIX}", seal=_seal_checkpoint
+    ),
+    "bundle": Target(
+        make=examples.make_bundle, read=lambda folder: Replay(folder / "bundle"), seal=_seal_bundle
+    ),
 }

@@ -9,6 +9,7 @@ from onnx import helper, numpy_helper
 
 import deploy.operation.cli
 from deploy.policy.step_trial import check_step, median_step_s
+from robots.child_process import ENDED, Lifeline
 from robots.errors import ContractError
 from support.policies import policy_model, saved
 
@@ -64,8 +65,10 @@ LOWER = {
 def test_a_policy_beyond_the_bounds_of_the_trial_is_refused(monkeypatch, tmp_path, bound, ending):
     starter, run = tmp_path / "starter.py", subprocess.run
     lines = "import resource, sys", "from deploy.policy import step_trial", LOWER[bound]
-    starter.write_text("\n".join((*lines, "sys.exit(step_trial._main('x.onnx'))")))
-    monkeypatch.setattr(subprocess, "run", lambda child, **more: run([child[0], str(starter)], **more))
+    starter.write_text("\n".join((*lines, "sys.exit(step_trial._main(*sys.argv[1:]))")))
+    monkeypatch.setattr(
+        subprocess, "run", lambda child, **more: run([child[0], str(starter), *child[4:]], **more)
+    )
     with pytest.raises(ContractError, match=rf"^x\.onnx: {ending}"):
         check_step(slow().SerializeToString(), 0.02, "x.onnx")
 
@@ -73,3 +76,12 @@ def test_a_policy_beyond_the_bounds_of_the_trial_is_refused(monkeypatch, tmp_pat
 def test_what_the_trial_refuses_is_said_in_its_words():
     with pytest.raises(ContractError, match=r"^x\.onnx: not an ONNX file: its 4 bytes cannot be decoded$"):
         check_step(b"text", 0.02, "x.onnx")
+
+
+def test_the_trial_ends_with_its_parent():
+    lifeline = Lifeline()
+    lifeline.cut()
+    end = lifeline.end.fileno()
+    command = [sys.executable, "-P", "-m", "deploy.policy.step_trial", "x.onnx", str(end)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=(end,)) as child:
+        assert child.wait(60.0) == ENDED  # it still waits for the policy
