@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from deploy.backends.backend import Robot
 from deploy.estimation.capabilities import CapabilityEstimators
 from deploy.estimation.estimator import Estimator
+from deploy.estimation.resting_angles import RestingAngles
 from deploy.estimation.tool_kinematics import ToolKinematics
 from deploy.masks import all_true, any_true
 from deploy.motion.drive_law import SpringDrives, drive_law
@@ -31,6 +32,7 @@ from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.capabilities import required
 from robots.models.fleet import Fleet
 from robots.motors.control_mode import ControlMode
+from robots.motors.drive_gains import drive_gains
 from robots.spec import RobotSpec
 
 _NOT_FINITE, _MOVING, _REPEATED = (
@@ -53,7 +55,7 @@ class Runtime(Stage):
 
     carried = ("requested_stop", "ticks_since_arming")
     parts = (
-        *("estimator", "action", "smoother", "supervisor", "task", "observation"),
+        *("estimator", "resting", "action", "smoother", "supervisor", "task", "observation"),
         *("capabilities", "prepared_stop", "escalation"),
     )
 
@@ -88,6 +90,7 @@ class Runtime(Stage):
         self.law = law = drive_law(spec, mode, gains, fleet)
         self.springs = law if isinstance(law, SpringDrives) else None
         self.estimator = Estimator(spec, robots, springs=gains if self.springs else None)
+        self.resting = RestingAngles(spec, robots)
         self.capabilities = CapabilityEstimators(spec, robots)
         self.safety = Safety(spec, fleet, law, mode=mode)
         self.action = Action(contract.action, self.drives.policy)
@@ -99,7 +102,7 @@ class Runtime(Stage):
         readers = {term.source: sources[term.source].reader(self) for term in contract.observation}
         self.observation = Observation(contract, readers, robots)
         self.requested_stop, self.ticks_since_arming = np.zeros((2, robots), dtype=np.int64)
-        self._zeros = np.zeros((robots, spec.n))
+        self._zeros, self._own_kp = np.zeros((robots, spec.n)), drive_gains(spec).kp
         if policy is not None:
             policy.resize(robots)
 
@@ -160,12 +163,14 @@ class Runtime(Stage):
         self.sample = sample = self.robot.read()
         state = self.estimator.step(t, sample, self.smoother.sent)
         self.state = self.capabilities.step(t, sample, state, due)
+        if any_true(off := ~self.supervisor.powered):
+            moving = self.estimator.moving.any(axis=1)
+            self.resting.step(self.state.q, off & ~moving & np.isfinite(self.state.age))
         self.task.observe(self, sample, due)
         if not due:
             return None
-        off = ~self.supervisor.powered
         if any_true(off):  # the target of a robot without power follows its joints
-            self.action.reset(off, self._target_without_power)
+            self.action.reset(off, self._target_at_rest(self.state.q))
         return self.observation.step()
 
     def act(self, action: Floats | Float32s | None) -> None:
@@ -221,11 +226,9 @@ class Runtime(Stage):
         self.smoother.hold(unplanned, self.smoother.q)
         return select(~unplanned, planned, self.smoother.sent)
 
-    @property
-    def _target_without_power(self) -> Floats:
-        """(B, n) target of robots without power: angles follow the joints, speeds and torques are 0."""
-        angles = self.contract.action.control_mode is ControlMode.POSITION
-        return self.state.q if angles else self._zeros
+    def _target_at_rest(self, q: Floats) -> Floats:
+        """Return the target (B, n) of robots that rest at q (B, n) rad: these angles, or speeds and torques of 0."""
+        return q if self.contract.action.control_mode is ControlMode.POSITION else self._zeros
 
     def _send(self, setpoint: Setpoint, tau: Floats, running: Bools) -> None:
         tau = self.law.limited(tau)
@@ -239,7 +242,9 @@ class Runtime(Stage):
         if self.law.current_share < 1.0:
             share = np.minimum(share, self.law.current_share)
         drive = required(setpoint.drive)
-        sent = drive if self.spec.base else soft_start(drive, self.ticks_since_arming, self.spec.dt)
+        sent = drive
+        if not self.spec.base:
+            sent = soft_start(drive, self._own_kp, self.ticks_since_arming, self.spec.dt)
         self.command = Command(sent, setpoint.q, qd, feed_forward, powered, share)
         self.estimator.external_torque.command(tau, powered)
         self.robot.write(self.command)
@@ -251,11 +256,13 @@ class Runtime(Stage):
     def arm(self, ids: Bools) -> Ints:
         """Power robots where `ids` holds, drives are off, joints rest and every check passes.
 
+        Setpoints begin at the mean of the estimates since the joints came to rest, of the last half second at most.
+
         Returns:
             (B,) reasons of those that were refused, 0 elsewhere.
         """
         ids = ids & ~self.supervisor.powered
-        here = Setpoint(q=self.state.q, qd=np.zeros_like(self.state.q), qdd=np.zeros_like(self.state.q))
+        here = Setpoint(self.resting.q.copy(), *np.zeros((2, *self._zeros.shape)))
         # At rest a stop is the pose itself.
         stop = Stop(here, q=np.stack((here.q, here.q)), qd=np.stack((here.qd, here.qd)), q_rest=here.q)
         self.verdict = self.safety.step(self.state, here, here, stop)
@@ -263,12 +270,13 @@ class Runtime(Stage):
         reason[ids & self.estimator.moving.any(axis=1)] |= _MOVING
         self.requested_stop[ids], self.ticks_since_arming[ids] = 0, 0
         granted = ids & (reason == 0)
+        self.resting.ticks[granted] = 0
         self.supervisor.arm(granted)
         self.escalation.reset(granted)
         self.estimator.follow(granted, self.smoother.sent, here)
-        self.smoother.hold(granted, self.state.q)
+        self.smoother.hold(granted, here.q)
         self.prepared_stop.rest(granted, here)
-        self.action.reset(granted, self._target_without_power)
+        self.action.reset(granted, self._target_at_rest(here.q))
         self.task.arm(granted)
         self._reset_policy(granted)
         return reason
@@ -285,6 +293,7 @@ class Runtime(Stage):
         """Reset and disarm robots where `ids` (B,) holds, which their backend has moved."""
         self.smoother.hold(ids, self.smoother.q)
         self.estimator.reset(ids, self.smoother.sent)
+        self.resting.ticks[ids] = 0
         self.capabilities.reset(ids)
         self.observation.reset(ids)
         self._reset_policy(ids)

@@ -13,8 +13,8 @@ from deploy.reasons import LATCHING, Reason
 from deploy.runtime import Runtime
 from deploy.telemetry.recorder import Recorder
 
-ARM_WITHIN_S = 1.0
-"""Robot time within which all checks before arming must pass."""
+ARM_AFTER_S, ARM_WITHIN_S = 0.2, 1.0
+"""Robot time in which estimates are averaged before a robot is armed, and within which all checks must pass."""
 STOP_SLACK_S = 4.0
 """Robot time that a controlled stop may take beyond the longest planned one."""
 
@@ -96,9 +96,11 @@ class RobotRun:
 
     def _armed(self) -> bool:
         """Tick with brakes on until every check passes, or give up."""
-        t_last = self.runtime.t + ARM_WITHIN_S
+        t_first, t_last = self.runtime.t + ARM_AFTER_S, self.runtime.t + ARM_WITHIN_S
         while not self._interrupts.count:
             self._tick()
+            if self.runtime.t < t_first:
+                continue
             refused = self.runtime.arm(self._all)
             if not refused.any():
                 self._t_end = self.runtime.t + self._duration

@@ -16,10 +16,20 @@ RISE = round(RISE_S / SPEC.dt)
 def test_stiffness_rises_and_damping_does_not():
     ticks = np.array([0, RISE // 2, RISE, 10 * RISE])
     drive = DriveMode(np.zeros(4, dtype=np.int64), np.full((4, 2), 8.0), np.full((4, 2), 3.0))
-    soft = soft_start(drive, ticks, SPEC.dt)
-    np.testing.assert_allclose(soft.kp[:, 0], [8.0 * FIRST_SHARE, 4.0 * (1.0 + FIRST_SHARE), 8.0, 8.0])
+    own = np.array([8.0, 4.0])  # what a contract makes stiffer rises in the same time
+    soft = soft_start(drive, own, ticks, SPEC.dt)
+    rising = [8.0 * FIRST_SHARE, 4.0 * (1.0 + FIRST_SHARE), 8.0, 8.0]
+    np.testing.assert_allclose(soft.kp, np.column_stack((rising, rising)))
     assert soft.kd is drive.kd
-    assert soft_start(drive, ticks[2:].repeat(2), SPEC.dt) is drive
+    assert soft_start(drive, own, ticks[2:].repeat(2), SPEC.dt) is drive
+
+
+def test_drives_that_a_contract_makes_softer_rise_as_fast_as_the_robots_own():
+    """At a fifth of their own stiffness they would sag five times as far while they rise."""
+    drive = DriveMode(np.zeros(3, dtype=np.int64), np.full((3, 2), [5.0, 0.0]), np.full((3, 2), 3.0))
+    soft = soft_start(drive, np.array([10.0, 10.0]), np.array([0, RISE // 2, RISE - 1]), SPEC.dt)
+    np.testing.assert_allclose(soft.kp[:, 0], [10.0 * FIRST_SHARE, 5.0, 5.0])
+    np.testing.assert_array_equal(soft.kp[:, 1], 0.0)  # of a drive that holds no angle
 
 
 def test_an_armed_robot_becomes_stiff_once():
