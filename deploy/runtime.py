@@ -164,8 +164,8 @@ class Runtime(Stage):
         state = self.estimator.step(t, sample, self.smoother.sent)
         self.state = self.capabilities.step(t, sample, state, due)
         if any_true(off := ~self.supervisor.powered):
-            moving = self.estimator.moving.any(axis=1)
-            self.resting.step(self.state.q, off & ~moving & np.isfinite(self.state.age))
+            moving = self.estimator.moving.any(axis=1) | np.isinf(state.age)
+            self.resting.step(state.q, state.q_var, off & ~moving)
         self.task.observe(self, sample, due)
         if not due:
             return None
