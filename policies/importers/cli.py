@@ -1,5 +1,6 @@
 """Command policy-import: convert a policy of another library to one ONNX file with its contract."""
 
+import os
 import time
 from dataclasses import dataclass, replace
 from functools import partial
@@ -68,14 +69,16 @@ def import_policy(
     Raises:
         ContractError: a file is invalid, or the ONNX file computes other actions than the reference.
         RobotError: the robot is unknown or unreadable.
-        OutputError: `out_path` cannot be written, or is a file that is read: an argument, or one of the robot.
+        OutputError: `out_path` cannot be written, or is a file that is read: an argument, one that it names, or one of
+            the robot.
     """
     draft = read_draft(draft_path)
     spec = load_robot(robot or draft.robot)
     # Errors in the robot's folder are reported now, not when the policy is run.
     Fleet(spec, 1, collisions=True)
-    check_no_input(out_path, (path, draft_path, *(spec.folder / name for name in robot_files(spec))))
     reference = read_policy(path, draft.network)
+    robot_paths = (spec.folder / name for name in robot_files(spec))
+    check_no_input(out_path, (path, draft_path, *reference.files, *robot_paths))
     built = build_contract(draft, reference, spec, str(draft_path))
     runs, golden = record_reference(reference, built.columns, built.joints), _golden(reference, built)
     model = to_standard_graph(reference, built.columns.tolist(), built.joints.tolist())
@@ -102,7 +105,7 @@ def write_template(
         robot: name or folder, if known.
         descriptor: YAML of Isaac Lab's I/O descriptors, for values that the policy's file does not have.
     """
-    if draft_path.exists():
+    if os.path.exists(draft_path):
         raise ContractError(f"{draft_path}: exists already, expected another path, or remove it first")
     try:
         facts = read_policy(path, NetworkSettings()).facts
@@ -113,7 +116,7 @@ def write_template(
     if robot is not None:
         facts = _merge_robot(facts, load_robot(robot))
     text, open_count = render_template(facts, path.name)
-    with replacing(draft_path) as written:
+    with replacing(draft_path, "--contract") as written:
         written.write_text(text, encoding="utf-8")
     return facts, open_count
 

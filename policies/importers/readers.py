@@ -6,6 +6,7 @@ ContractError naming the file, the part, what was found and what was expected.
 
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
@@ -64,7 +65,8 @@ def read_policy(path: Path, network: NetworkSettings) -> ReferencePolicy:
     if not zipfile.is_zipfile(BytesIO(data)):
         if data.startswith(ZIP):
             raise ContractError(f"{path}: found a truncated archive, expected the whole file")
-        return read_onnx(load_onnx(path), str(path))
+        model, files = load_onnx(path)
+        return replace(read_onnx(model, str(path)), files=files)
     archive = Archive(path, data)
     reader = next(reader for matches, reader in ARCHIVES if matches(archive))
     policy: ReferencePolicy = resolve_name(f"policies.importers.{reader}")(path, network)

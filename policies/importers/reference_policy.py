@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -76,6 +77,7 @@ class ReferencePolicy:
         batched: True if the graph takes any batch, False if only one robot.
         run: the original policy, for one robot.
         mean, deviation: (N,) statistics of the observations in training; None if unknown.
+        files: that were read besides the policy's own: external weights, a normalizer.
     """
 
     facts: PolicyFacts
@@ -87,6 +89,7 @@ class ReferencePolicy:
     run: RunSequence
     mean: tuple[float, ...] | None = None
     deviation: tuple[float, ...] | None = None
+    files: tuple[Path, ...] = ()
 
     @property
     def memory_size(self) -> int:

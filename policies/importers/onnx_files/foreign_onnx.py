@@ -1,5 +1,6 @@
 """Reader of ONNX files of other libraries: finds observation, action and memory, and tests for a batch axis."""
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -27,16 +28,22 @@ MEMORIES = {"h_in": "h_out", "c_in": "c_out", "state_ins": "state_outs"}
 EXPECTED = "expected ONNX"
 
 
-def load_onnx(path: Path) -> ModelProto:
-    """Read a graph, with weights from external files in the same folder; refuse forbidden operators."""
+def load_onnx(path: Path) -> tuple[ModelProto, tuple[Path, ...]]:
+    """Read a graph and its external weights, refuse forbidden operators; return the files of the weights as well.
+
+    They are in the same folder.
+    """
     model, budget = decode(read_bytes(path, EXPECTED), str(path)), BYTES_MAX
+    files = set()
     for graph in graphs(model):
         for tensor in tensors(graph):
             if tensor.data_location == TensorProto.EXTERNAL:
-                budget -= _embed_external_data(tensor, path, budget)
+                weights_path, size = _embed_external_data(tensor, path, budget)
+                files.add(weights_path)
+                budget -= size
     _remove_unused_opsets(model)
     check_model(model, str(path))
-    return model
+    return model, tuple(sorted(files))
 
 
 def _remove_unused_opsets(model: ModelProto) -> None:
@@ -47,15 +54,15 @@ def _remove_unused_opsets(model: ModelProto) -> None:
     model.opset_import.extend(kept)
 
 
-def _embed_external_data(tensor: TensorProto, path: Path, budget: int) -> int:
-    """Copy external data into the tensor, at most `budget` bytes; return their number.
+def _embed_external_data(tensor: TensorProto, path: Path, budget: int) -> tuple[Path, int]:
+    """Copy external data into the tensor, at most `budget` bytes; return their file and number.
 
     The budget is for all tensors: several may refer to the same bytes.
     """
     source, entries = f"{path}: tensor {tensor.name!r:.100}", {e.key: e.value for e in tensor.external_data}
     location = str(entries.get("location", ""))
     weights_path = path.parent / location
-    if location != Path(location).name or weights_path.is_symlink() or not weights_path.is_file():
+    if location != Path(location).name or os.path.islink(weights_path) or not os.path.isfile(weights_path):
         found = f"found its weights in {location!r:.100}"
         raise ContractError(f"{source}: {found}, expected a file beside {path.name}")
     try:
@@ -72,7 +79,7 @@ def _embed_external_data(tensor: TensorProto, path: Path, budget: int) -> int:
     tensor.raw_data = data
     tensor.data_location = TensorProto.DEFAULT
     del tensor.external_data[:]
-    return size
+    return weights_path, size
 
 
 def read_onnx(model: ModelProto, source: str) -> ReferencePolicy:

@@ -89,12 +89,13 @@ def read_stable_baselines(path: Path, network: NetworkSettings) -> ReferencePoli
     facts = PolicyFacts(kind=family.kind, observations=sizes[0], actions=sizes[1], known=known)
     activation = require_settings(facts, source, found, network.normalizer)
     mlp = build_mlp(layers, activation, *([nn.Tanh()] if family.squashed else []))
-    if (normalizer := _normalizer(network.normalizer_path(path), sizes[0])) is None:
-        return trace_module(mlp, sizes[0], source, kind=family.kind, known=known)
+    file = network.normalizer_path(path)
+    fields: dict[str, Any] = {"known": known, "files": (file,) if file else ()}
+    if (normalizer := _normalizer(file, sizes[0])) is None:
+        return trace_module(mlp, sizes[0], source, kind=family.kind, **fields)
     first, kind = _Normalize(normalizer), f"{family.kind} with VecNormalize"
-    return trace_module(
-        nn.Sequential(first, mlp), sizes[0], source, kind=kind, known=known, **first.statistics
-    )
+    fields |= first.statistics
+    return trace_module(nn.Sequential(first, mlp), sizes[0], source, kind=kind, **fields)
 
 
 class _Normalize(Normalizer):

@@ -1,5 +1,6 @@
 """policy-import, from files that rsl_rl itself exported to a policy that the arm loads."""
 
+import os
 import re
 from pathlib import Path
 
@@ -13,7 +14,7 @@ tensordict = pytest.importorskip("tensordict")
 models = pytest.importorskip("rsl_rl.models")
 
 from deploy.policy.policy import Policy
-from policies.importers.cli import import_policy, policy_import
+from policies.importers.cli import cli, import_policy, policy_import
 from policies.importers.contract_draft import read_draft
 from robots.errors import ContractError, OutputError
 from support.arm6 import SPEC, copy_of_arm
@@ -86,13 +87,13 @@ def test_weights_outside_its_folder_are_refused(done, tmp_path):
         held = list(model.graph.initializer)[:1]
         onnx.external_data_helper.set_external_data(held[0], "x")
         held[0].data_location = onnx.TensorProto.EXTERNAL
-    for where in ("../secret", "/etc/passwd", "nowhere", ""):
+    for where in ("../secret", "/etc/passwd", "nowhere", "", "x" * 5000):
         for entry in held[0].external_data:
             entry.value = where if entry.key == "location" else entry.value
         (tmp_path / "bad.onnx").write_bytes(model.SerializeToString())
         (tmp_path / "contract.toml").write_text(CONTRACT)
         with pytest.raises(
-            ContractError, match=re.escape(f"found its weights in {where!r}, expected a file beside")
+            ContractError, match=re.escape(f"found its weights in {where!r:.100}, expected a file beside")
         ):
             import_policy(tmp_path / "bad.onnx", tmp_path / "contract.toml", tmp_path / "out.onnx")
     assert not (tmp_path / "out.onnx").exists()
@@ -123,3 +124,25 @@ def test_no_file_that_is_read_is_written_over(done, tmp_path):
         with pytest.raises(OutputError, match=f"--out {out}: found a file that is read"):
             import_policy(path, draft, out, robot)
         assert out.read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["weights.data", "hard_link"])
+def test_external_weights_are_not_written_over(done, tmp_path, name):
+    model = onnx.load(done[0])
+    onnx.save(
+        model, tmp_path / "ext.onnx", save_as_external_data=True, location="weights.data", size_threshold=0
+    )
+    weights, out, draft = tmp_path / "weights.data", tmp_path / name, done[0].parent / "contract.toml"
+    if name == "hard_link":
+        os.link(weights, out)
+    before = weights.read_bytes()
+    with pytest.raises(OutputError, match=f"--out {out}: found a file that is read, expected another place"):
+        import_policy(tmp_path / "ext.onnx", draft, out)
+    assert weights.read_bytes() == before
+    assert import_policy(tmp_path / "ext.onnx", draft, tmp_path / "out.onnx").deviation <= 1e-5
+
+
+def test_too_long_a_name_of_the_contract_is_one_line(call, done, tmp_path):
+    contract = tmp_path / f"{'x' * 300}.toml"
+    code, _, said = call(cli, done[0], "--template", "--contract", contract)
+    assert (code, said) == (2, f"error: --contract {contract}: cannot be written: File name too long\n")

@@ -281,3 +281,15 @@ def test_missing_or_mismatched_normalizer_is_refused(ppo, tmp_path):
     )
     kept(normalizing(lambda: Tiny((4,))), tmp_path)
     assert "vecnormalize.pkl: found 4 numbers, expected 5" in refused(path, NORMALIZED)
+
+
+@pytest.mark.parametrize("normalizes", [True, False])
+def test_the_file_of_the_normalizer_is_reported(ppo, tmp_path, normalizes):
+    """So that it is not written over; also if it says that observations are not normalized."""
+    path = tmp_path / "policy.zip"
+    path.write_bytes(ppo[2].read_bytes())
+    wrapped = normalizing(lambda: Tiny((5,)))
+    wrapped.norm_obs = normalizes
+    kept(wrapped, tmp_path)
+    assert read_stable_baselines(path, NORMALIZED).files == (tmp_path / "vecnormalize.pkl",)
+    assert read_stable_baselines(path, NONE).files == ()
