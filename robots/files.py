@@ -41,6 +41,17 @@ def read_file(
     return data
 
 
+def is_missing(path: Path) -> bool:
+    """Return True if there is certainly no file; False if its folder cannot be read: reading the file tells why."""
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return True
+    except OSError:
+        return False
+    return False
+
+
 def _open_without_waiting(path: str, flags: int) -> int:
     """Open a file that may have become a pipe since it was looked at."""
     return os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY)

@@ -1,6 +1,7 @@
 """deploy-run: drive one robot by a policy, or by hand, at a fixed rate, from arming to rest."""
 
 import math
+import os
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
@@ -98,7 +99,7 @@ def _by_hand(spec: RobotSpec, stack: ExitStack) -> Drive:
     Raises:
         ConfigError: a file has the name of the word, or there is no input.
     """
-    if Path(JOG).exists():
+    if os.path.exists(JOG):
         raise ConfigError(f"--policy {JOG}: found a file of that name, expected ./{JOG} for it, or none here")
     keyboard, slow = stack.enter_context(Keyboard()), reduced_speed(spec)
     actor = Jog(slow)

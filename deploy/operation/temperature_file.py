@@ -13,6 +13,7 @@ from deploy.estimation.winding_observer import WindingObserver
 from deploy.telemetry.output_files import replacing
 from robots.arrays import Floats
 from robots.errors import ConfigError
+from robots.files import is_missing
 from robots.spec import RobotSpec
 from robots.strict import Strict, parse, read_json_file
 
@@ -80,7 +81,7 @@ class TemperatureFile:
 
     def _read(self) -> Temperatures | None:
         source = f"--out {self._path}"
-        if not self._path.exists():
+        if is_missing(self._path):
             return None
         previous = parse(read_json_file(self._path, CHARACTERS_MAX, source), Temperatures, source=source)
         for name, expected in (("robot", self._robot), ("joints", self._joints)):

@@ -68,4 +68,4 @@ def _reason(error: OSError) -> str:
 
 def _is_current(file: IO[str], path: Path) -> bool:
     """Return True unless the owner before deleted the file after it was opened here: a third process has a new one."""
-    return path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat())
+    return os.path.exists(path) and os.path.samestat(os.fstat(file.fileno()), path.stat())

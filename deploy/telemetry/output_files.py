@@ -21,7 +21,7 @@ def replacing(path: Path, option: str = "--out") -> Iterator[Path]:
     partial = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
     try:
         _check_replaceable(path, option)
-        if not path.parent.exists():
+        if not os.path.exists(path.parent):
             path.parent.mkdir(parents=True)
         partial.open("xb").close()
         try:
@@ -45,9 +45,9 @@ def check_no_input(path: Path, inputs: Iterable[Path], option: str = "--out") ->
 
 
 def _check_replaceable(path: Path, option: str) -> None:
-    if path.exists() and not path.is_file():
+    if os.path.exists(path) and not os.path.isfile(path):
         raise OutputError(f"{option} {path}: found a folder or a device, expected a file or nothing")
-    if path.exists() and not os.access(path, os.W_OK):
+    if os.path.exists(path) and not os.access(path, os.W_OK):
         raise OutputError(
             f"{option} {path}: found a write-protected file, expected a writable one or nothing"
         )

@@ -1,5 +1,6 @@
 """soak-attack: search for the policy that brings each monitor closest to its limit."""
 
+import os
 import signal
 import time
 from collections.abc import Sequence
@@ -135,10 +136,10 @@ def soak_attack(
 def _check_folder(out: Path) -> None:
     """Refuse a folder in which something is in the way, or whose cases are of no earlier attack."""
     check_report_folder(out, (REPORT,))
-    if not (out / CASES).exists():
+    if not os.path.exists(out / CASES):
         return
     check_folder(out / CASES)
-    if not (out / REPORT).exists():
+    if not os.path.exists(out / REPORT):
         raise ConfigError(
             f"--out {out}: found {CASES}/ without {REPORT}, expected a folder of an attack, or a new one"
         )

@@ -1,6 +1,7 @@
 """Regression suite: cases that attacks have found, tried again."""
 
 from collections.abc import Iterator
+from glob import glob
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,7 +51,7 @@ def run_suite(folder: Path = SUITE) -> Iterator[Result]:
         ConfigError: there is none, or one of them is no case.
         ContractError: the drives cannot bear the gains of a case.
     """
-    cases = {path: read_case(path) for path in sorted(folder.glob("*.json"))}
+    cases = {folder / name: read_case(folder / name) for name in sorted(glob("*.json", root_dir=folder))}
     if not cases:
         raise ConfigError(f"{folder}: found no case, expected files *.json of soak-attack")
     for path, case in sorted(cases.items(), key=lambda each: _arena_of(each[1])):

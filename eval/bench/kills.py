@@ -76,7 +76,7 @@ class SoakProcess:
     def results(self) -> dict[str, object]:
         """Return the contents of its files by name, without times, and its exit code."""
         out = self.place / "soak"
-        files = {path.relative_to(out).as_posix(): path for path in out.rglob("*") if path.is_file()}
+        files = {path.relative_to(out).as_posix(): path for path in out.rglob("*") if os.path.isfile(path)}
         report = json.loads(files.pop("report.json").read_text(encoding="utf-8"))
         plain = {name: path.read_bytes() for name, path in files.items() if not name.startswith(WITH_TIMES)}
         return plain | report | {"run": None, "exit code": self.process.returncode}

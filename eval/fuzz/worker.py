@@ -1,5 +1,6 @@
 """Process that reads mutated files until its time is over; it may hang or crash."""
 
+import os
 import resource
 import shutil
 import signal
@@ -27,7 +28,7 @@ def make_case(target: Target, name: str, example: Path, folder: Path, *, seed: i
     rng = np.random.default_rng([seed, zlib.crc32(name.encode()), number])
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(example, folder)
-    files = sorted(path for path in folder.rglob(target.files) if path.is_file())
+    files = sorted(path for path in folder.rglob(target.files) if os.path.isfile(path))
     mutate_file(files[rng.integers(len(files))], rng)
     target.seal(folder)
 

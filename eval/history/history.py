@@ -1,7 +1,9 @@
 """History: a folder with a record of each finished soak, never overwritten; pooling and comparison of records."""
 
+import os
 from collections.abc import Iterator, Mapping
 from datetime import UTC
+from glob import glob
 from itertools import count
 from pathlib import Path
 
@@ -34,7 +36,7 @@ def add_record(record: SoakRecord, folder: Path) -> Path:
     Raises:
         OutputError: it cannot be written.
     """
-    path = next(place for place in _names(record, folder) if not place.exists())
+    path = next(place for place in _names(record, folder) if not os.path.exists(place))
     with replacing(path, option="--history") as file:
         file.write_text(
             record.model_dump_json(include={*SoakRecord.model_fields}, indent=1), encoding="utf-8"
@@ -49,14 +51,18 @@ def _names(record: SoakRecord, folder: Path) -> Iterator[Path]:
     yield from (folder / f"{name}-{number}{SUFFIX}" for number in count(2))
 
 
+def record_files(folder: Path) -> list[Path]:
+    """Return the files of records in `folder`, sorted; none if it cannot be read."""
+    return [folder / name for name in sorted(glob(f"*{SUFFIX}", root_dir=folder))]
+
+
 def read_history(folder: Path) -> dict[str, SoakRecord]:
     """Return the records in `folder` by file name, in the order of their start.
 
     Raises:
         ConfigError: a file cannot be read, was edited, or has another task than the first.
     """
-    files = sorted(path for path in folder.glob(f"*{SUFFIX}") if not path.name.startswith("."))
-    records = {str(path): read_record(path) for path in files}
+    records = {str(path): read_record(path) for path in record_files(folder)}
     by_time = dict(sorted(records.items(), key=lambda item: item[1].run.moment))
     if by_time:
         name, first = next(iter(by_time.items()))
@@ -80,7 +86,7 @@ def read_record(path: Path, report: type[SoakRecord] = SoakRecord) -> SoakRecord
     Raises:
         ConfigError: it cannot be read, was edited, or is of an interrupted soak.
     """
-    path = path / "report.json" if path.is_dir() else path
+    path = path / "report.json" if os.path.isdir(path) else path
     data = read_json_file(path, CHARACTERS_MAX)
     is_report = isinstance(data, dict) and "monitors" in data
     record = parse(data, report if is_report else SoakRecord, source=str(path))

@@ -5,6 +5,7 @@ shape before it is read, and nothing is executed except the policy's graph, by t
 """
 
 import hashlib
+import os
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
@@ -137,7 +138,7 @@ def identity(robot_digest: str, draws_digest: str, policy_digest: str) -> dict[s
 
 def seal(folder: Path, info: BundleInfo) -> None:
     """Write bundle.json with the digests of all files in `folder`."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file() and path != folder / INFO)
+    files = sorted(path for path in folder.rglob("*") if os.path.isfile(path) and path != folder / INFO)
     digests = {path.relative_to(folder).as_posix(): _digest(path.read_bytes()) for path in files}
     listed = info.model_copy(update={"files": digests})
     complete = listed.model_copy(update={"digest": listed.sealed()})

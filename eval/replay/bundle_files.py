@@ -85,7 +85,7 @@ def new_bundle(path: Path) -> Iterator[Path]:
         (partial / ROBOT).mkdir(parents=True)
         try:
             yield partial
-            if path.exists():
+            if os.path.exists(path):
                 _remove(path)
             partial.rename(path)
         finally:
@@ -116,7 +116,7 @@ def delete_bundles(folder: Path, *, finished: bool) -> None:
 
 def _remove(folder: Path) -> None:
     """Remove a folder, or a link to one."""
-    if folder.is_symlink():
+    if os.path.islink(folder):
         folder.unlink()
     else:
         shutil.rmtree(folder)

@@ -9,7 +9,7 @@ from rich.table import Column, Table
 
 from deploy.command_line import PASSED, main
 from deploy.telemetry.output_files import check_no_input, replacing
-from eval.history.history import SUFFIX, check_same_draws, read_history, read_record
+from eval.history.history import check_same_draws, read_history, read_record, record_files
 from eval.history.soak_record import SoakRecord
 from eval.report.html import interval_text, percent, render_history
 from eval.report.schema.report_data import Report
@@ -71,7 +71,7 @@ def trend(
         raise ConfigError(f"{folder}: found no records, expected some from soak-test --history")
     result, console = trend_of(records), Console()
     page = out or folder / "trend.html"
-    check_no_input(page, folder.glob(f"*{SUFFIX}"))
+    check_no_input(page, record_files(folder))
     with replacing(page) as file:
         task = next(iter(records.values())).settings.task
         file.write_text(render_history(result, task), encoding="utf-8")

@@ -1,5 +1,6 @@
 """Files of a report, junit.xml included: check the folder, write all files or none, delete them."""
 
+import os
 from collections.abc import Collection, Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -52,9 +53,9 @@ def check_report_folder(out: Path, extra: Collection[str] = ()) -> None:
     """
     check_writable(out)
     for name in (*FILES, *extra):
-        if (out / name).is_dir():
+        if os.path.isdir(out / name):
             raise OutputError(f"--out {out}: {name} is a folder, expected a file or nothing of that name")
-        if (out / name).parent.is_file():
+        if os.path.isfile((out / name).parent):
             place = (out / name).parent.name
             raise OutputError(f"--out {out}: {place} is a file, expected a folder or nothing of that name")
 

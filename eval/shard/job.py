@@ -1,6 +1,7 @@
 """Job of a shard: everything that decides its results, with the fingerprint of code, libraries and processor."""
 
 import hashlib
+import os
 import platform
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -54,7 +55,7 @@ def _digest(sources: tuple[tuple[str, str], ...]) -> str:
     digest = hashlib.sha256()
     for name, place in sources:
         folder = Path(place)
-        for file in sorted(folder.rglob("*.py")) if folder.is_dir() else [folder]:
+        for file in sorted(folder.rglob("*.py")) if os.path.isdir(folder) else [folder]:
             text = file.read_bytes()
             digest.update(f"{name}/{file.relative_to(folder).as_posix()} {len(text)}\n".encode())
             digest.update(text)

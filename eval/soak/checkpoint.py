@@ -15,7 +15,7 @@ from deploy.telemetry.output_files import replacing
 from eval.history.history import check_writable
 from eval.replay.bundle_files import state_digest
 from robots.errors import ConfigError, OutputError, printable
-from robots.files import read_file
+from robots.files import is_missing, read_file
 
 IDENTITY, DIGEST, SUFFIX = "identity", "digest", ".npz"
 BYTES_MAX, MEMBERS_MAX = 1 << 29, 10_000
@@ -58,11 +58,8 @@ class Checkpoint:
             ConfigError: the file is of another soak, or cannot be read.
             OutputError: a damaged file cannot be renamed.
         """
-        try:
-            if not self.path.exists():
-                return None
-        except OSError as e:
-            raise ConfigError(f"{self.path}: cannot be read: {e.strerror}") from e
+        if is_missing(self.path):
+            return None
         data = read_file(self.path, BYTES_MAX)
         try:
             identity, arrays = _unpack(data)
@@ -130,7 +127,7 @@ def delete_checkpoints(folder: Path) -> None:
         OutputError: they cannot be deleted.
     """
     _delete(folder.glob(f"*{SUFFIX}"))
-    if folder.exists() and not any(folder.iterdir()):
+    if os.path.isdir(folder) and not any(folder.iterdir()):
         folder.rmdir()
 
 

@@ -1,5 +1,6 @@
 """Disk space of a soak: an upper bound computed before it starts, and the check that it is free."""
 
+import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -127,7 +128,7 @@ def _copy_bytes(config: SoakConfig) -> int:
 
 
 def _folder_bytes(folder: Path) -> int:
-    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    return sum(file.stat().st_size for file in folder.rglob("*") if os.path.isfile(file))
 
 
 def _mb(size: float) -> str:

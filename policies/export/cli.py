@@ -1,5 +1,6 @@
 """Command policy-export: write one ONNX file with its contract, if ONNX Runtime agrees with torch."""
 
+import os
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -114,7 +115,7 @@ def find_checkpoint(policy: str) -> Path:
         ContractError: neither is there.
     """
     for path in (Path(policy), POLICIES / policy):
-        if path.is_file():
+        if os.path.isfile(path):
             return path
     known = ", ".join(sorted(path.name for path in POLICIES.glob("*.pt"))) or "none"
     raise ContractError(f"--policy {policy}: no such file, expected a path or one of policies/: {known}")

@@ -86,11 +86,14 @@ def package_of(model: Path) -> Path:
     Raises:
         RobotError: the path is no model.
     """
-    if not model.is_file() or model.suffix not in SUFFIXES:
-        found = "a folder" if model.is_dir() else "another kind of file" if model.is_file() else "no file"
+    is_file = os.path.isfile(model)
+    if not is_file or model.suffix not in SUFFIXES:
+        found = "a folder" if os.path.isdir(model) else "another kind of file" if is_file else "no file"
         raise RobotError(f"{model}: found {found}, expected a model: MJCF (.xml) or URDF (.urdf)")
     parents = model.resolve().parents
-    packages = [parent for parent in parents if (parent / "package.xml").is_file()] if is_urdf(model) else []
+    packages = (
+        [parent for parent in parents if os.path.isfile(parent / "package.xml")] if is_urdf(model) else []
+    )
     return packages[0] if packages else parents[0]
 
 

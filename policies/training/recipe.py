@@ -1,5 +1,6 @@
 """Training recipe, read strictly, and the contract that follows from it."""
 
+import os
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -215,7 +216,7 @@ def find_recipe(recipe: str) -> Path:
         ConfigError: neither is there.
     """
     for path in (Path(recipe), RECIPES / f"{recipe}.toml"):
-        if path.is_file():
+        if os.path.isfile(path):
             return path
     known = ", ".join(sorted(path.stem for path in RECIPES.glob("*.toml")))
     raise ConfigError(f"--recipe {recipe}: no such file, expected a path or one of policies/: {known}")

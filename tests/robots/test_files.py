@@ -1,14 +1,18 @@
 """Files of every kind that a file system has: only regular ones are opened."""
 
+import ast
+import errno
 import os
 import socket
+from pathlib import Path
 
 import pytest
 
 from robots.errors import ConfigError, RobotError
-from robots.files import read_file
+from robots.files import is_missing, read_file
 from robots.models.files import read_xml
 from robots.strict import Strict, read_json_file, read_toml
+from support.paths import ROOT
 
 
 def pipe(folder):
@@ -56,3 +60,39 @@ def test_size_is_bounded_also_where_it_is_unknown_beforehand(tmp_path):
         read_file(path, 99)
     with pytest.raises(ConfigError, match=r"^/proc/self/status: found 11 bytes or more, at most 10$"):
         read_file(type(path)("/proc/self/status"), 10)
+
+
+@pytest.mark.parametrize(
+    ("number", "missing"),
+    [(errno.ENOENT, True), (errno.ENOTDIR, True), (errno.EACCES, False), (errno.EIO, False)],
+)
+def test_only_a_file_that_is_certainly_absent_is_missing(tmp_path, monkeypatch, number, missing):
+    def stat(_path):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(Path, "stat", stat)
+    assert is_missing(tmp_path) is missing
+
+
+def test_a_file_that_exists_is_not_missing(tmp_path):
+    assert not is_missing(tmp_path)
+    assert is_missing(tmp_path / "x")
+    assert not is_missing(tmp_path / ("x" * 300))
+
+
+RAISING = {"exists", "is_dir", "is_file", "is_mount", "is_symlink"}
+"""Methods of Path that raise for a name that is too long, or a folder without permission; os.path returns False."""
+
+
+@pytest.mark.parametrize("package", ["deploy", "eval", "policies", "robots"])
+def test_paths_are_examined_with_os_path(package):
+    found = [
+        f"{file.relative_to(ROOT)}:{node.lineno}: {node.func.attr}"
+        for file in sorted((ROOT / package).rglob("*.py"))
+        for node in ast.walk(ast.parse(file.read_bytes()))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and node.func.attr in RAISING
+        and ast.unparse(node.func.value) != "os.path"
+    ]
+    assert not found

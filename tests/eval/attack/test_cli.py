@@ -253,6 +253,7 @@ def test_make_attack_names_what_is_wrong_with_a_case(change, complaint, call, tm
 
 
 def test_make_attack_refuses_a_folder_that_is_not_there(call, tmp_path):
-    code, _, error = make_attack(call, tmp_path / "nowhere")
-    assert code == 2
-    assert "nowhere: found no case" in error
+    for name in ("nowhere", "x" * 300):
+        code, _, error = make_attack(call, tmp_path / name)
+        assert code == 2
+        assert f"{name}: found no case" in error

@@ -122,9 +122,8 @@ def test_a_trend_is_a_page_and_its_sentences(soak_report, tmp_path):
 def test_no_nights_are_refused(refused, tmp_path):
     said = refused("trend", tmp_path)
     assert said == f"error: {tmp_path}: found no records, expected some from soak-test --history\n"
-    assert refused("trend", tmp_path / "nowhere").startswith(
-        f"error: {tmp_path / 'nowhere'}: found no records"
-    )
+    for folder in (tmp_path / "nowhere", tmp_path / ("x" * 300)):
+        assert refused("trend", folder).startswith(f"error: {folder}: found no records")
 
 
 def test_unwritable_page_is_reported(refused, tmp_path):

@@ -166,8 +166,7 @@ def test_denied_file_access_is_reported(restless, tmp_path, monkeypatch):
         with pytest.raises(OutputError, match=r"shard-0000\.npz: cannot be written: Permission denied"):
             checkpoint.store({})
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "read_bytes", denied)
-        patch.setattr(Path, "exists", denied)
+        patch.setattr(Path, "stat", lambda path, **_: denied() if path == checkpoint.path else os.stat(path))
         with pytest.raises(ConfigError, match=r"shard-0000\.npz: cannot be read: Permission denied"):
             resumed_ticks(restless, tmp_path / "unfinished", QUIET)
     with monkeypatch.context() as patch:

@@ -214,8 +214,9 @@ def test_a_policy_is_a_path_or_a_shipped_name(tmp_path, monkeypatch):
     assert find_checkpoint(str(checkpoint)) == checkpoint
     monkeypatch.setattr("policies.export.cli.POLICIES", tmp_path)
     assert find_checkpoint("arm.pt") == checkpoint
-    with pytest.raises(ContractError, match=r"--policy leg\.pt: no such file, .* policies/: arm\.pt"):
-        find_checkpoint("leg.pt")
+    for name in ("leg.pt", "x" * 300):
+        with pytest.raises(ContractError, match=rf"--policy {name}: no such file, .* policies/: arm\.pt"):
+            find_checkpoint(name)
 
 
 def test_the_default_out_is_named_after_the_policy(tmp_path, monkeypatch, capsys):

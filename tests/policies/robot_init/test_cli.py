@@ -271,7 +271,12 @@ def test_command_lists_open_fields(call, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "found"),
-    [("nothing.xml", "no file"), ("folder.xml", "a folder"), ("mesh.stl", "another kind of file")],
+    [
+        ("nothing.xml", "no file"),
+        (f"{'x' * 300}.xml", "no file"),
+        ("folder.xml", "a folder"),
+        ("mesh.stl", "another kind of file"),
+    ],
 )
 def test_malformed_model_is_reported(call, tmp_path, name, found):
     (tmp_path / "folder.xml").mkdir()

@@ -101,6 +101,13 @@ def test_numbers_that_no_training_can_use_are_refused(table, field, value):
         parse(wrong, Recipe, source="x.toml")
 
 
+def test_too_long_a_name_of_a_recipe_is_no_recipe():
+    with pytest.raises(
+        ConfigError, match=r"--recipe x+: no such file, expected a path or one of policies/: "
+    ):
+        find_recipe("x" * 300)
+
+
 def test_the_bound_of_a_network_is_named(tmp_path):
     text = find_recipe("arm").read_text(encoding="utf-8")
     path = tmp_path / "wide.toml"
