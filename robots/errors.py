@@ -3,6 +3,11 @@
 A message names the file, the field, the value found and the value or bound expected.
 """
 
+import errno
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Errors of the system for a full disk, an exhausted quota, and a limit of the size of a file."""
+
 
 class FirstshiftError(Exception):
     """Base of all errors that a user can correct. Exit code 2: bad input, nothing moved, nothing overwritten."""
@@ -25,7 +30,12 @@ class OutputError(FirstshiftError):
 
 
 class ResultLostError(OutputError):
-    """A result of work that was done, or of a motion, that cannot be written. Exit code 1."""
+    """A result that cannot be kept: the disk has no room, or work was done, or a robot moved. Exit code 1."""
+
+
+def output_error(message: str, cause: OSError) -> OutputError:
+    """Return the error for a place that cannot be written; a `ResultLostError` if the disk has no room."""
+    return (ResultLostError if cause.errno in NO_ROOM else OutputError)(message)
 
 
 def printable(text: str) -> str:

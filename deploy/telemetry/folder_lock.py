@@ -8,7 +8,7 @@ from errno import ELOOP
 from pathlib import Path
 from typing import IO
 
-from robots.errors import OutputError
+from robots.errors import OutputError, output_error
 
 LOCK = ".lock"
 """File in a folder that is in use, with the number of the process that uses it."""
@@ -49,7 +49,7 @@ def _acquired(folder: Path) -> IO[str]:
                 f"--out {folder}: found in use by process {owner}, expected a folder that no other run uses"
             ) from e
         except OSError as e:
-            raise OutputError(f"--out {folder}: {LOCK} cannot be locked: {_reason(e)}") from e
+            raise output_error(f"--out {folder}: {LOCK} cannot be locked: {_reason(e)}", e) from e
         stack.pop_all()
         return file
 

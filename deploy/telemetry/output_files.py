@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from robots.errors import OutputError
+from robots.errors import OutputError, output_error
 
 
 @contextmanager
@@ -14,7 +14,8 @@ def replacing(path: Path, option: str = "--out") -> Iterator[Path]:
     """Yield an empty file beside `path`, to be filled; it replaces `path` if the block ends without an error.
 
     Raises:
-        OutputError: naming the `option`, if the place cannot be written. An earlier file there is left as it was.
+        OutputError: naming the `option`, if the place cannot be written; a `ResultLostError` if the disk has no room.
+            An earlier file there is left as it was.
     """
     if not path.name:
         raise OutputError(f"{option} {path}: found a folder, expected a file or nothing")
@@ -30,7 +31,7 @@ def replacing(path: Path, option: str = "--out") -> Iterator[Path]:
         finally:
             partial.unlink(missing_ok=True)
     except OSError as e:
-        raise OutputError(f"{option} {path}: cannot be written: {e.strerror}") from e
+        raise output_error(f"{option} {path}: cannot be written: {e.strerror}", e) from e
 
 
 def check_no_input(path: Path, inputs: Iterable[Path], option: str = "--out") -> None:

@@ -11,7 +11,7 @@ from deploy.state import Mode
 from deploy.telemetry.disk_writer import WAIT_S
 from deploy.telemetry.recording import Recording
 from deploy.telemetry.signals import Ring, row_type
-from robots.errors import OutputError
+from robots.errors import OutputError, output_error
 
 STREAM_HZ = 50
 AFTER_S = 0.5
@@ -29,7 +29,7 @@ def check_folder(folder: Path) -> None:
         probe.touch()
         probe.unlink()
     except OSError as e:
-        raise OutputError(f"--out {folder}: cannot be written: {e.strerror}, expected a folder") from e
+        raise output_error(f"--out {folder}: cannot be written: {e.strerror}, expected a folder", e) from e
 
 
 class Recorder:
@@ -69,7 +69,8 @@ class Recorder:
         stream = self._recording(path)
         stream.settle()
         if stream.error is not None:
-            raise OutputError(f"--out {path}: cannot be written: {stream.error.strerror}") from stream.error
+            message = f"--out {path}: cannot be written: {stream.error.strerror}"
+            raise output_error(message, stream.error) from stream.error
         return stream
 
     def _recording(self, path: Path) -> Recording:

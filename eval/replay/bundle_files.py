@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deploy.stage import Arrays
 from eval.replay.bundle import FILE_BYTES_MAX, INFO, ROBOT
-from robots.errors import ConfigError, OutputError
+from robots.errors import ConfigError, OutputError, output_error
 from robots.files import read_file
 
 
@@ -91,7 +91,7 @@ def new_bundle(path: Path) -> Iterator[Path]:
         finally:
             shutil.rmtree(partial, ignore_errors=True)
     except OSError as e:
-        raise OutputError(f"{path}: cannot be written: {e.strerror}") from e
+        raise output_error(f"{path}: cannot be written: {e.strerror}", e) from e
 
 
 def list_bundles(folder: Path) -> list[str]:
@@ -136,6 +136,6 @@ def replace_bundles(source: Path, place: Path, names: Collection[str] | None = N
             place.mkdir(exist_ok=True)
             info.parent.rename(place / info.parent.name)
     except OSError as e:
-        raise OutputError(f"{place}: cannot be written: {e.strerror}") from e
+        raise output_error(f"{place}: cannot be written: {e.strerror}", e) from e
     with suppress(OSError):
         os.removedirs(source)

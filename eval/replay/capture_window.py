@@ -15,7 +15,7 @@ from deploy.stage import Arrays
 from deploy.telemetry.recording import Recording
 from deploy.telemetry.signals import Ring, Rows, row_type
 from deploy.truth import Truth
-from robots.errors import OutputError
+from robots.errors import output_error
 from robots.spec import RobotSpec
 
 TRUE = ("q_true", "qd_true", "tau_true", "winding_true_c")
@@ -90,7 +90,7 @@ def write_mcap(path: Path, spec: RobotSpec, rows: Rows, *, goal_m: float, about:
     recording.finish()
     recording.wait()
     if recording.error is not None:
-        raise OutputError(f"{path}: cannot be written: {recording.error.strerror}")
+        raise output_error(f"{path}: cannot be written: {recording.error.strerror}", recording.error)
 
 
 class _WindowRecording(Recording):

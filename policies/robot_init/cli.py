@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import tomlkit
@@ -14,7 +15,7 @@ from deploy.command_line import PASSED, main
 from policies.robot_init.permanent_contacts import permanent_contacts
 from policies.robot_init.robot_files import draws_toml, limits_toml, robot_toml
 from policies.robot_init.vendor_model import VendorModel, read_vendor_model
-from robots.errors import OutputError, RobotError, is_utf8
+from robots.errors import OutputError, RobotError, is_utf8, output_error
 from robots.models.files import is_urdf, referenced_files
 from robots.models.sandbox import check_compiles
 from robots.strict import placeholder_fields
@@ -49,7 +50,7 @@ def init_robot(model: Path, out: Path, *, walks: bool = False) -> tuple[VendorMo
         OutputError: the folder exists or cannot be written.
     """
     folder = package_of(model)
-    vendor, name = _read_robot(model, folder, walks=walks), Path(os.path.realpath(out)).name
+    vendor, name = _read_robot(model, folder, walks=walks), Path(os.path.normpath(out)).name
     files = [model.resolve(), *referenced_files(model, folder)]
     model_path = model.resolve().relative_to(folder).as_posix()
     pairs = dict.fromkeys((*vendor.neighbours, *permanent_contacts(model, folder, vendor)))
@@ -98,19 +99,29 @@ def package_of(model: Path) -> Path:
 
 
 def _write(out: Path, files: list[Path], folder: Path, texts: dict[str, str]) -> None:
+    """Write the robot folder, whole or not at all."""
     if not is_utf8(str(out)):
         raise OutputError(f"--out {out}: found a name that is not UTF-8")
+    _check_new(out)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".", dir=out.parent) as temporary:
+            partial = Path(temporary, "robot")  # of the usual permissions, unlike `temporary`
+            for path in files:
+                copy = partial / path.relative_to(folder)
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, copy)
+            for name, text in texts.items():
+                (partial / name).write_text(text, encoding="utf-8")
+            partial.rename(out)
+    except OSError as e:
+        _check_new(out)  # another process may have written it in the meantime
+        raise output_error(f"--out {out}: cannot be written: {e.strerror}", e) from e
+
+
+def _check_new(out: Path) -> None:
     if os.path.lexists(out):
         raise OutputError(f"--out {out}: exists already, expected another path, or remove it first")
-    try:
-        for path in files:
-            copy = out / path.relative_to(folder)
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(path, copy)
-        for name, text in texts.items():
-            (out / name).write_text(text, encoding="utf-8")
-    except OSError as e:
-        raise OutputError(f"--out {out}: cannot be written: {e.strerror}") from e
 
 
 def robot_init(

@@ -1,10 +1,11 @@
+import errno
 import os
 from pathlib import Path
 
 import pytest
 
 from deploy.telemetry.output_files import check_no_input, replacing
-from robots.errors import OutputError
+from robots.errors import NO_ROOM, OutputError, ResultLostError
 
 
 def test_a_file_is_replaced_when_the_block_ends_well(tmp_path):
@@ -32,10 +33,19 @@ def test_file_is_unchanged_when_the_block_raises(tmp_path, error):
     assert os.listdir(tmp_path) == ["x.bin"]
 
 
-def test_a_full_disk_is_an_output_error(tmp_path):
+@pytest.mark.parametrize(
+    ("number", "kind"),
+    [
+        *((number, ResultLostError) for number in NO_ROOM),
+        (errno.EROFS, OutputError),
+        (errno.EIO, OutputError),
+    ],
+)
+def test_a_full_disk_is_a_lost_result_and_another_error_a_bad_place(tmp_path, number, kind):
     with pytest.raises(OutputError) as caught, replacing(tmp_path / "x.bin"):
-        raise OSError(28, "No space left on device")
-    assert str(caught.value) == f"--out {tmp_path / 'x.bin'}: cannot be written: No space left on device"
+        raise OSError(number, os.strerror(number))
+    assert type(caught.value) is kind
+    assert str(caught.value) == f"--out {tmp_path / 'x.bin'}: cannot be written: {os.strerror(number)}"
     assert os.listdir(tmp_path) == []
 
 

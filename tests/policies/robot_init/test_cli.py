@@ -1,3 +1,4 @@
+import errno
 import re
 import shutil
 import tomllib
@@ -196,6 +197,61 @@ def test_nothing_is_overwritten(tmp_path):
     out.mkdir()
     with pytest.raises(OutputError, match="exists already"):
         init_robot(vendors(tmp_path), out)
+
+
+@pytest.mark.parametrize(
+    ("error", "expected", "message"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), 1, "cannot be written: No space left on device"),
+        (OSError(errno.EACCES, "Permission denied"), 2, "cannot be written: Permission denied"),
+        (KeyboardInterrupt(), 130, ""),
+    ],
+)
+def test_an_interrupted_or_failed_draft_leaves_nothing(call, tmp_path, monkeypatch, error, expected, message):
+    model, out = vendors(tmp_path), tmp_path / "robots" / "mine"
+
+    def write_text(*_, **__):
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", write_text)
+        code, _, said = call(cli, model, "--out", out)
+    assert (code, said) == (expected, message and f"error: --out {out}: {message}\n")
+    assert list(out.parent.iterdir()) == []
+    assert call(cli, model, "--out", out)[0] == 0
+    assert [path.name for path in out.parent.iterdir()] == ["mine"]
+
+
+def test_of_two_drafts_at_once_the_first_is_kept(tmp_path, monkeypatch):
+    model, out = vendors(tmp_path), tmp_path / "robots" / "mine"
+
+    def copyfile(source, copy, copyfile=shutil.copyfile):
+        out.mkdir(exist_ok=True)
+        (out / "first").touch()
+        copyfile(source, copy)
+
+    monkeypatch.setattr(shutil, "copyfile", copyfile)
+    with pytest.raises(OutputError, match=f"--out {out}: exists already, expected another path"):
+        init_robot(model, out)
+    assert [path.relative_to(out.parent).as_posix() for path in out.parent.rglob("*")] == [
+        "mine",
+        "mine/first",
+    ]
+
+
+def test_the_draft_has_the_usual_permissions(tmp_path):
+    (tmp_path / "plain").mkdir()
+    init_robot(vendors(tmp_path), tmp_path / "mine")
+    assert (tmp_path / "mine").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_a_deleted_working_directory_is_a_place_that_cannot_be_written(call, tmp_path, monkeypatch):
+    model = vendors(tmp_path)
+    (tmp_path / "deleted").mkdir()
+    monkeypatch.chdir(tmp_path / "deleted")
+    (tmp_path / "deleted").rmdir()
+    expected = "error: --out mine: cannot be written: No such file or directory\n"
+    assert call(cli, model, "--out", "mine") == (2, "", expected)
 
 
 CHAIN = """<mujoco>
