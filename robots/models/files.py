@@ -15,6 +15,8 @@ from robots.files import read_file
 TEXT_BYTES_MAX = 16 << 20
 DEPTH_MAX = 200
 """Nesting of XML elements."""
+ELEMENTS_MAX = 10_000
+"""Number of XML elements: MuJoCo's time grows with the square of some, and a model is compiled several times."""
 FILES_MAX, FILES_BYTES_MAX = 1000, 1 << 30
 """Number and total size of the files that a model refers to."""
 PACKAGE = "package://"
@@ -34,19 +36,24 @@ class _Builder(ElementTree.TreeBuilder):
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """Return the root of an XML file of bounded size and depth, without a DOCTYPE, or raise RobotError."""
+    """Return the root of an XML file of bounded size, depth and elements, without a DOCTYPE, or raise RobotError."""
     try:
         parser = ElementTree.XMLParser(target=_Builder())
-        return _check_depth(ElementTree.fromstring(read_file(path, TEXT_BYTES_MAX, RobotError), parser), path)
+        return _check_elements(
+            ElementTree.fromstring(read_file(path, TEXT_BYTES_MAX, RobotError), parser), path
+        )
     except (ElementTree.ParseError, ValueError, LookupError) as e:  # LookupError: an unknown encoding
         raise RobotError(f"{path}: not readable as XML: {e}") from e
 
 
-def _check_depth(root: ElementTree.Element, path: Path) -> ElementTree.Element:
-    """Return the root if its depth is bounded: others walk through it by recursion."""
-    level, depth = [root], 0
+def _check_elements(root: ElementTree.Element, path: Path) -> ElementTree.Element:
+    """Return the root if number and depth of its elements are bounded: others walk through them by recursion."""
+    level, depth, count = [root], 0, 0
     while level:
         depth += 1
+        count += len(level)
+        if count > ELEMENTS_MAX:
+            raise RobotError(f"{path}: found more than {ELEMENTS_MAX} elements, expected at most that")
         if depth > DEPTH_MAX:
             raise RobotError(f"{path}: found elements nested deeper than {DEPTH_MAX}, expected at most that")
         level = [child for element in level for child in element]

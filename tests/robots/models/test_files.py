@@ -349,6 +349,15 @@ def test_unused_options_keep_the_digest():
     assert not keys & SPEC.model_dump(mode="json").keys()
 
 
+def test_the_number_of_elements_is_bounded(tmp_path):
+    path = tmp_path / "keys.xml"
+    path.write_text(f"<mujoco>{'<key/>' * (model_files.ELEMENTS_MAX - 1)}</mujoco>")
+    assert len(model_files.read_xml(path)) == model_files.ELEMENTS_MAX - 1
+    path.write_text(f"<mujoco>{'<key/>' * model_files.ELEMENTS_MAX}</mujoco>")
+    with pytest.raises(RobotError, match=r"keys\.xml: found more than 10000 elements, expected at most that"):
+        model_files.read_xml(path)
+
+
 @pytest.mark.slow
 def test_elements_nested_too_deeply_are_refused(tmp_path):
     path = tmp_path / "deep.urdf"

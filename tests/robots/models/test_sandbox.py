@@ -44,7 +44,8 @@ def test_mujoco_error_is_reported(tmp_path, inside, body, message):
 
 @pytest.mark.slow
 def test_model_that_compiles_too_long_is_refused(tmp_path):
-    path = written(tmp_path, body='<geom size="0.01"/>' * 400_000)
+    texture = '<texture type="2d" name="{}" builtin="gradient" width="10000" height="10000"/>'
+    path = written(tmp_path, f"<asset>{''.join(map(texture.format, range(20)))}</asset>")
     with pytest.raises(
         RobotError, match=rf"cannot compile it within 3 s of a core and {MEMORY_GIB} GiB: exit code -"
     ):
