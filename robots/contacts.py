@@ -4,7 +4,7 @@ from typing import Self
 
 from pydantic import PositiveFloat, model_validator
 
-from robots.strict import Strict
+from robots.strict import Name, Strict
 
 GOAL = "goal"
 """Name of the task's goal among the bodies that may touch; in simulation a sphere stands there."""
@@ -20,7 +20,7 @@ class MayTouch(Strict):
         force_n: N, limit of the normal force of their contacts; None: that of all contacts.
     """
 
-    bodies: tuple[str, str]
+    bodies: tuple[Name, Name]
     force_n: PositiveFloat | None = None
 
     @model_validator(mode="after")

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, PositiveFloat, PositiveInt, model_validator
 
-from robots.strict import Source, Strict
+from robots.strict import Name, Source, Strict
 
 Place = Literal["joints", "site", "feet", "none"]
 """joints: one channel for each joint. site: one site of model.xml, in its frame. feet: one site at each foot. none: no
@@ -91,7 +91,7 @@ class Sensor(Strict):
     """
 
     unit: str
-    sites: tuple[str, ...] = ()
+    sites: tuple[Name, ...] = ()
     rate_hz: PositiveInt
     resolution: PositiveFloat
     range: PositiveFloat

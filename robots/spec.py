@@ -20,7 +20,7 @@ from robots.errors import RobotError, is_utf8
 from robots.models.files import read_xml, referenced_files
 from robots.motors.control_mode import ControlMode
 from robots.sensors import Kind, Sensor, Sensors, channels, check_sensors
-from robots.strict import Strict, read_toml
+from robots.strict import Name, RobotName, Strict, read_toml
 from robots.tables import Base, Capsule, Drive, Joint, Margins, Motor, Rates, Workspace
 
 ROBOTS = Path(__file__).parent
@@ -58,19 +58,19 @@ class RobotSpec(Strict):
     """
 
     folder: Path
-    name: str
+    name: RobotName
     model: Annotated[ModelName, Field(exclude_if=_is_default)] = MODEL
-    tool: str | None = None
-    locked: Annotated[tuple[str, ...], Field(exclude_if=_is_default)] = ()
+    tool: Name | None = None
+    locked: Annotated[tuple[Name, ...], Field(exclude_if=_is_default)] = ()
     capsules: Annotated[tuple[Capsule, ...], Field(exclude_if=_is_default)] = ()
-    neighbours: Annotated[tuple[tuple[str, str], ...], Field(exclude_if=_is_default)] = ()
+    neighbours: Annotated[tuple[tuple[Name, Name], ...], Field(exclude_if=_is_default)] = ()
     may_touch: Annotated[tuple[MayTouch, ...], Field(exclude_if=_is_default)] = ()
     rates: Rates
     margins: Margins
     workspace: Workspace | None = None
     base: Base | None = None
     sensors: Sensors
-    motors: dict[str, Motor]
+    motors: dict[Name, Motor]
     joints: Annotated[tuple[Joint, ...], Field(min_length=1)]
 
     @model_validator(mode="after")

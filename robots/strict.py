@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from robots.bounded_text import check_text, read_text
 from robots.errors import ConfigError, FirstshiftError
@@ -20,6 +20,18 @@ class Strict(BaseModel):
 
 Source = Annotated[str, Field(min_length=1)]
 """Origin of the numbers of a table, or "estimate"."""
+
+
+def _printable(name: str) -> str:
+    if not name.isprintable():
+        raise ValueError("expected printable characters")
+    return name
+
+
+Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_printable)]
+"""Name of a part of a robot: reports and terminals show it."""
+RobotName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+"""Name of a robot."""
 
 PLACEHOLDER = "?"
 """Value of a draft that is still to be filled in."""

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from robots.motors.control_mode import ControlMode, ControlModes
-from robots.strict import Source, Strict
+from robots.strict import Name, Source, Strict
 
 Celsius = Annotated[float, Field(ge=-50, le=300)]
 Fraction = Annotated[float, Field(gt=0, le=1)]
@@ -52,7 +52,7 @@ class Joint(Strict):
         source: where the numbers come from.
     """
 
-    name: str
+    name: Name
     q_min: Annotated[float, Field(exclude_if=math.isinf)] = -math.inf
     q_max: Annotated[float, Field(exclude_if=math.isinf)] = math.inf
     q_home: float
@@ -61,7 +61,7 @@ class Joint(Strict):
     qddd_max: Motion
     acceleration_density: PositiveFloat
     play: Annotated[float, Field(ge=0)]
-    motor: str
+    motor: Name
     torque_mode: Annotated[TorqueMode | None, Field(exclude_if=_is_none)] = None
     source: Source
 
@@ -272,7 +272,7 @@ class Workspace(Strict):
 class Capsule(Strict):
     """Points nearer than `radius` to the line from `start` to `end`, m, frame of `body`: a link in collision checks."""
 
-    body: str
+    body: Name
     start: tuple[float, float, float]
     end: tuple[float, float, float]
     radius: PositiveFloat
@@ -300,7 +300,7 @@ class Base(Strict):
         source: where the numbers come from.
     """
 
-    feet: Annotated[tuple[str, ...], Field(min_length=1)]
+    feet: Annotated[tuple[Name, ...], Field(min_length=1)]
     foot_m: Annotated[float, Field(ge=0)]
     slip: PositiveFloat
     angular_acceleration: PositiveFloat

@@ -14,7 +14,7 @@ from deploy.policy.contract_term import ONE_LEG, SINES_FIRST, SIZE_MAX, Name, Nu
 from deploy.sources.source import GaitLayout
 from deploy.tasks.task import sources_of
 from robots.errors import ConfigError, ContractError
-from robots.strict import Strict, parse, read_json
+from robots.strict import RobotName, Strict, parse, read_json
 
 CONTRACT_KEY = "firstshift.contract"
 MEMORY_MAX = 1 << 16  # numbers of recurrent state of one robot
@@ -46,7 +46,7 @@ class Contract(Strict):
     """
 
     format: Literal[1] = 1
-    robot: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+    robot: RobotName
     robot_digest: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     joint_names: Annotated[tuple[Name, ...], Field(min_length=1, max_length=SIZE_MAX)]
     policy_hz: Hertz

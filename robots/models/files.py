@@ -36,18 +36,23 @@ class _Builder(ElementTree.TreeBuilder):
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """Return the root of an XML file of bounded size, depth and elements, without a DOCTYPE, or raise RobotError."""
+    """Return the root of an XML file of bounded size, depth and elements, names printable, no DOCTYPE.
+
+    Raises:
+        RobotError: it is another one.
+    """
     try:
         parser = ElementTree.XMLParser(target=_Builder())
-        return _check_elements(
-            ElementTree.fromstring(read_file(path, TEXT_BYTES_MAX, RobotError), parser), path
-        )
+        root = ElementTree.fromstring(read_file(path, TEXT_BYTES_MAX, RobotError), parser)
     except (ElementTree.ParseError, ValueError, LookupError) as e:  # LookupError: an unknown encoding
         raise RobotError(f"{path}: not readable as XML: {e}") from e
+    _check_elements(root, path)
+    _check_names(root, path)
+    return root
 
 
-def _check_elements(root: ElementTree.Element, path: Path) -> ElementTree.Element:
-    """Return the root if number and depth of its elements are bounded: others walk through them by recursion."""
+def _check_elements(root: ElementTree.Element, path: Path) -> None:
+    """Refuse unbounded number and depth of elements: others walk through them by recursion."""
     level, depth, count = [root], 0, 0
     while level:
         depth += 1
@@ -57,7 +62,15 @@ def _check_elements(root: ElementTree.Element, path: Path) -> ElementTree.Elemen
         if depth > DEPTH_MAX:
             raise RobotError(f"{path}: found elements nested deeper than {DEPTH_MAX}, expected at most that")
         level = [child for element in level for child in element]
-    return root
+
+
+def _check_names(root: ElementTree.Element, path: Path) -> None:
+    """Refuse names that are not printable: reports and terminals show those of shapes that collide."""
+    for element in root.iter():
+        if not (name := element.get("name", "")).isprintable():
+            raise RobotError(
+                f"{path}: {element.tag:.80}: found name {name!r:.80}, expected printable characters"
+            )
 
 
 def urdf_text(model: Path, folder: Path) -> str:

@@ -169,6 +169,32 @@ def test_a_wrong_robot_file_is_one_clear_error(tmp_path, old, new, words):
         assert word in message
 
 
+NAMES = {
+    "tool": ('tool = "tool"', 'tool = "to\x9bol"'),
+    "locked.0": ("\ntool", '\nlocked = ["\x9b"]\ntool'),
+    "neighbours.0.1": ("\ntool", '\nneighbours = [["tool", "\x9b"]]\ntool'),
+    "may_touch.0.bodies.1": ("\ntool", '\nmay_touch = [{ bodies = ["goal", "\x9b"] }]\ntool'),
+    "capsules.0.body": ("\ntool", '\ncapsules = [{ body = "\x9b" }]\ntool'),
+    "base.feet.0": ("\ntool", '\nbase = { feet = ["\x9b"] }\ntool'),
+    "sensors.encoder.sites.0": ('unit = "rad"', 'unit = "rad"\nsites = ["\x9b"]'),
+    "joints.0.name": ('"shoulder_pan"', '"should\u202eer"'),
+    "joints.0.motor": ('motor = "size3"', 'motor = "\u2066size3"'),
+    "motors.": (r"\[motors\.size3\]", '[motors."size\x9b3"]'),
+}
+
+
+@pytest.mark.parametrize("field", NAMES)
+def test_a_name_that_could_control_a_terminal_is_refused(tmp_path, field):
+    said = complaint(copy_of_arm(tmp_path, toml=[NAMES[field]]))
+    assert re.search(rf"robot\.toml: {re.escape(field)}.*: expected printable characters, found '.*\\", said)
+
+
+@pytest.mark.parametrize("name", ["", "a b", "arm\x9b", "[/x]", "x" * 65])
+def test_a_name_of_a_robot_that_no_contract_could_have_is_refused(tmp_path, name):
+    said = complaint(copy_of_arm(tmp_path, toml=[('"arm6"', f'"{name}"')]))
+    assert re.search(r"robot\.toml: name: String should match pattern .*, found ", said)
+
+
 def test_a_robot_without_joints(tmp_path):
     folder = copy_of_arm(tmp_path)
     text = (folder / "robot.toml").read_text()

@@ -358,6 +358,14 @@ def test_the_number_of_elements_is_bounded(tmp_path):
         model_files.read_xml(path)
 
 
+@pytest.mark.parametrize("kind", ["body", "geom"])
+def test_a_name_that_could_control_a_terminal_is_refused(tmp_path, kind):
+    path = tmp_path / "model.xml"
+    path.write_text(f'<mujoco><worldbody><{kind} name="a&#10;b"/></worldbody></mujoco>')
+    with pytest.raises(RobotError, match=rf"{kind}: found name 'a\\nb', expected printable characters"):
+        model_files.read_xml(path)
+
+
 @pytest.mark.slow
 def test_elements_nested_too_deeply_are_refused(tmp_path):
     path = tmp_path / "deep.urdf"
