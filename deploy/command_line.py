@@ -1,27 +1,24 @@
 """Command lines: exit codes, and errors printed on standard error."""
 
-import errno
 import functools
 import sys
-import traceback
 from collections.abc import Callable
 
 import typer
 
-from deploy.start import BROKEN, INTERRUPTED
+from deploy.start import INTERRUPTED, report_failure
 from robots.errors import FirstshiftError, ResultLostError, printable
 
 PASSED, BUDGET_EXCEEDED, BAD_INPUT = 0, 1, 2
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def main(*commands: Callable[..., int]) -> None:
     """Run one command line; the function's result, or its error, becomes the exit code.
 
     An option that typer refuses and a `FirstshiftError` are printed on standard error and exit with 2, a result that
-    was lost, and a disk without room for a temporary file, with 1. Ctrl-C that a command did not handle itself exits
-    with 130. Any other exception, of firstshift or of a robot's bus, is printed with its traceback and exits with 70,
-    which is no verdict about the robot.
+    was lost, and a computer without room for a temporary file or a process, with 1. Ctrl-C that a command did not
+    handle itself exits with 130. Any other exception, of firstshift or of a robot's bus, is printed with its traceback
+    and exits with 70, which is no verdict about the robot.
 
     Args:
         commands: functions with typer's annotations that return an exit code. If there are several, the first word of
@@ -51,8 +48,4 @@ def exit_code_of(call: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except Exception as e:
-        if isinstance(e, OSError) and e.errno in NO_ROOM:
-            print(f"error: {printable(str(e.filename or 'a temporary file'))}: {e.strerror}", file=sys.stderr)
-            return BUDGET_EXCEEDED
-        traceback.print_exc()
-        raise typer.Exit(BROKEN) from e
+        raise typer.Exit(report_failure(e)) from e

@@ -3,6 +3,7 @@
 Ctrl-C then ends it at once and quietly, without cleaning up: nothing is open yet.
 """
 
+import errno
 import io
 import os
 import signal
@@ -12,11 +13,18 @@ from functools import partial
 from importlib import import_module
 from typing import Any, BinaryIO, cast
 
-INTERRUPTED, BROKEN = 130, 70
-"""Exit codes after Ctrl-C, and after a defect."""
-ENVIRONMENT = {"PYTHONSAFEPATH": "1", "MPLBACKEND": "agg"}
+from robots.errors import printable
+
+NO_ROOM, INTERRUPTED, BROKEN = 1, 130, 70
+"""Exit codes where the computer lacks room or memory, after Ctrl-C, and after a defect."""
+LACKING = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "a temporary file"),
+    **dict.fromkeys((errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM), "a file, a pipe or a process"),
+}
+"""Errors of a computer without room or memory, and what there was none for, unless the error names a file."""
+ENVIRONMENT = {"PYTHONSAFEPATH": "1", "MPLBACKEND": "agg", "PYTHONIOENCODING": "utf-8"}
 """For this process and its children: no module is imported from the working directory, which may be a robot's folder
-that somebody else has written, and plots are files."""
+that somebody else has written; plots are files; children write, and libraries' children read, text as UTF-8."""
 FAIL = ("strict", "surrogateescape")
 """Handlers by which standard output fails at a letter that it cannot show: the default ones."""
 
@@ -48,11 +56,20 @@ def start(module: str) -> None:
     try:
         cli = import_module(module).cli
     except Exception as e:  # of a library, for something in this environment: no verdict about a robot
-        traceback.print_exc()
-        raise SystemExit(BROKEN) from e
+        raise SystemExit(report_failure(e)) from e
     if by_default:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     cli()
+
+
+def report_failure(error: Exception) -> int:
+    """Print an error that is none of firstshift, with its traceback unless the computer lacks room; return its code."""
+    if not isinstance(error, OSError) or error.errno not in LACKING:
+        traceback.print_exception(error)
+        return BROKEN
+    about = error.filename or LACKING[error.errno]
+    print(f"error: {printable(str(about))}: {error.strerror}", file=sys.stderr)
+    return NO_ROOM
 
 
 def _kept_going(stream: io.TextIOWrapper) -> io.TextIOWrapper:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from deploy.runtime import Runtime
 from deploy.state import Mode
+from robots.errors import printable
 
 if TYPE_CHECKING:
     from deploy.operation.robot_run import RobotRun
@@ -51,7 +52,7 @@ class ConsoleProcess(SnapshotPipe):
         """Start the process in its own group, so that Ctrl-C does not reach it."""
         reading, writing = os.pipe()
         command = [sys.executable, "-P", str(Path(__file__).with_name("console_display.py"))]
-        encoding = os.environ.get("PYTHONIOENCODING", "").partition(":")[0]
+        encoding = getattr(sys.stdout, "encoding", None) or ""
         # What a terminal cannot show is written as an escape, as `deploy.start` has it for this process.
         environment = os.environ | {"PYTHONIOENCODING": f"{encoding}:backslashreplace"}
         self._process = subprocess.Popen(command, stdin=reading, process_group=0, env=environment)
@@ -73,7 +74,7 @@ def snapshot(run: "RobotRun", *, title: str, notes: Sequence[str], joint: int | 
     runtime, timing = run.runtime, run.timing
     late = timing.lateness
     return {
-        "title": title,
+        "title": printable(title),
         "t": runtime.t,
         "elapsed": timing.elapsed,
         "left": run.time_left,
@@ -86,7 +87,7 @@ def snapshot(run: "RobotRun", *, title: str, notes: Sequence[str], joint: int | 
         "reached": int(runtime.task.reached[0]),
         "attempted": int(runtime.task.attempted[0]),
         "stops": list(run.statistics.last_stops),
-        "notes": list(notes),
+        "notes": [printable(note) for note in notes],
         "joint": joint,
         "joints": _joints(runtime),
     }

@@ -93,16 +93,17 @@ class _LinePrinter:
     def __call__(self, s: Snapshot) -> None:
         news = (s["mode"], s["notes"], s["joint"])
         if int(s["elapsed"]) != self._second or news != self._printed:
-            self._console.print(line(s), soft_wrap=True, highlight=False, markup=False)
+            self._console.print(line(s), soft_wrap=True, highlight=False)
             for note in s["notes"]:
                 if note not in self._notes:
-                    self._console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
+                    self._console.print(f"note: {note}", soft_wrap=True, highlight=False)
             self._notes.update(s["notes"])
         self._second, self._printed = int(s["elapsed"]), news
 
 
 if __name__ == "__main__":
     try:
-        follow(sys.stdin, Console())
+        with open(sys.stdin.fileno(), encoding="utf-8") as lines:  # whatever the terminal's encoding
+            follow(lines, Console(markup=False, emoji=False))
     except OSError:  # nobody can see it any more: the output was closed, or is full
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

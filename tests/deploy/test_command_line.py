@@ -6,24 +6,30 @@ import os
 import pytest
 import typer
 
-from deploy.command_line import BUDGET_EXCEEDED, NO_ROOM, exit_code_of
-from deploy.start import BROKEN
+from deploy.command_line import BUDGET_EXCEEDED, exit_code_of
+from deploy.start import BROKEN, LACKING, NO_ROOM
 
 
-@pytest.mark.parametrize("number", NO_ROOM)
-def test_a_disk_without_room_for_a_temporary_file_is_one_line_and_no_defect(number, capsys):
+def code_of(command):
+    with pytest.raises(typer.Exit) as caught:
+        exit_code_of(command)
+    return caught.value.exit_code
+
+
+@pytest.mark.parametrize("number", LACKING)
+@pytest.mark.parametrize("name", [None, "a\nb"])
+def test_a_computer_without_room_is_one_line_and_no_defect(number, name, capsys):
     def full():
-        raise OSError(number, os.strerror(number))
+        raise OSError(number, os.strerror(number), name)
 
-    assert exit_code_of(full) == BUDGET_EXCEEDED
-    assert capsys.readouterr().err == f"error: a temporary file: {os.strerror(number)}\n"
+    assert code_of(full) == BUDGET_EXCEEDED == NO_ROOM
+    about = "a?b" if name else LACKING[number]
+    assert capsys.readouterr().err == f"error: {about}: {os.strerror(number)}\n"
 
 
 def test_other_errors_of_the_system_are_defects(capsys):
     def broken():
         raise OSError(errno.EIO, "input/output error", "/dev/x")
 
-    with pytest.raises(typer.Exit) as caught:
-        exit_code_of(broken)
-    assert caught.value.exit_code == BROKEN
+    assert code_of(broken) == BROKEN
     assert "Traceback" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.start import BROKEN, INTERRUPTED, start
+from deploy.start import BROKEN, INTERRUPTED, NO_ROOM, start
 from support.paths import ROOT
 
 SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
@@ -156,3 +156,21 @@ def test_a_library_that_cannot_be_imported_is_no_verdict(written, tmp_path):
     ended = run("broken_command", tmp_path)
     assert ended.returncode == BROKEN
     assert ended.stderr.endswith(b"ValueError: no such backend\n")
+
+
+def test_too_few_open_files_for_imports_are_one_line(written, tmp_path):
+    written(
+        "greedy_command",
+        "import os, resource\nresource.setrlimit(resource.RLIMIT_NOFILE, (8, 8))\nfor _ in range(9):\n    os.pipe()\n",
+    )
+    ended = run("greedy_command", tmp_path)
+    assert ended.returncode == NO_ROOM
+    assert ended.stderr == b"error: a file, a pipe or a process: Too many open files\n"
+
+
+def test_children_write_utf_8_whatever_this_process_writes(written, tmp_path):
+    child = "subprocess.check_output([sys.executable, '-c', r'print(chr(181))'])"
+    written("parent_command", f"import subprocess, sys\ndef cli():\n    print({child})\n")
+    ended = run("parent_command", tmp_path, PYTHONIOENCODING="utf-16")
+    assert (ended.returncode, ended.stderr) == (0, b"")
+    assert ended.stdout.decode("utf-16") == "b'\\xc2\\xb5\\n'\n"

@@ -1,4 +1,5 @@
 import contextlib
+import io
 import json
 import os
 import shutil
@@ -6,6 +7,7 @@ from types import SimpleNamespace
 
 import mujoco
 import numpy as np
+import pytest
 from rich.console import Console
 
 from deploy.backends.sim.robot import SimRobot
@@ -136,13 +138,17 @@ def test_the_table_shows_everything():
         assert part in text
 
 
-def test_letters_that_the_output_lacks_are_escaped(monkeypatch, capfd):
-    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+@pytest.mark.parametrize(
+    ("encoding", "degree"), [("ascii", b"\\xb0C"), ("utf-16-le", "°C".encode("utf-16-le"))]
+)
+def test_letters_are_written_as_the_output_has_them(monkeypatch, capfdbinary, encoding, degree):
+    """Or escaped, where it lacks them."""
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(io.BytesIO(), encoding=encoding))
     console = ConsoleProcess()
     console.offer(SNAPSHOT)
     console.close()
-    out, err = capfd.readouterr()
-    assert ("\\xb0C" in out, err) == (True, "")
+    out, err = capfdbinary.readouterr()
+    assert (degree in out, err) == (True, b"")
 
 
 def test_lines_appear_once_a_second_and_on_changes():

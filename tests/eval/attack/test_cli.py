@@ -12,8 +12,8 @@ pytest.importorskip("mujoco")
 
 import eval.attack.__main__ as suite_command
 import eval.attack.cli as command
-from deploy.command_line import BROKEN, BUDGET_EXCEEDED, PASSED, main
-from deploy.start import INTERRUPTED
+from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
+from deploy.start import BROKEN, INTERRUPTED
 from eval.attack import arena
 from eval.attack.adversaries import ADVERSARIES
 from eval.attack.candidate import read_case
@@ -61,8 +61,10 @@ def test_a_hard_event_fails_the_command_and_all_monitors_are_reported(
     ratio, code, call, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(command, "workers", planted_workers("planar3", velocity=ratio))
+    tmp_path /= "a[/x]"
     found, said, _ = attack(call, tmp_path)
     assert found == code
+    assert f"report: {tmp_path / 'attack.json'}" in said
     assert ("hard events: velocity" in said) == (code == BUDGET_EXCEEDED)
     report = json.loads((tmp_path / "attack.json").read_text())
     rows = {row["monitor"]: row for row in report["rows"]}
