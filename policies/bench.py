@@ -22,13 +22,13 @@ import numpy as np
 import tomlkit
 import torch
 import typer
-from rich.console import Console
 from rsl_rl.models import MLPModel, RNNModel
 from tensordict import TensorDict
 from torch import nn
 
 from deploy.command_line import PASSED, main
 from deploy.policy.policy import Policy
+from deploy.telemetry.plain_console import plain_console
 from policies.first_episodes import first_episodes
 from robots.child_process import Lifeline
 from robots.errors import ConfigError
@@ -47,7 +47,7 @@ cli()
 """policy-import that ends with the bench."""
 RNN = {"rnn_type": "lstm", "rnn_hidden_dim": 256, "rnn_num_layers": 1}
 
-console = Console(width=120)
+console = plain_console(width=120)
 Files = dict[str, tuple[Path, dict[str, str]]]
 
 

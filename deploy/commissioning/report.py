@@ -5,13 +5,13 @@ import math
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from deploy.commissioning.bounds import Measured
 from deploy.commissioning.findings import QUANTITIES, Findings, JointFindings
 from deploy.telemetry.output_files import replacing
+from deploy.telemetry.plain_console import plain_console
 from robots.errors import OutputError, ResultLostError
 
 
@@ -43,7 +43,7 @@ def _joint_data(joint: JointFindings) -> dict[str, Any]:
 
 
 def _print(findings: Findings) -> None:
-    console = Console()
+    console = plain_console()
     table = Table(
         title="measured, and expected below it", title_justify="left", box=None, padding=(0, 1, 0, 0)
     )

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from deploy.operation.stop_explanation import StopDetector
 from deploy.reasons import Reason
 from deploy.runtime import Runtime
 from deploy.telemetry.output_files import replacing
+from deploy.telemetry.plain_console import plain_console
 from robots.arrays import Floats
-from robots.errors import OutputError
+from robots.errors import OutputError, printable
 
 if TYPE_CHECKING:
     from deploy.operation.robot_run import RobotRun
@@ -71,9 +71,9 @@ def report(run: "RobotRun", about: Mapping[str, str], path: Path, lost: Sequence
             partial.write_text(json.dumps(summary, indent=2) + "\n")
     except OutputError as e:
         lost.append(f"summary {e}")
-    Console().print(_table(summary))
+    plain_console().print(_table(summary))
     for text in lost:
-        print(f"error: not kept: {text}", file=sys.stderr)
+        print(printable(f"error: not kept: {text}"), file=sys.stderr)
     return lost
 
 
@@ -117,5 +117,5 @@ def _table(s: dict[str, Any]) -> Table:
     }
     table = Table.grid(padding=(0, 2))
     for name, text in rows.items():
-        table.add_row(name, text)
+        table.add_row(name, "\n".join(map(printable, text.split("\n"))))
     return table

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
+from deploy.telemetry.plain_console import plain_console
 from eval.attack.suite import SUITE, Result, run_suite
+from robots.errors import printable
 
 
 def attack(cases: Annotated[Path, typer.Option(help="Folder of cases.")] = SUITE) -> int:
@@ -16,10 +17,10 @@ def attack(cases: Annotated[Path, typer.Option(help="Folder of cases.")] = SUITE
 
     Exit codes: 0 no hard event, 1 a hard event, 2 bad input.
     """
-    console, began, results = Console(width=160), time.monotonic(), list[Result]()
+    console, began, results = plain_console(width=160), time.monotonic(), list[Result]()
     for result in run_suite(cases):
         results.append(result)
-        console.print(_line(result), highlight=False, soft_wrap=True)
+        console.print(printable(_line(result)), highlight=False, soft_wrap=True)
     failed = sum(bool(result.events) for result in results)
     console.print(f"{failed} of {len(results)} cases failed, in {time.monotonic() - began:.0f} s")
     return BUDGET_EXCEEDED if failed else PASSED

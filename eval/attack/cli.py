@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.interrupts import handled, interrupt
 from deploy.telemetry.folder_lock import locked
+from deploy.telemetry.plain_console import plain_console
 from deploy.telemetry.recorder import check_folder
 from eval.attack.archive import Archive, Found
 from eval.attack.arena import Setting, find_mode
@@ -29,7 +30,7 @@ from eval.attack.trained_gains import gains_of
 from eval.judge.monitors import NAMES
 from eval.replay.bundle_files import delete_bundles, replace_bundles
 from eval.report.report_files import check_report_folder
-from robots.errors import ConfigError
+from robots.errors import ConfigError, printable
 from robots.randomness import SEED_MAX
 from robots.spec import load_robot
 
@@ -121,7 +122,7 @@ def soak_attack(
     _check_folder(out)
     with locked(out), workers(setting, processes) as pool:
         delete_bundles(out / UNFINISHED, finished=True)
-        search, console = Search(spec, setting.mode, pool.evaluate, seed=seed, target=target), Console()
+        search, console = Search(spec, setting.mode, pool.evaluate, seed=seed, target=target), plain_console()
         with handled(signal.SIG_IGN):  # `_run` and `_write_bundles` handle them
             finished = _run(search, budget, console)
             found = {} if setting.without else _worst(search.archive)
@@ -195,9 +196,11 @@ def _write(report: AttackReport, cases: Sequence[Case], out: Path) -> None:
         old.unlink(missing_ok=True)
     for case in cases:
         case.write(paths[case.monitor])
-    console = Console(width=160)
+    console = plain_console(width=160)
     console.print(table(report))
-    console.print(f"{_verdict(report)}\nreport: {out / REPORT}", soft_wrap=True, highlight=False)
+    console.print(
+        f"{_verdict(report)}\nreport: {printable(str(out / REPORT))}", soft_wrap=True, highlight=False
+    )
 
 
 def _verdict(report: AttackReport) -> str:

@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from deploy.command_line import PASSED, main
+from deploy.telemetry.plain_console import plain_console
 from eval.bench.ablation.ablation import ablation
 from eval.bench.ablation.heat_guard import heat_guard
 from eval.bench.adversaries import adversaries
@@ -45,7 +45,7 @@ from eval.bench.walk import walk
 from robots.errors import ConfigError
 from robots.spec import load_robot
 
-console = Console(width=120)
+console = plain_console(width=120)
 HOURS_MAX = 100.0
 
 BENCHES: dict[str, Callable[..., None]] = {

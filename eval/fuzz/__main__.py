@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
+from deploy.telemetry.plain_console import plain_console
 from eval.fuzz.campaign import Findings, run_campaign
 from eval.fuzz.target import find_targets
 from eval.fuzz.worker import ACCEPTED, REFUSED
-from robots.errors import ConfigError
+from robots.errors import ConfigError, printable
 
 TABLE = "eval.fuzz.targets:TARGETS"
-console = Console(width=160)
+console = plain_console(width=160)
 
 
 def fuzz(
@@ -58,7 +58,7 @@ def _print(name: str, found: Findings, place: Path) -> None:
         highlight=False,
     )
     for number, failure in sorted(found.failures.items()):
-        console.print(f"  {place}-{number}: {failure}", highlight=False, markup=False)
+        console.print(printable(f"  {place}-{number}: {failure}"), highlight=False)
 
 
 if __name__ == "__main__":

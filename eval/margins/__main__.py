@@ -15,6 +15,7 @@ from rich.progress import track
 from rich.table import Table
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
+from deploy.telemetry.plain_console import plain_console
 from eval.attack.adversaries import ADVERSARIES
 from eval.attack.arena import Setting, find_mode
 from eval.attack.pool import processes
@@ -23,7 +24,7 @@ from eval.margins.derive import ROUNDING, Need, need, noise_of, stop_excess
 from eval.margins.excess import SHARES
 from eval.margins.robot_file import write_margins
 from eval.margins.trial import Trial, run
-from robots.errors import ConfigError
+from robots.errors import ConfigError, printable
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec, load_robot
 
@@ -79,14 +80,14 @@ def margins(
     if write and not os.access(spec.folder, os.W_OK):
         raise ConfigError(f"--write {spec.folder}: cannot be written")
     modes = (find_mode(mode, spec),) if mode else spec.control_modes
-    console, found = Console(width=150), dict[ControlMode, Found]()
+    console, found = plain_console(width=150), dict[ControlMode, Found]()
     with processes(number) as pool:
         for each in modes:
             found[each] = _find(pool, spec, each, Effort(trials, generations, corners), console)
             console.print(_table(spec, each, found[each]))
     if write and any(each.lacking for each in found.values()):
         path = write_margins(spec, {key: each.lacking for key, each in found.items()})
-        console.print(f"written: {path}", soft_wrap=True, highlight=False)
+        console.print(f"written: {printable(str(path))}", soft_wrap=True, highlight=False)
     return BUDGET_EXCEEDED if any(each.lacking or each.diverged for each in found.values()) else PASSED
 
 

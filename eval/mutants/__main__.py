@@ -9,16 +9,16 @@ from typing import Annotated
 
 import mujoco
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
+from deploy.telemetry.plain_console import plain_console
 from eval.mutants.situation import ROBOTS
 from eval.mutants.suite import MUTANTS, Row, idle_budget_failures, run_mutants, silent_monitors
 from robots.errors import ConfigError
 from robots.spec import RobotSpec, load_robot
 
-console = Console(width=160)
+console = plain_console(width=160)
 
 
 def mutants(

@@ -11,12 +11,13 @@ from rich.console import Console
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.loop_timing import RateLimited, WallClock
 from deploy.telemetry.output_files import replacing
+from deploy.telemetry.plain_console import plain_console
 from eval.replay.capture_window import write_mcap
 from eval.replay.event_video import EventVideo
 from eval.replay.replay_text import mismatch, table
 from eval.replay.replayer import Replay
 from eval.video.film import check_film
-from robots.errors import OutputError
+from robots.errors import OutputError, printable
 
 VIEW_S = 1 / 30
 """s between two frames of the viewer."""
@@ -40,7 +41,7 @@ def soak_replay(
 
     Exit codes: 0 reproduced, 1 not reproduced, 2 bad input.
     """
-    console = Console()
+    console = plain_console()
     _keep_bundle(bundle, {"--video": video, "--mcap": mcap})
     if video is not None:
         check_film(video)
@@ -96,7 +97,7 @@ def _print_event(replay: Replay, console: Console) -> None:
 
 
 def _print(console: Console, line: str) -> None:
-    console.print(line, soft_wrap=True, markup=False, highlight=False)
+    console.print(printable(line), soft_wrap=True, highlight=False)
 
 
 def _viewer(replay: Replay) -> Callable[[], None]:

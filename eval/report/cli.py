@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Column, Table
 
 from deploy.command_line import PASSED, main
 from deploy.telemetry.output_files import check_no_input, replacing
+from deploy.telemetry.plain_console import plain_console
 from eval.history.history import check_same_draws, read_history, read_record, record_files
 from eval.history.soak_record import SoakRecord
 from eval.report.html import interval_text, percent, render_history
@@ -28,13 +28,13 @@ def compare(a: SoakPath, b: SoakPath) -> int:
 
     Differences are B - A, each with its 95 % interval.
     """
-    console, first, second = Console(), read_record(a, Report), read_record(b, Report)
+    console, first, second = plain_console(), read_record(a, Report), read_record(b, Report)
     check_same_draws(first, second, names=(str(a), str(b)))
     table = _plain_table("", "A", "B", "B − A", "from", "to", "conclusion", "differ")
     for each in differences(first.per_draw_counts, second.per_draw_counts):
         table.add_row(*_cells(each))
     for name, record in (("A", first), ("B", second)):
-        console.print(f"{name}: {_describe(record)}", soft_wrap=True, markup=False, highlight=False)
+        console.print(printable(f"{name}: {_describe(record)}"), soft_wrap=True, highlight=False)
     console.print(table)
     return PASSED
 
@@ -69,7 +69,7 @@ def trend(
     records = read_history(folder)
     if not records:
         raise ConfigError(f"{folder}: found no records, expected some from soak-test --history")
-    result, console = trend_of(records), Console()
+    result, console = trend_of(records), plain_console()
     page = out or folder / "trend.html"
     check_no_input(page, record_files(folder))
     with replacing(page) as file:
@@ -78,7 +78,7 @@ def trend(
     console.print(_trend_table(result))
     for number, group in enumerate(result.groups, start=1):
         line = f"{number}: {group.policy} ({group.policy_digest:.12}): {group.statement} {group.dispersion}"
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
+        console.print(printable(line), soft_wrap=True, highlight=False)
     console.print(f"page: {printable(str(page))}", soft_wrap=True)
     return PASSED
 

@@ -11,6 +11,7 @@ from rich.console import Console
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.start import INTERRUPTED
 from deploy.telemetry.folder_lock import locked
+from deploy.telemetry.plain_console import plain_console
 from eval.history.history import add_record, check_same_task, check_writable, read_history
 from eval.history.soak_record import Run, SoakRecord
 from eval.replay.bundle import DRAWS
@@ -30,7 +31,7 @@ from eval.soak.series import SERIES, series
 from eval.soak.tensorboard import TENSORBOARD, event_file
 from eval.soak.workers import resumed_ticks, run_soak
 from eval.statistics.budget import Budget, load_budget
-from robots.errors import OutputError, ResultLostError
+from robots.errors import OutputError, ResultLostError, printable
 
 UNFINISHED = "unfinished"
 """Folder in --out of a soak that has not finished: checkpoints, events, and the report if it was interrupted."""
@@ -69,7 +70,7 @@ def _run(config: SoakConfig, limits: Budget, out: Path, history: Path | None) ->
     Raises:
         ResultLostError: a checkpoint, an event or the report cannot be written.
     """
-    console, earlier = Console(), None if history is None else _earlier_records(history, config)
+    console, earlier = plain_console(), None if history is None else _earlier_records(history, config)
     started, clock = datetime.now().astimezone(), time.monotonic()
     resumed_hours = _prepare(config, out, console)
     with _work_at_stake():
@@ -91,7 +92,9 @@ def _run(config: SoakConfig, limits: Budget, out: Path, history: Path | None) ->
     with _work_at_stake():
         page = _write(report, extra, out, history)
     pooled = f"\npooled with earlier soaks: {report.trend.last.statement}" if report.trend else ""
-    console.print(f"{report.verdict}: {report.statement}{pooled}\nreport: {page}", soft_wrap=True)
+    console.print(
+        f"{report.verdict}: {report.statement}{pooled}\nreport: {printable(str(page))}", soft_wrap=True
+    )
     return EXIT_CODES[report.verdict]
 
 

@@ -14,7 +14,7 @@ from eval.shard.shard import Shard
 from eval.soak.checkpoint import prepare_folder
 from eval.soak.configuration import SoakConfig
 from eval.soak.worker_pool import WorkerPool
-from robots.errors import OutputError
+from robots.errors import OutputError, printable
 
 
 def resumed_ticks(config: SoakConfig, folder: Path, console: Console) -> int:
@@ -34,7 +34,8 @@ def resumed_ticks(config: SoakConfig, folder: Path, console: Console) -> int:
         if saved is not None:
             ticks += int(saved["runtime.ticks"])
         elif exists:
-            console.print(f"{checkpoint.path}: damaged and renamed: its robots start again", soft_wrap=True)
+            path = printable(str(checkpoint.path))
+            console.print(f"{path}: damaged and renamed: its robots start again", soft_wrap=True)
     return ticks
 
 

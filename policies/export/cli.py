@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import torch
 import typer
-from rich.console import Console
+from rich.text import Text
 
 from deploy.command_line import PASSED, main
 from deploy.policy.compatibility import check_contract
@@ -18,11 +18,12 @@ from deploy.policy.inference import BATCHES
 from deploy.policy.policy import AGREEMENT, Policy
 from deploy.policy.policy_file import INPUT, OUTPUT, Golden
 from deploy.telemetry.output_files import check_no_input
+from deploy.telemetry.plain_console import plain_console
 from eval.replay.bundle import robot_files
 from policies.export.onnx_file import write_policy
 from policies.export.tracing import to_onnx
 from policies.training.checkpoint import Checkpoint, load_checkpoint
-from robots.errors import ContractError
+from robots.errors import ContractError, printable
 from robots.spec import load_robot
 from robots.strict import parse
 
@@ -129,7 +130,7 @@ def policy_export(
     """Export a checkpoint to one ONNX file with its contract, if ONNX Runtime agrees with torch."""
     checkpoint_path = find_checkpoint(policy)
     out_path = out or Path("out", f"{checkpoint_path.stem}.onnx")
-    with Console(stderr=True).status(f"exporting {checkpoint_path.name}, about 10 s"):
+    with plain_console(stderr=True).status(Text(printable(f"exporting {checkpoint_path.name}, about 10 s"))):
         exported = export(checkpoint_path, out_path, robot)
     print(_summary(exported))
     return PASSED
@@ -138,7 +139,7 @@ def policy_export(
 def _summary(exported: Exported) -> str:
     worst = ", ".join(f"{d:.1e} at batch {b}" for d, b in zip(exported.deviation, BATCHES, strict=True))
     return (
-        f"{exported.path}: {exported.file_bytes} bytes, sha256 {exported.digest}\n"
+        f"{printable(str(exported.path))}: {exported.file_bytes} bytes, sha256 {exported.digest}\n"
         f"ONNX Runtime against torch on {exported.observations} observations of real rollouts: "
         f"largest deviation {worst} (at most {AGREEMENT:g})"
     )

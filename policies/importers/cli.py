@@ -9,12 +9,13 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
-from rich.console import Console
+from rich.text import Text
 
 from deploy.command_line import PASSED, main
 from deploy.policy.policy_file import Golden
 from deploy.tasks.task import tasks_of
 from deploy.telemetry.output_files import check_no_input, replacing
+from deploy.telemetry.plain_console import plain_console
 from eval.replay.bundle import robot_files
 from policies.export.onnx_file import write_policy
 from policies.importers.contract_builder import BuiltContract, build_contract
@@ -27,7 +28,7 @@ from policies.importers.reference_policy import MissingSettingError, PolicyFacts
 from policies.importers.standard_graph import to_standard_graph
 from policies.importers.torch_files.network_settings import NetworkSettings
 from policies.importers.untrusted.resource_limits import limit_import
-from robots.errors import ConfigError, ContractError
+from robots.errors import ConfigError, ContractError, printable
 from robots.models.fleet import Fleet
 from robots.spec import RobotSpec, load_robot
 from robots.strict import parse
@@ -150,7 +151,7 @@ def policy_import(
         if template:
             facts, count = write_template(file, draft_path, descriptor, robot)
             todo = f"fill in {count} values marked ?" if count else "all values are filled in"
-            print(f"{draft_path}: {_describe(facts)}; {todo}")
+            print(printable(f"{draft_path}: {_describe(facts)}; {todo}"))
         else:
             _run_import(file, draft_path, out or Path("out", f"{file.stem}.onnx"), robot)
     return PASSED
@@ -158,9 +159,9 @@ def policy_import(
 
 def _run_import(file: Path, draft_path: Path, out_path: Path, robot: str | None) -> None:
     started = time.monotonic()
-    with Console(stderr=True).status(f"importing {file.name}"):
+    with plain_console(stderr=True).status(Text(printable(f"importing {file.name}"))):
         imported = import_policy(file, draft_path, out_path, robot)
-    print(f"{out_path}: {_describe(imported.facts)}, sha256 {imported.digest}")
+    print(printable(f"{out_path}: {_describe(imported.facts)}, sha256 {imported.digest}"))
     print(
         f"agrees with the original on 1,024 observations and 16 sequences of 200 steps, for 1 and 64 robots:"
         f" largest deviation {imported.deviation:.1e}, in {time.monotonic() - started:.0f} s"

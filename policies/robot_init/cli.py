@@ -15,7 +15,7 @@ from deploy.command_line import PASSED, main
 from policies.robot_init.permanent_contacts import permanent_contacts
 from policies.robot_init.robot_files import draws_toml, limits_toml, robot_toml
 from policies.robot_init.vendor_model import VendorModel, read_vendor_model
-from robots.errors import OutputError, RobotError, is_utf8, output_error
+from robots.errors import OutputError, RobotError, is_utf8, output_error, printable
 from robots.models.files import is_urdf, referenced_files
 from robots.models.sandbox import check_compiles
 from robots.strict import placeholder_fields
@@ -133,7 +133,7 @@ def robot_init(
     folder = out or Path("out", model.stem)
     vendor, still_open = init_robot(model, folder, walks=walks)
     counts = f"{len(vendor.joints)} joints, {len(vendor.locked)} of them locked, {len(vendor.shapes)} shapes"
-    print(f"{folder}: {counts}")
+    print(printable(f"{folder}: {counts}"))
     if vendor.floating_base:
         print("floating base: a walking robot without tool")
     print(f"{len(still_open)} fields to fill in:", *_grouped(still_open), sep="\n")

@@ -19,7 +19,7 @@ from policies.training.envs import RuntimeEnv
 from policies.training.networks import Actor
 from policies.training.recipe import Learner, Recipe, contract_of, find_recipe, load_recipe
 from policies.training.watchers import Film, JointSpeeds, Window
-from robots.errors import OutputError
+from robots.errors import OutputError, printable
 from robots.spec import RobotSpec, load_robot
 
 SAVE_INTERVAL = 200
@@ -148,7 +148,8 @@ def policy_train(
     video: Annotated[Path | None, VIDEO] = None,
 ) -> int:
     """Train a policy by a recipe; the checkpoint is <out>/<recipe>.pt."""
-    print(f"checkpoint: {train(find_recipe(recipe), out, threads=threads, view=view, video=video)}")
+    path = train(find_recipe(recipe), out, threads=threads, view=view, video=video)
+    print(f"checkpoint: {printable(str(path))}")
     return PASSED
 
 

@@ -58,6 +58,15 @@ def test_a_run_leaves_a_summary(command, arm_policy, tmp_path):
     assert {path.name for path in out.iterdir()} == {"run.mcap", "summary.json", "heat.json"}
 
 
+def test_paths_are_printed_as_they_are(command, arm_policy, tmp_path, monkeypatch):
+    """But on one line: brackets are no markup."""
+    monkeypatch.setenv("COLUMNS", "1000")
+    out = tmp_path / "a[/x]:smile:\x9b"
+    code, said, _ = command("--policy", arm_policy, "--duration", 0.1, "--speed", "max", "--out", out)
+    assert code == 0
+    assert f"{tmp_path}/a[/x]:smile:?/run.mcap" in said
+
+
 def test_a_policy_that_fails_is_stopped_and_its_failure_told(command, tmp_path):
     policy = failing(tmp_path / "policy.onnx", 50)
     options = ("--robot", "planar3", "--policy", policy, "--duration", 5, "--speed", "max")

@@ -53,7 +53,7 @@ def test_wrong_option_is_named(words, complaint, call):
 def test_margins_that_do_not_suffice_are_written(call, tmp_path, monkeypatch):
     monkeypatch.setattr(trial, "TRIAL_S", 1.0)
     monkeypatch.setattr(command, "processes", lambda _: InProcess())
-    folder = tmp_path / "robot"
+    folder = tmp_path / "a[/x]"
     shutil.copytree(PLANAR3.folder, folder)
     text = (folder / "robot.toml").read_text()
     (folder / "robot.toml").write_text(text.replace("q_soft_rad = 0.03", "q_soft_rad = 1e-6"))

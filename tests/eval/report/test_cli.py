@@ -119,6 +119,15 @@ def test_a_trend_is_a_page_and_its_sentences(soak_report, tmp_path):
     assert (tmp_path / "a" / "b.html").read_bytes() == page.read_bytes()
 
 
+def test_paths_are_printed_as_they_are(soak_report, tmp_path):
+    folder = tmp_path / "[/x]\n"
+    add_record(night(1, policy="[/y]"), folder)
+    code, said, _ = soak_report("trend", folder)
+    assert code == 0
+    assert "1: [/y] (" in said
+    assert f"page: {tmp_path}/[/x]?/trend.html\n" in said
+
+
 def test_no_nights_are_refused(refused, tmp_path):
     said = refused("trend", tmp_path)
     assert said == f"error: {tmp_path}: found no records, expected some from soak-test --history\n"

@@ -14,6 +14,7 @@ from support.policies import policy_model, saved
 
 pytest.importorskip("mujoco")
 
+from deploy.telemetry.plain_console import plain_console
 from eval.shard.job import WIDTH, code_digest
 from eval.shard.shard import Shard
 from eval.soak import workers
@@ -212,16 +213,16 @@ def test_killed_worker_changes_no_result(finished, tmp_path, monkeypatch, capsys
 
 
 def test_damage_is_reported_before_the_soak_runs(restless, tmp_path, capsys):
-    kept = store_ticks(restless, 1, tmp_path / "unfinished", 400)
-    assert workers.resumed_ticks(restless, tmp_path / "unfinished", Console()) == 400
+    kept = store_ticks(restless, 1, tmp_path / "a[/x]", 400)
+    assert workers.resumed_ticks(restless, kept.path.parent, plain_console()) == 400
     spoil(kept.path, "cut")
     assert_reported(restless, kept, capsys)
 
 
 def assert_reported(soak, kept, capsys):
-    assert workers.resumed_ticks(soak, kept.path.parent, Console()) == 0
+    assert workers.resumed_ticks(soak, kept.path.parent, plain_console()) == 0
     said = capsys.readouterr().out.replace("\n", "")
-    assert f"{kept.path.name}: damaged and renamed: its robots start again" in said
+    assert f"{kept.path}: damaged and renamed: its robots start again" in said
     assert [file.name for file in kept.path.parent.iterdir()] == [kept.path.name + DAMAGED]
 
 
