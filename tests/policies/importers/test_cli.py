@@ -67,10 +67,10 @@ def test_the_same_file_gives_the_same_bytes(done, tmp_path):
 
 def test_template_is_the_start_of_the_contract(done, tmp_path, capsys):
     path, *_ = done
-    draft = tmp_path / "new.toml"
+    draft = tmp_path / "a\nnew.toml"
     assert policy_import(path, contract=draft, template=True) == 0
     assert re.search(
-        rf"new\.toml: ONNX.*, {N} observations, {A} actions; fill in \d+ values marked \?",
+        rf"a\?new\.toml: ONNX.*, {N} observations, {A} actions; fill in \d+ values marked \?",
         capsys.readouterr().out,
     )
     with pytest.raises(ContractError, match=r"new\.toml: policy_hz: still '\?', to be filled in"):
