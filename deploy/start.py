@@ -13,12 +13,12 @@ from functools import partial
 from importlib import import_module
 from typing import Any, BinaryIO, cast
 
-from robots.errors import printable
+from robots.errors import NO_ROOM, printable
 
-NO_ROOM, INTERRUPTED, BROKEN = 1, 130, 70
+LACKING, INTERRUPTED, BROKEN = 1, 130, 70
 """Exit codes where the computer lacks room or memory, after Ctrl-C, and after a defect."""
-LACKING = {
-    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "a temporary file"),
+RESOURCES = {
+    **dict.fromkeys(NO_ROOM, "a temporary file"),
     **dict.fromkeys((errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM), "a file, a pipe or a process"),
 }
 """Errors of a computer without room or memory, and what there was none for, unless the error names a file."""
@@ -64,12 +64,12 @@ def start(module: str) -> None:
 
 def report_failure(error: Exception) -> int:
     """Print an error that is none of firstshift, with its traceback unless the computer lacks room; return its code."""
-    if not isinstance(error, OSError) or error.errno not in LACKING:
+    if not isinstance(error, OSError) or error.errno not in RESOURCES:
         traceback.print_exception(error)
         return BROKEN
-    about = error.filename or LACKING[error.errno]
+    about = error.filename or RESOURCES[error.errno]
     print(f"error: {printable(str(about))}: {error.strerror}", file=sys.stderr)
-    return NO_ROOM
+    return LACKING
 
 
 def _kept_going(stream: io.TextIOWrapper) -> io.TextIOWrapper:

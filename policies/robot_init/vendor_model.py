@@ -121,7 +121,6 @@ def read_vendor_model(path: Path, folder: Path) -> VendorModel:
         (model.geom_contype | model.geom_conaffinity) & (model.geom_bodyid > 0)
     ).tolist()
     _check_sizes(model, touching, path)
-    _check_names(model, path)
     kinds, speeds = model.jnt_type.tolist(), _speeds(path)
     moving = [i for i, kind in enumerate(kinds) if kind in (_HINGE, _SLIDE)]
     bodies = [model.body(i).name for i in range(1, model.nbody)]
@@ -149,15 +148,6 @@ def _check_sizes(model: mujoco.MjModel, touching: list[int], path: Path) -> None
     ):
         if found > most:
             raise RobotError(f"{path}: found {found} {what}, expected at most {most}")
-
-
-def _check_names(model: mujoco.MjModel, path: Path) -> None:
-    """Refuse unprintable names: they are written to comments of robot.toml, which end with the line."""
-    named = {"joint": model.njnt, "body": model.nbody, "site": model.nsite}
-    for kind, count in named.items():
-        for name in (getattr(model, kind)(i).name for i in range(count)):
-            if not name.isprintable():
-                raise RobotError(f"{path}: {kind}: found name {name!r:.80}, expected printable characters")
 
 
 def _joint(model: mujoco.MjModel, i: int, path: Path, speeds: dict[str, float]) -> VendorJoint:

@@ -7,7 +7,7 @@ import pytest
 import typer
 
 from deploy.command_line import BUDGET_EXCEEDED, exit_code_of
-from deploy.start import BROKEN, LACKING, NO_ROOM
+from deploy.start import BROKEN, LACKING, RESOURCES
 
 
 def code_of(command):
@@ -16,14 +16,14 @@ def code_of(command):
     return caught.value.exit_code
 
 
-@pytest.mark.parametrize("number", LACKING)
+@pytest.mark.parametrize("number", RESOURCES)
 @pytest.mark.parametrize("name", [None, "a\nb"])
 def test_a_computer_without_room_is_one_line_and_no_defect(number, name, capsys):
     def full():
         raise OSError(number, os.strerror(number), name)
 
-    assert code_of(full) == BUDGET_EXCEEDED == NO_ROOM
-    about = "a?b" if name else LACKING[number]
+    assert code_of(full) == BUDGET_EXCEEDED == LACKING
+    about = "a?b" if name else RESOURCES[number]
     assert capsys.readouterr().err == f"error: {about}: {os.strerror(number)}\n"
 
 

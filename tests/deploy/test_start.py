@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.start import BROKEN, INTERRUPTED, NO_ROOM, start
+from deploy.start import BROKEN, INTERRUPTED, LACKING, start
 from support.paths import ROOT
 
 SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
@@ -164,7 +164,7 @@ def test_too_few_open_files_for_imports_are_one_line(written, tmp_path):
         "import os, resource\nresource.setrlimit(resource.RLIMIT_NOFILE, (8, 8))\nfor _ in range(9):\n    os.pipe()\n",
     )
     ended = run("greedy_command", tmp_path)
-    assert ended.returncode == NO_ROOM
+    assert ended.returncode == LACKING
     assert ended.stderr == b"error: a file, a pipe or a process: Too many open files\n"
 
 
