@@ -261,8 +261,10 @@ class Runtime(Stage):
         Returns:
             (B,) reasons of those that were refused, 0 elsewhere.
         """
-        ids = ids & ~self.supervisor.powered
-        here = Setpoint(self.resting.q.copy(), *np.zeros((2, *self._zeros.shape)))
+        off = ~self.supervisor.powered
+        ids = ids & off
+        q = np.where(off[:, None], self.resting.q, self.state.q)
+        here = Setpoint(q, *np.zeros((2, *q.shape)))
         # At rest a stop is the pose itself.
         stop = Stop(here, q=np.stack((here.q, here.q)), qd=np.stack((here.qd, here.qd)), q_rest=here.q)
         self.verdict = self.safety.step(self.state, here, here, stop)

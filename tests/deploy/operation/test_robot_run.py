@@ -8,7 +8,7 @@ from deploy.backends.sim.backend import SimBackend
 from deploy.backends.sim.robot import SimRobot
 from deploy.operation.interrupts import FAULTS, SIGNALS, WRITE_ERRORS, Interrupts, handled
 from deploy.operation.loop_timing import LoopTiming, WallClock
-from deploy.operation.robot_run import Ending, RobotRun
+from deploy.operation.robot_run import ARM_AFTER_S, Ending, RobotRun
 from deploy.policy.policy import Policy
 from deploy.reasons import Reason
 from deploy.runtime import Runtime
@@ -183,12 +183,16 @@ def test_every_signal_is_of_a_known_kind():
     assert not {*SIGNALS} & {signal.SIGKILL, signal.SIGSTOP, signal.SIGCHLD, signal.SIGWINCH, *faults}
 
 
-def test_an_interrupt_while_arming_moves_nothing(bench):
+@pytest.mark.parametrize("slot", [20, 50])
+def test_an_interrupt_while_arming_moves_nothing(bench, slot):
+    """Before the robot gets power, and before the policy may move it."""
     b = bench(duration=60.0)
-    b.at[20] = lambda: signal.raise_signal(signal.SIGINT)
+    b.at[slot] = lambda: signal.raise_signal(signal.SIGINT)
     assert b.live() is Ending.INTERRUPTED
-    assert np.ptp(b.planned(), axis=0).max() == 0.0
-    assert b.runtime.ticks < 30
+    sent = b.planned()
+    assert bool(len(sent)) == (slot * SPEC.dt > ARM_AFTER_S)
+    assert all((numbers == sent[0]).all() for numbers in sent)
+    assert b.runtime.ticks < slot + 10
 
 
 def test_a_second_ctrl_c_cuts_power(bench, monkeypatch):
