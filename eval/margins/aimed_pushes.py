@@ -41,6 +41,7 @@ class AimedPushes:
         self._n, self._aims, self._aimed = spec.n, aims, aims != NOBODY
         self._applied, self._bodies = plant.batch.bind("xfrc_applied"), plant.bodies
         self._force, self._ticks = robots["push.force_n"], np.rint(robots["push.lasts_s"] / spec.dt)
+        self._centres = robots["links.com_m"]
         self._pause, self._rng = round(PAUSE_S / spec.dt), np.random.default_rng([seed, 2])
         self._model, _ = load_pinocchio(spec)
         self._data = self._model.createData()
@@ -60,20 +61,22 @@ class AimedPushes:
         self.on &= self._tick < self._until
         waited = self._tick >= self._until + self._pause
         begin = self._aimed & waited & ~self.on & (speed > 0.0) & (speed >= NEAR * self._fastest)
-        for robot in np.flatnonzero(begin):
-            link, direction = self._push(int(self._aims[robot]), q[robot], qd[robot])
+        for robot in np.flatnonzero(begin).tolist():
+            link, direction = self._push(robot, q[robot], qd[robot])
             self._applied[robot, self._bodies[link], :3] = self._force[robot] * direction
         self._until[begin] = (self._tick + self._ticks)[begin]
         self.on |= begin
         self._tick += 1
 
-    def _push(self, aim: int, q: Floats, qd: Floats) -> tuple[int, Floats]:
-        """Return the link that is pushed in its middle, and the direction (3,) of the push, world."""
+    def _push(self, robot: int, q: Floats, qd: Floats) -> tuple[int, Floats]:
+        """Return the link that is pushed at its drawn centre of mass, and the direction (3,) of the push, world."""
+        aim = int(self._aims[robot])
         tool = aim == self._n
         link = self._n - 1 if tool else int(self._rng.integers(aim, self._n))
         pin.computeJointJacobians(self._model, self._data, q)
         jacobian = pin.getJointJacobian(self._model, self._data, link + 1, pin.LOCAL_WORLD_ALIGNED)
-        middle = self._data.oMi[link + 1].rotation @ self._model.inertias[link + 1].lever
-        levers = jacobian[:3] + np.cross(jacobian[3:], middle, axisa=0, axisc=0)
+        centre = self._model.inertias[link + 1].lever + self._centres[robot, link]
+        arm = self._data.oMi[link + 1].rotation @ centre
+        levers = jacobian[:3] + np.cross(jacobian[3:], arm, axisa=0, axisc=0)
         velocity = levers @ (qd if tool else qd * (np.arange(self._n) == aim))
         return link, velocity / max(float(np.linalg.norm(velocity)), 1e-9)

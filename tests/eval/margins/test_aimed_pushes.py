@@ -19,7 +19,7 @@ AIMS = np.array([0, 1, 2, NOBODY])
 class Bench:
     """Four robots at q = 0, along x. Positive speeds move them up, along z."""
 
-    def __init__(self, spec=SPEC, aims=AIMS):
+    def __init__(self, spec=SPEC, aims=AIMS, centre=(0.0, 0.0, 0.0)):
         self.shape = len(aims), spec.n
         self.forces = np.zeros((len(aims), 1 + spec.n, 6))
         batch = SimpleNamespace(bind=lambda name: {"xfrc_applied": self.forces}[name])
@@ -27,6 +27,7 @@ class Bench:
         robots = {
             f"push.{k}": np.full(len(aims), x) for k, x in (("force_n", FORCE), ("lasts_s", 4.2 * spec.dt))
         }
+        robots["links.com_m"] = np.broadcast_to(centre, (*self.shape, 3))
         self.pushes = AimedPushes(spec, plant, robots, aims, 3)
 
     def step(self, speed, qd, ticks=1, **more):
@@ -77,3 +78,14 @@ def test_the_tool_is_pushed_along_its_own_motion_by_its_own_speed():
     force = bench.step(0.0, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], tool_speed=np.full((1, 1), 0.3))
     assert bench.forces[0, spec.n, :3] @ bench.forces[0, spec.n, :3] == pytest.approx(FORCE**2)
     assert abs(force[0, 2]) < 1e-9  # the base turns about a vertical axis
+
+
+def test_a_link_is_pushed_where_its_drawn_centre_of_mass_goes():
+    """That of the nominal last wrist lies on its axis, and does not move."""
+    spec = load_robot("arm6")
+    forces = [
+        Bench(spec, np.array([5]), centre).step(0.5, 1.0, PAUSE + 1)[0]
+        for centre in ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0), (-0.01, 0.0, 0.0))
+    ]
+    assert np.linalg.norm(forces, axis=1) == pytest.approx([0.0, FORCE, FORCE], abs=1e-6)
+    np.testing.assert_allclose(forces[1], -forces[2], atol=1e-9)
