@@ -165,7 +165,7 @@ class Runtime(Stage):
         self.state = self.capabilities.step(t, sample, state, due)
         if any_true(off := ~self.supervisor.powered):
             moving = self.estimator.moving.any(axis=1) | np.isinf(state.age)
-            self.resting.step(state.q, state.q_var, off & ~moving)
+            self.resting.step(state.q, off & ~moving)
         self.task.observe(self, sample, due)
         if not due:
             return None
@@ -256,7 +256,7 @@ class Runtime(Stage):
     def arm(self, ids: Bools) -> Ints:
         """Power robots where `ids` holds, drives are off, joints rest and every check passes.
 
-        Setpoints begin at the mean of the estimates since the joints came to rest, of the last half second at most.
+        Setpoints begin at the mean of the estimates since the joints came to rest, as many as there are.
 
         Returns:
             (B,) reasons of those that were refused, 0 elsewhere.
@@ -264,12 +264,13 @@ class Runtime(Stage):
         off = ~self.supervisor.powered
         ids = ids & off
         q = np.where(off[:, None], self.resting.q, self.state.q)
-        here = Setpoint(q, *np.zeros((2, *q.shape)))
+        here = Setpoint(q=q, qd=np.zeros_like(q), qdd=np.zeros_like(q))
         # At rest a stop is the pose itself.
         stop = Stop(here, q=np.stack((here.q, here.q)), qd=np.stack((here.qd, here.qd)), q_rest=here.q)
         self.verdict = self.safety.step(self.state, here, here, stop)
         reason = np.where(ids, self.verdict.reason | self.state.fault, 0)
-        reason[ids & self.estimator.moving.any(axis=1)] |= _MOVING
+        moving = self.estimator.moving | self.resting.creeping(self.state.q)
+        reason[ids & moving.any(axis=1)] |= _MOVING
         self.requested_stop[ids], self.ticks_since_arming[ids] = 0, 0
         granted = ids & (reason == 0)
         self.resting.ticks[granted] = 0

@@ -30,7 +30,8 @@ def _printable(name: str) -> str:
 
 Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_printable)]
 """Name of a part of a robot: reports and terminals show it."""
-RobotName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+ROBOT_NAME = r"^[A-Za-z0-9_-]{1,64}$"
+RobotName = Annotated[str, Field(pattern=ROBOT_NAME)]
 """Name of a robot."""
 
 PLACEHOLDER = "?"

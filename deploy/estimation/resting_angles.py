@@ -1,7 +1,7 @@
 """Mean of the estimated angles of joints at rest, where a robot is armed.
 
-One estimate is off by the noise of an encoder, up to 2 mrad. Who tries to arm again and again would choose the moment
-at which that noise lets a robot pass a check that it does not pass on average.
+One estimate is off by the noise of an encoder, up to 2 mrad. Repeated attempts to arm would select an estimate whose
+noise lets a robot pass a check that it does not pass on average.
 """
 
 import numpy as np
@@ -11,11 +11,12 @@ from deploy.stage import Stage
 from robots.arrays import Bools, Floats
 from robots.spec import RobotSpec
 
-MEAN_S = 0.5
-"""s, longest time whose mean is taken."""
-DIFFERENCE_STD = 12.0
-"""Standard deviations of an estimate, by which it may differ from the mean of a joint at rest: six where encoders are
-twice as noisy as their data sheet says. A joint that creeps, in a brake that slips or in a hand, differs by more."""
+MEAN_S = 0.25
+"""s, time constant of the mean; until so much time has passed, all estimates have the same weight."""
+DIFFERENCE_STD = 4.0
+"""Difference of an estimate from the mean above which a joint creeps, in a slipping brake or in a hand: in standard
+deviations of one encoder sample. With encoders twice as noisy as their data sheet says: five of an estimate.
+"""
 
 
 class RestingAngles(Stage):
@@ -31,11 +32,14 @@ class RestingAngles(Stage):
         """Allocate for robots that have not rested yet."""
         self.q, self.ticks = np.zeros((robots, spec.n)), np.zeros(robots, dtype=np.int64)
         self._most = sample_count(MEAN_S, spec.dt)
+        self._difference = DIFFERENCE_STD * np.sqrt(spec.sensors["encoder"].variance)
 
-    def step(self, q: Floats, q_var: Floats, resting: Bools) -> None:
-        """Add estimates q (B, n) rad, of variance q_var (B, n) rad², of robots that rest; other means begin at q."""
-        off = np.abs(q - self.q) > DIFFERENCE_STD * np.sqrt(q_var)
-        goes_on = resting & ((self.ticks == 0) | ~off.any(axis=1))
-        np.copyto(self.ticks, np.where(goes_on, np.minimum(self.ticks + 1, self._most), 0))
+    def step(self, q: Floats, resting: Bools) -> None:
+        """Add estimates q (B, n) rad of robots that rest; elsewhere the mean restarts at q."""
+        np.copyto(self.ticks, np.where(resting, np.minimum(self.ticks + 1, self._most), 0))
         mean = self.q + (q - self.q) / np.maximum(self.ticks, 1)[:, None]
         np.copyto(self.q, np.where(self.ticks[:, None] <= 1, q, mean))
+
+    def creeping(self, q: Floats) -> Bools:
+        """(B, n) joints whose estimate q (B, n) rad is further from their mean than noise."""
+        return np.asarray(~(np.abs(q - self.q) <= self._difference))

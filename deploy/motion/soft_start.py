@@ -2,8 +2,8 @@
 
 A robot is armed where its encoders say that it is. An error of theirs, 2.4 mrad of a worn encoder of arm6, would be a
 torque of half of the drive's range in the first period, on top of the load that the brakes held. Drives that a contract
-makes softer than the robot's own rise as fast as those, so that they sag no longer. Legs that a gantry lets go have to
-be stiff at once: this is for robots on a fixed base.
+makes softer than the robot's own rise as fast as those: a quarter of little would let them sag. Legs that a gantry
+lets go have to be stiff at once: this is for robots on a fixed base.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ FIRST_SHARE, RISE_S = 0.25, 0.1
 def soft_start(drive: DriveMode, own: Floats, ticks: Ints, dt: float) -> DriveMode:
     """Return drives whose stiffness is still rising `ticks` (B,) of dt s after robots were armed.
 
-    `own` is the stiffness (n,) of the robot's own gains.
+    `own` (n,) N·m/rad is the stiffness of the robot's own gains.
     """
     if not any_true(ticks < RISE_S / dt):
         return drive

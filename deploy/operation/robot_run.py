@@ -13,8 +13,10 @@ from deploy.reasons import LATCHING, Reason
 from deploy.runtime import Runtime
 from deploy.telemetry.recorder import Recorder
 
-ARM_AFTER_S, ARM_WITHIN_S = 0.2, 1.0
-"""Robot time in which estimates are averaged before a robot is armed, and within which all checks must pass."""
+ARM_AFTER_S = 0.2
+"""Robot time in which estimates are averaged before a robot is armed."""
+ARM_WITHIN_S = 1.0
+"""Robot time within which all checks before arming must pass."""
 STOP_SLACK_S = 4.0
 """Robot time that a controlled stop may take beyond the longest planned one."""
 

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Iterator, Mapping
 from datetime import UTC
-from glob import glob
 from itertools import count
 from pathlib import Path
 
@@ -52,8 +51,18 @@ def _names(record: SoakRecord, folder: Path) -> Iterator[Path]:
 
 
 def record_files(folder: Path) -> list[Path]:
-    """Return the files of records in `folder`, sorted; none if it cannot be read."""
-    return [folder / name for name in sorted(glob(f"*{SUFFIX}", root_dir=folder))]
+    """Return the files of records in `folder`, sorted; none if there is no such folder.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    try:
+        names = os.listdir(folder)
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as e:
+        raise ConfigError(f"{folder}: cannot be read: {e.strerror}") from e
+    return [folder / name for name in sorted(names) if name.endswith(SUFFIX) and not name.startswith(".")]
 
 
 def read_history(folder: Path) -> dict[str, SoakRecord]:

@@ -1,6 +1,7 @@
 """Command robot-init: create a robot folder from a vendor's model."""
 
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,7 +19,7 @@ from policies.robot_init.vendor_model import VendorModel, read_vendor_model
 from robots.errors import OutputError, RobotError, is_utf8, output_error, printable
 from robots.models.files import is_urdf, referenced_files
 from robots.models.sandbox import check_compiles
-from robots.strict import placeholder_fields
+from robots.strict import ROBOT_NAME, placeholder_fields
 
 WALKS = typer.Option("--walks", help="the base is free (floating); for URDF, which cannot express it")
 SUFFIXES = (".xml", ".urdf")
@@ -47,10 +48,12 @@ def init_robot(model: Path, out: Path, *, walks: bool = False) -> tuple[VendorMo
 
     Raises:
         RobotError: the model is unreadable or too large, or names files outside of its folder.
-        OutputError: the folder exists or cannot be written.
+        OutputError: the folder exists, cannot be written, or has a name that no robot can have.
     """
-    folder = package_of(model)
-    vendor, name = _read_robot(model, folder, walks=walks), Path(os.path.normpath(out)).name
+    folder, name = package_of(model), Path(os.path.normpath(out)).name
+    if not re.fullmatch(ROBOT_NAME, name):
+        raise OutputError(f"--out {out}: found name {name!r}, expected up to 64 letters, digits, - and _")
+    vendor = _read_robot(model, folder, walks=walks)
     files = [model.resolve(), *referenced_files(model, folder)]
     model_path = model.resolve().relative_to(folder).as_posix()
     pairs = dict.fromkeys((*vendor.neighbours, *permanent_contacts(model, folder, vendor)))

@@ -242,9 +242,9 @@ def test_load_that_is_too_heavy_is_named_without_motion(check):
     code, _, report = check("--robot", "planar3", base=Heavy)
     assert code == 1
     assert "a motor's current does not fit its motion" in report["stopped"]
-    assert (
-        "elbow" in mistakes(report).keys() <= {"elbow", "wrist"}
-    )  # both carry it; the wrist moves 10 mrad at most
+    named = set(mistakes(report))  # both carry that segment; the wrist falls by about the 10 mrad that count
+    assert "elbow" in named
+    assert named <= {"elbow", "wrist"}
     for (mistake,) in mistakes(report).values():
         assert mistake.endswith("when power came on: its motor does not hold it")
 

@@ -25,7 +25,7 @@ def test_stiffness_rises_and_damping_does_not():
 
 
 def test_drives_that_a_contract_makes_softer_rise_as_fast_as_the_robots_own():
-    """At a fifth of their own stiffness they would sag five times as far while they rise."""
+    """A quarter of half of their own stiffness would let them sag twice as far."""
     drive = DriveMode(np.zeros(3, dtype=np.int64), np.full((3, 2), [5.0, 0.0]), np.full((3, 2), 3.0))
     soft = soft_start(drive, np.array([10.0, 10.0]), np.array([0, RISE // 2, RISE - 1]), SPEC.dt)
     np.testing.assert_allclose(soft.kp[:, 0], [10.0 * FIRST_SHARE, 5.0, 5.0])

@@ -131,8 +131,10 @@ def test_paths_are_printed_as_they_are(soak_report, tmp_path):
 def test_no_nights_are_refused(refused, tmp_path):
     said = refused("trend", tmp_path)
     assert said == f"error: {tmp_path}: found no records, expected some from soak-test --history\n"
-    for folder in (tmp_path / "nowhere", tmp_path / ("x" * 300)):
-        assert refused("trend", folder).startswith(f"error: {folder}: found no records")
+    folder = tmp_path / "nowhere"
+    assert refused("trend", folder).startswith(f"error: {folder}: found no records")
+    folder = tmp_path / ("x" * 300)
+    assert refused("trend", folder) == f"error: {folder}: cannot be read: File name too long\n"
 
 
 def test_unwritable_page_is_reported(refused, tmp_path):

@@ -342,6 +342,16 @@ def test_malformed_model_is_reported(call, tmp_path, name, found):
     assert f"{name}: found {found}, expected a model: MJCF (.xml) or URDF (.urdf)" in said
 
 
+@pytest.mark.parametrize("name", ["my robot", "arm.v2", "x" * 65])
+def test_a_folder_whose_name_no_robot_can_have_is_refused(call, tmp_path, name):
+    write_stl(tmp_path / "meshes" / "fore.stl")
+    shutil.copyfile(URDF, tmp_path / "two.urdf")
+    code, _, said = call(cli, tmp_path / "two.urdf", "--out", tmp_path / name)
+    assert code == 2
+    assert f"{name}: found name {name!r}, expected up to 64 letters, digits, - and _" in said
+    assert not (tmp_path / name).exists()
+
+
 def test_speed_of_nan_is_refused(tmp_path):
     write_stl(tmp_path / "meshes" / "fore.stl")
     model = tmp_path / "two.urdf"
