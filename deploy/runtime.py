@@ -256,20 +256,23 @@ class Runtime(Stage):
     def arm(self, ids: Bools) -> Ints:
         """Power robots where `ids` holds, drives are off, joints rest and every check passes.
 
-        Setpoints begin at the mean of the estimates since the joints came to rest, as many as there are.
+        Setpoints of robots on a fixed base begin at the mean of all estimates since the joints came to rest, those of
+        others at the last estimate.
 
         Returns:
             (B,) reasons of those that were refused, 0 elsewhere.
         """
         off = ~self.supervisor.powered
         ids = ids & off
-        q = np.where(off[:, None], self.resting.q, self.state.q)
+        q, moving = self.state.q, self.estimator.moving
+        if not self.spec.base:  # legs on a floor may settle in their soft drives
+            q = np.where(off[:, None], self.resting.q, q)
+            moving = moving | self.resting.creeping(self.state.q)
         here = Setpoint(q=q, qd=np.zeros_like(q), qdd=np.zeros_like(q))
         # At rest a stop is the pose itself.
         stop = Stop(here, q=np.stack((here.q, here.q)), qd=np.stack((here.qd, here.qd)), q_rest=here.q)
         self.verdict = self.safety.step(self.state, here, here, stop)
         reason = np.where(ids, self.verdict.reason | self.state.fault, 0)
-        moving = self.estimator.moving | self.resting.creeping(self.state.q)
         reason[ids & moving.any(axis=1)] |= _MOVING
         self.requested_stop[ids], self.ticks_since_arming[ids] = 0, 0
         granted = ids & (reason == 0)

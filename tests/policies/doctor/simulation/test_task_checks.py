@@ -186,7 +186,7 @@ def test_doubled_scale_starts_too_fast(double):
 # ---- delay, jitter, shaking ----
 
 
-@pytest.mark.usefixtures("one_goal")
+@pytest.mark.usefixtures("two_goals")
 def test_noisy_policy_shakes(nervous):
     found = text_of(nervous, "chatter", Verdict.WARN)
     assert re.match(r"it chatters: shoulder_pan [678][.\d]*, ", found)
