@@ -224,8 +224,9 @@ class NeverMovingEstimator(Estimator):
 
 
 def arm_while_moving(runtime: Runtime) -> None:
-    """Arm robots although a joint moves."""
+    """Arm robots although a joint moves or creeps."""
     runtime.estimator = NeverMovingEstimator(runtime.spec, runtime.robot.robots)
+    wrap_method(runtime.resting, "creeping", lambda _, q: np.zeros(q.shape, dtype=bool))
 
 
 def trust_first_sample(runtime: Runtime) -> None:
