@@ -253,6 +253,12 @@ class Runtime(Stage):
             self.estimator.joints.follow_drives((drive.kp < self.drives.stop.kp) & powered[:, None])
             self.estimator.follow_joints(drive.kp == 0.0, self.t, speeds=torque_mode)
 
+    @property
+    def moving(self) -> Bools:
+        """(B, n) joints that move or creep without power; legs on a floor may creep, as they settle in soft drives."""
+        moving = self.estimator.moving
+        return moving if self.spec.base else moving | self.resting.creeping(self.state.q)
+
     def arm(self, ids: Bools) -> Ints:
         """Power robots where `ids` holds, drives are off, joints rest and every check passes.
 
@@ -264,16 +270,13 @@ class Runtime(Stage):
         """
         off = ~self.supervisor.powered
         ids = ids & off
-        q, moving = self.state.q, self.estimator.moving
-        if not self.spec.base:  # legs on a floor may settle in their soft drives
-            q = np.where(off[:, None], self.resting.q, q)
-            moving = moving | self.resting.creeping(self.state.q)
+        q = self.state.q if self.spec.base else np.where(off[:, None], self.resting.q, self.state.q)
         here = Setpoint(q=q, qd=np.zeros_like(q), qdd=np.zeros_like(q))
         # At rest a stop is the pose itself.
         stop = Stop(here, q=np.stack((here.q, here.q)), qd=np.stack((here.qd, here.qd)), q_rest=here.q)
         self.verdict = self.safety.step(self.state, here, here, stop)
         reason = np.where(ids, self.verdict.reason | self.state.fault, 0)
-        reason[ids & moving.any(axis=1)] |= _MOVING
+        reason[ids & self.moving.any(axis=1)] |= _MOVING
         self.requested_stop[ids], self.ticks_since_arming[ids] = 0, 0
         granted = ids & (reason == 0)
         self.resting.ticks[granted] = 0

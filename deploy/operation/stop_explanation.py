@@ -75,7 +75,7 @@ def _joints(runtime: Runtime, bit: Reason, robot: int) -> Bools:
         Reason.DIVERGED: estimator.diverged,
         Reason.STUCK: estimator.stuck,
         Reason.LOAD: estimator.external_torque.detected,
-        Reason.MOVING: estimator.moving,
+        Reason.MOVING: runtime.moving,
         Reason.OSCILLATION: estimator.oscillation.oscillating,
     }
     if bit in estimated:

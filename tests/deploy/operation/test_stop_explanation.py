@@ -304,4 +304,6 @@ def test_refused_arming_names_the_current_reasons():
     heard(runtime)
     beyond(runtime)
     refused = runtime.arm(np.ones(1, dtype=bool))
-    assert explain_reasons(runtime, int(refused[0])).endswith(f"{REASONS[Reason.OUTSIDE].text} (wrist_2)")
+    said = explain_reasons(runtime, int(refused[0]))
+    assert f"{REASONS[Reason.OUTSIDE].text} (wrist_2)" in said
+    assert said.endswith(f"{REASONS[Reason.MOVING].text} (wrist_2)")  # it is far from where it rested
