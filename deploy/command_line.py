@@ -16,7 +16,7 @@ def main(*commands: Callable[..., int]) -> None:
     """Run one command line; the function's result, or its error, becomes the exit code.
 
     An option that typer refuses and a `FirstshiftError` are printed on standard error and exit with 2, a result that
-    was lost, and a computer without room for a temporary file or a process, with 1. Ctrl-C that a command did not
+    was lost, and a computer without room on its disk or without open files left, with 1. Ctrl-C that a command did not
     handle itself exits with 130. Any other exception, of firstshift or of a robot's bus, is printed with its traceback
     and exits with 70, which is no verdict about the robot.
 

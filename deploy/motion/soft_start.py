@@ -2,8 +2,8 @@
 
 A robot is armed where its encoders say that it is. An error of theirs, 2.4 mrad of a worn encoder of arm6, would be a
 torque of half of the drive's range in the first period, on top of the load that the brakes held. Drives that a contract
-makes softer than the robot's own rise as fast as those: a quarter of little would let them sag. Legs that a gantry
-lets go have to be stiff at once: this is for robots on a fixed base.
+makes softer than the robot's own rise as fast as those: a quarter of their stiffness would let them sag. Legs that a
+gantry lets go have to be stiff at once: this is for robots on a fixed base.
 """
 
 import numpy as np

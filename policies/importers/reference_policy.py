@@ -77,7 +77,7 @@ class ReferencePolicy:
         batched: True if the graph takes any batch, False if only one robot.
         run: the original policy, for one robot.
         mean, deviation: (N,) statistics of the observations in training; None if unknown.
-        files: that were read besides the policy's own: external weights, a normalizer.
+        files: other files that were read: external weights, a normalizer.
     """
 
     facts: PolicyFacts

@@ -39,7 +39,7 @@ def read_xml(path: Path) -> ElementTree.Element:
     """Return the root of an XML file of bounded size, depth and elements, names printable, no DOCTYPE.
 
     Raises:
-        RobotError: it is another one.
+        RobotError: the file breaks one of these bounds, or is no XML.
     """
     try:
         parser = ElementTree.XMLParser(target=_Builder())
@@ -52,7 +52,7 @@ def read_xml(path: Path) -> ElementTree.Element:
 
 
 def _check_elements(root: ElementTree.Element, path: Path) -> None:
-    """Refuse unbounded number and depth of elements: others walk through them by recursion."""
+    """Bound the number of elements and their depth, through which others walk by recursion."""
     level, depth, count = [root], 0, 0
     while level:
         depth += 1

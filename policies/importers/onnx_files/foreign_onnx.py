@@ -29,10 +29,7 @@ EXPECTED = "expected ONNX"
 
 
 def load_onnx(path: Path) -> tuple[ModelProto, tuple[Path, ...]]:
-    """Read a graph and its external weights, refuse forbidden operators; return the files of the weights as well.
-
-    They are in the same folder.
-    """
+    """Return a graph without forbidden operators, and the files beside it from which its external weights are."""
     model, budget = decode(read_bytes(path, EXPECTED), str(path)), BYTES_MAX
     files = set()
     for graph in graphs(model):
