@@ -8,6 +8,14 @@ of period T with gains kp and kd on an inertia J is stable while
 (symplectic Euler's rule; by Jury's criterion for z² − (2 − kd T / J − kp T² / J) z + 1 − kd T / J). In the play of a
 gear, J is the rotor's alone: with more damping than that bears, its blows took motors to the end of their range.
 
+So does a link that a load drives through the play onto its rotor, when the drive damps the rotor strongly. A load τ,
+the torque that plans leave, gives a link of inertia I a speed of √(2 τ·play / I) at the end of the play, and both go on
+with I / (I + J) of it. The damping of that must not need more than τ:
+
+    kd √(2 τ·play·I) / (I + J) <= τ
+
+The play is the nominal one. Worn gears have up to four times as much, and pushes up to half of that load.
+
 Between two setpoints the joint must not swing: its natural frequency stays below a sixth of the control rate. On a
 fixed base it must not swing after them either: safety looks at where joints are sent. Half of critical damping, with a
 load that takes half of the tracking error, let adversaries pass limits of the workspace. What its load takes from its
@@ -24,7 +32,7 @@ import numpy as np
 
 from deploy.policy.contract_action import ActionSpec
 from robots.arrays import Floats
-from robots.models.joint_inertia import joint_inertia
+from robots.models.joint_inertia import JointInertia, joint_inertia
 from robots.models.levers import joint_levers
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
@@ -52,18 +60,44 @@ class Bounds(NamedTuple):
 
 
 def stiffness_bounds(spec: RobotSpec, mode: ControlMode) -> Bounds:
-    """Return the bounds of kp, N·m/rad, of joints that are held, under an action in a mode."""
+    """Return the bounds of kp, N·m/rad, of joints that are held, under an action in a mode.
+
+    Within them, there is a kd within `damping_bounds`.
+    """
+    inertia, period = joint_inertia(spec), 1.0 / spec.rates.physics_hz
     low = _load(spec, mode) / _deflection(spec, mode)
-    return Bounds(low, joint_inertia(spec).least * (2.0 * np.pi / (SETPOINTS_PER_SWING * spec.dt)) ** 2)
+    of_setpoints = inertia.least * (2.0 * np.pi / (SETPOINTS_PER_SWING * spec.dt)) ** 2
+    per_root = 2.0 * _damping_ratio(spec) * np.sqrt(inertia.most)  # least kd is per_root √kp
+    of_blow = (_damping_of_blow(spec, mode, inertia) / per_root) ** 2
+    stable = _damping_of_rotor(spec, inertia)
+    of_rotor = ((np.sqrt(per_root**2 + 2.0 * period * stable) - per_root) / period) ** 2
+    return Bounds(low, np.minimum(of_setpoints, np.minimum(of_blow, of_rotor)))
 
 
 def damping_bounds(spec: RobotSpec, mode: ControlMode, kp: Floats) -> Bounds:
     """Return the bounds of kd, N·m·s/rad, of joints with stiffness kp (n,); those with 0 hold speeds alone."""
     inertia, period = joint_inertia(spec), 1.0 / spec.rates.physics_hz
-    ratio = DAMPING_MIN if spec.base is None else DAMPING_MIN_OF_SPRINGS
     of_speed = _load(spec, mode) / spec.joint_array("qd_max")
-    low = np.where(kp > 0.0, 2.0 * ratio * np.sqrt(kp * inertia.most), of_speed)
-    return Bounds(low, 2.0 * inertia.rotor / (GAIN_MARGIN * period) - kp * period / 2.0)
+    low = np.where(kp > 0.0, 2.0 * _damping_ratio(spec) * np.sqrt(kp * inertia.most), of_speed)
+    stable = _damping_of_rotor(spec, inertia) - kp * period / 2.0
+    return Bounds(low, np.minimum(stable, _damping_of_blow(spec, mode, inertia)))
+
+
+def _damping_ratio(spec: RobotSpec) -> float:
+    return DAMPING_MIN if spec.base is None else DAMPING_MIN_OF_SPRINGS
+
+
+def _damping_of_rotor(spec: RobotSpec, inertia: JointInertia) -> Floats:
+    """Return N·m·s/rad (n,) that a rotor without stiffness bears in the play of its gear."""
+    return 2.0 * inertia.rotor * spec.rates.physics_hz / GAIN_MARGIN
+
+
+def _damping_of_blow(spec: RobotSpec, mode: ControlMode, inertia: JointInertia) -> Floats:
+    """Return N·m·s/rad (n,) at which a link that is driven through the play of its gear takes all that plans leave."""
+    load, rotor = _load(spec, mode), inertia.rotor
+    link = np.clip(rotor, np.maximum(inertia.least - rotor, 0.0), inertia.most - rotor)  # the worst is I = J
+    speed = np.sqrt(2.0 * load * spec.joint_array("play") * link) / (link + rotor)
+    return np.asarray(np.divide(load, speed, out=np.full(spec.n, np.inf), where=speed > 0.0))
 
 
 def _deflection(spec: RobotSpec, mode: ControlMode) -> Floats:
@@ -112,5 +146,5 @@ _TOO_SMALL = {
 }
 _TOO_LARGE = {
     "kp": "it would swing between two setpoints",
-    "kd": "unstable at the rate of its drive, in the play of its gear",
+    "kd": "unstable at the rate of its drive, or too much torque where its link hits the play of its gear",
 }

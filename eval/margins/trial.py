@@ -13,14 +13,15 @@ from eval.attack.arena import Setting, write_job
 from eval.attack.candidate import Candidate
 from eval.attack.crowd import Crowd
 from eval.attack.island import FAR
-from eval.attack.loaded_robots import CHOICE, DISTURBED, LIVES, loaded_robots, loaded_shard
+from eval.attack.loaded_robots import CHOICE, DISTURBED, loaded_robots, loaded_shard
 from eval.attack.policy_graph import policy_file
-from eval.margins.aimed_pushes import NOBODY, AimedPushes
+from eval.margins.aimed_pushes import NOBODY, AimedPushes, Aims
 from eval.margins.excess import Excess, Values
+from eval.margins.throws import throws
 from eval.replay.bundle import POLICY
 from eval.shard.job import WIDTH
 from eval.shard.shard import Shard
-from robots.arrays import Floats, Ints
+from robots.arrays import Floats
 from robots.distributions import Distributions, load_distributions
 from robots.draws import Draw, draw, shape
 from robots.randomness import robot_seed
@@ -32,8 +33,10 @@ DRAWN = ("sensors", "climate", "wear")
 """Groups of draws.toml that are drawn as in a soak at the corners, too."""
 AIMED = WIDTH // 2
 """First of the robots of a trial that are pushed along their motion, the more worn half; the others, by chance."""
-TOOL_EVERY = 4
-"""One of so many of them is pushed along the motion of its tool, the others along that of a joint."""
+TURNS = 4
+"""They take turns: one is pushed along the motion of its tool, one as a joint brakes, two while a joint is fast."""
+BRAKED = np.arange(WIDTH - AIMED) % TURNS == 1
+"""Which of them are pushed as a joint brakes; those whose torque that affects most."""
 NEVER_S = 1e9
 """s, a pause that no trial reaches."""
 
@@ -77,7 +80,7 @@ def run(trial: Trial) -> Outcome:
     shard.set_policy(Crowd(policy_file(spec, setting.mode, policies)))
     plant = shard.robot.plant
     excess, by_chance = Excess(shard.runtime, plant), plant.disturbances[Pushes.name]
-    aimed = AimedPushes(spec, plant, robots, aims(spec, robots), trial.seed)
+    aimed = AimedPushes(spec, plant, robots, aims(spec, robots))
     for _ in range(round(TRIAL_S / spec.dt)):
         shard.tick()
         planned = excess.step(shard.truth, by_chance.on | aimed.on)
@@ -112,20 +115,17 @@ def draw_robots(spec: RobotSpec, seed: int, *, corners: bool) -> Draw:
 
 def _thrown_robots(distributions: Distributions, spec: RobotSpec, seed: int) -> Draw:
     robots = draw(distributions, spec, [robot_seed(seed, robot) for robot in range(CHOICE * WIDTH)])
-    most = np.argsort(-throw_index(robots).max(axis=1), kind="stable")[: WIDTH - AIMED]
-    return robots.rows(most).replaced({"push.every_s": NEVER_S})
+    speed, torque = (np.argsort(-effect.max(axis=(1, 2)), kind="stable") for effect in throws(spec, robots))
+    rows = np.where(BRAKED, torque[: WIDTH - AIMED], speed[: WIDTH - AIMED])
+    return robots.rows(rows).replaced({"push.every_s": NEVER_S})
 
 
-def throw_index(robots: Draw) -> Floats:
-    """Return (B, n) for comparing robots: what the square of a link's speed grows with while it crosses its play."""
-    play = robots["joints.backlash_rad"] + LIVES * robots["wear.backlash_rad"]
-    return np.asarray(robots["push.force_n"][:, None] * play / robots["links.mass"])
-
-
-def aims(spec: RobotSpec, robots: Draw) -> Ints:
-    """Return (WIDTH,) aims of `AimedPushes`: the joint whose link a push throws most, or a tool that has a limit."""
-    found = throw_index(robots).argmax(axis=1)
+def aims(spec: RobotSpec, robots: Draw) -> Aims:
+    """Return the aims of a trial: the joint that a push affects most, or a tool that has a limit."""
+    speed, torque = (effect.reshape(WIDTH, -1).argmax(axis=1) for effect in throws(spec, robots))
+    braked = np.concatenate((np.zeros(AIMED, dtype=bool), BRAKED))
+    joints, links = np.divmod(np.where(braked, torque, speed), spec.n)
     if spec.workspace:
-        found[AIMED::TOOL_EVERY] = spec.n
-    found[:AIMED] = NOBODY
-    return found
+        joints[AIMED::TURNS], links[AIMED::TURNS] = spec.n, spec.n - 1
+    joints[:AIMED] = NOBODY
+    return Aims(joints, links, braked)

@@ -57,7 +57,7 @@ def test_a_capability_that_lacks_its_other_half_is_an_error(tmp_path, edits, mes
 
 def test_the_digest_of_the_arm_stays():
     """Shipped contracts carry it."""
-    assert SPEC.digest == "e229b3be3dbc51014aeee79ddbe44be646697fd3caf79e7432df66a83d07ec79"
+    assert SPEC.digest == "cfc9480fe0de1a6a54b1edddc32d0d42642018e862d03436b1194a049c9ca273"
 
 
 def test_arrays_follow_joint_order():
@@ -98,7 +98,11 @@ def test_unknown_robot_names_the_known_ones(tmp_path):
         ("physics_hz = 1000", "physics_hz = 900", ["rates", "900", "not a multiple", "200"]),
         ("physics_hz = 1000", "physics_hz = 100", ["rates", "100", "not a multiple", "200"]),
         ("tool_speed = 0.92", "tool_speed = 1.1", ["margins.tool_speed", "less than or equal to 1", "1.1"]),
-        ("speed = 0.74 ", "q_soft_rad = 0.05 #", ["margins", "q_soft_rad 0.05", "q_target_rad 0.05"]),
+        (
+            r"\[margins.torque_mode\]",
+            "[margins.velocity_mode]\nq_soft_rad = 0.05\n[margins.torque_mode]",
+            ["margins", "q_soft_rad 0.05", "q_target_rad 0.05"],
+        ),
         ("tau = 0.50 ", "tau = 1.1 ", ["margins.tau", "less than or equal to 1", "1.1"]),
         ("q_soft_rad = 0.03", "q_soft_rad = 0.06", ["margins", "q_soft_rad 0.06", "q_target_rad 0.05"]),
         ("physics_hz = 1000", "physics_hz = 2000000000", ["rates.physics_hz", "100000", "2000000000"]),

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deploy.motion.smoother import VelocitySmoother
+from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
 
 N, DT = SPEC.n, SPEC.dt
@@ -33,7 +34,7 @@ def ride(smoother, speeds, stops=None):
 
 def assert_inside_limits(q):
     derivative = np.concatenate((np.repeat(np.tile(HOME, (1, q.shape[1], 1)), 3, axis=0), q))
-    for limit in (SPEC.margins.velocity_mode.speed * V, A, J):
+    for limit in (SPEC.margins.of(ControlMode.VELOCITY).speed * V, A, J):
         derivative = np.diff(derivative, axis=0) / DT
         assert (np.abs(derivative) <= limit * (1 + 1e-5)).all()
     assert (q >= LOW - 1e-9).all()
@@ -57,7 +58,7 @@ def test_a_speed_above_the_limit_ends_at_rest_at_the_end_of_the_range(sign):
     np.testing.assert_allclose(q[-1, 0], HIGH if sign > 0 else LOW, atol=1e-9)
     np.testing.assert_allclose(qd[-1, 0], 0.0, atol=1e-9)
     room = HIGH - HOME if sign > 0 else HOME - LOW
-    fastest = np.minimum(SPEC.margins.velocity_mode.speed * V, np.sqrt(A * room))
+    fastest = np.minimum(SPEC.margins.of(ControlMode.VELOCITY).speed * V, np.sqrt(A * room))
     assert np.abs(qd[:, 0]).max(axis=0) == pytest.approx(fastest, rel=0.35)
 
 

@@ -7,12 +7,12 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from eval.margins.aimed_pushes import NEAR, NOBODY, PAUSE_S, AimedPushes
+from eval.margins.aimed_pushes import NEAR, NOBODY, PAUSE_S, AimedPushes, Aims
 from robots.spec import load_robot
 
 SPEC = load_robot("planar3")
 PAUSE, LASTS, FORCE = round(PAUSE_S / SPEC.dt), 4, 5.0
-AIMS = np.array([0, 1, 2, NOBODY])
+AIMS = Aims(np.array([0, 1, 2, NOBODY]), np.array([1, 2, 2, 0]), np.zeros(4, dtype=bool))
 """Robots of the bench: pushed along the motion of shoulder, elbow and wrist, and never."""
 
 
@@ -20,15 +20,14 @@ class Bench:
     """Four robots at q = 0, along x. Positive speeds move them up, along z."""
 
     def __init__(self, spec=SPEC, aims=AIMS, centre=(0.0, 0.0, 0.0)):
-        self.shape = len(aims), spec.n
-        self.forces = np.zeros((len(aims), 1 + spec.n, 6))
+        robots = len(aims.joints)
+        self.shape = robots, spec.n
+        self.forces = np.zeros((robots, 1 + spec.n, 6))
         batch = SimpleNamespace(bind=lambda name: {"xfrc_applied": self.forces}[name])
         plant = SimpleNamespace(batch=batch, bodies=1 + np.arange(spec.n))
-        robots = {
-            f"push.{k}": np.full(len(aims), x) for k, x in (("force_n", FORCE), ("lasts_s", 4.2 * spec.dt))
-        }
-        robots["links.com_m"] = np.broadcast_to(centre, (*self.shape, 3))
-        self.pushes = AimedPushes(spec, plant, robots, aims, 3)
+        draw = {f"push.{k}": np.full(robots, x) for k, x in (("force_n", FORCE), ("lasts_s", 4.2 * spec.dt))}
+        draw["links.com_m"] = np.broadcast_to(centre, (*self.shape, 3))
+        self.pushes = AimedPushes(spec, plant, draw, aims)
 
     def step(self, speed, qd, ticks=1, **more):
         """Step with one planned share of all joints and given true speeds; return forces (B, 3)."""
@@ -62,18 +61,24 @@ def test_a_robot_that_never_moved_is_not_pushed():
     assert not Bench().step(0.0, 0.0, PAUSE + 5).any()
 
 
-def test_links_before_the_joint_are_not_pushed():
-    links = np.zeros((3, SPEC.n), dtype=bool)
+def test_links_of_the_aims_are_pushed():
     bench = Bench()
-    for _ in range(40):
-        bench.step(0.5, 1.0, PAUSE + LASTS)
-        links |= bench.forces[:3, 1:, :3].any(axis=2)
-    np.testing.assert_array_equal(links, np.triu(np.ones((3, 3), dtype=bool)))
+    bench.step(0.5, 1.0, PAUSE + 1)
+    pushed = bench.forces[:3, 1:, :3].any(axis=2)
+    np.testing.assert_array_equal(pushed, AIMS.links[:3, None] == np.arange(SPEC.n))
+
+
+def test_a_push_on_a_joint_that_brakes_waits_until_its_speed_falls():
+    bench = Bench(aims=AIMS._replace(braked=np.array([True, False, False, True])))
+    bench.step(0.5, 1.0, PAUSE + 2)
+    assert bench.pushes.on.tolist() == [False, True, True, False]
+    bench.step(0.499, 1.0)
+    assert bench.pushes.on.tolist() == [True, True, True, False]
 
 
 def test_the_tool_is_pushed_along_its_own_motion_by_its_own_speed():
     spec = load_robot("arm6")
-    bench = Bench(spec, np.array([spec.n]))
+    bench = Bench(spec, Aims(np.array([spec.n]), np.array([spec.n - 1]), np.array([False])))
     assert not bench.step(0.7, 0.0, PAUSE + 5, tool_speed=np.zeros((1, 1))).any()
     force = bench.step(0.0, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], tool_speed=np.full((1, 1), 0.3))
     assert bench.forces[0, spec.n, :3] @ bench.forces[0, spec.n, :3] == pytest.approx(FORCE**2)
@@ -84,7 +89,7 @@ def test_a_link_is_pushed_where_its_drawn_centre_of_mass_goes():
     """That of the nominal last wrist lies on its axis, and does not move."""
     spec = load_robot("arm6")
     forces = [
-        Bench(spec, np.array([5]), centre).step(0.5, 1.0, PAUSE + 1)[0]
+        Bench(spec, Aims(*np.array([[5], [5], [0]])), centre).step(0.5, 1.0, PAUSE + 1)[0]
         for centre in ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0), (-0.01, 0.0, 0.0))
     ]
     assert np.linalg.norm(forces, axis=1) == pytest.approx([0.0, FORCE, FORCE], abs=1e-6)

@@ -10,7 +10,8 @@ from deploy.policy.actor import Actor
 from eval.attack.arena import Setting
 from eval.attack.loaded_robots import DISTURBED, extra_load
 from eval.margins.aimed_pushes import NOBODY
-from eval.margins.trial import AIMED, TOOL_EVERY, Trial, aims, draw_robots, make_shard, run, throw_index
+from eval.margins.throws import throws
+from eval.margins.trial import AIMED, BRAKED, TURNS, Trial, aims, draw_robots, make_shard, run
 from eval.shard.job import WIDTH
 from robots.distributions import load_distributions
 from robots.draws import Draw
@@ -55,26 +56,27 @@ def test_of_the_first_half_every_second_robot_is_one_of_those_with_the_most_load
     assert load[1::2].min() > np.median(load[::2])
 
 
-def test_robots_of_the_other_half_are_those_that_a_push_throws_most_and_aims_are_their_joints():
+def test_robots_of_the_other_half_are_those_that_a_push_affects_most_and_aims_are_their_joints():
     robots = draw_robots(PLANAR, 5, corners=False)
-    thrown = throw_index(robots)
-    assert thrown[AIMED:].max(axis=1).min() > np.median(thrown[:AIMED].max(axis=1))
+    speed, torque = throws(PLANAR, robots)
+    for effect, rows in ((speed, AIMED + np.flatnonzero(~BRAKED)), (torque, AIMED + np.flatnonzero(BRAKED))):
+        assert effect[rows].max(axis=(1, 2)).min() > np.median(effect[:AIMED].max(axis=(1, 2)))
     assert (robots["push.every_s"][AIMED:] > 1e6).all()
     chosen = aims(PLANAR, robots)
-    assert (chosen[:AIMED] == NOBODY).all()
-    np.testing.assert_array_equal(chosen[AIMED:], thrown[AIMED:].argmax(axis=1))
+    assert (chosen.joints[:AIMED] == NOBODY).all()
+    assert chosen.braked.nonzero()[0].tolist() == (AIMED + np.flatnonzero(BRAKED)).tolist()
+    for robot in range(AIMED, WIDTH):
+        effect = (torque if chosen.braked[robot] else speed)[robot]
+        assert effect[chosen.joints[robot], chosen.links[robot]] == effect.max()
+
+
+def test_some_are_pushed_along_the_motion_of_their_tool():
     arm = load_robot("arm6")
-    assert (aims(arm, draw_robots(arm, 5, corners=False)) == arm.n).sum() == (WIDTH - AIMED) // TOOL_EVERY
-
-
-def test_a_push_throws_a_light_link_with_much_play_fastest():
-    robots = {
-        "push.force_n": np.array([4.0, 8.0]),
-        "joints.backlash_rad": np.array([[1e-3, 2e-3], [1e-3, 2e-3]]),
-        "wear.backlash_rad": np.array([[0.0, 1e-3], [0.0, 1e-3]]),
-        "links.mass": np.array([[1.0, 1.0], [1.0, 0.5]]),
-    }
-    np.testing.assert_allclose(throw_index(robots), [[4e-3, 16e-3], [8e-3, 64e-3]])
+    chosen = aims(arm, draw_robots(arm, 5, corners=False))
+    tools = chosen.joints == arm.n
+    assert tools.sum() == (WIDTH - AIMED) // TURNS
+    assert (chosen.links[tools] == arm.n - 1).all()
+    assert not chosen.braked[tools].any()
 
 
 def test_robots_of_the_other_half_are_pushed(monkeypatch):

@@ -47,7 +47,7 @@ def test_joint_stiffness_equals_that_of_its_drive(tmp_path):
     data.qpos[:], data.qvel[:], data.act[:] = home, 0.001, 0.0
     data.ctrl.reshape(-1, 3)[:] = np.stack((101.0 * home, np.zeros(6), np.full(6, 0.05)), axis=1)
     mujoco.mj_forward(model, data)
-    damp = np.array([1224.12] * 3 + [122.412] * 3)
+    damp = np.array([652.864] * 3 + [122.412] * 3)
     np.testing.assert_allclose(data.qfrc_actuator, 0.05 * 101.0 - damp * 0.001, rtol=1e-9)
 
 
@@ -119,7 +119,7 @@ def test_a_drive_for_some_motors_only_is_refused(tmp_path):
     [
         ("gear = 101.0", "gear = 0.0", "motors.size3.drive.gear"),
         ("kp = 40804.0", "kp = 0.0", "motors.size3.drive.kp"),
-        ("kd = 1224.12", "kd = -1.0", "motors.size3.drive.kd"),
+        ("kd = 652.864", "kd = -1.0", "motors.size3.drive.kd"),
         ("supply_v = 48.0", "", "motors.size3.drive.supply_v"),
         ("supply_v = 48.0", "supply_v = 48.0\nrotor = 1.0", "motors.size3.drive.rotor"),
     ],

@@ -12,7 +12,7 @@ winding_resistance_k_per_w = 1.0
 winding_capacity_j_per_k = 40.0
 supply_v = 48.0
 kp = 40804.0
-kd = 1224.12
+kd = 652.864
 
 """,
     "size1": """[motors.size1.drive]
