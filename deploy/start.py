@@ -16,12 +16,13 @@ from typing import Any, BinaryIO, cast
 from robots.errors import NO_ROOM, printable
 
 LACKING, INTERRUPTED, BROKEN = 1, 130, 70
-"""Exit codes where the computer lacks room or open files, after Ctrl-C, and after a defect."""
+"""Exit codes where the computer lacks room, memory or open files, after Ctrl-C, and after a defect."""
 RESOURCES = {
     **dict.fromkeys(NO_ROOM, "a temporary file"),
     **dict.fromkeys((errno.EMFILE, errno.ENFILE), "a file, a pipe or a process"),
+    errno.ENOMEM: "memory",
 }
-"""Errors of a computer without room or open files, and what could not be created, unless the error names a file."""
+"""Errors of a computer that lacks something, and what could not be created, unless the error names a file."""
 ENVIRONMENT = {"PYTHONSAFEPATH": "1", "MPLBACKEND": "agg", "PYTHONIOENCODING": "utf-8"}
 """For this process and its children: no module is imported from the working directory, which may be a robot's folder
 that somebody else has written; plots are files; children write, and libraries' children read, text as UTF-8."""
@@ -63,7 +64,9 @@ def start(module: str) -> None:
 
 
 def report_failure(error: Exception) -> int:
-    """Print an exception, with its traceback unless the computer lacks room or files; return the exit code."""
+    """Print an exception, with its traceback unless the computer lacks something; return the exit code."""
+    if isinstance(error, MemoryError):
+        error = OSError(errno.ENOMEM, str(error) or os.strerror(errno.ENOMEM))
     if not isinstance(error, OSError) or error.errno not in RESOURCES:
         traceback.print_exception(error)
         return BROKEN

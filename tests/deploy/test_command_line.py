@@ -27,6 +27,15 @@ def test_a_computer_without_room_is_one_line_and_no_defect(number, name, capsys)
     assert capsys.readouterr().err == f"error: {about}: {os.strerror(number)}\n"
 
 
+@pytest.mark.parametrize("said", ["", "Unable to allocate 8 GiB"])
+def test_a_computer_without_memory_is_one_line_and_no_defect(said, capsys):
+    def full():
+        raise MemoryError(said)
+
+    assert code_of(full) == LACKING
+    assert capsys.readouterr().err == f"error: memory: {said or os.strerror(errno.ENOMEM)}\n"
+
+
 def test_other_errors_of_the_system_are_defects(capsys):
     def broken():
         raise OSError(errno.EIO, "input/output error", "/dev/x")
