@@ -283,7 +283,7 @@ def test_robots_are_checked_independently():
     q[9] = straight
     qd[1, 5], qdd[4, 5] = 4.0, 1000.0
     # Only together: the speed that the acceleration will still add counts, and none of the others'.
-    qd[7, 1:3], qdd[7, 1:3] = -2.16, -8.0
+    qd[7, 0:3], qdd[7, 1:3] = -2.0, -8.0
     rest = q_hat.copy()
     rest[2, 0], rest[10], sent[5, 3], housing_c[6, 2] = HIGH[0], straight, HOME[3] + 0.2, 95.0
     state = State(
