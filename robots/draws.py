@@ -60,10 +60,11 @@ def draw(distributions: Distributions, spec: RobotSpec, seeds: Sequence[np.rando
 
     The B seeds are those of `robots.randomness.robot_seed`.
     """
+    spans = [(name, span, shape(quantity, spec)) for name, quantity, span in distributions.spans()]
     return Draw(
         {
-            name: np.stack([span.sample(_stream(seed, name), shape(quantity, spec)) for seed in seeds])
-            for name, quantity, span in distributions.spans()
+            name: np.stack([span.sample(_stream(seed, name), each) for seed in seeds])
+            for name, span, each in spans
         }
     )
 
