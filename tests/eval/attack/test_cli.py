@@ -21,7 +21,7 @@ from eval.attack.cli import cli
 from eval.attack.suite import OPEN, SUITE, run_suite
 from eval.judge.monitors import MONITORS
 from eval.replay.bundle_files import INFO
-from support.eval.attacks import planted_workers
+from support.eval.attacks import ShortSetting, planted_workers
 
 OPTIONS = {"--robot": "planar3", "--generations": 2, "--workers": 1}
 
@@ -174,7 +174,8 @@ def test_a_file_in_the_place_of_the_cases_is_named_before_the_search(call, tmp_p
 
 @pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_workers(call, tmp_path, monkeypatch):
-    """With two adversaries, and bundles of two monitors."""
+    """With two adversaries, tried for a second, and bundles of two monitors."""
+    monkeypatch.setattr(command, "Setting", ShortSetting)
     others = {monitor.name for monitor in MONITORS} - {"velocity", "torque"}
     monkeypatch.setattr("eval.attack.archive.EXEMPT", others)
     monkeypatch.setattr("eval.attack.search.ADVERSARIES", dict(list(ADVERSARIES.items())[:2]))

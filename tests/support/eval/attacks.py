@@ -1,14 +1,25 @@
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 
 from eval.attack.archive import Archive
-from eval.attack.arena import Outcome
+from eval.attack.arena import Outcome, Setting
 from eval.attack.peak import Bundle
 from eval.replay.bundle import INFO
 from eval.shard.job import WIDTH
 from robots.motors.control_mode import ControlMode
 from robots.spec import load_robot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShortSetting(Setting):
+    """Trials of a second, in worker processes, too."""
+
+    @property
+    def seconds(self):
+        """Length of a trial, s."""
+        return 1.0
 
 
 def planted_workers(robot, before=lambda blocks: None, after=lambda name: None, **ratios):
