@@ -191,7 +191,7 @@ def soak_test(call, arm_policy, tmp_path):
 @pytest.mark.slow
 def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
     """In a process of its own, with the shipped budget; long enough that the start takes less than 1 % of the time."""
-    sizes = ("--hours", "0.012", "--robots", "4", "--workers", "1")
+    sizes = ("--hours", "0.0085", "--robots", "4", "--workers", "1")
     script = "from eval.soak.cli import cli; cli()"
     options = ("--policy", arm_policy, *sizes, "--out", tmp_path / "out")
     done = subprocess.run(
@@ -202,7 +202,7 @@ def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
     assert report["verdict"] == "failed"
     assert report["goals"]["success"] < 0.1
     assert [line["name"] for line in report["budget"] if not line["passed"]] == ["goal_success"]
-    assert report["exposure"]["evaluations"] == 4 * 8640
+    assert report["exposure"]["evaluations"] == 4 * 6120
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 
 
