@@ -54,13 +54,13 @@ def test_an_event_becomes_a_moving_picture(events, tmp_path):
 
 @pytest.fixture(scope="module")
 def fallen(tmp_path_factory):
-    """The bundle of a quadruped whose policy folds it up, in a soak of a few seconds."""
+    """The bundle of a quadruped whose policy folds it up, in a soak of a second."""
     folder, contract = tmp_path_factory.mktemp("fallen"), walking_contract()
     w = np.zeros((contract.observation_size, contract.action_size), np.float32)
     w[PLACES["projected_gravity"].stop - 1] = -2.0
     node = helper.make_node("MatMul", ["observation", "w"], ["action"])
     path = written(folder, [node], {"w": w}, contract)
-    (job,) = soak_config(path, QUADRUPED, hours=1.4 / 3600, robots=1).jobs()
+    (job,) = soak_config(path, QUADRUPED, hours=1.0 / 3600, robots=1).jobs()
     shard = Shard(job)
     capture = EventCapture(job, shard, folder / "events")
     shard.run(lambda _: None, lambda: False, lambda: capture.flush(shard), capture.observe)
