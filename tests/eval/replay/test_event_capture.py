@@ -29,8 +29,8 @@ def files(folder):
 
 
 def test_resumed_shard_writes_identical_bundles(pushed, tmp_path):
-    """Kept after 1 s of 2.2; and nobody who looks on changes anything."""
-    job = replace(pushed.jobs()[0], ticks=440)
+    """Kept after 1 s of 2.05; and nobody who looks on changes anything."""
+    job = replace(pushed.jobs()[0], first=6, robots=1, ticks=410)
     whole, cut, rest, alone = (Shard(job) for _ in range(4))
     whole.checkpoint_ticks = rest.checkpoint_ticks = 200
     live(whole, EventCapture(job, whole, tmp_path / "whole"))
