@@ -29,10 +29,12 @@ OPERATOR_S = 60.0
 LIBRARIES = ("mujoco", "pin", "ruckig", "filterpy", "onnxruntime", "numpy", "scipy")
 PACKAGES = (robots, deploy, judged)
 
+_version = cache(version)
+
 
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the libraries, by name."""
-    return {"python": platform.python_version(), **{name: version(name) for name in LIBRARIES}}
+    return {"python": platform.python_version(), **{name: _version(name) for name in LIBRARIES}}
 
 
 def code_digest() -> str:
