@@ -26,7 +26,7 @@ from deploy.safety.escalation import StopEscalation
 from deploy.safety.safety import Safety
 from deploy.safety.supervisor import Supervisor
 from deploy.stage import Arrays, Stage
-from deploy.state import BaseState, Command, Sample, Setpoint, State, Stop, Target, Verdict
+from deploy.state import STOP_MOMENTS, BaseState, Command, Sample, Setpoint, State, Stop, Target, Verdict
 from deploy.tasks.task import Task, find_task, sources_of
 from robots.arrays import Bools, Float32s, Floats, Ints
 from robots.capabilities import required
@@ -273,7 +273,7 @@ class Runtime(Stage):
         q = self.state.q if self.spec.base else np.where(off[:, None], self.resting.q, self.state.q)
         here = Setpoint(q=q, qd=np.zeros_like(q), qdd=np.zeros_like(q))
         # At rest a stop is the pose itself.
-        stop = Stop(here, q=np.stack((here.q, here.q)), qd=np.stack((here.qd, here.qd)), q_rest=here.q)
+        stop = Stop(here, q=np.array([q] * STOP_MOMENTS), qd=np.array([here.qd] * STOP_MOMENTS), q_rest=q)
         self.verdict = self.safety.step(self.state, here, here, stop)
         reason = np.where(ids, self.verdict.reason | self.state.fault, 0)
         reason[ids & self.moving.any(axis=1)] |= _MOVING

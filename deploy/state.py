@@ -134,12 +134,16 @@ class Setpoint(NamedTuple):
     drive: DriveMode | None = None
 
 
+STOP_MOMENTS = 3
+"""Moments at which a stop is checked while it brakes."""
+
+
 class Stop(NamedTuple):
     """Stop that would begin at a setpoint.
 
     Attributes:
         ahead: its first step.
-        q, qd: (2, B, n) rad, rad/s, at two moments while it brakes.
+        q, qd: (STOP_MOMENTS, B, n) rad, rad/s, while it brakes.
         q_rest: (B, n) rad, its end.
     """
 
@@ -156,9 +160,9 @@ class Verdict(NamedTuple):
         reason: (B,) int64 bit sets of `Reason`, 0 if the setpoint may be sent.
         tau: (B, n) N·m, inverse-dynamics torque of the setpoint (nominal model).
         tau_ahead: (B, n) N·m, the same one step into a stop that would begin there.
-        poses: (4K, B, n) rad, checked for collisions: at the setpoint, twice while that stop brakes, and at its end, K
-            times where drives have K expectations.
-        values: (2B, M) of the motion at the setpoint and one step into the stop, (4KB, P) of `poses`, (B, S) of the
+        poses: (PK, B, n) rad, checked for collisions: P = STOP_MOMENTS + 2, at the setpoint, while that stop brakes
+            and at its end, K times where drives have K expectations.
+        values: (2B, M) of the motion at the setpoint and one step into the stop, (PKB, C) of `poses`, (B, S) of the
             estimate, compared with bounds: for `Safety.failed`.
     """
 

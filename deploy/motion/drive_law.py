@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from deploy.state import State
+from deploy.state import STOP_MOMENTS, State
 from robots.arrays import Floats
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
@@ -23,8 +23,8 @@ from robots.motors.control_mode import ControlMode
 from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
-DISTANCE_BRAKED = np.array([0.0, 7 / 16, 3 / 4, 1.0])[:, None, None]
-"""Share of its stopping distance behind an evenly braking joint: at its whole speed, at 3/4, at half and at rest."""
+DISTANCE_BRAKED = np.array([0.0, 7 / 16, 3 / 4, 15 / 16, 1.0])[:, None, None]
+"""Share of its way behind an evenly braking joint: at its speed, at 3/4, half and a quarter of it, and at rest."""
 
 
 class DriveLaw(ABC):
@@ -50,10 +50,10 @@ class DriveLaw(ABC):
 
     @abstractmethod
     def expected_poses(self, state: State, sent: Floats) -> Floats:
-        """Return (4KB, n) rad: joints expected at B setpoints, at two moments while their stops brake, at their ends.
+        """Return (PKB, n) rad: joints expected at B setpoints, while their stops brake, and at their ends.
 
         Args:
-            state: the estimate. sent: (4B, n) rad, where joints are sent at these moments.
+            state: the estimate. sent: (PB, n) rad, where joints are sent at these moments, P = STOP_MOMENTS + 2.
         """
 
 
@@ -93,7 +93,7 @@ class CompliantDrives(StiffDrives):
     def expected_poses(self, state: State, sent: Floats) -> Floats:
         """Return where joints are sent, then poses as far from there as joints are now: they may not catch up."""
         deviation = state.q - sent[: len(state.q)]
-        return np.concatenate((sent, sent + np.tile(deviation, (4, 1))))
+        return np.concatenate((sent, sent + np.tile(deviation, (STOP_MOMENTS + 2, 1))))
 
 
 class TorqueDrives(StiffDrives):
@@ -126,7 +126,7 @@ class SpringDrives(DriveLaw):
     def expected_poses(self, state: State, sent: Floats) -> Floats:
         """Return where joints are, and where they come to if they brake at `qdd_max`: not where they are sent.
 
-        At 3/4 and at half of its speed a joint that brakes evenly has 7/16 and 3/4 of its distance behind it.
+        At 3/4, half and a quarter of its speed a joint that brakes evenly has 7/16, 3/4 and 15/16 of its way behind it.
         """
         distance = state.qd * np.abs(state.qd) / self._twice_qdd
         return (state.q + DISTANCE_BRAKED * distance).reshape(sent.shape)

@@ -106,7 +106,7 @@ class Smoother(Stage):
             np.concatenate((start.q, start.qd, start.qdd, start.q, self._full, self._full), axis=1)
         ).swapaxes(0, 1)
         return Stop(
-            Setpoint(q=x[0], qd=x[1], qdd=x[2], drive=self.drive), q=x[3:6:2], qd=x[4:7:2], q_rest=x[7]
+            Setpoint(q=x[0], qd=x[1], qdd=x[2], drive=self.drive), q=x[3:-1:2], qd=x[4:-1:2], q_rest=x[-1]
         )
 
     def _setpoint(self, x: Floats) -> Setpoint:

@@ -13,12 +13,15 @@ from ruckig import Trajectory
 
 from deploy.masks import any_true
 from deploy.motion.ruckig_planner import RuckigPlanner, horizon_s
+from deploy.state import STOP_MOMENTS
 from robots.arrays import Bools, Floats, Ints
 from robots.models.blocks import block_rows
 from robots.spec import RobotSpec
 
 NUDGE = 1e-9
 """rad. Distance by which a target is moved where Ruckig has no plan for the exact one."""
+SHARES = np.array([0.25, 0.5, 1.0])
+"""(STOP_MOMENTS,) moments at which a stop is checked, as shares of the time that the second slowest joint needs."""
 
 Planned = tuple[slice, Trajectory | None]
 """Rows of some robots and their trajectory; None where Ruckig has no plan."""
@@ -102,30 +105,29 @@ class StopTrajectories(_BlockPlans):
         self._trajectory, self._moments = self._block.empty_trajectory(), stop_moments_s(spec)
 
     def points(self, origin: Floats) -> Floats:
-        """Return (B, 8, n); NaN where there is no plan.
+        """Return (B, 4 + 2 STOP_MOMENTS, n); NaN where there is no plan.
 
-        In order: q, qd, qdd one tick later, q, qd at the earlier and at the later moment, q at the end.
+        In order: q, qd, qdd one tick later, q, qd at each moment, q at the end.
         """
-        out = np.empty((self._robots, 8, self._n))
+        out = np.empty((self._robots, 4 + 2 * STOP_MOMENTS, self._n))
         for block in self._rows:
             for rows, trajectory in self._plan_block(origin, block, self._trajectory):
                 out[rows] = np.nan if trajectory is None else self._stack(self._parts(trajectory))
         return out
 
     def _parts(self, stop: Trajectory) -> tuple[list[float], ...]:
-        early, late = self._moments
-        ends = stop.at_time(self._dt), stop.at_time(self._horizon)
-        return (*ends[0], *stop.at_time(early)[:2], *stop.at_time(late)[:2], ends[1][0])
+        moments = chain.from_iterable(stop.at_time(moment)[:2] for moment in self._moments)
+        return (*stop.at_time(self._dt), *moments, stop.at_time(self._horizon)[0])
 
 
-def stop_moments_s(spec: RobotSpec) -> tuple[float, float]:
-    """Return s after which a stop is checked: a quarter and half of the time that the second slowest joint needs.
+def stop_moments_s(spec: RobotSpec) -> tuple[float, ...]:
+    """Return s after which a stop is checked: a quarter, half and all of the time that the second slowest joint needs.
 
     From half of its speed; of the only joint if there is one. The arm's path bends while joints come to rest one after
-    another, until only the slowest moves. What happens between the moments: python -m eval.bench stops.
+    another, most while the fast ones do. What happens between the moments: python -m eval.bench stops.
     """
     qdd_max = spec.joint_array("qdd_max")
     braking = spec.margins.speed * spec.joint_array("qd_max") / 2 / qdd_max
     whole = np.sort(braking + qdd_max / spec.joint_array("qddd_max"))
     all_but_one = float(whole[-2:][0])
-    return all_but_one / 4, all_but_one / 2
+    return tuple((SHARES * all_but_one).tolist())

@@ -64,12 +64,12 @@ class Motion(NamedTuple):
 
 
 class ToolMotion(NamedTuple):
-    """4B points of trajectories: B setpoints, the same at their peak speed, and 2B points where stops brake.
+    """PB points of trajectories: B setpoints, the same at their peak speed, and those where stops brake.
 
     K times as many for drives with K expectations of where joints are.
 
     Attributes:
-        qd: (4KB, n) rad/s. rows: (4KB,) rows of the poses in `kinematics`.
+        qd: (PKB, n) rad/s. rows: (PKB,) rows of the poses in `kinematics`.
     """
 
     qd: Floats
@@ -78,7 +78,7 @@ class ToolMotion(NamedTuple):
 
     @property
     def speed_squared(self) -> Floats:
-        """(4KB, 1) m²/s², of the tool."""
+        """(PKB, 1) m²/s², of the tool."""
         velocity = self.kinematics.tool_velocity(self.qd, self.rows)
         squared: Floats = np.vecdot(velocity, velocity)
         return squared[:, None]

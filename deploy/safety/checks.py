@@ -267,7 +267,7 @@ POSES: tuple[Check[Pose], ...] = (
         needs=frozenset({"workspace"}),
     ),
 )
-"""Checks of the poses at a setpoint, twice while its stop brakes and at its end, without velocities."""
+"""Checks of the poses at a setpoint, while its stop brakes and at its end, without velocities."""
 
 
 class Checks(NamedTuple):

@@ -1,7 +1,7 @@
 """Check of a setpoint before it is sent: the last stage before the supervisor.
 
 Pure: (state, setpoint) → verdict, by the nominal model in Pinocchio. It never edits a number and knows neither
-policy nor smoother. With the setpoint it checks the stop that would begin there: its first step, two moments while it
+policy nor smoother. With the setpoint it checks the stop that would begin there: its first step, moments while it
 brakes and the pose where it ends. What lies between is left to the margins.
 """
 
@@ -13,7 +13,7 @@ from deploy.reasons import Reason
 from deploy.safety.check import Estimate, Limits, Motion, Pose, ToolMotion
 from deploy.safety.check_table import CheckTable
 from deploy.safety.checks import CHECKS, Checks
-from deploy.state import Setpoint, State, Stop, Verdict
+from deploy.state import STOP_MOMENTS, Setpoint, State, Stop, Verdict
 from robots.arrays import Bools, Floats, Ints
 from robots.models.fleet import Fleet
 from robots.models.kinematics import Kinematics
@@ -54,9 +54,10 @@ class Safety:
         spec, self._fleet, rows = spec.in_mode(mode), fleet, fleet.robots
         robots = -(-rows // 2)
         self._drives = drives or StiffDrives(spec, fleet)
-        poses = 4 * robots * self._drives.expectations
-        tool_rows = np.concatenate((np.arange(robots), np.arange(3 * robots)))
-        self._tool_rows = (np.arange(0, poses, 4 * robots)[:, None] + tool_rows).ravel()
+        each = (STOP_MOMENTS + 2) * robots  # the setpoint, the moments of its stop, and its end
+        poses = each * self._drives.expectations
+        tool_rows = np.concatenate((np.arange(robots), np.arange((STOP_MOMENTS + 1) * robots)))
+        self._tool_rows = (np.arange(0, poses, each)[:, None] + tool_rows).ravel()
         self._fleet_of_plan = fleet.resized(poses)
         self._jacobians = "tool" in spec.capabilities  # what reads them reads the tool
         self._gap_max = (spec.margins.collision_m or 0.0) + GAP_TOLERANCE_M

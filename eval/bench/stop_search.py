@@ -1,6 +1,6 @@
-"""Search for stops that safety accepts and that come closer to limits of tool or torque between the checked moments.
+"""Search for stops that safety accepts and that come closer to limits of the tool, torque or clearance in between.
 
-Safety looks at the beginning of a stop, at two moments while it brakes and at its end. What lies between is left to the
+Safety looks at the beginning of a stop, at moments while it brakes and at its end. What lies between is left to the
 margins of robot.toml: this is what they must cover, for any setpoint inside the limits, reachable or not.
 """
 
@@ -25,18 +25,21 @@ from robots.spec import RobotSpec
 POPULATION, GENERATIONS, SEED = 256, 300, 1
 TICKS, STEEPNESS = 2, 10.0
 """Ticks between two looks at a stop; slope of the objective where safety refuses, so that the search comes back."""
+GAP_SCALE_M = 1.0
+"""m, of gaps as shares."""
 
 
 class StopSearch:
     """Stops of P robots from any joint angle, speed and acceleration within their limits.
 
     Attributes:
-        quantities: what is searched for, each a share of its limit. bounds: of safety, for each.
+        quantities: what is searched for, each a share of its limit; of the gap between shapes, `GAP_SCALE_M` minus it,
+            as a share of that. bounds: of safety, for each.
     """
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Build the shipped smoother and safety."""
-        self._spec, self._space, self._fleet = spec, spec.workspace, Fleet(spec, robots)
+        self._spec, self._space, self._fleet = spec, spec.workspace, Fleet(spec, robots, collisions=True)
         self._smoother, self._all = Smoother(spec, robots), np.ones(robots, dtype=bool)
         self._safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True))
         self._low, self._high = spec.joint_array("q_min"), spec.joint_array("q_max")
@@ -45,6 +48,8 @@ class StopSearch:
             wall = 1.0 - required(spec.margins.workspace_m) / self._space.radius_max
             speed = Limits(spec, self._torque_max).tool_speed / self._space.tool_speed_max
             self.bounds |= {"tool speed": speed, "tool depth": wall, "tool radius": wall}
+        if "self_collision" in spec.capabilities:
+            self.bounds["gap"] = 1.0 - required(spec.margins.collision_m) / GAP_SCALE_M
         self.quantities = tuple(self.bounds)
 
     def start(self, x: Floats) -> Setpoint:
@@ -57,14 +62,16 @@ class StopSearch:
 
     def shares(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """(quantities, P) at angles, speeds and accelerations (P, n)."""
-        torque = np.abs(self._fleet.torque(q, qd, qdd) / self._torque_max).max(axis=1)
-        if self._space is None:
-            return torque[None]
-        kinematics, space = self._fleet.kinematics(q), self._space
-        tool, speed = kinematics.tool_position, np.linalg.norm(kinematics.tool_velocity(qd), axis=1)
-        depth = 1.0 + (space.z_min - tool[:, 2]) / space.radius_max
-        radius = np.linalg.norm(tool - np.array(space.centre), axis=1) / space.radius_max
-        return np.array([torque, speed / space.tool_speed_max, depth, radius])
+        shares = [np.abs(self._fleet.torque(q, qd, qdd) / self._torque_max).max(axis=1)]
+        if space := self._space:
+            kinematics = self._fleet.kinematics(q)
+            tool, speed = kinematics.tool_position, np.linalg.norm(kinematics.tool_velocity(qd), axis=1)
+            shares.append(speed / space.tool_speed_max)
+            shares.append(1.0 + (space.z_min - tool[:, 2]) / space.radius_max)
+            shares.append(np.linalg.norm(tool - np.array(space.centre), axis=1) / space.radius_max)
+        if "gap" in self.bounds:
+            shares.append(1.0 - self._fleet.least_gaps(q) / GAP_SCALE_M)
+        return np.array(shares)
 
     def run(self, start: Setpoint) -> tuple[Floats, Floats, Bools]:
         """Return (quantities, P) largest shares at the checked moments and in the whole stop, and (P,) stops refused.

@@ -106,16 +106,25 @@ def nearest_shapes(
 
     Infinite, and without names, where there is no pair; poses that are not finite are left out.
     """
-    shapes, found = geometry.copy(), [(np.inf, "", "")]
+    found = gaps(model, geometry, pairs, poses[np.isfinite(poses).all(axis=1)])
+    if not found.size:
+        return np.inf, "", ""
+    closest = int(found.min(axis=0).argmin())
+    a, b = (geometry.geometryObjects[shape].name for shape in pairs[closest])
+    return float(found[:, closest].min()), a, b
+
+
+def gaps(model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs, poses: Floats) -> Floats:
+    """Return (P, pairs) m between the shapes of each pair in poses (P, n) rad."""
+    shapes, found = geometry.copy(), np.empty((len(poses), len(pairs)))
     for a, b in pairs:
         shapes.addCollisionPair(pin.CollisionPair(a, b))
     data, placements = model.createData(), shapes.createData()
-    for q in poses[np.isfinite(poses).all(axis=1)] if pairs else ():
+    for q, row in zip(poses, found, strict=True):
         pin.updateGeometryPlacements(model, data, shapes, placements, q)
-        closest = pin.computeDistances(shapes, placements)
-        a, b = (shapes.geometryObjects[shape].name for shape in pairs[closest])
-        found.append((placements.distanceResults[closest].min_distance, a, b))
-    return min(found)
+        pin.computeDistances(shapes, placements)
+        row[:] = [result.min_distance for result in placements.distanceResults]
+    return found
 
 
 def check_home(spec: RobotSpec, model: pin.Model, geometry: pin.GeometryModel, pairs: Pairs) -> None:

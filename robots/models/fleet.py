@@ -103,3 +103,7 @@ class Fleet:
         Infinite, and without names, where no pair can meet; poses that are not finite are left out.
         """
         return self._blocks.nearest_shapes(poses)
+
+    def least_gaps(self, poses: Floats) -> Floats:
+        """Return (P,) m, the least distance between two shapes in each pose (P, n) rad; infinite without pairs."""
+        return self._blocks.least_gaps(poses)

@@ -13,7 +13,7 @@ from robots.arrays import Bools, Floats
 from robots.errors import RobotError
 from robots.models.blocks import strided_view
 from robots.models.collision_pruning import pairs_to_check
-from robots.models.collisions import Collisions, check_home, collision_pairs, nearest_shapes
+from robots.models.collisions import Collisions, check_home, collision_pairs, gaps, nearest_shapes
 from robots.models.kinematics import Frames, yoshikawa
 from robots.models.nominal_model import imu_in_base, load_pinocchio
 from robots.models.pinocchio_model import foot_frames, tool_frame
@@ -65,6 +65,11 @@ class Blocks:
     def nearest_shapes(self, poses: Floats) -> tuple[float, str, str]:
         """Return the nearest shapes, as `Fleet.nearest_shapes`."""
         return nearest_shapes(self._model, self._geometry, self._pairs, poses)
+
+    def least_gaps(self, poses: Floats) -> Floats:
+        """Return the least gaps, as `Fleet.least_gaps`."""
+        least = gaps(self._model, self._geometry, self._pairs, poses).min(axis=1, initial=np.inf)
+        return np.asarray(least)
 
     def block(self, copies: int) -> Block:
         """Return the block of that many copies."""

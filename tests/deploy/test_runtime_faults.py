@@ -282,7 +282,7 @@ def test_nan_is_refused_even_by_disabled_checks(monkeypatch):
 
 
 def test_checked_stop_begins_at_the_setpoint(monkeypatch):
-    """Its first step, two moments while it brakes, and where it ends."""
+    """Its first step, moments while it brakes, and where it ends."""
     runtime, asked = running(2), []
     judged = runtime.safety.step
 

@@ -9,7 +9,7 @@ from deploy.estimation.estimator import Estimator
 from deploy.estimation.winding_observer import WindingObserver
 from deploy.motion.smoother import Smoother
 from deploy.runtime import Runtime
-from deploy.state import Sample, Setpoint, State, Stop
+from deploy.state import STOP_MOMENTS, Sample, Setpoint, State, Stop
 from robots.arrays import Bools, Floats
 from robots.spec import RobotSpec
 
@@ -72,7 +72,8 @@ class UnlimitedSmoother(Smoother):
         """Return rest at the starting angle, reached within one tick."""
         still = np.zeros_like(start.qd)
         rest = start._replace(qd=still, qdd=-start.qd / self._dt)
-        return Stop(rest, q=np.stack((start.q, start.q)), qd=np.stack((still, still)), q_rest=start.q)
+        q, qd = (np.array([each] * STOP_MOMENTS) for each in (start.q, still))
+        return Stop(rest, q=q, qd=qd, q_rest=start.q)
 
 
 class HousingTemperatureObserver(WindingObserver):

@@ -15,7 +15,7 @@ from support.arm6 import SPEC
 from support.deploy.safety import FASTER_IN_ITS_STOP, HIGH, HOME, LOW, MARGINS, SPACE, N, one, point, reasons
 
 
-@pytest.mark.parametrize("moment", ["q_early", "q_mid_stop"])
+@pytest.mark.parametrize("moment", ["q_early", "q_mid_stop", "q_late"])
 @pytest.mark.parametrize("limit", ["z_min", "radius_max"])
 def test_tool_stays_in_the_workspace_during_a_stop(limit, moment):
     """Though where the stop begins and ends is well inside: the arm is let down, or stretched, until it is refused."""
@@ -39,13 +39,13 @@ def test_tool_stays_in_the_workspace_during_a_stop(limit, moment):
     assert Reason.NOT_FINITE in reasons(**{moment: np.full(N, np.nan)})
 
 
-@pytest.mark.parametrize("moment", ["q_early", "q_mid_stop"])
+@pytest.mark.parametrize("moment", ["q_early", "q_mid_stop", "q_late"])
 def test_a_stop_through_a_singularity_is_refused(moment):
     """Its ends are on the same side, far from it."""
     assert Reason.SINGULARITY in reasons(**{moment: one(4, 0.0, HOME)})
 
 
-@pytest.mark.parametrize("moment", ["qd_early", "qd_mid_stop"])
+@pytest.mark.parametrize("moment", ["qd_early", "qd_mid_stop", "qd_late"])
 def test_tool_speed_is_limited_while_a_stop_brakes(moment):
     """One joint turns faster and faster, the others rest: refused exactly where the tool is too fast."""
     kinematics, limit = Fleet(SPEC, 1).kinematics(HOME[None]), SPEC.margins.tool_speed * SPACE.tool_speed_max
@@ -187,17 +187,17 @@ def test_stop_into_the_table_is_refused(q, qd):
 
 
 def test_moments_at_which_a_stop_is_checked():
-    """A quarter and half of the time v / a + a / j of all joints but the slowest, from half of its speed."""
+    """A quarter, half and all of the time v / a + a / j of all joints but the slowest, from half of its speed."""
     qd, qdd, jerk = (SPEC.joint_array(name) for name in ("qd_max", "qdd_max", "qddd_max"))
     times = 0.5 * SPEC.margins.speed * qd / qdd + qdd / jerk
     slowest = times.argmax()
     without = np.delete(times, slowest).max()
     assert without < 0.7 * times[slowest]
-    np.testing.assert_allclose(stop_moments_s(SPEC), (without / 4, without / 2))
+    np.testing.assert_allclose(stop_moments_s(SPEC), (without / 4, without / 2, without))
 
 
 def test_moments_at_which_the_stop_of_one_joint_is_checked():
     alone = SPEC.model_copy(update={"joints": SPEC.joints[:1]})
     qd, qdd, jerk = (alone.joint_array(name)[0] for name in ("qd_max", "qdd_max", "qddd_max"))
     whole = 0.5 * alone.margins.speed * qd / qdd + qdd / jerk
-    np.testing.assert_allclose(stop_moments_s(alone), (whole / 4, whole / 2))
+    np.testing.assert_allclose(stop_moments_s(alone), (whole / 4, whole / 2, whole))

@@ -2,7 +2,7 @@ import numpy as np
 
 from deploy.reasons import Reason
 from deploy.safety.safety import Safety
-from deploy.state import Setpoint, State, Stop
+from deploy.state import STOP_MOMENTS, Setpoint, State, Stop
 from robots.models.fleet import Fleet
 from support.arm6 import SPEC
 
@@ -27,7 +27,9 @@ FASTER_IN_ITS_STOP = (
 
 def stop_at(here):
     """A stop of robots that rest: everywhere the same setpoint."""
-    return Stop(here, q=np.stack((here.q, here.q)), qd=np.stack((here.qd, here.qd)), q_rest=here.q)
+    return Stop(
+        here, q=np.array([here.q] * STOP_MOMENTS), qd=np.array([here.qd] * STOP_MOMENTS), q_rest=here.q
+    )
 
 
 def judge(
@@ -43,8 +45,10 @@ def judge(
     ahead=None,
     q_early=None,
     q_mid_stop=None,
+    q_late=None,
     qd_early=ZERO,
     qd_mid_stop=ZERO,
+    qd_late=ZERO,
     q_rest=None,
     safety=SAFETY,
 ):
@@ -66,8 +70,8 @@ def judge(
     )
     ahead = setpoint if ahead is None else ahead
     rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
-    poses = [HOME[None] if q is None else np.atleast_2d(q) for q in (q_early, q_mid_stop)]
-    speeds = [np.atleast_2d(qd) for qd in (qd_early, qd_mid_stop)]
+    poses = [HOME[None] if q is None else np.atleast_2d(q) for q in (q_early, q_mid_stop, q_late)]
+    speeds = [np.atleast_2d(qd) for qd in (qd_early, qd_mid_stop, qd_late)]
     stop = Stop(ahead, q=np.stack(poses), qd=np.stack(speeds), q_rest=rest)
     return safety.step(state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, stop)
 
