@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm
 
-from eval.bench.stop_search import POPULATION, SEED, StopSearch
+from eval.bench.stop_search import GAP_SCALE_M, POPULATION, SEED, StopSearch
 from eval.margins.excess import BINS, SHARES
 from robots.arrays import Floats
 from robots.capabilities import required
@@ -108,6 +108,8 @@ def stop_excess(spec: RobotSpec, generations: int) -> dict[str, float]:
     if spec.workspace:
         walls = max(more["tool depth"], more["tool radius"]) * spec.workspace.radius_max
         by_quantity |= {"tool_speed": more["tool speed"], "workspace": walls}
+    if "gap" in more:
+        by_quantity["gap"] = more["gap"] * GAP_SCALE_M
     return by_quantity
 
 

@@ -186,6 +186,17 @@ def test_stop_into_the_table_is_refused(q, qd):
     assert reasons(**ends, q_mid_stop=stop.q[1]) == Reason.COLLISION
 
 
+def test_a_stop_that_dips_after_the_fast_joints_rest_is_refused():
+    """Elbow and wrist lower a link while the slower shoulder lifts it: a policy led there, and it hit the table."""
+    q = np.array([0.0, -0.909684242, 1.968643348, 0.024736534, -2.152871125, 0.0])
+    qd = np.array([0.0, 0.838462428, 2.085953757, -1.818148208, -2.198, 0.0])
+    start = point(q, qd, np.array([0.0, 2.6, 6.0, -15.1, 0.0, 0.0]))
+    stop = Smoother(SPEC, 1).brake(start)
+    ends = {"setpoint": start, "qd_hat": qd, "ahead": stop.ahead, "q_rest": stop.q_rest}
+    assert reasons(**ends, q_early=stop.q[0], q_mid_stop=stop.q[1]) == 0
+    assert reasons(**ends, q_late=stop.q[2]) == Reason.COLLISION
+
+
 def test_moments_at_which_a_stop_is_checked():
     """A quarter, half and all of the time v / a + a / j of all joints but the slowest, from half of its speed."""
     qd, qdd, jerk = (SPEC.joint_array(name) for name in ("qd_max", "qdd_max", "qddd_max"))

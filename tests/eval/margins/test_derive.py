@@ -83,6 +83,7 @@ def test_stops_of_a_robot_without_workspace_have_torque_only(monkeypatch):
     found = stop_excess(SPEC, 1)
     assert (found["tau"], found["tool_speed"]) == (pytest.approx(0.02), pytest.approx(0.02))
     assert found["workspace"] == pytest.approx(0.02 * SPEC.workspace.radius_max)
+    assert found["gap"] == pytest.approx(0.02)
 
 
 ERROR = np.array([[1e-3] * SPEC.n, [0.05] * SPEC.n])
