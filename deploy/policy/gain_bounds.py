@@ -145,6 +145,6 @@ _TOO_SMALL = {
     "kd": "it would swing",
 }
 _TOO_LARGE = {
-    "kp": "it would swing between two setpoints",
+    "kp": "it would swing between two setpoints, or need more damping than it may have",
     "kd": "unstable at the rate of its drive, or too much torque where its link hits the play of its gear",
 }
