@@ -134,7 +134,7 @@ class Setpoint(NamedTuple):
     drive: DriveMode | None = None
 
 
-STOP_MOMENTS = 3
+STOP_MOMENTS = 4
 """Moments at which a stop is checked while it brakes."""
 
 

@@ -23,8 +23,8 @@ from robots.motors.control_mode import ControlMode
 from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
-DISTANCE_BRAKED = np.array([0.0, 7 / 16, 3 / 4, 15 / 16, 1.0])[:, None, None]
-"""Share of its way behind an evenly braking joint: at its speed, at 3/4, half and a quarter of it, and at rest."""
+DISTANCE_BRAKED = np.array([0.0, 7 / 16, 3 / 4, 15 / 16, 1.0, 1.0])[:, None, None]
+"""Share of its way behind an evenly braking joint: at its whole speed, in quarters down to rest, and at the end."""
 
 
 class DriveLaw(ABC):

@@ -20,7 +20,7 @@ from robots.spec import RobotSpec
 
 NUDGE = 1e-9
 """rad. Distance by which a target is moved where Ruckig has no plan for the exact one."""
-SHARES = np.array([0.25, 0.5, 1.0])
+SHARES = np.array([0.25, 0.5, 0.75, 1.0])
 """(STOP_MOMENTS,) moments at which a stop is checked, as shares of the time that the second slowest joint needs."""
 
 Planned = tuple[slice, Trajectory | None]
@@ -121,7 +121,7 @@ class StopTrajectories(_BlockPlans):
 
 
 def stop_moments_s(spec: RobotSpec) -> tuple[float, ...]:
-    """Return s after which a stop is checked: a quarter, half and all of the time that the second slowest joint needs.
+    """Return s after which a stop is checked: quarters of the time that the second slowest joint needs.
 
     From half of its speed; of the only joint if there is one. The arm's path bends while joints come to rest one after
     another, most while the fast ones do. What happens between the moments: python -m eval.bench stops.

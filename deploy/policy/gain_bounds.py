@@ -137,7 +137,7 @@ def _outside(gain: str, found: Floats, low: Floats, high: Floats, spec: RobotSpe
     for joint, value, least, most in zip(spec.joint_names, found, low, high, strict=True):
         if not least <= value <= most:
             why = _TOO_LARGE[gain] if value > most else _TOO_SMALL[gain]
-            yield f"action.{gain}: {joint}: found {value:g}, expected {least:.3g} to {most:.3g}: {why}"
+            yield f"action.{gain}: {joint}: found {value:g}, expected {least:.6g} to {most:.6g}: {why}"
 
 
 _TOO_SMALL = {

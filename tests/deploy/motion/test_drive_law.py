@@ -32,8 +32,8 @@ def test_drives_of_a_floating_base_give_way():
 def test_compliant_drives_are_expected_where_they_are_sent_and_as_far_from_there_as_now():
     walker, rng = load_robot("quadruped"), np.random.default_rng(3)
     law = drive_law(walker, ControlMode.POSITION, None, Fleet(walker, 2))
-    sent, q = rng.normal(size=(5, 3, walker.n)), rng.normal(size=(3, walker.n))
-    poses = law.expected_poses(SimpleNamespace(q=q), sent.reshape(15, -1)).reshape(2, 5, 3, -1)
+    sent, q = rng.normal(size=(6, 3, walker.n)), rng.normal(size=(3, walker.n))
+    poses = law.expected_poses(SimpleNamespace(q=q), sent.reshape(18, -1)).reshape(2, 6, 3, -1)
     np.testing.assert_array_equal(poses[0], sent)
     np.testing.assert_allclose(poses[1] - sent, np.broadcast_to(q - sent[0], sent.shape), atol=1e-15)
     assert law.expectations == len(poses)

@@ -47,7 +47,7 @@ def arm(spec=SPEC, **more):
     return Safety(spec, Fleet(spec, 2, collisions=True), checks=checks)
 
 
-@pytest.mark.parametrize("moment", ["setpoint", "q_early", "q_mid_stop", "q_late", "q_rest"])
+@pytest.mark.parametrize("moment", ["setpoint", "q_early", "q_mid_stop", "q_late", "q_last", "q_rest"])
 def test_a_check_from_outside_is_made_like_any_other(moment):
     safety, right = arm(poses=FENCE), HOME + np.eye(SPEC.n)[0]
     assert judge(safety=safety).reason[0] == 0

@@ -15,7 +15,7 @@ from support.arm6 import SPEC
 from support.deploy.safety import FASTER_IN_ITS_STOP, HIGH, HOME, LOW, MARGINS, SPACE, N, one, point, reasons
 
 
-@pytest.mark.parametrize("moment", ["q_early", "q_mid_stop", "q_late"])
+@pytest.mark.parametrize("moment", ["q_early", "q_mid_stop", "q_late", "q_last"])
 @pytest.mark.parametrize("limit", ["z_min", "radius_max"])
 def test_tool_stays_in_the_workspace_during_a_stop(limit, moment):
     """Though where the stop begins and ends is well inside: the arm is let down, or stretched, until it is refused."""
@@ -39,13 +39,13 @@ def test_tool_stays_in_the_workspace_during_a_stop(limit, moment):
     assert Reason.NOT_FINITE in reasons(**{moment: np.full(N, np.nan)})
 
 
-@pytest.mark.parametrize("moment", ["q_early", "q_mid_stop", "q_late"])
+@pytest.mark.parametrize("moment", ["q_early", "q_mid_stop", "q_late", "q_last"])
 def test_a_stop_through_a_singularity_is_refused(moment):
     """Its ends are on the same side, far from it."""
     assert Reason.SINGULARITY in reasons(**{moment: one(4, 0.0, HOME)})
 
 
-@pytest.mark.parametrize("moment", ["qd_early", "qd_mid_stop", "qd_late"])
+@pytest.mark.parametrize("moment", ["qd_early", "qd_mid_stop", "qd_late", "qd_last"])
 def test_tool_speed_is_limited_while_a_stop_brakes(moment):
     """One joint turns faster and faster, the others rest: refused exactly where the tool is too fast."""
     kinematics, limit = Fleet(SPEC, 1).kinematics(HOME[None]), SPEC.margins.tool_speed * SPACE.tool_speed_max
@@ -195,20 +195,21 @@ def test_a_stop_that_dips_after_the_fast_joints_rest_is_refused():
     ends = {"setpoint": start, "qd_hat": qd, "ahead": stop.ahead, "q_rest": stop.q_rest}
     assert reasons(**ends, q_early=stop.q[0], q_mid_stop=stop.q[1]) == 0
     assert reasons(**ends, q_late=stop.q[2]) == Reason.COLLISION
+    assert reasons(**ends, q_last=stop.q[3]) == Reason.COLLISION
 
 
 def test_moments_at_which_a_stop_is_checked():
-    """A quarter, half and all of the time v / a + a / j of all joints but the slowest, from half of its speed."""
+    """Quarters of the time v / a + a / j of all joints but the slowest, from half of its speed."""
     qd, qdd, jerk = (SPEC.joint_array(name) for name in ("qd_max", "qdd_max", "qddd_max"))
     times = 0.5 * SPEC.margins.speed * qd / qdd + qdd / jerk
     slowest = times.argmax()
     without = np.delete(times, slowest).max()
     assert without < 0.7 * times[slowest]
-    np.testing.assert_allclose(stop_moments_s(SPEC), (without / 4, without / 2, without))
+    np.testing.assert_allclose(stop_moments_s(SPEC), without * np.arange(1, 5) / 4)
 
 
 def test_moments_at_which_the_stop_of_one_joint_is_checked():
     alone = SPEC.model_copy(update={"joints": SPEC.joints[:1]})
     qd, qdd, jerk = (alone.joint_array(name)[0] for name in ("qd_max", "qdd_max", "qddd_max"))
     whole = 0.5 * alone.margins.speed * qd / qdd + qdd / jerk
-    np.testing.assert_allclose(stop_moments_s(alone), (whole / 4, whole / 2, whole))
+    np.testing.assert_allclose(stop_moments_s(alone), whole * np.arange(1, 5) / 4)

@@ -46,9 +46,11 @@ def judge(
     q_early=None,
     q_mid_stop=None,
     q_late=None,
+    q_last=None,
     qd_early=ZERO,
     qd_mid_stop=ZERO,
     qd_late=ZERO,
+    qd_last=ZERO,
     q_rest=None,
     safety=SAFETY,
 ):
@@ -70,8 +72,8 @@ def judge(
     )
     ahead = setpoint if ahead is None else ahead
     rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
-    poses = [HOME[None] if q is None else np.atleast_2d(q) for q in (q_early, q_mid_stop, q_late)]
-    speeds = [np.atleast_2d(qd) for qd in (qd_early, qd_mid_stop, qd_late)]
+    poses = [HOME[None] if q is None else np.atleast_2d(q) for q in (q_early, q_mid_stop, q_late, q_last)]
+    speeds = [np.atleast_2d(qd) for qd in (qd_early, qd_mid_stop, qd_late, qd_last)]
     stop = Stop(ahead, q=np.stack(poses), qd=np.stack(speeds), q_rest=rest)
     return safety.step(state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, stop)
 
