@@ -3,7 +3,7 @@
 import fcntl
 import os
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from errno import ELOOP
 from pathlib import Path
 from typing import IO
@@ -28,7 +28,8 @@ def locked(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            (folder / LOCK).unlink(missing_ok=True)
+            with suppress(OSError):  # it may have turned read-only; the block's own error must be seen
+                (folder / LOCK).unlink()
 
 
 def _acquired(folder: Path) -> IO[str]:

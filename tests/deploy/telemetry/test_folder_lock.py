@@ -1,8 +1,10 @@
+import errno
 import fcntl
 import os
 import subprocess
 import sys
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 
@@ -61,6 +63,22 @@ def test_file_deleted_while_it_was_opened_locks_nothing(tmp_path, monkeypatch):
 
         monkeypatch.setattr(fcntl, "flock", late)
         refused(tmp_path, os.getpid())
+
+
+def test_folder_that_turns_read_only_hides_no_error(tmp_path, monkeypatch):
+    def read_only(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    def lose_result():
+        with locked(tmp_path):
+            monkeypatch.setattr(Path, "unlink", read_only)
+            raise OutputError("not kept")
+
+    with pytest.raises(OutputError, match="not kept"):
+        lose_result()
+    monkeypatch.undo()
+    with locked(tmp_path):
+        pass
 
 
 def test_folder_that_cannot_be_locked_is_an_error(tmp_path):
