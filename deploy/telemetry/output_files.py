@@ -19,15 +19,43 @@ def replacing(path: Path, option: str = "--out") -> Iterator[Path]:
     """
     if not path.name:
         raise OutputError(f"{option} {path}: found a folder, expected a file or nothing")
+    _check_replaceable(path, option)
+    with _partial(path, option) as partial:
+        yield partial
+        os.replace(partial, path)
+
+
+def add_file(text: str, path: Path, option: str = "--out") -> bool:
+    """Write a file whole or not at all; return False, and write nothing, if there is a file already.
+
+    Of several processes, one writes it. On a file system without hard links, the last one may replace the others' file.
+
+    Raises:
+        OutputError: as `replacing`.
+    """
+    if os.path.exists(path):
+        return False
+    with _partial(path, option) as partial:
+        partial.write_text(text, encoding="utf-8")
+        try:
+            os.link(partial, path)
+        except FileExistsError:
+            return False
+        except OSError:  # no hard links here
+            os.replace(partial, path)
+        return True
+
+
+@contextmanager
+def _partial(path: Path, option: str) -> Iterator[Path]:
+    """Yield an empty file beside `path`, which is deleted at the end if it is still there."""
     partial = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
     try:
-        _check_replaceable(path, option)
         if not os.path.exists(path.parent):
             path.parent.mkdir(parents=True)
         partial.open("xb").close()
         try:
             yield partial
-            os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
     except OSError as e:

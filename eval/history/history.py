@@ -6,7 +6,7 @@ from datetime import UTC
 from itertools import count
 from pathlib import Path
 
-from deploy.telemetry.output_files import replacing
+from deploy.telemetry.output_files import add_file, replacing
 from eval.history.soak_record import Settings, SoakRecord
 from eval.statistics.per_draw_counts import PerDrawCounts, concatenate
 from robots.errors import ConfigError
@@ -35,12 +35,8 @@ def add_record(record: SoakRecord, folder: Path) -> Path:
     Raises:
         OutputError: it cannot be written.
     """
-    path = next(place for place in _names(record, folder) if not os.path.exists(place))
-    with replacing(path, option="--history") as file:
-        file.write_text(
-            record.model_dump_json(include={*SoakRecord.model_fields}, indent=1), encoding="utf-8"
-        )
-    return path
+    text = record.model_dump_json(include={*SoakRecord.model_fields}, indent=1)
+    return next(path for path in _names(record, folder) if add_file(text, path, option="--history"))
 
 
 def _names(record: SoakRecord, folder: Path) -> Iterator[Path]:

@@ -1,6 +1,8 @@
 """A history of nights: kept whole, never overwritten, and refused if it is not what was kept."""
 
+import errno
 import json
+import os
 from contextlib import contextmanager
 
 import pytest
@@ -64,6 +66,30 @@ def test_nothing_is_overwritten_and_nights_are_ordered_by_time(tmp_path):
     assert [path.name.removesuffix(SUFFIX)[-7:] for path in paths] == ["Z-seed7", "seed7-2", "seed7-3"]
     assert list(read_history(tmp_path))[-1] == str(later)
     assert len(read_history(tmp_path)) == 4
+
+
+def test_two_soaks_that_finish_together_are_both_kept(tmp_path, monkeypatch):
+    """The other one takes the name at the last moment."""
+
+    def late(*paths):
+        monkeypatch.undo()
+        add_record(night(7), tmp_path)
+        os.link(*paths)
+
+    monkeypatch.setattr(os, "link", late)
+    path = add_record(night(7), tmp_path)
+    assert path.name.removesuffix(SUFFIX)[-7:] == "seed7-2"
+    assert len(os.listdir(tmp_path)) == len(read_history(tmp_path)) == 2
+
+
+def test_file_system_without_hard_links_keeps_nights(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refuse)
+    paths = [add_record(night(7), tmp_path) for _ in range(2)]
+    assert list(read_history(tmp_path)) == [str(path) for path in reversed(paths)]
+    assert len(os.listdir(tmp_path)) == 2
 
 
 def test_same_moment_in_another_time_zone_is_not_later(tmp_path):
