@@ -5,14 +5,16 @@ from itertools import chain
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field, NonNegativeInt, model_validator
+from pydantic import Field, model_validator
 
 from eval.judge.counts import Counts
 from eval.judge.monitors import MONITORS
 from robots.arrays import Floats
 from robots.strict import Strict
 
-Column = tuple[NonNegativeInt, ...]
+COUNT_MAX = 1 << 40
+"""Upper bound of a count: three times the ticks of the longest soak at 10 kHz; sums over draws stay below 2**63."""
+Column = tuple[Annotated[int, Field(ge=0, le=COUNT_MAX)], ...]
 Ratio = tuple[Floats, Floats]
 """(R,) amounts and (R,) exposures by draw; the figure of all draws is Σ amounts ÷ Σ exposures."""
 

@@ -13,7 +13,9 @@ from eval.history.soak_record import SoakRecord
 from eval.report import report_files as written
 from eval.report.report_files import write_report
 from eval.report.schema.report_data import Report
+from eval.report.sections.trend import trend
 from eval.soak import cli as command
+from eval.statistics.per_draw_counts import COUNT_MAX
 from robots.errors import ConfigError, OutputError
 from support.eval.nights import LATER, OTHER, SETTINGS, night
 from support.eval.reports import report
@@ -141,6 +143,10 @@ SPOILT = {
         lambda path: edited(path, lambda d: d["per_draw_counts"]["stops"].__setitem__(0, -1)),
         r"per_draw_counts\.stops\.0: .* found -1",
     ),
+    "a huge count": (
+        lambda path: edited(path, lambda d: d["per_draw_counts"]["hard"]["jerk"].__setitem__(3, 2**63)),
+        r"per_draw_counts\.hard\.jerk\.3: .* less than or equal to 1099511627776, found 9223372036854775808",
+    ),
     "no number": (
         lambda path: edited(path, lambda d: d["per_draw_counts"].update(dt=float("nan"))),
         r"per_draw_counts\.dt: .* found nan",
@@ -174,6 +180,14 @@ def test_changed_night_is_refused_by_file_and_field(tmp_path, spoil, said):
     spoil(path)
     with pytest.raises(ConfigError, match=rf"seed7\.soak\.json: .*{said}"):
         read_history(tmp_path)
+
+
+def test_the_highest_counts_have_a_trend():
+    whole = night(7)
+    highest = dict.fromkeys(whole.per_draw_counts.hard, (COUNT_MAX,) * whole.settings.robots)
+    counts = whole.per_draw_counts.model_copy(update={"hard": highest})
+    found = trend({"a.json": whole.model_copy(update={"per_draw_counts": counts})})
+    assert found.last.hard_events == len(highest) * whole.settings.robots * COUNT_MAX
 
 
 def test_unreadable_file_is_reported(tmp_path):
