@@ -22,6 +22,7 @@ SLOTS_MAX = 10_000
 """Most faults of a robot, since all are planned at the start."""
 HOURS_MAX = 10_000.0
 """Upper bound of the simulated hours of a robot."""
+SECONDS_MAX = 3600 * HOURS_MAX
 _PARTS_FROM = 2**32
 """Counter of the random numbers of the first slot's parts; below it are those of the rounds."""
 LEAST_CYCLE_S = 18.0
@@ -39,7 +40,7 @@ class FaultSettings(Strict):
     """
 
     coverage: Annotated[float, Field(gt=0, lt=1)]
-    cycle_s: Annotated[float, Field(ge=LEAST_CYCLE_S)]
+    cycle_s: Annotated[float, Field(ge=LEAST_CYCLE_S, le=SECONDS_MAX)]
     operator_s: Annotated[float, Field(ge=0, le=LEAST_CYCLE_S)]
     classes: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
 

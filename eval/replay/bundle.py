@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from eval.faults.schedule import FaultSettings
+from eval.faults.schedule import SECONDS_MAX, FaultSettings
 from eval.judge.counts import Event
 from eval.judge.monitors import NAMES
 from eval.shard.job import code_digest, processor, versions
@@ -85,7 +85,7 @@ class JobRecord(Strict):
     ticks: Count
     sample_ticks: Annotated[Count, Field(ge=1)]
     faults: FaultSettings | None
-    operator_s: Annotated[float | None, Field(ge=0, exclude_if=lambda s: s is None)] = None
+    operator_s: Annotated[float | None, Field(ge=0, le=SECONDS_MAX, exclude_if=lambda s: s is None)] = None
 
 
 class BundleInfo(Strict):

@@ -8,8 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from deploy.operation.stop_explanation import StopDetector, explain_reasons
+from deploy.policy.compatibility import sensors_read
+from deploy.policy.policy import Policy
 from deploy.stage import Arrays
 from deploy.telemetry.signals import Rows
+from eval.faults.catalogue import check_names
 from eval.faults.schedule import hours_max
 from eval.judge.counts import Counts
 from eval.judge.monitors import MONITORS
@@ -72,6 +75,7 @@ class Replay:
         self.differences = _identity_differences(info, self.spec, distributions)
         self.row = info.event.robot - info.job.first
         _check_info(folder / bundle.INFO, info, self.spec)
+        _check_classes(folder, info, self.spec)
         self.shard = _shard(folder, info, self.spec, _load_draw(folder, info, self.spec, distributions))
         state = self._read_arrays(folder / bundle.STATE, self.shard.snapshot())
         _check_equal(folder / bundle.STATE, "runtime.ticks", int(state["runtime.ticks"]), info.begin)
@@ -195,6 +199,13 @@ def _check_info(path: Path, info: BundleInfo, spec: RobotSpec) -> None:
         raise ConfigError(f"{path}: event.joint: found {event.joint!r:.40}, expected one of {joints}")
     _check_at_most(path, "job.ticks", job.ticks, round(hours_max(job.faults) * 3600 / spec.dt))
     _check_at_most(path, "end", info.end, info.begin + round((WINDOW_POLLS + 1) * POLL_S / spec.dt))
+
+
+def _check_classes(folder: Path, info: BundleInfo, spec: RobotSpec) -> None:
+    """Check the names of fault classes, if any: without a known one there is nothing to inject."""
+    if info.job.faults and info.job.faults.classes:
+        read = sensors_read(Policy.load(folder / bundle.POLICY, spec).contract, spec)
+        check_names(info.job.faults.classes, spec, read, f"{folder / bundle.INFO}: job.faults.classes")
 
 
 def _identity_differences(

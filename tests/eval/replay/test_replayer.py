@@ -240,6 +240,27 @@ def test_excessive_length_is_refused(one, job, end, complaint):
         Replay(one)
 
 
+@pytest.mark.parametrize(
+    ("job", "complaint"),
+    [
+        (
+            {"faults": FAULTS.model_copy(update={"classes": ("bus silence",)})},
+            r"job\.faults\.classes: found 'bus silence', expected some of: encoder off, ",
+        ),
+        (
+            {"faults": FAULTS.model_copy(update={"cycle_s": 1e308})},
+            r"job\.faults\.cycle_s: .* less than or equal to 36000000, found 1e\+308",
+        ),
+        ({"operator_s": 1e308}, r"job\.operator_s: .* less than or equal to 36000000, found 1e\+308"),
+    ],
+)
+def test_impossible_settings_of_the_job_are_refused(one, job, complaint):
+    about = bundle.open_bundle(one)
+    resealed(one, job=about.job.model_copy(update=job))
+    with pytest.raises(ConfigError, match=rf"bundle\.json: {complaint}"):
+        Replay(one)
+
+
 def test_different_draw_is_refused(one):
     draws = json.loads((one / "draws.json").read_text())
     (one / "draws.json").write_text(json.dumps(draws | {"seed": 4}))

@@ -65,6 +65,10 @@ def test_user_profile_finds_its_budget_beside_it(tmp_path):
         (GOOD.replace("1.5", "0.0"), r"own\.toml: hours: .* greater than 0, found 0\.0"),
         (GOOD + FAULTS.replace("0.9", "1.0"), r"own\.toml: faults\.coverage: .* less than 1, found 1\.0"),
         (GOOD + FAULTS.replace("20.0", "2.0"), r"own\.toml: faults\.cycle_s: .* equal to 18, found 2\.0"),
+        (
+            GOOD + FAULTS.replace("20.0", "1e308"),
+            r"own\.toml: faults\.cycle_s: .* less than or equal to 36000000, found 1e\+308",
+        ),
         (GOOD + FAULTS + "draws = 3\n", r"own\.toml: faults\.draws: Extra inputs"),
         (GOOD + FAULTS.replace("5.0", "nan"), r"own\.toml: faults\.operator_s: .* finite number, found nan"),
         (GOOD + FAULTS + "classes = 3\n", r"own\.toml: faults\.classes: .* valid tuple, found 3"),
