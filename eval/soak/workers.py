@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 
 from deploy.stage import Arrays
-from eval.shard.job import ShardJob
+from eval.shard.job import WIDTH, ShardJob
 from eval.shard.judging import ShardResult, shard_result
 from eval.shard.shard import Shard
 from eval.soak.checkpoint import prepare_folder
@@ -40,14 +40,38 @@ def resumed_ticks(config: SoakConfig, folder: Path, console: Console) -> int:
 
 
 def _fits(saved: Arrays, job: ShardJob) -> bool:
-    """Return whether arrays have names, shapes and dtypes of those that a shard of the job saves."""
+    """Return whether arrays are those of a shard of the job, as far as names, shapes, dtypes and a first tick tell."""
     ticks = saved.get("runtime.ticks", np.array(None))
     if ticks.shape or ticks.dtype.kind != "i" or not 0 <= int(ticks) <= job.ticks:
         return False
     shard = Shard(job)
     for _ in range(int(ticks) // job.sample_ticks + 1):
         shard.sample()
-    return _kinds(saved) == _kinds(shard.save())
+    fresh = shard.save()
+    return _kinds(saved) == _kinds(fresh) and _are_counts(saved, fresh, shard) and _goes_on(shard, job, saved)
+
+
+def _are_counts(saved: Arrays, fresh: Arrays, shard: Shard) -> bool:
+    """Return whether no count is below that of a `fresh` shard, or above ticks of all joints and rows of the log."""
+    most = int(saved["runtime.ticks"]) * WIDTH * shard.runtime.spec.n + len(shard.judge.events.start)
+    counts = [
+        (array, fresh[name])
+        for name, array in saved.items()
+        if name.startswith(("judge.", "sampled.")) and not name.startswith("judge.buffer.")
+        if array.dtype.kind == "i" and array.size
+    ]
+    return all(start.min() <= array.min() and array.max() <= most for array, start in counts)
+
+
+def _goes_on(shard: Shard, job: ShardJob, saved: Arrays) -> bool:
+    """Return whether a shard can be restored, simulate a tick and have results: wrong indices would end it."""
+    try:
+        shard.restore(saved)
+        shard.tick()
+        shard_result(shard.runtime.spec, shard.runtime.contract, job.robots, shard.save())
+    except (IndexError, OverflowError, ValueError):
+        return False
+    return True
 
 
 def _kinds(arrays: Arrays) -> dict[str, tuple[object, ...]]:

@@ -250,3 +250,24 @@ def test_arrays_of_another_kind_are_damage(restless, tmp_path, capsys, change):
     arrays = kept.load() | change
     kept.store({name: array for name, array in arrays.items() if array is not None})
     assert_reported(restless, kept, capsys)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("runtime.supervisor.mode", 99),
+        ("judge.invalid", -1),
+        ("judge.events.start", 2**62),
+        ("judge.events.channel", -2),
+        ("sampled.stops", -1),
+        ("responses.slot", 99),
+        ("robot.plant.tick", 2**63 - 1),
+    ],
+)
+def test_integers_that_no_shard_has_are_damage(restless, tmp_path, capsys, name, value):
+    """Under the right identity and digest, too."""
+    kept = store_ticks(restless, 1, tmp_path / "unfinished", 400)
+    arrays = kept.load()
+    arrays[name][...] = value
+    kept.store(arrays)
+    assert_reported(restless, kept, capsys)
