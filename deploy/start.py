@@ -23,6 +23,8 @@ RESOURCES = {
     errno.ENOMEM: "memory",
 }
 """Errors of a computer that lacks something, and what could not be created, unless the error names a file."""
+NO_MEMORY = ("can't allocate memory",)
+"""What libraries say, in lower case, in a RuntimeError or ImportError about memory: torch."""
 ENVIRONMENT = {"PYTHONSAFEPATH": "1", "MPLBACKEND": "agg", "PYTHONIOENCODING": "utf-8"}
 """For this process and its children: no module is imported from the working directory, which may be a robot's folder
 that somebody else has written; plots are files; children write, and libraries' children read, text as UTF-8."""
@@ -65,14 +67,22 @@ def start(module: str) -> None:
 
 def report_failure(error: Exception) -> int:
     """Print an exception, with its traceback unless the computer lacks something; return the exit code."""
-    if isinstance(error, MemoryError):
-        error = OSError(errno.ENOMEM, str(error) or os.strerror(errno.ENOMEM))
+    if _lacks_memory(error):
+        first_line, *_ = str(error).splitlines() or [os.strerror(errno.ENOMEM)]
+        error = OSError(errno.ENOMEM, printable(first_line))
     if not isinstance(error, OSError) or error.errno not in RESOURCES:
         traceback.print_exception(error)
         return BROKEN
     about = error.filename or RESOURCES[error.errno]
     print(f"error: {printable(str(about))}: {error.strerror}", file=sys.stderr)
     return LACKING
+
+
+def _lacks_memory(error: Exception) -> bool:
+    """Return whether an error, of Python or of a library, is about too little memory."""
+    said = str(error).lower()
+    named = isinstance(error, RuntimeError | ImportError) and any(words in said for words in NO_MEMORY)
+    return named or isinstance(error, MemoryError)
 
 
 def _kept_going(stream: io.TextIOWrapper) -> io.TextIOWrapper:

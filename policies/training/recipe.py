@@ -34,6 +34,8 @@ Count = Annotated[int, Field(ge=1, le=1 << 16)]
 Share = Annotated[float, Field(gt=0, le=1)]
 HIDDEN_WEIGHTS_MAX = 1 << 24
 """Weights between hidden layers: with as many for the largest observation, half of the largest policy file."""
+BATCH_MAX = 1 << 22
+"""Steps of all robots between two updates: far more than a training can use; their observations stay in memory."""
 ObservationChoice = str | Annotated[tuple[str, ...], Field(min_length=1)]
 """Name of a template, or sources in order."""
 
@@ -199,8 +201,12 @@ class Recipe(Strict):
     learner: Learner
 
     @model_validator(mode="after")
-    def _no_empty_batch(self) -> Self:
+    def _batch_is_possible(self) -> Self:
         steps = self.environment.robots * self.learner.num_steps_per_env
+        if steps > BATCH_MAX:
+            raise ValueError(
+                f"environment.robots times learner.num_steps_per_env: found {steps}, expected at most {BATCH_MAX}"
+            )
         if (batches := self.learner.num_mini_batches) > steps:
             raise ValueError(
                 f"learner.num_mini_batches: found {batches}, expected at most {steps}: "

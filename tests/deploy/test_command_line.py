@@ -36,6 +36,26 @@ def test_a_computer_without_memory_is_one_line_and_no_defect(said, capsys):
     assert capsys.readouterr().err == f"error: memory: {said or os.strerror(errno.ENOMEM)}\n"
 
 
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [(RuntimeError, "DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes.")],
+)
+def test_a_library_without_memory_is_one_line_and_no_defect(kind, said, capsys):
+    def full():
+        raise kind(f"{said}\nC++ frames")
+
+    assert code_of(full) == LACKING
+    assert capsys.readouterr().err == f"error: memory: {said}\n"
+
+
+def test_other_errors_of_libraries_are_defects(capsys):
+    def broken():
+        raise RuntimeError("mat1 and mat2 shapes cannot be multiplied")
+
+    assert code_of(broken) == BROKEN
+    assert "Traceback" in capsys.readouterr().err
+
+
 def test_other_errors_of_the_system_are_defects(capsys):
     def broken():
         raise OSError(errno.EIO, "input/output error", "/dev/x")

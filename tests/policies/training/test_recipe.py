@@ -101,6 +101,14 @@ def test_numbers_that_no_training_can_use_are_refused(table, field, value):
         parse(wrong, Recipe, source="x.toml")
 
 
+def test_a_batch_that_no_memory_holds_is_refused():
+    wrong = ARM | {"environment": ARM["environment"] | {"robots": 65536}}
+    wrong |= {"learner": ARM["learner"] | {"num_steps_per_env": 65536}}
+    said = "environment.robots times learner.num_steps_per_env: found 4294967296, expected at most 4194304"
+    with pytest.raises(ConfigError, match=rf"x\.toml: .*{said}"):
+        parse(wrong, Recipe, source="x.toml")
+
+
 def test_too_long_a_name_of_a_recipe_is_no_recipe():
     with pytest.raises(
         ConfigError, match=r"--recipe x+: no such file, expected a path or one of policies/: "
