@@ -23,8 +23,8 @@ RESOURCES = {
     errno.ENOMEM: "memory",
 }
 """Errors of a computer that lacks something, and what could not be created, unless the error names a file."""
-NO_MEMORY = ("can't allocate memory",)
-"""What libraries say, in lower case, in a RuntimeError or ImportError about memory: torch."""
+NO_MEMORY = ("can't allocate memory", "cannot allocate memory", "failed to map segment from shared object")
+"""What is said, in lower case, in a RuntimeError or ImportError about memory: by torch, and where libraries load."""
 ENVIRONMENT = {"PYTHONSAFEPATH": "1", "MPLBACKEND": "agg", "PYTHONIOENCODING": "utf-8"}
 """For this process and its children: no module is imported from the working directory, which may be a robot's folder
 that somebody else has written; plots are files; children write, and libraries' children read, text as UTF-8."""

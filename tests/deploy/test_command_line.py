@@ -38,7 +38,11 @@ def test_a_computer_without_memory_is_one_line_and_no_defect(said, capsys):
 
 @pytest.mark.parametrize(
     ("kind", "said"),
-    [(RuntimeError, "DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes.")],
+    [
+        (RuntimeError, "DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes."),
+        (ImportError, "libscipy.so: failed to map segment from shared object"),
+        (ImportError, "libscipy.so: cannot create shared object descriptor: Cannot allocate memory"),
+    ],
 )
 def test_a_library_without_memory_is_one_line_and_no_defect(kind, said, capsys):
     def full():
