@@ -4,7 +4,7 @@ import gc
 import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -165,19 +165,21 @@ class Session:
             duration=self._options.duration,
             watchers=watchers,
         )
+
+        def show_last() -> None:
+            if runtime.ticks:
+                show(run)
+
+        def summarize() -> None:
+            run.lost = report(run, about, recorder.path.parent / "summary.json", lost())
+
         # Objects made so far stay: the garbage collector shall not visit them in the middle of a tick.
         gc.collect()
         gc.freeze()
-        try:
+        with ExitStack() as ending:  # each of them in any case, the last one first
+            for call in (summarize, console.close, heat_file.close, recorder.close, show_last, gc.unfreeze):
+                ending.callback(call)
             run.run()
-        finally:
-            gc.unfreeze()
-            if runtime.ticks:
-                show(run)
-            recorder.close()
-            heat_file.close()
-            console.close()
-            run.lost = report(run, about, recorder.path.parent / "summary.json", lost())
         return run
 
 

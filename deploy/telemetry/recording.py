@@ -21,6 +21,8 @@ CHUNK_BYTES = 1 << 16
 """Compressed and handed over at once: 0.1 ms of a tick."""
 BLUE, GREEN = fg.Color(r=0.1, g=0.4, b=1.0, a=1.0), fg.Color(r=0.1, g=0.8, b=0.3, a=0.4)
 TOOL_M = 0.02
+NS_MAX = 10**9 << 32
+"""Bound of a timestamp, ns since the epoch, in February 2106: a clock that is wrong must not stop a robot."""
 
 
 class Recording:
@@ -91,7 +93,7 @@ class Recording:
 
     def time(self, tick: int) -> tuple[int, fg.Timestamp]:
         """Return the time of a tick, ns since the epoch and as a timestamp."""
-        ns = self._start_ns + round(tick * self.spec.dt * 1e9)
+        ns = min(max(0, self._start_ns + round(tick * self.spec.dt * 1e9)), NS_MAX - 1)
         return ns, fg.Timestamp(ns // 10**9, ns % 10**9)
 
     def joint_states(

@@ -16,6 +16,7 @@ from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.robot import SimRobot
 from deploy.policy.policy import Policy
 from deploy.runtime import Runtime
+from deploy.start import BROKEN
 from deploy.telemetry.folder_lock import LOCK, locked
 from deploy.telemetry.recorder import Recorder
 from robots.distributions import load_distributions
@@ -130,6 +131,22 @@ def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert (summary["ended"], summary["reason"]) == ("interrupted", "stopped by the operator")
     assert [Path(event).name for event in summary["events"]] == ["event-300.mcap"]
+
+
+def test_a_recording_that_fails_at_its_end_takes_no_other_file_with_it(
+    command, arm_policy, tmp_path, monkeypatch
+):
+    def close(recorder, close=Recorder.close):
+        close(recorder)
+        raise RuntimeError("no such channel")
+
+    monkeypatch.setattr(Recorder, "close", close)
+    options = ("--policy", arm_policy, "--duration", 0.1, "--speed", "max", "--out", tmp_path)
+    code, said, complaint = command(*options)
+    assert code == BROKEN
+    assert complaint.endswith("RuntimeError: no such channel\n")
+    assert said.startswith("ended          done ")
+    assert json.loads((tmp_path / "summary.json").read_text())["ended"] == "done"
 
 
 def test_a_signal_while_files_are_completed_loses_none(command, arm_policy, tmp_path, monkeypatch):

@@ -56,14 +56,14 @@ class Scripted:
         self.ticks += 1
 
 
-def recorder(folder, runtime=None):
-    return Recorder(folder, runtime or Scripted(), start_ns=START_NS, about={"policy": "x.onnx"})
+def recorder(folder, runtime=None, start_ns=START_NS):
+    return Recorder(folder, runtime or Scripted(), start_ns=start_ns, about={"policy": "x.onnx"})
 
 
-def record(folder, ticks, *, stops=None):
+def record(folder, ticks, *, stops=None, start_ns=START_NS):
     """Record `ticks` ticks; `stops` maps a tick to the reason for which the robot starts to stop."""
     runtime = Scripted()
-    writer = recorder(folder, runtime)
+    writer = recorder(folder, runtime, start_ns)
     for tick in range(ticks):
         reason = (stops or {}).get(tick, 0)
         runtime.supervisor.mode[0] = Mode.STOPPING if reason else Mode.RUNNING
@@ -106,6 +106,15 @@ def test_the_stream_is_thinned_to_50_hz(tmp_path):
     for topic in ("/measured", "/setpoint", "/scene", "/state"):
         times = [time for time, _, _ in found[topic]]
         assert times == [START_NS + tick * TICK_NS for tick in range(0, 401, 4)]
+
+
+@pytest.mark.parametrize(("start_s", "shown_s"), [(2**32 - 1, 2**32 - 1), (10**11, 2**32 - 1), (-9, 0)])
+def test_a_clock_that_is_wrong_stops_no_recording(tmp_path, start_s, shown_s):
+    """The last second of timestamps begins before the robot ticks, and ends while it does."""
+    record(tmp_path, 241, stops={100: Reason.STUCK}, start_ns=start_s * 10**9)
+    assert {
+        measured.timestamp.seconds for _, _, measured in messages(tmp_path / "run.mcap")["/measured"]
+    } == {shown_s}
 
 
 def test_logged_numbers_match_their_tick(tmp_path):
