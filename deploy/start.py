@@ -60,9 +60,12 @@ def start(module: str) -> None:
         cli = import_module(module).cli
     except Exception as e:  # of a library, for something in this environment: no verdict about a robot
         raise SystemExit(report_failure(e)) from e
-    if by_default:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    cli()
+    try:
+        if by_default:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        cli()
+    except KeyboardInterrupt:  # before or after the command itself
+        raise SystemExit(INTERRUPTED) from None
 
 
 def report_failure(error: Exception) -> int:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -20,7 +21,7 @@ def draw_curves(events: Path, out: Path) -> None:
     log = EventAccumulator(str(events), size_guidance={"scalars": 0})
     log.Reload()
     with mpl.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = Figure(figsize=(9, 5), layout="constrained")
+        figure = FigureCanvasAgg(Figure(figsize=(9, 5), layout="constrained")).figure
         for axes, (tag, title) in zip(figure.subplots(2, 2).flat, CURVES.items(), strict=True):
             _curve(axes, log, tag, title)
         figure.savefig(out, dpi=120)

@@ -63,6 +63,12 @@ def test_ctrl_c_is_an_exception_again_when_the_command_runs(written, tmp_path):
     assert run("patient_command", tmp_path).stdout == b"stopped\n"
 
 
+def test_ctrl_c_before_the_command_has_begun_is_quiet(written, tmp_path):
+    written("slow_command", "import os, signal\ndef cli():\n    os.kill(os.getpid(), signal.SIGINT)\n")
+    ended = run("slow_command", tmp_path)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, b"", b"")
+
+
 @pytest.mark.parametrize(
     "environment",
     [

@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from eval.statistics.numbers import Number
@@ -47,7 +48,8 @@ STYLE: Any = {
 
 def canvas(width: float, height: float, left_in: float = 0.5) -> tuple[Figure, Axes]:
     """Return a figure, size in inches, and its axes, with room for tick labels and units on all sides."""
-    figure = Figure(figsize=(width, height))
+    # Left to itself, matplotlib imports its canvas late, and Ctrl-C in a C extension would become an ImportError.
+    figure = FigureCanvasSVG(Figure(figsize=(width, height))).figure
     left, bottom, right = left_in / width, 0.42 / height, 0.24 / width
     axes = figure.add_axes((left, bottom, 1 - left - right, 1 - bottom - 0.05 / height))
     for axis in (axes.xaxis, axes.yaxis):
