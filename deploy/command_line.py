@@ -1,11 +1,13 @@
 """Command lines: exit codes, and errors printed on standard error."""
 
 import functools
+import signal
 import sys
 from collections.abc import Callable
 
 import typer
 
+from deploy.operation.interrupts import REQUESTS, handled, interrupt
 from deploy.start import INTERRUPTED, report_failure
 from robots.errors import FirstshiftError, ResultLostError, printable
 
@@ -17,8 +19,9 @@ def main(*commands: Callable[..., int]) -> None:
 
     An option that typer refuses and a `FirstshiftError` are printed on standard error and exit with 2, a result that
     was lost, and a computer without room on its disk or without open files left, with 1. Ctrl-C that a command did not
-    handle itself exits with 130. Any other exception, of firstshift or of a robot's bus, is printed with its traceback
-    and exits with 70, which is no verdict about the robot.
+    handle itself, and a request to end, which is taken for Ctrl-C unless it is ignored, exit with 130. Any other
+    exception, of firstshift or of a robot's bus, is printed with its traceback and exits with 70, which is no verdict
+    about the robot.
 
     Args:
         commands: functions with typer's annotations that return an exit code. If there are several, the first word of
@@ -27,7 +30,8 @@ def main(*commands: Callable[..., int]) -> None:
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     for command in commands:
         app.command()(_guarded(command))
-    app()
+    with handled(interrupt, [each for each in REQUESTS if signal.getsignal(each) is signal.SIG_DFL]):
+        app()
 
 
 def _guarded(command: Callable[..., int]) -> Callable[..., None]:

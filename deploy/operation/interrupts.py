@@ -1,7 +1,7 @@
 """Operating-system signals that end a command: from the keyboard, a terminal that closes, other processes, timers."""
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
@@ -25,15 +25,17 @@ def _ending_signals() -> tuple[int, ...]:
 
 SIGNALS = _ending_signals()
 """All others: by default they end a process."""
+REQUESTS = (signal.SIGTERM, signal.SIGHUP)
+"""Those by which service managers, and terminals that close, ask a process to end."""
 
 
 @contextmanager
-def handled(handler: Any) -> Iterator[None]:
-    """Send all `SIGNALS` to `handler`, as `signal.signal` takes it, until the block ends.
+def handled(handler: Any, numbers: Iterable[int] = SIGNALS) -> Iterator[None]:
+    """Send signals of these numbers to `handler`, as `signal.signal` takes it, until the block ends.
 
     Those that a library handles, not in Python, are left to it.
     """
-    ours = [number for number in SIGNALS if signal.getsignal(number) is not None]
+    ours = [number for number in numbers if signal.getsignal(number) is not None]
     before = [(number, signal.signal(number, handler)) for number in ours]
     try:
         yield

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import signal
 import subprocess
 import sys
 import tomllib
@@ -67,6 +68,41 @@ def test_ctrl_c_before_the_command_has_begun_is_quiet(written, tmp_path):
     written("slow_command", "import os, signal\ndef cli():\n    os.kill(os.getpid(), signal.SIGINT)\n")
     ended = run("slow_command", tmp_path)
     assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, b"", b"")
+
+
+WRITER = """
+import os, signal
+from pathlib import Path
+
+from deploy.command_line import main
+from deploy.telemetry.output_files import replacing
+
+def write() -> int:
+    with replacing(Path(os.environ["PLACE"])) as partial:
+        partial.write_text("a part")
+        os.kill(os.getpid(), int(os.environ["SIGNAL"]))
+    return 0
+
+def cli():
+    main(write)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_request_to_end_leaves_no_part_of_a_file(written, tmp_path, number):
+    written("writing_command", WRITER)
+    place = tmp_path / "out" / "file"
+    ended = run("writing_command", tmp_path, PLACE=str(place), SIGNAL=str(int(number)))
+    assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, b"", b"")
+    assert os.listdir(place.parent) == []
+
+
+def test_a_request_that_is_ignored_stays_ignored(written, tmp_path):
+    """As nohup does with that of a terminal that closes."""
+    written("writing_command", f"import signal\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n{WRITER}")
+    place = tmp_path / "out" / "file"
+    ended = run("writing_command", tmp_path, PLACE=str(place), SIGNAL=str(int(signal.SIGHUP)))
+    assert (ended.returncode, ended.stderr, place.read_text()) == (0, b"", "a part")
 
 
 @pytest.mark.parametrize(
