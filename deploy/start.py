@@ -6,6 +6,7 @@ Ctrl-C then ends it at once and quietly, without cleaning up: nothing is open ye
 import errno
 import io
 import os
+import resource
 import signal
 import sys
 import traceback
@@ -25,6 +26,8 @@ RESOURCES = {
 """Errors of a computer that lacks something, and what could not be created, unless the error names a file."""
 NO_MEMORY = ("can't allocate memory", "cannot allocate memory", "failed to map segment from shared object")
 """What is said, in lower case, in a RuntimeError or ImportError about memory: by torch, and where libraries load."""
+ADDRESSES_MIN = 1 << 30
+"""Least bytes that the system must let this process address: with too few, libraries wait for them for ever."""
 ENVIRONMENT = {"PYTHONSAFEPATH": "1", "MPLBACKEND": "agg", "PYTHONIOENCODING": "utf-8"}
 """For this process and its children: no module is imported from the working directory, which may be a robot's folder
 that somebody else has written; plots are files; children write, and libraries' children read, text as UTF-8."""
@@ -57,6 +60,7 @@ def start(module: str) -> None:
     if by_default:  # an exception could be raised inside a C extension, which makes another one of it
         signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
     try:
+        _check_addresses()
         cli = import_module(module).cli
     except Exception as e:  # of a library, for something in this environment: no verdict about a robot
         raise SystemExit(report_failure(e)) from e
@@ -66,6 +70,13 @@ def start(module: str) -> None:
         cli()
     except KeyboardInterrupt:  # before or after the command itself
         raise SystemExit(INTERRUPTED) from None
+
+
+def _check_addresses() -> None:
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if most != resource.RLIM_INFINITY and most < ADDRESSES_MIN:
+        found, expected = most >> 20, ADDRESSES_MIN >> 20
+        raise OSError(errno.ENOMEM, f"found {found} MiB, expected at least {expected} MiB", "ulimit -v")
 
 
 def report_failure(error: Exception) -> int:

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.start import BROKEN, INTERRUPTED, LACKING, start
+from deploy.start import ADDRESSES_MIN, BROKEN, INTERRUPTED, LACKING, start
 from support.paths import ROOT
 
 SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
@@ -208,6 +209,15 @@ def test_too_few_open_files_for_imports_are_one_line(written, tmp_path):
     ended = run("greedy_command", tmp_path)
     assert ended.returncode == LACKING
     assert ended.stderr == b"error: a file, a pipe or a process: Too many open files\n"
+
+
+@pytest.mark.parametrize(("most", "said"), [(ADDRESSES_MIN - 1, "1023"), (0, "0")])
+def test_too_few_addresses_for_imports_are_one_line(capsys, monkeypatch, most, said):
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (most, most))
+    with pytest.raises(SystemExit) as caught:
+        start("no_such_command")
+    assert caught.value.code == LACKING
+    assert capsys.readouterr().err == f"error: ulimit -v: found {said} MiB, expected at least 1024 MiB\n"
 
 
 def test_children_write_utf_8_whatever_this_process_writes(written, tmp_path):
