@@ -26,6 +26,8 @@ RESOURCES = {
 """Errors of a computer that lacks something, and what could not be created, unless the error names a file."""
 NO_MEMORY = ("can't allocate memory", "cannot allocate memory", "failed to map segment from shared object")
 """What is said, in lower case, in a RuntimeError or ImportError about memory: by torch, and where libraries load."""
+NO_FOLDER = "No usable temporary directory"
+"""What Python says, of a file that is not found, where no folder for temporary files can be written."""
 ADDRESSES_MIN = 1 << 30
 """Least bytes that the system must let this process address: with too few, libraries wait for them for ever."""
 ENVIRONMENT = {"PYTHONSAFEPATH": "1", "MPLBACKEND": "agg", "PYTHONIOENCODING": "utf-8"}
@@ -84,6 +86,8 @@ def report_failure(error: Exception) -> int:
     if _lacks_memory(error):
         first_line, *_ = str(error).splitlines() or [os.strerror(errno.ENOMEM)]
         error = OSError(errno.ENOMEM, printable(first_line))
+    elif isinstance(error, FileNotFoundError) and (error.strerror or "").startswith(NO_FOLDER):
+        error = OSError(errno.ENOSPC, error.strerror)
     if not isinstance(error, OSError) or error.errno not in RESOURCES:
         traceback.print_exception(error)
         return BROKEN

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from tempfile import gettempdir
 from typing import Any
 
 import torch
@@ -28,6 +29,7 @@ def to_onnx(
     """
     settings: dict[str, Any] = {"opset_version": OPSET, "external_data": False, "verbose": False}
     settings |= {"input_names": inputs, "output_names": outputs, "dynamic_shapes": shapes}
+    gettempdir()  # torch needs it, and tells nobody that there is none
     with _quiet():
         program = torch.onnx.export(module, examples, **settings)
     if program is None:

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import tempfile
 
 import pytest
 import typer
@@ -50,6 +51,14 @@ def test_a_library_without_memory_is_one_line_and_no_defect(kind, said, capsys):
 
     assert code_of(full) == LACKING
     assert capsys.readouterr().err == f"error: memory: {said}\n"
+
+
+def test_no_temporary_folder_is_one_line_and_no_defect(monkeypatch, capsys):
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(tempfile, "_candidate_tempdir_list", lambda: ["/nowhere"])
+    assert code_of(tempfile.gettempdir) == LACKING
+    said = "No usable temporary directory found in ['/nowhere']"
+    assert capsys.readouterr().err == f"error: a temporary file: {said}\n"
 
 
 def test_other_errors_of_libraries_are_defects(capsys):

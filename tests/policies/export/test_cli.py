@@ -1,5 +1,6 @@
 import json
 import os
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from onnx import numpy_helper
 from deploy.policy.contract import CONTRACT_KEY, Observed
 from deploy.policy.policy import Policy
 from deploy.policy.policy_file import GOLDEN_KEY
+from deploy.start import LACKING
 from policies.export.cli import POLICIES, cli, export, find_checkpoint, policy_export
 from policies.training.checkpoint import load_checkpoint
 from robots.errors import ContractError, OutputError, RobotError
@@ -31,6 +33,16 @@ def done(tmp_path_factory):
     folder = tmp_path_factory.mktemp("export")
     checkpoint = saved(folder)
     return checkpoint, export(checkpoint, folder / "new" / "arm.onnx")
+
+
+def test_no_temporary_folder_is_one_line(done, call, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(tempfile, "_candidate_tempdir_list", lambda: ["/nowhere"])
+    code, _, said = call(cli, "--policy", done[0], "--out", tmp_path / "a.onnx")
+    assert (code, said) == (
+        LACKING,
+        "error: a temporary file: No usable temporary directory found in ['/nowhere']\n",
+    )
 
 
 def test_the_file_agrees_with_torch_on_other_observations(done):
