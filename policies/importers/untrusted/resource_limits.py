@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 
 from deploy.command_line import BAD_INPUT
@@ -23,8 +24,9 @@ def limit_import(policy: Path) -> Iterator[None]:
 
     Raises:
         ContractError: the block needs more than `MEMORY_GIB`.
+        MemoryError: it needs more than the process was allowed before, which is less.
     """
-    before = resource.getrlimit(resource.RLIMIT_DATA)
+    before, allowed = resource.getrlimit(resource.RLIMIT_DATA), _allowed_gib()
     watchdog = threading.Timer(IMPORT_S, _abort, [policy])
     watchdog.daemon = True
     watchdog.start()
@@ -32,10 +34,18 @@ def limit_import(policy: Path) -> Iterator[None]:
         limit_resource(resource.RLIMIT_DATA, MEMORY_GIB << 30)
         yield
     except MemoryError as e:
+        if allowed < MEMORY_GIB:
+            raise
         raise ContractError(f"{policy}: needs more memory than {MEMORY_GIB} GiB") from e
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, before)
         watchdog.cancel()
+
+
+def _allowed_gib() -> float:
+    """Return the memory that this process may use at most, GiB; infinite without a limit."""
+    limits = (resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_DATA, resource.RLIMIT_AS))
+    return min((most / (1 << 30) for most in limits if most != resource.RLIM_INFINITY), default=inf)
 
 
 def _abort(policy: Path) -> None:
