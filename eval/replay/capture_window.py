@@ -15,7 +15,6 @@ from deploy.stage import Arrays
 from deploy.telemetry.recording import Recording
 from deploy.telemetry.signals import Ring, Rows, row_type
 from deploy.truth import Truth
-from robots.errors import output_error
 from robots.spec import RobotSpec
 
 TRUE = ("q_true", "qd_true", "tau_true", "winding_true_c")
@@ -82,7 +81,7 @@ def write_mcap(path: Path, spec: RobotSpec, rows: Rows, *, goal_m: float, about:
     """Write a window as MCAP; its clock starts at 0 with the robot's first tick.
 
     Raises:
-        OutputError: it cannot be written.
+        OSError: it cannot be written.
     """
     recording = _WindowRecording(path, spec, start_ns=0, goal_m=goal_m, about=about)
     for row in rows:
@@ -90,7 +89,7 @@ def write_mcap(path: Path, spec: RobotSpec, rows: Rows, *, goal_m: float, about:
     recording.finish()
     recording.wait()
     if recording.error is not None:
-        raise output_error(f"{path}: cannot be written: {recording.error.strerror}", recording.error)
+        raise recording.error
 
 
 class _WindowRecording(Recording):

@@ -54,7 +54,7 @@ def soak_replay(
     for line in lines:
         _print(console, line)
     if mcap is not None:
-        with replacing(mcap) as file:
+        with replacing(mcap, "--mcap") as file:
             write_mcap(
                 file, replay.spec, result.rows, goal_m=replay.goal_m, about=replay.info.event.as_text()
             )

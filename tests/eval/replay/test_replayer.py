@@ -10,6 +10,9 @@ from support.policies import policy_model
 
 pytest.importorskip("mujoco")
 
+from deploy.command_line import BAD_INPUT
+from deploy.telemetry import recording
+from deploy.telemetry.disk_writer import DiskWriter
 from eval.faults.schedule import FaultSettings
 from eval.replay import bundle
 from eval.replay import cli as command
@@ -191,6 +194,20 @@ def test_state_of_other_code_is_reported_as_such(one, run):
         r"runtime\.requested_stop: missing; code_digest: found \w{12} here, abababababab in the bundle: replay",
         said,
     )
+
+
+def test_a_recording_that_cannot_be_written_is_named_as_it_was_given(one, run, tmp_path, monkeypatch):
+    code, _, said = run(one, "--mcap", tmp_path)
+    expected = "found a folder or a device, expected a file or nothing"
+    assert (code, said) == (BAD_INPUT, f"error: --mcap {tmp_path}: {expected}\n")
+    place = tmp_path / "again.mcap"
+    monkeypatch.setattr(recording, "DiskWriter", lambda _: DiskWriter(tmp_path / "nowhere" / "again.mcap"))
+    code, _, said = run(one, "--mcap", place)
+    assert (code, said) == (
+        BAD_INPUT,
+        f"error: --mcap {place}: cannot be written: No such file or directory\n",
+    )
+    assert not place.exists()
 
 
 def test_another_policy_is_refused_by_name(one, run):
