@@ -14,7 +14,7 @@ from deploy.motion.smoothers import make_smoother
 from deploy.reasons import Reason
 from deploy.runtime import Runtime
 from deploy.safety.check import UNBOUNDED
-from deploy.state import Setpoint, State, Stop, Verdict
+from deploy.state import STOP_MOMENTS, Setpoint, State, Stop, Verdict
 from robots.arrays import Bools, Floats
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -84,7 +84,7 @@ def skip_stop_checks(*moments: StopMoment) -> GuardRemoval:
     ) -> Verdict:
         at_setpoint: dict[str, dict[str, Any]] = {
             "first step": {"ahead": now},
-            "braking": {"q": np.stack((now.q, now.q)), "qd": np.stack((now.qd, now.qd))},
+            "braking": {"q": np.array([now.q] * STOP_MOMENTS), "qd": np.array([now.qd] * STOP_MOMENTS)},
             "rest": {"q_rest": now.q},
         }
         for moment in skipped:

@@ -91,7 +91,8 @@ def cli():
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_request_to_end_leaves_no_part_of_a_file(written, tmp_path, number):
-    written("writing_command", WRITER)
+    not_ignored = f"import signal\nsignal.signal({int(number)}, signal.SIG_DFL)\n"  # as it is under nohup
+    written("writing_command", f"{not_ignored}{WRITER}")
     place = tmp_path / "out" / "file"
     ended = run("writing_command", tmp_path, PLACE=str(place), SIGNAL=str(int(number)))
     assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, b"", b"")

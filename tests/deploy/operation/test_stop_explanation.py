@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.reasons import REASONS, Reason
-from deploy.state import Mode
+from deploy.state import STOP_MOMENTS, Mode
 from support.arm6 import SPEC
 from support.deploy.safety import stop_at
 
@@ -199,7 +199,7 @@ def test_planned_joint_with_nan_is_named_despite_nan_torques(runtime):
     )
 
 
-@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize("place", range(STOP_MOMENTS + 2))
 @pytest.mark.parametrize(
     ("q", "shapes"),
     [
@@ -210,9 +210,9 @@ def test_planned_joint_with_nan_is_named_despite_nan_torques(runtime):
 def test_colliding_shapes_are_named(runtime, place, q, shapes):
     """Be it at the setpoint, while the stop brakes or at its end."""
     here = runtime.setpoint
-    poses = np.array([here.q] * 4)
+    poses = np.array([here.q] * (STOP_MOMENTS + 2))
     poses[place, 0] = q
-    stop = stop_at(here)._replace(q=poses[1:3], q_rest=poses[3])
+    stop = stop_at(here)._replace(q=poses[1:-1], q_rest=poses[-1])
     runtime.verdict = runtime.safety.step(runtime.state, here, here._replace(q=poses[0]), stop)
     assert explain_reasons(runtime, int(Reason.COLLISION)) == f"{REASONS[Reason.COLLISION].text} ({shapes})"
     assert explain_reasons(runtime, int(Reason.COLLISION), robot=1) == REASONS[Reason.COLLISION].text
@@ -231,7 +231,7 @@ def test_separate_shapes_are_not_named_for_a_pose_of_nan(runtime):
     one = here.q.copy()
     one[0, WRIST] = np.nan
     for planned, midst in ((nowhere, nowhere), (one, here.q)):
-        stop = stop_at(here)._replace(q=np.stack((here.q, midst)), q_rest=planned)
+        stop = stop_at(here)._replace(q=np.array([here.q] * (STOP_MOMENTS - 1) + [midst]), q_rest=planned)
         runtime.verdict = runtime.safety.step(runtime.state, here, here._replace(q=planned), stop)
         assert runtime.verdict.reason[0] & Reason.COLLISION
         assert explain_reasons(runtime, int(Reason.COLLISION)) == REASONS[Reason.COLLISION].text

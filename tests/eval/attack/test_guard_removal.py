@@ -16,7 +16,7 @@ from eval.shard.job import WIDTH
 from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
 
-MODE, SEED = ControlMode.POSITION, 8
+MODE, SEED = ControlMode.POSITION, 9
 SHORT_S, LONG_S = 1.1, 3.0
 """s of a trial: 0.8 of operation, and 2.7, in which each of the events below is found."""
 TRIALS = WIDTH * len(ADVERSARIES)

@@ -24,8 +24,8 @@ from support.eval.fault_schedules import CLASSES, named, one_each
 from support.policies import policy_model, saved
 
 BEGINS, TICKS = 120, 120 + 460
-SLOW = 0.3
-"""Factor of the policy's actions: the arm moves at 0.9 rad/s when faults begin."""
+SLOW = 0.25
+"""Factor of the policy's actions: the arm moves at 0.75 rad/s when faults begin."""
 ANSWERS = {
     "bus loses 25 ms": (StopCategory.NO_STOP, Reason.NONE),
     "bus silent": (StopCategory.CATEGORY_1, Reason.STALE | Reason.LOST | Reason.DIVERGED | Reason.TRACKING),
