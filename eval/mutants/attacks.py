@@ -120,6 +120,12 @@ def switch_policy(t: float, first: HostilePolicy, second: HostilePolicy) -> Host
     return lambda runtime: (first if runtime.t < t else second)(runtime)
 
 
+def in_turn(*poses: tuple[float, dict[str, float]]) -> HostilePolicy:
+    """Move to one pose after another, each until its time, s."""
+    (until, pose), *more = poses
+    return switch_policy(until, move_to(**pose), in_turn(*more)) if more else move_to(**pose)
+
+
 def move_slowly_to(rad_s: float, **to: float) -> HostilePolicy:
     """Move to positions with limited speed, rad/s."""
     go = move_to(**to)

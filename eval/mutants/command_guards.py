@@ -5,6 +5,7 @@ from eval.faults.hostile_policy import push_joints
 from eval.mutants.attacks import (
     action_spike,
     cycle_poses,
+    in_turn,
     jam_joint,
     move_slowly_to,
     move_to,
@@ -54,6 +55,15 @@ TABLE = Situation(
 WRIST = Situation(
     description="a wrist is driven into the table, the tool above it",
     policy=move_to(shoulder_lift=-0.35, wrist_1=0.25),
+)
+HIGH = {"shoulder_lift": -1.0449, "elbow": 1.6057, "wrist_1": 0.1357, "wrist_2": -1.8614}
+LOWER = HIGH | {"elbow": 2.65}
+LIFT = LOWER | {"shoulder_lift": -0.3}
+TURN = LIFT | {"wrist_2": -2.6}
+DIP = Situation(
+    description="elbow and wrists lower a link while the slower shoulder lifts it: a stop would go through the table",
+    policy=in_turn((2.0, HIGH), (2.035, LOWER), (2.135, LIFT), (2.22, TURN), (9.0, TURN | {"wrist_1": -3.0})),
+    seconds=4.0,
 )
 SPIN = move_to(wrist_3=2.8)
 TO_AND_FRO = cycle_poses(2.0, {"wrist_3": -2.8}, {"wrist_3": 2.8})
@@ -116,13 +126,13 @@ SAFETY = (
         Reason.TORQUE,
         "torque",
         Situation(
-            description="planner with nine times the acceleration, on light robots with little friction",
+            description="planner with twelve times the acceleration and 2.5 times the jerk, on light robots with little friction",
             policy=switch_policy(
                 1.9, move_slowly_to(0.8, **FAR), move_to(shoulder_lift=-1.4, elbow=0.6, wrist_1=-1.94)
             ),
             prepare=in_sequence(
                 ignore_reasons(Reason.ACCELERATION | Reason.TOOL_SPEED | Reason.SINGULARITY),
-                scale_limits_while_following(qdd_max=9.0, qddd_max=0.8),
+                scale_limits_while_following(qdd_max=12.0, qddd_max=2.5),
             ),
             draws=LIGHT,
             seconds=2.6,
@@ -175,16 +185,8 @@ SAFETY = (
     Mutant(
         guard="safety: the moments while a stop brakes are not checked",
         remove_guard=skip_stop_checks("braking"),
-        situation=Situation(
-            description="targets far to either side of all joints, drawn, three a second; faster planner, unchecked",
-            policy=push_joints(0.3, SEED),
-            prepare=in_sequence(
-                ignore_reasons(Reason.VELOCITY | Reason.ACCELERATION),
-                scale_limits_while_following(qd_max=1.3, qdd_max=2.5),
-            ),
-            seconds=20.0,
-        ),
-        monitor="tool_speed",
+        situation=DIP,
+        monitor="self_collision",
     ),
     Mutant(
         guard="safety: the stop's first step, the moments while it brakes and its end are not checked",
