@@ -18,7 +18,7 @@ def main(*commands: Callable[..., int]) -> None:
     """Run one command line; the function's result, or its error, becomes the exit code.
 
     An option that typer refuses and a `FirstshiftError` are printed on standard error and exit with 2, a result that
-    was lost, and a computer without room on its disk or without open files left, with 1. Ctrl-C that a command did not
+    was lost, and a computer that lacks room on its disk, memory or open files, with 1. Ctrl-C that a command did not
     handle itself, and a request to end, which is taken for Ctrl-C unless it is ignored, exit with 130. Any other
     exception, of firstshift or of a robot's bus, is printed with its traceback and exits with 70, which is no verdict
     about the robot.

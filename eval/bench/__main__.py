@@ -14,7 +14,7 @@ python -m eval.bench budget            half an hour of 32 robots by the shipped 
 python -m eval.bench teleport          a policy that asks for far angles: drives without limits, real ones, a cap
 python -m eval.bench adversaries       policies that ask for anything, in velocity and torque mode: an hour, 16 robots
 python -m eval.bench faults            every fault class under the library of adversaries: half an hour
-python -m eval.bench stops             the worst stop that safety accepts, for each limit of the tool
+python -m eval.bench stops             the worst stop that safety accepts: torque, tool, gap between shapes
 python -m eval.bench walk              a walking robot beside a bare loop: --robot FOLDER --policy FILE
 python -m eval.bench                   all of them but kills, adversaries, faults and walk
 """

@@ -127,13 +127,13 @@ class StopSearch:
 
 
 def stop_search(spec: RobotSpec, policy: Path, console: Console) -> None:
-    """Print the worst accepted stop for each limit of the tool, and for torque."""
+    """Print the worst accepted stop for torque, each limit of the tool, and 1 minus the gap between shapes, m."""
     del policy
     search = StopSearch(spec, POPULATION)
     table = Table("", "bound at the checked moments", "worst in between", title=f"stops of {spec.name}")
     for quantity, bound in search.bounds.items():
         worst = search.worst(quantity, GENERATIONS, SEED)
-        table.add_row(quantity, f"{bound:.4f}", f"{worst:.4f}")
+        table.add_row("1 − gap, m" if quantity == "gap" else quantity, f"{bound:.4f}", f"{worst:.4f}")
     console.print(table)
 
 

@@ -21,7 +21,7 @@ from eval.margins.throws import throws
 from eval.replay.bundle import POLICY
 from eval.shard.job import WIDTH
 from eval.shard.shard import Shard
-from robots.arrays import Floats
+from robots.arrays import Floats, Ints
 from robots.distributions import Distributions, load_distributions
 from robots.draws import Draw, draw, shape
 from robots.randomness import robot_seed
@@ -80,7 +80,7 @@ def run(trial: Trial) -> Outcome:
     shard.set_policy(Crowd(policy_file(spec, setting.mode, policies)))
     plant = shard.robot.plant
     excess, by_chance = Excess(shard.runtime, plant), plant.disturbances[Pushes.name]
-    aimed = AimedPushes(spec, plant, robots, aims(spec, robots))
+    aimed = AimedPushes(spec, plant, robots, aims(spec, robots, trial.seed))
     for _ in range(round(TRIAL_S / spec.dt)):
         shard.tick()
         planned = excess.step(shard.truth, by_chance.on | aimed.on)
@@ -115,16 +115,29 @@ def draw_robots(spec: RobotSpec, seed: int, *, corners: bool) -> Draw:
 
 def _thrown_robots(distributions: Distributions, spec: RobotSpec, seed: int) -> Draw:
     robots = draw(distributions, spec, [robot_seed(seed, robot) for robot in range(CHOICE * WIDTH)])
-    speed, torque = (np.argsort(-effect.max(axis=(1, 2)), kind="stable") for effect in throws(spec, robots))
-    rows = np.where(BRAKED, torque[: WIDTH - AIMED], speed[: WIDTH - AIMED])
-    return robots.rows(rows).replaced({"push.every_s": NEVER_S})
+    speed, torque = throws(spec, robots)
+    rows: list[int] = []
+    for joint, braked in zip(_joints_in_turn(spec, seed), BRAKED, strict=True):
+        effect = torque.max(axis=(1, 2)) if braked else speed[:, joint].max(axis=1)
+        effect[rows] = -np.inf
+        rows.append(int(effect.argmax()))
+    return robots.rows(np.array(rows)).replaced({"push.every_s": NEVER_S})
 
 
-def aims(spec: RobotSpec, robots: Draw) -> Aims:
-    """Return the aims of a trial: the joint that a push affects most, or a tool that has a limit."""
-    speed, torque = (effect.reshape(WIDTH, -1).argmax(axis=1) for effect in throws(spec, robots))
+def _joints_in_turn(spec: RobotSpec, seed: int) -> Ints:
+    """Return the joint of each robot of the second half along whose motion it is pushed, by a trial's seed."""
+    joints: Ints = (np.arange(WIDTH - AIMED) + seed) % spec.n
+    return joints
+
+
+def aims(spec: RobotSpec, robots: Draw, seed: int) -> Aims:
+    """Return the aims of a trial: joints in turn, those whose torque a push affects most, and tools that have limits."""
+    speed, torque = throws(spec, robots)
     braked = np.concatenate((np.zeros(AIMED, dtype=bool), BRAKED))
-    joints, links = np.divmod(np.where(braked, torque, speed), spec.n)
+    joints = np.concatenate((np.zeros(AIMED, dtype=np.int64), _joints_in_turn(spec, seed)))
+    joints[braked] = torque[braked].max(axis=2).argmax(axis=1)
+    effect = np.where(braked[:, None, None], torque, speed)
+    links = effect[np.arange(WIDTH), joints].argmax(axis=1)
     if spec.workspace:
         joints[AIMED::TURNS], links[AIMED::TURNS] = spec.n, spec.n - 1
     joints[:AIMED] = NOBODY

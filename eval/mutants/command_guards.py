@@ -126,7 +126,7 @@ SAFETY = (
         Reason.TORQUE,
         "torque",
         Situation(
-            description="planner with 12 times the acceleration and 2.5 times the jerk, on light robots with little friction",
+            description="planner with much more acceleration and jerk, on light robots with little friction",
             policy=switch_policy(
                 1.9, move_slowly_to(0.8, **FAR), move_to(shoulder_lift=-1.4, elbow=0.6, wrist_1=-1.94)
             ),

@@ -8,14 +8,15 @@ pytest.importorskip("mujoco")
 import eval.margins.trial as module
 from deploy.policy.actor import Actor
 from eval.attack.arena import Setting
-from eval.attack.loaded_robots import DISTURBED, extra_load
+from eval.attack.loaded_robots import CHOICE, DISTURBED, extra_load
 from eval.margins.aimed_pushes import NOBODY
 from eval.margins.throws import throws
 from eval.margins.trial import AIMED, BRAKED, TURNS, Trial, aims, draw_robots, make_shard, run
 from eval.shard.job import WIDTH
 from robots.distributions import load_distributions
-from robots.draws import Draw
+from robots.draws import Draw, draw
 from robots.motors.control_mode import ControlMode
+from robots.randomness import robot_seed
 from robots.spec import load_robot
 
 PLANAR = load_robot("planar3")
@@ -56,27 +57,38 @@ def test_of_the_first_half_every_second_robot_is_one_of_those_with_the_most_load
     assert load[1::2].min() > np.median(load[::2])
 
 
-def test_robots_of_the_other_half_are_those_that_a_push_affects_most_and_aims_are_their_joints():
-    robots = draw_robots(PLANAR, 5, corners=False)
-    speed, torque = throws(PLANAR, robots)
-    for effect, rows in ((speed, AIMED + np.flatnonzero(~BRAKED)), (torque, AIMED + np.flatnonzero(BRAKED))):
-        assert effect[rows].max(axis=(1, 2)).min() > np.median(effect[:AIMED].max(axis=(1, 2)))
+def test_robots_of_the_other_half_are_those_that_a_push_affects_most():
+    seed = 4
+    seeds = [robot_seed(seed, robot) for robot in range(CHOICE * WIDTH)]
+    speed, torque = throws(PLANAR, draw(load_distributions(PLANAR), PLANAR, seeds))
+    robots = draw_robots(PLANAR, seed, corners=False)
     assert (robots["push.every_s"][AIMED:] > 1e6).all()
-    chosen = aims(PLANAR, robots)
-    assert (chosen.joints[:AIMED] == NOBODY).all()
-    assert chosen.braked.nonzero()[0].tolist() == (AIMED + np.flatnonzero(BRAKED)).tolist()
-    for robot in range(AIMED, WIDTH):
-        effect = (torque if chosen.braked[robot] else speed)[robot]
-        assert effect[chosen.joints[robot], chosen.links[robot]] == effect.max()
+    found = throws(PLANAR, robots)
+    most = np.sort(torque.max(axis=(1, 2)))[::-1]
+    assert found.torque[AIMED:][BRAKED].max(axis=(1, 2)).max() == most[0]
+    fast = AIMED + np.flatnonzero(~BRAKED)
+    for robot, joint in zip(fast, aims(PLANAR, robots, seed).joints[fast], strict=True):
+        assert found.speed[robot, joint].max() >= np.sort(speed[:, joint].max(axis=1))[-(WIDTH - AIMED)]
 
 
-def test_some_are_pushed_along_the_motion_of_their_tool():
-    arm = load_robot("arm6")
-    chosen = aims(arm, draw_robots(arm, 5, corners=False))
-    tools = chosen.joints == arm.n
-    assert tools.sum() == (WIDTH - AIMED) // TURNS
-    assert (chosen.links[tools] == arm.n - 1).all()
-    assert not chosen.braked[tools].any()
+def test_aims_are_joints_in_turn_and_the_links_that_throw_them_most():
+    arm, aimed = load_robot("arm6"), set()
+    for seed in range(arm.n):
+        robots = draw_robots(arm, seed, corners=False)
+        speed, torque = throws(arm, robots)
+        chosen = aims(arm, robots, seed)
+        assert (chosen.joints[:AIMED] == NOBODY).all()
+        assert chosen.braked.nonzero()[0].tolist() == (AIMED + np.flatnonzero(BRAKED)).tolist()
+        tools = chosen.joints == arm.n
+        assert tools.sum() == (WIDTH - AIMED) // TURNS
+        assert (chosen.links[tools] == arm.n - 1).all()
+        for robot in AIMED + np.flatnonzero(~tools[AIMED:]):
+            effect = (torque if chosen.braked[robot] else speed)[robot]
+            assert effect[chosen.joints[robot], chosen.links[robot]] == effect[chosen.joints[robot]].max()
+        for robot in np.flatnonzero(chosen.braked):
+            assert torque[robot, chosen.joints[robot]].max() == torque[robot].max()
+        aimed |= set(chosen.joints[AIMED:][~chosen.braked[AIMED:]].tolist())
+    assert aimed == {*range(arm.n + 1)}
 
 
 def test_robots_of_the_other_half_are_pushed(monkeypatch):
