@@ -8,13 +8,14 @@ of period T with gains kp and kd on an inertia J is stable while
 (symplectic Euler's rule; by Jury's criterion for z² − (2 − kd T / J − kp T² / J) z + 1 − kd T / J). In the play of a
 gear, J is the rotor's alone: with more damping than that bears, its blows took motors to the end of their range.
 
-A link that a load drives through the play hits its rotor. If the drive damps the rotor strongly, the motor comes to the
-end of its range, too. A load τ, the torque that plans leave, gives a link of inertia I a speed of √(2 τ·play / I) at the end of the play, and both go on
-with I / (I + J) of it. The damping of that must not need more than τ:
+A link that a load drives through the play hits its rotor. If the drive damps the rotor strongly, the motor comes to
+the end of its range, too. A load τ, the torque that plans leave, gives a link of inertia I a speed of √(2 τ·play / I)
+at the end of the play, and both go on with I / (I + J) of it. The damping of that must not need more than τ:
 
     kd √(2 τ·play·I) / (I + J) <= τ
 
-The play is the nominal one. Gears have up to 4.6 times as much after two lives, and pushes give up to half of that load.
+The play is the nominal one. Gears have up to 4.6 times as much after two lives, and pushes give up to half of that
+load.
 
 Between two setpoints the joint must not swing: its natural frequency stays below a sixth of the control rate. On a
 fixed base it must not swing after them either: safety looks at where joints are sent. Half of critical damping, with a

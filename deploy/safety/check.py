@@ -64,7 +64,7 @@ class Motion(NamedTuple):
 
 
 class ToolMotion(NamedTuple):
-    """PB points of trajectories, P = STOP_MOMENTS + 2: B setpoints, the same at their peak speed, and where stops brake.
+    """PB points of trajectories, P = STOP_MOMENTS + 2: B setpoints, those at their peak speed, and where stops brake.
 
     K times as many for drives with K expectations of where joints are.
 

@@ -131,7 +131,7 @@ def _joints_in_turn(spec: RobotSpec, seed: int) -> Ints:
 
 
 def aims(spec: RobotSpec, robots: Draw, seed: int) -> Aims:
-    """Return the aims of a trial: joints in turn, those whose torque a push affects most, and tools that have limits."""
+    """Return the aims of a trial: joints in turn, or whose torque a push affects most, and tools that have limits."""
     speed, torque = throws(spec, robots)
     braked = np.concatenate((np.zeros(AIMED, dtype=bool), BRAKED))
     joints = np.concatenate((np.zeros(AIMED, dtype=np.int64), _joints_in_turn(spec, seed)))
