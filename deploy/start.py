@@ -25,9 +25,9 @@ RESOURCES = {
 }
 """Errors of a computer that lacks something, and what could not be created, unless the error names a file."""
 NO_MEMORY = ("can't allocate memory", "cannot allocate memory", "failed to map segment from shared object")
-"""What is said, in lower case, in a RuntimeError or ImportError about memory: by torch, and where libraries load."""
+"""Words, in lower case, of RuntimeErrors of torch and ImportErrors of library loaders that lack memory."""
 NO_FOLDER = "No usable temporary directory"
-"""What Python says, of a file that is not found, where no folder for temporary files can be written."""
+"""Beginning of the message of a FileNotFoundError where no folder for temporary files can be written."""
 ADDRESSES_MIN = 1 << 30
 """Least bytes that the system must let this process address: with too few, libraries wait for them for ever."""
 ENVIRONMENT = {"PYTHONSAFEPATH": "1", "MPLBACKEND": "agg", "PYTHONIOENCODING": "utf-8"}

@@ -23,8 +23,8 @@ from robots.motors.control_mode import ControlMode
 from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
-DISTANCE_BRAKED = np.array([0.0, 7 / 16, 3 / 4, 15 / 16, 1.0, 1.0])[:, None, None]
-"""Share of its way behind an evenly braking joint: at its whole speed, in quarters down to rest, and at the end."""
+DISTANCE_BRAKED = np.append(1.0 - np.linspace(1.0, 0.0, STOP_MOMENTS + 1) ** 2, 1.0)[:, None, None]
+"""Share of its way behind an evenly braking joint: at its whole speed, in equal parts down to rest, and at the end."""
 
 
 class DriveLaw(ABC):
@@ -126,7 +126,7 @@ class SpringDrives(DriveLaw):
     def expected_poses(self, state: State, sent: Floats) -> Floats:
         """Return where joints are, and where they come to if they brake at `qdd_max`: not where they are sent.
 
-        At 3/4, half and a quarter of its speed a joint that brakes evenly has 7/16, 3/4 and 15/16 of its way behind it.
+        At a share s of its speed a joint that brakes evenly has 1 − s² of its way behind it.
         """
         distance = state.qd * np.abs(state.qd) / self._twice_qdd
         return (state.q + DISTANCE_BRAKED * distance).reshape(sent.shape)

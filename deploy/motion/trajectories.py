@@ -20,8 +20,6 @@ from robots.spec import RobotSpec
 
 NUDGE = 1e-9
 """rad. Distance by which a target is moved where Ruckig has no plan for the exact one."""
-SHARES = np.array([0.25, 0.5, 0.75, 1.0])
-"""(STOP_MOMENTS,) moments at which a stop is checked, as shares of the time that the second slowest joint needs."""
 
 Planned = tuple[slice, Trajectory | None]
 """Rows of some robots and their trajectory; None where Ruckig has no plan."""
@@ -121,7 +119,7 @@ class StopTrajectories(_BlockPlans):
 
 
 def stop_moments_s(spec: RobotSpec) -> tuple[float, ...]:
-    """Return s after which a stop is checked: quarters of the time that the second slowest joint needs.
+    """Return s after which a stop is checked: equal parts of the time that the second slowest joint needs.
 
     From half of its speed; of the only joint if there is one. The arm's path bends while joints come to rest one after
     another, most while the fast ones do. What happens between the moments: python -m eval.bench stops.
@@ -130,4 +128,4 @@ def stop_moments_s(spec: RobotSpec) -> tuple[float, ...]:
     braking = spec.margins.speed * spec.joint_array("qd_max") / 2 / qdd_max
     whole = np.sort(braking + qdd_max / spec.joint_array("qddd_max"))
     all_but_one = float(whole[-2:][0])
-    return tuple((SHARES * all_but_one).tolist())
+    return tuple(np.linspace(0.0, all_but_one, STOP_MOMENTS + 1)[1:].tolist())

@@ -24,7 +24,7 @@ NOBODY = -1
 
 
 class Aims(NamedTuple):
-    """What is pushed, of B robots.
+    """Targets of the pushes of B robots.
 
     Attributes:
         joints: (B,) joint along whose motion, n for the tool, or `NOBODY`.

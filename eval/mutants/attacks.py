@@ -121,9 +121,9 @@ def switch_policy(t: float, first: HostilePolicy, second: HostilePolicy) -> Host
 
 
 def in_turn(*poses: tuple[float, dict[str, float]]) -> HostilePolicy:
-    """Move to one pose after another, each until its time, s."""
-    (until, pose), *more = poses
-    return switch_policy(until, move_to(**pose), in_turn(*more)) if more else move_to(**pose)
+    """Move to one pose after another, each from its time on, s, the first from 0."""
+    each = [(begin, move_to(**pose)) for begin, pose in poses]
+    return lambda runtime: [go for begin, go in each if begin <= runtime.t][-1](runtime)
 
 
 def move_slowly_to(rad_s: float, **to: float) -> HostilePolicy:

@@ -62,7 +62,7 @@ LIFT = LOWER | {"shoulder_lift": -0.3}
 TURN = LIFT | {"wrist_2": -2.6}
 DIP = Situation(
     description="elbow and wrists lower a link while the slower shoulder lifts it: a stop would go through the table",
-    policy=in_turn((2.0, HIGH), (2.035, LOWER), (2.135, LIFT), (2.22, TURN), (9.0, TURN | {"wrist_1": -3.0})),
+    policy=in_turn((0.0, HIGH), (2.0, LOWER), (2.035, LIFT), (2.135, TURN), (2.22, TURN | {"wrist_1": -3.0})),
     seconds=4.0,
 )
 SPIN = move_to(wrist_3=2.8)
