@@ -1,7 +1,11 @@
 import json
 import os
+import signal
 import sys
 import textwrap
+
+# Tests send it to themselves, under nohup as well.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # Threads of torch that wait for each other sleep: otherwise they take the cores from other tests' processes.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

@@ -17,14 +17,18 @@ HARMLESS = ("SIGCHLD", "SIGCONT", "SIGINFO", "SIGTSTP", "SIGTTIN", "SIGTTOU", "S
 """Signals that by default are ignored, or suspend a process."""
 
 
+NOHUP = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+"""This process was started to go on when its terminal closes."""
+
+
 def _ending_signals() -> tuple[int, ...]:
-    others = (*UNSTOPPABLE, *FAULTS, *WRITE_ERRORS, *HARMLESS)
+    others = (*UNSTOPPABLE, *FAULTS, *WRITE_ERRORS, *HARMLESS, *(["SIGHUP"] if NOHUP else []))
     numbers = {getattr(signal, name) for name in others if hasattr(signal, name)}
     return tuple(sorted(signal.valid_signals() - numbers))
 
 
 SIGNALS = _ending_signals()
-"""All others: by default they end a process."""
+"""All others: by default they end a process. Ctrl-C ends it even where a shell ignores it, in the background."""
 REQUESTS = (signal.SIGTERM, signal.SIGHUP)
 """Those by which service managers, and terminals that close, ask a process to end."""
 

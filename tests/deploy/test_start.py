@@ -91,17 +91,21 @@ def cli():
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_request_to_end_leaves_no_part_of_a_file(written, tmp_path, number):
-    not_ignored = f"import signal\nsignal.signal({int(number)}, signal.SIG_DFL)\n"  # as it is under nohup
-    written("writing_command", f"{not_ignored}{WRITER}")
+    written("writing_command", WRITER)
     place = tmp_path / "out" / "file"
     ended = run("writing_command", tmp_path, PLACE=str(place), SIGNAL=str(int(number)))
     assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, b"", b"")
     assert os.listdir(place.parent) == []
 
 
-def test_a_request_that_is_ignored_stays_ignored(written, tmp_path):
-    """As nohup does with that of a terminal that closes."""
-    written("writing_command", f"import signal\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n{WRITER}")
+WITH_HANDLERS = WRITER.replace("main(write)", "with handled(interrupt): main(write)")
+WITH_HANDLERS = f"{WITH_HANDLERS}\nfrom deploy.operation.interrupts import handled, interrupt\n"
+
+
+@pytest.mark.parametrize("command", [WRITER, WITH_HANDLERS])
+def test_a_request_that_is_ignored_stays_ignored(written, tmp_path, command):
+    """As nohup does with that of a terminal that closes, in commands with handlers of their own as well."""
+    written("writing_command", f"import signal\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n{command}")
     place = tmp_path / "out" / "file"
     ended = run("writing_command", tmp_path, PLACE=str(place), SIGNAL=str(int(signal.SIGHUP)))
     assert (ended.returncode, ended.stderr, place.read_text()) == (0, b"", "a part")
