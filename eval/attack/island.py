@@ -15,11 +15,20 @@ LARGEST = 1e6
 """Bound of the ratios that are compared: infinite ones have no order."""
 
 
-class Island:
-    """Search in which each robot of a shard tries a policy of its own in every generation.
+def evolution_strategy(
+    start: Floats, deviation: float, size: int, rng: np.random.Generator
+) -> cma.CMAEvolutionStrategy:
+    """Return a search from `start` (D,) by generations of `size` vectors of numbers from 0 to 1.
 
     Source: Hansen, The CMA Evolution Strategy: A Tutorial (2016), by the library cma.
     """
+    options = {"bounds": [0.0, 1.0], "popsize": size, "verbose": -10, "verb_log": 0}
+    random = {"seed": np.nan, "randn": lambda *shape: rng.standard_normal(shape)}
+    return cma.CMAEvolutionStrategy(np.clip(start, 0.0, 1.0), deviation, options | random)
+
+
+class Island:
+    """Search in which each robot of a shard tries a policy of its own in every generation."""
 
     def __init__(
         self,
@@ -35,9 +44,7 @@ class Island:
         """Start from shares (D,) of the bounds of an adversary's weights; the seed is that of the robots."""
         self._name, self._monitor, self._seed, self._joints = name, monitor, seed, joints
         self._start, self._base, self._best = start, np.zeros(WIDTH), (-np.inf, start)
-        options = {"bounds": [0.0, 1.0], "popsize": WIDTH, "verbose": -10, "verb_log": 0}
-        random = {"seed": np.nan, "randn": lambda *shape: rng.standard_normal(shape)}
-        self._strategy = cma.CMAEvolutionStrategy(np.clip(start, 0.0, 1.0), deviation, options | random)
+        self._strategy = evolution_strategy(start, deviation, WIDTH, rng)
 
     def first(self) -> Block:
         """Return the start, for all robots."""

@@ -4,26 +4,32 @@ Safety looks at the beginning of a stop, at moments while it brakes and at its e
 margins of robot.toml: this is what they must cover, for any setpoint inside the limits, reachable or not.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from scipy.optimize import differential_evolution
 
+from deploy.motion.ruckig_planner import RuckigPlanner
 from deploy.motion.smoother import Smoother
+from deploy.motion.trajectories import TrackingTrajectories
 from deploy.safety.check import Limits
 from deploy.safety.safety import Safety
 from deploy.state import Setpoint, State, Stop
+from eval.attack.island import evolution_strategy
 from robots.arrays import Bools, Floats
 from robots.capabilities import required
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
 from robots.spec import RobotSpec
 
-POPULATION, GENERATIONS, SEED = 256, 300, 1
-TICKS, STEEPNESS = 2, 10.0
+POPULATION, GENERATIONS, SEED = 256, 600, 1
+ISLAND, DEVIATION = 16, 0.1
+"""Stops of one generation of an island; the standard deviation of its first one, as a share of the ranges."""
+STAGNATION, LEAST_GAIN = 20, 1e-4
+"""Generations without a gain of that share of the limit, after which an island begins elsewhere."""
+TICKS, STEEPNESS = 4, 4.0
 """Ticks between two looks at a stop; slope of the objective where safety refuses, so that the search comes back."""
 GAP_SCALE_M = 1.0
 """m, of gaps as shares."""
@@ -40,7 +46,8 @@ class StopSearch:
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Build the shipped smoother and safety."""
         self._spec, self._space, self._fleet = spec, spec.workspace, Fleet(spec, robots, collisions=True)
-        self._smoother, self._all = Smoother(spec, robots), np.ones(robots, dtype=bool)
+        self._smoother, self._robots = Smoother(spec, robots), robots
+        self._stops = TrackingTrajectories(spec, robots, RuckigPlanner)
         self._safety = Safety(spec, Fleet(spec, 2 * robots, collisions=True))
         self._low, self._high = spec.joint_array("q_min"), spec.joint_array("q_max")
         self._torque_max, self.bounds = torque_max(spec), {"torque": spec.margins.tau}
@@ -60,37 +67,47 @@ class StopSearch:
         qd = peak - qdd * np.abs(qdd) / self._safety.twice_jerk
         return Setpoint(q=self._low + place * (self._high - self._low), qd=qd, qdd=qdd)
 
-    def shares(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
-        """(quantities, P) at angles, speeds and accelerations (P, n)."""
-        shares = [np.abs(self._fleet.torque(q, qd, qdd) / self._torque_max).max(axis=1)]
-        if space := self._space:
+    def shares(self, quantities: Iterable[str], q: Floats, qd: Floats, qdd: Floats) -> Floats:
+        """(Q, P) of Q quantities at angles, speeds and accelerations (P, n)."""
+        found, wanted = {}, set(quantities)
+        if "torque" in wanted:
+            found["torque"] = np.abs(self._fleet.torque(q, qd, qdd) / self._torque_max).max(axis=1)
+        if (space := self._space) and wanted - {"torque", "gap"}:
             kinematics = self._fleet.kinematics(q)
             tool, speed = kinematics.tool_position, np.linalg.norm(kinematics.tool_velocity(qd), axis=1)
-            shares.append(speed / space.tool_speed_max)
-            shares.append(1.0 + (space.z_min - tool[:, 2]) / space.radius_max)
-            shares.append(np.linalg.norm(tool - np.array(space.centre), axis=1) / space.radius_max)
-        if "gap" in self.bounds:
-            shares.append(1.0 - self._fleet.least_gaps(q) / GAP_SCALE_M)
-        return np.array(shares)
+            found["tool speed"] = speed / space.tool_speed_max
+            found["tool depth"] = 1.0 + (space.z_min - tool[:, 2]) / space.radius_max
+            found["tool radius"] = np.linalg.norm(tool - np.array(space.centre), axis=1) / space.radius_max
+        if "gap" in wanted:
+            found["gap"] = 1.0 - self._fleet.least_gaps(q) / GAP_SCALE_M
+        return np.array([found[name] for name in quantities])
 
-    def run(self, start: Setpoint) -> tuple[Floats, Floats, Bools]:
-        """Return (quantities, P) largest shares at the checked moments and in the whole stop, and (P,) stops refused.
+    def run(self, start: Setpoint, quantity: str) -> tuple[Floats, Floats, Bools]:
+        """Return (quantities, P) largest shares at checked moments, (P,) of one in the whole stop, and (P,) refusals.
 
         Torque is checked at the setpoint and one step into its stop only.
         """
-        stop, spec = self._smoother.brake(start), self._spec
+        stop, names = self._smoother.brake(start), self.quantities
         refused = self._safety.step(_at(start), start, start, stop).reason != 0
         still, ahead = np.zeros_like(start.qd), stop.ahead
-        checked = [self.shares(each.q, each.qd, each.qdd) for each in (start, ahead)]
-        at_moments = [self.shares(*each) for each in ((stop.q_rest, still, still), *self._moments(stop))]
+        checked = [self.shares(names, each.q, each.qd, each.qdd) for each in (start, ahead)]
+        at_moments = [
+            self.shares(names, *each) for each in ((stop.q_rest, still, still), *self._moments(stop))
+        ]
         checked += [np.concatenate((np.zeros_like(each[:1]), each[1:])) for each in at_moments]
-        whole, smoother = list(checked), self._smoother
-        smoother.commit(start)
-        for tick in range(round(spec.stop_s / spec.dt)):
-            smoother.commit(smoother.next(start.q, self._all))
-            if tick % TICKS == 0:
-                whole.append(self.shares(smoother.q, smoother.qd, smoother.qdd))
-        return np.max(checked, axis=0), np.max(whole, axis=0), refused
+        most = np.max(checked, axis=0)
+        return most, np.maximum(most[names.index(quantity)], self._between(start, quantity)), refused
+
+    def _between(self, start: Setpoint, quantity: str) -> Floats:
+        """Return (P,) the largest share of a quantity in stops, every few ticks until their end."""
+        full = np.ones((len(start.q), 1))
+        origin = (start.q, start.qd, start.qdd, start.q, full, full)
+        self._stops.plan(np.concatenate(origin, axis=1))
+        most = np.full(len(start.q), -np.inf)
+        for tick in range(TICKS, round(self._spec.stop_s / self._spec.dt) + 1, TICKS):
+            points = self._stops.at(np.full(len(start.q), tick)).swapaxes(0, 1)
+            most = np.maximum(most, self.shares((quantity,), *points)[0])
+        return most
 
     @staticmethod
     def _moments(stop: Stop) -> Iterator[tuple[Floats, Floats, Floats]]:
@@ -101,29 +118,56 @@ class StopSearch:
     def worst(self, quantity: str, generations: int, seed: int) -> float:
         """Return the largest share of a quantity in a stop that safety accepts; NaN where none was found.
 
-        Source: Storn and Price, Differential Evolution (1997), by scipy.
+        Islands search side by side, each from the best of as many random stops as there are robots, and again from
+        elsewhere when nothing is gained: stops that pass between the moments lie in many narrow places.
         """
-        row, bound, found = self.quantities.index(quantity), self.bounds[quantity], [np.nan]
+        rng, found = np.random.default_rng(seed), np.nan
+        islands = [self._island(quantity, rng) for _ in range(self._robots // ISLAND)]
+        for _ in range(generations):
+            islands = [self._island(quantity, rng) if each.stagnates else each for each in islands]
+            asked = [each.ask() for each in islands]
+            loss, accepted = self._loss(quantity, np.concatenate(asked))
+            found = np.fmax(found, np.fmax.reduce(accepted))
+            for island, x, of_island in zip(islands, asked, loss.reshape(-1, ISLAND), strict=True):
+                island.tell(x, of_island)
+        return float(found)
 
-        def loss(x: Floats) -> Floats:
-            checked, whole, refused = self.run(self.start(x.T))
-            found.extend(whole[row][~refused])
-            excess = np.maximum(checked[row] - bound, 0.0)
-            return np.asarray(refused * (1.0 + STEEPNESS * excess) - whole[row])
+    def _island(self, quantity: str, rng: np.random.Generator) -> "_Island":
+        x = rng.random((self._robots, 3 * self._spec.n))
+        return _Island(x[self._loss(quantity, x)[0].argmin()], rng)
 
-        first = np.random.default_rng(seed).random((len(self._all), 3 * self._spec.n))
-        differential_evolution(
-            loss,
-            [(0.0, 1.0)] * first.shape[1],
-            init=first,
-            maxiter=generations,
-            tol=0.0,
-            polish=False,
-            updating="deferred",
-            vectorized=True,
-            rng=seed,
-        )
-        return float(np.nanmax(found))
+    def _loss(self, quantity: str, x: Floats) -> tuple[Floats, Floats]:
+        """Return (P,) the loss of stops x (P, 3n), and (P,) their share of a quantity, NaN where they are refused."""
+        bounds = np.array(list(self.bounds.values()))
+        checked, whole, refused = self.run(self.start(x), quantity)
+        excess = np.maximum(checked - bounds[:, None], 0.0).sum(axis=0)
+        loss = np.asarray(STEEPNESS * excess + (refused & (excess == 0.0)) - whole)
+        return loss, np.where(refused, np.nan, whole)
+
+
+class _Island:
+    """Search by CMA-ES for stops of least loss.
+
+    Attributes:
+        stagnates: nothing has been gained for `STAGNATION` generations.
+    """
+
+    def __init__(self, start: Floats, rng: np.random.Generator) -> None:
+        self._strategy, self._best, self._idle = evolution_strategy(start, DEVIATION, ISLAND, rng), np.inf, 0
+
+    @property
+    def stagnates(self) -> bool:
+        return self._idle >= STAGNATION or bool(self._strategy.stop())
+
+    def ask(self) -> Floats:
+        """Return the next generation, (ISLAND, 3n)."""
+        return np.array(self._strategy.ask())
+
+    def tell(self, x: Floats, loss: Floats) -> None:
+        """Learn from the loss (ISLAND,) of a generation."""
+        self._strategy.tell(list(x), loss.tolist())
+        gained = loss.min() < self._best - LEAST_GAIN
+        self._best, self._idle = (loss.min(), 0) if gained else (self._best, self._idle + 1)
 
 
 def stop_search(spec: RobotSpec, policy: Path, console: Console) -> None:
