@@ -20,19 +20,31 @@ LACKING, INTERRUPTED, BROKEN = 1, 130, 70
 """Exit codes where the computer lacks room, memory or open files, after Ctrl-C, and after a defect."""
 RESOURCES = {
     **dict.fromkeys(NO_ROOM, "a temporary file"),
-    **dict.fromkeys((errno.EMFILE, errno.ENFILE), "a file, a pipe or a process"),
+    **dict.fromkeys((errno.EMFILE, errno.ENFILE, errno.EAGAIN), "a file, a pipe or a process"),
     errno.ENOMEM: "memory",
 }
 """Errors of a computer that lacks something, and what could not be created, unless the error names a file."""
-NO_MEMORY = ("can't allocate memory", "cannot allocate memory", "failed to map segment from shared object")
-"""Words, in lower case, of RuntimeErrors of torch and ImportErrors of library loaders that lack memory."""
+NO_MEMORY = (
+    "can't allocate memory",
+    "cannot allocate memory",
+    "can't start new thread",
+    "failed to map segment from shared object",
+)
+"""Words, in lower case, of RuntimeErrors of torch and Python, and of ImportErrors, that lack memory or a
+process."""
 NO_FOLDER = "No usable temporary directory"
 """Beginning of the message of a FileNotFoundError where no folder for temporary files can be written."""
 ADDRESSES_MIN = 1 << 30
 """Least bytes that the system must let this process address: with too few, libraries wait for them for ever."""
-ENVIRONMENT = {"PYTHONSAFEPATH": "1", "MPLBACKEND": "agg", "PYTHONIOENCODING": "utf-8"}
+ENVIRONMENT = {
+    "PYTHONSAFEPATH": "1",
+    "MPLBACKEND": "agg",
+    "OPENBLAS_NUM_THREADS": "1",
+    "PYTHONIOENCODING": "utf-8",
+}
 """For this process and its children: no module is imported from the working directory, which may be a robot's folder
-that somebody else has written; plots are files; children write, and libraries' children read, text as UTF-8."""
+that somebody else has written; plots are files; no tick waits for a thread of numpy's; children write, and libraries'
+children read, text as UTF-8."""
 FAIL = ("strict", "surrogateescape")
 """Handlers by which standard output fails at a letter that it cannot show: the default ones."""
 

@@ -16,10 +16,16 @@ DIGITS_MAX = 100
 STRINGS = {
     "JSON": re.compile(r'"(?:[^"\\]|\\.)*+"?', re.DOTALL),
     "TOML": re.compile(
-        r'"""(?:[^\\]|\\.)*?"""|\'\'\'.*?\'\'\'|"(?:[^"\\\n]|\\.)*+"|\'[^\'\n]*+\'|#[^\n]*', re.DOTALL
+        r'"""(?:(?!""")[^\\]|\\.)*+(?:""")?|'
+        r"'''(?:(?!''').)*+(?:''')?|"
+        r'"(?:[^"\\\n]|\\[^\n])*+"?|'
+        r"'[^'\n]*+'?|"
+        r"#[^\n]*",
+        re.DOTALL,
     ),
 }
-"""Strings, and comments: what is in them nests nothing and is no number."""
+"""Strings, and comments: what is in them nests nothing and is no number. One without an end counts up to where a
+parser would miss it: each character is looked at once, whatever the text."""
 LEVELS = {"JSON": re.compile(r"[\[\]{}]"), "TOML": re.compile(r"[\[\]{}.,\n]")}
 """Characters that begin or end a level. In TOML a dot in a key begins one, which ends with the key's value."""
 LONG_NUMBER = re.compile(rf"(?<!\w)\d\w{{{DIGITS_MAX},}}")

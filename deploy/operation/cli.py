@@ -90,7 +90,8 @@ def _by_policy(policy: str, spec: RobotSpec) -> Drive:
     file = read_policy_file(Path(policy))
     check_contract(file.contract, spec, f"{policy}: contract")
     check_step(file.data, 1 / file.contract.policy_hz, policy)
-    return Drive(name=policy, actor=Policy.verified(file, policy, spec), spec=spec)
+    actor = Policy.verified(file, policy, spec)
+    return Drive(name=policy, actor=actor, spec=spec, inputs=[Path(policy)])
 
 
 def _by_hand(spec: RobotSpec, stack: ExitStack) -> Drive:

@@ -60,6 +60,12 @@ def random_source(
     return draw, *_stored(spec, draw, Path(match[1]), robot)
 
 
+def draw_files(draw: str | None) -> tuple[Path, ...]:
+    """Return the file that a draw as in `random_source` is read from, if there is one."""
+    name, _, _ = (draw or "").rpartition(":")
+    return () if not name or name.isdigit() else (Path(name),)
+
+
 def _stored(spec: RobotSpec, draw: str, path: Path, robot: int) -> tuple[np.random.SeedSequence, Draw]:
     number, robots = load_draw(path, load_distributions(spec), spec)
     if robot >= robots.robots:

@@ -14,7 +14,7 @@ import typer
 from deploy.backends.backend import Backend, Request
 from deploy.operation.interrupts import Interrupts
 from deploy.operation.loop_timing import Clock, LoopTiming, RateLimited, Unpaced, WallClock
-from deploy.operation.options import SEED, random_source, speed_factor
+from deploy.operation.options import SEED, draw_files, random_source, speed_factor
 from deploy.operation.robot_run import RobotRun, Watcher
 from deploy.operation.summary import report
 from deploy.operation.temperature_file import PERIOD_S as HEAT_S
@@ -24,7 +24,8 @@ from deploy.policy.actor import Actor
 from deploy.runtime import Runtime
 from deploy.telemetry.console import ConsoleProcess, snapshot
 from deploy.telemetry.folder_lock import locked
-from deploy.telemetry.recorder import Recorder, check_folder
+from deploy.telemetry.output_files import check_folder, check_no_input
+from deploy.telemetry.recorder import Recorder, former_files
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
 
@@ -73,6 +74,7 @@ class Drive:
     Attributes:
         name: for the summary: the policy's file. actor: in the place of the policy.
         spec: the robot within whose limits it is moved.
+        inputs: files that were read.
         watchers: called after each tick.
         title: line for the console. joint: number of the joint that the operator moves; None where a policy moves all.
     """
@@ -80,6 +82,7 @@ class Drive:
     name: str
     actor: Actor
     spec: RobotSpec
+    inputs: Sequence[Path] = ()
     watchers: Sequence[Watcher] = ()
     title: Callable[[], str] | None = None
     joint: Callable[[], int] | None = None
@@ -117,6 +120,8 @@ class Session:
         )
         self._backend.check(request)
         check_folder(options.out)
+        for former in former_files(options.out):
+            check_no_input(former, (*drive.inputs, *draw_files(options.draw)))
         with locked(options.out), closing(self._backend.open(request)) as robot:
             viewers = [RateLimited(VIEW_S, self._backend.viewer(robot))] if options.view else []
             runtime = Runtime(drive.spec, drive.actor.contract, robot, [self._source], drive.actor)

@@ -12,7 +12,7 @@ WAIT_S = 5.0
 
 
 class DiskWriter:
-    """Binary file whose `write` never blocks; after the first error nothing more is written.
+    """New binary file whose `write` never blocks; after the first error nothing more is written.
 
     Attributes:
         error: the first error of the disk, or None.
@@ -28,7 +28,7 @@ class DiskWriter:
     def write(self, data: bytes | bytearray) -> int:
         """Queue a chunk."""
         if self._queue.qsize() > BACKLOG:
-            self.error = self.error or OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+            self._give_up()
         if self.error is None:
             self._queue.put(bytes(data))
         self._position += len(data)
@@ -42,10 +42,11 @@ class DiskWriter:
         """Do nothing: the thread flushes after each chunk."""
 
     def settle(self) -> None:
-        """Wait until all chunks so far are written or have failed."""
+        """Wait until all chunks so far are written, or have failed: a disk that takes longer than `WAIT_S` has."""
         reached = Event()
         self._queue.put(reached)
-        reached.wait()
+        if not reached.wait(WAIT_S):
+            self._give_up()
 
     def end(self) -> None:
         """Close the file after the chunks so far, without waiting."""
@@ -55,11 +56,14 @@ class DiskWriter:
         """Wait so long until the file is closed."""
         self._thread.join(seconds)
         if self._thread.is_alive():
-            self.error = self.error or OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+            self._give_up()
+
+    def _give_up(self) -> None:
+        self.error = self.error or OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
 
     def _work(self, path: Path) -> None:
         try:
-            with path.open("wb") as file:
+            with path.open("xb") as file:
                 while (item := self._queue.get()) is not None:
                     if isinstance(item, Event):
                         item.set()

@@ -62,6 +62,21 @@ def _partial(path: Path, option: str) -> Iterator[Path]:
         raise output_error(f"{option} {path}: cannot be written: {e.strerror}", e) from e
 
 
+def check_folder(folder: Path, option: str = "--out") -> None:
+    """Make `folder`, and check that files can be made in it.
+
+    Raises:
+        OutputError: naming the `option`; a `ResultLostError` if the disk has no room.
+    """
+    probe = folder / f".{secrets.token_hex(4)}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as e:
+        raise output_error(f"{option} {folder}: cannot be written: {e.strerror}, expected a folder", e) from e
+
+
 def check_no_input(path: Path, inputs: Iterable[Path], option: str = "--out") -> None:
     """Check that an output is none of a command's own inputs.
 

@@ -1,6 +1,5 @@
 """Recorder of one robot: a decimated stream of the whole run, and every tick of the seconds around an event."""
 
-import secrets
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +12,7 @@ from deploy.telemetry.recording import Recording
 from deploy.telemetry.signals import Ring, row_type
 from robots.errors import OutputError, output_error
 
-STREAM_HZ = 50
+STREAM, STREAM_HZ = "run.mcap", 50
 AFTER_S = 0.5
 """Share of the ring that comes after the event: the stop itself."""
 ROWS_PER_TICK = 4
@@ -21,15 +20,9 @@ ROWS_PER_TICK = 4
 EVENTS_MAX = 20
 
 
-def check_folder(folder: Path) -> None:
-    """Make `folder` and check that files can be made in it, or raise OutputError."""
-    probe = folder / f".{secrets.token_hex(4)}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe.touch()
-        probe.unlink()
-    except OSError as e:
-        raise output_error(f"--out {folder}: cannot be written: {e.strerror}, expected a folder", e) from e
+def former_files(folder: Path) -> tuple[Path, ...]:
+    """Return the files of a recording, and of its run's summary, that a new one in `folder` replaces."""
+    return (*folder.glob("event-*.mcap"), folder / STREAM, folder / "summary.json")
 
 
 class Recorder:
@@ -60,9 +53,9 @@ class Recorder:
         self._stream = self._opened()
 
     def _opened(self) -> Recording:
-        path = self._folder / "run.mcap"
+        path = self._folder / STREAM
         try:
-            for former in (*self._folder.glob("event-*.mcap"), self._folder / "summary.json"):
+            for former in former_files(self._folder):
                 former.unlink(missing_ok=True)
         except OSError as e:
             raise OutputError(f"--out {self._folder}: {former.name} cannot be removed: {e.strerror}") from e

@@ -15,8 +15,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.interrupts import handled, interrupt
 from deploy.telemetry.folder_lock import locked
+from deploy.telemetry.output_files import check_folder
 from deploy.telemetry.plain_console import plain_console
-from deploy.telemetry.recorder import check_folder
 from eval.attack.archive import Archive, Found
 from eval.attack.arena import Setting, find_mode
 from eval.attack.candidate import Case

@@ -18,7 +18,7 @@ from eval.judge.limits import load_limits
 from eval.replay import bundle
 from eval.replay.bundle_files import state_digest
 from eval.replay.replayer import Replay
-from eval.soak.checkpoint import DIGEST, IDENTITY, SUFFIX
+from eval.soak.checkpoint import DIGEST, IDENTITY, NAME
 from eval.soak.options import PROFILES, load_profile
 from eval.soak.workers import resumed_ticks
 from eval.statistics.budget import load_budget
@@ -74,7 +74,7 @@ def _read_checkpoint(folder: Path) -> None:
 
 def _seal_checkpoint(folder: Path) -> None:
     """Renew the digest of a checkpoint whose arrays can still be read."""
-    (path,) = folder.glob(f"*{SUFFIX}")
+    (path,) = folder.glob(NAME.format("*"))
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -112,7 +112,7 @@ TARGETS = {
     "history": Target(make=examples.make_history, read=_read_history),
     "profile": Target(make=_make_profile, read=_read_profile),
     "soak checkpoint": Target(
-        make=examples.make_checkpoint, read=_read_checkpoint, files=f"*{SUFFIX}", seal=_seal_checkpoint
+        make=examples.make_checkpoint, read=_read_checkpoint, files=NAME.format("*"), seal=_seal_checkpoint
     ),
     "bundle": Target(
         make=examples.make_bundle, read=lambda folder: Replay(folder / "bundle"), seal=_seal_bundle

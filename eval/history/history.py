@@ -6,7 +6,7 @@ from datetime import UTC
 from itertools import count
 from pathlib import Path
 
-from deploy.telemetry.output_files import add_file, replacing
+from deploy.telemetry.output_files import add_file
 from eval.history.soak_record import Settings, SoakRecord
 from eval.statistics.per_draw_counts import PerDrawCounts, concatenate
 from robots.errors import ConfigError
@@ -15,18 +15,6 @@ from robots.strict import parse, read_json_file
 SUFFIX = ".soak.json"
 CHARACTERS_MAX = 1 << 28
 """Upper bound of the size of a record or report."""
-
-
-def check_writable(folder: Path, option: str = "--out") -> None:
-    """Make `folder`, and check before hours are spent that a file can be written there.
-
-    Raises:
-        OutputError: it cannot; the message names the option.
-    """
-    probe = folder / ".probe"
-    with replacing(probe, option=option):
-        pass
-    probe.unlink(missing_ok=True)  # another soak that checks the folder at the same time deletes it too
 
 
 def add_record(record: SoakRecord, folder: Path) -> Path:

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
 
-from deploy.telemetry.output_files import replacing
-from eval.history.history import check_writable
+from deploy.telemetry.output_files import check_folder, replacing
 from eval.report.html import render
 from eval.report.schema.report_data import Report
 from eval.statistics.budget import BudgetLine
@@ -51,13 +50,12 @@ def check_report_folder(out: Path, extra: Collection[str] = ()) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    check_writable(out)
-    for name in (*FILES, *extra):
-        if os.path.isdir(out / name):
-            raise OutputError(f"--out {out}: {name} is a folder, expected a file or nothing of that name")
-        if os.path.isfile((out / name).parent):
-            place = (out / name).parent.name
-            raise OutputError(f"--out {out}: {place} is a file, expected a folder or nothing of that name")
+    check_folder(out)
+    for path in (out / name for name in (*FILES, *extra)):
+        if os.path.isdir(path):
+            raise OutputError(f"--out {path}: found a folder, expected a file or nothing")
+        if os.path.exists(path.parent):
+            check_folder(path.parent)
 
 
 def write_report(report: Report, out: Path, extra: Mapping[str, bytes] | None = None) -> None:

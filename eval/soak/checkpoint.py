@@ -4,6 +4,7 @@ import json
 import os
 import zipfile
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,12 @@ from typing import Any
 import numpy as np
 
 from deploy.stage import Arrays
-from deploy.telemetry.output_files import replacing
-from eval.history.history import check_writable
+from deploy.telemetry.output_files import check_folder, replacing
 from eval.replay.bundle_files import state_digest
 from robots.errors import ConfigError, OutputError, printable
 from robots.files import is_missing, read_file
 
-IDENTITY, DIGEST, SUFFIX = "identity", "digest", ".npz"
+IDENTITY, DIGEST, NAME = "identity", "digest", "shard-{}.npz"
 BYTES_MAX, MEMBERS_MAX = 1 << 29, 10_000
 """Upper bounds of the size of a file and the number of its arrays: many times those of the longest soak."""
 DAMAGED = ".damaged"
@@ -116,8 +116,8 @@ def prepare_folder(folder: Path) -> None:
     Raises:
         OutputError: nothing can be written there.
     """
-    check_writable(folder)
-    _delete(folder.glob(f".*{SUFFIX}"))
+    check_folder(folder)
+    _delete(folder.glob(f".*.{NAME.format('*')}"))
 
 
 def delete_checkpoints(folder: Path) -> None:
@@ -126,8 +126,8 @@ def delete_checkpoints(folder: Path) -> None:
     Raises:
         OutputError: they cannot be deleted.
     """
-    _delete(folder.glob(f"*{SUFFIX}"))
-    if os.path.isdir(folder) and not any(folder.iterdir()):
+    _delete(folder.glob(NAME.format("*")))
+    with suppress(OSError):  # it has other files, or is a link
         folder.rmdir()
 
 

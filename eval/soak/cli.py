@@ -1,5 +1,6 @@
 """soak-test: run the shipped runtime on simulated robots, each with its own draw, for contiguous hours."""
 
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,8 +12,9 @@ from rich.console import Console
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.start import INTERRUPTED
 from deploy.telemetry.folder_lock import locked
+from deploy.telemetry.output_files import check_folder
 from deploy.telemetry.plain_console import plain_console
-from eval.history.history import add_record, check_same_task, check_writable, read_history
+from eval.history.history import add_record, check_same_task, read_history
 from eval.history.soak_record import Run, SoakRecord
 from eval.replay.bundle import DRAWS
 from eval.replay.bundle_files import delete_bundles, list_bundles, replace_bundles
@@ -113,6 +115,7 @@ def _write(report: Report, extra: dict[str, bytes], out: Path, history: Path | N
         write_report(report, out / UNFINISHED, extra)
         return out / UNFINISHED / PAGE
     write_report(report, out, extra)
+    delete_bundles(out / EVENTS, finished=True)  # while the soak can still go on from its checkpoints
     if history is not None:
         add_record(report, history)
     delete_report(out / UNFINISHED, EXTRA_FILES)
@@ -132,6 +135,8 @@ def _extra_files(config: SoakConfig, shards: list[ShardResult], run: Run) -> dic
 def _prepare(config: SoakConfig, out: Path, console: Console) -> float:
     """Check checkpoints and disk space, and return the mean hours of each robot that an earlier start simulated."""
     unfinished = out / UNFINISHED
+    if os.path.exists(unfinished):
+        check_folder(unfinished)
     hours = resumed_ticks(config, unfinished, console) * config.spec.dt / 3600 / len(config.jobs())
     if hours:
         console.print(f"resuming after {hours:.3g} of {config.hours:g} hours")
@@ -142,7 +147,7 @@ def _prepare(config: SoakConfig, out: Path, console: Console) -> float:
 
 def _earlier_records(history: Path, config: SoakConfig) -> dict[str, SoakRecord]:
     """Read the records in `history`, and check that one of this soak can be added."""
-    check_writable(history, "--history")
+    check_folder(history, "--history")
     records = read_history(history)
     check_same_task(records, config.settings(), "this soak")
     return records

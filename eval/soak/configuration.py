@@ -9,7 +9,7 @@ from eval.faults.schedule import FaultSettings
 from eval.history.soak_record import Settings
 from eval.judge.limits import Limits, load_limits
 from eval.shard.job import WIDTH, ShardJob, code_digest, processor, versions
-from eval.soak.checkpoint import SUFFIX, Checkpoint
+from eval.soak.checkpoint import NAME, Checkpoint
 from robots.distributions import Distributions, load_distributions
 from robots.draws import Draw, draw
 from robots.errors import ConfigError, printable
@@ -134,4 +134,4 @@ class SoakConfig:
             "sample_ticks": self.sample_ticks,
             "first": number * WIDTH,
         }
-        return Checkpoint(folder / f"shard-{number:04}{SUFFIX}", identity)
+        return Checkpoint(folder / NAME.format(f"{number:04}"), identity)

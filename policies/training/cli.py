@@ -12,7 +12,7 @@ from torch import Tensor
 
 from deploy.command_line import PASSED, main
 from deploy.telemetry.folder_lock import locked
-from deploy.telemetry.recorder import check_folder
+from deploy.telemetry.output_files import check_folder
 from policies.training.checkpoint import save_checkpoint
 from policies.training.curves import draw_curves
 from policies.training.envs import RuntimeEnv

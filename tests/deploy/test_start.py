@@ -216,6 +216,19 @@ def test_too_few_open_files_for_imports_are_one_line(written, tmp_path):
     assert ended.stderr == b"error: a file, a pipe or a process: Too many open files\n"
 
 
+@pytest.mark.parametrize(
+    ("failure", "said"),
+    [
+        ("BlockingIOError(errno.EAGAIN, 'Try again')", b"error: a file, a pipe or a process: Try again\n"),
+        ('RuntimeError("can\'t start new thread")', b"error: memory: can't start new thread\n"),
+    ],
+)
+def test_too_few_processes_are_one_line(written, tmp_path, failure, said):
+    written("crowded_command", f"import errno\nraise {failure}")
+    ended = run("crowded_command", tmp_path)
+    assert (ended.returncode, ended.stderr) == (LACKING, said)
+
+
 @pytest.mark.parametrize(("most", "said"), [(ADDRESSES_MIN - 1, "1023"), (0, "0")])
 def test_too_few_addresses_for_imports_are_one_line(capsys, monkeypatch, most, said):
     monkeypatch.setattr(resource, "getrlimit", lambda _: (most, most))

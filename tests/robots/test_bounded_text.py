@@ -73,6 +73,12 @@ def test_what_no_file_holds_is_refused(kind, text, message):
     )
 
 
+@pytest.mark.parametrize("unit", ['\\"', '\\"""\n', '"""\\', "'", "'''", '#"'])
+def test_text_of_unfinished_strings_is_read_once(unit):
+    """Read again from each of its quotes, it would take half an hour."""
+    check("TOML", unit * ((1 << 20) // len(unit)))
+
+
 def test_reading_json_bounds_it_first():
     with pytest.raises(ConfigError, match=r"^x: found JSON nested 65 deep"):
         read_json("[" * (D + 1), "x", 100)

@@ -1,5 +1,6 @@
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from deploy.start import BROKEN
 from deploy.telemetry.folder_lock import LOCK, locked
 from deploy.telemetry.recorder import Recorder
 from robots.distributions import load_distributions
+from robots.draws import draw
 from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.contracts import SWAPPED, arm_contract
@@ -348,6 +350,25 @@ def test_folder_of_another_run_is_exit_2_and_left_unchanged(command, arm_policy,
         assert (code, complaint) == (2, f"error: {in_use(tmp_path)}\n")
         assert {path.name for path in tmp_path.iterdir()} == {"run.mcap", LOCK}
     assert (tmp_path / "run.mcap").read_text() == "of the other run"
+
+
+@pytest.mark.parametrize("name", ["run.mcap", "event-1.mcap", "summary.json"])
+def test_a_policy_in_the_place_of_an_output_is_exit_2_and_left_unchanged(command, arm_policy, tmp_path, name):
+    policy = shutil.copy(arm_policy, tmp_path / name)
+    code, _, complaint = command("--policy", policy, "--duration", 1, "--out", tmp_path)
+    expected = f"error: --out {policy}: found a file that is read, expected another place\n"
+    assert (code, complaint) == (2, expected)
+    assert policy.read_bytes() == arm_policy.read_bytes()
+
+
+def test_a_draw_in_the_place_of_an_output_is_exit_2_and_left_unchanged(command, arm_policy, tmp_path):
+    place, distributions = tmp_path / "summary.json", load_distributions(SPEC)
+    before = draw(distributions, SPEC, [robot_seed(7, 0)]).to_json(7, distributions, SPEC)
+    place.write_text(before)
+    options = ("--policy", arm_policy, "--duration", 1, "--draw", f"{place}:0")
+    code, _, complaint = command(*options, "--out", tmp_path)
+    assert (code, complaint.startswith(f"error: --out {place}: found a file that is read")) == (2, True)
+    assert place.read_text() == before
 
 
 def test_a_view_without_a_display_is_exit_2(command, arm_policy, tmp_path, monkeypatch):

@@ -1,6 +1,10 @@
+import errno
+import io
 import json
+import os
 import resource
 import sys
+from threading import Event
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,8 +15,9 @@ from mcap.reader import make_reader
 from deploy.motion.takeover import DAMPING_POWER, TAKEOVER_S, TAKEOVER_SHARE
 from deploy.reasons import Reason, describe
 from deploy.state import Mode
-from deploy.telemetry import signals
-from deploy.telemetry.recorder import AFTER_S, EVENTS_MAX, Recorder, check_folder
+from deploy.telemetry import disk_writer, signals
+from deploy.telemetry.output_files import check_folder
+from deploy.telemetry.recorder import AFTER_S, EVENTS_MAX, Recorder
 from deploy.telemetry.signals import RING_S, Ring, row_type
 from robots.errors import OutputError
 from robots.motors.drive_gains import drive_gains
@@ -292,13 +297,37 @@ def test_valid_folder_is_left_unchanged(tmp_path):
 
 def test_a_recording_that_cannot_be_opened_is_refused(tmp_path):
     (tmp_path / "run.mcap").mkdir()
-    with pytest.raises(OutputError, match=r"run.mcap: cannot be written: Is a directory"):
+    with pytest.raises(OutputError, match=r"run.mcap cannot be removed: Is a directory"):
         recorder(tmp_path)
 
 
+def test_a_link_or_a_pipe_in_the_place_of_the_recording_is_replaced(tmp_path):
+    """A link's file stays as it is, and nobody reads the pipe."""
+    (tmp_path / "mine").write_text("mine")
+    for make in (lambda place: place.symlink_to("mine"), os.mkfifo):
+        (tmp_path / "run.mcap").unlink(missing_ok=True)
+        make(tmp_path / "run.mcap")
+        assert messages(record(tmp_path, 10).path)
+    assert (tmp_path / "mine").read_text() == "mine"
+
+
+def test_a_disk_that_hangs_is_an_error_before_any_motion(tmp_path, monkeypatch):
+    late = Event()
+
+    def hangs(*_):
+        late.wait()
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(disk_writer, "WAIT_S", 0.01)
+    monkeypatch.setattr(disk_writer.Path, "open", hangs)
+    with pytest.raises(OutputError, match=r"run.mcap: cannot be written: Connection timed out"):
+        recorder(tmp_path)
+    late.set()
+
+
 @linux_only
-def test_full_disk_is_an_error_before_any_motion(tmp_path):
-    (tmp_path / "run.mcap").symlink_to("/dev/full")
+def test_full_disk_is_an_error_before_any_motion(tmp_path, monkeypatch):
+    monkeypatch.setattr(disk_writer.Path, "open", lambda *_: io.FileIO("/dev/full", "w"))
     with pytest.raises(OutputError, match=r"run.mcap: cannot be written: No space left on device"):
         recorder(tmp_path)
 
@@ -326,7 +355,7 @@ def test_events_are_kept_after_the_stream_is_lost(tmp_path):
     writer.close()
     assert writer.lost == [
         f"recording {tmp_path / 'run.mcap'}: cannot be written: No space left on device",
-        f"event {tmp_path / 'event-100.mcap'}: cannot be written: Is a directory",
+        f"event {tmp_path / 'event-100.mcap'}: cannot be written: File exists",
     ]
     assert ticks(tmp_path / "event-300.mcap")[-1] == 300 + AFTER
 

@@ -3,14 +3,11 @@
 import errno
 import json
 import os
-from contextlib import contextmanager
 
 import pytest
 
-from eval.history import history
-from eval.history.history import SUFFIX, add_record, check_writable, read_history, read_record
+from eval.history.history import SUFFIX, add_record, read_history, read_record
 from eval.history.soak_record import SoakRecord
-from eval.report import report_files as written
 from eval.report.report_files import write_report
 from eval.report.schema.report_data import Report
 from eval.report.sections.trend import trend
@@ -19,22 +16,6 @@ from eval.statistics.per_draw_counts import COUNT_MAX
 from robots.errors import ConfigError, OutputError
 from support.eval.nights import LATER, OTHER, SETTINGS, night
 from support.eval.reports import report
-
-
-@pytest.mark.parametrize("check", [check_writable, written.check_report_folder])
-def test_two_soaks_may_check_a_folder_at_once(tmp_path, monkeypatch, check):
-    """The other one deletes the probe of both."""
-    whole = history.replacing
-
-    @contextmanager
-    def deleted(path, **how):
-        with whole(path, **how) as partial:
-            yield partial
-        path.unlink()
-
-    monkeypatch.setattr(history, "replacing", deleted)
-    check(tmp_path)
-    assert not any(tmp_path.iterdir())
 
 
 def test_stored_night_is_read_back_unchanged(tmp_path):
@@ -236,11 +217,6 @@ def test_a_full_disk_leaves_no_part_of_a_night(tmp_path, monkeypatch):
     ):
         add_record(night(7), tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_claim_leaves_only_the_folder(tmp_path):
-    check_writable(tmp_path / "new")
-    assert list((tmp_path / "new").iterdir()) == []
 
 
 @pytest.mark.slow

@@ -352,7 +352,7 @@ def test_failed_write_keeps_all_old_files(tmp_path):
 
 def test_folder_in_place_of_a_report_file_is_an_error_before_the_soak(tmp_path):
     (tmp_path / "report.html").mkdir()
-    with pytest.raises(OutputError, match=r"report\.html is a folder"):
+    with pytest.raises(OutputError, match=r"report\.html: found a folder"):
         check_report_folder(tmp_path)
 
 

@@ -18,7 +18,7 @@ from deploy.telemetry.plain_console import plain_console
 from eval.shard.job import WIDTH, code_digest
 from eval.shard.shard import Shard
 from eval.soak import workers
-from eval.soak.checkpoint import DAMAGED, Checkpoint, delete_checkpoints, prepare_folder
+from eval.soak.checkpoint import DAMAGED, NAME, Checkpoint, delete_checkpoints, prepare_folder
 from eval.soak.worker_pool import WorkerPool
 from robots.errors import ConfigError, OutputError
 from support.eval.soaks import soak_config, store_ticks
@@ -120,16 +120,30 @@ def spoil(path, how):
 
 @pytest.mark.parametrize("how", SPOILT)
 def test_damaged_checkpoint_is_set_aside(tmp_path, how):
-    checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
+    checkpoint = Checkpoint(tmp_path / NAME.format(0), IDENTITY)
     checkpoint.store(ARRAYS)
     spoil(checkpoint.path, how)
     data = checkpoint.path.read_bytes()
     assert checkpoint.load() is None
     assert not checkpoint.path.exists()
-    assert (tmp_path / ("a.npz" + DAMAGED)).read_bytes() == data
+    assert (tmp_path / (NAME.format(0) + DAMAGED)).read_bytes() == data
     checkpoint.store(ARRAYS)
     delete_checkpoints(tmp_path)
-    assert [file.name for file in tmp_path.iterdir()] == ["a.npz" + DAMAGED]
+    assert [file.name for file in tmp_path.iterdir()] == [NAME.format(0) + DAMAGED]
+
+
+def test_only_checkpoints_are_deleted_with_them(tmp_path):
+    """Files of others stay, and their folder, and a link to it."""
+    (tmp_path / "other").mkdir()
+    (tmp_path / "unfinished").symlink_to("other")
+    for name in (NAME.format(0), "notes.npz", ".a.npz"):
+        (tmp_path / "other" / name).touch()
+    prepare_folder(tmp_path / "unfinished")
+    delete_checkpoints(tmp_path / "unfinished")
+    assert {file.name for file in (tmp_path / "unfinished").iterdir()} == {"notes.npz", ".a.npz"}
+    for name in ("notes.npz", ".a.npz"):
+        (tmp_path / "other" / name).unlink()
+    delete_checkpoints(tmp_path / "unfinished")
 
 
 def test_number_of_arrays_is_bounded(tmp_path, monkeypatch):

@@ -1,3 +1,4 @@
+import errno
 import json
 import resource
 import subprocess
@@ -24,11 +25,12 @@ from eval.shard.judging import COUNTED
 from eval.shard.shard import Shard
 from eval.soak import cli as command
 from eval.soak.assembly import assemble
-from eval.soak.checkpoint import prepare_folder
+from eval.soak.checkpoint import NAME, prepare_folder
 from eval.soak.tensorboard import TENSORBOARD
 from eval.soak.worker_pool import WorkerPool
 from eval.soak.workers import run_soak
-from robots.errors import ConfigError
+from robots.errors import ConfigError, OutputError
+from support.eval.reports import report
 from support.eval.soaks import soak_config
 from support.refusals import in_use
 
@@ -352,6 +354,33 @@ def test_full_disk_is_exit_1_and_names_what_is_lost(soak_test, tmp_path):
         f"error: not kept: --out {place}: cannot be written: File too large",
         "the same command goes on from the last checkpoints",
     ]
+
+
+def test_bundles_of_a_former_soak_that_stay_keep_the_checkpoints(tmp_path, monkeypatch):
+    """And no record is added: the same command does it again."""
+    checkpoint, history = tmp_path / "unfinished" / NAME.format(0), tmp_path / "history"
+    for path in (checkpoint, tmp_path / "events" / "old" / "bundle.json"):
+        path.parent.mkdir(parents=True)
+        path.touch()
+
+    def denied(*_):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("shutil.rmtree", denied)
+    with pytest.raises(OutputError, match=r"events/old: cannot be deleted: Permission denied"):
+        command._write(report(), {}, tmp_path, history)
+    assert checkpoint.exists()
+    assert not history.exists()
+
+
+def test_a_file_in_the_place_of_an_unfinished_soak_is_exit_2(soak_test, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "unfinished").write_text("mine")
+    code, _, said = soak_test("--hours", 0.001, "--robots", 1, "--workers", 1)
+    assert (code, (tmp_path / "out" / "unfinished").read_text()) == (2, "mine")
+    assert (
+        said == f"error: --out {tmp_path}/out/unfinished: cannot be written: File exists, expected a folder\n"
+    )
 
 
 @pytest.mark.slow

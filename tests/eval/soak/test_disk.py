@@ -161,7 +161,8 @@ def test_denied_file_access_is_reported(restless, tmp_path, monkeypatch):
     checkpoint = store_ticks(restless, 0, tmp_path / "unfinished", 400)
     with monkeypatch.context() as patch:
         patch.setattr(Path, "open", denied)
-        with pytest.raises(OutputError, match=r"unfinished/\.probe: cannot be written: Permission denied"):
+        patch.setattr(Path, "touch", denied)
+        with pytest.raises(OutputError, match=r"unfinished: cannot be written: Permission denied"):
             prepare_folder(tmp_path / "unfinished")
         with pytest.raises(OutputError, match=r"shard-0000\.npz: cannot be written: Permission denied"):
             checkpoint.store({})
@@ -178,11 +179,11 @@ def test_denied_file_access_is_reported(restless, tmp_path, monkeypatch):
 
 def test_wrong_file_type_in_place_of_series_or_trends_is_an_error_before_the_soak(tmp_path):
     (tmp_path / "tensorboard").touch()
-    with pytest.raises(OutputError, match="tensorboard is a file, expected a folder"):
+    with pytest.raises(OutputError, match="tensorboard: cannot be written: File exists, expected a folder"):
         written.check_report_folder(tmp_path, (SERIES, TENSORBOARD))
     (tmp_path / "tensorboard").unlink()
     (tmp_path / SERIES).mkdir()
-    with pytest.raises(OutputError, match=r"series\.parquet is a folder, expected a file"):
+    with pytest.raises(OutputError, match=r"series\.parquet: found a folder, expected a file"):
         written.check_report_folder(tmp_path, (SERIES, TENSORBOARD))
 
 
