@@ -75,7 +75,7 @@ def test_a_stop_takes_over_from_torques_at_a_bounded_rate(mode):
         assert found == (Reason.TORQUE if refused else 0)
 
 
-FAST = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"speed": 0.95})})
+FAST = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"speed": 0.95, "tool_speed": 0.92})})
 """The arm with a small margin of speed."""
 
 

@@ -10,6 +10,7 @@ pytest.importorskip("mujoco")
 
 from deploy.simulation import simulate
 from eval.attack.policy_graph import attack_contract
+from eval.attack.trained_gains import TrainedGains
 from robots.arrays import Floats
 from robots.distributions import load_distributions
 from robots.draws import draw
@@ -28,45 +29,57 @@ WITH_PAYLOAD = {"push.every_s": 1e9, "payload.carried_s": 1e5, "payload.free_s":
 """Pushed by the test alone."""
 
 
-def direction(q, joint, link):
-    """(3,) unit vector of a force on the middle of a link that turns a joint most, in its positive sense."""
+def direction(q, motion, link, offset):
+    """(3,) unit vector along the motion at joint speeds (n,) of a link's centre of mass, off by (3,) m from the model's."""
     model, _ = load_pinocchio(SPEC)
     data = model.createData()
     pin.computeJointJacobians(model, data, q)
-    jacobian = pin.getJointJacobian(model, data, link + 1, pin.LOCAL_WORLD_ALIGNED)[:, joint]
-    middle = data.oMi[link + 1].rotation @ model.inertias[link + 1].lever
+    jacobian = pin.getJointJacobian(model, data, link + 1, pin.LOCAL_WORLD_ALIGNED) @ motion
+    middle = data.oMi[link + 1].rotation @ (model.inertias[link + 1].lever + offset)
     found = jacobian[:3] + np.cross(jacobian[3:], middle)
     return found / np.linalg.norm(found)
 
 
+def of_joint(joint, sense):
+    """(n,) speeds of one joint."""
+    return sense * np.eye(SPEC.n)[joint]
+
+
 class Thrown(NamedTuple):
-    """Largest speed, rad/s, and torque, N·m, (n,) each, before and from the push."""
+    """Largest speed, rad/s, and torque, N·m, (n,) each, before and from the push, and of the tool, m/s."""
 
     speed: Floats
     speed_before: Floats
     torque: Floats
+    tool_speed: float
 
 
-def throw(spec, drawn, poses, moves, tick, push):
-    """Move from one pose to another from tick `moves` on, and push: (link, joint, sense) along that joint's motion."""
-    seeds, (link, joint, sense) = [robot_seed(0, 0)], push
-    runtime, arm = simulate(spec, attack_contract(spec, ControlMode.POSITION), seeds, draw=drawn)
+def throw(spec, drawn, poses, moves, tick, push, gains=None):
+    """Move joints from one pose to another from ticks `moves` on, and push a link along a motion, None: its own."""
+    seeds, (link, motion) = [robot_seed(0, 0)], push
+    contract = attack_contract(spec, ControlMode.POSITION, gains)
+    runtime, arm = simulate(spec, contract, seeds, draw=drawn)
     arm.plant.wear.life[:] = LIVES
     arm.plant.wear.apply()
     pushes = arm.plant.disturbances["pushes"]
-    speed, torque = np.zeros((2, spec.n))
+    (speed, torque), tool_speed = np.zeros((2, spec.n)), 0.0
     for k in range(tick + LOOKED_AT):
         if k == ARMED:
             runtime.arm(np.ones(1, dtype=bool))
         runtime.sense()
-        runtime.act(np.array(poses[k >= moves])[None])
+        runtime.act(np.where(k >= moves, *poses[::-1])[None])
         truth = arm.truth()
         speed, torque = np.maximum(speed, np.abs(truth.qd[0])), np.maximum(torque, np.abs(truth.tau[0]))
+        tool_speed = max(tool_speed, float(np.linalg.norm(truth.tool_velocity)))
         if k == tick:
             before, torque = speed, np.zeros(spec.n)
-            force = drawn["push.force_n"][0] * sense * direction(truth.q[0], joint, link)
+            q, along = (
+                (truth.q, motion) if motion is not None else (runtime.setpoint.q, runtime.setpoint.qd[0])
+            )
+            push_n, offset = drawn["push.force_n"][0], drawn["links.com_m"][0, link]
+            force = push_n * direction(q[0], along, link, offset)
             pushes._applied[0, pushes._bodies[len(pushes._bodies) - spec.n + link], :3] = force
-    return Thrown(speed, before, torque)
+    return Thrown(speed, before, torque, tool_speed)
 
 
 def robot_of(seed, robot, disturbed):
@@ -87,7 +100,7 @@ def test_a_push_through_worn_play_keeps_the_limit_of_speed(robot, joint, link, t
     first, last = np.tile(pose, (2, 1))
     last[joint], first[joint] = (end[joint] for end in SPEC.pose_range)
     drawn = robot_of(2, robot, WITHOUT_PAYLOAD)
-    found = throw(SPEC, drawn, (first, last), MOVES, tick, (link, joint, -1.0))
+    found = throw(SPEC, drawn, (first, last), MOVES, tick, (link, of_joint(joint, -1.0)))
     limit = SPEC.joint_array("qd_max")[joint]
     assert found.speed_before[joint] < 0.8 * limit
     assert 0.9 * limit < found.speed[joint] <= limit
@@ -100,5 +113,32 @@ def test_a_blow_in_the_play_takes_all_of_the_torque_only_with_more_damping(tmp_p
     spec = load_robot(copy_of_arm(tmp_path, xml=[("0.064 0 0 48", f"{damping} 0 0 48")]))
     first, last = np.tile((0.0, -0.4973, 0.5101, -1.6896, -0.9839, 0.0), (2, 1))
     first[0], last[0] = -0.9, 0.9
-    found = throw(spec, robot_of(3, 6531, WITH_PAYLOAD), (first, last), 300, 467, (5, 0, 1.0))
+    found = throw(spec, robot_of(3, 6531, WITH_PAYLOAD), (first, last), 300, 467, (5, of_joint(0, 1.0)))
     assert low < found.torque[0] / torque_max(spec)[0] < high
+
+
+SOFTEST = TrainedGains(
+    kp=(33721.0, 33721.0, 20971.0, 1594.9, 1036.6, 933.4), kd=(574.7, 578.6, 276.8, 26.8, 20.7, 19.4)
+)
+"""Gains of a contract just above their lower bounds."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("planned", "low", "high"), [("0.88", 0.9, 0.98), ("0.92", 1.0, np.inf)])
+def test_a_push_as_a_stop_begins_needs_the_margin_of_the_tools_speed(tmp_path, planned, low, high):
+    """Robot, motion and push of an attack: gears have no load then, and links fly through their play one by one."""
+    spec = load_robot(copy_of_arm(tmp_path, toml=[("tool_speed = 0.88", f"tool_speed = {planned}")]))
+    start, end, late_s = np.array(
+        [
+            [0.980, 0.291, 0.129, 0.001, 1.000, 0.068],
+            [0.184, 0.645, 0.838, 0.180, 0.201, 0.005],
+            [0.267, 0.215, 0.484, 0.492, 0.636, 0.921],
+        ]
+    )
+    (low_q, high_q), moves = np.array(SPEC.pose_range) + [[0.05], [-0.05]], MOVES + np.ceil(90 * late_s)
+    poses = low_q + (high_q - low_q) * [start, end]
+    drawn = robot_of(1, 10314, WITHOUT_PAYLOAD)
+    speeds = [
+        throw(spec, drawn, poses, moves, tick, (5, None), SOFTEST).tool_speed for tick in range(504, 510, 2)
+    ]
+    assert low < max(speeds) / SPEC.workspace.tool_speed_max < high
