@@ -30,7 +30,7 @@ WITH_PAYLOAD = {"push.every_s": 1e9, "payload.carried_s": 1e5, "payload.free_s":
 
 
 def direction(q, motion, link, offset):
-    """(3,) unit vector along the motion at joint speeds (n,) of a link's centre of mass, off by (3,) m from the model's."""
+    """(3,) unit vector of the motion, at joint speeds (n,), of a link's centre of mass, offset (3,) m from the model's."""
     model, _ = load_pinocchio(SPEC)
     data = model.createData()
     pin.computeJointJacobians(model, data, q)
@@ -128,15 +128,8 @@ SOFTEST = TrainedGains(
 def test_a_push_as_a_stop_begins_needs_the_margin_of_the_tools_speed(tmp_path, planned, low, high):
     """Robot, motion and push of an attack: gears have no load then, and links fly through their play one by one."""
     spec = load_robot(copy_of_arm(tmp_path, toml=[("tool_speed = 0.88", f"tool_speed = {planned}")]))
-    start, end, late_s = np.array(
-        [
-            [0.980, 0.291, 0.129, 0.001, 1.000, 0.068],
-            [0.184, 0.645, 0.838, 0.180, 0.201, 0.005],
-            [0.267, 0.215, 0.484, 0.492, 0.636, 0.921],
-        ]
-    )
-    (low_q, high_q), moves = np.array(SPEC.pose_range) + [[0.05], [-0.05]], MOVES + np.ceil(90 * late_s)
-    poses = low_q + (high_q - low_q) * [start, end]
+    poses = ((1.2, -1.768, 0.6403, -2.9468, -0.55, -2.4624), (-0.79, -1.06, 2.2355, -2.374, -2.148, -2.8215))
+    moves = MOVES + np.array((25, 20, 44, 45, 58, 83))
     drawn = robot_of(1, 10314, WITHOUT_PAYLOAD)
     speeds = [
         throw(spec, drawn, poses, moves, tick, (5, None), SOFTEST).tool_speed for tick in range(504, 510, 2)
