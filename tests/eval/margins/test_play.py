@@ -30,7 +30,7 @@ WITH_PAYLOAD = {"push.every_s": 1e9, "payload.carried_s": 1e5, "payload.free_s":
 
 
 def direction(q, motion, link, offset):
-    """(3,) unit vector of the motion, at joint speeds (n,), of a link's centre of mass, offset (3,) m from the model's."""
+    """(3,) unit vector of the motion of a link's centre of mass, `offset` m from the model's, at joint speeds (n,)."""
     model, _ = load_pinocchio(SPEC)
     data = model.createData()
     pin.computeJointJacobians(model, data, q)
