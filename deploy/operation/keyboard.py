@@ -10,6 +10,7 @@ import select
 import sys
 import termios
 import tty
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
 
@@ -50,15 +51,21 @@ class Keyboard:
 
     def __enter__(self) -> Self:
         if self.terminal:
-            self._settings = termios.tcgetattr(self._input)
-            tty.setcbreak(self._input, termios.TCSAFLUSH)
+            try:
+                self._settings = termios.tcgetattr(self._input)
+                tty.setcbreak(self._input, termios.TCSAFLUSH)
+            except termios.error as e:
+                raise ConfigError(
+                    "--policy jog: found a terminal that was closed, expected an open one"
+                ) from e
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._settings is not None:
-            termios.tcsetattr(self._input, termios.TCSANOW, self._settings)
+            with suppress(termios.error):  # the terminal has gone
+                termios.tcsetattr(self._input, termios.TCSANOW, self._settings)
 
     def read(self) -> list[str]:
         """Return new keys: characters, names of arrows, "unknown", or `END`; empty if there are none yet.

@@ -109,10 +109,18 @@ def test_terminal_is_restored_after_an_error(terminal):
 
 def test_terminal_that_closes_ends_the_keys():
     ours, theirs = os.openpty()
+    with os.fdopen(theirs) as stream, Keyboard(stream) as keyboard:
+        os.close(ours)
+        assert keyboard.read() == [END]
+
+
+def test_terminal_that_closes_before_it_is_entered_is_an_error():
+    ours, theirs = os.openpty()
     with os.fdopen(theirs) as stream:
         keyboard = Keyboard(stream)
         os.close(ours)
-        assert keyboard.read() == [END]
+        with pytest.raises(ConfigError, match="--policy jog: found a terminal that was closed"):
+            keyboard.__enter__()
 
 
 @pytest.mark.parametrize("stream", [None, "closed"])
