@@ -1,5 +1,6 @@
-"""Reader of untrusted YAML: plain data of limited size and depth, without custom tags and aliases."""
+"""Reader of untrusted YAML: plain data of limited size and depth, without tags, aliases and numbers in base 60."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -8,10 +9,12 @@ from robots.errors import ContractError
 
 CHARACTERS_MAX = 1 << 18
 DEPTH_MAX = 20
+BASE_60 = re.compile(r"[-+]?[0-9][0-9_]*(:[0-9]+)+(\.[0-9_]*)?")
+"""Number such as 1:30:00: its digits come in groups, of which there may be too many for a float, or for a message."""
 
 
 def read_yaml(path: Path) -> object:
-    """Return the contents of a YAML file; refuse one that is too long, too deeply nested, or has an alias."""
+    """Return the contents of a YAML file; refuse one that is too long, too deeply nested, or not plain."""
     import yaml
 
     text = read_text(path, CHARACTERS_MAX, ContractError)
@@ -31,8 +34,12 @@ def _unexpected(text: str) -> Iterator[str]:
     depth = 0
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        found = f"line {event.start_mark.line + 1}: found"
         if isinstance(event, yaml.AliasEvent):  # nested aliases can expand to more than the memory
-            found = f"line {event.start_mark.line + 1}: found the alias {event.anchor!r:.100}"
-            yield f"{found}, expected each value in full"
+            yield f"{found} the alias {event.anchor!r:.100}, expected each value in full"
+        elif tag := getattr(event, "tag", None):  # values that do not fit their tag fail in many ways
+            yield f"{found} the tag {tag!r:.100}, expected none"
+        elif isinstance(event, yaml.ScalarEvent) and event.implicit[0] and BASE_60.fullmatch(event.value):
+            yield f"{found} {event.value!r:.100}, expected a decimal number, or quotes around a text"
         if depth > DEPTH_MAX:
             yield f"found more than {DEPTH_MAX} nested levels"
