@@ -2,9 +2,9 @@
 
 from typing import Self
 
-from pydantic import PositiveFloat, model_validator
+from pydantic import model_validator
 
-from robots.strict import Name, Strict
+from robots.strict import Name, Positive, Strict
 
 GOAL = "goal"
 """Name of the task's goal among the bodies that may touch; in simulation a sphere stands there."""
@@ -21,7 +21,7 @@ class MayTouch(Strict):
     """
 
     bodies: tuple[Name, Name]
-    force_n: PositiveFloat | None = None
+    force_n: Positive | None = None
 
     @model_validator(mode="after")
     def _two(self) -> Self:

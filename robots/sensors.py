@@ -6,9 +6,9 @@ A sensor delivers packets: all of its channels, taken at one time. Deviations fr
 import math
 from typing import Annotated, Literal, NamedTuple, Self
 
-from pydantic import AfterValidator, Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import AfterValidator, Field, PositiveInt, model_validator
 
-from robots.strict import Name, Source, Strict
+from robots.strict import Name, NotNegative, Positive, Source, Strict
 
 Place = Literal["joints", "site", "feet", "none"]
 """joints: one channel for each joint. site: one site of model.xml, in its frame. feet: one site at each foot. none: no
@@ -63,7 +63,6 @@ Kind = Annotated[str, AfterValidator(_known)]
 BUFFER_S = 0.25
 """s, the largest delay of a packet in simulation."""
 
-NotNegative = Annotated[float, Field(ge=0, le=1e9)]
 Delay = Annotated[float, Field(ge=0, lt=BUFFER_S)]
 LOSS_MAX = 0.5
 """The largest share of packets that may be lost in simulation."""
@@ -93,8 +92,8 @@ class Sensor(Strict):
     unit: str
     sites: tuple[Name, ...] = ()
     rate_hz: PositiveInt
-    resolution: PositiveFloat
-    range: PositiveFloat
+    resolution: Positive
+    range: Positive
     noise: NotNegative
     bias: NotNegative
     drift: NotNegative

@@ -18,6 +18,12 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
+Positive = Annotated[float, Field(ge=1e-12, le=1e9)]
+"""Physical quantity above zero, in SI units: products and quotients of several are still floats."""
+NotNegative = Annotated[float, Field(ge=0, le=1e9)]
+Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
+"""Physical quantity of either sign, such as a coordinate, m."""
+
 Source = Annotated[str, Field(min_length=1)]
 """Origin of the numbers of a table, or "estimate"."""
 

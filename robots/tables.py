@@ -4,13 +4,13 @@ import math
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveInt, model_validator
 
 from robots.motors.control_mode import ControlMode, ControlModes
-from robots.strict import Name, Source, Strict
+from robots.strict import Coordinate, Name, NotNegative, Positive, Source, Strict
 
 Celsius = Annotated[float, Field(ge=-50, le=300)]
-Fraction = Annotated[float, Field(gt=0, le=1)]
+Fraction = Annotated[float, Field(ge=1e-3, le=1)]
 POSITION_ONLY: ControlModes = ("position",)
 """Control modes of a motor that names none."""
 
@@ -28,12 +28,11 @@ class TorqueMode(Strict):
             nominal model predicts. Also of a joint without stiffness in velocity mode, such as a wheel.
     """
 
-    rate_max: PositiveFloat
-    rate2_max: PositiveFloat
-    acceleration_density: PositiveFloat
+    rate_max: Positive
+    rate2_max: Positive
+    acceleration_density: Positive
 
 
-Motion = Annotated[float, Field(gt=0, le=1e9)]
 LONGEST_S = 100.0
 """s, the longest of range / qd_max, qd_max / qdd_max and qdd_max / qddd_max: the planner fails beyond it."""
 
@@ -56,11 +55,11 @@ class Joint(Strict):
     q_min: Annotated[float, Field(exclude_if=math.isinf)] = -math.inf
     q_max: Annotated[float, Field(exclude_if=math.isinf)] = math.inf
     q_home: float
-    qd_max: Motion
-    qdd_max: Motion
-    qddd_max: Motion
-    acceleration_density: PositiveFloat
-    play: Annotated[float, Field(ge=0)]
+    qd_max: Positive
+    qdd_max: Positive
+    qddd_max: Positive
+    acceleration_density: Positive
+    play: NotNegative
     motor: Name
     torque_mode: Annotated[TorqueMode | None, Field(exclude_if=_is_none)] = None
     source: Source
@@ -109,18 +108,18 @@ class Drive(Strict):
             so light that a stiff drive oscillates.
     """
 
-    gear: PositiveFloat
-    torque_constant: PositiveFloat
-    resistance_ohm: PositiveFloat
+    gear: Positive
+    torque_constant: Positive
+    resistance_ohm: Positive
     reference_c: Celsius
-    copper_per_k: Annotated[float, Field(ge=0)]
-    winding_resistance_k_per_w: PositiveFloat
-    winding_capacity_j_per_k: PositiveFloat
-    supply_v: PositiveFloat
-    kp: PositiveFloat
-    kd: Annotated[float, Field(ge=0)]
-    torque_max: PositiveFloat | None = None
-    armature: PositiveFloat | None = None
+    copper_per_k: NotNegative
+    winding_resistance_k_per_w: Positive
+    winding_capacity_j_per_k: Positive
+    supply_v: Positive
+    kp: Positive
+    kd: NotNegative
+    torque_max: Positive | None = None
+    armature: Positive | None = None
 
 
 class Motor(Strict):
@@ -137,9 +136,9 @@ class Motor(Strict):
         source: where the numbers come from.
     """
 
-    housing_resistance_k_per_w: PositiveFloat
-    housing_capacity_j_per_k: PositiveFloat
-    iron_w_s2: Annotated[float, Field(ge=0)]
+    housing_resistance_k_per_w: Positive
+    housing_capacity_j_per_k: Positive
+    iron_w_s2: NotNegative
     winding_soft_c: Celsius
     winding_max_c: Celsius
     housing_soft_c: Celsius
@@ -175,12 +174,12 @@ class Rates(Strict):
 class ModeMargins(Strict):
     """Margins that differ in one control mode: see `Margins`; None: the same as in the others."""
 
-    q_soft_rad: Annotated[PositiveFloat | None, Field(exclude_if=_is_none)] = None
+    q_soft_rad: Annotated[Positive | None, Field(exclude_if=_is_none)] = None
     speed: Fraction | None = None
     tau: Fraction | None = None
     tool_speed: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
-    collision_m: PositiveFloat | None = None
-    workspace_m: PositiveFloat | None = None
+    collision_m: Positive | None = None
+    workspace_m: Positive | None = None
 
 
 class Margins(Strict):
@@ -216,22 +215,22 @@ class Margins(Strict):
             the drives have that mode.
     """
 
-    q_target_rad: PositiveFloat
-    q_soft_rad: PositiveFloat
+    q_target_rad: Positive
+    q_soft_rad: Positive
     speed: Fraction
     tau: Fraction
     tool_speed: Annotated[Fraction | None, Field(exclude_if=_is_none)] = None
-    collision_m: PositiveFloat | None = None
-    workspace_m: PositiveFloat | None = None
-    singularity: PositiveFloat | None = None
-    tracking_rad: Annotated[PositiveFloat, Field(le=math.pi)]
-    stale_s: Annotated[PositiveFloat, Field(le=1.0)]
-    lost_s: Annotated[PositiveFloat, Field(le=1.0)]
+    collision_m: Positive | None = None
+    workspace_m: Positive | None = None
+    singularity: Positive | None = None
+    tracking_rad: Annotated[Positive, Field(le=math.pi)]
+    stale_s: Annotated[Positive, Field(le=1.0)]
+    lost_s: Annotated[Positive, Field(le=1.0)]
     stops_max: Annotated[PositiveInt, Field(le=1000)]
-    stops_s: Annotated[PositiveFloat, Field(le=86_400.0)]
-    oscillation_hz: Annotated[PositiveFloat | None, Field(le=20.0, exclude_if=_is_none)] = None
-    winding_k: PositiveFloat
-    winding_share: Annotated[float, Field(ge=0)]
+    stops_s: Annotated[Positive, Field(le=86_400.0)]
+    oscillation_hz: Annotated[Positive | None, Field(le=20.0, exclude_if=_is_none)] = None
+    winding_k: Positive
+    winding_share: NotNegative
     fold_min: Fraction
     pace_min: Fraction
     velocity_mode: Annotated[ModeMargins | None, Field(exclude_if=_is_none)] = None
@@ -263,19 +262,19 @@ class Workspace(Strict):
         tool_speed_max: m/s.
     """
 
-    z_min: float
-    radius_max: PositiveFloat
-    centre: tuple[float, float, float]
-    tool_speed_max: PositiveFloat
+    z_min: Coordinate
+    radius_max: Positive
+    centre: tuple[Coordinate, Coordinate, Coordinate]
+    tool_speed_max: Positive
 
 
 class Capsule(Strict):
     """Points nearer than `radius` to the line from `start` to `end`, m, frame of `body`: a link in collision checks."""
 
     body: Name
-    start: tuple[float, float, float]
-    end: tuple[float, float, float]
-    radius: PositiveFloat
+    start: tuple[Coordinate, Coordinate, Coordinate]
+    end: tuple[Coordinate, Coordinate, Coordinate]
+    radius: Positive
 
     @model_validator(mode="after")
     def _has_length(self) -> Self:
@@ -301,15 +300,15 @@ class Base(Strict):
     """
 
     feet: Annotated[tuple[Name, ...], Field(min_length=1)]
-    foot_m: Annotated[float, Field(ge=0)]
-    slip: PositiveFloat
-    angular_acceleration: PositiveFloat
-    jerk: PositiveFloat
+    foot_m: NotNegative
+    slip: Positive
+    angular_acceleration: Positive
+    jerk: Positive
     tilt_max_rad: Annotated[float, Field(gt=0, lt=1.5)]
-    height_min_m: PositiveFloat
-    command_min: tuple[float, float, float]
-    command_max: tuple[float, float, float]
-    command_s: PositiveFloat
+    height_min_m: Positive
+    command_min: tuple[Coordinate, Coordinate, Coordinate]
+    command_max: tuple[Coordinate, Coordinate, Coordinate]
+    command_s: Positive
     source: Source
 
     @model_validator(mode="after")

@@ -147,5 +147,5 @@ def stuck_repeats(sensor: Sensor) -> float:
     Two readings with noise σ fall on the same step of width r with a probability of about r / (2 √π σ). Half the noise
     of the data sheet is to be expected.
     """
-    chance = sensor.resolution / (np.sqrt(np.pi) * sensor.noise) if sensor.noise else np.inf
-    return float(np.ceil(np.log(STUCK_CHANCE) / np.log(chance))) if chance < 1.0 else np.inf
+    inverse = np.sqrt(np.pi) * sensor.noise / sensor.resolution
+    return float(np.ceil(-np.log(STUCK_CHANCE) / np.log(inverse))) if inverse > 1.0 else np.inf

@@ -6,12 +6,11 @@
 import hashlib
 
 import numpy as np
-from pydantic import PositiveFloat
 
 from robots.arrays import Floats
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
-from robots.strict import Source, Strict, read_toml
+from robots.strict import Positive, Source, Strict, read_toml
 
 
 class MotorLimits(Strict):
@@ -23,8 +22,8 @@ class MotorLimits(Strict):
         source: of the numbers.
     """
 
-    power_w: PositiveFloat
-    torque_rate: PositiveFloat
+    power_w: Positive
+    torque_rate: Positive
     source: Source
 
 
@@ -42,12 +41,12 @@ class Limits(Strict):
         motors: by the names of robot.toml.
     """
 
-    power_w: PositiveFloat
-    contact_n: PositiveFloat
-    nees: PositiveFloat
-    deviations: PositiveFloat
-    arming_rad: PositiveFloat
-    manipulability: PositiveFloat | None = None
+    power_w: Positive
+    contact_n: Positive
+    nees: Positive
+    deviations: Positive
+    arming_rad: Positive
+    manipulability: Positive | None = None
     motors: dict[str, MotorLimits]
 
     @property

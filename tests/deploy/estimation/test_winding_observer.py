@@ -355,3 +355,4 @@ def test_number_of_repeats_that_count_as_stuck():
     assert again ** (most - 1) > STUCK_CHANCE > 0.5 * again**most
     assert stuck_repeats(SPEC.sensors["temperature"]) == np.inf
     assert stuck_repeats(current.model_copy(update={"noise": 0.0})) == np.inf
+    assert stuck_repeats(current.model_copy(update={"noise": 5e-324})) == np.inf

@@ -16,6 +16,8 @@ LIMITS_TEXT = (SPEC.folder / "limits.toml").read_text()
     [
         ("power_w", "power", "power: Extra inputs"),
         ("contact_n = 140.0", "contact_n = 0.0", r"contact_n: .* found 0\.0"),
+        ("nees = 64.0", "nees = 5e-324", r"nees: .* found 5e-324"),
+        ("power_w = 300.0", "power_w = 1e300", r"power_w: .* 1000000000, found 1e\+300"),
         ("nees = 64.0", "", "nees: Field required"),
         ("manipulability = 0.00025", "manipulability = -1.0", r"manipulability: .* found -1\.0"),
         ("manipulability = 0.00025", "", "manipulability: found none, expected one"),

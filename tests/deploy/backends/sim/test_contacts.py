@@ -246,7 +246,7 @@ BAD = {
     "twice": ('["wrist_3_link", "wrist_3_link"]', "may_touch: found 'wrist_3_link' twice in a pair"),
     "no force": (
         '["wrist_3_link", "goal"]\nforce_n = 0.0',
-        "force_n: Input should be greater than 0, found 0",
+        "force_n: Input should be greater than or equal to 0.000000000001, found 0",
     ),
     "no body": (
         '["world", "goal"]',
