@@ -12,6 +12,9 @@ DEPTH_MAX = 64
 """Nesting of tables and lists: parsers, and whatever walks through their results, call themselves for each level."""
 DIGITS_MAX = 100
 """Digits of a number: enough for any of double precision or a seed, too few for one beyond the range of a float."""
+LISTS_FREE, LIST_CHARACTERS = 100_000, 32
+"""Lists and objects of JSON that a text of any length may hold, and characters for each further one: an empty list,
+three characters, takes fifty times as much memory."""
 
 STRINGS = {
     "JSON": re.compile(r'"(?:[^"\\]|\\.)*+"?', re.DOTALL),
@@ -46,7 +49,7 @@ def read_text(path: Path, characters_max: int, error: type[FirstshiftError] = Co
 def check_text(
     text: str, kind: Literal["JSON", "TOML"], source: str, characters_max: int, error: type[FirstshiftError]
 ) -> None:
-    """Refuse text that is too long, nested too deeply, or has a number of too many digits.
+    """Refuse text that is too long, nested too deeply, or has too many lists, or a number of too many digits.
 
     Raises:
         FirstshiftError: of class `error`, naming `source`, what was found, and the bound.
@@ -54,6 +57,9 @@ def check_text(
     if len(text) > characters_max:
         raise error(f"{source}: found {len(text)} characters of {kind}, expected at most {characters_max}")
     bare = STRINGS[kind].sub('"', text)
+    lists, most = bare.count("[") + bare.count("{"), LISTS_FREE + len(text) // LIST_CHARACTERS
+    if kind == "JSON" and lists > most:
+        raise error(f"{source}: found {lists} lists and objects of JSON, expected at most {most}")
     if (depth := _depth(found[0] for found in LEVELS[kind].finditer(bare))) > DEPTH_MAX:
         raise error(f"{source}: found {kind} nested {depth} deep, expected at most {DEPTH_MAX}")
     check_numbers(bare, source, error)

@@ -13,8 +13,8 @@ from robots.errors import ConfigError
 from robots.strict import parse, read_json_file
 
 SUFFIX = ".soak.json"
-CHARACTERS_MAX = 1 << 28
-"""Upper bound of the size of a record or report."""
+CHARACTERS_MAX = 1 << 25
+"""Upper bound of the size of a record, 200 for each robot, or report, 500."""
 
 
 def add_record(record: SoakRecord, folder: Path) -> Path:

@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from robots.bounded_text import DEPTH_MAX, DIGITS_MAX, check_text
+from robots.bounded_text import DEPTH_MAX, DIGITS_MAX, LISTS_FREE, check_text
 from robots.errors import ConfigError
 from robots.strict import read_json
 
@@ -82,3 +82,14 @@ def test_text_of_unfinished_strings_is_read_once(unit):
 def test_reading_json_bounds_it_first():
     with pytest.raises(ConfigError, match=r"^x: found JSON nested 65 deep"):
         read_json("[" * (D + 1), "x", 100)
+
+
+def test_json_of_little_but_lists_is_refused():
+    """Their memory would be many times that of the text; brackets in strings are no lists."""
+    check("JSON", json.dumps([[]] * (LISTS_FREE - 1)))
+    check("JSON", json.dumps("[]{}" * LISTS_FREE))
+    for item in ("[]", "{}"):
+        with pytest.raises(
+            ConfigError, match=r"^x: found 200001 lists and objects of JSON, expected at most 118"
+        ):
+            check("JSON", f"[{','.join([item] * 200_000)}]")

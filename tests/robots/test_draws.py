@@ -159,6 +159,22 @@ def test_implausible_stored_draw_is_refused(tmp_path, change, words):
         assert word in str(caught.value)
 
 
+def test_stored_draws_of_many_robots_are_read_and_other_long_files_refused(tmp_path, monkeypatch):
+    path, d = tmp_path / "draw.json", drawn(5, range(10))
+    path.write_text(d.rows(np.arange(3000) % 10).to_json(5, DISTRIBUTIONS, SPEC))
+    assert load_draw(path, DISTRIBUTIONS, SPEC)[1].robots == 3000
+    monkeypatch.setattr("robots.draws.FILE_MAX", 1000)
+    path.write_text(" " * 1001)
+    with pytest.raises(ConfigError, match=r"draw\.json: found 1001 bytes, at most 1000"):
+        load_draw(path, DISTRIBUTIONS, SPEC)
+    monkeypatch.undo()
+    path.write_text("[" + "[]," * 200_000 + "[]]")
+    with pytest.raises(
+        ConfigError, match=r"draw\.json: found 200002 lists and objects of JSON, expected at most"
+    ):
+        load_draw(path, DISTRIBUTIONS, SPEC)
+
+
 @pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 50_000])
 def test_malformed_stored_draw_is_refused(tmp_path, text):
     path = tmp_path / "draw.json"

@@ -6,13 +6,13 @@ import os
 
 import pytest
 
-from eval.history.history import SUFFIX, add_record, read_history, read_record
+from eval.history.history import CHARACTERS_MAX, SUFFIX, add_record, read_history, read_record
 from eval.history.soak_record import SoakRecord
 from eval.report.report_files import write_report
 from eval.report.schema.report_data import Report
 from eval.report.sections.trend import trend
 from eval.soak import cli as command
-from eval.statistics.per_draw_counts import COUNT_MAX
+from eval.statistics.per_draw_counts import COUNT_MAX, concatenate
 from robots.errors import ConfigError, OutputError
 from support.eval.nights import LATER, OTHER, SETTINGS, night
 from support.eval.reports import report
@@ -169,6 +169,21 @@ def test_the_highest_counts_have_a_trend():
     counts = whole.per_draw_counts.model_copy(update={"hard": highest})
     found = trend({"a.json": whole.model_copy(update={"per_draw_counts": counts})})
     assert found.last.hard_events == len(highest) * whole.settings.robots * COUNT_MAX
+
+
+def test_no_soak_has_a_record_that_is_too_long_to_read(tmp_path):
+    counts = night(1).per_draw_counts
+    many = concatenate([counts] * -(-100_000 // counts.draws))  # as many robots as a soak may have
+    path = add_record(night(1).model_copy(update={"per_draw_counts": many}), tmp_path)
+    assert path.stat().st_size < CHARACTERS_MAX <= 1 << 25
+
+
+def test_a_file_of_empty_objects_is_no_record(tmp_path):
+    (tmp_path / f"a{SUFFIX}").write_text("[" + "{}," * 200_000 + "{}]")
+    with pytest.raises(
+        ConfigError, match=r"a\.soak\.json: found 200002 lists and objects of JSON, expected at"
+    ):
+        read_history(tmp_path)
 
 
 def test_unreadable_file_is_reported(tmp_path):
