@@ -20,6 +20,10 @@ may take longer than this, it is that long."""
 SPEED_MIN = 1e-3
 """Share of a joint's speed limit below which a target speed counts as 0: Ruckig plans no motion of hours."""
 
+FAR_S = 1000.0
+"""s. A target that takes longer at the limit of speed is moved nearer: Ruckig has no plan for more than two hours, and
+no trajectory is read that late."""
+
 
 def horizon_s(spec: RobotSpec) -> float:
     """Return s after which no trajectory is read any more."""
@@ -61,6 +65,7 @@ class RuckigPlanner:
         """Fill `trajectory`, `origin` as in `TrackingTrajectories.plan`; return False where Ruckig has no plan."""
         self._joints[:] = origin[:, :-2].reshape(len(origin), 4, self._n).swapaxes(0, 1)
         self._prepare(origin[:, -2], origin[:, -1] != 0)
+        self._move_nearer()
         if not all_true(self._stopping):  # a stop has no limit of speed
             self._move_inside()
         # As lists: Ruckig's binding reads an array number by number, in three times the time.
@@ -93,6 +98,12 @@ class RuckigPlanner:
         self._speed = self._qd_max * speed_share[:, None]
         self._in.max_velocity = [*self._speed.ravel().tolist(), 1.0]
         self._in.max_acceleration = [*(self._qdd_max * speed_share[:, None]).ravel().tolist(), 1.0]
+
+    def _move_nearer(self) -> None:
+        """Move targets that are too far to be reached in `FAR_S`."""
+        q, _, _, target = self._joints
+        far = FAR_S * self._speed
+        np.clip(target, q - far, q + far, out=target)
 
     def _move_inside(self) -> None:
         """Move speeds that end near the limit inside, where a target is followed."""

@@ -350,6 +350,16 @@ def test_every_state_near_rest_has_a_plan_to_continue_and_to_stop(scale):
     assert smoother.at_rest.all()
 
 
+def test_a_slow_joint_goes_to_a_target_that_is_hours_away():
+    slow = SPEC.model_copy(update={"margins": SPEC.margins.model_copy(update={"speed": 1e-5})})
+    smoother = Smoother(slow, 1)
+    smoother.hold(np.ones(1, dtype=bool), HOME[None])
+    sent = ride(smoother, np.full((200, 1, N), HIGH), never(200, 1))
+    np.testing.assert_allclose(
+        np.diff(sent[-2:, 0], axis=0)[0] / DT, 1e-5 * V / SPEC.margins.speed, rtol=1e-3
+    )
+
+
 def test_hold_rests_only_the_robots_named():
     smoother = moving(3)
     before = smoother.save()

@@ -70,6 +70,15 @@ def test_almost_no_speed_is_none():
     np.testing.assert_allclose(q[-1], q[-50], rtol=0, atol=1e-12)
 
 
+def test_a_slow_joint_moves_at_a_small_share_of_its_speed():
+    """It would come to the end of its range in hours."""
+    slow = tuple(joint.model_copy(update={"qd_max": 0.05}) for joint in SPEC.joints)
+    smoother = VelocitySmoother(SPEC.model_copy(update={"joints": slow}), 1)
+    smoother.hold(np.ones(1, dtype=bool), HOME[None])
+    _, qd = ride(smoother, [np.full(N, 1e-4)] * 50)
+    np.testing.assert_allclose(qd[-1, 0], 1e-4, rtol=1e-9)
+
+
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["random", "ends", "small"]))
 @settings(max_examples=20)
 def test_no_sequence_of_speeds_leaves_the_limits(seed, kind):
