@@ -10,6 +10,8 @@ from robots.motors.control_mode import ControlMode, ControlModes
 from robots.strict import Coordinate, Name, NotNegative, Positive, Source, Strict
 
 Celsius = Annotated[float, Field(ge=-50, le=300)]
+Heat = Annotated[float, Field(ge=1, le=300)]
+"""Limit of a temperature, °C: the judge divides by it."""
 Fraction = Annotated[float, Field(ge=1e-3, le=1)]
 POSITION_ONLY: ControlModes = ("position",)
 """Control modes of a motor that names none."""
@@ -139,10 +141,10 @@ class Motor(Strict):
     housing_resistance_k_per_w: Positive
     housing_capacity_j_per_k: Positive
     iron_w_s2: NotNegative
-    winding_soft_c: Celsius
-    winding_max_c: Celsius
-    housing_soft_c: Celsius
-    housing_max_c: Celsius
+    winding_soft_c: Heat
+    winding_max_c: Heat
+    housing_soft_c: Heat
+    housing_max_c: Heat
     modes: Annotated[ControlModes, Field(exclude_if=lambda modes: modes == POSITION_ONLY)] = POSITION_ONLY
     drive: Drive | None = None
     source: Source

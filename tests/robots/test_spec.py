@@ -176,6 +176,8 @@ def test_unknown_robot_names_the_known_ones(tmp_path):
             "housing_soft_c = 95.0",
             ["motors.size3", "95.0 is not below housing_max_c 90.0"],
         ),
+        ("winding_soft_c = 80.0", "winding_soft_c = 0.0", ["winding_soft_c", "or equal to 1", "found 0"]),
+        ("housing_soft_c = 70.0", "housing_soft_c = -5.0", ["housing_soft_c", "or equal to 1", "found -5"]),
         ("winding_max_c = 110.0", "winding_max_c = 400.0", ["winding_max_c", "300", "400"]),
         ('source = "estimate: 14 bit.*"', 'source = ""', ["sensors.encoder.source", "at least 1 character"]),
         (
