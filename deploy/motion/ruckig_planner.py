@@ -65,8 +65,8 @@ class RuckigPlanner:
         """Fill `trajectory`, `origin` as in `TrackingTrajectories.plan`; return False where Ruckig has no plan."""
         self._joints[:] = origin[:, :-2].reshape(len(origin), 4, self._n).swapaxes(0, 1)
         self._prepare(origin[:, -2], origin[:, -1] != 0)
-        self._move_nearer()
-        if not all_true(self._stopping):  # a stop has no limit of speed
+        if not all_true(self._stopping):  # a stop has no target, nor a limit of speed
+            self._move_nearer()
             self._move_inside()
         # As lists: Ruckig's binding reads an array number by number, in three times the time.
         q, qd, qdd, target = self._inputs.tolist()
