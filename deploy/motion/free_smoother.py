@@ -32,7 +32,7 @@ class RollingSmoother(VelocitySmoother):
     def __init__(self, spec: RobotSpec, drive: DriveMode, stop: DriveMode) -> None:
         """Take how drives follow the policy, and how they follow a stop."""
         super().__init__(spec, len(drive.mode), drive)
-        self._free, self.takeover = drive.kp == 0.0, Takeover(drive, stop, spec.dt)
+        self._free, self.takeover = drive.kp == 0.0, Takeover(spec, drive, stop)
 
     def plan(self, target: Floats, stopping: Bools, state: State) -> Setpoint:
         """Return the next setpoint of every robot, as `Smoother.next`; drives of a stop become stiff."""
@@ -76,7 +76,7 @@ class TorqueSmoother(Smoother):
         super().__init__(spec, robots, drive)
         self.ramp, self._fleet, self._dt = TorqueRamp(spec, robots), Fleet(spec, robots), spec.dt
         self._rate = np.zeros((robots, spec.n))
-        self.takeover = Takeover(drive, stop, spec.dt)
+        self.takeover = Takeover(spec, drive, stop)
         self._qdd_max = ACCELERATION_SHARE * spec.joint_array("qdd_max")
         self._qd_max = (
             ACCELERATION_SHARE * spec.margins.of(ControlMode.TORQUE).speed * spec.joint_array("qd_max")
@@ -96,7 +96,9 @@ class TorqueSmoother(Smoother):
         ahead = Setpoint(q=q, qd=qd, qdd=qdd, tau=tau, drive=self.drive)
         if not any_true(stopping):
             return ahead
-        return select(~stopping, ahead, _as_stop(self.next(self.q, stopping), self.takeover.drive))
+        stop = self.next(self.q, stopping)
+        drive = self.takeover.drive_in_range(stop, state, self.ramp.tau)
+        return select(~stopping, ahead, _as_stop(stop, drive))
 
     def _bounded(self, target: Floats, state: State) -> Floats:
         """Return torques that cause no more acceleration than allowed, nor a speed that leaves no way to brake."""

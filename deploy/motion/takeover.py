@@ -6,8 +6,10 @@ import numpy as np
 
 from deploy.masks import any_true
 from deploy.stage import Stage
-from deploy.state import DriveMode
-from robots.arrays import Bools, Ints
+from deploy.state import DriveMode, Setpoint, State
+from robots.arrays import Bools, Floats, Ints
+from robots.models.nominal_model import torque_max
+from robots.spec import RobotSpec
 
 TAKEOVER_S = 0.3
 """s in which the drives of a stop reach their stiffness: the estimate that a stop begins at has noise, and lags behind
@@ -17,6 +19,10 @@ TAKEOVER_SHARE = 0.01
 DAMPING_POWER = 0.25
 """Power of that share, the share of its damping: with 0.5 the damping ratio would stay. With less, a drive removes the
 difference in speed first, then pulls the joint to its angle."""
+RANGE_SHARE = 0.9
+"""Share of its motor's range up to which a drive stiffens. Damping alone may take as much, and is not reduced."""
+TINY_RAD = 1e-9
+"""rad. A smaller error needs no limit of stiffness."""
 
 
 class Takeover(Stage):
@@ -28,14 +34,34 @@ class Takeover(Stage):
 
     carried: ClassVar[tuple[str, ...]] = ("held",)
 
-    def __init__(self, policy: DriveMode, stop: DriveMode, dt: float) -> None:
-        self._stop, self._free, self._ticks = stop, policy.kp == 0.0, round(TAKEOVER_S / dt)
+    def __init__(self, spec: RobotSpec, policy: DriveMode, stop: DriveMode) -> None:
+        self._stop, self._free, self._ticks = stop, policy.kp == 0.0, round(TAKEOVER_S / spec.dt)
+        self._torque = RANGE_SHARE * torque_max(spec)
         self.held = np.full(len(stop.mode), self._ticks)
 
     @property
     def drive(self) -> DriveMode:
         """Drives of a robot that stops now."""
         return self._after(self.held)
+
+    def drive_in_range(self, stop: Setpoint, state: State, tau: Floats) -> DriveMode:
+        """Return drives of robots that stop now, no stiffer than keeps their motors inside `RANGE_SHARE`.
+
+        While drives are soft, a push or a payload carries an arm beyond its setpoint. Stiffness that rises whatever
+        comes would pull it back with all of the motors' torque. kp is the highest, from that of the first tick to
+        that of now, for which
+
+            |tau + kp (q* − q) + kd (q̇* − q̇)| <= RANGE_SHARE of the range
+
+        A state that is not finite limits nothing.
+
+        Args:
+            stop: setpoints to be sent. state: the estimate. tau: (B, n) N·m, fed forward last.
+        """
+        drive, error = self.drive, stop.q - state.q
+        left = self._torque - np.sign(error) * (tau + drive.kd * (stop.qd - state.qd))
+        kp = np.fmin(drive.kp, left / np.maximum(np.abs(error), TINY_RAD))
+        return drive._replace(kp=np.maximum(kp, TAKEOVER_SHARE * self._stop.kp))
 
     @property
     def first_drive(self) -> DriveMode:

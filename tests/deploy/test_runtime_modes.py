@@ -8,6 +8,7 @@ from deploy.reasons import Reason
 from deploy.state import Mode
 from robots.errors import ContractError
 from robots.models.fleet import Fleet
+from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
 from robots.motors.drive_gains import drive_gains
 from support.arm6 import SPEC, copy_of_arm
@@ -19,7 +20,8 @@ judge_tick = pytest.importorskip("eval.shard.judging").judge_tick
 load_robot = pytest.importorskip("robots.spec").load_robot
 OPERATOR = Reason.OPERATOR
 hostile = pytest.importorskip("eval.faults.hostile_policy")
-TAKEOVER_S = pytest.importorskip("deploy.motion.takeover").TAKEOVER_S
+takeover = pytest.importorskip("deploy.motion.takeover")
+TAKEOVER_S, RANGE_SHARE = takeover.TAKEOVER_S, takeover.RANGE_SHARE
 
 
 def live(runtime, policy, ticks, judge=None):
@@ -124,6 +126,21 @@ def test_a_stop_takes_over_with_position_drives_that_stiffen():
     assert (np.array(speeds) < moving + 0.15).all()
     assert (runtime.supervisor.mode == Mode.LATCHED).all()
     assert (speeds[-1] < 0.01).all()
+
+
+def test_a_stop_does_not_pull_an_arm_back_with_all_of_its_torque():
+    runtime = armed("torque", 2, weight)
+    runtime.stop(OPERATOR)
+    live(runtime, weight, round(TAKEOVER_S / DT / 2))
+    smoother, state = runtime.smoother, runtime.state
+    sent = smoother.ramp.tau.copy()
+    down = np.array([0.0, 0.05, 0.0, 0.0, 0.0, 0.0])
+    planned = smoother.plan(rest(runtime), every(runtime), state._replace(q=smoother.q + down))
+    error, slower = planned.q - smoother.q - down, planned.qd - state.qd
+    tau = sent + planned.drive.kp * error + planned.drive.kd * slower
+    np.testing.assert_allclose(tau[:, 1], -RANGE_SHARE * torque_max(SPEC)[1])
+    others = np.arange(N) != 1
+    np.testing.assert_array_equal(planned.drive.kp[:, others], smoother.takeover.drive.kp[:, others])
 
 
 @pytest.mark.parametrize("mode", ["velocity", "torque"])

@@ -1,9 +1,14 @@
 """Drives of a stop that become stiff, robot by robot and joint by joint."""
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 
 from deploy.motion.drive_modes import drive_modes
-from deploy.motion.takeover import DAMPING_POWER, TAKEOVER_S, TAKEOVER_SHARE, Takeover
+from deploy.motion.takeover import DAMPING_POWER, RANGE_SHARE, TAKEOVER_S, TAKEOVER_SHARE, Takeover
+from deploy.state import Setpoint
+from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
 from robots.motors.drive_gains import drive_gains
 from robots.motors.gains import Gains
@@ -16,7 +21,7 @@ TORQUE = drive_modes(SPEC, ControlMode.TORQUE, None, ROBOTS)
 
 
 def taking_over(drives=TORQUE):
-    return Takeover(drives.policy, drives.stop, SPEC.dt)
+    return Takeover(SPEC, drives.policy, drives.stop)
 
 
 def test_a_drive_without_a_policy_before_has_its_whole_stiffness():
@@ -56,3 +61,42 @@ def test_joints_that_held_their_angle_stay_stiff():
     np.testing.assert_allclose(
         takeover.drive.kd, np.tile(share**DAMPING_POWER * OWN.kd, (ROBOTS, 1)), rtol=1e-12
     )
+
+
+MOST = RANGE_SHARE * torque_max(SPEC)
+SIGNS = np.array([1, -1, 1, -1, 1, -1])
+
+
+def drive_at(takeover, error, speed=0.0, tau=0.0):
+    """Drive of a stop whose setpoint is `error` rad and `speed` rad/s from the estimate, with `tau` N·m fed forward."""
+    still = np.zeros((ROBOTS, N))
+    state = SimpleNamespace(q=still + 0.3, qd=still - 0.2)
+    stop = Setpoint(q=state.q + error, qd=state.qd + speed, qdd=still)
+    return takeover.drive_in_range(stop, state, still + tau)
+
+
+@pytest.mark.parametrize("share", [-0.5, 0.0, 0.5])
+@pytest.mark.parametrize("speed", [-0.02, 0.0, 0.02])
+def test_a_drive_that_is_far_from_its_angle_stiffens_up_to_a_share_of_its_range(share, speed):
+    takeover, tau = taking_over(), share * torque_max(SPEC)
+    damped = OWN.kd * speed
+    error = 2.0 * (torque_max(SPEC) + np.abs(tau + damped)) / OWN.kp * SIGNS
+    drive = drive_at(takeover, error, speed, tau)
+    assert (drive.kp < OWN.kp).all()
+    np.testing.assert_allclose(tau + drive.kp[0] * error + damped, SIGNS * MOST, rtol=1e-9)
+    np.testing.assert_array_equal(drive.kd, takeover.drive.kd)
+
+
+def test_a_drive_that_is_near_its_angle_has_the_stiffness_of_its_time():
+    takeover = taking_over()
+    for error in (0.99 * MOST / OWN.kp * SIGNS, 0.0, np.nan):
+        np.testing.assert_array_equal(drive_at(takeover, error).kp, TORQUE.stop.kp)
+    takeover.commit(np.ones(ROBOTS, dtype=bool))
+    np.testing.assert_array_equal(drive_at(takeover, MOST / OWN.kp).kp, takeover.drive.kp)
+
+
+@pytest.mark.parametrize("error", [0.02, 0.0])
+def test_a_drive_whose_range_is_used_up_keeps_the_stiffness_that_it_begins_with(error):
+    drive = drive_at(taking_over(), error, tau=1.5 * torque_max(SPEC))
+    soft = TAKEOVER_SHARE if error else 1.0
+    np.testing.assert_allclose(drive.kp, soft * TORQUE.stop.kp)
