@@ -12,7 +12,7 @@ WAIT_S = 5.0
 
 
 class DiskWriter:
-    """New binary file whose `write` never blocks; after the first error nothing more is written.
+    """Binary file whose `write` never blocks; after the first error nothing more is written.
 
     Attributes:
         error: the first error of the disk, or None.
@@ -63,7 +63,7 @@ class DiskWriter:
 
     def _work(self, path: Path) -> None:
         try:
-            with path.open("xb") as file:
+            with path.open("wb") as file:
                 while (item := self._queue.get()) is not None:
                     if isinstance(item, Event):
                         item.set()
