@@ -20,18 +20,19 @@ LACKING, INTERRUPTED, BROKEN = 1, 130, 70
 """Exit codes where the computer lacks room, memory or open files, after Ctrl-C, and after a defect."""
 RESOURCES = {
     **dict.fromkeys(NO_ROOM, "a temporary file"),
-    **dict.fromkeys((errno.EMFILE, errno.ENFILE, errno.EAGAIN), "a file, a pipe or a process"),
+    **dict.fromkeys((errno.EMFILE, errno.ENFILE), "a file, a pipe or a process"),
+    errno.EAGAIN: "a process or a thread",
     errno.ENOMEM: "memory",
 }
 """Errors of a computer that lacks something, and what could not be created, unless the error names a file."""
 NO_MEMORY = (
     "can't allocate memory",
     "cannot allocate memory",
-    "can't start new thread",
     "failed to map segment from shared object",
 )
-"""Words, in lower case, of RuntimeErrors of torch and Python, and of ImportErrors, that lack memory or a
-process."""
+"""Words, in lower case, of RuntimeErrors of torch and ImportErrors of library loaders that lack memory."""
+NO_THREAD = "can't start new thread"
+"""Message of a RuntimeError of Python's where the system starts no further thread."""
 NO_FOLDER = "No usable temporary directory"
 """Beginning of the message of a FileNotFoundError where no folder for temporary files can be written."""
 ADDRESSES_MIN = 1 << 30
@@ -98,6 +99,8 @@ def report_failure(error: Exception) -> int:
     if _lacks_memory(error):
         first_line, *_ = str(error).splitlines() or [os.strerror(errno.ENOMEM)]
         error = OSError(errno.ENOMEM, printable(first_line))
+    elif isinstance(error, RuntimeError) and str(error) == NO_THREAD:
+        error = OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
     elif isinstance(error, FileNotFoundError) and (error.strerror or "").startswith(NO_FOLDER):
         error = OSError(errno.ENOSPC, error.strerror)
     if not isinstance(error, OSError) or error.errno not in RESOURCES:

@@ -19,8 +19,8 @@ from robots.spans import Quantity
 from robots.spec import RobotSpec
 from robots.strict import Strict, parse, read_json_file
 
-FILE_MAX = 1 << 27
-"""Characters of a stored draw: 3 to 10 thousand for each of tens of thousands of robots."""
+FILE_MAX = 1 << 29
+"""Characters of a stored draw: 3 to 10 thousand for each robot."""
 
 
 class Draw(dict[str, Floats]):

@@ -71,13 +71,14 @@ def check(
     actor = Jog(slow)
     moves = CheckMoves(actor, slow, float(np.deg2rad(angle_deg)))
     with handled(interrupts):
-        run = session.run(Drive(name="check", actor=actor, spec=slow, watchers=[moves]))
+        found = out / "check.json"
+        run = session.run(Drive(name="check", actor=actor, spec=slow, outputs=[found], watchers=[moves]))
         refused = run.reason if run.ending is Ending.REFUSED else ""
         findings = Evaluation(spec, moves, bounds, refused).findings
         if run.ending is not Ending.DONE:
             findings.stopped = findings.stopped or run.reason or (run.ending or Ending.FAILED).value
         about = {"robot": spec.name, "robot_digest": spec.digest, "angle_deg": angle_deg}
-        write_report(findings, out / "check.json", {**about, "seed": session.seed_text})
+        write_report(findings, found, {**about, "seed": session.seed_text})
     if run.ending is Ending.INTERRUPTED and not run.lost:
         return INTERRUPTED
     return PASSED if findings.passed and not run.lost else BUDGET_EXCEEDED

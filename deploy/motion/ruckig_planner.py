@@ -18,7 +18,7 @@ RENEW_S = 1.0
 may take longer than this, it is that long."""
 
 SPEED_MIN = 1e-3
-"""Share of a joint's speed limit below which a target speed counts as 0: Ruckig plans no motion of hours."""
+"""Share of a joint's speed limit below which a target speed counts as 0."""
 
 FAR_S = 1000.0
 """s. A target that takes longer at the limit of speed is moved nearer: Ruckig has no plan for more than two hours, and
@@ -74,7 +74,10 @@ class RuckigPlanner:
         self._in.target_position = target
         try:
             self._otg.calculate(self._in, trajectory)
-        except RuckigError:
+        except (
+            RuckigError,
+            ValueError,
+        ):  # the latter for motions of hours, whose result has no name in Python
             return False
         return True
 

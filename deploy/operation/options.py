@@ -12,7 +12,7 @@ from robots.errors import ConfigError
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
-SEED = 7
+SEED, SEED_TEXT = 7, re.compile(r"\d{1,18}")
 SPEED_MIN, SPEED_MAX = 0.1, 1000.0
 """Bounds of --speed: below, a stop, which takes half a second of robot time, would keep Ctrl-C waiting."""
 
@@ -55,7 +55,7 @@ def random_source(
     if seed is not None:
         raise ConfigError(f"--draw {draw}: found --seed {seed} beside it, expected one of them")
     robot = int(match[2])
-    if re.fullmatch(r"\d{1,18}", match[1]):
+    if SEED_TEXT.fullmatch(match[1]):
         return draw, robot_seed(int(match[1]), robot), None
     return draw, *_stored(spec, draw, Path(match[1]), robot)
 
@@ -63,7 +63,7 @@ def random_source(
 def draw_files(draw: str | None) -> tuple[Path, ...]:
     """Return the file that a draw as in `random_source` is read from, if there is one."""
     name, _, _ = (draw or "").rpartition(":")
-    return () if not name or name.isdigit() else (Path(name),)
+    return () if not name or SEED_TEXT.fullmatch(name) else (Path(name),)
 
 
 def _stored(spec: RobotSpec, draw: str, path: Path, robot: int) -> tuple[np.random.SeedSequence, Draw]:

@@ -30,6 +30,7 @@ from robots.errors import ConfigError
 from robots.spec import RobotSpec
 
 CONSOLE_S, VIEW_S = 0.2, 1 / 30
+HEAT = "heat.json"
 
 RobotName = Annotated[str, typer.Option(help="name in robots/, or a folder")]
 BackendName = Annotated[str, typer.Option(help=f"connection to the robot: {', '.join(installed(BACKENDS))}")]
@@ -74,7 +75,7 @@ class Drive:
     Attributes:
         name: for the summary: the policy's file. actor: in the place of the policy.
         spec: the robot within whose limits it is moved.
-        inputs: files that were read.
+        inputs: files that were read. outputs: files that are written besides those of a session.
         watchers: called after each tick.
         title: line for the console. joint: number of the joint that the operator moves; None where a policy moves all.
     """
@@ -83,6 +84,7 @@ class Drive:
     actor: Actor
     spec: RobotSpec
     inputs: Sequence[Path] = ()
+    outputs: Sequence[Path] = ()
     watchers: Sequence[Watcher] = ()
     title: Callable[[], str] | None = None
     joint: Callable[[], int] | None = None
@@ -120,8 +122,8 @@ class Session:
         )
         self._backend.check(request)
         check_folder(options.out)
-        for former in former_files(options.out):
-            check_no_input(former, (*drive.inputs, *draw_files(options.draw)))
+        for output in (*former_files(options.out), options.out / HEAT, *drive.outputs):
+            check_no_input(output, (*drive.inputs, *draw_files(options.draw)))
         with locked(options.out), closing(self._backend.open(request)) as robot:
             viewers = [RateLimited(VIEW_S, self._backend.viewer(robot))] if options.view else []
             runtime = Runtime(drive.spec, drive.actor.contract, robot, [self._source], drive.actor)
@@ -132,7 +134,7 @@ class Session:
             return self._execute(runtime, (recorder, heat_file), drive, viewers, about)
 
     def _heat_file(self, runtime: Runtime) -> TemperatureFile:
-        path, same = self._options.out / "heat.json", self._options.draw is None
+        path, same = self._options.out / HEAT, self._options.draw is None
         return TemperatureFile(path, self._options.spec, runtime.estimator.windings, same_robot=same)
 
     def _about(self, drive: Drive) -> dict[str, str]:

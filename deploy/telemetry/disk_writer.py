@@ -1,7 +1,6 @@
 """File written by a thread of its own, so that no disk can delay a tick."""
 
 import errno
-import os
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Event, Thread
@@ -59,7 +58,7 @@ class DiskWriter:
             self._give_up()
 
     def _give_up(self) -> None:
-        self.error = self.error or OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+        self.error = self.error or OSError(errno.ETIMEDOUT, f"the disk took longer than {WAIT_S:g} s")
 
     def _work(self, path: Path) -> None:
         try:
@@ -67,11 +66,11 @@ class DiskWriter:
                 while (item := self._queue.get()) is not None:
                     if isinstance(item, Event):
                         item.set()
-                    else:
+                    elif self.error is None:
                         file.write(item)
                         file.flush()
         except OSError as e:
-            self.error = e
+            self.error = self.error or e
             while (item := self._queue.get()) is not None:
                 if isinstance(item, Event):
                     item.set()

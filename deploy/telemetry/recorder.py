@@ -62,6 +62,7 @@ class Recorder:
         stream = self._recording(path)
         stream.settle()
         if stream.error is not None:
+            stream.finish()
             message = f"--out {path}: cannot be written: {stream.error.strerror}"
             raise output_error(message, stream.error) from stream.error
         return stream

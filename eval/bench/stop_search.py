@@ -31,12 +31,14 @@ STAGNATION, LEAST_GAIN = 20, 1e-4
 """Generations without a gain of that share of the limit, after which an island begins elsewhere."""
 TICKS, STEEPNESS = 4, 4.0
 """Ticks between two looks at a stop; slope of the objective where safety refuses, so that the search comes back."""
+UNPLANNED = 1e3
+"""Loss of a stop that Ruckig does not plan."""
 GAP_SCALE_M = 1.0
 """m, of gaps as shares."""
 
 
 class StopSearch:
-    """Stops of P robots from any joint angle, speed and acceleration within their limits.
+    """Stops of P robots, a multiple of `ISLAND`, from any joint angle, speed and acceleration within their limits.
 
     Attributes:
         quantities: what is searched for, each a share of its limit; of the gap between shapes, `GAP_SCALE_M` minus it,
@@ -121,28 +123,28 @@ class StopSearch:
         Islands search side by side, each from the best of as many random stops as there are robots, and again from
         elsewhere when nothing is gained: stops that pass between the moments lie in many narrow places.
         """
-        rng, found = np.random.default_rng(seed), np.nan
+        rng, self._worst = np.random.default_rng(seed), np.nan
         islands = [self._island(quantity, rng) for _ in range(self._robots // ISLAND)]
         for _ in range(generations):
             islands = [self._island(quantity, rng) if each.stagnates else each for each in islands]
             asked = [each.ask() for each in islands]
-            loss, accepted = self._loss(quantity, np.concatenate(asked))
-            found = np.fmax(found, np.fmax.reduce(accepted))
+            loss = self._loss(quantity, np.concatenate(asked))
             for island, x, of_island in zip(islands, asked, loss.reshape(-1, ISLAND), strict=True):
                 island.tell(x, of_island)
-        return float(found)
+        return float(self._worst)
 
     def _island(self, quantity: str, rng: np.random.Generator) -> "_Island":
         x = rng.random((self._robots, 3 * self._spec.n))
-        return _Island(x[self._loss(quantity, x)[0].argmin()], rng)
+        return _Island(x[self._loss(quantity, x).argmin()], rng)
 
-    def _loss(self, quantity: str, x: Floats) -> tuple[Floats, Floats]:
-        """Return (P,) the loss of stops x (P, 3n), and (P,) their share of a quantity, NaN where they are refused."""
+    def _loss(self, quantity: str, x: Floats) -> Floats:
+        """Return (P,) the loss of stops x (P, 3n), and remember the worst that is accepted."""
         bounds = np.array(list(self.bounds.values()))
         checked, whole, refused = self.run(self.start(x), quantity)
         excess = np.maximum(checked - bounds[:, None], 0.0).sum(axis=0)
-        loss = np.asarray(STEEPNESS * excess + (refused & (excess == 0.0)) - whole)
-        return loss, np.where(refused, np.nan, whole)
+        self._worst = np.fmax(self._worst, np.fmax.reduce(np.where(refused, np.nan, whole)))
+        loss = STEEPNESS * excess + (refused & (excess == 0.0)) - whole
+        return np.nan_to_num(loss, nan=UNPLANNED)
 
 
 class _Island:

@@ -13,7 +13,7 @@ from robots.errors import ConfigError
 from robots.strict import parse, read_json_file
 
 SUFFIX = ".soak.json"
-CHARACTERS_MAX = 1 << 25
+CHARACTERS_MAX = 1 << 26
 """Upper bound of the size of a record, 200 for each robot, or report, 500."""
 
 

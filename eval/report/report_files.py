@@ -51,11 +51,11 @@ def check_report_folder(out: Path, extra: Collection[str] = ()) -> None:
         OutputError: it cannot be written.
     """
     check_folder(out)
-    for path in (out / name for name in (*FILES, *extra)):
-        if os.path.isdir(path):
-            raise OutputError(f"--out {path}: found a folder, expected a file or nothing")
-        if os.path.exists(path.parent):
-            check_folder(path.parent)
+    paths = [out / name for name in (*FILES, *extra)]
+    for path in filter(os.path.isdir, paths):
+        raise OutputError(f"--out {path}: found a folder, expected a file or nothing")
+    for folder in filter(os.path.exists, {path.parent for path in paths} - {out}):
+        check_folder(folder)
 
 
 def write_report(report: Report, out: Path, extra: Mapping[str, bytes] | None = None) -> None:

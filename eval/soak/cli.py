@@ -135,8 +135,9 @@ def _extra_files(config: SoakConfig, shards: list[ShardResult], run: Run) -> dic
 def _prepare(config: SoakConfig, out: Path, console: Console) -> float:
     """Check checkpoints and disk space, and return the mean hours of each robot that an earlier start simulated."""
     unfinished = out / UNFINISHED
-    if os.path.exists(unfinished):
-        check_folder(unfinished)
+    for folder in (unfinished, out / EVENTS):
+        if os.path.exists(folder):
+            check_folder(folder)
     hours = resumed_ticks(config, unfinished, console) * config.spec.dt / 3600 / len(config.jobs())
     if hours:
         console.print(f"resuming after {hours:.3g} of {config.hours:g} hours")

@@ -1,6 +1,7 @@
 """Starts of command lines: every script of pyproject.toml has one, which no failing output ends, nor Ctrl-C loudly."""
 
 import ast
+import errno
 import os
 import resource
 import signal
@@ -216,17 +217,17 @@ def test_too_few_open_files_for_imports_are_one_line(written, tmp_path):
     assert ended.stderr == b"error: a file, a pipe or a process: Too many open files\n"
 
 
+AGAIN = os.strerror(errno.EAGAIN)
+
+
 @pytest.mark.parametrize(
-    ("failure", "said"),
-    [
-        ("BlockingIOError(errno.EAGAIN, 'Try again')", b"error: a file, a pipe or a process: Try again\n"),
-        ('RuntimeError("can\'t start new thread")', b"error: memory: can't start new thread\n"),
-    ],
+    "failure",
+    ["BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))", 'RuntimeError("can\'t start new thread")'],
 )
-def test_too_few_processes_are_one_line(written, tmp_path, failure, said):
-    written("crowded_command", f"import errno\nraise {failure}")
+def test_too_few_processes_are_one_line(written, tmp_path, failure):
+    written("crowded_command", f"import errno, os\nraise {failure}")
     ended = run("crowded_command", tmp_path)
-    assert (ended.returncode, ended.stderr) == (LACKING, said)
+    assert (ended.returncode, ended.stderr) == (LACKING, f"error: a process or a thread: {AGAIN}\n".encode())
 
 
 @pytest.mark.parametrize(("most", "said"), [(ADDRESSES_MIN - 1, "1023"), (0, "0")])

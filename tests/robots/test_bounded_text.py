@@ -53,6 +53,8 @@ BAD = {
         (f"a = {'9' * 5000}", f"found the number {'9' * 20}… of 5000 digits"),
         (f"a = -{'1_' * 100}1", "found the number 1_1_1_1_1_1_1_1_1_1_… of 201 digits"),
         (f"a = 0x{'f' * 5000}", "of 5002 digits"),
+        ('a = ["""b"""", ' + "[" * 3000 + "]" * 3001, "found TOML nested 3001 deep"),
+        ("a = ['''b''''', " + "[" * 3000 + "]" * 3001, "found TOML nested 3001 deep"),
     ),
 }
 

@@ -12,6 +12,9 @@ import deploy.operation.session
 from deploy.backends.sim.robot import SimRobot
 from deploy.commissioning.moves import CheckMoves
 from deploy.reasons import Reason
+from robots.distributions import load_distributions
+from robots.draws import draw
+from robots.randomness import robot_seed
 from robots.spec import load_robot
 from support.deploy.miswired import Wiring, exchanged, miswired
 from support.paths import TEST_ROBOTS
@@ -274,6 +277,16 @@ def test_another_mass_and_a_dragging_joint_are_found(check):
     assert code == 1
     assert any(text.startswith("friction 2.") for text in found["elbow"])
     assert any(text.startswith("torque against gravity") for text in found["wrist"])
+
+
+def test_a_draw_in_the_place_of_the_findings_is_exit_2_and_left_unchanged(check, tmp_path):
+    place, distributions = tmp_path / "out" / "check.json", load_distributions(PLANAR)
+    drawn = json.loads(draw(distributions, PLANAR, [robot_seed(7, 0)]).to_json(7, distributions, PLANAR))
+    place.parent.mkdir()
+    place.write_text(json.dumps(drawn))
+    code, said, left = check("--robot", "planar3", "--draw", f"{place}:0")
+    assert (code, left) == (2, drawn)
+    assert f"error: --out {place}: found a file that is read, expected another place\n" in said
 
 
 def test_interrupted_check_is_exit_130(check, monkeypatch):

@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ruckig import InputParameter, Ruckig, Synchronization, Trajectory
 
+from deploy.motion import ruckig_planner
 from deploy.motion.smoother import Smoother
 from deploy.state import Setpoint
 from robots.models.blocks import BLOCK
@@ -358,6 +359,15 @@ def test_a_slow_joint_goes_to_a_target_that_is_hours_away():
     np.testing.assert_allclose(
         np.diff(sent[-2:, 0], axis=0)[0] / DT, 1e-5 * V / SPEC.margins.speed, rtol=1e-3
     )
+
+
+def test_a_motion_that_takes_hours_has_no_plan(monkeypatch):
+    """Ruckig has a result for it that Python knows no name of."""
+    monkeypatch.setattr(ruckig_planner, "FAR_S", 1e9)
+    slow = SPEC.model_copy(update={"margins": SPEC.margins.model_copy(update={"speed": 1e-5})})
+    smoother = Smoother(slow, 1)
+    smoother.hold(np.ones(1, dtype=bool), HOME[None])
+    assert np.isnan(smoother.next(np.array([HIGH]), np.zeros(1, dtype=bool)).q).all()
 
 
 def test_hold_rests_only_the_robots_named():

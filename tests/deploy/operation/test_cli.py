@@ -352,7 +352,7 @@ def test_folder_of_another_run_is_exit_2_and_left_unchanged(command, arm_policy,
     assert (tmp_path / "run.mcap").read_text() == "of the other run"
 
 
-@pytest.mark.parametrize("name", ["run.mcap", "event-1.mcap", "summary.json"])
+@pytest.mark.parametrize("name", ["run.mcap", "event-1.mcap", "summary.json", "heat.json"])
 def test_a_policy_in_the_place_of_an_output_is_exit_2_and_left_unchanged(command, arm_policy, tmp_path, name):
     policy = shutil.copy(arm_policy, tmp_path / name)
     code, _, complaint = command("--policy", policy, "--duration", 1, "--out", tmp_path)

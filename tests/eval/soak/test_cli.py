@@ -373,14 +373,13 @@ def test_bundles_of_a_former_soak_that_stay_keep_the_checkpoints(tmp_path, monke
     assert not history.exists()
 
 
-def test_a_file_in_the_place_of_an_unfinished_soak_is_exit_2(soak_test, tmp_path):
+@pytest.mark.parametrize("name", ["unfinished", "events"])
+def test_a_file_in_the_place_of_a_folder_is_exit_2(soak_test, tmp_path, name):
     (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "unfinished").write_text("mine")
+    (tmp_path / "out" / name).write_text("mine")
     code, _, said = soak_test("--hours", 0.001, "--robots", 1, "--workers", 1)
-    assert (code, (tmp_path / "out" / "unfinished").read_text()) == (2, "mine")
-    assert (
-        said == f"error: --out {tmp_path}/out/unfinished: cannot be written: File exists, expected a folder\n"
-    )
+    assert (code, (tmp_path / "out" / name).read_text()) == (2, "mine")
+    assert said == f"error: --out {tmp_path}/out/{name}: cannot be written: File exists, expected a folder\n"
 
 
 @pytest.mark.slow
