@@ -74,10 +74,7 @@ class RuckigPlanner:
         self._in.target_position = target
         try:
             self._otg.calculate(self._in, trajectory)
-        except (
-            RuckigError,
-            ValueError,
-        ):  # the latter for motions of hours, whose result has no name in Python
+        except (RuckigError, ValueError):  # ValueError: a result without a name, of a motion of hours
             return False
         return True
 

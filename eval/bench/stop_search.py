@@ -47,6 +47,7 @@ class StopSearch:
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         """Build the shipped smoother and safety."""
+        self._worst = np.nan
         self._spec, self._space, self._fleet = spec, spec.workspace, Fleet(spec, robots, collisions=True)
         self._smoother, self._robots = Smoother(spec, robots), robots
         self._stops = TrackingTrajectories(spec, robots, RuckigPlanner)
