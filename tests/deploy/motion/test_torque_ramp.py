@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from deploy.motion.torque_ramp import TorqueRamp
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
+from robots.tables import ModeMargins
 from support.arm6 import SPEC
 
 N, DT = SPEC.n, SPEC.dt
@@ -30,6 +31,12 @@ def assert_inside_limits(sent):
     rate = np.diff(np.concatenate((np.zeros((2, *sent.shape[1:])), sent)), axis=0) / DT
     assert (np.abs(rate) <= RATE * (1 + 1e-9)).all()
     assert (np.abs(np.diff(rate, axis=0)) / DT <= RATE2 * (1 + 1e-6)).all()
+
+
+def test_range_of_torques_is_that_of_torque_mode():
+    margins = SPEC.margins.model_copy(update={"torque_mode": ModeMargins(tau=0.25)})
+    ramp = TorqueRamp(SPEC.model_copy(update={"margins": margins}), 1)
+    np.testing.assert_allclose(ramp.clamped(np.full((1, N), 1e9))[0], 0.25 * torque_max(SPEC))
 
 
 def test_a_step_is_reached_and_not_passed():

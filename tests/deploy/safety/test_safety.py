@@ -266,6 +266,16 @@ def test_pose_checks_agree_with_mujoco():
     assert (reason & ~sum(int(bit) for bit in expected) == 0).all()
 
 
+@pytest.mark.parametrize("joint", range(N))
+@pytest.mark.parametrize("share", [-1.001, -0.999, 0.999, 1.001])
+def test_acceleration(joint, share):
+    """Of a joint that the acceleration slows down: only together with its speed would it be too fast."""
+    qdd = one(joint, share * SPEC.joint_array("qdd_max")[joint])
+    slow = point(HOME, one(joint, -0.1 * np.sign(share)), qdd)
+    found = reasons(setpoint=slow, ahead=point(), safety=Safety(SPEC, Fleet(SPEC, 2, collisions=True)))
+    assert (Reason.ACCELERATION in found) == (abs(share) > 1)
+
+
 def test_robots_are_checked_independently():
     """Eleven robots, each with another fault, and every verdict is that of its own fault."""
     faults = {

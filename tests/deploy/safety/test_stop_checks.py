@@ -75,6 +75,7 @@ def test_a_stop_takes_over_from_torques_at_a_bounded_rate(mode):
         assert found == (Reason.TORQUE if refused else 0)
 
 
+FLEET = Fleet(SPEC, 2, collisions=True)
 FAST = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"speed": 0.95, "tool_speed": 0.92})})
 """The arm with a small margin of speed."""
 
@@ -84,6 +85,17 @@ def stop_of(start):
     stop, safety = Smoother(FAST, 1).brake(start), Safety(FAST, Fleet(FAST, 2, collisions=True))
     ends = {"setpoint": start, "qd_hat": start.qd, "ahead": stop.ahead, "q_rest": stop.q_rest}
     return ends | {"safety": safety}, stop
+
+
+@pytest.mark.parametrize("moment", ["early", "mid_stop", "late", "last"])
+def test_speed_of_the_tool_is_that_of_the_moments_own_pose(moment):
+    """Its pan turns an arm that reaches out, or one that does not, with the same speed."""
+    reaching, pan = one(2, 0.6, one(1, -0.8, HOME)), one(0, 3.0)
+    for q, expected in ((reaching, Reason.TOOL_SPEED), (HOME, 0)):
+        assert reasons(**{f"q_{moment}": q, f"qd_{moment}": pan}, safety=Safety(SPEC, FLEET)) == expected
+    poses = {f"q_{other}": reaching for other in ("early", "mid_stop", "late", "last") if other != moment}
+    found = reasons(**poses, **{f"qd_{moment}": pan}, q_rest=reaching, safety=Safety(SPEC, FLEET))
+    assert found == 0
 
 
 def test_a_stop_in_which_the_tool_gains_speed_is_refused():
