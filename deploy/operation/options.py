@@ -3,6 +3,7 @@
 import math
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from robots.errors import ConfigError
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
-SEED, SEED_TEXT = 7, re.compile(r"\d{1,18}")
+SEED = 7
 SPEED_MIN, SPEED_MAX = 0.1, 1000.0
 """Bounds of --speed: below, a stop, which takes half a second of robot time, would keep Ctrl-C waiting."""
 
@@ -34,10 +35,22 @@ def speed_factor(speed: str) -> float:
     return factor
 
 
-def random_source(
-    spec: RobotSpec, seed: int | None, draw: str | None
-) -> tuple[str, np.random.SeedSequence, Draw | None]:
-    """Return the seed of everything random, in words and as such, and the draw if a file holds it.
+class Source(NamedTuple):
+    """Source of everything random.
+
+    Attributes:
+        text: the seed or draw, in words.
+        draw: of the robot, if a file holds it. files: those that were read.
+    """
+
+    text: str
+    seed: np.random.SeedSequence
+    draw: Draw | None = None
+    files: tuple[Path, ...] = ()
+
+
+def random_source(spec: RobotSpec, seed: int | None, draw: str | None) -> Source:
+    """Return the source of everything random.
 
     `draw` is the robot of a soak, as SEED:ROBOT or FILE:ROBOT; a robot drawn now has `seed`, None for `SEED`.
 
@@ -48,22 +61,17 @@ def random_source(
         number = SEED if seed is None else seed
         if number < 0:
             raise ConfigError(f"--seed {number}: expected 0 or more")
-        return str(number), robot_seed(number, 0), None
+        return Source(str(number), robot_seed(number, 0))
     match = re.fullmatch(r"(.+):(\d{1,9})", draw)
     if not match:
         raise ConfigError(f"--draw {draw}: expected SEED:ROBOT, or FILE:ROBOT of a soak's draws.json")
     if seed is not None:
         raise ConfigError(f"--draw {draw}: found --seed {seed} beside it, expected one of them")
     robot = int(match[2])
-    if SEED_TEXT.fullmatch(match[1]):
-        return draw, robot_seed(int(match[1]), robot), None
-    return draw, *_stored(spec, draw, Path(match[1]), robot)
-
-
-def draw_files(draw: str | None) -> tuple[Path, ...]:
-    """Return the file that a draw as in `random_source` is read from, if there is one."""
-    name, _, _ = (draw or "").rpartition(":")
-    return () if not name or SEED_TEXT.fullmatch(name) else (Path(name),)
+    if re.fullmatch(r"\d{1,18}", match[1]):
+        return Source(draw, robot_seed(int(match[1]), robot))
+    path = Path(match[1])
+    return Source(draw, *_stored(spec, draw, path, robot), (path,))
 
 
 def _stored(spec: RobotSpec, draw: str, path: Path, robot: int) -> tuple[np.random.SeedSequence, Draw]:

@@ -14,7 +14,7 @@ import typer
 from deploy.backends.backend import Backend, Request
 from deploy.operation.interrupts import Interrupts
 from deploy.operation.loop_timing import Clock, LoopTiming, RateLimited, Unpaced, WallClock
-from deploy.operation.options import SEED, draw_files, random_source, speed_factor
+from deploy.operation.options import SEED, random_source, speed_factor
 from deploy.operation.robot_run import RobotRun, Watcher
 from deploy.operation.summary import report
 from deploy.operation.temperature_file import PERIOD_S as HEAT_S
@@ -108,7 +108,8 @@ class Session:
             raise ConfigError(f"--duration {options.duration}: expected s above 0, or inf")
         given = {"--draw": options.draw is not None, "--view": options.view}
         self._backend = _backend(options.backend, simulation=given)
-        self.seed_text, self._source, self._drawn = random_source(options.spec, options.seed, options.draw)
+        source = random_source(options.spec, options.seed, options.draw)
+        self.seed_text, self._source, self._drawn, self._read = source
 
     def run(self, drive: Drive) -> RobotRun:
         """Drive the robot from arming to rest, write its files, and return the finished run."""
@@ -123,7 +124,7 @@ class Session:
         self._backend.check(request)
         check_folder(options.out)
         for output in (*former_files(options.out), options.out / HEAT, *drive.outputs):
-            check_no_input(output, (*drive.inputs, *draw_files(options.draw)))
+            check_no_input(output, (*drive.inputs, *self._read))
         with locked(options.out), closing(self._backend.open(request)) as robot:
             viewers = [RateLimited(VIEW_S, self._backend.viewer(robot))] if options.view else []
             runtime = Runtime(drive.spec, drive.actor.contract, robot, [self._source], drive.actor)
