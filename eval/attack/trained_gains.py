@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
+from deploy.policy.gain_bounds import damping_bounds, stiffness_bounds
 from deploy.policy.policy import Policy
 from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
@@ -29,3 +30,22 @@ def gains_of(path: Path, spec: RobotSpec, mode: ControlMode) -> TrainedGains:
     if action.control_mode is not mode:
         raise ConfigError(f"--gains: {path}: found mode {action.mode!r}, expected that of --mode")
     return TrainedGains(action.kp, action.kd)
+
+
+def extreme_gains(spec: RobotSpec, mode: ControlMode) -> tuple[TrainedGains, ...]:
+    """Return the softest and the stiffest gains that a contract may have; none in torque mode or if it has no choice.
+
+    The stiffest have 0.99 of the highest stiffness, at which a single damping is allowed.
+    """
+    low, high = stiffness_bounds(spec, mode)
+    stiffest = 0.99 * high
+    if mode is ControlMode.TORQUE or (low >= stiffest).any():
+        return ()
+    softest_damping, stiffest_damping = (
+        damping_bounds(spec, mode, low).low,
+        damping_bounds(spec, mode, stiffest).high,
+    )
+    return (
+        TrainedGains(tuple(low.tolist()), tuple(softest_damping.tolist())),
+        TrainedGains(tuple(stiffest.tolist()), tuple(stiffest_damping.tolist())),
+    )

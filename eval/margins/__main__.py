@@ -19,6 +19,7 @@ from deploy.telemetry.plain_console import plain_console
 from eval.attack.adversaries import ADVERSARIES
 from eval.attack.arena import Setting, find_mode
 from eval.attack.pool import processes
+from eval.attack.trained_gains import extreme_gains
 from eval.bench.stop_search import GENERATIONS
 from eval.margins.derive import ROUNDING, Need, need, noise_of, stop_excess
 from eval.margins.excess import SHARES
@@ -92,10 +93,15 @@ def margins(
 
 
 def _find(pool: Executor, spec: RobotSpec, mode: ControlMode, effort: Effort, console: Console) -> Found:
-    setting = Setting(robot=spec.folder, mode=mode)
+    settings = [
+        Setting(robot=spec.folder, mode=mode, gains=gains) for gains in (None, *extreme_gains(spec, mode))
+    ]
     stop = pool.submit(stop_excess, spec.in_mode(mode), effort.generations)
     library = tuple(ADVERSARIES) * effort.trials
-    jobs = [Trial(setting, adversary, seed, effort.corners) for seed, adversary in enumerate(library)]
+    jobs = [
+        Trial(settings[seed % len(settings)], adversary, seed, effort.corners)
+        for seed, adversary in enumerate(library)
+    ]
     bar = track(pool.map(run, jobs), f"{spec.name}, {mode.name.lower()} mode", len(jobs), console=console)
     outcomes = list(bar)
     predicted = mode is ControlMode.TORQUE  # in other modes what is sent does not depend on samples

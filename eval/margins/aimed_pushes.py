@@ -3,6 +3,7 @@
 A soak pushes at random moments. What a push does at the worst one would take many trials to meet by chance.
 """
 
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -23,18 +24,28 @@ NOBODY = -1
 """Aim of a robot that is not pushed."""
 
 
+class Moment(IntEnum):
+    """Moment at which a push begins, of a joint or a tool that is near its highest speed."""
+
+    FAST = 0
+    BRAKING = 1
+    """The planned speed begins to fall."""
+    STOPPING = 2
+    """A stop of the runtime begins: gears that drove their links carry nothing for a moment."""
+
+
 class Aims(NamedTuple):
     """Targets of the pushes of B robots.
 
     Attributes:
         joints: (B,) joint along whose motion, n for the tool, or `NOBODY`.
         links: (B,) link that is pushed.
-        braked: (B,) pushed when the planned speed begins to fall, and not before.
+        moments: (B,) of `Moment`.
     """
 
     joints: Ints
     links: Ints
-    braked: Bools
+    moments: Ints
 
 
 class AimedPushes:
@@ -58,11 +69,11 @@ class AimedPushes:
         self._tick, (self._until, self._fastest, self._before) = 0, np.zeros((3, len(aims.joints)))
         self.on = np.zeros(len(aims.joints), dtype=bool)
 
-    def step(self, planned: Values, q: Floats, qd: Floats) -> None:
+    def step(self, planned: Values, q: Floats, qd: Floats, stops: Bools) -> None:
         """End and begin pushes after a tick.
 
         Args:
-            planned: speeds, as in `Excess`. q, qd: (B, n) rad and rad/s, true.
+            planned: speeds, as in `Excess`. q, qd: (B, n) rad and rad/s, true. stops: (B,) a stop began in this tick.
         """
         speeds = np.hstack([planned["speed"], planned.get("tool_speed", np.zeros((len(q), 1)))])
         speed = np.take_along_axis(speeds, self._aims.joints[:, None], axis=1)[:, 0]
@@ -70,10 +81,9 @@ class AimedPushes:
         self._applied[self.on & (self._tick >= self._until)] = 0.0
         self.on &= self._tick < self._until
         waited = self._tick >= self._until + self._pause
-        moment = (speed >= NEAR * self._fastest) & np.where(
-            self._aims.braked, speed < self._before, speed > 0.0
-        )
-        begin = moment & waited & ~self.on & (self._aims.joints != NOBODY)
+        moment = np.choose(self._aims.moments, (speed > 0.0, speed < self._before, stops))
+        fast = speed >= NEAR * self._fastest
+        begin = fast & moment & waited & ~self.on & (self._aims.joints != NOBODY)
         for robot in np.flatnonzero(begin).tolist():
             body = self._bodies[self._aims.links[robot]]
             self._applied[robot, body, :3] = self._force[robot] * self._direction(robot, q[robot], qd[robot])

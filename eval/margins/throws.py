@@ -17,15 +17,17 @@ POSES = 32
 
 
 class Throws(NamedTuple):
-    """Largest effects over poses, (B, n, n): on each joint, of a push on each link.
+    """Largest effects over poses.
 
     Attributes:
-        speed: of the thrown link, by its push alone, as a share of the limit of speed.
-        torque: of the damping of the drive whose rotor the link then hits, as a share of its range.
+        speed: (B, n, n) of each link, by a push on each link, as a share of its joint's limit of speed.
+        torque: (B, n, n) of the damping of the drive whose rotor the link then hits, as a share of its range.
+        tool: (B,) m/s of the end of the arm, by a push on the last link that throws all links in the same direction.
     """
 
     speed: Floats
     torque: Floats
+    tool: Floats
 
 
 def throws(spec: RobotSpec, robots: Draw) -> Throws:
@@ -39,16 +41,16 @@ def throws(spec: RobotSpec, robots: Draw) -> Throws:
     play = robots["joints.backlash_rad"] + LIVES * robots["wear.backlash_rad"]
     work = 2.0 * robots["push.force_n"][:, None] * play
     damping = drive_gains(spec).kd * spec.joint_array("qd_max") / torque_max(spec)
-    speed, torque = np.zeros((2, len(work), spec.n, spec.n))
+    speed, torque, tool = *np.zeros((2, len(work), spec.n, spec.n)), np.zeros(len(work))
     for place in qmc.Halton(spec.n, scramble=False).random(POSES):
         levers, inertia = _levers_and_inertia(model, data, robots, low + place * (high - low))
-        reached = (
-            np.sqrt(work[:, :, None] * levers / inertia[:, :, None]) / spec.joint_array("qd_max")[:, None]
-        )
+        thrown = np.sqrt(work[:, :, None] * levers / inertia[:, :, None])
+        reached = thrown / spec.joint_array("qd_max")[:, None]
         struck = damping * inertia / (inertia + model.armature)
         np.maximum(speed, reached, out=speed)
         np.maximum(torque, struck[:, :, None] * reached, out=torque)
-    return Throws(speed, torque)
+        np.maximum(tool, np.sum(thrown[:, :, -1] * levers[:, :, -1], axis=1), out=tool)
+    return Throws(speed, torque, tool)
 
 
 def _levers_and_inertia(model: pin.Model, data: pin.Data, robots: Draw, q: Floats) -> tuple[Floats, Floats]:

@@ -15,7 +15,7 @@ from eval.attack.crowd import Crowd
 from eval.attack.island import FAR
 from eval.attack.loaded_robots import CHOICE, DISTURBED, loaded_robots, loaded_shard
 from eval.attack.policy_graph import policy_file
-from eval.margins.aimed_pushes import NOBODY, AimedPushes, Aims
+from eval.margins.aimed_pushes import NOBODY, AimedPushes, Aims, Moment
 from eval.margins.excess import Excess, Values
 from eval.margins.throws import throws
 from eval.replay.bundle import POLICY
@@ -33,10 +33,13 @@ DRAWN = ("sensors", "climate", "wear")
 """Groups of draws.toml that are drawn as in a soak at the corners, too."""
 AIMED = WIDTH // 2
 """First of the robots of a trial that are pushed along their motion, the more worn half; the others, by chance."""
-TURNS = 4
-"""They take turns: one is pushed along the motion of its tool, one as a joint brakes, two while a joint is fast."""
-BRAKED = np.arange(WIDTH - AIMED) % TURNS == 1
-"""Which of them are pushed as a joint brakes; those whose torque that affects most."""
+_TURNS: tuple[tuple[Moment, bool], ...] = (
+    *((Moment.FAST, True), (Moment.BRAKING, False), (Moment.FAST, False), (Moment.FAST, False)),
+    *((Moment.STOPPING, True), (Moment.BRAKING, False), (Moment.FAST, False), (Moment.FAST, False)),
+)
+"""Moment of the push of each of them, and whether it is along the motion of the tool, not of a joint."""
+MOMENTS, OF_TOOL = np.array([moment for moment, _ in _TURNS]), np.array([tool for _, tool in _TURNS])
+"""(WIDTH - AIMED,) each."""
 NEVER_S = 1e9
 """s, a pause that no trial reaches."""
 
@@ -81,10 +84,12 @@ def run(trial: Trial) -> Outcome:
     plant = shard.robot.plant
     excess, by_chance = Excess(shard.runtime, plant), plant.disturbances[Pushes.name]
     aimed = AimedPushes(spec, plant, robots, aims(spec, robots, trial.seed))
+    supervisor = shard.runtime.supervisor
     for _ in range(round(TRIAL_S / spec.dt)):
+        ran = supervisor.running
         shard.tick()
         planned = excess.step(shard.truth, by_chance.on | aimed.on)
-        aimed.step(planned, shard.truth.q, shard.truth.qd)
+        aimed.step(planned, shard.truth.q, shard.truth.qd, ran & ~supervisor.running)
     return Outcome(excess.largest, excess.estimate_error, int((~shard.truth.valid).sum()))
 
 
@@ -96,7 +101,7 @@ def make_shard(setting: Setting, robots: Draw, seed: int) -> Shard:
 
 
 def draw_robots(spec: RobotSpec, seed: int, *, corners: bool) -> Draw:
-    """Return robots of `loaded_robots`, and from `AIMED` on those of many that a push throws most.
+    """Return robots of `loaded_robots`, and from `AIMED` on those of many that a push affects most.
 
     With `corners`, each mechanical quantity has its least or its most.
     """
@@ -115,10 +120,14 @@ def draw_robots(spec: RobotSpec, seed: int, *, corners: bool) -> Draw:
 
 def _thrown_robots(distributions: Distributions, spec: RobotSpec, seed: int) -> Draw:
     robots = draw(distributions, spec, [robot_seed(seed, robot) for robot in range(CHOICE * WIDTH)])
-    speed, torque = throws(spec, robots)
+    found = throws(spec, robots)
+    of_tool = OF_TOOL & (spec.workspace is not None)
     rows: list[int] = []
-    for joint, braked in zip(_joints_in_turn(spec, seed), BRAKED, strict=True):
-        effect = torque.max(axis=(1, 2)) if braked else speed[:, joint].max(axis=1)
+    for joint, moment, tool in zip(_joints_in_turn(spec, seed), MOMENTS, of_tool, strict=True):
+        of_joint = (
+            found.torque.max(axis=(1, 2)) if moment == Moment.BRAKING else found.speed[:, joint].max(axis=1)
+        )
+        effect = (found.tool if tool else of_joint).copy()
         effect[rows] = -np.inf
         rows.append(int(effect.argmax()))
     return robots.rows(np.array(rows)).replaced({"push.every_s": NEVER_S})
@@ -132,13 +141,14 @@ def _joints_in_turn(spec: RobotSpec, seed: int) -> Ints:
 
 def aims(spec: RobotSpec, robots: Draw, seed: int) -> Aims:
     """Return the aims of a trial: joints in turn, or whose torque a push affects most, and tools that have limits."""
-    speed, torque = throws(spec, robots)
-    braked = np.concatenate((np.zeros(AIMED, dtype=bool), BRAKED))
+    found = throws(spec, robots)
+    moments = np.concatenate((np.full(AIMED, Moment.FAST), MOMENTS))
+    braked = moments == Moment.BRAKING
     joints = np.concatenate((np.zeros(AIMED, dtype=np.int64), _joints_in_turn(spec, seed)))
-    joints[braked] = torque[braked].max(axis=2).argmax(axis=1)
-    effect = np.where(braked[:, None, None], torque, speed)
+    joints[braked] = found.torque[braked].max(axis=2).argmax(axis=1)
+    effect = np.where(braked[:, None, None], found.torque, found.speed)
     links = effect[np.arange(WIDTH), joints].argmax(axis=1)
     if spec.workspace:
-        joints[AIMED::TURNS], links[AIMED::TURNS] = spec.n, spec.n - 1
+        joints[AIMED:][OF_TOOL], links[AIMED:][OF_TOOL] = spec.n, spec.n - 1
     joints[:AIMED] = NOBODY
-    return Aims(joints, links, braked)
+    return Aims(joints, links, moments)

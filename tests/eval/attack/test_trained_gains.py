@@ -7,6 +7,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from deploy.policy.compatibility import check_contract
 from eval.attack.adversaries import ADVERSARIES
 from eval.attack.archive import Archive, Found
 from eval.attack.arena import Arena, Setting
@@ -14,10 +15,12 @@ from eval.attack.candidate import Candidate, Case, read_case
 from eval.attack.policy_graph import attack_contract, policy_file
 from eval.attack.report import case_of, make_report
 from eval.attack.suite import run_suite
-from eval.attack.trained_gains import TrainedGains, gains_of
+from eval.attack.trained_gains import TrainedGains, extreme_gains, gains_of
 from robots.errors import ConfigError, ContractError
 from robots.motors.control_mode import ControlMode
 from robots.motors.drive_gains import drive_gains
+from robots.spec import load_robot
+from support.arm6 import copy_of_arm
 from support.quadruped import QUADRUPED
 
 POSITION = ControlMode.POSITION
@@ -36,6 +39,25 @@ def test_adversaries_have_the_gains_of_a_policy(tmp_path):
     assert runtime.springs is not None
     np.testing.assert_array_equal(runtime.drives.policy.kp[0], GAINS.kp)
     np.testing.assert_array_equal(runtime.drives.policy.kd[0], GAINS.kd)
+
+
+@pytest.mark.parametrize("name", ["arm6", "planar3", "planar4"])
+@pytest.mark.parametrize("mode", [POSITION, ControlMode.VELOCITY])
+def test_extreme_gains_are_the_last_that_a_contract_may_have(name, mode):
+    spec = load_robot(name)
+    soft, stiff = extreme_gains(spec, mode)
+    for gains in (soft, stiff):
+        check_contract(attack_contract(spec, mode, gains), spec, name)
+    for gains, kp, kd in ((soft, 0.99, 1.0), (soft, 1.0, 0.99), (stiff, 1.02, 1.0), (stiff, 1.0, 1.01)):
+        beyond = TrainedGains(tuple(kp * x for x in gains.kp), tuple(kd * x for x in gains.kd))
+        with pytest.raises(ContractError, match=r"action\.k[pd]: "):
+            check_contract(attack_contract(spec, mode, beyond), spec, name)
+
+
+def test_where_no_gains_are_allowed_there_are_no_extreme_ones(tmp_path):
+    assert not extreme_gains(load_robot("arm6"), ControlMode.TORQUE)
+    narrow = copy_of_arm(tmp_path, toml=[("q_soft_rad = 0.03", "q_soft_rad = 1e-6")])
+    assert not extreme_gains(load_robot(narrow), POSITION)
 
 
 def test_a_policy_without_gains_has_none_to_take(tmp_path):

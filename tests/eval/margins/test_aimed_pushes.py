@@ -7,12 +7,12 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from eval.margins.aimed_pushes import NEAR, NOBODY, PAUSE_S, AimedPushes, Aims
+from eval.margins.aimed_pushes import NEAR, NOBODY, PAUSE_S, AimedPushes, Aims, Moment
 from robots.spec import load_robot
 
 SPEC = load_robot("planar3")
 PAUSE, LASTS, FORCE = round(PAUSE_S / SPEC.dt), 4, 5.0
-AIMS = Aims(np.array([0, 1, 2, NOBODY]), np.array([1, 2, 2, 0]), np.zeros(4, dtype=bool))
+AIMS = Aims(np.array([0, 1, 2, NOBODY]), np.array([1, 2, 2, 0]), np.full(4, Moment.FAST))
 """Robots of the bench: pushed along the motion of shoulder, elbow and wrist, and never."""
 
 
@@ -29,11 +29,16 @@ class Bench:
         draw["links.com_m"] = np.broadcast_to(centre, (*self.shape, 3))
         self.pushes = AimedPushes(spec, plant, draw, aims)
 
-    def step(self, speed, qd, ticks=1, **more):
-        """Step with one planned share of all joints and given true speeds; return forces (B, 3)."""
+    def step(self, speed, qd, ticks=1, *, stops=False, **more):
+        """Step with one planned share of all joints, true speeds and stops; return forces (B, 3)."""
         planned = {"speed": np.full(self.shape, speed)} | more
         for _ in range(ticks):
-            self.pushes.step(planned, np.zeros(self.shape), np.broadcast_to(qd, self.shape))
+            self.pushes.step(
+                planned,
+                np.zeros(self.shape),
+                np.broadcast_to(qd, self.shape),
+                np.broadcast_to(stops, self.shape[0]),
+            )
         return self.forces[:, :, :3].sum(axis=1)
 
 
@@ -69,16 +74,28 @@ def test_links_of_the_aims_are_pushed():
 
 
 def test_a_push_on_a_joint_that_brakes_waits_until_its_speed_falls():
-    bench = Bench(aims=AIMS._replace(braked=np.array([True, False, False, True])))
+    moments = np.array([Moment.BRAKING, Moment.FAST, Moment.FAST, Moment.BRAKING])
+    bench = Bench(aims=AIMS._replace(moments=moments))
     bench.step(0.5, 1.0, PAUSE + 2)
     assert bench.pushes.on.tolist() == [False, True, True, False]
     bench.step(0.499, 1.0)
     assert bench.pushes.on.tolist() == [True, True, True, False]
 
 
+def test_a_push_as_a_stop_begins_waits_for_one_from_a_high_speed():
+    moments = np.array([Moment.STOPPING, Moment.STOPPING, Moment.FAST, Moment.STOPPING])
+    bench = Bench(aims=AIMS._replace(moments=moments))
+    bench.step(0.5, 1.0, PAUSE + 2)
+    assert bench.pushes.on.tolist() == [False, False, True, False]
+    bench.step(0.99 * NEAR * 0.5, 1.0, stops=True)
+    assert bench.pushes.on.tolist() == [False, False, True, False]
+    bench.step(0.5, 1.0, stops=np.array([True, False, True, True]))
+    assert bench.pushes.on.tolist() == [True, False, True, False]
+
+
 def test_the_tool_is_pushed_along_its_own_motion_by_its_own_speed():
     spec = load_robot("arm6")
-    bench = Bench(spec, Aims(np.array([spec.n]), np.array([spec.n - 1]), np.array([False])))
+    bench = Bench(spec, Aims(np.array([spec.n]), np.array([spec.n - 1]), np.array([Moment.FAST])))
     assert not bench.step(0.7, 0.0, PAUSE + 5, tool_speed=np.zeros((1, 1))).any()
     force = bench.step(0.0, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], tool_speed=np.full((1, 1), 0.3))
     assert bench.forces[0, spec.n, :3] @ bench.forces[0, spec.n, :3] == pytest.approx(FORCE**2)

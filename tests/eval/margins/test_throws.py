@@ -56,6 +56,12 @@ def test_speed_is_that_of_a_link_at_the_end_of_its_play():
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
 
 
+def test_tool_is_what_throws_of_all_links_add_up_to():
+    work = 2.0 * FORCE * (PLAY + LIVES * WORN)
+    sums = [np.sum(np.sqrt(work * levers[:, -1] ** 3 / inertia)) for levers, inertia in oracle()]
+    np.testing.assert_allclose(throws(SPEC, arms()).tool, max(sums), rtol=1e-6)
+
+
 def test_torque_is_the_damping_of_link_and_rotor_together():
     armature, work = np.array([1.0201] * 3 + [0.20402] * 3), 2.0 * FORCE * (PLAY + LIVES * WORN)
     blows = [

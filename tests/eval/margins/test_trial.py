@@ -9,9 +9,9 @@ import eval.margins.trial as module
 from deploy.policy.actor import Actor
 from eval.attack.arena import Setting
 from eval.attack.loaded_robots import CHOICE, DISTURBED, extra_load
-from eval.margins.aimed_pushes import NOBODY
+from eval.margins.aimed_pushes import NOBODY, Moment
 from eval.margins.throws import throws
-from eval.margins.trial import AIMED, BRAKED, TURNS, Trial, aims, draw_robots, make_shard, run
+from eval.margins.trial import AIMED, MOMENTS, OF_TOOL, Trial, aims, draw_robots, make_shard, run
 from eval.shard.job import WIDTH
 from robots.distributions import load_distributions
 from robots.draws import Draw, draw
@@ -20,6 +20,7 @@ from robots.randomness import robot_seed
 from robots.spec import load_robot
 
 PLANAR = load_robot("planar3")
+BRAKED = MOMENTS == Moment.BRAKING
 POSITION = Setting(robot=PLANAR.folder, mode=ControlMode.POSITION)
 
 
@@ -60,7 +61,7 @@ def test_of_the_first_half_every_second_robot_is_one_of_those_with_the_most_load
 def test_robots_of_the_other_half_are_those_that_a_push_affects_most():
     seed = 4
     seeds = [robot_seed(seed, robot) for robot in range(CHOICE * WIDTH)]
-    speed, torque = throws(PLANAR, draw(load_distributions(PLANAR), PLANAR, seeds))
+    speed, torque, _ = throws(PLANAR, draw(load_distributions(PLANAR), PLANAR, seeds))
     robots = draw_robots(PLANAR, seed, corners=False)
     assert (robots["push.every_s"][AIMED:] > 1e6).all()
     found = throws(PLANAR, robots)
@@ -71,23 +72,32 @@ def test_robots_of_the_other_half_are_those_that_a_push_affects_most():
         assert found.speed[robot, joint].max() >= np.sort(speed[:, joint].max(axis=1))[-(WIDTH - AIMED)]
 
 
+def test_tools_are_pushed_of_robots_whose_throws_add_up_to_most():
+    arm, seed = load_robot("arm6"), 4
+    seeds = [robot_seed(seed, robot) for robot in range(CHOICE * WIDTH)]
+    most = np.sort(throws(arm, draw(load_distributions(arm), arm, seeds)).tool)[::-1]
+    chosen = throws(arm, draw_robots(arm, seed, corners=False)).tool[AIMED:][OF_TOOL]
+    assert chosen[0] == most[0]
+    assert (chosen >= most[WIDTH - AIMED]).all()
+
+
 def test_aims_are_joints_in_turn_and_the_links_that_throw_them_most():
     arm, aimed = load_robot("arm6"), set()
     for seed in range(arm.n):
         robots = draw_robots(arm, seed, corners=False)
-        speed, torque = throws(arm, robots)
+        speed, torque, _ = throws(arm, robots)
         chosen = aims(arm, robots, seed)
         assert (chosen.joints[:AIMED] == NOBODY).all()
-        assert chosen.braked.nonzero()[0].tolist() == (AIMED + np.flatnonzero(BRAKED)).tolist()
-        tools = chosen.joints == arm.n
-        assert tools.sum() == (WIDTH - AIMED) // TURNS
+        assert (chosen.moments[AIMED:] == MOMENTS).all()
+        tools, braked = chosen.joints == arm.n, chosen.moments == Moment.BRAKING
+        assert (AIMED + np.flatnonzero(OF_TOOL)).tolist() == np.flatnonzero(tools).tolist()
         assert (chosen.links[tools] == arm.n - 1).all()
         for robot in AIMED + np.flatnonzero(~tools[AIMED:]):
-            effect = (torque if chosen.braked[robot] else speed)[robot]
+            effect = (torque if braked[robot] else speed)[robot]
             assert effect[chosen.joints[robot], chosen.links[robot]] == effect[chosen.joints[robot]].max()
-        for robot in np.flatnonzero(chosen.braked):
+        for robot in np.flatnonzero(braked):
             assert torque[robot, chosen.joints[robot]].max() == torque[robot].max()
-        aimed |= set(chosen.joints[AIMED:][~chosen.braked[AIMED:]].tolist())
+        aimed |= set(chosen.joints[AIMED:][~braked[AIMED:]].tolist())
     assert aimed == {*range(arm.n + 1)}
 
 
@@ -102,7 +112,7 @@ def test_robots_of_the_other_half_are_pushed(monkeypatch):
     monkeypatch.setattr(module, "TRIAL_S", 2.0)
     run(Trial(POSITION, "bang_bang", 3, False))
     ever = np.any(pushed, axis=0)
-    assert ever[AIMED:].all()
+    assert ever[AIMED:][MOMENTS != Moment.STOPPING].all()
     assert not ever[:AIMED].any()
 
 
