@@ -28,7 +28,7 @@ from eval.attack.report import REPORT, AttackReport, case_of, make_report, table
 from eval.attack.search import Search
 from eval.attack.trained_gains import gains_of
 from eval.judge.monitors import NAMES
-from eval.replay.bundle_files import delete_bundles, replace_bundles
+from eval.replay.bundle_files import copy_bundles, delete_bundles, remove_bundles
 from eval.report.report_files import check_report_folder
 from robots.errors import ConfigError, printable
 from robots.randomness import SEED_MAX
@@ -183,7 +183,8 @@ def _write_bundles(found: dict[str, Found], pool: Workers, out: Path, console: C
                 bundles[name] = bundle
     except KeyboardInterrupt:
         console.print("interrupted: the report covers the bundles written so far")
-    replace_bundles(out / UNFINISHED, out / WORST, {bundle.name for bundle in bundles.values()})
+    copy_bundles(out / UNFINISHED, out / WORST, {bundle.name for bundle in bundles.values()})
+    remove_bundles(out / UNFINISHED)
     return bundles
 
 

@@ -122,20 +122,33 @@ def _remove(folder: Path) -> None:
         shutil.rmtree(folder)
 
 
-def replace_bundles(source: Path, place: Path, names: Collection[str] | None = None) -> None:
-    """Replace the bundles in `place` by those in `source`, all or those of some names; remove empty folders.
+def copy_bundles(source: Path, place: Path, names: Collection[str] | None = None) -> None:
+    """Replace the bundles in `place` by those in `source`, all or those of some names, which share their files.
 
     Raises:
-        OutputError: they cannot be moved.
+        OutputError: they cannot be written.
     """
     delete_bundles(place, finished=True)
+    for bundle in {info.parent for info in source.glob(f"[!.]*/{INFO}")}:
+        if names is None or bundle.name in names:
+            with new_bundle(place / bundle.name) as partial:
+                shutil.copytree(bundle, partial, dirs_exist_ok=True, copy_function=_link)
+
+
+def _link(source: str, place: str) -> None:
+    """Give a file a second name; on a file system without hard links, copy it."""
     try:
-        for info in source.glob(f"*/{INFO}"):
-            if names is not None and info.parent.name not in names:
-                continue
-            place.mkdir(exist_ok=True)
-            info.parent.rename(place / info.parent.name)
-    except OSError as e:
-        raise output_error(f"{place}: cannot be written: {e.strerror}", e) from e
+        os.link(source, place)
+    except OSError:
+        shutil.copyfile(source, place)
+
+
+def remove_bundles(folder: Path) -> None:
+    """Delete the bundles in `folder`, and it and its parents as far as they are empty then.
+
+    Raises:
+        OutputError: they cannot be deleted.
+    """
+    delete_bundles(folder, finished=True)
     with suppress(OSError):
-        os.removedirs(source)
+        os.removedirs(folder)

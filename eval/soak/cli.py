@@ -17,7 +17,7 @@ from deploy.telemetry.plain_console import plain_console
 from eval.history.history import add_record, check_same_task, read_history
 from eval.history.soak_record import Run, SoakRecord
 from eval.replay.bundle import DRAWS
-from eval.replay.bundle_files import delete_bundles, list_bundles, replace_bundles
+from eval.replay.bundle_files import copy_bundles, delete_bundles, list_bundles, remove_bundles
 from eval.replay.event_capture import EVENTS
 from eval.report.build import build
 from eval.report.report_files import PAGE, check_report_folder, delete_report, write_report
@@ -115,12 +115,14 @@ def _write(report: Report, extra: dict[str, bytes], out: Path, history: Path | N
         write_report(report, out / UNFINISHED, extra)
         return out / UNFINISHED / PAGE
     write_report(report, out, extra)
-    delete_bundles(out / EVENTS, finished=True)  # while the soak can still go on from its checkpoints
+    copy_bundles(
+        out / UNFINISHED / EVENTS, out / EVENTS
+    )  # while the soak can still go on from its checkpoints
     if history is not None:
         add_record(report, history)
     delete_report(out / UNFINISHED, EXTRA_FILES)
     delete_checkpoints(out / UNFINISHED)
-    replace_bundles(out / UNFINISHED / EVENTS, out / EVENTS)
+    remove_bundles(out / UNFINISHED / EVENTS)
     return out / PAGE
 
 

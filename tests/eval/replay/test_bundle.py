@@ -14,11 +14,12 @@ from eval.judge.monitors import MONITORS, NAMES
 from eval.replay import bundle
 from eval.replay.bundle import FILES, BundleInfo, EventRecord, JobRecord
 from eval.replay.bundle_files import (
+    copy_bundles,
     delete_bundles,
     list_bundles,
     new_bundle,
     read_arrays,
-    replace_bundles,
+    remove_bundles,
     state_digest,
     write_arrays,
 )
@@ -256,17 +257,28 @@ def test_of_a_link_to_a_bundle_only_the_link_is_cleared(tmp_path):
     assert bundle.open_bundle(elsewhere / "x").begin == 200
 
 
-def test_bundles_replace_bundles_only(tmp_path):
+def refused(*_):
+    raise PermissionError
+
+
+@pytest.mark.parametrize("linked", [True, False])
+def test_copied_bundles_replace_bundles_only(tmp_path, monkeypatch, linked):
+    if not linked:
+        monkeypatch.setattr(os, "link", refused)
     old, new = tmp_path / "events", tmp_path / "unfinished" / "events"
     for place in (old / "x", old / "y", new / "x", new / "z"):
         place.parent.mkdir(parents=True, exist_ok=True)
         filled(place, begin=100 if place.parent == old else 200)
     (old / "mine").mkdir()
-    replace_bundles(new, old)
+    copy_bundles(new, old)
     assert {path.name for path in old.iterdir()} == {"mine", "x", "z"}
+    assert {path.name for path in new.iterdir()} == {"x", "z"}
     assert [bundle.open_bundle(old / name).begin for name in "xz"] == [200, 200]
+    assert os.path.samefile(old / "x" / "bundle.json", new / "x" / "bundle.json") == linked
+    remove_bundles(new)
     assert not new.parent.exists()
-    replace_bundles(new, old)
+    assert bundle.open_bundle(old / "x").begin == 200
+    copy_bundles(new, old)
     assert {path.name for path in old.iterdir()} == {"mine"}
 
 

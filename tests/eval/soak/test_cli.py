@@ -373,6 +373,30 @@ def test_bundles_of_a_former_soak_that_stay_keep_the_checkpoints(tmp_path, monke
     assert not history.exists()
 
 
+@pytest.mark.parametrize("last", ["copy_bundles", "delete_report", "delete_checkpoints", "remove_bundles"])
+def test_bundles_survive_a_kill_while_the_report_is_written(tmp_path, monkeypatch, last):
+    """They are in their place before the checkpoints, from which they would come again, are deleted."""
+    checkpoint, new = tmp_path / "unfinished" / NAME.format(0), tmp_path / "unfinished" / "events" / "new"
+    for path in (checkpoint, new / "bundle.json", tmp_path / "events" / "old" / "bundle.json"):
+        path.parent.mkdir(parents=True)
+        path.touch()
+
+    ended = getattr(command, last)
+
+    def killed(*words):
+        ended(*words)
+        raise SystemExit
+
+    monkeypatch.setattr(command, last, killed)
+    with pytest.raises(SystemExit):
+        command._write(report(), {}, tmp_path, None)
+    assert checkpoint.exists() == (last in ("copy_bundles", "delete_report"))
+    assert new.exists() == (last != "remove_bundles")
+    assert [path.name for path in (tmp_path / "events").iterdir()] == ["new"]
+    command.delete_bundles(new.parent, finished=True)  # as the next soak does without checkpoints
+    assert (tmp_path / "events" / "new" / "bundle.json").exists()
+
+
 @pytest.mark.parametrize("name", ["unfinished", "events"])
 def test_a_file_in_the_place_of_a_folder_is_exit_2(soak_test, tmp_path, name):
     (tmp_path / "out").mkdir()
