@@ -26,7 +26,7 @@ from eval.attack.peak import Bundle
 from eval.attack.pool import Workers, workers
 from eval.attack.report import REPORT, AttackReport, case_of, make_report, table
 from eval.attack.search import Search
-from eval.attack.trained_gains import gains_of
+from eval.attack.trained_gains import find_gains
 from eval.judge.monitors import NAMES
 from eval.replay.bundle_files import copy_bundles, delete_bundles, remove_bundles
 from eval.report.report_files import check_report_folder
@@ -72,10 +72,11 @@ Without = Annotated[
     ),
 ]
 GainsOf = Annotated[
-    Path | None,
+    str,
     typer.Option(
         "--gains",
-        help="Policy (ONNX) whose drive gains the adversaries have, as that of a robot that walks.",
+        help="Policy (ONNX) whose drive gains the adversaries have, as that of a robot that walks; or softest or"
+        " stiffest: the bounds of what a contract may have.",
         show_default="the drives' own",
     ),
 ]
@@ -104,7 +105,7 @@ def soak_attack(
     generations: Generations = None,
     faults: Faults = None,
     without: Without = "",
-    gains_path: GainsOf = None,
+    gains_of: GainsOf = "",
     out: Out = Path("out/attack"),
 ) -> int:
     """Search over policies and draws for the smallest margin of every monitor; its results enter no rate.
@@ -115,7 +116,7 @@ def soak_attack(
     spec = load_robot(robot)
     drives = find_mode(mode, spec)
     classes = find_faults(faults or (), spec, drives, "--fault")
-    gains = gains_of(gains_path, spec, drives) if gains_path else None
+    gains = find_gains(gains_of, spec, drives) if gains_of else None
     setting = Setting(robot=spec.folder, mode=drives, faults=classes, without=without, gains=gains)
     target = guarded_monitor(without, setting.mode, Archive(spec, setting.mode).hard) if without else ""
     budget = Budget(seconds=60.0 * minutes, generations=generations)

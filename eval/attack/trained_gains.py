@@ -1,4 +1,4 @@
-"""Drive gains of training that the policies of an attack have in their contracts."""
+"""Drive gains that the policies of an attack have in their contracts: those of another policy, or at their bounds."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -9,6 +9,9 @@ from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
+EXTREMES = ("softest", "stiffest")
+"""Names of gains at the bounds of what a contract may have."""
+
 
 class TrainedGains(NamedTuple):
     """Stiffness and damping: kp in N·m/rad, kd in N·m·s/rad, of each joint."""
@@ -17,13 +20,24 @@ class TrainedGains(NamedTuple):
     kd: tuple[float, ...]
 
 
-def gains_of(path: Path, spec: RobotSpec, mode: ControlMode) -> TrainedGains:
-    """Return the drive gains of a policy's contract, for a mode of the drives.
+def find_gains(name: str, spec: RobotSpec, mode: ControlMode) -> TrainedGains:
+    """Return the drive gains of an option: "softest", "stiffest", or those in the contract of a policy file.
 
     Raises:
         ContractError: the file or its contract does not fit the robot.
-        ConfigError: its drives have their own gains, or follow it in another mode.
+        ConfigError: its drives have their own gains, or follow it in another mode; or contracts may have no gains.
     """
+    if name not in EXTREMES:
+        return _gains_of_file(Path(name), spec, mode)
+    if name not in (extremes := extreme_gains(spec, mode)):
+        raise ConfigError(
+            f"--gains: found {name!r}, expected none: a contract for {spec.name} in {mode.name.lower()} mode has no"
+            " choice"
+        )
+    return extremes[name]
+
+
+def _gains_of_file(path: Path, spec: RobotSpec, mode: ControlMode) -> TrainedGains:
     action = Policy.load(path, spec).contract.action
     if action.kp is None or action.kd is None:
         raise ConfigError(f"--gains: {path}: found no kp and kd in its contract, expected some")
@@ -32,20 +46,15 @@ def gains_of(path: Path, spec: RobotSpec, mode: ControlMode) -> TrainedGains:
     return TrainedGains(action.kp, action.kd)
 
 
-def extreme_gains(spec: RobotSpec, mode: ControlMode) -> tuple[TrainedGains, ...]:
-    """Return the softest and the stiffest gains that a contract may have; none in torque mode or if it has no choice.
+def extreme_gains(spec: RobotSpec, mode: ControlMode) -> dict[str, TrainedGains]:
+    """Return the `EXTREMES` of what a contract may have; none in torque mode, or if it has no choice.
 
     The stiffest have 0.99 of the highest stiffness, at which a single damping is allowed.
     """
-    low, high = stiffness_bounds(spec, mode)
-    stiffest = 0.99 * high
-    if mode is ControlMode.TORQUE or (low >= stiffest).any():
-        return ()
-    softest_damping, stiffest_damping = (
-        damping_bounds(spec, mode, low).low,
-        damping_bounds(spec, mode, stiffest).high,
-    )
-    return (
-        TrainedGains(tuple(low.tolist()), tuple(softest_damping.tolist())),
-        TrainedGains(tuple(stiffest.tolist()), tuple(stiffest_damping.tolist())),
-    )
+    soft, high = stiffness_bounds(spec, mode)
+    stiff = 0.99 * high
+    if mode is ControlMode.TORQUE or (soft >= stiff).any():
+        return {}
+    damping = damping_bounds(spec, mode, soft).low, damping_bounds(spec, mode, stiff).high
+    pairs = zip(EXTREMES, (soft, stiff), damping, strict=True)
+    return {name: TrainedGains(tuple(kp.tolist()), tuple(kd.tolist())) for name, kp, kd in pairs}

@@ -94,7 +94,8 @@ def margins(
 
 def _find(pool: Executor, spec: RobotSpec, mode: ControlMode, effort: Effort, console: Console) -> Found:
     settings = [
-        Setting(robot=spec.folder, mode=mode, gains=gains) for gains in (None, *extreme_gains(spec, mode))
+        Setting(robot=spec.folder, mode=mode, gains=gains)
+        for gains in (None, *extreme_gains(spec, mode).values())
     ]
     stop = pool.submit(stop_excess, spec.in_mode(mode), effort.generations)
     library = tuple(ADVERSARIES) * effort.trials

@@ -15,7 +15,7 @@ from eval.attack.candidate import Candidate, Case, read_case
 from eval.attack.policy_graph import attack_contract, policy_file
 from eval.attack.report import case_of, make_report
 from eval.attack.suite import run_suite
-from eval.attack.trained_gains import TrainedGains, extreme_gains, gains_of
+from eval.attack.trained_gains import TrainedGains, extreme_gains, find_gains
 from robots.errors import ConfigError, ContractError
 from robots.motors.control_mode import ControlMode
 from robots.motors.drive_gains import drive_gains
@@ -33,7 +33,7 @@ CASE |= {"adversary": "push", "seed": 3, "weights": {name: list(numbers) for nam
 def test_adversaries_have_the_gains_of_a_policy(tmp_path):
     path = tmp_path / "walk.onnx"
     path.write_bytes(policy_file(QUADRUPED, POSITION, [PUSH], GAINS).data)
-    found = gains_of(path, QUADRUPED, POSITION)
+    found = find_gains(str(path), QUADRUPED, POSITION)
     assert found == GAINS
     runtime = Arena(Setting(robot=QUADRUPED.folder, mode=POSITION, gains=found), 3)._shard.runtime
     assert runtime.springs is not None
@@ -45,7 +45,7 @@ def test_adversaries_have_the_gains_of_a_policy(tmp_path):
 @pytest.mark.parametrize("mode", [POSITION, ControlMode.VELOCITY])
 def test_extreme_gains_are_the_last_that_a_contract_may_have(name, mode):
     spec = load_robot(name)
-    soft, stiff = extreme_gains(spec, mode)
+    soft, stiff = (find_gains(name, spec, mode) for name in ("softest", "stiffest"))
     for gains in (soft, stiff):
         check_contract(attack_contract(spec, mode, gains), spec, name)
     for gains, kp, kd in ((soft, 0.99, 1.0), (soft, 1.0, 0.99), (stiff, 1.02, 1.0), (stiff, 1.0, 1.01)):
@@ -55,23 +55,27 @@ def test_extreme_gains_are_the_last_that_a_contract_may_have(name, mode):
 
 
 def test_where_no_gains_are_allowed_there_are_no_extreme_ones(tmp_path):
-    assert not extreme_gains(load_robot("arm6"), ControlMode.TORQUE)
     narrow = copy_of_arm(tmp_path, toml=[("q_soft_rad = 0.03", "q_soft_rad = 1e-6")])
-    assert not extreme_gains(load_robot(narrow), POSITION)
+    for robot, mode in (("arm6", ControlMode.TORQUE), (narrow, POSITION)):
+        assert not extreme_gains(load_robot(robot), mode)
+        with pytest.raises(
+            ConfigError, match=r"--gains: found 'stiffest', expected none: a contract for arm6 in"
+        ):
+            find_gains("stiffest", load_robot(robot), mode)
 
 
 def test_a_policy_without_gains_has_none_to_take(tmp_path):
     path = tmp_path / "own.onnx"
     path.write_bytes(policy_file(QUADRUPED, POSITION, [PUSH]).data)
     with pytest.raises(ConfigError, match=r"--gains: .*own\.onnx: found no kp and kd in its contract"):
-        gains_of(path, QUADRUPED, POSITION)
+        find_gains(str(path), QUADRUPED, POSITION)
 
 
 def test_gains_of_another_mode_are_refused(tmp_path):
     path = tmp_path / "walk.onnx"
     path.write_bytes(policy_file(QUADRUPED, POSITION, [PUSH], GAINS).data)
     with pytest.raises(ConfigError, match="found mode 'position', expected that of --mode"):
-        gains_of(path, QUADRUPED, ControlMode.VELOCITY)
+        find_gains(str(path), QUADRUPED, ControlMode.VELOCITY)
 
 
 @pytest.mark.parametrize(
