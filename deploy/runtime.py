@@ -273,7 +273,8 @@ class Runtime(Stage):
         q = self.state.q if self.spec.base else np.where(off[:, None], self.resting.q, self.state.q)
         here = Setpoint(q=q, qd=np.zeros_like(q), qdd=np.zeros_like(q))
         # At rest a stop is the pose itself.
-        stop = Stop(here, q=np.array([q] * STOP_MOMENTS), qd=np.array([here.qd] * STOP_MOMENTS), q_rest=q)
+        still = np.array([here.qd] * STOP_MOMENTS)
+        stop = Stop(here, q=np.array([q] * STOP_MOMENTS), qd=still, qdd=still, q_rest=q)
         self.verdict = self.safety.step(self.state, here, here, stop)
         reason = np.where(ids, self.verdict.reason | self.state.fault, 0)
         reason[ids & self.moving.any(axis=1)] |= _MOVING

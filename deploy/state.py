@@ -143,13 +143,14 @@ class Stop(NamedTuple):
 
     Attributes:
         ahead: its first step.
-        q, qd: (STOP_MOMENTS, B, n) rad, rad/s, while it brakes.
+        q, qd, qdd: (STOP_MOMENTS, B, n) rad, rad/s, rad/s², while it brakes.
         q_rest: (B, n) rad, its end.
     """
 
     ahead: Setpoint
     q: Floats
     qd: Floats
+    qdd: Floats
     q_rest: Floats
 
 
@@ -162,8 +163,8 @@ class Verdict(NamedTuple):
         tau_ahead: (B, n) N·m, the same one step into a stop that would begin there.
         poses: (PK, B, n) rad, checked for collisions: P = STOP_MOMENTS + 2, at the setpoint, while that stop brakes
             and at its end, K times where drives have K expectations.
-        values: (2B, M) of the motion at the setpoint and one step into the stop, (PKB, C) of `poses`, (B, S) of the
-            estimate, compared with bounds: for `Safety.failed`.
+        values: (PB, M) of the motion at the setpoint, one step into the stop and while it brakes, (PKB, C) of `poses`,
+            (B, S) of the estimate, compared with bounds: for `Safety.failed`.
     """
 
     reason: Ints

@@ -61,8 +61,9 @@ class StiffDrives(DriveLaw):
     """Stiff drives: the torque of the motion itself, by the nominal model."""
 
     def __init__(self, spec: RobotSpec, fleet: Fleet) -> None:
-        """Take the model, R robots wide."""
-        self._fleet, self.torque_limit = fleet, spec.margins.tau * torque_max(spec)
+        """Take the model, 2B robots wide."""
+        self._fleet = fleet.resized(-(-fleet.robots // 2) * (STOP_MOMENTS + 2))
+        self.torque_limit = spec.margins.tau * torque_max(spec)
 
     def torque(self, state: State, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """Return inverse dynamics, as `Fleet.torque`."""
@@ -82,7 +83,7 @@ class CompliantDrives(StiffDrives):
     expectations: ClassVar[int] = 2
 
     def __init__(self, spec: RobotSpec, fleet: Fleet) -> None:
-        """Take the model, R robots wide."""
+        """Take the model, 2B robots wide."""
         super().__init__(spec, fleet)
         self.current_share = spec.margins.tau
 

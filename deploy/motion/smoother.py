@@ -105,9 +105,8 @@ class Smoother(Stage):
         x = self._stops.points(
             np.concatenate((start.q, start.qd, start.qdd, start.q, self._full, self._full), axis=1)
         ).swapaxes(0, 1)
-        return Stop(
-            Setpoint(q=x[0], qd=x[1], qdd=x[2], drive=self.drive), q=x[3:-1:2], qd=x[4:-1:2], q_rest=x[-1]
-        )
+        ahead = Setpoint(q=x[0], qd=x[1], qdd=x[2], drive=self.drive)
+        return Stop(ahead, q=x[3:-1:3], qd=x[4:-1:3], qdd=x[5:-1:3], q_rest=x[-1])
 
     def _setpoint(self, x: Floats) -> Setpoint:
         return Setpoint(q=x[:, 0], qd=x[:, 1], qdd=x[:, 2], drive=self.drive)

@@ -103,19 +103,19 @@ class StopTrajectories(_BlockPlans):
         self._trajectory, self._moments = self._block.empty_trajectory(), stop_moments_s(spec)
 
     def points(self, origin: Floats) -> Floats:
-        """Return (B, 4 + 2 STOP_MOMENTS, n); NaN where there is no plan.
+        """Return (B, 4 + 3 STOP_MOMENTS, n); NaN where there is no plan.
 
-        In order: q, qd, qdd one tick later, q, qd at each moment, q at the end.
+        In order: q, qd, qdd one tick later and at each moment, q at the end.
         """
-        out = np.empty((self._robots, 4 + 2 * STOP_MOMENTS, self._n))
+        out = np.empty((self._robots, 4 + 3 * STOP_MOMENTS, self._n))
         for block in self._rows:
             for rows, trajectory in self._plan_block(origin, block, self._trajectory):
                 out[rows] = np.nan if trajectory is None else self._stack(self._parts(trajectory))
         return out
 
     def _parts(self, stop: Trajectory) -> tuple[list[float], ...]:
-        moments = chain.from_iterable(stop.at_time(moment)[:2] for moment in self._moments)
-        return (*stop.at_time(self._dt), *moments, stop.at_time(self._horizon)[0])
+        moments = chain.from_iterable(stop.at_time(moment) for moment in (self._dt, *self._moments))
+        return (*moments, stop.at_time(self._horizon)[0])
 
 
 def stop_moments_s(spec: RobotSpec) -> tuple[float, ...]:

@@ -7,7 +7,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from deploy.reasons import Reason
-from deploy.state import Setpoint, State
+from deploy.state import STOP_MOMENTS, Setpoint, State
 from robots.arrays import Bools, Floats, Ints
 from robots.capabilities import Capability, required
 from robots.models.kinematics import Kinematics
@@ -39,12 +39,12 @@ class Estimate(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """2B points of trajectories: B setpoints, then the first step of the stop that would begin at each.
+    """PB points of trajectories, P = STOP_MOMENTS + 2: B setpoints, the first steps of their stops, where these brake.
 
     Attributes:
-        q: (2B, n) rad. qd: (2B, n) rad/s. qdd: (2B, n) rad/s².
-        qd_peak: (2B, n) rad/s, the speed when a stop has brought the acceleration to zero.
-        tau: (2B, n) N·m. needed: the same, divided by the share of current that each drive has left.
+        q: (PB, n) rad. qd: (PB, n) rad/s. qdd: (PB, n) rad/s².
+        qd_peak: (PB, n) rad/s, the speed when a stop has brought the acceleration to zero.
+        tau: (PB, n) N·m. needed: the same, of setpoints divided by the share of current that each drive has left.
     """
 
     q: Floats
@@ -56,10 +56,10 @@ class Motion(NamedTuple):
 
     @property
     def tau_change(self) -> Floats:
-        """(2B, n) N·m, 0 at the setpoint, and from there to the first step of its stop."""
-        robots = len(self.tau) // 2
-        change = np.zeros_like(self.tau)
-        np.subtract(self.tau[robots:], self.tau[:robots], out=change[robots:])
+        """(PB, n) N·m from the setpoint to the first step of its stop; 0 elsewhere."""
+        robots = len(self.tau) // (STOP_MOMENTS + 2)
+        change, ahead = np.zeros_like(self.tau), slice(robots, 2 * robots)
+        np.subtract(self.tau[ahead], self.tau[:robots], out=change[ahead])
         return change
 
 

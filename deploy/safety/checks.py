@@ -199,7 +199,7 @@ MOTION: tuple[Check[Motion], ...] = (
         per_joint=True,
     ),
 )
-"""Checks of a setpoint, and of the first step of the stop that would begin there."""
+"""Checks of a setpoint, and of the stop that would begin there: its first step, and moments while it brakes."""
 
 TAKEOVER: tuple[Check[Motion], ...] = (
     Check(
@@ -211,7 +211,7 @@ TAKEOVER: tuple[Check[Motion], ...] = (
         per_joint=True,
     ),
 )
-"""More checks of the same where the drives of a stop take over from torques."""
+"""More checks of its first step where the drives of a stop take over from torques."""
 
 TOOL: tuple[Check[ToolMotion], ...] = (
     Check(

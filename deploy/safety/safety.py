@@ -65,7 +65,7 @@ class Safety:
         self.twice_jerk = 2 * spec.joint_array("qddd_max")
         limits = Limits(spec, self._drives.torque_limit)
         motion = checks.motion + (checks.takeover if mode is ControlMode.TORQUE else ())
-        self._motion = CheckTable(rows, limits, motion)
+        self._motion = CheckTable(each, limits, motion)
         self._plan = CheckTable(poses, limits, checks.tool, checks.poses)
         self._estimate = CheckTable(robots, limits, checks.estimate)
         self._poses = CheckTable(rows, limits, checks.poses)
@@ -82,8 +82,18 @@ class Safety:
         """
         ahead, robots = stop.ahead, len(stop.q_rest)
         # Below: one call to concatenate takes half of the time that three take.
-        pairs = np.concatenate((setpoint.q, ahead.q, setpoint.qd, ahead.qd, setpoint.qdd, ahead.qdd))
-        q, qd, qdd = pairs.reshape(3, 2 * robots, -1)
+        points = (
+            setpoint.q,
+            ahead.q,
+            *stop.q,
+            setpoint.qd,
+            ahead.qd,
+            *stop.qd,
+            setpoint.qdd,
+            ahead.qdd,
+            *stop.qdd,
+        )
+        q, qd, qdd = np.concatenate(points).reshape(3, (STOP_MOMENTS + 2) * robots, -1)
         tau = self._drives.torque(state, q, qd, qdd)
         if setpoint.tau is not None and setpoint.drive is not None:
             sent_as_torque = (setpoint.drive.mode == ControlMode.TORQUE)[:, None]
@@ -110,7 +120,8 @@ class Safety:
             if found is not None:
                 reason |= np.bitwise_or.reduce(found.reshape(-1, robots))
         values, poses = (motion, plan, estimate), poses.reshape(-1, robots, poses.shape[1])
-        return Verdict(reason=reason, tau=tau[:robots], tau_ahead=tau[robots:], poses=poses, values=values)
+        ahead_tau = tau[robots : 2 * robots]
+        return Verdict(reason=reason, tau=tau[:robots], tau_ahead=ahead_tau, poses=poses, values=values)
 
     def check_poses(self, q: Floats) -> Ints:
         """Return (R,) bit sets of `Reason` against poses (R, n) rad; R is the width of the fleet."""

@@ -4,7 +4,7 @@ Safety looks at the beginning of a stop, at moments while it brakes and at its e
 margins of robot.toml: this is what they must cover, for any setpoint inside the limits, reachable or not.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from deploy.motion.smoother import Smoother
 from deploy.motion.trajectories import TrackingTrajectories
 from deploy.safety.check import Limits
 from deploy.safety.safety import Safety
-from deploy.state import Setpoint, State, Stop
+from deploy.state import Setpoint, State
 from eval.attack.island import evolution_strategy
 from robots.arrays import Bools, Floats
 from robots.capabilities import required
@@ -88,17 +88,16 @@ class StopSearch:
     def run(self, start: Setpoint, quantity: str) -> tuple[Floats, Floats, Bools]:
         """Return (quantities, P) largest shares at checked moments, (P,) of one in the whole stop, and (P,) refusals.
 
-        Torque is checked at the setpoint and one step into its stop only.
+        Torque is not checked where a stop ends.
         """
         stop, names = self._smoother.brake(start), self.quantities
         refused = self._safety.step(_at(start), start, start, stop).reason != 0
-        still, ahead = np.zeros_like(start.qd), stop.ahead
-        checked = [self.shares(names, each.q, each.qd, each.qdd) for each in (start, ahead)]
-        at_moments = [
-            self.shares(names, *each) for each in ((stop.q_rest, still, still), *self._moments(stop))
-        ]
-        checked += [np.concatenate((np.zeros_like(each[:1]), each[1:])) for each in at_moments]
-        most = np.max(checked, axis=0)
+        moments = zip(stop.q, stop.qd, stop.qdd, strict=True)
+        checked = [self.shares(names, *each) for each in (start[:3], stop.ahead[:3], *moments)]
+        still = np.zeros_like(start.qd)
+        at_rest = self.shares(names, stop.q_rest, still, still)
+        at_rest[names.index("torque")] = 0.0
+        most = np.max([*checked, at_rest], axis=0)
         return most, np.maximum(most[names.index(quantity)], self._between(start, quantity)), refused
 
     def _between(self, start: Setpoint, quantity: str) -> Floats:
@@ -111,12 +110,6 @@ class StopSearch:
             points = self._stops.at(np.full(len(start.q), tick)).swapaxes(0, 1)
             most = np.maximum(most, self.shares((quantity,), *points)[0])
         return most
-
-    @staticmethod
-    def _moments(stop: Stop) -> Iterator[tuple[Floats, Floats, Floats]]:
-        """Yield angles and speeds while a stop brakes, without acceleration: torque is not checked there."""
-        for q, qd in zip(stop.q, stop.qd, strict=True):
-            yield q, qd, np.zeros_like(q)
 
     def worst(self, quantity: str, generations: int, seed: int) -> float:
         """Return the largest share of a quantity in a stop that safety accepts; NaN where none was found.

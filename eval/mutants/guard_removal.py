@@ -84,7 +84,7 @@ def skip_stop_checks(*moments: StopMoment) -> GuardRemoval:
     ) -> Verdict:
         at_setpoint: dict[str, dict[str, Any]] = {
             "first step": {"ahead": now},
-            "braking": {"q": np.array([now.q] * STOP_MOMENTS), "qd": np.array([now.qd] * STOP_MOMENTS)},
+            "braking": {name: np.array([getattr(now, name)] * STOP_MOMENTS) for name in ("q", "qd", "qdd")},
             "rest": {"q_rest": now.q},
         }
         for moment in skipped:

@@ -72,8 +72,8 @@ class UnlimitedSmoother(Smoother):
         """Return rest at the starting angle, reached within one tick."""
         still = np.zeros_like(start.qd)
         rest = start._replace(qd=still, qdd=-start.qd / self._dt)
-        q, qd = (np.array([each] * STOP_MOMENTS) for each in (start.q, still))
-        return Stop(rest, q=q, qd=qd, q_rest=start.q)
+        q, stopped = (np.array([each] * STOP_MOMENTS) for each in (start.q, still))
+        return Stop(rest, q=q, qd=stopped, qdd=stopped, q_rest=start.q)
 
 
 class HousingTemperatureObserver(WindingObserver):

@@ -159,7 +159,7 @@ def test_robots_are_independent_to_the_bit():
             for mine, theirs in ((alone, planned), (stop_alone.ahead, stop.ahead)):
                 for name in ("q", "qd", "qdd"):
                     np.testing.assert_array_equal(getattr(mine, name)[0], getattr(theirs, name)[i])
-            for name in ("q", "qd", "q_rest"):
+            for name in ("q", "qd", "qdd", "q_rest"):
                 mine, theirs = getattr(stop_alone, name), getattr(stop, name)
                 np.testing.assert_array_equal(mine[..., 0, :], theirs[..., i, :])
 

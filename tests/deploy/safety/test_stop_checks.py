@@ -10,9 +10,22 @@ from deploy.safety.checks import TAKEOVER_RATE
 from deploy.safety.safety import Safety
 from deploy.state import Setpoint, State
 from robots.models.fleet import Fleet
+from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
-from support.deploy.safety import FASTER_IN_ITS_STOP, HIGH, HOME, LOW, MARGINS, SPACE, N, one, point, reasons
+from support.deploy.safety import (
+    FASTER_IN_ITS_STOP,
+    HIGH,
+    HOME,
+    LOW,
+    MARGINS,
+    SPACE,
+    ZERO,
+    N,
+    one,
+    point,
+    reasons,
+)
 
 
 @pytest.mark.parametrize("moment", ["q_early", "q_mid_stop", "q_late", "q_last"])
@@ -52,7 +65,7 @@ def test_tool_speed_is_limited_while_a_stop_brakes(moment):
     verdicts = []
     for speed in np.linspace(0.0, 10.0, 50):
         qd = one(0, speed)
-        found = reasons(**{moment: qd})
+        found = reasons(**{moment: qd}) & ~(Reason.VELOCITY | Reason.TORQUE)
         verdicts.append(found == Reason.TOOL_SPEED)
         assert verdicts[-1] == (np.linalg.norm(kinematics.tool_velocity(qd[None])) > limit)
         assert found & ~Reason.TOOL_SPEED == 0
@@ -92,10 +105,34 @@ def test_speed_of_the_tool_is_that_of_the_moments_own_pose(moment):
     """Its pan turns an arm that reaches out, or one that does not, with the same speed."""
     reaching, pan = one(2, 0.6, one(1, -0.8, HOME)), one(0, 3.0)
     for q, expected in ((reaching, Reason.TOOL_SPEED), (HOME, 0)):
-        assert reasons(**{f"q_{moment}": q, f"qd_{moment}": pan}, safety=Safety(SPEC, FLEET)) == expected
+        found = reasons(**{f"q_{moment}": q, f"qd_{moment}": pan}, safety=Safety(SPEC, FLEET))
+        assert found & ~Reason.VELOCITY == expected
     poses = {f"q_{other}": reaching for other in ("early", "mid_stop", "late", "last") if other != moment}
     found = reasons(**poses, **{f"qd_{moment}": pan}, q_rest=reaching, safety=Safety(SPEC, FLEET))
-    assert found == 0
+    assert found & ~Reason.VELOCITY == 0
+
+
+@pytest.mark.parametrize("moment", ["early", "mid_stop", "late", "last"])
+def test_torque_is_limited_while_a_stop_brakes(moment):
+    """An arm that reaches out is lifted ever faster: refused exactly where that takes too much torque."""
+    q, verdicts = one(2, 0.6, one(1, -0.8, HOME)), []
+    for share in np.linspace(-1.0, 1.0, 41):
+        qdd = share * SPEC.joint_array("qdd_max") * (0, 1, 1, 1, 0, 0)
+        tau = Fleet(SPEC, 1).torque(q[None], ZERO[None], qdd[None])
+        found = reasons(**{f"q_{moment}": q, f"qdd_{moment}": qdd})
+        assert found == (Reason.TORQUE if (np.abs(tau) > MARGINS.tau * torque_max(SPEC)).any() else 0)
+        verdicts.append(found)
+    assert {*verdicts} == {Reason(0), Reason.TORQUE}
+
+
+@pytest.mark.parametrize("moment", ["early", "mid_stop", "late", "last"])
+def test_speed_and_acceleration_are_limited_while_a_stop_brakes(moment):
+    for name, limit, reason in (
+        ("qd", MARGINS.speed * SPEC.joint_array("qd_max"), Reason.VELOCITY),
+        ("qdd", SPEC.joint_array("qdd_max"), Reason.ACCELERATION),
+    ):
+        within, beyond = (reasons(**{f"{name}_{moment}": one(5, x * limit[5])}) for x in (0.999, 1.001))
+        assert (within, beyond) == (0, reason)
 
 
 def test_a_stop_in_which_the_tool_gains_speed_is_refused():

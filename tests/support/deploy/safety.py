@@ -27,9 +27,8 @@ FASTER_IN_ITS_STOP = (
 
 def stop_at(here):
     """A stop of robots that rest: everywhere the same setpoint."""
-    return Stop(
-        here, q=np.array([here.q] * STOP_MOMENTS), qd=np.array([here.qd] * STOP_MOMENTS), q_rest=here.q
-    )
+    q, qd, qdd = (np.array([each] * STOP_MOMENTS) for each in (here.q, here.qd, here.qdd))
+    return Stop(here, q=q, qd=qd, qdd=qdd, q_rest=here.q)
 
 
 def judge(
@@ -51,6 +50,10 @@ def judge(
     qd_mid_stop=ZERO,
     qd_late=ZERO,
     qd_last=ZERO,
+    qdd_early=ZERO,
+    qdd_mid_stop=ZERO,
+    qdd_late=ZERO,
+    qdd_last=ZERO,
     q_rest=None,
     safety=SAFETY,
 ):
@@ -74,7 +77,8 @@ def judge(
     rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
     poses = [HOME[None] if q is None else np.atleast_2d(q) for q in (q_early, q_mid_stop, q_late, q_last)]
     speeds = [np.atleast_2d(qd) for qd in (qd_early, qd_mid_stop, qd_late, qd_last)]
-    stop = Stop(ahead, q=np.stack(poses), qd=np.stack(speeds), q_rest=rest)
+    accelerations = [np.atleast_2d(qdd) for qdd in (qdd_early, qdd_mid_stop, qdd_late, qdd_last)]
+    stop = Stop(ahead, q=np.stack(poses), qd=np.stack(speeds), qdd=np.stack(accelerations), q_rest=rest)
     return safety.step(state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, stop)
 
 
