@@ -113,7 +113,8 @@ def _scan(
     if any(end.dims != state.dims for end, state in zip(ends, given[:states], strict=False)):
         raise ContractError(f"{where}: found a state that changes its shape, expected the same in every trip")
     joined = [_joined(end, axis, trips) for end, axis in zip(ends[states:], axes_out, strict=True)]
-    return [*given[:states], *joined], _Usage(usage.bytes, trips * (usage.work + NODE_WORK))
+    states_after = [Tensor(each.kind, each.dims) for each in given[:states]]  # other values than before
+    return [*states_after, *joined], _Usage(usage.bytes, trips * (usage.work + NODE_WORK))
 
 
 def _without(tensor: Tensor, axis: int, where: str) -> tuple[int, Tensor]:

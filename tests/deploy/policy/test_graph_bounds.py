@@ -9,31 +9,7 @@ from deploy.policy.graph_bounds import check_bounds
 from deploy.policy.inference import BATCHES, load_session
 from deploy.policy.onnx_graph import check_model
 from robots.errors import ContractError
-
-FLOAT = TensorProto.FLOAT
-
-
-def node(kind, inputs, outputs, **attributes):
-    return helper.make_node(kind, inputs.split(), outputs.split(), name=outputs.split()[-1], **attributes)
-
-
-def graph(*nodes, inputs="x", outputs="y", held=None, shape=("batch", 3), rank=2):
-    """A model from inputs of one shape to outputs of any shape of `rank`."""
-    ends = [
-        [helper.make_tensor_value_info(name, FLOAT, size) for name in names.split()]
-        for names, size in ((inputs, shape), (outputs, "abc"[:rank]))
-    ]
-    weights = [numpy_helper.from_array(np.asarray(array), name) for name, array in (held or {}).items()]
-    made = helper.make_graph(list(nodes), "g", *ends, weights)
-    return helper.make_model(made, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
-
-
-def body(kind="Add", held=None, **more):
-    ends = [
-        [helper.make_tensor_value_info(name, FLOAT, []) for name in names] for names in (("s", "r"), ("t",))
-    ]
-    weights = [numpy_helper.from_array(array, name) for name, array in (held or {}).items()]
-    return helper.make_graph([node(kind, "s r", "t", **more)], "body", *ends, weights)
+from support.graphs import FLOAT, ZERO, body, graph, node
 
 
 def filled(*shape):
@@ -122,6 +98,17 @@ def growing_state():
     return graph(scan, held={"start": np.zeros(1, np.float32)})
 
 
+def changed_state():
+    """A dimension from a state of which the value is known only before the Scan."""
+    inside = body("Add")
+    for value in (inside.input[0], inside.input[1], inside.output[0]):
+        value.type.tensor_type.elem_type = TensorProto.INT64
+    scan = node("Scan", "zero rows", "n", body=inside, num_scan_inputs=1)
+    held = {"zero": np.array(0), "rows": np.full(100, 1 << 30), "one": np.array([1])}
+    sized = node("Reshape", "n one", "size"), node("ConstantOfShape", "size", "y")
+    return graph(scan, *sized, held=held, rank=1)
+
+
 def another_body():
     return graph(node("Scan", "x", "y", body=body(), num_scan_inputs=1))
 
@@ -137,7 +124,6 @@ def sparse():
     return graph(constant, node("ReduceMin", "big", "y", keepdims=0))
 
 
-ZERO = {"zero": np.zeros((), np.float32)}
 KNOWN = "expected one that follows from the shapes of the inputs"
 SCAN = "of 1: node 'y' (Scan): found other inputs, outputs or axes than its graph has"
 REFUSED = {
@@ -164,6 +150,10 @@ REFUSED = {
     "indexed": (indexed_by_itself, "of 1: node 'g6' (Gather): found 65 dimensions, expected at most 64"),
     "split": (split, "of 1: node 'y' (Split): num_outputs: found 1099511627776, expected 1"),
     "state": (growing_state, "of 1: node 'y' (Scan): found a state that changes its shape"),
+    "changed state": (
+        changed_state,
+        f"of 1: node 'y' (ConstantOfShape): found an output 'y' of unknown shape, {KNOWN}",
+    ),
     "body": (another_body, SCAN),
     "input axes": (lambda: scanning(scan_input_axes=[0, 0]), SCAN),
     "output axes": (lambda: scanning(scan_output_axes=[0]), SCAN),
