@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from onnx import GraphProto, ModelProto, NodeProto, helper
 
 from deploy.policy.graph_work import NODE_WORK, node_work
+from deploy.policy.node_checks import check_node
 from deploy.policy.shape_inference import NUMBERS, Tensor, add_weights, infer_outputs
 from robots.errors import ContractError
 
@@ -69,6 +70,7 @@ def _usage(graph: GraphProto, known: ChainMap[str, Tensor], opset: int, where: s
         name = f"{where}: node {node.name or ''.join(node.output[:1])!r:.100} ({node.op_type:.100})"
         if unknown := [each for each in node.input if each not in known]:
             raise ContractError(f"{name}: found an input {unknown[0]!r:.100} that is computed nowhere")
+        check_node(node, known, name)
         if node.op_type == "Scan":
             outputs, inner = _scan(node, known, opset, name)
         else:

@@ -36,17 +36,19 @@ class Tensor:
 
     Attributes:
         kind: type of its elements, of `NUMBERS`.
+        constant: its values are stored in the file, as a weight or in a Constant node.
     """
 
     kind: int = TensorProto.FLOAT
     dims: tuple[int, ...] = (0,)
     values: TensorProto | None = None
+    constant: bool = False
 
     @classmethod
     def weight(cls, tensor: TensorProto) -> Self:
         """Return the tensor of a weight."""
         few = math.prod(tensor.dims) <= VALUES_MAX
-        return cls(tensor.data_type, tuple(tensor.dims), tensor if few else None)
+        return cls(tensor.data_type, tuple(tensor.dims), tensor if few else None, constant=True)
 
     @property
     def elements(self) -> int:
@@ -96,7 +98,8 @@ def infer_outputs(node: NodeProto, known: Known, opset: int, where: str) -> list
     few = all(tensor.elements <= VALUES_MAX for tensor in outputs)
     if node.op_type == "Shape" or (few and len(given) == len(values) and node.op_type in COMPUTED):
         computed = _compute(node, known, given, opset)
-        outputs = [_with_values(each, tensor) for each, tensor in zip(outputs, computed, strict=True)]
+        constant = node.op_type == "Constant"
+        outputs = [_with_values(*each, constant=constant) for each in zip(outputs, computed, strict=True)]
     return outputs
 
 
@@ -114,11 +117,11 @@ def _tensor(found: TypeProto, name: str, where: str) -> Tensor:
     return Tensor(kind.elem_type, tuple(dim.dim_value for dim in dims))
 
 
-def _with_values(tensor: Tensor, values: np.ndarray | None) -> Tensor:
+def _with_values(tensor: Tensor, values: np.ndarray | None, *, constant: bool) -> Tensor:
     """Return a tensor with computed values, if they have its shape."""
     if values is None or values.shape != tensor.dims:
         return tensor
-    return Tensor(tensor.kind, tensor.dims, numpy_helper.from_array(values))
+    return Tensor(tensor.kind, tensor.dims, numpy_helper.from_array(values), constant)
 
 
 def _compute(

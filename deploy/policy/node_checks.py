@@ -1,0 +1,35 @@
+"""Checks of single nodes that would crash ONNX Runtime, or never end, although their shapes are small."""
+
+from collections.abc import Mapping
+
+from onnx import NodeProto, TensorProto, numpy_helper
+
+from deploy.policy.shape_inference import Tensor
+from robots.errors import ContractError
+
+TRAPPED = frozenset({TensorProto.INT32, TensorProto.INT64})
+"""Types of elements whose smallest number divided by -1 ends the process with SIGFPE; of 8 and 16 bits it does not."""
+UNSAFE_DIVISORS = (0, -1)
+
+
+def check_node(node: NodeProto, known: Mapping[str, Tensor], where: str) -> None:
+    """Refuse a node that may crash or never end; `known` has its inputs by name.
+
+    Raises:
+        ContractError: names what was found and what is expected.
+    """
+    if node.op_type in ("Div", "Mod"):
+        _check_divisor(known[node.input[1]], where)
+
+
+def _check_divisor(divisor: Tensor, where: str) -> None:
+    if divisor.kind not in TRAPPED:
+        return
+    expected = "expected floating point, or a constant divisor without 0 and -1"
+    if not divisor.constant or divisor.values is None:
+        raise ContractError(
+            f"{where}: found integers with a divisor that is not a small constant, {expected}"
+        )
+    values = numpy_helper.to_array(divisor.values)
+    if unsafe := [each for each in UNSAFE_DIVISORS if each in values]:
+        raise ContractError(f"{where}: found integers with a divisor of {unsafe[0]}, {expected}")
