@@ -1,5 +1,6 @@
 """Checks of single nodes that would crash ONNX Runtime, or never end, although their shapes are small."""
 
+import re
 from collections.abc import Mapping
 
 from onnx import NodeProto, TensorProto, numpy_helper
@@ -10,6 +11,11 @@ from robots.errors import ContractError
 TRAPPED = frozenset({TensorProto.INT32, TensorProto.INT64})
 """Types of elements whose smallest number divided by -1 ends the process with SIGFPE; of 8 and 16 bits it does not."""
 UNSAFE_DIVISORS = (0, -1)
+_TERM = rb"[A-Za-z ]*(?:\.\.\.[A-Za-z ]*)?"
+EQUATION = re.compile(rb"%(t)b(?:,%(t)b)*(?:->%(t)b)?" % {b"t": _TERM})
+"""Equations of Einsum; ONNX's inference of shapes never ends on some others, such as `....`."""
+EQUATION_BYTES_MAX = 1 << 8
+"""Length of an equation: ten times as long as attention needs."""
 
 
 def check_node(node: NodeProto, known: Mapping[str, Tensor], where: str) -> None:
@@ -20,6 +26,9 @@ def check_node(node: NodeProto, known: Mapping[str, Tensor], where: str) -> None
     """
     if node.op_type in ("Div", "Mod"):
         _check_divisor(known[node.input[1]], where)
+    if node.op_type == "Einsum":
+        for attribute in node.attribute:
+            _check_equation(attribute.s, where)
 
 
 def _check_divisor(divisor: Tensor, where: str) -> None:
@@ -33,3 +42,11 @@ def _check_divisor(divisor: Tensor, where: str) -> None:
     values = numpy_helper.to_array(divisor.values)
     if unsafe := [each for each in UNSAFE_DIVISORS if each in values]:
         raise ContractError(f"{where}: found integers with a divisor of {unsafe[0]}, {expected}")
+
+
+def _check_equation(found: bytes, where: str) -> None:
+    if len(found) > EQUATION_BYTES_MAX:
+        raise ContractError(f"{where}: found an equation of {len(found)} bytes, at most {EQUATION_BYTES_MAX}")
+    if not EQUATION.fullmatch(found):
+        expected = "expected terms of letters, each with at most one '...', such as '...ij,jk->...ik'"
+        raise ContractError(f"{where}: equation: found {found.decode(errors='replace')!r:.100}, {expected}")

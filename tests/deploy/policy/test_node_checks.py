@@ -1,4 +1,4 @@
-"""Nodes that would crash ONNX Runtime: refused before it loads them."""
+"""Nodes that would crash ONNX Runtime, or never end: refused before it loads them."""
 
 import numpy as np
 import pytest
@@ -107,3 +107,45 @@ def test_small_integers_divide_without_a_crash(kind, dtype):
     session = load_session(graph(*nodes, held=held).SerializeToString(), "x")
     found = session.run(None, {"x": -np.ones((1, 3), np.float32)})[0]
     assert not found.any() if kind == "Mod" else (found == np.iinfo(dtype).min).all()
+
+
+def einsum(equation):
+    return graph(node("Einsum", "x", "y", equation=equation))
+
+
+@pytest.mark.parametrize(
+    "equation",
+    [
+        *("....", "......", "....->ba", "b....->b", "a....b->ab", "a..b->ab", "..", ". ..", "......,->"),
+        *("ab->ba->ab", "ab-ba", "ab>ba", "a1->a", "ab->b\x00a", "ab\n", "\x1b[31m", "ab->,"),
+    ],
+)
+def test_an_equation_of_einsum_is_checked_before_its_shapes_are_inferred(equation, monkeypatch):
+    message = refusal(einsum(equation), monkeypatch)
+    assert message.startswith(f"x.onnx: for a batch of 1: node 'y' (Einsum): equation: found {equation!r}, ")
+    assert message.endswith(
+        "expected terms of letters, each with at most one '...', such as '...ij,jk->...ik'"
+    )
+
+
+def test_an_equation_of_einsum_is_short(monkeypatch):
+    message = refusal(einsum("ab," * 100 + "ab->ab"), monkeypatch)
+    assert message.endswith("node 'y' (Einsum): found an equation of 306 bytes, at most 256")
+
+
+def test_the_body_of_a_scan_has_its_equations_checked(monkeypatch):
+    inside = body(held={"least": np.zeros(1, np.float32)})
+    inside.node.append(node("Einsum", "least", "z", equation="...."))
+    scan = node("Scan", "zero x", "y", body=inside, num_scan_inputs=1)
+    message = refusal(graph(scan, held=ZERO, shape=("batch",)), monkeypatch)
+    assert "node 'y' (Scan): node 'z' (Einsum): equation: found '....', expected terms" in message
+
+
+@pytest.mark.parametrize(
+    "equation", ["ab->ba", "ab -> b a", "...a->a...", "...->...", "ab", "...a", "b...->b..."]
+)
+def test_usual_equations_of_einsum_are_loaded(equation):
+    found = load_session(einsum(equation).SerializeToString(), "x").run(None, {"x": np.eye(2, 3, dtype="f")})[
+        0
+    ]
+    np.testing.assert_array_equal(found, np.einsum(equation.replace(" ", ""), np.eye(2, 3)))
