@@ -10,7 +10,7 @@ from onnx import AttributeProto, GraphProto, ModelProto, TensorProto, numpy_help
 from robots.errors import ContractError, printable
 
 PARTS_MAX = 1 << 14
-"""Nodes, attributes and tensors of a graph: a hundred times as many as networks of robots have."""
+"""Nodes, their inputs, outputs and attributes, and tensors: a hundred times as many as networks of robots have."""
 RANDOM = frozenset(
     {"Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike", "RandomUniform", "RandomUniformLike"}
 )
@@ -50,7 +50,8 @@ def check_model(model: ModelProto, source: str) -> None:
     """
     parts = sum(_parts_of(graph) for graph in graphs(model))
     if parts > PARTS_MAX:
-        raise ContractError(f"{source}: found {parts} nodes, tensors and attributes, at most {PARTS_MAX}")
+        counted = "nodes, their inputs, outputs and attributes, and tensors"
+        raise ContractError(f"{source}: found {parts} {counted}, at most {PARTS_MAX}")
     for complaint in _foreign(model):  # before the checker, which would follow external data
         raise ContractError(f"{source}: {complaint}")
     try:
@@ -83,7 +84,8 @@ def graphs(model: ModelProto) -> Iterator[GraphProto]:
 def _parts_of(graph: GraphProto) -> int:
     """Return the number of a graph's parts, each of which is looked at several times."""
     named = (graph.input, graph.output, graph.value_info, graph.initializer, graph.sparse_initializer)
-    return sum(map(len, named)) + sum(1 + len(node.attribute) for node in graph.node)
+    in_nodes = (1 + len(node.attribute) + len(node.input) + len(node.output) for node in graph.node)
+    return sum(map(len, named)) + sum(in_nodes)
 
 
 def _foreign(model: ModelProto) -> Iterator[str]:

@@ -116,10 +116,25 @@ def test_subgraphs_are_checked_like_the_graph(tmp_path, spoil, message):
     assert len(str(caught.value)) < 500
 
 
-def test_parts_of_a_graph_are_counted_before_they_are_looked_at(tmp_path):
+def many_nodes(body):
+    body.node.extend([body.node[1]] * PARTS_MAX)
+
+
+def many_inputs(body):
+    body.node.append(helper.make_node("Sum", [body.input[0].name] * PARTS_MAX, ["sum"]))
+
+
+def many_outputs(body):
+    names = [f"part{k}" for k in range(PARTS_MAX)]
+    body.node.append(helper.make_node("Split", [body.input[0].name], names, num_outputs=PARTS_MAX))
+
+
+@pytest.mark.parametrize("spoil", [many_nodes, many_inputs, many_outputs])
+def test_parts_of_a_graph_are_counted_before_they_are_looked_at(tmp_path, spoil):
     model = one_by_one()
-    body_of(model).node.extend([body_of(model).node[1]] * PARTS_MAX)
-    with pytest.raises(ContractError, match=r"found \d+ nodes, tensors and attributes, at most 16384$"):
+    spoil(body_of(model))
+    counted = r"found \d+ nodes, their inputs, outputs and attributes, and tensors, at most 16384$"
+    with pytest.raises(ContractError, match=counted):
         loaded(tmp_path, model)
 
 
