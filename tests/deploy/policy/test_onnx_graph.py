@@ -5,7 +5,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from deploy.policy.onnx_graph import PARTS_MAX
+from deploy.policy.onnx_graph import PARTS_MAX, check_model
 from robots.errors import ContractError
 from support.policies import A, N, by_numpy, loaded, policy_model, weights
 
@@ -136,6 +136,31 @@ def test_parts_of_a_graph_are_counted_before_they_are_looked_at(tmp_path, spoil)
     counted = r"found \d+ nodes, their inputs, outputs and attributes, and tensors, at most 16384$"
     with pytest.raises(ContractError, match=counted):
         loaded(tmp_path, model)
+
+
+FLOATS = "FLOAT16 BFLOAT16 FLOAT8E4M3FN FLOAT8E4M3FNUZ FLOAT8E5M2 FLOAT8E5M2FNUZ DOUBLE COMPLEX64 COMPLEX128"
+
+
+@pytest.mark.parametrize("kind", FLOATS.split())
+def test_weights_of_any_type_are_finite(kind):
+    model, number = policy_model(), TensorProto.DataType.Value(kind)
+    dtype = helper.tensor_dtype_to_np_dtype(number)
+    held = numpy_helper.from_array(np.array([1.0, 2.0]).astype(dtype), "held")
+    model.graph.initializer.append(held)
+    check_model(model, "x.onnx")
+    model.graph.initializer[-1].CopyFrom(
+        numpy_helper.from_array(np.array([1.0, np.nan]).astype(dtype), "held")
+    )
+    assert model.graph.initializer[-1].data_type == number
+    with pytest.raises(ContractError, match="'held': found 1 of 2 weights NaN or infinite, expected all"):
+        check_model(model, "x.onnx")
+
+
+def test_weights_that_are_text_or_small_integers_are_no_floats():
+    model = policy_model()
+    model.graph.initializer.append(numpy_helper.from_array(np.array(["nan"]), "text"))
+    model.graph.initializer.append(helper.make_tensor("four", TensorProto.INT4, [2], [-1, 7]))
+    check_model(model, "x.onnx")
 
 
 def test_only_scan_may_hold_a_subgraph(tmp_path):
