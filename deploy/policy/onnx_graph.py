@@ -128,6 +128,9 @@ def tensors(graph: GraphProto) -> Iterator[TensorProto]:
         for attribute in node.attribute:
             yield from ([attribute.t] if attribute.HasField("t") else [])
             yield from attribute.tensors
+            sparse = [attribute.sparse_tensor] if attribute.HasField("sparse_tensor") else []
+            for each in (*sparse, *attribute.sparse_tensors):
+                yield from (each.values, each.indices)
 
 
 def _check_finite(tensor: TensorProto, source: str) -> None:

@@ -75,6 +75,21 @@ def sparse(body):
     )
 
 
+def sparse_constant(body, change):
+    values = numpy_helper.from_array(np.ones(1, np.float32), "few")
+    change(values)
+    made = helper.make_sparse_tensor(values, numpy_helper.from_array(np.zeros(1, int), "i"), [9])
+    body.node.append(helper.make_node("Constant", [], ["thin"], sparse_value=made))
+
+
+def sparse_nan(body):
+    sparse_constant(body, lambda values: values.CopyFrom(numpy_helper.from_array(np.full(1, np.nan), "few")))
+
+
+def sparse_external(body):
+    sparse_constant(body, lambda values: onnx.external_data_helper.set_external_data(values, "weights"))
+
+
 def random(body):
     body.node.append(helper.make_node("RandomUniformLike", [body.input[0].name], ["chance"], name="dice"))
 
@@ -103,6 +118,8 @@ def training_dropout(body):
         (long_names, "levilevi, expected only ai.onnx"),
         (nan_weight, "found 1 of 960 weights NaN or infinite, expected all finite"),
         (external, "found external data, expected all weights in the one file"),
+        (sparse_nan, "tensor 'few': found 1 of 1 weights NaN or infinite, expected all finite"),
+        (sparse_external, "found external data, expected all weights in the one file"),
         (sparse, "found sparse weights, expected dense weights"),
     ],
 )
