@@ -1,6 +1,7 @@
 import json
 import os
 import signal
+import subprocess
 import sys
 import textwrap
 
@@ -65,6 +66,20 @@ def call(monkeypatch, capsys):
         return caught.value.code, *capsys.readouterr()
 
     return call
+
+
+@pytest.fixture
+def crashing_trial(monkeypatch):
+    """Let a policy crash the process in which it is tried; return what is said of it. It is loaded nowhere else."""
+    run, crash = subprocess.run, "import os; os.kill(os.getpid(), 8)"
+
+    def tried(child, **options):
+        is_trial = "deploy.policy.step_trial" in child
+        return run([child[0], "-c", crash] if is_trial else child, **options)
+
+    monkeypatch.setattr(subprocess, "run", tried)
+    monkeypatch.setattr("onnxruntime.InferenceSession", lambda *_, **__: pytest.fail("it was loaded"))
+    return "cannot be tried within 20 s of a core and 4 GiB: exit code -8"
 
 
 @pytest.fixture

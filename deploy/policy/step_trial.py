@@ -1,16 +1,17 @@
-"""Trial of a policy's step in a separate process, with bounds of time and memory, before a robot is armed.
+"""Trial of a policy of unknown origin in a separate process, with bounds of time and memory: it may crash.
 
-python -P -m deploy.policy.step_trial SOURCE LIFELINE < policy.onnx
+python -P -m deploy.policy.step_trial SOURCE LIFELINE ROBOTS... < policy.onnx
 """
 
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 
 import numpy as np
 
-from deploy.policy.inference import load_session
+from deploy.policy.inference import BATCHES, load_session
 from deploy.policy.onnx_graph import shortened
 from robots.child_process import Lifeline, end_with
 from robots.errors import ContractError
@@ -32,13 +33,28 @@ def check_step(data: bytes, period_s: float, source: str) -> None:
     """Check that one step of a policy, for one robot, takes at most `STEP_SHARE` of its period.
 
     Raises:
-        ContractError: it takes longer, needs too much memory, crashes, or ONNX Runtime refuses it.
+        ContractError: as `try_step`, or it takes longer.
+    """
+    if (found := try_step(data, source)) > (bound := STEP_SHARE * period_s):
+        expected = f"expected at most {1e3 * bound:.3g} ms, {STEP_SHARE:g} of the policy's period"
+        raise ContractError(f"{source}: a step takes {1e3 * found:.3g} ms on this machine, {expected}")
+
+
+def try_step(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> float:
+    """Load a model and run it for one robot, in a separate process; return the median time of a step, s.
+
+    Args:
+        batches: as of `load_session`.
+
+    Raises:
+        ContractError: it takes too long or needs too much memory, crashes, or ONNX Runtime refuses it.
     """
     bounds = f"{source}: cannot be tried within {CPU_S} s of a core and {MEMORY_GIB} GiB"
     try:
         with Lifeline() as lifeline:
             end = lifeline.end.fileno()
-            child = [sys.executable, "-P", "-m", "deploy.policy.step_trial", source, str(end)]
+            arguments = source, str(end), *map(str, batches)
+            child = [sys.executable, "-P", "-m", "deploy.policy.step_trial", *arguments]
             done = subprocess.run(child, input=data, capture_output=True, check=False, pass_fds=(end,))
     except OSError as e:
         raise ContractError(f"{source}: no process to try it in: {e.strerror}") from e
@@ -48,19 +64,20 @@ def check_step(data: bytes, period_s: float, source: str) -> None:
     if done.returncode:
         last = complaint.rpartition("\n")[2]
         raise ContractError(f"{bounds}: exit code {done.returncode}{last and f': {last:.200}'}")
-    if (found := float(said)) > (bound := STEP_SHARE * period_s):
-        expected = f"expected at most {1e3 * bound:.3g} ms, {STEP_SHARE:g} of the policy's period"
-        raise ContractError(f"{source}: a step takes {1e3 * found:.3g} ms on this machine, {expected}")
+    return float(said)
 
 
-def median_step_s(data: bytes, source: str) -> float:
+def median_step_s(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> float:
     """Return s, the median time of a step for one robot, of steps that take at most a second together.
 
     Raises:
         ContractError: ONNX Runtime refuses the model, or cannot run it.
     """
-    session, rng = load_session(data, source), np.random.default_rng(0)
-    shapes = {each.name: (1, each.shape[1]) for each in session.get_inputs()}
+    session, rng = load_session(data, source, batches), np.random.default_rng(0)
+    shapes = {  # dimensions with a name are the batch
+        each.name: [size if isinstance(size, int) else 1 for size in each.shape]
+        for each in session.get_inputs()
+    }
     inputs = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
     times: list[float] = []
     while len(times) < STEPS and sum(times) < 1.0:
@@ -73,12 +90,12 @@ def median_step_s(data: bytes, source: str) -> float:
     return float(np.median(times))
 
 
-def _main(source: str, lifeline: str) -> int:
+def _main(source: str, lifeline: str, *batches: str) -> int:
     end_with(int(lifeline))
     signal.alarm(WALL_S)
     limit_process(CPU_S, MEMORY_GIB)
     try:
-        print(median_step_s(sys.stdin.buffer.read(), source))
+        print(median_step_s(sys.stdin.buffer.read(), source, [*map(int, batches)]))
     except ContractError as e:
         print(e, file=sys.stderr)
         return REFUSED

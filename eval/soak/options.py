@@ -9,6 +9,8 @@ from pydantic import Field
 
 from deploy.policy.compatibility import sensors_read
 from deploy.policy.policy import Policy
+from deploy.policy.policy_file import read_policy_file
+from deploy.policy.step_trial import try_step
 from eval.faults.catalogue import check_names
 from eval.faults.schedule import FIRST_S, HOURS_MAX, FaultSettings, hours_max
 from eval.soak.configuration import SoakConfig
@@ -114,6 +116,7 @@ def configure(
     _check_hours(hours_field, hours, defaults.faults)
     _check_options(robots, seed, workers)
     spec = load_robot(robot)
+    try_step(read_policy_file(policy).data, str(policy))
     loaded = Policy.load(policy, spec)
     if profile is not None and defaults.faults and defaults.faults.classes:
         field = f"{_profile_path(profile)}: faults.classes"

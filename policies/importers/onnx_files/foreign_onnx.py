@@ -14,6 +14,7 @@ from deploy.policy.contract_term import SIZE_MAX
 from deploy.policy.inference import load_session
 from deploy.policy.onnx_graph import check_model, decode, graphs, shortened, tensors, type_name
 from deploy.policy.policy import AGREEMENT
+from deploy.policy.step_trial import try_step
 from policies.importers.onnx_files.metadata import known_from
 from policies.importers.reference_policy import Memory, PolicyFacts, ReferencePolicy
 from policies.importers.untrusted.zip_archive import BYTES_MAX, read_bytes
@@ -193,7 +194,9 @@ class _OnnxRunner:
     def __init__(
         self, model: ModelProto, observation: str, action: str, memory: tuple[Memory, ...], source: str
     ) -> None:
-        self._session = load_session(model.SerializeToString(), source, batches=(1,))
+        data = model.SerializeToString()
+        try_step(data, source, batches=(1,))
+        self._session = load_session(data, source, batches=(1,))
         self._observation, self._memory, self._source = observation, memory, source
         self._outputs = [action, *(piece.output_name for piece in memory)]
 

@@ -8,9 +8,10 @@ import pytest
 from onnx import helper, numpy_helper
 
 import deploy.operation.cli
-from deploy.policy.step_trial import check_step, median_step_s
+from deploy.policy.step_trial import check_step, median_step_s, try_step
 from robots.child_process import ENDED, Lifeline
 from robots.errors import ContractError
+from support.graphs import graph, node
 from support.policies import policy_model, saved
 
 
@@ -71,6 +72,15 @@ def test_a_policy_beyond_the_bounds_of_the_trial_is_refused(monkeypatch, tmp_pat
     )
     with pytest.raises(ContractError, match=rf"^x\.onnx: {ending}"):
         check_step(slow().SerializeToString(), 0.02, "x.onnx")
+
+
+def test_memory_and_work_are_bounded_for_the_given_numbers_of_robots():
+    """A graph for one robot, which has no step for two."""
+    model = graph(node("Add", "x w", "y"), held={"w": np.zeros((3, 3), np.float32)})
+    data = model.SerializeToString()
+    assert try_step(data, "x.onnx", batches=(1,)) > 0.0
+    with pytest.raises(ContractError, match=r"^x\.onnx: for a batch of 2: node 'y' \(Add\): shapes cannot"):
+        try_step(data, "x.onnx", batches=(2,))
 
 
 def test_what_the_trial_refuses_is_said_in_its_words():

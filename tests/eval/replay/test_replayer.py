@@ -20,7 +20,7 @@ from eval.replay.bundle_files import write_arrays
 from eval.replay.capture_window import columns
 from eval.replay.replay_text import first_difference, mismatch
 from eval.replay.replayer import Replay
-from robots.errors import ConfigError, RobotError
+from robots.errors import ConfigError, ContractError, RobotError
 from support.eval.bundles import ROBOTS_COUNTED, TICKS, first, replayed
 
 pytestmark = pytest.mark.slow
@@ -49,6 +49,12 @@ def test_an_event_is_reproduced_bit_for_bit_in_a_fresh_process(events, tmp_path)
     assert what
     # Written by another process, from ticks that were lived again: the same file.
     assert (tmp_path / "again.mcap").read_bytes() == (first(events, "velocity") / "window.mcap").read_bytes()
+
+
+def test_a_policy_of_a_bundle_is_tried_in_a_separate_process_first(events, crashing_trial):
+    folder = first(events, "velocity")
+    with pytest.raises(ContractError, match=f"^{folder / bundle.POLICY}: {crashing_trial}$"):
+        Replay(folder)
 
 
 def test_every_monitor_that_found_something_left_bundles(events):

@@ -154,3 +154,10 @@ def test_missing_profile_is_reported(call, arm_policy, monkeypatch, options, mes
     assert seen == {}
     assert message in said
     assert len(list(PROFILES.glob("*.toml"))) == 5
+
+
+def test_a_policy_is_tried_in_a_separate_process_first(arm_policy, crashing_trial, call, tmp_path):
+    out = tmp_path / "out"
+    code, _, complaint = call(command.cli, "--policy", arm_policy, "--out", out)
+    assert (code, complaint) == (2, f"error: {arm_policy}: {crashing_trial}\n")
+    assert not out.exists()
