@@ -1,4 +1,4 @@
-"""Mutation of ONNX: any field of its messages, and the JSON in its metadata."""
+"""Mutation of ONNX: any field of its messages, the JSON in its metadata, and nodes that are inserted."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -8,6 +8,7 @@ from google.protobuf.descriptor import FieldDescriptor  # type: ignore[import-un
 from google.protobuf.message import Message  # type: ignore[import-untyped]
 from onnx import ModelProto
 
+from eval.fuzz.onnx_node import insert_node
 from eval.fuzz.text import mutate_text
 
 WORDS = (
@@ -59,11 +60,16 @@ NUMBERS = (
     (1 << 63) - 1,
     -(1 << 63),
 )
+INSERTION_SHARE = 0.2
+"""Part of the cases in which a node is inserted and nothing else is changed."""
 
 
 def mutate_onnx(data: bytes, rng: np.random.Generator) -> bytes:
-    """Return a model with one to three of its fields changed, removed, copied or exchanged."""
+    """Return a model with one to three of its fields changed, removed, copied or exchanged, or with another node."""
     model = ModelProto.FromString(data)
+    if rng.random() < INSERTION_SHARE:
+        insert_node(model.graph, rng)
+        return bytes(model.SerializeToString())
     for _ in range(rng.integers(1, 4)):
         places = list(_fields(model))
         message, field = places[rng.integers(len(places))]
