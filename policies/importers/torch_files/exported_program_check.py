@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from policies.importers.torch_files.torchscript_check import REFUSED
+from policies.importers.torch_files.operators import is_operator
 from robots.errors import ContractError
 from robots.strict import read_json
 
@@ -99,7 +99,8 @@ def _expected(text: str, key: str) -> str | None:
         return None if SYMBOL.fullmatch(text) else "the size of a batch"
     if key == "target":
         found = OPERATOR.fullmatch(text)
-        return None if found and found[1] not in REFUSED else "operators of aten"
+        # The second group is the name of an operator of Python's.
+        return None if found and (found[2] or is_operator(found[1])) else "operators of policy networks"
     if key == "type":
         return None if text == "cpu" else "cpu, as for a program that was exported there"
     return None if (DOTTED_NAME if key in PATHS else PLAIN_WORD).fullmatch(text) else "a plain word"

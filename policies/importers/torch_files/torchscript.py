@@ -13,12 +13,12 @@ from deploy.policy.contract_term import SIZE_MAX
 from deploy.policy.onnx_graph import shortened
 from policies.importers.reference_policy import ReferencePolicy
 from policies.importers.torch_files.network_settings import NetworkSettings
-from policies.importers.torch_files.torchscript_check import check_pickle, check_source
-from policies.importers.torch_files.traced_module import trace_module
+from policies.importers.torch_files.torchscript_check import check_graph, check_pickle, check_source
+from policies.importers.torch_files.traced_module import safe_kernels, trace_module
 from policies.importers.untrusted.zip_archive import in_folder, read_bytes, read_torch_members, repack
 from robots.errors import ContractError
 
-NEEDED = re.compile(r"data\.pkl|constants\.pkl|version|byteorder|(data|constants)/\d+|code/[\w/]+\.py")
+NEEDED = re.compile(r"data\.pkl|constants\.pkl|(\.data/)?version|byteorder|(data|constants)/\d+|code/[\w/]+\.py")
 """Members that are read; debug files and extra files are excluded."""
 EXPECTED = "expected a file of torch.jit.save"
 TRIED_MAX = 32
@@ -56,12 +56,21 @@ def _load(members: Mapping[str, bytes], source: str) -> torch.jit.ScriptModule:
         graph: Any = module.inlined_graph
     except Exception as e:  # bytes of unknown origin can fail in any way
         raise ContractError(f"{source}: cannot be loaded: {shortened(e)}") from e
+    check_graph((node.kind() for node in _nodes(graph)), source)
     buffers = {name.rpartition(".")[2] for name, _ in module.named_buffers()}
     for node in graph.findAllNodes("prim::SetAttr"):
         if (name := node.s("name")) not in buffers:
             found = f"{name}: found state ({list(node.inputs())[1].type()}) in an attribute"
             raise ContractError(f"{source}: {found}, expected it in a buffer")
     return module
+
+
+def _nodes(block: Any) -> Iterator[Any]:
+    """Yield the nodes of a graph, with those of its branches and loops."""
+    for node in block.nodes():
+        yield node
+        for inner in node.blocks():
+            yield from _nodes(inner)
 
 
 def _observations(module: torch.jit.ScriptModule, source: str) -> int:
@@ -86,7 +95,7 @@ def _sizes(module: torch.jit.ScriptModule) -> Iterator[int]:
 
 def _runs(module: torch.jit.ScriptModule, size: int) -> bool:
     try:
-        with torch.no_grad():
+        with safe_kernels():
             return isinstance(module.eval()(torch.zeros(1, size)), Tensor)
     except Exception:  # noqa: BLE001 - a foreign module can raise anything
         return False

@@ -1,18 +1,16 @@
 """Checks of the source and the pickles in TorchScript files, before torch loads them: some code runs while loading."""
 
 import ast
-from collections.abc import Iterator, Mapping
-from functools import cache
+from collections.abc import Iterable, Iterator, Mapping
 
-import torch
-
+from policies.importers.torch_files.operators import is_operator
 from policies.importers.untrusted.pickle_reader import PickleRules, read_pickle
 from robots.errors import ContractError
 
 TEXT_MAX = 1 << 20
+EXPECTED = "expected only operators of policy networks"
 REFUSED = frozenset({"from_file", "save", "classes"})
-"""Operators of aten that take a file name, and the namespace of foreign C++ classes. Operators are also methods of
-tensors and strings, so methods with these names are refused too."""
+"""Names of methods that take a file name, and of the namespace of foreign C++ classes."""
 _PRIM = (
     "RaiseException NumToTensor Uninitialized abs data device dtype grad id is_cpu is_cuda is_mps is_mkldnn is_nested"
     " is_quantized is_sparse itemsize layout max min name nbytes rangelist requires_grad tolist type unchecked_cast"
@@ -25,6 +23,11 @@ _NAMES = (
 )
 PRIM, NAMES = frozenset(_PRIM.split()), frozenset(_NAMES.split())
 """Allowed built-ins of TorchScript. Excluded: fork, rpc_async, print."""
+_CONSTRUCTS = (
+    "Constant CreateObject DictConstruct GetAttr If ListConstruct Loop SetAttr TupleConstruct TupleSlice"
+)
+NODES = PRIM | frozenset(_CONSTRUCTS.split())
+"""Built-ins and constructs of the language in a compiled graph without calls."""
 OPCODES_MAX = 1_000_000
 SIZES = {
     **dict.fromkeys(("BoolStorage", "ByteStorage", "CharStorage"), 1),
@@ -48,9 +51,7 @@ def check_source(text: bytes, source: str) -> None:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as e:
         raise ContractError(f"{source}: found no TorchScript: a {type(e).__name__}") from e
     for line, name in _forbidden(nodes):
-        raise ContractError(
-            f"{source}: line {line}: found {name:.100}, expected only arithmetic on tensors; nothing of it was run"
-        )
+        raise ContractError(f"{source}: line {line}: found {name:.100}, {EXPECTED}; nothing of it was run")
 
 
 def _forbidden(nodes: list[ast.AST]) -> Iterator[tuple[int, str]]:
@@ -80,7 +81,7 @@ def _own_names(nodes: list[ast.AST]) -> Iterator[str]:
 def _is_allowed(node: ast.Attribute, *, outermost: bool) -> bool:
     owner = ast.unparse(node.value) if isinstance(node.value, ast.Name | ast.Attribute) else ""
     if owner == "torch":
-        return node.attr in _operators()
+        return is_operator(node.attr)
     if owner == "ops":
         return node.attr == "prim" and not outermost
     if owner == "ops.prim":
@@ -88,10 +89,15 @@ def _is_allowed(node: ast.Attribute, *, outermost: bool) -> bool:
     return node.attr not in REFUSED
 
 
-@cache
-def _operators() -> frozenset[str]:
-    names = (schema.name.split("::") for schema in torch._C._jit_get_all_schemas())
-    return frozenset(name for namespace, name in names if namespace == "aten") - REFUSED
+def check_graph(nodes: Iterable[str], source: str) -> None:
+    """Refuse a compiled graph with other operators, also those that its source calls as methods of tensors.
+
+    `nodes` are the kinds of its nodes, such as `aten::add`.
+    """
+    for kind in nodes:
+        namespace, _, name = kind.partition("::")
+        if not (name in NODES if namespace == "prim" else namespace == "aten" and is_operator(name)):
+            raise ContractError(f"{source}: found operator {kind:.100}, {EXPECTED}; nothing of it was run")
 
 
 def check_pickle(data: bytes, storages: Mapping[str, bytes], source: str) -> None:

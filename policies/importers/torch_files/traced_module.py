@@ -1,5 +1,6 @@
 """Reference policy from a torch module: traced to ONNX, with changing buffers as memory input and output."""
 
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from operator import attrgetter
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from onnx import ModelProto
 from torch import Tensor, nn
 from torch.fx.experimental.proxy_tensor import make_fx
+from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from deploy.policy.onnx_graph import check_model, shortened
 from policies.export.tracing import to_onnx
@@ -122,15 +124,23 @@ def _graph(
 
 @contextmanager
 def _inference_mode(source: str) -> Iterator[None]:
-    """Run without gradients, and without mkldnn kernels, which ONNX cannot represent."""
-    # Not its context manager `flags`, which warns of a GPU that is not there.
-    enabled, *_ = torch.backends.mkldnn.set_flags(_enabled=False, _fp32_precision=None)
     try:
-        with torch.no_grad():
+        with safe_kernels():
             yield
     except ContractError:
         raise
     except Exception as e:  # a foreign module can raise anything
         raise ContractError(f"{source}: cannot be run or traced: {shortened(e)}") from e
+
+
+@contextmanager
+def safe_kernels() -> Iterator[None]:
+    """Run without gradients, warnings of foreign code, and kernels that do not check shapes or that ONNX lacks."""
+    # Not its context manager `flags`, which warns of a GPU that is not there.
+    enabled, *_ = torch.backends.mkldnn.set_flags(_enabled=False, _fp32_precision=None)
+    try:
+        with torch.no_grad(), sdpa_kernel(SDPBackend.MATH), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
     finally:
         torch.backends.mkldnn.set_flags(_enabled=enabled, _fp32_precision=None)

@@ -101,7 +101,11 @@ def test_a_program_for_four_robots_at_once_is_refused(tmp_path):
         ),
         (
             lambda p: first_node(p).update(target="torch.ops.aten.from_file.default"),
-            "target: found 'torch.ops.aten.from_file.default', expected operators of aten",
+            "target: found 'torch.ops.aten.from_file.default', expected operators of policy",
+        ),
+        (
+            lambda p: first_node(p).update(target="torch.ops.aten._sparse_coo_tensor_unsafe.default"),
+            "target: found 'torch.ops.aten._sparse_coo_tensor_unsafe.default', expected operators of policy",
         ),
         (
             lambda p: first_node(p).update(name="x=print(1)"),

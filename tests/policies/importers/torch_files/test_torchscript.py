@@ -7,6 +7,7 @@ from functools import partial
 
 from torch import nn
 
+from policies.importers.torch_files.operators import OPERATORS, is_operator
 from policies.importers.torch_files.torchscript import read_torchscript
 from policies.importers.torch_files.torchscript_check import REFUSED, check_source
 from robots.errors import ContractError
@@ -118,6 +119,7 @@ def test_every_operator_that_is_given_a_file_is_refused():
         and any(word in argument.name for word in ("file", "path", "dir", "url"))
     }
     assert given == REFUSED - {"classes"}
+    assert not any(map(is_operator, given))
 
 
 @pytest.mark.parametrize(
@@ -135,6 +137,9 @@ def test_every_operator_that_is_given_a_file_is_refused():
         ("print(x)", "print"),
         ("torch.load('in')", "torch.load"),
         ("__torch__.torch.classes.profiler.Profiler()", "__torch__.torch.classes"),
+        ("torch._sparse_coo_tensor_unsafe(x, x, [6])", "torch._sparse_coo_tensor_unsafe"),
+        ("torch.as_strided(x, [9], [1])", "torch.as_strided"),
+        ("torch.set_(x, x)", "torch.set_"),
     ],
 )
 def test_operators_beyond_tensors_are_named(line, found):
@@ -142,6 +147,48 @@ def test_operators_beyond_tensors_are_named(line, found):
     with pytest.raises(ContractError) as caught:
         check_source(text.encode(), "f.py")
     assert str(caught.value).startswith(f"f.py: line 3: found {found}")
+
+
+@pytest.mark.parametrize(
+    "word", ["sparse", "_coo", "_csr", "nested", "set_", "resize", "quantize", "ptr", "cudnn"]
+)
+def test_no_operator_beyond_plain_tensors_is_allowed(word):
+    assert not [name for name in OPERATORS if word in name and not name.startswith("_set_item")]
+
+
+def test_operators_called_as_methods_are_found_in_the_graph(tmp_path):
+    path = saved_script(tmp_path / "policy.pt", mlp())
+    (code,) = (name for name in members(path) if "container" in name and name.endswith(".py"))
+    line = b"    return torch.add((input).as_strided([7], [1], 1000000), 1)\n"
+
+    def spoiled(text):
+        head, _, _ = text.partition(b"  def forward")
+        return (
+            head
+            + b"  def forward(self: __torch__.torch.nn.modules.container.Sequential,\n"
+            + (b"    input: Tensor) -> Tensor:\n" + line)
+        )
+
+    message = refused(changed(path, code.partition("/")[2], spoiled))
+    assert message.startswith("found operator aten::as_strided, expected only operators of policy networks")
+
+
+@pytest.mark.parametrize(
+    "layer",
+    [
+        nn.Softmax(-1),
+        nn.LayerNorm(N),
+        nn.BatchNorm1d(N),
+        nn.GELU(),
+        nn.Sequential(
+            nn.Unflatten(1, (1, N)), nn.Conv1d(1, 2, 3), nn.MaxPool1d(2), nn.Flatten(), nn.Linear(4, N)
+        ),
+    ],
+    ids=lambda layer: type(layer).__name__,
+)
+def test_usual_layers_are_read(tmp_path, layer):
+    module = nn.Sequential(nn.Linear(N, N), layer, nn.Linear(N, A)).eval()
+    assert read_torchscript(saved_script(tmp_path / "policy.pt", module)).facts.actions == A
 
 
 def test_code_that_runs_at_loading_is_refused_before_loading(tmp_path):
