@@ -27,7 +27,7 @@ from policies.importers.readers import read_policy
 from policies.importers.reference_policy import MissingSettingError, PolicyFacts, ReferencePolicy
 from policies.importers.standard_graph import to_standard_graph
 from policies.importers.torch_files.network_settings import NetworkSettings
-from policies.importers.untrusted.resource_limits import limit_import
+from policies.importers.untrusted.resource_limits import limit_memory
 from robots.errors import ConfigError, ContractError, printable
 from robots.models.fleet import Fleet
 from robots.spec import RobotSpec, load_robot
@@ -147,7 +147,7 @@ def policy_import(
     draft_path = contract or file.with_suffix(".toml")
     if descriptor is not None and not template:
         raise ConfigError(f"--descriptor {descriptor}: found without --template, expected both")
-    with limit_import(file):
+    with limit_memory(file):
         if template:
             facts, count = write_template(file, draft_path, descriptor, robot)
             todo = f"fill in {count} values marked ?" if count else "all values are filled in"

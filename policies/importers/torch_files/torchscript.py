@@ -15,13 +15,18 @@ from policies.importers.reference_policy import ReferencePolicy
 from policies.importers.torch_files.network_settings import NetworkSettings
 from policies.importers.torch_files.torchscript_check import check_graph, check_pickle, check_source
 from policies.importers.torch_files.traced_module import safe_kernels, trace_module
+from policies.importers.untrusted.resource_limits import limit_cpu
 from policies.importers.untrusted.zip_archive import in_folder, read_bytes, read_torch_members, repack
 from robots.errors import ContractError
 
-NEEDED = re.compile(r"data\.pkl|constants\.pkl|(\.data/)?version|byteorder|(data|constants)/\d+|code/[\w/]+\.py")
+NEEDED = re.compile(
+    r"data\.pkl|constants\.pkl|(\.data/)?version|byteorder|(data|constants)/\d+|code/[\w/]+\.py"
+)
 """Members that are read; debug files and extra files are excluded."""
 EXPECTED = "expected a file of torch.jit.save"
 TRIED_MAX = 32
+LOAD_CPU_S = 30
+"""Time on a core to load and inline: methods that call each other can double the graph with each call."""
 
 
 def read_torchscript(path: Path, _network: NetworkSettings | None = None) -> ReferencePolicy:
@@ -52,8 +57,9 @@ def _check(members: Mapping[str, bytes], source: str) -> None:
 
 def _load(members: Mapping[str, bytes], source: str) -> torch.jit.ScriptModule:
     try:
-        module = torch.jit.load(repack(members), map_location="cpu")
-        graph: Any = module.inlined_graph
+        with limit_cpu(LOAD_CPU_S):
+            module = torch.jit.load(repack(members), map_location="cpu")
+            graph: Any = module.inlined_graph
     except Exception as e:  # bytes of unknown origin can fail in any way
         raise ContractError(f"{source}: cannot be loaded: {shortened(e)}") from e
     check_graph((node.kind() for node in _nodes(graph)), source)

@@ -21,6 +21,8 @@ _NAMES = (
     " range len int float bool str complex number inf infj nan nanj Tensor List Dict Tuple Optional Union Final Any"
     " NoneType Device Module NamedTuple Interface Enum Exception Stream Generator"
 )
+RUN_AT_LOADING = frozenset({"__setstate__", "__getstate__"})
+"""Methods with which a class loads and saves itself."""
 PRIM, NAMES = frozenset(_PRIM.split()), frozenset(_NAMES.split())
 """Allowed built-ins of TorchScript. Excluded: fork, rpc_async, print."""
 _CONSTRUCTS = (
@@ -66,6 +68,8 @@ def _forbidden(nodes: list[ast.AST]) -> Iterator[tuple[int, str]]:
                 yield node.lineno, ast.unparse(node)
         elif isinstance(node, ast.Constant) and node.value in REFUSED:  # an argument of getattr
             yield node.lineno, repr(node.value)
+        elif isinstance(node, ast.FunctionDef) and node.name in RUN_AT_LOADING:
+            yield node.lineno, node.name
 
 
 def _own_names(nodes: list[ast.AST]) -> Iterator[str]:

@@ -1,35 +1,26 @@
-"""Time and memory limits for importing a policy of unknown origin, whose cost is unknown before it runs."""
+"""Limits of memory and of a core's time for a policy of unknown origin, whose cost is unknown before it runs."""
 
-import os
 import resource
-import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import inf
+from math import ceil, inf
 from pathlib import Path
 
-from deploy.command_line import BAD_INPUT
 from robots.errors import ContractError
 from robots.resource_limits import limit_resource
 
-IMPORT_S, MEMORY_GIB = 600.0, 8
+MEMORY_GIB = 8
 
 
 @contextmanager
-def limit_import(policy: Path) -> Iterator[None]:
-    """Limit a block's memory, and end the process with a message if the block takes longer than `IMPORT_S`.
-
-    On systems that cannot limit the memory of a process, such as macOS, only the time is limited.
+def limit_memory(policy: Path) -> Iterator[None]:
+    """Limit a block's memory, except on systems that cannot limit the memory of a process, such as macOS.
 
     Raises:
         ContractError: the block needs more than `MEMORY_GIB`.
         MemoryError: it needs more than the process was allowed before, which is less.
     """
     before, allowed = resource.getrlimit(resource.RLIMIT_DATA), _allowed_gib()
-    watchdog = threading.Timer(IMPORT_S, _abort, [policy])
-    watchdog.daemon = True
-    watchdog.start()
     try:
         limit_resource(resource.RLIMIT_DATA, MEMORY_GIB << 30)
         yield
@@ -39,7 +30,6 @@ def limit_import(policy: Path) -> Iterator[None]:
         raise ContractError(f"{policy}: needs more memory than {MEMORY_GIB} GiB") from e
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, before)
-        watchdog.cancel()
 
 
 def _allowed_gib() -> float:
@@ -48,7 +38,12 @@ def _allowed_gib() -> float:
     return min((most / (1 << 30) for most in limits if most != resource.RLIM_INFINITY), default=inf)
 
 
-def _abort(policy: Path) -> None:
-    """Exit from the watchdog thread: the main thread may be inside the policy."""
-    print(f"error: {policy}: not finished after {IMPORT_S:g} s", file=sys.stderr, flush=True)
-    os._exit(BAD_INPUT)
+@contextmanager
+def limit_cpu(cpu_s: int) -> Iterator[None]:
+    """Let the system end this process (SIGXCPU) if a block needs more than `cpu_s` s of a core."""
+    before, used = resource.getrlimit(resource.RLIMIT_CPU), resource.getrusage(resource.RUSAGE_SELF)
+    limit_resource(resource.RLIMIT_CPU, ceil(used.ru_utime + used.ru_stime) + cpu_s)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_CPU, before)

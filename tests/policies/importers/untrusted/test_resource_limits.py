@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from policies.importers.untrusted.resource_limits import limit_import
+from policies.importers.untrusted.resource_limits import limit_memory
 from robots.errors import ContractError
 
 
 def fill():
-    with limit_import(Path("policy.pt")):
+    with limit_memory(Path("policy.pt")):
         raise MemoryError
 
 

@@ -391,13 +391,15 @@ def test_repeated_weights_are_read_up_to_the_file_limit(tmp_path, monkeypatch):
 
 SCRIPT = """
 import sys
+from functools import partial
 from deploy.policy import graph_bounds
+from deploy.start import start
 from policies.importers.untrusted import resource_limits
+from policies.importers.untrusted.watched_process import run_watched
 for name in ("ELEMENTS_MAX", "BYTES_MAX", "WORK_MAX", "TRIPS_MAX"):  # the last line of defence alone
     setattr(graph_bounds, name, 1 << 99)
-resource_limits.IMPORT_S, resource_limits.MEMORY_GIB = float(sys.argv.pop()), 4
-from policies.importers.cli import cli
-cli()
+resource_limits.MEMORY_GIB = 4
+run_watched(partial(start, "policies.importers.cli"), float(sys.argv.pop()))
 """
 
 
@@ -447,5 +449,5 @@ def test_endless_graph_is_refused(tmp_path):
     model.graph.initializer[0].dims[0] = 1 << 40
     path.write_bytes(model.SerializeToString())
     code, said = command(path, 2)
-    assert (code, said) == (2, f"error: {path}: not finished after 2 s\n")
+    assert (code, said) == (2, f"error: {path} --template: not finished after 2 s\n")
     assert os.listdir(tmp_path) == ["x.onnx"]
