@@ -15,17 +15,37 @@ INPUTS = 3
 """Controls of one `dcmotor` with `input="pos vel ff"`: motor angle, motor speed, motor torque."""
 SIGNATURE = sum(int(mode) for mode in (_INPUT.mjINPUT_POS, _INPUT.mjINPUT_VEL, _INPUT.mjINPUT_FF))
 """MuJoCo's bit set of these controls."""
+ITERATIONS = (
+    "iterations",
+    "ls_iterations",
+    "noslip_iterations",
+    "ccd_iterations",
+    "sdf_iterations",
+    "sdf_initpoints",
+)
+"""Options that multiply the time of a step."""
+ITERATIONS_MAX = 1000
+"""Ten times MuJoCo's default of its solver: a step of more would go on for hours, deaf to Ctrl-C."""
 
 
 def open_model(model: Path, folder: Path) -> mujoco.MjSpec:
-    """Read MJCF or URDF without changes; RobotError if MuJoCo cannot, or if a file is outside of the folder."""
+    """Read MJCF or URDF without changes.
+
+    Raises:
+        RobotError: MuJoCo cannot read it, a file is outside of the folder, or a step may take too many iterations.
+    """
     referenced_files(model, folder)
     try:
         if is_urdf(model):
-            return mujoco.MjSpec.from_string(urdf_text(model, folder))
-        return mujoco.MjSpec.from_file(str(model))
+            mjcf = mujoco.MjSpec.from_string(urdf_text(model, folder))
+        else:
+            mjcf = mujoco.MjSpec.from_file(str(model))
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as e:
         raise _unreadable(model, e) from e
+    for name in ITERATIONS:
+        if (found := getattr(mjcf.option, name)) > ITERATIONS_MAX:
+            raise RobotError(f"{model}: option {name}: found {found}, expected at most {ITERATIONS_MAX}")
+    return mjcf
 
 
 def compile_model(mjcf: mujoco.MjSpec, model: Path) -> mujoco.MjModel:

@@ -12,6 +12,7 @@ pytest.importorskip("mujoco")
 
 from robots.errors import RobotError
 from robots.models.files import referenced_files
+from robots.models.mujoco_model import ITERATIONS, open_model
 from robots.models.sandbox import MEMORY_GIB, check_compiles
 
 BODY = '<body name="a"><joint name="j"/><geom size="0.1"/>{}</body>'
@@ -40,6 +41,15 @@ def test_mujoco_error_is_reported(tmp_path, inside, body, message):
     with pytest.raises(RobotError, match=message) as caught:
         check_compiles(path, tmp_path)
     assert str(caught.value).startswith(f"{path}: ")
+
+
+@pytest.mark.parametrize("option", ITERATIONS)
+def test_too_many_iterations_are_refused(tmp_path, option):
+    path = written(tmp_path, f'<option {option}="1001"/>')
+    with pytest.raises(RobotError) as caught:
+        open_model(path, tmp_path)
+    assert str(caught.value) == f"{path}: option {option}: found 1001, expected at most 1000"
+    open_model(written(tmp_path, f'<option {option}="1000"/>'), tmp_path)
 
 
 @pytest.mark.slow
