@@ -13,6 +13,8 @@ from typing import NamedTuple
 from robots.errors import ContractError
 
 OPCODES_MAX = 100_000
+INTEGER_BITS_MAX = 64
+"""Torch's seeds are unsigned; a longer number fits into none of its tensors, and Python may not print it."""
 DICT = "collections OrderedDict"
 GLOBALS = frozenset({"GLOBAL", "STACK_GLOBAL", "INST", "EXT1", "EXT2", "EXT4"})
 """Opcodes that would import something."""
@@ -71,6 +73,8 @@ def read_pickle(data: bytes, source: str, rules: PickleRules = NO_RULES) -> obje
 def _complaint(name: str, argument: object, stack: list[object], step: int, rules: PickleRules) -> str | None:
     if name in GLOBALS:
         return rules.check_global(str(argument) if name == "GLOBAL" else name)
+    if isinstance(argument, int) and argument.bit_length() > INTEGER_BITS_MAX:
+        return f"found an integer of {argument.bit_length()} bits, expected at most {INTEGER_BITS_MAX}"
     if name == "BINPERSID":
         return rules.check_storage(stack[-1])
     if name in ("BINPUT", "LONG_BINPUT") and int(str(argument)) > step:  # torch would allocate that many
