@@ -144,6 +144,8 @@ def policy_import(
     descriptor: Annotated[Path | None, DESCRIPTOR] = None,
 ) -> int:
     """Import a policy: ONNX, rsl_rl, Stable-Baselines3, TorchScript, torch.export, or weights with their contract."""
+    if not file.name:
+        raise ConfigError(f"{file}: found the name of a folder, expected that of a policy file")
     draft_path = contract or file.with_suffix(".toml")
     if descriptor is not None and not template:
         raise ConfigError(f"--descriptor {descriptor}: found without --template, expected both")

@@ -146,3 +146,11 @@ def test_too_long_a_name_of_the_contract_is_one_line(call, done, tmp_path):
     contract = tmp_path / f"{'x' * 300}.toml"
     code, _, said = call(cli, done[0], "--template", "--contract", contract)
     assert (code, said) == (2, f"error: --contract {contract}: cannot be written: File name too long\n")
+
+
+@pytest.mark.parametrize("name", ["", ".", "/"])
+@pytest.mark.parametrize("more", [[], ["--template"]])
+def test_a_folder_is_no_policy_file(call, name, more):
+    code, _, said = call(cli, name, *more)
+    expected = "found the name of a folder, expected that of a policy file"
+    assert (code, said) == (2, f"error: {name or '.'}: {expected}\n")
