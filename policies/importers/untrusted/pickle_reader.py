@@ -13,8 +13,8 @@ from typing import NamedTuple
 from robots.errors import ContractError
 
 OPCODES_MAX = 100_000
-INTEGER_BITS_MAX = 64
-"""Torch's seeds are unsigned; a longer number fits into none of its tensors, and Python may not print it."""
+INTEGER_BITS_MAX = 128
+"""Generators of numpy have states of that size; a much longer integer is no float, and Python may not print it."""
 DICT = "collections OrderedDict"
 GLOBALS = frozenset({"GLOBAL", "STACK_GLOBAL", "INST", "EXT1", "EXT2", "EXT4"})
 """Opcodes that would import something."""

@@ -7,14 +7,14 @@ from robots.errors import ContractError
 
 
 @pytest.mark.parametrize("protocol", [1, 2, 5])
-def test_integers_of_torch_are_read(protocol):
-    values = [0, -1, 2**64 - 1, -(2**63)]
+def test_integers_of_generators_are_read(protocol):
+    values = [0, -1, 2**128 - 1, -(2**127)]
     assert read_pickle(pickle.dumps(values, protocol), "x.pkl") == values
 
 
-@pytest.mark.parametrize("value", [2**64, 10**400, -(10**5000)])
-def test_longer_integers_are_refused(value):
+@pytest.mark.parametrize(("sign", "bits"), [(1, 129), (1, 1330), (-1, 16610)])
+def test_longer_integers_are_refused(sign, bits):
     with pytest.raises(ContractError) as caught:
-        read_pickle(pickle.dumps([value], 2), "x.pkl")
-    found = f"x.pkl: found an integer of {value.bit_length()} bits, expected at most 64"
+        read_pickle(pickle.dumps([sign << (bits - 1)], 2), "x.pkl")
+    found = f"x.pkl: found an integer of {bits} bits, expected at most 128"
     assert str(caught.value) == f"{found}; nothing of it was run"
