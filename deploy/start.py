@@ -16,8 +16,8 @@ from typing import Any, BinaryIO, cast
 
 from robots.errors import NO_ROOM, printable
 
-LACKING, INTERRUPTED, BROKEN = 1, 130, 70
-"""Exit codes where the computer lacks room, memory or open files, after Ctrl-C, and after a defect."""
+LACKING, MISTAKEN, INTERRUPTED, BROKEN = 1, 2, 130, 70
+"""Exit codes where the computer lacks room, memory or open files, after bad input, after Ctrl-C, and after a defect."""
 RESOURCES = {
     **dict.fromkeys(NO_ROOM, "a temporary file"),
     **dict.fromkeys((errno.EMFILE, errno.ENFILE), "a file, a pipe or a process"),
@@ -33,6 +33,8 @@ NO_MEMORY = (
 """Words, in lower case, of RuntimeErrors of torch and ImportErrors of library loaders that lack memory."""
 NO_THREAD = "can't start new thread"
 """Message of a RuntimeError of Python's where the system starts no further thread."""
+NO_RENDERER = "environment variable MUJOCO_GL"
+"""Words of MuJoCo's RuntimeError about a renderer that it does not know."""
 NO_FOLDER = "No usable temporary directory"
 """Beginning of the message of a FileNotFoundError where no folder for temporary files can be written."""
 ADDRESSES_MIN = 1 << 30
@@ -96,6 +98,9 @@ def _check_addresses() -> None:
 
 def report_failure(error: Exception) -> int:
     """Print an exception, with its traceback unless the computer lacks something; return the exit code."""
+    if isinstance(error, RuntimeError) and NO_RENDERER in str(error):
+        print(f"error: {printable(str(error))}, expected egl, osmesa, glfw or disabled", file=sys.stderr)
+        return MISTAKEN
     if _lacks_memory(error):
         first_line, *_ = str(error).splitlines() or [os.strerror(errno.ENOMEM)]
         error = OSError(errno.ENOMEM, printable(first_line))
