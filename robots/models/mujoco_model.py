@@ -197,4 +197,6 @@ def _check_drives(spec: RobotSpec, model: mujoco.MjModel) -> None:
 
 
 def _unreadable(model: Path, why: Exception) -> RobotError:
-    return RobotError(f"{model}: MuJoCo cannot read it: {why!s:.300}")
+    return RobotError(
+        f"{model}: MuJoCo cannot read it: {'; '.join(filter(None, str(why).splitlines())):.300}"
+    )

@@ -39,10 +39,10 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
             )
     except OSError as e:
         raise RobotError(f"{model}: no process to compile it in: {e.strerror}") from e
+    last = done.stderr.strip().rpartition("\n")[2]  # after MuJoCo's warnings
     if done.returncode == REFUSED:
-        raise RobotError(done.stderr.strip().replace(arguments[0], str(model)))
+        raise RobotError(last.replace(arguments[0], str(model)))
     if done.returncode:
-        last = done.stderr.strip().rpartition("\n")[2]
         raise RobotError(f"{bounds}: exit code {done.returncode}{last and f': {last:.200}'}")
 
 

@@ -32,6 +32,7 @@ def test_valid_model_passes(tmp_path):
 @pytest.mark.parametrize(
     ("inside", "body", "message"),
     [
+        ('<option gravity="nan 0 0"/>', "<geom/>", r"model\.xml: MuJoCo cannot read it: .*size"),
         ("", "<geom/>", r"model\.xml: MuJoCo cannot read it: .*size"),
         ('<size nuserdata="2000000000"/>', "", r"model\.xml: MuJoCo cannot read it: .*[Cc]ould not allocate"),
     ],
@@ -41,6 +42,7 @@ def test_mujoco_error_is_reported(tmp_path, inside, body, message):
     with pytest.raises(RobotError, match=message) as caught:
         check_compiles(path, tmp_path)
     assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("option", ITERATIONS)
