@@ -31,6 +31,7 @@ def crash():
 def main(command):
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     command()
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may ignore it
 watched_process.run_watched(lambda: main(globals()[sys.argv[1]]), float(sys.argv[2]))
 """
 
