@@ -11,6 +11,7 @@ pytest.importorskip("mujoco")
 from deploy.simulation import simulate
 from eval.attack.policy_graph import attack_contract
 from eval.attack.trained_gains import TrainedGains
+from eval.mutants.guard_removal import skip_stop_checks
 from robots.arrays import Floats
 from robots.distributions import load_distributions
 from robots.draws import draw
@@ -45,6 +46,15 @@ def of_joint(joint, sense):
     return sense * np.eye(SPEC.n)[joint]
 
 
+FORMER = [
+    ("tau = 0.47", "tau = 0.50"),
+    ("qdd_max = 9.2", "qdd_max = 10.3"),
+    ("qdd_max = 2.0", "qdd_max = 2.6"),
+    ("qdd_max = 4.5", "qdd_max = 6.0"),
+]
+"""Margin of torque, and accelerations of the first three joints, with which these attacks were found."""
+
+
 class Thrown(NamedTuple):
     """Largest speed, rad/s, and torque, N·m, (n,) each, before and from the push, and of the tool, m/s."""
 
@@ -54,11 +64,12 @@ class Thrown(NamedTuple):
     tool_speed: float
 
 
-def throw(spec, drawn, poses, moves, tick, push, gains=None):
+def throw(spec, drawn, poses, moves, tick, push, gains=None, prepare=lambda runtime: None):
     """Move joints from one pose to another from ticks `moves` on, and push a link along a motion, None: its own."""
     seeds, (link, motion) = [robot_seed(0, 0)], push
     contract = attack_contract(spec, ControlMode.POSITION, gains)
     runtime, arm = simulate(spec, contract, seeds, draw=drawn)
+    prepare(runtime)
     arm.plant.wear.life[:] = LIVES
     arm.plant.wear.apply()
     pushes = arm.plant.disturbances["pushes"]
@@ -110,7 +121,7 @@ def test_a_push_through_worn_play_keeps_the_limit_of_speed(robot, joint, link, t
 @pytest.mark.parametrize(("damping", "low", "high"), [("0.064", 0.7, 0.9), ("0.12", 0.99, np.inf)])
 def test_a_blow_in_the_play_takes_all_of_the_torque_only_with_more_damping(tmp_path, damping, low, high):
     """Robot and pose of an attack: the stretched arm swings its pan, and the push begins as the planner brakes."""
-    spec = load_robot(copy_of_arm(tmp_path, xml=[("0.064 0 0 48", f"{damping} 0 0 48")]))
+    spec = load_robot(copy_of_arm(tmp_path, toml=FORMER, xml=[("0.064 0 0 48", f"{damping} 0 0 48")]))
     first, last = np.tile((0.0, -0.4973, 0.5101, -1.6896, -0.9839, 0.0), (2, 1))
     first[0], last[0] = -0.9, 0.9
     found = throw(spec, robot_of(3, 6531, WITH_PAYLOAD), (first, last), 300, 467, (5, of_joint(0, 1.0)))
@@ -120,14 +131,14 @@ def test_a_blow_in_the_play_takes_all_of_the_torque_only_with_more_damping(tmp_p
 SOFTEST = TrainedGains(
     kp=(33721.0, 33721.0, 20971.0, 1594.9, 1036.6, 933.4), kd=(574.7, 578.6, 276.8, 26.8, 20.7, 19.4)
 )
-"""Gains of a contract just above their lower bounds."""
+"""Gains of a contract just above the lower bounds of then."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("planned", "low", "high"), [("0.88", 0.9, 0.98), ("0.92", 1.0, np.inf)])
 def test_a_push_as_a_stop_begins_needs_the_margin_of_the_tools_speed(tmp_path, planned, low, high):
     """Robot, motion and push of an attack: gears have no load then, and links fly through their play one by one."""
-    spec = load_robot(copy_of_arm(tmp_path, toml=[("tool_speed = 0.88", f"tool_speed = {planned}")]))
+    spec = load_robot(copy_of_arm(tmp_path, toml=[*FORMER, ("tool_speed = 0.88", f"tool_speed = {planned}")]))
     poses = ((1.2, -1.768, 0.6403, -2.9468, -0.55, -2.4624), (-0.79, -1.06, 2.2355, -2.374, -2.148, -2.8215))
     moves = MOVES + np.array((25, 20, 44, 45, 58, 83))
     drawn = robot_of(1, 10314, WITHOUT_PAYLOAD)
@@ -135,3 +146,20 @@ def test_a_push_as_a_stop_begins_needs_the_margin_of_the_tools_speed(tmp_path, p
         throw(spec, drawn, poses, moves, tick, (5, None), SOFTEST).tool_speed for tick in range(504, 510, 2)
     ]
     assert low < max(speeds) / SPEC.workspace.tool_speed_max < high
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("former", "ticks", "low", "high"),
+    [(True, (541,), 0.995, np.inf), (False, (511, 516, 521, 541), 0.85, 0.95)],
+)
+def test_a_push_while_a_stop_holds_a_loaded_arm_up_needs_the_checks_of_its_torque(
+    tmp_path, former, ticks, low, high
+):
+    """Robot, motion and push of an attack: elbow and wrists brake, too, and the lift holds against all of them."""
+    spec = load_robot(copy_of_arm(tmp_path, toml=FORMER)) if former else SPEC
+    prepare = skip_stop_checks("braking") if former else lambda runtime: None
+    poses = ((-0.938, -0.66, 0.353, -1.885, -1.919, 1.888), (0.316, -0.537, 1.987, -1.497, -0.579, -2.509))
+    drawn, push = robot_of(1, 6794, WITH_PAYLOAD), (5, of_joint(1, 1.0))
+    torques = [throw(spec, drawn, poses, 500, tick, push, prepare=prepare).torque[1] for tick in ticks]
+    assert low < max(torques) / torque_max(spec)[1] < high
