@@ -42,7 +42,7 @@ class DriveLaw(ABC):
 
     @abstractmethod
     def torque(self, state: State, q: Floats, qd: Floats, qdd: Floats) -> Floats:
-        """Return (R, n) N·m that R setpoints q, qd, qdd (R, n) need, R a whole number of times the B robots."""
+        """Return (PB, n) N·m that points q, qd, qdd (PB, n) need: setpoints and their stops, P = STOP_MOMENTS + 2."""
 
     def limited(self, tau: Floats) -> Floats:
         """Return the torques (B, n) N·m that are sent for those of setpoints; a stop may need more than was checked."""

@@ -9,8 +9,9 @@ from deploy.policy.shape_inference import Tensor
 from robots.errors import ContractError
 
 TRAPPED = frozenset({TensorProto.INT32, TensorProto.INT64})
-"""Types of elements whose smallest number divided by -1 ends the process with SIGFPE; of 8 and 16 bits it does not."""
+"""Types of elements whose smallest number divided by -1 ends the process with SIGFPE; INT8 and INT16 do not."""
 UNSAFE_DIVISORS = (0, -1)
+"""Divisors that never work: 0 is an error at run time."""
 _TERM = rb"[A-Za-z ]*(?:\.\.\.[A-Za-z ]*)?"
 EQUATION = re.compile(rb"%(t)b(?:,%(t)b)*(?:->%(t)b)?" % {b"t": _TERM})
 """Equations of Einsum; ONNX's inference of shapes never ends on some others, such as `....`."""

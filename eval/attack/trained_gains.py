@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from deploy.policy.gain_bounds import damping_bounds, stiffness_bounds
 from deploy.policy.policy import Policy
+from deploy.policy.tried_policy import read_tried_policy
 from robots.errors import ConfigError
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
@@ -27,6 +28,8 @@ def find_gains(name: str, spec: RobotSpec, mode: ControlMode) -> TrainedGains:
         ContractError: the file or its contract does not fit the robot.
         ConfigError: its drives have their own gains, or follow it in another mode; or contracts may have no gains.
     """
+    if name not in EXTREMES and not Path(name).exists():
+        raise ConfigError(f"--gains: found {name!r:.200}, expected softest, stiffest or the file of a policy")
     if name not in EXTREMES:
         return _gains_of_file(Path(name), spec, mode)
     if name not in (extremes := extreme_gains(spec, mode)):
@@ -38,7 +41,7 @@ def find_gains(name: str, spec: RobotSpec, mode: ControlMode) -> TrainedGains:
 
 
 def _gains_of_file(path: Path, spec: RobotSpec, mode: ControlMode) -> TrainedGains:
-    action = Policy.load(path, spec).contract.action
+    action = Policy.verified(read_tried_policy(path), str(path), spec).contract.action
     if action.kp is None or action.kd is None:
         raise ConfigError(f"--gains: {path}: found no kp and kd in its contract, expected some")
     if action.control_mode is not mode:

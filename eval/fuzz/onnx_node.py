@@ -1,4 +1,4 @@
-"""Insertion of nodes into ONNX: what changes of single fields would seldom compose."""
+"""Insertion of nodes into ONNX that mutations of single fields seldom produce."""
 
 import numpy as np
 from onnx import GraphProto, NodeProto, TensorProto, helper

@@ -37,9 +37,9 @@ _TURNS: tuple[tuple[Moment, bool], ...] = (
     *((Moment.FAST, True), (Moment.BRAKING, False), (Moment.FAST, False), (Moment.FAST, False)),
     *((Moment.STOPPING, True), (Moment.BRAKING, False), (Moment.FAST, False), (Moment.FAST, False)),
 )
-"""Moment of the push of each of them, and whether it is along the motion of the tool, not of a joint."""
+"""For each robot from `AIMED` on: the moment of its push, and True if it is along the motion of its tool."""
 MOMENTS, OF_TOOL = np.array([moment for moment, _ in _TURNS]), np.array([tool for _, tool in _TURNS])
-"""(WIDTH - AIMED,) each."""
+"""(WIDTH - AIMED,) columns of `_TURNS`."""
 NEVER_S = 1e9
 """s, a pause that no trial reaches."""
 

@@ -123,7 +123,7 @@ def _remove(folder: Path) -> None:
 
 
 def copy_bundles(source: Path, place: Path, names: Collection[str] | None = None) -> None:
-    """Replace the bundles in `place` by those in `source`, all or those of some names, which share their files.
+    """Replace the bundles in `place` by copies of those in `source`, all or those of some names.
 
     Raises:
         OutputError: they cannot be written.
@@ -132,11 +132,15 @@ def copy_bundles(source: Path, place: Path, names: Collection[str] | None = None
     for bundle in {info.parent for info in source.glob(f"[!.]*/{INFO}")}:
         if names is None or bundle.name in names:
             with new_bundle(place / bundle.name) as partial:
-                shutil.copytree(bundle, partial, dirs_exist_ok=True, copy_function=_link)
+                for path in bundle.rglob("*"):
+                    _copy(path, partial / path.relative_to(bundle))
 
 
-def _link(source: str, place: str) -> None:
-    """Give a file a second name; on a file system without hard links, copy it."""
+def _copy(source: Path, place: Path) -> None:
+    """Make a folder, or a hard link to a file; on a file system without them, copy the file."""
+    if source.is_dir():
+        place.mkdir(exist_ok=True)
+        return
     try:
         os.link(source, place)
     except OSError:

@@ -10,8 +10,7 @@ import numpy as np
 from deploy.operation.stop_explanation import StopDetector, explain_reasons
 from deploy.policy.compatibility import sensors_read
 from deploy.policy.policy import Policy
-from deploy.policy.policy_file import read_policy_file
-from deploy.policy.step_trial import try_step
+from deploy.policy.tried_policy import read_tried_policy
 from deploy.stage import Arrays
 from deploy.telemetry.signals import Rows
 from eval.faults.catalogue import check_names
@@ -73,8 +72,7 @@ class Replay:
         self.info = info = bundle.open_bundle(folder)
         self.spec = load_robot(folder / bundle.ROBOT)
         check_compiles(self.spec.model_path, self.spec.folder)
-        policy = folder / bundle.POLICY
-        try_step(read_policy_file(policy).data, str(policy))
+        read_tried_policy(folder / bundle.POLICY)
         distributions = load_distributions(self.spec)
         self.differences = _identity_differences(info, self.spec, distributions)
         self.row = info.event.robot - info.job.first

@@ -115,9 +115,8 @@ def _write(report: Report, extra: dict[str, bytes], out: Path, history: Path | N
         write_report(report, out / UNFINISHED, extra)
         return out / UNFINISHED / PAGE
     write_report(report, out, extra)
-    copy_bundles(
-        out / UNFINISHED / EVENTS, out / EVENTS
-    )  # while the soak can still go on from its checkpoints
+    # The soak can still go on from its checkpoints.
+    copy_bundles(out / UNFINISHED / EVENTS, out / EVENTS)
     if history is not None:
         add_record(report, history)
     delete_report(out / UNFINISHED, EXTRA_FILES)

@@ -9,8 +9,7 @@ from pydantic import Field
 
 from deploy.policy.compatibility import sensors_read
 from deploy.policy.policy import Policy
-from deploy.policy.policy_file import read_policy_file
-from deploy.policy.step_trial import try_step
+from deploy.policy.tried_policy import read_tried_policy
 from eval.faults.catalogue import check_names
 from eval.faults.schedule import FIRST_S, HOURS_MAX, FaultSettings, hours_max
 from eval.soak.configuration import SoakConfig
@@ -116,8 +115,7 @@ def configure(
     _check_hours(hours_field, hours, defaults.faults)
     _check_options(robots, seed, workers)
     spec = load_robot(robot)
-    try_step(read_policy_file(policy).data, str(policy))
-    loaded = Policy.load(policy, spec)
+    loaded = Policy.verified(read_tried_policy(policy), str(policy), spec)
     if profile is not None and defaults.faults and defaults.faults.classes:
         field = f"{_profile_path(profile)}: faults.classes"
         check_names(defaults.faults.classes, spec, sensors_read(loaded.contract, spec), field)

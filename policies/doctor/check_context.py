@@ -11,7 +11,7 @@ from deploy.policy.contract_term import Term
 from deploy.policy.inference import BATCHES
 from deploy.policy.onnx_graph import shortened
 from deploy.policy.policy import Policy
-from deploy.policy.policy_file import read_policy_file
+from deploy.policy.tried_policy import read_tried_policy
 from policies.doctor.checks.normalizer import Statistics, normalizer_of
 from policies.doctor.simulation.simulated_run import ON_TIME, Delay, SimulatedRun, run_simulation
 from robots.arrays import Floats
@@ -37,7 +37,7 @@ class CheckContext:
             ContractError: the file is no policy, its contract is unreadable, or its network cannot be run.
             RobotError: the robot is unknown or unreadable.
         """
-        self.path, self.file = path, read_policy_file(path)
+        self.path, self.file = path, read_tried_policy(path)
         self.contract = self.file.contract
         self.spec = load_robot(robot or self.contract.robot)
         self.policy, self._runs = Policy(self.file, str(path)), dict[Delay, SimulatedRun]()

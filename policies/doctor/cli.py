@@ -8,8 +8,6 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
-from deploy.policy.policy_file import read_policy_file
-from deploy.policy.step_trial import try_step
 from deploy.telemetry.plain_console import plain_console
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import CheckResult, Verdict
@@ -26,7 +24,6 @@ def policy_check(
     ] = None,
 ) -> int:
     """Diagnose a policy on a robot: one row per check with its reason and what to do. Exit code 1 if a check fails."""
-    try_step(read_policy_file(policy).data, str(policy))
     context, title = CheckContext(policy, robot), printable(f"checking {policy.name}")
     with plain_console(stderr=True).status(Text(title)) as status:
         findings = []

@@ -63,5 +63,5 @@ OPERATORS = frozenset(
 
 
 def is_operator(name: str) -> bool:
-    """Whether files may use an operator of aten, such as `add`, or `add_`, its variant that works in place."""
+    """Return True for an operator of aten that files may use: `add`, or `add_`, its variant that works in place."""
     return name in OPERATORS or name.removesuffix("_") in OPERATORS

@@ -21,6 +21,8 @@ _NAMES = (
     " range len int float bool str complex number inf infj nan nanj Tensor List Dict Tuple Optional Union Final Any"
     " NoneType Device Module NamedTuple Interface Enum Exception Stream Generator"
 )
+HOOKS = frozenset({"__forward_hooks__", "__forward_pre_hooks__"})
+"""Lists of methods that run before and after `forward`, and are not in its graph."""
 RUN_AT_LOADING = frozenset({"__setstate__", "__getstate__"})
 """Methods with which a class loads and saves itself."""
 PRIM, NAMES = frozenset(_PRIM.split()), frozenset(_NAMES.split())
@@ -61,7 +63,11 @@ def _forbidden(nodes: list[ast.AST]) -> Iterator[tuple[int, str]]:
     own = set(_own_names(nodes))
     for node in nodes:
         if isinstance(node, ast.Name):
-            if node.id not in own | NAMES or (node.id in ("torch", "ops") and id(node) not in inner):
+            if (
+                node.id in HOOKS
+                or node.id not in own | NAMES
+                or (node.id in ("torch", "ops") and id(node) not in inner)
+            ):
                 yield node.lineno, node.id
         elif isinstance(node, ast.Attribute):
             if not _is_allowed(node, outermost=id(node) not in inner):

@@ -30,11 +30,16 @@ def run_watched(command: Callable[[], None], wall_s: float = WALL_S) -> None:
     Raises:
         SystemExit: in this process, always.
     """
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, exit codes are lost
+    requests = {signal.SIGINT, *REQUESTS}
+    signal.pthread_sigmask(signal.SIG_BLOCK, requests)  # until each process has its handlers
     if child := os.fork():
         raise SystemExit(_watch(child, wall_s))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, requests)
     # For a parent that is killed: nobody is left to end the child.
     limit_resource(resource.RLIMIT_CPU, int(WALL_S) * (os.cpu_count() or 1))
+    limit_resource(resource.RLIMIT_CORE, 0)
     command()
 
 
@@ -43,6 +48,7 @@ def _watch(child: int, wall_s: float) -> int:
     asked: list[int] = []
     numbers = [each for each in (signal.SIGINT, *REQUESTS) if signal.getsignal(each) is not signal.SIG_IGN]
     with handled(lambda number, _: asked.append(number), numbers):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, *REQUESTS})
         code = _wait(child, wall_s, asked)
         if code is None:
             _end(child)

@@ -153,7 +153,7 @@ def test_a_push_as_a_stop_begins_needs_the_margin_of_the_tools_speed(tmp_path, p
     ("former", "ticks", "low", "high"),
     [(True, (541,), 0.995, np.inf), (False, (511, 516, 521, 541), 0.85, 0.95)],
 )
-def test_a_push_while_a_stop_holds_a_loaded_arm_up_needs_the_checks_of_its_torque(
+def test_a_push_while_a_stop_holds_a_loaded_arm_up_keeps_the_limit_of_torque(
     tmp_path, former, ticks, low, high
 ):
     """Robot, motion and push of an attack: elbow and wrists brake, too, and the lift holds against all of them."""

@@ -7,6 +7,7 @@ pytest.importorskip("mujoco")
 
 import eval.margins.trial as module
 from deploy.policy.actor import Actor
+from deploy.reasons import Reason
 from eval.attack.arena import Setting
 from eval.attack.loaded_robots import CHOICE, DISTURBED, extra_load
 from eval.margins.aimed_pushes import NOBODY, Moment
@@ -114,6 +115,27 @@ def test_robots_of_the_other_half_are_pushed(monkeypatch):
     ever = np.any(pushed, axis=0)
     assert ever[AIMED:][MOMENTS != Moment.STOPPING].all()
     assert not ever[:AIMED].any()
+
+
+def test_pushes_are_told_the_tick_in_which_a_stop_begins(monkeypatch):
+    told, seen, modes = [], module.AimedPushes.step, []
+
+    def step(self, planned, q, qd, stops):
+        seen(self, planned, q, qd, stops)
+        told.append(stops.copy())
+
+    def ticked(self, run=module.Shard.tick):
+        before = self.runtime.supervisor.running
+        if self.runtime.ticks == 150:
+            self.runtime.stop(Reason.OPERATOR)
+        run(self)
+        modes.append(before & ~self.runtime.supervisor.running)
+
+    monkeypatch.setattr(module.AimedPushes, "step", step)
+    monkeypatch.setattr(module.Shard, "tick", ticked)
+    run(Trial(POSITION, "bang_bang", 3, False))
+    np.testing.assert_array_equal(told, modes)
+    assert np.flatnonzero(np.any(told, axis=1)).tolist() == [150]
 
 
 class Script(Actor):

@@ -230,6 +230,21 @@ def test_code_that_runs_at_loading_is_refused_before_loading(tmp_path):
     assert not witness.exists()
 
 
+@pytest.mark.parametrize("name", ["__forward_hooks__", "__forward_pre_hooks__"])
+def test_methods_that_run_around_forward_are_refused(tmp_path, name):
+    """They are not in its graph, whose operators are checked."""
+    path = saved_script(tmp_path / "policy.pt", mlp())
+    (code,) = (
+        name
+        for name in members(path)
+        if name.endswith(".py") and b"forward(self" in members(path)[name] and "container" in name
+    )
+    message = refused(
+        changed(path, code.partition("/")[2], lambda text: text + f'\n  {name} = ["forward"]\n'.encode())
+    )
+    assert f"found {name}, expected" in message
+
+
 def test_a_tensor_that_claims_more_bytes_than_it_has_is_refused(tmp_path):
     path = changed(saved_script(tmp_path / "policy.pt", mlp()), "data/0", lambda data: data[:8])
     assert refused(path).startswith("data.pkl: tensor 0: found 8 bytes, expected ")
