@@ -73,10 +73,10 @@ HEAT_GUARDS = (
         guard="safety: the torque check ignores the foldback of currents",
         remove_guard=check_with_all_current,
         situation=Situation(
-            description="planner with nine times the acceleration swings a hot, heavy arm; heat check off",
+            description="planner with twelve times the acceleration swings a hot, heavy arm; heat check off",
             policy=SWING,
             prepare=in_sequence(
-                ignore_reasons(Reason.HEAT | Reason.ACCELERATION), scale_limits_while_following(qdd_max=9.0)
+                ignore_reasons(Reason.HEAT | Reason.ACCELERATION), scale_limits_while_following(qdd_max=12.0)
             ),
             draws=LIGHT | {"links.mass": 1.2, "joints.friction": 1.5} | BURDEN | {"payload.mass_kg": 5.0},
             disturbance=hot_motors_at_start(86.0, 21.0),

@@ -19,7 +19,7 @@ NO_WORKSPACE = (
     (r"(?s)\[workspace\].*?tool_speed_max = 2.5", ""),
     ("workspace_m = 0.010", ""),
     ("workspace_m = 0.046", ""),
-    ("tool_speed = 0.88", ""),
+    ("tool_speed = 0.87", ""),
     ("tool_speed = 0.66", ""),
 )
 NO_TOOL = (*NO_WORKSPACE, ('tool = "tool" ', ""), ("singularity = 0.0005", ""))

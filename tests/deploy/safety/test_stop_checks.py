@@ -89,7 +89,16 @@ def test_a_stop_takes_over_from_torques_at_a_bounded_rate(mode):
 
 
 FLEET = Fleet(SPEC, 2, collisions=True)
-FAST = SPEC.model_copy(update={"margins": MARGINS.model_copy(update={"speed": 0.95, "tool_speed": 0.92})})
+QUICK = SPEC.model_copy(
+    update={
+        "joints": tuple(
+            joint.model_copy(update={"qdd_max": max(qdd, joint.qdd_max)})
+            for joint, qdd in zip(SPEC.joints, (10.3, 2.6, 6.0, 0.0, 0.0, 0.0), strict=True)
+        )
+    }
+)
+"""The arm with the accelerations of its first three joints with which the stops below were found."""
+FAST = QUICK.model_copy(update={"margins": MARGINS.model_copy(update={"speed": 0.95, "tool_speed": 0.92})})
 """The arm with a small margin of speed."""
 
 
@@ -240,8 +249,8 @@ def test_a_stop_that_dips_after_the_fast_joints_rest_is_refused():
     q = np.array([0.0, -0.909684242, 1.968643348, 0.024736534, -2.152871125, 0.0])
     qd = np.array([0.0, 0.838462428, 2.085953757, -1.818148208, -2.198, 0.0])
     start = point(q, qd, np.array([0.0, 2.6, 6.0, -15.1, 0.0, 0.0]))
-    stop = Smoother(SPEC, 1).brake(start)
-    ends = {"setpoint": start, "qd_hat": qd, "ahead": stop.ahead, "q_rest": stop.q_rest}
+    stop, safety = Smoother(QUICK, 1).brake(start), Safety(QUICK, Fleet(QUICK, 2, collisions=True))
+    ends = {"setpoint": start, "qd_hat": qd, "ahead": stop.ahead, "q_rest": stop.q_rest, "safety": safety}
     assert reasons(**ends, q_early=stop.q[0], q_mid_stop=stop.q[1]) == 0
     assert reasons(**ends, q_late=stop.q[2]) == Reason.COLLISION
     assert reasons(**ends, q_last=stop.q[3]) == Reason.COLLISION

@@ -45,12 +45,12 @@ def spec(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def moving(spec):
-    """An exact arm half a second after it began to turn its shoulder and elbow."""
+    """An exact arm 0.6 s after it began to turn its shoulder and elbow."""
     runtime = exact_runtime(spec, arm_contract, SOURCES)
     observe(runtime, 10)
     assert not runtime.arm(np.ones(1, dtype=bool)).any()
     action = np.array([[0.5, 0.3, -0.5, 0.2, 0.0, 0.0]])
-    return runtime, observe(runtime, 25, action)
+    return runtime, observe(runtime, 30, action)
 
 
 def relative_rotations(spec, q):

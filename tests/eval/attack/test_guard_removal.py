@@ -21,6 +21,8 @@ SHORT_S, LONG_S = 1.1, 3.0
 """s of a trial: 0.8 of operation, and 2.7, in which each of the events below is found."""
 TRIALS = WIDTH * len(ADVERSARIES)
 """The library: what every search tries first."""
+GENERATIONS = 4
+"""Of a search for one event, the library included."""
 JERK = ("planner: jerk × 1.2", "runtime: zero velocity after a refused setpoint")
 GUARDS = (
     "safety: tool speed, off",
@@ -35,7 +37,11 @@ class HardEventError(Exception):
 
 
 def attacked(without="", seconds=LONG_S, target=None):
-    """Return what a search of `TRIALS` policies found, each tried for some seconds; raise at an event of the target."""
+    """Return what a search found, each policy tried for some seconds: the library, or more for a target's event.
+
+    Raises:
+        HardEventError: an event of the target was found.
+    """
 
     def try_block(block):
         outcome = arena.try_block(block)
@@ -46,9 +52,12 @@ def attacked(without="", seconds=LONG_S, target=None):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "EPISODE_S", seconds)
         arena = Arena(Setting(robot=SPEC.folder, mode=MODE, without=without), SEED)
-        search = Search(SPEC, MODE, lambda blocks: [try_block(block) for block in blocks], seed=SEED)
-        next(islice(search.run(), 1))
-    assert search.archive.trials == TRIALS
+        search = Search(
+            SPEC, MODE, lambda blocks: [try_block(block) for block in blocks], seed=SEED, target=target or ""
+        )
+        generations = GENERATIONS if target else 1
+        assert len(list(islice(search.run(), generations))) == generations
+    assert search.archive.trials >= TRIALS
     return search.archive
 
 

@@ -30,14 +30,14 @@ def test_derivatives_of_the_sent_command(name, field, order, share, fires, joint
     """A trajectory of constant derivative, seen from the tick on which power came."""
     bench = Bench()
     rate = share * getattr(SPEC.joints[joint], field)
-    for tick in range(6):
+    for tick in range(4):
         ladder = np.prod([tick - k for k in range(order)]) / [1, 2, 6][order - 1]
         hold(bench, joint, HOME[joint] + rate * ladder * DT**order)
         bench.step()
     from_rest = {"command_jump"} if order == 1 else set()
     assert bench.fired() == ({name} if fires else set()) | from_rest
     counts = bench.judge.counts()
-    assert counts.bad_ticks[:, counts.columns(name)].sum() == (6 - order if fires else 0)
+    assert counts.bad_ticks[:, counts.columns(name)].sum() == (4 - order if fires else 0)
 
 
 @pytest.mark.parametrize("joint", range(N))
@@ -51,7 +51,7 @@ def test_derivatives_of_the_speeds_sent_to_a_wheel(name, field, order, share, fi
     bench = Bench()
     bench.drive.kp[0, joint] = 0.0
     rate = share * getattr(SPEC.joints[joint], field)
-    for tick in range(1, 6):
+    for tick in range(1, 4):
         way = [np.prod([t - k for k in range(order)]) / [1, 2, 6][order - 1] for t in (tick - 1, tick)]
         bench.speed_sent[0, joint] = rate * (way[1] - way[0]) * DT ** (order - 1)
         bench.truth.q[0, joint] = bench.sent[0, joint] = HOME[joint] + 0.001 * (tick % 2)

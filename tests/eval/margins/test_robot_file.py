@@ -44,7 +44,7 @@ def test_margins_are_written_to_their_mode_and_all_else_is_kept(tmp_path):
 
 
 def test_tool_speeds_of_other_modes_stay_when_one_gets_its_own(tmp_path):
-    folder = copy_of_arm(tmp_path, toml=(("tool_speed = 0.88 .*\n", ""), ("tool_speed = 0.66\n", "")))
+    folder = copy_of_arm(tmp_path, toml=(("tool_speed = 0.87 .*\n", ""), ("tool_speed = 0.66\n", "")))
     before = load_robot(folder).margins
     write_margins(load_robot(folder), {ControlMode.POSITION: [lacking("tool_speed", "tool_speed", 0.81)]})
     after = load_robot(folder).margins

@@ -27,8 +27,13 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def brief_search(monkeypatch, one_goal):
-    """Every third variant, with the exchange and the reversal that are tried here."""
-    monkeypatch.setattr(joint_order, "joint_variants", lambda names: joint_variants(names)[::3])
+    """Every third variant, reversals first: an exchange of elbow and wrist_3 reaches these goals, too."""
+
+    def variants(names):
+        as_it_is, *others = joint_variants(names)[::3]
+        return [as_it_is, *reversed(others)]
+
+    monkeypatch.setattr(joint_order, "joint_variants", variants)
 
 
 EXCHANGED = [0, 2, 1, 3, 4, 5]

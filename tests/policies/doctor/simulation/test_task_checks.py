@@ -233,10 +233,10 @@ def test_overheating_motors_are_named_with_the_hour(sick, tmp_path):
     robot, digest = robot_and_digest(tmp_path, toml=[cool])
     found = text_of(sick(robot, contract=digest), "heat", Verdict.FAIL)
     assert (
-        "after eight hours of this work, with middle values of draws.toml, at 25 °C: shoulder_lift 12"
+        "after eight hours of this work, with middle values of draws.toml, at 25 °C: shoulder_lift 11"
         in found
     )
-    assert re.search(r"too hot: the first is too hot within [567][.\d]* h", found)
+    assert re.search(r"too hot: the first is too hot within [678][.\d]* h", found)
 
 
 def test_eight_hours_equal_the_two_node_model():

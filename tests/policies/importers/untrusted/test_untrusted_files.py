@@ -417,7 +417,7 @@ def command(path, seconds):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux bounds the memory of a process")
-def test_graph_that_needs_all_memory_is_refused(tmp_path):
+def test_graph_that_needs_all_memory_is_refused_from_its_shapes(tmp_path):
     path = tmp_path / "x.onnx"
     model = graph(
         node("ConstantOfShape", "shape", "big"),
@@ -428,11 +428,11 @@ def test_graph_that_needs_all_memory_is_refused(tmp_path):
     path.write_bytes(model.SerializeToString())
     code, said = command(path, 300)
     assert code == 2
-    assert said.startswith(f"error: {path}: cannot be ")
+    assert "(ConstantOfShape): found 17179869184 elements of an output" in said
     assert said.count("\n") == 1
 
 
-def test_endless_graph_is_refused(tmp_path):
+def test_graph_with_a_billion_trips_is_refused_from_its_shapes(tmp_path):
     path = tmp_path / "x.onnx"
     body = helper.make_graph(
         [node("Identity", "known", "knows")],
@@ -449,5 +449,6 @@ def test_endless_graph_is_refused(tmp_path):
     model.graph.initializer[0].dims[0] = 1 << 40
     path.write_bytes(model.SerializeToString())
     code, said = command(path, 2)
-    assert (code, said) == (2, f"error: {path} --template: not finished after 2 s\n")
+    assert code == 2
+    assert "(Scan): found 1099511627776 trips" in said
     assert os.listdir(tmp_path) == ["x.onnx"]
