@@ -51,7 +51,7 @@ def test_derivatives_of_the_speeds_sent_to_a_wheel(name, field, order, share, fi
     bench = Bench()
     bench.drive.kp[0, joint] = 0.0
     rate = share * getattr(SPEC.joints[joint], field)
-    for tick in range(1, 4):
+    for tick in range(1, 5):
         way = [np.prod([t - k for k in range(order)]) / [1, 2, 6][order - 1] for t in (tick - 1, tick)]
         bench.speed_sent[0, joint] = rate * (way[1] - way[0]) * DT ** (order - 1)
         bench.truth.q[0, joint] = bench.sent[0, joint] = HOME[joint] + 0.001 * (tick % 2)
