@@ -29,6 +29,7 @@ from policies.importers.standard_graph import to_standard_graph
 from policies.importers.torch_files.network_settings import NetworkSettings
 from policies.importers.untrusted.resource_limits import limit_memory
 from robots.errors import ConfigError, ContractError, printable
+from robots.files import is_missing
 from robots.models.fleet import Fleet
 from robots.spec import RobotSpec, load_robot
 from robots.strict import parse
@@ -146,6 +147,8 @@ def policy_import(
     """Import a policy: ONNX, rsl_rl, Stable-Baselines3, TorchScript, torch.export, or weights with their contract."""
     if not file.name:
         raise ConfigError(f"{file}: found the name of a folder, expected that of a policy file")
+    if is_missing(file):
+        raise ContractError(f"{file}: cannot be read: no such file")
     draft_path = contract or file.with_suffix(".toml")
     if descriptor is not None and not template:
         raise ConfigError(f"--descriptor {descriptor}: found without --template, expected both")

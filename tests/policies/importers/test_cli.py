@@ -154,3 +154,8 @@ def test_a_folder_is_no_policy_file(call, name, more):
     code, _, said = call(cli, name, *more)
     expected = "found the name of a folder, expected that of a policy file"
     assert (code, said) == (2, f"error: {name or '.'}: {expected}\n")
+
+
+def test_a_policy_that_is_missing_is_named_before_its_contract(call, tmp_path):
+    path = tmp_path / "missing.pt"
+    assert call(cli, path)[::2] == (2, f"error: {path}: cannot be read: no such file\n")
