@@ -1,5 +1,6 @@
 """Drive gains that the policies of an attack have in their contracts: those of another policy, or at their bounds."""
 
+import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ def find_gains(name: str, spec: RobotSpec, mode: ControlMode) -> TrainedGains:
         ContractError: the file or its contract does not fit the robot.
         ConfigError: its drives have their own gains, or follow it in another mode; or contracts may have no gains.
     """
-    if name not in EXTREMES and not Path(name).exists():
+    if name not in EXTREMES and not os.path.exists(name):
         raise ConfigError(f"--gains: found {name!r:.200}, expected softest, stiffest or the file of a policy")
     if name not in EXTREMES:
         return _gains_of_file(Path(name), spec, mode)

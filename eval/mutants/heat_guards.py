@@ -78,7 +78,7 @@ HEAT_GUARDS = (
             prepare=in_sequence(
                 ignore_reasons(Reason.HEAT | Reason.ACCELERATION), scale_limits_while_following(qdd_max=12.0)
             ),
-            draws=LIGHT | {"links.mass": 1.2, "joints.friction": 1.5} | BURDEN | {"payload.mass_kg": 5.0},
+            draws=LIGHT | {"links.mass": 1.4, "joints.friction": 1.5} | BURDEN | {"payload.mass_kg": 5.0},
             disturbance=hot_motors_at_start(86.0, 21.0),
             seconds=2.0,
         ),

@@ -138,7 +138,7 @@ def copy_bundles(source: Path, place: Path, names: Collection[str] | None = None
 
 def _copy(source: Path, place: Path) -> None:
     """Make a folder, or a hard link to a file; on a file system without them, copy the file."""
-    if source.is_dir():
+    if os.path.isdir(source):
         place.mkdir(exist_ok=True)
         return
     try:

@@ -43,7 +43,10 @@ def attack(call, out, **options):
         ({"seed": "x"}, "'--seed'"),
         ({"minutes": "nan"}, "--minutes: found nan, expected above 0"),
         ({"fault": "bad luck"}, "--fault: found 'bad luck', expected some of: encoder off"),
-        ({"gains": "nothing.onnx"}, "nothing.onnx: cannot be read: No such file"),
+        (
+            {"gains": "nothing.onnx"},
+            "--gains: found 'nothing.onnx', expected softest, stiffest or the file of a policy",
+        ),
         ({"without": "no such"}, "--without 'no such': found 0 such guards"),
         ({"without": "take_over"}, "--without 'take_over': found 0 such guards"),
         ({"without": "safety: tool speed, off"}, "found a guard of the monitor tool_speed, expected one of"),
