@@ -47,7 +47,7 @@ def of_joint(joint, sense):
 
 
 FORMER = [
-    ("tau = 0.47", "tau = 0.50"),
+    ("tau = 0.48", "tau = 0.50"),
     ("qdd_max = 9.2", "qdd_max = 10.3"),
     ("qdd_max = 2.0", "qdd_max = 2.6"),
     ("qdd_max = 4.5", "qdd_max = 6.0"),
