@@ -147,11 +147,11 @@ def policy_import(
     """Import a policy: ONNX, rsl_rl, Stable-Baselines3, TorchScript, torch.export, or weights with their contract."""
     if not file.name:
         raise ConfigError(f"{file}: found the name of a folder, expected that of a policy file")
-    if is_missing(file):
-        raise ContractError(f"{file}: cannot be read: no such file")
     draft_path = contract or file.with_suffix(".toml")
     if descriptor is not None and not template:
         raise ConfigError(f"--descriptor {descriptor}: found without --template, expected both")
+    if is_missing(file):
+        raise ContractError(f"{file}: cannot be read: no such file")
     with limit_memory(file):
         if template:
             facts, count = write_template(file, draft_path, descriptor, robot)
