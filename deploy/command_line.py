@@ -8,10 +8,10 @@ from collections.abc import Callable
 import typer
 
 from deploy.operation.interrupts import REQUESTS, handled, interrupt
-from deploy.start import INTERRUPTED, report_failure
+from deploy.start import BAD_INPUT, INTERRUPTED, report_failure
 from robots.errors import FirstshiftError, ResultLostError, printable
 
-PASSED, BUDGET_EXCEEDED, BAD_INPUT = 0, 1, 2
+PASSED, BUDGET_EXCEEDED = 0, 1
 
 
 def main(*commands: Callable[..., int]) -> None:

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, cast
 
 from robots.errors import NO_ROOM, printable
 
-LACKING, MISTAKEN, INTERRUPTED, BROKEN = 1, 2, 130, 70
+LACKING, BAD_INPUT, INTERRUPTED, BROKEN = 1, 2, 130, 70
 """Exit codes where the computer lacks room, memory or open files, after bad input, after Ctrl-C, and after a defect."""
 RESOURCES = {
     **dict.fromkeys(NO_ROOM, "a temporary file"),
@@ -100,7 +100,7 @@ def report_failure(error: Exception) -> int:
     """Print an exception, with its traceback unless the computer lacks something; return the exit code."""
     if isinstance(error, RuntimeError) and NO_RENDERER in str(error):
         print(f"error: {printable(str(error))}, expected egl, osmesa, glfw or disabled", file=sys.stderr)
-        return MISTAKEN
+        return BAD_INPUT
     if _lacks_memory(error):
         first_line, *_ = str(error).splitlines() or [os.strerror(errno.ENOMEM)]
         error = OSError(errno.ENOMEM, printable(first_line))

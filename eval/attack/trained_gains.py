@@ -1,6 +1,5 @@
 """Drive gains that the policies of an attack have in their contracts: those of another policy, or at their bounds."""
 
-import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,6 +7,7 @@ from deploy.policy.gain_bounds import damping_bounds, stiffness_bounds
 from deploy.policy.policy import Policy
 from deploy.policy.tried_policy import read_tried_policy
 from robots.errors import ConfigError
+from robots.files import is_missing
 from robots.motors.control_mode import ControlMode
 from robots.spec import RobotSpec
 
@@ -29,8 +29,6 @@ def find_gains(name: str, spec: RobotSpec, mode: ControlMode) -> TrainedGains:
         ContractError: the file or its contract does not fit the robot.
         ConfigError: its drives have their own gains, or follow it in another mode; or contracts may have no gains.
     """
-    if name not in EXTREMES and not os.path.exists(name):
-        raise ConfigError(f"--gains: found {name!r:.200}, expected softest, stiffest or the file of a policy")
     if name not in EXTREMES:
         return _gains_of_file(Path(name), spec, mode)
     if name not in (extremes := extreme_gains(spec, mode)):
@@ -42,6 +40,10 @@ def find_gains(name: str, spec: RobotSpec, mode: ControlMode) -> TrainedGains:
 
 
 def _gains_of_file(path: Path, spec: RobotSpec, mode: ControlMode) -> TrainedGains:
+    if is_missing(path):
+        raise ConfigError(
+            f"--gains: found '{path!s:.200}', expected softest, stiffest or the file of a policy"
+        )
     action = Policy.verified(read_tried_policy(path), str(path), spec).contract.action
     if action.kp is None or action.kd is None:
         raise ConfigError(f"--gains: {path}: found no kp and kd in its contract, expected some")

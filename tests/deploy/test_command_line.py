@@ -9,8 +9,8 @@ import tempfile
 import pytest
 import typer
 
-from deploy.command_line import BAD_INPUT, BUDGET_EXCEEDED, exit_code_of
-from deploy.start import BROKEN, LACKING, RESOURCES
+from deploy.command_line import BUDGET_EXCEEDED, exit_code_of
+from deploy.start import BAD_INPUT, BROKEN, LACKING, RESOURCES
 from support.paths import ROOT
 
 

@@ -3,7 +3,8 @@ from typing import Annotated
 import pytest
 from pydantic import Field, PositiveFloat, PositiveInt, ValidationError
 
-from deploy.command_line import BAD_INPUT, exit_code_of
+from deploy.command_line import exit_code_of
+from deploy.start import BAD_INPUT
 from robots.errors import ConfigError, FirstshiftError, RobotError
 from robots.strict import Strict, parse, read_json, read_toml
 

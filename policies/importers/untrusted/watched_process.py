@@ -11,14 +11,13 @@ import time
 from collections.abc import Callable, Sequence
 
 from deploy.operation.interrupts import REQUESTS, handled
-from deploy.start import INTERRUPTED
+from deploy.start import BAD_INPUT, INTERRUPTED
+from robots.child_process import Lifeline, end_with
 from robots.errors import printable
 from robots.resource_limits import limit_resource
 
 WALL_S, GRACE_S, POLL_S = 600.0, 5.0, 0.02
 """Time limit of an import; time to remove unfinished files; time between looks at the child."""
-REFUSED = 2
-"""Exit code for bad input."""
 
 
 def run_watched(command: Callable[[], None], wall_s: float = WALL_S) -> None:
@@ -33,11 +32,14 @@ def run_watched(command: Callable[[], None], wall_s: float = WALL_S) -> None:
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, exit codes are lost
     requests = {signal.SIGINT, *REQUESTS}
     signal.pthread_sigmask(signal.SIG_BLOCK, requests)  # until each process has its handlers
+    lifeline = Lifeline()
     if child := os.fork():
         raise SystemExit(_watch(child, wall_s))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, requests)
-    # For a parent that is killed: nobody is left to end the child.
+    lifeline.cut()  # here only: the parent holds it
+    end_with(lifeline.end)
+    # For native code whose parent is killed: no thread runs beside it.
     limit_resource(resource.RLIMIT_CPU, int(WALL_S) * (os.cpu_count() or 1))
     limit_resource(resource.RLIMIT_CORE, 0)
     command()
@@ -79,4 +81,4 @@ def _end(child: int) -> None:
 
 def _refuse(why: str) -> int:
     print(f"error: {printable(' '.join(sys.argv[1:]))}: {why}", file=sys.stderr)
-    return REFUSED
+    return BAD_INPUT

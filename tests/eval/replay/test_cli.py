@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.command_line import BAD_INPUT
+from deploy.start import BAD_INPUT
 from eval.replay.bundle import MCAP, ROBOT, STATE
 from eval.replay.cli import cli
 

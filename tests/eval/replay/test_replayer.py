@@ -10,7 +10,7 @@ from support.policies import policy_model
 
 pytest.importorskip("mujoco")
 
-from deploy.command_line import BAD_INPUT
+from deploy.start import BAD_INPUT
 from deploy.telemetry import recording
 from deploy.telemetry.disk_writer import DiskWriter
 from eval.faults.schedule import FaultSettings

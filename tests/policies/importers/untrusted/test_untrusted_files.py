@@ -416,7 +416,6 @@ def command(path, seconds):
     return done.returncode, done.stderr
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux bounds the memory of a process")
 def test_graph_that_needs_all_memory_is_refused_from_its_shapes(tmp_path):
     path = tmp_path / "x.onnx"
     model = graph(
@@ -432,7 +431,7 @@ def test_graph_that_needs_all_memory_is_refused_from_its_shapes(tmp_path):
     assert said.count("\n") == 1
 
 
-def test_graph_with_a_billion_trips_is_refused_from_its_shapes(tmp_path):
+def test_graph_with_too_many_trips_is_refused_from_its_shapes(tmp_path):
     path = tmp_path / "x.onnx"
     body = helper.make_graph(
         [node("Identity", "known", "knows")],

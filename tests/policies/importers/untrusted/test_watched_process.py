@@ -61,6 +61,13 @@ def test_a_command_that_does_not_end_is_killed():
     assert ended("hold", 2) == (2, "begun\n", "error: hold 2: not finished after 2 s\n")
 
 
+def test_a_command_ends_with_its_killed_parent():
+    child = started("wait")
+    assert child.stdout.readline() == "begun\n"
+    child.kill()
+    assert child.communicate(timeout=20) == ("", "")  # both processes held the pipes
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(("command", "rest"), [("hold", ""), ("wait", "cleaned up\n")])
 def test_a_request_to_end_is_followed(number, command, rest):
