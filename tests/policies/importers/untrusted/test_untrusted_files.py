@@ -391,15 +391,17 @@ def test_repeated_weights_are_read_up_to_the_file_limit(tmp_path, monkeypatch):
 
 SCRIPT = """
 import sys
-from functools import partial
-from deploy.policy import graph_bounds
-from deploy.start import start
-from policies.importers.untrusted import resource_limits
 from policies.importers.untrusted.watched_process import run_watched
-for name in ("ELEMENTS_MAX", "BYTES_MAX", "WORK_MAX", "TRIPS_MAX"):  # the last line of defence alone
-    setattr(graph_bounds, name, 1 << 99)
-resource_limits.MEMORY_GIB = 4
-run_watched(partial(start, "policies.importers.cli"), float(sys.argv.pop()))
+def command():  # its limits alone, the last line of defence
+    from deploy.policy import graph_bounds, step_trial
+    from deploy.start import start
+    from policies.importers.untrusted import resource_limits
+    for name in ("ELEMENTS_MAX", "BYTES_MAX", "WORK_MAX", "TRIPS_MAX"):
+        setattr(graph_bounds, name, 1 << 99)
+    step_trial.try_step = lambda *_, **__: 0.0
+    resource_limits.MEMORY_GIB = 4
+    start("policies.importers.cli")
+run_watched(command, float(sys.argv.pop()))
 """
 
 
@@ -416,7 +418,8 @@ def command(path, seconds):
     return done.returncode, done.stderr
 
 
-def test_graph_that_needs_all_memory_is_refused_from_its_shapes(tmp_path):
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux bounds the memory of a process")
+def test_graph_that_needs_all_memory_is_refused(tmp_path):
     path = tmp_path / "x.onnx"
     model = graph(
         node("ConstantOfShape", "shape", "big"),
@@ -427,11 +430,11 @@ def test_graph_that_needs_all_memory_is_refused_from_its_shapes(tmp_path):
     path.write_bytes(model.SerializeToString())
     code, said = command(path, 300)
     assert code == 2
-    assert "(ConstantOfShape): found 17179869184 elements of an output" in said
+    assert said.startswith(f"error: {path}: cannot be ")
     assert said.count("\n") == 1
 
 
-def test_graph_with_too_many_trips_is_refused_from_its_shapes(tmp_path):
+def test_endless_graph_is_refused(tmp_path):
     path = tmp_path / "x.onnx"
     body = helper.make_graph(
         [node("Identity", "known", "knows")],
@@ -447,7 +450,6 @@ def test_graph_with_too_many_trips_is_refused_from_its_shapes(tmp_path):
     model.graph.initializer.append(many)
     model.graph.initializer[0].dims[0] = 1 << 40
     path.write_bytes(model.SerializeToString())
-    code, said = command(path, 300)
-    assert code == 2
-    assert "(Scan): found 1099511627776 trips" in said
+    code, said = command(path, 8)
+    assert (code, said) == (2, f"error: {path} --template: not finished after 8 s\n")
     assert os.listdir(tmp_path) == ["x.onnx"]
