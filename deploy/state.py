@@ -134,8 +134,12 @@ class Setpoint(NamedTuple):
     drive: DriveMode | None = None
 
 
-STOP_MOMENTS = 4
-"""Moments at which a stop is checked while it brakes."""
+BRAKING_SHARES = (0.1, 0.25, 0.5, 0.75, 1.0)
+"""Moments at which a stop is checked, as shares of the time in which all joints but the slowest brake.
+
+The first is early: a stop needs most torque, and its tool gains most speed, within its first 0.03 s.
+"""
+STOP_MOMENTS = len(BRAKING_SHARES)
 
 
 class Stop(NamedTuple):

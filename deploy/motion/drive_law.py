@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from deploy.state import STOP_MOMENTS, State
+from deploy.state import BRAKING_SHARES, STOP_MOMENTS, State
 from robots.arrays import Floats
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
@@ -23,8 +23,8 @@ from robots.motors.control_mode import ControlMode
 from robots.motors.gains import Gains
 from robots.spec import RobotSpec
 
-DISTANCE_BRAKED = np.append(1.0 - np.linspace(1.0, 0.0, STOP_MOMENTS + 1) ** 2, 1.0)[:, None, None]
-"""Share of its way behind an evenly braking joint: at its whole speed, in equal parts down to rest, and at the end."""
+DISTANCE_BRAKED = 1.0 - (1.0 - np.array((0.0, *BRAKING_SHARES, 1.0))[:, None, None]) ** 2
+"""Share of its way behind an evenly braking joint: at the setpoint, at the moments of its stop, and at its end."""
 
 
 class DriveLaw(ABC):

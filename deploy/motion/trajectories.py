@@ -13,7 +13,7 @@ from ruckig import Trajectory
 
 from deploy.masks import any_true
 from deploy.motion.ruckig_planner import RuckigPlanner, horizon_s
-from deploy.state import STOP_MOMENTS
+from deploy.state import BRAKING_SHARES, STOP_MOMENTS
 from robots.arrays import Bools, Floats, Ints
 from robots.models.blocks import block_rows
 from robots.spec import RobotSpec
@@ -119,7 +119,7 @@ class StopTrajectories(_BlockPlans):
 
 
 def stop_moments_s(spec: RobotSpec) -> tuple[float, ...]:
-    """Return s after which a stop is checked: equal parts of the time that the second slowest joint needs.
+    """Return s after which a stop is checked: `BRAKING_SHARES` of the time that the second slowest joint needs.
 
     From half of its speed; of the only joint if there is one. The arm's path bends while joints come to rest one after
     another, most while the fast ones do. What happens between the moments: python -m eval.bench stops.
@@ -128,4 +128,4 @@ def stop_moments_s(spec: RobotSpec) -> tuple[float, ...]:
     braking = spec.margins.speed * spec.joint_array("qd_max") / 2 / qdd_max
     whole = np.sort(braking + qdd_max / spec.joint_array("qddd_max"))
     all_but_one = float(whole[-2:][0])
-    return tuple(np.linspace(0.0, all_but_one, STOP_MOMENTS + 1)[1:].tolist())
+    return tuple(share * all_but_one for share in BRAKING_SHARES)

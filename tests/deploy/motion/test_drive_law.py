@@ -4,12 +4,16 @@ import numpy as np
 import pytest
 
 from deploy.motion.drive_law import CompliantDrives, SpringDrives, StiffDrives, drive_law
+from deploy.state import STOP_MOMENTS
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
 from robots.motors.gains import Gains
 from robots.spec import load_robot
 from support.arm6 import SPEC
+
+POINTS = STOP_MOMENTS + 2
+"""Points of a plan: a setpoint, the moments of its stop, and its end."""
 
 
 @pytest.mark.parametrize("mode", ControlMode)
@@ -32,8 +36,8 @@ def test_drives_of_a_floating_base_give_way():
 def test_compliant_drives_are_expected_where_they_are_sent_and_as_far_from_there_as_now():
     walker, rng = load_robot("quadruped"), np.random.default_rng(3)
     law = drive_law(walker, ControlMode.POSITION, None, Fleet(walker, 2))
-    sent, q = rng.normal(size=(6, 3, walker.n)), rng.normal(size=(3, walker.n))
-    poses = law.expected_poses(SimpleNamespace(q=q), sent.reshape(18, -1)).reshape(2, 6, 3, -1)
+    sent, q = rng.normal(size=(POINTS, 3, walker.n)), rng.normal(size=(3, walker.n))
+    poses = law.expected_poses(SimpleNamespace(q=q), sent.reshape(-1, walker.n)).reshape(2, POINTS, 3, -1)
     np.testing.assert_array_equal(poses[0], sent)
     np.testing.assert_allclose(poses[1] - sent, np.broadcast_to(q - sent[0], sent.shape), atol=1e-15)
     assert law.expectations == len(poses)

@@ -248,7 +248,7 @@ def test_state_halfway_through_a_stop():
     joint = int(np.argsort(V / SPEC.joint_array("qdd_max"))[-2])
     smoother.qd[0, joint] = V[joint] / 2
     stop = smoother.brake(smoother.sent)
-    way, whole = stop.q[1, 0] - HOME, stop.q_rest[0] - HOME
+    way, whole = stop.q[2, 0] - HOME, stop.q_rest[0] - HOME
     assert 0.75 < way[joint] / whole[joint] < 0.85
     np.testing.assert_array_equal(np.delete(way, joint), 0.0)
 

@@ -11,6 +11,7 @@ from deploy.safety.check import Check, Limits
 from deploy.safety.check_table import CheckTable
 from deploy.safety.checks import CHECKS, GIVES_WAY
 from deploy.safety.safety import Safety
+from deploy.state import STOP_MOMENTS
 from robots.models.fleet import Fleet
 from robots.spec import load_robot
 from support.arm6 import NO_CLEARANCE, SPEC, copy_of_arm
@@ -47,11 +48,14 @@ def arm(spec=SPEC, **more):
     return Safety(spec, Fleet(spec, 2, collisions=True), checks=checks)
 
 
-@pytest.mark.parametrize("moment", ["setpoint", "q_early", "q_mid_stop", "q_late", "q_last", "q_rest"])
+@pytest.mark.parametrize("moment", ["setpoint", *range(STOP_MOMENTS), "q_rest"])
 def test_a_check_from_outside_is_made_like_any_other(moment):
     safety, right = arm(poses=FENCE), HOME + np.eye(SPEC.n)[0]
     assert judge(safety=safety).reason[0] == 0
-    verdict = judge(safety=safety, q_hat=HOME, **{moment: point(right) if moment == "setpoint" else right})
+    there = {moment: right if moment == "q_rest" else point(right)}
+    verdict = judge(
+        safety=safety, q_hat=HOME, **(there if moment in ("setpoint", "q_rest") else {"braking": there})
+    )
     assert Reason(int(verdict.reason[0])) & Reason.WORKSPACE
     assert set(safety.failed(verdict, 0, Reason.WORKSPACE)) == {"fence"}
     assert safety.names(Reason.WORKSPACE) == {"tool_height", "tool_radius", "fence"}

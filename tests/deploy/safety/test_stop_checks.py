@@ -8,7 +8,7 @@ from deploy.motion.trajectories import stop_moments_s
 from deploy.reasons import Reason
 from deploy.safety.checks import TAKEOVER_RATE
 from deploy.safety.safety import Safety
-from deploy.state import Setpoint, State
+from deploy.state import BRAKING_SHARES, STOP_MOMENTS, Setpoint, State
 from robots.models.fleet import Fleet
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
@@ -27,8 +27,11 @@ from support.deploy.safety import (
     reasons,
 )
 
+MOMENTS = range(STOP_MOMENTS)
+"""Numbers of the moments at which a stop is checked."""
 
-@pytest.mark.parametrize("moment", ["q_early", "q_mid_stop", "q_late", "q_last"])
+
+@pytest.mark.parametrize("moment", MOMENTS)
 @pytest.mark.parametrize("limit", ["z_min", "radius_max"])
 def test_tool_stays_in_the_workspace_during_a_stop(limit, moment):
     """Though where the stop begins and ends is well inside: the arm is let down, or stretched, until it is refused."""
@@ -44,33 +47,33 @@ def test_tool_stays_in_the_workspace_during_a_stop(limit, moment):
         kinematics = fleet.kinematics(q[None])
         (tool,) = kinematics.tool_position
         height, radius = tool[2] - SPACE.z_min, SPACE.radius_max - np.linalg.norm(tool - SPACE.centre)
-        found = reasons(**{moment: q})
+        found = reasons(braking={moment: point(q)})
         verdicts.append(Reason.WORKSPACE in found)
         assert verdicts[-1] == (min(height, radius) < reach)
         assert found & ~(Reason.WORKSPACE | Reason.COLLISION | Reason.SINGULARITY) == 0
     assert 0 < sum(verdicts) < 200
-    assert Reason.NOT_FINITE in reasons(**{moment: np.full(N, np.nan)})
+    assert Reason.NOT_FINITE in reasons(braking={moment: point(np.full(N, np.nan))})
 
 
-@pytest.mark.parametrize("moment", ["q_early", "q_mid_stop", "q_late", "q_last"])
+@pytest.mark.parametrize("moment", MOMENTS)
 def test_a_stop_through_a_singularity_is_refused(moment):
     """Its ends are on the same side, far from it."""
-    assert Reason.SINGULARITY in reasons(**{moment: one(4, 0.0, HOME)})
+    assert Reason.SINGULARITY in reasons(braking={moment: point(one(4, 0.0, HOME))})
 
 
-@pytest.mark.parametrize("moment", ["qd_early", "qd_mid_stop", "qd_late", "qd_last"])
+@pytest.mark.parametrize("moment", MOMENTS)
 def test_tool_speed_is_limited_while_a_stop_brakes(moment):
     """One joint turns faster and faster, the others rest: refused exactly where the tool is too fast."""
     kinematics, limit = Fleet(SPEC, 1).kinematics(HOME[None]), SPEC.margins.tool_speed * SPACE.tool_speed_max
     verdicts = []
     for speed in np.linspace(0.0, 10.0, 50):
         qd = one(0, speed)
-        found = reasons(**{moment: qd}) & ~(Reason.VELOCITY | Reason.TORQUE)
+        found = reasons(braking={moment: point(qd=qd)}) & ~(Reason.VELOCITY | Reason.TORQUE)
         verdicts.append(found == Reason.TOOL_SPEED)
         assert verdicts[-1] == (np.linalg.norm(kinematics.tool_velocity(qd[None])) > limit)
         assert found & ~Reason.TOOL_SPEED == 0
     assert 0 < sum(verdicts) < 50
-    assert Reason.NOT_FINITE in reasons(**{moment: np.full(N, np.nan)})
+    assert Reason.NOT_FINITE in reasons(braking={moment: point(qd=np.full(N, np.nan))})
 
 
 @pytest.mark.parametrize("mode", [ControlMode.POSITION, ControlMode.TORQUE])
@@ -109,38 +112,39 @@ def stop_of(start):
     return ends | {"safety": safety}, stop
 
 
-@pytest.mark.parametrize("moment", ["early", "mid_stop", "late", "last"])
+@pytest.mark.parametrize("moment", MOMENTS)
 def test_speed_of_the_tool_is_that_of_the_moments_own_pose(moment):
     """Its pan turns an arm that reaches out, or one that does not, with the same speed."""
     reaching, pan = one(2, 0.6, one(1, -0.8, HOME)), one(0, 3.0)
     for q, expected in ((reaching, Reason.TOOL_SPEED), (HOME, 0)):
-        found = reasons(**{f"q_{moment}": q, f"qd_{moment}": pan}, safety=Safety(SPEC, FLEET))
+        found = reasons(braking={moment: point(q, pan)}, safety=Safety(SPEC, FLEET))
         assert found & ~Reason.VELOCITY == expected
-    poses = {f"q_{other}": reaching for other in ("early", "mid_stop", "late", "last") if other != moment}
-    found = reasons(**poses, **{f"qd_{moment}": pan}, q_rest=reaching, safety=Safety(SPEC, FLEET))
+    braking = {each: point(qd=pan) if each == moment else point(reaching) for each in MOMENTS}
+    found = reasons(braking=braking, q_rest=reaching, safety=Safety(SPEC, FLEET))
     assert found & ~Reason.VELOCITY == 0
 
 
-@pytest.mark.parametrize("moment", ["early", "mid_stop", "late", "last"])
+@pytest.mark.parametrize("moment", MOMENTS)
 def test_torque_is_limited_while_a_stop_brakes(moment):
     """An arm that reaches out is lifted ever faster: refused exactly where that takes too much torque."""
     q, verdicts = one(2, 0.6, one(1, -0.8, HOME)), []
     for share in np.linspace(-2.0, 2.0, 41):
         qdd = share * SPEC.joint_array("qdd_max") * (0, 1, 1, 1, 0, 0)
         tau = Fleet(SPEC, 1).torque(q[None], ZERO[None], qdd[None])
-        found = reasons(**{f"q_{moment}": q, f"qdd_{moment}": qdd}) & ~Reason.ACCELERATION
+        found = reasons(braking={moment: point(q, qdd=qdd)}) & ~Reason.ACCELERATION
         assert found == (Reason.TORQUE if (np.abs(tau) > MARGINS.tau * torque_max(SPEC)).any() else 0)
         verdicts.append(found)
     assert {*verdicts} == {Reason(0), Reason.TORQUE}
 
 
-@pytest.mark.parametrize("moment", ["early", "mid_stop", "late", "last"])
+@pytest.mark.parametrize("moment", MOMENTS)
 def test_speed_and_acceleration_are_limited_while_a_stop_brakes(moment):
     for name, limit, reason in (
         ("qd", MARGINS.speed * SPEC.joint_array("qd_max"), Reason.VELOCITY),
         ("qdd", SPEC.joint_array("qdd_max"), Reason.ACCELERATION),
     ):
-        within, beyond = (reasons(**{f"{name}_{moment}": one(5, x * limit[5])}) for x in (0.999, 1.001))
+        points = (point(**{name: one(5, x * limit[5])}) for x in (0.999, 1.001))
+        within, beyond = (reasons(braking={moment: each}) for each in points)
         assert (within, beyond) == (0, reason)
 
 
@@ -148,7 +152,7 @@ def test_a_stop_in_which_the_tool_gains_speed_is_refused():
     """The last joints brake first, and no longer hold back what the others do."""
     ends, stop = stop_of(point(*FASTER_IN_ITS_STOP))
     assert reasons(**ends) == 0
-    assert reasons(**ends, q_early=stop.q[0], qd_early=stop.qd[0]) == Reason.TOOL_SPEED
+    assert reasons(**ends, braking={1: point(stop.q[1], stop.qd[1])}) == Reason.TOOL_SPEED
 
 
 def touching(fleet, q):
@@ -241,7 +245,7 @@ WRIST_INTO_TABLE = (
 def test_stop_into_the_table_is_refused(q, qd):
     ends, stop = stop_of(point(np.array(q), np.array(qd)))
     assert reasons(**ends) == 0
-    assert reasons(**ends, q_mid_stop=stop.q[1]) == Reason.COLLISION
+    assert reasons(**ends, braking={2: point(stop.q[2])}) == Reason.COLLISION
 
 
 def test_a_stop_that_dips_after_the_fast_joints_rest_is_refused():
@@ -251,23 +255,23 @@ def test_a_stop_that_dips_after_the_fast_joints_rest_is_refused():
     start = point(q, qd, np.array([0.0, 2.6, 6.0, -15.1, 0.0, 0.0]))
     stop, safety = Smoother(QUICK, 1).brake(start), Safety(QUICK, Fleet(QUICK, 2, collisions=True))
     ends = {"setpoint": start, "qd_hat": qd, "ahead": stop.ahead, "q_rest": stop.q_rest, "safety": safety}
-    assert reasons(**ends, q_early=stop.q[0], q_mid_stop=stop.q[1]) == 0
-    assert reasons(**ends, q_late=stop.q[2]) == Reason.COLLISION
-    assert reasons(**ends, q_last=stop.q[3]) == Reason.COLLISION
+    assert reasons(**ends, braking={moment: point(stop.q[moment]) for moment in range(3)}) == 0
+    assert reasons(**ends, braking={3: point(stop.q[3])}) == Reason.COLLISION
+    assert reasons(**ends, braking={4: point(stop.q[4])}) == Reason.COLLISION
 
 
 def test_moments_at_which_a_stop_is_checked():
-    """Quarters of the time v / a + a / j of all joints but the slowest, from half of its speed."""
+    """Shares of the time v / a + a / j of all joints but the slowest, from half of its speed."""
     qd, qdd, jerk = (SPEC.joint_array(name) for name in ("qd_max", "qdd_max", "qddd_max"))
     times = 0.5 * SPEC.margins.speed * qd / qdd + qdd / jerk
     slowest = times.argmax()
     without = np.delete(times, slowest).max()
     assert without < 0.7 * times[slowest]
-    np.testing.assert_allclose(stop_moments_s(SPEC), without * np.arange(1, 5) / 4)
+    np.testing.assert_allclose(stop_moments_s(SPEC), without * np.array(BRAKING_SHARES))
 
 
 def test_moments_at_which_the_stop_of_one_joint_is_checked():
     alone = SPEC.model_copy(update={"joints": SPEC.joints[:1]})
     qd, qdd, jerk = (alone.joint_array(name)[0] for name in ("qd_max", "qdd_max", "qddd_max"))
     whole = 0.5 * alone.margins.speed * qd / qdd + qdd / jerk
-    np.testing.assert_allclose(stop_moments_s(alone), whole * np.arange(1, 5) / 4)
+    np.testing.assert_allclose(stop_moments_s(alone), whole * np.array(BRAKING_SHARES))

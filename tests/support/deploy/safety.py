@@ -42,22 +42,14 @@ def judge(
     current_share=1.0,
     setpoint=None,
     ahead=None,
-    q_early=None,
-    q_mid_stop=None,
-    q_late=None,
-    q_last=None,
-    qd_early=ZERO,
-    qd_mid_stop=ZERO,
-    qd_late=ZERO,
-    qd_last=ZERO,
-    qdd_early=ZERO,
-    qdd_mid_stop=ZERO,
-    qdd_late=ZERO,
-    qdd_last=ZERO,
+    braking=None,
     q_rest=None,
     safety=SAFETY,
 ):
-    """The verdict on one robot, everything else being well."""
+    """The verdict on one robot, everything else being well.
+
+    braking: setpoints at moments of its stop, by their number; at the others it rests at home.
+    """
     setpoint = setpoint or point()
     q_hat = setpoint.q if q_hat is None else np.atleast_2d(q_hat)
     state = State(
@@ -75,10 +67,9 @@ def judge(
     )
     ahead = setpoint if ahead is None else ahead
     rest = setpoint.q if q_rest is None else np.atleast_2d(q_rest)
-    poses = [HOME[None] if q is None else np.atleast_2d(q) for q in (q_early, q_mid_stop, q_late, q_last)]
-    speeds = [np.atleast_2d(qd) for qd in (qd_early, qd_mid_stop, qd_late, qd_last)]
-    accelerations = [np.atleast_2d(qdd) for qdd in (qdd_early, qdd_mid_stop, qdd_late, qdd_last)]
-    stop = Stop(ahead, q=np.stack(poses), qd=np.stack(speeds), qdd=np.stack(accelerations), q_rest=rest)
+    moments = [(braking or {}).get(moment, point()) for moment in range(STOP_MOMENTS)]
+    q, qd, qdd = (np.stack(each) for each in list(zip(*moments, strict=True))[:3])
+    stop = Stop(ahead, q=q, qd=qd, qdd=qdd, q_rest=rest)
     return safety.step(state, sent or Setpoint(q=q_hat, qd=q_hat * 0, qdd=q_hat * 0), setpoint, stop)
 
 
