@@ -61,8 +61,12 @@ class CommandBus(Stage):
         fields = (command.q, command.qd, command.tau, drive.kp, drive.kd, command.current_share)
         np.concatenate(fields, axis=1, out=newest)
         missing = self.lost | self.down
-        self._enable(command.powered, ~missing)
-        if not (any_true(missing) or any_true(self.late)) and all_true(self.enabled == command.powered):
+        all_arrive = not any_true(missing)
+        if all_arrive and all_true(self.enabled & command.powered):
+            self.silent[:] = 0  # as below, where nothing else would change
+        else:
+            self._enable(command.powered, ~missing)
+        if all_arrive and not any_true(self.late) and all_true(self.enabled == command.powered):
             return command
         newest[missing] = self._course[(tick - 1) % self.depth][missing]
         return self._unpacked(command, self._course[(tick - self.late) % self.depth, self._rows])
