@@ -77,6 +77,17 @@ def check_folder(folder: Path, option: str = "--out") -> None:
         raise output_error(f"{option} {folder}: cannot be written: {e.strerror}, expected a folder", e) from e
 
 
+def check_no_links(out: Path, folders: Iterable[str]) -> None:
+    """Check that none of the folders that a command itself makes in `out`, which may be a link, is one.
+
+    Raises:
+        OutputError: what lies behind it is somebody else's, and would be replaced or deleted.
+    """
+    for folder in (out / name for name in folders):
+        if os.path.islink(folder):
+            raise OutputError(f"--out {folder}: found a link, expected a folder or nothing")
+
+
 def check_no_input(path: Path, inputs: Iterable[Path], option: str = "--out") -> None:
     """Check that an output is none of a command's own inputs.
 

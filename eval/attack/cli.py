@@ -15,7 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.interrupts import handled, interrupt
 from deploy.telemetry.folder_lock import locked
-from deploy.telemetry.output_files import check_folder
+from deploy.telemetry.output_files import check_folder, check_no_links
 from deploy.telemetry.plain_console import plain_console
 from eval.attack.archive import Archive, Found
 from eval.attack.arena import Setting, find_mode
@@ -34,8 +34,8 @@ from robots.errors import ConfigError, printable
 from robots.randomness import SEED_MAX
 from robots.spec import load_robot
 
-WORST, CASES, UNFINISHED = "worst", "cases", "unfinished"
-"""Folders in --out: of bundles, and of cases."""
+WORST, CASES, UNFINISHED = FOLDERS = "worst", "cases", "unfinished"
+"""Folders in --out: of bundles, of cases, and of bundles while they are written."""
 COLUMNS = (
     TextColumn("attacking: {task.description}"),
     BarColumn(),
@@ -137,6 +137,7 @@ def soak_attack(
 
 def _check_folder(out: Path) -> None:
     """Refuse a folder in which something is in the way, or whose cases are of no earlier attack."""
+    check_no_links(out, FOLDERS)
     check_report_folder(out, (REPORT,))
     if not os.path.exists(out / CASES):
         return
@@ -184,6 +185,7 @@ def _write_bundles(found: dict[str, Found], pool: Workers, out: Path, console: C
                 bundles[name] = bundle
     except KeyboardInterrupt:
         console.print("interrupted: the report covers the bundles written so far")
+    check_no_links(out, FOLDERS)  # made since the search began
     copy_bundles(out / UNFINISHED, out / WORST, {bundle.name for bundle in bundles.values()})
     remove_bundles(out / UNFINISHED)
     return bundles

@@ -77,8 +77,10 @@ def new_bundle(path: Path) -> Iterator[Path]:
     The parent of `path` is made where it is missing, but not the parent's parent.
 
     Raises:
-        OutputError: the folder cannot be written.
+        OutputError: the folder cannot be written, or its parent is a link, behind which nothing is replaced.
     """
+    if os.path.islink(path.parent):
+        raise OutputError(f"{path}: cannot be written: {path.parent} is a link")
     partial = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
     try:
         path.parent.mkdir(exist_ok=True)
@@ -100,11 +102,13 @@ def list_bundles(folder: Path) -> list[str]:
 
 
 def delete_bundles(folder: Path, *, finished: bool) -> None:
-    """Delete partially written bundles in `folder`, and finished ones if asked.
+    """Delete partially written bundles in `folder`, and finished ones if asked; none behind a link.
 
     Raises:
         OutputError: they cannot be deleted.
     """
+    if os.path.islink(folder):
+        return
     partial = {path.parent for path in folder.glob(f".*/{ROBOT}")}
     complete = {path.parent for path in folder.glob(f"*/{INFO}") if finished}
     try:

@@ -73,10 +73,13 @@ def write_report(report: Report, out: Path, extra: Mapping[str, bytes] | None = 
 def delete_report(out: Path, extra: Collection[str] = ()) -> None:
     """Delete the files of `write_report` in the folder `out`, if there are any, and folders that are empty then.
 
+    Nothing behind a link is deleted.
+
     Raises:
         OutputError: they cannot be deleted.
     """
-    for path in (out / name for name in (*FILES, *extra)):
+    paths = [out / name for name in (*FILES, *extra)]
+    for path in (each for each in paths if not os.path.islink(out) and not os.path.islink(each.parent)):
         try:
             path.unlink(missing_ok=True)
         except OSError as e:

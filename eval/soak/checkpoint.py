@@ -37,10 +37,12 @@ class Checkpoint:
 
         Raises:
             OutputError: the file cannot be written, and the stored arrays remain; or the folder was deleted, and a
-                new one would hide the loss of its contents.
+                new one would hide the loss of its contents; or it is a link, behind which nothing is replaced.
         """
         if not os.path.isdir(self.path.parent):
             raise OutputError(f"{self.path}: cannot be written: {self.path.parent} was deleted")
+        if os.path.islink(self.path.parent):
+            raise OutputError(f"{self.path}: cannot be written: {self.path.parent} is a link")
         with replacing(self.path) as file, file.open("wb") as stream:
             named: dict[str, Any] = {
                 IDENTITY: np.array(json.dumps(self.identity)),
@@ -121,13 +123,15 @@ def prepare_folder(folder: Path) -> None:
 
 
 def delete_checkpoints(folder: Path) -> None:
-    """Delete the checkpoints in `folder`, except damaged ones, and the folder if it is empty then.
+    """Delete the checkpoints in `folder`, except damaged ones, and the folder if it is empty then; none behind a link.
 
     Raises:
         OutputError: they cannot be deleted.
     """
+    if os.path.islink(folder):
+        return
     _delete(folder.glob(NAME.format("*")))
-    with suppress(OSError):  # it has other files, or is a link
+    with suppress(OSError):  # it has other files
         folder.rmdir()
 
 

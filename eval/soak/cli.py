@@ -12,7 +12,7 @@ from rich.console import Console
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.start import INTERRUPTED
 from deploy.telemetry.folder_lock import locked
-from deploy.telemetry.output_files import check_folder
+from deploy.telemetry.output_files import check_folder, check_no_links
 from deploy.telemetry.plain_console import plain_console
 from eval.history.history import add_record, check_same_task, read_history
 from eval.history.soak_record import Run, SoakRecord
@@ -39,6 +39,9 @@ UNFINISHED = "unfinished"
 """Folder in --out of a soak that has not finished: checkpoints, events, and the report if it was interrupted."""
 EXTRA_FILES = (DRAWS, SERIES, TENSORBOARD)
 """Files beside the report."""
+IN_BOTH = (EVENTS, os.path.dirname(TENSORBOARD))
+FOLDERS = (UNFINISHED, *IN_BOTH, *(f"{UNFINISHED}/{name}" for name in IN_BOTH))
+"""Folders in --out that this command makes, and in which it deletes or replaces files."""
 EXIT_CODES = {"passed": PASSED, "failed": BUDGET_EXCEEDED, "interrupted": INTERRUPTED}
 
 
@@ -61,6 +64,7 @@ def soak_test(
     """
     config = options.configure(policy, robot, profile, hours, robots, seed, workers, budget)
     limits = load_budget(config.budget)
+    check_no_links(out, FOLDERS)
     check_report_folder(out, EXTRA_FILES)
     with locked(out):
         return _run(config, limits, out, history)
@@ -111,6 +115,7 @@ def _work_at_stake() -> Iterator[None]:
 
 def _write(report: Report, extra: dict[str, bytes], out: Path, history: Path | None) -> Path:
     """Write the report and return its page; of a finished soak also the record, and delete what is unfinished."""
+    check_no_links(out, FOLDERS)  # made since the soak began
     if report.run.interrupted:
         write_report(report, out / UNFINISHED, extra)
         return out / UNFINISHED / PAGE

@@ -175,6 +175,35 @@ def test_a_file_in_the_place_of_the_cases_is_named_before_the_search(call, tmp_p
     )
 
 
+@pytest.mark.parametrize("begun", [False, True])
+@pytest.mark.parametrize("name", command.FOLDERS)
+def test_behind_a_link_nothing_changes(name, begun, call, tmp_path, monkeypatch):
+    """Be it there from the beginning, or made during the search."""
+    theirs, out = tmp_path / "theirs", tmp_path / "out"
+    files = {theirs / "b" / INFO, theirs / "planar3-position-velocity.json"}
+    for path in files:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("theirs")
+    out.mkdir()
+    (out / "attack.json").touch()
+
+    def link(_=None):
+        if not (out / name).exists():
+            (out / name).symlink_to(theirs)
+
+    def search(blocks):
+        link()
+        assert begun
+
+    if not begun:
+        link()
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", before=search))
+    code, _, error = attack(call, out)
+    assert (code, error) == (2, f"error: --out {out / name}: found a link, expected a folder or nothing\n")
+    assert {path for path in theirs.rglob("*") if path.is_file()} >= files
+    assert {path.read_text() for path in files} == {"theirs"}
+
+
 @pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_workers(call, tmp_path, monkeypatch):
     """With two adversaries, tried for a second, and bundles of two monitors."""

@@ -257,6 +257,16 @@ def test_of_a_link_to_a_bundle_only_the_link_is_cleared(tmp_path):
     assert bundle.open_bundle(elsewhere / "x").begin == 200
 
 
+def test_behind_a_link_no_bundle_is_cleared_or_replaced(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    filled(tmp_path / "elsewhere" / "x", begin=100)
+    (tmp_path / "events").symlink_to("elsewhere")
+    delete_bundles(tmp_path / "events", finished=True)
+    with pytest.raises(OutputError, match="events is a link"):
+        filled(tmp_path / "events" / "x")
+    assert bundle.open_bundle(tmp_path / "elsewhere" / "x").begin == 100
+
+
 def refused(*_):
     raise PermissionError
 

@@ -133,17 +133,31 @@ def test_damaged_checkpoint_is_set_aside(tmp_path, how):
 
 
 def test_only_checkpoints_are_deleted_with_them(tmp_path):
-    """Files of others stay, and their folder, and a link to it."""
-    (tmp_path / "other").mkdir()
-    (tmp_path / "unfinished").symlink_to("other")
+    """Files of others stay, and their folder."""
+    folder = tmp_path / "unfinished"
+    folder.mkdir()
     for name in (NAME.format(0), "notes.npz", ".a.npz"):
-        (tmp_path / "other" / name).touch()
-    prepare_folder(tmp_path / "unfinished")
-    delete_checkpoints(tmp_path / "unfinished")
-    assert {file.name for file in (tmp_path / "unfinished").iterdir()} == {"notes.npz", ".a.npz"}
+        (folder / name).touch()
+    prepare_folder(folder)
+    delete_checkpoints(folder)
+    assert {file.name for file in folder.iterdir()} == {"notes.npz", ".a.npz"}
     for name in ("notes.npz", ".a.npz"):
-        (tmp_path / "other" / name).unlink()
-    delete_checkpoints(tmp_path / "unfinished")
+        (folder / name).unlink()
+    delete_checkpoints(folder)
+    assert not folder.exists()
+
+
+def test_behind_a_link_no_checkpoint_is_deleted_or_replaced(tmp_path):
+    """A checkpoint of somebody else's soak."""
+    other, link = tmp_path / "other", tmp_path / "unfinished"
+    other.mkdir()
+    link.symlink_to(other)
+    (other / NAME.format(0)).write_bytes(b"theirs")
+    delete_checkpoints(link)
+    with pytest.raises(OutputError, match=r"unfinished is a link"):
+        Checkpoint(link / NAME.format(0), IDENTITY).store(ARRAYS)
+    assert (other / NAME.format(0)).read_bytes() == b"theirs"
+    assert link.is_symlink()
 
 
 def test_number_of_arrays_is_bounded(tmp_path, monkeypatch):

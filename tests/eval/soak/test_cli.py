@@ -18,7 +18,7 @@ pytest.importorskip("mujoco")
 
 from deploy.telemetry.folder_lock import LOCK, locked
 from eval.history.soak_record import Run
-from eval.report.report_files import check_report_folder
+from eval.report.report_files import check_report_folder, delete_report
 from eval.shard import shard as shard_module
 from eval.shard.job import WIDTH, code_digest
 from eval.shard.judging import COUNTED
@@ -404,6 +404,51 @@ def test_a_file_in_the_place_of_a_folder_is_exit_2(soak_test, tmp_path, name):
     code, _, said = soak_test("--hours", 0.001, "--robots", 1, "--workers", 1)
     assert (code, (tmp_path / "out" / name).read_text()) == (2, "mine")
     assert said == f"error: --out {tmp_path}/out/{name}: cannot be written: File exists, expected a folder\n"
+
+
+def linked(out, name):
+    """Link from the place of a folder in `out` to one of somebody else's, with a bundle, a report, a checkpoint."""
+    theirs = out.parent / "theirs"
+    files = {theirs / "b" / "bundle.json", theirs / "events" / "b" / "bundle.json", theirs / NAME.format(0)}
+    files |= {theirs / each for each in ("report.json", *command.EXTRA_FILES, Path(TENSORBOARD).name)}
+    for path in (*files, out / name):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    for path in files:
+        path.write_text("theirs")
+    (out / name).symlink_to(theirs)
+    return files
+
+
+@pytest.mark.parametrize("name", command.FOLDERS)
+def test_a_link_in_the_place_of_a_folder_is_exit_2(soak_test, tmp_path, name):
+    files = linked(tmp_path / "out", name)
+    code, _, said = soak_test("--hours", 0.001, "--robots", 1, "--workers", 1)
+    assert (code, said) == (
+        2,
+        f"error: --out {tmp_path}/out/{name}: found a link, expected a folder or nothing\n",
+    )
+    assert {path.read_text() for path in files} == {"theirs"}
+    assert {path for path in (tmp_path / "theirs").rglob("*") if path.is_file()} == files
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+@pytest.mark.parametrize("name", command.FOLDERS)
+def test_behind_a_link_made_during_the_soak_nothing_changes(tmp_path, name, interrupted):
+    files, told = linked(tmp_path / "out", name), report()
+    told = told.model_copy(update={"run": told.run.model_copy(update={"interrupted": interrupted})})
+    with pytest.raises(OutputError, match=f"{name}: found a link"):
+        command._write(told, dict.fromkeys(command.EXTRA_FILES, b""), tmp_path / "out", None)
+    assert {path.read_text() for path in files} == {"theirs"}
+    delete_report(tmp_path / "out" / name, command.EXTRA_FILES)
+    delete_report((tmp_path / "out" / name).parent, command.EXTRA_FILES)
+    assert {path.read_text() for path in files} == {"theirs"}
+
+
+def test_the_folder_itself_may_be_a_link(tmp_path):
+    (tmp_path / "large disk").mkdir()
+    (tmp_path / "out").symlink_to("large disk")
+    command._write(report(), {}, tmp_path / "out", None)
+    assert (tmp_path / "large disk" / "report.json").exists()
 
 
 @pytest.mark.slow
