@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from multiprocessing.resource_tracker import ensure_running
 from types import FrameType
 from typing import Any
 
@@ -46,6 +47,40 @@ def handled(handler: Any, numbers: Iterable[int] = SIGNALS) -> Iterator[None]:
     finally:
         for number, former in before:
             signal.signal(number, former)
+
+
+@contextmanager
+def held_back() -> Iterator[None]:
+    """Hold signals back until the block ends; processes that start in it do so until they `ignore_signals`.
+
+    Other threads of this process may receive them: those signals are noted, and raised again at the end.
+    """
+    noted: list[int] = []
+    with handled(lambda number, _: noted.append(number)):
+        former = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, former)
+    for number in noted:
+        signal.raise_signal(number)
+
+
+@contextmanager
+def starting_workers() -> Iterator[None]:
+    """Hold signals back while the block starts workers; only this process handles them."""
+    with held_back():
+        ensure_running()  # the tracker of multiprocessing; its start unblocks some signals
+    with held_back():
+        yield
+
+
+def ignore_signals() -> None:
+    """Ignore signals from now on, in a worker, with those that were held back since its start."""
+    for number in SIGNALS:
+        if signal.getsignal(number) is not None:
+            signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
 def interrupt(_number: int, _frame: FrameType | None) -> None:

@@ -1,6 +1,5 @@
 """Worker processes of an attack: they try candidates, and end with their parent."""
 
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -8,10 +7,11 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import repeat
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from deploy.operation.interrupts import handled
+from deploy.operation.interrupts import ignore_signals, starting_workers
 from eval.attack.archive import Found
 from eval.attack.arena import Outcome, Setting, try_block
 from eval.attack.candidate import Block
@@ -20,12 +20,18 @@ from robots.child_process import Lifeline, end_with
 
 
 class _Pool(ProcessPoolExecutor):
-    """Pool of processes that ignore signals from their start on: only the parent handles them."""
+    """Pool of processes that signals do not reach: only the parent handles them."""
 
     def submit(self, call: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Submit a call; a worker that starts for it inherits what is ignored."""
-        with handled(signal.SIG_IGN):
+        """Submit a call; workers may start for it."""
+        with starting_workers():
             return super().submit(call, *args, **kwargs)
+
+
+def _begin(lifeline: Connection) -> None:
+    """Begin the life of a worker."""
+    ignore_signals()
+    end_with(lifeline)
 
 
 class Workers:
@@ -64,7 +70,7 @@ def workers(setting: Setting, number: int) -> Iterator[Workers]:
 def processes(number: int) -> Iterator[ProcessPoolExecutor]:
     """Yield a pool of processes, which end at once when this one fails or is interrupted."""
     with Lifeline() as lifeline:
-        pool = _Pool(number, get_context("spawn"), end_with, (lifeline.end,))
+        pool = _Pool(number, get_context("spawn"), _begin, (lifeline.end,))
         try:
             yield pool
         except BaseException:

@@ -5,6 +5,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from deploy.operation.interrupts import ignore_signals
 from eval.replay.event_capture import EventCapture
 from eval.shard.job import ShardJob
 from eval.shard.shard import Shard
@@ -36,6 +37,7 @@ def work(lifeline: Connection, errors: Connection, task: Task) -> None:
 
     Results are passed on disk: a worker that is killed while it sends data would block its parent.
     """
+    ignore_signals()
     end_with(lifeline)
     try:
         _run_shard(task)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from deploy.operation.interrupts import handled, interrupt
+from deploy.operation.interrupts import handled, interrupt, starting_workers
 from eval.replay.event_capture import EVENTS
 from eval.soak.configuration import SoakConfig
 from eval.soak.worker import Task, work
@@ -121,10 +121,10 @@ class WorkerPool:
     def _start(self, number: int) -> None:
         errors, sender = self._context.Pipe(duplex=False)
         process = self._context.Process(target=work, args=(self._lifeline.end, sender, self._tasks[number]))
-        with handled(signal.SIG_IGN):  # inherited by the worker: only the parent handles Ctrl-C
+        with starting_workers():
             process.start()
-        sender.close()
-        self._running[process.sentinel] = Worker(number, process, errors)
+            sender.close()
+            self._running[process.sentinel] = Worker(number, process, errors)
 
     def _collect(self, seconds: float | None) -> None:
         ended = wait(list(self._running), seconds)

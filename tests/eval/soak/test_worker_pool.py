@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from contextlib import nullcontext, suppress
+from multiprocessing.context import SpawnProcess
 
 import numpy as np
 import pytest
@@ -115,6 +116,24 @@ def test_worker_that_somebody_has_stopped_is_killed_at_the_end(pool, monkeypatch
     with pytest.raises(ZeroDivisionError) if error is ZeroDivisionError else nullcontext():
         pool.run()
     assert len(stopped) == 2
+    assert not children()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_arrives_while_a_worker_starts_interrupts_the_soak(
+    arm_policy, tmp_path, monkeypatch, number
+):
+    """And leaves none behind."""
+
+    def start(self, start=SpawnProcess.start):
+        os.kill(os.getpid(), number)
+        start(self)
+
+    monkeypatch.setattr(SpawnProcess, "start", start)
+    prepare_folder(tmp_path)
+    pool = WorkerPool(soak_config(arm_policy, hours=0.0003, robots=1), tmp_path, Console(quiet=True))
+    pool.run()
+    assert (pool.pending, pool.stop.value) == ({0}, 1)
     assert not children()
 
 
