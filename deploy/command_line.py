@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import typer
 
-from deploy.operation.interrupts import REQUESTS, handled, interrupt
+from deploy.operation.interrupts import REQUESTS, handled, interrupt, raised_again
 from deploy.start import BAD_INPUT, INTERRUPTED, report_failure
 from robots.errors import FirstshiftError, ResultLostError, printable
 
@@ -30,7 +30,8 @@ def main(*commands: Callable[..., int]) -> None:
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
     for command in commands:
         app.command()(_guarded(command))
-    with handled(interrupt, [each for each in REQUESTS if signal.getsignal(each) is signal.SIG_DFL]):
+    requests = [each for each in REQUESTS if signal.getsignal(each) is signal.SIG_DFL]
+    with handled(interrupt, requests), raised_again():
         app()
 
 

@@ -1,9 +1,11 @@
 """Operating-system signals that end a command: from the keyboard, a terminal that closes, other processes, timers."""
 
 import signal
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from multiprocessing.resource_tracker import ensure_running
+from threading import Timer, main_thread
 from types import FrameType
 from typing import Any
 
@@ -30,6 +32,8 @@ def _ending_signals() -> tuple[int, ...]:
 
 SIGNALS = _ending_signals()
 """All others: by default they end a process. Ctrl-C ends it even where a shell ignores it, in the background."""
+AGAIN_S = 0.01
+"""s after which a KeyboardInterrupt that Python dropped is raised again."""
 REQUESTS = (signal.SIGTERM, signal.SIGHUP)
 """Those by which service managers, and terminals that close, ask a process to end."""
 
@@ -90,6 +94,30 @@ def interrupt(_number: int, _frame: FrameType | None) -> None:
         KeyboardInterrupt: always.
     """
     raise KeyboardInterrupt
+
+
+@contextmanager
+def raised_again() -> Iterator[None]:
+    """Raise each KeyboardInterrupt that Python drops, as in a destructor, once more, until the block ends."""
+    former, timers = sys.unraisablehook, list[Timer]()
+
+    def hook(dropped: "sys.UnraisableHookArgs") -> None:
+        if not issubclass(dropped.exc_type, KeyboardInterrupt):
+            former(dropped)
+            return
+        number = signal.SIGINT if callable(signal.getsignal(signal.SIGINT)) else signal.SIGTERM
+        # Not from here: what this hook raises is dropped, too.
+        timers.append(Timer(AGAIN_S, signal.pthread_kill, (main_thread().ident, number)))
+        timers[-1].daemon = True
+        timers[-1].start()
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = former
+        for timer in timers:
+            timer.cancel()
 
 
 class Interrupts:

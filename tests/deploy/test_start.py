@@ -100,6 +100,31 @@ def test_a_request_to_end_leaves_no_part_of_a_file(written, tmp_path, number):
     assert os.listdir(place.parent) == []
 
 
+DROPPED = """
+import signal, sys, time
+
+from deploy.command_line import main
+
+class Interrupted:
+    def __del__(self):
+        signal.raise_signal(signal.SIGTERM)
+
+def wait() -> int:
+    Interrupted()
+    time.sleep(30)
+    return 0
+
+def cli():
+    main(wait)
+"""
+
+
+def test_a_request_to_end_that_arrives_in_a_destructor_ends_the_command(written, tmp_path):
+    written("destroying_command", DROPPED)
+    ended = run("destroying_command", tmp_path)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, b"", b"")
+
+
 WITH_HANDLERS = WRITER.replace("main(write)", "with handled(interrupt): main(write)")
 WITH_HANDLERS = f"{WITH_HANDLERS}\nfrom deploy.operation.interrupts import handled, interrupt\n"
 

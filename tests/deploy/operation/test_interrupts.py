@@ -4,12 +4,14 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from functools import partial
 from threading import Thread
 
 import pytest
 
-from deploy.operation.interrupts import handled, held_back, interrupt
+from deploy.operation.interrupts import handled, held_back, interrupt, raised_again
 
 REQUESTS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 
@@ -67,3 +69,56 @@ def test_a_worker_ignores_signals_from_its_start_on():
     with held_back():
         done = subprocess.run([sys.executable, "-c", worker], capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+class Interrupted:
+    """An object in whose destructor a signal arrives: Python drops what its handler raises there."""
+
+    def __init__(self, number):
+        self.number = number
+
+    def __del__(self):
+        signal.raise_signal(self.number)
+
+
+def die_and_wait(number):
+    Interrupted(number)
+    time.sleep(60)
+    pytest.fail("not interrupted")
+
+
+@REQUESTS
+def test_an_interrupt_that_python_drops_is_raised_again(number, capsys):
+    with pytest.raises(KeyboardInterrupt), handled(interrupt), raised_again():
+        die_and_wait(number)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_request_that_python_drops_is_raised_again_where_ctrl_c_is_ignored():
+    ignored, requests = handled(signal.SIG_IGN, [signal.SIGINT]), handled(interrupt, [signal.SIGTERM])
+    with pytest.raises(KeyboardInterrupt), ignored, requests, raised_again():
+        die_and_wait(signal.SIGTERM)
+
+
+def test_an_interrupt_that_is_dropped_at_the_end_of_a_command_comes_no_more(monkeypatch):
+    sent = []
+    monkeypatch.setattr("deploy.operation.interrupts.AGAIN_S", 60.0)
+    monkeypatch.setattr(signal, "pthread_kill", lambda *_: sent.append(1))
+    with handled(interrupt), raised_again():
+        Interrupted(signal.SIGTERM)
+    for timer in [each for each in threading.enumerate() if isinstance(each, threading.Timer)]:
+        timer.join()
+    assert not sent
+
+
+def test_other_errors_that_python_drops_are_shown(monkeypatch):
+    class Broken:
+        def __del__(self):
+            raise ZeroDivisionError
+
+    shown = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda dropped: shown.append(dropped.exc_type))
+    with raised_again():
+        Broken()
+    Broken()
+    assert shown == [ZeroDivisionError] * 2
