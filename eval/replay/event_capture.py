@@ -14,8 +14,11 @@ from eval.replay import bundle
 from eval.replay.bundle_files import new_bundle, state_digest, write_arrays
 from eval.replay.capture_window import Window, columns, write_mcap
 from eval.shard.job import POLL_S, ShardJob
-from eval.shard.shard import Shard
+from eval.shard.shard import Shard, check_robot
 from robots.distributions import load_distributions
+from robots.files import read_file
+from robots.models.files import FILES_BYTES_MAX
+from robots.spec import load_robot
 
 EVENTS = "events"
 """Folder of bundles, beside the report."""
@@ -32,13 +35,20 @@ class EventCapture:
     """
 
     def __init__(self, job: ShardJob, shard: Shard, folder: Path) -> None:
-        """Copy the inputs of bundles that might change during the soak; the first bundle makes `folder`."""
+        """Copy the inputs of bundles that might change during the soak; the first bundle makes `folder`.
+
+        Raises:
+            FirstshiftError: the robot is no longer the one that the shard has loaded.
+        """
         spec = shard.runtime.spec
         self._job, self._folder, self._spec = job, folder, spec
         self._poll = round(POLL_S / spec.dt)
-        self._policy = job.policy.read_bytes()
-        self._robot = {name: (spec.folder / name).read_bytes() for name in bundle.robot_files(spec)}
+        self._policy = shard.policy_data
+        self._robot = {
+            name: read_file(spec.folder / name, FILES_BYTES_MAX) for name in bundle.robot_files(spec)
+        }
         distributions = load_distributions(spec)
+        check_robot(job, load_robot(job.robot))
         self._draws = shard.robot.draw.to_json(job.seed, distributions, spec)
         self._identity = bundle.identity(spec.digest, distributions.digest, job.policy_digest)
         self._since = shard.runtime.ticks

@@ -13,6 +13,7 @@ from deploy.operation.overrun import Overrun
 from deploy.policy.actor import Actor
 from deploy.policy.compatibility import sensors_read
 from deploy.policy.policy import Policy
+from deploy.policy.policy_file import read_policy_file
 from deploy.reasons import Reason
 from deploy.runtime import Runtime
 from deploy.simulation import simulate
@@ -37,7 +38,7 @@ from robots.distributions import load_distributions
 from robots.draws import Draw
 from robots.errors import ConfigError
 from robots.randomness import robot_seed
-from robots.spec import load_robot
+from robots.spec import RobotSpec, load_robot
 
 CHECKPOINT_S = 300.0
 """s of simulated time between two checkpoints: about a minute of real time."""
@@ -58,12 +59,23 @@ def _check_digest(expected: str | None, found: str, what: object) -> None:
         )
 
 
+def check_robot(job: ShardJob, spec: RobotSpec) -> None:
+    """Check that a robot, as its files are now, is the one of a job.
+
+    Raises:
+        ConfigError: it changed since the job was made.
+    """
+    _check_digest(job.robot_digest, spec.digest, job.robot)
+    _check_digest(job.draws_digest, load_distributions(spec).digest, job.robot / "draws.toml")
+    _check_digest(job.limits_digest, load_limits(spec).digest, job.robot / "limits.toml")
+
+
 class Shard(Stage):
     """Runtime, simulated robots, judge and fault injection of one job. `save` holds everything.
 
     Attributes:
         action: output of the policy in the last tick, after injected faults. truth: ground truth after that tick.
-        checkpoint_ticks: between two checkpoints.
+        checkpoint_ticks: between two checkpoints. policy_data: content of the policy's file.
     """
 
     parts = ("runtime", "robot", "judge", "injector", "responses", "overrun")
@@ -81,13 +93,13 @@ class Shard(Stage):
         """
         _check_digest(job.code_digest, code_digest(), "firstshift's code")
         spec = load_robot(job.robot)
-        _check_digest(job.robot_digest, spec.digest, job.robot)
-        _check_digest(job.draws_digest, load_distributions(spec).digest, job.robot / "draws.toml")
-        _check_digest(job.limits_digest, load_limits(spec).digest, job.robot / "limits.toml")
+        check_robot(job, spec)
         seeds = [robot_seed(job.seed, job.first + row) for row in range(WIDTH)]
-        policy = Policy.load(job.policy, spec)
+        file = read_policy_file(job.policy)
+        _check_digest(job.policy_digest, file.digest, job.policy)
+        policy = Policy.verified(file, str(job.policy), spec)
         self._policy: Actor = policy
-        _check_digest(job.policy_digest, policy.digest, job.policy)
+        self.policy_data = file.data
         schedule = plan(spec, sensors_read(policy.contract, spec), job.faults, seeds, job.first, job.ticks)
         self._job, self.action, faults = job, None, schedule.sensor_faults()
         self.runtime, self.robot = simulate(spec, policy.contract, seeds, policy, draw=draw, faults=faults)

@@ -288,6 +288,14 @@ def test_change_during_the_soak_is_refused(arm_policy, what, named):
         Shard(job(arm_policy, **{f"{what}_digest": "0" * 64}))
 
 
+def test_a_policy_that_changed_is_not_loaded(arm_policy, monkeypatch):
+    """Its graph was tried in no other process."""
+    changed = job(arm_policy, policy_digest="0" * 64)
+    monkeypatch.setattr("onnxruntime.InferenceSession", lambda *_, **__: pytest.fail("it was loaded"))
+    with pytest.raises(ConfigError, match="changed during the soak"):
+        Shard(changed)
+
+
 def test_settings_are_text_whatever_bytes_an_argument_has(asked, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["soak-test", "--out", "o_\udcff"])
     soak = replace(asked(), budget=Path("b_\udcff.toml"))
