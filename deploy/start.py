@@ -37,8 +37,9 @@ NO_RENDERER = "environment variable MUJOCO_GL"
 """Words of MuJoCo's RuntimeError about a renderer that it does not know."""
 NO_FOLDER = "No usable temporary directory"
 """Beginning of the message of a FileNotFoundError where no folder for temporary files can be written."""
-ADDRESSES_MIN = 1 << 30
-"""Least bytes that the system must let this process address: with too few, libraries wait for them for ever."""
+ADDRESSES_MIN, STACK_MIN = 1 << 30, 1 << 20
+"""Least bytes that the system must let this process address: with too few, libraries wait for them for ever; and those
+of the stack of each thread: with too few, libraries end the process, and only when they need them."""
 ENVIRONMENT = {
     "PYTHONSAFEPATH": "1",
     "MPLBACKEND": "agg",
@@ -77,7 +78,7 @@ def start(module: str) -> None:
     if by_default:  # an exception could be raised inside a C extension, which makes another one of it
         signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
     try:
-        _check_addresses()
+        _check_memory()
         cli = import_module(module).cli
     except Exception as e:  # of a library, for something in this environment: no verdict about a robot
         raise SystemExit(report_failure(e)) from e
@@ -89,11 +90,15 @@ def start(module: str) -> None:
         raise SystemExit(INTERRUPTED) from None
 
 
-def _check_addresses() -> None:
-    most, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if most != resource.RLIM_INFINITY and most < ADDRESSES_MIN:
-        found, expected = most >> 20, ADDRESSES_MIN >> 20
-        raise OSError(errno.ENOMEM, f"found {found} MiB, expected at least {expected} MiB", "ulimit -v")
+def _check_memory() -> None:
+    limits = (
+        (resource.RLIMIT_AS, ADDRESSES_MIN, "ulimit -v"),
+        (resource.RLIMIT_STACK, STACK_MIN, "ulimit -s"),
+    )
+    for kind, least, name in limits:
+        most, _ = resource.getrlimit(kind)
+        if most != resource.RLIM_INFINITY and most < least:
+            raise OSError(errno.ENOMEM, f"found {most >> 10} KiB, expected at least {least >> 10} KiB", name)
 
 
 def report_failure(error: Exception) -> int:

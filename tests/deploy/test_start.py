@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.start import ADDRESSES_MIN, BROKEN, INTERRUPTED, LACKING, start
+from deploy.start import ADDRESSES_MIN, BROKEN, INTERRUPTED, LACKING, STACK_MIN, start
 from support.paths import ROOT
 
 SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
@@ -256,13 +256,30 @@ def test_too_few_processes_are_one_line(written, tmp_path, failure):
     assert (ended.returncode, ended.stderr) == (LACKING, f"error: a process or a thread: {AGAIN}\n".encode())
 
 
-@pytest.mark.parametrize(("most", "said"), [(ADDRESSES_MIN - 1, "1023"), (0, "0")])
-def test_too_few_addresses_for_imports_are_one_line(capsys, monkeypatch, most, said):
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (most, most))
+@pytest.mark.parametrize(
+    ("kind", "most", "said"),
+    [
+        (resource.RLIMIT_AS, ADDRESSES_MIN - 1, "-v: found 1048575 KiB, expected at least 1048576 KiB"),
+        (resource.RLIMIT_AS, 0, "-v: found 0 KiB, expected at least 1048576 KiB"),
+        (resource.RLIMIT_STACK, STACK_MIN - 1, "-s: found 1023 KiB, expected at least 1024 KiB"),
+    ],
+)
+def test_a_limit_of_memory_that_is_too_low_is_one_line(capsys, monkeypatch, kind, most, said):
+    monkeypatch.setattr(
+        resource, "getrlimit", lambda asked: [most if asked == kind else resource.RLIM_INFINITY] * 2
+    )
     with pytest.raises(SystemExit) as caught:
         start("no_such_command")
     assert caught.value.code == LACKING
-    assert capsys.readouterr().err == f"error: ulimit -v: found {said} MiB, expected at least 1024 MiB\n"
+    assert capsys.readouterr().err == f"error: ulimit {said}\n"
+
+
+def test_the_least_memory_is_enough(written, monkeypatch, capsys):
+    written("small_command", "def cli():\n    print('ran')\n")
+    least = {resource.RLIMIT_AS: ADDRESSES_MIN, resource.RLIMIT_STACK: STACK_MIN}
+    monkeypatch.setattr(resource, "getrlimit", lambda asked: [least[asked]] * 2)
+    start("small_command")
+    assert capsys.readouterr().out == "ran\n"
 
 
 def test_children_write_utf_8_whatever_this_process_writes(written, tmp_path):
