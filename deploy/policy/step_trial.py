@@ -48,16 +48,14 @@ def try_step(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> floa
 
     Raises:
         ContractError: it takes too long or needs too much memory, crashes, or ONNX Runtime refuses it.
+        OSError: the computer lacks a process, open files or memory for it.
     """
     bounds = f"{source}: cannot be tried within {CPU_S} s of a core and {MEMORY_GIB} GiB"
-    try:
-        with Lifeline() as lifeline:
-            end = lifeline.end.fileno()
-            arguments = source, str(end), *map(str, batches)
-            child = [sys.executable, "-P", "-m", "deploy.policy.step_trial", *arguments]
-            done = subprocess.run(child, input=data, capture_output=True, check=False, pass_fds=(end,))
-    except OSError as e:
-        raise ContractError(f"{source}: no process to try it in: {e.strerror}") from e
+    with Lifeline() as lifeline:
+        end = lifeline.end.fileno()
+        arguments = source, str(end), *map(str, batches)
+        child = [sys.executable, "-P", "-m", "deploy.policy.step_trial", *arguments]
+        done = subprocess.run(child, input=data, capture_output=True, check=False, pass_fds=(end,))
     said, complaint = done.stdout.decode(), done.stderr.decode(errors="replace").strip()
     if done.returncode == REFUSED:
         raise ContractError(complaint)

@@ -26,19 +26,15 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
 
     Raises:
         RobotError: with MuJoCo's message if it cannot; or it takes too long, too much memory, or crashes.
+        OSError: the computer lacks a process, open files or memory for it.
     """
     referenced_files(model, folder)
     arguments = str(model.resolve()), str(folder.resolve()), str(cpu_s)
     bounds = f"{model}: MuJoCo cannot compile it within {cpu_s} s of a core and {MEMORY_GIB} GiB"
     # -P: imports nothing from the current folder.
     child = [sys.executable, "-P", "-m", "robots.models.sandbox", *arguments]
-    try:
-        with Lifeline() as lifeline:
-            done = subprocess.run(
-                child, stdin=lifeline.end.fileno(), capture_output=True, text=True, check=False
-            )
-    except OSError as e:
-        raise RobotError(f"{model}: no process to compile it in: {e.strerror}") from e
+    with Lifeline() as lifeline:
+        done = subprocess.run(child, stdin=lifeline.end.fileno(), capture_output=True, text=True, check=False)
     last = done.stderr.strip().rpartition("\n")[2]  # after MuJoCo's warnings
     if done.returncode == REFUSED:
         raise RobotError(last.replace(arguments[0], str(model)))

@@ -1,5 +1,6 @@
 import errno
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from support.eval.shards import job
 
 pytest.importorskip("mujoco")
 
+from deploy.start import LACKING
 from deploy.telemetry.folder_lock import LOCK, locked
 from eval.history.soak_record import Run
 from eval.report.report_files import check_report_folder, delete_report
@@ -412,6 +414,15 @@ def test_a_file_in_the_place_of_a_folder_is_exit_2(soak_test, tmp_path, name):
     code, _, said = soak_test("--hours", 0.001, "--robots", 1, "--workers", 1)
     assert (code, (tmp_path / "out" / name).read_text()) == (2, "mine")
     assert said == f"error: --out {tmp_path}/out/{name}: cannot be written: File exists, expected a folder\n"
+
+
+def test_too_few_open_files_to_try_the_policy_are_no_bad_input(soak_test, monkeypatch):
+    def crowded(*_, **__):
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(subprocess, "run", crowded)
+    said = "error: a file, a pipe or a process: Too many open files\n"
+    assert soak_test("--hours", 0.001, "--robots", 1) == (LACKING, "", said)
 
 
 def linked(out, name):
