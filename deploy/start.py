@@ -10,6 +10,7 @@ import resource
 import signal
 import sys
 import traceback
+from contextlib import chdir, nullcontext
 from functools import partial
 from importlib import import_module
 from typing import Any, BinaryIO, cast
@@ -43,12 +44,15 @@ of the stack of each thread: with too few, libraries end the process, and only w
 ENVIRONMENT = {
     "PYTHONSAFEPATH": "1",
     "MPLBACKEND": "agg",
+    "MATPLOTLIBRC": os.devnull,
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONIOENCODING": "utf-8",
 }
 """For this process and its children: no module is imported from the working directory, which may be a robot's folder
-that somebody else has written; plots are files; no tick waits for a thread of numpy's; children write, and libraries'
-children read, text as UTF-8."""
+that somebody else has written; plots are files, and no settings of a user's change them; no tick waits for a thread of
+numpy's; children write, and libraries' children read, text as UTF-8."""
+PLOT_SETTINGS = "matplotlibrc"
+"""Name of a file that matplotlib, whatever the environment says, reads in the working directory when imported."""
 FAIL = ("strict", "surrogateescape")
 """Handlers by which standard output fails at a letter that it cannot show: the default ones."""
 
@@ -79,7 +83,8 @@ def start(module: str) -> None:
         signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
     try:
         _check_memory()
-        cli = import_module(module).cli
+        with chdir("/") if os.path.lexists(PLOT_SETTINGS) else nullcontext():
+            cli = import_module(module).cli
     except Exception as e:  # of a library, for something in this environment: no verdict about a robot
         raise SystemExit(report_failure(e)) from e
     try:

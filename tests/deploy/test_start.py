@@ -36,7 +36,7 @@ def written(tmp_path, monkeypatch):
     return lambda name, text: (tmp_path / f"{name}.py").write_text(text)
 
 
-def run(module, folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, pass_fds=(), **environment):
+def run(module, folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, pass_fds=(), cwd=None, **environment):
     """Start a module of a folder in a process of its own."""
     code = (
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"  # a shell may ignore it
@@ -44,7 +44,9 @@ def run(module, folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, pass_fds
     )
     environment = os.environ | {"PYTHONPATH": str(ROOT)} | environment
     command, streams = [sys.executable, "-c", code], {"stdout": stdout, "stderr": stderr}
-    return subprocess.run(command, env=environment, **streams, pass_fds=pass_fds, timeout=60, check=False)
+    return subprocess.run(
+        command, env=environment, **streams, pass_fds=pass_fds, cwd=cwd, timeout=60, check=False
+    )
 
 
 def test_ctrl_c_during_imports_is_quiet(written, tmp_path):
@@ -224,6 +226,33 @@ def test_no_child_imports_modules_of_the_working_directory(tmp_path):
     )
     assert (ended.returncode, ended.stderr) == (0, b"")
     assert not (folder / "ran").exists()
+
+
+PLOTTING = """
+import matplotlib, os
+def cli():
+    print(matplotlib.rcParams["text.usetex"], os.path.lexists("matplotlibrc"))
+"""
+
+
+@pytest.mark.parametrize("kind", ["pipe", "settings", "bytes"])
+def test_no_settings_of_plots_are_read_in_the_working_directory(written, tmp_path, kind):
+    path = tmp_path / "robot" / "matplotlibrc"
+    path.parent.mkdir()
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.write_bytes(b"text.usetex: True" if kind == "settings" else b"\xff")
+    written("plotting_command", PLOTTING)
+    ended = run("plotting_command", tmp_path, cwd=path.parent)
+    assert (ended.stdout, ended.stderr) == (b"False True\n", b"")
+
+
+@pytest.mark.parametrize("name", ["MPLCONFIGDIR", "MATPLOTLIBRC"])
+def test_no_settings_of_plots_are_read_elsewhere(written, tmp_path, name):
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True")
+    written("plotting_command", PLOTTING)
+    assert run("plotting_command", tmp_path, **{name: str(tmp_path)}).stdout.startswith(b"False")
 
 
 def test_a_library_that_cannot_be_imported_is_no_verdict(written, tmp_path):
