@@ -95,6 +95,15 @@ def _check_record(path: Path, record: SoakRecord) -> None:
         )
     if record.run.interrupted:
         raise ConfigError(f"{path}: run.interrupted: found true, expected a finished soak")
+    counts = record.per_draw_counts
+    for name, whole in (("running", "ticks"), ("reached", "due")):
+        for draw, (found_count, most) in enumerate(
+            zip(getattr(counts, name), getattr(counts, whole), strict=True)
+        ):
+            if found_count > most:
+                raise ConfigError(
+                    f"{path}: per_draw_counts.{name}.{draw}: found {found_count}, expected at most {most}, its {whole}"
+                )
 
 
 def pool(records: Mapping[str, SoakRecord]) -> PerDrawCounts:

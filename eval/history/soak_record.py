@@ -14,8 +14,11 @@ Verdict = Literal["passed", "failed", "interrupted"]
 
 
 def _time_with_zone(text: str) -> str:
-    if datetime.fromisoformat(text).tzinfo is None:
+    moment = datetime.fromisoformat(text)
+    if moment.tzinfo is None:
         raise ValueError("expected a time with its zone")
+    if text != moment.isoformat():  # fromisoformat takes any letter, also Esc, between date, time and zone
+        raise ValueError(f"expected {moment.isoformat()}")
     return text
 
 

@@ -15,6 +15,9 @@ from robots.strict import Strict
 COUNT_MAX = 1 << 40
 """Upper bound of a count: three times the ticks of the longest soak at 10 kHz; sums over draws stay below 2**63."""
 Column = tuple[Annotated[int, Field(ge=0, le=COUNT_MAX)], ...]
+DT_MIN = 1e-6
+"""s, lower bound of a control period: rates, in events per hour, are finite with any count."""
+Celsius = Annotated[float, Field(ge=-273.15, le=1e5)]
 Ratio = tuple[Floats, Floats]
 """(R,) amounts and (R,) exposures by draw; the figure of all draws is Σ amounts ÷ Σ exposures."""
 
@@ -29,7 +32,7 @@ class PerDrawCounts(Strict):
         hottest_c: °C, the highest true winding temperature of any joint in any tick; None where none was judged.
     """
 
-    dt: Annotated[float, Field(gt=0, le=1)]
+    dt: Annotated[float, Field(ge=DT_MIN, le=1)]
     ticks: Column
     invalid: Column
     running: Column
@@ -37,7 +40,7 @@ class PerDrawCounts(Strict):
     due: Column
     reached: Column
     hard: dict[str, Column]
-    hottest_c: tuple[float | None, ...]
+    hottest_c: tuple[Celsius | None, ...]
 
     @model_validator(mode="after")
     def _one_number_of_each_draw(self) -> Self:

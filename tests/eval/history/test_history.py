@@ -12,7 +12,7 @@ from eval.report.report_files import write_report
 from eval.report.schema.report_data import Report
 from eval.report.sections.trend import trend
 from eval.soak import cli as command
-from eval.statistics.per_draw_counts import COUNT_MAX, concatenate
+from eval.statistics.per_draw_counts import COUNT_MAX, DT_MIN, concatenate
 from robots.errors import ConfigError, OutputError
 from support.eval.nights import LATER, OTHER, SETTINGS, night
 from support.eval.reports import report
@@ -151,6 +151,26 @@ SPOILT = {
         lambda path: edited(path, lambda d: d["run"].update(started="2026-01-02T22:00:00")),
         r"run\.started: expected a time with its zone",
     ),
+    "a letter after the date": (
+        lambda path: edited(path, lambda d: d["run"].update(started="20260102\x1b2200+0100")),
+        r"run\.started: expected 2026-01-02T22:00:00\+01:00, found '20260102\\x1b2200\+0100'",
+    ),
+    "a letter before the zone": (
+        lambda path: edited(path, lambda d: d["run"].update(started="2026-01-02T22:00\x1b+01:00")),
+        r"run\.started: expected 2026-01-02T22:00:00\+01:00",
+    ),
+    "a tiny period": (
+        lambda path: edited(path, lambda d: d["per_draw_counts"].update(dt=5e-324)),
+        r"per_draw_counts\.dt: .* greater than or equal to 0\.000001, found 5e-324",
+    ),
+    "a heat beyond any": (
+        lambda path: edited(path, lambda d: d["per_draw_counts"]["hottest_c"].__setitem__(2, 1.7e308)),
+        r"per_draw_counts\.hottest_c\.2: .* less than or equal to 100000, found 1\.7e\+308",
+    ),
+    "a cold beyond any": (
+        lambda path: edited(path, lambda d: d["per_draw_counts"]["hottest_c"].__setitem__(2, -274)),
+        r"per_draw_counts\.hottest_c\.2: .* greater than or equal to -273\.15, found -274",
+    ),
 }
 
 
@@ -163,10 +183,26 @@ def test_changed_night_is_refused_by_file_and_field(tmp_path, spoil, said):
         read_history(tmp_path)
 
 
-def test_the_highest_counts_have_a_trend():
+@pytest.mark.parametrize(("part", "whole"), [("running", "ticks"), ("reached", "due")])
+def test_more_than_all_is_refused(tmp_path, part, whole):
+    """Even with the right digest, which anybody can compute."""
+    kept = night(7)
+    most = getattr(kept.per_draw_counts, whole)
+    too_many = (*most[:3], most[3] + 1, *most[4:])
+    counts = kept.per_draw_counts.model_copy(update={part: too_many})
+    forged = kept.model_copy(update={"per_draw_counts": counts})
+    path = add_record(forged.model_copy(update={"results_digest": forged.sealed()}), tmp_path)
+    with pytest.raises(ConfigError) as caught:
+        read_record(path)
+    said = f"per_draw_counts.{part}.3: found {most[3] + 1}, expected at most {most[3]}, its {whole}"
+    assert str(caught.value) == f"{path}: {said}"
+
+
+@pytest.mark.parametrize("dt", [DT_MIN, 1.0])
+def test_the_highest_counts_have_a_trend(dt):
     whole = night(7)
     highest = dict.fromkeys(whole.per_draw_counts.hard, (COUNT_MAX,) * whole.settings.robots)
-    counts = whole.per_draw_counts.model_copy(update={"hard": highest})
+    counts = whole.per_draw_counts.model_copy(update={"hard": highest, "dt": dt})
     found = trend({"a.json": whole.model_copy(update={"per_draw_counts": counts})})
     assert found.last.hard_events == len(highest) * whole.settings.robots * COUNT_MAX
 
