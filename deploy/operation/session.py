@@ -26,7 +26,7 @@ from deploy.telemetry.console import ConsoleProcess, snapshot
 from deploy.telemetry.folder_lock import locked
 from deploy.telemetry.output_files import check_folder, check_no_input
 from deploy.telemetry.recorder import Recorder, former_files
-from robots.errors import ConfigError
+from robots.errors import ConfigError, printable
 from robots.spec import RobotSpec
 
 CONSOLE_S, VIEW_S = 0.2, 1 / 30
@@ -142,7 +142,8 @@ class Session:
         spec, options = self._options.spec, self._options
         about = {"robot": spec.name, "robot_digest": spec.digest, "policy": drive.name}
         about |= {"policy_digest": drive.actor.digest, "backend": options.backend}
-        return about | {"seed": self.seed_text, "speed": options.speed}
+        about |= {"seed": self.seed_text, "speed": options.speed}
+        return {key: printable(text) for key, text in about.items()}  # of file names that may not be UTF-8
 
     def _execute(
         self,

@@ -117,7 +117,7 @@ def write_template(
         facts = _merge_descriptor(facts, read_descriptor(descriptor, facts.observations))
     if robot is not None:
         facts = _merge_robot(facts, load_robot(robot))
-    text, open_count = render_template(facts, path.name)
+    text, open_count = render_template(facts, printable(path.name))
     with replacing(draft_path, "--contract") as written:
         written.write_text(text, encoding="utf-8")
     return facts, open_count

@@ -103,6 +103,19 @@ def test_robot_of_a_soak_keeps_its_draw_noise_and_goals(command, arm_policy, tmp
     np.testing.assert_array_equal(made[0].sensors.noise_keys[0], soaked.sensors.noise_keys[3])
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="needs names that are not UTF-8")
+def test_names_that_are_not_utf_8_are_recorded_with_question_marks(command, arm_policy, tmp_path):
+    policy, draws = (tmp_path / f"a\udcff{suffix}" for suffix in (".onnx", ".json"))
+    shutil.copy(arm_policy, policy)
+    distributions = load_distributions(SPEC)
+    draws.write_text(draw(distributions, SPEC, [robot_seed(7, 0)]).to_json(7, distributions, SPEC))
+    options = ("--policy", policy, "--draw", f"{draws}:0", "--speed", "max", "--duration", 0.1)
+    code, _, complaint = command(*options, "--out", tmp_path / "run")
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (code, complaint) == (0, "")
+    assert (summary["policy"], summary["seed"]) == (f"{tmp_path}/a?.onnx", f"{tmp_path}/a?.json:0")
+
+
 def test_a_robot_that_is_not_armed_is_exit_1(command, arm_policy, tmp_path, monkeypatch):
     class Hot(SimRobot):
         def __init__(self, *args, **how):

@@ -2,6 +2,8 @@
 
 import os
 import re
+import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +24,7 @@ from support.contracts import NAMES
 from support.importers.imports import CONTRACT, THEIRS, A, N, exported
 
 pytestmark = pytest.mark.slow
+linux_only = pytest.mark.skipif(sys.platform != "linux", reason="needs names that are not UTF-8")
 
 
 @pytest.fixture(scope="module", params=["mlp", "lstm"])
@@ -77,6 +80,16 @@ def test_template_is_the_start_of_the_contract(done, tmp_path, capsys):
         read_draft(draft)
     with pytest.raises(ContractError, match="exists already"):
         policy_import(path, contract=draft, template=True)
+
+
+@pytest.mark.parametrize(
+    "letter", [pytest.param("\x1b", id="escape"), pytest.param("\udcff", id="byte", marks=linux_only)]
+)
+def test_template_names_the_file_with_letters_that_can_be_printed(done, tmp_path, letter):
+    path = shutil.copytree(done[0].parent, tmp_path / "export") / f"a{letter}.onnx"
+    path.with_name(done[0].name).rename(path)
+    assert policy_import(path, contract=tmp_path / "a.toml", template=True) == 0
+    assert (tmp_path / "a.toml").read_text().startswith("# Contract of a?.onnx: ONNX")
 
 
 def test_weights_outside_its_folder_are_refused(done, tmp_path):
