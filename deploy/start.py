@@ -6,6 +6,7 @@ Ctrl-C then ends it at once and quietly, without cleaning up: nothing is open ye
 import errno
 import io
 import os
+import re
 import resource
 import signal
 import sys
@@ -51,6 +52,10 @@ ENVIRONMENT = {
 """For this process and its children: no module is imported from the working directory, which may be a robot's folder
 that somebody else has written; plots are files, and no settings of a user's change them; no tick waits for a thread of
 numpy's; children write, and libraries' children read, text as UTF-8."""
+NOT_WANTED = "TORCH_LOGS|_.*_COMPLETE"
+"""Pattern of names of variables: torch fails at an unknown log, and typer answers a shell instead of running."""
+SIZES, SIZE = ("COLUMNS", "LINES"), "[1-9][0-9]{0,3}"
+"""Variables with the size of a terminal, and pattern of a size: rich fails at other digits, and is silent at 0."""
 PLOT_SETTINGS = "matplotlibrc"
 """Name of a file that matplotlib, whatever the environment says, reads in the working directory when imported."""
 FAIL = ("strict", "surrogateescape")
@@ -73,7 +78,7 @@ class _StandardOutput(io.FileIO):
 
 def start(module: str) -> None:
     """Import the module of a command line, and run its `cli`."""
-    os.environ.update(ENVIRONMENT)
+    _set_environment()
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and stream is getattr(sys, f"__{name}__"):
@@ -93,6 +98,14 @@ def start(module: str) -> None:
         cli()
     except KeyboardInterrupt:  # before or after the command itself
         raise SystemExit(INTERRUPTED) from None
+
+
+def _set_environment() -> None:
+    """Set `ENVIRONMENT`; remove what ends libraries, or lets them do something else than the command line says."""
+    os.environ.update(ENVIRONMENT)
+    for name, value in tuple(os.environ.items()):
+        if re.fullmatch(NOT_WANTED, name) or (name in SIZES and not re.fullmatch(SIZE, value)):
+            del os.environ[name]
 
 
 def _check_memory() -> None:

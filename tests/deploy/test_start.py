@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.start import ADDRESSES_MIN, BROKEN, INTERRUPTED, LACKING, STACK_MIN, start
+from deploy.start import ADDRESSES_MIN, BROKEN, ENVIRONMENT, INTERRUPTED, LACKING, STACK_MIN, start
 from support.paths import ROOT
 
 SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
@@ -253,6 +253,30 @@ def test_no_settings_of_plots_are_read_elsewhere(written, tmp_path, name):
     (tmp_path / "matplotlibrc").write_text("text.usetex: True")
     written("plotting_command", PLOTTING)
     assert run("plotting_command", tmp_path, **{name: str(tmp_path)}).stdout.startswith(b"False")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "kept"),
+    [
+        ("COLUMNS", "80", True),
+        ("LINES", "9999", True),
+        ("COLUMNS", "0", False),
+        ("COLUMNS", "\u00b2", False),
+        ("LINES", "\u00b2", False),
+        ("LINES", "10000", False),
+        ("COLUMNS", "80\n", False),
+        ("TORCH_LOGS", "zzz", False),
+        ("_SOAK_TEST_COMPLETE", "zzz", False),
+        ("_COMPLETE", "zzz", True),
+    ],
+)
+def test_variables_that_end_libraries_are_removed(written, monkeypatch, name, value, kept):
+    for each in ENVIRONMENT:  # set by the start
+        monkeypatch.setenv(each, "")
+    monkeypatch.setenv(name, value)
+    written("variable_command", "def cli():\n    pass\n")
+    start("variable_command")
+    assert os.environ.get(name) == (value if kept else None)
 
 
 def test_a_library_that_cannot_be_imported_is_no_verdict(written, tmp_path):
