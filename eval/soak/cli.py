@@ -4,7 +4,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.console import Console
@@ -77,7 +77,7 @@ def _run(config: SoakConfig, limits: Budget, out: Path, history: Path | None) ->
         ResultLostError: a checkpoint, an event or the report cannot be written.
     """
     console, earlier = plain_console(), None if history is None else _earlier_records(history, config)
-    started, clock = datetime.now().astimezone(), time.monotonic()
+    started, clock = datetime.now(UTC), time.monotonic()
     resumed_hours = _prepare(config, out, console)
     with _work_at_stake():
         shards = run_soak(config, out / UNFINISHED, console)

@@ -194,16 +194,25 @@ def soak_test(call, arm_policy, tmp_path):
 
 @pytest.mark.slow
 def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
-    """In a process of its own, with the shipped budget; long enough that the start takes less than 1 % of the time."""
+    """In a process of its own, with the shipped budget; long enough that the start takes less than 1 % of the time.
+
+    The computer's time zone, a day from UTC, is none that ISO 8601 can express.
+    """
     sizes = ("--hours", "0.0085", "--robots", "4", "--workers", "1")
     script = "from eval.soak.cli import cli; cli()"
     options = ("--policy", arm_policy, *sizes, "--out", tmp_path / "out")
+    environment = os.environ | {"TZ": "XXX24"}
     done = subprocess.run(
-        [sys.executable, "-c", script, *options], capture_output=True, text=True, check=False
+        [sys.executable, "-c", script, *options],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert (done.returncode, done.stderr) == (1, "")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["verdict"] == "failed"
+    assert report["run"]["started"].endswith("+00:00")
     assert report["goals"]["success"] < 0.1
     assert [line["name"] for line in report["budget"] if not line["passed"]] == ["goal_success"]
     assert report["exposure"]["evaluations"] == 4 * 6120
