@@ -16,6 +16,11 @@ from eval.soak.configuration import SoakConfig
 from eval.soak.worker_pool import WorkerPool
 from robots.errors import OutputError, printable
 
+SIZE_MAX = 1e100
+"""Upper bound of a finite number of a checkpoint: above all that float32, in which policies compute, can hold."""
+SHARES = ("sampled.folded_back", "runtime.estimator.windings.foldback.current_share")
+"""Arrays of a checkpoint with shares that are reported."""
+
 
 def resumed_ticks(config: SoakConfig, folder: Path, console: Console) -> int:
     """Return the control ticks, summed over shards, in the checkpoints of an earlier start in `folder`.
@@ -48,7 +53,16 @@ def _fits(saved: Arrays, job: ShardJob) -> bool:
     for _ in range(int(ticks) // job.sample_ticks + 1):
         shard.sample()
     fresh = shard.save()
-    return _kinds(saved) == _kinds(fresh) and _are_counts(saved, fresh, shard) and _goes_on(shard, job, saved)
+    likely = _kinds(saved) == _kinds(fresh) and _are_within_bounds(saved) and _are_counts(saved, fresh, shard)
+    return likely and _goes_on(shard, job, saved)
+
+
+def _are_within_bounds(saved: Arrays) -> bool:
+    """Return whether no finite number is beyond `SIZE_MAX`, and no share below 0 or above 1; NaN is unknown."""
+    floats = [array for array in saved.values() if array.dtype == np.float64]
+    too_large = any((np.isfinite(array) & (np.abs(array) > SIZE_MAX)).any() for array in floats)
+    shares = [np.asarray(saved[name], dtype=np.float64) for name in SHARES]
+    return not too_large and not any(((share < 0) | (share > 1)).any() for share in shares)
 
 
 def _are_counts(saved: Arrays, fresh: Arrays, shard: Shard) -> bool:

@@ -17,7 +17,9 @@ COUNT_MAX = 1 << 40
 Column = tuple[Annotated[int, Field(ge=0, le=COUNT_MAX)], ...]
 DT_MIN = 1e-6
 """s, lower bound of a control period: rates, in events per hour, are finite with any count."""
-Celsius = Annotated[float, Field(ge=-273.15, le=1e5)]
+COLDEST_C, HOTTEST_C = -273.15, 1e5
+"""°C, bounds of a temperature."""
+Celsius = Annotated[float, Field(ge=COLDEST_C, le=HOTTEST_C)]
 Ratio = tuple[Floats, Floats]
 """(R,) amounts and (R,) exposures by draw; the figure of all draws is Σ amounts ÷ Σ exposures."""
 
@@ -29,7 +31,8 @@ class PerDrawCounts(Strict):
         dt: s, the control period.
         ticks, invalid, running, stops, due, reached: as in `eval.judge.counts.Counts`.
         hard: events by hard monitor.
-        hottest_c: °C, the highest true winding temperature of any joint in any tick; None where none was judged.
+        hottest_c: °C, the highest true winding temperature of any joint in any tick, within its bounds;
+            None where none was judged.
     """
 
     dt: Annotated[float, Field(ge=DT_MIN, le=1)]
@@ -56,7 +59,7 @@ class PerDrawCounts(Strict):
     @classmethod
     def from_counts(cls, counts: Counts) -> Self:
         """Return the per-draw counts of the judge's counts."""
-        hottest = counts.winding_c().max(axis=1).round(2)
+        hottest = counts.winding_c().max(axis=1).clip(COLDEST_C, HOTTEST_C).round(2)
         hard = {
             monitor.name: tuple(counts.events[:, counts.columns(monitor.name)].sum(axis=1).tolist())
             for monitor in MONITORS

@@ -290,12 +290,28 @@ def test_arrays_of_another_kind_are_damage(restless, tmp_path, capsys, change):
         ("sampled.stops", -1),
         ("responses.slot", 99),
         ("robot.plant.tick", 2**63 - 1),
+        ("robot.plant.housings.celsius", -1e308),
+        ("judge.worst", 1e308),
+        ("sampled.folded_back", 1.5),
+        ("sampled.folded_back", -0.5),
+        ("runtime.estimator.windings.foldback.current_share", -1e12),
     ],
 )
-def test_integers_that_no_shard_has_are_damage(restless, tmp_path, capsys, name, value):
+def test_numbers_that_no_shard_has_are_damage(restless, tmp_path, capsys, name, value):
     """Under the right identity and digest, too."""
     kept = store_ticks(restless, 1, tmp_path / "unfinished", 400)
     arrays = kept.load()
     arrays[name][...] = value
     kept.store(arrays)
     assert_reported(restless, kept, capsys)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_numbers_that_are_not_finite_are_no_damage(restless, tmp_path, value):
+    """A simulation that diverged, or a limit that nobody knows, leaves some."""
+    kept = store_ticks(restless, 1, tmp_path, 400)
+    arrays = kept.load()
+    arrays["judge.worst"][0] = value
+    arrays["sampled.folded_back"][0, 0] = np.nan
+    kept.store(arrays)
+    assert workers.resumed_ticks(restless, tmp_path, Console(quiet=True)) == 400

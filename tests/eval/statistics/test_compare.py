@@ -85,6 +85,14 @@ def compare(a, b):
     return compared.compare(*(PerDrawCounts.from_counts(counts) for counts in (a, b)))
 
 
+@pytest.mark.parametrize(("factor", "kept"), [(1e300, 1e5), (-1e300, -273.15)])
+def test_a_heat_beyond_any_is_kept_as_the_bound(factor, kept):
+    """A winding without a guard may run away; the record of the soak can be read all the same."""
+    counts = soaked(1)
+    counts.worst[3, counts.columns("heat_hard")] = factor
+    assert PerDrawCounts.from_counts(counts).hottest_c[3] == kept
+
+
 def test_differences_match_the_reports():
     a, b = soaked(1, hard=2.0, stops=1.0), soaked(2, hard=1.0, missed=0.1, stops=0.2)
     goals, rate, availability = compare(a, b)
