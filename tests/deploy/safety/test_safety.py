@@ -293,7 +293,7 @@ def test_robots_are_checked_independently():
     q[9] = straight
     qd[1, 5], qdd[4, 5] = 4.0, 1000.0
     # Only together: the speed that the acceleration will still add counts, and none of the others'.
-    qd[7, 0:3], qdd[7, 1:3] = -2.0, -8.0
+    qd[7, 0:3], qdd[7, 1:3] = -1.9, -8.0
     rest = q_hat.copy()
     rest[2, 0], rest[10], sent[5, 3], housing_c[6, 2] = HIGH[0], straight, HOME[3] + 0.2, 95.0
     state = State(
@@ -347,7 +347,7 @@ def test_poses_without_a_reason():
     assert SAFETY.check_poses(np.tile(HOME, (2, 1))).tolist() == [0, 0]
 
 
-@pytest.mark.parametrize(("mode", "share"), list(zip(ControlMode, (0.70, 0.70, 0.56), strict=True)))
+@pytest.mark.parametrize(("mode", "share"), list(zip(ControlMode, (0.68, 0.68, 0.56), strict=True)))
 def test_margins_are_those_of_the_mode(mode, share):
     safety = Safety(SPEC, Fleet(SPEC.in_mode(mode), 2, collisions=True), mode=mode)
     for factor, beyond in ((0.99, False), (1.01, True)):

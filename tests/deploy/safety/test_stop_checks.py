@@ -94,13 +94,14 @@ def test_a_stop_takes_over_from_torques_at_a_bounded_rate(mode):
 FLEET = Fleet(SPEC, 2, collisions=True)
 QUICK = SPEC.model_copy(
     update={
+        "margins": MARGINS.model_copy(update={"speed": 0.7}),
         "joints": tuple(
             joint.model_copy(update={"qdd_max": max(qdd, joint.qdd_max)})
             for joint, qdd in zip(SPEC.joints, (10.3, 2.6, 6.0, 0.0, 0.0, 0.0), strict=True)
-        )
+        ),
     }
 )
-"""The arm with the accelerations of its first three joints with which the stops below were found."""
+"""The arm with the margin of speed and the accelerations with which the stops below were found."""
 FAST = QUICK.model_copy(update={"margins": MARGINS.model_copy(update={"speed": 0.95, "tool_speed": 0.92})})
 """The arm with a small margin of speed."""
 

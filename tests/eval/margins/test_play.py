@@ -47,12 +47,13 @@ def of_joint(joint, sense):
 
 
 FORMER = [
-    ("tau = 0.48", "tau = 0.50"),
+    ("\nspeed = 0.68", "\nspeed = 0.70"),
+    ("tau = 0.46", "tau = 0.50"),
     ("qdd_max = 9.2", "qdd_max = 10.3"),
-    ("qdd_max = 2.0", "qdd_max = 2.6"),
+    ("qdd_max = 1.8", "qdd_max = 2.6"),
     ("qdd_max = 4.5", "qdd_max = 6.0"),
 ]
-"""Margin of torque, and accelerations of the first three joints, with which these attacks were found."""
+"""Margins of speed and torque, and accelerations of the first three joints, with which these attacks were found."""
 
 
 class Thrown(NamedTuple):
@@ -102,7 +103,7 @@ def robot_of(seed, robot, disturbed):
 @pytest.mark.parametrize(
     ("robot", "joint", "link", "tick", "pose"),
     [
-        (304, 4, 5, 578, (-0.540, -1.721, 1.055, -1.105, -0.608, 1.565)),
+        (304, 4, 5, 582, (-0.540, -1.721, 1.055, -1.105, -0.608, 1.565)),
         (693, 3, 4, 478, (-0.409, -1.975, 1.854, -2.408, -0.600, 0.430)),
     ],
 )
