@@ -134,10 +134,10 @@ class Setpoint(NamedTuple):
     drive: DriveMode | None = None
 
 
-BRAKING_SHARES = (0.1, 0.25, 0.4, 0.7, 1.0)
+BRAKING_SHARES = (0.1, 0.25, 0.5, 0.75, 1.0)
 """Moments at which a stop is checked, as shares of the time in which all joints but the slowest brake.
 
-They are closer at first: a stop needs most torque, and its tool gains most speed, in its first tenth of a second.
+The first is early: the tool gains most speed, and most torque is needed, at the beginning of a stop.
 """
 STOP_MOMENTS = len(BRAKING_SHARES)
 
