@@ -28,7 +28,7 @@ from robots.spec import RobotSpec
 MUTANTS = SAFETY + SENT + ESTIMATION + HEAT_GUARDS + VELOCITY_MODE + TORQUE_MODE
 
 UNGUARDED = in_sequence(
-    scale_planner_limits(qd_max=1.45, qdd_max=2.0, qddd_max=2.0),
+    scale_planner_limits(qd_max=1.5, qdd_max=2.0, qddd_max=2.0),
     widen_target_range,
     remove_heat_margin,
     remove_foldback,

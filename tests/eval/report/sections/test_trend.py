@@ -27,7 +27,7 @@ def year():
     changes = [(1, {}), (2, {}), (1, B), (2, B), (2, B), (3, C)]
     return named(
         *(
-            night(seed, started=f"2026-01-0{k + 1}T22:00:00Z", **each)
+            night(seed, started=f"2026-01-0{k + 1}T22:00:00+00:00", **each)
             for k, (seed, each) in enumerate(changes)
         )
     )
