@@ -2,11 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
 from eval.attack.weights import WEIGHTS, Weights
 from robots.arrays import Floats
+
+Effect = Literal["load", "throw"]
+"""What a push adds to: the torque that extra mass and payload take, or the speed of a link in the play of its gear."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,11 +21,15 @@ class Adversary:
         meaning: for reports.
         start: weights, the same for all joints. Others that are searched start in the middle of their bounds.
         searched: names of the weights that a search changes.
+        effect: of a push, by which one arm is chosen (`pushed_arm.py`); None: it moves the robots of a seed.
+        targets: monitors that are searched for on that arm.
     """
 
     meaning: str
     start: Mapping[str, float]
     searched: tuple[str, ...]
+    effect: Effect | None = None
+    targets: tuple[str, ...] = ()
 
     def first(self, joints: int) -> Weights:
         """Return the weights at which searches start, for a robot of n joints."""
@@ -47,6 +55,11 @@ class Adversary:
         found = {name: tuple(WEIGHTS[name].decoded(part).tolist()) for name, part in parts}
         return {**self.first(joints), **found}
 
+
+_FROM_POSE_TO_POSE: Any = {
+    "start": {"reach": 3.0, "sharpness": 1.0, "follow": 0.0, "spring": 1.0},
+    "searched": ("push", "step", "step_s", "force_s", "force_toward", "stiffness", "damping_of_drive"),
+}
 
 ADVERSARIES: Mapping[str, Adversary] = {
     "anti_damping": Adversary(
@@ -90,4 +103,20 @@ ADVERSARIES: Mapping[str, Adversary] = {
             *("inward", "bias", "outward"),
         ),
     ),
+    "loaded_arm": Adversary(
+        meaning="the most loaded arm of many goes from pose to pose; its push and its drive gains are searched, too",
+        **_FROM_POSE_TO_POSE,
+        effect="load",
+        targets=("torque", "workspace"),
+    ),
+    "thrown_arm": Adversary(
+        meaning="the same with the arm of which a push throws a link fastest through the play of its gear",
+        **_FROM_POSE_TO_POSE,
+        effect="throw",
+        targets=("velocity", "tool_speed"),
+    ),
 }
+"""All kinds."""
+
+OF_MANY = tuple(name for name, adversary in ADVERSARIES.items() if adversary.effect is None)
+"""Names of those that move the robots of a seed."""

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from eval.attack.adversaries import OF_MANY
 from eval.attack.arena import Outcome
 from eval.attack.candidate import Block, Candidate
 from eval.judge.channels import Channels
@@ -27,7 +28,8 @@ class Archive:
 
     Attributes:
         monitors: of the robot in a mode. hard: names of those that no policy may make report.
-        worst: by the names of the monitors. least: lowest ratio of any trial, likewise.
+        worst: by the names of the monitors. worst_of_many: the same without those of pushed arms.
+        least: lowest ratio of any trial, likewise.
         trials: number of policies tried. diverged: number of them whose simulation diverged.
     """
 
@@ -36,6 +38,7 @@ class Archive:
         self.monitors: tuple[Monitor, ...] = Channels.of_robot(spec, mode=mode).monitors
         self.hard = tuple(m.name for m in self.monitors if m.hard and m.name not in EXEMPT)
         self.worst: dict[str, Found] = {}
+        self.worst_of_many: dict[str, Found] = {}
         self.least: dict[str, float] = {}
         self.trials = self.diverged = 0
 
@@ -46,8 +49,9 @@ class Archive:
         for name, ratios in outcome.worst.items():
             robot = int(ratios.argmax())
             found = Found(float(ratios[robot]), block.candidate(robot))
-            if name not in self.worst or found.ratio > self.worst[name].ratio:
-                self.worst[name] = found
+            for worst in (self.worst, *([self.worst_of_many] if block.adversary in OF_MANY else [])):
+                if name not in worst or found.ratio > worst[name].ratio:
+                    worst[name] = found
             self.least[name] = min(float(ratios.min()), self.least.get(name, found.ratio))
 
     def moved(self, name: str) -> bool:

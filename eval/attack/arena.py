@@ -1,5 +1,6 @@
 """Arena: a shard in which one adversary after another is tried, each from the same beginning."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -11,13 +12,17 @@ import numpy as np
 from deploy.masks import any_true
 from deploy.policy.actor import Actor
 from deploy.policy.policy import Policy
+from deploy.policy.policy_file import PolicyFile
+from eval.attack.adversaries import ADVERSARIES, Effect
 from eval.attack.candidate import Block, Candidate
 from eval.attack.crowd import Crowd
 from eval.attack.falls import OF_FALLS, Falls
 from eval.attack.guards import remove_guard
 from eval.attack.loaded_robots import loaded_robots, loaded_shard
 from eval.attack.policy_graph import policy_file
+from eval.attack.pushed_arm import PushedArm, gains_of
 from eval.attack.trained_gains import TrainedGains
+from eval.attack.weights import Weights
 from eval.faults.schedule import FIRST_S, LEAST_CYCLE_S, FaultSettings
 from eval.judge.counts import Counts
 from eval.replay.bundle import POLICY
@@ -44,8 +49,9 @@ class Setting:
         robot: folder. mode: in which drives follow the policy.
         faults: names of fault classes, of which one is injected into each robot; empty for none.
         without: part of the description of a guard's removal (`make mutants` lists them); empty: no guard is removed.
-        gains: of the drives; None for their own.
-        loaded: robots are those of `loaded_robots` and worn, else those that a soak of the seed draws.
+        gains: of the drives; None for their own, or those of an adversary's weights.
+        loaded: robots are those of `loaded_robots` and worn, else those that a soak of the seed draws. Those of pushed
+            arms are neither.
     """
 
     robot: Path
@@ -71,6 +77,10 @@ class Setting:
             return None
         return FaultSettings(coverage=0.95, cycle_s=LEAST_CYCLE_S, operator_s=REARM_S, classes=self.faults)
 
+    def gains_of(self, weights: Weights, spec: RobotSpec) -> TrainedGains | None:
+        """Return the drive gains in the contract of some weights."""
+        return self.gains or gains_of(weights, spec, self.mode)
+
 
 class Outcome(NamedTuple):
     """Outcome of a trial.
@@ -87,28 +97,33 @@ class Outcome(NamedTuple):
 class Arena:
     """Shard of `WIDTH` robots of one seed. What is tried there changes nothing for what is tried later."""
 
-    def __init__(self, setting: Setting, seed: int) -> None:
-        """Build the shard, with its guard removed."""
+    def __init__(self, setting: Setting, seed: int, effect: Effect | None = None) -> None:
+        """Build the shard, of the arm that an effect chooses or of the setting's robots, with its guard removed."""
         self._spec, self._setting = load_robot(setting.robot), setting
         with TemporaryDirectory() as folder:
             job = write_job(setting, self._spec, Candidate("", {}, seed), Path(folder) / POLICY)
-            self._shard = make_shard(setting, job)
+            self._arm = PushedArm(job, self._spec, effect) if effect else None
+            self._shard = self._arm.shard if self._arm else _shard_of_many(setting, job)
         remove_guard(setting.without, self._shard.runtime)
         self._start = self._shard.snapshot()
 
     def try_block(self, block: Block) -> Outcome:
         """Let every robot try its own policy."""
-        return self._run(Crowd(policy_file(self._spec, self._setting.mode, block.rows, self._setting.gains)))
+        file = policy_file(self._spec, self._setting.mode, block.rows, self._setting.gains)
+        return self._run(Crowd(file), block.rows)
 
     def try_candidate(self, candidate: Candidate) -> Outcome:
         """Let all robots try one policy, as its file would be run."""
-        file = policy_file(self._spec, self._setting.mode, (candidate.weights,), self._setting.gains)
-        return self._run(Policy(file, candidate.adversary))
+        file = _file(self._setting, self._spec, candidate)
+        return self._run(Policy(file, candidate.adversary), (candidate.weights,) * WIDTH)
 
-    def _run(self, policy: Actor) -> Outcome:
+    def _run(self, policy: Actor, rows: Sequence[Weights]) -> Outcome:
         shard = self._shard
         shard.set_policy(policy)
         shard.restore(self._start)
+        if self._arm:
+            self._arm.stiffen([self._setting.gains_of(row, self._spec) for row in rows])
+            self._arm.push(rows)
         falls, at_fall = Falls(self._spec, WIDTH), dict[str, Floats]()
         for _ in range(self._setting.ticks(self._spec)):
             shard.tick()
@@ -142,9 +157,14 @@ def _worst(counts: Counts) -> dict[str, Floats]:
     return {m.name: counts.worst[:, counts.columns(m.name)].max(axis=1) for m in counts.monitors}
 
 
+def _file(setting: Setting, spec: RobotSpec, candidate: Candidate) -> PolicyFile:
+    gains = setting.gains_of(candidate.weights, spec)
+    return policy_file(spec, setting.mode, (candidate.weights,), gains)
+
+
 def write_job(setting: Setting, spec: RobotSpec, candidate: Candidate, policy: Path) -> ShardJob:
     """Write the policy of a candidate to a file, and return the job of a shard that it moves."""
-    file = policy_file(spec, setting.mode, (candidate.weights,), setting.gains)
+    file = _file(setting, spec, candidate)
     policy.write_bytes(file.data)
     seconds = FIRST_S + LEAST_CYCLE_S if setting.faults else setting.seconds  # a fault needs its whole slot
     ticks = round(seconds / spec.dt)
@@ -163,24 +183,32 @@ def write_job(setting: Setting, spec: RobotSpec, candidate: Candidate, policy: P
     )
 
 
-def make_shard(setting: Setting, job: ShardJob) -> Shard:
-    """Return the shard of a job, with the robots of the setting."""
+def make_shard(setting: Setting, job: ShardJob, candidate: Candidate) -> Shard:
+    """Return the shard of a candidate's job, with its arm and push, or with the robots of the setting."""
+    if not (effect := ADVERSARIES[candidate.adversary].effect):
+        return _shard_of_many(setting, job)
+    arm = PushedArm(job, load_robot(setting.robot), effect)
+    arm.push((candidate.weights,) * WIDTH)
+    return arm.shard
+
+
+def _shard_of_many(setting: Setting, job: ShardJob) -> Shard:
     if not setting.loaded:
         return Shard(job)
     spec = load_robot(setting.robot)
     return loaded_shard(job, loaded_robots(load_distributions(spec), spec, job.seed))
 
 
-@lru_cache(maxsize=1)
-def _arena(setting: Setting, seed: int) -> Arena:
-    return Arena(setting, seed)
+@lru_cache(maxsize=1 + sum(len(each.targets) for each in ADVERSARIES.values()))
+def _arena(setting: Setting, seed: int, effect: Effect | None) -> Arena:
+    return Arena(setting, seed, effect)
 
 
 def try_block(setting: Setting, block: Block) -> Outcome:
-    """Try a block in this process, which keeps its last arena."""
-    return _arena(setting, block.seed).try_block(block)
+    """Try a block in this process, which keeps its last arenas."""
+    return _arena(setting, block.seed, ADVERSARIES[block.adversary].effect).try_block(block)
 
 
 def try_candidate(setting: Setting, candidate: Candidate) -> Outcome:
-    """Try a candidate in this process, which keeps its last arena."""
-    return _arena(setting, candidate.seed).try_candidate(candidate)
+    """Try a candidate in this process, which keeps its last arenas."""
+    return _arena(setting, candidate.seed, ADVERSARIES[candidate.adversary].effect).try_candidate(candidate)

@@ -32,7 +32,7 @@ from eval.replay.bundle_files import copy_bundles, delete_bundles, remove_bundle
 from eval.report.report_files import check_report_folder
 from robots.errors import ConfigError, printable
 from robots.randomness import SEED_MAX
-from robots.spec import load_robot
+from robots.spec import RobotSpec, load_robot
 
 WORST, CASES, UNFINISHED = FOLDERS = "worst", "cases", "unfinished"
 """Folders in --out: of bundles, of cases, and of bundles while they are written."""
@@ -123,7 +123,7 @@ def soak_attack(
     _check_folder(out)
     with locked(out), workers(setting, processes) as pool:
         delete_bundles(out / UNFINISHED, finished=True)
-        search, console = Search(spec, setting.mode, pool.evaluate, seed=seed, target=target), plain_console()
+        search, console = _search(spec, setting, pool, seed, target), plain_console()
         with handled(signal.SIG_IGN):  # `_run` and `_write_bundles` handle them
             finished = _run(search, budget, console)
             found = {} if setting.without else _worst(search.archive)
@@ -133,6 +133,12 @@ def soak_attack(
         if not finished or len(bundles) < len(found):
             raise KeyboardInterrupt  # workers need not finish what they do
     return BUDGET_EXCEEDED if report.hits or report.diverged else PASSED
+
+
+def _search(spec: RobotSpec, setting: Setting, pool: Workers, seed: int, target: str) -> Search:
+    """Return the search; pushed arms have a fixed base, and no fault beside their push."""
+    arms = spec.base is None and not setting.faults
+    return Search(spec, setting.mode, pool.evaluate, seed=seed, target=target, pushed_arms=arms)
 
 
 def _check_folder(out: Path) -> None:

@@ -28,7 +28,11 @@ def evolution_strategy(
 
 
 class Island:
-    """Search in which each robot of a shard tries a policy of its own in every generation."""
+    """Search in which each robot of a shard tries a policy of its own in every generation.
+
+    Attributes:
+        name: of the adversary. monitor: that is searched for.
+    """
 
     def __init__(
         self,
@@ -42,7 +46,7 @@ class Island:
         rng: np.random.Generator,
     ) -> None:
         """Start from shares (D,) of the bounds of an adversary's weights; the seed is that of the robots."""
-        self._name, self._monitor, self._seed, self._joints = name, monitor, seed, joints
+        self.name, self.monitor, self._seed, self._joints = name, monitor, seed, joints
         self._start, self._base, self._best = start, np.zeros(WIDTH), (-np.inf, start)
         self._strategy = evolution_strategy(start, deviation, WIDTH, rng)
 
@@ -67,13 +71,18 @@ class Island:
             self._best, (float(gain.max()), self._shares[gain.argmax()]), key=lambda each: each[0]
         )
 
+    @property
+    def over(self) -> bool:
+        """True once the search has converged."""
+        return bool(self._strategy.stop())
+
     def best(self) -> Block:
         """Return the policy that gained most, for all robots."""
         return self._block([self._best[1]] * WIDTH)
 
     def _ratios(self, outcome: Outcome) -> Floats:
-        return np.minimum(outcome.worst[self._monitor], LARGEST)
+        return np.minimum(outcome.worst[self.monitor], LARGEST)
 
     def _block(self, shares: list[Floats]) -> Block:
-        adversary = ADVERSARIES[self._name]
-        return Block(self._name, tuple(adversary.weights(each, self._joints) for each in shares), self._seed)
+        adversary = ADVERSARIES[self.name]
+        return Block(self.name, tuple(adversary.weights(each, self._joints) for each in shares), self._seed)

@@ -36,7 +36,7 @@ def write_peak(setting: Setting, monitor: str, candidate: Candidate, folder: Pat
     poll, ticks = round(POLL_S / spec.dt), setting.ticks(spec)
     with TemporaryDirectory() as place:
         job = write_job(setting, spec, candidate, Path(place) / POLICY)
-        shard = make_shard(setting, job)
+        shard = make_shard(setting, job, candidate)
         start = shard.snapshot()
         peak = find_peak(shard, monitor, ticks)
         shard.restore(start)

@@ -4,6 +4,9 @@ The library is tried first. Then come cycles, each on other robots: every monito
 cycles from the worst candidate that anything so far has found for it, in the odd ones from an adversary of the library.
 Robots of a shard try different policies at once. As their draws differ, each is compared with what the first policy of
 the search does on it. Whatever is tried counts for every monitor.
+
+Beside them, in every generation, run the searches of pushed arms: each goes on until it has converged, then begins
+again on another arm.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -11,7 +14,7 @@ from itertools import count
 
 import numpy as np
 
-from eval.attack.adversaries import ADVERSARIES
+from eval.attack.adversaries import ADVERSARIES, OF_MANY
 from eval.attack.archive import Archive
 from eval.attack.arena import Outcome
 from eval.attack.candidate import Block
@@ -36,17 +39,31 @@ class Search:
     """
 
     def __init__(
-        self, spec: RobotSpec, mode: ControlMode, evaluate: Evaluate, *, seed: int, target: str = ""
+        self,
+        spec: RobotSpec,
+        mode: ControlMode,
+        evaluate: Evaluate,
+        *,
+        seed: int,
+        target: str = "",
+        pushed_arms: bool = True,
     ) -> None:
         """Start with an empty archive; the target is one monitor, or all hard ones."""
         self._joints, self._evaluate, self._seed = spec.n, evaluate, seed
         self.archive = Archive(spec, mode)
         self.targets = (target,) if target else self.archive.hard
+        self._began = count()
+        self._arms = [
+            self._pushed_arm(name, monitor)
+            for name, adversary in ADVERSARIES.items()
+            for monitor in adversary.targets
+            if pushed_arms and monitor in self.targets
+        ]
 
     def run(self) -> Iterator[None]:
         """Try one generation after another, without end."""
         rng = np.random.default_rng(self._seed)
-        self._try([self._library_block(name, rng) for name in ADVERSARIES])
+        self._try([self._library_block(name, rng) for name in OF_MANY])
         yield
         for cycle in count():
             yield from self._cycle(cycle)
@@ -61,7 +78,7 @@ class Search:
     def _cycle(self, cycle: int) -> Iterator[None]:
         """Run the searches of a cycle side by side."""
         moved = tuple(name for name in self.targets if self.archive.moved(name)) or self.targets
-        places = range(max(len(moved), len(ADVERSARIES)))
+        places = range(max(len(moved), len(OF_MANY)))
         islands = [self._island(cycle, place, moved[place % len(moved)]) for place in places]
         for island, outcome in zip(islands, self._try([i.first() for i in islands]), strict=True):
             island.compare_with(outcome)
@@ -83,14 +100,27 @@ class Search:
     def _start(self, cycle: int, place: int, target: str) -> tuple[str, Floats, float]:
         """Return the adversary, its first shares and their deviation."""
         if cycle % 2 == 0:
-            worst = self.archive.worst[target].candidate
+            worst = self.archive.worst_of_many[target].candidate
             return worst.adversary, ADVERSARIES[worst.adversary].shares(worst.weights), NEAR
-        name = tuple(ADVERSARIES)[(cycle // 2 + place) % len(ADVERSARIES)]
+        name = OF_MANY[(cycle // 2 + place) % len(OF_MANY)]
         adversary = ADVERSARIES[name]
         return name, adversary.shares(adversary.first(self._joints)), FAR
 
+    def _pushed_arm(self, name: str, monitor: str) -> Island:
+        """Return a search on an arm that none had before, from poses at random."""
+        number = next(self._began)
+        rng = np.random.default_rng([self._seed, number])
+        first = ADVERSARIES[name].shares(ADVERSARIES[name].first(self._joints))
+        return Island(name, first, FAR, monitor, seed=self._seed + number, joints=self._joints, rng=rng)
+
     def _try(self, blocks: Sequence[Block]) -> Sequence[Outcome]:
-        outcomes = self._evaluate(blocks)
-        for block, outcome in zip(blocks, outcomes, strict=True):
+        """Try blocks, and a generation of every pushed arm; return the outcomes of the blocks."""
+        tried = [*blocks, *(arm.ask() for arm in self._arms)]
+        outcomes = self._evaluate(tried)
+        for block, outcome in zip(tried, outcomes, strict=True):
             self.archive.add(block, outcome)
-        return outcomes
+        for place, arm in enumerate(self._arms):
+            arm.tell(outcomes[len(blocks) + place])
+            if arm.over:
+                self._arms[place] = self._pushed_arm(arm.name, arm.monitor)
+        return outcomes[: len(blocks)]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from deploy.policy.compatibility import check_contract
+from eval.attack.adversaries import ADVERSARIES
 from eval.attack.archive import EXEMPT, Archive
 from eval.attack.arena import Outcome, Setting, try_candidate
 from eval.attack.candidate import Case, check_weights, read_case
@@ -76,4 +77,5 @@ def _setting(path: Path, case: Case) -> Setting:
 
 
 def _arena_of(case: Case) -> tuple[object, ...]:
-    return case.robot, case.mode, case.faults, case.gains or (), case.loaded, case.seed
+    effect = ADVERSARIES[case.adversary].effect or ""
+    return case.robot, case.mode, case.faults, case.gains or (), case.loaded, effect, case.seed

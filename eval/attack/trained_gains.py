@@ -13,6 +13,8 @@ from robots.spec import RobotSpec
 
 EXTREMES = ("softest", "stiffest")
 """Names of gains at the bounds of what a contract may have."""
+STIFFEST = 0.99
+"""Share of the highest stiffness, at which a single damping is allowed."""
 
 
 class TrainedGains(NamedTuple):
@@ -53,12 +55,9 @@ def _gains_of_file(path: Path, spec: RobotSpec, mode: ControlMode) -> TrainedGai
 
 
 def extreme_gains(spec: RobotSpec, mode: ControlMode) -> dict[str, TrainedGains]:
-    """Return the `EXTREMES` of what a contract may have; none in torque mode, or if it has no choice.
-
-    The stiffest have 0.99 of the highest stiffness, at which a single damping is allowed.
-    """
+    """Return the `EXTREMES` of what a contract may have; none in torque mode, or if it has no choice."""
     soft, high = stiffness_bounds(spec, mode)
-    stiff = 0.99 * high
+    stiff = STIFFEST * high
     if mode is ControlMode.TORQUE or (soft >= stiff).any():
         return {}
     damping = damping_bounds(spec, mode, soft).low, damping_bounds(spec, mode, stiff).high

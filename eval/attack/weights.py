@@ -3,12 +3,16 @@
 In each step, of joints with angle q and speed v (a share of its limit), at time t since arming:
 
     drive  = damping·v + dither·sin(dither_rate·q) + wave·sin 2π(wave_hz·t + chirp·t²/2 + wave_turns)
-           + swing·sin 2π(swing_hz·t + swing_turns) + push + replay·(command `delay` steps ago) + network
+           + swing·sin 2π(swing_hz·t + swing_turns) + push + step·sign(t - step_s) + spring·(home - q)
+           + replay·(command `delay` steps ago) + network
     command = tanh(sharpness·drive)
     target = centre + reach·command
 
 The network has one hidden layer and sees the distance from home, v and the delayed command. The centre is `follow`
-times the joint's angle and 1 - `follow` times its home in position mode, else 0.
+times the joint's angle and 1 - `follow` times its home in position mode, else 0; the spring is of the other modes.
+
+An adversary of a pushed arm (`pushed_arm.py`) has weights beside the graph: when and where to its push acts, and the
+gains of its drives.
 """
 
 import math
@@ -36,7 +40,7 @@ class Weight:
 
     Attributes:
         low, high: bounds of the search. log: steps of the search are factors. rest: value where it is not searched.
-        shape: "n" joints, "h" hidden units, "i" inputs of the network, by axis; empty for one number.
+        shape: "n" joints, "h" hidden units, "i" inputs of the network, "x" axes of the world; empty for one number.
         whole: an integer.
     """
 
@@ -49,7 +53,7 @@ class Weight:
 
     def shape_of(self, joints: int) -> tuple[int, ...]:
         """Return the shape for a robot of n joints."""
-        sizes = {"n": joints, "h": HIDDEN, "i": 3 * joints}
+        sizes = {"n": joints, "h": HIDDEN, "i": 3 * joints, "x": 3}
         return tuple(sizes[axis] for axis in self.shape)
 
     def size(self, joints: int) -> int:
@@ -69,7 +73,7 @@ class Weight:
         return (value - self.low) / (self.high - self.low)
 
 
-WEIGHTS: Mapping[str, Weight] = {
+GRAPH_WEIGHTS: Mapping[str, Weight] = {
     "reach": Weight(low=0.02, high=3.0, log=True, rest=1.0),
     "sharpness": Weight(low=0.3, high=300.0, log=True, rest=1.0, shape=""),
     "follow": Weight(low=0.0, high=1.0, rest=1.0, shape=""),
@@ -84,22 +88,36 @@ WEIGHTS: Mapping[str, Weight] = {
     "swing_hz": Weight(low=0.05, high=3.0, log=True, rest=0.5, shape=""),
     "swing_turns": Weight(low=0.0, high=1.0),
     "push": Weight(low=-2.0, high=2.0),
+    "step": Weight(low=-2.0, high=2.0),
+    "step_s": Weight(low=0.3, high=3.5),
+    "spring": Weight(low=0.0, high=2.0),
     "replay": Weight(low=-2.0, high=2.0),
     "delay": Weight(low=1.0, high=DELAY_MAX, rest=1.0, shape="", whole=True),
     "inward": Weight(low=-3.0, high=3.0, shape="ih"),
     "bias": Weight(low=-2.0, high=2.0, shape="h"),
     "outward": Weight(low=-2.0, high=2.0, shape="hn"),
 }
-"""Every kind. Lengths are in rad of position mode, else in shares of the limit of the quantity that drives follow."""
+"""Those of the graph. Lengths are in rad of position mode, else in shares of the limit of what drives follow."""
+
+ARM_WEIGHTS: Mapping[str, Weight] = {
+    "force_s": Weight(low=0.5, high=4.5, shape=""),
+    "force_toward": Weight(low=-1.0, high=1.0, shape="x"),
+    "stiffness": Weight(low=0.0, high=1.0),
+    "damping_of_drive": Weight(low=0.0, high=1.0),
+}
+"""Those of a pushed arm: s from the start of its trial, direction, and shares of the bounds of a contract's gains."""
+
+WEIGHTS: Mapping[str, Weight] = {**GRAPH_WEIGHTS, **ARM_WEIGHTS}
+"""Every kind."""
 
 
 def arrays(rows: Sequence[Weights], joints: int) -> dict[str, Floats]:
-    """Return all weights of R policies for a robot of n joints, each (R, *its shape)."""
+    """Return the weights of R graphs for a robot of n joints, each (R, *its shape)."""
     return {
         name: np.array(
             [row.get(name, [kind.rest] * kind.size(joints)) for row in rows], dtype=np.float64
         ).reshape(len(rows), *kind.shape_of(joints))
-        for name, kind in WEIGHTS.items()
+        for name, kind in GRAPH_WEIGHTS.items()
     }
 
 

@@ -24,7 +24,11 @@ def worst_of(spec: RobotSpec, fault: str) -> Worst:
     """Return the hard monitors with their highest ratios, the worst first."""
     setting = Setting(robot=spec.folder, mode=ControlMode.POSITION, faults=(fault,))
     search = Search(
-        spec, setting.mode, lambda blocks: [try_block(setting, each) for each in blocks], seed=SEED
+        spec,
+        setting.mode,
+        lambda blocks: [try_block(setting, each) for each in blocks],
+        seed=SEED,
+        pushed_arms=False,
     )
     next(search.run())
     found = {name: search.archive.worst[name].ratio for name in search.archive.hard}

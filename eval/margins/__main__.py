@@ -16,7 +16,7 @@ from rich.table import Table
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.telemetry.plain_console import plain_console
-from eval.attack.adversaries import ADVERSARIES
+from eval.attack.adversaries import OF_MANY
 from eval.attack.arena import Setting, find_mode
 from eval.attack.pool import processes
 from eval.attack.trained_gains import extreme_gains
@@ -98,7 +98,7 @@ def _find(pool: Executor, spec: RobotSpec, mode: ControlMode, effort: Effort, co
         for gains in (None, *extreme_gains(spec, mode).values())
     ]
     stop = pool.submit(stop_excess, spec.in_mode(mode), effort.generations)
-    library = tuple(ADVERSARIES) * effort.trials
+    library = OF_MANY * effort.trials
     jobs = [
         Trial(settings[seed % len(settings)], adversary, seed, effort.corners)
         for seed, adversary in enumerate(library)

@@ -15,9 +15,9 @@ from eval.attack.crowd import Crowd
 from eval.attack.island import FAR
 from eval.attack.loaded_robots import CHOICE, DISTURBED, loaded_robots, loaded_shard
 from eval.attack.policy_graph import policy_file
+from eval.attack.throws import throws
 from eval.margins.aimed_pushes import NOBODY, AimedPushes, Aims, Moment
 from eval.margins.excess import Excess, Values
-from eval.margins.throws import throws
 from eval.replay.bundle import POLICY
 from eval.shard.job import WIDTH
 from eval.shard.shard import Shard

@@ -153,11 +153,14 @@ class Pushes(Intermittent):
         """Write forces of random direction on random links."""
         self._applied[rows] = 0.0
         for robot in rows[self.on[rows]]:
-            rng = self.rng(robot)
-            direction = rng.standard_normal(3)
-            self._applied[robot, rng.choice(self._bodies), :3] = (
-                self._force[robot] * direction / np.linalg.norm(direction)
-            )
+            link, direction = self.drawn(robot)
+            self._applied[robot, self._bodies[link], :3] = self._force[robot] * direction
+
+    def drawn(self, robot: int) -> tuple[int, Floats]:
+        """Return the link that is pushed in the present phase of a robot, and the direction (3,), world."""
+        rng = self.rng(robot)
+        direction = rng.standard_normal(3)
+        return int(rng.choice(len(self._bodies))), direction / np.linalg.norm(direction)
 
     def reset(self, rows: Ints) -> None:
         """Write the forces again."""

@@ -53,7 +53,7 @@ def test_wrong_option_is_named(words, complaint, call):
 def test_margins_that_do_not_suffice_are_written(call, tmp_path, monkeypatch):
     """As found by two adversaries in a second."""
     monkeypatch.setattr(trial, "TRIAL_S", 1.0)
-    monkeypatch.setattr(command, "ADVERSARIES", tuple(command.ADVERSARIES)[:2])
+    monkeypatch.setattr(command, "OF_MANY", command.OF_MANY[:2])
     monkeypatch.setattr(command, "processes", lambda _: InProcess())
     folder = tmp_path / "a[/x]"
     shutil.copytree(PLANAR3.folder, folder)

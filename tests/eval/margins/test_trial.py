@@ -10,8 +10,8 @@ from deploy.policy.actor import Actor
 from deploy.reasons import Reason
 from eval.attack.arena import Setting
 from eval.attack.loaded_robots import CHOICE, DISTURBED, extra_load
+from eval.attack.throws import throws
 from eval.margins.aimed_pushes import NOBODY, Moment
-from eval.margins.throws import throws
 from eval.margins.trial import AIMED, MOMENTS, OF_TOOL, Trial, aims, draw_robots, make_shard, run
 from eval.shard.job import WIDTH
 from robots.distributions import load_distributions

@@ -8,7 +8,7 @@ mujoco = pytest.importorskip("mujoco")
 from scipy.stats import qmc
 
 from eval.attack.loaded_robots import LIVES
-from eval.margins.throws import POSES, throws
+from eval.attack.throws import POSES, throws
 from robots.distributions import load_distributions
 from robots.draws import median_draw
 from robots.models.nominal_model import torque_max
