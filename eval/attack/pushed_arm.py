@@ -25,7 +25,7 @@ from robots.motors.control_mode import ControlMode
 from robots.randomness import robot_seed
 from robots.spec import RobotSpec
 
-ARMS = 4000
+ARMS = 8000
 """Arms of which one is chosen."""
 PHASES = 4096
 """Pushes of which one is chosen, about 700 for each link of arm6: one within 0.1 rad of any direction."""

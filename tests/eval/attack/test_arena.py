@@ -65,10 +65,11 @@ def test_trial_is_the_same_whatever_was_tried_before_and_for_whichever_robots_be
 
 
 def test_robots_of_a_setting_are_loaded_and_worn_or_those_that_its_seed_draws(tmp_path):
-    job = write_job(SETTING, SPEC, Candidate("push", first("push"), SEED), tmp_path / bundle.POLICY)
+    candidate = Candidate("push", first("push"), SEED)
+    job = write_job(SETTING, SPEC, candidate, tmp_path / bundle.POLICY)
     drawn = draw(load_distributions(SPEC), SPEC, [robot_seed(SEED, robot) for robot in range(WIDTH)])
-    plain = make_shard(replace(SETTING, loaded=False), job).robot
-    loaded = make_shard(SETTING, job).robot
+    plain = make_shard(replace(SETTING, loaded=False), job, candidate).robot
+    loaded = make_shard(SETTING, job, candidate).robot
     assert extra_load(SPEC, loaded.draw).mean() > 1.3 * extra_load(SPEC, drawn).mean()
     assert (loaded.draw["push.every_s"] < drawn["push.every_s"].min()).all()
     assert all((plain.draw[name] == values).all() for name, values in drawn.items())

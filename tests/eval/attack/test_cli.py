@@ -15,7 +15,7 @@ import eval.attack.cli as command
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.start import BROKEN, INTERRUPTED
 from eval.attack import arena
-from eval.attack.adversaries import ADVERSARIES
+from eval.attack.adversaries import OF_MANY
 from eval.attack.candidate import read_case
 from eval.attack.cli import cli
 from eval.attack.suite import OPEN, SUITE, run_suite
@@ -91,7 +91,7 @@ def test_without_a_guard_the_search_ends_at_the_first_event_of_its_monitor(call,
     report = json.loads((tmp_path / "attack.json").read_text())
     assert code == BUDGET_EXCEEDED
     assert report["without"] == "safety: velocity, off"
-    assert report["trials"] == len(ADVERSARIES) * 16
+    assert report["trials"] == (len(OF_MANY) + 1) * 16, "the library, and the arm of this monitor"
     assert not (tmp_path / "cases").exists()
 
 
@@ -110,7 +110,7 @@ def test_interrupted_attack_reports_what_it_tried(number, call, tmp_path, monkey
     code, said, _ = attack(call, tmp_path, generations=100)
     assert code == INTERRUPTED
     assert "interrupted: the report covers" in said
-    assert json.loads((tmp_path / "attack.json").read_text())["trials"] > len(ADVERSARIES) * 16
+    assert json.loads((tmp_path / "attack.json").read_text())["trials"] > (len(OF_MANY) + 4) * 16
 
 
 @SIGNALS
@@ -206,11 +206,11 @@ def test_behind_a_link_nothing_changes(name, begun, call, tmp_path, monkeypatch)
 
 @pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_workers(call, tmp_path, monkeypatch):
-    """With two adversaries, tried for a second, and bundles of two monitors."""
+    """With two adversaries and two pushed arms, tried for a second, and bundles of two monitors."""
     monkeypatch.setattr(command, "Setting", ShortSetting)
     others = {monitor.name for monitor in MONITORS} - {"velocity", "torque"}
     monkeypatch.setattr("eval.attack.archive.EXEMPT", others)
-    monkeypatch.setattr("eval.attack.search.ADVERSARIES", dict(list(ADVERSARIES.items())[:2]))
+    monkeypatch.setattr("eval.attack.search.OF_MANY", OF_MANY[:2])
     for workers in (1, 2):
         out = tmp_path / str(workers)
         assert attack(call, out, workers=workers, generations=1)[0] in (PASSED, BUDGET_EXCEEDED)

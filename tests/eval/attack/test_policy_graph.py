@@ -40,6 +40,7 @@ def by_numpy(weights, observed, home, dt, follows):
         hidden = np.tanh(np.concatenate((q - home, v, delayed)) @ w["inward"] + w["bias"])
         drive = w["damping"] * v + w["dither"] * np.sin(w["dither_rate"] * q) + w["wave"] * wave
         drive += w["swing"] * swing + w["push"] + w["replay"] * delayed + hidden @ w["outward"]
+        drive += w["step"] * np.sign(t - w["step_s"]) + w["spring"] * (home - q) * (1 - follows)
         commands.append(np.tanh(w["sharpness"] * drive))
         targets.append(follow * q + (1 - follow) * home * follows + w["reach"] * commands[-1])
     return np.array(targets)

@@ -5,6 +5,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from eval.attack.adversaries import ADVERSARIES, OF_MANY
 from eval.attack.archive import EXEMPT, Archive
 from eval.attack.arena import Outcome
 from eval.attack.candidate import Block
@@ -35,7 +36,7 @@ def hill(blocks):
 
 
 def searched(generations, evaluate=hill, **options):
-    search = Search(SPEC, MODE, evaluate, **{"seed": 7, **options})
+    search = Search(SPEC, MODE, evaluate, **{"seed": 7, "pushed_arms": False, **options})
     for _ in islice(search.run(), generations):
         pass
     return search
@@ -86,6 +87,42 @@ def test_every_generation_has_all_robots_busy_and_every_cycle_other_robots():
     assert {len(block.rows) for blocks in seen for block in blocks} == {WIDTH}
     assert [{block.seed for block in blocks} for blocks in seen] == [{7}] + [{8}] * CYCLE + [{9}] * CYCLE
     assert search.archive.trials == WIDTH * sum(map(len, seen))
+
+
+def steps(blocks):
+    """Torque is highest where all steps are 1.2, from that of the others on."""
+
+    def ratio(row):
+        return 0.5 + np.exp(-np.mean((np.array(row["step"]) - 1.2) ** 2)) if "step" in row else 0.5
+
+    return [outcome(torque=np.array([ratio(row) for row in block.rows])) for block in blocks]
+
+
+def test_searches_of_pushed_arms_go_on_from_cycle_to_cycle():
+    few, many = (
+        searched(1 + cycles * CYCLE, steps, pushed_arms=True).archive.worst["torque"] for cycles in (1, 12)
+    )
+    assert few.candidate.adversary == many.candidate.adversary == "loaded_arm"
+    assert many.ratio > max(1.49, few.ratio + 0.02)
+
+
+def test_pushed_arms_have_their_targets_and_begin_again_on_others_once_they_have_converged():
+    """On a plain, each search ends at once."""
+    seen = []
+
+    def plain(blocks):
+        seen.append([(block.adversary, block.seed) for block in blocks if block.adversary not in OF_MANY])
+        return [outcome() for _ in blocks]
+
+    search = searched(40, plain, pushed_arms=True)
+    targets = [monitor for each in ADVERSARIES.values() for monitor in each.targets]
+    assert len(targets) == len(seen[0]) == len({*seen[0]})
+    assert {len(each) for each in seen} == {len(targets)}
+    assert len({seed for each in seen for _, seed in each}) > len(targets)
+    one = Search(SPEC, MODE, plain, seed=7, target="velocity")
+    next(one.run())
+    assert [name for name, _ in seen[-1]] == ["thrown_arm"]
+    assert search.archive.worst_of_many["torque"].candidate.adversary in OF_MANY
 
 
 def test_only_hard_monitors_are_searched_and_what_the_policy_says_itself_is_none():

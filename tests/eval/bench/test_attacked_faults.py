@@ -12,7 +12,7 @@ from support.planar import PLANAR3
 @pytest.mark.slow
 def test_worst_monitors_of_a_fault_come_first(monkeypatch):
     monkeypatch.setattr(arena, "FAULTY_EPISODE_S", 5.5)
-    monkeypatch.setattr(search, "ADVERSARIES", {"bang_bang": search.ADVERSARIES["bang_bang"]})
+    monkeypatch.setattr(search, "OF_MANY", ("bang_bang",))
     worst = worst_of(PLANAR3, "encoder slips")
     ratios = [ratio for _, ratio in worst]
     assert ratios == sorted(ratios, reverse=True)

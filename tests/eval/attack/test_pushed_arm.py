@@ -1,0 +1,131 @@
+"""Pushed arms: which arm it is, its push, and the gains of its drives."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+import eval.attack.arena as arena_module
+import eval.attack.pushed_arm as module
+from deploy.policy.compatibility import check_contract
+from eval.attack.adversaries import ADVERSARIES
+from eval.attack.arena import Arena, Setting, write_job
+from eval.attack.candidate import Block, Candidate
+from eval.attack.loaded_robots import LIVES, extra_load
+from eval.attack.peak import write_peak
+from eval.attack.policy_graph import attack_contract
+from eval.attack.pushed_arm import PushedArm, choose_arm, gains_of
+from eval.attack.throws import throws
+from eval.attack.trained_gains import TrainedGains, extreme_gains
+from eval.replay import bundle
+from eval.replay.replay_text import mismatch
+from eval.replay.replayer import Replay
+from eval.shard.job import WIDTH
+from robots.distributions import load_distributions
+from robots.draws import draw
+from robots.motors.control_mode import ControlMode
+from robots.randomness import robot_seed
+from support.arm6 import SPEC
+
+SETTING = Setting(robot=SPEC.folder, mode=ControlMode.POSITION)
+SEED, ARMS = 5, 48
+EFFECTS = {
+    "load": lambda robots: extra_load(SPEC, robots),
+    "throw": lambda robots: throws(SPEC, robots).speed.max(axis=(1, 2)),
+}
+NAMES = [name for name, adversary in ADVERSARIES.items() if adversary.effect]
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    """Fewer arms, and trials of a third of a second in operation."""
+    monkeypatch.setattr(module, "ARMS", ARMS)
+    monkeypatch.setattr(arena_module, "EPISODE_S", 0.55)
+
+
+def weights(name="loaded_arm", **changed):
+    return {**ADVERSARIES[name].first(SPEC.n), **changed}
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_arm_is_the_one_of_many_on_which_a_push_has_most_effect(effect):
+    robots = draw(load_distributions(SPEC), SPEC, [robot_seed(SEED, robot) for robot in range(ARMS)])
+    found, link = choose_arm(SPEC, effect, SEED)
+    assert found.robots == WIDTH
+    np.testing.assert_array_equal(EFFECTS[effect](found), EFFECTS[effect](robots).max())
+    if effect == "throw":
+        speed = throws(SPEC, found).speed[0]
+        assert speed[:, link].max() == speed.max()
+    else:
+        assert link == SPEC.n - 1
+
+
+@pytest.fixture
+def arm(tmp_path):
+    """A pushed arm, and its draw."""
+    job = write_job(SETTING, SPEC, Candidate("loaded_arm", weights(), SEED), tmp_path / bundle.POLICY)
+    return PushedArm(job, SPEC, "load"), choose_arm(SPEC, "load", SEED).robots
+
+
+def test_push_has_the_moment_and_direction_of_its_weights_and_what_else_is_drawn(arm):
+    pushed, robots = arm
+    toward = np.random.default_rng(1).standard_normal((WIDTH, 3))
+    pushed.push([weights(force_s=(0.51 + 0.01 * k,), force_toward=tuple(x)) for k, x in enumerate(toward)])
+    plant = pushed.shard.robot.plant
+    assert (plant.wear.life == LIVES).all()
+    applied, links = plant.batch.bind("xfrc_applied"), plant.bodies
+    begins, ends = np.full(WIDTH, -1), np.full(WIDTH, -1)
+    for tick in range(260):
+        pushed.shard.tick()
+        on = (applied[:, links] != 0.0).any(axis=(1, 2))
+        begins[on & (begins < 0)] = tick
+        ends[~on & (begins >= 0) & (ends < 0)] = tick
+        for robot in np.flatnonzero(on & (begins == tick)):
+            force = applied[robot, links[-1], :3]
+            assert np.linalg.norm(force) == pytest.approx(robots["push.force_n"][robot])
+            cosine = force @ toward[robot] / np.linalg.norm(force) / np.linalg.norm(toward[robot])
+            assert cosine > np.cos(0.2)
+            assert not applied[robot, links[:-1]].any()
+    np.testing.assert_array_equal(begins, 102 + 2 * np.arange(WIDTH))
+    np.testing.assert_array_equal(ends - begins, np.rint(robots["push.lasts_s"] / SPEC.dt))
+    assert plant.disturbances["payload"].on.all()
+
+
+@pytest.mark.parametrize("mode", [ControlMode.POSITION, ControlMode.VELOCITY])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_gains_reach_the_bounds_of_a_contract_and_stay_inside(mode, share):
+    at = weights(stiffness=(share,) * SPEC.n, damping_of_drive=(share,) * SPEC.n)
+    found = gains_of(at, SPEC, mode)
+    check_contract(attack_contract(SPEC, mode, found), SPEC, "gains")
+    extremes = dict(zip((0.0, 1.0), extreme_gains(SPEC, mode).values(), strict=True))
+    if share in extremes:
+        np.testing.assert_allclose(found, extremes[share], rtol=1e-12)
+
+
+def test_drives_keep_their_own_gains_in_torque_mode_and_those_that_are_given():
+    assert gains_of(weights(), SPEC, ControlMode.TORQUE) is None
+    assert gains_of(ADVERSARIES["push"].first(SPEC.n), SPEC, ControlMode.POSITION) is None
+    given = TrainedGains((1.0,) * SPEC.n, (2.0,) * SPEC.n)
+    setting = Setting(robot=SPEC.folder, mode=ControlMode.POSITION, gains=given)
+    assert setting.gains_of(weights(), SPEC) == given
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ControlMode)
+@pytest.mark.parametrize("name", NAMES)
+def test_trial_is_that_of_the_file_which_its_bundle_replays(name, mode, tmp_path):
+    rng = np.random.default_rng(3)
+    first = ADVERSARIES[name].first(SPEC.n)
+    shares = rng.random((WIDTH, len(ADVERSARIES[name].shares(first))))
+    rows = tuple(ADVERSARIES[name].weights(each, SPEC.n) | {"force_s": (0.5,)} for each in shares)
+    setting, monitor = Setting(robot=SPEC.folder, mode=mode), "velocity"
+    arena = Arena(setting, SEED, ADVERSARIES[name].effect)
+    outcome = arena.try_block(Block(name, rows, SEED))
+    candidate = Candidate(name, rows[2], SEED)
+    alone = arena.try_candidate(candidate)
+    assert all((ratios[2] == alone.worst[key][2]).all() for key, ratios in outcome.worst.items())
+    assert len({*outcome.worst[monitor].tolist()}) > WIDTH // 4, "policies differ"
+    written = write_peak(setting, monitor, candidate, tmp_path / "worst")
+    assert written.ratio == alone.worst[monitor].max()
+    replay = Replay(tmp_path / "worst" / written.name)
+    assert mismatch(replay, replay.run()) == ""
