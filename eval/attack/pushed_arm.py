@@ -29,8 +29,8 @@ ARMS = 8000
 """Arms of which one is chosen."""
 PHASES = 4096
 """Pushes of which one is chosen, about 700 for each link of arm6: one within 0.1 rad of any direction."""
-NEVER_S = 1e9
-"""s until the next push, which no trial reaches."""
+NEVER_S = 1e6
+"""s between pushes, mean: a trial has one."""
 
 
 class Choice(NamedTuple):
