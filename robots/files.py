@@ -2,7 +2,9 @@
 
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from robots.errors import ConfigError, FirstshiftError
 
@@ -13,6 +15,8 @@ KINDS = {
     stat.S_IFSOCK: "a socket",
 }
 """Files that are not opened: they may never end, block, or do something when opened."""
+CHUNK = 1 << 20
+"""Bytes read at once."""
 
 
 def read_file(
@@ -31,7 +35,7 @@ def read_file(
         if stat.S_ISREG(found.st_mode) and found.st_size > bytes_max:
             raise error(f"{path}: found {found.st_size} bytes, at most {bytes_max}{ending}")
         with open(path, "rb", opener=_open_without_waiting) as stream:
-            data = stream.read(bytes_max + 1)
+            data = b"".join(_chunks(stream, bytes_max + 1))
     except OSError as e:
         raise error(f"{path}: cannot be read: {e.strerror}{ending}") from e
     except ValueError as e:  # a zero byte in its name
@@ -50,6 +54,13 @@ def is_missing(path: Path) -> bool:
     except OSError:
         return False
     return False
+
+
+def _chunks(stream: BinaryIO, bytes_max: int) -> Iterator[bytes]:
+    """Yield at most `bytes_max`: one read of so many would need as much memory for a small file."""
+    while chunk := stream.read(min(CHUNK, bytes_max)):
+        yield chunk
+        bytes_max -= len(chunk)
 
 
 def _open_without_waiting(path: str, flags: int) -> int:

@@ -4,12 +4,13 @@ import ast
 import errno
 import os
 import socket
+import tracemalloc
 from pathlib import Path
 
 import pytest
 
 from robots.errors import ConfigError, RobotError
-from robots.files import is_missing, read_file
+from robots.files import CHUNK, is_missing, read_file
 from robots.models.files import read_xml
 from robots.strict import Strict, read_json_file, read_toml
 from support.paths import ROOT
@@ -50,6 +51,17 @@ def test_sockets_folders_and_impossible_names_are_refused(tmp_path, monkeypatch)
         read_file(tmp_path, 100, expected="expected a policy")
     with pytest.raises(ConfigError, match=r"a\\x00b': cannot be read: embedded null"):
         read_file(tmp_path / "a\0b", 100)
+
+
+def test_a_small_file_needs_little_memory_whatever_its_bound(tmp_path):
+    path = tmp_path / "x"
+    path.write_bytes(bytes(CHUNK + 5))
+    tracemalloc.start()
+    try:
+        assert read_file(path, 1 << 30) == bytes(CHUNK + 5)
+        assert tracemalloc.get_traced_memory()[1] < 16 * CHUNK
+    finally:
+        tracemalloc.stop()
 
 
 def test_size_is_bounded_also_where_it_is_unknown_beforehand(tmp_path):
