@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -56,10 +56,8 @@ class Adversary:
         return {**self.first(joints), **found}
 
 
-_FROM_POSE_TO_POSE: Any = {
-    "start": {"reach": 3.0, "sharpness": 1.0, "follow": 0.0, "spring": 1.0},
-    "searched": ("push", "step", "step_s", "force_s", "force_toward", "stiffness", "damping_of_drive"),
-}
+_POSES = {"reach": 3.0, "sharpness": 1.0, "follow": 0.0, "spring": 1.0}
+_PUSHED = ("push", "step", "step_s", "force_s", "force_toward", "stiffness", "damping_of_drive")
 
 ADVERSARIES: Mapping[str, Adversary] = {
     "anti_damping": Adversary(
@@ -105,15 +103,17 @@ ADVERSARIES: Mapping[str, Adversary] = {
     ),
     "loaded_arm": Adversary(
         meaning="the most loaded arm of many goes from pose to pose; its push and its drive gains are searched, too",
-        **_FROM_POSE_TO_POSE,
+        start=_POSES,
+        searched=_PUSHED,
         effect="load",
         targets=("torque", "workspace"),
     ),
     "thrown_arm": Adversary(
         meaning="the same with the arm of which a push throws a link fastest through the play of its gear",
-        **_FROM_POSE_TO_POSE,
+        start={**_POSES, "step": 1.0},
+        searched=_PUSHED,
         effect="throw",
-        targets=("velocity", "tool_speed"),
+        targets=("velocity", "velocity", "tool_speed"),
     ),
 }
 """All kinds."""

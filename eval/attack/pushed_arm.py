@@ -37,7 +37,7 @@ class Choice(NamedTuple):
     """Arm of a seed.
 
     Attributes:
-        robots: `WIDTH` copies of it, with their payload, and without pushes by chance. link: that is pushed.
+        robots: `WIDTH` copies of it, without pushes by chance. link: that is pushed.
     """
 
     robots: Draw
@@ -45,14 +45,24 @@ class Choice(NamedTuple):
 
 
 def choose_arm(spec: RobotSpec, effect: Effect, seed: int) -> Choice:
-    """Return the arm of `ARMS` on which a push has the most effect."""
+    """Return the arm of `ARMS` on which a push has the most effect: of loads with its payload, of throws without.
+
+    Throws are those of one joint, by the seed: of the half of all joints that a push may throw fastest.
+    """
     robots = draw(load_distributions(spec), spec, [robot_seed(seed, robot) for robot in range(ARMS)])
     if effect == "load":
-        row, link = int(extra_load(spec, robots).argmax()), spec.n - 1
+        row, link, carried = int(extra_load(spec, robots).argmax()), spec.n - 1, EVER_S
     else:
         speed = throws(spec, robots).speed
-        row, _, link = (int(place) for place in np.unravel_index(speed.argmax(), speed.shape))
-    disturbed = {"push.every_s": NEVER_S, "payload.carried_s": EVER_S, "payload.free_s": MOMENT_S}
+        fastest = np.argsort(-speed.max(axis=(0, 2)))[: (spec.n + 1) // 2]
+        thrown = speed[:, fastest[seed % len(fastest)]]
+        row, link = (int(place) for place in np.unravel_index(thrown.argmax(), thrown.shape))
+        carried = MOMENT_S
+    disturbed = {
+        "push.every_s": NEVER_S,
+        "payload.carried_s": carried,
+        "payload.free_s": MOMENT_S * EVER_S / carried,
+    }
     return Choice(robots.rows(np.full(WIDTH, row)).replaced(disturbed), link)
 
 

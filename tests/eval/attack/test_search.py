@@ -90,10 +90,10 @@ def test_every_generation_has_all_robots_busy_and_every_cycle_other_robots():
 
 
 def steps(blocks):
-    """Torque is highest where all steps are 1.2, from that of the others on."""
+    """Torque is highest where all steps are -1.2, from that of the others on."""
 
     def ratio(row):
-        return 0.5 + np.exp(-np.mean((np.array(row["step"]) - 1.2) ** 2)) if "step" in row else 0.5
+        return 0.5 + np.exp(-np.mean((np.array(row["step"]) + 1.2) ** 2)) if "step" in row else 0.5
 
     return [outcome(torque=np.array([ratio(row) for row in block.rows])) for block in blocks]
 
@@ -119,9 +119,9 @@ def test_pushed_arms_have_their_targets_and_begin_again_on_others_once_they_have
     assert len(targets) == len(seen[0]) == len({*seen[0]})
     assert {len(each) for each in seen} == {len(targets)}
     assert len({seed for each in seen for _, seed in each}) > len(targets)
-    one = Search(SPEC, MODE, plain, seed=7, target="velocity")
+    one = Search(SPEC, MODE, plain, seed=7, target="workspace")
     next(one.run())
-    assert [name for name, _ in seen[-1]] == ["thrown_arm"]
+    assert [name for name, _ in seen[-1]] == ["loaded_arm"]
     assert search.archive.worst_of_many["torque"].candidate.adversary in OF_MANY
 
 
