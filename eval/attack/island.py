@@ -9,8 +9,9 @@ from eval.attack.candidate import Block
 from eval.shard.job import WIDTH
 from robots.arrays import Floats
 
-FAR, NEAR = 0.2, 0.08
-"""Standard deviations of a first generation, as shares of the bounds: from the library, and from the worst so far."""
+FAR, NEAR, NEXT = 0.2, 0.08, 0.03
+"""Standard deviations of a first generation, as shares of the bounds: from the library, from the worst so far, and from
+the best of those that were screened."""
 LARGEST = 1e6
 """Bound of the ratios that are compared: infinite ones have no order."""
 
@@ -44,11 +45,16 @@ class Island:
         seed: int,
         joints: int,
         rng: np.random.Generator,
+        screened: int = 0,
     ) -> None:
-        """Start from shares (D,) of the bounds of an adversary's weights; the seed is that of the robots."""
+        """Start from shares (D,) of the bounds of an adversary's weights; the seed is that of the robots.
+
+        In the first `screened` generations, weights vary at random, and the search starts from the best of them.
+        """
         self.name, self.monitor, self._seed, self._joints = name, monitor, seed, joints
         self._start, self._base, self._best = start, np.zeros(WIDTH), (-np.inf, start)
         self._strategy = evolution_strategy(start, deviation, WIDTH, rng)
+        self._rng, self._deviation, self._screened = rng, deviation, screened
 
     def first(self) -> Block:
         """Return the start, for all robots."""
@@ -60,21 +66,29 @@ class Island:
 
     def ask(self) -> Block:
         """Return the next generation."""
-        self._shares = self._strategy.ask()
+        if self._screened:
+            drawn = self._rng.normal(self._start, self._deviation, (WIDTH, len(self._start)))
+            self._shares = [*np.clip(drawn, 0.0, 1.0)]
+        else:
+            self._shares = self._strategy.ask()
         return self._block(self._shares)
 
     def tell(self, outcome: Outcome) -> None:
         """Learn from the outcome of the generation."""
         gain = self._ratios(outcome) - self._base
-        self._strategy.tell(self._shares, (-gain).tolist())
-        self._best = max(
-            self._best, (float(gain.max()), self._shares[gain.argmax()]), key=lambda each: each[0]
-        )
+        if float(gain.max()) > self._best[0]:
+            self._best = float(gain.max()), self._shares[gain.argmax()]
+        if not self._screened:
+            self._strategy.tell(self._shares, (-gain).tolist())
+            return
+        self._screened -= 1
+        if not self._screened:
+            self._strategy = evolution_strategy(self._best[1], NEXT, WIDTH, self._rng)
 
     @property
     def over(self) -> bool:
         """True once the search has converged."""
-        return bool(self._strategy.stop())
+        return not self._screened and bool(self._strategy.stop())
 
     def best(self) -> Block:
         """Return the policy that gained most, for all robots."""

@@ -26,6 +26,8 @@ from robots.spec import RobotSpec
 
 GENERATIONS = 8
 """Generations of a cycle, besides its first and last, in which all robots have one policy."""
+SCREENED = 12
+"""Generations at random of a pushed arm: what a push does there changes within 5 ms, and most pushes do nothing."""
 
 Evaluate = Callable[[Sequence[Block]], Sequence[Outcome]]
 """Outcomes of blocks, in order; they may be tried in any order and any process."""
@@ -111,7 +113,8 @@ class Search:
         number = next(self._began)
         rng = np.random.default_rng([self._seed, number])
         first = ADVERSARIES[name].shares(ADVERSARIES[name].first(self._joints))
-        return Island(name, first, FAR, monitor, seed=self._seed + number, joints=self._joints, rng=rng)
+        seed = self._seed + number
+        return Island(name, first, FAR, monitor, seed=seed, joints=self._joints, rng=rng, screened=SCREENED)
 
     def _try(self, blocks: Sequence[Block]) -> Sequence[Outcome]:
         """Try blocks, and a generation of every pushed arm; return the outcomes of the blocks."""
