@@ -111,7 +111,7 @@ class Search:
     def _pushed_arm(self, name: str, monitor: str) -> Island:
         """Return a search on an arm that none had before, from poses at random."""
         number = next(self._began)
-        rng = np.random.default_rng([self._seed, number])
+        rng = np.random.default_rng([self._seed, 0, 0, 1 + number])  # zeros at the end would say nothing
         first = ADVERSARIES[name].shares(ADVERSARIES[name].first(self._joints))
         seed = self._seed + number
         return Island(name, first, FAR, monitor, seed=seed, joints=self._joints, rng=rng, screened=SCREENED)
