@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from typing import cast
+from weakref import proxy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,7 +100,10 @@ class Runtime(Stage):
         self.supervisor, self.escalation = Supervisor(robots, spec.dt), StopEscalation(spec, robots)
         self.task: Task = find_task(contract.task, f"contract: task {contract.task!r}")(spec, seeds)
         sources = sources_of(contract.task)
-        readers = {term.source: sources[term.source].reader(self) for term in contract.observation}
+        seen = proxy(
+            self
+        )  # held by nobody but its owner, the runtime is freed with its robots once that lets it go
+        readers = {term.source: sources[term.source].reader(seen) for term in contract.observation}
         self.observation = Observation(contract, readers, robots)
         self.requested_stop, self.ticks_since_arming = np.zeros((2, robots), dtype=np.int64)
         self._zeros, self._own_kp = np.zeros((robots, spec.n)), drive_gains(spec).kp

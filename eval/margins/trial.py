@@ -1,6 +1,5 @@
 """Trials: adversaries move robots of draws.toml, and the largest excess of each is kept."""
 
-import gc
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -74,7 +73,6 @@ class Outcome(NamedTuple):
 
 def run(trial: Trial) -> Outcome:
     """Simulate a trial and keep the largest excess of each robot."""
-    gc.collect()  # earlier shards are in cycles, and their memory is MuJoCo's, which the collector does not count
     setting, spec = trial.setting, load_robot(trial.setting.robot)
     robots = draw_robots(spec, trial.seed, corners=trial.corners)
     shard = make_shard(setting, robots, trial.seed)

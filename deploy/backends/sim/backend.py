@@ -32,7 +32,10 @@ class SimBackend(Backend[SimRobot]):
 
     def attach(self, robot: SimRobot, runtime: "Runtime") -> None:
         """Show the goals to the simulated cameras; warm the windings to the runtime's estimate."""
-        robot.goal_source = lambda: runtime.task.goal_position
+        task = (
+            runtime.task
+        )  # the robot must not hold the runtime, which holds it: shards are freed when they are left
+        robot.goal_source = lambda: task.goal_position
         robot.plant.warm(runtime.estimator.windings.rise)
 
     def viewer(self, robot: SimRobot) -> Callable[[object], None]:

@@ -1,5 +1,7 @@
 """Trials on simulated robots: the same whatever was tried before, and replayed from a bundle."""
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -62,6 +64,23 @@ def test_trial_is_the_same_whatever_was_tried_before_and_for_whichever_robots_be
         for name, ratios in mixed.worst.items():
             np.testing.assert_array_equal(ratios[k::2], outcome.worst[name][k::2])
     assert not same(*outcomes)
+
+
+@pytest.mark.parametrize("effect", [None, "load"])
+def test_memory_of_an_arena_is_freed_with_it(effect, short, monkeypatch):
+    """Without the garbage collector, which does not know how much memory simulations need."""
+    monkeypatch.setattr("eval.attack.pushed_arm.ARMS", WIDTH)
+    gc.collect()
+    gc.disable()
+    try:
+        arena = Arena(SETTING, SEED, effect)
+        name = "loaded_arm" if effect else "push"
+        arena.try_block(Block(name, (first(name),) * WIDTH, SEED))
+        parts = [weakref.ref(part) for part in (arena._shard.runtime, arena._shard.robot.plant)]
+        del arena
+        assert [part() for part in parts] == [None, None]
+    finally:
+        gc.enable()
 
 
 def test_robots_of_a_setting_are_loaded_and_worn_or_those_that_its_seed_draws(tmp_path):
