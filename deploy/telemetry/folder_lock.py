@@ -22,7 +22,7 @@ def locked(folder: Path) -> Iterator[None]:
     The kernel releases the lock of a process that was killed; the file that is left means nothing then.
 
     Raises:
-        OutputError: naming the folder and the process that has locked it.
+        OutputError: naming the folder and the process that has locked it, or the file of another program.
     """
     with _acquired(folder):
         try:
@@ -40,6 +40,10 @@ def _acquired(folder: Path) -> IO[str]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if not _is_current(file, folder / LOCK):
                 return _acquired(folder)
+            if not _is_lock(file):
+                raise OutputError(
+                    f"--out {folder}: {LOCK}: found a file of another program, expected one of firstshift, or none"
+                )
             file.truncate(0)
             file.write(str(os.getpid()))
             file.flush()
@@ -65,6 +69,14 @@ def _reason(error: OSError) -> str:
     return (
         "found a link, expected a file or nothing" if error.errno == ELOOP else error.strerror or str(error)
     )
+
+
+def _is_lock(file: IO[str]) -> bool:
+    """Return True if a file has no second name, and holds a process's number or nothing: it will be deleted."""
+    file.seek(0)
+    text = file.read(CHARACTERS + 1)
+    of_process = not text or (len(text) <= CHARACTERS and text.isdecimal())
+    return of_process and os.fstat(file.fileno()).st_nlink <= 1
 
 
 def _is_current(file: IO[str], path: Path) -> bool:

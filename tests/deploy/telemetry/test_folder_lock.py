@@ -98,6 +98,26 @@ def test_a_lock_that_is_a_link_is_refused_and_its_file_kept(tmp_path):
     assert (tmp_path / "precious").read_text() == "as it was"
 
 
+@pytest.mark.parametrize("text", ["as it was", "7" * 21, "12 34", "42"])
+@pytest.mark.parametrize("second_name", [False, True])
+def test_a_file_of_another_program_is_kept(tmp_path, text, second_name):
+    """A number alone is what a run leaves that was killed, unless the file has a second name."""
+    (tmp_path / "theirs").write_text(text)
+    if second_name:
+        (tmp_path / LOCK).hardlink_to(tmp_path / "theirs")
+    else:
+        (tmp_path / LOCK).write_text(text)
+    left_by_a_run = text == "42" and not second_name
+    with ExitStack() as stack:
+        if not left_by_a_run:
+            stack.enter_context(pytest.raises(OutputError, match=r"\.lock: found a file of another program"))
+        stack.enter_context(locked(tmp_path))
+    assert (tmp_path / LOCK).exists() is not left_by_a_run
+    assert (tmp_path / "theirs").read_text() == text
+    if not left_by_a_run:
+        assert (tmp_path / LOCK).read_text() == text
+
+
 def test_a_lock_that_is_a_pipe_is_refused(tmp_path):
     os.mkfifo(tmp_path / LOCK)
     with pytest.raises(OutputError, match=r"\.lock cannot be locked: \w"), locked(tmp_path):
