@@ -9,8 +9,9 @@ import numpy as np
 from eval.attack.weights import WEIGHTS, Weights
 from robots.arrays import Floats
 
-Effect = Literal["load", "throw"]
-"""What a push adds to: the torque that extra mass and payload take, or the speed of a link in the play of its gear."""
+Effect = Literal["load", "throw", "tool"]
+"""Effect of a push: it adds to the torque that extra mass and payload take, throws the link of one joint through the
+play of its gear, or all links and with them the tool."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +23,7 @@ class Adversary:
         start: weights, the same for all joints. Others that are searched start in the middle of their bounds.
         searched: names of the weights that a search changes.
         effect: of a push, by which one arm is chosen (`pushed_arm.py`); None: it moves the robots of a seed.
-        targets: monitors that are searched for on that arm.
+        targets: monitors that are searched for on such an arm, by one search each; twice is by two, for two joints.
     """
 
     meaning: str
@@ -109,14 +110,20 @@ ADVERSARIES: Mapping[str, Adversary] = {
         targets=("torque", "workspace"),
     ),
     "thrown_arm": Adversary(
-        meaning="the same with the arm of which a push throws a link fastest through the play of its gear",
+        meaning="as loaded_arm, with the arm of which a push throws a link fastest through the play of its gear",
         start={**_POSES, "step": 1.0},
         searched=_PUSHED,
         effect="throw",
-        targets=("velocity", "velocity", "tool_speed"),
+        targets=("velocity", "velocity"),
+    ),
+    "thrown_tool": Adversary(
+        meaning="as loaded_arm, with the arm of which a push throws the tool fastest",
+        start={**_POSES, "step": 1.0},
+        searched=_PUSHED,
+        effect="tool",
+        targets=("tool_speed",),
     ),
 }
-"""All kinds."""
 
 OF_MANY = tuple(name for name, adversary in ADVERSARIES.items() if adversary.effect is None)
 """Names of those that move the robots of a seed."""

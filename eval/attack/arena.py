@@ -77,8 +77,8 @@ class Setting:
             return None
         return FaultSettings(coverage=0.95, cycle_s=LEAST_CYCLE_S, operator_s=REARM_S, classes=self.faults)
 
-    def gains_of(self, weights: Weights, spec: RobotSpec) -> TrainedGains | None:
-        """Return the drive gains in the contract of some weights."""
+    def contract_gains(self, weights: Weights, spec: RobotSpec) -> TrainedGains | None:
+        """Return the drive gains in the contract of some weights; None for the drives' own."""
         return self.gains or gains_of(weights, spec, self.mode)
 
 
@@ -122,7 +122,7 @@ class Arena:
         shard.set_policy(policy)
         shard.restore(self._start)
         if self._arm:
-            self._arm.stiffen([self._setting.gains_of(row, self._spec) for row in rows])
+            self._arm.stiffen([self._setting.contract_gains(row, self._spec) for row in rows])
             self._arm.push(rows)
         falls, at_fall = Falls(self._spec, WIDTH), dict[str, Floats]()
         for _ in range(self._setting.ticks(self._spec)):
@@ -158,7 +158,7 @@ def _worst(counts: Counts) -> dict[str, Floats]:
 
 
 def _file(setting: Setting, spec: RobotSpec, candidate: Candidate) -> PolicyFile:
-    gains = setting.gains_of(candidate.weights, spec)
+    gains = setting.contract_gains(candidate.weights, spec)
     return policy_file(spec, setting.mode, (candidate.weights,), gains)
 
 
@@ -199,7 +199,11 @@ def _shard_of_many(setting: Setting, job: ShardJob) -> Shard:
     return loaded_shard(job, loaded_robots(load_distributions(spec), spec, job.seed))
 
 
-@lru_cache(maxsize=1 + sum(len(each.targets) for each in ADVERSARIES.values()))
+ARENAS = 1 + sum(len(each.targets) for each in ADVERSARIES.values())
+"""Arenas that a search alternates between: of the robots of a seed, and of each pushed arm; 80 to 100 MB each."""
+
+
+@lru_cache(maxsize=ARENAS)
 def _arena(setting: Setting, seed: int, effect: Effect | None) -> Arena:
     return Arena(setting, seed, effect)
 

@@ -53,10 +53,11 @@ class Case(Strict):
     Attributes:
         robot: name of a shipped robot, or a folder. mode: in which drives follow the policy.
         faults: names of fault classes, of which one is injected into each robot.
-        gains: kp and kd of the drives; None for their own.
+        gains: kp and kd of the drives; None for their own, or those of the weights of a pushed arm.
         loaded: robots are those of `loaded_robots`, else those that a soak of the seed draws.
         monitor: whose margin was the least. worst: its highest ratio when the case was found.
-        adversary, seed, weights: of the candidate.
+        adversary, seed, weights: of the candidate. A pushed arm is chosen from its seed again: with other `draws.toml`
+            or another rule it is another arm.
     """
 
     format: Literal[1] = 1

@@ -77,7 +77,7 @@ GainsOf = Annotated[
         "--gains",
         help="Policy (ONNX) whose drive gains the adversaries have, as that of a robot that walks; or softest or"
         " stiffest: the bounds of what a contract may have.",
-        show_default="the drives' own",
+        show_default="the drives' own; on pushed arms they are searched",
     ),
 ]
 Out = Annotated[Path, typer.Option(help=f"Folder for {REPORT}, bundles ({WORST}/) and cases ({CASES}/).")]
@@ -185,6 +185,7 @@ def _worst(archive: Archive) -> dict[str, Found]:
 def _write_bundles(found: dict[str, Found], pool: Workers, out: Path, console: Console) -> dict[str, Bundle]:
     """Replace the bundles in `out`, which takes minutes; return them by monitor: fewer if it was interrupted."""
     bundles = dict[str, Bundle]()
+    console.print(f"writing {len(found)} bundles")
     try:
         with handled(interrupt):
             for name, bundle in pool.write_bundles(found, out / UNFINISHED):

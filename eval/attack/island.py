@@ -32,7 +32,7 @@ class Island:
     """Search in which each robot of a shard tries a policy of its own in every generation.
 
     Attributes:
-        name: of the adversary. monitor: that is searched for.
+        name: of the adversary. monitor: that is searched for. seed: of the robots.
     """
 
     def __init__(
@@ -47,11 +47,11 @@ class Island:
         rng: np.random.Generator,
         screened: int = 0,
     ) -> None:
-        """Start from shares (D,) of the bounds of an adversary's weights; the seed is that of the robots.
+        """Start from shares (D,) of the bounds of an adversary's weights.
 
         In the first `screened` generations, weights vary at random, and the search starts from the best of them.
         """
-        self.name, self.monitor, self._seed, self._joints = name, monitor, seed, joints
+        self.name, self.monitor, self.seed, self._joints = name, monitor, seed, joints
         self._start, self._base, self._best = start, np.zeros(WIDTH), (-np.inf, start)
         self._strategy = evolution_strategy(start, deviation, WIDTH, rng)
         self._rng, self._deviation, self._screened = rng, deviation, screened
@@ -99,4 +99,4 @@ class Island:
 
     def _block(self, shares: list[Floats]) -> Block:
         adversary = ADVERSARIES[self.name]
-        return Block(self.name, tuple(adversary.weights(each, self._joints) for each in shares), self._seed)
+        return Block(self.name, tuple(adversary.weights(each, self._joints) for each in shares), self.seed)

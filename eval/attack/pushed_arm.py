@@ -28,7 +28,7 @@ from robots.spec import RobotSpec
 ARMS = 8000
 """Arms of which one is chosen."""
 PHASES = 4096
-"""Pushes of which one is chosen, about 700 for each link of arm6: one within 0.1 rad of any direction."""
+"""Pushes of which one is chosen, about 700 for each link of arm6: one within 0.2 rad of any direction, mean 0.07."""
 NEVER_S = 1e6
 """s between pushes, mean: a trial has one."""
 
@@ -50,14 +50,16 @@ def choose_arm(spec: RobotSpec, effect: Effect, seed: int) -> Choice:
     Throws are those of one joint, by the seed: of the half of all joints that a push may throw fastest.
     """
     robots = draw(load_distributions(spec), spec, [robot_seed(seed, robot) for robot in range(ARMS)])
+    link, carried = spec.n - 1, MOMENT_S
     if effect == "load":
-        row, link, carried = int(extra_load(spec, robots).argmax()), spec.n - 1, EVER_S
+        row, carried = int(extra_load(spec, robots).argmax()), EVER_S
+    elif effect == "tool":
+        row = int(throws(spec, robots).tool.argmax())
     else:
         speed = throws(spec, robots).speed
         fastest = np.argsort(-speed.max(axis=(0, 2)))[: (spec.n + 1) // 2]
         thrown = speed[:, fastest[seed % len(fastest)]]
         row, link = (int(place) for place in np.unravel_index(thrown.argmax(), thrown.shape))
-        carried = MOMENT_S
     disturbed = {
         "push.every_s": NEVER_S,
         "payload.carried_s": carried,

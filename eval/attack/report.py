@@ -44,7 +44,8 @@ class AttackReport(Strict):
     """Contents of attack.json.
 
     Attributes:
-        without: guard that was removed; empty for none. gains: kp and kd of the drives; None for their own.
+        without: guard that was removed; empty for none.
+        gains: kp and kd of the drives; None for their own, or those of the weights of pushed arms.
         trials: policies tried, each for `seconds` on one robot. diverged: those whose simulation diverged.
         rows: by monitor.
     """

@@ -48,19 +48,22 @@ class Search:
         *,
         seed: int,
         target: str = "",
-        pushed_arms: bool = True,
+        pushed_arms: bool,
     ) -> None:
-        """Start with an empty archive; the target is one monitor, or all hard ones."""
+        """Start with an empty archive; the target is one monitor, or all hard ones.
+
+        `pushed_arms` of a robot with a floating base, or beside faults, would say nothing.
+        """
         self._joints, self._evaluate, self._seed = spec.n, evaluate, seed
         self.archive = Archive(spec, mode)
         self.targets = (target,) if target else self.archive.hard
-        self._began = count()
-        self._arms = [
-            self._pushed_arm(name, monitor)
+        kinds = [
+            (name, monitor)
             for name, adversary in ADVERSARIES.items()
             for monitor in adversary.targets
             if pushed_arms and monitor in self.targets
         ]
+        self._arms = [self._pushed_arm(*kind, number) for number, kind in enumerate(kinds)]
 
     def run(self) -> Iterator[None]:
         """Try one generation after another, without end."""
@@ -93,7 +96,7 @@ class Search:
         yield
 
     def _island(self, cycle: int, place: int, target: str) -> Island:
-        rng = np.random.default_rng([self._seed, cycle, place])
+        rng = np.random.default_rng([self._seed, 1 + cycle, place])
         name, start, deviation = self._start(cycle, place, target)
         return Island(
             name, start, deviation, target, seed=self._seed + 1 + cycle, joints=self._joints, rng=rng
@@ -108,10 +111,9 @@ class Search:
         adversary = ADVERSARIES[name]
         return name, adversary.shares(adversary.first(self._joints)), FAR
 
-    def _pushed_arm(self, name: str, monitor: str) -> Island:
-        """Return a search on an arm that none had before, from poses at random."""
-        number = next(self._began)
-        rng = np.random.default_rng([self._seed, 0, 0, 1 + number])  # zeros at the end would say nothing
+    def _pushed_arm(self, name: str, monitor: str, number: int) -> Island:
+        """Return a search on the arm of a number, from poses at random."""
+        rng = np.random.default_rng([self._seed, 0, 1, number])  # trailing zeros do not change a seed
         first = ADVERSARIES[name].shares(ADVERSARIES[name].first(self._joints))
         seed = self._seed + number
         return Island(name, first, FAR, monitor, seed=seed, joints=self._joints, rng=rng, screened=SCREENED)
@@ -125,5 +127,6 @@ class Search:
         for place, arm in enumerate(self._arms):
             arm.tell(outcomes[len(blocks) + place])
             if arm.over:
-                self._arms[place] = self._pushed_arm(arm.name, arm.monitor)
+                number = arm.seed - self._seed + len(self._arms)
+                self._arms[place] = self._pushed_arm(arm.name, arm.monitor, number)
         return outcomes[: len(blocks)]

@@ -71,6 +71,13 @@ def _setting(path: Path, case: Case) -> Setting:
     check_weights(case.candidate, spec, str(path))
     if case.monitor not in (monitors := [monitor.name for monitor in Archive(spec, mode).monitors]):
         raise ConfigError(f"{path}: monitor: found {case.monitor}, expected one of {', '.join(monitors)}")
+    if ADVERSARIES[case.adversary].effect and (case.faults or spec.base is not None):
+        found = (
+            f"faults {', '.join(case.faults)}" if case.faults else f"{spec.name}, which has a floating base"
+        )
+        raise ConfigError(
+            f"{path}: adversary: found {case.adversary} with {found}, expected a fixed base and no fault"
+        )
     check_faults(case.faults, spec, mode, f"{path}: faults")
     check_contract(attack_contract(spec, mode, case.gains), spec, str(path))
     return Setting(robot=spec.folder, mode=mode, faults=case.faults, gains=case.gains, loaded=case.loaded)

@@ -8,6 +8,7 @@ from eval.attack.adversaries import ADVERSARIES
 from eval.attack.candidate import Candidate, Case, check_weights, read_case
 from eval.attack.suite import run_suite
 from robots.errors import ConfigError
+from robots.spec import load_robot
 from support.arm6 import SPEC
 
 PUSH = ADVERSARIES["push"].first(SPEC.n)
@@ -72,6 +73,21 @@ def test_fault_of_no_class_is_refused(tmp_path):
     with pytest.raises(
         ConfigError, match=r"a\.json: faults: found 'bad luck', expected some of: encoder off"
     ):
+        next(run_suite(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({}, "faults bus silent"),
+        ({"faults": (), "robot": "quadruped"}, "quadruped, which has a floating base"),
+    ],
+)
+def test_pushed_arm_with_a_fault_or_without_a_fixed_base_is_refused(change, found, tmp_path):
+    weights = ADVERSARIES["loaded_arm"].first(load_robot(change.get("robot", "arm6")).n)
+    case = CASE.model_dump() | {"adversary": "loaded_arm", "weights": weights} | change
+    Case.model_validate(case).write(tmp_path / "a.json")
+    with pytest.raises(ConfigError, match=rf"a\.json: adversary: found loaded_arm with {found}, expected a"):
         next(run_suite(tmp_path))
 
 

@@ -33,6 +33,7 @@ SEED, ARMS, WRIST = 5, 48, 3
 EFFECTS = {
     "load": lambda robots: extra_load(SPEC, robots),
     "throw": lambda robots: throws(SPEC, robots).speed[:, WRIST].max(axis=1),
+    "tool": lambda robots: throws(SPEC, robots).tool,
 }
 NAMES = [name for name, adversary in ADVERSARIES.items() if adversary.effect]
 
@@ -108,7 +109,7 @@ def test_drives_keep_their_own_gains_in_torque_mode_and_those_that_are_given():
     assert gains_of(ADVERSARIES["push"].first(SPEC.n), SPEC, ControlMode.POSITION) is None
     given = TrainedGains((1.0,) * SPEC.n, (2.0,) * SPEC.n)
     setting = Setting(robot=SPEC.folder, mode=ControlMode.POSITION, gains=given)
-    assert setting.gains_of(weights(), SPEC) == given
+    assert setting.contract_gains(weights(), SPEC) == given
 
 
 @pytest.mark.slow

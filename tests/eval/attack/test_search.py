@@ -119,14 +119,14 @@ def test_pushed_arms_have_their_targets_and_begin_again_on_others_once_they_have
     assert len(targets) == len(seen[0]) == len({*seen[0]})
     assert {len(each) for each in seen} == {len(targets)}
     assert len({seed for each in seen for _, seed in each}) > len(targets)
-    one = Search(SPEC, MODE, plain, seed=7, target="workspace")
+    one = Search(SPEC, MODE, plain, seed=7, target="workspace", pushed_arms=True)
     next(one.run())
     assert [name for name, _ in seen[-1]] == ["loaded_arm"]
     assert search.archive.worst_of_many["torque"].candidate.adversary in OF_MANY
 
 
 def test_only_hard_monitors_are_searched_and_what_the_policy_says_itself_is_none():
-    hard = Search(SPEC, MODE, hill, seed=7).targets
+    hard = Search(SPEC, MODE, hill, seed=7, pushed_arms=True).targets
     assert not {*hard} & {*EXEMPT}
     assert {"velocity", "torque", "tool_speed", "position_hard"} <= {*hard}
     assert "power" not in hard
