@@ -4,6 +4,7 @@ A child waits for the end of a pipe whose other end only its parent holds. The k
 Linux and on macOS, so that no child relies on being told.
 """
 
+import errno
 import os
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
@@ -13,6 +14,10 @@ from typing import Self
 
 ENDED = 1
 """Exit code of a child whose parent has gone: nobody is left to read it."""
+CROWDED = 75
+"""Exit code of a child that the system lets start no thread."""
+GRACE_S = 5.0
+"""s after the time limit that a child sets itself: one that still runs then, as one that SIGSTOP stopped, is killed."""
 
 
 class Lifeline:
@@ -44,8 +49,24 @@ def end_with(lifeline: "Connection | int") -> None:
 
     Call it first: a child whose parent has gone already ends here. What it was writing stays as it was, as after
     `kill -9`.
+
+    Raises:
+        SystemExit: with `CROWDED`, for `check_not_crowded`.
     """
-    Thread(target=_end_after, args=(lifeline,), daemon=True).start()
+    try:
+        Thread(target=_end_after, args=(lifeline,), daemon=True).start()
+    except RuntimeError as e:  # Python's only one: no further thread can be started
+        raise SystemExit(CROWDED) from e
+
+
+def check_not_crowded(code: int) -> None:
+    """Check that a child's exit code is not `CROWDED`.
+
+    Raises:
+        BlockingIOError: it is; with the errno EAGAIN.
+    """
+    if code == CROWDED:
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
 
 
 def _end_after(lifeline: "Connection | int") -> None:

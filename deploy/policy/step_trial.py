@@ -13,7 +13,7 @@ import numpy as np
 
 from deploy.policy.inference import BATCHES, load_session
 from deploy.policy.onnx_graph import shortened
-from robots.child_process import Lifeline, end_with
+from robots.child_process import GRACE_S, Lifeline, check_not_crowded, end_with
 from robots.errors import ContractError
 from robots.resource_limits import limit_process
 
@@ -52,10 +52,16 @@ def try_step(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> floa
     """
     bounds = f"{source}: cannot be tried within {CPU_S} s of a core and {MEMORY_GIB} GiB"
     with Lifeline() as lifeline:
-        end = lifeline.end.fileno()
+        end, limit_s = lifeline.end.fileno(), WALL_S + GRACE_S
         arguments = source, str(end), *map(str, batches)
         child = [sys.executable, "-P", "-m", "deploy.policy.step_trial", *arguments]
-        done = subprocess.run(child, input=data, capture_output=True, check=False, pass_fds=(end,))
+        try:
+            done = subprocess.run(
+                child, input=data, capture_output=True, check=False, pass_fds=(end,), timeout=limit_s
+            )
+        except subprocess.TimeoutExpired as e:
+            raise ContractError(f"{bounds}: not finished after {limit_s:g} s") from e
+    check_not_crowded(done.returncode)
     said, complaint = done.stdout.decode(), done.stderr.decode(errors="replace").strip()
     if done.returncode == REFUSED:
         raise ContractError(complaint)

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from robots.child_process import Lifeline, end_with
+from robots.child_process import GRACE_S, Lifeline, check_not_crowded, end_with
 from robots.errors import RobotError
 from robots.models.files import referenced_files
 from robots.models.mujoco_model import compile_model, open_model
@@ -34,7 +34,14 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
     # -P: imports nothing from the current folder.
     child = [sys.executable, "-P", "-m", "robots.models.sandbox", *arguments]
     with Lifeline() as lifeline:
-        done = subprocess.run(child, stdin=lifeline.end.fileno(), capture_output=True, text=True, check=False)
+        end, limit_s = lifeline.end.fileno(), WALL_FACTOR * cpu_s + GRACE_S
+        try:
+            done = subprocess.run(
+                child, stdin=end, capture_output=True, text=True, check=False, timeout=limit_s
+            )
+        except subprocess.TimeoutExpired as e:
+            raise RobotError(f"{bounds}: not finished after {limit_s:g} s") from e
+    check_not_crowded(done.returncode)
     last = done.stderr.strip().rpartition("\n")[2]  # after MuJoCo's warnings
     if done.returncode == REFUSED:
         raise RobotError(last.replace(arguments[0], str(model)))

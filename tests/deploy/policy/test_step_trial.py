@@ -1,5 +1,7 @@
 """The step of a policy, tried in a process of its own."""
 
+import errno
+import os
 import subprocess
 import sys
 
@@ -8,11 +10,13 @@ import pytest
 from onnx import helper, numpy_helper
 
 import deploy.operation.cli
+from deploy.policy import step_trial
 from deploy.policy.step_trial import check_step, median_step_s, try_step
 from robots.child_process import ENDED, Lifeline
 from robots.errors import ContractError
 from support.graphs import graph, node
 from support.policies import policy_model, saved
+from support.processes import NO_THREADS
 
 
 def slow(elements=1 << 23):
@@ -58,20 +62,40 @@ LOWER = {
 """Lower bounds: a model that passes the static bounds does not reach those of a trial."""
 
 
+def start_with(monkeypatch, folder, *lines):
+    """Let a script of these lines start in place of the trial."""
+    starter, run = folder / "starter.py", subprocess.run
+    starter.write_text("\n".join(lines))
+    monkeypatch.setattr(
+        subprocess, "run", lambda child, **more: run([child[0], str(starter), *child[4:]], **more)
+    )
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux bounds the memory of a process")
 @pytest.mark.parametrize(
     ("bound", "ending"),
     [("memory", "cannot be run: .*memory"), ("time", "cannot be tried within .*exit code -")],
 )
 def test_a_policy_beyond_the_bounds_of_the_trial_is_refused(monkeypatch, tmp_path, bound, ending):
-    starter, run = tmp_path / "starter.py", subprocess.run
     lines = "import resource, sys", "from deploy.policy import step_trial", LOWER[bound]
-    starter.write_text("\n".join((*lines, "sys.exit(step_trial._main(*sys.argv[1:]))")))
-    monkeypatch.setattr(
-        subprocess, "run", lambda child, **more: run([child[0], str(starter), *child[4:]], **more)
-    )
+    start_with(monkeypatch, tmp_path, *lines, "sys.exit(step_trial._main(*sys.argv[1:]))")
     with pytest.raises(ContractError, match=rf"^x\.onnx: {ending}"):
         check_step(slow().SerializeToString(), 0.02, "x.onnx")
+
+
+def test_a_trial_that_somebody_has_stopped_is_killed(monkeypatch, tmp_path):
+    """SIGSTOP: no alarm reaches it."""
+    start_with(monkeypatch, tmp_path, "import os, signal", "os.kill(os.getpid(), signal.SIGSTOP)")
+    monkeypatch.setattr(step_trial, "WALL_S", 1)
+    monkeypatch.setattr(step_trial, "GRACE_S", 0.0)
+    with pytest.raises(ContractError, match=r"^x\.onnx: cannot be tried within .*: not finished after 1 s$"):
+        check_step(b"", 0.02, "x.onnx")
+
+
+def test_a_trial_without_a_thread_says_nothing_about_the_policy(monkeypatch, tmp_path):
+    start_with(monkeypatch, tmp_path, NO_THREADS, "from robots.child_process import end_with", "end_with(0)")
+    with pytest.raises(BlockingIOError, match=os.strerror(errno.EAGAIN)):
+        check_step(b"", 0.02, "x.onnx")
 
 
 def test_memory_and_work_are_bounded_for_the_given_numbers_of_robots():

@@ -1,16 +1,20 @@
 """A model that somebody else wrote."""
 
+import errno
+import os
 import subprocess
 import sys
 
 import pytest
 
 from support.arm6 import SPEC
+from support.processes import NO_THREADS
 from support.robots.model_files import write_stl
 
 pytest.importorskip("mujoco")
 
 from robots.errors import RobotError
+from robots.models import sandbox
 from robots.models.files import referenced_files
 from robots.models.mujoco_model import ITERATIONS, open_model
 from robots.models.sandbox import MEMORY_GIB, check_compiles
@@ -62,6 +66,28 @@ def test_model_that_compiles_too_long_is_refused(tmp_path):
         RobotError, match=rf"cannot compile it within 3 s of a core and {MEMORY_GIB} GiB: exit code -"
     ):
         check_compiles(path, tmp_path, cpu_s=3)
+
+
+def start_with(monkeypatch, *lines):
+    """Let a script of these lines start in place of the compilation."""
+    run = subprocess.run
+    monkeypatch.setattr(
+        subprocess, "run", lambda child, **more: run([child[0], "-c", "\n".join(lines)], **more)
+    )
+
+
+def test_a_compilation_that_somebody_has_stopped_is_killed(monkeypatch, tmp_path):
+    """SIGSTOP: no alarm reaches it."""
+    start_with(monkeypatch, "import os, signal", "os.kill(os.getpid(), signal.SIGSTOP)")
+    monkeypatch.setattr(sandbox, "GRACE_S", 1.0)
+    with pytest.raises(RobotError, match=r"model\.xml: MuJoCo cannot .*: not finished after 1 s$"):
+        check_compiles(written(tmp_path), tmp_path, cpu_s=0)
+
+
+def test_a_compilation_without_a_thread_says_nothing_about_the_model(monkeypatch, tmp_path):
+    start_with(monkeypatch, NO_THREADS, "from robots.child_process import end_with", "end_with(0)")
+    with pytest.raises(BlockingIOError, match=os.strerror(errno.EAGAIN)):
+        check_compiles(written(tmp_path), tmp_path)
 
 
 def test_no_code_of_the_current_folder_runs(tmp_path, monkeypatch):
