@@ -40,7 +40,8 @@ def attacked_faults(spec: RobotSpec, policy: Path, console: Console) -> None:
     del policy
     classes = find_faults((ALL,), spec, ControlMode.POSITION, "bench")
     with processes(WORKERS) as pool:
-        for name, worst in zip(classes, pool.map(partial(worst_of, spec), classes), strict=True):
+        found = pool.results([partial(worst_of, spec, name) for name in classes])
+        for name, worst in zip(classes, found, strict=True):
             console.print(row(name, worst), soft_wrap=True, highlight=False)
 
 

@@ -5,7 +5,7 @@ See docs/margins.md.
 
 import math
 import os
-from concurrent.futures import Executor
+from functools import partial
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.telemetry.plain_console import plain_console
 from eval.attack.adversaries import OF_MANY
 from eval.attack.arena import Setting, find_mode
-from eval.attack.pool import processes
+from eval.attack.pool import Pool, processes
 from eval.attack.trained_gains import extreme_gains
 from eval.bench.stop_search import GENERATIONS
 from eval.margins.derive import ROUNDING, Need, need, noise_of, stop_excess
@@ -92,26 +92,26 @@ def margins(
     return BUDGET_EXCEEDED if any(each.lacking or each.diverged for each in found.values()) else PASSED
 
 
-def _find(pool: Executor, spec: RobotSpec, mode: ControlMode, effort: Effort, console: Console) -> Found:
+def _find(pool: Pool, spec: RobotSpec, mode: ControlMode, effort: Effort, console: Console) -> Found:
     settings = [
         Setting(robot=spec.folder, mode=mode, gains=gains)
         for gains in (None, *extreme_gains(spec, mode).values())
     ]
-    stop = pool.submit(stop_excess, spec.in_mode(mode), effort.generations)
     library = OF_MANY * effort.trials
-    jobs = [
-        Trial(settings[seed % len(settings)], adversary, seed, effort.corners)
+    trials = [
+        partial(run, Trial(settings[seed % len(settings)], adversary, seed, effort.corners))
         for seed, adversary in enumerate(library)
     ]
-    bar = track(pool.map(run, jobs), f"{spec.name}, {mode.name.lower()} mode", len(jobs), console=console)
-    outcomes = list(bar)
+    results = pool.results([partial(stop_excess, spec.in_mode(mode), effort.generations), *trials])
+    title = f"{spec.name}, {mode.name.lower()} mode"
+    stop, *outcomes = track(results, title, 1 + len(trials), console=console)
     predicted = mode is ControlMode.TORQUE  # in other modes what is sent does not depend on samples
     error = np.max([each.estimate_error for each in outcomes], axis=0)
     noise = noise_of(spec, error) if predicted else {}
     needs = []
     for quantity in outcomes[0].excess:
         worst = np.max([each.excess[quantity].max(axis=0) for each in outcomes], axis=0)
-        added = noise.get(quantity, 0.0), stop.result().get(quantity, 0.0)
+        added = noise.get(quantity, 0.0), stop.get(quantity, 0.0)
         needs.append(need(spec.in_mode(mode), quantity, worst, *added))
     return Found(tuple(needs), sum(each.diverged for each in outcomes))
 

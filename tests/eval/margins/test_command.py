@@ -1,7 +1,7 @@
 """make margins as a command."""
 
 import shutil
-from concurrent.futures import Executor, Future
+from contextlib import nullcontext
 
 import pytest
 
@@ -16,13 +16,11 @@ from support.planar import PLANAR3
 QUICK = ("--mode", "position", "--trials", 1, "--generations", 1)
 
 
-class InProcess(Executor):
-    """A pool that does its work at once."""
+class InProcess:
+    """A pool that does its work in this process."""
 
-    def submit(self, fn, /, *args, **kwargs):
-        future = Future()
-        future.set_result(fn(*args, **kwargs))
-        return future
+    def results(self, calls):
+        return (call() for call in calls)
 
 
 def margins(call, *words):
@@ -54,7 +52,7 @@ def test_margins_that_do_not_suffice_are_written(call, tmp_path, monkeypatch):
     """As found by two adversaries in a second."""
     monkeypatch.setattr(trial, "TRIAL_S", 1.0)
     monkeypatch.setattr(command, "OF_MANY", command.OF_MANY[:2])
-    monkeypatch.setattr(command, "processes", lambda _: InProcess())
+    monkeypatch.setattr(command, "processes", lambda _: nullcontext(InProcess()))
     folder = tmp_path / "a[/x]"
     shutil.copytree(PLANAR3.folder, folder)
     text = (folder / "robot.toml").read_text()
