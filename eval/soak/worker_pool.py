@@ -15,7 +15,7 @@ from deploy.operation.interrupts import handled, interrupt, starting_workers
 from eval.replay.event_capture import EVENTS
 from eval.soak.configuration import SoakConfig
 from eval.soak.worker import Task, work
-from robots.child_process import Lifeline
+from robots.child_process import Lifeline, check_not_crowded
 from robots.errors import FirstshiftError
 
 DEATHS = 4
@@ -75,6 +75,7 @@ class WorkerPool:
 
         Raises:
             FirstshiftError: of a worker.
+            OSError: the computer lacks a process or a thread for one.
             RuntimeError: a worker failed, or workers of a shard died several times in a row.
         """
         with Lifeline() as self._lifeline:
@@ -137,6 +138,7 @@ class WorkerPool:
         code, error = worker.process.exitcode or 0, _received(worker.errors)
         if error is not None:
             raise error
+        check_not_crowded(code)
         if code > 0:
             raise RuntimeError(f"the worker of shard {worker.number} failed, with exit code {code}")
         if self.stop.value:

@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable, Sequence
 
 from deploy.operation.interrupts import REQUESTS, handled
-from deploy.start import BAD_INPUT, INTERRUPTED
-from robots.child_process import Lifeline, end_with
+from deploy.start import BAD_INPUT, INTERRUPTED, report_failure
+from robots.child_process import Lifeline, check_not_crowded, end_with
 from robots.errors import printable
 from robots.resource_limits import limit_resource
 
@@ -29,6 +29,13 @@ def run_watched(command: Callable[[], None], wall_s: float = WALL_S) -> None:
     Raises:
         SystemExit: in this process, always.
     """
+    try:
+        _run(command, wall_s)
+    except OSError as e:  # of a fork, or of a child without a thread: the computer lacks something
+        raise SystemExit(report_failure(e)) from e
+
+
+def _run(command: Callable[[], None], wall_s: float) -> None:
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, exit codes are lost
     requests = {signal.SIGINT, *REQUESTS}
     signal.pthread_sigmask(signal.SIG_BLOCK, requests)  # until each process has its handlers
@@ -58,6 +65,7 @@ def _watch(child: int, wall_s: float) -> int:
         return INTERRUPTED
     if code is None:
         return _refuse(f"not finished after {wall_s:g} s")
+    check_not_crowded(code)
     return code if code >= 0 else _refuse(f"ended by the system: {signal.strsignal(-code)}")
 
 

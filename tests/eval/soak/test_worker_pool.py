@@ -1,5 +1,6 @@
 """Workers of a soak end with their parent, and are replaced where they die by themselves."""
 
+import errno
 import multiprocessing as mp
 import os
 import signal
@@ -17,6 +18,7 @@ pytest.importorskip("mujoco")
 from eval.shard.job import WIDTH
 from eval.soak.checkpoint import prepare_folder
 from eval.soak.worker_pool import DEATHS, WorkerPool
+from robots.child_process import CROWDED
 from robots.errors import ContractError
 from support.eval.soaks import soak_config
 
@@ -55,6 +57,10 @@ def pool(arm_policy, tmp_path):
     return WorkerPool(
         soak_config(arm_policy, hours=1.0, robots=2 * WIDTH, workers=2), tmp_path, Console(quiet=True)
     )
+
+
+def exit_crowded(*_):
+    raise SystemExit(CROWDED)
 
 
 def children():
@@ -146,6 +152,13 @@ def test_error_of_a_worker_is_the_soaks(arm_policy, tmp_path):
     policy.write_bytes(b"")
     with pytest.raises(ContractError, match=r"policy\.onnx: not a valid ONNX model"):
         WorkerPool(soak, tmp_path, Console(quiet=True)).run()
+
+
+def test_a_worker_without_a_thread_is_a_lack_of_the_computer(pool, monkeypatch):
+    monkeypatch.setattr("eval.soak.worker_pool.work", exit_crowded)
+    with pytest.raises(BlockingIOError, match=os.strerror(errno.EAGAIN)):
+        pool.run()
+    assert not children()
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Command in a child process: its exit code, its crash, its end when it handles no signal."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -7,7 +8,9 @@ import sys
 
 import pytest
 
+from deploy.start import LACKING
 from support.paths import ROOT
+from support.processes import NO_THREADS
 
 SCRIPT = """
 import sys, os, signal, time
@@ -35,21 +38,35 @@ watched_process.run_watched(lambda: main(globals()[sys.argv[1]]), float(sys.argv
 """
 
 
-def started(command, seconds=60.0):
+def started(command, seconds=60.0, before=""):
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    arguments = [sys.executable, "-c", SCRIPT, command, str(seconds)]
+    arguments = [sys.executable, "-c", before + SCRIPT, command, str(seconds)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(arguments, text=True, env=environment, **pipes)
 
 
-def ended(command, seconds=60.0):
-    child = started(command, seconds)
+def ended(command, seconds=60.0, before=""):
+    child = started(command, seconds, before)
     out, err = child.communicate(timeout=60)
     return child.returncode, out, err
 
 
 def test_exit_code_is_passed_on():
     assert ended("finish") == (7, "", "")
+
+
+NO_FORK = """
+import errno, os
+def fork():
+    raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+os.fork = fork
+"""
+
+
+@pytest.mark.parametrize("before", [NO_FORK, NO_THREADS])
+def test_too_few_processes_are_one_line(before):
+    lack = f"error: a process or a thread: {os.strerror(errno.EAGAIN)}\n"
+    assert ended("finish", before=before) == (LACKING, "", lack)
 
 
 def test_a_crash_is_one_line():
