@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from errno import ELOOP
 from pathlib import Path
+from stat import S_ISREG
 from typing import IO
 
 from robots.errors import OutputError, output_error
@@ -22,7 +23,7 @@ def locked(folder: Path) -> Iterator[None]:
     The kernel releases the lock of a process that was killed; the file that is left means nothing then.
 
     Raises:
-        OutputError: naming the folder and the process that has locked it, or the file of another program.
+        OutputError: naming the folder and the process that has locked it.
     """
     with _acquired(folder):
         try:
@@ -40,10 +41,7 @@ def _acquired(folder: Path) -> IO[str]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if not _is_current(file, folder / LOCK):
                 return _acquired(folder)
-            if not _is_lock(file):
-                raise OutputError(
-                    f"--out {folder}: {LOCK}: found a file of another program, expected one of firstshift, or none"
-                )
+            _check_own(file, folder)
             file.truncate(0)
             file.write(str(os.getpid()))
             file.flush()
@@ -65,18 +63,30 @@ def _open(path: Path) -> IO[str]:
     return os.fdopen(descriptor, "a+", encoding="utf-8", errors="replace")
 
 
+def _check_own(file: IO[str], folder: Path) -> None:
+    """Check that a locked file is one that a run left: it is emptied, and deleted later.
+
+    Raises:
+        OutputError: it has another name as well, or other contents than the number of a process.
+    """
+    status = os.fstat(file.fileno())
+    file.seek(0)
+    text = file.read(CHARACTERS + 1)
+    if not S_ISREG(status.st_mode) or status.st_nlink > 1:
+        found = "a hard link or a device"
+    elif text and not (len(text) <= CHARACTERS and text.isascii() and text.isdigit()):
+        found = "a file that no run has left"
+    else:
+        return
+    raise OutputError(
+        f"--out {folder}: {LOCK} cannot be locked: found {found}, expected the number of a process or nothing"
+    )
+
+
 def _reason(error: OSError) -> str:
     return (
         "found a link, expected a file or nothing" if error.errno == ELOOP else error.strerror or str(error)
     )
-
-
-def _is_lock(file: IO[str]) -> bool:
-    """Return True if a file has no second name, and holds a process's number or nothing: it will be deleted."""
-    file.seek(0)
-    text = file.read(CHARACTERS + 1)
-    of_process = not text or (len(text) <= CHARACTERS and text.isdecimal())
-    return of_process and os.fstat(file.fileno()).st_nlink <= 1
 
 
 def _is_current(file: IO[str], path: Path) -> bool:

@@ -98,24 +98,32 @@ def test_a_lock_that_is_a_link_is_refused_and_its_file_kept(tmp_path):
     assert (tmp_path / "precious").read_text() == "as it was"
 
 
-@pytest.mark.parametrize("text", ["as it was", "7" * 21, "12 34", "42"])
-@pytest.mark.parametrize("second_name", [False, True])
-def test_a_file_of_another_program_is_kept(tmp_path, text, second_name):
-    """A number alone is what a run leaves that was killed, unless the file has a second name."""
-    (tmp_path / "theirs").write_text(text)
-    if second_name:
-        (tmp_path / LOCK).hardlink_to(tmp_path / "theirs")
-    else:
-        (tmp_path / LOCK).write_text(text)
-    left_by_a_run = text == "42" and not second_name
-    with ExitStack() as stack:
-        if not left_by_a_run:
-            stack.enter_context(pytest.raises(OutputError, match=r"\.lock: found a file of another program"))
-        stack.enter_context(locked(tmp_path))
-    assert (tmp_path / LOCK).exists() is not left_by_a_run
-    assert (tmp_path / "theirs").read_text() == text
-    if not left_by_a_run:
-        assert (tmp_path / LOCK).read_text() == text
+def test_a_lock_that_is_a_hard_link_is_refused_and_its_file_kept(tmp_path):
+    for contents in ("as it was", "", "123"):
+        (tmp_path / "precious").write_text(contents)
+        os.link(tmp_path / "precious", tmp_path / LOCK)
+        with pytest.raises(OutputError, match="cannot be locked: found a hard link"), locked(tmp_path):
+            pass
+        assert (tmp_path / LOCK).read_text() == contents
+        (tmp_path / LOCK).unlink()
+
+
+@pytest.mark.parametrize("contents", [b"as it was", b"123\n", b"\xff", "\u0663".encode(), b"1" * 21])
+def test_a_lock_of_another_program_is_refused_and_kept(tmp_path, contents):
+    (tmp_path / LOCK).write_bytes(contents)
+    with pytest.raises(OutputError) as caught, locked(tmp_path):
+        pass
+    found = "found a file that no run has left, expected the number of a process or nothing"
+    assert str(caught.value) == f"--out {tmp_path}: {LOCK} cannot be locked: {found}"
+    assert (tmp_path / LOCK).read_bytes() == contents
+
+
+@pytest.mark.parametrize("contents", ["", "1", "1" * 20])
+def test_a_lock_that_a_run_left_is_taken_over(tmp_path, contents):
+    (tmp_path / LOCK).write_text(contents)
+    with locked(tmp_path):
+        assert (tmp_path / LOCK).read_text() == str(os.getpid())
+    assert os.listdir(tmp_path) == []
 
 
 def test_a_lock_that_is_a_pipe_is_refused(tmp_path):
