@@ -48,12 +48,14 @@ ENVIRONMENT = {
     "MATPLOTLIBRC": os.devnull,
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONIOENCODING": "utf-8",
+    "GIT_PYTHON_REFRESH": "quiet",
 }
 """For this process and its children: no module is imported from the working directory, which may be a robot's folder
 that somebody else has written; plots are files, and no settings of a user's change them; no tick waits for a thread of
-numpy's; children write, and libraries' children read, text as UTF-8."""
-NOT_WANTED = "TORCH_LOGS|_.*_COMPLETE"
-"""Pattern of names of variables: torch fails at an unknown log, and typer answers a shell instead of running."""
+numpy's; children write, and libraries' children read, text as UTF-8; GitPython is imported without git."""
+NOT_WANTED = "TORCH_LOGS|GIT_PYTHON_GIT_EXECUTABLE|_.*_COMPLETE"
+"""Pattern of names of variables: torch fails at an unknown log, GitPython at a program that is no git, and typer
+answers a shell instead of running."""
 SIZES, SIZE = ("COLUMNS", "LINES"), "[1-9][0-9]{0,3}"
 """Variables with the size of a terminal, and pattern of a size: rich fails at other digits, and is silent at 0."""
 PLOT_SETTINGS = "matplotlibrc"
@@ -78,6 +80,7 @@ class _StandardOutput(io.FileIO):
 
 def start(module: str) -> None:
     """Import the module of a command line, and run its `cli`."""
+    _check_working_directory()
     _set_environment()
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -98,6 +101,15 @@ def start(module: str) -> None:
         cli()
     except KeyboardInterrupt:  # before or after the command itself
         raise SystemExit(INTERRUPTED) from None
+
+
+def _check_working_directory() -> None:
+    """Exit if the working directory was deleted: libraries ask for it, and fail each in its own way."""
+    try:
+        os.getcwd()
+    except OSError as e:
+        print(f"error: working directory: {e.strerror}, expected one that exists", file=sys.stderr)
+        raise SystemExit(BAD_INPUT) from e
 
 
 def _set_environment() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.start import ADDRESSES_MIN, BROKEN, ENVIRONMENT, INTERRUPTED, LACKING, STACK_MIN, start
+from deploy.start import ADDRESSES_MIN, BAD_INPUT, BROKEN, ENVIRONMENT, INTERRUPTED, LACKING, STACK_MIN, start
 from support.paths import ROOT
 
 SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
@@ -266,6 +266,7 @@ def test_no_settings_of_plots_are_read_elsewhere(written, tmp_path, name):
         ("LINES", "10000", False),
         ("COLUMNS", "80\n", False),
         ("TORCH_LOGS", "zzz", False),
+        ("GIT_PYTHON_GIT_EXECUTABLE", "/bin/false", False),
         ("_SOAK_TEST_COMPLETE", "zzz", False),
         ("_COMPLETE", "zzz", True),
     ],
@@ -277,6 +278,38 @@ def test_variables_that_end_libraries_are_removed(written, monkeypatch, name, va
     written("variable_command", "def cli():\n    pass\n")
     start("variable_command")
     assert os.environ.get(name) == (value if kept else None)
+
+
+@pytest.mark.parametrize("refresh", ["", "raise"])
+def test_git_is_not_needed(written, tmp_path, refresh):
+    """By GitPython, which rsl_rl imports."""
+    pytest.importorskip("git")
+    written("git_command", "import git\ndef cli():\n    print('ran')\n")
+    ended = run("git_command", tmp_path, PATH=str(tmp_path), GIT_PYTHON_REFRESH=refresh)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"ran\n", b"")
+
+
+LEFT_BEHIND = """
+import os
+from deploy.start import start
+os.mkdir("gone")
+os.chdir("gone")
+os.rmdir("../gone")
+start("no_such_command")
+"""
+
+
+def test_a_working_directory_that_was_deleted_is_bad_input(tmp_path):
+    ended = subprocess.run(
+        [sys.executable, "-c", LEFT_BEHIND],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        timeout=60,
+        check=False,
+    )
+    said = f"error: working directory: {os.strerror(errno.ENOENT)}, expected one that exists\n"
+    assert (ended.returncode, ended.stdout, ended.stderr.decode()) == (BAD_INPUT, b"", said)
 
 
 def test_a_library_that_cannot_be_imported_is_no_verdict(written, tmp_path):
