@@ -24,7 +24,6 @@ SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scrip
 def test_script_starts_a_command_line(script):
     module, name = SCRIPTS[script].split(":")
     (command,) = getattr(import_module(module), name).args
-    command = command if isinstance(command, str) else command.args[0]  # of a process that is watched
     tree = ast.parse(Path(find_spec(command).origin).read_text())
     assert "cli" in {each.name for each in tree.body if isinstance(each, ast.FunctionDef)}
 
@@ -57,6 +56,32 @@ def test_ctrl_c_during_imports_is_quiet(written, tmp_path):
         "except BaseException:\n    raise ImportError\n",
     )
     ended = run("interrupted_command", tmp_path)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, b"", b"")
+
+
+INTERRUPTED_IMPORT = """
+import os, signal, sys
+from importlib import import_module
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may ignore it
+command = getattr(import_module(sys.argv[1]), sys.argv[2])
+class Interrupting:
+    def find_spec(self, *_):
+        os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupting())
+command()
+"""
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_ctrl_c_at_the_first_import_of_a_script_is_quiet(script):
+    """Only the start itself is imported earlier."""
+    ended = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED_IMPORT, *SCRIPTS[script].split(":")],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        timeout=60,
+        check=False,
+    )
     assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, b"", b"")
 
 
