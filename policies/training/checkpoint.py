@@ -1,8 +1,9 @@
 """Checkpoints of `policy-train`: tensors, numbers and text; no code."""
 
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import torch
 from pydantic import ConfigDict, Field, StrictInt
@@ -68,8 +69,15 @@ def save_checkpoint(
         "recipe": recipe,
     }
     _checked(file, str(path))
-    with replacing(path) as partial, partial.open("wb") as stream:
-        torch.save(file, stream)
+    with replacing(path) as partial:
+        partial.write_bytes(bytes_of(file))
+
+
+def bytes_of(file: dict[str, Any]) -> bytes:
+    """Return the contents of the file that `torch.save` writes, which itself makes a RuntimeError of a full disk."""
+    buffer = BytesIO()
+    torch.save(file, buffer)
+    return buffer.getvalue()
 
 
 def load_checkpoint(path: Path) -> Checkpoint:

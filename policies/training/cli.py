@@ -1,5 +1,9 @@
 """Command policy-train: PPO of rsl-rl-lib with the shipped runtime as environment."""
 
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,13 +17,13 @@ from torch import Tensor
 from deploy.command_line import PASSED, main
 from deploy.telemetry.folder_lock import locked
 from deploy.telemetry.output_files import check_folder
-from policies.training.checkpoint import save_checkpoint
+from policies.training.checkpoint import bytes_of, save_checkpoint
 from policies.training.curves import draw_curves
 from policies.training.envs import RuntimeEnv
 from policies.training.networks import Actor
 from policies.training.recipe import Learner, Recipe, contract_of, find_recipe, load_recipe
 from policies.training.watchers import Film, JointSpeeds, Window
-from robots.errors import OutputError, printable
+from robots.errors import OutputError, ResultLostError, printable
 from robots.spec import RobotSpec, load_robot
 
 SAVE_INTERVAL = 200
@@ -56,6 +60,39 @@ def _check_unused(out: Path, name: str) -> None:
             raise OutputError(f"--out {out}: found {path.name} of another training, expected another folder")
 
 
+class _Runner(OnPolicyRunner):
+    def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
+        """Write the state of the training.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        state = {**self.alg.save(), "iter": self.current_learning_iteration, "infos": infos}
+        try:
+            Path(path).write_bytes(bytes_of(state))
+        except OSError as e:
+            raise OutputError(f"--out {path}: cannot be written: {e.strerror}") from e
+
+
+@contextmanager
+def _work_at_stake(out: Path) -> Iterator[None]:
+    """Time was spent on what cannot be written: that is no bad input.
+
+    TensorBoard writes in a thread, and raises that thread's error in this one as well: it is printed once.
+    """
+    hook = threading.excepthook
+    threading.excepthook = lambda ended: None if isinstance(ended.exc_value, OSError) else hook(ended)
+    try:
+        yield
+    except OutputError as e:
+        raise ResultLostError(f"not kept: {e}") from e
+    except OSError as e:
+        place, why = os.fsdecode(e.filename or out), e.strerror or e
+        raise ResultLostError(f"not kept: --out {place}: cannot be written: {why}") from e
+    finally:
+        threading.excepthook = hook
+
+
 def _train(
     recipe: Recipe, text: str, spec: RobotSpec, out: Path, threads: int, view: bool, video: Path | None
 ) -> Path:
@@ -67,10 +104,11 @@ def _train(
     trained = {"recipe": recipe.name, "seed": str(recipe.seed), "goals_reached": f"{success:.4f}"}
     actor, contract = Actor.from_rsl_rl(policy), contract_of(recipe, spec, trained)
     path = out / f"{recipe.name}.pt"
-    save_checkpoint(path, actor, contract, rollout, seed=recipe.seed, recipe=text)
-    draw_curves(out, out / f"{recipe.name}.png")
-    if film is not None:
-        film.write()
+    with _work_at_stake(out):
+        save_checkpoint(path, actor, contract, rollout, seed=recipe.seed, recipe=text)
+        draw_curves(out, out / f"{recipe.name}.png")
+        if film is not None:
+            film.write()
     return path
 
 
@@ -85,10 +123,12 @@ def _learn(
     env.watchers.append(JointSpeeds(env.episodes, spec, SPEEDS_EVERY * recipe.learner.num_steps_per_env))
     if view:
         env.watchers.append(Window(env.episodes))
-    runner = OnPolicyRunner(env, learner_settings(recipe.learner), log_dir=str(out), device="cpu")
+    runner = _Runner(env, learner_settings(recipe.learner), log_dir=str(out), device="cpu")
     for number, stage in enumerate(recipe.learner.stages):
         _set_learning_rate(runner, stage.learning_rate)
-        runner.learn(stage.iterations, init_at_random_ep_len=number == 0)
+        with _work_at_stake(out):
+            runner.learn(stage.iterations, init_at_random_ep_len=number == 0)
+            runner.logger.writer.close()  # else its thread writes the last events later, or not at all
         runner.current_learning_iteration += 1
     return env, runner.get_inference_policy()
 
