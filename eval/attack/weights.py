@@ -11,8 +11,8 @@ In each step, of joints with angle q and speed v (a share of its limit), at time
 The network has one hidden layer and sees the distance from home, v and the delayed command. The centre is `follow`
 times the joint's angle and 1 - `follow` times its home in position mode, else 0; the spring is of the other modes.
 
-An adversary of a pushed arm (`pushed_arm.py`) has weights beside the graph: when and where to its push acts, and the
-gains of its drives.
+An adversary of a pushed arm (`pushed_arm.py`) has weights beside the graph: the moment of its push, in s from the start
+of the trial, its direction, and the gains of its drives.
 """
 
 import math
@@ -97,7 +97,7 @@ GRAPH_WEIGHTS: Mapping[str, Weight] = {
     "bias": Weight(low=-2.0, high=2.0, shape="h"),
     "outward": Weight(low=-2.0, high=2.0, shape="hn"),
 }
-"""Those of the graph. Lengths are in rad of position mode, else in shares of the limit of what drives follow."""
+"""Weights of the graph. Lengths are in rad of position mode, else in shares of the limit of what drives follow."""
 
 ARM_WEIGHTS: Mapping[str, Weight] = {
     "force_s": Weight(low=0.5, high=4.5, shape=""),
@@ -105,10 +105,10 @@ ARM_WEIGHTS: Mapping[str, Weight] = {
     "stiffness": Weight(low=0.0, high=1.0),
     "damping_of_drive": Weight(low=0.0, high=1.0),
 }
-"""Those of a pushed arm: s from the start of its trial, direction, and shares of the bounds of a contract's gains."""
+"""Weights of a pushed arm beside its graph; gains are shares of the bounds of a contract's."""
 
 WEIGHTS: Mapping[str, Weight] = {**GRAPH_WEIGHTS, **ARM_WEIGHTS}
-"""Every kind."""
+"""Weights of both kinds."""
 
 
 def arrays(rows: Sequence[Weights], joints: int) -> dict[str, Floats]:
