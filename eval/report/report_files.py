@@ -23,16 +23,17 @@ def junit(report: Report) -> str:
     for line in report.budget:
         case = TestCase(line.name, classname=f"soak.{report.settings.robot}", time=0)
         if not line.passed:
-            case.result = [Failure(_describe(line), "budget")]
+            case.result = [Failure(describe(line), "budget")]
         elif report.run.interrupted:
-            case.result = [Skipped(f"interrupted after {report.run.hours:.3g} h; so far {_describe(line)}")]
+            case.result = [Skipped(f"interrupted after {report.run.hours:.3g} h; so far {describe(line)}")]
         suite.add_testcase(case)
     document = JUnitXml()
     document.add_testsuite(suite)
     return document.tostring().decode()
 
 
-def _describe(line: BudgetLine) -> str:
+def describe(line: BudgetLine) -> str:
+    """Return what was found and what is allowed, in words."""
     found = "not finite" if line.found is None else f"{line.found:.6g}"
     bound = "at least" if line.at_least else "at most"
     allowed = "no limit" if line.allowed is None else f"allowed {bound} {line.allowed:.6g}"

@@ -20,7 +20,7 @@ from eval.replay.bundle import DRAWS
 from eval.replay.bundle_files import copy_bundles, delete_bundles, list_bundles, remove_bundles
 from eval.replay.event_capture import EVENTS
 from eval.report.build import build
-from eval.report.report_files import PAGE, check_report_folder, delete_report, write_report
+from eval.report.report_files import PAGE, check_report_folder, delete_report, describe, write_report
 from eval.report.schema.report_data import Report
 from eval.report.sections.trend import THIS_RUN, trend
 from eval.shard.judging import ShardResult
@@ -98,9 +98,9 @@ def _run(config: SoakConfig, limits: Budget, out: Path, history: Path | None) ->
     with _work_at_stake():
         page = _write(report, extra, out, history)
     pooled = f"\npooled with earlier soaks: {report.trend.last.statement}" if report.trend else ""
-    console.print(
-        f"{report.verdict}: {report.statement}{pooled}\nreport: {printable(str(page))}", soft_wrap=True
-    )
+    missed = "".join(f"\nbudget: {describe(line)}" for line in report.budget if not line.passed)
+    verdict = f"{report.verdict}: {report.statement}{missed}{pooled}"
+    console.print(f"{verdict}\nreport: {printable(str(page))}", soft_wrap=True)
     return EXIT_CODES[report.verdict]
 
 

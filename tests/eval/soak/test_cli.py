@@ -215,6 +215,8 @@ def test_an_idle_policy_fails_the_budget(arm_policy, tmp_path):
     assert report["run"]["started"].endswith("+00:00")
     assert report["goals"]["success"] < 0.1
     assert [line["name"] for line in report["budget"] if not line["passed"]] == ["goal_success"]
+    assert "\nbudget: goal_success: found 0" in done.stdout
+    assert done.stdout.count("\nbudget: ") == 1
     assert report["exposure"]["evaluations"] == 4 * 6120
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 
