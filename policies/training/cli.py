@@ -78,7 +78,8 @@ class _Runner(OnPolicyRunner):
 def _work_at_stake(out: Path) -> Iterator[None]:
     """Time was spent on what cannot be written: that is no bad input.
 
-    TensorBoard writes in a thread, and raises that thread's error in this one as well: it is printed once.
+    TensorBoard writes in a thread, and raises that thread's error in this one as well: it is printed once. The thread may
+    still be about to raise it when the block has failed.
     """
     hook = threading.excepthook
     threading.excepthook = lambda ended: None if isinstance(ended.exc_value, OSError) else hook(ended)
@@ -89,8 +90,7 @@ def _work_at_stake(out: Path) -> Iterator[None]:
     except OSError as e:
         place, why = os.fsdecode(e.filename or out), e.strerror or e
         raise ResultLostError(f"not kept: --out {place}: cannot be written: {why}") from e
-    finally:
-        threading.excepthook = hook
+    threading.excepthook = hook
 
 
 def _train(
@@ -127,8 +127,11 @@ def _learn(
     for number, stage in enumerate(recipe.learner.stages):
         _set_learning_rate(runner, stage.learning_rate)
         with _work_at_stake(out):
-            runner.learn(stage.iterations, init_at_random_ep_len=number == 0)
-            runner.logger.writer.close()  # else its thread writes the last events later, or not at all
+            try:
+                runner.learn(stage.iterations, init_at_random_ep_len=number == 0)
+            finally:
+                if writer := runner.logger.writer:
+                    writer.close()  # else its thread writes the last events later, or not at all
         runner.current_learning_iteration += 1
     return env, runner.get_inference_policy()
 

@@ -5,6 +5,7 @@ import os
 import re
 import resource
 import shutil
+import threading
 from contextlib import contextmanager
 
 import pytest
@@ -21,8 +22,9 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def train(call, tmp_path):
+def train(call, tmp_path, monkeypatch):
     """A training of two stages with four robots: exit code, standard output and standard error."""
+    monkeypatch.setattr(threading, "excepthook", threading.excepthook)  # a training that fails leaves its own
     head, _, _ = find_recipe("arm").read_text(encoding="utf-8").partition("[[learner.stages]]")
     for name, value in {"robots": 4, "goals_per_episode": 1, "num_steps_per_env": 8}.items():
         head = re.sub(f"{name} = .*", f"{name} = {value}", head)
