@@ -78,8 +78,8 @@ class _Runner(OnPolicyRunner):
 def _work_at_stake(out: Path) -> Iterator[None]:
     """Time was spent on what cannot be written: that is no bad input.
 
-    TensorBoard writes in a thread, and raises that thread's error in this one as well: it is printed once. The thread may
-    still be about to raise it when the block has failed.
+    TensorBoard writes in a thread, and raises that thread's error in this one as well: it is printed once. The thread
+    may still be about to raise it when the block has failed.
     """
     hook = threading.excepthook
     threading.excepthook = lambda ended: None if isinstance(ended.exc_value, OSError) else hook(ended)
