@@ -100,9 +100,7 @@ class Runtime(Stage):
         self.supervisor, self.escalation = Supervisor(robots, spec.dt), StopEscalation(spec, robots)
         self.task: Task = find_task(contract.task, f"contract: task {contract.task!r}")(spec, seeds)
         sources = sources_of(contract.task)
-        seen = proxy(
-            self
-        )  # held by nobody but its owner, the runtime is freed with its robots once that lets it go
+        seen = proxy(self)  # a reader must not keep the runtime, and its robots, in memory
         readers = {term.source: sources[term.source].reader(seen) for term in contract.observation}
         self.observation = Observation(contract, readers, robots)
         self.requested_stop, self.ticks_since_arming = np.zeros((2, robots), dtype=np.int64)

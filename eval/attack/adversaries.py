@@ -57,8 +57,14 @@ class Adversary:
         return {**self.first(joints), **found}
 
 
-_POSES = {"reach": 3.0, "sharpness": 1.0, "follow": 0.0, "spring": 1.0}
-_PUSHED = ("push", "step", "step_s", "force_s", "force_toward", "stiffness", "damping_of_drive")
+def _pushed(meaning: str, *, effect: Effect, targets: tuple[str, ...], **start: float) -> Adversary:
+    """Return an adversary of a pushed arm, from pose to pose; `start` as in `Adversary`, of further weights."""
+    poses = {"reach": 3.0, "sharpness": 1.0, "follow": 0.0, "spring": 1.0}
+    searched = ("push", "step", "step_s", "force_s", "force_toward", "stiffness", "damping_of_drive")
+    return Adversary(
+        meaning=meaning, start={**poses, **start}, searched=searched, effect=effect, targets=targets
+    )
+
 
 ADVERSARIES: Mapping[str, Adversary] = {
     "anti_damping": Adversary(
@@ -102,26 +108,22 @@ ADVERSARIES: Mapping[str, Adversary] = {
             *("inward", "bias", "outward"),
         ),
     ),
-    "loaded_arm": Adversary(
-        meaning="the most loaded arm of many goes from pose to pose; its push and its drive gains are searched, too",
-        start=_POSES,
-        searched=_PUSHED,
+    "loaded_arm": _pushed(
+        "the most loaded arm of many goes from pose to pose; its push and its drive gains are searched, too",
         effect="load",
         targets=("torque", "workspace"),
     ),
-    "thrown_arm": Adversary(
-        meaning="as loaded_arm, with the arm of which a push throws a link fastest through the play of its gear",
-        start={**_POSES, "step": 1.0},
-        searched=_PUSHED,
+    "thrown_arm": _pushed(
+        "as loaded_arm, with the arm of which a push throws a link fastest through the play of its gear",
         effect="throw",
         targets=("velocity", "velocity"),
+        step=1.0,
     ),
-    "thrown_tool": Adversary(
-        meaning="as loaded_arm, with the arm of which a push throws the tool fastest",
-        start={**_POSES, "step": 1.0},
-        searched=_PUSHED,
+    "thrown_tool": _pushed(
+        "as loaded_arm, with the arm of which a push throws the tool fastest",
         effect="tool",
         targets=("tool_speed",),
+        step=1.0,
     ),
 }
 

@@ -40,7 +40,12 @@ def loaded_robots(distributions: Distributions, spec: RobotSpec, seed: int) -> D
     robots = draw(distributions, spec, [robot_seed(seed, robot) for robot in range(CHOICE * WIDTH)])
     robots = robots.rows(_first_and_heaviest(extra_load(spec, robots)))
     carried = np.where(np.random.default_rng(seed).random(WIDTH) < 0.5, EVER_S, MOMENT_S)
-    values: tuple[Floats | float, ...] = PAUSE_S, carried, MOMENT_S * EVER_S / carried
+    return disturbed(robots, PAUSE_S, carried)
+
+
+def disturbed(robots: Draw, pause_s: float, carried_s: Floats | float) -> Draw:
+    """Return robots with s between pushes, that carry their payload for `EVER_S`, always, or `MOMENT_S`, never."""
+    values: tuple[Floats | float, ...] = pause_s, carried_s, MOMENT_S * EVER_S / carried_s
     return robots.replaced(dict(zip(DISTURBED, values, strict=True)))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from deploy.backends.sim.disturbances import Pushes
 from deploy.policy.gain_bounds import damping_bounds, stiffness_bounds
 from eval.attack.adversaries import Effect
-from eval.attack.loaded_robots import EVER_S, LIVES, MOMENT_S, extra_load
+from eval.attack.loaded_robots import EVER_S, LIVES, MOMENT_S, disturbed, extra_load
 from eval.attack.throws import throws
 from eval.attack.trained_gains import STIFFEST, TrainedGains
 from eval.attack.weights import Weights
@@ -60,12 +60,7 @@ def choose_arm(spec: RobotSpec, effect: Effect, seed: int) -> Choice:
         fastest = np.argsort(-speed.max(axis=(0, 2)))[: (spec.n + 1) // 2]
         thrown = speed[:, fastest[seed % len(fastest)]]
         row, link = (int(place) for place in np.unravel_index(thrown.argmax(), thrown.shape))
-    disturbed = {
-        "push.every_s": NEVER_S,
-        "payload.carried_s": carried,
-        "payload.free_s": MOMENT_S * EVER_S / carried,
-    }
-    return Choice(robots.rows(np.full(WIDTH, row)).replaced(disturbed), link)
+    return Choice(disturbed(robots.rows(np.full(WIDTH, row)), NEVER_S, carried), link)
 
 
 def gains_of(weights: Weights, spec: RobotSpec, mode: ControlMode) -> TrainedGains | None:

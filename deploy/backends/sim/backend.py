@@ -32,9 +32,7 @@ class SimBackend(Backend[SimRobot]):
 
     def attach(self, robot: SimRobot, runtime: "Runtime") -> None:
         """Show the goals to the simulated cameras; warm the windings to the runtime's estimate."""
-        task = (
-            runtime.task
-        )  # the robot must not hold the runtime, which holds it: shards are freed when they are left
+        task = runtime.task  # not the runtime, which holds the robot: both would stay in memory
         robot.goal_source = lambda: task.goal_position
         robot.plant.warm(runtime.estimator.windings.rise)
 
