@@ -166,8 +166,8 @@ class Runtime(Stage):
         state = self.estimator.step(t, sample, self.smoother.sent)
         self.state = self.capabilities.step(t, sample, state, due)
         if any_true(off := ~self.supervisor.powered):
-            moving = self.estimator.moving.any(axis=1) | np.isinf(state.age)
-            self.resting.step(state.q, off & ~moving)
+            measured = state.age <= self.spec.margins.stale_s  # without samples, an estimate drifts
+            self.resting.step(state.q, off & measured & ~self.estimator.moving.any(axis=1))
         self.task.observe(self, sample, due)
         if not due:
             return None

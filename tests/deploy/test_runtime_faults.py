@@ -121,7 +121,9 @@ def test_silence_latches_after_a_planned_stop():
     only = np.array([False, True])
     assert Reason.LOST in Reason(int(runtime.arm(only)[1]))
     assert runtime.supervisor.mode[1] == Mode.LATCHED
+    assert runtime.resting.ticks[1] == 0  # setpoints do not begin at estimates that no sample has corrected
     play(runtime, 200)
+    assert runtime.resting.ticks[1] > 0
     assert not runtime.arm(only).any()
     assert (play(runtime, 40)[1] == Mode.RUNNING).any(axis=0).all()
 
