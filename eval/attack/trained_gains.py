@@ -46,7 +46,7 @@ def _gains_of_file(path: Path, spec: RobotSpec, mode: ControlMode) -> TrainedGai
         raise ConfigError(
             f"--gains: found '{path!s:.200}', expected softest, stiffest or the file of a policy"
         )
-    action = Policy.verified(read_tried_policy(path), str(path), spec).contract.action
+    action = Policy.verified(read_tried_policy(path), f"--gains: {path}", spec).contract.action
     if action.kp is None or action.kd is None:
         raise ConfigError(f"--gains: {path}: found no kp and kd in its contract, expected some")
     if action.control_mode is not mode:

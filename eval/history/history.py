@@ -1,7 +1,7 @@
 """History: a folder with a record of each finished soak, never overwritten; pooling and comparison of records."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC
 from itertools import count
 from pathlib import Path
@@ -96,14 +96,16 @@ def _check_record(path: Path, record: SoakRecord) -> None:
     if record.run.interrupted:
         raise ConfigError(f"{path}: run.interrupted: found true, expected a finished soak")
     counts = record.per_draw_counts
-    for name, whole in (("running", "ticks"), ("reached", "due")):
-        for draw, (found_count, most) in enumerate(
-            zip(getattr(counts, name), getattr(counts, whole), strict=True)
-        ):
-            if found_count > most:
-                raise ConfigError(
-                    f"{path}: per_draw_counts.{name}.{draw}: found {found_count}, expected at most {most}, its {whole}"
-                )
+    _check_at_most(path, "running", counts.running, "ticks", counts.ticks)
+    _check_at_most(path, "reached", counts.reached, "due", counts.due)
+
+
+def _check_at_most(path: Path, name: str, part: Sequence[int], of: str, whole: Sequence[int]) -> None:
+    for draw, (found, most) in enumerate(zip(part, whole, strict=True)):
+        if found > most:
+            raise ConfigError(
+                f"{path}: per_draw_counts.{name}.{draw}: found {found}, expected at most {most}, its {of}"
+            )
 
 
 def pool(records: Mapping[str, SoakRecord]) -> PerDrawCounts:

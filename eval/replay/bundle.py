@@ -17,7 +17,7 @@ from eval.judge.counts import Event
 from eval.judge.monitors import NAMES
 from eval.shard.job import code_digest, processor, versions
 from robots.errors import ConfigError
-from robots.files import read_file
+from robots.files import is_missing, read_file
 from robots.models.files import referenced_files
 from robots.spec import RobotSpec
 from robots.strict import Strict, parse, read_json_file
@@ -152,6 +152,8 @@ def open_bundle(folder: Path) -> BundleInfo:
         ConfigError: naming the file, the field, the value found and the value expected.
     """
     path = folder / INFO
+    if is_missing(path):
+        raise ConfigError(f"{path}: missing, expected the folder of a bundle")
     info = parse(read_json_file(path, INFO_CHARACTERS_MAX), BundleInfo, source=str(path))
     _check_digest(path, "digest", info.digest, info.sealed())
     _check_names(path, info)

@@ -71,6 +71,13 @@ def test_a_policy_without_gains_has_none_to_take(tmp_path):
         find_gains(str(path), QUADRUPED, POSITION)
 
 
+def test_gains_of_another_robot_are_refused(tmp_path):
+    path = tmp_path / "walk.onnx"
+    path.write_bytes(policy_file(QUADRUPED, POSITION, [PUSH], GAINS).data)
+    with pytest.raises(ContractError, match=r"--gains: .*walk\.onnx: contract"):
+        find_gains(str(path), load_robot("planar3"), POSITION)
+
+
 def test_gains_of_another_mode_are_refused(tmp_path):
     path = tmp_path / "walk.onnx"
     path.write_bytes(policy_file(QUADRUPED, POSITION, [PUSH], GAINS).data)

@@ -146,6 +146,11 @@ def test_a_flipped_bit_in_any_file_and_a_missing_file_are_refused_by_name(tmp_pa
         bundle.open_bundle(tmp_path / "x")
 
 
+def test_a_folder_that_is_no_bundle_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r"bundle\.json: missing, expected the folder of a bundle"):
+        bundle.open_bundle(tmp_path)
+
+
 def test_the_robot_s_model_and_its_meshes_are_in_a_bundle(tmp_path):
     """Wherever they lie in the robot's folder; a changed one is refused as any other file."""
     spec = load_robot(two_links(tmp_path))
