@@ -17,6 +17,7 @@ from deploy.operation.interrupts import handled, interrupt
 from deploy.telemetry.folder_lock import locked
 from deploy.telemetry.output_files import check_folder, check_no_links
 from deploy.telemetry.plain_console import plain_console
+from eval.attack.adversaries import pushed_arms
 from eval.attack.archive import Archive, Found
 from eval.attack.arena import Setting, find_mode
 from eval.attack.candidate import Case
@@ -137,7 +138,7 @@ def soak_attack(
 
 def _search(spec: RobotSpec, setting: Setting, pool: Workers, seed: int, target: str) -> Search:
     """Return the search; pushed arms have a fixed base, and no fault beside their push."""
-    arms = spec.base is None and not setting.faults
+    arms = () if spec.base or setting.faults else pushed_arms(setting.mode, gains=setting.gains is not None)
     return Search(spec, setting.mode, pool.evaluate, seed=seed, target=target, pushed_arms=arms)
 
 

@@ -3,7 +3,7 @@
 import cma
 import numpy as np
 
-from eval.attack.adversaries import ADVERSARIES
+from eval.attack.adversaries import Adversary
 from eval.attack.arena import Outcome
 from eval.attack.candidate import Block
 from eval.shard.job import WIDTH
@@ -32,12 +32,12 @@ class Island:
     """Search in which each robot of a shard tries a policy of its own in every generation.
 
     Attributes:
-        name: of the adversary. monitor: that is searched for. seed: of the robots.
+        adversary: of the policies. monitor: that is searched for. seed: of the robots.
     """
 
     def __init__(
         self,
-        name: str,
+        adversary: Adversary,
         start: Floats,
         deviation: float,
         monitor: str,
@@ -47,14 +47,14 @@ class Island:
         rng: np.random.Generator,
         screened: int = 0,
     ) -> None:
-        """Start from shares (D,) of the bounds of an adversary's weights.
+        """Start from shares (D,) of the bounds of the weights that an adversary searches.
 
         In the first `screened` generations, weights vary at random, and the search starts from the best of them.
         """
-        self.name, self.monitor, self.seed, self._joints = name, monitor, seed, joints
-        self._start, self._base, self._best = start, np.zeros(WIDTH), (-np.inf, start)
-        self._strategy = evolution_strategy(start, deviation, WIDTH, rng)
+        self.adversary, self.monitor, self.seed, self._joints = adversary, monitor, seed, joints
         self._rng, self._deviation, self._screened = rng, deviation, screened
+        self._start, self._base, self._best = start, np.zeros(WIDTH), (-np.inf, start)
+        self._strategy = None if screened else evolution_strategy(start, deviation, WIDTH, rng)
 
     def first(self) -> Block:
         """Return the start, for all robots."""
@@ -66,11 +66,11 @@ class Island:
 
     def ask(self) -> Block:
         """Return the next generation."""
-        if self._screened:
+        if self._strategy:
+            self._shares = self._strategy.ask()
+        else:
             drawn = self._rng.normal(self._start, self._deviation, (WIDTH, len(self._start)))
             self._shares = [*np.clip(drawn, 0.0, 1.0)]
-        else:
-            self._shares = self._strategy.ask()
         return self._block(self._shares)
 
     def tell(self, outcome: Outcome) -> None:
@@ -78,7 +78,7 @@ class Island:
         gain = self._ratios(outcome) - self._base
         if float(gain.max()) > self._best[0]:
             self._best = float(gain.max()), self._shares[gain.argmax()]
-        if not self._screened:
+        if self._strategy:
             self._strategy.tell(self._shares, (-gain).tolist())
             return
         self._screened -= 1
@@ -88,7 +88,7 @@ class Island:
     @property
     def over(self) -> bool:
         """True once the search has converged."""
-        return not self._screened and bool(self._strategy.stop())
+        return self._strategy is not None and bool(self._strategy.stop())
 
     def best(self) -> Block:
         """Return the policy that gained most, for all robots."""
@@ -98,5 +98,5 @@ class Island:
         return np.minimum(outcome.worst[self.monitor], LARGEST)
 
     def _block(self, shares: list[Floats]) -> Block:
-        adversary = ADVERSARIES[self.name]
-        return Block(self.name, tuple(adversary.weights(each, self._joints) for each in shares), self.seed)
+        rows = tuple(self.adversary.weights(each, self._joints) for each in shares)
+        return Block(self.adversary.name, rows, self.seed)

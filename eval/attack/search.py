@@ -14,7 +14,7 @@ from itertools import count
 
 import numpy as np
 
-from eval.attack.adversaries import ADVERSARIES, OF_MANY
+from eval.attack.adversaries import ADVERSARIES, OF_MANY, Adversary
 from eval.attack.archive import Archive
 from eval.attack.arena import Outcome
 from eval.attack.candidate import Block
@@ -48,20 +48,20 @@ class Search:
         *,
         seed: int,
         target: str = "",
-        pushed_arms: bool,
+        pushed_arms: Sequence[Adversary],
     ) -> None:
         """Start with an empty archive; the target is one monitor, or all hard ones.
 
-        `pushed_arms` of a robot with a floating base, or beside faults, would say nothing.
+        `pushed_arms` are searched, too; of a robot with a floating base, or beside faults, they would say nothing.
         """
         self._joints, self._evaluate, self._seed = spec.n, evaluate, seed
         self.archive = Archive(spec, mode)
         self.targets = (target,) if target else self.archive.hard
         kinds = [
-            (name, monitor)
-            for name, adversary in ADVERSARIES.items()
+            (adversary, monitor)
+            for adversary in pushed_arms
             for monitor in adversary.targets
-            if pushed_arms and monitor in self.targets
+            if monitor in self.targets
         ]
         self._arms = [self._pushed_arm(*kind, number) for number, kind in enumerate(kinds)]
 
@@ -97,26 +97,25 @@ class Search:
 
     def _island(self, cycle: int, place: int, target: str) -> Island:
         rng = np.random.default_rng([self._seed, 1 + cycle, place])
-        name, start, deviation = self._start(cycle, place, target)
-        return Island(
-            name, start, deviation, target, seed=self._seed + 1 + cycle, joints=self._joints, rng=rng
-        )
+        adversary, start, deviation = self._start(cycle, place, target)
+        seed = self._seed + 1 + cycle
+        return Island(adversary, start, deviation, target, seed=seed, joints=self._joints, rng=rng)
 
-    def _start(self, cycle: int, place: int, target: str) -> tuple[str, Floats, float]:
+    def _start(self, cycle: int, place: int, target: str) -> tuple[Adversary, Floats, float]:
         """Return the adversary, its first shares and their deviation."""
         if cycle % 2 == 0:
             worst = self.archive.worst_of_many[target].candidate
-            return worst.adversary, ADVERSARIES[worst.adversary].shares(worst.weights), NEAR
-        name = OF_MANY[(cycle // 2 + place) % len(OF_MANY)]
-        adversary = ADVERSARIES[name]
-        return name, adversary.shares(adversary.first(self._joints)), FAR
+            adversary = ADVERSARIES[worst.adversary]
+            return adversary, adversary.shares(worst.weights), NEAR
+        adversary = ADVERSARIES[OF_MANY[(cycle // 2 + place) % len(OF_MANY)]]
+        return adversary, adversary.shares(adversary.first(self._joints)), FAR
 
-    def _pushed_arm(self, name: str, monitor: str, number: int) -> Island:
+    def _pushed_arm(self, adversary: Adversary, monitor: str, number: int) -> Island:
         """Return a search on the arm of a number, from poses at random."""
         rng = np.random.default_rng([self._seed, 0, 1, number])  # trailing zeros do not change a seed
-        first = ADVERSARIES[name].shares(ADVERSARIES[name].first(self._joints))
-        seed = self._seed + number
-        return Island(name, first, FAR, monitor, seed=seed, joints=self._joints, rng=rng, screened=SCREENED)
+        first = adversary.shares(adversary.first(self._joints))
+        options = {"seed": self._seed + number, "joints": self._joints, "screened": SCREENED}
+        return Island(adversary, first, FAR, monitor, rng=rng, **options)
 
     def _try(self, blocks: Sequence[Block]) -> Sequence[Outcome]:
         """Try blocks, and a generation of every pushed arm; return the outcomes of the blocks."""
@@ -128,5 +127,5 @@ class Search:
             arm.tell(outcomes[len(blocks) + place])
             if arm.over:
                 number = arm.seed - self._seed + len(self._arms)
-                self._arms[place] = self._pushed_arm(arm.name, arm.monitor, number)
+                self._arms[place] = self._pushed_arm(arm.adversary, arm.monitor, number)
         return outcomes[: len(blocks)]

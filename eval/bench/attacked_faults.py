@@ -28,7 +28,7 @@ def worst_of(spec: RobotSpec, fault: str) -> Worst:
         setting.mode,
         lambda blocks: [try_block(setting, each) for each in blocks],
         seed=SEED,
-        pushed_arms=False,
+        pushed_arms=(),
     )
     next(search.run())
     found = {name: search.archive.worst[name].ratio for name in search.archive.hard}

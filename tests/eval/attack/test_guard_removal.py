@@ -58,7 +58,7 @@ def attacked(without="", seconds=LONG_S, target=None):
             lambda blocks: [try_block(block) for block in blocks],
             seed=SEED,
             target=target or "",
-            pushed_arms=False,
+            pushed_arms=(),
         )
         generations = GENERATIONS if target else 1
         assert len(list(islice(search.run(), generations))) == generations

@@ -8,7 +8,7 @@ pytest.importorskip("mujoco")
 import eval.attack.arena as arena_module
 import eval.attack.pushed_arm as module
 from deploy.policy.compatibility import check_contract
-from eval.attack.adversaries import ADVERSARIES
+from eval.attack.adversaries import ADVERSARIES, pushed_arms
 from eval.attack.arena import Arena, Setting, write_job
 from eval.attack.candidate import Block, Candidate
 from eval.attack.loaded_robots import LIVES, extra_load
@@ -117,9 +117,9 @@ def test_drives_keep_their_own_gains_in_torque_mode_and_those_that_are_given():
 @pytest.mark.parametrize("name", NAMES)
 def test_trial_is_that_of_the_file_which_its_bundle_replays(name, mode, tmp_path):
     rng = np.random.default_rng(3)
-    first = ADVERSARIES[name].first(SPEC.n)
-    shares = rng.random((WIDTH, len(ADVERSARIES[name].shares(first))))
-    rows = tuple(ADVERSARIES[name].weights(each, SPEC.n) | {"force_s": (0.5,)} for each in shares)
+    adversary = next(each for each in pushed_arms(mode, gains=False) if each.name == name)
+    shares = rng.random((WIDTH, len(adversary.shares(adversary.first(SPEC.n)))))
+    rows = tuple(adversary.weights(each, SPEC.n) | {"force_s": (0.5,)} for each in shares)
     setting, monitor = Setting(robot=SPEC.folder, mode=mode), "velocity"
     arena = Arena(setting, SEED, ADVERSARIES[name].effect)
     outcome = arena.try_block(Block(name, rows, SEED))

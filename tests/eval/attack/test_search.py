@@ -5,7 +5,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from eval.attack.adversaries import ADVERSARIES, OF_MANY
+from eval.attack.adversaries import ADVERSARIES, OF_MANY, pushed_arms
 from eval.attack.archive import EXEMPT, Archive
 from eval.attack.arena import Outcome
 from eval.attack.candidate import Block
@@ -15,6 +15,7 @@ from robots.motors.control_mode import ControlMode
 from support.arm6 import SPEC
 
 MODE = ControlMode.POSITION
+PUSHED = pushed_arms(MODE, gains=False)
 NAMES = [monitor.name for monitor in Archive(SPEC, MODE).monitors]
 EASE = np.linspace(0.0, 0.2, WIDTH)
 """By how much robots differ under the same policy."""
@@ -36,7 +37,7 @@ def hill(blocks):
 
 
 def searched(generations, evaluate=hill, **options):
-    search = Search(SPEC, MODE, evaluate, **{"seed": 7, "pushed_arms": False, **options})
+    search = Search(SPEC, MODE, evaluate, **{"seed": 7, "pushed_arms": (), **options})
     for _ in islice(search.run(), generations):
         pass
     return search
@@ -100,7 +101,7 @@ def steps(blocks):
 
 def test_searches_of_pushed_arms_go_on_from_cycle_to_cycle():
     few, many = (
-        searched(1 + cycles * CYCLE, steps, pushed_arms=True).archive.worst["torque"] for cycles in (1, 12)
+        searched(1 + cycles * CYCLE, steps, pushed_arms=PUSHED).archive.worst["torque"] for cycles in (1, 12)
     )
     assert few.candidate.adversary == many.candidate.adversary == "loaded_arm"
     assert many.ratio > max(1.49, few.ratio + 0.02)
@@ -114,19 +115,36 @@ def test_pushed_arms_have_their_targets_and_begin_again_on_others_once_they_have
         seen.append([(block.adversary, block.seed) for block in blocks if block.adversary not in OF_MANY])
         return [outcome() for _ in blocks]
 
-    search = searched(40, plain, pushed_arms=True)
+    search = searched(40, plain, pushed_arms=PUSHED)
     targets = [monitor for each in ADVERSARIES.values() for monitor in each.targets]
     assert len(targets) == len(seen[0]) == len({*seen[0]})
     assert {len(each) for each in seen} == {len(targets)}
     assert len({seed for each in seen for _, seed in each}) > len(targets)
-    one = Search(SPEC, MODE, plain, seed=7, target="workspace", pushed_arms=True)
+    one = Search(SPEC, MODE, plain, seed=7, target="workspace", pushed_arms=PUSHED)
     next(one.run())
     assert [name for name, _ in seen[-1]] == ["loaded_arm"]
     assert search.archive.worst_of_many["torque"].candidate.adversary in OF_MANY
 
 
+@pytest.mark.parametrize(("mode", "gains"), [(MODE, True), (ControlMode.TORQUE, False)])
+def test_drive_gains_without_effect_are_not_searched(mode, gains):
+    seen = []
+
+    def plain(blocks):
+        seen.extend(row for block in blocks if block.adversary not in OF_MANY for row in block.rows)
+        return [outcome() for _ in blocks]
+
+    arms = pushed_arms(mode, gains=gains)
+    searched(4, plain, pushed_arms=arms)
+    first = ADVERSARIES["thrown_tool"].first(SPEC.n)
+    assert all(row.keys() == first.keys() for row in seen)
+    assert {row["stiffness"] for row in seen} == {first["stiffness"]}
+    assert (len({row["damping"] for row in seen}) > 1) == (mode is ControlMode.TORQUE)
+    assert len({row["force_s"] for row in seen}) > 1
+
+
 def test_only_hard_monitors_are_searched_and_what_the_policy_says_itself_is_none():
-    hard = Search(SPEC, MODE, hill, seed=7, pushed_arms=True).targets
+    hard = Search(SPEC, MODE, hill, seed=7, pushed_arms=PUSHED).targets
     assert not {*hard} & {*EXEMPT}
     assert {"velocity", "torque", "tool_speed", "position_hard"} <= {*hard}
     assert "power" not in hard
