@@ -190,8 +190,10 @@ class Runtime(Stage):
         stop = self.smoother.brake(planned)
         self.verdict = self.safety.step(self.state, self.smoother.sent, planned, stop)
         reason = self.stop_reasons()
-        at_rest = self.smoother.at_rest if any_true(stopping) else stopping  # all False while none stops
-        send_planned = self.supervisor.step(reason, at_rest)
+        at_rest = stopped = stopping  # all False while none stops
+        if any_true(stopping):
+            at_rest, stopped = self.smoother.at_rest, self.smoother.stopped
+        send_planned = self.supervisor.step(reason, at_rest, stopped)
         setpoint, tau = planned, self.verdict.tau
         if any_true(reason) or not all_true(np.isfinite(planned.q)):
             # A stopping robot keeps sending its plan even if that is refused; one that is not finite is never sent.

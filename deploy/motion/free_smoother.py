@@ -34,6 +34,11 @@ class RollingSmoother(VelocitySmoother):
         super().__init__(spec, len(drive.mode), drive)
         self._free, self.takeover = drive.kp == 0.0, Takeover(spec, drive, stop)
 
+    @property
+    def stopped(self) -> Bools:
+        """(B,) robots at rest whose drives have taken over: until then, a joint may move, and brakes jerk it."""
+        return super().stopped & self.takeover.complete
+
     def plan(self, target: Floats, stopping: Bools, state: State) -> Setpoint:
         """Return the next setpoint of every robot, as `Smoother.next`; drives of a stop become stiff."""
         np.copyto(self.q, state.q, where=self._free & ~stopping[:, None])
@@ -43,12 +48,13 @@ class RollingSmoother(VelocitySmoother):
     def brake(self, start: Setpoint) -> Stop:
         """Return the stop that would begin at `start`, as `Smoother.brake`, with position drives."""
         stop = super().brake(start)
-        return stop._replace(ahead=stop.ahead._replace(drive=self.takeover.first_drive))
+        drive = self.takeover.drive_after(required(start.drive))
+        return stop._replace(ahead=stop.ahead._replace(drive=drive))
 
     def commit(self, sent: Setpoint) -> None:
         """Remember what was sent, and how."""
         super().commit(sent)
-        self.takeover.commit(required(sent.drive).mode == self.drive.mode)
+        self.takeover.commit(required(sent.drive))
 
     def hold(self, ids: Bools, q: Floats) -> None:
         """Put robots at rest, as `Smoother.hold`, with the stiff drives of a stop."""
@@ -87,6 +93,11 @@ class TorqueSmoother(Smoother):
         """(B, n) N·m, the torque sent last."""
         return self.ramp.tau
 
+    @property
+    def stopped(self) -> Bools:
+        """(B,) robots at rest whose drives have taken over: until then, a joint may move, and brakes jerk it."""
+        return super().stopped & self.takeover.complete
+
     def plan(self, target: Floats, stopping: Bools, state: State) -> Setpoint:
         """Return the predicted state of robots that follow the policy, and the stop of the others."""
         tau, self._rate = self.ramp.next(self._bounded(target, state))
@@ -116,14 +127,14 @@ class TorqueSmoother(Smoother):
     def brake(self, start: Setpoint) -> Stop:
         """Return the stop that would begin at `start`, as `Smoother.brake`, with position drives."""
         stop = super().brake(start)
-        return stop._replace(ahead=_as_stop(stop.ahead, self.takeover.first_drive))
+        return stop._replace(ahead=_as_stop(stop.ahead, self.takeover.drive_after(required(start.drive))))
 
     def commit(self, sent: Setpoint) -> None:
         """Remember what was sent, torques included."""
         super().commit(sent)
-        followed = np.asarray(required(sent.drive).mode == ControlMode.TORQUE)
-        self.ramp.commit(required(sent.tau), self._rate, followed)
-        self.takeover.commit(followed)
+        drive = required(sent.drive)
+        self.ramp.commit(required(sent.tau), self._rate, np.asarray(drive.mode == ControlMode.TORQUE))
+        self.takeover.commit(drive)
 
     def hold(self, ids: Bools, q: Floats) -> None:
         """Put robots at rest, as `Smoother.hold`, with the stiff drives of a stop."""

@@ -134,6 +134,11 @@ class Smoother(Stage):
         """(B,) robots whose last sent setpoint is at rest."""
         return np.asarray(np.maximum(np.abs(self.qd), np.abs(self.qdd)).max(axis=1) < REST)
 
+    @property
+    def stopped(self) -> Bools:
+        """(B,) robots at rest whose power may be cut."""
+        return self.at_rest
+
 
 class VelocitySmoother(Smoother):
     """Smoother of robots in velocity mode: targets are speeds, rad/s; the planner keeps angles in their range."""

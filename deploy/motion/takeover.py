@@ -21,6 +21,8 @@ DAMPING_POWER = 0.25
 difference in speed first, then pulls the joint to its angle."""
 RANGE_SHARE = 0.9
 """Share of its motor's range up to which a drive stiffens. Damping alone may take as much, and is not reduced."""
+FALL = 0.8
+"""Share of its stiffness that a drive keeps from a tick to the next: one noisy estimate must not make it soft."""
 TINY_RAD = 1e-9
 """rad. A smaller error needs no limit of stiffness."""
 
@@ -30,14 +32,16 @@ class Takeover(Stage):
 
     Attributes:
         held: (B,) ticks for which drives have followed angles, up to those of `TAKEOVER_S`.
+        kp: (B, n) N·m/rad, stiffness of the drives sent last, were they those of a stop.
     """
 
-    carried: ClassVar[tuple[str, ...]] = ("held",)
+    carried: ClassVar[tuple[str, ...]] = ("held", "kp")
 
     def __init__(self, spec: RobotSpec, policy: DriveMode, stop: DriveMode) -> None:
-        self._stop, self._free, self._ticks = stop, policy.kp == 0.0, round(TAKEOVER_S / spec.dt)
-        self._torque = RANGE_SHARE * torque_max(spec)
-        self.held = np.full(len(stop.mode), self._ticks)
+        self._policy, self._stop, self._free = policy, stop, policy.kp == 0.0
+        self._ticks, self._torque = round(TAKEOVER_S / spec.dt), RANGE_SHARE * torque_max(spec)
+        self._rise = TAKEOVER_SHARE ** (-1.0 / self._ticks)
+        self.held, self.kp = np.full(len(stop.mode), self._ticks), stop.kp.copy()
 
     @property
     def drive(self) -> DriveMode:
@@ -53,7 +57,8 @@ class Takeover(Stage):
 
             |tau + kp (q* − q) + kd (q̇* − q̇)| <= RANGE_SHARE of the range
 
-        A state that is not finite limits nothing.
+        by the estimate. That has noise: whatever it says, kp rises by no more in a tick than without this limit, and
+        keeps `FALL` of what was sent last. A state that is not finite limits nothing.
 
         Args:
             stop: setpoints to be sent. state: the estimate. tau: (B, n) N·m, fed forward last.
@@ -61,12 +66,17 @@ class Takeover(Stage):
         drive, error = self.drive, stop.q - state.q
         left = self._torque - np.sign(error) * (tau + drive.kd * (stop.qd - state.qd))
         kp = np.fmin(drive.kp, left / np.maximum(np.abs(error), TINY_RAD))
-        return drive._replace(kp=np.maximum(kp, TAKEOVER_SHARE * self._stop.kp))
+        kp = np.clip(kp, FALL * self.kp, self._rise * self.kp)
+        return drive._replace(kp=np.clip(kp, TAKEOVER_SHARE * self._stop.kp, drive.kp))
+
+    def drive_after(self, sent: DriveMode) -> DriveMode:
+        """Return drives of robots whose stop begins when the drives `sent` were those of the last setpoint."""
+        return self._after(np.where(sent.mode == self._policy.mode, 0, self.held))
 
     @property
-    def first_drive(self) -> DriveMode:
-        """Drives of a robot whose stop begins."""
-        return self._after(np.zeros_like(self.held))
+    def complete(self) -> Bools:
+        """(B,) robots whose drives have followed angles for `TAKEOVER_S`."""
+        return np.asarray(self.held == self._ticks)
 
     def _after(self, held: Ints) -> DriveMode:
         """Return position drives that have been so for `held` (B,) ticks."""
@@ -77,8 +87,10 @@ class Takeover(Stage):
 
     def end(self, ids: Bools) -> None:
         """Drives of robots in `ids` (B,) have their whole stiffness."""
-        self.held[ids] = self._ticks
+        self.held[ids], self.kp[ids] = self._ticks, self._stop.kp[ids]
 
-    def commit(self, followed: Bools) -> None:
-        """Count a tick in which robots `followed` (B,) the policy, and others an angle."""
+    def commit(self, sent: DriveMode) -> None:
+        """Count a tick in which robots had the drives `sent`: those of the policy, or of a stop."""
+        followed = sent.mode == self._policy.mode
         self.held[:] = np.where(followed, 0, np.minimum(self.held + 1, self._ticks))
+        self.kp[:] = np.where(followed[:, None], TAKEOVER_SHARE * self._stop.kp, sent.kp)

@@ -78,22 +78,24 @@ class Supervisor(Stage):
         self._enter(ids, _LATCHED)
         self.reason[ids] |= np.int64(reason)
 
-    def step(self, reason: Ints, at_rest: Bools) -> Bools:
+    def step(self, reason: Ints, at_rest: Bools, stopped: Bools) -> Bools:
         """Advance every robot; return (B,) whether its setpoint may be sent (others take the planned stop).
 
         Args:
             reason: (B,) bit sets against the setpoint, 0 where it is accepted.
             at_rest: (B,) whether the last sent setpoint is at rest.
+            stopped: (B,) whether, at rest, power may be cut.
         """
         self.since += 1
         running = self.running
         refused: Bools = reason != 0
         if not all_true(running) or any_true(refused):
-            self._change_modes(reason, refused, running, at_rest)
+            self._change_modes(reason, refused, at_rest, stopped)
         return ~(running & refused)
 
-    def _change_modes(self, reason: Ints, refused: Bools, running: Bools, at_rest: Bools) -> None:
+    def _change_modes(self, reason: Ints, refused: Bools, at_rest: Bools, stopped: Bools) -> None:
         """Take every transition but staying in RUNNING, one a tick; a cut of power replaces any other."""
+        running = self.running
         latches = (self.reason & _LATCHING) != 0
         stopping, holding, arming = (self.mode == m for m in (_STOPPING, _HOLDING, _ARMING))
         self.reason |= np.where(self.powered & ~(running & ~refused), reason, 0)
@@ -101,9 +103,9 @@ class Supervisor(Stage):
         self._enter(arming & refused, _STOPPING)
         self._enter(arming & ~refused & (self.since >= self._arming), _RUNNING)
         self._enter(running & refused, _STOPPING)
-        self._enter(stopping & at_rest & latches, _LATCHED)
+        self._enter(stopping & stopped & latches, _LATCHED)
         self._enter(stopping & at_rest & ~latches, _HOLDING)
-        self._enter(holding & latches, _LATCHED)
+        self._enter(holding & stopped & latches, _LATCHED)
         self._enter(holding & ~latches & ~refused & (self.since >= self._hold), _RUNNING)
         self._enter(self.powered & ((reason & _AT_ONCE) != 0), _LATCHED)
 

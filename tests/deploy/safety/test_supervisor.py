@@ -20,8 +20,8 @@ def one(mode=Mode.DISARMED, reason=0, since=0):
     return supervisor
 
 
-def after(supervisor, reason=0, at_rest=True):
-    obey = supervisor.step(np.array([reason]), np.array([at_rest]))
+def after(supervisor, reason=0, at_rest=True, taken_over=True):
+    obey = supervisor.step(np.array([reason]), np.array([at_rest]), np.array([at_rest and taken_over]))
     return Mode(supervisor.mode[0]), bool(obey[0])
 
 
@@ -55,6 +55,17 @@ def after(supervisor, reason=0, at_rest=True):
 )
 def test_every_transition(mode, held, since, reason, at_rest, expected, obeys):
     assert after(one(Mode[mode], held, since), reason, at_rest) == (Mode[expected], obeys)
+
+
+def test_power_is_cut_only_once_drives_have_taken_over():
+    """A robot at rest whose drives are still soft may hold, and run again, but not fall into its brakes."""
+    for mode in (Mode.STOPPING, Mode.HOLDING):
+        supervisor = one(mode, HARD)
+        assert [after(supervisor, taken_over=False)[0] for _ in range(2 * HOLD)] == [mode] * 2 * HOLD
+        assert after(supervisor)[0] == Mode.LATCHED
+    supervisor = one(Mode.STOPPING, SOFT)
+    modes = [after(supervisor, taken_over=False)[0] for _ in range(1 + HOLD)]
+    assert modes == [Mode.HOLDING] * HOLD + [Mode.RUNNING]
 
 
 def test_transitions_of_a_whole_run():
@@ -122,7 +133,7 @@ def test_reasons_are_recorded_for_the_robots_that_they_stop_alone():
     """One robot of three: the others run and have no power."""
     supervisor = Supervisor(3, DT)
     supervisor.mode[:] = Mode.RUNNING, Mode.RUNNING, Mode.DISARMED
-    supervisor.step(np.array([0, SOFT, HARD]), np.ones(3, dtype=bool))
+    supervisor.step(np.array([0, SOFT, HARD]), *np.ones((2, 3), dtype=bool))
     assert supervisor.mode.tolist() == [Mode.RUNNING, Mode.STOPPING, Mode.DISARMED]
     assert supervisor.reason.tolist() == [0, SOFT, 0]
 
@@ -190,7 +201,8 @@ def test_disarm_cuts_power_in_every_mode():
         assert supervisor.mode[0] == Mode.DISARMED
 
 
-def check_invariants(before, reason_before, after_mode, reason, at_rest, obey):
+def check_invariants(before, reason_before, after_mode, reason, rest, obey):
+    at_rest, stopped = rest
     running, refused = before == Mode.RUNNING, reason != 0
     assert obey == (not (running and refused))
     if reason & FALL and before not in (Mode.DISARMED, Mode.LATCHED):
@@ -203,30 +215,32 @@ def check_invariants(before, reason_before, after_mode, reason, at_rest, obey):
         assert not refused
     if after_mode == Mode.LATCHED:
         assert before in (Mode.STOPPING, Mode.HOLDING, Mode.LATCHED)
-        assert before != Mode.STOPPING or at_rest
+        assert before == Mode.LATCHED or stopped
         assert reason_before & int(LATCHING) or before == Mode.LATCHED
     if before in (Mode.DISARMED, Mode.LATCHED):
         assert after_mode == before
     if before == Mode.STOPPING:
-        assert (after_mode == Mode.STOPPING) == (not at_rest)
+        assert (after_mode == Mode.STOPPING) == (not (stopped if reason_before & LATCHING else at_rest))
 
 
 @pytest.mark.slow
 def test_all_short_input_sequences():
-    """All 6^5 sequences of (reason, rest) from RUNNING keep the invariants."""
-    steps = list(itertools.product((0, SOFT, HARD), (True, False)))
+    """All 9^5 sequences of (reason, rest, end of a stop) from RUNNING keep the invariants."""
+    rests = ((False, False), (True, False), (True, True))
+    steps = [(reason, *rest) for reason, rest in itertools.product((0, SOFT, HARD), rests)]
     histories = np.array(list(itertools.product(range(len(steps)), repeat=5)))
     supervisor = Supervisor(len(histories), DT, arming_s=ARMING * DT, hold_s=2 * DT)
     supervisor.mode[:] = Mode.RUNNING
     hard_seen = np.zeros(len(histories), dtype=bool)
     for choice in histories.T:
-        reason = np.array([step[0] for step in steps])[choice]
-        at_rest = np.array([step[1] for step in steps])[choice]
+        reason, at_rest, stopped = (np.array(column)[choice] for column in zip(*steps, strict=True))
         before, held = supervisor.mode.copy(), supervisor.reason.copy()
-        obey = supervisor.step(reason, at_rest)
+        obey = supervisor.step(reason, at_rest, stopped)
         hard_seen |= (reason == HARD) & (before != Mode.LATCHED)
         for i in range(len(histories)):
-            check_invariants(before[i], held[i], supervisor.mode[i], reason[i], at_rest[i], obey[i])
+            check_invariants(
+                before[i], held[i], supervisor.mode[i], reason[i], (at_rest[i], stopped[i]), obey[i]
+            )
         assert not (hard_seen & (supervisor.mode == Mode.RUNNING)).any()
         off = (supervisor.mode == Mode.LATCHED) | (supervisor.mode == Mode.DISARMED)
         np.testing.assert_array_equal(supervisor.powered, ~off)
@@ -237,21 +251,24 @@ def test_all_short_input_sequences():
 @given(
     history=st.lists(
         st.tuples(
-            st.sampled_from([0, 0, SOFT, HARD, SOFT | HARD, FALL]), st.booleans(), st.sampled_from("   ad")
+            st.sampled_from([0, 0, SOFT, HARD, SOFT | HARD, FALL]),
+            st.booleans(),
+            st.booleans(),
+            st.sampled_from("   ad"),
         ),
         max_size=60,
     )
 )
 def test_long_input_sequences_with_an_operator(history):
     supervisor = one()
-    for reason, at_rest, key in history:
+    for reason, at_rest, taken_over, key in history:
         if key == "a":
             supervisor.arm(YES)
         if key == "d":
             supervisor.disarm(YES)
         before, held = Mode(supervisor.mode[0]), int(supervisor.reason[0])
-        mode, obey = after(supervisor, reason, at_rest)
-        check_invariants(before, held, mode, reason, at_rest, obey)
+        mode, obey = after(supervisor, reason, at_rest, taken_over)
+        check_invariants(before, held, mode, reason, (at_rest, at_rest and taken_over), obey)
 
 
 def test_robots_do_not_touch_each_other():
@@ -261,9 +278,9 @@ def test_robots_do_not_touch_each_other():
         supervisor.arm(YES)
     for _ in range(300):
         reason, rest = rng.choice([0, 0, 0, 0, SOFT, HARD], 8), rng.random(8) < 0.7
-        obey = many.step(reason, rest)
+        obey = many.step(reason, rest, rest)
         for i, supervisor in enumerate(alone):
-            one_obeys = supervisor.step(reason[i : i + 1], rest[i : i + 1])
+            one_obeys = supervisor.step(reason[i : i + 1], *[rest[i : i + 1]] * 2)
             assert (supervisor.mode[0], supervisor.reason[0], one_obeys[0]) == (
                 many.mode[i],
                 many.reason[i],
@@ -276,11 +293,11 @@ def test_saved_and_restored():
     first.arm(np.ones(4, dtype=bool))
     for k in range(100):
         reason, rest = rng.choice([0, 0, 0, SOFT], 4), rng.random(4) < 0.7
-        first.step(reason, rest)
+        first.step(reason, rest, rest)
         if k == 40:
             second.restore(first.save())
         elif k > 40:
-            second.step(reason, rest)
+            second.step(reason, rest, rest)
             np.testing.assert_array_equal(second.mode, first.mode)
             np.testing.assert_array_equal(second.since, first.since)
 
