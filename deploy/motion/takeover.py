@@ -8,17 +8,19 @@ from deploy.masks import any_true
 from deploy.stage import Stage
 from deploy.state import DriveMode, Setpoint, State
 from robots.arrays import Bools, Floats, Ints
+from robots.models.joint_inertia import joint_inertia
 from robots.models.nominal_model import torque_max
 from robots.spec import RobotSpec
 
 TAKEOVER_S = 0.3
 """s in which the drives of a stop reach their stiffness: the estimate that a stop begins at has noise, and lags behind
 an arm that is pushed. At full stiffness some milliradians are all the torque that a motor has."""
-TAKEOVER_SHARE = 0.01
-"""Share of its stiffness that a drive begins with."""
-DAMPING_POWER = 0.25
-"""Power of that share, the share of its damping: with 0.5 the damping ratio would stay. With less, a drive removes the
-difference in speed first, then pulls the joint to its angle."""
+TAKEOVER_SHARE, DAMPING_SHARE = 0.01, 0.316
+"""Shares of its stiffness and its damping that a drive begins with. With 0.1 of the damping the damping ratio would
+stay; with more, a drive removes the difference in speed first, then pulls the joint to its angle."""
+DAMPING_RATE = 60.0
+"""1/s. Most damping that a drive begins with, per inertia of its joint. An estimate is up to 60 ms behind a push, with
+late and lost packets: damping then takes up to 3.6 times the push, which has 0.3 of the range at most."""
 RANGE_SHARE = 0.9
 """Share of its motor's range up to which a drive stiffens. Damping alone may take as much, and is not reduced."""
 FALL = 0.8
@@ -41,6 +43,7 @@ class Takeover(Stage):
         self._policy, self._stop, self._free = policy, stop, policy.kp == 0.0
         self._ticks, self._torque = round(TAKEOVER_S / spec.dt), RANGE_SHARE * torque_max(spec)
         self._rise = TAKEOVER_SHARE ** (-1.0 / self._ticks)
+        self._damping = np.minimum(DAMPING_SHARE, DAMPING_RATE * joint_inertia(spec).most / stop.kd[0])
         self.held, self.kp = np.full(len(stop.mode), self._ticks), stop.kp.copy()
 
     @property
@@ -82,8 +85,9 @@ class Takeover(Stage):
         """Return position drives that have been so for `held` (B,) ticks."""
         if not any_true(held < self._ticks):
             return self._stop
-        share = np.where(self._free, TAKEOVER_SHARE ** (1.0 - held / self._ticks)[:, None], 1.0)
-        return self._stop._replace(kp=self._stop.kp * share, kd=self._stop.kd * share**DAMPING_POWER)
+        left = np.where(self._free, (1.0 - held / self._ticks)[:, None], 0.0)
+        kp, kd = self._stop.kp * TAKEOVER_SHARE**left, self._stop.kd * self._damping**left
+        return self._stop._replace(kp=kp, kd=kd)
 
     def end(self, ids: Bools) -> None:
         """Drives of robots in `ids` (B,) have their whole stiffness."""

@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 
 from deploy.motion.drive_modes import drive_modes
-from deploy.motion.takeover import DAMPING_POWER, FALL, RANGE_SHARE, TAKEOVER_S, TAKEOVER_SHARE, Takeover
+from deploy.motion.takeover import (
+    DAMPING_RATE,
+    DAMPING_SHARE,
+    FALL,
+    RANGE_SHARE,
+    TAKEOVER_S,
+    TAKEOVER_SHARE,
+    Takeover,
+)
 from deploy.state import DriveMode, Setpoint
+from robots.models.joint_inertia import joint_inertia
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
 from robots.motors.drive_gains import drive_gains
@@ -17,6 +26,8 @@ from support.arm6 import SPEC
 N, ROBOTS = SPEC.n, 3
 TICKS = round(TAKEOVER_S / SPEC.dt)
 OWN = drive_gains(SPEC)
+DAMPING = np.minimum(DAMPING_SHARE, DAMPING_RATE * joint_inertia(SPEC).most / OWN.kd)
+"""Shares of their damping that drives begin with."""
 TORQUE = drive_modes(SPEC, ControlMode.TORQUE, None, ROBOTS)
 
 
@@ -42,12 +53,11 @@ def test_stiffness_and_damping_grow_by_the_same_factors_in_each_tick():
     takeover = taking_over()
     takeover.commit(TORQUE.policy)
     for tick in range(TICKS + 3):
-        share = TAKEOVER_SHARE ** max(0.0, 1.0 - tick / TICKS)
+        left = max(0.0, 1.0 - tick / TICKS)
         assert takeover.held.tolist() == [min(tick, TICKS)] * ROBOTS
-        np.testing.assert_allclose(takeover.drive.kp, np.tile(share * OWN.kp, (ROBOTS, 1)), rtol=1e-12)
-        np.testing.assert_allclose(
-            takeover.drive.kd, np.tile(share**DAMPING_POWER * OWN.kd, (ROBOTS, 1)), rtol=1e-12
-        )
+        kp, kd = OWN.kp * TAKEOVER_SHARE**left, OWN.kd * DAMPING**left
+        np.testing.assert_allclose(takeover.drive.kp, np.tile(kp, (ROBOTS, 1)), rtol=1e-12)
+        np.testing.assert_allclose(takeover.drive.kd, np.tile(kd, (ROBOTS, 1)), rtol=1e-12)
         assert (takeover.drive.mode == ControlMode.POSITION).all()
         assert takeover.complete.tolist() == [tick >= TICKS] * ROBOTS
         takeover.commit(takeover.drive)
@@ -56,9 +66,15 @@ def test_stiffness_and_damping_grow_by_the_same_factors_in_each_tick():
 def test_a_stop_begins_soft_after_torques_and_stays_stiff_after_angles():
     takeover = taking_over()
     drive = takeover.drive_after(drives_of([True, False, True]))
-    share = np.array([TAKEOVER_SHARE, 1.0, TAKEOVER_SHARE])[:, None]
-    np.testing.assert_allclose(drive.kp, share * OWN.kp, rtol=1e-12)
-    np.testing.assert_allclose(drive.kd, share**DAMPING_POWER * OWN.kd, rtol=1e-12)
+    begins = np.array([1.0, 0.0, 1.0])[:, None]
+    np.testing.assert_allclose(drive.kp, OWN.kp * TAKEOVER_SHARE**begins, rtol=1e-12)
+    np.testing.assert_allclose(drive.kd, OWN.kd * DAMPING**begins, rtol=1e-12)
+
+
+def test_a_light_joint_begins_with_less_damping():
+    """A push moves it by more than its estimate, and the damping of that has all of its motor's torque."""
+    assert (DAMPING[3:] < 0.5 * DAMPING_SHARE).all()
+    assert (DAMPING[:2] == DAMPING_SHARE).all()
 
 
 def test_robots_take_over_on_their_own():
@@ -75,11 +91,10 @@ def test_joints_that_held_their_angle_stay_stiff():
     drives = drive_modes(SPEC, ControlMode.VELOCITY, wheel, ROBOTS)
     takeover = taking_over(drives)
     takeover.commit(drives.policy)
-    share = np.where(np.arange(N) == 5, TAKEOVER_SHARE, 1.0)
-    np.testing.assert_allclose(takeover.drive.kp, np.tile(share * OWN.kp, (ROBOTS, 1)), rtol=1e-12)
-    np.testing.assert_allclose(
-        takeover.drive.kd, np.tile(share**DAMPING_POWER * OWN.kd, (ROBOTS, 1)), rtol=1e-12
-    )
+    begins = np.where(np.arange(N) == 5, 1.0, 0.0)
+    kp, kd = OWN.kp * TAKEOVER_SHARE**begins, OWN.kd * DAMPING**begins
+    np.testing.assert_allclose(takeover.drive.kp, np.tile(kp, (ROBOTS, 1)), rtol=1e-12)
+    np.testing.assert_allclose(takeover.drive.kd, np.tile(kd, (ROBOTS, 1)), rtol=1e-12)
 
 
 MOST = RANGE_SHARE * torque_max(SPEC)
