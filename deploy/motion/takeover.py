@@ -34,7 +34,7 @@ class Takeover(Stage):
 
     Attributes:
         held: (B,) ticks for which drives have followed angles, up to those of `TAKEOVER_S`.
-        kp: (B, n) N·m/rad, stiffness of the drives sent last, were they those of a stop.
+        kp: (B, n) N·m/rad, stiffness of the drives sent last.
     """
 
     carried: ClassVar[tuple[str, ...]] = ("held", "kp")
@@ -43,7 +43,7 @@ class Takeover(Stage):
         self._policy, self._stop, self._free = policy, stop, policy.kp == 0.0
         self._ticks, self._torque = round(TAKEOVER_S / spec.dt), RANGE_SHARE * torque_max(spec)
         self._rise = TAKEOVER_SHARE ** (-1.0 / self._ticks)
-        self._damping = np.minimum(DAMPING_SHARE, DAMPING_RATE * joint_inertia(spec).most / stop.kd[0])
+        self._damping = np.minimum(DAMPING_SHARE, DAMPING_RATE * joint_inertia(spec).most / stop.kd)
         self.held, self.kp = np.full(len(stop.mode), self._ticks), stop.kp.copy()
 
     @property
@@ -70,7 +70,7 @@ class Takeover(Stage):
         left = self._torque - np.sign(error) * (tau + drive.kd * (stop.qd - state.qd))
         kp = np.fmin(drive.kp, left / np.maximum(np.abs(error), TINY_RAD))
         kp = np.clip(kp, FALL * self.kp, self._rise * self.kp)
-        return drive._replace(kp=np.clip(kp, TAKEOVER_SHARE * self._stop.kp, drive.kp))
+        return drive._replace(kp=np.maximum(kp, TAKEOVER_SHARE * self._stop.kp))
 
     def drive_after(self, sent: DriveMode) -> DriveMode:
         """Return drives of robots whose stop begins when the drives `sent` were those of the last setpoint."""
@@ -97,4 +97,4 @@ class Takeover(Stage):
         """Count a tick in which robots had the drives `sent`: those of the policy, or of a stop."""
         followed = sent.mode == self._policy.mode
         self.held[:] = np.where(followed, 0, np.minimum(self.held + 1, self._ticks))
-        self.kp[:] = np.where(followed[:, None], TAKEOVER_SHARE * self._stop.kp, sent.kp)
+        self.kp[:] = sent.kp
