@@ -43,7 +43,8 @@ class Takeover(Stage):
         self._policy, self._stop, self._free = policy, stop, policy.kp == 0.0
         self._ticks, self._torque = round(TAKEOVER_S / spec.dt), RANGE_SHARE * torque_max(spec)
         self._rise = TAKEOVER_SHARE ** (-1.0 / self._ticks)
-        self._damping = np.minimum(DAMPING_SHARE, DAMPING_RATE * joint_inertia(spec).most / stop.kd)
+        most = DAMPING_RATE * joint_inertia(spec).most
+        self._damping = DAMPING_SHARE * most / np.maximum(DAMPING_SHARE * stop.kd, most)
         self.held, self.kp = np.full(len(stop.mode), self._ticks), stop.kp.copy()
 
     @property
