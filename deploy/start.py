@@ -49,10 +49,12 @@ ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONIOENCODING": "utf-8",
     "GIT_PYTHON_REFRESH": "quiet",
+    "ORT_DISABLE_TELEMETRY": "1",
 }
 """For this process and its children: no module is imported from the working directory, which may be a robot's folder
 that somebody else has written; plots are files, and no settings of a user's change them; no tick waits for a thread of
-numpy's; children write, and libraries' children read, text as UTF-8; GitPython is imported without git."""
+numpy's; children write, and libraries' children read, text as UTF-8; GitPython is imported without git;
+ONNX Runtime sends nothing to its vendor, whoever imports it."""
 NOT_WANTED = "TORCH_LOGS|GIT_PYTHON_GIT_EXECUTABLE|_.*_COMPLETE"
 """Pattern of names of variables: torch fails at an unknown log, GitPython at a program that is no git, and typer
 answers a shell instead of running."""

@@ -11,6 +11,9 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # Threads of torch that wait for each other sleep: otherwise they take the cores from other tests' processes.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
+# Tests import ONNX Runtime by themselves.
+os.environ["ORT_DISABLE_TELEMETRY"] = "1"
+
 import numpy as np
 import pytest
 

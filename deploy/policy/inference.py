@@ -1,12 +1,17 @@
-"""The one place where ONNX Runtime loads a model, after its memory and work were bounded."""
+"""The one place where ONNX Runtime is imported, without telemetry, and loads a model, whose work was bounded first."""
 
+import os
 from collections.abc import Sequence
-
-import onnxruntime as ort
 
 from deploy.policy.graph_bounds import check_bounds
 from deploy.policy.onnx_graph import decode, shortened
 from robots.errors import ContractError
+
+os.environ["ORT_DISABLE_TELEMETRY"] = (
+    "1"  # read at the import: its own function to switch it off comes too late
+)
+
+import onnxruntime as ort
 
 BATCHES = (1, 64)
 """Robots in a step for which a policy is checked: one, and many."""

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import onnxruntime as ort
 import pinocchio as pin
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from ruckig import InputParameter, OutputParameter, Ruckig
 
 from deploy.policy.contract import Contract
+from deploy.policy.inference import load_session
 from robots.arrays import Floats
 from robots.models.collisions import collision_pairs
 from robots.models.mujoco_model import load_mujoco
@@ -39,7 +39,7 @@ class LibraryLoop:
         self._pin_data, self._shapes_data = self._pin.createData(), self._shapes.createData()
         densities = spec.joint_array("acceleration_density")
         self._filters = [_filter(spec, *joint) for joint in zip(self._home, densities, strict=True)]
-        self._session = ort.InferenceSession(str(policy), providers=["CPUExecutionProvider"])
+        self._session = load_session(policy.read_bytes(), str(policy))
         self._observation = np.zeros((1, contract.observation_size), dtype=np.float32)
         self._otg, self._in, self._out = _smoother(spec, self._home)
         self.target = self._home.copy()
