@@ -1,5 +1,6 @@
 """Recorder of one robot: a decimated stream of the whole run, and every tick of the seconds around an event."""
 
+import re
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +14,8 @@ from deploy.telemetry.signals import Ring, row_type
 from robots.errors import OutputError, output_error
 
 STREAM, STREAM_HZ = "run.mcap", 50
+EVENT = r"event-[0-9]+\.mcap"
+"""Pattern of the names of events: a file with another name is the user's."""
 AFTER_S = 0.5
 """Share of the ring that comes after the event: the stop itself."""
 ROWS_PER_TICK = 4
@@ -22,7 +25,8 @@ EVENTS_MAX = 20
 
 def former_files(folder: Path) -> tuple[Path, ...]:
     """Return the files of a recording, and of its run's summary, that a new one in `folder` replaces."""
-    return (*folder.glob("event-*.mcap"), folder / STREAM, folder / "summary.json")
+    events = [path for path in folder.glob("event-*.mcap") if re.fullmatch(EVENT, path.name)]
+    return (*events, folder / STREAM, folder / "summary.json")
 
 
 class Recorder:
@@ -53,9 +57,12 @@ class Recorder:
         self._stream = self._opened()
 
     def _opened(self) -> Recording:
-        path = self._folder / STREAM
+        path, replaced = self._folder / STREAM, former_files(self._folder)
+        for former in replaced:  # all of them before the first is deleted
+            if former.is_dir() and not former.is_symlink():
+                raise OutputError(f"--out {former}: found a folder, expected a file or nothing")
         try:
-            for former in former_files(self._folder):
+            for former in replaced:
                 former.unlink(missing_ok=True)
         except OSError as e:
             raise OutputError(f"--out {self._folder}: {former.name} cannot be removed: {e.strerror}") from e

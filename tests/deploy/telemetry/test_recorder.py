@@ -274,9 +274,11 @@ def test_the_ring_holds_the_last_ticks_of_every_robot(robots):
 
 def test_only_files_of_a_former_run_are_replaced(tmp_path):
     record(tmp_path, 700, stops={10: Reason.STALE, 400: Reason.STALE})
-    (tmp_path / "notes.txt").write_text("mine")
+    mine = {"notes.txt", "event-birthday.mcap", "event-.mcap", "event-\u0663.mcap"}
+    for name in mine:
+        (tmp_path / name).write_text("mine")
     writer = record(tmp_path, 700, stops={20: Reason.STALE})
-    assert {path.name for path in tmp_path.iterdir()} == {"run.mcap", "event-20.mcap", "notes.txt"}
+    assert {path.name for path in tmp_path.iterdir()} == {"run.mcap", "event-20.mcap", *mine}
     assert len(messages(writer.path)["/measured"]) == 175
 
 
@@ -296,10 +298,15 @@ def test_valid_folder_is_left_unchanged(tmp_path):
     assert list((tmp_path / "a" / "b").iterdir()) == []
 
 
-def test_a_recording_that_cannot_be_opened_is_refused(tmp_path):
-    (tmp_path / "run.mcap").mkdir()
-    with pytest.raises(OutputError, match=r"run.mcap cannot be removed: Is a directory"):
+@pytest.mark.parametrize("name", ["run.mcap", "event-7.mcap", "summary.json"])
+def test_a_folder_in_the_place_of_a_former_file_is_refused_and_the_others_remain(tmp_path, name):
+    names = {"run.mcap", "event-7.mcap", "event-9.mcap", "summary.json"}
+    for each in names - {name}:
+        (tmp_path / each).write_text("former")
+    (tmp_path / name).mkdir()
+    with pytest.raises(OutputError, match=f"--out {tmp_path / name}: found a folder, expected a file or"):
         recorder(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == names
 
 
 def test_a_link_or_a_pipe_in_the_place_of_the_recording_is_replaced(tmp_path):
