@@ -32,7 +32,11 @@ def main(*commands: Callable[..., int]) -> None:
         app.command()(_guarded(command))
     requests = [each for each in REQUESTS if signal.getsignal(each) is signal.SIG_DFL]
     with handled(interrupt, requests), raised_again():
-        app()
+        try:
+            app()
+        finally:
+            for stream in filter(None, (sys.stdout, sys.stderr)):
+                stream.flush()  # now, while a request to end still ends what waits for a reader
 
 
 def _guarded(command: Callable[..., int]) -> Callable[..., None]:

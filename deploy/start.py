@@ -8,6 +8,7 @@ import io
 import os
 import re
 import resource
+import select
 import signal
 import sys
 import traceback
@@ -68,17 +69,28 @@ FAIL = ("strict", "surrogateescape")
 
 
 class _StandardOutput(io.FileIO):
-    """Standard output or error that raises nothing when its reader is gone or its disk is full."""
+    """Standard output or error that raises nothing when its reader is gone or its disk is full.
+
+    A signal that interrupts a write for which nobody makes room ends all writing: no later one waits again.
+    """
 
     def write(self, data: Any, /) -> int:
         """Write bytes. After the first failure, warn once on standard error and discard the rest."""
         try:
             return super().write(data)
+        except KeyboardInterrupt:
+            if not select.select((), (self,), (), 0)[1]:
+                self._discard()
+            raise
         except OSError as e:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+            self._discard()
             if sys.stderr is not None and self.fileno() != sys.stderr.fileno():
                 print(f"warning: standard output cannot be written: {e.strerror}", file=sys.stderr)
             return memoryview(data).nbytes
+
+    def _discard(self) -> None:
+        """Discard all that is written from now on."""
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
 
 
 def start(module: str) -> None:

@@ -1,5 +1,6 @@
 """deploy-check: move each joint of a robot by itself, and compare what it does with robot.toml and the model."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.commissioning.bounds import Bounds
 from deploy.commissioning.evaluation import Evaluation
 from deploy.commissioning.moves import CheckMoves
-from deploy.commissioning.report import write_report
+from deploy.commissioning.report import show, write_report
 from deploy.operation.interrupts import Interrupts, handled
 from deploy.operation.jog import Jog, reduced_speed
 from deploy.operation.robot_run import Ending
@@ -70,14 +71,16 @@ def check(
     session, bounds, slow = Session(options, interrupts), Bounds(spec), reduced_speed(spec)
     actor = Jog(slow)
     moves = CheckMoves(actor, slow, float(np.deg2rad(angle_deg)))
-    with handled(interrupts):
+    with ExitStack() as printing_last, ExitStack() as printing, handled(interrupts):
         found = out / "check.json"
-        run = session.run(Drive(name="check", actor=actor, spec=slow, outputs=[found], watchers=[moves]))
+        drive = Drive(name="check", actor=actor, spec=slow, outputs=[found], watchers=[moves])
+        run = session.run(drive, printing)
         refused = run.reason if run.ending is Ending.REFUSED else ""
         findings = Evaluation(spec, moves, bounds, refused).findings
         if run.ending is not Ending.DONE:
             findings.stopped = findings.stopped or run.reason or (run.ending or Ending.FAILED).value
         about = {"robot": spec.name, "robot_digest": spec.digest, "angle_deg": angle_deg}
+        printing_last.callback(show, findings)
         write_report(findings, found, {**about, "seed": session.seed_text})
     if run.ending is Ending.INTERRUPTED and not run.lost:
         return INTERRUPTED

@@ -16,12 +16,11 @@ from robots.errors import OutputError, ResultLostError
 
 
 def write_report(findings: Findings, path: Path, about: dict[str, Any]) -> None:
-    """Print the table, and write JSON to `path`.
+    """Write JSON to `path`.
 
     Raises:
         ResultLostError: the file cannot be written.
     """
-    _print(findings)
     data = {"passed": findings.passed, **about, "stopped": findings.stopped}
     data["joints"] = {joint.name: _joint_data(joint) for joint in findings.joints}
     data["unverified"] = findings.unverified
@@ -42,7 +41,8 @@ def _joint_data(joint: JointFindings) -> dict[str, Any]:
     return {**head, **numbers, "mistakes": joint.mistakes}
 
 
-def _print(findings: Findings) -> None:
+def show(findings: Findings) -> None:
+    """Print the table and the verdict."""
     console = plain_console()
     table = Table(
         title="measured, and expected below it", title_justify="left", box=None, padding=(0, 1, 0, 0)

@@ -75,9 +75,9 @@ def run(
     )
     interrupts = Interrupts()
     session = Session(options, interrupts)
-    with handled(interrupts), ExitStack() as stack:
+    with ExitStack() as printing, handled(interrupts), ExitStack() as stack:
         drive = _by_hand(spec, stack) if policy == JOG else _by_policy(policy, spec)
-        finished = session.run(drive)
+        finished = session.run(drive, printing)
     return BUDGET_EXCEEDED if finished.lost else EXIT.get(finished.ending, BUDGET_EXCEEDED)
 
 

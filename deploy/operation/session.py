@@ -111,8 +111,11 @@ class Session:
         source = random_source(options.spec, options.seed, options.draw)
         self.seed_text, self._source, self._drawn, self._read = source
 
-    def run(self, drive: Drive) -> RobotRun:
-        """Drive the robot from arming to rest, write its files, and return the finished run."""
+    def run(self, drive: Drive, printing: ExitStack) -> RobotRun:
+        """Drive the robot from arming to rest, write its files, and return the finished run.
+
+        `printing` prints the summary when it closes: once signals end the process again, which may wait for a reader.
+        """
         options, action = self._options, drive.actor.contract.action
         request = Request(
             spec=options.spec,
@@ -132,7 +135,7 @@ class Session:
             self._backend.attach(robot, runtime)
             about = self._about(drive)
             recorder = Recorder(options.out, runtime, start_ns=time.time_ns(), about=about)
-            return self._execute(runtime, (recorder, heat_file), drive, viewers, about)
+            return self._execute(runtime, (recorder, heat_file), drive, viewers, about, printing)
 
     def _heat_file(self, runtime: Runtime) -> TemperatureFile:
         path, same = self._options.out / HEAT, self._options.draw is None
@@ -152,6 +155,7 @@ class Session:
         drive: Drive,
         viewers: Sequence[Watcher],
         about: dict[str, str],
+        printing: ExitStack,
     ) -> RobotRun:
         (recorder, heat_file), console = files, ConsoleProcess()
         title = drive.title or (lambda: f"{about['robot']}  {about['policy']}  {about['backend']}")
@@ -180,7 +184,7 @@ class Session:
                 show(run)
 
         def summarize() -> None:
-            run.lost = report(run, about, recorder.path.parent / "summary.json", lost())
+            run.lost = report(run, about, recorder.path.parent / "summary.json", lost(), printing)
 
         # Objects made so far stay: the garbage collector shall not visit them in the middle of a tick.
         gc.collect()

@@ -4,6 +4,7 @@ import json
 import sys
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,12 +59,15 @@ def _maximum(so_far: float | None, celsius: Floats) -> float | None:
     return hottest if so_far is None else max(so_far, hottest)
 
 
-def report(run: "RobotRun", about: Mapping[str, str], path: Path, lost: Sequence[str]) -> list[str]:
-    """Write the summary of a finished run to `path` and print it; return what of the run could not be kept.
+def report(
+    run: "RobotRun", about: Mapping[str, str], path: Path, lost: Sequence[str], printing: ExitStack
+) -> list[str]:
+    """Write the summary of a finished run to `path`; return what of the run could not be kept.
 
     Args:
         run, about: for the summary. path: of the summary.
         lost: failures of other files, in words, which are printed, too.
+        printing: prints the summary when it closes.
     """
     summary, lost = _summary(run, about), [*lost]
     try:
@@ -71,10 +75,14 @@ def report(run: "RobotRun", about: Mapping[str, str], path: Path, lost: Sequence
             partial.write_text(json.dumps(summary, indent=2) + "\n")
     except OutputError as e:
         lost.append(f"summary {e}")
+    printing.callback(_print, summary, lost)
+    return lost
+
+
+def _print(summary: Mapping[str, Any], lost: Sequence[str]) -> None:
     plain_console().print(_table(summary))
     for text in lost:
         print(printable(f"error: not kept: {text}"), file=sys.stderr)
-    return lost
 
 
 def _summary(run: "RobotRun", about: Mapping[str, str]) -> dict[str, Any]:
@@ -100,7 +108,7 @@ def _summary(run: "RobotRun", about: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
-def _table(s: dict[str, Any]) -> Table:
+def _table(s: Mapping[str, Any]) -> Table:
     late, goals, housing, winding = s["late_us"], s["goals"], s["housing_max_c"], s["winding_max_c"]
     heat = "" if None in (housing, winding) else f"{housing:.0f} °C housings, {winding:.0f} °C windings"
     rows = {

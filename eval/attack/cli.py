@@ -4,6 +4,7 @@ import os
 import signal
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -122,14 +123,18 @@ def soak_attack(
     target = guarded_monitor(without, setting.mode, Archive(spec, setting.mode).hard) if without else ""
     budget = Budget(seconds=60.0 * minutes, generations=generations)
     _check_folder(out)
-    with locked(out), workers(setting, processes) as pool:
+    with ExitStack() as printing, locked(out), workers(setting, processes) as pool:
         delete_bundles(out / UNFINISHED, finished=True)
         search, console = _search(spec, setting, pool, seed, target), plain_console()
         with handled(signal.SIG_IGN):  # `_run` and `_write_bundles` handle them
             finished = _run(search, budget, console)
             found = {} if setting.without else _worst(search.archive)
-            bundles = _write_bundles(found, pool, out, console)
+            notes = [f"writing {len(found)} bundles"]
+            if not finished:
+                notes.insert(0, "interrupted: the report covers what was tried so far")
+            bundles = _write_bundles(found, pool, out, console, notes)
             report = make_report(spec, setting, seed, search.archive, bundles)
+            printing.callback(_print, report, out, complete=len(bundles) == len(found))
             _write(report, [case_of(spec, setting, *each) for each in found.items()], out)
         if not finished or len(bundles) < len(found):
             raise KeyboardInterrupt  # workers need not finish what they do
@@ -158,16 +163,13 @@ def _check_folder(out: Path) -> None:
 def _run(search: Search, budget: Budget, console: Console) -> bool:
     """Search until the budget is used up, or a target of one monitor is hit; return False if it was interrupted."""
     began, number = time.monotonic(), 0
-    try:
-        with handled(interrupt), Progress(*COLUMNS, console=console) as bar:
-            shown = bar.add_task("the library", total=1.0)
-            for number, _ in enumerate(search.run(), start=1):
-                used = budget.progress(number, time.monotonic() - began)
-                bar.update(shown, completed=used, description=_state(search.archive))
-                if used >= 1.0 or (len(search.targets) == 1 and search.targets[0] in search.archive.hits):
-                    return True
-    except KeyboardInterrupt:
-        console.print("interrupted: the report covers what was tried so far")
+    with suppress(KeyboardInterrupt), handled(interrupt), Progress(*COLUMNS, console=console) as bar:
+        shown = bar.add_task("the library", total=1.0)
+        for number, _ in enumerate(search.run(), start=1):
+            used = budget.progress(number, time.monotonic() - began)
+            bar.update(shown, completed=used, description=_state(search.archive))
+            if used >= 1.0 or (len(search.targets) == 1 and search.targets[0] in search.archive.hits):
+                return True
     return False
 
 
@@ -183,16 +185,15 @@ def _worst(archive: Archive) -> dict[str, Found]:
     return {name: worst[name] for name in archive.hard if name in worst and worst[name].ratio > 0.0}
 
 
-def _write_bundles(found: dict[str, Found], pool: Workers, out: Path, console: Console) -> dict[str, Bundle]:
-    """Replace the bundles in `out`, which takes minutes; return them by monitor: fewer if it was interrupted."""
+def _write_bundles(
+    found: dict[str, Found], pool: Workers, out: Path, console: Console, notes: Sequence[str]
+) -> dict[str, Bundle]:
+    """Print notes; replace the bundles in `out`, which takes minutes; return them by monitor, fewer if interrupted."""
     bundles = dict[str, Bundle]()
-    console.print(f"writing {len(found)} bundles")
-    try:
-        with handled(interrupt):
-            for name, bundle in pool.write_bundles(found, out / UNFINISHED):
-                bundles[name] = bundle
-    except KeyboardInterrupt:
-        console.print("interrupted: the report covers the bundles written so far")
+    with suppress(KeyboardInterrupt), handled(interrupt):
+        console.print("\n".join(notes))
+        for name, bundle in pool.write_bundles(found, out / UNFINISHED):
+            bundles[name] = bundle
     check_no_links(out, FOLDERS)  # made since the search began
     copy_bundles(out / UNFINISHED, out / WORST, {bundle.name for bundle in bundles.values()})
     remove_bundles(out / UNFINISHED)
@@ -200,7 +201,7 @@ def _write_bundles(found: dict[str, Found], pool: Workers, out: Path, console: C
 
 
 def _write(report: AttackReport, cases: Sequence[Case], out: Path) -> None:
-    """Write report and cases, and print the table."""
+    """Write report and cases."""
     report.write(out)
     options = f"{'-faults' if report.faults else ''}{'-gains' if report.gains else ''}"
     paths = {name: out / CASES / f"{report.robot}-{report.mode}{options}-{name}.json" for name in NAMES}
@@ -208,7 +209,13 @@ def _write(report: AttackReport, cases: Sequence[Case], out: Path) -> None:
         old.unlink(missing_ok=True)
     for case in cases:
         case.write(paths[case.monitor])
+
+
+def _print(report: AttackReport, out: Path, *, complete: bool) -> None:
+    """Print the table and the verdict, once signals end the process again, which may wait for a reader."""
     console = plain_console(width=160)
+    if not complete:
+        console.print("interrupted: the report covers the bundles written so far")
     console.print(table(report))
     console.print(
         f"{_verdict(report)}\nreport: {printable(str(out / REPORT))}", soft_wrap=True, highlight=False

@@ -1,6 +1,7 @@
 """Starts of command lines: every script of pyproject.toml has one, which no failing output ends, nor Ctrl-C loudly."""
 
 import ast
+import contextlib
 import errno
 import os
 import resource
@@ -407,3 +408,38 @@ def test_children_write_utf_8_whatever_this_process_writes(written, tmp_path):
     ended = run("parent_command", tmp_path, PYTHONIOENCODING="utf-16")
     assert (ended.returncode, ended.stderr) == (0, b"")
     assert ended.stdout.decode("utf-16") == "b'\\xc2\\xb5\\n'\n"
+
+
+BLOCKED = """
+import os
+from threading import Timer
+
+from deploy.command_line import main
+
+def fill() -> int:
+    Timer(0.2, os.kill, (os.getpid(), int(os.environ["SIGNAL"]))).start()
+    print("x" * int(os.environ["LETTERS"]))
+    return 0
+
+def cli():
+    main(fill)
+"""
+
+
+@pytest.mark.parametrize("letters", [100, 1_000_000])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_one_signal_ends_a_command_that_waits_for_the_reader_of_its_output(
+    written, tmp_path, number, letters
+):
+    """In a write, or in that of what is left in a buffer at the end."""
+    written("blocked_command", BLOCKED)
+    reader, writer = os.pipe()
+    with open(reader, "rb"), open(writer, "wb") as pipe:
+        os.set_blocking(writer, False)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(writer, b"x" * 512)
+        os.set_blocking(writer, True)
+        environment = {"SIGNAL": str(int(number)), "LETTERS": str(letters)}
+        ended = run("blocked_command", tmp_path, stdout=pipe, stderr=pipe, **environment)
+    assert ended.returncode == INTERRUPTED

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 import deploy.commissioning.cli
+import deploy.commissioning.report
 import deploy.operation.session
+import deploy.operation.summary
 from deploy.backends.sim.robot import SimRobot
 from deploy.commissioning.moves import CheckMoves
 from deploy.reasons import Reason
+from deploy.telemetry.plain_console import plain_console
 from robots.distributions import load_distributions
 from robots.draws import draw
 from robots.randomness import robot_seed
@@ -37,6 +40,22 @@ def check(call, monkeypatch, tmp_path):
         return code, said + complaint, json.loads(path.read_text()) if path.exists() else None
 
     return run
+
+
+def test_a_check_prints_once_its_files_are_complete_and_signals_end_it_again(check, tmp_path, monkeypatch):
+    """What it prints may wait for a reader."""
+    seen = []
+
+    def observed(*, console=plain_console):
+        seen.append((signal.getsignal(signal.SIGINT), {path.name for path in (tmp_path / "out").iterdir()}))
+        return console()
+
+    for module in (deploy.operation.summary, deploy.commissioning.report):
+        monkeypatch.setattr(module, "plain_console", observed)
+    before = signal.getsignal(signal.SIGINT)
+    _, said, _ = check("--robot", "planar3", "--draw", "3:0")
+    assert said.index("ended ") < said.index("measured, and expected below it")
+    assert seen == [(before, {"run.mcap", "summary.json", "heat.json", "check.json"})] * 2
 
 
 def mistakes(report):

@@ -13,6 +13,7 @@ import pytest
 
 import deploy.operation.cli
 import deploy.operation.session
+import deploy.operation.summary
 from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.robot import SimRobot
 from deploy.policy.policy import Policy
@@ -146,6 +147,23 @@ def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert (summary["ended"], summary["reason"]) == ("interrupted", "stopped by the operator")
     assert [Path(event).name for event in summary["events"]] == ["event-300.mcap"]
+
+
+def test_a_run_prints_once_its_files_are_complete_and_signals_end_it_again(
+    command, arm_policy, tmp_path, monkeypatch
+):
+    """What it prints may wait for a reader."""
+    seen = []
+
+    def observed(*, console=deploy.operation.summary.plain_console):
+        seen.append((signal.getsignal(signal.SIGINT), {path.name for path in tmp_path.iterdir()}))
+        return console()
+
+    monkeypatch.setattr(deploy.operation.summary, "plain_console", observed)
+    before = signal.getsignal(signal.SIGINT)
+    code, said, _ = command("--policy", arm_policy, "--duration", 0.1, "--speed", "max", "--out", tmp_path)
+    assert (code, said.startswith("ended          done ")) == (0, True)
+    assert seen == [(before, {"run.mcap", "summary.json", "heat.json"})]
 
 
 def test_a_recording_that_fails_at_its_end_takes_no_other_file_with_it(

@@ -7,12 +7,14 @@ import signal
 from types import SimpleNamespace
 
 import pytest
+from rich.console import Console
 
 pytest.importorskip("mujoco")
 
 import eval.attack.__main__ as suite_command
 import eval.attack.cli as command
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
+from deploy.operation.interrupts import interrupt
 from deploy.start import BROKEN, INTERRUPTED
 from eval.attack import arena
 from eval.attack.adversaries import OF_MANY
@@ -131,6 +133,23 @@ def test_attack_interrupted_while_bundles_are_written_reports_those_that_are(
     rows = json.loads((tmp_path / "attack.json").read_text())["rows"]
     assert {row["monitor"] for row in rows if row["bundle"]} == set(written)
     assert {folder.name for folder in (tmp_path / "worst").iterdir()} == {f"bundle-of-{n}" for n in written}
+
+
+def test_an_attack_prints_where_signals_end_it(call, tmp_path, monkeypatch):
+    """What it prints may wait for a reader; the table is printed once all files are complete."""
+    handlers, there = [], []
+
+    class Observed(Console):
+        def print(self, *text, **how):
+            handlers.append(signal.getsignal(signal.SIGTERM))
+            there.append({path.name for path in tmp_path.iterdir()})
+            super().print(*text, **how)
+
+    monkeypatch.setattr(command, "plain_console", Observed)
+    monkeypatch.setattr(command, "workers", planted_workers("planar3"))
+    assert attack(call, tmp_path)[0] == PASSED
+    assert set(handlers) == {interrupt}
+    assert there[-2:] == [{"attack.json", "cases", "worst"}] * 2
 
 
 def test_bundles_of_an_earlier_attack_stay_until_there_are_others(call, tmp_path, monkeypatch):
