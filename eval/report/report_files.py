@@ -7,6 +7,7 @@ from pathlib import Path
 
 from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
 
+from deploy.operation.interrupts import held_back
 from deploy.telemetry.output_files import check_folder, replacing
 from eval.report.html import render
 from eval.report.schema.report_data import Report
@@ -69,6 +70,8 @@ def write_report(report: Report, out: Path, extra: Mapping[str, bytes] | None = 
     with ExitStack() as stack:
         for name, data in files.items():
             stack.enter_context(replacing(out / name)).write_bytes(data)
+        with held_back():  # a signal between two of them would leave new files beside old ones
+            stack.close()
 
 
 def delete_report(out: Path, extra: Collection[str] = ()) -> None:

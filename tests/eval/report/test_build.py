@@ -1,13 +1,17 @@
 """The report: what it says, that it is whole, safe and self-contained, and how it is written."""
 
+import os
 import re
+import signal
 
 import numpy as np
 import pytest
 from junitparser import JUnitXml
 
+from deploy.operation.interrupts import handled, interrupt
 from eval.judge.channels import Channels
 from eval.judge.counts import REASON_NAMES
+from eval.report import report_files
 from eval.report.build import CURVE_POINTS, build
 from eval.report.html import decimals
 from eval.report.plots.curves import wear_plot
@@ -336,6 +340,20 @@ def test_unwritable_folder_is_refused(tmp_path, attempt):
     with pytest.raises(OutputError, match="file"):
         attempt(tmp_path / "file")
     assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_signal_between_two_files_leaves_no_old_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(report_files, "FILES", {name: lambda text: text for name in ("a", "b", "c")})
+    write_report("old", tmp_path)
+
+    def interrupted(source, target, *, replace=os.replace):
+        replace(source, target)
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt), handled(interrupt):
+        write_report("new", tmp_path)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys("abc", "new")
 
 
 @pytest.mark.slow
