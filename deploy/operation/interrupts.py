@@ -34,8 +34,8 @@ SIGNALS = _ending_signals()
 """All others: by default they end a process. Ctrl-C ends it even where a shell ignores it, in the background."""
 AGAIN_S = 0.01
 """s after which a KeyboardInterrupt that Python dropped is raised again."""
-REQUESTS = (signal.SIGTERM, signal.SIGHUP)
-"""Those by which service managers, and terminals that close, ask a process to end."""
+REQUESTS = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1)
+"""Those by which service managers, terminals that close, their keys and schedulers of jobs ask a process to end."""
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from deploy.operation.interrupts import REQUESTS
 from deploy.start import ADDRESSES_MIN, BAD_INPUT, BROKEN, ENVIRONMENT, INTERRUPTED, LACKING, STACK_MIN, start
 from support.paths import ROOT
 
@@ -119,7 +120,7 @@ def cli():
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", REQUESTS)
 def test_a_request_to_end_leaves_no_part_of_a_file(written, tmp_path, number):
     written("writing_command", WRITER)
     place = tmp_path / "out" / "file"
