@@ -74,7 +74,8 @@ def check_folder(folder: Path, option: str = "--out") -> None:
         probe.touch()
         probe.unlink()
     except OSError as e:
-        raise output_error(f"{option} {folder}: cannot be written: {e.strerror}, expected a folder", e) from e
+        reason = "found a link to no folder" if os.path.islink(e.filename or "") else e.strerror
+        raise output_error(f"{option} {folder}: cannot be written: {reason}, expected a folder", e) from e
 
 
 def check_no_links(out: Path, folders: Iterable[str]) -> None:

@@ -293,6 +293,14 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
     assert (tmp_path / "out").read_text() == "mine"
 
 
+@pytest.mark.parametrize("target", ["nothing", "out"])
+def test_a_folder_that_is_a_link_to_none_is_refused(tmp_path, target):
+    (tmp_path / "out").symlink_to(target)
+    message = f"--out {tmp_path / 'out'}: cannot be written: found a link to no folder, expected a folder"
+    with pytest.raises(OutputError, match=message):
+        check_folder(tmp_path / "out")
+
+
 def test_valid_folder_is_left_unchanged(tmp_path):
     check_folder(tmp_path / "a" / "b")
     assert list((tmp_path / "a" / "b").iterdir()) == []
