@@ -3,13 +3,14 @@
 import functools
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import typer
 
 from deploy.operation.interrupts import REQUESTS, handled, interrupt, raised_again
 from deploy.start import BAD_INPUT, INTERRUPTED, report_failure
-from robots.errors import FirstshiftError, ResultLostError, printable
+from robots.errors import ConfigError, FirstshiftError, ResultLostError, printable
 
 PASSED, BUDGET_EXCEEDED = 0, 1
 
@@ -42,9 +43,20 @@ def main(*commands: Callable[..., int]) -> None:
 def _guarded(command: Callable[..., int]) -> Callable[..., None]:
     @functools.wraps(command)
     def guarded(*args: object, **kwargs: object) -> None:
-        raise typer.Exit(exit_code_of(lambda: command(*args, **kwargs)))
+        def checked() -> int:
+            _check_values(sys.argv[1:])
+            return command(*args, **kwargs)
+
+        raise typer.Exit(exit_code_of(checked))
 
     return guarded
+
+
+def _check_values(words: Sequence[str]) -> None:
+    """Refuse (ConfigError) an option without a value: as a path it would be the working directory."""
+    for option, value in pairwise((*words, "-")):
+        if option.startswith("--") and (option.endswith("=") or not value):
+            raise ConfigError(f"{option.rstrip('=')}: found nothing, expected a value")
 
 
 def exit_code_of(call: Callable[[], int]) -> int:

@@ -27,7 +27,7 @@ def speed_factor(speed: str) -> float:
     if speed == "max":
         return math.inf
     try:
-        factor = float(speed)
+        factor = float(speed) if speed.isascii() else math.nan
     except ValueError:
         factor = math.nan
     if not SPEED_MIN <= factor <= SPEED_MAX:
@@ -62,13 +62,13 @@ def random_source(spec: RobotSpec, seed: int | None, draw: str | None) -> Source
         if number < 0:
             raise ConfigError(f"--seed {number}: expected 0 or more")
         return Source(str(number), robot_seed(number, 0))
-    match = re.fullmatch(r"(.+):(\d{1,9})", draw)
+    match = re.fullmatch(r"(.+):([0-9]{1,9})", draw)
     if not match:
         raise ConfigError(f"--draw {draw}: expected SEED:ROBOT, or FILE:ROBOT of a soak's draws.json")
     if seed is not None:
         raise ConfigError(f"--draw {draw}: found --seed {seed} beside it, expected one of them")
     robot = int(match[2])
-    if re.fullmatch(r"\d{1,18}", match[1]):
+    if re.fullmatch(r"[0-9]{1,18}", match[1]):
         return Source(draw, robot_seed(int(match[1]), robot))
     path = Path(match[1])
     return Source(draw, *_stored(spec, draw, path, robot), (path,))

@@ -312,6 +312,7 @@ def test_bad_policy_is_exit_2_and_writes_nothing(command, tmp_path, policy, mess
         (("--robot", "arm7"), "error: --robot arm7: no such folder with a robot.toml; known: arm6"),
         (("--backend", "canopen"), "error: --backend canopen: unknown; known: sim"),
         (("--speed", "fast"), "error: --speed fast: expected a factor from 0.1 to 1000, or max"),
+        (("--speed", "\u0661"), "error: --speed \u0661: expected a factor from 0.1"),
         (("--speed", "0"), "error: --speed 0: expected a factor from 0.1"),
         (("--speed", "nan"), "error: --speed nan: expected a factor from 0.1"),
         (("--speed", "inf"), "error: --speed inf: expected a factor from 0.1"),
@@ -322,6 +323,9 @@ def test_bad_policy_is_exit_2_and_writes_nothing(command, tmp_path, policy, mess
         (("--duration", "long"), "Invalid value for '--duration'"),
         (("--seed", "-3"), "error: --seed -3: expected 0 or more"),
         (("--draw", "7"), "error: --draw 7: expected SEED:ROBOT, or FILE:ROBOT of a soak's draws.json"),
+        (("--draw", "7:\u0663"), "error: --draw 7:\u0663: expected SEED:ROBOT"),
+        (("--out=",), "error: --out: found nothing, expected a value"),
+        (("--policy", ""), "error: --policy: found nothing, expected a value"),
         (("--draw", "nothing.json:1"), "error: nothing.json: cannot be read"),
         (("--draw", "7:-1"), "error: --draw 7:-1: expected SEED:ROBOT"),
         (
