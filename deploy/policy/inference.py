@@ -7,9 +7,8 @@ from deploy.policy.graph_bounds import check_bounds
 from deploy.policy.onnx_graph import decode, shortened
 from robots.errors import ContractError
 
-os.environ["ORT_DISABLE_TELEMETRY"] = (
-    "1"  # read at the import: its own function to switch it off comes too late
-)
+# Read at the import: the library's own function to switch it off comes too late.
+os.environ["ORT_DISABLE_TELEMETRY"] = "1"
 
 import onnxruntime as ort
 
