@@ -17,8 +17,6 @@ def replacing(path: Path, option: str = "--out") -> Iterator[Path]:
         OutputError: naming the `option`, if the place cannot be written; a `ResultLostError` if the disk has no room.
             An earlier file there is left as it was.
     """
-    if not path.name:
-        raise OutputError(f"{option} {path}: found a folder, expected a file or nothing")
     _check_replaceable(path, option)
     with _partial(path, option) as partial:
         yield partial
@@ -78,6 +76,17 @@ def check_folder(folder: Path, option: str = "--out") -> None:
         raise output_error(f"{option} {folder}: cannot be written: {reason}, expected a folder", e) from e
 
 
+def check_file(path: Path, option: str = "--out") -> None:
+    """Check that `replacing` would write a file, before there is any work to lose.
+
+    Raises:
+        OutputError: as `replacing`.
+    """
+    _check_replaceable(path, option)
+    with _partial(path, option):
+        pass
+
+
 def check_no_links(out: Path, folders: Iterable[str]) -> None:
     """Check that none of the folders that a command itself makes in `out`, which may be a link, is one.
 
@@ -101,6 +110,8 @@ def check_no_input(path: Path, inputs: Iterable[Path], option: str = "--out") ->
 
 
 def _check_replaceable(path: Path, option: str) -> None:
+    if not path.name:
+        raise OutputError(f"{option} {path}: found a folder, expected a file or nothing")
     if os.path.exists(path) and not os.path.isfile(path):
         raise OutputError(f"{option} {path}: found a folder or a device, expected a file or nothing")
     if os.path.exists(path) and not os.access(path, os.W_OK):

@@ -14,7 +14,7 @@ from rich.text import Text
 from deploy.command_line import PASSED, main
 from deploy.policy.policy_file import Golden
 from deploy.tasks.task import tasks_of
-from deploy.telemetry.output_files import check_no_input, replacing
+from deploy.telemetry.output_files import check_file, check_no_input, replacing
 from deploy.telemetry.plain_console import plain_console
 from eval.replay.bundle import robot_files
 from policies.export.onnx_file import write_policy
@@ -81,6 +81,7 @@ def import_policy(
     reference = read_policy(path, draft.network)
     robot_paths = (spec.folder / name for name in robot_files(spec))
     check_no_input(out_path, (path, draft_path, *reference.files, *robot_paths))
+    check_file(out_path)
     built = build_contract(draft, reference, spec, str(draft_path))
     runs, golden = record_reference(reference, built.columns, built.joints), _golden(reference, built)
     model = to_standard_graph(reference, built.columns.tolist(), built.joints.tolist())

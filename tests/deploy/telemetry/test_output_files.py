@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.telemetry.output_files import check_no_input, replacing
+from deploy.telemetry.output_files import check_file, check_no_input, replacing
 from robots.errors import NO_ROOM, OutputError, ResultLostError
 
 
@@ -72,6 +72,16 @@ def test_a_place_without_a_name_is_refused(name):
         replacing(Path(name)),
     ):
         pass
+
+
+def test_a_place_is_checked_before_there_is_work_to_lose(tmp_path):
+    (tmp_path / "x.bin").write_text("older")
+    check_file(tmp_path / "x.bin")
+    assert (tmp_path / "x.bin").read_text() == "older"
+    for name in ("x" * 255, "x.bin/y", "."):
+        with pytest.raises(OutputError, match=f"--out {tmp_path}"):
+            check_file(tmp_path / name)
+    assert os.listdir(tmp_path) == ["x.bin"]
 
 
 @pytest.mark.parametrize("same", ["x.pt", "y/../x.pt", "link.pt"])

@@ -92,6 +92,13 @@ def test_template_names_the_file_with_letters_that_can_be_printed(done, tmp_path
     assert (tmp_path / "a.toml").read_text().startswith("# Contract of a?.onnx: ONNX")
 
 
+def test_a_place_that_cannot_be_written_is_refused_before_the_work(done, tmp_path, monkeypatch):
+    path, *_ = done
+    monkeypatch.setattr("policies.importers.cli.record_reference", None)
+    with pytest.raises(OutputError, match="cannot be written: File name too long"):
+        import_policy(path, path.parent / "contract.toml", tmp_path / ("x" * 255))
+
+
 def test_weights_outside_its_folder_are_refused(done, tmp_path):
     path, *_ = done
     model = onnx.load(path, load_external_data=False)
