@@ -1,5 +1,6 @@
 """Recorder of one robot: a decimated stream of the whole run, and every tick of the seconds around an event."""
 
+import os
 import re
 import time
 from collections.abc import Mapping
@@ -59,7 +60,7 @@ class Recorder:
     def _opened(self) -> Recording:
         path, replaced = self._folder / STREAM, former_files(self._folder)
         for former in replaced:  # all of them before the first is deleted
-            if former.is_dir() and not former.is_symlink():
+            if os.path.isdir(former) and not os.path.islink(former):
                 raise OutputError(f"--out {former}: found a folder, expected a file or nothing")
         try:
             for former in replaced:

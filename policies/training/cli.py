@@ -124,6 +124,7 @@ def _learn(
     if view:
         env.watchers.append(Window(env.episodes))
     runner = _Runner(env, learner_settings(recipe.learner), log_dir=str(out), device="cpu")
+    runner.logger.git_status_repos.clear()  # else it keeps the changes of the repository that it is installed in
     for number, stage in enumerate(recipe.learner.stages):
         _set_learning_rate(runner, stage.learning_rate)
         with _work_at_stake(out):

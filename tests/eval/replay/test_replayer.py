@@ -295,7 +295,7 @@ def test_different_draw_is_refused(one):
 def test_no_bundle_is_bad_input(tmp_path, run):
     code, said, complaint = run(tmp_path / "none")
     assert (code, said) == (2, "")
-    assert re.search(r"none/bundle\.json: cannot be read: No such file", complaint)
+    assert re.search(r"none/bundle\.json: missing, expected the folder of a bundle", complaint)
     assert run(tmp_path / "none", "--video", tmp_path / "a.avi")[2].endswith(
         "found .avi, expected .gif or .mp4\n"
     )

@@ -44,6 +44,12 @@ def no_file_longer_than(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
+def test_nothing_of_a_repository_around_is_kept(train, tmp_path):
+    assert train(tmp_path / "out")[0] == 0
+    assert (tmp_path / "out" / "arm.pt").exists()
+    assert not [*(tmp_path / "out").rglob("*.diff")]
+
+
 def test_no_room_for_the_state_of_a_training_is_one_line(train, tmp_path):
     out = tmp_path / "out"
     with no_file_longer_than(60_000):
