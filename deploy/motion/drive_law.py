@@ -98,7 +98,13 @@ class CompliantDrives(StiffDrives):
 
 
 class TorqueDrives(StiffDrives):
-    """Stiff drives of a robot in torque mode: its stops need the torque of friction too, which the policy's had."""
+    """Stiff drives of a robot in torque mode: its stops need the torque of friction too, which the policy's had.
+
+    A stop begins at an estimate, which may be far behind a push while packets are lost. What the drives that take over
+    make of the difference is limited by the drives themselves: they saturate before the end of their range.
+    """
+
+    current_share = 0.95
 
     def torque(self, state: State, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """Return inverse dynamics and friction."""

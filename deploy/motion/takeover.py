@@ -19,8 +19,8 @@ TAKEOVER_SHARE, DAMPING_SHARE = 0.01, 0.316
 """Shares of its stiffness and its damping that a drive begins with. With 0.1 of the damping the damping ratio would
 stay; with more, a drive removes the difference in speed first, then pulls the joint to its angle."""
 DAMPING_RATE = 60.0
-"""1/s. Most damping that a drive begins with, per inertia of its joint. An estimate is up to 60 ms behind a push, with
-late and lost packets: damping then takes up to 3.6 times the push, which has 0.3 of the range at most."""
+"""1/s. Most damping that a drive begins with, per inertia of its joint: a push moves a light joint by more than its
+estimate, which is 40 ms behind, and further if packets are lost."""
 RANGE_SHARE = 0.9
 """Share of its motor's range up to which a drive stiffens. Damping alone may take as much, and is not reduced."""
 FALL = 0.8
