@@ -128,6 +128,15 @@ def test_a_stop_takes_over_with_position_drives_that_stiffen():
     assert (speeds[-1] < 0.01).all()
 
 
+def test_drives_saturate_before_the_end_of_their_range_in_torque_mode():
+    """No plan bounds what drives that take over make of an estimate that is behind."""
+    runtime = armed("torque", 2, weight)
+    for _ in range(2):
+        live(runtime, weight, 5)
+        assert (runtime.command.current_share <= 0.95).all()
+        runtime.stop(OPERATOR)
+
+
 def test_a_stop_does_not_pull_an_arm_back_with_all_of_its_torque():
     """Within some ticks, as one estimate may be wrong."""
     runtime = armed("torque", 2, weight)
