@@ -53,10 +53,15 @@ def _guarded(command: Callable[..., int]) -> Callable[..., None]:
 
 
 def _check_values(words: Sequence[str]) -> None:
-    """Refuse (ConfigError) an option without a value: as a path it would be the working directory."""
-    for option, value in pairwise((*words, "-")):
-        if option.startswith("--") and (option.endswith("=") or not value):
-            raise ConfigError(f"{option.rstrip('=')}: found nothing, expected a value")
+    """Refuse (ConfigError) an option without a value, and an empty word: as paths they would be the working directory."""
+    for before, word in pairwise(("", *words)):
+        option, equals, value = word.partition("=")
+        if option.startswith("--") and equals and not value:
+            raise ConfigError(f"{option}: found nothing, expected a value")
+        if not word:
+            raise ConfigError(
+                f"{before or 'first argument'}: found an empty word behind it, expected a value"
+            )
 
 
 def exit_code_of(call: Callable[[], int]) -> int:

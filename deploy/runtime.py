@@ -241,7 +241,7 @@ class Runtime(Stage):
         self.smoother.commit(setpoint)
         qd, feed_forward = (self._zeros, self._zeros) if self.springs else (setpoint.qd, tau)
         powered, share = self.supervisor.powered, self.estimator.windings.foldback.current_share
-        if not all_true(running):  # current is limited while running only: stops were checked at full current
+        if not all_true(running):  # heat limits current while running only: a stop has what its drives allow
             share = np.where(running[:, None], share, 1.0)
         if self.law.current_share < 1.0:
             share = np.minimum(share, self.law.current_share)

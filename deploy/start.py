@@ -71,7 +71,7 @@ FAIL = ("strict", "surrogateescape")
 class _StandardOutput(io.FileIO):
     """Standard output or error that raises nothing when its reader is gone or its disk is full.
 
-    A signal that interrupts a write for which nobody makes room ends all writing: no later one waits again.
+    If a signal interrupts a write to a full pipe, all later output is discarded, so that the command can end.
     """
 
     def write(self, data: Any, /) -> int:

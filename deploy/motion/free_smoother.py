@@ -36,7 +36,7 @@ class RollingSmoother(VelocitySmoother):
 
     @property
     def stopped(self) -> Bools:
-        """(B,) robots at rest whose drives have taken over: until then, a joint may move, and brakes jerk it."""
+        """(B,) robots at rest after `TAKEOVER_S`: until then, soft drives let a joint move, and brakes jerk it."""
         return super().stopped & self.takeover.complete
 
     def plan(self, target: Floats, stopping: Bools, state: State) -> Setpoint:
@@ -95,7 +95,7 @@ class TorqueSmoother(Smoother):
 
     @property
     def stopped(self) -> Bools:
-        """(B,) robots at rest whose drives have taken over: until then, a joint may move, and brakes jerk it."""
+        """(B,) robots at rest after `TAKEOVER_S`: until then, soft drives let a joint move, and brakes jerk it."""
         return super().stopped & self.takeover.complete
 
     def plan(self, target: Floats, stopping: Bools, state: State) -> Setpoint:

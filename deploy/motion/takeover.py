@@ -23,8 +23,8 @@ DAMPING_RATE = 60.0
 estimate, which is 40 ms behind, and further if packets are lost."""
 RANGE_SHARE = 0.9
 """Share of its motor's range up to which a drive stiffens. Damping alone may take as much, and is not reduced."""
-FALL = 0.8
-"""Share of its stiffness that a drive keeps from a tick to the next: one noisy estimate must not make it soft."""
+FALL_S = 0.022
+"""s, time constant with which a drive becomes softer at most: one noisy estimate must not make it soft."""
 TINY_RAD = 1e-9
 """rad. A smaller error needs no limit of stiffness."""
 
@@ -42,7 +42,7 @@ class Takeover(Stage):
     def __init__(self, spec: RobotSpec, policy: DriveMode, stop: DriveMode) -> None:
         self._policy, self._stop, self._free = policy, stop, policy.kp == 0.0
         self._ticks, self._torque = round(TAKEOVER_S / spec.dt), RANGE_SHARE * torque_max(spec)
-        self._rise = TAKEOVER_SHARE ** (-1.0 / self._ticks)
+        self._rise, self._fall = TAKEOVER_SHARE ** (-1.0 / self._ticks), np.exp(-spec.dt / FALL_S)
         most = DAMPING_RATE * joint_inertia(spec).most
         self._damping = DAMPING_SHARE * most / np.maximum(DAMPING_SHARE * stop.kd, most)
         self.held, self.kp = np.full(len(stop.mode), self._ticks), stop.kp.copy()
@@ -62,7 +62,7 @@ class Takeover(Stage):
             |tau + kp (q* − q) + kd (q̇* − q̇)| <= RANGE_SHARE of the range
 
         by the estimate. That has noise: whatever it says, kp rises by no more in a tick than without this limit, and
-        keeps `FALL` of what was sent last. A state that is not finite limits nothing.
+        falls by no more than `FALL_S` lets it. A state that is not finite limits nothing.
 
         Args:
             stop: setpoints to be sent. state: the estimate. tau: (B, n) N·m, fed forward last.
@@ -70,16 +70,22 @@ class Takeover(Stage):
         drive, error = self.drive, stop.q - state.q
         left = self._torque - np.sign(error) * (tau + drive.kd * (stop.qd - state.qd))
         kp = np.fmin(drive.kp, left / np.maximum(np.abs(error), TINY_RAD))
-        kp = np.clip(kp, FALL * self.kp, self._rise * self.kp)
+        kp = np.clip(kp, self._fall * self.kp, self._rise * self.kp)
         return drive._replace(kp=np.maximum(kp, TAKEOVER_SHARE * self._stop.kp))
 
     def drive_after(self, sent: DriveMode) -> DriveMode:
-        """Return drives of robots whose stop begins when the drives `sent` were those of the last setpoint."""
-        return self._after(np.where(sent.mode == self._policy.mode, 0, self.held))
+        """Return drives of robots whose stop begins when the drives `sent` were those of the last setpoint.
+
+        After angles, kp rises from what was sent, as in `drive_in_range`.
+        """
+        followed = sent.mode == self._policy.mode
+        drive = self._after(np.where(followed, 0, self.held))
+        most = np.where(followed[:, None], np.inf, self._rise * sent.kp)
+        return drive._replace(kp=np.minimum(drive.kp, most))
 
     @property
     def complete(self) -> Bools:
-        """(B,) robots whose drives have followed angles for `TAKEOVER_S`."""
+        """(B,) robots whose drives have followed angles for `TAKEOVER_S`; under a load they may still be softer."""
         return np.asarray(self.held == self._ticks)
 
     def _after(self, held: Ints) -> DriveMode:

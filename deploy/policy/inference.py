@@ -1,4 +1,4 @@
-"""The one place where ONNX Runtime is imported, without telemetry, and loads a model, whose work was bounded first."""
+"""Sessions of ONNX Runtime, with telemetry off and bounded memory and work; it is imported nowhere else."""
 
 import os
 from collections.abc import Sequence

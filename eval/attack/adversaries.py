@@ -137,7 +137,7 @@ LIBRARY = (
     ),
     _pushed(
         "loaded_arm",
-        "the most loaded arm of many goes from pose to pose; its push and its drive gains are searched, too",
+        "the most loaded arm of many goes from pose to pose; its push is searched, too",
         effect="load",
         targets=("torque", "workspace"),
     ),

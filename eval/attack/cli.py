@@ -134,8 +134,8 @@ def soak_attack(
                 notes.insert(0, "interrupted: the report covers what was tried so far")
             bundles = _write_bundles(found, pool, out, console, notes)
             report = make_report(spec, setting, seed, search.archive, bundles)
-            printing.callback(_print, report, out, complete=len(bundles) == len(found))
             _write(report, [case_of(spec, setting, *each) for each in found.items()], out)
+            printing.callback(_print, report, out, complete=len(bundles) == len(found))
         if not finished or len(bundles) < len(found):
             raise KeyboardInterrupt  # workers need not finish what they do
     return BUDGET_EXCEEDED if report.hits or report.diverged else PASSED

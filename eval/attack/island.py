@@ -66,7 +66,7 @@ class Island:
 
     def ask(self) -> Block:
         """Return the next generation."""
-        if self._strategy:
+        if self._strategy is not None:
             self._shares = self._strategy.ask()
         else:
             drawn = self._rng.normal(self._start, self._deviation, (WIDTH, len(self._start)))
@@ -78,7 +78,7 @@ class Island:
         gain = self._ratios(outcome) - self._base
         if float(gain.max()) > self._best[0]:
             self._best = float(gain.max()), self._shares[gain.argmax()]
-        if self._strategy:
+        if self._strategy is not None:
             self._strategy.tell(self._shares, (-gain).tolist())
             return
         self._screened -= 1

@@ -128,6 +128,18 @@ def test_a_stop_takes_over_with_position_drives_that_stiffen():
     assert (speeds[-1] < 0.01).all()
 
 
+def test_power_is_not_cut_before_drives_have_taken_over():
+    runtime = armed("torque", 2, weight)
+    live(runtime, weight, 20)
+    runtime.stop(OPERATOR)
+    for _ in range(round(TAKEOVER_S / DT)):
+        live(runtime, weight, 1)
+        assert runtime.command.powered.all()
+    live(runtime, weight, 40)
+    assert (runtime.supervisor.mode == Mode.LATCHED).all()
+    assert not runtime.command.powered.any()
+
+
 def test_drives_saturate_before_the_end_of_their_range_in_torque_mode():
     """No plan bounds what drives that take over make of an estimate that is behind."""
     runtime = armed("torque", 2, weight)

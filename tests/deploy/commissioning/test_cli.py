@@ -43,7 +43,7 @@ def check(call, monkeypatch, tmp_path):
 
 
 def test_a_check_prints_once_its_files_are_complete_and_signals_end_it_again(check, tmp_path, monkeypatch):
-    """What it prints may wait for a reader."""
+    """Printing may block until somebody reads the output."""
     seen = []
 
     def observed(*, console=plain_console):

@@ -9,7 +9,7 @@ from deploy.motion.drive_modes import drive_modes
 from deploy.motion.takeover import (
     DAMPING_RATE,
     DAMPING_SHARE,
-    FALL,
+    FALL_S,
     RANGE_SHARE,
     TAKEOVER_S,
     TAKEOVER_SHARE,
@@ -28,6 +28,7 @@ TICKS = round(TAKEOVER_S / SPEC.dt)
 OWN = drive_gains(SPEC)
 DAMPING = np.minimum(DAMPING_SHARE, DAMPING_RATE * joint_inertia(SPEC).most / OWN.kd)
 """Shares of their damping that drives begin with."""
+FALL = np.exp(-SPEC.dt / FALL_S)
 TORQUE = drive_modes(SPEC, ControlMode.TORQUE, None, ROBOTS)
 
 
@@ -69,6 +70,14 @@ def test_a_stop_begins_soft_after_torques_and_stays_stiff_after_angles():
     begins = np.array([1.0, 0.0, 1.0])[:, None]
     np.testing.assert_allclose(drive.kp, OWN.kp * TAKEOVER_SHARE**begins, rtol=1e-12)
     np.testing.assert_allclose(drive.kd, OWN.kd * DAMPING**begins, rtol=1e-12)
+
+
+def test_a_stop_that_begins_on_drives_under_a_load_is_no_stiffer_at_once():
+    """They were sent softer than their time allows."""
+    takeover, rise = taking_over(), TAKEOVER_SHARE ** (-1.0 / TICKS)
+    loaded = TORQUE.stop._replace(kp=0.3 * TORQUE.stop.kp)
+    np.testing.assert_allclose(takeover.drive_after(loaded).kp, 0.3 * rise * TORQUE.stop.kp, rtol=1e-12)
+    np.testing.assert_array_equal(takeover.drive_after(TORQUE.stop).kp, TORQUE.stop.kp)
 
 
 def test_a_light_joint_begins_with_less_damping():

@@ -152,7 +152,7 @@ def test_an_interrupted_run_is_exit_130_and_keeps_what_it_has(
 def test_a_run_prints_once_its_files_are_complete_and_signals_end_it_again(
     command, arm_policy, tmp_path, monkeypatch
 ):
-    """What it prints may wait for a reader."""
+    """Printing may block until somebody reads the output."""
     seen = []
 
     def observed(*, console=deploy.operation.summary.plain_console):
@@ -325,7 +325,7 @@ def test_bad_policy_is_exit_2_and_writes_nothing(command, tmp_path, policy, mess
         (("--draw", "7"), "error: --draw 7: expected SEED:ROBOT, or FILE:ROBOT of a soak's draws.json"),
         (("--draw", "7:\u0663"), "error: --draw 7:\u0663: expected SEED:ROBOT"),
         (("--out=",), "error: --out: found nothing, expected a value"),
-        (("--policy", ""), "error: --policy: found nothing, expected a value"),
+        (("--policy", ""), "error: --policy: found an empty word behind it, expected a value"),
         (("--draw", "nothing.json:1"), "error: nothing.json: cannot be read"),
         (("--draw", "7:-1"), "error: --draw 7:-1: expected SEED:ROBOT"),
         (

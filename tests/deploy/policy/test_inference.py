@@ -1,4 +1,4 @@
-"""ONNX Runtime: what its import does besides."""
+"""Side effects of the import of ONNX Runtime."""
 
 import os
 import subprocess

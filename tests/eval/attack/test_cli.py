@@ -136,7 +136,7 @@ def test_attack_interrupted_while_bundles_are_written_reports_those_that_are(
 
 
 def test_an_attack_prints_where_signals_end_it(call, tmp_path, monkeypatch):
-    """What it prints may wait for a reader; the table is printed once all files are complete."""
+    """Printing may block until somebody reads the output; the table is printed once all files are complete."""
     handlers, there = [], []
 
     class Observed(Console):

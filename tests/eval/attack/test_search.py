@@ -5,7 +5,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from eval.attack.adversaries import ADVERSARIES, OF_MANY, pushed_arms
+from eval.attack.adversaries import ADVERSARIES, GAINS, OF_MANY, pushed_arms
 from eval.attack.archive import EXEMPT, Archive
 from eval.attack.arena import Outcome
 from eval.attack.candidate import Block
@@ -138,7 +138,8 @@ def test_drive_gains_without_effect_are_not_searched(mode, gains):
     searched(4, plain, pushed_arms=arms)
     first = ADVERSARIES["thrown_tool"].first(SPEC.n)
     assert all(row.keys() == first.keys() for row in seen)
-    assert {row["stiffness"] for row in seen} == {first["stiffness"]}
+    for name in GAINS:
+        assert {row[name] for row in seen} == {first[name]}
     assert (len({row["damping"] for row in seen}) > 1) == (mode is ControlMode.TORQUE)
     assert len({row["force_s"] for row in seen}) > 1
 
