@@ -53,7 +53,7 @@ def _guarded(command: Callable[..., int]) -> Callable[..., None]:
 
 
 def _check_values(words: Sequence[str]) -> None:
-    """Refuse (ConfigError) an option without a value, and an empty word: as paths they would be the working directory."""
+    """Refuse (ConfigError) options without a value, and empty words: as paths they would be the working directory."""
     for before, word in pairwise(("", *words)):
         option, equals, value = word.partition("=")
         if option.startswith("--") and equals and not value:

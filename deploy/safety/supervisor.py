@@ -6,7 +6,8 @@
 
 Category 2 (IEC 60204-1): a controlled stop, power kept; the robot goes on by itself when the cause is gone.
 Category 1: a controlled stop, then power is cut, once drives have taken over; only an operator's `arm` clears it.
-Category 0: power is cut at once, every mode with power leads to LATCHED. If several apply, the lowest number wins. Nothing here depends on the policy.
+Category 0: power is cut at once, every mode with power leads to LATCHED. If several apply, the lowest number wins.
+Nothing here depends on the policy.
 """
 
 import numpy as np

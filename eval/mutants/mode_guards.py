@@ -120,11 +120,11 @@ TORQUE_MODE = (
         guard="torque mode: the change of torque to the first step of a stop is not checked",
         remove_guard=widen_check("torque_change_of_stop"),
         situation=Situation(
-            description="torque mode: full torques of random signs, 4 a second; torques follow 2.65 times as fast, with"
+            description="torque mode: full torques of random signs, 4 a second; torques follow 2.8 times as fast, with"
             " accelerations of 12 rad/s²",
             policy=push_joints(0.25, SEED),
             prepare=in_sequence(
-                scale_torque_rates(2.65),
+                scale_torque_rates(2.8),
                 ignore_reasons(Reason.ACCELERATION | Reason.VELOCITY),
                 override("smoother", _qdd_max=12.0),
             ),
