@@ -53,15 +53,11 @@ def _guarded(command: Callable[..., int]) -> Callable[..., None]:
 
 
 def _check_values(words: Sequence[str]) -> None:
-    """Refuse (ConfigError) options without a value, and empty words: as paths they would be the working directory."""
-    for before, word in pairwise(("", *words)):
+    """Refuse (ConfigError) an option without a value: as a path it would be the working directory."""
+    for word, following in pairwise((*words, "-")):
         option, equals, value = word.partition("=")
-        if option.startswith("--") and equals and not value:
+        if option.startswith("--") and not (value if equals else following):
             raise ConfigError(f"{option}: found nothing, expected a value")
-        if not word:
-            raise ConfigError(
-                f"{before or 'first argument'}: found an empty word behind it, expected a value"
-            )
 
 
 def exit_code_of(call: Callable[[], int]) -> int:

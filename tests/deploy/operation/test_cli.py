@@ -325,7 +325,7 @@ def test_bad_policy_is_exit_2_and_writes_nothing(command, tmp_path, policy, mess
         (("--draw", "7"), "error: --draw 7: expected SEED:ROBOT, or FILE:ROBOT of a soak's draws.json"),
         (("--draw", "7:\u0663"), "error: --draw 7:\u0663: expected SEED:ROBOT"),
         (("--out=",), "error: --out: found nothing, expected a value"),
-        (("--policy", ""), "error: --policy: found an empty word behind it, expected a value"),
+        (("--policy", ""), "error: --policy: found nothing, expected a value"),
         (("--draw", "nothing.json:1"), "error: nothing.json: cannot be read"),
         (("--draw", "7:-1"), "error: --draw 7:-1: expected SEED:ROBOT"),
         (
