@@ -21,7 +21,29 @@ ACCELERATION_SHARE, SPEED_S = 0.8, 0.1
 for the rate of the torque."""
 
 
-class RollingSmoother(VelocitySmoother):
+class TakingOver(Smoother):
+    """Smoother whose stops have position drives, which take over from drives of the policy that hold no angle."""
+
+    takeover: Takeover
+
+    @property
+    def stopped(self) -> Bools:
+        """(B,) robots at rest after `TAKEOVER_S`: until then, soft drives let a joint move, and brakes jerk it."""
+        return super().stopped & self.takeover.complete
+
+    def brake(self, start: Setpoint) -> Stop:
+        """Return the stop that would begin at `start`, as `Smoother.brake`, with position drives."""
+        stop = super().brake(start)
+        drive = self.takeover.drive_after(required(start.drive))
+        return stop._replace(ahead=stop.ahead._replace(drive=drive))
+
+    def hold(self, ids: Bools, q: Floats) -> None:
+        """Put robots at rest, as `Smoother.hold`, with the stiff drives of a stop."""
+        super().hold(ids, q)
+        self.takeover.end(ids)
+
+
+class RollingSmoother(TakingOver, VelocitySmoother):
     """Smoother of robots in velocity mode with wheels: joints without stiffness, which slip behind their setpoints.
 
     While a robot follows the policy, each of those joints goes on from its estimated angle, at the speed sent.
@@ -34,35 +56,19 @@ class RollingSmoother(VelocitySmoother):
         super().__init__(spec, len(drive.mode), drive)
         self._free, self.takeover = drive.kp == 0.0, Takeover(spec, drive, stop)
 
-    @property
-    def stopped(self) -> Bools:
-        """(B,) robots at rest after `TAKEOVER_S`: until then, soft drives let a joint move, and brakes jerk it."""
-        return super().stopped & self.takeover.complete
-
     def plan(self, target: Floats, stopping: Bools, state: State) -> Setpoint:
         """Return the next setpoint of every robot, as `Smoother.next`; drives of a stop become stiff."""
         np.copyto(self.q, state.q, where=self._free & ~stopping[:, None])
         planned = self.next(target, stopping)
         return select(~stopping, planned, planned._replace(drive=self.takeover.drive))
 
-    def brake(self, start: Setpoint) -> Stop:
-        """Return the stop that would begin at `start`, as `Smoother.brake`, with position drives."""
-        stop = super().brake(start)
-        drive = self.takeover.drive_after(required(start.drive))
-        return stop._replace(ahead=stop.ahead._replace(drive=drive))
-
     def commit(self, sent: Setpoint) -> None:
         """Remember what was sent, and how."""
         super().commit(sent)
         self.takeover.commit(required(sent.drive))
 
-    def hold(self, ids: Bools, q: Floats) -> None:
-        """Put robots at rest, as `Smoother.hold`, with the stiff drives of a stop."""
-        super().hold(ids, q)
-        self.takeover.end(ids)
 
-
-class TorqueSmoother(Smoother):
+class TorqueSmoother(TakingOver):
     """Smoother of robots in torque mode.
 
     Targets are bounded by the motion that they would cause, and approached at the rates that the robot allows.
@@ -93,11 +99,6 @@ class TorqueSmoother(Smoother):
         """(B, n) N·m, the torque sent last."""
         return self.ramp.tau
 
-    @property
-    def stopped(self) -> Bools:
-        """(B,) robots at rest after `TAKEOVER_S`: until then, soft drives let a joint move, and brakes jerk it."""
-        return super().stopped & self.takeover.complete
-
     def plan(self, target: Floats, stopping: Bools, state: State) -> Setpoint:
         """Return the predicted state of robots that follow the policy, and the stop of the others."""
         tau, self._rate = self.ramp.next(self._bounded(target, state))
@@ -125,9 +126,9 @@ class TorqueSmoother(Smoother):
         return self._fleet.torque(q, qd, qdd) + self._fleet.friction(qd)
 
     def brake(self, start: Setpoint) -> Stop:
-        """Return the stop that would begin at `start`, as `Smoother.brake`, with position drives."""
+        """Return the stop that would begin at `start`, as `TakingOver.brake`; safety computes its torque."""
         stop = super().brake(start)
-        return stop._replace(ahead=_as_stop(stop.ahead, self.takeover.drive_after(required(start.drive))))
+        return stop._replace(ahead=_as_stop(stop.ahead, required(stop.ahead.drive)))
 
     def commit(self, sent: Setpoint) -> None:
         """Remember what was sent, torques included."""
@@ -135,11 +136,6 @@ class TorqueSmoother(Smoother):
         drive = required(sent.drive)
         self.ramp.commit(required(sent.tau), self._rate, np.asarray(drive.mode == ControlMode.TORQUE))
         self.takeover.commit(drive)
-
-    def hold(self, ids: Bools, q: Floats) -> None:
-        """Put robots at rest, as `Smoother.hold`, with the stiff drives of a stop."""
-        super().hold(ids, q)
-        self.takeover.end(ids)
 
 
 def _as_stop(setpoint: Setpoint, drive: DriveMode) -> Setpoint:
