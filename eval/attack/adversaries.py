@@ -66,9 +66,10 @@ class Adversary:
         return {**self.first(joints), **found}
 
 
-POSES = ("push", "step", "step_s", "force_s", "force_toward")
+POSES = ("push", "step", "step_s", "refused_s", "force_s", "force_toward", "lost_s")
 GAINS, LAW = ("stiffness", "damping_of_drive"), ("reach", "spring", "damping")
-"""Weights that pushed arms search: poses and push, drive gains of a contract, and the law of a policy of torques."""
+"""Weights that pushed arms search: poses with a stop, a push and lost packets, gains of a contract, and the law of a
+policy of torques."""
 
 
 def _pushed(

@@ -71,12 +71,18 @@ sharp = Mul drive sharpness
 command = Tanh sharp
 reached = Mul command reach
 followed = Mul q follow
-action = Sum followed centre reached
+until = Sub t refused_s
+off = Abs until
+outside = Sub off half_step
+number = Sqrt outside
+nothing = Mul number none
+action = Sum followed centre reached nothing
 next_step = Add step one_step
 older = Slice line zero kept one
 next_memory = Concat next_step command older
 """
-"""Nodes, each: name = operator inputs. Sums of products stand for matrices: a row depends on that row alone."""
+"""Nodes, each: name = operator inputs. Sums of products stand for matrices: a row depends on that row alone. The root
+of a negative number is no number, and stays none when it is multiplied by 0."""
 
 
 def attack_contract(spec: RobotSpec, mode: ControlMode, gains: TrainedGains | None = None) -> Contract:
@@ -186,6 +192,7 @@ def _tensors(spec: RobotSpec, mode: ControlMode, weights: dict[str, Floats]) -> 
     numbers |= {"half_chirp": numbers.pop("chirp") / 2, "home": home, "dt": np.array([spec.dt])}
     numbers |= {"step_to": numbers.pop("step"), "pull": numbers.pop("spring") * (angles - 1.0)}
     numbers |= {"one_step": np.ones(1), "turn": np.array([2.0 * np.pi])}
+    numbers |= {"half_step": np.array([spec.dt / 2]), "none": np.zeros(1)}
     places = {"zero": [0], "one": [1], "two": [2], "n": [n], "2n": [2 * n], "lines": [-1, DELAY_MAX, n]}
     places |= {"size": [1 + DELAY_MAX * n], "kept": [(DELAY_MAX - 1) * n]}
     return {name: np.array(place, dtype=np.int64) for name, place in places.items()} | {

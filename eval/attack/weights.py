@@ -6,13 +6,13 @@ In each step, of joints with angle q and speed v (a share of its limit), at time
            + swing·sin 2π(swing_hz·t + swing_turns) + push + step·sign(t - step_s) + spring·(home - q)
            + replay·(command `delay` steps ago) + network
     command = tanh(sharpness·drive)
-    target = centre + reach·command
+    target = centre + reach·command, but no number in the step at `refused_s`, which leads to a stop
 
 The network has one hidden layer and sees the distance from home, v and the delayed command. The centre is `follow`
 times the joint's angle and 1 - `follow` times its home in position mode, else 0; the spring is of the other modes.
 
-An adversary of a pushed arm (`pushed_arm.py`) has weights beside the graph: the moment of its push, in s from the start
-of the trial, its direction, and the gains of its drives.
+An adversary of a pushed arm (`pushed_arm.py`) has weights beside the graph: the moment of its push, in s after
+`refused_s`, its direction, the moment at which its samples are oldest, likewise, and the gains of its drives.
 """
 
 import math
@@ -91,6 +91,7 @@ GRAPH_WEIGHTS: Mapping[str, Weight] = {
     "step": Weight(low=-2.0, high=2.0),
     "step_s": Weight(low=0.3, high=3.5),
     "spring": Weight(low=0.0, high=2.0),
+    "refused_s": Weight(low=0.7, high=4.2, rest=-1.0, shape=""),
     "replay": Weight(low=-2.0, high=2.0),
     "delay": Weight(low=1.0, high=DELAY_MAX, rest=1.0, shape="", whole=True),
     "inward": Weight(low=-3.0, high=3.0, shape="ih"),
@@ -100,7 +101,8 @@ GRAPH_WEIGHTS: Mapping[str, Weight] = {
 """Weights of the graph. Lengths are in rad of position mode, else in shares of the limit of what drives follow."""
 
 ARM_WEIGHTS: Mapping[str, Weight] = {
-    "force_s": Weight(low=0.5, high=4.5, shape=""),
+    "force_s": Weight(low=-0.3, high=0.3, shape=""),
+    "lost_s": Weight(low=-0.3, high=0.3, shape=""),
     "force_toward": Weight(low=-1.0, high=1.0, shape="x"),
     "stiffness": Weight(low=0.0, high=1.0),
     "damping_of_drive": Weight(low=0.0, high=1.0),

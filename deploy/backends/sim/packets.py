@@ -29,7 +29,7 @@ class Packets:
     """
 
     def __init__(self, spec: RobotSpec, draw: Draw, keys: Keys, faults: Sequence[Fault] = ()) -> None:
-        """Take each robot's delays and losses.
+        """Take each robot's delays and losses, and B streams of random numbers.
 
         Raises:
             ConfigError: a fault of a sensor or channel that the robot lacks, or of one channel where all must fail.
@@ -48,6 +48,10 @@ class Packets:
         self.length = max(CHUNK, self.depth)
         self._next = NEVER  # the chunk that the tail of the last one leads into
         self._faults = [(list(spec.sensors).index(f.sensor), f) for f in checked(faults, spec, self.robots)]
+
+    def use(self, keys: Keys) -> None:
+        """Take other streams, for all ticks."""
+        self._keys, self._next = keys, NEVER
 
     def arriving(self, chunk: int) -> Ints:
         """Return (length, B, G) for each tick of a chunk the tick at which the packet that arrives was sampled."""

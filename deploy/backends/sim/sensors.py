@@ -12,7 +12,7 @@ from deploy.stage import Stage
 from deploy.state import Packet, Sample
 from robots.arrays import Bools, Floats, Ints
 from robots.draws import Draw
-from robots.randomness import Stream, generator_at, stream_keys
+from robots.randomness import Keys, Stream, generator_at, stream_keys
 from robots.sensors import KINDS, Kind
 from robots.spec import RobotSpec
 
@@ -22,7 +22,7 @@ class Sensors(Stage):
 
     Attributes:
         columns: channels of each kind of sensor.
-        noise_keys: B streams of noise; the readings of a wait have their own.
+        noise_keys: B streams of noise; the readings of a wait have their own. packet_keys: (B, 2) of packets.
         ring: (B, depth, C) readings in transit. value: (B, C) those that arrived last. sampled: (B, G) their ticks.
         seen: (B, G) False until the packet of a reset has been read.
         bias_walk: (B, C) random walk of the biases. cold: (B, C) °C at a reset.
@@ -30,7 +30,10 @@ class Sensors(Stage):
         held: (B, C) value of a stuck channel.
     """
 
-    carried = ("ring", "value", "sampled", "seen", "bias_walk", "cold", "offset", "held", "tick")
+    carried = (
+        *("ring", "value", "sampled", "seen", "bias_walk", "cold", "offset", "held", "tick"),
+        "packet_keys",
+    )
 
     def __init__(
         self,
@@ -49,7 +52,8 @@ class Sensors(Stage):
         self.noise_keys = stream_keys(seeds, Stream.SENSOR_NOISE)
         self._wait_keys = stream_keys(seeds, Stream.WAIT_NOISE)
         self._garbage_keys = stream_keys(seeds, Stream.SENSOR_GARBAGE)
-        self._packets = Packets(spec, draw, stream_keys(seeds, Stream.PACKETS), faults)
+        self.packet_keys = stream_keys(seeds, Stream.PACKETS)
+        self._packets = Packets(spec, draw, self.packet_keys, faults)
         self._length = self._packets.length
         self._sensor = np.repeat(np.arange(len(sheet)), sizes)
         ends = np.cumsum(sizes)
@@ -161,6 +165,12 @@ class Sensors(Stage):
     def restore(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
         """Restore saved arrays, bit for bit."""
         super().restore(arrays)
+        self.use_packets(self.packet_keys)
+
+    def use_packets(self, keys: Keys) -> None:
+        """Take the packets of other streams (B, 2), for all ticks."""
+        self.packet_keys[:] = keys
+        self._packets.use(self.packet_keys)
         self._chunk = NEVER
 
     def _quantized(self, x: Floats) -> Floats:

@@ -43,6 +43,8 @@ def by_numpy(weights, observed, home, dt, follows):
         drive += w["step"] * np.sign(t - w["step_s"]) + w["spring"] * (home - q) * (1 - follows)
         commands.append(np.tanh(w["sharpness"] * drive))
         targets.append(follow * q + (1 - follow) * home * follows + w["reach"] * commands[-1])
+        if abs(t - w["refused_s"]) < dt / 2:
+            targets[-1] = np.full(len(home), np.nan)
     return np.array(targets)
 
 
@@ -51,11 +53,14 @@ def by_numpy(weights, observed, home, dt, follows):
 def test_graph_computes_what_its_docstring_says(name, mode):
     """A blunt drive: errors of single precision in fast sines stay small."""
     weights = random_weights(name, 1) | {"sharpness": (1.0,), "dither_rate": (20.0,)}
+    if "refused_s" in weights:
+        weights["refused_s"] = (22 * SPEC.dt,)
     crowd, observed = Crowd(policy_file(SPEC, mode, [weights] * WIDTH)), observations(2)
     said = np.stack([crowd.step(row) for row in observed])
     home = SPEC.joint_array("q_home")
     expected = by_numpy(weights, observed[:, 3], home, SPEC.dt, float(mode is ControlMode.POSITION))
     np.testing.assert_allclose(said[:, 3], expected, atol=1e-3)
+    assert np.isnan(said[:, 3]).any() == ("refused_s" in weights)
 
 
 @pytest.mark.parametrize("name", ADVERSARIES)

@@ -1,4 +1,4 @@
-"""Pushed arms: which arm it is, its push, and the gains of its drives."""
+"""Pushed arms: which arm it is, its push and lost packets, and the gains of its drives."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ pytest.importorskip("mujoco")
 import eval.attack.arena as arena_module
 import eval.attack.pushed_arm as module
 from deploy.policy.compatibility import check_contract
+from eval.attack import lost_packets
 from eval.attack.adversaries import ADVERSARIES, pushed_arms
 from eval.attack.arena import Arena, Setting, write_job
 from eval.attack.candidate import Block, Candidate
@@ -20,16 +21,17 @@ from eval.attack.trained_gains import TrainedGains, extreme_gains
 from eval.replay import bundle
 from eval.replay.replay_text import mismatch
 from eval.replay.replayer import Replay
-from eval.shard.job import WIDTH
+from eval.shard.job import ARM_S, WIDTH
 from robots.distributions import load_distributions
 from robots.draws import draw
 from robots.motors.control_mode import ControlMode
-from robots.randomness import robot_seed
+from robots.randomness import Stream, robot_seed, stream_keys
 from support.arm6 import SPEC
 
 SETTING = Setting(robot=SPEC.folder, mode=ControlMode.POSITION)
-SEED, ARMS, WRIST = 5, 48, 3
-"""Wrist_1 is the third of the joints that a push throws fastest: the one of seed 5."""
+SEED, LOSSY, ARMS, WRIST = 5, 2, 48, 3
+"""Wrist_1 is the third of the joints that a push throws fastest: the one of both seeds. With the second one, of 8 arms
+the one that loses most packets is taken."""
 EFFECTS = {
     "load": lambda robots: extra_load(SPEC, robots),
     "throw": lambda robots: throws(SPEC, robots).speed[:, WRIST].max(axis=1),
@@ -40,9 +42,10 @@ NAMES = [name for name, adversary in ADVERSARIES.items() if adversary.effect]
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
-    """Fewer arms, and trials of a third of a second in operation."""
+    """Fewer arms and streams of packets, and trials of 0.6 s in operation."""
     monkeypatch.setattr(module, "ARMS", ARMS)
-    monkeypatch.setattr(arena_module, "EPISODE_S", 0.55)
+    monkeypatch.setattr(lost_packets, "STREAMS", lost_packets.ROWS)
+    monkeypatch.setattr(arena_module, "EPISODE_S", 0.8)
 
 
 def weights(name="loaded_arm", **changed):
@@ -62,6 +65,16 @@ def test_arm_is_the_one_of_many_on_which_a_push_has_most_effect(effect):
         assert link == SPEC.n - 1
 
 
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_of_arms_with_most_effect_some_seeds_take_the_one_that_loses_most_packets(effect):
+    robots = draw(load_distributions(SPEC), SPEC, [robot_seed(LOSSY, robot) for robot in range(ARMS)])
+    most = np.argsort(-EFFECTS[effect](robots))[: module.ALIKE]
+    encoder = list(SPEC.sensors).index("encoder")
+    losses = (robots["sensors.loss"] * robots["sensors.burst"])[most, encoder]
+    found, _ = choose_arm(SPEC, effect, LOSSY)
+    np.testing.assert_array_equal(found["links.mass"], robots["links.mass"][[most[losses.argmax()]] * WIDTH])
+
+
 @pytest.fixture
 def arm(tmp_path):
     """A pushed arm, and its draw."""
@@ -72,7 +85,9 @@ def arm(tmp_path):
 def test_push_has_the_moment_and_direction_of_its_weights_and_what_else_is_drawn(arm):
     pushed, robots = arm
     toward = np.random.default_rng(1).standard_normal((WIDTH, 3))
-    pushed.push([weights(force_s=(0.51 + 0.01 * k,), force_toward=tuple(x)) for k, x in enumerate(toward)])
+    after, refused = [0.2, -0.1] * (WIDTH // 2), 0.2 + 0.01 * np.arange(WIDTH)
+    moments = [{"force_s": (a,), "refused_s": (r,)} for a, r in zip(after, refused, strict=True)]
+    pushed.push([weights(**at, force_toward=tuple(x)) for at, x in zip(moments, toward, strict=True)])
     plant = pushed.shard.robot.plant
     assert (plant.wear.life == LIVES).all()
     applied, links = plant.batch.bind("xfrc_applied"), plant.bodies
@@ -88,9 +103,49 @@ def test_push_has_the_moment_and_direction_of_its_weights_and_what_else_is_drawn
             cosine = force @ toward[robot] / np.linalg.norm(force) / np.linalg.norm(toward[robot])
             assert cosine > np.cos(0.2)
             assert not applied[robot, links[:-1]].any()
-    np.testing.assert_array_equal(begins, 102 + 2 * np.arange(WIDTH))
+    np.testing.assert_array_equal(begins, np.rint((ARM_S + refused + after) / SPEC.dt))
     np.testing.assert_array_equal(ends - begins, np.rint(robots["push.lasts_s"] / SPEC.dt))
     assert plant.disturbances["payload"].on.all()
+
+
+def ages(pushed, ticks):
+    """Run some ticks; return (T, B) ticks since the newest reading of the encoder was taken."""
+    encoder, sensors, found = list(SPEC.sensors).index("encoder"), pushed.shard.robot.sensors, []
+    for tick in range(ticks):
+        pushed.shard.tick()
+        found.append(tick - sensors.sampled[:, encoder])
+    return np.array(found)
+
+
+def test_packets_are_latest_at_the_moment_of_the_weights_and_a_snapshot_holds_their_streams(arm):
+    """Of streams that were tried one by one, by the ages in the runtime."""
+    pushed, _ = arm
+    start, sensors, at = pushed.shard.snapshot(), pushed.shard.robot.sensors, 60 + np.arange(WIDTH)
+    usual = ages(pushed, 90)
+    pushed.shard.restore(start)
+    pushed.push(
+        [
+            weights(refused_s=(0.2,), lost_s=(tick * SPEC.dt - 0.4,), force_toward=(1.0, 0.0, 0.0))
+            for tick in at
+        ]
+    )
+    chosen, keys = ages(pushed, 90), sensors.packet_keys.copy()
+    assert chosen[at, np.arange(WIDTH)].sum() > usual[at, np.arange(WIDTH)].sum()
+    rest = pushed.shard.snapshot()
+    on = ages(pushed, 20)
+    pushed.shard.restore(start)
+    np.testing.assert_array_equal(ages(pushed, 90), usual)
+    pushed.shard.restore(rest)
+    np.testing.assert_array_equal(sensors.packet_keys, keys)
+    np.testing.assert_array_equal(ages(pushed, 20), on)
+    pushed.shard.restore(start)
+    streams = stream_keys([robot_seed(SEED, robot) for robot in range(lost_packets.ROWS)], Stream.PACKETS)
+    oldest = np.zeros(WIDTH)
+    for first in range(0, len(streams), WIDTH):
+        pushed.shard.restore(start)
+        sensors.use_packets(streams[first : first + WIDTH])
+        oldest = np.maximum(oldest, ages(pushed, 90)[at].max(axis=1))
+    np.testing.assert_array_equal(chosen[at, np.arange(WIDTH)], oldest)
 
 
 @pytest.mark.parametrize("mode", [ControlMode.POSITION, ControlMode.VELOCITY])
@@ -119,7 +174,7 @@ def test_trial_is_that_of_the_file_which_its_bundle_replays(name, mode, tmp_path
     rng = np.random.default_rng(3)
     adversary = next(each for each in pushed_arms(mode, gains=False) if each.name == name)
     shares = rng.random((WIDTH, len(adversary.shares(adversary.first(SPEC.n)))))
-    rows = tuple(adversary.weights(each, SPEC.n) | {"force_s": (0.5,)} for each in shares)
+    rows = tuple(adversary.weights(each, SPEC.n) | {"refused_s": (0.2,)} for each in shares)
     setting, monitor = Setting(robot=SPEC.folder, mode=mode), "velocity"
     arena = Arena(setting, SEED, ADVERSARIES[name].effect)
     outcome = arena.try_block(Block(name, rows, SEED))
