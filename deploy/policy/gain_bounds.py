@@ -23,7 +23,8 @@ load that takes half of the tracking error, let adversaries pass limits of the w
 margin to the end of its range, and from the clearances of tool and links, is bounded for each joint: an arm as soft
 as its tracking error allowed sagged through its workspace, and a planar one was pushed past the end of its range. Of
 clearances each joint has a quarter: a payload and a push bend three joints of an arm6 in the same direction, and with
-half for each of them a stop low over the table ended below its workspace.
+half for each of them a stop low over the table ended below its workspace. There, drives are as hot as they may be: one
+without a current loop puts the voltage on its motor that a cold winding needs, and holds less.
 """
 
 from collections.abc import Iterator
@@ -37,6 +38,7 @@ from robots.models.joint_inertia import JointInertia, joint_inertia
 from robots.models.levers import joint_levers
 from robots.models.nominal_model import torque_max
 from robots.motors.control_mode import ControlMode
+from robots.motors.windings import nominal_windings
 from robots.spec import RobotSpec
 
 GAIN_MARGIN = 1.5
@@ -110,12 +112,17 @@ def _deflection(spec: RobotSpec, mode: ControlMode) -> Floats:
     of_tracking = np.full(spec.n, TRACKING_SHARE * spec.margins.tracking_rad)
     if spec.base is not None:
         return of_tracking
-    of_range: Floats = np.minimum(of_tracking, RANGE_SHARE * margins.q_soft_rad)
+    hot = np.full(spec.n, RANGE_SHARE * margins.q_soft_rad)
     clearances = [each for each in (margins.workspace_m, margins.collision_m) if each is not None]
-    if not clearances:
-        return of_range
-    of_clearance = CLEARANCE_SHARE * min(clearances) / np.maximum(joint_levers(spec), 1e-9)
-    return np.asarray(np.minimum(of_range, of_clearance))
+    if clearances:
+        hot = np.minimum(hot, CLEARANCE_SHARE * min(clearances) / np.maximum(joint_levers(spec), 1e-9))
+    return np.asarray(np.minimum(of_tracking, hot / _hot_resistance(spec)))
+
+
+def _hot_resistance(spec: RobotSpec) -> Floats:
+    """Return (n,) the resistance of the hottest windings, as a multiple of that of cold ones."""
+    windings = nominal_windings(spec)
+    return 1.0 + windings.alpha * (spec.motor_array("winding_max_c") - windings.reference_c)
 
 
 def _load(spec: RobotSpec, mode: ControlMode) -> Floats:

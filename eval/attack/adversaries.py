@@ -10,9 +10,9 @@ from eval.attack.weights import WEIGHTS, Weights
 from robots.arrays import Floats
 from robots.motors.control_mode import ControlMode
 
-Effect = Literal["load", "throw", "tool"]
-"""Effect of a push: it adds to the torque that extra mass and payload take, throws the link of one joint through the
-play of its gear, or all links and with them the tool."""
+Effect = Literal["load", "sag", "throw", "tool"]
+"""Effect of a push: it adds to the torque that extra mass and payload take, or to what drives yield to them, throws the
+link of one joint through the play of its gear, or all links and with them the tool."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +140,13 @@ LIBRARY = (
         "loaded_arm",
         "the most loaded arm of many goes from pose to pose; its push is searched, too",
         effect="load",
-        targets=("torque", "workspace"),
+        targets=("torque",),
+    ),
+    _pushed(
+        "hot_arm",
+        "as loaded_arm, with the arm that yields most to its load; its motors are hot",
+        effect="sag",
+        targets=("workspace", "position_hard"),
     ),
     _pushed(
         "thrown_arm",

@@ -34,8 +34,9 @@ class LostPackets:
         self.age: Ints = np.concatenate(ages)
 
     def latest(self, tick: int) -> Keys:
-        """Return the key (2,) of the stream whose newest reading is oldest at a tick."""
-        return np.asarray(self.keys[self.age[:, tick].argmax()])
+        """Return the key (2,) of the stream whose newest reading is oldest at a tick, at most the last of all."""
+        ages = self.age[:, min(tick, self.age.shape[1] - 1)]
+        return np.asarray(self.keys[ages.argmax()])
 
 
 def _age(arrivals: Ints) -> Ints:

@@ -13,7 +13,7 @@ import numpy as np
 from deploy.backends.sim.disturbances import Pushes
 from deploy.policy.gain_bounds import damping_bounds, stiffness_bounds
 from eval.attack.adversaries import Effect
-from eval.attack.loaded_robots import EVER_S, LIVES, MOMENT_S, disturbed, extra_load
+from eval.attack.loaded_robots import EVER_S, LIVES, MOMENT_S, disturbed, extra_load, heat, sag
 from eval.attack.lost_packets import LostPackets
 from eval.attack.throws import throws
 from eval.attack.trained_gains import STIFFEST, TrainedGains
@@ -49,15 +49,15 @@ class Choice(NamedTuple):
 
 
 def choose_arm(spec: RobotSpec, effect: Effect, seed: int) -> Choice:
-    """Return the arm of `ARMS` on which a push has the most effect: of loads with its payload, of throws without.
+    """Return the arm of `ARMS` on which a push has the most effect: of throws without its payload, else with it.
 
     With half of the seeds it is, of the `ALIKE` arms with the most, the one that loses most packets in a row. Throws
     are those of one joint, by the seed: of the half of all joints that a push may throw fastest.
     """
     robots = draw(load_distributions(spec), spec, [robot_seed(seed, robot) for robot in range(ARMS)])
     links, carried = np.full(ARMS, spec.n - 1), MOMENT_S
-    if effect == "load":
-        size, carried = extra_load(spec, robots), EVER_S
+    if effect in ("load", "sag"):
+        size, carried = {"load": extra_load, "sag": sag}[effect](spec, robots), EVER_S
     elif effect == "tool":
         size = throws(spec, robots).tool
     else:
@@ -91,7 +91,7 @@ def gains_of(weights: Weights, spec: RobotSpec, mode: ControlMode) -> TrainedGai
 
 
 class PushedArm:
-    """Shard of copies of one arm, which has used up its lives.
+    """Shard of copies of one arm, which has used up its lives; one that sags has hot motors, too.
 
     Attributes:
         shard: before its first tick.
@@ -104,6 +104,7 @@ class PushedArm:
         wear = self.shard.robot.plant.wear
         wear.life[:] = LIVES
         wear.apply()
+        heat(self.shard, np.full(WIDTH, effect == "sag"))
         self._spec = spec
         self._pushes = cast(Pushes, self.shard.robot.plant.disturbances[Pushes.name])
         self._phases, self._directions = self._pushes_on(choice.link)

@@ -11,6 +11,7 @@ from deploy.backends.sim.sensor_faults import Failure, Fault
 from deploy.runtime import Runtime
 from eval.faults.hostile_policy import HostilePolicy
 from eval.mutants.situation import ROBOTS, Disturbance, SensorFaults
+from eval.shard.hot_motors import heat_motors
 from robots.arrays import Floats
 from robots.sensors import Kind
 from robots.spec import RobotSpec
@@ -87,12 +88,8 @@ def hot_motors_at_start(housing_c: float, rise_k: float) -> Disturbance:
 
     def disturb(runtime: Runtime, robot: SimRobot, t: float) -> None:
         if t == 0:
-            robot.plant.housing[:] = housing_c
-            robot.plant.housings.apply()
-            robot.settle_sensors(np.ones(robot.robots, dtype=bool))
-            rise = np.full(robot.plant.housing.shape, rise_k)
-            robot.plant.warm(rise)
-            runtime.estimator.windings.resume(rise, 0.0)
+            every, joints = np.ones(robot.robots, dtype=bool), np.ones(runtime.spec.n)
+            heat_motors(runtime, robot, every, housing_c * joints, rise_k * joints)
 
     return disturb
 

@@ -62,7 +62,9 @@ LIFT = LOWER | {"shoulder_lift": -0.32}
 TURN = LIFT | {"wrist_2": -2.55}
 DIP = Situation(
     description="elbow and wrists lower a link while the slower shoulder lifts it: a stop would go through the table",
-    policy=in_turn((0.0, HIGH), (2.0, LOWER), (2.207, LIFT), (2.318, TURN), (2.7, TURN | {"wrist_1": -2.95})),
+    policy=in_turn(
+        (0.0, HIGH), (2.0, LOWER), (2.228, LIFT), (2.303, TURN), (2.715, TURN | {"wrist_1": -2.95})
+    ),
     seconds=4.0,
 )
 SPIN = move_to(wrist_3=2.8)
@@ -157,8 +159,8 @@ SAFETY = (
         Reason.TOOL_SPEED,
         "tool_speed",
         Situation(
-            description="targets far to either side of all joints, by chance, two or three a second",
-            policy=push_joints(0.4, SEED),
+            description="targets far to either side of all joints, by chance, one or two a second",
+            policy=push_joints(0.8, SEED + 1),
             seconds=15.0,
         ),
     ),

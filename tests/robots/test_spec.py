@@ -46,9 +46,9 @@ def test_each_capability_is_optional_on_its_own(tmp_path, capability):
         ),
         (
             (NO_WORKSPACE[0],),
-            r"margins\.workspace_m: found 0\.01, expected none of a robot without workspace",
+            r"margins\.workspace_m: found 0\.013, expected none of a robot without workspace",
         ),
-        ((("workspace_m = 0.010", ""),), r"margins\.workspace_m: missing, expected one of a robot with a"),
+        ((("workspace_m = 0.013", ""),), r"margins\.workspace_m: missing, expected one of a robot with a"),
     ],
 )
 def test_a_capability_that_lacks_its_other_half_is_an_error(tmp_path, edits, message):
@@ -57,7 +57,7 @@ def test_a_capability_that_lacks_its_other_half_is_an_error(tmp_path, edits, mes
 
 def test_the_digest_of_the_arm_stays():
     """Shipped contracts carry it."""
-    assert SPEC.digest == "e9e638321a084eab36fdc2e199ed33c0794b5cfeaa15ce204dd897a55b6589b7"
+    assert SPEC.digest == "1ede91e67b60e45f97fd28c55ab537368bfd47d32af0e59a3faec6f498db866f"
 
 
 def test_arrays_follow_joint_order():
@@ -100,7 +100,7 @@ def test_unknown_robot_names_the_known_ones(tmp_path):
         ("z_min = 0.03", "z_min = -1e300", ["workspace.z_min", "-1000000000", "found -1e+300"]),
         ("centre = .*", "centre = [0.0, 1e300, 0.0]", ["workspace.centre.1", "1000000000", "found 1e+300"]),
         ("tool_speed_max = 2.5", "tool_speed_max = 1e300", ["workspace.tool_speed_max", "1000000000"]),
-        ("workspace_m = 0.010", "workspace_m = 1e300", ["margins.workspace_m", "1000000000", "found 1e+300"]),
+        ("workspace_m = 0.013", "workspace_m = 1e300", ["margins.workspace_m", "1000000000", "found 1e+300"]),
         ("speed = 0.68 ", "speed = 5e-324 ", ["margins.speed", "equal to 0.001", "found 5e-324"]),
         ("resolution = 0.01", "resolution = 5e-324", ["sensors.current.resolution", "found 5e-324"]),
         (

@@ -17,13 +17,13 @@ ARM = ROBOTS / "arm6"
 SPEC = load_robot("arm6")
 NO_WORKSPACE = (
     (r"(?s)\[workspace\].*?tool_speed_max = 2.5", ""),
-    ("workspace_m = 0.010", ""),
+    ("workspace_m = 0.013", ""),
     ("workspace_m = 0.055", ""),
     ("tool_speed = 0.87", ""),
     ("tool_speed = 0.66", ""),
 )
 NO_TOOL = (*NO_WORKSPACE, ('tool = "tool" ', ""), ("singularity = 0.0005", ""))
-NO_CLEARANCE = (("collision_m = 0.01\n", ""), ("collision_m = 0.045", ""))
+NO_CLEARANCE = (("collision_m = 0.013\n", ""), ("collision_m = 0.045", ""))
 """Edits of robot.toml that take a capability from the arm."""
 
 

@@ -24,13 +24,14 @@ class Drives(Stage):
     """Drives interpolate linearly between commands: taken as steps these would saturate the motors at every tick.
 
     MuJoCo has no brakes: where they are closed the drive holds the pose that they closed on, with the gains that it has
-    of its own, and the plant reports no current for that.
+    of its own and the torque of that moment, as a locked shaft carries its load. The plant reports no current for it.
 
     Attributes:
         history: (B, periods of physics, controls), newest last: setpoints on the motor's side. Each robot's drives
             follow them `drives.delay_s` late.
         command: (B, controls) the newest command, on the motor's side.
-        held: (B, n) rad, pose held by the brakes. braked: (B,) brakes closed.
+        held: (B, n) rad, pose held by the brakes. load: (B, n) N·m on the motor's side, when they closed.
+        braked: (B,) brakes closed.
         slip: (B, n) rad by which encoders slipped on their shafts: drives and packets read that much more.
         gear: (B, n) ratio.
         gains: kp and kd in force, (B, n) each, on the motor's side. commanded_kp, commanded_kd: those of the newest
@@ -39,7 +40,7 @@ class Drives(Stage):
         torque_limit: (B, n, 2) N·m on the motor's side, in force. torque_limit_nominal: (n, 2) at full current.
     """
 
-    carried = ("history", "held", "braked", "slip", "commanded_kp", "commanded_kd", "current_share")
+    carried = ("history", "held", "load", "braked", "slip", "commanded_kp", "commanded_kd", "current_share")
 
     def __init__(self, spec: RobotSpec, batch: Batch, draw: Draw) -> None:
         """Begin with every brake closed at 0 rad."""
@@ -47,7 +48,8 @@ class Drives(Stage):
         self.gear = np.ones((robots, n)) * batch.model.actuator_gear[:, 0]
         self.command = np.zeros((robots, n * INPUTS))
         self._q, self._qd, self._tau = self.command.reshape(robots, n, INPUTS).transpose(2, 0, 1)
-        self.held, self.braked = np.zeros((robots, n)), np.ones(robots, dtype=bool)
+        self.held, self.load = np.zeros((2, robots, n))
+        self.braked = np.ones(robots, dtype=bool)
         self.slip = np.zeros((robots, n))
         self.torque_limit = batch.expand("actuator_forcerange")
         self.torque_limit_nominal = batch.model.actuator_forcerange
@@ -75,10 +77,10 @@ class Drives(Stage):
         self._places = place * robots + np.arange(robots)[:, None]
         self._control = np.zeros((robots, substeps, controls))
 
-    def step(self, command: Command, q: Floats) -> Floats:
+    def step(self, command: Command, q: Floats, load: Floats) -> Floats:
         """Return the controls (B, substeps, controls) of the coming period.
 
-        Where the command's drives are off, brakes close on the motors' angles q (B, n) rad.
+        Where the command's drives are off, brakes close on the motors' angles q (B, n) rad and their `load` (B, n) N·m.
         """
         np.subtract(command.q, self.slip, out=self._q)
         self._q *= self.gear
@@ -101,7 +103,7 @@ class Drives(Stage):
             self.commanded_kp[:], self.commanded_kd[:] = drive.kp, drive.kd
             self.apply()
         if any_true(off):
-            self.brake(off, q)
+            self.brake(off, q, load)
         return self._rows.take(self._places, axis=0, out=self._control, mode="clip")
 
     def wait(self, robot: int) -> Floats:
@@ -118,10 +120,13 @@ class Drives(Stage):
         if not self.braked[robot]:
             self.history[robot, :, joint * INPUTS] -= moved * self.gear[robot, joint]
 
-    def brake(self, ids: Bools, q: Floats) -> None:
-        """Close the brakes of robots where `ids` (B,) holds on the motors' angles `q` (B, n) rad, at once."""
+    def brake(self, ids: Bools, q: Floats, load: Floats) -> None:
+        """Close the brakes of robots where `ids` (B,) holds on the motors' angles `q` (B, n) rad, at once.
+
+        The motors carry `load` (B, n) N·m.
+        """
         closing = ids & ~self.braked
-        self.held[closing] = q[closing]
+        self.held[closing], self.load[closing] = q[closing], load[closing]
         self.braked |= ids
         if any_true(closing):
             self.apply()
@@ -129,7 +134,7 @@ class Drives(Stage):
 
     def rest(self, rows: np.ndarray, q: Floats) -> None:
         """Put robots `rows` to rest at `q` (B, n) rad, brakes closed, as if they had stood there for a while."""
-        self.held[rows], self.braked[rows] = q[rows], True
+        self.held[rows], self.load[rows], self.braked[rows] = q[rows], 0.0, True
         self.apply()
         self._hold(rows)
 
@@ -156,7 +161,7 @@ class Drives(Stage):
 
     def _hold(self, rows: np.ndarray) -> None:
         self._q[rows] = (self.held * self.gear)[rows]
-        self._qd[rows] = self._tau[rows] = 0.0
+        self._qd[rows], self._tau[rows] = 0.0, self.load[rows]
         self.history[rows] = self.command[rows, None]
 
 

@@ -180,7 +180,7 @@ class Plant(Stage):
         if self.base:
             self.on_gantry[command.powered, self.base.gantry] = 0
         valid = None if all_true(self.valid) else np.flatnonzero(self.valid)
-        control = self.drives.step(command, self.kinematics.motor_q)
+        control = self.drives.step(command, self.kinematics.motor_q, self.current * self.wear.constant)
         self._roll(control if valid is None else control[valid], valid)
         self.tick[0] = tick = tick + 1
         self._read_physics()
@@ -201,9 +201,13 @@ class Plant(Stage):
             return
         self.bus.wait(robot)
         if not self.bus.enabled[robot]:
-            self.drives.brake(np.arange(len(self.valid)) == robot, self.kinematics.motor_q)
+            self.brake(np.arange(len(self.valid)) == robot)
         self._roll(self.drives.wait(robot), np.array([robot]))
         self._read_physics(slice(robot, robot + 1))
+
+    def brake(self, ids: Bools) -> None:
+        """Close the brakes of robots where `ids` (B,) holds, at once."""
+        self.drives.brake(ids, self.kinematics.motor_q, self.current * self.wear.constant)
 
     def warm(self, rise: Floats) -> None:
         """Set the windings (B, n) K above their housings."""

@@ -110,7 +110,7 @@ class SimRobot(Stage):
 
     def stop(self, ids: Bools) -> None:
         """Category 0 stop: brakes close now on the present pose."""
-        self.plant.drives.brake(ids, self.plant.kinematics.motor_q)
+        self.plant.brake(ids)
 
     def close(self) -> None:
         """Nothing to release."""

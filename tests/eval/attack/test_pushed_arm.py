@@ -12,7 +12,7 @@ from eval.attack import lost_packets
 from eval.attack.adversaries import ADVERSARIES, pushed_arms
 from eval.attack.arena import Arena, Setting, write_job
 from eval.attack.candidate import Block, Candidate
-from eval.attack.loaded_robots import LIVES, extra_load
+from eval.attack.loaded_robots import LIVES, extra_load, sag
 from eval.attack.peak import write_peak
 from eval.attack.policy_graph import attack_contract
 from eval.attack.pushed_arm import PushedArm, choose_arm, gains_of
@@ -34,6 +34,7 @@ SEED, LOSSY, ARMS, WRIST = 5, 2, 48, 3
 the one that loses most packets is taken."""
 EFFECTS = {
     "load": lambda robots: extra_load(SPEC, robots),
+    "sag": lambda robots: sag(SPEC, robots),
     "throw": lambda robots: throws(SPEC, robots).speed[:, WRIST].max(axis=1),
     "tool": lambda robots: throws(SPEC, robots).tool,
 }

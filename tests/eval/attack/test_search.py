@@ -122,7 +122,7 @@ def test_pushed_arms_have_their_targets_and_begin_again_on_others_once_they_have
     assert len({seed for each in seen for _, seed in each}) > len(targets)
     one = Search(SPEC, MODE, plain, seed=7, target="workspace", pushed_arms=PUSHED)
     next(one.run())
-    assert [name for name, _ in seen[-1]] == ["loaded_arm"]
+    assert [name for name, _ in seen[-1]] == ["hot_arm"]
     assert search.archive.worst_of_many["torque"].candidate.adversary in OF_MANY
 
 

@@ -88,7 +88,7 @@ def test_category_0_needs_no_command():
     for _ in range(40):
         plant.step(command(np.tile(HOME, (2, 1))))
     assert not plant.braked.any()
-    plant.drives.brake(np.array([False, True]), plant.kinematics.motor_q)
+    plant.brake(np.array([False, True]))
     assert plant.braked.tolist() == [False, True]
     motor = plant.readings["encoder"][1]  # brakes sit where the motor is
     np.testing.assert_array_equal(plant.drives.held[1], motor)
