@@ -104,7 +104,7 @@ class LoopTiming:
         self.clock, self._now, self._skipped = clock, now, Overrun(1, hz)
         self._histogram = np.zeros(BINS, dtype=np.int64)
         self._marks: deque[tuple[float, int]] = deque()
-        self._begin = 0.0
+        self._begin = self._last = 0.0
 
     @property
     def overrun(self) -> bool:
@@ -115,8 +115,9 @@ class LoopTiming:
         """Block until the next slot; return the number of slots that were skipped before it."""
         before = self.clock.skipped
         late = self.clock.wait()
+        self._last = self._now()
         if self.ticks == 0:
-            self._begin = self._now()
+            self._begin = self._last
         self.ticks += 1
         self.late_max = max(self.late_max, late)
         self._histogram[min(max(int(late * 1e6), 0), BINS - 1)] += 1
@@ -132,8 +133,8 @@ class LoopTiming:
 
     @property
     def elapsed(self) -> float:
-        """Wall time since the first tick, s."""
-        return self._now() - self._begin if self.ticks else 0.0
+        """Wall time from the first tick to the last one, s: what follows the ticks is not counted."""
+        return self._last - self._begin
 
     @property
     def rate(self) -> float:

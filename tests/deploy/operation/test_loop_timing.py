@@ -136,6 +136,14 @@ def test_loop_rates(time):
     assert timing.rate == pytest.approx(409 / (399 * 0.005 + 2.0), rel=0.01)
 
 
+def test_time_after_the_last_tick_counts_for_no_rate(time):
+    timing = LoopTiming(wall(time), 200, now=time.now)
+    for _ in range(401):
+        timing.wait()
+    time.t += 3.0  # for a console and a disk
+    assert (timing.elapsed, timing.rate) == (pytest.approx(2.0), pytest.approx(200))
+
+
 def test_rate_limited_call_runs_at_most_once_per_period(time):
     called = []
     limited = RateLimited(0.2, called.append, now=time.now)
