@@ -300,6 +300,12 @@ def test_no_settings_of_plots_are_read_elsewhere(written, tmp_path, name):
         ("PYTORCH_CUDA_ALLOC_CONF", "expandable_segments:True", True),
         ("CUDA_VISIBLE_DEVICES", "1", True),
         ("PROTOCOL_BUFFERS_PYTHON_IMPLEMENTATION", "zzz", False),
+        ("SOURCE_DATE_EPOCH", "zzz", False),
+        ("TD_LOGGING_LEVEL", "zzz", False),
+        ("PYTORCH_TENSORDICT_IMPORT_VMAP", "zzz", False),
+        ("EXCLUDE_TD_FROM_PYTREE", "zzz", False),
+        ("DISPATCH_TDNN_MODULES", "zzz", False),
+        ("COMPOSITE_LP_AGGREGATE", "zzz", False),
         ("PYTHONINSPECT", "1", False),
         ("GIT_PYTHON_GIT_EXECUTABLE", "/bin/false", False),
         ("_SOAK_TEST_COMPLETE", "zzz", False),
@@ -313,6 +319,14 @@ def test_variables_that_end_libraries_are_removed(written, monkeypatch, name, va
     written("variable_command", "def cli():\n    pass\n")
     start("variable_command")
     assert os.environ.get(name) == (value if kept else None)
+
+
+@pytest.mark.parametrize("date", ["", "zzz"])
+def test_a_date_of_builds_is_not_read(written, tmp_path, date):
+    """By numpy."""
+    written("build_command", "import numpy.f2py\ndef cli():\n    print('ran')\n")
+    ended = run("build_command", tmp_path, SOURCE_DATE_EPOCH=date)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"ran\n", b"")
 
 
 @pytest.mark.parametrize("refresh", ["", "raise"])
