@@ -107,6 +107,7 @@ class _StandardOutput(io.FileIO):
 
 def start(module: str) -> None:
     """Import the module of a command line, and run its `cli`."""
+    _fill_standard_streams()
     _check_working_directory()
     _set_environment()
     for name in ("stdout", "stderr"):
@@ -128,6 +129,19 @@ def start(module: str) -> None:
         cli()
     except KeyboardInterrupt:  # before or after the command itself
         raise SystemExit(INTERRUPTED) from None
+
+
+def _fill_standard_streams() -> None:
+    """Open the null device where a standard stream is closed: no other file gets its number, which children inherit.
+
+    Python's own stream stays None.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            null = os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is this one
+            os.set_inheritable(null, True)
 
 
 def _check_working_directory() -> None:

@@ -338,6 +338,48 @@ def test_git_is_not_needed(written, tmp_path, refresh):
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"ran\n", b"")
 
 
+OPENING = """
+import os, subprocess, sys
+from pathlib import Path
+
+CHILD = "import os, sys; sys.exit(sum(os.readlink(f'/proc/self/fd/{n}') == os.devnull for n in range(3)))"
+
+def cli():
+    reading, _ = os.pipe()
+    found = [name for name in ("stdin", "stdout", "stderr") if getattr(sys, name) is None]
+    child = subprocess.run([sys.executable, "-c", CHILD], input=b"" if "stdin" in found else None)
+    Path("found").write_text(f"{reading > 2} {found} {child.returncode}")
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
+@pytest.mark.parametrize(
+    ("closed", "streams", "empty"),
+    [
+        ("<&-", ["stdin"], 0),
+        (">&- 2>&-", ["stdout", "stderr"], 2),
+        ("<&- >&- 2>&-", ["stdin", "stdout", "stderr"], 2),
+    ],
+)
+def test_no_file_gets_the_number_of_a_standard_stream_that_is_closed(
+    written, tmp_path, closed, streams, empty
+):
+    """Nor in a child, which has its own input where the command gives it one."""
+    written("opening_command", OPENING)
+    code = "from deploy.start import start; start('opening_command')"
+    ended = subprocess.run(
+        ["/bin/sh", "-c", f'exec "$0" -c "$1" {closed}', sys.executable, code],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": f"{ROOT}:{tmp_path}"},
+        stdin=subprocess.PIPE,
+        capture_output=True,
+        timeout=60,
+        check=False,
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b"")
+    assert (tmp_path / "found").read_text() == f"True {streams} {empty}"
+
+
 LEFT_BEHIND = """
 import os
 from deploy.start import start
