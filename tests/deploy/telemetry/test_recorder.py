@@ -3,6 +3,7 @@ import io
 import json
 import os
 import resource
+import shutil
 import sys
 from threading import Event
 from types import SimpleNamespace
@@ -350,6 +351,46 @@ def test_full_disk_is_an_error_before_any_motion(tmp_path, monkeypatch):
     monkeypatch.setattr(disk_writer.Path, "open", lambda *_: io.FileIO("/dev/full", "w"))
     with pytest.raises(OutputError, match=r"run.mcap: cannot be written: No space left on device"):
         recorder(tmp_path)
+
+
+LOSSES = {
+    "deleted": lambda path: path.unlink(),
+    "moved": lambda path: path.rename(path.with_name("mine")),
+    "replaced": lambda path: (path.unlink(), path.write_text("mine")),
+    "folder deleted": lambda path: shutil.rmtree(path.parent),
+    "folder moved": lambda path: path.parent.rename(path.parent.with_name("mine")),
+}
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize(("name", "what"), [("run.mcap", "recording"), ("event-10.mcap", "event")])
+def test_a_file_that_is_no_longer_at_its_place_is_lost(tmp_path, loss, name, what):
+    """Be it still written, or complete as that of the event is."""
+    runtime, path = Scripted(), tmp_path / "out" / name
+    path.parent.mkdir()
+    writer = recorder(path.parent, runtime)
+    for tick in range(400):
+        runtime.supervisor.mode[0] = Mode.STOPPING if tick == 10 else Mode.RUNNING
+        runtime.supervisor.reason[0] = Reason.STALE if tick == 10 else 0
+        runtime.tick()
+        writer.step(runtime, "")
+        if tick == 300:
+            writer._events[0].wait()
+            LOSSES[loss](path)
+    writer.close()
+    lost = f"{what} {path}: cannot be written: it was deleted, moved or replaced"
+    assert lost in writer.lost
+    assert len(writer.lost) == (2 if "folder" in loss else 1)
+
+
+def test_a_folder_that_was_moved_and_is_now_a_link_keeps_its_files(tmp_path):
+    runtime, out = Scripted(), tmp_path / "out"
+    out.mkdir()
+    writer = recorder(out, runtime)
+    out.rename(tmp_path / "elsewhere")
+    out.symlink_to("elsewhere")
+    writer.close()
+    assert writer.lost == []
 
 
 @pytest.fixture
