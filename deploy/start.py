@@ -3,6 +3,7 @@
 Ctrl-C then ends it at once and quietly, without cleaning up: nothing is open yet.
 """
 
+import atexit
 import errno
 import io
 import os
@@ -12,6 +13,7 @@ import select
 import signal
 import sys
 import traceback
+from collections.abc import Callable
 from contextlib import chdir, nullcontext
 from functools import partial
 from importlib import import_module
@@ -123,12 +125,33 @@ def start(module: str) -> None:
             cli = import_module(module).cli
     except Exception as e:  # of a library, for something in this environment: no verdict about a robot
         raise SystemExit(report_failure(e)) from e
+    _run(cli, by_default=by_default)
+
+
+def _run(cli: Callable[[], None], *, by_default: bool) -> None:
+    """Run a command, with Ctrl-C as an exception where Python's own handler is wanted `by_default`."""
     try:
         if by_default:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-        cli()
+        try:
+            cli()
+        finally:
+            _end_quietly()
     except KeyboardInterrupt:  # before or after the command itself
         raise SystemExit(INTERRUPTED) from None
+
+
+def _end_quietly() -> None:
+    """Let Ctrl-C and requests end a command that waits for a thread at its end, as for a disk that hangs.
+
+    They are ignored once no thread is left: Python then ends by itself, and would not handle them as documented.
+    """
+    from deploy.operation.interrupts import REQUESTS
+
+    numbers = [each for each in (signal.SIGINT, *REQUESTS) if signal.getsignal(each) is not signal.SIG_IGN]
+    for number in numbers:
+        atexit.register(signal.signal, number, signal.SIG_IGN)
+        signal.signal(number, lambda *_: os._exit(INTERRUPTED))
 
 
 def _fill_standard_streams() -> None:

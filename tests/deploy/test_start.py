@@ -37,6 +37,15 @@ def written(tmp_path, monkeypatch):
     return lambda name, text: (tmp_path / f"{name}.py").write_text(text)
 
 
+@pytest.fixture
+def begun():
+    """`start` in this process, whose signals are as before at the end."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, *REQUESTS)}
+    yield start
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 def run(module, folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, pass_fds=(), cwd=None, **environment):
     """Start a module of a folder in a process of its own."""
     code = (
@@ -154,6 +163,56 @@ def test_a_request_to_end_that_arrives_in_a_destructor_ends_the_command(written,
     assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, b"", b"")
 
 
+ENDING = """
+import atexit, os, signal, sys
+
+from deploy.command_line import main
+
+def end() -> int:
+    atexit.register(os.kill, os.getpid(), int(os.environ["SIGNAL"]))
+    print("a result")
+    return 1
+
+def cli():
+    main(end)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, *REQUESTS])
+def test_a_signal_after_the_command_changes_nothing(written, tmp_path, number):
+    """When its results are written, and Python ends."""
+    written("ending_command", ENDING)
+    ended = run("ending_command", tmp_path, SIGNAL=str(int(number)))
+    assert (ended.returncode, ended.stdout, ended.stderr) == (1, b"a result\n", b"")
+
+
+WAITING = """
+import os
+from threading import Event, Thread, main_thread
+
+from deploy.command_line import main
+
+def hang():
+    main_thread().join()
+    os.kill(os.getpid(), int(os.environ["SIGNAL"]))
+    Event().wait()
+
+def begin() -> int:
+    Thread(target=hang).start()
+    return 0
+
+def cli():
+    main(begin)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, *REQUESTS])
+def test_a_command_that_waits_for_a_thread_at_its_end_is_ended(written, tmp_path, number):
+    written("waiting_command", WAITING)
+    ended = run("waiting_command", tmp_path, SIGNAL=str(int(number)))
+    assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, b"", b"")
+
+
 WITH_HANDLERS = WRITER.replace("main(write)", "with handled(interrupt): main(write)")
 WITH_HANDLERS = f"{WITH_HANDLERS}\nfrom deploy.operation.interrupts import handled, interrupt\n"
 
@@ -181,9 +240,9 @@ def test_letters_that_a_terminal_lacks_are_escaped(written, tmp_path, environmen
     assert (ended.returncode, ended.stdout) == (0, b"5 \\xb5s \\u2264 6\n")
 
 
-def test_command_line_runs_once(written, capsys):
+def test_command_line_runs_once(written, capsys, begun):
     written("other_command", "def cli():\n    print('ran')\n")
-    start("other_command")
+    begun("other_command")
     assert capsys.readouterr().out == "ran\n"
 
 
@@ -312,12 +371,12 @@ def test_no_settings_of_plots_are_read_elsewhere(written, tmp_path, name):
         ("_COMPLETE", "zzz", True),
     ],
 )
-def test_variables_that_end_libraries_are_removed(written, monkeypatch, name, value, kept):
+def test_variables_that_end_libraries_are_removed(written, monkeypatch, name, value, kept, begun):
     for each in ENVIRONMENT:  # set by the start
         monkeypatch.setenv(each, "")
     monkeypatch.setenv(name, value)
     written("variable_command", "def cli():\n    pass\n")
-    start("variable_command")
+    begun("variable_command")
     assert os.environ.get(name) == (value if kept else None)
 
 
@@ -451,11 +510,11 @@ def test_a_limit_of_memory_that_is_too_low_is_one_line(capsys, monkeypatch, kind
     assert capsys.readouterr().err == f"error: ulimit {said}\n"
 
 
-def test_the_least_memory_is_enough(written, monkeypatch, capsys):
+def test_the_least_memory_is_enough(written, monkeypatch, capsys, begun):
     written("small_command", "def cli():\n    print('ran')\n")
     least = {resource.RLIMIT_AS: ADDRESSES_MIN, resource.RLIMIT_STACK: STACK_MIN}
     monkeypatch.setattr(resource, "getrlimit", lambda asked: [least[asked]] * 2)
-    start("small_command")
+    begun("small_command")
     assert capsys.readouterr().out == "ran\n"
 
 
