@@ -13,25 +13,27 @@ from robots.errors import OutputError, output_error
 def replacing(path: Path, option: str = "--out") -> Iterator[Path]:
     """Yield an empty file beside `path`, to be filled; it replaces `path` if the block ends without an error.
 
+    A link stays: the file that it leads to is replaced.
+
     Raises:
         OutputError: naming the `option`, if the place cannot be written; a `ResultLostError` if the disk has no room.
             An earlier file there is left as it was.
     """
-    _check_replaceable(path, option)
-    with _partial(path, option) as partial:
+    place = _replaceable(path, option)
+    with _partial(place, option) as partial:
         yield partial
-        os.replace(partial, path)
+        os.replace(partial, place)
 
 
 def add_file(text: str, path: Path, option: str = "--out") -> bool:
-    """Write a file whole or not at all; return False, and write nothing, if there is a file already.
+    """Write a file whole or not at all; return False, and write nothing, if there is a file, or a link, already.
 
     Of several processes, one writes it. On a file system without hard links, the last one may replace the others' file.
 
     Raises:
         OutputError: as `replacing`.
     """
-    if os.path.exists(path):
+    if os.path.lexists(path):
         return False
     with _partial(path, option) as partial:
         partial.write_text(text, encoding="utf-8")
@@ -82,8 +84,7 @@ def check_file(path: Path, option: str = "--out") -> None:
     Raises:
         OutputError: as `replacing`.
     """
-    _check_replaceable(path, option)
-    with _partial(path, option):
+    with _partial(_replaceable(path, option), option):
         pass
 
 
@@ -109,7 +110,8 @@ def check_no_input(path: Path, inputs: Iterable[Path], option: str = "--out") ->
             raise OutputError(f"{option} {path}: found a file that is read, expected another place")
 
 
-def _check_replaceable(path: Path, option: str) -> None:
+def _replaceable(path: Path, option: str) -> Path:
+    """Return the place of a file that may be replaced, if there is one: for a link, that of the file behind it."""
     if not path.name:
         raise OutputError(f"{option} {path}: found a folder, expected a file or nothing")
     if os.path.exists(path) and not os.path.isfile(path):
@@ -118,3 +120,9 @@ def _check_replaceable(path: Path, option: str) -> None:
         raise OutputError(
             f"{option} {path}: found a write-protected file, expected a writable one or nothing"
         )
+    if not os.path.islink(path):
+        return path
+    place = Path(os.path.realpath(path))
+    if not os.path.isfile(place):  # a loop, or a file that was deleted while a process has it open
+        raise OutputError(f"{option} {path}: found a link to no file, expected a file or nothing")
+    return place

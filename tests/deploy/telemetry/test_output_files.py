@@ -1,10 +1,11 @@
 import errno
 import os
+import sys
 from pathlib import Path
 
 import pytest
 
-from deploy.telemetry.output_files import check_file, check_no_input, replacing
+from deploy.telemetry.output_files import add_file, check_file, check_no_input, replacing
 from robots.errors import NO_ROOM, OutputError, ResultLostError
 
 
@@ -56,6 +57,54 @@ def test_write_protected_file_is_kept(tmp_path, monkeypatch):
     with pytest.raises(OutputError, match="found a write-protected file"), replacing(path):
         pass
     assert path.read_text() == "precious"
+
+
+def test_a_link_stays_and_its_file_is_replaced(tmp_path):
+    theirs, link = tmp_path / "theirs" / "x.bin", tmp_path / "link.bin"
+    theirs.parent.mkdir()
+    theirs.write_text("older")
+    (tmp_path / "other.bin").symlink_to("theirs/x.bin")
+    link.symlink_to("other.bin")
+    check_file(link)
+    with replacing(link) as partial:
+        partial.write_text("newer")
+    assert (os.readlink(link), os.readlink(tmp_path / "other.bin")) == ("other.bin", "theirs/x.bin")
+    assert theirs.read_text() == "newer"
+    assert os.listdir(theirs.parent) == ["x.bin"]
+
+
+@pytest.mark.parametrize("target", ["nothing", "nothing/deeper", "link.bin"])
+def test_a_link_to_no_file_is_refused(tmp_path, target):
+    link = tmp_path / "link.bin"
+    link.symlink_to(target)
+    message = f"--out {link}: found a link to no file, expected a file or nothing"
+    for call in (check_file, lambda path: replacing(path).__enter__()):
+        with pytest.raises(OutputError, match=message):
+            call(link)
+    assert not add_file("new", link)
+    assert (os.listdir(tmp_path), os.readlink(link)) == (["link.bin"], target)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
+def test_a_link_to_an_open_file_that_was_deleted_is_refused(tmp_path):
+    link = tmp_path / "link.bin"
+    with (tmp_path / "x.bin").open("w") as file:
+        (tmp_path / "x.bin").unlink()
+        link.symlink_to(f"/proc/self/fd/{file.fileno()}")
+        with pytest.raises(OutputError, match="found a link to no file"):
+            check_file(link)
+    assert os.listdir(tmp_path) == ["link.bin"]
+
+
+@pytest.mark.parametrize("kind", ["folder", "pipe", "device"])
+def test_what_is_no_regular_file_is_refused_behind_a_link_as_well(tmp_path, kind):
+    place, link = tmp_path / "place", tmp_path / "link.bin"
+    {"folder": place.mkdir, "pipe": lambda: os.mkfifo(place), "device": lambda: None}[kind]()
+    link.symlink_to(os.devnull if kind == "device" else place)
+    for path in (link, link.resolve()):
+        with pytest.raises(OutputError, match=f"--out {path}: found a folder or a device, expected a file"):
+            check_file(path)
+    assert link.is_symlink()
 
 
 def test_the_new_file_has_the_usual_permissions(tmp_path):
