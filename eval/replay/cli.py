@@ -10,7 +10,7 @@ from rich.console import Console
 
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.loop_timing import RateLimited, WallClock
-from deploy.telemetry.output_files import replacing
+from deploy.telemetry.output_files import check_file, replacing
 from deploy.telemetry.plain_console import plain_console
 from eval.replay.capture_window import write_mcap
 from eval.replay.event_video import EventVideo
@@ -42,10 +42,13 @@ def soak_replay(
     Exit codes: 0 reproduced, 1 not reproduced, 2 bad input.
     """
     console = plain_console()
-    _keep_bundle(bundle, {"--video": video, "--mcap": mcap})
+    outputs = {name: path for name, path in (("--video", video), ("--mcap", mcap)) if path is not None}
+    _keep_bundle(bundle, outputs)
     if video is not None:
         check_film(video)
     replay = Replay(bundle)
+    for option, path in outputs.items():
+        check_file(path, option)
     _print_event(replay, console)
     renderer = None if video is None else EventVideo(replay.spec)
     result = replay.run(_viewer(replay) if view else lambda: None)
@@ -65,9 +68,9 @@ def soak_replay(
     return BUDGET_EXCEEDED if difference else PASSED
 
 
-def _keep_bundle(folder: Path, written: dict[str, Path | None]) -> None:
+def _keep_bundle(folder: Path, written: dict[str, Path]) -> None:
     """Refuse (OutputError) to write into the bundle itself, or two files into one place."""
-    places = {option: Path(os.path.realpath(path)) for option, path in written.items() if path is not None}
+    places = {option: Path(os.path.realpath(path)) for option, path in written.items()}
     for option, place in places.items():
         if place.is_relative_to(os.path.realpath(folder)):
             raise OutputError(

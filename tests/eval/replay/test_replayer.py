@@ -216,6 +216,18 @@ def test_a_recording_that_cannot_be_written_is_named_as_it_was_given(one, run, t
     assert not place.exists()
 
 
+@pytest.mark.parametrize(("option", "name"), [("--mcap", "again.mcap"), ("--video", "again.gif")])
+def test_the_place_of_an_output_is_checked_before_the_simulation(
+    one, run, tmp_path, monkeypatch, option, name
+):
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setattr(Replay, "run", lambda *_: pytest.fail("simulated"))
+    place = tmp_path / "file" / name
+    code, said, complaint = run(one, option, place)
+    assert (code, said) == (BAD_INPUT, "")
+    assert complaint == f"error: {option} {place}: cannot be written: Not a directory\n"
+
+
 def test_another_policy_is_refused_by_name(one, run):
     model = policy_model()
     model.doc_string = "another one"
