@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -92,16 +93,30 @@ def read_json(
     """Return plain data from JSON of at most `characters_max`; `source` names its origin in an `error`.
 
     Raises:
-        FirstshiftError: of class `error`: too long, nested too deeply, with too long numbers, or not JSON of Unicode.
+        FirstshiftError: of class `error`: too long, nested too deeply, with too long numbers, with a key more than
+            once in an object, or not JSON of Unicode.
     """
     check_text(text, "JSON", source, characters_max, error)
     try:
-        data = json.loads(text)
+        data = json.loads(text, object_pairs_hook=_object)
         if "\\u" in text:  # half of a character, which no file and no terminal can hold
             json.dumps(data, ensure_ascii=False).encode()
         return data
     except ValueError as e:
         raise error(f"{source}: not valid JSON: {e!s:.100}, found {text!r:.40}") from e
+
+
+def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Return an object of JSON.
+
+    Raises:
+        ValueError: it has a key more than once, of which readers would take different ones.
+    """
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        (key, _), *_ = Counter(key for key, _ in pairs).most_common(1)
+        raise ValueError(f"key {key!r:.40} more than once")
+    return found
 
 
 def read_json_file(path: Path, characters_max: int, source: str | None = None) -> object:

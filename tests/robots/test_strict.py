@@ -145,3 +145,12 @@ def test_half_a_character_is_no_json():
     assert read_json('{"a": "\\ud83d\\ude00"}', "a.json", 100) == {"a": "\U0001f600"}
     with pytest.raises(ConfigError, match=r"a\.json: not valid JSON: 'utf-8' codec can't encode"):
         read_json('{"a": ["\\ud800"]}', "a.json", 100)
+
+
+@pytest.mark.parametrize("text", ['{"a": 1, "b": 2, "a": 1}', '[{"b": {"a": 1, "a": {}}}]'])
+def test_a_key_twice_in_one_object_is_no_json(text):
+    assert read_json('[{"a": {"a": 1}}, {"a": 2}]', "a.json", 100) == [{"a": {"a": 1}}, {"a": 2}]
+    with pytest.raises(
+        ConfigError, match=r"^a\.json: not valid JSON: key 'a' more than once, found '[\[{].+'$"
+    ):
+        read_json(text, "a.json", 100)
