@@ -13,6 +13,7 @@ import select
 import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Callable
 from contextlib import chdir, nullcontext
 from functools import partial
@@ -68,12 +69,15 @@ NOT_WANTED = "|".join(
             "SOURCE_DATE_EPOCH",
         ),
         *("TD_.*", "PYTORCH_TENSORDICT_.*", "EXCLUDE_TD_FROM_PYTREE", "DISPATCH_TDNN_MODULES"),
-        *("COMPOSITE_LP_AGGREGATE", "PYTHONINSPECT", "_.*_COMPLETE"),
+        *("COMPOSITE_LP_AGGREGATE", "PYTHONINSPECT", "PYTHONWARNINGS", "_.*_COMPLETE"),
     )
 )
 """Pattern of names of variables: torch and protobuf fail at an unknown log, folder, level or implementation, GitPython
 at a program that is no git, numpy at a date that is no number, and tensordict at switches and a level that it does not
-know; a Python process that is inspected does not end, and typer answers a shell instead of running."""
+know; a Python process that is inspected does not end, and one whose warnings are errors ends anywhere; typer answers a
+shell instead of running."""
+FOR_DEVELOPERS = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning)
+"""Warnings that Python itself hides."""
 SIZES, SIZE = ("COLUMNS", "LINES"), "[1-9][0-9]{0,3}"
 """Variables with the size of a terminal, and pattern of a size: rich fails at other digits, and is silent at 0."""
 PLOT_SETTINGS = "matplotlibrc"
@@ -112,6 +116,7 @@ def start(module: str) -> None:
     _fill_standard_streams()
     _check_working_directory()
     _set_environment()
+    _reset_warnings()
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and stream is getattr(sys, f"__{name}__"):
@@ -182,6 +187,16 @@ def _set_environment() -> None:
     for name, value in tuple(os.environ.items()):
         if re.fullmatch(NOT_WANTED, name) or (name in SIZES and not re.fullmatch(SIZE, value)):
             del os.environ[name]
+
+
+def _reset_warnings() -> None:
+    """Treat warnings as Python does unless told otherwise, here and in children: as errors they would end a tick."""
+    if not sys.warnoptions:
+        return
+    sys.warnoptions.clear()
+    warnings.resetwarnings()
+    for category in FOR_DEVELOPERS:
+        warnings.simplefilter("ignore", category)
 
 
 def _check_memory() -> None:

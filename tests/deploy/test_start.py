@@ -366,6 +366,7 @@ def test_no_settings_of_plots_are_read_elsewhere(written, tmp_path, name):
         ("DISPATCH_TDNN_MODULES", "zzz", False),
         ("COMPOSITE_LP_AGGREGATE", "zzz", False),
         ("PYTHONINSPECT", "1", False),
+        ("PYTHONWARNINGS", "ignore", False),
         ("GIT_PYTHON_GIT_EXECUTABLE", "/bin/false", False),
         ("_SOAK_TEST_COMPLETE", "zzz", False),
         ("_COMPLETE", "zzz", True),
@@ -386,6 +387,32 @@ def test_a_date_of_builds_is_not_read(written, tmp_path, date):
     written("build_command", "import numpy.f2py\ndef cli():\n    print('ran')\n")
     ended = run("build_command", tmp_path, SOURCE_DATE_EPOCH=date)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"ran\n", b"")
+
+
+WARNING = """
+import subprocess, sys, warnings
+from multiprocessing import get_context
+
+def warn():
+    warnings.warn("for developers", DeprecationWarning)
+    warnings.warn("a number", RuntimeWarning)
+
+def cli():
+    warn()
+    child = get_context("spawn").Process(target=warn)
+    child.start()
+    child.join()
+    print(child.exitcode)
+"""
+
+
+@pytest.mark.parametrize("action", ["error", "always", "ignore"])
+def test_warnings_are_no_errors(written, tmp_path, action):
+    """Nor in a child; whoever uses a command sees those that Python shows to users."""
+    written("warning_command", WARNING)
+    ended = run("warning_command", tmp_path, PYTHONWARNINGS=action, PYTHONPATH=f"{ROOT}:{tmp_path}")
+    assert (ended.returncode, ended.stdout) == (0, b"0\n")
+    assert (ended.stderr.count(b"for developers"), ended.stderr.count(b"RuntimeWarning: a number")) == (0, 2)
 
 
 @pytest.mark.parametrize("refresh", ["", "raise"])
