@@ -315,6 +315,26 @@ def test_a_diverged_simulation_stops_its_robot_only():
     np.testing.assert_array_equal(broken.robot.plant.rows[[0, 2]], clean.robot.plant.rows[[0, 2]])
 
 
+@pytest.mark.parametrize("number", [1e160, -1e308])
+@pytest.mark.parametrize("name", ["encoder", "current"])
+def test_a_number_that_no_sensor_measures_stops_its_robot_only(monkeypatch, name, number):
+    """It ends no tick, even where numpy's warnings are errors, as they are here."""
+    runtime = running(3, policy=Saying(3))
+    read = runtime.robot.read
+
+    def wrong():
+        sample = dict(read())
+        value = sample[name].value.copy()
+        value[1, 2] = number
+        sample[name] = sample[name]._replace(value=value)
+        return sample
+
+    monkeypatch.setattr(runtime.robot, "read", wrong)
+    _, modes = play(runtime, 150)
+    assert (modes[:, [0, 2]] == Mode.RUNNING).all()
+    assert modes[-1, 1] == Mode.LATCHED
+
+
 @pytest.mark.parametrize("told", [True, False])
 def test_a_late_tick_at_speed_does_not_stop_a_robot_whose_runtime_is_told(told):
     """The drive has come to rest meanwhile, and catches up; without being told the estimator refuses its samples."""
