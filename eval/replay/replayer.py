@@ -81,7 +81,8 @@ class Replay:
         self.shard = _shard(folder, info, self.spec, _load_draw(folder, info, self.spec, distributions))
         state = self._read_arrays(folder / bundle.STATE, self.shard.snapshot())
         _check_equal(folder / bundle.STATE, "runtime.ticks", int(state["runtime.ticks"]), info.begin)
-        self.shard.restore(state)
+        with self.reading_state():
+            self.shard.restore(state)
         row = window_type(self.spec, self.shard.runtime.task.size)
         expected = columns(np.zeros(info.end - info.begin, dtype=row))
         self.recorded = from_columns(self._read_arrays(folder / bundle.WINDOW, expected), row)
@@ -142,11 +143,14 @@ class Replay:
     def reading_state(self) -> Iterator[None]:
         """Context in which errors are taken for those of integers in the saved state, which are not checked before.
 
+        Nor are its other numbers, and numpy warns of none: what they lead to is part of the replay.
+
         Raises:
             ConfigError: in place of an IndexError, OverflowError or ValueError.
         """
         try:
-            yield
+            with np.errstate(all="ignore"):
+                yield
         except (IndexError, OverflowError, ValueError) as e:
             said = next(iter(str(e).splitlines()), "")
             raise ConfigError(f"{self._state_path}: holds an integer that no state has: {said}") from e

@@ -191,6 +191,15 @@ def test_mismatched_state_is_refused_by_name(one, run, change, complaint):
     assert re.fullmatch(rf"error: .*/one/state\.npz: {complaint}.*\n", said)
 
 
+@pytest.mark.parametrize("name", ["runtime.smoother.q", "robot.plant.housings.celsius"])
+def test_numbers_of_a_state_that_are_not_finite_are_replayed(one, run, name):
+    """Even where numpy's warnings are errors, as they are here."""
+    changed(one, "state.npz", lambda arrays: arrays[name].fill(np.inf))
+    _, said, complaint = run(one)
+    assert complaint == ""
+    assert re.search("(?m)^(not )?reproduced: ", said)
+
+
 def test_state_of_other_code_is_reported_as_such(one, run):
     changed(one, "state.npz", lambda arrays: arrays.pop("runtime.requested_stop"))
     resealed(one, identity={"code_digest": "ab" * 32})
