@@ -59,18 +59,10 @@ ENVIRONMENT = {
 that somebody else has written; plots are files, and no settings of a user's change them; no tick waits for a thread of
 numpy's; children write, and libraries' children read, text as UTF-8; GitPython is imported without git;
 ONNX Runtime sends nothing to its vendor, whoever imports it."""
-NOT_WANTED = "|".join(
-    (
-        *(
-            "TORCH.*",
-            "PYTORCH_JIT.*",
-            "PROTOCOL_BUFFERS_.*",
-            "GIT_PYTHON_GIT_EXECUTABLE",
-            "SOURCE_DATE_EPOCH",
-        ),
-        *("TD_.*", "PYTORCH_TENSORDICT_.*", "EXCLUDE_TD_FROM_PYTREE", "DISPATCH_TDNN_MODULES"),
-        *("COMPOSITE_LP_AGGREGATE", "PYTHONINSPECT", "PYTHONWARNINGS", "_.*_COMPLETE"),
-    )
+NOT_WANTED = (
+    "TORCH.*|PYTORCH_JIT.*|PROTOCOL_BUFFERS_.*|GIT_PYTHON_GIT_EXECUTABLE|SOURCE_DATE_EPOCH"
+    "|TD_.*|PYTORCH_TENSORDICT_.*|EXCLUDE_TD_FROM_PYTREE|DISPATCH_TDNN_MODULES|COMPOSITE_LP_AGGREGATE"
+    "|PYTHONINSPECT|PYTHONWARNINGS|_.*_COMPLETE"
 )
 """Pattern of names of variables: torch and protobuf fail at an unknown log, folder, level or implementation, GitPython
 at a program that is no git, numpy at a date that is no number, and tensordict at switches and a level that it does not

@@ -100,9 +100,7 @@ class Estimator(Stage):
         joints.e -= now - ed * age
         joints.ed -= ed
 
-    @np.errstate(
-        over="ignore"
-    )  # a bus may deliver any number: squares of large ones are infinite, and refused
+    @np.errstate(over="ignore")  # squares of large readings are infinite, and refused
     def step(self, t: float, sample: Sample, sent: Setpoint) -> State:
         """Fuse the packets that arrived and predict to now.
 
