@@ -86,7 +86,8 @@ class Runtime(Stage):
         self.spec, self.contract, self.robot, self.policy = spec, contract, robot, policy
         robots, mode, gains = robot.robots, contract.action.control_mode, contract.action.gains
         self.ticks, self.decimation = 0, contract.control_hz // contract.policy_hz
-        fleet = Fleet(spec.in_mode(mode), 2 * robots, collisions=True)
+        in_mode = spec.in_mode(mode)
+        fleet = Fleet(in_mode, 2 * robots, collisions=True)
         self.drives = drive_modes(spec, mode, gains, robots)
         self.law = law = drive_law(spec, mode, gains, fleet)
         self.springs = law if isinstance(law, SpringDrives) else None
@@ -98,7 +99,7 @@ class Runtime(Stage):
         self.smoother = make_smoother(spec, self.drives)
         self.prepared_stop = PreparedStop(self.drives)
         self.supervisor, self.escalation = Supervisor(robots, spec.dt), StopEscalation(spec, robots)
-        self.task: Task = find_task(contract.task, f"contract: task {contract.task!r}")(spec, seeds)
+        self.task: Task = find_task(contract.task, f"contract: task {contract.task!r}")(in_mode, seeds)
         sources = sources_of(contract.task)
         seen = proxy(self)  # a reader must not keep the runtime, and its robots, in memory
         readers = {term.source: sources[term.source].reader(seen) for term in contract.observation}

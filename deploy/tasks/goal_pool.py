@@ -56,16 +56,16 @@ class GoalPool:
     cumulative_probability: Floats
 
 
-_POOLS: dict[tuple[str, ReachConfig], GoalPool] = {}
+_POOLS: dict[tuple[str, str, ReachConfig], GoalPool] = {}
 
 
 def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
-    """Return the pool of a robot, sampled once in a process: it takes half a second.
+    """Return the pool of a robot with the margins of its mode, sampled once in a process: it takes half a second.
 
     Raises:
         RobotError: no goal can be reached.
     """
-    key = spec.digest, config
+    key = spec.digest, spec.margins.model_dump_json(), config
     if key not in _POOLS:
         _POOLS[key] = sample_pool(spec, config)
     return _POOLS[key]

@@ -94,7 +94,7 @@ def test_options_of_the_simulation_are_refused_for_other_backends(call, arm_poli
 def test_gains_that_a_backend_cannot_set_are_refused(outside, call, tmp_path):
     own = drive_gains(SPEC)
     soft = arm_contract().action.model_copy(
-        update={"kp": tuple((0.9 * own.kp).tolist()), "kd": tuple(own.kd.tolist())}
+        update={"kp": tuple((0.95 * own.kp).tolist()), "kd": tuple(own.kd.tolist())}
     )
     policy, out = saved(policy_model(arm_contract(action=soft)), tmp_path), tmp_path / "out"
     code, _, said = call(cli, "--policy", policy, "--backend", "echo", "--out", out)

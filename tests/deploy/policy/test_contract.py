@@ -221,7 +221,7 @@ POSITION = {"mode": "position", "size": 6, "scale": (0.5,) * 6, "offset": (0.1,)
 
 
 def test_gains_come_with_the_policy():
-    kp = tuple((0.9 * drive_gains(SPEC).kp).tolist())
+    kp = tuple((0.95 * drive_gains(SPEC).kp).tolist())
     action = ActionSpec(**POSITION, kp=kp, kd=tuple(drive_gains(SPEC).kd.tolist()))
     check_contract(arm_contract(action=action), SPEC, "x.onnx")
     np.testing.assert_array_equal(action.gains.kp, kp)

@@ -4,11 +4,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deploy.safety.safety import Safety
+from deploy.simulation import simulate
 from deploy.tasks.goal_pool import ReachConfig, goal_pool, sample_pool
 from deploy.tasks.reach import Reach
+from eval.attack.policy_graph import attack_contract
 from robots.errors import RobotError
 from robots.models.blocks import BLOCK
 from robots.models.fleet import Fleet
+from robots.motors.control_mode import ControlMode
 from robots.randomness import robot_seed
 from support.arm6 import SPEC
 
@@ -49,6 +52,15 @@ def test_every_goal_is_in_the_shell_above_the_table_and_accepted_by_safety():
         kinematics = fleet.kinematics(q)
         assert not safety.check_poses(q).any()
         np.testing.assert_array_equal(kinematics.tool_position, POOL.tool[start : start + BLOCK])
+
+
+@pytest.mark.parametrize("mode", ControlMode)
+def test_runtime_sets_goals_and_poses_that_are_safe_with_the_margins_of_its_mode(mode):
+    runtime, _ = simulate(SPEC, attack_contract(SPEC, mode), [robot_seed(1, robot) for robot in range(256)])
+    found = Safety(SPEC, Fleet(SPEC, 256, collisions=True), mode=mode)
+    assert not found.check_poses(runtime.task.start_poses(np.random.default_rng(2))).any()
+    pool = goal_pool(SPEC.in_mode(mode), CONFIG)
+    assert all((goal == pool.tool).all(axis=1).any() for goal in runtime.task.goal)
 
 
 def test_goals_cover_four_fifths_of_the_reachable_volume():

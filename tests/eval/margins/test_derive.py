@@ -49,7 +49,7 @@ def test_needed_margins_are_rounded_to_the_safe_side():
     assert found.holds
     found = need(SPEC, "workspace", np.array([0.0021]), noise=0.0, stop=0.0013)
     assert (found.key, found.needed, found.planned, found.holds) == ("workspace_m", 0.004, 0.0, True)
-    assert not need(SPEC, "gap", np.array([0.0101]), noise=0.0, stop=0.0).holds
+    assert not need(SPEC, "gap", np.array([0.0131]), noise=0.0, stop=0.0).holds
     assert need(SPEC, "gap", np.array([0.0099]), noise=0.0, stop=0.0).holds
     present = SPEC.margins.tool_speed
     assert need(SPEC, "tool_speed", bins(usual=0.0), noise=0.001, stop=0.989 - present).holds

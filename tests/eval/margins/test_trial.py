@@ -8,6 +8,7 @@ pytest.importorskip("mujoco")
 import eval.margins.trial as module
 from deploy.policy.actor import Actor
 from deploy.reasons import Reason
+from eval.attack import loaded_robots
 from eval.attack.arena import Setting
 from eval.attack.loaded_robots import CHOICE, DISTURBED, extra_load
 from eval.attack.throws import throws
@@ -156,8 +157,9 @@ class Script(Actor):
 
 
 @pytest.mark.parametrize(("mode", "same"), [(ControlMode.POSITION, True), (ControlMode.TORQUE, False)])
-def test_noise_decides_what_is_sent_in_torque_mode_only(mode, same):
-    """But for the pose at arming, where a robot is by its own estimate."""
+def test_noise_decides_what_is_sent_in_torque_mode_only(mode, same, monkeypatch):
+    """But for the pose at arming, where a robot is by its own estimate, and the speed that hot motors leave."""
+    monkeypatch.setattr(loaded_robots, "HOT", 0.0)
     setting, robots = Setting(robot=PLANAR.folder, mode=mode), draw_robots(PLANAR, 5, corners=False)
     one = Draw({name: np.repeat(x[:1], WIDTH, axis=0) for name, x in robots.items()})
     shard = make_shard(setting, one.replaced({"push.every_s": 1e4, "payload.carried_s": 1e4}), 9)

@@ -101,7 +101,7 @@ def test_success_counts_by_ground_truth_and_only_while_running(pursued):
 
 def test_success_does_not_end_an_episode():
     env = gymnasium.make(ID).unwrapped
-    observation, _ = env.reset(seed=3)
+    observation, _ = env.reset(seed=4)
     task = env.session.episodes.task
     task.goal[:] = observation["achieved_goal"]
     rows = [env.step(np.zeros(SPEC.n, np.float32)) for _ in range(20)]

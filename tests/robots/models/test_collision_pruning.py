@@ -79,7 +79,7 @@ def test_home_pose_in_collision_is_refused(tmp_path):
     xml = [(r"</body>\s*</body>\s*</worldbody>", rf"</body>{POST}</body></body></worldbody>")]
     spec = load_robot(copy_of_arm(tmp_path, xml=xml))
     with pytest.raises(
-        RobotError, match=r"q_home: there 'wrist_3' and 'post' are -29\.5 mm apart, expected .*, 10 mm"
+        RobotError, match=r"q_home: there 'wrist_3' and 'post' are -29\.5 mm apart, expected .*, 13 mm"
     ):
         Fleet(spec, 1, collisions=True)
     Fleet(spec, 1)

@@ -64,20 +64,22 @@ def double(shipped_policy, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def nervous(shipped_policy, tmp_path_factory):
-    """Six times as loud: a wrong scale inside the network, or too little of a price on its actions in training."""
-    return CheckContext(ailing(shipped_policy, tmp_path_factory.mktemp("nervous"), graph=louder(6.0)))
+    """Five times as loud: a wrong scale inside the network, or too little of a price on its actions in training."""
+    return CheckContext(ailing(shipped_policy, tmp_path_factory.mktemp("nervous"), graph=louder(5.0)))
 
 
 def unobserved(data):
     data["observed"] = None
 
 
-def test_the_shipped_policy_passes_every_check_but_two(sound):
-    """A camera tells it where its goals are. Nobody told it of 20 ms more, and it says so: half of that it takes."""
+def test_the_shipped_policy_passes_every_check_but_three(sound):
+    """A camera tells it where its goals are, and once it asks for more than the range of a joint. Nobody told it of
+    20 ms more, and it says so: half of that it takes."""
     found = {check: run_check(sound, check) for check in CHECKS}
     odd = {check: each.verdict for check, each in found.items() if each.verdict is not Verdict.PASS}
-    assert odd == {"delay": Verdict.WARN, "proprioception": Verdict.WARN}
-    assert re.match(r"8 robots reached 2\d of 24 goals in 12 s without a stop; ", found["simulation"].text)
+    assert odd == {"simulation": Verdict.WARN, "delay": Verdict.WARN, "proprioception": Verdict.WARN}
+    assert sound.run.counts.reached.sum() == sound.run.counts.attempted.sum() == 24
+    assert found["simulation"].text.startswith("asked for 1.1")
     assert "10 ms do no harm" in found["delay"].text
 
 
@@ -144,7 +146,7 @@ def test_wrong_joint_order_misses_every_goal(sick, shipped_policy):
     assert run_check(case, "simulation").verdict is Verdict.FAIL
     training = run_check(case, "training")
     assert training.verdict is Verdict.FAIL
-    assert "joint_position shoulder_lift 8." in training.text
+    assert "joint_position shoulder_lift 7." in training.text
     assert "and order with training" in training.text
 
 
@@ -233,7 +235,7 @@ def test_overheating_motors_are_named_with_the_hour(sick, tmp_path):
     robot, digest = robot_and_digest(tmp_path, toml=[cool])
     found = text_of(sick(robot, contract=digest), "heat", Verdict.FAIL)
     assert (
-        "after eight hours of this work, with middle values of draws.toml, at 25 °C: shoulder_lift 11"
+        "after eight hours of this work, with middle values of draws.toml, at 25 °C: shoulder_lift 12"
         in found
     )
     assert re.search(r"too hot: the first is too hot within [678][.\d]* h", found)
@@ -390,8 +392,8 @@ def test_command_exits_with_0_on_warnings_only(command, shipped_policy, monkeypa
     monkeypatch.setattr(checking, "CheckContext", lambda path, robot: sound)
     code, said, _ = command(shipped_policy, "--robot", "arm6")
     assert code == 0
-    assert said.count(" pass ") == len(CHECKS) - 2
-    assert said.count(" warn ") == 2  # a goal camera is exteroceptive
+    assert said.count(" pass ") == len(CHECKS) - 3
+    assert said.count(" warn ") == 3  # a goal camera is exteroceptive
 
 
 def test_network_with_a_fixed_batch_is_bad_input(command, shipped_policy, tmp_path):
