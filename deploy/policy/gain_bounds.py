@@ -23,8 +23,9 @@ load that takes half of the tracking error, let adversaries pass limits of the w
 margin to the end of its range, and from the clearances of tool and links, is bounded for each joint: an arm as soft
 as its tracking error allowed sagged through its workspace, and a planar one was pushed past the end of its range. Of
 clearances each joint has a quarter: a payload and a push bend three joints of an arm6 in the same direction, and with
-half for each of them a stop low over the table ended below its workspace. There, drives are as hot as they may be: one
-without a current loop puts the voltage on its motor that a cold winding needs, and holds less.
+half for each of them a stop low over the table ended below its workspace. There, a motor without the mode "torque" is
+as hot as it may be: without a loop around its current, the drive puts the voltage on it that a cold winding needs, and
+holds less.
 """
 
 from collections.abc import Iterator
@@ -120,9 +121,10 @@ def _deflection(spec: RobotSpec, mode: ControlMode) -> Floats:
 
 
 def _hot_resistance(spec: RobotSpec) -> Floats:
-    """Return (n,) the resistance of the hottest windings, as a multiple of that of cold ones."""
-    windings = nominal_windings(spec)
-    return 1.0 + windings.alpha * (spec.motor_array("winding_max_c") - windings.reference_c)
+    """Return (n,) the resistance of the hottest windings over the one for which their drives take them."""
+    windings, modes = nominal_windings(spec), [spec.motors[joint.motor].modes for joint in spec.joints]
+    hot = 1.0 + windings.alpha * (spec.motor_array("winding_max_c") - windings.reference_c)
+    return np.where(["torque" in each for each in modes], 1.0, hot)
 
 
 def _load(spec: RobotSpec, mode: ControlMode) -> Floats:

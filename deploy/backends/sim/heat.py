@@ -19,14 +19,19 @@ class Windings(Stage):
     It is integrated here: MuJoCo heats a saturated motor by the current that its voltage would drive, not by the one
     that its limit of torque lets through.
 
+    MuJoCo's drives put the voltage on a motor that its winding needs at `REFERENCE_C` for the torque: hot, it gives
+    less. That is so for motors without the mode "torque"; those that have it close a loop around the current, which
+    finds the voltage whatever the temperature. Their drives are given the resistance of the present temperature.
+
     Attributes:
         square: (B, n) A², sum of the squared currents of the ticks since the last `warm`.
+        drive_ohm: (B, n) of the winding, as its drive takes it to be. A view of the model.
         to_housing: (B, n) K/W. capacity: (B, n) J/K.
     """
 
-    carried = ("square",)
+    carried = ("square", "drive_ohm")
 
-    def __init__(self, batch: Batch, draw: Draw) -> None:
+    def __init__(self, spec: RobotSpec, batch: Batch, draw: Draw) -> None:
         gain, dynamics = batch.expand("actuator_gainprm"), batch.expand("actuator_dynprm")
         self._ohm, self._per_k, self._reference_c = (
             gain[:, :, place].copy()
@@ -37,6 +42,16 @@ class Windings(Stage):
         )
         dynamics[:, :, motor.WINDING_CAPACITY] = CAPACITY_OFF
         self.square = np.zeros((draw.robots, self._ohm.shape[1]))
+        modes = [spec.motors[joint.motor].modes for joint in spec.joints]
+        self._closed, self.drive_ohm = (
+            np.array(["torque" in each for each in modes]),
+            gain[:, :, motor.RESISTANCE],
+        )
+        gain[:, self._closed, motor.RESISTANCE_PER_K] = 0.0
+
+    def tell_drives(self, rows: np.ndarray | slice, ohm: Floats) -> None:
+        """Give drives that close a loop the resistance (B, n) of the windings of robots `rows`."""
+        self.drive_ohm[rows] = np.where(self._closed, ohm, self._ohm)[rows]
 
     def ohm(self, celsius: Floats) -> Floats:
         """Return the resistance (B, n) of windings at (B, n) °C."""

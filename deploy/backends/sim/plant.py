@@ -81,7 +81,7 @@ class Plant(Stage):
         self.kinematics = Kinematics(self.batch, model)
         self.bus, self.drives = CommandBus(spec, draw.robots), Drives(spec, self.batch, draw)
         self.supply = Supply(self.batch, draw, self.drives.gear)
-        self.windings, self.housings = Windings(self.batch, draw), Housings(spec, self.batch, draw)
+        self.windings, self.housings = Windings(spec, self.batch, draw), Housings(spec, self.batch, draw)
         self.wear = Wear(distributions.wear, self.batch, model, draw)
         self.disturbances = {d.name: d(self.batch, model, draw, seeds, spec.dt) for d in DISTURBANCES}
         self.q, self.qd, self.braked = self.kinematics.q, self.kinematics.qd, self.drives.braked
@@ -147,6 +147,7 @@ class Plant(Stage):
         for disturbance in self.disturbances.values():
             disturbance.reset(rows)
         self.travel[rows] = self.turned[rows] = 0.0
+        self._tell_drives(rows)
         self._forward(rows)
         self.current[rows] = 0.0
         self.sensed[rows] = self._sensordata[rows]
@@ -188,6 +189,7 @@ class Plant(Stage):
             self.windings.warm(self._rise, self.housing, self._supply_ticks, self._dt)
             ohm = self.windings.ohm(self.housing + self._rise)
             self.supply.update(self.current, self.kinematics.motor_qd, self.wear.constant, ohm)
+            self.windings.tell_drives(slice(None), ohm)
         if tick % self._slow_ticks == 0:
             self._step_slowly()
 
@@ -212,6 +214,10 @@ class Plant(Stage):
     def warm(self, rise: Floats) -> None:
         """Set the windings (B, n) K above their housings."""
         self._rise[:] = rise
+        self._tell_drives(slice(None))
+
+    def _tell_drives(self, rows: np.ndarray | slice) -> None:
+        self.windings.tell_drives(rows, self.windings.ohm(self.housing + self._rise))
 
     def _roll(self, control: Floats, ids: Ints | None) -> None:
         """Advance robots `ids`, by default all, under controls (ids, substeps, controls)."""

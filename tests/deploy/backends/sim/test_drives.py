@@ -138,7 +138,8 @@ def test_hot_windings_draw_more_power():
         for _ in range(40):
             plant.step(command(HOME))
         own = plant.batch.get_model(0)
-        resistance = own.actuator_gainprm[:, 0] * (1.0 + 0.0039 * (plant.truth(0.0).winding_c[0] - 25.0))
+        cold_ohm = PLANT_MODEL.model.actuator_gainprm[:, 0]
+        resistance = cold_ohm * (1.0 + 0.0039 * (plant.truth(0.0).winding_c[0] - 25.0))
         motor = (
             plant.current[0] * resistance + own.actuator_gainprm[:, 1] * 101 * plant.kinematics.motor_qd[0]
         )

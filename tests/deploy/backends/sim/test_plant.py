@@ -358,13 +358,17 @@ def test_heat_follows_the_closed_form_within_1_k(tmp_path, minutes, hz, factors)
     assert truth.winding_c[0, 4] == pytest.approx(ambient, abs=0.5)
 
 
-def test_a_commanded_torque_sags_as_the_winding_heats(tmp_path):
-    """The drive takes its winding for cold: of the current it asks for, it gets R0 / R(T)."""
+@pytest.mark.parametrize("modes", [("position", "velocity", "torque"), ("position", "velocity")])
+def test_a_commanded_torque_sags_as_the_winding_heats_if_no_loop_holds_its_current(modes, tmp_path):
+    """Such a drive takes its winding for cold: of the current it asks for, it gets R0 / R(T)."""
     spec = re40_arm(tmp_path, 50)
+    motors = {name: motor.model_copy(update={"modes": modes}) for name, motor in spec.motors.items()}
+    spec = spec.model_copy(update={"motors": motors})
     plant, tau = exact(spec=spec), np.zeros(N)
     tau[5] = 4.0 * 0.0603 * 101
     for _ in range(60 * 50):
         plant.step(command(HOME, tau=tau, spec=spec))
     warmer = plant.truth(0.0).winding_c[0, 5] - 25.0
     assert warmer > 20.0
-    assert plant.current[0, 5] == pytest.approx(4.0 / (1.0 + 0.0039 * warmer), rel=1e-3)
+    hot = 1.0 if "torque" in modes else 1.0 + 0.0039 * warmer
+    assert plant.current[0, 5] == pytest.approx(4.0 / hot, rel=1e-3)
