@@ -74,7 +74,7 @@ CHANGES = {"position": 0.01, "velocity": 0.1, "torque": 0.5}
 def test_change_of_a_target_is_capped_in_each_policy_step(mode):
     change = CHANGES[mode]
     runtime, sent = armed(mode, 2, rest, change_max=(change,) * N), []
-    for _ in range(40):
+    for _ in range(36):
         live(runtime, lambda r: np.ones((2, N)), 1)
         assert not runtime.supervisor.stopping.any()
         sent.append(runtime.target.value.copy())
@@ -110,7 +110,7 @@ def test_setpoint_in_torque_mode_is_where_joints_will_be():
 def test_a_stop_takes_over_with_position_drives_that_stiffen():
     policy = lambda r: weight(r) + np.array([0.3, 0, 0, 0, 0, 0.5])  # noqa: E731
     runtime = armed("torque", 2, weight)
-    live(runtime, policy, 60)
+    live(runtime, policy, 36)
     moving = np.abs(runtime.robot.truth().qd[:, 0])
     assert (moving > 0.2).all()
     runtime.stop(OPERATOR)

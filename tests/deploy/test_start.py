@@ -49,7 +49,8 @@ def begun():
 def run(module, folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, pass_fds=(), cwd=None, **environment):
     """Start a module of a folder in a process of its own."""
     code = (
-        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"  # a shell may ignore it
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"  # a shell may ignore it,
+        "signal.signal(signal.SIGQUIT, signal.SIG_DFL); signal.signal(signal.SIGHUP, signal.SIG_DFL);"  # or these
         f"sys.path.insert(0, {str(folder)!r}); from deploy.start import start; start({module!r})"
     )
     environment = os.environ | {"PYTHONPATH": str(ROOT)} | environment
@@ -194,8 +195,9 @@ from deploy.command_line import main
 
 def hang():
     main_thread().join()
-    os.kill(os.getpid(), int(os.environ["SIGNAL"]))
-    Event().wait()
+    while True:  # Python misses one that comes as it begins to wait
+        os.kill(os.getpid(), int(os.environ["SIGNAL"]))
+        Event().wait(0.05)
 
 def begin() -> int:
     Thread(target=hang).start()
