@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from robots.arrays import Bools
 from robots.capabilities import Capability
 from robots.contacts import GOAL, MayTouch
 from robots.errors import RobotError, is_utf8
@@ -207,6 +208,11 @@ class RobotSpec(Strict):
         """Control modes that the drives of all joints have."""
         motors = [self.motors[joint.motor] for joint in self.joints]
         return tuple(mode for mode in ControlMode if all(mode.name.lower() in each.modes for each in motors))
+
+    @property
+    def current_loops(self) -> Bools:
+        """(n,) joints whose drives close a loop around the current: without one they could not follow torques."""
+        return np.array(["torque" in self.motors[joint.motor].modes for joint in self.joints])
 
     def in_mode(self, mode: ControlMode) -> Self:
         """Return the robot with the margins of a control mode."""

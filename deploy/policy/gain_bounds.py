@@ -23,9 +23,9 @@ load that takes half of the tracking error, let adversaries pass limits of the w
 margin to the end of its range, and from the clearances of tool and links, is bounded for each joint: an arm as soft
 as its tracking error allowed sagged through its workspace, and a planar one was pushed past the end of its range. Of
 clearances each joint has a quarter: a payload and a push bend three joints of an arm6 in the same direction, and with
-half for each of them a stop low over the table ended below its workspace. There, a motor without the mode "torque" is
-as hot as it may be: without a loop around its current, the drive puts the voltage on it that a cold winding needs, and
-holds less.
+half for each of them a stop low over the table ended below its workspace. For range and clearances, a motor without
+the mode "torque" is as hot as it may be: without a loop around its current, the drive puts the voltage on it that a
+cold winding needs, and holds less.
 """
 
 from collections.abc import Iterator
@@ -113,18 +113,18 @@ def _deflection(spec: RobotSpec, mode: ControlMode) -> Floats:
     of_tracking = np.full(spec.n, TRACKING_SHARE * spec.margins.tracking_rad)
     if spec.base is not None:
         return of_tracking
-    hot = np.full(spec.n, RANGE_SHARE * margins.q_soft_rad)
+    room = np.full(spec.n, RANGE_SHARE * margins.q_soft_rad)
     clearances = [each for each in (margins.workspace_m, margins.collision_m) if each is not None]
     if clearances:
-        hot = np.minimum(hot, CLEARANCE_SHARE * min(clearances) / np.maximum(joint_levers(spec), 1e-9))
-    return np.asarray(np.minimum(of_tracking, hot / _hot_resistance(spec)))
+        room = np.minimum(room, CLEARANCE_SHARE * min(clearances) / np.maximum(joint_levers(spec), 1e-9))
+    return np.asarray(np.minimum(of_tracking, room / _hot_resistance(spec)))
 
 
 def _hot_resistance(spec: RobotSpec) -> Floats:
-    """Return (n,) the resistance of the hottest windings over the one for which their drives take them."""
-    windings, modes = nominal_windings(spec), [spec.motors[joint.motor].modes for joint in spec.joints]
+    """Return (n,) the resistance of the hottest windings over the one that their drives assume."""
+    windings = nominal_windings(spec)
     hot = 1.0 + windings.alpha * (spec.motor_array("winding_max_c") - windings.reference_c)
-    return np.where(["torque" in each for each in modes], 1.0, hot)
+    return np.where(spec.current_loops, 1.0, hot)
 
 
 def _load(spec: RobotSpec, mode: ControlMode) -> Floats:

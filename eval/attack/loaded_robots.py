@@ -22,8 +22,8 @@ PAUSE_S = 2.0
 """s between pushes, mean: a trial has some of them. By draws.toml they come 30 to 300 times less often."""
 MOMENT_S, EVER_S = 0.1, 1e5
 """s with and without payload: a robot carries it all the time, or never."""
-HOT = 0.5
-"""Share of robots whose motors are hot: their drives are softer."""
+HOT = 0.25
+"""Share of robots with hot motors, whose drives have less current and, without a loop around it, less stiffness."""
 DISTURBED = ("push.every_s", "payload.carried_s", "payload.free_s")
 """Quantities of `loaded_robots` that are not drawn."""
 LIVES = 2.0

@@ -9,7 +9,7 @@ from robots.randomness import Keys, Stream, robot_seed, stream_keys
 from robots.spec import RobotSpec
 
 STREAMS = 2048
-"""Streams of which one is chosen: at a given tick, one of as many has packets that late."""
+"""Number of streams to choose from."""
 ROWS = 128
 """Streams computed at once."""
 
@@ -31,9 +31,9 @@ class LostPackets:
             chunks = range(-(-ticks // packets.length))
             newest = np.concatenate([packets.arriving(chunk)[:, :, encoder] for chunk in chunks])
             ages.append(_age(newest)[:ticks].T)
-        self.age: Ints = np.concatenate(ages)
+        self.age = np.concatenate(ages).astype(np.int16)
 
-    def latest(self, tick: int) -> Keys:
+    def oldest_at(self, tick: int) -> Keys:
         """Return the key (2,) of the stream whose newest reading is oldest at a tick, at most the last of all."""
         ages = self.age[:, min(tick, self.age.shape[1] - 1)]
         return np.asarray(self.keys[ages.argmax()])

@@ -72,7 +72,7 @@ def choose_arm(spec: RobotSpec, effect: Effect, seed: int) -> Choice:
 
 
 def _losses(spec: RobotSpec, robots: Draw) -> Floats:
-    """Return (B,) how many packets of the encoder are lost in a row, in the mean of all packets."""
+    """Return (B,) loss times mean length of a burst, of the encoder: for comparing robots with each other."""
     encoder = list(spec.sensors).index("encoder")
     return np.asarray(robots["sensors.loss"][:, encoder] * robots["sensors.burst"][:, encoder])
 
@@ -133,7 +133,7 @@ class PushedArm:
             nearest = int((self._directions[robot] @ np.array(row["force_toward"])).argmax())
             self._pushes.phase[robot] = self._phases[robot][nearest] - 1
             self._pushes.until[robot] = self._tick(row, "force_s")
-            keys[robot] = self._packets.latest(self._tick(row, "lost_s"))
+            keys[robot] = self._packets.oldest_at(self._tick(row, "lost_s"))
         self._pushes.apply_all()
         sensors.use_packets(keys)
 

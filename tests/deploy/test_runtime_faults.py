@@ -164,6 +164,7 @@ def test_every_encoder_fault_stops_the_robot_within_limits(what):
     assert reasons & STOPS[what]
     assert (np.array(modes)[:, 0] == Mode.RUNNING).all()
     assert (np.array(modes)[:, 1] != Mode.RUNNING).any()
+    # the angle at which TRACKING stops a robot, and what the joint moves until the next tick
     of_a_period = SPEC.margins.speed * SPEC.joint_array("qd_max").max() * SPEC.dt
     assert max(errors) < SPEC.margins.tracking_rad + of_a_period
     assert_within_limits(np.array(q))

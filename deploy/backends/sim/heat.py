@@ -25,7 +25,7 @@ class Windings(Stage):
 
     Attributes:
         square: (B, n) A², sum of the squared currents of the ticks since the last `warm`.
-        drive_ohm: (B, n) of the winding, as its drive takes it to be. A view of the model.
+        drive_ohm: (B, n) of the winding, as its drive assumes it. A view of the model.
         to_housing: (B, n) K/W. capacity: (B, n) J/K.
     """
 
@@ -42,16 +42,12 @@ class Windings(Stage):
         )
         dynamics[:, :, motor.WINDING_CAPACITY] = CAPACITY_OFF
         self.square = np.zeros((draw.robots, self._ohm.shape[1]))
-        modes = [spec.motors[joint.motor].modes for joint in spec.joints]
-        self._closed, self.drive_ohm = (
-            np.array(["torque" in each for each in modes]),
-            gain[:, :, motor.RESISTANCE],
-        )
-        gain[:, self._closed, motor.RESISTANCE_PER_K] = 0.0
+        self._current_loops, self.drive_ohm = spec.current_loops, gain[:, :, motor.RESISTANCE]
+        gain[:, self._current_loops, motor.RESISTANCE_PER_K] = 0.0
 
-    def tell_drives(self, rows: np.ndarray | slice, ohm: Floats) -> None:
-        """Give drives that close a loop the resistance (B, n) of the windings of robots `rows`."""
-        self.drive_ohm[rows] = np.where(self._closed, ohm, self._ohm)[rows]
+    def set_drive_resistance(self, rows: np.ndarray | slice, ohm: Floats) -> None:
+        """Give the drives of robots `rows` with a current loop the resistance (B, n) of their windings."""
+        self.drive_ohm[rows] = np.where(self._current_loops, ohm, self._ohm)[rows]
 
     def ohm(self, celsius: Floats) -> Floats:
         """Return the resistance (B, n) of windings at (B, n) °C."""

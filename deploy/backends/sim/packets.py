@@ -1,7 +1,7 @@
 """Packets of simulated sensors: variable delay, loss in bursts, repetition, reordering.
 
-All of it is a function of seed, robot and tick, computed in chunks of ticks: for each tick, when the packet that
-arrives was sampled. Nothing has to be saved.
+All of it is a function of the robots' streams and the tick, computed in chunks of ticks: for each tick, when the packet
+that arrives was sampled. Nothing has to be saved but the keys of the streams.
 """
 
 from collections.abc import Sequence

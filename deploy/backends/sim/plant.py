@@ -147,7 +147,7 @@ class Plant(Stage):
         for disturbance in self.disturbances.values():
             disturbance.reset(rows)
         self.travel[rows] = self.turned[rows] = 0.0
-        self._tell_drives(rows)
+        self._set_drive_resistance(rows)
         self._forward(rows)
         self.current[rows] = 0.0
         self.sensed[rows] = self._sensordata[rows]
@@ -189,7 +189,7 @@ class Plant(Stage):
             self.windings.warm(self._rise, self.housing, self._supply_ticks, self._dt)
             ohm = self.windings.ohm(self.housing + self._rise)
             self.supply.update(self.current, self.kinematics.motor_qd, self.wear.constant, ohm)
-            self.windings.tell_drives(slice(None), ohm)
+            self.windings.set_drive_resistance(slice(None), ohm)
         if tick % self._slow_ticks == 0:
             self._step_slowly()
 
@@ -214,10 +214,10 @@ class Plant(Stage):
     def warm(self, rise: Floats) -> None:
         """Set the windings (B, n) K above their housings."""
         self._rise[:] = rise
-        self._tell_drives(slice(None))
+        self._set_drive_resistance(slice(None))
 
-    def _tell_drives(self, rows: np.ndarray | slice) -> None:
-        self.windings.tell_drives(rows, self.windings.ohm(self.housing + self._rise))
+    def _set_drive_resistance(self, rows: np.ndarray | slice) -> None:
+        self.windings.set_drive_resistance(rows, self.windings.ohm(self.housing + self._rise))
 
     def _roll(self, control: Floats, ids: Ints | None) -> None:
         """Advance robots `ids`, by default all, under controls (ids, substeps, controls)."""

@@ -31,8 +31,8 @@ class Sensors(Stage):
     """
 
     carried = (
-        *("ring", "value", "sampled", "seen", "bias_walk", "cold", "offset", "held", "tick"),
-        "packet_keys",
+        *("ring", "value", "sampled", "seen", "bias_walk"),
+        *("cold", "offset", "held", "tick", "packet_keys"),
     )
 
     def __init__(

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from deploy.backends.sim.model.motor_parameters import RESISTANCE_PER_K
+from deploy.backends.sim.model.motor_parameters import RESISTANCE, RESISTANCE_PER_K
 from deploy.backends.sim.model.plant_model import build
 from deploy.backends.sim.plant import Plant
 from deploy.backends.sim.robot import SimRobot
@@ -65,10 +65,13 @@ def test_plant_without_a_draw_equals_model_xml():
     np.testing.assert_array_equal(own.opt.gravity, nominal.opt.gravity)
     for name in ("body_pos", "body_ipos", "body_inertia"):
         np.testing.assert_array_equal(getattr(own, name)[: nominal.nbody], getattr(nominal, name))
-    own.actuator_gainprm[:, RESISTANCE_PER_K] = nominal.actuator_gainprm[
-        :, RESISTANCE_PER_K
-    ]  # see `Windings`
-    np.testing.assert_allclose(own.actuator_gainprm, nominal.actuator_gainprm, rtol=1e-3)
+    of_windings = [
+        RESISTANCE,
+        RESISTANCE_PER_K,
+    ]  # the drives' loops know the first at its present temperature
+    np.testing.assert_allclose(own.actuator_gainprm[:, 0], nominal.actuator_gainprm[:, 0], rtol=1e-3)
+    own.actuator_gainprm[:, of_windings] = nominal.actuator_gainprm[:, of_windings]
+    np.testing.assert_array_equal(own.actuator_gainprm, nominal.actuator_gainprm)
     np.testing.assert_array_equal(own.dof_armature[PLANT_MODEL.dofs], nominal.dof_armature)
     data, plain = mujoco.MjData(own), mujoco.MjData(nominal)
     data.qpos[own.jnt_qposadr[PLANT_MODEL.joints]] = plain.qpos[:] = HOME
