@@ -51,7 +51,8 @@ def test_hot_motors_are_halfway_to_the_end_of_their_work_for_plant_and_runtime(t
     shard = Shard(write_job(setting, ARM, Candidate("", {}, 3), tmp_path / POLICY))
     hot = np.arange(WIDTH) % 2 == 0
     cold_c = shard.robot.truth().winding_c[1].copy()
-    heat(shard, hot)
+    heat(shard, hot & (np.arange(WIDTH) < 8))
+    heat(shard, hot & (np.arange(WIDTH) >= 8))
     for _ in range(20):
         shard.tick()
     truth, state = shard.truth, shard.runtime.state
