@@ -60,12 +60,12 @@ $(eval $(call environment,$(VENV_ROBOT),requirements-robot.lock,1.1 GB: a minute
 # ---- the main job ---------------------------------------------------------------------------------------------
 
 .PHONY: demo export run soak smoke shift nightly faults weekend train bench mutants attack margins fuzz
-demo: setup ## export the arm's policy, run it for 10 s, soak 32 robots for 90 simulated seconds
+demo: setup ## export the arm's policy, run it for 10 s, soak 32 robots for 3 simulated minutes
 	@mkdir -p out
 	$(BIN)/policy-export --policy arm.pt --out $(ARM)
 	@sync # a fresh installation is still being written to the disk, and ticks would come late for it
 	$(BIN)/deploy-run --backend sim --policy $(ARM) --duration 10 --out out/run
-	@$(BIN)/soak-test --policy $(ARM) --hours 0.025 --robots 32 --seed 7 --workers 2 --out out/soak; \
+	@$(BIN)/soak-test --policy $(ARM) --hours 0.05 --robots 32 --seed 7 --workers 2 --out out/soak; \
 	status=$$?; echo "report: $(CURDIR)/out/soak/report.html"; exit $$status
 
 export: setup ## write one ONNX file with its contract: POLICY=arm.pt [OUT=file.onnx]
