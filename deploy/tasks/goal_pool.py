@@ -12,6 +12,7 @@ from robots.arrays import Floats
 from robots.errors import RobotError
 from robots.models.fleet import Fleet
 from robots.spec import RobotSpec
+from robots.tables import Margins
 
 GOALS_SEED = 20_250_811
 """Seed of the pool, the same for all: a robot's own seed decides the order of its goals."""
@@ -56,7 +57,7 @@ class GoalPool:
     cumulative_probability: Floats
 
 
-_POOLS: dict[tuple[str, str, ReachConfig], GoalPool] = {}
+_POOLS: dict[tuple[str, Margins, ReachConfig], GoalPool] = {}
 
 
 def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
@@ -65,7 +66,7 @@ def goal_pool(spec: RobotSpec, config: ReachConfig) -> GoalPool:
     Raises:
         RobotError: no goal can be reached.
     """
-    key = spec.digest, spec.margins.model_dump_json(), config
+    key = spec.digest, spec.margins, config
     if key not in _POOLS:
         _POOLS[key] = sample_pool(spec, config)
     return _POOLS[key]

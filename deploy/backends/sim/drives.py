@@ -7,7 +7,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from deploy.backends.sim.model.motor_parameters import KD, KP, VOLTAGE_MAX
+from deploy.backends.sim.model.motor_parameters import KD, KP, TORQUE_CONSTANT, VOLTAGE_MAX
 from deploy.masks import all_true, any_true
 from deploy.stage import Stage
 from deploy.state import Command
@@ -56,7 +56,7 @@ class Drives(Stage):
         self.torque_limit_nominal = batch.model.actuator_forcerange
         self.current_share = np.ones((robots, n))
         gain = batch.expand("actuator_gainprm")
-        self.gains = gain[:, :, KP], gain[:, :, KD]
+        self.gains, self._constant = (gain[:, :, KP], gain[:, :, KD]), gain[:, :, TORQUE_CONSTANT]
         self._own = self.gains[0].copy(), self.gains[1].copy()
         self._nominal, self._factors = drive_gains(spec), (draw["drives.kp"], draw["drives.kd"])
         self.commanded_kp, self.commanded_kd = (np.tile(gain, (robots, 1)) for gain in self._nominal)
@@ -78,10 +78,10 @@ class Drives(Stage):
         self._places = place * robots + np.arange(robots)[:, None]
         self._control = np.zeros((robots, substeps, controls))
 
-    def step(self, command: Command, q: Floats, load: Floats) -> Floats:
+    def step(self, command: Command, q: Floats, current: Floats) -> Floats:
         """Return the controls (B, substeps, controls) of the coming period.
 
-        Where the command's drives are off, brakes close on the motors' angles q (B, n) rad and their `load` (B, n) N·m.
+        Brakes of robots whose drives are off close on the motors' angles q (B, n) rad; these carry `current` (B, n) A.
         """
         np.subtract(command.q, self.slip, out=self._q)
         self._q *= self.gear
@@ -104,7 +104,7 @@ class Drives(Stage):
             self.commanded_kp[:], self.commanded_kd[:] = drive.kp, drive.kd
             self.apply()
         if any_true(off):
-            self.brake(off, q, load)
+            self.brake(off, q, current)
         return self._rows.take(self._places, axis=0, out=self._control, mode="clip")
 
     def wait(self, robot: int) -> Floats:
@@ -121,15 +121,16 @@ class Drives(Stage):
         if not self.braked[robot]:
             self.history[robot, :, joint * INPUTS] -= moved * self.gear[robot, joint]
 
-    def brake(self, ids: Bools, q: Floats, load: Floats) -> None:
+    def brake(self, ids: Bools, q: Floats, current: Floats) -> None:
         """Close the brakes of robots where `ids` (B,) holds on the motors' angles `q` (B, n) rad, at once.
 
-        The motors carry `load` (B, n) N·m.
+        The motors carry `current` (B, n) A.
         """
         closing = ids & ~self.braked
-        self.held[closing], self.load[closing] = q[closing], load[closing]
         self.braked |= ids
         if any_true(closing):
+            self.held[closing] = q[closing]
+            self.load[closing] = current[closing] * self._constant[closing]
             self.apply()
         self._hold(np.flatnonzero(self.braked))
 

@@ -181,7 +181,7 @@ class Plant(Stage):
         if self.base:
             self.on_gantry[command.powered, self.base.gantry] = 0
         valid = None if all_true(self.valid) else np.flatnonzero(self.valid)
-        control = self.drives.step(command, self.kinematics.motor_q, self.current * self.wear.constant)
+        control = self.drives.step(command, self.kinematics.motor_q, self.current)
         self._roll(control if valid is None else control[valid], valid)
         self.tick[0] = tick = tick + 1
         self._read_physics()
@@ -209,7 +209,7 @@ class Plant(Stage):
 
     def brake(self, ids: Bools) -> None:
         """Close the brakes of robots where `ids` (B,) holds, at once."""
-        self.drives.brake(ids, self.kinematics.motor_q, self.current * self.wear.constant)
+        self.drives.brake(ids, self.kinematics.motor_q, self.current)
 
     def warm(self, rise: Floats) -> None:
         """Set the windings (B, n) K above their housings."""
