@@ -8,6 +8,7 @@ pytest.importorskip("mujoco")
 import eval.attack.arena as arena_module
 import eval.attack.pushed_arm as module
 from deploy.policy.compatibility import check_contract
+from deploy.state import Mode
 from eval.attack import lost_packets
 from eval.attack.adversaries import ADVERSARIES, pushed_arms
 from eval.attack.arena import Arena, Setting, write_job
@@ -107,6 +108,23 @@ def test_push_has_the_moment_and_direction_of_its_weights_and_what_else_is_drawn
     np.testing.assert_array_equal(begins, np.rint((ARM_S + refused + after) / SPEC.dt))
     np.testing.assert_array_equal(ends - begins, np.rint(robots["push.lasts_s"] / SPEC.dt))
     assert plant.disturbances["payload"].on.all()
+
+
+def test_stop_begins_in_the_tick_of_an_action_that_is_no_number(tmp_path):
+    refused_s = 0.21
+    job = write_job(
+        SETTING,
+        SPEC,
+        Candidate("loaded_arm", weights(refused_s=(refused_s,)), SEED),
+        tmp_path / bundle.POLICY,
+    )
+    shard, at = PushedArm(job, SPEC, "load").shard, round((ARM_S + refused_s) / SPEC.dt)
+    modes = []
+    for _ in range(at + 1):
+        shard.tick()
+        modes.append(shard.runtime.supervisor.mode.copy())
+    assert (modes[at - 1] == Mode.RUNNING).all()
+    assert (modes[at] == Mode.STOPPING).all()
 
 
 def ages(pushed, ticks):
