@@ -25,7 +25,7 @@ from robots.errors import NO_ROOM, printable
 LACKING, BAD_INPUT, INTERRUPTED, BROKEN = 1, 2, 130, 70
 """Exit codes where the computer lacks room, memory or open files, after bad input, after Ctrl-C, and after a defect."""
 RESOURCES = {
-    **dict.fromkeys(NO_ROOM, "a temporary file"),
+    **dict.fromkeys((*NO_ROOM, errno.EROFS, errno.EACCES), "a temporary file"),
     **dict.fromkeys((errno.EMFILE, errno.ENFILE), "a file, a pipe or a process"),
     errno.EAGAIN: "a process or a thread",
     errno.ENOMEM: "memory",
@@ -39,8 +39,6 @@ NO_MEMORY = (
 """Words, in lower case, of RuntimeErrors of torch and ImportErrors of library loaders that lack memory."""
 NO_THREAD = "can't start new thread"
 """Message of a RuntimeError of Python's where the system starts no further thread."""
-NO_RENDERER = "environment variable MUJOCO_GL"
-"""Words of MuJoCo's RuntimeError about a renderer that it does not know."""
 NO_FOLDER = "No usable temporary directory"
 """Beginning of the message of a FileNotFoundError where no folder for temporary files can be written."""
 ADDRESSES_MIN, STACK_MIN = 1 << 30, 1 << 20
@@ -61,13 +59,14 @@ numpy's; children write, and libraries' children read, text as UTF-8; GitPython 
 ONNX Runtime sends nothing to its vendor, whoever imports it."""
 NOT_WANTED = (
     "TORCH.*|PYTORCH_JIT.*|PROTOCOL_BUFFERS_.*|GIT_PYTHON_GIT_EXECUTABLE|SOURCE_DATE_EPOCH"
-    "|TD_.*|PYTORCH_TENSORDICT_.*|EXCLUDE_TD_FROM_PYTREE|DISPATCH_TDNN_MODULES|COMPOSITE_LP_AGGREGATE"
+    "|NUMPY_.*|MUJOCO_GL|WORLD_SIZE|TD_.*|PYTORCH_TENSORDICT_.*|EXCLUDE_TD_FROM_PYTREE|DISPATCH_TDNN_MODULES|COMPOSITE_LP_AGGREGATE"
     "|PYTHONINSPECT|PYTHONWARNINGS|_.*_COMPLETE"
 )
 """Pattern of names of variables: torch and protobuf fail at an unknown log, folder, level or implementation, GitPython
-at a program that is no git, numpy at a date that is no number, and tensordict at switches and a level that it does not
-know; a Python process that is inspected does not end, and one whose warnings are errors ends anywhere; typer answers a
-shell instead of running."""
+at a program that is no git, numpy at a date or a switch that is no number, and tensordict at switches and a level that
+it does not know; MuJoCo imports the renderer that is named, although most commands need none, and rsl_rl would wait for
+other processes; a Python process that is inspected does not end, and one whose warnings are errors ends anywhere; typer
+answers a shell instead of running."""
 FOR_DEVELOPERS = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning)
 """Warnings that Python itself hides."""
 SIZES, SIZE = ("COLUMNS", "LINES"), "[1-9][0-9]{0,3}"
@@ -185,7 +184,7 @@ def _reset_warnings() -> None:
     """Treat warnings as Python does unless told otherwise, here and in children: as errors they would end a tick."""
     if not sys.warnoptions:
         return
-    sys.warnoptions.clear()
+    sys.warnoptions[:] = ["default"] if sys.flags.dev_mode else []  # as subprocess expects it to be
     warnings.resetwarnings()
     for category in FOR_DEVELOPERS:
         warnings.simplefilter("ignore", category)
@@ -204,9 +203,6 @@ def _check_memory() -> None:
 
 def report_failure(error: Exception) -> int:
     """Print an exception, with its traceback unless the computer lacks something; return the exit code."""
-    if isinstance(error, RuntimeError) and NO_RENDERER in str(error):
-        print(f"error: {printable(str(error))}, expected egl, osmesa, glfw or disabled", file=sys.stderr)
-        return BAD_INPUT
     if _lacks_memory(error):
         first_line, *_ = str(error).splitlines() or [os.strerror(errno.ENOMEM)]
         error = OSError(errno.ENOMEM, printable(first_line))

@@ -79,6 +79,26 @@ def starting_workers() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def not_dropped() -> Iterator[None]:
+    """Raise the KeyboardInterrupt of a signal that a library drops in the block, or makes another error of."""
+    noted: list[int] = []
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        noted.append(number)
+        raise KeyboardInterrupt
+
+    raising = (signal.default_int_handler, interrupt)
+    try:
+        with handled(note, [number for number in SIGNALS if signal.getsignal(number) in raising]):
+            yield
+    except Exception:
+        if not noted:
+            raise
+    if noted:
+        raise KeyboardInterrupt
+
+
 def ignore_signals() -> None:
     """Ignore signals from now on, in a worker, with those that were held back since its start."""
     for number in SIGNALS:

@@ -17,6 +17,9 @@ EQUATION = re.compile(rb"%(t)b(?:,%(t)b)*(?:->%(t)b)?" % {b"t": _TERM})
 """Equations of Einsum; ONNX's inference of shapes never ends on some others, such as `....`."""
 EQUATION_BYTES_MAX = 1 << 8
 """Length of an equation: ten times as long as attention needs."""
+BY_VALUES = frozenset({"RoiAlign"})
+"""Operators whose work and memory follow from numbers, not from shapes: RoiAlign has as many samples as a region is
+large."""
 
 
 def check_node(node: NodeProto, known: Mapping[str, Tensor], where: str) -> None:
@@ -25,6 +28,8 @@ def check_node(node: NodeProto, known: Mapping[str, Tensor], where: str) -> None
     Raises:
         ContractError: names what was found and what is expected.
     """
+    if node.op_type in BY_VALUES:
+        raise ContractError(f"{where}: expected an operator whose work follows from the shapes of its inputs")
     if node.op_type in ("Div", "Mod"):
         _check_divisor(known[node.input[1]], where)
     if node.op_type == "Einsum":

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.backends.sim.scene import Scene, add_goal
+from deploy.operation.interrupts import not_dropped
 from robots.arrays import Floats
 from robots.errors import ConfigError
 from robots.spec import RobotSpec
@@ -28,10 +29,9 @@ class Renderer:
         Raises:
             ConfigError: OpenGL is not available.
         """
-        self._context = opengl_context(option)
-        self._context.make_current()
         self._robot, self._fixed = Scene(spec), "floating_base" not in spec.capabilities
         model = self._robot.model
+        self._context, self._gl = opengl_contexts(model, option)
         self._scene, self._options = mujoco.MjvScene(model, maxgeom=1000), mujoco.MjvOption()
         self._options.geomgroup[:] = 1
         self._camera, self._rect = mujoco.MjvCamera(), mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
@@ -40,7 +40,6 @@ class Renderer:
         else:
             mujoco.mjv_defaultFreeCamera(model, self._camera)
             self._camera.distance *= 1.25
-        self._gl = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._gl)
 
     def image(self, q: Floats, base: Floats | None, goal: Floats, goal_m: float) -> Image:
@@ -71,11 +70,19 @@ class Renderer:
         self._context.free()
 
 
-def opengl_context(option: str) -> Any:
-    """Return an OpenGL context of the first backend that works; each raises its own exception if not installed."""
-    for name in CONTEXTS:
-        try:
-            return importlib.import_module(f"mujoco.{name}").GLContext(WIDTH, HEIGHT)
-        except Exception as e:  # noqa: BLE001
-            error = e
-    raise ConfigError(f"{option}: needs OpenGL, found none of {', '.join(CONTEXTS)}: {error!s:.200}")
+def opengl_contexts(model: mujoco.MjModel, option: str) -> tuple[Any, mujoco.MjrContext]:
+    """Return an OpenGL context of the first backend that works, and MuJoCo's in it.
+
+    Raises:
+        ConfigError: none works, each for its own reason.
+    """
+    errors = []
+    with not_dropped():  # ctypes makes an error of its own of an interrupt
+        for name in CONTEXTS:
+            try:
+                context = importlib.import_module(f"mujoco.{name}").GLContext(WIDTH, HEIGHT)
+                context.make_current()
+                return context, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            except Exception as e:  # noqa: BLE001
+                errors.append(f"{name} ({e!s:.80})")
+    raise ConfigError(f"{option}: needs OpenGL, found none of {', '.join(errors)}")

@@ -10,6 +10,7 @@ import torch
 from onnx import ModelProto
 from torch import Tensor, nn
 
+from deploy.operation.interrupts import not_dropped
 from policies.export.onnx_file import strip_annotations
 from robots.errors import ContractError
 
@@ -30,7 +31,7 @@ def to_onnx(
     settings: dict[str, Any] = {"opset_version": OPSET, "external_data": False, "verbose": False}
     settings |= {"input_names": inputs, "output_names": outputs, "dynamic_shapes": shapes}
     gettempdir()  # torch needs it, and tells nobody that there is none
-    with _quiet():
+    with _quiet(), not_dropped():  # it imports compilers, and goes on with what an interrupt has left of them
         program = torch.onnx.export(module, examples, **settings)
     if program is None:
         raise ContractError("torch.onnx.export gave no program")

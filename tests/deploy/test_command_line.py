@@ -2,16 +2,13 @@
 
 import errno
 import os
-import subprocess
-import sys
 import tempfile
 
 import pytest
 import typer
 
 from deploy.command_line import BUDGET_EXCEEDED, exit_code_of
-from deploy.start import BAD_INPUT, BROKEN, LACKING, RESOURCES
-from support.paths import ROOT
+from deploy.start import BROKEN, LACKING, RESOURCES
 
 
 def code_of(command):
@@ -54,16 +51,6 @@ def test_a_library_without_memory_is_one_line_and_no_defect(kind, said, capsys):
 
     assert code_of(full) == LACKING
     assert capsys.readouterr().err == f"error: memory: {said}\n"
-
-
-def test_a_renderer_that_mujoco_does_not_know_is_bad_input():
-    environment = os.environ | {"MUJOCO_GL": "nonsense", "PYTHONPATH": str(ROOT)}
-    code = "from deploy.start import start; start('deploy.backends.sim.plant')"
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=False)
-    said = (
-        "invalid value for environment variable MUJOCO_GL: nonsense, expected egl, osmesa, glfw or disabled"
-    )
-    assert (done.returncode, done.stderr.decode()) == (BAD_INPUT, f"error: {said}\n")
 
 
 def test_no_temporary_folder_is_one_line_and_no_defect(monkeypatch, capsys):

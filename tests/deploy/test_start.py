@@ -362,6 +362,10 @@ def test_no_settings_of_plots_are_read_elsewhere(written, tmp_path, name):
         ("CUDA_VISIBLE_DEVICES", "1", True),
         ("PROTOCOL_BUFFERS_PYTHON_IMPLEMENTATION", "zzz", False),
         ("SOURCE_DATE_EPOCH", "zzz", False),
+        ("NUMPY_MADVISE_HUGEPAGE", "zzz", False),
+        ("MUJOCO_GL", "osmesa", False),
+        ("MUJOCO_EGL_DEVICE_ID", "1", True),
+        ("WORLD_SIZE", "2", False),
         ("TD_LOGGING_LEVEL", "zzz", False),
         ("PYTORCH_TENSORDICT_IMPORT_VMAP", "zzz", False),
         ("EXCLUDE_TD_FROM_PYTREE", "zzz", False),
@@ -415,6 +419,13 @@ def test_warnings_are_no_errors(written, tmp_path, action):
     ended = run("warning_command", tmp_path, PYTHONWARNINGS=action, PYTHONPATH=f"{ROOT}:{tmp_path}")
     assert (ended.returncode, ended.stdout) == (0, b"0\n")
     assert (ended.stderr.count(b"for developers"), ended.stderr.count(b"RuntimeWarning: a number")) == (0, 2)
+
+
+def test_development_mode_changes_no_result(written, tmp_path):
+    """Python's, in which a process starts children with warnings of its own."""
+    written("warning_command", WARNING)
+    ended = run("warning_command", tmp_path, PYTHONDEVMODE="1", PYTHONPATH=f"{ROOT}:{tmp_path}")
+    assert (ended.returncode, ended.stdout) == (0, b"0\n")
 
 
 @pytest.mark.parametrize("refresh", ["", "raise"])

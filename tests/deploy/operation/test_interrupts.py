@@ -11,7 +11,7 @@ from threading import Thread
 
 import pytest
 
-from deploy.operation.interrupts import handled, held_back, interrupt, raised_again
+from deploy.operation.interrupts import handled, held_back, interrupt, not_dropped, raised_again
 
 REQUESTS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 
@@ -47,6 +47,33 @@ def test_signals_that_another_thread_receives_are_held_back(number):
         other.join()
 
     assert send_held_back(send, number)
+
+
+@REQUESTS
+@pytest.mark.parametrize("made", [None, ValueError("half of a library")])
+def test_an_interrupt_that_a_library_drops_is_raised_at_the_end(number, made):
+    def drop():
+        with handled(interrupt), not_dropped():
+            try:
+                signal.raise_signal(number)
+            except KeyboardInterrupt:
+                if made:
+                    raise made from None
+
+    with pytest.raises(KeyboardInterrupt):
+        drop()
+
+
+def test_an_error_without_an_interrupt_stays():
+    with pytest.raises(ValueError, match="a library"), not_dropped():
+        raise ValueError("a library")
+
+
+def test_handlers_of_others_are_left_alone():
+    got = []
+    with handled(lambda number, _: got.append(number)), not_dropped():
+        signal.raise_signal(signal.SIGTERM)
+    assert got == [signal.SIGTERM]
 
 
 def test_signals_that_are_ignored_stay_ignored():

@@ -87,6 +87,14 @@ def test_integers_are_divided_only_by_safe_constants(make, message, monkeypatch)
     assert refusal(make(), monkeypatch) == f"x.onnx: for a batch of 1: {message}"
 
 
+def test_work_that_follows_from_numbers_is_refused(monkeypatch):
+    """Regions of a policy's state may grow to millions of samples in a step."""
+    held = {"picture": np.ones((1, 1, 4, 4), np.float32), "which": np.zeros(1, np.int64)}
+    model = graph(node("RoiAlign", "picture x which", "y"), held=held, shape=("batch", 4))
+    said = "node 'y' (RoiAlign): expected an operator whose work follows from the shapes of its inputs"
+    assert refusal(model, monkeypatch) == f"x.onnx: for a batch of 1: {said}"
+
+
 @pytest.mark.parametrize("kind", ["Div", "Mod"])
 @pytest.mark.parametrize("dtype", [np.int32, np.int64])
 def test_the_smallest_integer_may_be_divided_by_other_constants(kind, dtype):
