@@ -12,6 +12,9 @@ from robots.arrays import Floats
 FAR, NEAR, NEXT = 0.2, 0.08, 0.03
 """Standard deviations of a first generation, as shares of the bounds: from the library, from the worst so far, and from
 the best of those that were screened."""
+COMPARED_BY = {"position_hard": "position_soft"}
+"""Monitors by whose ratios candidates are compared, in place of the one that is searched for: at the end of a wide
+range a milliradian is a smaller share than at that of a narrow one; at soft limits the ratios of all joints are 1."""
 LARGEST = 1e6
 """Bound of the ratios that are compared: infinite ones have no order."""
 
@@ -95,7 +98,7 @@ class Island:
         return self._block([self._best[1]] * WIDTH)
 
     def _ratios(self, outcome: Outcome) -> Floats:
-        return np.minimum(outcome.worst[self.monitor], LARGEST)
+        return np.minimum(outcome.worst[COMPARED_BY.get(self.monitor, self.monitor)], LARGEST)
 
     def _block(self, shares: list[Floats]) -> Block:
         rows = tuple(self.adversary.weights(each, self._joints) for each in shares)

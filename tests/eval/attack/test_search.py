@@ -46,6 +46,16 @@ def searched(generations, evaluate=hill, **options):
 CYCLE = GENERATIONS + 2
 
 
+def test_angles_are_compared_where_the_ratios_of_all_joints_are_the_same():
+    """At the soft limits: beside joints of wide ranges, the ratio to the end of a narrow one is never the highest."""
+
+    def narrow(blocks):
+        return [outcome(position_soft=each.worst["velocity"]) for each in hill(blocks)]
+
+    search = searched(1 + 4 * CYCLE, narrow, target="position_hard")
+    assert search.archive.worst["position_soft"].ratio > 0.97
+
+
 def test_search_climbs_a_hill_whatever_adversary_is_on_it():
     library = searched(1, target="velocity").archive.worst["velocity"].ratio
     search = searched(1 + 4 * CYCLE, target="velocity")
