@@ -152,7 +152,7 @@ LIBRARY = (
         "thrown_arm",
         "as loaded_arm, with the arm of which a push throws a link fastest through the play of its gear",
         effect="throw",
-        targets=("velocity", "velocity", "position_hard"),
+        targets=("velocity", "velocity"),
         step=1.0,
     ),
     _pushed(
