@@ -59,7 +59,8 @@ numpy's; children write, and libraries' children read, text as UTF-8; GitPython 
 ONNX Runtime sends nothing to its vendor, whoever imports it."""
 NOT_WANTED = (
     "TORCH.*|PYTORCH_JIT.*|PROTOCOL_BUFFERS_.*|GIT_PYTHON_GIT_EXECUTABLE|SOURCE_DATE_EPOCH"
-    "|NUMPY_.*|MUJOCO_GL|WORLD_SIZE|TD_.*|PYTORCH_TENSORDICT_.*|EXCLUDE_TD_FROM_PYTREE|DISPATCH_TDNN_MODULES|COMPOSITE_LP_AGGREGATE"
+    "|NUMPY_.*|MUJOCO_GL|WORLD_SIZE"
+    "|TD_.*|PYTORCH_TENSORDICT_.*|EXCLUDE_TD_FROM_PYTREE|DISPATCH_TDNN_MODULES|COMPOSITE_LP_AGGREGATE"
     "|PYTHONINSPECT|PYTHONWARNINGS|_.*_COMPLETE"
 )
 """Pattern of names of variables: torch and protobuf fail at an unknown log, folder, level or implementation, GitPython
