@@ -65,9 +65,9 @@ NOT_WANTED = (
 )
 """Pattern of names of variables: torch and protobuf fail at an unknown log, folder, level or implementation, GitPython
 at a program that is no git, numpy at a date or a switch that is no number, and tensordict at switches and a level that
-it does not know; MuJoCo imports the renderer that is named, although most commands need none, and rsl_rl would wait for
-other processes; a Python process that is inspected does not end, and one whose warnings are errors ends anywhere; typer
-answers a shell instead of running."""
+it does not know; MuJoCo imports the renderer that is named, although most commands need none, and rsl_rl takes this
+process for one of several; a Python process that is inspected does not end, and one whose warnings are errors ends
+anywhere; typer answers a shell instead of running."""
 FOR_DEVELOPERS = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning)
 """Warnings that Python itself hides."""
 SIZES, SIZE = ("COLUMNS", "LINES"), "[1-9][0-9]{0,3}"
