@@ -42,9 +42,8 @@ def _acquired(folder: Path) -> IO[str]:
             if not _is_current(file, folder / LOCK):
                 return _acquired(folder)
             _check_own(file, folder)
-            file.truncate(0)
-            file.write(str(os.getpid()))
-            file.flush()
+            os.ftruncate(file.fileno(), 0)
+            os.write(file.fileno(), str(os.getpid()).encode())  # unbuffered: closing must not write again
         except BlockingIOError as e:
             file.seek(0)
             owner = file.read(CHARACTERS) or "unknown"

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from deploy.stage import Arrays
 from eval.replay.bundle import FILE_BYTES_MAX, INFO, ROBOT
+from robots.archives import open_archive
 from robots.errors import ConfigError, OutputError, output_error
 from robots.files import read_file
 
@@ -45,7 +46,7 @@ def read_arrays(path: Path, expected: Mapping[str, NDArray[np.generic]]) -> Arra
         ConfigError: naming the file and the array; no array larger than expected is allocated.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(read_file(path, FILE_BYTES_MAX))) as file:
+        with open_archive(read_file(path, FILE_BYTES_MAX), str(path), ConfigError) as file:
             found = {name.removesuffix(".npy") for name in file.namelist()}
             for name in sorted(found ^ expected.keys()):
                 raise ConfigError(f"{path}: {name:.80}: {'unknown' if name in found else 'missing'}")

@@ -94,6 +94,8 @@ def package_of(model: Path) -> Path:
     if not is_file or model.suffix not in SUFFIXES:
         found = "a folder" if os.path.isdir(model) else "another kind of file" if is_file else "no file"
         raise RobotError(f"{model}: found {found}, expected a model: MJCF (.xml) or URDF (.urdf)")
+    if not is_utf8(str(model.resolve())):
+        raise RobotError(f"{model}: found a name that is not UTF-8")
     parents = model.resolve().parents
     packages = (
         [parent for parent in parents if os.path.isfile(parent / "package.xml")] if is_urdf(model) else []

@@ -36,13 +36,11 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
     with Lifeline() as lifeline:
         end, limit_s = lifeline.end.fileno(), WALL_FACTOR * cpu_s + GRACE_S
         try:
-            done = subprocess.run(
-                child, stdin=end, capture_output=True, text=True, check=False, timeout=limit_s
-            )
+            done = subprocess.run(child, stdin=end, capture_output=True, check=False, timeout=limit_s)
         except subprocess.TimeoutExpired as e:
             raise RobotError(f"{bounds}: not finished after {limit_s:g} s") from e
     check_not_crowded(done.returncode)
-    last = done.stderr.strip().rpartition("\n")[2]  # after MuJoCo's warnings
+    last = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]  # after MuJoCo's warnings
     if done.returncode == REFUSED:
         raise RobotError(last.replace(arguments[0], str(model)))
     if done.returncode:

@@ -12,6 +12,15 @@ from deploy.telemetry.folder_lock import LOCK, locked
 from robots.errors import OutputError
 from support.refusals import in_use
 
+WITHOUT_ROOM = """
+import resource, signal, sys
+from pathlib import Path
+from deploy.telemetry.folder_lock import locked
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+with locked(Path(sys.argv[1])):
+    pass
+"""
 HOLDER = """
 import sys, time
 from pathlib import Path
@@ -130,3 +139,11 @@ def test_a_lock_that_is_a_pipe_is_refused(tmp_path):
     os.mkfifo(tmp_path / LOCK)
     with pytest.raises(OutputError, match=r"\.lock cannot be locked: \w"), locked(tmp_path):
         pass
+
+
+def test_a_lock_without_room_on_the_disk_names_it(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_ROOM, tmp_path], capture_output=True, text=True, check=False
+    )
+    last = done.stderr.strip().rpartition("\n")[2]
+    assert last == f"robots.errors.ResultLostError: --out {tmp_path}: .lock cannot be locked: File too large"

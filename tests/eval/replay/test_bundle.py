@@ -127,6 +127,17 @@ def test_damaged_file_is_refused(tmp_path):
             read_arrays(path, {"b": np.zeros(500)})
 
 
+def test_arrays_of_a_compression_without_a_bound_are_refused(tmp_path):
+    path = tmp_path / "state.npz"
+    write_arrays(path, {"b": np.zeros(500)})
+    with zipfile.ZipFile(path) as file:
+        data = file.read("b.npy")
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_BZIP2) as file:
+        file.writestr("b.npy", data)
+    with pytest.raises(ConfigError, match=r"state\.npz: b\.npy: found compression 12, expected none or 8$"):
+        read_arrays(path, {"b": np.zeros(500)})
+
+
 def test_sealed_bundle_opens_unchanged(tmp_path):
     found = bundle.open_bundle(filled(tmp_path / "events" / "x"))
     assert found.model_copy(update={"files": {}, "digest": ""}) == about()

@@ -163,9 +163,9 @@ def test_behind_a_link_no_checkpoint_is_deleted_or_replaced(tmp_path):
 def test_number_of_arrays_is_bounded(tmp_path, monkeypatch):
     checkpoint = Checkpoint(tmp_path / "a.npz", IDENTITY)
     checkpoint.store(ARRAYS)
-    monkeypatch.setattr("eval.soak.checkpoint.MEMBERS_MAX", len(ARRAYS) + 2)
+    monkeypatch.setattr("robots.archives.MEMBERS_MAX", len(ARRAYS) + 2)
     assert_same(checkpoint.load(), ARRAYS)
-    monkeypatch.setattr("eval.soak.checkpoint.MEMBERS_MAX", len(ARRAYS) + 1)
+    monkeypatch.setattr("robots.archives.MEMBERS_MAX", len(ARRAYS) + 1)
     assert checkpoint.load() is None
 
 

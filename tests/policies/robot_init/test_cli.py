@@ -342,6 +342,13 @@ def test_malformed_model_is_reported(call, tmp_path, name, found):
     assert f"{name}: found {found}, expected a model: MJCF (.xml) or URDF (.urdf)" in said
 
 
+def test_model_whose_name_is_not_utf8_is_refused(tmp_path):
+    model = tmp_path / "v\udcff.xml"
+    model.touch()
+    with pytest.raises(RobotError, match=r"\.xml: found a name that is not UTF-8$"):
+        package_of(model)
+
+
 @pytest.mark.parametrize("name", ["my robot", "arm.v2", "x" * 65])
 def test_a_folder_whose_name_no_robot_can_have_is_refused(call, tmp_path, name):
     write_stl(tmp_path / "meshes" / "fore.stl")

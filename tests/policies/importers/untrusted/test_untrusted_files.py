@@ -22,6 +22,7 @@ pytest.importorskip("rsl_rl.models")
 from policies.importers.readers import read_policy
 from policies.importers.torch_files.network_settings import NetworkSettings
 from policies.importers.untrusted import zip_archive
+from robots import archives
 from robots.errors import ContractError
 from support.importers.exported_programs import saved as saved_program
 from support.importers.imports import exported
@@ -154,7 +155,7 @@ def test_false_size_in_an_archive_is_detected(tmp_path, files):
         zipped(members(files["state_dict"]) | {"weights/data/0": bytes(10**7)}, zipfile.ZIP_DEFLATED)
     )
     table = data.rindex(b"weights/data/0") - 46
-    assert data[table : table + 4] == zip_archive.RECORD
+    assert data[table : table + 4] == archives.RECORD
     data[table + 24 : table + 28] = (448).to_bytes(4, "little")
     (tmp_path / "x.pt").write_bytes(data)
     assert refused(tmp_path / "x.pt").startswith("found no archive that can be read: a BadZipFile")
@@ -162,7 +163,7 @@ def test_false_size_in_an_archive_is_detected(tmp_path, files):
 
 def test_an_archive_of_more_members_than_a_policy_has_is_not_listed(tmp_path):
     path = tmp_path / "x.pt"
-    path.write_bytes(zipped({f"x/{k}": b"" for k in range(zip_archive.MEMBERS_MAX + 1)}))
+    path.write_bytes(zipped({f"x/{k}": b"" for k in range(archives.MEMBERS_MAX + 1)}))
     assert refused(path) == "found 10001 members, expected at most 10000"
 
 
