@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.interrupts import handled, interrupt
 from deploy.telemetry.folder_lock import locked
-from deploy.telemetry.output_files import check_folder, check_no_links
+from deploy.telemetry.output_files import check_file, check_folder, check_no_links
 from deploy.telemetry.plain_console import plain_console
 from eval.attack.adversaries import pushed_arms
 from eval.attack.archive import Archive, Found
@@ -32,7 +32,7 @@ from eval.attack.trained_gains import find_gains
 from eval.judge.monitors import NAMES
 from eval.replay.bundle_files import copy_bundles, delete_bundles, remove_bundles
 from eval.report.report_files import check_report_folder
-from robots.errors import ConfigError, printable
+from robots.errors import ConfigError, output_error, printable
 from robots.randomness import SEED_MAX
 from robots.spec import RobotSpec, load_robot
 
@@ -154,6 +154,8 @@ def _check_folder(out: Path) -> None:
     if not os.path.exists(out / CASES):
         return
     check_folder(out / CASES)
+    for case in (out / CASES).glob("*.json"):
+        check_file(case)
     if not os.path.exists(out / REPORT):
         raise ConfigError(
             f"--out {out}: found {CASES}/ without {REPORT}, expected a folder of an attack, or a new one"
@@ -206,7 +208,10 @@ def _write(report: AttackReport, cases: Sequence[Case], out: Path) -> None:
     options = f"{'-faults' if report.faults else ''}{'-gains' if report.gains else ''}"
     paths = {name: out / CASES / f"{report.robot}-{report.mode}{options}-{name}.json" for name in NAMES}
     for old in paths.values():
-        old.unlink(missing_ok=True)
+        try:
+            old.unlink(missing_ok=True)
+        except OSError as e:  # it or its folder has changed since the search began
+            raise output_error(f"--out {old}: cannot be replaced: {e.strerror}", e) from e
     for case in cases:
         case.write(paths[case.monitor])
 

@@ -115,4 +115,8 @@ def _results(config: SoakConfig, folder: Path, pending: Collection[int]) -> Iter
             if number in pending:
                 return  # robots are numbered by position, so that none is reported after a missing shard
             raise OutputError(f"{checkpoint.path}: lost after its shard was finished")
-        yield shard_result(config.spec, config.policy.contract, job.robots, saved)
+        try:
+            result = shard_result(config.spec, config.policy.contract, job.robots, saved)
+        except (LookupError, OverflowError, ValueError) as e:
+            raise OutputError(f"{checkpoint.path}: replaced after its shard was finished") from e
+        yield result

@@ -17,7 +17,8 @@ from policies.training.networks import Actor
 from robots.errors import ContractError
 from robots.strict import Strict, parse
 
-ROLLOUT_MIN = 1000
+ROLLOUT_MIN, ROLLOUT_MAX = 1000, 4096
+"""Bounds of the number of observations: `policy-export` compares the actions of all of them, one by one."""
 
 
 class _File(Strict):
@@ -89,8 +90,10 @@ def _checked(data: object, source: str) -> Checkpoint:
     file = parse(data, _File, source=source, error=ContractError)
     contract = Contract.from_json(file.contract, f"{source}: contract")
     actor = _actor(file, contract, source)
-    if (rows := len(file.rollout) if file.rollout.dim() else 0) < ROLLOUT_MIN:
-        raise ContractError(f"{source}: rollout: found {rows} observations, expected at least {ROLLOUT_MIN}")
+    rows = len(file.rollout) if file.rollout.dim() else 0
+    if not ROLLOUT_MIN <= rows <= ROLLOUT_MAX:
+        expected = f"expected from {ROLLOUT_MIN} to {ROLLOUT_MAX}"
+        raise ContractError(f"{source}: rollout: found {rows} observations, {expected}")
     check_tensor(file.rollout, (rows, contract.observation_size), f"{source}: rollout")
     return Checkpoint(
         actor=actor, contract=contract, rollout=file.rollout, seed=file.seed, recipe=file.recipe

@@ -34,6 +34,11 @@ class _Builder(ElementTree.TreeBuilder):
         """Refuse declarations of entities: MuJoCo reads them in another way, and they may grow without bound."""
         raise ValueError(f"found <!DOCTYPE {name:.80}>, expected none")
 
+    def start_ns(self, prefix: str, uri: str) -> None:
+        """Refuse a default namespace, which MuJoCo ignores: elements would have other names here than there."""
+        if not prefix:
+            raise ValueError(f"found xmlns={uri!r:.80}, expected none")
+
 
 def read_xml(path: Path) -> ElementTree.Element:
     """Return the root of an XML file of bounded size, depth and elements, names printable, no DOCTYPE.

@@ -56,7 +56,8 @@ def repack(members: Mapping[str, bytes]) -> io.BytesIO:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         for name, data in members.items():
-            archive.writestr(f"{FOLDER}/{name}", data)
+            # A ZipInfo without a date: zip has none before 1980, where a clock without a battery may begin.
+            archive.writestr(zipfile.ZipInfo(f"{FOLDER}/{name}"), data)
     stream.seek(0)
     return stream
 

@@ -169,6 +169,16 @@ def test_bundles_of_an_earlier_attack_stay_until_there_are_others(call, tmp_path
     assert not old.exists()
 
 
+def test_a_folder_in_place_of_a_case_is_an_error_before_the_search(call, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "workers", None)
+    (tmp_path / "attack.json").write_text("{}")
+    case = tmp_path / "cases" / "planar3-position-velocity.json"
+    case.mkdir(parents=True)
+    code, _, error = attack(call, tmp_path)
+    assert code == 2
+    assert error == f"error: --out {case}: found a folder or a device, expected a file or nothing\n"
+
+
 def test_files_of_others_stay(call, tmp_path, monkeypatch):
     monkeypatch.setattr(command, "workers", planted_workers("planar3"))
     cases = tmp_path / "cases"

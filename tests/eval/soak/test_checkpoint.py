@@ -240,6 +240,17 @@ def test_killed_worker_changes_no_result(finished, tmp_path, monkeypatch, capsys
     assert workers.resumed_ticks(soak, tmp_path, Console(quiet=True)) == 2 * soak.ticks
 
 
+def test_a_checkpoint_that_was_replaced_after_its_end_is_an_error(finished, tmp_path, monkeypatch):
+    soak = finished.soak
+    monkeypatch.setattr(workers.WorkerPool, "run", lambda pool: None)
+    for number, _ in enumerate(soak.jobs()):
+        arrays = dict(soak.checkpoint(number, finished.kept).load())
+        del arrays["judge.attempted"]
+        soak.checkpoint(number, tmp_path).store(arrays)
+    with pytest.raises(OutputError, match=r"shard-0000\.npz: replaced after its shard was finished$"):
+        workers.run_soak(soak, tmp_path, Console(quiet=True))
+
+
 def test_damage_is_reported_before_the_soak_runs(restless, tmp_path, capsys):
     kept = store_ticks(restless, 1, tmp_path / "a[/x]", 400)
     assert workers.resumed_ticks(restless, kept.path.parent, plain_console()) == 400

@@ -160,7 +160,11 @@ BAD = {
     ),
     "claims to be huge": (
         put("rollout", value=torch.zeros(1).expand(10**12, 30)),
-        "rollout: found torch.float32 (1000000000000, 30) not contiguous, expected",
+        "rollout: found 1000000000000 observations, expected from 1000 to 4096",
+    ),
+    "one number for all": (
+        put("rollout", value=torch.zeros(1).expand(1000, 30)),
+        "rollout: found torch.float32 (1000, 30) not contiguous, expected",
     ),
     "strided": (
         put("actor", "mean", value=torch.zeros(30, 2)[:, 0]),
@@ -181,7 +185,11 @@ BAD = {
     ),
     "rollout short": (
         put("rollout", value=torch.zeros(999, 30)),
-        "rollout: found 999 observations, expected at least",
+        "rollout: found 999 observations, expected from 1000 to 4096",
+    ),
+    "rollout long": (
+        put("rollout", value=torch.zeros(4097, 30)),
+        "rollout: found 4097 observations, expected from 1000 to 4096",
     ),
     "rollout narrow": (
         put("rollout", value=torch.zeros(1000, 29)),
@@ -189,7 +197,7 @@ BAD = {
     ),
     "rollout a number": (
         put("rollout", value=torch.tensor(1.0)),
-        "rollout: found 0 observations, expected at least",
+        "rollout: found 0 observations, expected from 1000 to 4096",
     ),
     "contract broken": (put("contract", value="{"), "contract: not valid JSON"),
     "seed as text": (put("seed", value="3"), "seed: Input should be a valid integer, found '3'"),

@@ -126,6 +126,29 @@ def test_a_model_that_two_parsers_read_differently_is_refused(tmp_path):
             reader(spec)
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("<mujoco model", '<mujoco xmlns="x" model'),
+        ("<worldbody>", '<include xmlns="x" file="more.xml"/><worldbody>'),
+        ("</worldbody>", '<replicate xmlns="x" count="2"/></worldbody>'),
+    ],
+)
+def test_an_element_that_a_namespace_hides_is_refused(tmp_path, old, new):
+    """MuJoCo ignores it, and would read what checks of names do not see."""
+    folder = copy_of_arm(tmp_path)
+    path = folder / "model.xml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    spec = load_robot(folder)
+    for reader in (load_pinocchio, model_mujoco.load_mujoco, lambda spec: spec.digest):
+        with pytest.raises(
+            RobotError, match=r"model\.xml: not readable as XML: found xmlns='x', expected none"
+        ):
+            reader(spec)
+
+
 def test_a_second_section_of_defaults_is_refused(tmp_path):
     """MuJoCo merges them."""
     folder = copy_of_arm(tmp_path, xml=[("<worldbody>", "<default><geom margin='0'/></default><worldbody>")])

@@ -175,6 +175,12 @@ def test_other_compressions_are_refused_since_nothing_bounds_them(tmp_path, file
         assert f"found compression {compression}, expected none" in refused(path)
 
 
+def test_an_archive_is_packed_anew_whatever_the_clock_says(monkeypatch):
+    packed = zip_archive.repack({"a": b"1"}).getvalue()
+    monkeypatch.setattr(zipfile.time, "time", lambda: 0.0)
+    assert zip_archive.repack({"a": b"1"}).getvalue() == packed
+
+
 ESCAPES = ("../escaped", "/tmp/escaped", "x/../../escaped", "x\\..\\escaped")
 
 
