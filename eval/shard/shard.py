@@ -148,10 +148,13 @@ class Shard(Stage):
         return shard_result(self.runtime.spec, self.runtime.contract, self._job.robots, self.save())
 
     def tick(self) -> None:
-        """Advance runtime, robots and judge by one tick; then rearm robots where it is due."""
+        """Advance runtime, robots and judge by one tick; then arm robots where it is due.
+
+        After the tick, because arming reads what it has estimated, which is no part of a snapshot.
+        """
+        self._step(self.runtime.ticks)
         if self.runtime.ticks == self._arm:
             self.runtime.arm(np.ones(WIDTH, dtype=bool))
-        self._step(self.runtime.ticks)
         if self.runtime.ticks % self._poll == 0:
             rearm(self.runtime, self._operator_s)
 

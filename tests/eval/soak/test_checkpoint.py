@@ -15,7 +15,7 @@ from support.policies import policy_model, saved
 pytest.importorskip("mujoco")
 
 from deploy.telemetry.plain_console import plain_console
-from eval.shard.job import WIDTH, code_digest
+from eval.shard.job import ARM_S, WIDTH, code_digest
 from eval.shard.shard import Shard
 from eval.soak import workers
 from eval.soak.checkpoint import DAMAGED, NAME, Checkpoint, delete_checkpoints, prepare_folder
@@ -204,6 +204,19 @@ def test_resumed_shard_is_bit_identical(restless):
     result = second.run(lambda _: None, lambda: False)
     assert_same(second.save(), whole.save())
     assert result.counts.stops.sum() > 0
+
+
+def test_a_shard_that_goes_back_around_its_arming_comes_to_the_same(restless):
+    shard, armed = Shard(restless.jobs()[0]), round(ARM_S / restless.spec.dt)
+    kept = []
+    while shard.runtime.ticks < armed + 60:
+        kept.append(shard.snapshot())
+        shard.tick()
+    expected = shard.snapshot()
+    assert shard.runtime.supervisor.powered.any()
+    for begin in range(armed - 2, armed + 3):
+        shard.resimulate(kept[begin], lambda: None)
+        assert_same(shard.snapshot(), expected)
 
 
 def test_code_digest_is_part_of_the_identity(restless, tmp_path):
