@@ -1,4 +1,4 @@
-"""Zip archives of unknown origin: what their members unpack to is bounded by the sizes that they state."""
+"""Zip archives of unknown origin, read with bounds."""
 
 import io
 import zipfile
@@ -18,9 +18,11 @@ UNPACKERS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 def open_archive(data: bytes, source: str, error: type[FirstshiftError]) -> Iterator[zipfile.ZipFile]:
     """Open an archive; its entries are counted before Python parses them.
 
+    Members are to be read with `read_member`, or with another bound; the caller bounds the sum of their sizes.
+
     Raises:
         FirstshiftError: of class `error`: too many members, two of one name, or another compression.
-        Exception: of any class: it is no archive.
+        Exception: the data is no zip archive; the class depends on the damage.
     """
     if (count := data.count(RECORD)) > MEMBERS_MAX:
         raise error(f"{source}: found {count} members, expected at most {MEMBERS_MAX}")

@@ -150,7 +150,7 @@ class Shard(Stage):
     def tick(self) -> None:
         """Advance runtime, robots and judge by one tick; then arm robots where it is due.
 
-        After the tick, because arming reads what it has estimated, which is no part of a snapshot.
+        They are armed after the tick: arming reads the tick's estimates, which a snapshot does not hold.
         """
         self._step(self.runtime.ticks)
         if self.runtime.ticks == self._arm:

@@ -115,8 +115,7 @@ def _results(config: SoakConfig, folder: Path, pending: Collection[int]) -> Iter
             if number in pending:
                 return  # robots are numbered by position, so that none is reported after a missing shard
             raise OutputError(f"{checkpoint.path}: lost after its shard was finished")
-        try:
-            result = shard_result(config.spec, config.policy.contract, job.robots, saved)
-        except (LookupError, OverflowError, ValueError) as e:
-            raise OutputError(f"{checkpoint.path}: replaced after its shard was finished") from e
-        yield result
+        done = saved.get("runtime.ticks") == job.ticks or number in pending
+        if not done or not _fits(saved, job):
+            raise OutputError(f"{checkpoint.path}: replaced while the soak ran")
+        yield shard_result(config.spec, config.policy.contract, job.robots, saved)

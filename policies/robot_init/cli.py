@@ -88,14 +88,14 @@ def package_of(model: Path) -> Path:
     """Return the folder that the model's files must be in: the ROS package of a URDF, or the model's own folder.
 
     Raises:
-        RobotError: the path is no model.
+        RobotError: the path is no model, or its name or that of a folder above it is not UTF-8.
     """
     is_file = os.path.isfile(model)
     if not is_file or model.suffix not in SUFFIXES:
         found = "a folder" if os.path.isdir(model) else "another kind of file" if is_file else "no file"
         raise RobotError(f"{model}: found {found}, expected a model: MJCF (.xml) or URDF (.urdf)")
-    if not is_utf8(str(model.resolve())):
-        raise RobotError(f"{model}: found a name that is not UTF-8")
+    if not is_utf8(path := str(model.resolve())):
+        raise RobotError(f"{path}: found a name that is not UTF-8")
     parents = model.resolve().parents
     packages = (
         [parent for parent in parents if os.path.isfile(parent / "package.xml")] if is_urdf(model) else []

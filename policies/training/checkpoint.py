@@ -43,7 +43,7 @@ class Checkpoint:
     Attributes:
         actor: the network for export.
         contract: of the policy.
-        rollout: (K, N) float32 raw observations from real rollouts of this policy, K ≥ 1000, in time order.
+        rollout: (K, N) float32 raw observations from real rollouts of this policy, 1000 ≤ K ≤ 4096, in time order.
         seed: of the training.
         recipe: text of the recipe.
     """

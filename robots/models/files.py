@@ -41,15 +41,16 @@ class _Builder(ElementTree.TreeBuilder):
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """Return the root of an XML file of bounded size, depth and elements, names printable, no DOCTYPE.
+    """Return the root of an XML file of bounded size, depth and elements, in UTF-8, names printable, no DOCTYPE.
 
     Raises:
         RobotError: the file breaks one of these bounds, or is no XML.
     """
     try:
-        parser = ElementTree.XMLParser(target=_Builder())
+        # MuJoCo reads UTF-8, whatever encoding the file declares.
+        parser = ElementTree.XMLParser(target=_Builder(), encoding="utf-8")
         root = ElementTree.fromstring(read_file(path, TEXT_BYTES_MAX, RobotError), parser)
-    except (ElementTree.ParseError, ValueError, LookupError) as e:  # LookupError: an unknown encoding
+    except (ElementTree.ParseError, ValueError) as e:
         raise RobotError(f"{path}: not readable as XML: {e}") from e
     _check_elements(root, path)
     _check_names(root, path)
@@ -145,9 +146,17 @@ def _named_by_mjcf(
     for element, key, name in _names(root):
         keys = "assetdir", "texturedir" if element.tag == "texture" else "meshdir"
         places = [one[each] for one in compilers for each in keys if one.get(each)]
+        for text in (name, *places):
+            _check_no_space(text, model)
         paths = find_file(Path(name).name if stripped else name, model, folder, places or [""])
         found.append((element, key, paths))
     return found
+
+
+def _check_no_space(name: str, model: Path) -> None:
+    """Refuse white space in the name of a file: Python's parser makes a space of each, MuJoCo's does not."""
+    if len(name.split()) != 1 or name != name.strip():
+        raise RobotError(f"{model}: file: found white space in {name!r:.200}, expected none")
 
 
 def _names(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, str, str]]:

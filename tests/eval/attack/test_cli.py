@@ -176,7 +176,7 @@ def test_a_folder_in_place_of_a_case_is_an_error_before_the_search(call, tmp_pat
     case.mkdir(parents=True)
     code, _, error = attack(call, tmp_path)
     assert code == 2
-    assert error == f"error: --out {case}: found a folder or a device, expected a file or nothing\n"
+    assert error == f"error: --out {case}: found a folder, expected a file or nothing\n"
 
 
 def test_files_of_others_stay(call, tmp_path, monkeypatch):
@@ -184,6 +184,7 @@ def test_files_of_others_stay(call, tmp_path, monkeypatch):
     cases = tmp_path / "cases"
     cases.mkdir()
     own, other = cases / "planar3-position-velocity.json", cases / "arm6-position-velocity.json"
+    (cases / "mine.json").mkdir()
     own.write_text("{}")
     code, _, error = attack(call, tmp_path)
     assert (code, own.read_text()) == (2, "{}")
@@ -193,6 +194,19 @@ def test_files_of_others_stay(call, tmp_path, monkeypatch):
     assert attack(call, tmp_path)[0] == PASSED
     assert own.read_text() != "{}"
     assert other.exists()
+
+
+def test_a_case_that_cannot_be_replaced_after_the_search_is_named(call, tmp_path, monkeypatch):
+    planted, case = planted_workers("planar3"), tmp_path / "cases" / "planar3-position-velocity.json"
+
+    def in_the_way(*arguments):
+        case.mkdir(parents=True)
+        return planted(*arguments)
+
+    monkeypatch.setattr(command, "workers", in_the_way)
+    code, _, error = attack(call, tmp_path)
+    assert code == 2
+    assert f"error: --out {case}: cannot be replaced: Is a directory" in error
 
 
 def test_a_file_in_the_place_of_the_cases_is_named_before_the_search(call, tmp_path):

@@ -253,14 +253,26 @@ def test_killed_worker_changes_no_result(finished, tmp_path, monkeypatch, capsys
     assert workers.resumed_ticks(soak, tmp_path, Console(quiet=True)) == 2 * soak.ticks
 
 
-def test_a_checkpoint_that_was_replaced_after_its_end_is_an_error(finished, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda arrays: arrays.pop("judge.attempted"),
+        lambda arrays: arrays.pop("sampled.winding_c"),
+        lambda arrays: arrays.update({"sampled.winding_c": np.zeros(3)}),
+        lambda arrays: arrays.update({"runtime.ticks": arrays["runtime.ticks"] - 1}),
+        lambda arrays: arrays.pop("runtime.ticks"),
+    ],
+)
+def test_a_checkpoint_that_is_replaced_while_the_soak_runs_is_an_error(
+    finished, tmp_path, monkeypatch, change
+):
     soak = finished.soak
-    monkeypatch.setattr(workers.WorkerPool, "run", lambda pool: None)
+    monkeypatch.setattr(workers.WorkerPool, "run", lambda pool: pool.pending.clear())
     for number, _ in enumerate(soak.jobs()):
         arrays = dict(soak.checkpoint(number, finished.kept).load())
-        del arrays["judge.attempted"]
+        change(arrays)
         soak.checkpoint(number, tmp_path).store(arrays)
-    with pytest.raises(OutputError, match=r"shard-0000\.npz: replaced after its shard was finished$"):
+    with pytest.raises(OutputError, match=r"shard-0000\.npz: replaced while the soak ran$"):
         workers.run_soak(soak, tmp_path, Console(quiet=True))
 
 

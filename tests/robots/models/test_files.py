@@ -149,6 +149,30 @@ def test_an_element_that_a_namespace_hides_is_refused(tmp_path, old, new):
             reader(spec)
 
 
+@pytest.mark.parametrize("space", ["\t", "\n", " "])
+@pytest.mark.parametrize("place", ["file", "meshdir"])
+def test_white_space_in_the_name_of_a_file_is_refused(tmp_path, place, space):
+    """Of a tab or the end of a line, Python's parser makes a space, and MuJoCo's does not."""
+    path = tmp_path / "model.xml"
+    values = {"file": "a.obj", "meshdir": "meshes"} | {place: f"a{space}b"}
+    compiler, mesh = f'<compiler meshdir="{values["meshdir"]}"/>', f'<mesh file="{values["file"]}"/>'
+    path.write_text(f"<mujoco>{compiler}<asset>{mesh}</asset></mujoco>")
+    with pytest.raises(RobotError, match=r"model\.xml: file: found white space in 'a b', expected none$"):
+        model_files.referenced_files(path, tmp_path)
+
+
+def test_a_model_is_read_as_utf8_whatever_it_declares(tmp_path):
+    """As MuJoCo does."""
+    path = tmp_path / "model.xml"
+    (tmp_path / "é.obj").touch()
+    text = '<?xml version="1.0" encoding="latin-1"?><mujoco><asset><mesh file="é.obj"/></asset></mujoco>'
+    path.write_text(text, encoding="utf-8")
+    assert model_files.referenced_files(path, tmp_path) == (tmp_path / "é.obj",)
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(RobotError, match=r"model\.xml: not readable as XML: not well-formed"):
+        model_files.referenced_files(path, tmp_path)
+
+
 def test_a_second_section_of_defaults_is_refused(tmp_path):
     """MuJoCo merges them."""
     folder = copy_of_arm(tmp_path, xml=[("<worldbody>", "<default><geom margin='0'/></default><worldbody>")])

@@ -91,7 +91,7 @@ def test_a_compilation_without_a_thread_says_nothing_about_the_model(monkeypatch
 
 
 def test_what_the_compilation_says_may_be_any_bytes(monkeypatch, tmp_path):
-    """Whatever the locale: MuJoCo quotes names from the file."""
+    """MuJoCo quotes names from the file."""
     start_with(monkeypatch, "import sys", "sys.stderr.buffer.write(b'br\\xc3\\xb6ken \\xff')", "sys.exit(2)")
     with pytest.raises(RobotError, match=r"^bröken \ufffd$"):
         check_compiles(written(tmp_path), tmp_path)
