@@ -133,7 +133,11 @@ def soak_attack(
             notes = [f"writing {len(found)} bundles"]
             if not finished:
                 notes.insert(0, "interrupted: the report covers what was tried so far")
-            bundles = _write_bundles(found, pool, out, console, notes)
+            try:
+                bundles = _write_bundles(found, pool, out, console, notes)
+            except Exception:
+                make_report(spec, setting, seed, search.archive, {}).write(out)
+                raise
             report = make_report(spec, setting, seed, search.archive, bundles)
             _write(report, [case_of(spec, setting, *each) for each in found.items()], case_files, out)
             printing.callback(_print, report, out, complete=len(bundles) == len(found))

@@ -169,6 +169,19 @@ def test_bundles_of_an_earlier_attack_stay_until_there_are_others(call, tmp_path
     assert not old.exists()
 
 
+def test_a_bundle_that_fails_loses_no_report(call, tmp_path, monkeypatch):
+    def fail(name):
+        raise RuntimeError("ticks differ")
+
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", after=fail, velocity=0.8))
+    code, _, error = attack(call, tmp_path)
+    assert code == BROKEN
+    assert "ticks differ" in error
+    report = json.loads((tmp_path / "attack.json").read_text())
+    (row,) = (row for row in report["rows"] if row["monitor"] == "velocity")
+    assert (row["worst"], row["bundle"]) == (0.8, "")
+
+
 def test_a_folder_in_place_of_a_case_is_an_error_before_the_search(call, tmp_path, monkeypatch):
     monkeypatch.setattr(command, "workers", None)
     (tmp_path / "attack.json").write_text("{}")
