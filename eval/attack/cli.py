@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.interrupts import handled, interrupt
 from deploy.telemetry.folder_lock import locked
-from deploy.telemetry.output_files import check_folder, check_no_links
+from deploy.telemetry.output_files import check_no_links
 from deploy.telemetry.plain_console import plain_console
 from eval.attack.adversaries import pushed_arms
 from eval.attack.archive import Archive, Found
@@ -32,7 +32,7 @@ from eval.attack.trained_gains import find_gains
 from eval.judge.monitors import NAMES
 from eval.replay.bundle_files import copy_bundles, delete_bundles, remove_bundles
 from eval.report.report_files import check_report_folder
-from robots.errors import ConfigError, OutputError, output_error, printable
+from robots.errors import ConfigError, output_error, printable
 from robots.randomness import SEED_MAX
 from robots.spec import RobotSpec, load_robot
 
@@ -122,7 +122,7 @@ def soak_attack(
     setting = Setting(robot=spec.folder, mode=drives, faults=classes, without=without, gains=gains)
     target = guarded_monitor(without, setting.mode, Archive(spec, setting.mode).hard) if without else ""
     budget = Budget(seconds=60.0 * minutes, generations=generations)
-    case_files = _case_files(spec, setting, out)
+    case_files = _case_files(spec, setting)
     _check_folder(out, case_files.values())
     with ExitStack() as printing, locked(out), workers(setting, processes) as pool:
         delete_bundles(out / UNFINISHED, finished=True)
@@ -152,23 +152,18 @@ def _search(spec: RobotSpec, setting: Setting, pool: Workers, seed: int, target:
     return Search(spec, setting.mode, pool.evaluate, seed=seed, target=target, pushed_arms=arms)
 
 
-def _case_files(spec: RobotSpec, setting: Setting, out: Path) -> dict[str, Path]:
-    """Return the file of each monitor's case."""
+def _case_files(spec: RobotSpec, setting: Setting) -> dict[str, str]:
+    """Return the file of each monitor's case, relative to the folder of the report."""
     options = f"{'-faults' if setting.faults else ''}{'-gains' if setting.gains else ''}"
     start = f"{spec.name}-{setting.mode.name.lower()}{options}"
-    return {name: out / CASES / f"{start}-{name}.json" for name in NAMES}
+    return {name: f"{CASES}/{start}-{name}.json" for name in NAMES}
 
 
-def _check_folder(out: Path, cases: Iterable[Path]) -> None:
+def _check_folder(out: Path, cases: Iterable[str]) -> None:
     """Refuse a folder in which something is in the way, or whose cases are of no earlier attack."""
     check_no_links(out, FOLDERS)
-    check_report_folder(out, (REPORT,))
-    if not os.path.exists(out / CASES):
-        return
-    check_folder(out / CASES)
-    for case in filter(os.path.isdir, cases):
-        raise OutputError(f"--out {case}: found a folder, expected a file or nothing")
-    if not os.path.exists(out / REPORT):
+    check_report_folder(out, (REPORT, *cases))
+    if os.path.exists(out / CASES) and not os.path.exists(out / REPORT):
         raise ConfigError(
             f"--out {out}: found {CASES}/ without {REPORT}, expected a folder of an attack, or a new one"
         )
@@ -214,16 +209,16 @@ def _write_bundles(
     return bundles
 
 
-def _write(report: AttackReport, cases: Sequence[Case], files: Mapping[str, Path], out: Path) -> None:
+def _write(report: AttackReport, cases: Sequence[Case], files: Mapping[str, str], out: Path) -> None:
     """Write report and cases."""
     report.write(out)
-    for old in files.values():
+    for old in (out / file for file in files.values()):
         try:
             old.unlink(missing_ok=True)
         except OSError as e:  # it or its folder has changed since the search began
             raise output_error(f"--out {old}: cannot be replaced: {e.strerror}", e) from e
     for case in cases:
-        case.write(files[case.monitor])
+        case.write(out / files[case.monitor])
 
 
 def _print(report: AttackReport, out: Path, *, complete: bool) -> None:

@@ -115,7 +115,6 @@ def _results(config: SoakConfig, folder: Path, pending: Collection[int]) -> Iter
             if number in pending:
                 return  # robots are numbered by position, so that none is reported after a missing shard
             raise OutputError(f"{checkpoint.path}: lost after its shard was finished")
-        done = saved.get("runtime.ticks") == job.ticks or number in pending
-        if not done or not _fits(saved, job):
+        if not _fits(saved, job) or (number not in pending and int(saved["runtime.ticks"]) < job.ticks):
             raise OutputError(f"{checkpoint.path}: replaced while the soak ran")
         yield shard_result(config.spec, config.policy.contract, job.robots, saved)

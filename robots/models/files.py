@@ -155,7 +155,7 @@ def _named_by_mjcf(
 
 def _check_no_space(name: str, model: Path) -> None:
     """Refuse white space in the name of a file: Python's parser makes a space of each, MuJoCo's does not."""
-    if len(name.split()) != 1 or name != name.strip():
+    if name.split() != [name]:
         raise RobotError(f"{model}: file: found white space in {name!r:.200}, expected none")
 
 

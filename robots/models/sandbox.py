@@ -3,7 +3,6 @@
 python -P -m robots.models.sandbox MODEL FOLDER CPU_S
 """
 
-import os
 import signal
 import subprocess
 import sys
@@ -37,10 +36,7 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
     with Lifeline() as lifeline:
         end, limit_s = lifeline.end.fileno(), WALL_FACTOR * cpu_s + GRACE_S
         try:
-            environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
-            done = subprocess.run(
-                child, stdin=end, capture_output=True, check=False, timeout=limit_s, env=environment
-            )
+            done = subprocess.run(child, stdin=end, capture_output=True, check=False, timeout=limit_s)
         except subprocess.TimeoutExpired as e:
             raise RobotError(f"{bounds}: not finished after {limit_s:g} s") from e
     check_not_crowded(done.returncode)

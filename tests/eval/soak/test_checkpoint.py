@@ -261,6 +261,7 @@ def test_killed_worker_changes_no_result(finished, tmp_path, monkeypatch, capsys
         lambda arrays: arrays.update({"sampled.winding_c": np.zeros(3)}),
         lambda arrays: arrays.update({"runtime.ticks": arrays["runtime.ticks"] - 1}),
         lambda arrays: arrays.pop("runtime.ticks"),
+        lambda arrays: arrays.update({"runtime.ticks": np.zeros(3, dtype=int)}),
     ],
 )
 def test_a_checkpoint_that_is_replaced_while_the_soak_runs_is_an_error(
