@@ -1,9 +1,8 @@
 """soak-attack: search for the policy that brings each monitor closest to its limit."""
 
-import os
 import signal
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +15,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from deploy.command_line import BUDGET_EXCEEDED, PASSED, main
 from deploy.operation.interrupts import handled, interrupt
 from deploy.telemetry.folder_lock import locked
-from deploy.telemetry.output_files import check_no_links
 from deploy.telemetry.plain_console import plain_console
 from eval.attack.adversaries import pushed_arms
 from eval.attack.archive import Archive, Found
 from eval.attack.arena import Setting, find_mode
-from eval.attack.candidate import Case
+from eval.attack.attack_folder import CASES, WORST, AttackFolder
 from eval.attack.fault_classes import find_faults
 from eval.attack.guards import guarded_monitor
 from eval.attack.peak import Bundle
@@ -29,15 +27,12 @@ from eval.attack.pool import Workers, workers
 from eval.attack.report import REPORT, AttackReport, case_of, make_report, table
 from eval.attack.search import Search
 from eval.attack.trained_gains import find_gains
-from eval.judge.monitors import NAMES
-from eval.replay.bundle_files import copy_bundles, delete_bundles, remove_bundles
-from eval.report.report_files import check_report_folder
-from robots.errors import ConfigError, output_error, printable
+from robots.errors import ConfigError, printable
 from robots.randomness import SEED_MAX
 from robots.spec import RobotSpec, load_robot
 
-WORST, CASES, UNFINISHED = FOLDERS = "worst", "cases", "unfinished"
-"""Folders in --out: of bundles, of cases, and of bundles while they are written."""
+MINUTES_MAX = 1e6
+INTERRUPTED = "interrupted: the report covers what was tried so far"
 COLUMNS = (
     TextColumn("attacking: {task.description}"),
     BarColumn(),
@@ -112,6 +107,9 @@ def soak_attack(
 ) -> int:
     """Search over policies and draws for the smallest margin of every monitor; its results enter no rate.
 
+    The report of an earlier attack in --out is replaced only when this one has finished; that of an interrupted one is
+    in unfinished/.
+
     Exit codes: 0 every hard monitor kept its limit, 1 one did not, 2 bad input, 130 interrupted.
     """
     _check_options(seed, processes, minutes, generations)
@@ -121,27 +119,26 @@ def soak_attack(
     gains = find_gains(gains_of, spec, drives) if gains_of else None
     setting = Setting(robot=spec.folder, mode=drives, faults=classes, without=without, gains=gains)
     target = guarded_monitor(without, setting.mode, Archive(spec, setting.mode).hard) if without else ""
-    budget = Budget(seconds=60.0 * minutes, generations=generations)
-    case_files = _case_files(spec, setting)
-    _check_folder(out, case_files.values())
+    folder = AttackFolder(out, spec, setting)
+    folder.check()
     with ExitStack() as printing, locked(out), workers(setting, processes) as pool:
-        delete_bundles(out / UNFINISHED, finished=True)
+        folder.clear()
         search, console = _search(spec, setting, pool, seed, target), plain_console()
         with handled(signal.SIG_IGN):  # `_run` and `_write_bundles` handle them
-            finished = _run(search, budget, console)
+            finished = _run(search, Budget(seconds=60.0 * minutes, generations=generations), console)
             found = {} if setting.without else _worst(search.archive)
-            notes = [f"writing {len(found)} bundles"]
-            if not finished:
-                notes.insert(0, "interrupted: the report covers what was tried so far")
+            cases = {name: case_of(spec, setting, name, each) for name, each in found.items()}
+            folder.check_links()  # made since the search began
+            bundles, complete = dict[str, Bundle](), False
+            notes = [*([] if finished else [INTERRUPTED]), f"writing {len(found)} bundles"]
             try:
-                bundles = _write_bundles(found, pool, out, console, notes)
-            except Exception:
-                make_report(spec, setting, seed, search.archive, {}).write(out)
-                raise
-            report = make_report(spec, setting, seed, search.archive, bundles)
-            _write(report, [case_of(spec, setting, *each) for each in found.items()], case_files, out)
-            printing.callback(_print, report, out, complete=len(bundles) == len(found))
-        if not finished or len(bundles) < len(found):
+                _write_bundles(found, pool, folder, bundles, console, notes)
+                complete = finished and len(bundles) == len(found)
+            finally:
+                report = make_report(spec, setting, seed, search.archive, bundles)
+                path = folder.write(report, cases, finished=complete)
+            printing.callback(_print, report, path, bundles_missing=len(bundles) < len(found))
+        if not complete:
             raise KeyboardInterrupt  # workers need not finish what they do
     return BUDGET_EXCEEDED if report.hits or report.diverged else PASSED
 
@@ -150,23 +147,6 @@ def _search(spec: RobotSpec, setting: Setting, pool: Workers, seed: int, target:
     """Return the search; pushed arms have a fixed base, and no fault beside their push."""
     arms = () if spec.base or setting.faults else pushed_arms(setting.mode, gains=setting.gains is not None)
     return Search(spec, setting.mode, pool.evaluate, seed=seed, target=target, pushed_arms=arms)
-
-
-def _case_files(spec: RobotSpec, setting: Setting) -> dict[str, str]:
-    """Return the file of each monitor's case, relative to the folder of the report."""
-    options = f"{'-faults' if setting.faults else ''}{'-gains' if setting.gains else ''}"
-    start = f"{spec.name}-{setting.mode.name.lower()}{options}"
-    return {name: f"{CASES}/{start}-{name}.json" for name in NAMES}
-
-
-def _check_folder(out: Path, cases: Iterable[str]) -> None:
-    """Refuse a folder in which something is in the way, or whose cases are of no earlier attack."""
-    check_no_links(out, FOLDERS)
-    check_report_folder(out, (REPORT, *cases))
-    if os.path.exists(out / CASES) and not os.path.exists(out / REPORT):
-        raise ConfigError(
-            f"--out {out}: found {CASES}/ without {REPORT}, expected a folder of an attack, or a new one"
-        )
 
 
 def _run(search: Search, budget: Budget, console: Console) -> bool:
@@ -195,41 +175,27 @@ def _worst(archive: Archive) -> dict[str, Found]:
 
 
 def _write_bundles(
-    found: dict[str, Found], pool: Workers, out: Path, console: Console, notes: Sequence[str]
-) -> dict[str, Bundle]:
-    """Print notes; replace the bundles in `out`, which takes minutes; return them by monitor, fewer if interrupted."""
-    bundles = dict[str, Bundle]()
+    found: dict[str, Found],
+    pool: Workers,
+    folder: AttackFolder,
+    bundles: dict[str, Bundle],
+    console: Console,
+    notes: Sequence[str],
+) -> None:
+    """Print notes; write bundles, which takes minutes, and add them to `bundles` by monitor, fewer if interrupted."""
     with suppress(KeyboardInterrupt), handled(interrupt):
         console.print("\n".join(notes))
-        for name, bundle in pool.write_bundles(found, out / UNFINISHED):
-            bundles[name] = bundle
-    check_no_links(out, FOLDERS)  # made since the search began
-    copy_bundles(out / UNFINISHED, out / WORST, {bundle.name for bundle in bundles.values()})
-    remove_bundles(out / UNFINISHED)
-    return bundles
+        bundles.update(pool.write_bundles(found, folder.unfinished))
+    folder.keep_bundles({bundle.name for bundle in bundles.values()})
 
 
-def _write(report: AttackReport, cases: Sequence[Case], files: Mapping[str, str], out: Path) -> None:
-    """Write report and cases."""
-    report.write(out)
-    for old in (out / file for file in files.values()):
-        try:
-            old.unlink(missing_ok=True)
-        except OSError as e:  # it or its folder has changed since the search began
-            raise output_error(f"--out {old}: cannot be replaced: {e.strerror}", e) from e
-    for case in cases:
-        case.write(out / files[case.monitor])
-
-
-def _print(report: AttackReport, out: Path, *, complete: bool) -> None:
+def _print(report: AttackReport, path: Path, *, bundles_missing: bool) -> None:
     """Print the table and the verdict, once signals end the process again, which may wait for a reader."""
     console = plain_console(width=160)
-    if not complete:
+    if bundles_missing:
         console.print("interrupted: the report covers the bundles written so far")
     console.print(table(report))
-    console.print(
-        f"{_verdict(report)}\nreport: {printable(str(out / REPORT))}", soft_wrap=True, highlight=False
-    )
+    console.print(f"{_verdict(report)}\nreport: {printable(str(path))}", soft_wrap=True, highlight=False)
 
 
 def _verdict(report: AttackReport) -> str:
@@ -241,7 +207,7 @@ def _check_options(seed: int, processes: int, minutes: float, generations: int |
     bounds = (
         ("--seed", seed, 0 <= seed <= SEED_MAX, f"from 0 to {SEED_MAX}"),
         ("--workers", processes, 1 <= processes <= 1024, "from 1 to 1024"),
-        ("--minutes", minutes, 0.0 < minutes < float("inf"), "above 0"),
+        ("--minutes", minutes, 0.0 < minutes <= MINUTES_MAX, f"above 0, at most {MINUTES_MAX:g}"),
         ("--generations", generations, generations is None or generations >= 1, "at least 1"),
     )
     for name, value, valid, expected in bounds:

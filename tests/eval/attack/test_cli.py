@@ -18,6 +18,7 @@ from deploy.operation.interrupts import interrupt
 from deploy.start import BROKEN, INTERRUPTED
 from eval.attack import arena
 from eval.attack.adversaries import OF_MANY
+from eval.attack.attack_folder import FOLDERS
 from eval.attack.candidate import read_case
 from eval.attack.cli import cli
 from eval.attack.suite import OPEN, SUITE, run_suite
@@ -40,10 +41,11 @@ def attack(call, out, **options):
         ({"mode": "thought"}, "--mode: found 'thought', expected one of those of planar3: position"),
         ({"seed": -1}, "--seed: found -1, expected from 0 to 9223372036854775807"),
         ({"workers": 0}, "--workers: found 0, expected from 1 to 1024"),
-        ({"minutes": 0}, "--minutes: found 0.0, expected above 0"),
+        ({"minutes": 0}, "--minutes: found 0.0, expected above 0, at most 1e+06"),
         ({"generations": 0}, "--generations: found 0, expected at least 1"),
         ({"seed": "x"}, "'--seed'"),
         ({"minutes": "nan"}, "--minutes: found nan, expected above 0"),
+        ({"minutes": 3e306}, "--minutes: found 3e+306, expected above 0, at most 1e+06"),
         ({"fault": "bad luck"}, "--fault: found 'bad luck', expected some of: encoder off"),
         (
             {"gains": "nothing.onnx"},
@@ -112,7 +114,35 @@ def test_interrupted_attack_reports_what_it_tried(number, call, tmp_path, monkey
     code, said, _ = attack(call, tmp_path, generations=100)
     assert code == INTERRUPTED
     assert "interrupted: the report covers" in said
-    assert json.loads((tmp_path / "attack.json").read_text())["trials"] > (len(OF_MANY) + 5) * 16
+    place = tmp_path / "unfinished"
+    assert f"report: {place / 'attack.json'}" in said
+    assert json.loads((place / "attack.json").read_text())["trials"] > (len(OF_MANY) + 5) * 16
+    assert read_case(place / "cases" / "planar3-position-velocity.json").monitor == "velocity"
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_interrupted_attack_replaces_nothing_of_a_finished_one(when, call, tmp_path, monkeypatch):
+    """Be it interrupted while it searches or while it writes bundles; the next that finishes replaces both."""
+
+    def interrupt(_):
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", velocity=0.7))
+    assert attack(call, tmp_path)[0] == PASSED
+    finished = contents(tmp_path)
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", velocity=0.6, **{when: interrupt}))
+    assert attack(call, tmp_path)[0] == INTERRUPTED
+    found = contents(tmp_path)
+    assert {path: found[path] for path in finished} == finished
+    assert {path.parts[0] for path in found.keys() - finished.keys()} == {"unfinished"}
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", velocity=0.8))
+    assert attack(call, tmp_path)[0] == PASSED
+    assert {path.parts[0] for path in contents(tmp_path)} == {"attack.json", "cases", "worst"}
+    assert read_case(tmp_path / "cases" / "planar3-position-velocity.json").worst == 0.8
+
+
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @SIGNALS
@@ -130,9 +160,11 @@ def test_attack_interrupted_while_bundles_are_written_reports_those_that_are(
     code, said, _ = attack(call, tmp_path)
     assert code == INTERRUPTED
     assert "interrupted: the report covers the bundles written so far" in said
-    rows = json.loads((tmp_path / "attack.json").read_text())["rows"]
+    rows = json.loads((tmp_path / "unfinished" / "attack.json").read_text())["rows"]
     assert {row["monitor"] for row in rows if row["bundle"]} == set(written)
-    assert {folder.name for folder in (tmp_path / "worst").iterdir()} == {f"bundle-of-{n}" for n in written}
+    assert {folder.name for folder in (tmp_path / "unfinished" / "worst").iterdir()} == {
+        f"bundle-of-{n}" for n in written
+    }
 
 
 def test_an_attack_prints_where_signals_end_it(call, tmp_path, monkeypatch):
@@ -177,7 +209,7 @@ def test_a_bundle_that_fails_loses_no_report(call, tmp_path, monkeypatch):
     code, _, error = attack(call, tmp_path)
     assert code == BROKEN
     assert "ticks differ" in error
-    report = json.loads((tmp_path / "attack.json").read_text())
+    report = json.loads((tmp_path / "unfinished" / "attack.json").read_text())
     (row,) = (row for row in report["rows"] if row["monitor"] == "velocity")
     assert (row["worst"], row["bundle"]) == (0.8, "")
 
@@ -219,7 +251,8 @@ def test_a_case_that_cannot_be_replaced_after_the_search_is_named(call, tmp_path
     monkeypatch.setattr(command, "workers", in_the_way)
     code, _, error = attack(call, tmp_path)
     assert code == 2
-    assert f"error: --out {case}: cannot be replaced: Is a directory" in error
+    assert f"{case}: found a folder or a device, expected a file" in error
+    assert (tmp_path / "unfinished" / "attack.json").exists()
 
 
 def test_a_file_in_the_place_of_the_cases_is_named_before_the_search(call, tmp_path):
@@ -232,7 +265,7 @@ def test_a_file_in_the_place_of_the_cases_is_named_before_the_search(call, tmp_p
 
 
 @pytest.mark.parametrize("begun", [False, True])
-@pytest.mark.parametrize("name", command.FOLDERS)
+@pytest.mark.parametrize("name", FOLDERS)
 def test_behind_a_link_nothing_changes(name, begun, call, tmp_path, monkeypatch):
     """Be it there from the beginning, or made during the search."""
     theirs, out = tmp_path / "theirs", tmp_path / "out"
@@ -245,6 +278,7 @@ def test_behind_a_link_nothing_changes(name, begun, call, tmp_path, monkeypatch)
 
     def link(_=None):
         if not (out / name).exists():
+            (out / name).parent.mkdir(exist_ok=True)
             (out / name).symlink_to(theirs)
 
     def search(blocks):
