@@ -26,6 +26,15 @@ ITERATIONS = (
 """Options that multiply the time of a step."""
 ITERATIONS_MAX = 1000
 """Ten times MuJoCo's default of its solver: a step of more would go on for hours, deaf to Ctrl-C."""
+SIZE_MIB = 256
+"""Memory of a compiled model. The H1 with 14 MB of meshes needs 65 MiB, a robot with 50 MB of meshes 188 MiB."""
+SIMULATED = 16
+"""Robots that a simulation holds at once: one model and one working memory for all, a state for each."""
+USER_NUMBERS = tuple(
+    f"nuser_{kind}" for kind in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")
+)
+"""Sizes of the user's own data, which each element gets that a simulation adds to the model."""
+USER_NUMBERS_MAX = 1000
 
 
 def open_model(model: Path, folder: Path) -> mujoco.MjSpec:
@@ -54,6 +63,25 @@ def compile_model(mjcf: mujoco.MjSpec, model: Path) -> mujoco.MjModel:
         return mjcf.compile()
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as e:
         raise _unreadable(model, e) from e
+
+
+def check_size(compiled: mujoco.MjModel, model: Path) -> None:
+    """Bound the memory of a compiled model of unknown origin: processes that use it have no limit of their own.
+
+    Raises:
+        RobotError: it needs more than `SIZE_MIB`, or its elements hold more than `USER_NUMBERS_MAX` numbers each.
+    """
+    for name in USER_NUMBERS:
+        if (found := getattr(compiled, name)) > USER_NUMBERS_MAX:
+            raise RobotError(f"{model}: size {name}: found {found}, expected at most {USER_NUMBERS_MAX}")
+    numbers = mujoco.mj_stateSize(compiled, mujoco.mjtState.mjSTATE_INTEGRATION)
+    size = compiled.nbuffer + compiled.narena + SIMULATED * 8 * numbers
+    if size <= SIZE_MIB << 20:
+        size += mujoco.MjData(compiled).nbuffer
+    if size > SIZE_MIB << 20:
+        raise RobotError(
+            f"{model}: found {size / (1 << 20):.0f} MiB of memory once compiled, expected at most {SIZE_MIB} MiB"
+        )
 
 
 def read_mjcf(spec: RobotSpec) -> mujoco.MjSpec:

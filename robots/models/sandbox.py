@@ -11,10 +11,11 @@ from pathlib import Path
 from robots.child_process import GRACE_S, Lifeline, check_not_crowded, end_with
 from robots.errors import RobotError
 from robots.models.files import referenced_files
-from robots.models.mujoco_model import compile_model, open_model
+from robots.models.mujoco_model import check_size, compile_model, open_model
 from robots.resource_limits import limit_process
 
-CPU_S, MEMORY_GIB = 30, 8
+CPU_S, MEMORY_GIB = 30, 4
+"""Bounds of the separate process. Compiling meshes takes six times the memory of the result."""
 WALL_FACTOR = 6
 """Wall time allowed, as a multiple of CPU time: the machine may have other work."""
 REFUSED = 2
@@ -25,7 +26,8 @@ def check_compiles(model: Path, folder: Path, *, cpu_s: int = CPU_S) -> None:
     """Check that MuJoCo can compile MJCF or URDF, whose files are in `folder`, within `cpu_s` s of a core.
 
     Raises:
-        RobotError: with MuJoCo's message if it cannot; or it takes too long, too much memory, or crashes.
+        RobotError: with MuJoCo's message if it cannot; or it takes too long, too much memory, or crashes; or the result
+            needs more memory than `SIZE_MIB`.
         OSError: the computer lacks a process, open files or memory for it.
     """
     referenced_files(model, folder)
@@ -52,7 +54,7 @@ def _main(model: str, folder: str, cpu_s: str) -> int:
     signal.alarm(WALL_FACTOR * int(cpu_s))
     limit_process(int(cpu_s), MEMORY_GIB)
     try:
-        compile_model(open_model(Path(model), Path(folder)), Path(model))
+        check_size(compile_model(open_model(Path(model), Path(folder)), Path(model)), Path(model))
     except RobotError as e:
         print(e, file=sys.stderr)
         return REFUSED

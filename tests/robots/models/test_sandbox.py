@@ -16,7 +16,7 @@ pytest.importorskip("mujoco")
 from robots.errors import RobotError
 from robots.models import sandbox
 from robots.models.files import referenced_files
-from robots.models.mujoco_model import ITERATIONS, open_model
+from robots.models.mujoco_model import ITERATIONS, SIZE_MIB, USER_NUMBERS_MAX, open_model
 from robots.models.sandbox import MEMORY_GIB, check_compiles
 
 BODY = '<body name="a"><joint name="j"/><geom size="0.1"/>{}</body>'
@@ -56,6 +56,38 @@ def test_too_many_iterations_are_refused(tmp_path, option):
         open_model(path, tmp_path)
     assert str(caught.value) == f"{path}: option {option}: found 1001, expected at most 1000"
     open_model(written(tmp_path, f'<option {option}="1000"/>'), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("inside", "mib"),
+    [
+        ('<asset><texture name="t" type="2d" builtin="flat" width="9500" height="9500"/></asset>', 271),
+        ('<size memory="300M"/>', 300),
+        ('<sensor><user dim="35000000"/></sensor>', 280),
+        ('<size nuserdata="2200000"/>', 282),  # of 16 robots
+    ],
+)
+def test_model_that_needs_too_much_memory_once_compiled_is_refused(tmp_path, inside, mib):
+    path = written(tmp_path, inside)
+    with pytest.raises(RobotError) as caught:
+        check_compiles(path, tmp_path)
+    assert (
+        str(caught.value)
+        == f"{path}: found {mib} MiB of memory once compiled, expected at most {SIZE_MIB} MiB"
+    )
+
+
+def test_model_of_the_largest_size_passes(tmp_path):
+    check_compiles(written(tmp_path, '<size memory="255M"/>'), tmp_path)
+
+
+@pytest.mark.parametrize("name", ["nuser_geom", "nuser_tendon"])
+def test_too_many_numbers_of_the_user_are_refused(tmp_path, name):
+    """Also of elements that the model has none of: a simulation adds some."""
+    path = written(tmp_path, f'<size {name}="{USER_NUMBERS_MAX + 1}"/>')
+    with pytest.raises(RobotError) as caught:
+        check_compiles(path, tmp_path)
+    assert str(caught.value) == f"{path}: size {name}: found 1001, expected at most 1000"
 
 
 @pytest.mark.slow
@@ -112,7 +144,7 @@ def test_lower_system_limits_are_no_obstacle(tmp_path):
     code = (
         "import resource, sys; from pathlib import Path; from robots.models.sandbox import check_compiles\n"
         "resource.setrlimit(resource.RLIMIT_CPU, (20, 20))\n"
-        "resource.setrlimit(resource.RLIMIT_DATA, (4 << 30, 4 << 30))\n"
+        "resource.setrlimit(resource.RLIMIT_DATA, (2 << 30, 2 << 30))\n"
         "check_compiles(Path(sys.argv[1]), Path(sys.argv[1]).parent)\n"
     )
     subprocess.run([sys.executable, "-c", code, str(path)], check=True)
