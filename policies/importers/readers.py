@@ -1,7 +1,7 @@
 """Table of the readers, one for each file format, recognised by content; a new importer adds a row to `ARCHIVES`.
 
-A reader is a function `read_...(path, network) -> ReferencePolicy` in a module of its own. All readers raise
-ContractError naming the file, the part, what was found and what was expected.
+A reader is a function `read_...(path, network) -> ReferencePolicy` in a module of its own. It raises ContractError
+naming the file, the part, what was found and what was expected; whatever else a library raises, `read_policy` converts.
 """
 
 import zipfile
@@ -12,11 +12,13 @@ from io import BytesIO
 from pathlib import Path
 from pkgutil import resolve_name
 
+from deploy.policy.onnx_graph import shortened
+from deploy.start import RESOURCES
 from policies.importers.onnx_files.foreign_onnx import load_onnx, read_onnx
 from policies.importers.reference_policy import ReferencePolicy
 from policies.importers.torch_files.network_settings import NetworkSettings
 from policies.importers.untrusted.zip_archive import read_bytes, read_names
-from robots.errors import ContractError
+from robots.errors import ContractError, FirstshiftError
 
 ZIP = b"PK\x03\x04"
 """Signature of an archive, as torch and Stable-Baselines3 save."""
@@ -58,7 +60,25 @@ ARCHIVES: tuple[tuple[Callable[[Archive], bool], str], ...] = (
 
 
 def read_policy(path: Path, network: NetworkSettings) -> ReferencePolicy:
-    """Read a policy of another library; MissingSettingError if `network` lacks a setting that the file has not."""
+    """Read a policy of another library.
+
+    Raises:
+        ContractError: the file cannot be read, whatever a library raised for it.
+        MissingSettingError: `network` lacks a setting that the file has not.
+        ImportError, MemoryError, OSError: the computer lacks a library, memory, or another resource.
+    """
+    try:
+        return _read(path, network)
+    except (FirstshiftError, ImportError, MemoryError):
+        raise
+    except Exception as e:  # a file of unknown origin can make libraries fail in any way
+        if isinstance(e, OSError) and e.errno in RESOURCES:
+            raise
+        found = ": ".join(filter(None, (type(e).__name__, shortened(e))))
+        raise ContractError(f"{path}: cannot be read: {found}") from e
+
+
+def _read(path: Path, network: NetworkSettings) -> ReferencePolicy:
     data = read_bytes(path, EXPECTED)
     if not data:
         raise ContractError(f"{path}: found an empty file, {EXPECTED}")

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from deploy.policy.contract_term import SIZE_MAX
-from deploy.policy.onnx_graph import shortened
 from policies.importers.reference_policy import ReferencePolicy
 from policies.importers.torch_files.network_settings import NetworkSettings
 from policies.importers.torch_files.torchscript_check import check_graph, check_pickle, check_source
@@ -56,12 +55,9 @@ def _check(members: Mapping[str, bytes], source: str) -> None:
 
 
 def _load(members: Mapping[str, bytes], source: str) -> torch.jit.ScriptModule:
-    try:
-        with limit_cpu(LOAD_CPU_S):
-            module = torch.jit.load(repack(members), map_location="cpu")
-            graph: Any = module.inlined_graph
-    except Exception as e:  # bytes of unknown origin can fail in any way
-        raise ContractError(f"{source}: cannot be loaded: {shortened(e)}") from e
+    with limit_cpu(LOAD_CPU_S):
+        module = torch.jit.load(repack(members), map_location="cpu")
+        graph: Any = module.inlined_graph
     check_graph((node.kind() for node in _nodes(graph)), source)
     buffers = {name.rpartition(".")[2] for name, _ in module.named_buffers()}
     for node in graph.findAllNodes("prim::SetAttr"):
@@ -71,12 +67,13 @@ def _load(members: Mapping[str, bytes], source: str) -> torch.jit.ScriptModule:
     return module
 
 
-def _nodes(block: Any) -> Iterator[Any]:
-    """Yield the nodes of a graph, with those of its branches and loops."""
-    for node in block.nodes():
-        yield node
-        for inner in node.blocks():
-            yield from _nodes(inner)
+def _nodes(graph: Any) -> Iterator[Any]:
+    """Yield the nodes of a graph, with those of its branches and loops, however deep they are nested."""
+    blocks = [graph]
+    while blocks:
+        for node in blocks.pop().nodes():
+            yield node
+            blocks.extend(node.blocks())
 
 
 def _observations(module: torch.jit.ScriptModule, source: str) -> int:

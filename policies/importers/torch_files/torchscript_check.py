@@ -89,13 +89,13 @@ def _own_names(nodes: list[ast.AST]) -> Iterator[str]:
 
 
 def _is_allowed(node: ast.Attribute, *, outermost: bool) -> bool:
-    owner = ast.unparse(node.value) if isinstance(node.value, ast.Name | ast.Attribute) else ""
-    if owner == "torch":
-        return is_operator(node.attr)
-    if owner == "ops":
-        return node.attr == "prim" and not outermost
-    if owner == "ops.prim":
-        return node.attr in PRIM
+    match node.value:
+        case ast.Name(id="torch"):
+            return is_operator(node.attr)
+        case ast.Name(id="ops"):
+            return node.attr == "prim" and not outermost
+        case ast.Attribute(value=ast.Name(id="ops"), attr="prim"):
+            return node.attr in PRIM
     return node.attr not in REFUSED
 
 

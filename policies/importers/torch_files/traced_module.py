@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from deploy.policy.onnx_graph import check_model, shortened
 from policies.export.tracing import to_onnx
 from policies.importers.onnx_files.foreign_onnx import allow_any_batch
 from policies.importers.reference_policy import Memory, PolicyFacts, ReferencePolicy
+from policies.importers.untrusted.zip_archive import BYTES_MAX
 from robots.arrays import Float32s
 from robots.errors import ContractError
 
@@ -32,6 +33,7 @@ def trace_module(
 
     Buffers that a step changes, in place or by assignment, become the memory, which must start at 0.
     """
+    _check_size(module, source)
     stateful = _StatefulModule(module.eval(), source)
     example = torch.randn(1, observations, generator=torch.Generator().manual_seed(0))
     with _inference_mode(source):
@@ -46,6 +48,16 @@ def trace_module(
         facts=facts, model=model, observation=OBSERVATION, action=ACTION, batched=False, **fields
     )
     return allow_any_batch(reference, source)
+
+
+def _check_size(module: nn.Module, source: str) -> None:
+    """Bound the copies of parameters and buffers: a tensor of a few bytes can claim any number of elements."""
+    tensors = dict((*module.named_parameters(), *module.named_buffers()))
+    sizes = {name: tensor.numel() * tensor.element_size() for name, tensor in tensors.items()}
+    if (total := sum(sizes.values())) > BYTES_MAX:
+        name, size = max(sizes.items(), key=itemgetter(1))
+        found = f"found {size} bytes, and {total} in all parameters and buffers"
+        raise ContractError(f"{source}: {name!r:.100}: {found}, expected at most {BYTES_MAX}")
 
 
 def _memory(stateful: "_StatefulModule", names: list[str], source: str) -> tuple[Memory, ...]:

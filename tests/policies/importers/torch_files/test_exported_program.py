@@ -10,7 +10,9 @@ from functools import partial
 
 from torch import nn
 
+from policies.importers.readers import read_policy
 from policies.importers.torch_files.exported_program import read_exported_program
+from policies.importers.torch_files.network_settings import NetworkSettings
 from robots.errors import ContractError
 from support.importers.exported_programs import saved
 from support.importers.parity import parity
@@ -137,6 +139,43 @@ def test_a_program_for_four_robots_at_once_is_refused(tmp_path):
 )
 def test_program_beyond_arithmetic_is_refused(tmp_path, plain, change, message):
     assert refused(spoiled(tmp_path, plain, PROGRAM, change)).startswith(f"{PROGRAM}: {message}")
+
+
+def name_first_call(program):
+    program["graph_module"]["module_call_graph"][0]["fqn"] = "0"
+
+
+def drop_signature(program):
+    program["graph_module"]["module_call_graph"][0]["signature"] = None
+
+
+def drop_nodes(program):
+    program["graph_module"]["graph"]["nodes"].clear()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (name_first_call, "AssertionError: "),
+        (drop_signature, "AttributeError: "),
+        (drop_nodes, "KeyError: "),
+    ],
+)
+def test_program_that_torch_cannot_build_is_refused(tmp_path, plain, change, message):
+    found = refusal(
+        partial(read_policy, network=NetworkSettings()), spoiled(tmp_path, plain, PROGRAM, change)
+    )
+    assert found.startswith(f"cannot be read: {message}")
+
+
+def test_a_number_in_place_of_observations_is_refused(tmp_path, plain):
+    def change(program):
+        graph = program["graph_module"]["graph"]
+        graph["inputs"][-1] = {"as_sym_int": {"as_name": "input"}}
+        graph["sym_int_values"] = {"input": {"as_int": 3}}
+
+    found = refused(spoiled(tmp_path, plain, PROGRAM, change))
+    assert found == "found inputs of shapes [()], expected (batch, observations)"
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,8 @@ from functools import partial
 
 from torch import nn
 
+from policies.importers.readers import read_policy
+from policies.importers.torch_files.network_settings import NetworkSettings
 from policies.importers.torch_files.operators import OPERATORS, is_operator
 from policies.importers.torch_files.torchscript import read_torchscript
 from policies.importers.torch_files.torchscript_check import REFUSED, check_source
@@ -178,6 +180,40 @@ def test_operators_called_as_methods_are_found_in_the_graph(tmp_path):
     assert message.startswith("found operator aten::as_strided, expected only operators of policy networks")
 
 
+NESTED, LEVELS = 12, 90
+"""Methods that call each other, and the branches inside each: Python's parser reads 99 levels."""
+
+
+def nested(k):
+    """A method that calls the next one from the innermost of its branches; the last one sets a tensor's storage."""
+    call = f"(self).f{k + 1}(x, )" if k + 1 < NESTED else "(x).as_strided([7], [1], 1000000)"
+    branches = [f"{' ' * level}if torch.eq(torch.len(x), 1):" for level in range(4, 4 + LEVELS)]
+    head = f"  def f{k}(self: __torch__.torch.nn.modules.container.Sequential, x: Tensor) -> Tensor:"
+    lines = head, "    y = x", *branches, f"{' ' * (4 + LEVELS)}y = {call}", "    return y"
+    return "\n".join(lines) + "\n"
+
+
+def test_operators_are_found_however_deep_a_graph_is_nested(tmp_path):
+    path = saved_script(tmp_path / "policy.pt", mlp())
+    (code,) = (name for name in members(path) if "container" in name and name.endswith(".py"))
+
+    def spoiled(text):
+        return (
+            text.replace(b"(input, )", b"((self).f0(input, ), )", 1)
+            + "".join(map(nested, range(NESTED))).encode()
+        )
+
+    message = refused(changed(path, code.partition("/")[2], spoiled))
+    assert message.startswith("found operator aten::as_strided, expected only operators of policy networks")
+
+
+def test_a_long_chain_of_attributes_is_checked():
+    text = f"def forward(self: Tensor) -> Tensor:\n  return self{'.l' * 900}"
+    check_source(text.encode(), "f.py")
+    with pytest.raises(ContractError, match=r"f\.py: line 3: found torch\.save"):
+        check_source(f"{text}\n  torch.save(self)".encode(), "f.py")
+
+
 @pytest.mark.parametrize(
     "layer",
     [
@@ -248,6 +284,23 @@ def test_methods_that_run_around_forward_are_refused(tmp_path, name):
 def test_a_tensor_that_claims_more_bytes_than_it_has_is_refused(tmp_path):
     path = changed(saved_script(tmp_path / "policy.pt", mlp()), "data/0", lambda data: data[:8])
     assert refused(path).startswith("data.pkl: tensor 0: found 8 bytes, expected ")
+
+
+def test_a_buffer_that_claims_more_than_a_file_may_have_is_refused(tmp_path):
+    """Its 10^12 numbers are one."""
+    module = mlp()
+    module.register_buffer("vast", torch.zeros(1).expand(10**12))
+    assert refused(saved_script(tmp_path / "policy.pt", module)) == (
+        "'vast': found 4000000000000 bytes, and 4000000000716 in all parameters and buffers, expected at most 268435456"
+    )
+
+
+def test_code_that_torch_does_not_compile_is_refused(tmp_path):
+    path = saved_script(tmp_path / "policy.pt", mlp())
+    (code,) = (name for name in members(path) if "container" in name and name.endswith(".py"))
+    changed(path, code.partition("/")[2], lambda text: text.replace(b"(input, )", b"(input.l, )", 1))
+    message = refusal(partial(read_policy, network=NetworkSettings()), path)
+    assert message.startswith("cannot be read: RuntimeError: ")
 
 
 def test_a_foreign_class_in_the_pickle_is_refused(tmp_path):

@@ -1,5 +1,6 @@
 """Files that were made to do harm, or that a disk has spoiled: one clear error, and nothing else happens."""
 
+import errno
 import io
 import os
 import pickle
@@ -64,6 +65,21 @@ def files(tmp_path_factory):
 
 def answers(path):
     return ASKED if path.suffix == ".zip" else ELU
+
+
+READERS = {
+    "state_dict": "policies.importers.torch_files.state_dict.read_state_dict",
+    "ONNX": "policies.importers.readers.read_onnx",
+}
+
+
+def raising(error):
+    """A reader that fails."""
+
+    def fail(*_):
+        raise error
+
+    return fail
 
 
 def refused(path):
@@ -133,6 +149,35 @@ def test_truncated_file_is_named_as_such(files, kind):
     path.write_bytes(good.read_bytes()[:600])
     archived = zipfile.is_zipfile(good)
     assert ("a truncated archive" in refused(path)) == archived
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (RecursionError("maximum depth"), "RecursionError: maximum depth"),
+        (
+            RuntimeError("[enforce fail]\nDefaultCPUAllocator"),
+            "RuntimeError: [enforce fail] DefaultCPUAllocator",
+        ),
+        (AssertionError(), "AssertionError"),
+        (KeyError("node"), "KeyError: 'node'"),
+        (OSError(errno.EINVAL, "Invalid argument"), "OSError: [Errno 22] Invalid argument"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["state_dict", "ONNX"])
+def test_whatever_a_reader_raises_names_the_file(files, monkeypatch, kind, error, message):
+    monkeypatch.setattr(READERS[kind], raising(error))
+    assert refused(files[kind]) == f"cannot be read: {message}"
+
+
+@pytest.mark.parametrize(
+    "error",
+    [MemoryError(), ImportError("onnxscript"), OSError(errno.EMFILE, "Too many"), KeyboardInterrupt()],
+)
+def test_what_the_computer_lacks_is_not_said_of_the_file(files, monkeypatch, error):
+    monkeypatch.setattr(READERS["state_dict"], raising(error))
+    with pytest.raises(type(error)):
+        read_policy(files["state_dict"], ELU)
 
 
 # ---- archives ----
