@@ -15,6 +15,8 @@ from robots.strict import parse, read_json_file
 SUFFIX = ".soak.json"
 CHARACTERS_MAX = 1 << 26
 """Upper bound of the size of a record, 200 for each robot, or report, 500."""
+RECORDS_MAX, BYTES_MAX = 1 << 12, 1 << 28
+"""Upper bounds of a history: eleven years of nights, each with 256 robots."""
 
 
 def add_record(record: SoakRecord, folder: Path) -> Path:
@@ -38,7 +40,7 @@ def record_files(folder: Path) -> list[Path]:
     """Return the files of records in `folder`, sorted; none if there is no such folder.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: it cannot be read, or there are too many.
     """
     try:
         names = os.listdir(folder)
@@ -46,7 +48,20 @@ def record_files(folder: Path) -> list[Path]:
         return []
     except OSError as e:
         raise ConfigError(f"{folder}: cannot be read: {e.strerror}") from e
-    return [folder / name for name in sorted(names) if name.endswith(SUFFIX) and not name.startswith(".")]
+    paths = [folder / name for name in sorted(names) if name.endswith(SUFFIX) and not name.startswith(".")]
+    size = sum(map(_size, paths))
+    for found, most, unit in ((len(paths), RECORDS_MAX, "records"), (size, BYTES_MAX, "bytes of records")):
+        if found > most:
+            raise ConfigError(f"{folder}: found {found} {unit}, expected at most {most}: move old ones away")
+    return paths
+
+
+def _size(path: Path) -> int:
+    """Return the size of a file, bytes; 0 of one that cannot be read, which reading it will say."""
+    try:
+        return os.path.getsize(path)
+    except OSError:
+        return 0
 
 
 def read_history(folder: Path) -> dict[str, SoakRecord]:

@@ -3,7 +3,7 @@
 import os
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,8 +23,10 @@ from policies.training.envs import RuntimeEnv
 from policies.training.networks import Actor
 from policies.training.recipe import Learner, Recipe, contract_of, find_recipe, load_recipe
 from policies.training.watchers import Film, JointSpeeds, Window
+from robots.bounded_text import read_text
 from robots.errors import OutputError, ResultLostError, printable
 from robots.spec import RobotSpec, load_robot
+from robots.strict import TOML_CHARACTERS_MAX
 
 SAVE_INTERVAL = 200
 SPEEDS_EVERY = 10
@@ -44,7 +46,7 @@ def train(file: Path, out: Path, *, threads: int, view: bool = False, video: Pat
         threads: for physics; results do not depend on it.
         view: show robot 0 while it learns. video: of the trained policy on robot 0.
     """
-    recipe, text = load_recipe(file), file.read_text(encoding="utf-8")
+    recipe, text = load_recipe(file), read_text(file, TOML_CHARACTERS_MAX)
     spec = load_robot(recipe.robot, f"{file}: robot")
     contract_of(recipe, spec, {}, file)
     check_folder(out)
@@ -71,6 +73,10 @@ class _Runner(OnPolicyRunner):
         try:
             Path(path).write_bytes(bytes_of(state))
         except OSError as e:
+            with suppress(OSError):
+                Path(
+                    path
+                ).unlink()  # the rest of the state has no room, and the next training wants an empty folder
             raise OutputError(f"--out {path}: cannot be written: {e.strerror}") from e
 
 
@@ -181,7 +187,7 @@ VIEW = typer.Option("--view", help="Show robot 0 in MuJoCo's viewer while it lea
 VIDEO = typer.Option(
     help="GIF or MP4 file: the trained policy on robot 0; needs OpenGL (EGL), but no display."
 )
-THREADS = typer.Option(help="Threads for physics; results do not depend on it.", min=1)
+THREADS = typer.Option(help="Threads for physics; results do not depend on it.", min=1, max=1024)
 
 
 def policy_train(

@@ -152,7 +152,7 @@ class Shaping(Strict):
 class LearnerStage(Strict):
     """Iterations at one learning rate."""
 
-    iterations: PositiveInt
+    iterations: Count
     learning_rate: Share
 
 

@@ -21,19 +21,17 @@ UNKNOWN = Estimate(value=None, low=None, high=None)
 
 def trend(records: Mapping[str, SoakRecord]) -> Trend:
     """Return the trend of soaks with the same task, given by name in the order of time."""
-    identities: list[Identity] = []
-    for record in records.values():
-        if record.settings.identity not in identities:
-            identities.append(record.settings.identity)
-    groups = [{n: r for n, r in records.items() if r.settings.identity == i} for i in identities]
-    pooled = [_distinct(group) for group in groups]
+    groups: dict[frozenset[tuple[str, str]], dict[str, SoakRecord]] = {}
+    for name, record in records.items():
+        groups.setdefault(frozenset(record.settings.identity.items()), {})[name] = record
+    pooled = [_distinct(group) for group in groups.values()]
+    identities = [next(iter(group.values())).settings.identity for group in pooled]
     before = [None, *identities]
+    number_of = {name: number for number, group in enumerate(groups.values()) for name in group}
     return Trend(
         groups=tuple(_group(each, before[k], identities[k]) for k, each in enumerate(pooled)),
         runs=tuple(
-            _row(
-                name, record, k := identities.index(record.settings.identity), repeated=name not in pooled[k]
-            )
+            _row(name, record, k := number_of[name], repeated=name not in pooled[k])
             for name, record in records.items()
         ),
     )
@@ -44,7 +42,8 @@ def _distinct(records: Mapping[str, SoakRecord]) -> dict[str, SoakRecord]:
     name_of_seed: dict[int, str] = {}
     for name, record in sorted(records.items(), key=lambda item: -item[1].per_draw_counts.draws):
         name_of_seed.setdefault(record.settings.seed, name)
-    return {name: record for name, record in records.items() if name in name_of_seed.values()}
+    kept = set(name_of_seed.values())
+    return {name: record for name, record in records.items() if name in kept}
 
 
 def _row(name: str, record: SoakRecord, group: int, *, repeated: bool) -> RunRow:

@@ -51,6 +51,18 @@ def test_nothing_is_overwritten_and_nights_are_ordered_by_time(tmp_path):
     assert len(read_history(tmp_path)) == 4
 
 
+@pytest.mark.parametrize(
+    ("bound", "most", "found"),
+    [("RECORDS_MAX", 2, "3 records"), ("BYTES_MAX", 1000, r"\d+ bytes of records")],
+)
+def test_a_history_that_is_too_large_is_refused(bound, most, found, tmp_path, monkeypatch):
+    for seed in (7, 8, 9):
+        add_record(night(seed), tmp_path)
+    monkeypatch.setattr(f"eval.history.history.{bound}", most)
+    with pytest.raises(ConfigError, match=rf"{tmp_path}: found {found}, expected at most {most}: move old"):
+        read_history(tmp_path)
+
+
 def test_two_soaks_that_finish_together_are_both_kept(tmp_path, monkeypatch):
     """The other one takes the name at the last moment."""
 

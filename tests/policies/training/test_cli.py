@@ -57,6 +57,7 @@ def test_no_room_for_the_state_of_a_training_is_one_line(train, tmp_path):
     path = out / "model_0.pt"
     said = f"error: not kept: --out {path}: cannot be written: {os.strerror(errno.EFBIG)}\n"
     assert (code, complaint) == (1, said)
+    assert not path.exists()  # the next training may use the folder
 
 
 def test_no_room_for_the_checkpoint_is_one_line(train, tmp_path, monkeypatch):

@@ -88,6 +88,7 @@ ARM = tomllib.loads((RECIPES / "arm.toml").read_text())
         ("learner", "entropy_coef", 1e7),
         ("reward", "success", 1e308),
         ("shaping", "stop", -1e308),
+        ("learner", "stages", [{"iterations": 10**18, "learning_rate": 1e-3}]),
         ("learner", "hidden", []),
         ("learner", "hidden", [10**9]),
         ("learner", "hidden", [65536, 65536]),
