@@ -75,7 +75,8 @@ REASONS = {
     Reason.REPEATED: StopReason(1, "too many stops in a short time, without a goal reached"),
     Reason.FALLEN: StopReason(
         0,
-        "the robot falls or has fallen: its base tilts too far or is too low, or a joint gives way or is too fast",
+        "the robot falls or has fallen: its base tilts too far, is too low or comes down too fast, or a joint gives"
+        " way or is too fast",
     ),
 }
 

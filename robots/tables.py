@@ -296,6 +296,7 @@ class Base(Strict):
         angular_acceleration: rad/s²/√Hz, jerk: m/s³/√Hz, of motion between two samples of the IMU.
         tilt_max_rad: a tilt above it counts as a fall.
         height_min_m: m; an IMU lower than this above the lowest foot counts as a fall; the judge's is above the floor.
+        descent_max: m/s; an IMU that comes down faster counts as a fall for the runtime, before it is low.
         command_min, command_max: m/s forwards, m/s to the left, rad/s to the left: range of commands.
         command_s: s for each command.
         source: where the numbers come from.
@@ -308,6 +309,7 @@ class Base(Strict):
     jerk: Positive
     tilt_max_rad: Annotated[float, Field(gt=0, lt=1.5)]
     height_min_m: Positive
+    descent_max: Positive
     command_min: tuple[Coordinate, Coordinate, Coordinate]
     command_max: tuple[Coordinate, Coordinate, Coordinate]
     command_s: Positive

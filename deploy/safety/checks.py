@@ -154,6 +154,13 @@ ESTIMATE: tuple[Check[Estimate], ...] = (
         reason=Reason.FALLEN,
         needs=frozenset({"floating_base"}),
     ),
+    Check(
+        name="base_descent",
+        value=lambda estimate: -required(estimate.state.base).velocity_in_world[:, 2:],
+        high=lambda limits: required(limits.robot.base).descent_max,
+        reason=Reason.FALLEN,
+        needs=frozenset({"floating_base"}),
+    ),
 )
 """Checks of the estimate."""
 

@@ -19,13 +19,14 @@ BASE = {
     "jerk": "m/s³/√Hz; estimate",
     "tilt_max_rad": "rad, tilt that counts as a fall; estimate, three times the largest of its walk is enough",
     "height_min_m": "m, height of the IMU above the lowest foot; less counts as a fall: 0.6 to 0.8 of that at home",
+    "descent_max": "m/s downwards that counts as a fall; estimate, three times the largest of its walk is enough",
     "command_min": "m/s forwards, m/s to the left, rad/s to the left: smallest command",
     "command_max": "the same, largest command",
     "command_s": "s, duration of each command; estimate",
     "source": "source of the numbers",
 }
 ESTIMATES = {"foot_m": 0.01, "slip": 0.05, "angular_acceleration": 20.0, "jerk": 200.0}
-ESTIMATES |= {"tilt_max_rad": 0.8, "command_s": 10.0}
+ESTIMATES |= {"tilt_max_rad": 0.8, "descent_max": 0.8, "command_s": 10.0}
 MARGINS = {
     "q_target_rad": 0.11,
     "q_soft_rad": 0.1,

@@ -30,7 +30,7 @@ FENCE = Check(
 
 
 QUADRUPED = load_robot("quadruped")
-OF_WALKERS = {"base_tilt", "base_height", "joint_gives_way", "joint_runs_away"}
+OF_WALKERS = {"base_tilt", "base_height", "base_descent", "joint_gives_way", "joint_runs_away"}
 OF_JOINTS = {"estimated_joint_angle", "estimated_joint_speed", "joint_gives_way", "joint_runs_away"}
 
 
@@ -95,6 +95,32 @@ def test_a_joint_of_a_walker_that_is_faster_than_setpoints_may_be_means_a_fall(s
         assert walker_reasons(np.mean(QUADRUPED.pose_range, axis=0), qd) == (
             Reason.FALLEN if falls else Reason.NONE
         )
+
+
+@pytest.mark.parametrize(
+    ("name", "share", "falls"),
+    [
+        ("base_descent", -5.0, False),
+        ("base_descent", 0.99, False),
+        ("base_descent", 1.01, True),
+        ("base_tilt", 0.99, False),
+        ("base_tilt", 1.01, True),
+        ("base_height", 1.01, False),
+        ("base_height", 0.99, True),
+    ],
+)
+def test_a_walker_that_comes_down_too_fast_tilts_too_far_or_is_too_low_falls(name, share, falls):
+    check = next(check for check in CHECKS.estimate if check.name == name)
+    table = CheckTable(1, Limits(QUADRUPED, np.zeros(QUADRUPED.n)), [check])
+    limits = QUADRUPED.base
+    tilt = share * limits.tilt_max_rad
+    base = SimpleNamespace(
+        velocity_in_world=np.array([[9.0, -9.0, -share * limits.descent_max]]),
+        gravity=np.array([[np.sin(tilt), 0.0, -np.cos(tilt)]]),
+        height=np.array([share * limits.height_min_m]),
+    )
+    found = table.reasons(table.values(SimpleNamespace(state=SimpleNamespace(base=base))))
+    assert found == (Reason.FALLEN if falls else None)
 
 
 def test_a_check_may_need_all_that_a_robot_has():
