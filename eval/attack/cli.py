@@ -108,7 +108,7 @@ def soak_attack(
     """Search over policies and draws for the smallest margin of every monitor; its results enter no rate.
 
     The report of an earlier attack in --out is replaced only when this one has finished; that of an interrupted one is
-    in unfinished/.
+    in unfinished/ until the next writes its own.
 
     Exit codes: 0 every hard monitor kept its limit, 1 one did not, 2 bad input, 130 interrupted.
     """
@@ -122,17 +122,17 @@ def soak_attack(
     folder = AttackFolder(out, spec, setting)
     folder.check()
     with ExitStack() as printing, locked(out), workers(setting, processes) as pool:
-        folder.clear()
         search, console = _search(spec, setting, pool, seed, target), plain_console()
         with handled(signal.SIG_IGN):  # `_run` and `_write_bundles` handle them
             finished = _run(search, Budget(seconds=60.0 * minutes, generations=generations), console)
+            if not search.archive.trials:
+                raise KeyboardInterrupt  # an earlier attack, even one that has not finished, has more to say
             found = {} if setting.without else _worst(search.archive)
             cases = {name: case_of(spec, setting, name, each) for name, each in found.items()}
-            folder.check_links()  # made since the search began
+            folder.clear()
             bundles, complete = dict[str, Bundle](), False
-            notes = [*([] if finished else [INTERRUPTED]), f"writing {len(found)} bundles"]
             try:
-                _write_bundles(found, pool, folder, bundles, console, notes)
+                _write_bundles(found, pool, folder, bundles, console, [] if finished else [INTERRUPTED])
                 complete = finished and len(bundles) == len(found)
             finally:
                 report = make_report(spec, setting, seed, search.archive, bundles)
@@ -184,9 +184,11 @@ def _write_bundles(
 ) -> None:
     """Print notes; write bundles, which takes minutes, and add them to `bundles` by monitor, fewer if interrupted."""
     with suppress(KeyboardInterrupt), handled(interrupt):
-        console.print("\n".join(notes))
-        bundles.update(pool.write_bundles(found, folder.unfinished))
-    folder.keep_bundles({bundle.name for bundle in bundles.values()})
+        console.print("\n".join((*notes, f"writing {len(found)} bundles")))
+        try:
+            bundles.update(pool.write_bundles(found, folder.unfinished))
+        finally:
+            folder.keep_bundles({bundle.name for bundle in bundles.values()})
 
 
 def _print(report: AttackReport, path: Path, *, bundles_missing: bool) -> None:

@@ -57,7 +57,7 @@ def record_files(folder: Path) -> list[Path]:
 
 
 def _size(path: Path) -> int:
-    """Return the size of a file, bytes; 0 of one that cannot be read, which reading it will say."""
+    """Return the size of a file, bytes; 0 if it cannot be read, which `read_record` reports."""
     try:
         return os.path.getsize(path)
     except OSError:

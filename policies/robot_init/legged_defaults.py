@@ -19,7 +19,7 @@ BASE = {
     "jerk": "m/s³/√Hz; estimate",
     "tilt_max_rad": "rad, tilt that counts as a fall; estimate, three times the largest of its walk is enough",
     "height_min_m": "m, height of the IMU above the lowest foot; less counts as a fall: 0.6 to 0.8 of that at home",
-    "descent_max": "m/s downwards that counts as a fall; estimate, three times the largest of its walk is enough",
+    "descent_max": "m/s downwards that counts as a fall; estimate, three times that of its walk; jumping needs more",
     "command_min": "m/s forwards, m/s to the left, rad/s to the left: smallest command",
     "command_max": "the same, largest command",
     "command_s": "s, duration of each command; estimate",

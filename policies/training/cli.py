@@ -70,13 +70,12 @@ class _Runner(OnPolicyRunner):
             OutputError: it cannot be written.
         """
         state = {**self.alg.save(), "iter": self.current_learning_iteration, "infos": infos}
+        file = Path(path)
         try:
-            Path(path).write_bytes(bytes_of(state))
+            file.write_bytes(bytes_of(state))
         except OSError as e:
             with suppress(OSError):
-                Path(
-                    path
-                ).unlink()  # the rest of the state has no room, and the next training wants an empty folder
+                file.unlink()  # half of a state
             raise OutputError(f"--out {path}: cannot be written: {e.strerror}") from e
 
 

@@ -66,7 +66,7 @@ def compile_model(mjcf: mujoco.MjSpec, model: Path) -> mujoco.MjModel:
 
 
 def check_size(compiled: mujoco.MjModel, model: Path) -> None:
-    """Bound the memory of a compiled model of unknown origin: processes that use it have no limit of their own.
+    """Refuse a model of unknown origin that takes too much memory: processes that use it have no limit of their own.
 
     Raises:
         RobotError: it needs more than `SIZE_MIB`, or its elements hold more than `USER_NUMBERS_MAX` numbers each.

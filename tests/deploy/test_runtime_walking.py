@@ -210,7 +210,7 @@ def test_fall_latches_the_supervisor():
     assert runtime.supervisor.mode.tolist() == [Mode.RUNNING, Mode.LATCHED]
     assert runtime.supervisor.powered.tolist() == [True, False]
     tilt = np.arccos(matrix(runtime.robot.truth().base.quat_wxyz)[:, 2, 2])
-    assert tilt[0] < 0.1 < 0.9 * QUADRUPED.base.tilt_max_rad < tilt[1]  # it comes down fast by then
+    assert tilt[0] < 0.1 < QUADRUPED.base.tilt_max_rad < tilt[1]
 
 
 @pytest.mark.slow
@@ -231,18 +231,19 @@ def test_folded_legs_latch_the_supervisor():
     assert matrix(base.quat_wxyz)[1, 2, 2] > 0.95
 
 
-def test_a_robot_that_lifts_its_feet_in_the_air_latches_before_it_is_low():
-    runtime = standing(2)
-    legs = np.zeros((2, 12))
+def test_a_robot_that_drops_latches_before_it_is_low():
+    """It folds its legs at once, and somebody presses it down."""
+    runtime, legs = standing(2), np.zeros((2, 12))
     legs[1, HIPS], legs[1, KNEES] = 0.6, -1.1
     for _ in range(60):
+        runtime.robot.plant.batch.bind("xfrc_applied")[1, 1, 2] = -100.0
         live(runtime, 1, legs)
         if runtime.supervisor.reason[1] & Reason.FALLEN:
             break
     assert "base_descent" in explain_reasons(runtime, Reason.FALLEN, 1)
     assert runtime.supervisor.mode.tolist() == [Mode.RUNNING, Mode.LATCHED]
-    assert runtime.robot.truth().base.velocity[1, 2] == pytest.approx(-QUADRUPED.base.descent_max, abs=0.1)
-    assert runtime.state.base.height[1] > QUADRUPED.base.height_min_m
+    assert runtime.robot.truth().base.velocity[1, 2] == pytest.approx(-QUADRUPED.base.descent_max, abs=0.2)
+    assert runtime.state.base.height[1] > 1.5 * QUADRUPED.base.height_min_m
 
 
 @pytest.mark.parametrize(

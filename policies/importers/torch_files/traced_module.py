@@ -51,7 +51,7 @@ def trace_module(
 
 
 def _check_size(module: nn.Module, source: str) -> None:
-    """Bound the copies of parameters and buffers: a tensor of a few bytes can claim any number of elements."""
+    """Refuse (ContractError) parameters and buffers of too many bytes: one in a small file can claim any number."""
     tensors = dict((*module.named_parameters(), *module.named_buffers()))
     sizes = {name: tensor.numel() * tensor.element_size() for name, tensor in tensors.items()}
     if (total := sum(sizes.values())) > BYTES_MAX:

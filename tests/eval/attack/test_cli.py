@@ -18,7 +18,7 @@ from deploy.operation.interrupts import interrupt
 from deploy.start import BROKEN, INTERRUPTED
 from eval.attack import arena
 from eval.attack.adversaries import OF_MANY
-from eval.attack.attack_folder import FOLDERS
+from eval.attack.attack_folder import FOLDERS, UNFINISHED_FOLDERS
 from eval.attack.candidate import read_case
 from eval.attack.cli import cli
 from eval.attack.suite import OPEN, SUITE, run_suite
@@ -124,8 +124,11 @@ def test_interrupted_attack_reports_what_it_tried(number, call, tmp_path, monkey
 def test_interrupted_attack_replaces_nothing_of_a_finished_one(when, call, tmp_path, monkeypatch):
     """Be it interrupted while it searches or while it writes bundles; the next that finishes replaces both."""
 
+    calls = iter(range(99))
+
     def interrupt(_):
-        signal.raise_signal(signal.SIGINT)
+        if next(calls) == 1:
+            signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(command, "workers", planted_workers("planar3", velocity=0.7))
     assert attack(call, tmp_path)[0] == PASSED
@@ -139,6 +142,24 @@ def test_interrupted_attack_replaces_nothing_of_a_finished_one(when, call, tmp_p
     assert attack(call, tmp_path)[0] == PASSED
     assert {path.parts[0] for path in contents(tmp_path)} == {"attack.json", "cases", "worst"}
     assert read_case(tmp_path / "cases" / "planar3-position-velocity.json").worst == 0.8
+
+
+def test_an_attack_that_tried_nothing_leaves_an_earlier_one_that_has_not_finished(
+    call, tmp_path, monkeypatch
+):
+    """Each is interrupted, the second before its first result."""
+    generations = iter(range(9))
+
+    def interrupt(_):
+        if next(generations) != 0:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(command, "workers", planted_workers("planar3", before=interrupt))
+    assert attack(call, tmp_path)[0] == INTERRUPTED
+    earlier = contents(tmp_path)
+    assert {path.parts[0] for path in earlier} == {"unfinished"}
+    assert attack(call, tmp_path)[0] == INTERRUPTED
+    assert contents(tmp_path) == earlier
 
 
 def contents(folder):
@@ -202,8 +223,12 @@ def test_bundles_of_an_earlier_attack_stay_until_there_are_others(call, tmp_path
 
 
 def test_a_bundle_that_fails_loses_no_report(call, tmp_path, monkeypatch):
+    written = []
+
     def fail(name):
-        raise RuntimeError("ticks differ")
+        written.append(name)
+        if len(written) == 3:
+            raise RuntimeError("ticks differ")
 
     monkeypatch.setattr(command, "workers", planted_workers("planar3", after=fail, velocity=0.8))
     code, _, error = attack(call, tmp_path)
@@ -211,7 +236,10 @@ def test_a_bundle_that_fails_loses_no_report(call, tmp_path, monkeypatch):
     assert "ticks differ" in error
     report = json.loads((tmp_path / "unfinished" / "attack.json").read_text())
     (row,) = (row for row in report["rows"] if row["monitor"] == "velocity")
-    assert (row["worst"], row["bundle"]) == (0.8, "")
+    assert row["worst"] == 0.8
+    bundles = {row["bundle"] for row in report["rows"] if row["bundle"]}
+    assert bundles == {folder.name for folder in (tmp_path / "unfinished" / "worst").iterdir()}
+    assert bundles == {f"bundle-of-{name}" for name in written}
 
 
 def test_a_folder_in_place_of_a_case_is_an_error_before_the_search(call, tmp_path, monkeypatch):
@@ -250,9 +278,13 @@ def test_a_case_that_cannot_be_replaced_after_the_search_is_named(call, tmp_path
 
     monkeypatch.setattr(command, "workers", in_the_way)
     code, _, error = attack(call, tmp_path)
-    assert code == 2
-    assert f"{case}: found a folder or a device, expected a file" in error
+    assert (code, error) == (
+        1,
+        f"error: not kept: --out {case}: found a folder or a device, expected a file or nothing\n"
+        f"the report is in {tmp_path / 'unfinished'}\n",
+    )
     assert (tmp_path / "unfinished" / "attack.json").exists()
+    assert not (tmp_path / "attack.json").exists()
 
 
 def test_a_file_in_the_place_of_the_cases_is_named_before_the_search(call, tmp_path):
@@ -289,7 +321,14 @@ def test_behind_a_link_nothing_changes(name, begun, call, tmp_path, monkeypatch)
         link()
     monkeypatch.setattr(command, "workers", planted_workers("planar3", before=search))
     code, _, error = attack(call, out)
-    assert (code, error) == (2, f"error: --out {out / name}: found a link, expected a folder or nothing\n")
+    said = f"--out {out / name}: found a link, expected a folder or nothing"
+    lost = begun and name not in UNFINISHED_FOLDERS
+    assert (code, error) == (
+        (1, f"error: not kept: {said}\nthe report is in {out / 'unfinished'}\n")
+        if lost
+        else (2, f"error: {said}\n")
+    )
+    assert (out / "unfinished" / "attack.json").exists() == lost
     assert {path for path in theirs.rglob("*") if path.is_file()} >= files
     assert {path.read_text() for path in files} == {"theirs"}
 
