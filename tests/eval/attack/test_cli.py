@@ -123,7 +123,6 @@ def test_interrupted_attack_reports_what_it_tried(number, call, tmp_path, monkey
 @pytest.mark.parametrize("when", ["before", "after"])
 def test_interrupted_attack_replaces_nothing_of_a_finished_one(when, call, tmp_path, monkeypatch):
     """Be it interrupted while it searches or while it writes bundles; the next that finishes replaces both."""
-
     calls = iter(range(99))
 
     def interrupt(_):
