@@ -48,26 +48,28 @@ ENVIRONMENT = {
     "PYTHONSAFEPATH": "1",
     "MPLBACKEND": "agg",
     "MATPLOTLIBRC": os.devnull,
+    "MUJOCO_GL": "disabled",
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONIOENCODING": "utf-8",
     "GIT_PYTHON_REFRESH": "quiet",
     "ORT_DISABLE_TELEMETRY": "1",
 }
 """For this process and its children: no module is imported from the working directory, which may be a robot's folder
-that somebody else has written; plots are files, and no settings of a user's change them; no tick waits for a thread of
-numpy's; children write, and libraries' children read, text as UTF-8; GitPython is imported without git;
+that somebody else has written; plots are files, and no settings of a user's change them; MuJoCo imports no renderer,
+which most commands do not need, and whose import starts a process that Ctrl-C ends with a traceback; no tick waits for
+a thread of numpy's; children write, and libraries' children read, text as UTF-8; GitPython is imported without git;
 ONNX Runtime sends nothing to its vendor, whoever imports it."""
 NOT_WANTED = (
     "TORCH.*|PYTORCH_JIT.*|PROTOCOL_BUFFERS_.*|GIT_PYTHON_GIT_EXECUTABLE|SOURCE_DATE_EPOCH"
-    "|NUMPY_.*|MUJOCO_GL|WORLD_SIZE"
+    "|NUMPY_.*|NUMBA_.*|WORLD_SIZE"
     "|TD_.*|PYTORCH_TENSORDICT_.*|EXCLUDE_TD_FROM_PYTREE|DISPATCH_TDNN_MODULES|COMPOSITE_LP_AGGREGATE"
     "|PYTHONINSPECT|PYTHONWARNINGS|_.*_COMPLETE"
 )
 """Pattern of names of variables: torch and protobuf fail at an unknown log, folder, level or implementation, GitPython
 at a program that is no git, numpy at a date or a switch that is no number, and tensordict at switches and a level that
-it does not know; MuJoCo imports the renderer that is named, although most commands need none, and rsl_rl takes this
-process for one of several; a Python process that is inspected does not end, and one whose warnings are errors ends
-anywhere; typer answers a shell instead of running."""
+it does not know; numba compiles nothing, for another processor, or into another folder; rsl_rl takes this process for
+one of several; a Python process that is inspected does not end, and one whose warnings are errors ends anywhere; typer
+answers a shell instead of running."""
 FOR_DEVELOPERS = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning)
 """Warnings that Python itself hides."""
 SIZES, SIZE = ("COLUMNS", "LINES"), "[1-9][0-9]{0,3}"

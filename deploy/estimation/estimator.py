@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from deploy.estimation.external_torque import ExternalTorque
-from deploy.estimation.fault_detection import Divergence, StuckDetection
+from deploy.estimation.fault_detection import StuckDetection
 from deploy.estimation.joint_filter import JointFilter
 from deploy.estimation.late_ticks import LateTicks
 from deploy.estimation.oscillation import OscillationDetection
@@ -43,7 +43,7 @@ class Estimator(Stage):
     """Sensors that it reads, of those that the robot has."""
     carried: ClassVar[tuple[str, ...]] = ("fault",)
     parts = (
-        *("joints", "setpoints", "stuck_detection", "divergence", "oscillation"),
+        *("joints", "setpoints", "stuck_detection", "oscillation"),
         *("windings", "external_torque", "late_ticks"),
     )
 
@@ -57,7 +57,6 @@ class Estimator(Stage):
         self._stuck_look = self._look if encoder.rate_hz == spec.rates.control_hz else 1
         stuck_look_s = look_s if self._stuck_look > 1 else 1.0 / encoder.rate_hz
         self.stuck_detection = StuckDetection(spec, robots, stuck_look_s, springs)
-        self.divergence = Divergence(spec, robots)
         self.oscillation = OscillationDetection(spec, robots, look_s)
         self.windings = WindingObserver(spec, robots)
         self.external_torque = ExternalTorque(spec, robots, look_s)
@@ -69,7 +68,7 @@ class Estimator(Stage):
 
     def reset(self, ids: Bools, sent: Setpoint) -> None:
         """Forget robots `ids` (B,), whose setpoint has long been `sent`; their next sample initializes them."""
-        self.joints.initialized[ids], self.divergence.accepted[ids] = False, 0
+        self.joints.initialized[ids], self.joints.accepted[ids] = False, 0
         self.follow(ids, sent, sent)
         self.oscillation.reset(ids)
         self.windings.reset(ids)
@@ -109,18 +108,19 @@ class Estimator(Stage):
         robot is infinite until all of its filters are confirmed. `t` s is now, a whole number of periods; `sent` the
         setpoint that the drives should have reached by now.
         """
-        tick, packet, joints = round(t / self.dt), sample["encoder"], self.joints
+        tick, packet, joints = round(t / self.dt), self._packet(sample, "encoder"), self.joints
         self.setpoints.append(tick, sent)
         self.late_ticks.step(joints)
-        valid = packet.fresh & self.setpoints.covers(packet.t, t)
-        setpoint, _ = self.setpoints.at(packet.t, valid, tick)
-        z, finite = packet.value - self._origin(setpoint), np.isfinite(packet.value)
-        if not all_true(joints.initialized):
-            self._initialize(~joints.initialized & valid & finite.all(axis=1), packet.t, z)
-        new = (packet.t[:, None] > joints.t_sample) & (valid & joints.initialized)[:, None] & finite
-        fused = self._fuse(packet.t, z, new)
+        usable, setpoint, _ = self.setpoints.at(packet, t)
+        before = joints.initialized.copy()
+        fused = joints.fuse(packet, usable, self._origin(setpoint))
+        if not all_true(before):
+            started = joints.initialized & ~before
+            self.stuck_detection.repeats[started], self.fault[started] = 0, 0
         if "velocity" in sample:
-            self._fuse_speed(t, sample["velocity"], tick)
+            packet_of_speeds = self._packet(sample, "velocity")
+            usable, _, speed = self.setpoints.at(packet_of_speeds, t)
+            joints.fuse_speeds(packet_of_speeds, usable, self._origin(speed))
         if tick % self._stuck_look == 0:
             self.stuck_detection.look(packet.value, setpoint, fused)
         if tick % self._look == 0:
@@ -128,35 +128,22 @@ class Estimator(Stage):
         self.windings.step(t, sample)
         return self._state(t, sample, sent)
 
+    def _packet(self, sample: Sample, kind: Kind) -> Packet:
+        """Return a packet in the types that kernels take.
+
+        Raises:
+            ValueError: it has not a value for each joint.
+        """
+        t, fresh, value = sample[kind]
+        if np.shape(value) != self._zero.shape:
+            raise ValueError(
+                f"sensor {kind}: found values of shape {np.shape(value)}, expected {self._zero.shape}"
+            )
+        return Packet(np.asarray(t, np.float64), np.asarray(fresh, np.bool_), np.asarray(value, np.float64))
+
     def _origin(self, setpoint: Floats) -> Floats:
         """Return the angles or speeds (B, n) that deviations are measured from: the setpoint, 0 on soft drives."""
         return setpoint if self._stiff else self._zero
-
-    def _initialize(self, ids: Bools, t: Floats, z: Floats) -> None:
-        self._restart(np.repeat(ids[:, None], z.shape[1], axis=1), t, z)
-        self.joints.initialized[ids], self.divergence.nis[ids] = True, 1.0
-        self.stuck_detection.repeats[ids], self.fault[ids] = 0, 0
-
-    def _restart(self, joints: Bools, t: Floats, z: Floats) -> None:
-        if any_true(joints):
-            self.joints.initialize(joints, t, z)
-            self.divergence.restart(joints)
-
-    def _fuse(self, t: Floats, z: Floats, new: Bools) -> Bools:
-        """Correct by deviations z (B, n) rad taken at t (B,) s where `new`; return where they were inside the gate."""
-        predicted = self.joints.predict(t, z, new)
-        fused = new & self.joints.inside_gate(predicted)
-        restarted = self.divergence.step(predicted.nis, new, fused)
-        if restarted is not None:
-            self._restart(restarted, t, z)
-        self.joints.correct(t, predicted, fused)
-        return fused
-
-    def _fuse_speed(self, t: float, packet: Packet, tick: int) -> None:
-        valid = packet.fresh & self.setpoints.covers(packet.t, t)
-        new = valid & (packet.t > self.joints.t_speed) & self.joints.initialized
-        _, speed = self.setpoints.at(packet.t, new, tick)
-        self.joints.correct_by_speed(packet.t, packet.value - self._origin(speed), new)
 
     def _detect_faults(self, current: Packet, sent: Setpoint) -> None:
         self.fault[:] = 0
@@ -181,25 +168,21 @@ class Estimator(Stage):
     @property
     def diverged(self) -> Bools:
         """(B, n) joints whose filter has diverged."""
-        return self.divergence.diverged(self.joints)
+        return self.joints.diverged
 
     def _speed(self, sent: Setpoint) -> Floats:
         """(B, n) rad/s, estimated now."""
         return np.asarray(self._origin(sent.qd) + self.joints.ed)
 
     def _state(self, t: float, sample: Sample, sent: Setpoint) -> State:
-        joints, confirmed = self.joints, self.divergence.confirmed
-        dt = t - joints.t_sample
-        age = dt.max(axis=1)
-        if not all_true(confirmed):
-            age[~(confirmed.all(axis=1) & joints.initialized)] = np.inf
+        q, qd, q_var, age = self.joints.predict(t, self._origin(sent.q), self._origin(sent.qd))
         return State(
             t=t,
-            q=self._origin(sent.q) + (joints.e + joints.ed * dt),
-            qd=self._speed(sent),
-            q_var=joints.angle_variance(dt) + self._hidden_var,
+            q=q,
+            qd=qd,
+            q_var=q_var + self._hidden_var,
             age=age,
-            nis=self.divergence.nis,
+            nis=self.joints.nis,
             housing_c=sample["temperature"].value,
             winding_c=self.windings.winding,
             hottest_c=self.windings.hottest,

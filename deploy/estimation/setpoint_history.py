@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from deploy.masks import all_true
 from deploy.stage import Stage
-from deploy.state import Setpoint
+from deploy.state import Packet, Setpoint
 from robots.arrays import Bools, Floats
+from robots.kernel import BOOL, FLOAT, array, kernel
 from robots.spec import RobotSpec
 
 HISTORY_S = 0.2
@@ -24,8 +24,7 @@ class SetpointHistory(Stage):
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
         self._dt, self._n, self.depth = spec.dt, spec.n, round(HISTORY_S / spec.dt)
-        self.ring = np.zeros((robots, self.depth, 2 * spec.n))
-        self._first_row, self._newest = np.arange(robots) * self.depth, 0
+        self.ring, self._newest = np.zeros((robots, self.depth, 2 * spec.n)), 0
 
     @property
     def q(self) -> Floats:
@@ -35,8 +34,7 @@ class SetpointHistory(Stage):
     def append(self, tick: int, sent: Setpoint) -> None:
         """Store the setpoint that the drives should have reached at `tick`."""
         self._newest = tick % self.depth
-        row = self.ring[:, self._newest]
-        row[:, : self._n], row[:, self._n :] = sent.q, sent.qd
+        np.concatenate((sent.q, sent.qd), axis=1, out=self.ring[:, self._newest])
 
     def fill(self, ids: Bools, sent: Setpoint) -> None:
         """Overwrite the whole history of robots `ids` (B,) by one setpoint."""
@@ -49,19 +47,32 @@ class SetpointHistory(Stage):
         self.ring[:, :, : self._n] += q[:, None] - qd[:, None] * age[:, None]
         self.ring[:, :, self._n :] += qd[:, None]
 
-    def covers(self, t: Floats, now: float) -> Bools:
-        """Return (B,) robots whose t (B,) s is inside the history and at most one period after `now`."""
-        covered: Bools = (t <= now + self._dt) & (t > now - (self.depth - 1) * self._dt)
-        return covered
+    def at(self, packet: Packet, now: float) -> tuple[Bools, Floats, Floats]:
+        """Return (B,) packets that are usable, and setpoints and speeds (B, n) rad, rad/s at the times of these.
 
-    def at(self, t: Floats, valid: Bools, tick: int) -> tuple[Floats, Floats]:
-        """Return setpoints and speeds (B, n) rad, rad/s at t (B,) s: of the nearest tick, plus speed times the rest.
-
-        Where t is not `valid` (B,) the result is of time 0; no setpoint after the present `tick` is known.
+        Usable is a fresh packet whose time is inside the history, and at most one period after `now` s, the time of the
+        newest setpoint. At other packets the result is of time 0.
         """
-        ticks = (t if all_true(valid) else np.where(valid, t, 0.0)) / self._dt
-        whole = np.minimum(np.rint(ticks), tick)
-        row = self._first_row + whole.astype(np.int64) % self.depth
-        sent = self.ring.reshape(-1, 2 * self._n).take(row, axis=0)
-        q, qd = sent[:, : self._n], sent[:, self._n :]
-        return q + qd * ((ticks - whole) * self._dt)[:, None], qd
+        usable, found = np.empty(len(self.ring), dtype=bool), np.empty((len(self.ring), 2 * self._n))
+        _interpolate(self.ring, packet.t, packet.fresh, now, self._dt, usable, found)
+        return usable, found[:, : self._n], found[:, self._n :]
+
+
+@kernel(
+    *(array(FLOAT, 3), array(FLOAT, 1), array(BOOL, 1), FLOAT, FLOAT),
+    *(array(BOOL, 1, written=True), array(FLOAT, 2, written=True)),
+)
+def _interpolate(
+    ring: Floats, t: Floats, fresh: Bools, now: float, dt: float, usable: Bools, found: Floats
+) -> None:
+    """Take the setpoint of the nearest tick, plus its speed times the rest; none after the newest one is known."""
+    robots, depth, width = ring.shape
+    n = width // 2
+    for robot in range(robots):
+        usable[robot] = fresh[robot] and now - (depth - 1) * dt < t[robot] <= now + dt
+        ticks = t[robot] / dt if usable[robot] else 0.0
+        whole = min(np.rint(ticks), np.rint(now / dt))
+        sent = ring[robot, int(whole) % depth]
+        for joint in range(n):
+            found[robot, joint] = sent[joint] + sent[n + joint] * ((ticks - whole) * dt)
+            found[robot, n + joint] = sent[n + joint]

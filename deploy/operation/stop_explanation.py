@@ -70,7 +70,7 @@ def _joints(runtime: Runtime, bit: Reason, robot: int) -> Bools:
         return np.asarray(~windings.valid[robot])
     if bit in AGES:
         old = runtime.state.t - estimator.joints.t_sample[robot] > _age_max(runtime, bit)
-        return np.asarray(old | ~estimator.divergence.confirmed[robot])
+        return np.asarray(old | ~estimator.joints.confirmed[robot])
     estimated = {
         Reason.DIVERGED: estimator.diverged,
         Reason.STUCK: estimator.stuck,

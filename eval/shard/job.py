@@ -26,7 +26,7 @@ POLL_S = 1.0
 """s between two checks of progress, interruption and latched robots."""
 OPERATOR_S = 60.0
 """s that a latched robot waits until the operator arms it again."""
-LIBRARIES = ("mujoco", "pin", "ruckig", "filterpy", "onnxruntime", "numpy", "scipy")
+LIBRARIES = ("mujoco", "pin", "ruckig", "filterpy", "onnxruntime", "numpy", "scipy", "numba", "llvmlite")
 PACKAGES = (robots, deploy, judged)
 
 _version = cache(version)

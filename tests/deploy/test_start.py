@@ -363,7 +363,9 @@ def test_no_settings_of_plots_are_read_elsewhere(written, tmp_path, name):
         ("PROTOCOL_BUFFERS_PYTHON_IMPLEMENTATION", "zzz", False),
         ("SOURCE_DATE_EPOCH", "zzz", False),
         ("NUMPY_MADVISE_HUGEPAGE", "zzz", False),
-        ("MUJOCO_GL", "osmesa", False),
+        ("NUMBA_DISABLE_JIT", "1", False),
+        ("NUMBA_CPU_NAME", "generic", False),
+        ("NUMBA_CACHE_DIR", ".", False),
         ("MUJOCO_EGL_DEVICE_ID", "1", True),
         ("WORLD_SIZE", "2", False),
         ("TD_LOGGING_LEVEL", "zzz", False),
@@ -385,6 +387,13 @@ def test_variables_that_end_libraries_are_removed(written, monkeypatch, name, va
     written("variable_command", "def cli():\n    pass\n")
     begun("variable_command")
     assert os.environ.get(name) == (value if kept else None)
+
+
+def test_the_simulator_imports_no_renderer(written, tmp_path):
+    """It would start a process of its own, and Ctrl-C would end that with a traceback."""
+    written("simulating_command", "import sys, mujoco\ndef cli():\n    print('glfw' in sys.modules)\n")
+    ended = run("simulating_command", tmp_path, MUJOCO_GL="glfw")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"False\n", b"")
 
 
 @pytest.mark.parametrize("date", ["", "zzz"])

@@ -1,3 +1,7 @@
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise
@@ -6,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deploy.estimation.estimator import Estimator
-from deploy.estimation.fault_detection import CONFIRMED_S, NIS_S, STUCK_SHARE
-from deploy.estimation.joint_filter import INITIAL_SPEED_STD
+from deploy.estimation.fault_detection import STUCK_SHARE
+from deploy.estimation.joint_filter import CONFIRMED_S, GATE, INITIAL_SPEED_STD, NIS_S
 from deploy.estimation.setpoint_history import HISTORY_S
 from deploy.reasons import Reason
 from deploy.state import Packet, Setpoint
@@ -15,6 +19,7 @@ from robots.models.nominal_model import torque_max
 from robots.motors.gains import Gains
 from robots.spec import load_robot
 from support.arm6 import SPEC, copy_of_arm
+from support.deploy.estimate_digest import estimate_digest
 from support.deploy.estimators import DENSITY, DT, ENCODER, NOISE, N, begun, packets, sample, sent, still
 
 PLAY = SPEC.joint_array("play")
@@ -367,3 +372,98 @@ def test_encoder_on_a_soft_drive_is_stuck_if_torque_moves_nothing(share, stuck):
         setpoint = still(1)._replace(q=np.zeros((1, N)) + away * min(max((tick - 60) / 30, 0.0), 1.0))
         state = estimator.step(tick * DT, sample([tick * DT], [True], q), setpoint)
     assert Reason(int(state.fault[0])) == (Reason.STUCK if stuck else Reason.NONE)
+
+
+def test_compiled_kernels_give_the_bits_of_plain_python():
+    plain = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    program = [sys.executable, "-m", "support.deploy.estimate_digest"]
+    found = subprocess.run(program, env=plain, capture_output=True, text=True, check=False)
+    assert (found.stdout, found.stderr) == (f"{estimate_digest()}\n", "")
+
+
+def begun_at_rest():
+    estimator = Estimator(SPEC, 1)
+    for tick in range(100):
+        estimator.step(tick * DT, sample([tick * DT], [True], still(1).q), still(1))
+    return estimator
+
+
+def test_refused_samples_count_in_a_row_only():
+    """One gross error every few samples restarts no filter, however many there are."""
+    estimator = begun_at_rest()
+    for tick in range(100, 400):
+        away = 0.4 if tick % 5 == 0 else 0.0
+        state = estimator.step(tick * DT, sample([tick * DT], [True], still(1, away).q), still(1))
+        assert np.abs(state.q).max() < 1e-3
+
+
+DEPTH = round(HISTORY_S / DT)
+
+
+@pytest.mark.parametrize(
+    ("ticks", "used"),
+    [(1.0, True), (1.5, False), (1 - DEPTH, True), (0.9 - DEPTH, False), (-2 * DEPTH, False)],
+)
+def test_packet_is_used_if_the_history_covers_its_time(ticks, used):
+    """Up to a period ahead, and back to the oldest setpoint that is kept."""
+    estimator, now = Estimator(SPEC, 1), 60
+    for tick in range(now):
+        estimator.step(tick * DT, sample([0.0], [False], still(1).q), still(1))
+    t = (now + ticks + 1e-6) * DT if ticks < 1.0 else (now + ticks - 1e-6) * DT
+    estimator.step(now * DT, sample([t], [True], still(1).q), still(1))
+    assert estimator.joints.initialized.tolist() == [used]
+
+
+def test_started_robot_has_no_fault_of_before():
+    estimator = begun_at_rest()
+    estimator.fault[:], estimator.stuck_detection.repeats[:] = int(Reason.LOAD), 7
+    estimator.reset(np.ones(1, dtype=bool), still(1))
+    tick = 101  # faults are not evaluated in this one
+    state = estimator.step(tick * DT, sample([tick * DT], [True], still(1).q), still(1))
+    assert state.fault.tolist() == [0]
+    assert not estimator.stuck_detection.repeats.any()
+
+
+@pytest.mark.parametrize(("away", "fused"), [(0.9 * GATE, True), (1.1 * GATE, False)])
+def test_speed_packet_is_gated_and_fused_once(with_speed, away, fused):
+    """S = p11 + r_speed + q |t − t_sample|, here with a packet that is two periods older than the angle's."""
+    estimator, t = Estimator(with_speed, 1), 0.0
+    for tick in range(50):
+        t = tick * DT
+        packets = sample([t], [True], still(1).q)
+        packets["velocity"] = Packet(t=np.array([t]), fresh=np.array([tick < 45]), value=still(1).q)
+        estimator.step(t, packets, still(1))
+    joints, r_speed = estimator.joints, with_speed.sensors["velocity"].variance
+    s = joints.p11 + r_speed + np.array(DENSITY) * 2 * DT
+    ed, p11 = joints.ed.copy(), joints.p11.copy()
+    value, old = ed + away * np.sqrt(s), Packet(np.array([t - 2 * DT]), np.ones(1, dtype=bool), None)
+    joints.fuse_speeds(old._replace(value=value), old.fresh, still(1).qd)
+    expected = ed + (p11 / s * (value - ed) if fused else 0.0)
+    np.testing.assert_allclose(joints.ed, expected, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(joints.p11, p11 - (p11 / s * p11 if fused else 0.0), rtol=1e-9)
+    joints.fuse_speeds(old._replace(value=value), old.fresh, still(1).qd)  # again: it is not newer
+    np.testing.assert_allclose(joints.ed, expected, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", ["encoder", "velocity"])
+def test_a_packet_without_a_value_for_each_joint_is_an_error(with_speed, kind):
+    estimator = Estimator(with_speed, 1)
+    packets = sample([0.0], [True], still(1).q)
+    packets["velocity"] = packets["encoder"]
+    packets[kind] = packets[kind]._replace(value=np.zeros((1, N - 1)))
+    with pytest.raises(
+        ValueError, match=rf"sensor {kind}: found values of shape \(1, 5\), expected \(1, 6\)"
+    ):
+        estimator.step(0.0, packets, still(1))
+
+
+def test_packets_may_have_other_types_of_numbers():
+    one, other = begun_at_rest(), begun_at_rest()
+    t, value = np.float64(100 * DT), np.full((1, N), 0.5 * NOISE, dtype=np.float32)
+    exact = one.step(float(t), sample([t], [True], value), still(1))
+    narrow = {
+        kind: Packet([t], [True], p.value.astype(np.float32))
+        for kind, p in sample([t], [True], value).items()
+    }
+    found = other.step(float(t), narrow | {"current": sample([t], [True], value)["current"]}, still(1))
+    np.testing.assert_array_equal(found.q, exact.q)

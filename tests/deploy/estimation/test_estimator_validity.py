@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from deploy.estimation.estimator import Estimator
-from deploy.estimation.fault_detection import CONFIRMED_S, NIS_MAX, REFUSED_S, STUCK_S
-from deploy.estimation.joint_filter import GATE
+from deploy.estimation.fault_detection import STUCK_S
+from deploy.estimation.joint_filter import CONFIRMED_S, GATE, NIS_MAX, REFUSED_S
 from deploy.reasons import Reason
 from support.arm6 import SPEC
 from support.deploy.estimators import DT, NOISE, N, begun, packets, sample, still
@@ -89,7 +89,7 @@ def test_gross_errors_are_gated_out():
         expected = clean.step(tick * DT, sample([tick * DT], [True], lost), still(1))
         np.testing.assert_array_equal(state.q, expected.q)
         assert state.age[0] == expected.age[0]
-    assert 1.0 < estimator.divergence.nis[0, 3] < NIS_MAX
+    assert 1.0 < estimator.joints.nis[0, 3] < NIS_MAX
 
 
 def test_true_jump_is_tracked_again_and_reported():

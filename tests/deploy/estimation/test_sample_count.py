@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from deploy.estimation.estimator import Estimator
-from deploy.estimation.fault_detection import CONFIRMED_S, STUCK_S
+from deploy.estimation.fault_detection import STUCK_S
 from deploy.estimation.floating_base.base_filter import BaseFilter
+from deploy.estimation.joint_filter import CONFIRMED_S
 from deploy.estimation.sample_count import sample_count
 from deploy.reasons import Reason
 from robots.tables import Rates
@@ -26,9 +27,7 @@ def at_rate(control_hz, sensor_hz):
 
 def counts(estimator):
     """Samples until confirmed, until restarted, in the mean NIS, of a stuck encoder, of an external torque."""
-    found = estimator.divergence
-    samples = found.confirmed_samples, found.refused_samples, found.nis_samples
-    return *samples, estimator.stuck_detection.looks, estimator.external_torque.packets_min
+    return *estimator.joints.rules[2:], estimator.stuck_detection.looks, estimator.external_torque.packets_min
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from support.deploy.safety import stop_at
 
 pytest.importorskip("mujoco")
 
-from deploy.estimation.fault_detection import NIS_MAX
+from deploy.estimation.joint_filter import NIS_MAX
 from deploy.operation.stop_explanation import StopDetector, StopExplanation, explain_reasons
 from support.runtimes import built, heard, running
 from support.walking import standing
@@ -36,7 +36,7 @@ def hot(runtime, robot=0):
 
 
 def lost(runtime, robot=0):
-    runtime.estimator.divergence.nis[robot, WRIST] = NIS_MAX + 1
+    runtime.estimator.joints.nis[robot, WRIST] = NIS_MAX + 1
 
 
 def hanging(runtime, robot=0):
