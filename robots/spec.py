@@ -6,6 +6,7 @@ model.xml holds geometry, inertia, mechanical joint range, torque range, and con
 import hashlib
 import os
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Self
@@ -152,19 +153,17 @@ class RobotSpec(Strict):
             raise ValueError("margins.torque_mode: missing, and all motors have the mode 'torque'")
 
     def _check_locked(self) -> None:
+        times = Counter((*self.locked, *self.joint_names))
         for name in self.locked:
-            if name in self.joint_names or self.locked.count(name) > 1:
+            if times[name] > 1:
                 raise ValueError(
                     f"locked: found {name!r}, expected each once and none that is listed in joints"
                 )
 
     def _check_contacts(self) -> None:
-        pairs = [sorted(pair.bodies) for pair in self.may_touch]
-        for pair in pairs:
-            if pairs.count(pair) > 1:
-                raise ValueError(
-                    f"may_touch: found {pair} {pairs.count(pair)} times, expected each pair once"
-                )
+        for pair, times in Counter(tuple(sorted(pair.bodies)) for pair in self.may_touch).items():
+            if times > 1:
+                raise ValueError(f"may_touch: found {list(pair)} {times} times, expected each pair once")
 
     def _check_drives(self) -> None:
         used = {joint.motor: self.motors[joint.motor].drive for joint in self.joints}

@@ -19,6 +19,8 @@ BOXES_MAX = 2000
 """Boxes examined for a pair, the largest first; a pair that needs more is kept."""
 HOPELESS = 500
 """Boxes after which a pair is kept if none was clear: so many joints between its shapes take too many boxes."""
+PLACES_MAX = 1 << 21
+"""Places of shapes computed for all pairs together, some seconds; pairs that are left are kept."""
 
 
 _KEPT: dict[tuple[str, tuple[tuple[int, int], ...]], Pairs] = {}
@@ -51,7 +53,7 @@ class _Proof:
         self._model, self._data = model, model.createData()
         self._geometry, self._placements = geometry, geometry.createData()
         self._margin = spec.margins.collision_m or 0.0
-        self._range = spec.pose_range
+        self._range, self._places_left = spec.pose_range, PLACES_MAX
 
     def clear(self, number: int) -> bool:
         """Return True if every box of joint angles was proven clear for a pair."""
@@ -59,7 +61,7 @@ class _Proof:
         for examined in range(BOXES_MAX):
             if not boxes:
                 return True
-            if examined == HOPELESS and not cleared:
+            if (examined == HOPELESS and not cleared) or self._places_left <= 0:
                 return False
             least, most = boxes.popleft()
             distance = self._distance(number, (least + most) / 2) - self._margin
@@ -74,6 +76,7 @@ class _Proof:
 
     def _distance(self, number: int, q: Floats) -> float:
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placements, q)
+        self._places_left -= self._geometry.ngeoms
         return float(pin.computeDistance(self._geometry, self._placements, number).min_distance)
 
     def _reach(self, number: int) -> Floats:

@@ -13,6 +13,8 @@ from robots.models.blocks import strided_view
 from robots.models.collision_pruning import Pairs
 from robots.spec import RobotSpec
 
+SHAPES_MAX, PAIRS_MAX = 500, 5000
+"""Shapes of a robot, and pairs of them that are checked for collision in every tick."""
 SLACK = 1e-3
 """m, added to the height above which a capsule is not checked: far more than the rounding of an exact answer."""
 
@@ -144,12 +146,17 @@ def collision_pairs(
     """Return pairs of shapes on links that are neither the same nor parent and child, nor on neighbouring bodies.
 
     Shapes outside of bodies are those of the body `WORLD`.
+
+    Raises:
+        ValueError: more shapes or pairs than a tick can check.
     """
+    if geometry.ngeoms > SHAPES_MAX:
+        raise ValueError(f"found {geometry.ngeoms} shapes, expected at most {SHAPES_MAX}")
     parents, near = list(model.parents), {frozenset(pair) for pair in neighbours}
     joints = [shape.parentJoint for shape in geometry.geometryObjects]
     frames = [shape.parentFrame for shape in geometry.geometryObjects]
     bodies = [model.frames[frame].name if frame else WORLD for frame in frames]
-    return [
+    pairs = [
         (a, b)
         for a in range(len(joints))
         for b in range(a + 1, len(joints))
@@ -158,6 +165,9 @@ def collision_pairs(
         and parents[joints[b]] != joints[a]
         and frozenset((bodies[a], bodies[b])) not in near
     ]
+    if len(pairs) > PAIRS_MAX:
+        raise ValueError(f"found {len(pairs)} pairs of shapes, expected at most {PAIRS_MAX}")
+    return pairs
 
 
 def _is_capsule(shape: pin.GeometryObject) -> bool:

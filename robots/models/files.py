@@ -29,10 +29,20 @@ def is_urdf(model: Path) -> bool:
     return model.suffix == ".urdf"
 
 
+OWN = "firstshift/"
+"""Beginning of the names of what this project adds to a model: payload, cable, floor, sensors."""
+
+
 class _Builder(ElementTree.TreeBuilder):
     def doctype(self, name: str, *_: object) -> None:
         """Refuse declarations of entities: MuJoCo reads them in another way, and they may grow without bound."""
         raise ValueError(f"found <!DOCTYPE {name:.80}>, expected none")
+
+    def start(self, tag: str, attributes: dict[str, str]) -> ElementTree.Element:
+        """Refuse names that this project gives to what it adds to a model."""
+        if (name := attributes.get("name", "")).startswith(OWN):
+            raise ValueError(f"found the name {name!r:.80}, expected none that begins with {OWN!r}")
+        return super().start(tag, attributes)
 
     def start_ns(self, prefix: str, uri: str) -> None:
         """Refuse a default namespace, which MuJoCo ignores: elements would have other names here than there."""

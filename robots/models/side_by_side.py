@@ -48,7 +48,8 @@ class Blocks:
         """Read the model, find the pairs of shapes that can meet, and check the home pose.
 
         Raises:
-            RobotError: as `load_pinocchio`, or the home pose is too near a singularity or a self-collision.
+            RobotError: as `load_pinocchio`, too many shapes, or the home pose is too near a singularity or a
+                self-collision.
         """
         self._model, self._geometry = load_pinocchio(spec)
         self.damping, self.dry_friction = self._model.damping.copy(), self._model.friction.copy()
@@ -58,7 +59,10 @@ class Blocks:
         self.frames = _frames(spec, self._model, tool, feet)
         near = (*spec.neighbours, *(pair.bodies for pair in spec.may_touch))
         checked = collisions and "self_collision" in spec.capabilities
-        pairs = collision_pairs(self._model, self._geometry, near) if checked else []
+        try:
+            pairs = collision_pairs(self._model, self._geometry, near) if checked else []
+        except ValueError as e:
+            raise RobotError(f"{spec.folder / 'robot.toml'}: capsules: {e}: declare fewer") from e
         check_home(spec, self._model, self._geometry, pairs)
         self._pairs = pairs_to_check(spec, self._model, self._geometry, pairs) if pairs else []
 

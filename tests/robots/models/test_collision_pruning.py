@@ -21,6 +21,24 @@ def names_of(shapes, pairs):
     return {tuple(shapes.geometryObjects[i].name for i in pair) for pair in pairs}
 
 
+def test_pairs_that_no_time_is_left_for_are_kept(monkeypatch):
+    arm, shapes = load_pinocchio(SPEC)
+    pairs = collision_pairs(arm, shapes)
+    assert len(prune_pairs(SPEC, arm, shapes, pairs)) < len(pairs)
+    monkeypatch.setattr("robots.models.collision_pruning.PLACES_MAX", 0)
+    assert prune_pairs(SPEC, arm, shapes, pairs) == pairs
+
+
+@pytest.mark.parametrize(
+    ("bound", "most", "found"), [("SHAPES_MAX", 7, "8 shapes"), ("PAIRS_MAX", 3, r"\d+ pairs of shapes")]
+)
+def test_more_shapes_than_a_tick_can_check_are_refused(monkeypatch, bound, most, found):
+    monkeypatch.setattr(f"robots.models.collisions.{bound}", most)
+    said = rf"robot\.toml: capsules: found {found}, expected at most {most}: declare fewer"
+    with pytest.raises(RobotError, match=said):
+        Fleet(SPEC, 1, collisions=True)
+
+
 @pytest.mark.slow
 def test_unchecked_pairs_cannot_collide():
     """Proven for every pose of the working ranges; looked at here in its corners and in 5,000 poses."""

@@ -149,6 +149,14 @@ def test_an_element_that_a_namespace_hides_is_refused(tmp_path, old, new):
             reader(spec)
 
 
+def test_names_of_what_is_added_to_a_model_are_refused(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text('<mujoco><worldbody><body name="firstshift/payload"/></worldbody></mujoco>')
+    said = "found the name 'firstshift/payload', expected none that begins with 'firstshift/'"
+    with pytest.raises(RobotError, match=rf"model\.xml: not readable as XML: {said}"):
+        model_files.read_xml(path)
+
+
 @pytest.mark.parametrize("space", ["\t", "\n", " "])
 @pytest.mark.parametrize("place", ["file", "meshdir"])
 def test_white_space_in_the_name_of_a_file_is_refused(tmp_path, place, space):
