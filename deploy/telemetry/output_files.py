@@ -88,15 +88,15 @@ def check_file(path: Path, option: str = "--out") -> None:
         pass
 
 
-def check_no_links(out: Path, folders: Iterable[str]) -> None:
-    """Check that none of the folders that a command itself makes in `out`, which may be a link, is one.
+def check_no_links(out: Path, names: Iterable[str]) -> None:
+    """Check that none of the files or folders that a command itself makes in `out`, which may be a link, is one.
 
     Raises:
         OutputError: what lies behind it is somebody else's, and would be replaced or deleted.
     """
-    for folder in (out / name for name in folders):
-        if os.path.islink(folder):
-            raise OutputError(f"--out {folder}: found a link, expected a folder or nothing")
+    for path in (out / name for name in names):
+        if os.path.islink(path):
+            raise OutputError(f"--out {path}: found a link, expected no link")
 
 
 def check_no_input(path: Path, inputs: Iterable[Path], option: str = "--out") -> None:

@@ -15,7 +15,7 @@ from robots.strict import parse, read_json_file
 SUFFIX = ".soak.json"
 CHARACTERS_MAX = 1 << 26
 """Upper bound of the size of a record, 200 for each robot, or report, 500."""
-RECORDS_MAX, BYTES_MAX = 1 << 12, 1 << 28
+RECORDS_MAX, BYTES_MAX, DRAWS_MAX = 1 << 12, 1 << 28, 1 << 20
 """Upper bounds of a history: eleven years of nights, each with 256 robots."""
 
 
@@ -71,6 +71,8 @@ def read_history(folder: Path) -> dict[str, SoakRecord]:
         ConfigError: a file cannot be read, was edited, or has another task than the first.
     """
     records = {str(path): read_record(path) for path in record_files(folder)}
+    if (draws := sum(record.per_draw_counts.draws for record in records.values())) > DRAWS_MAX:
+        raise ConfigError(f"{folder}: found {draws} draws, expected at most {DRAWS_MAX}: move old ones away")
     by_time = dict(sorted(records.items(), key=lambda item: item[1].run.moment))
     if by_time:
         name, first = next(iter(by_time.items()))

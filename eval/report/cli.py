@@ -7,7 +7,7 @@ import typer
 from rich.table import Column, Table
 
 from deploy.command_line import PASSED, main
-from deploy.telemetry.output_files import check_no_input, replacing
+from deploy.telemetry.output_files import check_no_input, check_no_links, replacing
 from deploy.telemetry.plain_console import plain_console
 from eval.history.history import check_same_draws, read_history, read_record, record_files
 from eval.history.soak_record import SoakRecord
@@ -20,6 +20,8 @@ from eval.statistics.compare import compare as differences
 from eval.statistics.numbers import figure
 from robots.errors import ConfigError, printable
 
+PAGE = "trend.html"
+"""Name of the page of a trend in the folder of its records, which somebody else may have written."""
 SoakPath = Annotated[Path, typer.Argument(help="report.json, its folder, or a record from --history.")]
 
 
@@ -70,7 +72,9 @@ def trend(
     if not records:
         raise ConfigError(f"{folder}: found no records, expected some from soak-test --history")
     result, console = trend_of(records), plain_console()
-    page = out or folder / "trend.html"
+    if out is None:
+        check_no_links(folder, (PAGE,))
+    page = out or folder / PAGE
     check_no_input(page, record_files(folder))
     with replacing(page) as file:
         task = next(iter(records.values())).settings.task

@@ -4,6 +4,7 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -57,9 +58,12 @@ def train(file: Path, out: Path, *, threads: int, view: bool = False, video: Pat
 
 def _check_unused(out: Path, name: str) -> None:
     """Refuse (OutputError) a folder with a file that a training of that name would replace, or mix with its own."""
-    for pattern in ("events.*", "model_*.pt", f"{name}.pt", f"{name}.png"):
-        for path in out.glob(pattern):
-            raise OutputError(f"--out {out}: found {path.name} of another training, expected another folder")
+    patterns = ("*tfevents*", "model_*.pt", f"{name}.pt", f"{name}.png")  # TensorBoard reads all of the first
+    for found in os.listdir(out):  # links that lead nowhere included
+        if any(fnmatchcase(found, pattern) for pattern in patterns):
+            raise OutputError(
+                f"--out {out}: found {printable(found)} of another training, expected another folder"
+            )
 
 
 class _Runner(OnPolicyRunner):
@@ -72,7 +76,9 @@ class _Runner(OnPolicyRunner):
         state = {**self.alg.save(), "iter": self.current_learning_iteration, "infos": infos}
         file = Path(path)
         try:
-            file.write_bytes(bytes_of(state))
+            file.unlink(missing_ok=True)  # a link that was made since the start
+            with file.open("xb") as opened:
+                opened.write(bytes_of(state))
         except OSError as e:
             with suppress(OSError):
                 file.unlink()  # half of a state

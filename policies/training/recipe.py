@@ -30,10 +30,14 @@ WEIGHT_MAX = 1e6
 Positive = Annotated[float, Field(gt=0, le=WEIGHT_MAX)]
 Penalty = Annotated[float, Field(ge=-WEIGHT_MAX, le=0)]
 Count = Annotated[int, Field(ge=1, le=1 << 16)]
-"""Number of robots, goals or steps: far more than a training can use."""
+"""Number of goals or steps: far more than a training can use."""
 Share = Annotated[float, Field(gt=0, le=1)]
 HIDDEN_WEIGHTS_MAX = 1 << 24
 """Weights between hidden layers: with as many for the largest observation, half of the largest policy file."""
+Robots = Annotated[int, Field(ge=1, le=1 << 14)]
+"""Number of robots trained at once; each takes 0.25 MB."""
+UNITS_MAX = 1 << 28
+"""Steps of a mini-batch times units of all hidden layers: their gradients take 3 GB."""
 BATCH_MAX = 1 << 22
 """Steps of all robots between two updates: far more than a training can use; their observations stay in memory."""
 ObservationChoice = str | Annotated[tuple[str, ...], Field(min_length=1)]
@@ -100,7 +104,7 @@ class Environment(Strict):
             shown both.
     """
 
-    robots: Count
+    robots: Robots
     goals_per_episode: Count
     start_range: Share | None = None
 
@@ -211,6 +215,11 @@ class Recipe(Strict):
             raise ValueError(
                 f"learner.num_mini_batches: found {batches}, expected at most {steps}: "
                 "environment.robots times num_steps_per_env"
+            )
+        if (units := -(-steps // batches) * sum(self.learner.hidden)) > UNITS_MAX:
+            raise ValueError(
+                f"environment.robots times learner.num_steps_per_env over num_mini_batches, times the sum of hidden: "
+                f"found {units}, expected at most {UNITS_MAX}"
             )
         return self
 

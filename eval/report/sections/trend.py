@@ -25,11 +25,12 @@ def trend(records: Mapping[str, SoakRecord]) -> Trend:
     for name, record in records.items():
         groups.setdefault(frozenset(record.settings.identity.items()), {})[name] = record
     pooled = [_distinct(group) for group in groups.values()]
+    draws = sum(record.per_draw_counts.draws for record in records.values())
     identities = [next(iter(group.values())).settings.identity for group in pooled]
     before = [None, *identities]
     number_of = {name: number for number, group in enumerate(groups.values()) for name in group}
     return Trend(
-        groups=tuple(_group(each, before[k], identities[k]) for k, each in enumerate(pooled)),
+        groups=tuple(_group(each, before[k], identities[k], draws) for k, each in enumerate(pooled)),
         runs=tuple(
             _row(name, record, k := number_of[name], repeated=name not in pooled[k])
             for name, record in records.items()
@@ -96,11 +97,14 @@ def _hottest(counts: PerDrawCounts) -> Estimate:
     return Estimate(value=max(known), low=float(np.median(known)), high=None) if known else UNKNOWN
 
 
-def _group(records: Mapping[str, SoakRecord], before: Identity | None, identity: Identity) -> RunGroup:
+def _group(
+    records: Mapping[str, SoakRecord], before: Identity | None, identity: Identity, draws: int
+) -> RunGroup:
+    """Return the pooled figures of a group; `draws` are those of all groups."""
     counts, settings = pool(records), next(iter(records.values())).settings
     events, hours = counts.hard_events
     total, running = int(events.sum()), float(hours.sum())
-    p, bad = dispersion_p(events, hours), counts.bad_draws
+    p, bad = dispersion_p(events, hours, draws), counts.bad_draws
     rate, draw_rate = number(rate_upper(total, running)), number(draw_rate_upper(events, hours))
     bad_draw_upper = float(share_upper(bad, counts.draws))
     return RunGroup(

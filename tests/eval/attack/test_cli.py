@@ -320,7 +320,7 @@ def test_behind_a_link_nothing_changes(name, begun, call, tmp_path, monkeypatch)
         link()
     monkeypatch.setattr(command, "workers", planted_workers("planar3", before=search))
     code, _, error = attack(call, out)
-    said = f"--out {out / name}: found a link, expected a folder or nothing"
+    said = f"--out {out / name}: found a link, expected no link"
     lost = begun and name not in UNFINISHED_FOLDERS
     assert (code, error) == (
         (1, f"error: not kept: {said}\nthe report is in {out / 'unfinished'}\n")

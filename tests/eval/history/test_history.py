@@ -53,7 +53,11 @@ def test_nothing_is_overwritten_and_nights_are_ordered_by_time(tmp_path):
 
 @pytest.mark.parametrize(
     ("bound", "most", "found"),
-    [("RECORDS_MAX", 2, "3 records"), ("BYTES_MAX", 1000, r"\d+ bytes of records")],
+    [
+        ("RECORDS_MAX", 2, "3 records"),
+        ("BYTES_MAX", 1000, r"\d+ bytes of records"),
+        ("DRAWS_MAX", 47, "48 draws"),
+    ],
 )
 def test_a_history_that_is_too_large_is_refused(bound, most, found, tmp_path, monkeypatch):
     for seed in (7, 8, 9):

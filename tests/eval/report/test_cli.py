@@ -102,6 +102,18 @@ def test_malformed_report_is_refused(refused, tmp_path):
     assert f"error: {tmp_path / 'gone'}: cannot be read" in refused("compare", tmp_path / "gone", tmp_path)
 
 
+def test_a_link_in_a_history_is_not_written_through(soak_report, refused, tmp_path):
+    """It may be a folder of somebody else; a link that the user names is followed."""
+    history, mine = tmp_path / "history", tmp_path / "mine"
+    add_record(night(1), history)
+    mine.write_text("kept")
+    (history / "trend.html").symlink_to(mine)
+    assert refused("trend", history) == f"error: --out {history}/trend.html: found a link, expected no link\n"
+    assert mine.read_text() == "kept"
+    assert soak_report("trend", history, "--out", history / "trend.html")[0] == 0
+    assert mine.read_text().startswith("<!doctype html>")
+
+
 def test_a_trend_is_a_page_and_its_sentences(soak_report, tmp_path):
     for seed, started in ((1, LATER), (2, "2026-01-04T22:00:00+01:00")):
         add_record(night(seed, started=started), tmp_path / "history")

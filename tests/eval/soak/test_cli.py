@@ -455,7 +455,7 @@ def test_a_link_in_the_place_of_a_folder_is_exit_2(soak_test, tmp_path, name):
     code, _, said = soak_test("--hours", 0.001, "--robots", 1, "--workers", 1)
     assert (code, said) == (
         2,
-        f"error: --out {tmp_path}/out/{name}: found a link, expected a folder or nothing\n",
+        f"error: --out {tmp_path}/out/{name}: found a link, expected no link\n",
     )
     assert {path.read_text() for path in files} == {"theirs"}
     assert {path for path in (tmp_path / "theirs").rglob("*") if path.is_file()} == files

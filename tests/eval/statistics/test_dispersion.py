@@ -50,6 +50,14 @@ def test_equal_draws_are_rarely_called_different(monkeypatch):
     assert 0.01 < np.mean(np.array(found) <= 0.05) <= 0.06
 
 
+def test_many_draws_get_fewer_samples(monkeypatch):
+    hours, events = np.ones(64), np.repeat((0, 4), 32)
+    assert dispersion_p(events, hours) == pytest.approx(1 / 10_000)
+    monkeypatch.setattr(dispersion, "RESAMPLED_MAX", 64 * 199)
+    assert dispersion_p(events, hours) == pytest.approx(1 / 200)
+    assert dispersion_p(events, hours, 2 * 64) == pytest.approx(1 / 100)
+
+
 def test_different_draws_are_found():
     rng = np.random.default_rng(3)
     rates = rng.gamma(0.5, 2.0, (9, 32))

@@ -103,11 +103,19 @@ def test_numbers_that_no_training_can_use_are_refused(table, field, value):
 
 
 def test_a_batch_that_no_memory_holds_is_refused():
-    wrong = ARM | {"environment": ARM["environment"] | {"robots": 65536}}
+    wrong = ARM | {"environment": ARM["environment"] | {"robots": 16384}}
     wrong |= {"learner": ARM["learner"] | {"num_steps_per_env": 65536}}
-    said = "environment.robots times learner.num_steps_per_env: found 4294967296, expected at most 4194304"
+    said = "environment.robots times learner.num_steps_per_env: found 1073741824, expected at most 4194304"
     with pytest.raises(ConfigError, match=rf"x\.toml: .*{said}"):
         parse(wrong, Recipe, source="x.toml")
+
+
+def test_a_mini_batch_whose_gradients_no_memory_holds_is_refused():
+    learner = ARM["learner"] | {"num_steps_per_env": 256, "hidden": [4096, 4096], "num_mini_batches": 2}
+    parse(ARM | {"learner": learner}, Recipe, source="x.toml")
+    said = r"num_mini_batches, times the sum of hidden: found 536870912, expected at most 268435456"
+    with pytest.raises(ConfigError, match=rf"x\.toml: .*{said}"):
+        parse(ARM | {"learner": learner | {"num_mini_batches": 1}}, Recipe, source="x.toml")
 
 
 def test_too_long_a_name_of_a_recipe_is_no_recipe():
@@ -207,7 +215,15 @@ def test_the_folder_of_a_running_training_is_refused(train, tmp_path):
         assert [path.name for path in tmp_path.iterdir()] == [LOCK]
 
 
-@pytest.mark.parametrize("name", ["events.out.tfevents.1", "model_200.pt", "arm.pt", "arm.png"])
+def test_a_link_of_another_training_is_refused_even_if_it_leads_nowhere(train, tmp_path):
+    (tmp_path / "arm.png").symlink_to(tmp_path / "elsewhere" / "plot.png")
+    expected = f"error: --out {tmp_path}: found arm.png of another training, expected another folder\n"
+    assert train("--out", tmp_path) == (2, "", expected)
+
+
+@pytest.mark.parametrize(
+    "name", ["events.out.tfevents.1", "x.tfevents.2", "model_200.pt", "arm.pt", "arm.png"]
+)
 def test_files_of_another_training_are_kept(train, tmp_path, name):
     (tmp_path / name).write_text("of the other training")
     expected = f"error: --out {tmp_path}: found {name} of another training, expected another folder\n"
