@@ -55,7 +55,7 @@ _FIELDS = [
     *((name, np.int64) for name in _COUNTS),
 ]
 FILTER = np.dtype((np.record, _FIELDS))
-"""One filter, as `JointFilter` describes its fields."""
+"""One filter, as `JointFilter` describes its fields; r: rad², variance of an angle packet."""
 
 
 class Rules(NamedTuple):
