@@ -161,7 +161,7 @@ class Motor(Strict):
 class Rates(Strict):
     """Rates of control and physics, Hz; physics is a multiple of control."""
 
-    control_hz: Annotated[int, Field(ge=10, le=10_000)]
+    control_hz: Annotated[PositiveInt, Field(le=10_000)]
     physics_hz: Annotated[PositiveInt, Field(le=100_000)]
 
     @model_validator(mode="after")

@@ -9,7 +9,7 @@ from robots.kernel import BOOL, FLOAT, array, kernel
 from robots.spec import RobotSpec
 
 HISTORY_S = 0.2
-"""s of setpoints kept; an older sample is not used."""
+"""s of setpoints kept, or two ticks of a slow robot; an older sample is not used."""
 
 
 class SetpointHistory(Stage):
@@ -23,7 +23,7 @@ class SetpointHistory(Stage):
     carried = ("ring",)
 
     def __init__(self, spec: RobotSpec, robots: int) -> None:
-        self._dt, self._n, self.depth = spec.dt, spec.n, round(HISTORY_S / spec.dt)
+        self._dt, self._n, self.depth = spec.dt, spec.n, max(2, round(HISTORY_S / spec.dt))
         self.ring, self._newest = np.zeros((robots, self.depth, 2 * spec.n)), 0
 
     @property

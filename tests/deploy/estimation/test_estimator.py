@@ -18,6 +18,7 @@ from deploy.state import Packet, Setpoint
 from robots.models.nominal_model import torque_max
 from robots.motors.gains import Gains
 from robots.spec import load_robot
+from robots.tables import Rates
 from support.arm6 import SPEC, copy_of_arm
 from support.deploy.estimate_digest import estimate_digest
 from support.deploy.estimators import DENSITY, DT, ENCODER, NOISE, N, begun, packets, sample, sent, still
@@ -467,3 +468,12 @@ def test_packets_may_have_other_types_of_numbers():
     }
     found = other.step(float(t), narrow | {"current": sample([t], [True], value)["current"]}, still(1))
     np.testing.assert_array_equal(found.q, exact.q)
+
+
+@pytest.mark.parametrize("hz", [1, 2])
+def test_a_slow_robot_has_a_history_of_setpoints(hz):
+    spec = SPEC.model_copy(update={"rates": Rates(control_hz=hz, physics_hz=hz)})
+    estimator = Estimator(spec, 1)
+    for tick in range(3):
+        state = estimator.step(tick / hz, sample([tick / hz], [True], still(1, 0.3).q), still(1))
+    np.testing.assert_allclose(state.q, 0.3, atol=1e-3)
