@@ -31,10 +31,8 @@ numba.core.config._config_fname = os.devnull  # it reads regular files only
 BOOL, INT, FLOAT = numba.boolean, numba.int64, numba.float64
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_OPTIONS = {
-    "error_model": "numpy",
-    "boundscheck": True,
-}  # a division by zero is infinite or NaN, as in arrays
+_OPTIONS = {"error_model": "numpy", "boundscheck": True}
+"""A division by zero is infinite or not a number, as in arrays; no memory outside of an array is read."""
 _COMPILER = f"{version('numba')} {version('llvmlite')}"
 
 

@@ -16,7 +16,7 @@ from deploy.estimation.oscillation import OscillationDetection
 from deploy.estimation.sample_count import sample_count
 from deploy.estimation.setpoint_history import SetpointHistory
 from deploy.estimation.winding_observer import WindingObserver
-from deploy.masks import all_true, any_true
+from deploy.masks import any_true
 from deploy.reasons import Reason
 from deploy.stage import Stage
 from deploy.state import Packet, Sample, Setpoint, State
@@ -112,10 +112,10 @@ class Estimator(Stage):
         self.setpoints.append(tick, sent)
         self.late_ticks.step(joints)
         usable, setpoint, _ = self.setpoints.at(packet, t)
-        before = joints.initialized.copy()
+        waiting = ~joints.initialized
         fused = joints.fuse(packet, usable, self._origin(setpoint))
-        if not all_true(before):
-            started = joints.initialized & ~before
+        if any_true(waiting):
+            started = waiting & joints.initialized
             self.stuck_detection.repeats[started], self.fault[started] = 0, 0
         if "velocity" in sample:
             packet_of_speeds = self._packet(sample, "velocity")

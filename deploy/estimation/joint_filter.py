@@ -94,9 +94,11 @@ class JointFilter(Stage):
         """Allocate for drives that hold their angles."""
         sensors, period_s = spec.sensors, 1.0 / spec.sensors["encoder"].rate_hz
         self.filters = np.zeros((robots, spec.n), dtype=FILTER)
-        self.e, self.ed, self.p00, self.p01, self.p11, self.t_sample, self.nis = map(self._field, _STATE)
-        self.noise_dt3, self.noise_dt2, self.noise_dt = map(self._field, _NOISE)
-        self.accepted, self.refused = map(self._field, _COUNTS)
+        self.e, self.ed, self.p00, self.p01, self.p11, self.t_sample, self.nis = (
+            self.filters[name] for name in _STATE
+        )
+        self.noise_dt3, self.noise_dt2, self.noise_dt = (self.filters[name] for name in _NOISE)
+        self.accepted, self.refused = (self.filters[name] for name in _COUNTS)
         self.t_speed, self.initialized = np.full(robots, -np.inf), np.zeros(robots, dtype=bool)
         self.filters["r"] = sensors["encoder"].variance
         counts = (sample_count(s, period_s) for s in (CONFIRMED_S, REFUSED_S, NIS_S))
@@ -106,9 +108,6 @@ class JointFilter(Stage):
         modes = [joint.torque_mode for joint in spec.joints]  # joints without one are never free
         self._density_free = np.array([mode.acceleration_density if mode else np.inf for mode in modes])
         self.follow_drives(np.zeros((robots, spec.n), dtype=bool))
-
-    def _field(self, name: str) -> Any:
-        return self.filters[name]
 
     def follow_drives(self, free: Bools) -> None:
         """Take the process noise of drives that do not hold their angles at joints `free` (B, n), held elsewhere."""
