@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from policies.robot_init.vendor_model import VendorModel
+from robots.models.files import OWN
 from robots.models.mujoco_model import compile_model, open_model
 
 POSES = 200
@@ -20,9 +21,9 @@ def permanent_contacts(path: Path, folder: Path, vendor: VendorModel) -> tuple[t
     for number, shape in enumerate(vendor.shapes):
         line = [*shape.start, *shape.end]
         kind, size = mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius, 0.0, 0.0]
-        mjcf.body(shape.body).add_geom(name=f"firstshift/{number}", type=kind, fromto=line, size=size)
+        mjcf.body(shape.body).add_geom(name=f"{OWN}{number}", type=kind, fromto=line, size=size)
     model = compile_model(mjcf, path)
-    geoms = [model.geom(f"firstshift/{number}").id for number in range(len(vendor.shapes))]
+    geoms = [model.geom(f"{OWN}{number}").id for number in range(len(vendor.shapes))]
     pairs = [(a, b) for a, b in combinations(geoms, 2) if _on_separate_links(model, a, b)]
     pairs = _touching_in_all_poses(model, vendor, pairs)
     bodies = [tuple(model.body(model.geom_bodyid[geom]).name for geom in pair) for pair in pairs]

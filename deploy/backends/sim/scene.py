@@ -4,10 +4,11 @@ import mujoco
 import numpy as np
 
 from robots.arrays import Floats
+from robots.models.files import OWN
 from robots.models.mujoco_model import compile_model, read_mjcf
 from robots.spec import RobotSpec
 
-FLOOR = "firstshift/visible floor"
+FLOOR = f"{OWN}visible floor"
 GREEN, GOAL_M = (0.1, 0.8, 0.3, 0.6), 0.02
 """Colour, and radius where nothing else is known, of the sphere at a goal."""
 SQUARE_M, LIGHT, DARK = 0.5, (0.78, 0.8, 0.82), (0.66, 0.69, 0.72)

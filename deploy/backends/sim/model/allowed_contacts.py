@@ -7,9 +7,10 @@ import numpy as np
 
 from robots.arrays import Ints
 from robots.contacts import GOAL, WORLD
+from robots.models.files import OWN
 from robots.spec import RobotSpec
 
-CONTACT_FORCE, TOUCHED = "firstshift/strongest contact", "firstshift/goal contacts"
+CONTACT_FORCE, TOUCHED = f"{OWN}strongest contact", f"{OWN}goal contacts"
 SLOTS = 8
 """Contacts of one pair whose forces are known; more of them count as not allowed."""
 GOAL_RADIUS_M = 0.03
@@ -95,7 +96,7 @@ def add_contact_sensor(
 
 
 def _name(number: int) -> str:
-    return f"firstshift/allowed contacts {number}"
+    return f"{OWN}allowed contacts {number}"
 
 
 def _force_name(number: int) -> str:

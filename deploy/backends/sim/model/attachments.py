@@ -7,13 +7,14 @@ import numpy as np
 
 from robots.distributions import Cable
 from robots.errors import ConfigError
+from robots.models.files import OWN
 from robots.sensors import KINDS, Kind
 from robots.spec import RobotSpec
 
-PAYLOAD, LOAD = "firstshift/payload", "firstshift/load"
-CABLE, ANCHOR = "firstshift/cable", "firstshift/anchor"
-BEAM = "firstshift/beam"
-LEVEL = "firstshift/level"
+PAYLOAD, LOAD = f"{OWN}payload", f"{OWN}load"
+CABLE, ANCHOR = f"{OWN}cable", f"{OWN}anchor"
+BEAM = f"{OWN}beam"
+LEVEL = f"{OWN}level"
 
 
 def backlash_name(joint: str) -> str:
@@ -119,7 +120,7 @@ def find_beam(model: mujoco.MjModel, spec: RobotSpec) -> Beam | None:
 
 
 def _name(kind: Kind, site: str) -> str:
-    return f"firstshift/{kind}/{site}"
+    return f"{OWN}{kind}/{site}"
 
 
 def add_site_sensors(mjcf: mujoco.MjSpec, spec: RobotSpec) -> None:

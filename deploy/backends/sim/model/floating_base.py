@@ -8,9 +8,10 @@ import numpy as np
 from deploy.backends.sim.model.allowed_contacts import add_contact_sensor
 from deploy.backends.sim.model.attachments import root_body
 from robots.arrays import Ints
+from robots.models.files import OWN
 from robots.spec import RobotSpec
 
-FLOOR, GANTRY, SELF_CONTACTS = "firstshift/floor", "firstshift/gantry", "firstshift/self-contacts"
+FLOOR, GANTRY, SELF_CONTACTS = f"{OWN}floor", f"{OWN}gantry", f"{OWN}self-contacts"
 FAR_M = 10.0
 """Greatest distance to the floor at which model.xml may hold a robot."""
 
