@@ -24,11 +24,13 @@ class Estimate(NamedTuple):
 
     Attributes:
         twice_qdd: (n,) rad/s², twice the largest acceleration.
+        soon: kinematics in `SOON_S` at the speeds of joints; None where no check reads them.
     """
 
     state: State
     sent: Setpoint
     twice_qdd: Floats
+    soon: Kinematics | None
 
     @property
     def q_soon(self) -> Floats:

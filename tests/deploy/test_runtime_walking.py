@@ -9,6 +9,7 @@ from deploy.operation.stop_explanation import explain_reasons
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.reasons import Reason
+from deploy.safety.check import SOON_S
 from deploy.state import Mode
 from deploy.tasks.velocity import Velocity
 from robots.errors import ContractError, RobotError
@@ -43,6 +44,7 @@ judge_tick = pytest.importorskip("eval.shard.judging").judge_tick
 ignore_reasons = pytest.importorskip("eval.mutants.guard_removal").ignore_reasons
 
 DT, TORQUE_MAX = QUADRUPED.dt, torque_max(QUADRUPED)
+FRONT_ABDUCTIONS = [0, 3]
 FRONT_HIPS, REAR_KNEES = [1, 4], [8, 11]
 FOOT_RADIUS = 0.02
 """m, by which the middle of a foot is above the floor; the IMU is in the middle of the base."""
@@ -244,6 +246,25 @@ def test_a_robot_that_drops_latches_before_it_is_low():
     assert runtime.supervisor.mode.tolist() == [Mode.RUNNING, Mode.LATCHED]
     assert runtime.robot.truth().base.velocity[1, 2] == pytest.approx(-QUADRUPED.base.descent_max, abs=0.2)
     assert runtime.state.base.height[1] > 1.5 * QUADRUPED.base.height_min_m
+
+
+@pytest.mark.parametrize(("share", "falls"), [(0.99, False), (1.01, True), (-1.01, False)])
+def test_legs_that_will_meet_before_power_is_off_mean_a_fall(share, falls):
+    """Nothing else is asked about where they are soon: setpoints stay where the robot stands."""
+    runtime, inward = standing(2), np.zeros(12)
+    inward[FRONT_ABDUCTIONS] = -1.0, 1.0
+    q = runtime.state.q[1]
+    meet = min(
+        angle
+        for angle in np.linspace(0.0, 1.0, 10_001)
+        if runtime.safety.check_poses(np.tile(q + angle * inward, (4, 1)))[0] & Reason.COLLISION
+    )
+    qd = np.outer((0.0, share * meet / SOON_S), inward)
+    here = runtime.setpoint
+    stop = runtime.smoother.brake(here)
+    verdict = runtime.safety.step(runtime.state._replace(qd=qd), here, here, stop)
+    found = [runtime.safety.failed(verdict, robot, Reason.FALLEN) for robot in (0, 1)]
+    assert ["self_collision_soon" in checks for checks in found] == [False, falls]
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,14 @@ FENCE = Check(
 
 
 QUADRUPED = load_robot("quadruped")
-OF_WALKERS = {"base_tilt", "base_height", "base_descent", "joint_gives_way", "joint_runs_away"}
+OF_WALKERS = {
+    "base_tilt",
+    "base_height",
+    "base_descent",
+    "joint_gives_way",
+    "joint_runs_away",
+    "self_collision_soon",
+}
 OF_JOINTS = {"estimated_joint_angle", "estimated_joint_speed", "joint_gives_way", "joint_runs_away"}
 
 
