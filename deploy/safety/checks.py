@@ -29,7 +29,7 @@ GIVES_WAY = 0.5
 """Share of `q_soft_rad` beyond the setpoints' range at which a joint of a robot with a floating base gives way."""
 
 AHEAD: frozenset[Capability] = frozenset({"floating_base", "self_collision"})
-"""Capabilities of robots whose links may meet although setpoints and stops keep them apart: drives of walkers are soft."""
+"""Capabilities of robots whose links may meet although setpoints keep them apart: drives of walkers are soft."""
 
 
 def _motor(field: str) -> Callable[[Limits], Floats]:

@@ -10,7 +10,7 @@ import numpy as np
 from deploy.masks import all_true
 from deploy.motion.drive_law import DriveLaw, StiffDrives
 from deploy.reasons import Reason
-from deploy.safety.check import SOON_S, Estimate, Limits, Motion, Pose, ToolMotion
+from deploy.safety.check import PASSING_S, Estimate, Limits, Motion, Pose, ToolMotion
 from deploy.safety.check_table import CheckTable
 from deploy.safety.checks import AHEAD, CHECKS, Checks
 from deploy.state import STOP_MOMENTS, Setpoint, State, Stop, Verdict
@@ -59,7 +59,7 @@ class Safety:
         tool_rows = np.concatenate((np.arange(robots), np.arange((STOP_MOMENTS + 1) * robots)))
         self._tool_rows = (np.arange(0, poses, each)[:, None] + tool_rows).ravel()
         self._fleet_of_plan = fleet.resized(poses)
-        self._fleet_of_estimate = fleet.resized(robots) if AHEAD <= spec.capabilities else None
+        self._fleet_of_estimate = fleet.resized(robots) if spec.capabilities >= AHEAD else None
         self._jacobians = "tool" in spec.capabilities  # what reads them reads the tool
         self._gap_max = (spec.margins.collision_m or 0.0) + GAP_TOLERANCE_M
         self._twice_qdd = 2 * spec.joint_array("qdd_max")
@@ -134,7 +134,7 @@ class Safety:
 
     def _soon(self, state: State) -> Kinematics | None:
         fleet = self._fleet_of_estimate
-        return fleet.kinematics(state.q + SOON_S * state.qd, jacobians=False) if fleet else None
+        return fleet.kinematics(state.q + PASSING_S * state.qd, jacobians=False) if fleet else None
 
     def failed(self, verdict: Verdict, robot: int, reason: Reason) -> dict[str, Bools]:
         """Return the checks by which a verdict gave a reason to a robot: by name, (n,) joints that it is about.

@@ -9,7 +9,7 @@ from deploy.operation.stop_explanation import explain_reasons
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.reasons import Reason
-from deploy.safety.check import SOON_S
+from deploy.safety.check import PASSING_S
 from deploy.state import Mode
 from deploy.tasks.velocity import Velocity
 from robots.errors import ContractError, RobotError
@@ -249,8 +249,8 @@ def test_a_robot_that_drops_latches_before_it_is_low():
 
 
 @pytest.mark.parametrize(("share", "falls"), [(0.99, False), (1.01, True), (-1.01, False)])
-def test_legs_that_will_meet_before_power_is_off_mean_a_fall(share, falls):
-    """Nothing else is asked about where they are soon: setpoints stay where the robot stands."""
+def test_legs_that_will_meet_at_their_speed_mean_a_fall(share, falls):
+    """Setpoints stay where the robot stands."""
     runtime, inward = standing(2), np.zeros(12)
     inward[FRONT_ABDUCTIONS] = -1.0, 1.0
     q = runtime.state.q[1]
@@ -259,7 +259,7 @@ def test_legs_that_will_meet_before_power_is_off_mean_a_fall(share, falls):
         for angle in np.linspace(0.0, 1.0, 10_001)
         if runtime.safety.check_poses(np.tile(q + angle * inward, (4, 1)))[0] & Reason.COLLISION
     )
-    qd = np.outer((0.0, share * meet / SOON_S), inward)
+    qd = np.outer((0.0, share * meet / PASSING_S), inward)
     here = runtime.setpoint
     stop = runtime.smoother.brake(here)
     verdict = runtime.safety.step(runtime.state._replace(qd=qd), here, here, stop)
