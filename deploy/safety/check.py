@@ -17,8 +17,7 @@ SOON_S = 0.02
 """s until power that is cut is off: the age of samples, the filter's lag and a control period."""
 PASSING_S = 0.01
 """s, at the speeds of joints, in which links of a walker must not come too near to each other. Legs of H1 that pass
-each other when it walks would touch 17 ms later if no drive acted: with 20 ms, 5 of 32 robots stop in a minute, with 10 ms
-one."""
+each other when it walks would touch 17 ms later if no drive acted."""
 UNBOUNDED = float(np.finfo(np.float64).max)
 """The largest finite number: as a bound it refuses only what is not finite."""
 
