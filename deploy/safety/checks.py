@@ -13,7 +13,7 @@ import numpy as np
 from deploy.reasons import Reason
 from deploy.safety.check import UNBOUNDED, Check, Estimate, Limits, Motion, Pose, ToolMotion
 from robots.arrays import Floats
-from robots.capabilities import Capability, required
+from robots.capabilities import required
 
 SPEED_TOLERANCE = 1e-6
 """Relative tolerance on speed: Ruckig meets its limits exactly, up to rounding."""
@@ -27,9 +27,6 @@ TAKEOVER_RATE = 2.5
 
 GIVES_WAY = 0.5
 """Share of `q_soft_rad` beyond the setpoints' range at which a joint of a robot with a floating base gives way."""
-
-AHEAD: frozenset[Capability] = frozenset({"floating_base", "self_collision"})
-"""Capabilities of robots whose links may meet although setpoints keep them apart: drives of walkers are soft."""
 
 
 def _motor(field: str) -> Callable[[Limits], Floats]:
@@ -98,12 +95,12 @@ ESTIMATE: tuple[Check[Estimate], ...] = (
         per_joint=True,
     ),
     Check(
-        name="self_collision_soon",
-        value=lambda estimate: required(estimate.soon).colliding[:, None],
+        name="self_collision_ahead",  # soft drives let links meet although setpoints keep them apart
+        value=lambda estimate: estimate.kinematics_ahead.colliding[:, None],
         low=0.0,
         high=0.0,
         reason=Reason.FALLEN,
-        needs=AHEAD,
+        needs=frozenset({"floating_base", "self_collision"}),
     ),
     Check(
         name="estimated_joint_speed",  # only that it is finite: the setpoint's speed is what has a limit

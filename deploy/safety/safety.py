@@ -10,9 +10,9 @@ import numpy as np
 from deploy.masks import all_true
 from deploy.motion.drive_law import DriveLaw, StiffDrives
 from deploy.reasons import Reason
-from deploy.safety.check import PASSING_S, Estimate, Limits, Motion, Pose, ToolMotion
+from deploy.safety.check import Estimate, Limits, Motion, Pose, ToolMotion
 from deploy.safety.check_table import CheckTable
-from deploy.safety.checks import AHEAD, CHECKS, Checks
+from deploy.safety.checks import CHECKS, Checks
 from deploy.state import STOP_MOMENTS, Setpoint, State, Stop, Verdict
 from robots.arrays import Bools, Floats, Ints
 from robots.models.fleet import Fleet
@@ -59,7 +59,7 @@ class Safety:
         tool_rows = np.concatenate((np.arange(robots), np.arange((STOP_MOMENTS + 1) * robots)))
         self._tool_rows = (np.arange(0, poses, each)[:, None] + tool_rows).ravel()
         self._fleet_of_plan = fleet.resized(poses)
-        self._fleet_of_estimate = fleet.resized(robots) if spec.capabilities >= AHEAD else None
+        self._fleet_of_estimate = fleet.resized(robots)
         self._jacobians = "tool" in spec.capabilities  # what reads them reads the tool
         self._gap_max = (spec.margins.collision_m or 0.0) + GAP_TOLERANCE_M
         self._twice_qdd = 2 * spec.joint_array("qdd_max")
@@ -115,7 +115,8 @@ class Safety:
         kinematics = self._kinematics(self._fleet_of_plan, poses)
         tool = ToolMotion(qd_of_tool, self._tool_rows, kinematics)
         plan = self._plan.values(tool, Pose(sent_poses, kinematics, self._centre))
-        estimate = self._estimate.values(Estimate(state, sent, self._twice_qdd, self._soon(state)))
+        estimated = Estimate(state, sent, self._twice_qdd, self._fleet_of_estimate)
+        estimate = self._estimate.values(estimated)
         reason = _or_zeros(self._estimate.reasons(estimate), robots)
         for found in (self._motion.reasons(motion), self._plan.reasons(plan)):
             if found is not None:
@@ -131,10 +132,6 @@ class Safety:
 
     def _kinematics(self, fleet: Fleet, q: Floats) -> Kinematics:
         return fleet.kinematics(q, jacobians=self._jacobians)
-
-    def _soon(self, state: State) -> Kinematics | None:
-        fleet = self._fleet_of_estimate
-        return fleet.kinematics(state.q + PASSING_S * state.qd, jacobians=False) if fleet else None
 
     def failed(self, verdict: Verdict, robot: int, reason: Reason) -> dict[str, Bools]:
         """Return the checks by which a verdict gave a reason to a robot: by name, (n,) joints that it is about.

@@ -9,7 +9,7 @@ from deploy.operation.stop_explanation import explain_reasons
 from deploy.policy.compatibility import check_contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.reasons import Reason
-from deploy.safety.check import PASSING_S
+from deploy.safety.check import AHEAD_S
 from deploy.state import Mode
 from deploy.tasks.velocity import Velocity
 from robots.errors import ContractError, RobotError
@@ -254,17 +254,17 @@ def test_legs_that_will_meet_at_their_speed_mean_a_fall(share, falls):
     runtime, inward = standing(2), np.zeros(12)
     inward[FRONT_ABDUCTIONS] = -1.0, 1.0
     q = runtime.state.q[1]
-    meet = min(
+    meet = next(
         angle
         for angle in np.linspace(0.0, 1.0, 10_001)
         if runtime.safety.check_poses(np.tile(q + angle * inward, (4, 1)))[0] & Reason.COLLISION
     )
-    qd = np.outer((0.0, share * meet / PASSING_S), inward)
+    qd = np.outer((0.0, share * meet / AHEAD_S), inward)
     here = runtime.setpoint
     stop = runtime.smoother.brake(here)
     verdict = runtime.safety.step(runtime.state._replace(qd=qd), here, here, stop)
     found = [runtime.safety.failed(verdict, robot, Reason.FALLEN) for robot in (0, 1)]
-    assert ["self_collision_soon" in checks for checks in found] == [False, falls]
+    assert ["self_collision_ahead" in checks for checks in found] == [False, falls]
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ OF_WALKERS = {
     "base_descent",
     "joint_gives_way",
     "joint_runs_away",
-    "self_collision_soon",
+    "self_collision_ahead",
 }
 OF_JOINTS = {"estimated_joint_angle", "estimated_joint_speed", "joint_gives_way", "joint_runs_away"}
 
