@@ -213,6 +213,8 @@ def report_failure(error: Exception) -> int:
         error = OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
     elif isinstance(error, FileNotFoundError) and (error.strerror or "").startswith(NO_FOLDER):
         error = OSError(errno.ENOSPC, error.strerror)
+    elif isinstance(error, FileNotFoundError) and error.filename is None:
+        _check_working_directory()  # of which only this error tells
     if not isinstance(error, OSError) or error.errno not in RESOURCES:
         traceback.print_exception(error)
         return BROKEN

@@ -141,17 +141,21 @@ def raised_again() -> Iterator[None]:
 
 
 class Interrupts:
-    """Signal handler: signals are counted and left to the tick; a second Ctrl-C raises KeyboardInterrupt, once.
+    """Signal handler: until a run begins any signal raises KeyboardInterrupt; from then on it is left to the tick.
 
-    Nothing else cuts a stop short: a service manager, a closing terminal or a timer may send several signals.
+    In a run only a second Ctrl-C raises KeyboardInterrupt, once: a service manager, a closing terminal or a timer may
+    send several signals.
+
+    Attributes:
+        running: set when a run begins. count: number of signals.
     """
 
     def __init__(self) -> None:
-        self.count, self._ctrl_c = 0, 0
+        self.running, self.count, self._ctrl_c = False, 0, 0
 
     def __call__(self, number: int, _frame: FrameType | None) -> None:
         """Handle a signal."""
         self.count += 1
         self._ctrl_c += number == signal.SIGINT
-        if number == signal.SIGINT and self._ctrl_c == 2:
+        if not self.running or (number == signal.SIGINT and self._ctrl_c == 2):
             raise KeyboardInterrupt

@@ -114,7 +114,8 @@ class Session:
     def run(self, drive: Drive, printing: ExitStack) -> RobotRun:
         """Drive the robot from arming to rest, write its files, and return the finished run.
 
-        `printing` prints the summary when it closes: once signals end the process again, which may wait for a reader.
+        Until the first file is written, a signal raises KeyboardInterrupt. `printing` prints the summary when it
+        closes: once signals end the process again, which may wait for a reader.
         """
         options, action = self._options, drive.actor.contract.action
         request = Request(
@@ -134,6 +135,7 @@ class Session:
             heat_file = self._heat_file(runtime)
             self._backend.attach(robot, runtime)
             about = self._about(drive)
+            self._interrupts.running = True
             recorder = Recorder(options.out, runtime, start_ns=time.time_ns(), about=about)
             return self._execute(runtime, (recorder, heat_file), drive, viewers, about, printing)
 

@@ -511,6 +511,14 @@ def test_a_working_directory_that_was_deleted_is_bad_input(tmp_path):
     assert (ended.returncode, ended.stdout, ended.stderr.decode()) == (BAD_INPUT, b"", said)
 
 
+def test_a_working_directory_that_is_deleted_in_between_is_bad_input(written, tmp_path):
+    (tmp_path / "robot").mkdir()
+    written("deserted_command", "import os\nos.rmdir('../robot')\nos.path.abspath('arm.onnx')")
+    ended = run("deserted_command", tmp_path, cwd=tmp_path / "robot")
+    said = f"error: working directory: {os.strerror(errno.ENOENT)}, expected one that exists\n"
+    assert (ended.returncode, ended.stdout, ended.stderr.decode()) == (BAD_INPUT, b"", said)
+
+
 def test_a_library_that_cannot_be_imported_is_no_verdict(written, tmp_path):
     written("broken_command", "raise ValueError('no such backend')")
     ended = run("broken_command", tmp_path)

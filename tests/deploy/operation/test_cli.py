@@ -182,6 +182,21 @@ def test_a_recording_that_fails_at_its_end_takes_no_other_file_with_it(
     assert json.loads((tmp_path / "summary.json").read_text())["ended"] == "done"
 
 
+def test_a_signal_while_a_policy_is_loaded_ends_the_command_at_once(
+    command, arm_policy, tmp_path, monkeypatch
+):
+    """Nothing moves yet, and a robot with many shapes takes seconds to load."""
+
+    def check(*_):
+        signal.raise_signal(signal.SIGTERM)
+        pytest.fail("the command went on")
+
+    monkeypatch.setattr("deploy.operation.cli.check_step", check)
+    (tmp_path / "summary.json").write_text("of an earlier run")
+    assert command("--policy", arm_policy, "--out", tmp_path)[0] == 130
+    assert (tmp_path / "summary.json").read_text() == "of an earlier run"
+
+
 def test_a_signal_while_files_are_completed_loses_none(command, arm_policy, tmp_path, monkeypatch):
     def close(recorder, close=Recorder.close):
         signal.raise_signal(signal.SIGTERM)

@@ -51,6 +51,7 @@ class Bench:
         self.timing = LoopTiming(clock, SPEC.rates.control_hz, now=self.time.now)
         self.recorder = Recorder(folder, self.runtime, start_ns=0, about={})
         self.interrupts = Interrupts()
+        self.interrupts.running = True
         self.run = RobotRun(
             self.runtime, self.timing, self.recorder, interrupts=self.interrupts, duration=duration
         )

@@ -14,7 +14,7 @@ from deploy.backends.sim.model.allowed_contacts import ContactPlaces, add_contac
 from deploy.backends.sim.model.floating_base import FloatingBase, add_ground, find_floating_base
 from robots.arrays import Ints
 from robots.distributions import Cable
-from robots.models.mujoco_model import load_mujoco, read_mjcf
+from robots.models.mujoco_model import compile_model, load_mujoco, read_mjcf
 from robots.sensors import Kind
 from robots.spec import RobotSpec
 
@@ -84,7 +84,7 @@ def build(spec: RobotSpec, cable: Cable) -> PlantModel:
     attachments.add_site_sensors(mjcf, spec)
     attachments.add_beam(mjcf, spec)
     add_contacts(mjcf, nominal, spec)
-    model = mjcf.compile()
+    model = compile_model(mjcf, spec.model_path)
     # A diverged simulation must be noticed, not silently reset.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return _find(model, spec)
