@@ -28,6 +28,8 @@ ITERATIONS_MAX = 1000
 """Ten times MuJoCo's default of its solver: a step of more would go on for hours, deaf to Ctrl-C."""
 SIZE_MIB = 256
 """Memory of a compiled model. The H1 with 14 MB of meshes needs 65 MiB, a robot with 50 MB of meshes 188 MiB."""
+WORKING_MEMORY = 15 << 20
+"""Least bytes for contacts and the solver, whatever a model states for itself: with too few, MuJoCo ends a step."""
 SIMULATED = 16
 """Robots that a simulation holds at once: one model and one working memory for all, a state for each."""
 USER_NUMBERS = tuple(
@@ -38,7 +40,7 @@ USER_NUMBERS_MAX = 1000
 
 
 def open_model(model: Path, folder: Path) -> mujoco.MjSpec:
-    """Read MJCF or URDF without changes.
+    """Read MJCF or URDF, with enough working memory and no other change.
 
     Raises:
         RobotError: MuJoCo cannot read it, a file is outside of the folder, or a step may take too many iterations.
@@ -54,6 +56,8 @@ def open_model(model: Path, folder: Path) -> mujoco.MjSpec:
     for name in ITERATIONS:
         if (found := getattr(mjcf.option, name)) > ITERATIONS_MAX:
             raise RobotError(f"{model}: option {name}: found {found}, expected at most {ITERATIONS_MAX}")
+    if 0 <= mjcf.memory < WORKING_MEMORY:
+        mjcf.memory = WORKING_MEMORY
     return mjcf
 
 
