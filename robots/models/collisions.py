@@ -10,6 +10,7 @@ from robots.arrays import Bools, Floats
 from robots.contacts import WORLD
 from robots.errors import RobotError
 from robots.models.blocks import strided_view
+from robots.models.capsules import all_above, find_near
 from robots.models.collision_pruning import Pairs
 from robots.spec import RobotSpec
 
@@ -25,9 +26,9 @@ ENDLESS = 1e6
 class Collisions:
     """Check of all copies of a robot for shapes nearer to each other than the margin.
 
-    A pair of a capsule and a fixed obstacle that is no capsule (a table, a box, a wall) costs three times a pair of
-    capsules. While all capsules are above the highest point of their obstacle by more than the margin, those pairs are
-    not checked; one capsule that is lower lets all of them be checked.
+    Pairs of capsules are compared by `find_near`, others by coal. A pair of a capsule and a fixed obstacle that is none
+    (a table, a box, a wall) costs far more. While all capsules are above the highest point of their obstacle by more
+    than the margin, those pairs are not checked; one capsule that is lower lets all of them be checked.
     """
 
     def __init__(
@@ -37,68 +38,71 @@ class Collisions:
         shapes = list(geometry.geometryObjects)
         # The fixed shape of a pair comes first.
         pairs = [(b, a) if shapes[b].parentJoint == 0 else (a, b) for a, b in pairs]
+        of_capsules = [(a, b) for a, b in pairs if _is_capsule(shapes[a]) and _is_capsule(shapes[b])]
         with_obstacle = [(a, b) for a, b in pairs if _is_obstacle(shapes[a]) and _is_capsule(shapes[b])]
-        others = [pair for pair in pairs if pair not in with_obstacle]
+        others = [pair for pair in pairs if pair not in of_capsules and pair not in with_obstacle]
         self._others = PairChecks(model, shapes, others, copies, margin)
         self._obstacles = PairChecks(model, shapes, with_obstacle, copies, margin)
-        clear_above = np.full(len(shapes), -np.inf)
+        radius = [shape.geometry.radius if _is_capsule(shape) else 0.0 for shape in shapes]
+        self._half = np.array([_half_length(shape) for shape in shapes])
+        self._pairs = np.array(of_capsules, dtype=np.int64).reshape(-1, 2)
+        self._reach = np.array([radius[a] + radius[b] + margin for a, b in of_capsules])
+        self._clear_above = np.full(len(shapes), -np.inf)
         for a, b in with_obstacle:
-            height = _top(shapes[a]) + margin + shapes[b].geometry.radius + SLACK
-            clear_above[b] = np.maximum(clear_above[b], height)
-        half = [shape.geometry.halfLength if _is_capsule(shape) else 0.0 for shape in shapes]
-        self._clear_above, self._half = np.tile(clear_above, copies), np.tile(half, copies)
-        self._lowest, self._clear = np.zeros_like(self._half), np.zeros(self._half.shape, dtype=bool)
-        placements = self._others.placements.oMg
-        self._height = strided_view([place.translation for place in placements])[:, 2]
-        self._steepness = strided_view([place.rotation for place in placements])[:, 2, 2]
+            height = _top(shapes[a]) + margin + radius[b] + SLACK
+            self._clear_above[b] = np.maximum(self._clear_above[b], height)
+        self._copies, self._shapes = copies, _side_by_side(model, shapes, copies)
+        self._placements = self._shapes.createData()
+        self._centre = strided_view([place.translation for place in self._placements.oMg])
+        self._axis = strided_view([place.rotation for place in self._placements.oMg])[:, :, 2]
 
-    def check(self, model: pin.Model, data: pin.Data) -> Bools | bool:
-        """Return (copies,) robots with shapes too near, at the placements in `data` of the `model` of all copies.
-
-        One False if none are.
-        """
-        hits = self._others.check(model, data)
-        np.abs(self._steepness, out=self._lowest)
-        np.multiply(self._lowest, self._half, out=self._lowest)
-        np.subtract(self._height, self._lowest, out=self._lowest)
-        np.greater(self._lowest, self._clear_above, out=self._clear)
-        if 0 not in self._clear.tobytes():
-            return hits
-        return hits | self._obstacles.check(model, data)
+    def check(self, model: pin.Model, data: pin.Data) -> Bools:
+        """Return (copies,) robots with shapes too near, at the placements in `data` of the `model` of all copies."""
+        pin.updateGeometryPlacements(model, data, self._shapes, self._placements)
+        hits = np.empty(self._copies, dtype=bool)
+        find_near(self._centre, self._axis, self._half, self._pairs, self._reach, hits)
+        if not all_above(self._centre[:, 2], self._axis[:, 2], self._half, self._clear_above):
+            hits |= self._obstacles.check(model, data)
+        return hits | self._others.check(model, data) if self._others.pairs else hits
 
 
 class PairChecks:
-    """Check of some pairs of shapes, in all copies.
+    """Check of some pairs of shapes by coal, in all copies.
 
     Attributes:
-        placements: of all shapes at the last check.
+        pairs: number of them in each copy.
     """
 
     def __init__(
         self, model: pin.Model, shapes: list[pin.GeometryObject], pairs: Pairs, copies: int, margin: float
     ) -> None:
-        self._geometry, self._copies = pin.GeometryModel(), copies
-        joints = model.njoints - 1
-        for copy in range(copies):
-            for shape in shapes:
-                parent = shape.parentJoint and shape.parentJoint + copy * joints
-                self._geometry.addGeometryObject(
-                    pin.GeometryObject(f"{copy}/{shape.name}", parent, shape.placement, shape.geometry)
-                )
+        self._geometry, self._copies = _side_by_side(model, shapes, copies), copies
+        self.pairs = len(pairs)
+        for first in range(0, copies * len(shapes), len(shapes)):
             for a, b in pairs:
-                offset = copy * len(shapes)
-                self._geometry.addCollisionPair(pin.CollisionPair(a + offset, b + offset))
-        self.placements = self._geometry.createData()
-        for request in self.placements.collisionRequests:
+                self._geometry.addCollisionPair(pin.CollisionPair(first + a, first + b))
+        self._placements = self._geometry.createData()
+        for request in self._placements.collisionRequests:
             request.security_margin = margin
 
     def check(self, model: pin.Model, data: pin.Data) -> Bools | bool:
-        """Check these pairs, as `Collisions.check`; ordered by copy, as the pairs are."""
-        pin.updateGeometryPlacements(model, data, self._geometry, self.placements)
-        if not pin.computeCollisions(self._geometry, self.placements, False):
+        """Check these pairs, as `Collisions.check`; one False if all are clear."""
+        pin.updateGeometryPlacements(model, data, self._geometry, self._placements)
+        if not pin.computeCollisions(self._geometry, self._placements, False):
             return False
-        hits = [result.isCollision() for result in self.placements.collisionResults]
+        hits = [result.isCollision() for result in self._placements.collisionResults]
         return np.asarray(np.reshape(hits, (self._copies, -1)).any(axis=1))
+
+
+def _side_by_side(model: pin.Model, shapes: list[pin.GeometryObject], copies: int) -> pin.GeometryModel:
+    """Return the shapes of each copy of a robot in the `model` of all copies, without pairs."""
+    geometry, joints = pin.GeometryModel(), model.njoints - 1
+    for copy in range(copies):
+        for shape in shapes:
+            parent = shape.parentJoint and shape.parentJoint + copy * joints
+            name = f"{copy}/{shape.name}"
+            geometry.addGeometryObject(pin.GeometryObject(name, parent, shape.placement, shape.geometry))
+    return geometry
 
 
 def nearest_shapes(
@@ -171,11 +175,15 @@ def collision_pairs(
 
 
 def _is_capsule(shape: pin.GeometryObject) -> bool:
-    return isinstance(shape.geometry, coal.Capsule)
+    """Spheres are capsules without length."""
+    return isinstance(shape.geometry, coal.Capsule | coal.Sphere)
+
+
+def _half_length(shape: pin.GeometryObject) -> float:
+    return shape.geometry.halfLength if isinstance(shape.geometry, coal.Capsule) else 0.0
 
 
 def _is_obstacle(shape: pin.GeometryObject) -> bool:
-    """Fixed to the world and no capsule: pairs of capsules are fast as they are."""
     return shape.parentJoint == 0 and not _is_capsule(shape)
 
 
