@@ -9,14 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from robots.arrays import Bools, Floats
+from robots.arrays import Bools, Floats, Ints
 from robots.errors import RobotError
 from robots.models.blocks import strided_view
 from robots.models.collision_pruning import pairs_to_check
 from robots.models.collisions import Collisions, check_home, collision_pairs, gaps, nearest_shapes
-from robots.models.kinematics import Frames, yoshikawa
+from robots.models.kinematics import Frames
 from robots.models.nominal_model import imu_in_base, load_pinocchio
 from robots.models.pinocchio_model import foot_frames, tool_frame
+from robots.models.tool_jacobian import find_manipulability
 from robots.spec import RobotSpec
 
 
@@ -95,11 +96,11 @@ class Blocks:
 
 
 def _frames(spec: RobotSpec, model: pin.Model, tool: list[int], feet: list[int]) -> Frames:
-    carried = [_carried_by(model, frame) for frame in tool]
+    carrying = np.flatnonzero(_carried_by(model, tool[0])) if tool else np.empty(0, dtype=np.int64)
     return Frames(
         has_tool=bool(tool),
-        home_sign=np.sign(_home_manipulability(spec, model, tool[0])) if tool else 0.0,
-        tool_joints=carried[0] if tool and not carried[0].all() else None,
+        home_sign=np.sign(_home_manipulability(spec, model, tool[0], carrying)) if tool else 0.0,
+        tool_joints=carrying,
         foot_joints=np.array([_carried_by(model, frame) for frame in feet], dtype=float).reshape(-1, spec.n),
         imu=imu_in_base(spec, model) if spec.base else np.zeros(3),
     )
@@ -110,16 +111,16 @@ def _carried_by(model: pin.Model, frame: int) -> Bools:
     return np.array([joint in supports for joint in range(1, model.njoints)])
 
 
-def _home_manipulability(spec: RobotSpec, model: pin.Model, tool: int) -> float:
-    q, least = spec.joint_array("q_home"), spec.margins.singularity
+def _home_manipulability(spec: RobotSpec, model: pin.Model, tool: int, carrying: Ints) -> float:
+    q, least, found = spec.joint_array("q_home"), spec.margins.singularity, np.empty(1)
     jacobian = pin.computeFrameJacobian(model, model.createData(), q, tool, pin.LOCAL_WORLD_ALIGNED)
-    found = float(yoshikawa(jacobian[None][:, :, _carried_by(model, tool)])[0])
-    if least is not None and abs(found) < least:
+    find_manipulability(jacobian[None], np.zeros((1, 3)), carrying, found)
+    if least is not None and abs(found[0]) < least:
         raise RobotError(
-            f"{spec.folder / 'robot.toml'}: joints: q_home: manipulability there is {abs(found):.2g}, expected at least"
-            f" margins.singularity, {least}"
+            f"{spec.folder / 'robot.toml'}: joints: q_home: manipulability there is {abs(found[0]):.2g}, expected at"
+            f" least margins.singularity, {least}"
         )
-    return found
+    return float(found[0])
 
 
 def _side_by_side(model: pin.Model, tracked: list[pin.Frame], copies: int) -> tuple[pin.Model, list[int]]:
