@@ -9,16 +9,15 @@ import numpy as np
 from robots.arrays import Floats, Ints
 from robots.kernel import FLOAT, INT, array, inlined, kernel
 
+Vector = tuple[float, float, float]
 _JACOBIANS, _TOOL, _JOINTS, _ROWS = array(FLOAT, 3), array(FLOAT, 2), array(INT, 1), array(INT, 1)
 _OUT = array(FLOAT, 2, written=True)
 
 
 @inlined
-def _carried(jacobian: Floats, j: int, tool: Floats, axis: int) -> float:
-    """Return one component of v + w × p of joint j."""
-    b, c = (axis + 1) % 3, (axis + 2) % 3
-    turned = jacobian[3 + b, j] * tool[c] - jacobian[3 + c, j] * tool[b]
-    return jacobian[axis, j] + turned  # type: ignore[no-any-return]
+def _crossed(w: Vector, p: Vector) -> Vector:
+    """Return w × p."""
+    return w[1] * p[2] - w[2] * p[1], w[2] * p[0] - w[0] * p[2], w[0] * p[1] - w[1] * p[0]
 
 
 @kernel(_JACOBIANS, _TOOL, _JOINTS, _ROWS, array(FLOAT, 2), _OUT)
@@ -32,21 +31,30 @@ def find_velocities(
         rows, qd: see above. velocities: the result.
     """
     for row in range(len(rows)):
-        jacobian, place = jacobians[rows[row]], tool[rows[row]]
-        for axis in range(3):
-            velocities[row, axis] = 0.0
-            for j in joints:
-                velocities[row, axis] += _carried(jacobian, j, place, axis) * qd[row, j]
+        robot = rows[row]
+        vx, vy, vz, wx, wy, wz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in joints:
+            speed = qd[row, j]
+            vx += jacobians[robot, 0, j] * speed
+            vy += jacobians[robot, 1, j] * speed
+            vz += jacobians[robot, 2, j] * speed
+            wx += jacobians[robot, 3, j] * speed
+            wy += jacobians[robot, 4, j] * speed
+            wz += jacobians[robot, 5, j] * speed
+        x, y, z = _crossed((wx, wy, wz), (tool[robot, 0], tool[robot, 1], tool[robot, 2]))
+        velocities[row, 0], velocities[row, 1], velocities[row, 2] = vx + x, vy + y, vz + z
 
 
 @kernel(_JACOBIANS, _TOOL, _JOINTS, array(FLOAT, 2), _OUT)
 def find_torques(jacobians: Floats, tool: Floats, joints: Ints, force: Floats, torques: Floats) -> None:
-    """Find (B, n) N·m, the joint torques Jᵀf that equal a force f (B, 3) N on the tool; arguments as above."""
+    """Find (B, n) N·m, the joint torques Jᵀ[f; p × f] of a force f (B, 3) N on the tool; arguments as above."""
     for robot in range(len(jacobians)):
+        f = force[robot, 0], force[robot, 1], force[robot, 2]
+        moment = _crossed((tool[robot, 0], tool[robot, 1], tool[robot, 2]), f)
         torques[robot] = 0.0
         for j in joints:
-            for axis in range(3):
-                torques[robot, j] += _carried(jacobians[robot], j, tool[robot], axis) * force[robot, axis]
+            for k in range(3):
+                torques[robot, j] += jacobians[robot, k, j] * f[k] + jacobians[robot, 3 + k, j] * moment[k]
 
 
 @inlined
@@ -80,27 +88,35 @@ def _determinant(a: Floats) -> float:
     return determinant
 
 
+@inlined
+def _multiply(a: Floats, square: Floats) -> None:
+    """Find the smaller of AᵀA and AAᵀ."""
+    rows, columns = a.shape
+    for i in range(len(square)):
+        for j in range(len(square)):
+            square[i, j] = 0.0
+            for k in range(max(rows, columns)):
+                square[i, j] += a[k, i] * a[k, j] if columns < rows else a[i, k] * a[j, k]
+
+
 @kernel(_JACOBIANS, _TOOL, _JOINTS, array(FLOAT, 1, written=True))
 def find_manipulability(jacobians: Floats, tool: Floats, joints: Ints, measure: Floats) -> None:
     """Find (B,) det J for six joints, √det(JᵀJ) for fewer, √det(JJᵀ) for more, with J of the tool; arguments as above.
 
     Source: Yoshikawa, Manipulability of Robotic Mechanisms (1985), eq. 4.
     """
-    n = len(joints)
-    of_tool, square = np.empty((6, n)), np.empty((min(n, 6), min(n, 6)))
+    n, of_tool = len(joints), np.empty((6, len(joints)))
+    square = np.empty((min(n, 6), min(n, 6)))
     for robot in range(len(jacobians)):
+        p = tool[robot, 0], tool[robot, 1], tool[robot, 2]
         for column in range(n):
             j = joints[column]
-            for axis in range(3):
-                of_tool[axis, column] = _carried(jacobians[robot], j, tool[robot], axis)
-                of_tool[3 + axis, column] = jacobians[robot, 3 + axis, j]
-        for a in range(len(square)):
-            for b in range(len(square)):
-                if n == 6:
-                    square[a, b] = of_tool[a, b]
-                    continue
-                square[a, b] = 0.0
-                for k in range(max(n, 6)):
-                    square[a, b] += of_tool[k, a] * of_tool[k, b] if n < 6 else of_tool[a, k] * of_tool[b, k]
-        found = _determinant(square)
-        measure[robot] = found if n == 6 else np.sqrt(max(found, 0.0))
+            w = jacobians[robot, 3, j], jacobians[robot, 4, j], jacobians[robot, 5, j]
+            turned = _crossed(w, p)
+            for k in range(3):
+                of_tool[k, column], of_tool[3 + k, column] = jacobians[robot, k, j] + turned[k], w[k]
+        if n == 6:
+            measure[robot] = _determinant(of_tool)
+            continue
+        _multiply(of_tool, square)
+        measure[robot] = np.sqrt(max(_determinant(square), 0.0))
