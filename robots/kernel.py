@@ -48,6 +48,11 @@ def array(of: Any, dimensions: int, *, written: bool = False) -> Any:
     return numba.types.Array(element, dimensions, "A", readonly=not written)
 
 
+def alike(of: Any, count: int) -> Any:
+    """Return the type of a tuple of `count` values of one type."""
+    return numba.types.UniTuple(of, count)
+
+
 def kernel(*arguments: Any) -> Callable[[Function], Function]:
     """Compile a function for arguments of these types, or of the type of a named tuple that stands for its type."""
     types = tuple(numba.typeof(each) if isinstance(each, tuple) else each for each in arguments)

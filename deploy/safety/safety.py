@@ -13,6 +13,7 @@ from deploy.reasons import Reason
 from deploy.safety.check import Estimate, Limits, Motion, Pose, ToolMotion
 from deploy.safety.check_table import CheckTable
 from deploy.safety.checks import CHECKS, Checks
+from deploy.safety.plan_points import plan_points
 from deploy.state import STOP_MOMENTS, Setpoint, State, Stop, Verdict
 from robots.arrays import Bools, Floats, Ints
 from robots.models.fleet import Fleet
@@ -81,33 +82,17 @@ class Safety:
             state: the estimate. sent: the last setpoint sent, which the drives follow now.
             setpoint: to be sent next. stop: that would begin there.
         """
-        ahead, robots = stop.ahead, len(stop.q_rest)
-        # Below: one call to concatenate takes half of the time that three take.
-        points = (
-            setpoint.q,
-            ahead.q,
-            *stop.q,
-            setpoint.qd,
-            ahead.qd,
-            *stop.qd,
-            setpoint.qdd,
-            ahead.qdd,
-            *stop.qdd,
-        )
-        q, qd, qdd = np.concatenate(points).reshape(3, (STOP_MOMENTS + 2) * robots, -1)
-        tau = self._drives.torque(state, q, qd, qdd)
+        points, robots = plan_points(setpoint, stop, self.twice_jerk), len(setpoint.q)
+        tau = self._drives.torque(state, points.q, points.qd, points.qdd)
         if setpoint.tau is not None and setpoint.drive is not None:
             sent_as_torque = (setpoint.drive.mode == ControlMode.TORQUE)[:, None]
             np.copyto(tau[:robots], setpoint.tau, where=sent_as_torque)
         needed = tau
         if not all_true(state.current_share == 1.0):  # a drive with limited current gives less than its range
             needed = np.concatenate((tau[:robots] / state.current_share, tau[robots:]))
-        # A stop first brings the acceleration to zero, and the speed that it gains until then counts.
-        qd_peak = qd + qdd * np.abs(qdd) / self.twice_jerk
-        motion = self._motion.values(Motion(q, qd, qdd, qd_peak, tau, needed))
-        sent_poses = np.concatenate((setpoint.q, *stop.q, stop.q_rest))
-        qd_of_tool = np.concatenate((setpoint.qd, qd_peak[:robots], *stop.qd))
-        poses = self._drives.expected_poses(state, sent_poses)
+        motion = self._motion.values(Motion(points.q, points.qd, points.qdd, points.qd_peak, tau, needed))
+        poses = self._drives.expected_poses(state, points.poses)
+        sent_poses, qd_of_tool = points.poses, points.qd_of_tool
         if self._drives.expectations > 1:
             sent_poses, qd_of_tool = (
                 np.tile(each, (self._drives.expectations, 1)) for each in (sent_poses, qd_of_tool)
