@@ -1,14 +1,15 @@
-"""Safety checks compared with their bounds in one operation for all robots."""
+"""Safety checks compared with their bounds for all robots at once."""
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
 import numpy as np
 
-from deploy.masks import all_true
 from deploy.reasons import Reason
 from deploy.safety.check import Bound, Check, Limits
 from robots.arrays import Bools, Floats, Ints
+from robots.kernel import FLOAT, INT, array, kernel
 from robots.spec import RobotSpec
 
 
@@ -35,8 +36,7 @@ class CheckTable:
         self._readers = [(group, check.value) for group, check in chosen]
         self.checks = [check for _, check in chosen]
         self._widths = [self._n if check.per_joint else 1 for check in self.checks]
-        self._low = np.tile(self._bounds("low", limits), (rows, 1))
-        self._high = np.tile(self._bounds("high", limits), (rows, 1))
+        self._low, self._high = self._bounds("low", limits), self._bounds("high", limits)
         self._reason, self._reason_not_finite = (
             np.concatenate([np.empty(0, np.int64), *self._columns(field)])
             for field in ("reason", "reason_not_finite")
@@ -79,15 +79,9 @@ class CheckTable:
 
     def reasons(self, values: Floats) -> Ints | None:
         """Return (R,) bit sets of `Reason`; None where every value of every row is inside its bounds."""
-        inside = values >= self._low
-        inside &= values <= self._high
-        if all_true(inside):
-            return None
-        return np.asarray(np.bitwise_or.reduce(self._reasons_outside(values, inside), axis=1))
-
-    def _reasons_outside(self, values: Floats, inside: Bools) -> Ints:
-        reason = np.where(np.isfinite(values), self._reason, self._reason_not_finite)
-        return np.where(inside, 0, reason)
+        found = np.empty(len(values), dtype=np.int64)
+        numbers = self._low, self._high, self._reason, self._reason_not_finite
+        return found if _compare(values, *numbers, found) else None
 
     def failed(self, values: Floats, reason: Reason) -> dict[str, Bools]:
         """Return the checks that give a reason for one row of values (C,): by name, (n,) joints that it is about.
@@ -95,10 +89,11 @@ class CheckTable:
         No joint is meant by a check of the robot as a whole. A joint angle that is not finite leaves no finite torque:
         torques do not count for `Reason.NOT_FINITE`.
         """
-        inside = (values >= self._low[0]) & (values <= self._high[0])
+        inside = (values >= self._low) & (values <= self._high)
         if reason is Reason.NOT_FINITE:
             inside |= self._reason == Reason.TORQUE
-        found = self._reasons_outside(values, inside) & int(reason) != 0
+        given = np.where(np.isfinite(values), self._reason, self._reason_not_finite)
+        found = ~inside & (given & int(reason) != 0)
         columns = np.split(found, np.cumsum(self._widths, dtype=np.int64))[:-1]
         return {
             check.name: column if check.per_joint else np.zeros(self._n, dtype=bool)
@@ -115,3 +110,31 @@ def _chosen(groups: Sequence[Sequence[Check[Any]]], robot: RobotSpec) -> list[tu
     if len(set(names)) < len(names):
         raise ValueError(f"safety checks: found the names {', '.join(names)}, expected each once")
     return chosen
+
+
+def find_reasons(
+    values: Floats, low: Floats, high: Floats, reason: Ints, reason_not_finite: Ints, found: Ints
+) -> bool:
+    """Find (R,) bit sets of `Reason` against values (R, C) outside of their bounds; return False where none is.
+
+    Args:
+        values: (R, C). low, high: (C,) their bounds.
+        reason: (C,), of a value outside of its bounds. reason_not_finite: (C,), of one that is not finite.
+        found: (R,) the result.
+    """
+    refused = False
+    for row in range(len(values)):
+        found[row] = 0
+        for column in range(len(low)):
+            value = values[row, column]
+            if low[column] <= value <= high[column]:
+                continue
+            found[row] |= reason[column] if isfinite(value) else reason_not_finite[column]
+            refused = True
+    return refused
+
+
+_compare = kernel(
+    *(array(FLOAT, 2), array(FLOAT, 1), array(FLOAT, 1)),
+    *(array(INT, 1), array(INT, 1), array(INT, 1, written=True)),
+)(find_reasons)

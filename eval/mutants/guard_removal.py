@@ -106,7 +106,7 @@ def widen_check(name: str) -> GuardRemoval:
     def remove_guard(runtime: Runtime) -> None:
         for table in (runtime.safety._motion, runtime.safety._plan, runtime.safety._estimate):
             columns = np.repeat([check.name == name for check in table.checks], table._widths)
-            table._low[:, columns], table._high[:, columns] = -UNBOUNDED, UNBOUNDED
+            table._low[columns], table._high[columns] = -UNBOUNDED, UNBOUNDED
 
     return remove_guard
 
