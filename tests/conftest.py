@@ -22,7 +22,7 @@ pytest.register_assert_rewrite("support")
 from hypothesis import settings
 from onnx import numpy_helper
 
-from deploy.policy.policy_file import GOLDEN_KEY
+from deploy.policy.policy_names import GOLDEN_KEY
 from support.policies import A, golden, metadata, policy_model, saved, tensor, weights
 from support.shared import made_once
 

@@ -16,7 +16,6 @@ from deploy.tasks.task import sources_of
 from robots.errors import ConfigError, ContractError
 from robots.strict import RobotName, Strict, parse, read_json
 
-CONTRACT_KEY = "firstshift.contract"
 MEMORY_MAX = 1 << 16  # numbers of recurrent state of one robot
 TEXT_MAX = 1 << 20  # characters of JSON
 

@@ -15,11 +15,14 @@ _ONCE = (
     " DequantizeLinear Div Dropout DynamicQuantizeLinear Elu Equal Erf Exp Expand EyeLike Flatten Floor Gather"
     " GatherElements GatherND Gelu Greater GreaterOrEqual HardSigmoid HardSwish Hardmax Identity"
     " InstanceNormalization IsInf IsNaN LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax Max Mean Min"
-    " Mish Mod Mul Neg Not OneHot Or PRelu Pad Pow QuantizeLinear RMSNormalization Range Reciprocal ReduceL1 ReduceL2"
+    " Mish Mul Neg Not OneHot Or PRelu Pad Pow QuantizeLinear RMSNormalization Range Reciprocal ReduceL1 ReduceL2"
     " ReduceLogSum ReduceLogSumExp ReduceMax ReduceMean ReduceMin ReduceProd ReduceSum ReduceSumSquare Relu Reshape"
     " Round Scan Selu Shape Shrink Sigmoid Sign Sin Sinh Size Slice Softmax Softplus Softsign SpaceToDepth Split Sqrt"
     " Squeeze Sub Sum Swish Tan Tanh ThresholdedRelu Tile Transpose Trilu Unsqueeze Where Xor"
 )
+MOD_WORK = 1 << 14
+"""Multiply-adds that one remainder counts as: it takes a nanosecond, or 1.5 µs where exponents are far apart, which a
+policy may make them when no trial looks. As many as a step may have then take 6 ms."""
 ONCE = frozenset(_ONCE.split())
 """Operators that look at each element a few times."""
 RECURRENT = frozenset({"GRU", "LSTM", "RNN"})
@@ -34,6 +37,10 @@ def node_work(node: NodeProto, inputs: Sequence[Tensor], outputs: Sequence[Tenso
     most_in, most_out = (max((each.elements for each in group), default=0) for group in (inputs, outputs))
     if node.op_type in ONCE:
         work = sum(each.elements for each in (*inputs, *outputs))
+    elif node.op_type == "Mod":
+        work = most_out * MOD_WORK
+    elif node.op_type == "ConvTranspose":  # each input meets the whole kernel, whatever is cut off the output
+        work = most_out + inputs[0].elements * (inputs[1].elements // max(1, inputs[1].dims[0]))
     elif node.op_type in ("MatMul", "Gemm", "Conv"):
         work = most_out * _summands(node.op_type, inputs, outputs[0])
     elif node.op_type in RECURRENT:

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from typing import TypeAlias
 
 from deploy.policy.graph_bounds import check_bounds
 from deploy.policy.onnx_graph import decode, shortened
@@ -12,11 +13,12 @@ os.environ["ORT_DISABLE_TELEMETRY"] = "1"
 
 import onnxruntime as ort
 
+Session: TypeAlias = ort.InferenceSession
 BATCHES = (1, 64)
 """Robots in a step for which a policy is checked: one, and many."""
 
 
-def load_session(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> ort.InferenceSession:
+def load_session(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> Session:
     """Load a model into ONNX Runtime, on one thread; `source` names it in error messages.
 
     Args:

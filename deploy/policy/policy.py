@@ -9,7 +9,8 @@ from deploy.policy.actor import Actor
 from deploy.policy.compatibility import check_contract
 from deploy.policy.inference import BATCHES, load_session
 from deploy.policy.onnx_graph import shortened
-from deploy.policy.policy_file import INPUT, MEMORY, NEXT, OUTPUT, PolicyFile, read_policy_file
+from deploy.policy.policy_file import PolicyFile, read_policy_file
+from deploy.policy.policy_names import INPUT, MEMORY, NEXT, OUTPUT
 from robots.arrays import Bools, Float32s
 from robots.errors import ContractError
 from robots.spec import RobotSpec

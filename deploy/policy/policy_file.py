@@ -9,18 +9,15 @@ import numpy as np
 from onnx import GraphProto, ModelProto, TensorProto, ValueInfoProto
 from pydantic import Field, model_validator
 
-from deploy.policy.contract import CONTRACT_KEY, Contract
+from deploy.policy.contract import Contract
 from deploy.policy.contract_term import Number
 from deploy.policy.onnx_graph import read_model, type_name
+from deploy.policy.policy_names import CONTRACT_KEY, GOLDEN_KEY, INPUT, MEMORY, NEXT, OUTPUT
 from robots.arrays import Float32s
 from robots.errors import ContractError
 from robots.files import read_file
 from robots.strict import Strict, parse, read_json
 
-GOLDEN_KEY = "firstshift.golden"
-INPUT, OUTPUT = "observation", "action"
-MEMORY, NEXT = "memory", "next_memory"
-"""Input and output of the recurrent state, of policies with memory."""
 FILE_BYTES_MAX = 256 << 20
 GOLDEN_CHARACTERS_MAX = 16 << 20
 PAIRS_MAX = 64

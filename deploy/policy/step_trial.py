@@ -1,18 +1,21 @@
 """Trial of a policy of unknown origin in a separate process, with bounds of time and memory: it may crash.
 
-python -P -m deploy.policy.step_trial SOURCE LIFELINE ROBOTS... < policy.onnx
+python -P -m deploy.policy.step_trial SOURCE LIFELINE PAIRS ROBOTS... < policy.onnx
 """
 
+import json
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from deploy.policy.inference import BATCHES, load_session
+from deploy.policy.inference import BATCHES, Session, load_session
 from deploy.policy.onnx_graph import shortened
+from deploy.policy.policy_names import GOLDEN_KEY, INPUT, MEMORY, NEXT
+from robots.arrays import Float32s
 from robots.child_process import GRACE_S, Lifeline, check_not_crowded, end_with
 from robots.errors import ContractError
 from robots.resource_limits import limit_process
@@ -30,21 +33,23 @@ REFUSED = 2
 
 
 def check_step(data: bytes, period_s: float, source: str) -> None:
-    """Check that one step of a policy, for one robot, takes at most `STEP_SHARE` of its period.
+    """Check that one step of a policy file, for one robot, takes at most `STEP_SHARE` of its period.
 
     Raises:
-        ContractError: as `try_step`, or it takes longer.
+        ContractError: as `try_step`, with its golden pairs, or it takes longer.
     """
-    if (found := try_step(data, source)) > (bound := STEP_SHARE * period_s):
+    if (found := try_step(data, source, golden=True)) > (bound := STEP_SHARE * period_s):
         expected = f"expected at most {1e3 * bound:.3g} ms, {STEP_SHARE:g} of the policy's period"
         raise ContractError(f"{source}: a step takes {1e3 * found:.3g} ms on this machine, {expected}")
 
 
-def try_step(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> float:
+def try_step(data: bytes, source: str, batches: Sequence[int] = BATCHES, *, golden: bool = False) -> float:
     """Load a model and run it for one robot, in a separate process; return the median time of a step, s.
 
     Args:
+        data: the file. source: its name.
         batches: as of `load_session`.
+        golden: run the golden pairs of a policy file, too, for as many robots as each of `batches`.
 
     Raises:
         ContractError: it takes too long or needs too much memory, crashes, or ONNX Runtime refuses it.
@@ -53,7 +58,7 @@ def try_step(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> floa
     bounds = f"{source}: cannot be tried within {CPU_S} s of a core and {MEMORY_GIB} GiB"
     with Lifeline() as lifeline:
         end, limit_s = lifeline.end.fileno(), WALL_S + GRACE_S
-        arguments = source, str(end), *map(str, batches)
+        arguments = source, str(end), str(int(golden)), *map(str, batches)
         child = [sys.executable, "-P", "-m", "deploy.policy.step_trial", *arguments]
         try:
             done = subprocess.run(
@@ -71,35 +76,64 @@ def try_step(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> floa
     return float(said)
 
 
-def median_step_s(data: bytes, source: str, batches: Sequence[int] = BATCHES) -> float:
+def median_step_s(session: Session, source: str) -> float:
     """Return s, the median time of a step for one robot, of steps that take at most a second together.
 
     Raises:
-        ContractError: ONNX Runtime refuses the model, or cannot run it.
+        ContractError: ONNX Runtime cannot run the model.
     """
-    session, rng = load_session(data, source, batches), np.random.default_rng(0)
+    rng, times = np.random.default_rng(0), list[float]()
     shapes = {  # dimensions with a name are the batch
         each.name: [size if isinstance(size, int) else 1 for size in each.shape]
         for each in session.get_inputs()
     }
     inputs = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
-    times: list[float] = []
     while len(times) < STEPS and sum(times) < 1.0:
         begin = time.perf_counter()
-        try:
-            session.run(None, inputs)
-        except Exception as e:  # ONNX Runtime's errors share no base
-            raise ContractError(f"{source}: cannot be run: {shortened(e)}") from e
+        _run(session, inputs, source)
         times.append(time.perf_counter() - begin)
     return float(np.median(times))
 
 
-def _main(source: str, lifeline: str, *batches: str) -> int:
+def run_golden_pairs(session: Session, batches: Sequence[int], source: str) -> None:
+    """Run the golden pairs of a policy file as its verification does, which then takes no more time and memory.
+
+    Raises:
+        ContractError: ONNX Runtime cannot run the model.
+    """
+    pairs = json.loads(session.get_modelmeta().custom_metadata_map[GOLDEN_KEY])
+    rows = np.array(pairs["observation"], np.float32)
+    inputs = {each.name: each.shape for each in session.get_inputs()}
+    for batch in batches:
+        if MEMORY in inputs:
+            memory = np.zeros((batch, inputs[MEMORY][1]), np.float32)
+            for row in rows:
+                each = {INPUT: np.repeat(row[None], batch, axis=0), MEMORY: memory}
+                memory = _run(session, each, source)[NEXT]
+            continue
+        for first in range(0, len(rows), batch):
+            _run(session, {INPUT: rows[np.arange(first, first + batch) % len(rows)]}, source)
+
+
+def _run(session: Session, inputs: Mapping[str, Float32s], source: str) -> dict[str, Float32s]:
+    """Return the outputs of a step by name."""
+    try:
+        found = session.run(None, inputs)
+    except Exception as e:  # ONNX Runtime's errors share no base
+        raise ContractError(f"{source}: cannot be run: {shortened(e)}") from e
+    return dict(zip((each.name for each in session.get_outputs()), found, strict=True))
+
+
+def _main(source: str, lifeline: str, golden: str, *batches: str) -> int:
     end_with(int(lifeline))
     signal.alarm(WALL_S)
     limit_process(CPU_S, MEMORY_GIB)
+    sizes = [*map(int, batches)]
     try:
-        print(median_step_s(sys.stdin.buffer.read(), source, [*map(int, batches)]))
+        session = load_session(sys.stdin.buffer.read(), source, sizes)
+        print(median_step_s(session, source))
+        if int(golden):
+            run_golden_pairs(session, sizes, source)
     except ContractError as e:
         print(e, file=sys.stderr)
         return REFUSED

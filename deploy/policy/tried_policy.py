@@ -7,11 +7,11 @@ from deploy.policy.step_trial import try_step
 
 
 def read_tried_policy(path: Path) -> PolicyFile:
-    """Read a policy file, check all of it, and try its step.
+    """Read a policy file, check all of it, and try its step and its golden pairs.
 
     Raises:
         ContractError: as `read_policy_file` and `try_step`.
     """
     file = read_policy_file(path)
-    try_step(file.data, str(path))
+    try_step(file.data, str(path), golden=True)
     return file

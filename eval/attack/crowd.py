@@ -4,7 +4,8 @@ import numpy as np
 
 from deploy.policy.actor import Actor
 from deploy.policy.inference import load_session
-from deploy.policy.policy_file import INPUT, MEMORY, NEXT, OUTPUT, PolicyFile
+from deploy.policy.policy_file import PolicyFile
+from deploy.policy.policy_names import INPUT, MEMORY, NEXT, OUTPUT
 from robots.arrays import Bools, Float32s
 
 

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from onnx import GraphProto, NodeProto, TensorProto, helper, numpy_helper
 
-from deploy.policy.contract import CONTRACT_KEY, Contract
+from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import Term
 from deploy.policy.inference import load_session
-from deploy.policy.policy_file import GOLDEN_KEY, INPUT, MEMORY, NEXT, OUTPUT, PolicyFile
+from deploy.policy.policy_file import PolicyFile
+from deploy.policy.policy_names import CONTRACT_KEY, GOLDEN_KEY, INPUT, MEMORY, NEXT, OUTPUT
 from deploy.sources.catalogue import SOURCES
 from deploy.tasks.task import tasks_of
 from eval.attack.trained_gains import TrainedGains

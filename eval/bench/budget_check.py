@@ -11,7 +11,8 @@ from onnx import numpy_helper
 from rich.console import Console
 
 from deploy.policy.onnx_graph import read_model
-from deploy.policy.policy_file import FILE_BYTES_MAX, GOLDEN_KEY, OUTPUT
+from deploy.policy.policy_file import FILE_BYTES_MAX
+from deploy.policy.policy_names import GOLDEN_KEY, OUTPUT
 from eval.bench.soak_setup import soak_config
 from eval.judge.counts import merge
 from eval.judge.monitors import MONITORS

@@ -10,11 +10,11 @@ import numpy as np
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
 from deploy.operation.temperature_file import Temperatures
-from deploy.policy.contract import CONTRACT_KEY, Contract
+from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
 from deploy.policy.contract_term import Term
 from deploy.policy.policy import Policy
-from deploy.policy.policy_file import GOLDEN_KEY, INPUT, OUTPUT
+from deploy.policy.policy_names import CONTRACT_KEY, GOLDEN_KEY, INPUT, OUTPUT
 from eval.history.history import add_record
 from eval.history.soak_record import Run, Settings, SoakRecord
 from eval.judge.monitors import MONITORS

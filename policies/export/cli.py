@@ -16,7 +16,8 @@ from deploy.policy.compatibility import check_contract
 from deploy.policy.contract import Contract
 from deploy.policy.inference import BATCHES
 from deploy.policy.policy import AGREEMENT, Policy
-from deploy.policy.policy_file import INPUT, OUTPUT, Golden
+from deploy.policy.policy_file import Golden
+from deploy.policy.policy_names import INPUT, OUTPUT
 from deploy.telemetry.output_files import check_no_input
 from deploy.telemetry.plain_console import plain_console
 from eval.replay.bundle import robot_files

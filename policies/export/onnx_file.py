@@ -6,9 +6,10 @@ from typing import TypeVar
 
 from onnx import ModelProto, helper
 
-from deploy.policy.contract import CONTRACT_KEY, Contract
+from deploy.policy.contract import Contract
 from deploy.policy.policy import Policy
-from deploy.policy.policy_file import GOLDEN_KEY, Golden
+from deploy.policy.policy_file import Golden
+from deploy.policy.policy_names import CONTRACT_KEY, GOLDEN_KEY
 from deploy.telemetry.output_files import replacing
 from robots.errors import ContractError
 from robots.spec import RobotSpec

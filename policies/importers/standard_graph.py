@@ -8,7 +8,7 @@ import numpy as np
 import onnx
 from onnx import GraphProto, ModelProto, NodeProto, TensorProto, ValueInfoProto, helper, numpy_helper
 
-from deploy.policy.policy_file import INPUT, MEMORY, NEXT, OUTPUT
+from deploy.policy.policy_names import INPUT, MEMORY, NEXT, OUTPUT
 from policies.export.onnx_file import strip_annotations
 from policies.importers.reference_policy import ABSENT, ReferencePolicy
 

@@ -6,9 +6,8 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from deploy.policy.contract import CONTRACT_KEY
 from deploy.policy.inference import load_session
-from deploy.policy.policy_file import GOLDEN_KEY
+from deploy.policy.policy_names import CONTRACT_KEY, GOLDEN_KEY
 from robots.spec import load_robot
 from support.arm6 import copy_of_arm
 from support.policies import metadata

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
-from deploy.policy.contract import CONTRACT_KEY, Contract
+from deploy.policy.contract import Contract
 from deploy.policy.contract_action import ActionSpec
-from deploy.policy.policy_file import GOLDEN_KEY
+from deploy.policy.policy_names import CONTRACT_KEY, GOLDEN_KEY
 from robots.models.nominal_model import torque_max
 from robots.motors.drive_gains import drive_gains
 from robots.spec import load_robot

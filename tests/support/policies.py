@@ -3,9 +3,8 @@ import json
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
-from deploy.policy.contract import CONTRACT_KEY
 from deploy.policy.policy import Policy
-from deploy.policy.policy_file import GOLDEN_KEY
+from deploy.policy.policy_names import CONTRACT_KEY, GOLDEN_KEY
 from support.arm6 import SPEC
 from support.contracts import arm_contract
 

@@ -14,7 +14,8 @@ from onnx import GraphProto, ModelProto, helper
 from deploy.policy.contract import Observed
 from deploy.policy.inference import load_session
 from deploy.policy.onnx_graph import decode
-from deploy.policy.policy_file import INPUT, PolicyFile
+from deploy.policy.policy_file import PolicyFile
+from deploy.policy.policy_names import INPUT
 from robots.arrays import Float32s, Floats
 
 MIXING_OPERATORS = ("Gemm", "MatMul", "LSTM", "GRU", "RNN", "Conv", "Scan")

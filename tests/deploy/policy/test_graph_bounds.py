@@ -44,6 +44,22 @@ def long_trips():
     return graph(scan, held=held)
 
 
+def remainders():
+    """Of numbers that no trial sees."""
+    fill, held = filled(5000)
+    return graph(
+        fill, node("Mod", "big big", "m", fmod=1), node("ReduceMin", "m", "y", keepdims=0), held=held
+    )
+
+
+def cut_off():
+    """A long signal and a long kernel, of whose product one number is left."""
+    fill, held = filled(1, 1, 8192)
+    held["kernel"] = np.zeros((1, 1, 9000), np.float32)
+    spread = node("ConvTranspose", "big kernel", "y", pads=[8595, 8595])
+    return graph(fill, spread, held=held, rank=3)
+
+
 def depends_on_data():
     return graph(node("NonZero", "x", "where"), node("Cast", "where", "y", to=FLOAT))
 
@@ -132,6 +148,8 @@ REFUSED = {
     "many tensors": (many_tensors, "of 1: found 1342177280 bytes of intermediate tensors, expected at most"),
     "trips": (trips, "of 1: node 'y' (Scan): found 100000 trips, expected at most 4096"),
     "long trips": (long_trips, "of 1: found 1000"),
+    "remainders": (remainders, "of 1: found 8193"),
+    "cut off": (cut_off, "of 1: found 7373"),
     "data": (
         depends_on_data,
         f"of 1: node 'where' (NonZero): found an output 'where' of unknown shape, {KNOWN}",

@@ -1,22 +1,27 @@
 """The step of a policy, tried in a process of its own."""
 
 import errno
+import json
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from onnx import helper, numpy_helper
+from onnx import TensorProto, helper, numpy_helper
 
 import deploy.operation.cli
 from deploy.policy import step_trial
-from deploy.policy.step_trial import check_step, median_step_s, try_step
+from deploy.policy.inference import load_session
+from deploy.policy.policy_names import GOLDEN_KEY
+from deploy.policy.step_trial import check_step, median_step_s, run_golden_pairs, try_step
 from robots.child_process import ENDED, Lifeline
 from robots.errors import ContractError
 from support.graphs import graph, node
-from support.policies import policy_model, saved
+from support.policies import metadata, policy_model, saved
 from support.processes import NO_THREADS
+from support.recurrent_policies import remembering
 
 
 def slow(elements=1 << 23):
@@ -40,7 +45,7 @@ def slow(elements=1 << 23):
 def test_a_small_policy_takes_a_small_part_of_its_period():
     data = policy_model().SerializeToString()
     check_step(data, 0.02, "x.onnx")
-    assert 0.0 < median_step_s(data, "x.onnx") < 0.01
+    assert 0.0 < median_step_s(load_session(data, "x.onnx"), "x.onnx") < 0.01
 
 
 def test_a_policy_that_is_too_slow_is_refused_before_anything_moves(call, tmp_path):
@@ -51,6 +56,60 @@ def test_a_policy_that_is_too_slow_is_refused_before_anything_moves(call, tmp_pa
     assert complaint.startswith(f"error: {path}: a step takes ")
     assert complaint.endswith("ms on this machine, expected at most 10 ms, 0.5 of the policy's period\n")
     assert not out.exists()
+
+
+def failing_far_away(memory):
+    """A policy that ONNX Runtime cannot run at an observation above 1000, with a golden pair there."""
+    model = remembering() if memory else policy_model()
+    source = next(node for node in model.graph.node if "action" in node.output)
+    source.output[0] = "raw"
+    for kind, inputs, output, more in (
+        ("ReduceMax", ["observation"], "most", {"keepdims": 0}),
+        ("Div", ["most", "thousand"], "share", {}),
+        ("Cast", ["share"], "place", {"to": TensorProto.INT64}),
+        ("Gather", ["zero", "place"], "nothing", {}),
+        ("Add", ["raw", "nothing"], "action", {}),
+    ):
+        model.graph.node.append(helper.make_node(kind, inputs, [output], **more))
+    for name, array in (("thousand", np.float32(1000.0)), ("zero", np.zeros(1, np.float32))):
+        model.graph.initializer.append(numpy_helper.from_array(np.asarray(array), name))
+    pairs = json.loads(metadata(model, GOLDEN_KEY).value)
+    pairs["observation"][-1][0] = 5000.0
+    metadata(model, GOLDEN_KEY).value = json.dumps(pairs)
+    return model
+
+
+@pytest.mark.parametrize("memory", [False, True])
+def test_golden_pairs_are_tried_too(memory):
+    data = failing_far_away(memory).SerializeToString()
+    assert try_step(data, "x.onnx") > 0.0
+    with pytest.raises(ContractError, match=r"^x\.onnx: cannot be run: .*indices element out of data bounds"):
+        check_step(data, 0.02, "x.onnx")
+
+
+@pytest.mark.parametrize("memory", [False, True])
+def test_golden_pairs_are_run_as_their_verification_does(memory):
+    """The same observations in the same order, for one robot and for many."""
+    model = remembering() if memory else policy_model()
+    session, asked = load_session(model.SerializeToString(), "x.onnx"), []
+
+    def run(names, inputs):
+        asked.append({name: array.copy() for name, array in inputs.items()})
+        return session.run(names, inputs)
+
+    others = {name: getattr(session, name) for name in ("get_inputs", "get_outputs", "get_modelmeta")}
+    run_golden_pairs(SimpleNamespace(run=run, **others), (1, 5), "x.onnx")
+    rows = np.array(json.loads(metadata(model, GOLDEN_KEY).value)["observation"], np.float32)
+    if memory:
+        expected = [*(row[None] for row in rows), *(np.repeat(row[None], 5, axis=0) for row in rows)]
+    else:
+        expected = [*(row[None] for row in rows), *np.resize(rows, (20, rows.shape[1])).reshape(4, 5, -1)]
+    for inputs, observation in zip(asked, expected, strict=True):
+        np.testing.assert_array_equal(inputs["observation"], observation)
+    if memory:
+        assert (asked[0]["memory"] == 0).all()
+        assert (asked[len(rows)]["memory"] == 0).all()
+        assert (asked[1]["memory"] != 0).any()
 
 
 USED = "int(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmData'))) << 10"

@@ -11,7 +11,7 @@ pytest.importorskip("mujoco")
 from hypothesis import given, settings
 from onnx import helper, numpy_helper
 
-from deploy.policy.contract import CONTRACT_KEY
+from deploy.policy.policy_names import CONTRACT_KEY
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import (
     CheckResult,

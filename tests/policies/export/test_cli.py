@@ -13,9 +13,9 @@ pytest.importorskip("onnxscript")
 
 from onnx import numpy_helper
 
-from deploy.policy.contract import CONTRACT_KEY, Observed
+from deploy.policy.contract import Observed
 from deploy.policy.policy import Policy
-from deploy.policy.policy_file import GOLDEN_KEY
+from deploy.policy.policy_names import CONTRACT_KEY, GOLDEN_KEY
 from deploy.start import LACKING
 from policies.export.cli import POLICIES, cli, export, find_checkpoint, policy_export
 from policies.training.checkpoint import load_checkpoint

@@ -10,8 +10,8 @@ pytest.importorskip("mujoco")
 
 from onnx import helper
 
-from deploy.policy.contract import CONTRACT_KEY
 from deploy.policy.policy import Policy
+from deploy.policy.policy_names import CONTRACT_KEY
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Verdict
 from policies.doctor.checklist import run_check

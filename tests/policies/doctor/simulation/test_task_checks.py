@@ -15,7 +15,7 @@ pytest.importorskip("mujoco")
 
 from onnx import helper
 
-from deploy.policy.contract import CONTRACT_KEY
+from deploy.policy.policy_names import CONTRACT_KEY
 from policies.doctor import cli as checking
 from policies.doctor.check_context import CheckContext
 from policies.doctor.check_result import Verdict
