@@ -4,6 +4,7 @@ import json
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -44,6 +45,8 @@ RobotName = Annotated[str, Field(pattern=ROBOT_NAME)]
 PLACEHOLDER = "?"
 """Value of a draft that is still to be filled in."""
 TOML_CHARACTERS_MAX = 1 << 20
+LINES_MAX = 20
+"""Wrong fields of a file that an error names; it counts the others."""
 
 M = TypeVar("M", bound=Strict)
 
@@ -132,12 +135,12 @@ def parse(data: object, schema: type[M], *, source: str, error: type[FirstshiftE
     """Return a strict record from plain data; an `error` has one line for each wrong field of `source`.
 
     Raises:
-        FirstshiftError: of class `error`, one line for each field that is wrong.
+        FirstshiftError: of class `error`, one line for each of the first `LINES_MAX` fields that are wrong.
     """
     try:
         return schema.model_validate(_tuples(data))
     except ValidationError as e:
-        raise error("\n".join(f"{source}: {line}" for line in _messages(e))) from e
+        raise error("\n".join(f"{source}: {line}" for line in _first(_messages(e)))) from e
 
 
 def _tuples(data: object) -> object:
@@ -149,8 +152,10 @@ def _tuples(data: object) -> object:
 
 def _messages(invalid: ValidationError) -> Iterator[str]:
     """Yield each error as `field: expectation, found value`."""
-    for item in (errors := invalid.errors()):
-        if item["type"] == "too_short" and any(_is_inside(other["loc"], item["loc"]) for other in errors):
+    errors = invalid.errors(include_url=False)
+    outer = {item["loc"][:k] for item in errors for k in range(len(item["loc"]))}
+    for item in errors:
+        if item["type"] == "too_short" and item["loc"] in outer:
             continue  # pydantic counts only the items that are right
         field = ".".join(f"{part!s:.80}" for part in item["loc"]) or "(whole file)"
         found, message = item["input"], item["msg"].removeprefix("Value error, ")
@@ -160,5 +165,8 @@ def _messages(invalid: ValidationError) -> Iterator[str]:
         yield str(item["ctx"]["error"]) if own else f"{field}: {message}{shown}"
 
 
-def _is_inside(place: tuple[int | str, ...], outer: tuple[int | str, ...]) -> bool:
-    return len(place) > len(outer) and place[: len(outer)] == outer
+def _first(lines: Iterator[str]) -> Iterator[str]:
+    """Yield the first `LINES_MAX` lines, and one with the number of others, if any."""
+    yield from islice(lines, LINES_MAX)
+    if others := sum(1 for _ in lines):
+        yield f"… and {others:,} more"

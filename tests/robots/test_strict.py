@@ -1,3 +1,4 @@
+import sys
 from typing import Annotated
 
 import pytest
@@ -21,6 +22,14 @@ class Animal(Strict):
     places: tuple[float, float] = (0.0, 1.0)
     teeth: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (1.0,)
     parts: dict[str, Leg] = Field(default_factory=dict)
+
+
+class Jaw(Strict):
+    teeth: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
+
+
+class Jaws(Strict):
+    jaws: tuple[Jaw, ...]
 
 
 GOOD = "eyes = 2\nlegs = [{ length = 1.5 }, { length = 2, name = 'left' }]\n"
@@ -90,6 +99,34 @@ def test_wrong_items_of_a_list_are_not_called_missing(tmp_path):
     assert [line.split(": ")[1] for line in str(caught.value).splitlines()] == ["teeth.0", "teeth.1"]
     with pytest.raises(ConfigError, match=r"teeth: Tuple should have at least 1 item"):
         read(tmp_path, GOOD + "teeth = []")
+
+
+def test_the_first_wrong_fields_are_named_and_the_others_counted(tmp_path):
+    """Each table lacks a length, and has one key too many."""
+    for tables, more in ((10, []), (2000, ["… and 3,980 more"])):
+        with pytest.raises(ConfigError) as caught:
+            read(tmp_path, GOOD + "".join(f"[parts.p{k}]\nwings = 2\n" for k in range(tables)))
+        source = f"{tmp_path / 'animal.toml'}: "
+        lines = [line.removeprefix(source) for line in str(caught.value).split("\n")]
+        wrong = ["length: Field required", "wings: Extra inputs are not permitted, found 2"]
+        assert lines == [f"parts.p{k}.{each}" for k in range(10) for each in wrong] + more
+
+
+def calls_to_refuse(tables):
+    """Return the number of calls in Python that it takes to refuse so many tables, each with an empty list."""
+    calls = []
+    data = {"jaws": [{"teeth": []}] * tables}
+    sys.setprofile(lambda _frame, event, _: calls.append(event == "call"))
+    try:
+        with pytest.raises(ConfigError):
+            parse(data, Jaws, source="here")
+    finally:
+        sys.setprofile(None)
+    return sum(calls)
+
+
+def test_errors_are_put_in_words_in_linear_time():
+    assert calls_to_refuse(400) < 3 * calls_to_refuse(200)
 
 
 def test_a_huge_value_does_not_flood_the_message(tmp_path):
