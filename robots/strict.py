@@ -47,6 +47,8 @@ PLACEHOLDER = "?"
 TOML_CHARACTERS_MAX = 1 << 20
 LINES_MAX = 20
 """Wrong fields of a file that an error names; it counts the others."""
+OPEN_FIELDS_MAX = 1000
+"""The same for fields still to be filled in: more than a draft of ours has, whose owner needs each of them."""
 
 M = TypeVar("M", bound=Strict)
 
@@ -71,12 +73,11 @@ def reject_placeholders(data: object, source: str, error: type[FirstshiftError])
     """Refuse a draft with fields still to be filled in, one line for each of them.
 
     Raises:
-        FirstshiftError: of class `error`, one line for each of them.
+        FirstshiftError: of class `error`, one line for each of the first `OPEN_FIELDS_MAX`.
     """
-    if fields := list(placeholder_fields(data)):
-        raise error(
-            "\n".join(f"{source}: {field}: still {PLACEHOLDER!r}, to be filled in" for field in fields)
-        )
+    still = (f"{field}: still {PLACEHOLDER!r}, to be filled in" for field in placeholder_fields(data))
+    if lines := list(_first(still, OPEN_FIELDS_MAX)):
+        raise error("\n".join(f"{source}: {line}" for line in lines))
 
 
 def placeholder_fields(data: object, field: str = "") -> Iterator[str]:
@@ -86,8 +87,8 @@ def placeholder_fields(data: object, field: str = "") -> Iterator[str]:
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for key, value in items:
         named = isinstance(value, dict) and value.get("name", PLACEHOLDER) != PLACEHOLDER
-        name = value["name"] if named else key
-        yield from placeholder_fields(value, f"{field}.{name}" if field else str(name))
+        name = f"{value['name'] if named else key!s:.80}"
+        yield from placeholder_fields(value, f"{field}.{name}" if field else name)
 
 
 def read_json(
@@ -140,7 +141,7 @@ def parse(data: object, schema: type[M], *, source: str, error: type[FirstshiftE
     try:
         return schema.model_validate(_tuples(data))
     except ValidationError as e:
-        raise error("\n".join(f"{source}: {line}" for line in _first(_messages(e)))) from e
+        raise error("\n".join(f"{source}: {line}" for line in _first(_messages(e), LINES_MAX))) from e
 
 
 def _tuples(data: object) -> object:
@@ -165,8 +166,8 @@ def _messages(invalid: ValidationError) -> Iterator[str]:
         yield str(item["ctx"]["error"]) if own else f"{field}: {message}{shown}"
 
 
-def _first(lines: Iterator[str]) -> Iterator[str]:
-    """Yield the first `LINES_MAX` lines, and one with the number of others, if any."""
-    yield from islice(lines, LINES_MAX)
+def _first(lines: Iterator[str], most: int) -> Iterator[str]:
+    """Yield at most so many lines, the first ones, and one with the number of others, if any."""
+    yield from islice(lines, most)
     if others := sum(1 for _ in lines):
         yield f"… and {others:,} more"

@@ -112,6 +112,19 @@ def test_the_first_wrong_fields_are_named_and_the_others_counted(tmp_path):
         assert lines == [f"parts.p{k}.{each}" for k in range(10) for each in wrong] + more
 
 
+def test_the_first_open_fields_are_named_and_the_others_counted(tmp_path):
+    """Each by a short name, however long that of its table is."""
+    fields, table = [f"f{k}" for k in range(3000)], "x" * 80
+    for name in (f"{table}{'x' * 10_000}", table):
+        text = f"[[parts]]\nname = '{name}'\n" + "".join(f"{each} = '?'\n" for each in fields)
+        with pytest.raises(ConfigError) as caught:
+            read(tmp_path, text)
+        *lines, more = str(caught.value).split("\n")
+        source = tmp_path / "animal.toml"
+        still = [f"{source}: parts.{table}.{each}: still '?', to be filled in" for each in fields[:1000]]
+        assert (lines, more) == (still, f"{source}: … and 2,000 more")
+
+
 def calls_to_refuse(tables):
     """Return the number of calls in Python that it takes to refuse so many tables, each with an empty list."""
     calls = []
