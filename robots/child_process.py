@@ -6,6 +6,7 @@ Linux and on macOS, so that no child relies on being told.
 
 import errno
 import os
+import time
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from threading import Thread
@@ -44,17 +45,17 @@ class Lifeline:
         self.end.close()
 
 
-def end_with(lifeline: "Connection | int") -> None:
+def end_with(lifeline: "Connection | int", grace_s: float = 0.0) -> None:
     """Let this process end as soon as its lifeline is cut; `lifeline` is the child's end, or its descriptor.
 
     Call it first: a child whose parent has gone already ends here. What it was writing stays as it was, as after
-    `kill -9`.
+    `kill -9`, unless it finishes within `grace_s`.
 
     Raises:
         SystemExit: with `CROWDED`, for `check_not_crowded`.
     """
     try:
-        Thread(target=_end_after, args=(lifeline,), daemon=True).start()
+        Thread(target=_end_after, args=(lifeline, grace_s), daemon=True).start()
     except RuntimeError as e:  # Python's only one: no further thread can be started
         raise SystemExit(CROWDED) from e
 
@@ -69,6 +70,7 @@ def check_not_crowded(code: int) -> None:
         raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
 
 
-def _end_after(lifeline: "Connection | int") -> None:
+def _end_after(lifeline: "Connection | int", grace_s: float) -> None:
     wait([lifeline])  # nothing is ever sent: what can be read is the end
+    time.sleep(grace_s)
     os._exit(ENDED)

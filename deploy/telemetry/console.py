@@ -5,11 +5,11 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deploy.runtime import Runtime
 from deploy.state import Mode
+from robots.child_process import Lifeline
 from robots.errors import printable
 
 if TYPE_CHECKING:
@@ -51,22 +51,27 @@ class ConsoleProcess(SnapshotPipe):
     def __init__(self) -> None:
         """Start the process in its own group, so that Ctrl-C does not reach it."""
         reading, writing = os.pipe()
-        command = [sys.executable, "-P", str(Path(__file__).with_name("console_display.py"))]
+        self._lifeline = Lifeline()
+        end = self._lifeline.end.fileno()
+        command = [sys.executable, "-P", "-m", "deploy.telemetry.console_display", str(end)]
         encoding = getattr(sys.stdout, "encoding", None) or ""
         # What a terminal cannot show is written as an escape, as `deploy.start` has it for this process.
         environment = os.environ | {"PYTHONIOENCODING": f"{encoding}:backslashreplace"}
-        self._process = subprocess.Popen(command, stdin=reading, process_group=0, env=environment)
+        self._process = subprocess.Popen(
+            command, stdin=reading, process_group=0, env=environment, pass_fds=(end,)
+        )
         os.close(reading)
         super().__init__(writing)
 
     def close(self) -> None:
         """Wait until the last snapshot is drawn, but not forever."""
         super().close()
-        try:
-            self._process.wait(WAIT_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        with self._lifeline:
+            try:
+                self._process.wait(WAIT_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
 
 
 def snapshot(run: "RobotRun", *, title: str, notes: Sequence[str], joint: int | None) -> dict[str, Any]:

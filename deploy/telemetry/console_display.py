@@ -1,7 +1,9 @@
 """Display of the console: draws snapshots, read as JSON lines from standard input.
 
+python -P -m deploy.telemetry.console_display LIFELINE < snapshots
+
 Runs as a process of its own, started by `deploy.telemetry.console`: drawing a table takes longer than a tick, and a
-stopped or slow terminal must not stop a robot. Imports nothing from this project.
+stopped or slow terminal must not stop a robot. Imports nothing from this project but what ends it with that process.
 """
 
 import json
@@ -17,8 +19,12 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from robots.child_process import end_with
+
 Snapshot = dict[str, Any]
 COLOURS = {"RUNNING": "green", "STOPPING": "yellow", "HOLDING": "yellow", "LATCHED": "red"}
+LAST_S = 2.0
+"""s after the end of the robot's process in which the last snapshot can be drawn, and the cursor shown again."""
 COLUMNS = ("joint", "q rad", "qd rad/s", "error mrad", "torque N·m", "housing °C", "winding °C")
 
 
@@ -102,6 +108,7 @@ class _LinePrinter:
 
 
 if __name__ == "__main__":
+    end_with(int(sys.argv[1]), LAST_S)
     try:
         with open(sys.stdin.fileno(), encoding="utf-8") as lines:  # whatever the terminal's encoding
             follow(lines, Console(markup=False, emoji=False))

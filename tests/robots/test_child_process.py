@@ -70,6 +70,15 @@ def test_a_child_ends_when_its_lifeline_is_cut():
         assert child.wait(WAIT_S) == ENDED
 
 
+def test_a_child_may_finish_within_its_grace():
+    child = "import os; from robots.child_process import end_with; end_with(0, 3600.0); os.read(0, 1)"
+    lifeline = Lifeline()
+    lifeline.cut()
+    end = lifeline.end.fileno()
+    done = subprocess.run([sys.executable, "-c", child], stdin=end, check=False, timeout=WAIT_S)
+    assert done.returncode == 0
+
+
 def test_a_child_that_starts_late_ends_at_once():
     lifeline = Lifeline()
     lifeline.cut()

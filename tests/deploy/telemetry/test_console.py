@@ -3,6 +3,9 @@ import io
 import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import mujoco
@@ -149,6 +152,41 @@ def test_letters_are_written_as_the_output_has_them(monkeypatch, capfdbinary, en
     console.close()
     out, err = capfdbinary.readouterr()
     assert (degree in out, err) == (True, b"")
+
+
+PARENT = """
+import json, sys, time
+from deploy.telemetry.console import ConsoleProcess
+console = ConsoleProcess()
+console.offer(json.loads(sys.argv[1]))
+print("offered", file=sys.stderr, flush=True)
+time.sleep(3600)
+"""
+
+
+@pytest.fixture
+def full_pipe():
+    """Writing end of a pipe that takes no more; a process that waits to write to it goes on when the test ends."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, bytes(4096))
+    os.set_blocking(writing, True)
+    yield writing
+    os.close(writing)
+    os.close(reading)
+
+
+def test_a_display_whose_output_nobody_reads_ends_with_a_killed_parent(full_pipe):
+    """Standard error is a pipe, too: it ends when neither of them is left."""
+    command = [sys.executable, "-c", PARENT, json.dumps(SNAPSHOT)]
+    with subprocess.Popen(command, stdout=full_pipe, stderr=subprocess.PIPE, text=True) as parent:
+        try:
+            assert parent.stderr.readline() == "offered\n"
+        finally:
+            parent.send_signal(signal.SIGKILL)
+        assert parent.communicate(timeout=60.0) == (None, "")
 
 
 def test_lines_appear_once_a_second_and_on_changes():

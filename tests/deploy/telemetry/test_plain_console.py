@@ -19,7 +19,7 @@ def test_names_are_no_markup(capsys):
 
 @pytest.mark.parametrize("layer", ["robots", "deploy", "eval", "policies"])
 def test_consoles_are_made_in_one_way(layer):
-    """The display of a run imports nothing from this project; a quiet one prints nothing."""
+    """The display of a run imports no other console; a quiet one prints nothing."""
     made = {
         (path.name, call)
         for path in (ROOT / layer).rglob("*.py")
